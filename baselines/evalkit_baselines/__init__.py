@@ -1,0 +1,1 @@
+"""Back ends and mappers that ship with evalkit, one file each."""

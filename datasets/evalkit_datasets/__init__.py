@@ -1,0 +1,1 @@
+"""Data sets and readers that ship with evalkit: synthetic worlds and recordings."""

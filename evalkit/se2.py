@@ -1,0 +1,117 @@
+"""Rigid motions of the plane on rows ``(..., 3)`` of x [m], y [m], theta [rad].
+
+A motion named ``a_from_b`` takes coordinates in frame b to frame a; names cancel like dominoes:
+``a_from_c = compose(a_from_b, b_from_c)``.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Floats = NDArray[np.float64]
+Stamps = NDArray[np.int64]
+
+
+def wrap(theta: ArrayLike) -> Floats:
+    """The same angles in [-pi, pi) (rad)."""
+    return np.asarray((np.asarray(theta, dtype=np.float64) + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def compose(a_from_b: ArrayLike, b_from_c: ArrayLike) -> Floats:
+    """The motions ``a_from_c``, shapes broadcast.
+
+    >>> compose([1, 0, np.pi / 2], [1, 0, 0]).round(6).tolist()
+    [1.0, 1.0, 1.570796]
+    """
+    a = np.asarray(a_from_b, dtype=np.float64)
+    b = np.asarray(b_from_c, dtype=np.float64)
+    cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
+    return np.stack(
+        [
+            a[..., 0] + cos * b[..., 0] - sin * b[..., 1],
+            a[..., 1] + sin * b[..., 0] + cos * b[..., 1],
+            wrap(a[..., 2] + b[..., 2]),
+        ],
+        axis=-1,
+    )
+
+
+def inverse(a_from_b: ArrayLike) -> Floats:
+    """The motions ``b_from_a``."""
+    a = np.asarray(a_from_b, dtype=np.float64)
+    cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
+    return np.stack([-cos * a[..., 0] - sin * a[..., 1], sin * a[..., 0] - cos * a[..., 1], wrap(-a[..., 2])], axis=-1)
+
+
+def between(w_from_a: ArrayLike, w_from_b: ArrayLike) -> Floats:
+    """The motions ``a_from_b`` of two frames known in a third."""
+    return compose(inverse(w_from_a), w_from_b)
+
+
+def transform(a_from_b: ArrayLike, points: ArrayLike) -> Floats:
+    """The points ``(..., N, 2)`` of frame b in frame a; one motion per leading index of ``a_from_b``."""
+    a = np.asarray(a_from_b, dtype=np.float64)
+    p = np.asarray(points, dtype=np.float64)
+    cos, sin = np.cos(a[..., 2])[..., None], np.sin(a[..., 2])[..., None]
+    x = cos * p[..., 0] - sin * p[..., 1] + a[..., 0][..., None]
+    y = sin * p[..., 0] + cos * p[..., 1] + a[..., 1][..., None]
+    return np.stack([x, y], axis=-1)
+
+
+def transform_each(a_from_b: ArrayLike, points: ArrayLike) -> Floats:
+    """The points ``(N, 2)`` moved by one motion each, ``(N, 3)``: for beams fired at different times."""
+    return transform(a_from_b, np.asarray(points, dtype=np.float64)[:, None, :])[:, 0, :]
+
+
+def fraction(a_from_b: ArrayLike, share: ArrayLike) -> Floats:
+    """The part ``share`` (0 to 1, shape (N,)) of one motion, along its constant-velocity arc (SE(2) exponential)."""
+    x, y, theta = np.asarray(a_from_b, dtype=np.float64)
+    s = np.asarray(share, dtype=np.float64)
+    if abs(theta) < 1e-9:
+        return np.stack([s * x, s * y, s * theta], axis=-1)
+    # log: V^-1 (x, y) with V = [[sin, cos - 1], [1 - cos, sin]] / theta
+    half = 0.5 * theta
+    cot = half / np.tan(half)
+    vx, vy = cot * x + half * y, -half * x + cot * y
+    angle = s * theta
+    sin, cos1 = np.sin(angle) / theta, (1.0 - np.cos(angle)) / theta
+    return np.stack([sin * vx - cos1 * vy, cos1 * vx + sin * vy, wrap(angle)], axis=-1)
+
+
+def interpolate(stamps_ns: Stamps, poses: ArrayLike, at_ns: ArrayLike) -> Floats:
+    """The poses ``(K, 3)`` at times ``at_ns``: linear in x and y, the shorter way round in theta.
+
+    Raises ValueError for a time outside ``[stamps_ns[0], stamps_ns[-1]]``: nothing is extrapolated.
+    """
+    rows = np.asarray(poses, dtype=np.float64)
+    at = np.asarray(at_ns, dtype=np.int64)
+    if at.size and (len(stamps_ns) == 0 or at.min() < stamps_ns[0] or at.max() > stamps_ns[-1]):
+        raise ValueError("at_ns: outside the span of the stamps; nothing is extrapolated")
+    if len(stamps_ns) == 1:
+        return np.repeat(rows, at.size, axis=0)
+    right = np.clip(np.searchsorted(stamps_ns, at, side="left"), 1, len(stamps_ns) - 1)
+    left = right - 1
+    share = (at - stamps_ns[left]) / (stamps_ns[right] - stamps_ns[left])
+    step = rows[right] - rows[left]
+    step[:, 2] = wrap(step[:, 2])
+    result = rows[left] + share[:, None] * step
+    result[:, 2] = wrap(result[:, 2])
+    return np.asarray(result)
+
+
+def to_matrix(a_from_b: ArrayLike) -> Floats:
+    """The homogeneous matrices ``(..., 3, 3)``."""
+    a = np.asarray(a_from_b, dtype=np.float64)
+    matrix = np.zeros((*a.shape[:-1], 3, 3))
+    cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
+    matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 0, 2] = cos, -sin, a[..., 0]
+    matrix[..., 1, 0], matrix[..., 1, 1], matrix[..., 1, 2] = sin, cos, a[..., 1]
+    matrix[..., 2, 2] = 1.0
+    return matrix
+
+
+def from_matrix(matrix: ArrayLike) -> Floats:
+    """The rows ``(..., 3)`` of homogeneous matrices ``(..., 3, 3)``; theta by atan2(r21, r11) (paper, eq. 7)."""
+    m = np.asarray(matrix, dtype=np.float64)
+    return np.stack([m[..., 0, 2], m[..., 1, 2], np.arctan2(m[..., 1, 0], m[..., 0, 0])], axis=-1)
