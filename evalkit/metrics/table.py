@@ -38,7 +38,8 @@ class Evidence:
 class Metric:
     """A metric's card and its function.
 
-    ``better`` is "" where neither direction is better. ``digits``: decimals in tables. ``compute`` answers a Score and
+    ``better`` is "" where neither direction is better. ``digits``: decimals in tables. ``headline``: shown in the first table of a
+    report. ``compute`` answers a Score and
     never raises for lack of evidence: it says why instead.
     """
 
@@ -52,3 +53,4 @@ class Metric:
     blind_to: str
     compute: Callable[[Evidence], Score]
     digits: int = 3
+    headline: bool = False
