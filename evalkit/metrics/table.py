@@ -38,9 +38,8 @@ class Evidence:
 class Metric:
     """A metric's card and its function.
 
-    ``better`` is "" where neither direction is better. ``digits``: decimals in tables. ``headline``: shown in the first table of a
-    report. ``compute`` answers a Score and
-    never raises for lack of evidence: it says why instead.
+    ``better`` is "" where neither direction is better. ``digits``: decimals in tables. ``headline``: shown in the first
+    table of a report. ``compute`` answers a Score and never raises for lack of evidence: it says why instead.
     """
 
     name: str
