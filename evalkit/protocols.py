@@ -114,6 +114,22 @@ def nothing_missing() -> str:
     return ""
 
 
+@dataclass(frozen=True, slots=True)
+class Published:
+    """A figure somebody printed for the same recording: mean and standard deviation in the unit of ``metric``.
+
+    ``metric``: the name of the metric it is held against; "" for the first relation metric in metres.
+    ``spread_metric``: the name of the metric that is our counterpart of ``spread``, "" for none.
+    """
+
+    label: str
+    value: float
+    spread: float | None
+    source: str
+    metric: str = ""
+    spread_metric: str = ""
+
+
 @dataclass(frozen=True)
 class BackendSpec:
     """A back end: how to make it, what it is, what it needs.
@@ -121,7 +137,8 @@ class BackendSpec:
     ``kind``: "registration" (``make(**parameters)`` gives a Registration; evalkit's front end makes it an odometry) or
     "odometry" (``make`` gives an Odometry). ``frontend``: front-end settings this back end wants other than the
     defaults. ``scan_to_scan``: its own parameters that differ in the first stage. ``guess``: what it starts from, for
-    the report. ``missing()`` says why it cannot run here and how to mend it, or "".
+    the report. ``role``: "paper" for the method evalkit itself stands for, "bar" for what all others have to beat.
+    ``missing()`` says why it cannot run here and how to mend it, or "".
     """
 
     make: Callable[..., Any]
@@ -130,6 +147,7 @@ class BackendSpec:
     citation: str
     licence: str
     guess: str = "wheel odometry where recorded, else constant velocity"
+    role: Literal["", "paper", "bar"] = ""
     requires: tuple[str, ...] = ()
     parameters: tuple[Parameter, ...] = ()
     frontend: Mapping[str, Value] = field(default_factory=dict)
@@ -156,8 +174,8 @@ class DatasetSpec:
 
     ``seeded``: has a parameter ``seed`` that makes repetitions differ. ``suffixes``: endings of the files a reader
     opens (then it has a parameter ``path``). ``truth``: how the truth was made. ``defects``: what is known to be wrong
-    with the data. ``degenerate``: why the geometry cannot fix the pose, "" where it can. ``missing(**parameters)`` says
-    which files are not here and how to get them, or "".
+    with the data. ``degenerate``: why the geometry cannot fix the pose, "" where it can. ``published``: figures others
+    printed for it. ``missing(**parameters)`` says which files are not here and how to get them, or "".
     """
 
     make: Callable[..., Sequence]
@@ -168,6 +186,7 @@ class DatasetSpec:
     licence: str
     defects: tuple[str, ...] = ()
     degenerate: str = ""
+    published: tuple[Published, ...] = ()
     seeded: bool = False
     suffixes: tuple[str, ...] = ()
     parameters: tuple[Parameter, ...] = ()

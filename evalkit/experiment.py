@@ -1,0 +1,279 @@
+"""An experiment file made a frozen plan: every name, type and file checked before the first run."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from evalkit import frontend, registry
+from evalkit.errors import BadExperiment, BadParameter, EvalkitError, UnknownName
+from evalkit.protocols import Value, resolved
+
+Item = TypeVar("Item")
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """A back end under a label, with all its parameters; ``missing`` says why it cannot run here, or ""."""
+
+    label: str
+    backend: str
+    parameters: Mapping[str, Value]
+    missing: str = ""
+
+
+@dataclass(frozen=True)
+class Course:
+    """A data set under a label, with all its parameters but the seed; ``seeds`` is (None,) for a recording."""
+
+    label: str
+    dataset: str
+    parameters: Mapping[str, Value]
+    seeds: tuple[int | None, ...]
+    missing: str = ""
+
+    def seeded(self, seed: int | None) -> dict[str, Value]:
+        """The parameters of one repetition."""
+        return dict(self.parameters) if seed is None else {**self.parameters, "seed": seed}
+
+
+@dataclass(frozen=True)
+class MapperChoice:
+    """The mapper that draws every contestant's map, with all its parameters; at most ``scans`` scans, evenly spaced."""
+
+    name: str
+    parameters: Mapping[str, Value]
+    scans: int = 400
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What one run may take: seconds in all, seconds without an answer, MiB of memory; seconds are wall clock."""
+
+    run_s: float = 900.0
+    scan_s: float = 60.0
+    memory_mib: int = 2048
+
+
+@dataclass(frozen=True)
+class Planned:
+    """One run to be made; ``key`` names its folder and changes with anything that could change its result."""
+
+    key: str
+    contestant: Contestant
+    course: Course
+    seed: int | None
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A whole comparison, ready to run. ``source``: the words of the command line that name it ("reports/x.toml")."""
+
+    name: str
+    title: str
+    description: str
+    source: str
+    contestants: tuple[Contestant, ...]
+    courses: tuple[Course, ...]
+    mapper: MapperChoice
+    limits: Limits
+
+    def runs(self) -> Iterator[Planned]:
+        """Every run, contestants interleaved within each repetition so that a slow hour hits all alike."""
+        for course in self.courses:
+            for seed in course.seeds:
+                for contestant in self.contestants:
+                    yield Planned(_key(contestant, course, seed), contestant, course, seed)
+
+    def command(self, planned: Planned) -> str:
+        """What reproduces one run alone."""
+        seed = "" if planned.seed is None else f" --seed {planned.seed}"
+        return (
+            f"evalkit {self.source} --sequence '{planned.course.label}' --contestant '{planned.contestant.label}'{seed}"
+        )
+
+    def only(self, sequences: list[str], contestants: list[str], seeds: list[int]) -> Plan:
+        """The part of the plan with these labels and seeds; an empty list keeps all."""
+        courses = _chosen("sequence", sequences, self.courses, lambda course: course.label, self.source)
+        entrants = _chosen("contestant", contestants, self.contestants, lambda entrant: entrant.label, self.source)
+        if seeds:
+            known = {seed for course in courses for seed in course.seeds if seed is not None}
+            if unknown := set(seeds) - known:
+                raise UnknownName("seed", str(min(unknown)), [str(seed) for seed in known], self.source)
+            courses = tuple(
+                replace(course, seeds=tuple(seed for seed in course.seeds if seed is None or seed in seeds))
+                for course in courses
+            )
+        return replace(self, courses=courses, contestants=entrants)
+
+
+def read(path: Path) -> Plan:
+    """The plan of an experiment file (TOML); BadExperiment names the file, the key and what was found."""
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise BadExperiment(str(path), "", "no such file; give the path of an experiment (*.toml)") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadExperiment(str(path), "", f"cannot be read ({error})") from error
+    except tomllib.TOMLDecodeError as error:
+        raise BadExperiment(str(path), "", f"not valid TOML: {error}") from error
+    return plan(content, str(path), path.stem, f"report {path}")
+
+
+def plan(content: Mapping[str, Any], file: str, name: str, source: str) -> Plan:
+    """The plan of an experiment's tables; ``file`` is named in errors, ``source`` in commands."""
+    _known_keys(content, ("title", "description", "mapper", "limits", "contestant", "sequence"), file, "")
+    try:
+        contestants = tuple(
+            _contestant(t, file, f"contestant {i + 1}") for i, t in _tables(content, "contestant", file)
+        )
+        courses = tuple(_course(t, file, f"sequence {i + 1}") for i, t in _tables(content, "sequence", file))
+        mapper = _mapper(content.get("mapper", {}), file)
+    except (UnknownName, BadParameter) as error:
+        raise BadExperiment(file, "", str(error)) from error
+    _distinct("contestant", [entrant.label for entrant in contestants], file)
+    _distinct("sequence", [course.label for course in courses], file)
+    return Plan(
+        name,
+        _text(content, "title", name, file),
+        _text(content, "description", "", file),
+        source,
+        contestants,
+        courses,
+        mapper,
+        _limits(content.get("limits", {}), file),
+    )
+
+
+def _contestant(table: Mapping[str, Any], file: str, place: str) -> Contestant:
+    use = _required(table, "use", file, place)
+    label = _text(table, "label", use, file, place)
+    given = _flat({key: value for key, value in table.items() if key not in ("use", "label")})
+    spec = registry.backend(use)
+    return Contestant(label, use, frontend.complete_parameters(f"{place} ({label})", spec, given), spec.missing())
+
+
+def _course(table: Mapping[str, Any], file: str, place: str) -> Course:
+    use = _required(table, "use", file, place)
+    label = _text(table, "label", use, file, place)
+    given = _flat({key: value for key, value in table.items() if key not in ("use", "label", "seeds")})
+    spec = registry.dataset(use)
+    if "seeds" in table and not spec.seeded:
+        raise BadExperiment(file, f"{place} ({label})", f"'seeds': {use} is a recording and has none; remove the key")
+    if "seed" in given and spec.seeded:
+        raise BadExperiment(file, f"{place} ({label})", "found 'seed'; write seeds = [0, 1, ...]")
+    seeds = _seeds(table.get("seeds", [0]), file, f"{place} ({label})") if spec.seeded else (None,)
+    parameters = resolved(f"{place} ({label})", spec.parameters, given)
+    if spec.seeded:
+        parameters.pop("seed")
+    try:
+        missing = spec.missing(**parameters)
+    except EvalkitError as error:
+        raise BadExperiment(file, f"{place} ({label})", str(error)) from error
+    return Course(label, use, parameters, seeds, missing)
+
+
+def _mapper(table: object, file: str) -> MapperChoice:
+    if not isinstance(table, Mapping):
+        raise BadExperiment(file, "mapper", f"found {table!r}, expected a table [mapper] with use = NAME")
+    name = _text(table, "use", "log-odds", file, "mapper")
+    scans = table.get("scans", MapperChoice.scans)
+    if not isinstance(scans, int) or isinstance(scans, bool) or scans < 2:
+        raise BadExperiment(file, "mapper", f"'scans': found {scans!r}, expected a whole number of at least 2")
+    given = {key: value for key, value in table.items() if key not in ("use", "scans")}
+    return MapperChoice(name, resolved("mapper", registry.mapper(name).parameters, given), scans)
+
+
+def _limits(table: object, file: str) -> Limits:
+    known = asdict(Limits())
+    if not isinstance(table, Mapping):
+        raise BadExperiment(file, "limits", f"found {table!r}, expected a table [limits]")
+    _known_keys(table, known, file, "limits")
+    for key, value in table.items():
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or value <= 0:
+            raise BadExperiment(file, "limits", f"'{key}': found {value!r}, expected a positive number")
+    return Limits(**{**known, **table})
+
+
+def _tables(content: Mapping[str, Any], key: str, file: str) -> list[tuple[int, Mapping[str, Any]]]:
+    tables = content.get(key, [])
+    if not isinstance(tables, list) or not all(isinstance(table, Mapping) for table in tables):
+        raise BadExperiment(file, key, f"expected tables [[{key}]]")
+    if not tables:
+        raise BadExperiment(file, "", f"no [[{key}]]: an experiment needs at least one")
+    return list(enumerate(tables))
+
+
+def _seeds(seeds: object, file: str, place: str) -> tuple[int, ...]:
+    if not isinstance(seeds, list) or not seeds or not all(type(seed) is int and seed >= 0 for seed in seeds):
+        raise BadExperiment(file, place, f"'seeds': found {seeds!r}, expected a list of whole numbers from 0")
+    return tuple(dict.fromkeys(seeds))
+
+
+def _required(table: Mapping[str, Any], key: str, file: str, place: str) -> str:
+    if key not in table:
+        raise BadExperiment(file, place, f"missing key '{key}'")
+    return _text(table, key, "", file, place)
+
+
+def _text(table: Mapping[str, Any], key: str, default: str, file: str, place: str = "") -> str:
+    value = table.get(key, default)
+    if not isinstance(value, str):
+        raise BadExperiment(file, place, f"'{key}': found {value!r}, expected a text")
+    return value
+
+
+def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested tables with dotted names: ``s2s.one_to_one = false`` in TOML is such a table."""
+    flat: dict[str, Any] = {}
+    for key, value in table.items():
+        flat.update(_flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {prefix + key: value})
+    return flat
+
+
+def _known_keys(table: Mapping[str, Any], known: Mapping[str, Any] | tuple[str, ...], file: str, place: str) -> None:
+    for key in table:
+        if key not in known:
+            raise BadExperiment(file, place, str(UnknownName("key", key, known)))
+
+
+def _distinct(kind: str, labels: list[str], file: str) -> None:
+    for label in labels:
+        if labels.count(label) > 1:
+            raise BadExperiment(file, "", f"two {kind}s are labelled '{label}'; give one a label = \"...\" of its own")
+
+
+def _chosen(
+    kind: str, wanted: list[str], known: tuple[Item, ...], label: Callable[[Item], str], where: str
+) -> tuple[Item, ...]:
+    for name in wanted:
+        if name not in map(label, known):
+            raise UnknownName(kind, name, map(label, known), where)
+    return tuple(item for item in known if not wanted or label(item) in wanted)
+
+
+def _key(contestant: Contestant, course: Course, seed: int | None) -> str:
+    identity = {
+        "backend": [contestant.backend, dict(contestant.parameters)],
+        "dataset": [course.dataset, course.seeded(seed)],
+        "code": registry.run_fingerprint(contestant.backend, course.dataset),
+        "files": [_file_state(value) for value in course.parameters.values() if isinstance(value, str) and value],
+    }
+    digest = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:10]
+    words = [course.label, *([] if seed is None else [f"s{seed}"]), contestant.label]
+    return "-".join(_filename(word) for word in words) + f"-{digest}"
+
+
+def _file_state(value: str) -> list[object]:
+    path = Path(value)
+    state = path.stat() if path.exists() else None
+    return [value] if state is None else [value, state.st_size, state.st_mtime_ns]
+
+
+def _filename(word: str) -> str:
+    return "".join(char if char.isalnum() or char in "._" else "-" for char in word).strip("-.") or "x"

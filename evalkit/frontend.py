@@ -1,0 +1,220 @@
+"""Makes an odometry of a registration: scan-to-scan, then scan-to-map against a local submap (paper, figures 2 and 4).
+
+This is the one place that does so, and the one place that tells the two kinds of back end apart: pairwise back ends
+therefore differ in the registration alone.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+
+from evalkit import se2
+from evalkit.protocols import BackendSpec, Odometry, Parameter, Registration, Value, resolved, with_defaults
+from evalkit.se2 import Floats
+from evalkit.submap import KeyframeSubmap, VoxelMap, voxel_means
+from evalkit.types import Cloud, Frame, Match, Pose
+
+Stage = Literal["s2s", "s2m"]
+OnMatch = Callable[[Stage, Match], None]
+
+PARAMETERS: tuple[Parameter, ...] = (
+    Parameter("prior", "odometry", "", "where the first guess comes from; without odometry: constant velocity",
+              choices=("odometry", "constant-velocity", "none")),
+    Parameter("scan_to_scan", True, "", "register each scan with the one before"),
+    Parameter("scan_to_map", True, "", "register each scan with the submap, starting from stage one's answer"),
+    Parameter("deskew", True, "", "undo the motion within a scan by the prior's velocity"),
+    Parameter("local_radius_m", 0.0, "m", "use only points this near to the base; 0: all", low=0.0),
+    Parameter("source_voxel_m", 0.0, "m", "one mean of the scan per cell this wide; 0: off", low=0.0),
+    Parameter("submap", "keyframes", "", "the last keyframes' points, or one lasting map of voxels",
+              choices=("keyframes", "voxels")),
+    Parameter("keyframes", 10, "", "how many keyframes make the submap", low=1),
+    Parameter("keyframe_distance_m", 0.5, "m", "a new keyframe after this distance", low=0.0),
+    Parameter("keyframe_angle_deg", 20.0, "deg", "or after this turn", low=0.0),
+    Parameter("submap_voxel_m", 0.0, "m", "one mean of the submap per cell this wide; 0: off", low=0.0),
+    Parameter("submap_radius_m", 15.0, "m", "lasting map only: how far around the base it is matched against", low=1.0),
+    Parameter("min_inliers", 10, "", "an answer standing on fewer pairs is not believed; the guess is kept", low=0),
+)  # fmt: skip
+
+STAGE_ONE = "s2s."
+"""Prefix of a registration parameter that shall differ in the first stage only."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The front end's parameters, as in ``PARAMETERS``."""
+
+    prior: str
+    scan_to_scan: bool
+    scan_to_map: bool
+    deskew: bool
+    local_radius_m: float
+    source_voxel_m: float
+    submap: str
+    keyframes: int
+    keyframe_distance_m: float
+    keyframe_angle_deg: float
+    submap_voxel_m: float
+    submap_radius_m: float
+    min_inliers: int
+
+
+def parameters_of(spec: BackendSpec) -> tuple[Parameter, ...]:
+    """Everything that can be set on a back end: its own parameters and, for a registration, the front end's."""
+    if spec.kind == "odometry":
+        return spec.parameters
+    differing = (p for p in spec.parameters if p.name in spec.scan_to_scan)
+    stage_one = (_prefixed(p, spec.scan_to_scan[p.name]) for p in differing)
+    return (*spec.parameters, *stage_one, *with_defaults(PARAMETERS, **spec.frontend))
+
+
+def complete_parameters(owner: str, spec: BackendSpec, given: Mapping[str, object]) -> dict[str, Value]:
+    """All parameters of a back end with the given values; unknown names and wrong types are refused.
+
+    ``s2s.NAME`` sets the registration's parameter NAME for the first stage only.
+    """
+    known = parameters_of(spec)
+    extra = [_prefixed(p, p.default) for p in spec.parameters if STAGE_ONE + p.name in given]
+    names = {parameter.name for parameter in known}
+    return resolved(owner, (*known, *(p for p in extra if p.name not in names)), given)
+
+
+def odometry(
+    spec: BackendSpec, parameters: Mapping[str, Value], on_match: OnMatch = lambda _stage, _match: None
+) -> Odometry:
+    """A fresh odometry of a back end with complete parameters; ``on_match`` hears every stage's answer."""
+    if spec.kind == "odometry":
+        made: Odometry = spec.make(**parameters)
+        return made
+    own = {p.name: parameters[p.name] for p in spec.parameters}
+    first = {**own, **{k.removeprefix(STAGE_ONE): v for k, v in parameters.items() if k.startswith(STAGE_ONE)}}
+    settings = Settings(**{p.name: parameters[p.name] for p in PARAMETERS})  # type: ignore[arg-type]  # checked by name
+    return FrontEnd(spec.make(**first), spec.make(**own), settings, on_match)
+
+
+class Submap(Protocol):
+    """What a scan is matched against in the second stage."""
+
+    def add(self, points: Floats, start_from_base: Pose) -> None:
+        """Takes in a keyframe's points (N, 2), in the base frame."""
+        ...
+
+    def cloud(self, near: Pose) -> Cloud:
+        """The points around a pose, in the start frame; the same object until the next ``add``."""
+        ...
+
+
+class FrontEnd:
+    """The paper's two-stage front end as an Odometry; poses are ``start_from_base`` at the first beam of each scan."""
+
+    def __init__(
+        self, scan_to_scan: Registration, scan_to_map: Registration, settings: Settings, on_match: OnMatch
+    ) -> None:
+        self._scan_to_scan, self._scan_to_map = scan_to_scan, scan_to_map
+        self._settings, self._on_match = settings, on_match
+        self._submap: Submap = (
+            KeyframeSubmap(settings.keyframes, settings.submap_voxel_m)
+            if settings.submap == "keyframes"
+            else VoxelMap(settings.submap_voxel_m or 0.05, settings.submap_radius_m)
+        )
+        self._motion = Motion(settings.prior)
+        self._last: Cloud | None = None
+        self._start_from_keyframe = Pose()
+
+    def update(self, frame: Frame) -> Pose:
+        """``start_from_base`` at the scan's first beam."""
+        start_from_last, last_from_base = self._motion.predict(frame)
+        source = self._source(frame)
+        if self._last is None:
+            start_from_base = Pose()
+            self._submap.add(source.points, start_from_base)
+        else:
+            if self._settings.scan_to_scan:
+                last_from_base = self._believed("s2s", self._scan_to_scan, self._last, source, last_from_base)
+            start_from_base = start_from_last @ last_from_base
+            if self._settings.scan_to_map:
+                submap = self._submap.cloud(start_from_base)
+                start_from_base = self._believed("s2m", self._scan_to_map, submap, source, start_from_base)
+        self._keep(source, start_from_base)
+        self._motion.settle(frame, start_from_base)
+        return start_from_base
+
+    def _source(self, frame: Frame) -> Cloud:
+        moved = self._motion.within(frame) if self._settings.deskew else None
+        scan = frame.scan.deskewed(frame.base_from_sensor, moved)
+        points = frame.base_from_sensor.transform(scan.points())
+        if self._settings.local_radius_m > 0.0:
+            points = points[np.hypot(points[:, 0], points[:, 1]) <= self._settings.local_radius_m]
+        if self._settings.source_voxel_m > 0.0:
+            points = voxel_means(points, self._settings.source_voxel_m)
+        return Cloud(points, "base")
+
+    def _believed(self, stage: Stage, registration: Registration, target: Cloud, source: Cloud, guess: Pose) -> Pose:
+        match = registration.register(target, source, guess)
+        self._on_match(stage, match)
+        return match.target_from_source if match.inliers >= self._settings.min_inliers else guess
+
+    def _keep(self, source: Cloud, start_from_base: Pose) -> None:
+        if self._last is not None:
+            moved = self._start_from_keyframe.inverse() @ start_from_base
+            far = math.hypot(moved.x, moved.y) >= self._settings.keyframe_distance_m
+            if far or abs(moved.theta) >= math.radians(self._settings.keyframe_angle_deg):
+                self._submap.add(source.points, start_from_base)
+                self._start_from_keyframe = start_from_base
+        self._last = source
+
+
+class Motion:
+    """The prior: how the base has moved since the last scan, and how it moves within this one."""
+
+    def __init__(self, prior: str) -> None:
+        self._prior = prior
+        self._start_from_base = Pose()
+        self._step = Pose()
+        self._step_ns = 0
+        self._stamp_ns: int | None = None
+        self._odom_from_base: Pose | None = None
+
+    def predict(self, frame: Frame) -> tuple[Pose, Pose]:
+        """``start_from_last`` and the guess ``last_from_base``."""
+        odometry = self._odometry(frame)
+        if odometry is not None:
+            return self._start_from_base, odometry
+        elapsed = 0 if self._stamp_ns is None else frame.scan.stamp_ns - self._stamp_ns
+        return self._start_from_base, self._steady(elapsed)
+
+    def within(self, frame: Frame) -> Pose | None:
+        """``start_from_end``: the base's motion from this scan's first beam to its last."""
+        if self._prior == "odometry" and frame.start_from_end is not None:
+            return frame.start_from_end
+        return self._steady(frame.scan.duration_ns)
+
+    def settle(self, frame: Frame, start_from_base: Pose) -> None:
+        """Takes in the answer for this scan."""
+        if self._stamp_ns is not None:
+            self._step_ns = frame.scan.stamp_ns - self._stamp_ns
+            self._step = self._start_from_base.inverse() @ start_from_base
+        self._stamp_ns, self._start_from_base = frame.scan.stamp_ns, start_from_base
+        self._odom_from_base = frame.odom_from_base
+
+    def _odometry(self, frame: Frame) -> Pose | None:
+        if self._prior != "odometry" or frame.odom_from_base is None or self._odom_from_base is None:
+            return None
+        return self._odom_from_base.inverse() @ frame.odom_from_base
+
+    def _steady(self, elapsed_ns: int) -> Pose:
+        if self._prior == "none" or self._step_ns == 0:
+            return Pose()
+        share = min(elapsed_ns / self._step_ns, 2.0)  # a long gap says nothing about the speed
+        return Pose.of(se2.fraction(self._step.row, np.array([share]))[0])
+
+
+def _prefixed(parameter: Parameter, default: Value) -> Parameter:
+    return Parameter(
+        STAGE_ONE + parameter.name, default, parameter.unit, f"first stage only: {parameter.meaning}",
+        parameter.low, parameter.high, parameter.choices,
+    )  # fmt: skip

@@ -1,0 +1,154 @@
+"""Results on disk: one folder a run, written as it goes, found again by its key.
+
+runs/<key>/  request.json  steps.bin  outcome.json  output.txt     what the run left behind
+             scores.json  grid.npz  errors.npy                     what the scoring made of it
+trajectories/<key>.tum   maps/<key>.pgm  maps/<key>.yaml           for other tools
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evalkit.errors import StoreError
+from evalkit.types import STEP, OccupancyGrid, Pose, Run, Score, Trajectory
+
+REMEDY = "free some space or name another folder with --out"
+
+
+class Store:
+    """One experiment's results folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        with _reported(folder):
+            for name in ("runs", "trajectories", "maps"):
+                (folder / name).mkdir(parents=True, exist_ok=True)
+            probe = folder / "runs" / f".writable-{os.getpid()}"
+            probe.write_text("", encoding="utf-8")
+            probe.unlink()
+
+    def run_folder(self, key: str) -> Path:
+        """Where a run keeps its files."""
+        return self.folder / "runs" / key
+
+    def fresh(self, key: str) -> Path:
+        """An empty folder for a run about to start."""
+        folder = self.run_folder(key)
+        with _reported(folder):
+            shutil.rmtree(folder, ignore_errors=True)
+            folder.mkdir(parents=True)
+        return folder
+
+    def write_text(self, path: Path, text: str) -> None:
+        """Writes a file whole or not at all."""
+        self.write_bytes(path, text.encode())
+
+    def write_bytes(self, path: Path, content: bytes) -> None:
+        """Writes a file whole or not at all."""
+        partial = path.with_name(path.name + ".part")
+        with _reported(path):
+            partial.write_bytes(content)
+            partial.replace(path)
+
+    def save_run(self, key: str, run: Run) -> None:
+        """Keeps how a run ended; its steps are there already. A run with a status is one that need not be repeated."""
+        record = {name: value for name, value in asdict(run).items() if name != "steps"}
+        self.write_text(self.run_folder(key) / "run.json", json.dumps(record, indent=1))
+        self.write_text(self.folder / "trajectories" / f"{key}.tum", tum(run.estimate, run.sequence, run.backend))
+
+    def load_run(self, key: str) -> Run | None:
+        """A finished run, or None."""
+        folder = self.run_folder(key)
+        try:
+            record = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+            return Run(steps=read_steps(folder / "steps.bin"), **record)
+        except (OSError, ValueError, TypeError):  # absent or half-written: the run is simply made again
+            return None
+
+    def save_scores(self, key: str, content: Mapping[str, Any], grid: OccupancyGrid | None, errors_m: Any) -> None:
+        """Keeps what scoring made of a run, its map also for map_server."""
+        folder = self.run_folder(key)
+        with _reported(folder):
+            for name in ("grid.npz", "errors.npy"):
+                (folder / name).unlink(missing_ok=True)
+            if grid is not None:
+                np.savez_compressed(folder / "grid.npz", log_odds=grid.log_odds, observed=grid.observed,
+                                    frame=[grid.resolution_m, grid.origin_x, grid.origin_y])  # fmt: skip
+                self.write_map(self.folder / "maps" / key, grid)
+            if errors_m is not None:
+                np.save(folder / "errors.npy", errors_m)
+        self.write_text(folder / "scores.json", json.dumps(content, indent=1))
+
+    def load_scores(self, key: str) -> dict[str, Any] | None:
+        """What scoring made of a run ("scores" as Score values), or None."""
+        folder = self.run_folder(key)
+        try:
+            content: dict[str, Any] = json.loads((folder / "scores.json").read_text(encoding="utf-8"))
+            content["scores"] = {name: Score(**score) for name, score in content["scores"].items()}
+            content["world_from_start"] = Pose.of(content["world_from_start"])
+            content["grid"] = _load_grid(folder / "grid.npz")
+            content["errors_m"] = np.load(folder / "errors.npy") if (folder / "errors.npy").exists() else None
+        except (OSError, ValueError, TypeError, KeyError):  # absent or half-written: scoring is simply done again
+            return None
+        return content
+
+    def write_map(self, stem: Path, grid: OccupancyGrid) -> None:
+        """A map_server map: PGM (row 0 on top; 254 free, 0 occupied, 205 unknown) and YAML with every digit."""
+        pixels = np.full(grid.shape, 205, dtype=np.uint8)
+        pixels[grid.free()], pixels[grid.occupied()] = 254, 0
+        rows, columns = grid.shape
+        self.write_bytes(
+            stem.with_name(stem.name + ".pgm"), b"P5\n%d %d\n255\n" % (columns, rows) + pixels[::-1].tobytes()
+        )
+        self.write_text(
+            stem.with_name(stem.name + ".yaml"),
+            f"image: {stem.name}.pgm\nmode: trinary\nresolution: {grid.resolution_m!r}\n"
+            f"origin: [{grid.origin_x!r}, {grid.origin_y!r}, 0.0]\nnegate: 0\n"
+            "occupied_thresh: 0.65\nfree_thresh: 0.196\n",
+        )
+
+
+def read_steps(path: Path) -> NDArray[np.void]:
+    """The whole records of a steps file (N,); a record cut short by the process's end is left out."""
+    if not path.exists():
+        return np.zeros(0, dtype=STEP)
+    content = path.read_bytes()
+    return np.frombuffer(content[: len(content) // STEP.itemsize * STEP.itemsize], dtype=STEP)
+
+
+def tum(trajectory: Trajectory, sequence: str, backend: str) -> str:
+    """A trajectory as TUM text: seconds with nine decimals, metres, quaternion (x y z w)."""
+    lines = [
+        f"# evalkit: {backend} on {sequence}, {trajectory.parent}_from_{trajectory.child}",
+        "# timestamp tx ty tz qx qy qz qw",
+    ]
+    for stamp, (x, y, theta) in zip(trajectory.stamps_ns.tolist(), trajectory.poses.tolist(), strict=True):
+        seconds = f"{'-' if stamp < 0 else ''}{abs(stamp) // 10**9}.{abs(stamp) % 10**9:09d}"
+        lines.append(f"{seconds} {x:.9f} {y:.9f} 0 0 0 {np.sin(theta / 2):.12f} {np.cos(theta / 2):.12f}")
+    return "\n".join(lines) + "\n"
+
+
+def _load_grid(path: Path) -> OccupancyGrid | None:
+    if not path.exists():
+        return None
+    with np.load(path) as saved:
+        resolution_m, origin_x, origin_y = saved["frame"].tolist()
+        return OccupancyGrid(saved["log_odds"], saved["observed"], resolution_m, origin_x, origin_y)
+
+
+@contextmanager
+def _reported(path: Path) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise StoreError(str(path), f"cannot be written ({error.strerror or error})", REMEDY) from error

@@ -1,0 +1,90 @@
+"""What scans are matched against: the last keyframes, or one lasting map of voxels."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from evalkit.se2 import Floats
+from evalkit.types import Cloud, Ints, Pose
+
+
+def voxel_means(points: Floats, size_m: float) -> Floats:
+    """The mean (K, 2) of the points (N, 2) in each square cell of that width, ordered by cell."""
+    if len(points) == 0:
+        return points
+    _, inverse, counts = np.unique(_keys(points, size_m), return_inverse=True, return_counts=True)
+    sums = np.stack([np.bincount(inverse, weights=points[:, axis]) for axis in (0, 1)], axis=1)
+    return np.asarray(sums / counts[:, None])
+
+
+class KeyframeSubmap:
+    """The points of the last keyframes, optionally thinned to voxel means."""
+
+    def __init__(self, keyframes: int, voxel_m: float) -> None:
+        self._clouds: deque[Floats] = deque(maxlen=keyframes)
+        self._voxel_m = voxel_m
+        self._cloud: Cloud | None = None
+
+    def add(self, points: Floats, start_from_base: Pose) -> None:
+        """Takes in a keyframe's points (N, 2) of the base frame; the oldest keyframe leaves."""
+        self._clouds.append(start_from_base.transform(points))
+        self._cloud = None
+
+    def cloud(self, near: Pose) -> Cloud:  # noqa: ARG002 - a short submap is near by itself
+        """All kept points in the start frame."""
+        if self._cloud is None:
+            points = np.concatenate(self._clouds)
+            self._cloud = Cloud(voxel_means(points, self._voxel_m) if self._voxel_m > 0.0 else points, "start")
+        return self._cloud
+
+
+class VoxelMap:
+    """Every keyframe's points for good, one mean per square voxel: places seen again are matched where they were.
+
+    A voxel's mean is that of the first ``settled`` points it received: later visits are matched against the map and
+    must not drag it along.
+    """
+
+    def __init__(self, voxel_m: float, radius_m: float, settled: int = 20) -> None:
+        self._voxel_m, self._radius_m, self._settled = voxel_m, radius_m, settled
+        self._index: dict[int, int] = {}
+        self._sums = np.zeros((1024, 2))
+        self._counts = np.zeros(1024, dtype=np.int64)
+        self._cloud: Cloud | None = None
+        self._centre = Pose()
+
+    def add(self, points: Floats, start_from_base: Pose) -> None:
+        """Takes in a keyframe's points (N, 2) of the base frame."""
+        moved = start_from_base.transform(points)
+        keys, inverse, counts = np.unique(_keys(moved, self._voxel_m), return_inverse=True, return_counts=True)
+        slots = self._slots(keys)
+        open_ = self._counts[slots] < self._settled
+        for axis in (0, 1):
+            sums = np.bincount(inverse, weights=moved[:, axis], minlength=len(keys))
+            self._sums[slots[open_], axis] += sums[open_]
+        self._counts[slots[open_]] += counts[open_]
+        self._cloud = None
+
+    def cloud(self, near: Pose) -> Cloud:
+        """The voxel means around a pose, in the start frame; redrawn after ``add`` or when the pose has moved on."""
+        moved_on = np.hypot(near.x - self._centre.x, near.y - self._centre.y) > 0.1 * self._radius_m
+        if self._cloud is None or moved_on:
+            used = len(self._index)
+            means = self._sums[:used] / self._counts[:used, None]
+            inside = np.hypot(means[:, 0] - near.x, means[:, 1] - near.y) <= self._radius_m
+            self._cloud, self._centre = Cloud(means[inside], "start"), near
+        return self._cloud
+
+    def _slots(self, keys: Ints) -> Ints:
+        slots = np.array([self._index.setdefault(key, len(self._index)) for key in keys.tolist()], dtype=np.int64)
+        while len(self._index) > len(self._counts):
+            self._sums = np.concatenate([self._sums, np.zeros_like(self._sums)])
+            self._counts = np.concatenate([self._counts, np.zeros_like(self._counts)])
+        return slots
+
+
+def _keys(points: Floats, size_m: float) -> Ints:
+    cells = np.floor(points / size_m).astype(np.int64)
+    return np.asarray(cells[:, 0] * (1 << 32) + cells[:, 1])

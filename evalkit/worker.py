@@ -1,0 +1,163 @@
+"""One run in this process: ``python -m evalkit.worker FOLDER`` reads the request there and leaves its answer there.
+
+Every scan's answer is on disk before the next scan begins, so whatever ends this process, nothing computed is lost.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+import traceback
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+from evalkit import frontend, registry
+from evalkit.clock import Timing, timed
+from evalkit.errors import DataMissing, EvalkitError, NotInstalled
+from evalkit.protocols import Odometry, Sequence, Value
+from evalkit.types import STEP, Frame, Match, Pose, Status
+
+WARM_UP_SCANS = 5
+"""Scans shown to a back end of its own before the clock starts; their cost is in no number."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to run, by name; nothing but names and parameters crosses the process border."""
+
+    backend: str
+    backend_parameters: dict[str, Value]
+    dataset: str
+    dataset_parameters: dict[str, Value]
+    core: int | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """How a run ended, as the worker itself saw it."""
+
+    status: Status
+    reason: str
+    expected: int
+    peak_memory_bytes: int
+    warm_up_scans: int
+    notes: dict[str, int]
+
+
+class Residuals:
+    """The last scan's matches, as the front end tells them."""
+
+    def __init__(self) -> None:
+        self.row: dict[str, float] = {}
+        self.clear()
+
+    def clear(self) -> None:
+        """Forgets the last scan."""
+        self.row = {
+            "s2s_error": np.nan, "s2s_iterations": 0, "s2s_inliers": 0,
+            "s2m_error": np.nan, "s2m_iterations": 0, "s2m_inliers": 0,
+        }  # fmt: skip
+
+    def hear(self, stage: frontend.Stage, match: Match) -> None:
+        """Takes in one stage's answer."""
+        self.row[f"{stage}_error"] = match.error
+        self.row[f"{stage}_iterations"] = match.iterations
+        self.row[f"{stage}_inliers"] = match.inliers
+
+
+def main() -> int:
+    """Runs the request of the folder named on the command line; the outcome is in ``outcome.json``."""
+    folder = Path(sys.argv[1])
+    request = Request(**json.loads((folder / "request.json").read_text(encoding="utf-8")))
+    if request.core is not None and hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {request.core})
+    _leave(folder / "outcome.json", asdict(perform(request, folder)))
+    return 0
+
+
+def perform(request: Request, folder: Path) -> Outcome:
+    """Runs the back end over the sequence, appending one ``STEP`` record per scan to ``steps.bin``."""
+    notes: dict[str, int] = {}
+    expected = warm = 0
+    status: Status = "complete"
+    reason = ""
+    try:
+        spec = registry.backend(request.backend)
+        if why := spec.missing():
+            raise NotInstalled(request.backend, "not installed", why)
+        sequence: Sequence = registry.dataset(request.dataset).make(**request.dataset_parameters)
+        expected = len(sequence)
+        warm = _warm_up(frontend.odometry(spec, request.backend_parameters), sequence)
+        residuals = Residuals()
+        contestant = frontend.odometry(spec, request.backend_parameters, residuals.hear)
+        _leave(folder / "begun.json", {"expected": expected, "warm_up_scans": warm})
+        with (folder / "steps.bin").open("ab", buffering=0) as file:
+            _follow(contestant, sequence, residuals, file)
+        notes = dict(sequence.notes())
+    except NotInstalled as error:
+        status, reason = "not-installed", str(error)
+    except DataMissing as error:
+        status, reason = "data-missing", str(error)
+    except EvalkitError as error:
+        status, reason = "failed", str(error)
+    except Exception as error:  # noqa: BLE001 - whatever a third party's code raises is a result to report
+        traceback.print_exc()
+        status, reason = "failed", f"{type(error).__name__}: {error}"
+    return Outcome(status, reason, expected, _peak_memory_bytes(), warm, notes)
+
+
+def _leave(path: Path, content: dict[str, Any]) -> None:
+    partial = path.with_name(path.name + ".part")
+    partial.write_text(json.dumps(content), encoding="utf-8")
+    partial.replace(path)
+
+
+def _warm_up(contestant: Odometry, sequence: Sequence) -> int:
+    """How many scans a back end of its own saw: imports, first allocations and thread pools are paid here."""
+    seen = 0
+    for frame in sequence.frames():
+        contestant.update(frame)
+        seen += 1
+        if seen == WARM_UP_SCANS:
+            break
+    return seen
+
+
+def _follow(contestant: Odometry, sequence: Sequence, residuals: Residuals, steps: BinaryIO) -> None:
+    """Asks the back end for every scan; a record's ``harness_ns`` is what the harness took around the scan before."""
+    around = 0
+    for frame in sequence.frames():
+        begun = time.perf_counter_ns()
+        residuals.clear()
+        pose, timing = timed(lambda frame=frame: contestant.update(frame))  # type: ignore[misc]
+        steps.write(_record(frame, pose, timing, residuals, around))
+        around = time.perf_counter_ns() - begun - timing.wall_ns
+
+
+def _record(frame: Frame, pose: object, timing: Timing, residuals: Residuals, around_ns: int) -> bytes:
+    if not isinstance(pose, Pose):
+        raise TypeError(f"update() answered a {type(pose).__name__}, expected an evalkit.Pose")
+    record = np.zeros((), dtype=STEP)
+    record["stamp_ns"] = frame.scan.stamp_ns
+    record["x"], record["y"], record["theta"] = pose.x, pose.y, pose.theta
+    record["wall_ns"], record["cpu_ns"], record["conversion_ns"] = timing.wall_ns, timing.cpu_ns, timing.conversion_ns
+    record["harness_ns"] = around_ns
+    for name, value in residuals.row.items():
+        record[name] = value
+    return record.tobytes()
+
+
+def _peak_memory_bytes() -> int:
+    import resource  # noqa: PLC0415 - not on every system; only a run needs it
+
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak if sys.platform == "darwin" else peak * 1024
+
+
+if __name__ == "__main__":
+    sys.exit(main())
