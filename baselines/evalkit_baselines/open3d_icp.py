@@ -1,0 +1,230 @@
+"""Open3D's three legacy registrations on planar clouds: point-to-point, point-to-plane, generalised ICP.
+
+What the adapters change, and why (Open3D is a 3D library, and z = 0 breaks part of it silently):
+
+* Points get z = 0. Point-to-point then stays exactly in the plane by itself.
+* Open3D's own ``estimate_normals`` makes every normal of such a cloud the z axis: the point-to-plane residual vanishes
+  and the guess comes back with a fitness that looks perfect. Its generalised ICP, left to make its own covariances,
+  is point-to-point in disguise. Normals and covariances are therefore made in the plane by ``evalkit.lift``.
+* The legacy pipeline, not the tensor one: the tensor point-to-plane refuses planar input as a singular system.
+* One thread, whatever the machine: the last bits of a sum depend on how it was split.
+* ``relative_fitness`` and ``relative_rmse`` keep Open3D's names; it compares them with absolute changes.
+
+Open3D tells neither how many iterations it took nor whether it stopped by its criterion or by the limit. ``iterations``
+is therefore 0 and ``converged`` only means that enough points had a partner at the end.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import importlib.util
+import math
+import sys
+from collections.abc import Callable
+from typing import Any
+from weakref import WeakKeyDictionary
+
+from evalkit import lift
+from evalkit.clock import conversion
+from evalkit.errors import NotInstalled
+from evalkit.protocols import BackendSpec, Parameter
+from evalkit.types import Cloud, Match, Pose
+
+INSTALL = "pip install 'evalkit[open3d]'"
+SYSTEM_LIBRARIES = ("libGL.so.1", "libEGL.so.1", "libX11.so.6", "libusb-1.0.so.0")
+INSTALL_SYSTEM = "apt-get install -y --no-install-recommends libgl1 libegl1 libx11-6 libusb-1.0-0"
+FEWEST_PAIRS = 3  # two pairs fix a planar pose exactly, so they fit whatever they are
+
+Describe = Callable[[Any, Any, Cloud], None]
+"""Adds to a bare Open3D cloud what a method needs: arguments are the library, its cloud, and evalkit's."""
+
+
+class Open3DRegistration:
+    """A Registration by one of Open3D's legacy methods; what was made for a target is kept as long as the target."""
+
+    def __init__(
+        self,
+        open3d: Any,
+        method: Callable[..., Any],
+        estimation: Any,
+        describe_target: Describe,
+        describe_source: Describe,
+        max_correspondence_m: float,
+        max_iterations: int,
+        relative_fitness: float,
+        relative_rmse: float,
+    ) -> None:
+        self._open3d = open3d
+        self._method = method
+        self._estimation = estimation
+        self._describe_target = describe_target
+        self._describe_source = describe_source
+        self._max_correspondence_m = max_correspondence_m
+        self._criteria = open3d.pipelines.registration.ICPConvergenceCriteria(
+            relative_fitness=relative_fitness, relative_rmse=relative_rmse, max_iteration=max_iterations
+        )
+        # by identity: clouds are frozen, so the normals of a submap stay true for every scan held against it
+        self._targets: WeakKeyDictionary[Cloud, Any] = WeakKeyDictionary()
+
+    def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
+        """The motion ``target_from_source``; ``error`` is the root mean square distance (m) of the final pairs.
+
+        Not converged, with the guess as the answer, where fewer than three points have a partner.
+        """
+        if min(len(target), len(source)) < FEWEST_PAIRS:
+            return _unmatched(guess, 0)
+        fixed = self._targets.get(target)
+        if fixed is None:
+            fixed = self._targets[target] = self._lifted(target, self._describe_target)
+        moving = self._lifted(source, self._describe_source)
+        with conversion():
+            initial = lift.matrix_4x4(guess)
+        result = self._method(moving, fixed, self._max_correspondence_m, initial, self._estimation, self._criteria)
+        with conversion():
+            pairs = len(result.correspondence_set)
+            answer = lift.pose_2d(result.transformation)
+        if pairs < FEWEST_PAIRS:
+            return _unmatched(guess, pairs)
+        return Match(answer, converged=True, iterations=0, error=float(result.inlier_rmse), inliers=pairs)
+
+    def _lifted(self, cloud: Cloud, describe: Describe) -> Any:
+        with conversion():
+            space = self._open3d.geometry.PointCloud(self._open3d.utility.Vector3dVector(lift.points_3d(cloud.points)))
+        describe(self._open3d, space, cloud)
+        return space
+
+
+def point_to_point(**stop: Any) -> Open3DRegistration:
+    """Open3D's point-to-point ICP."""
+    open3d = _imported()
+    methods = open3d.pipelines.registration
+    estimation = methods.TransformationEstimationPointToPoint()
+    return Open3DRegistration(open3d, methods.registration_icp, estimation, _bare, _bare, **stop)
+
+
+def point_to_plane(
+    normal_neighbours: int, normal_radius_m: float, kernel: str, kernel_width_m: float, **stop: Any
+) -> Open3DRegistration:
+    """Open3D's point-to-plane ICP on normals made in the plane."""
+    open3d = _imported()
+    methods = open3d.pipelines.registration
+
+    def with_normals(library: Any, space: Any, cloud: Cloud) -> None:
+        normals = lift.normals(cloud.points, normal_neighbours, normal_radius_m)
+        with conversion():
+            space.normals = library.utility.Vector3dVector(lift.points_3d(normals))
+
+    estimation = methods.TransformationEstimationPointToPlane(_loss(methods, kernel, kernel_width_m))
+    return Open3DRegistration(open3d, methods.registration_icp, estimation, with_normals, _bare, **stop)
+
+
+def generalized(
+    normal_neighbours: int, normal_radius_m: float, epsilon: float, kernel: str, kernel_width_m: float, **stop: Any
+) -> Open3DRegistration:
+    """Open3D's generalised ICP on covariances made in the plane, for source and target alike."""
+    open3d = _imported()
+    methods = open3d.pipelines.registration
+
+    def with_covariances(library: Any, space: Any, cloud: Cloud) -> None:
+        covariances = lift.covariances_3d(lift.normals(cloud.points, normal_neighbours, normal_radius_m), epsilon)
+        with conversion():
+            space.covariances = library.utility.Matrix3dVector(covariances)
+
+    estimation = methods.TransformationEstimationForGeneralizedICP(epsilon, _loss(methods, kernel, kernel_width_m))
+    return Open3DRegistration(
+        open3d, methods.registration_generalized_icp, estimation, with_covariances, with_covariances, **stop
+    )
+
+
+def open3d_missing() -> str:
+    """Why Open3D cannot be imported here and how to mend it, or ""; found out without importing it (1.3 s)."""
+    if importlib.util.find_spec("open3d") is None:
+        return f"not installed: {INSTALL}"
+    if sys.platform != "linux":
+        return ""
+    absent = [name for name in SYSTEM_LIBRARIES if not _loads(name)]
+    return f"open3d needs system libraries that are not here ({', '.join(absent)}): {INSTALL_SYSTEM}" if absent else ""
+
+
+def _unmatched(guess: Pose, pairs: int) -> Match:
+    return Match(guess, converged=False, iterations=0, error=math.nan, inliers=pairs)
+
+
+def _bare(_library: Any, _space: Any, _cloud: Cloud) -> None:
+    """Point-to-point needs nothing but points."""
+
+
+def _loss(methods: Any, kernel: str, width_m: float) -> Any:
+    losses = {
+        "none": methods.L2Loss,
+        "tukey": lambda: methods.TukeyLoss(width_m),
+        "huber": lambda: methods.HuberLoss(width_m),
+        "cauchy": lambda: methods.CauchyLoss(width_m),
+    }
+    return losses[kernel]()
+
+
+def _imported() -> Any:
+    try:
+        import open3d  # noqa: PLC0415 - heavy: only whoever registers pays for it
+    except (ImportError, OSError) as error:
+        raise NotInstalled("open3d", f"does not load ({error})", open3d_missing() or INSTALL) from error
+    open3d.utility.set_max_threads(1)
+    open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)  # a Match says it, standard output need not
+    return open3d
+
+
+def _loads(library: str) -> bool:
+    try:
+        ctypes.CDLL(library)
+    except OSError:
+        return False
+    return True
+
+
+_STOP = (
+    Parameter("max_correspondence_m", 0.5, "m", "largest distance of a pair", 1e-3),
+    Parameter("max_iterations", 40, "", "most iterations", 1),
+    Parameter("relative_fitness", 1e-6, "", "stop where the share of paired points changes by less", 0.0),
+    Parameter("relative_rmse", 1e-6, "m", "and the root mean square distance changes by less", 0.0),
+)
+_WALLS = (
+    Parameter("normal_neighbours", 20, "", "points that make a wall, the point itself included", 3),
+    Parameter("normal_radius_m", 0.5, "m", "how far away they may be", 1e-3),
+    Parameter("kernel", "none", "", "robust loss on the residual", choices=("none", "tukey", "huber", "cauchy")),
+    Parameter("kernel_width_m", 0.15, "m", "width of the robust loss", 1e-4),
+)
+_OPEN3D = "Zhou, Park and Koltun, Open3D: a modern library for 3D data processing, arXiv:1801.09847, 2018"
+
+POINT_TO_POINT = BackendSpec(
+    make=point_to_point,
+    kind="registration",
+    summary="Open3D point-to-point ICP",
+    citation=f"Besl and McKay, PAMI 1992; {_OPEN3D}",
+    licence="MIT",
+    requires=("open3d",),
+    parameters=_STOP,
+    missing=open3d_missing,
+)
+
+POINT_TO_PLANE = BackendSpec(
+    make=point_to_plane,
+    kind="registration",
+    summary="Open3D point-to-plane ICP with normals made in the plane",
+    citation=f"Chen and Medioni, IVC 1992; {_OPEN3D}",
+    licence="MIT",
+    requires=("open3d",),
+    parameters=_STOP + _WALLS,
+    missing=open3d_missing,
+)
+
+GENERALIZED = BackendSpec(
+    make=generalized,
+    kind="registration",
+    summary="Open3D generalised ICP with covariances made in the plane",
+    citation=f"Segal, Haehnel and Thrun, RSS 2009; {_OPEN3D}",
+    licence="MIT",
+    requires=("open3d",),
+    parameters=(*_STOP, *_WALLS, Parameter("epsilon", 1e-3, "", "variance across a wall, 1 along it", 1e-9, 1.0)),
+    missing=open3d_missing,
+)

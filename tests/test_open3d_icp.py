@@ -1,0 +1,176 @@
+"""Open3D on planar clouds: each method finds a known motion, and none falls into what z = 0 does to it."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from evalkit import lift
+from evalkit.errors import NotInstalled
+from evalkit.protocols import resolved
+from evalkit.types import Cloud, Pose
+from evalkit_baselines import open3d_icp
+
+METHODS = {
+    "point-to-point": open3d_icp.POINT_TO_POINT,
+    "point-to-plane": open3d_icp.POINT_TO_PLANE,
+    "generalized": open3d_icp.GENERALIZED,
+}
+TRUTH = Pose(0.06, -0.04, np.radians(2.0))
+
+needs_open3d = pytest.mark.skipif(bool(why := open3d_icp.open3d_missing()), reason=why or "open3d is here")
+
+
+def backend(method, **parameters):
+    spec = METHODS[method]
+    return spec.make(**resolved(method, spec.parameters, parameters))
+
+
+def room(n=1200, noise_m=0.0, seed=0):
+    """Points on the walls of an L-shaped room."""
+    rng = np.random.default_rng(seed)
+    corners = np.array([[-4.0, -3.0], [4.0, -3.0], [4.0, 1.0], [0.0, 1.0], [0.0, 4.0], [-4.0, 4.0]])
+    sides = np.roll(corners, -1, axis=0) - corners
+    lengths = np.linalg.norm(sides, axis=1)
+    side = rng.choice(len(sides), n, p=lengths / lengths.sum())
+    return corners[side] + rng.uniform(size=(n, 1)) * sides[side] + rng.normal(0.0, noise_m, (n, 2))
+
+
+def away_from_truth_m(match):
+    left = TRUTH.inverse() @ match.target_from_source
+    return np.hypot(left.x, left.y) + 4.0 * abs(left.theta)  # metres at the far end of the room
+
+
+@needs_open3d
+@pytest.mark.parametrize("method", METHODS)
+def test_a_known_motion_is_found_to_the_millimetre(method):
+    target = room()
+    source = TRUTH.inverse().transform(target[::2])
+    match = backend(method, max_iterations=300, relative_rmse=1e-9).register(Cloud(target), Cloud(source), Pose())
+    assert match.converged
+    assert away_from_truth_m(match) < 1e-3
+    assert match.inliers == len(source)
+    assert match.error < 1e-3
+
+
+@needs_open3d
+@pytest.mark.parametrize("method", METHODS)
+def test_with_the_lidars_noise_a_known_motion_is_found_to_centimetres(method):
+    match = backend(method).register(
+        Cloud(room(3000, 0.03)), Cloud(TRUTH.inverse().transform(room(800, 0.03, seed=1))), Pose()
+    )
+    assert away_from_truth_m(match) < 0.03
+
+
+@needs_open3d
+def test_open3ds_own_normals_return_the_guess_with_a_perfect_fitness_and_ours_do_not():
+    import open3d as o3d
+
+    target, source = room(3000, 0.01), TRUTH.inverse().transform(room(800, 0.01, seed=1))
+    fixed, moving = (
+        o3d.geometry.PointCloud(o3d.utility.Vector3dVector(lift.points_3d(points))) for points in (target, source)
+    )
+    fixed.estimate_normals()
+    methods = o3d.pipelines.registration
+    trapped = methods.registration_icp(moving, fixed, 0.5, np.eye(4), methods.TransformationEstimationPointToPlane())
+    assert trapped.fitness > 0.99
+    assert np.allclose(trapped.transformation, np.eye(4), atol=1e-9)
+    ours = backend("point-to-plane").register(Cloud(target), Cloud(source), Pose())
+    assert away_from_truth_m(ours) < 0.01
+
+
+@needs_open3d
+def test_planar_covariances_make_generalized_icp_another_method_than_point_to_point():
+    target, source = Cloud(room(3000, 0.03)), Cloud(TRUTH.inverse().transform(room(800, 0.03, seed=1)))
+    answers = [backend(method).register(target, source, Pose()).target_from_source.row for method in METHODS]
+    assert np.abs(answers[2] - answers[0]).max() > 1e-4
+
+
+@needs_open3d
+@pytest.mark.parametrize("method", METHODS)
+def test_a_single_wall_leaves_the_guess_along_it(method):
+    along = np.random.default_rng(0).uniform(-5.0, 5.0, 1500)
+    wall = Cloud(np.stack([along, np.zeros_like(along)], axis=-1))
+    match = backend(method).register(wall, Cloud(Pose(0.0, 0.05).transform(wall.points[::3])), Pose())
+    assert abs(match.target_from_source.y + 0.05) < 1e-3
+    assert abs(match.target_from_source.x) < 0.02
+    assert abs(match.target_from_source.theta) < 1e-3
+
+
+@needs_open3d
+@pytest.mark.parametrize("method", METHODS)
+def test_the_same_question_has_the_same_answer_to_the_bit_whatever_came_before(method):
+    target, source = Cloud(room(3000, 0.03)), Cloud(TRUTH.inverse().transform(room(800, 0.03, seed=1)))
+    before = target.points.tobytes(), source.points.tobytes()
+    used = backend(method)
+    first = used.register(target, source, Pose())
+    used.register(Cloud(room(500, 0.03, seed=5)), source, Pose(0.1, 0.1, 0.1))
+    used.register(source, target, Pose())
+    again, fresh = used.register(target, source, Pose()), backend(method).register(target, source, Pose())
+    assert first.target_from_source == again.target_from_source == fresh.target_from_source
+    assert (first.error, first.inliers) == (again.error, again.inliers) == (fresh.error, fresh.inliers)
+    assert (target.points.tobytes(), source.points.tobytes()) == before
+
+
+@needs_open3d
+def test_a_targets_normals_are_made_once_and_forgotten_with_it(monkeypatch):
+    made = []
+    normals = lift.normals
+    monkeypatch.setattr(lift, "normals", lambda *a: made.append(len(a[0])) or normals(*a))
+    used, source = backend("point-to-plane"), Cloud(room(200))
+    target = Cloud(room(700))
+    used.register(target, source, Pose())
+    used.register(target, source, Pose())
+    assert made == [700]
+    assert len(used._targets) == 1
+    del target
+    assert len(used._targets) == 0
+
+
+@needs_open3d
+@pytest.mark.parametrize("method", METHODS)
+def test_too_little_to_register_is_an_answer_with_the_guess(method):
+    guess, enough, none = Pose(0.1, 0.2, 0.3), Cloud(room(200)), Cloud(np.zeros((0, 2)))
+    for target, source in (
+        (none, enough), (enough, none), (none, none), (enough, Cloud(enough.points[:2])),
+        (enough, Cloud(enough.points + 100.0)),
+    ):  # fmt: skip
+        match = backend(method).register(target, source, guess)
+        assert not match.converged
+        assert match.target_from_source == guess
+        assert match.inliers == 0
+
+
+@needs_open3d
+@pytest.mark.parametrize("kernel", ["none", "tukey", "huber", "cauchy"])
+def test_every_kernel_finds_the_motion(kernel):
+    source = Cloud(TRUTH.inverse().transform(room()[::2]))
+    for method in ("point-to-plane", "generalized"):
+        match = backend(method, kernel=kernel).register(Cloud(room()), source, Pose())
+        assert away_from_truth_m(match) < 5e-3
+
+
+def test_an_absent_package_is_named_with_what_installs_it(monkeypatch):
+    monkeypatch.setattr(open3d_icp.importlib.util, "find_spec", lambda _name: None)
+    assert open3d_icp.open3d_missing() == "not installed: pip install 'evalkit[open3d]'"
+
+
+def test_an_absent_system_library_is_named_with_what_installs_it(monkeypatch):
+    monkeypatch.setattr(open3d_icp.importlib.util, "find_spec", lambda _name: object())
+    monkeypatch.setattr(open3d_icp.sys, "platform", "linux")
+    monkeypatch.setattr(open3d_icp, "_loads", lambda name: name != "libusb-1.0.so.0")
+    assert open3d_icp.open3d_missing() == (
+        "open3d needs system libraries that are not here (libusb-1.0.so.0): "
+        "apt-get install -y --no-install-recommends libgl1 libegl1 libx11-6 libusb-1.0-0"
+    )
+
+
+def test_a_library_that_does_not_exist_does_not_load():
+    assert not open3d_icp._loads("libno-such-thing.so.77")
+
+
+@pytest.mark.parametrize("method", METHODS)
+def test_an_import_that_fails_is_told_as_not_installed(method, monkeypatch):
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    with pytest.raises(NotInstalled, match="does not load"):
+        backend(method)
