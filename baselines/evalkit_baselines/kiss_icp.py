@@ -1,0 +1,216 @@
+"""KISS-ICP, whole, as an odometry of planar scans: its own deskewing, voxel map, adaptive threshold and robust ICP.
+
+What the adapter changes, and why (KISS-ICP is made for 3D lidars outdoors):
+
+* Points get z = 0; its point-to-point ICP then stays in the plane by itself. They are given in the base frame, so that
+  its poses are the base's. Points too near are dropped before, by their distance from the sensor.
+* ``voxel_size_m`` is 0.12: its own rule, a hundredth of the range, leaves too few points of a planar scan beyond 12 m.
+* KISS-ICP moves a scan's points to the scan's *end*; its poses are those of the end. The answer here is that pose taken
+  back to the first beam by the very motion it deskewed with, so that points and pose stay consistent.
+* It knows no times: the last motion between two scans is taken for the next one, and for the motion from the first to
+  the last point it is given. Here both are made for each scan from the times of the beams: no-returns at either end do
+  not stretch the motion, and a dropped scan doubles the prediction (but no more than that).
+* With ``prior = "odometry"`` both come from the wheels, the same guess that every other back end gets. With
+  ``"constant-velocity"`` they come from its own last two poses, as in the paper. Without odometry in the recording the
+  two are the same.
+* A scan of fewer than ``min_points`` is not registered, because KISS-ICP accepts any answer: the prediction is.
+* Its settings are made here in full. Its own loader lets environment variables change them silently.
+* One thread.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from evalkit import lift, se2
+from evalkit.clock import conversion
+from evalkit.errors import NotInstalled
+from evalkit.protocols import BackendSpec, Parameter
+from evalkit.se2 import Floats
+from evalkit.types import Frame, Pose
+
+INSTALL = "pip install 'evalkit[kiss-icp]'"
+LONGEST_SHARE = 2.0  # a long gap says nothing about the speed: as in evalkit's front end
+BEYOND_M = 1e6  # farther than any max_range: KISS-ICP drops such points after it has read their times
+
+
+@dataclass(frozen=True, slots=True)
+class KissSettings:
+    """The parameters of ``SPEC``, by name."""
+
+    prior: str
+    deskew: bool
+    max_range_m: float
+    min_range_m: float
+    voxel_size_m: float
+    max_points_per_voxel: int
+    initial_threshold_m: float
+    min_motion_m: float
+    max_iterations: int
+    convergence_m: float
+    min_points: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Answered:
+    """What a scan leaves for the next prediction; poses in the start frame, times of the first and the last beam."""
+
+    first: Pose
+    end: Pose
+    end_ns: int
+    odom_from_base: Pose | None
+
+
+class KissIcpOdometry:
+    """KISS-ICP following one sequence."""
+
+    def __init__(self, settings: KissSettings) -> None:
+        self._modules = _imported()
+        self._settings = settings
+        self._kiss: Any = None
+        self._last: _Answered | None = None
+        self._step, self._step_ns = Pose(), 1
+
+    def update(self, frame: Frame) -> Pose:
+        """``start_from_base`` when the first beam was fired."""
+        if self._kiss is None:
+            self._kiss = self._fresh(frame)
+        first, first_from_end = self._predicted(frame)
+        with conversion():
+            points, beams = self._points(frame)
+        end = first @ first_from_end
+        if len(points) >= self._settings.min_points:
+            end = self._registered(points, self._times(frame, beams, first_from_end), first, first_from_end)
+        answer = Pose() if self._last is None else end @ first_from_end.inverse()
+        self._remember(frame, answer, end)
+        return answer
+
+    def _fresh(self, frame: Frame) -> Any:
+        """KISS-ICP with all its settings; built on the first scan, which tells the lidar's range."""
+        pipeline, config = self._modules
+        s = self._settings
+        # range limits are the sensor's, but KISS-ICP measures from the base, where its points are
+        reach = min(s.max_range_m, frame.scan.range_max_m) + float(np.hypot(*frame.base_from_sensor.row[:2]))
+        own = config.config
+        settings = config.KISSConfig.model_construct(  # unlike the constructor, this reads no environment variables
+            data=own.DataConfig(max_range=reach, min_range=0.0, deskew=s.deskew),
+            mapping=own.MappingConfig(voxel_size=s.voxel_size_m, max_points_per_voxel=s.max_points_per_voxel),
+            registration=own.RegistrationConfig(
+                max_num_iterations=s.max_iterations, convergence_criterion=s.convergence_m, max_num_threads=1
+            ),
+            adaptive_threshold=own.AdaptiveThresholdConfig(
+                fixed_threshold=None, initial_threshold=s.initial_threshold_m, min_motion_th=s.min_motion_m
+            ),
+        )
+        return pipeline.KissICP(settings)
+
+    def _predicted(self, frame: Frame) -> tuple[Pose, Pose]:
+        """The prediction ``start_from_first`` and the motion ``first_from_end`` within the scan."""
+        wheels = self._settings.prior == "odometry"
+        within = frame.start_from_end if wheels else None
+        if within is None:
+            within = self._steady(frame.scan.duration_ns)
+        if not self._settings.deskew:
+            within = Pose()
+        if self._last is None:
+            return Pose(), within
+        before, now = self._last.odom_from_base, frame.odom_from_base
+        if wheels and before is not None and now is not None:
+            return self._last.first @ before.inverse() @ now, within
+        end = self._last.end @ self._steady(_end_ns(frame) - self._last.end_ns)
+        return end @ within.inverse(), within
+
+    def _steady(self, elapsed_ns: int) -> Pose:
+        share = min(elapsed_ns / self._step_ns, LONGEST_SHARE)
+        return Pose.of(se2.fraction(self._step.row, [share])[0])
+
+    def _points(self, frame: Frame) -> tuple[Floats, Floats]:
+        """The usable hits in the base frame (N, 3), and which beam each came from (N,)."""
+        scan = frame.scan
+        limit = min(self._settings.max_range_m, scan.range_max_m)
+        used = scan.ranges[scan.hits]
+        near = (used >= self._settings.min_range_m) & (used <= limit)
+        beams = np.flatnonzero(scan.hits)[near].astype(np.float64)
+        return lift.points_3d(frame.base_from_sensor.transform(scan.points()[near])), beams
+
+    def _times(self, frame: Frame, beams: Floats, first_from_end: Pose) -> Floats:
+        """Times (N,) as shares of the scan, or none where nothing moved or nothing is known.
+
+        Equal times end the whole process: KISS-ICP divides by their span.
+        """
+        still = not np.any(first_from_end.row)
+        return np.zeros(0) if still or frame.scan.duration_ns == 0 else beams / (len(frame.scan.ranges) - 1)
+
+    def _registered(self, points: Floats, times: Floats, first: Pose, first_from_end: Pose) -> Pose:
+        """``start_from_end`` after KISS-ICP's step from the prediction."""
+        with conversion():
+            if len(times):  # KISS-ICP stretches the times it is given: these two are the first beam's and the last's
+                times = np.concatenate([times, [0.0, 1.0]])
+                points = np.concatenate([points, np.full((2, 3), BEYOND_M)])
+            # it deskews with last_delta and starts from last_pose @ last_delta
+            self._kiss.last_pose = lift.matrix_4x4(first)
+            self._kiss.last_delta = lift.matrix_4x4(first_from_end)
+        self._kiss.register_frame(points, times)
+        with conversion():
+            return lift.pose_2d(self._kiss.last_pose)
+
+    def _remember(self, frame: Frame, answer: Pose, end: Pose) -> None:
+        if self._last is not None:
+            # from end to end: from first beam to first beam an error of the speed would not die out
+            self._step = self._last.end.inverse() @ end
+            self._step_ns = max(_end_ns(frame) - self._last.end_ns, 1)
+        self._last = _Answered(answer, end, _end_ns(frame), frame.odom_from_base)
+
+
+def make(**parameters: Any) -> KissIcpOdometry:
+    """A fresh KISS-ICP with the parameters of ``SPEC``."""
+    return KissIcpOdometry(KissSettings(**parameters))
+
+
+def kiss_icp_missing() -> str:
+    """Why KISS-ICP cannot be imported here and how to mend it, or ""; found out without importing it (1 s)."""
+    return f"not installed: {INSTALL}" if importlib.util.find_spec("kiss_icp") is None else ""
+
+
+def _imported() -> tuple[Any, Any]:
+    """The modules with the pipeline and with its settings."""
+    try:
+        from kiss_icp import config, kiss_icp  # noqa: PLC0415 - heavy: only whoever runs it pays for it
+    except (ImportError, OSError) as error:
+        raise NotInstalled("kiss-icp", f"does not load ({error})", INSTALL) from error
+    return kiss_icp, config
+
+
+def _end_ns(frame: Frame) -> int:
+    return frame.scan.stamp_ns + frame.scan.duration_ns
+
+
+SPEC = BackendSpec(
+    make=make,
+    kind="odometry",
+    summary="KISS-ICP: adaptive point-to-point odometry on a voxel map",
+    citation="Vizzo, Guadagnino, Mersch, Wiesmann, Behley and Stachniss, KISS-ICP, RA-L 2023",
+    licence="MIT",
+    requires=("kiss-icp",),
+    parameters=(
+        Parameter(
+            "prior", "odometry", "", "where the prediction comes from; without odometry: constant velocity",
+            choices=("odometry", "constant-velocity"),
+        ),
+        Parameter("deskew", True, "", "undo the motion within a scan by the prediction's velocity"),
+        Parameter("max_range_m", 30.0, "m", "longest range used; the lidar's own where that is shorter", 0.1),
+        Parameter("min_range_m", 0.15, "m", "shortest range used", 0.0),
+        Parameter("voxel_size_m", 0.12, "m", "cell of its map; scans are thinned to 1.5 of it", 1e-3),
+        Parameter("max_points_per_voxel", 20, "", "most points its map keeps in a cell", 1),
+        Parameter("initial_threshold_m", 2.0, "m", "three times this is the first largest distance of a pair", 1e-3),
+        Parameter("min_motion_m", 0.1, "m", "corrections below this do not adapt the threshold", 0.0),
+        Parameter("max_iterations", 500, "", "most iterations", 1),
+        Parameter("convergence_m", 1e-4, "", "stop where a step is smaller (norm of metres and radians)", 0.0),
+        Parameter("min_points", 10, "", "a scan of fewer points is not registered; the prediction is kept", 1),
+    ),
+    missing=kiss_icp_missing,
+)  # fmt: skip
