@@ -1,0 +1,36 @@
+"""Relations of Kuemmerle et al. 2009: measured motions between pairs of times, one a line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from evalkit.errors import BadData
+from evalkit.types import Relations
+from evalkit_datasets.rows import columns, lines_of, numbers
+from evalkit_datasets.stamps import stamp_ns
+
+LAYOUT = "t1 t2 x y z roll pitch yaw"
+
+
+def read(path: Path) -> Relations:
+    """The relations in the order of the file: pose of the robot at t2 in its frame at t1, m and rad.
+
+    Lines are neither sorted nor thinned: t2 before t1 and repeated pairs are part of the published files.
+    """
+    first, second, motions = [], [], []
+    for line, text in lines_of(path, f"a file of relations ({LAYOUT})"):
+        words = columns(path, line, text, LAYOUT)
+        try:
+            first.append(stamp_ns(words[0]))
+            second.append(stamp_ns(words[1]))
+        except ValueError as error:
+            raise BadData(str(path), f"line {line}", str(error), f"expected '{LAYOUT}'") from None
+        x, y, *rest = values = numbers(path, line, words[2:], LAYOUT)
+        if not np.isfinite(values).all():
+            raise BadData(str(path), f"line {line}", "a value is not finite", "take the relation out of the file")
+        motions.append((x, y, rest[-1]))
+    if not motions:
+        raise BadData(str(path), "", "no relation in it", f"expected lines '{LAYOUT}'")
+    return Relations(np.array(first), np.array(second), np.array(motions))

@@ -1,0 +1,69 @@
+"""Maps as map_server saves them."""
+
+import numpy as np
+import pytest
+
+from evalkit.errors import BadData
+from evalkit_datasets import mapserver
+
+YAML = "image: map.pgm\nmode: trinary\nresolution: 0.05\norigin: [-1.5, 2.0, 0]\nnegate: 0\noccupied_thresh: 0.65\n"
+
+
+def written(tmp_path, pgm, yaml=YAML + "free_thresh: 0.196\n"):
+    (tmp_path / "map.pgm").write_bytes(pgm)
+    path = tmp_path / "map.yaml"
+    path.write_text(yaml)
+    return path
+
+
+def test_row_0_of_the_image_is_the_top_of_the_map(tmp_path):
+    grid = mapserver.read(written(tmp_path, b"P5\n# made by hand\n3 2\n255\n" + bytes([0, 254, 205, 254, 254, 0])))
+    assert grid.occupied().tolist() == [[False, False, True], [True, False, False]]
+    assert grid.free().tolist() == [[True, True, False], [False, True, False]]
+    assert grid.observed.tolist() == [[True, True, True], [True, True, False]]
+    assert (grid.resolution_m, grid.origin_x, grid.origin_y) == (0.05, -1.5, 2.0)
+    np.testing.assert_allclose(grid.centres(grid.occupied()), [[-1.375, 2.025], [-1.475, 2.075]])
+
+
+def test_text_pgm_reads_as_the_binary_one(tmp_path):
+    binary = mapserver.read(written(tmp_path, b"P5 3 1 255\n" + bytes([0, 205, 254])))
+    text = mapserver.read(written(tmp_path, b"P2\n3 1\n255\n0 205 # unknown\n254\n"))
+    assert text.log_odds.tolist() == binary.log_odds.tolist()
+
+
+def test_unknown_stays_unknown_under_the_old_free_threshold(tmp_path):
+    grid = mapserver.read(written(tmp_path, b"P5 2 1 255\n" + bytes([205, 254]), YAML + "free_thresh: 0.25\n"))
+    assert grid.observed.tolist() == [[False, True]]
+
+
+def test_negate_swaps_black_and_white(tmp_path):
+    grid = mapserver.read(written(tmp_path, b"P5 2 1 255\n" + bytes([0, 255]), YAML.replace("negate: 0", "negate: 1")))
+    assert grid.occupied().tolist() == [[False, True]]
+
+
+def test_sixteen_bit_images_are_big_endian(tmp_path):
+    grid = mapserver.read(written(tmp_path, b"P5 2 1 65535\n" + bytes([0, 255, 255, 0])))
+    assert grid.occupied().tolist() == [[True, False]]
+    assert grid.free().tolist() == [[False, True]]
+
+
+@pytest.mark.parametrize(
+    ("pgm", "yaml", "part"),
+    [
+        (b"P5 3 2 255\n\0\0", YAML, "2 pixels for 3 x 2"),
+        (b"\x89PNG\r\n", YAML, "no PGM"),
+        (b"P2 2 1 255\n0 x", YAML, "damaged pixels"),
+        (b"", YAML, "empty"),
+        (b"P5 1 1 255\n\0", "image: map.pgm\norigin: [0, 0, 0]\n", "missing key 'resolution'"),
+        (b"P5 1 1 255\n\0", YAML.replace("trinary", "scale"), "'scale'"),
+        (b"P5 1 1 255\n\0", YAML.replace("2.0, 0]", "2.0, 0.3]"), "turned by 0.3"),
+        (b"P5 1 1 255\n\0", YAML.replace("0.05", "-1"), "expected metres per cell"),
+        (b"P5 1 1 255\n\0", YAML.replace("[-1.5, 2.0, 0]", "nowhere"), "no number"),
+        (b"P5 1 1 255\n\0", "image: [", "no YAML"),
+        (b"P5 1 1 255\n\0", "just words", "no keys"),
+    ],
+)
+def test_a_bad_map_says_what_is_wrong(tmp_path, pgm, yaml, part):
+    with pytest.raises(BadData) as caught:
+        mapserver.read(written(tmp_path, pgm, yaml))
+    assert part in str(caught.value)
