@@ -3,43 +3,59 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
+import numpy as np
+
 from evalkit.se2 import Floats, Stamps
-from evalkit.types import OccupancyGrid, Run, Scan, Score, Truth
+from evalkit.types import OccupancyGrid, Pose, Run, Scan, Score, Truth
 
 Group = Literal["drift", "relations", "residuals", "runtime", "map against truth", "map consistency"]
+Mapped = tuple[tuple[Scan, Floats], ...]
 
 
 @dataclass(frozen=True, eq=False)
 class Matched:
-    """Estimate and truth at the same times: ``stamps_ns`` (N,), both (N, 3) ``world_from_base``, estimate aligned."""
+    """Estimate and truth at the same times: ``stamps_ns`` (N,), both (N, 3) ``world_from_base``, estimate aligned.
+
+    ``world_from_start``: the alignment. ``alignment`` and ``rule`` say in words how it was found and what was matched.
+    """
 
     stamps_ns: Stamps
     estimate: Floats
     truth: Floats
     alignment: str
     rule: str
+    world_from_start: Pose = field(default_factory=Pose)
 
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """All a metric may look at. ``mapped``: the scans the map was made of (deskewed), with ``world_from_sensor``."""
+    """All a metric may look at.
+
+    ``matched``: what ``trajectory.match`` answers; a text says why there is none, None: there is no true trajectory.
+    ``grid``: the map of the estimated trajectory, in the world frame. ``mapped``: the scans it was made of (deskewed),
+    with ``world_from_sensor``, in the order of time. ``first_half``, ``second_half``: maps by the same mapper of
+    ``mapped[:n]`` and ``mapped[n:]``, n = len(mapped) // 2.
+    """
 
     run: Run
     truth: Truth
-    matched: Matched | None
+    matched: Matched | str | None
     grid: OccupancyGrid | None
-    mapped: tuple[tuple[Scan, Floats], ...]
+    mapped: Mapped
+    first_half: OccupancyGrid | None = None
+    second_half: OccupancyGrid | None = None
 
 
 @dataclass(frozen=True)
 class Metric:
     """A metric's card and its function.
 
-    ``better`` is "" where neither direction is better. ``digits``: decimals in tables. ``headline``: shown in the first
-    table of a report. ``compute`` answers a Score and never raises for lack of evidence: it says why instead.
+    ``better`` is "" where neither direction is better. ``blind_to`` completes "it is blind to ...". ``digits``:
+    decimals in tables. ``headline``: shown in the first table of a report. ``compute`` answers a Score and never raises
+    for lack of evidence: it says why instead.
     """
 
     name: str
@@ -53,3 +69,10 @@ class Metric:
     compute: Callable[[Evidence], Score]
     digits: int = 3
     headline: bool = False
+
+
+def number(value: float | np.floating, support: int) -> Score:
+    """The score of a computed number; without value where the estimate is so far off that it is not finite."""
+    if not np.isfinite(value):
+        return Score(None, support, "not finite: the estimate has diverged")
+    return Score(float(value), support)

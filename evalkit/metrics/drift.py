@@ -1,0 +1,160 @@
+"""How fast an estimate leaves the truth: relative errors from pose to pose, per metre, per turn, start to end."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import numpy as np
+
+from evalkit import se2
+from evalkit.metrics.table import Matched, Metric, number
+from evalkit.metrics.trajectory import of_matched, rms
+from evalkit.se2 import Floats
+from evalkit.types import Ints, Score
+
+LENGTHS_M = (1.0, 2.0, 5.0, 10.0, 20.0)
+START_EVERY_M = 0.1
+TURN = 2.0 * np.pi
+START_EVERY_TURN = np.radians(10.0)
+
+
+def travelled_m(matched: Matched) -> Floats:
+    """Metres (N,) the truth has gone since the first pose."""
+    steps = np.linalg.norm(np.diff(matched.truth[:, :2], axis=0), axis=1)
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def turned(matched: Matched) -> Floats:
+    """Radians (N,) the truth has turned since the first pose, left and right both counted as positive."""
+    return np.concatenate([[0.0], np.cumsum(np.abs(se2.wrap(np.diff(matched.truth[:, 2]))))])
+
+
+def segments(progress: Floats, length: float, start_every: float) -> tuple[Ints, Ints]:
+    """First and last indices (K,) of all segments of at least a length along ``progress`` (N,), which never falls.
+
+    A segment starts at the first pose at or beyond each multiple of ``start_every``, so that standing still counts
+    once, and ends at the first pose at least ``length`` on.
+    """
+    slack = 1e-9  # sums of steps are not exact
+    goals = np.arange(0.0, progress[-1] - length + slack, start_every)
+    first = np.unique(np.searchsorted(progress, goals - slack))
+    last = np.searchsorted(progress, progress[first] + length - slack)
+    reached = last < len(progress)
+    return first[reached], last[reached]
+
+
+def relative_errors(matched: Matched, first: Ints, last: Ints) -> Floats:
+    """The motions (K, 3) by which the estimate's step from ``first`` to ``last`` differs from the true one.
+
+    Sturm et al., IROS 2012, relative pose error: (Q_i^-1 Q_j)^-1 (P_i^-1 P_j).
+    """
+    true = se2.between(matched.truth[first], matched.truth[last])
+    estimated = se2.between(matched.estimate[first], matched.estimate[last])
+    return se2.between(true, estimated)
+
+
+def segment_errors(matched: Matched, lengths_m: tuple[float, ...]) -> Floats:
+    """Per segment (K, 3): metres of translation error, radians of rotation error, metres the truth went."""
+    progress = travelled_m(matched)
+    rows = [np.zeros((0, 3))]
+    for length in lengths_m:
+        first, last = segments(progress, length, START_EVERY_M)
+        errors = relative_errors(matched, first, last)
+        rows.append(np.stack([_norms(errors), np.abs(errors[:, 2]), progress[last] - progress[first]], axis=1))
+    return np.concatenate(rows)
+
+
+def _norms(motions: Floats) -> Floats:
+    return np.asarray(np.linalg.norm(motions[:, :2], axis=1))
+
+
+def _steps(matched: Matched) -> Floats:
+    count = len(matched.stamps_ns)
+    return relative_errors(matched, np.arange(count - 1), np.arange(1, count))
+
+
+def _step_m(matched: Matched) -> Score:
+    return number(rms(_norms(_steps(matched))), len(matched.stamps_ns) - 1)
+
+
+def _step_deg(matched: Matched) -> Score:
+    return number(np.degrees(rms(_steps(matched)[:, 2])), len(matched.stamps_ns) - 1)
+
+
+def _too_short(matched: Matched, length_m: float) -> Score:
+    path = travelled_m(matched)[-1]
+    return Score(None, 0, f"a path of {path:.1f} m is too short for segments of {length_m:g} m")
+
+
+def _percent(lengths_m: tuple[float, ...], matched: Matched) -> Score:
+    rows = segment_errors(matched, lengths_m)
+    if len(rows) == 0:
+        return _too_short(matched, min(lengths_m))
+    return number(100.0 * np.mean(rows[:, 0] / rows[:, 2]), len(rows))
+
+
+def _deg_per_m(matched: Matched) -> Score:
+    rows = segment_errors(matched, LENGTHS_M)
+    if len(rows) == 0:
+        return _too_short(matched, min(LENGTHS_M))
+    return number(np.degrees(np.mean(rows[:, 1] / rows[:, 2])), len(rows))
+
+
+def _metre_rms(matched: Matched) -> Score:
+    rows = segment_errors(matched, (1.0,))
+    return number(rms(rows[:, 0]), len(rows)) if len(rows) else _too_short(matched, 1.0)
+
+
+def _deg_per_turn(matched: Matched) -> Score:
+    progress = turned(matched)
+    first, last = segments(progress, TURN, START_EVERY_TURN)
+    if len(first) == 0:
+        return Score(None, 0, f"a path that turns {np.degrees(progress[-1]):.0f} deg has no segment of 360 deg")
+    errors = np.abs(relative_errors(matched, first, last)[:, 2])
+    return number(np.degrees(np.mean(errors * TURN / (progress[last] - progress[first]))), len(first))
+
+
+def _end_percent(matched: Matched) -> Score:
+    path = travelled_m(matched)[-1]
+    if path < 1.0:
+        return Score(None, 0, f"a path of {path:.1f} m is too short (1 m needed)")
+    last = len(matched.stamps_ns) - 1
+    return number(100.0 * _norms(relative_errors(matched, np.array([0]), np.array([last])))[0] / path, last + 1)
+
+
+KITTI = "Geiger et al., CVPR 2012 (KITTI odometry benchmark), with shorter lengths for rooms"
+RPE = "Sturm et al., IROS 2012 (relative pose error)"
+START = f"segments start every {START_EVERY_M:g} m of true path and are divided by what the truth really went"
+
+METRICS = (
+    Metric("drift_percent", "drift per metre", "%", "lower", "drift",
+           "Translation error over segments of 1, 2, 5, 10 and 20 m of true path (those that fit), in percent of the "
+           f"segment, mean over all of them; {START}.", KITTI,
+           "how the errors add up over the whole path; lengths that do not fit; scans that were not answered",
+           of_matched(partial(_percent, LENGTHS_M)), 2, headline=True),
+    *(Metric(f"drift_{length:g}m_percent", f"drift over {length:g} m", "%", "lower", "drift",
+             f"Translation error over segments of {length:g} m of true path, in percent, mean; {START}.", KITTI,
+             "errors slower or quicker than this length; scans that were not answered",
+             of_matched(partial(_percent, (length,))), 2) for length in LENGTHS_M),
+    Metric("drift_deg_per_m", "heading drift per metre", "deg/m", "lower", "drift",
+           f"Rotation error over the same segments of all lengths, per metre, mean; {START}.", KITTI,
+           "errors of translation; how the errors add up over the whole path", of_matched(_deg_per_m)),
+    Metric("drift_deg_per_turn", "heading drift per turn", "deg", "lower", "drift",
+           "Rotation error over segments in which the truth turns 360 deg, left and right both counted as positive, "
+           "scaled to exactly 360 deg, mean; segments start every 10 deg.", "evalkit, after KITTI",
+           "errors that cancel between a left and a right turn; a shaking truth counts as turning",
+           of_matched(_deg_per_turn), 2),
+    Metric("end_error_percent", "end-point error", "%", "lower", "drift",
+           "Translation error of the motion from the first matched pose to the last, in percent of the true path.",
+           "common practice for loops; Sturm et al., IROS 2012 (relative pose error)",
+           "everything between start and end; errors that cancel, as on a closed loop", of_matched(_end_percent), 2),
+    Metric("rpe_step_m", "RPE, step", "m", "lower", "drift",
+           "Root mean square translation error from each matched pose to the next.", RPE,
+           "slow drift, which hides below the noise of one step", of_matched(_step_m), 4),
+    Metric("rpe_step_deg", "RPE, step, heading", "deg", "lower", "drift",
+           "Root mean square rotation error from each matched pose to the next.", RPE,
+           "slow drift, which hides below the noise of one step", of_matched(_step_deg)),
+    Metric("rpe_1m_m", "RPE, 1 m", "m", "lower", "drift",
+           f"Root mean square translation error over segments of 1 m of true path; {START}.", RPE,
+           "drift much slower than a metre; scans that were not answered", of_matched(_metre_rms)),
+)  # fmt: skip
