@@ -1,0 +1,174 @@
+import numpy as np
+import pytest
+
+from evalkit_datasets.worlds import World, truth_grid
+
+
+def polygon(*points):
+    corners = np.array(points, dtype=float)
+    return np.concatenate([corners, np.roll(corners, -1, axis=0)], axis=1)
+
+
+ROOM = World(polygon((0, 0), (4, 0), (4, 3), (0, 3)))
+
+
+def cast(world, origin, *degrees):
+    return world.cast(np.tile(origin, (len(degrees), 1)), np.radians(degrees))
+
+
+def test_beams_in_a_rectangle_measure_its_sides():
+    expected = [2.0, np.sqrt(2) * 2.0, 2.0, 2.0, 1.0]
+    np.testing.assert_allclose(cast(ROOM, (2.0, 1.0), 0, 45, 90, 180, 270), expected, atol=1e-12)
+
+
+def test_every_beam_leaves_its_own_origin():
+    ranges = ROOM.cast([(1.0, 1.0), (3.0, 1.0), (3.0, 2.5)], [0.0, 0.0, np.pi / 2])
+    np.testing.assert_allclose(ranges, [3.0, 1.0, 0.5], atol=1e-12)
+
+
+def test_a_circle_is_met_at_its_near_side_from_outside_and_at_its_far_side_from_inside():
+    world = World(np.zeros((0, 4)), [[5.0, 0.0, 1.0]])
+    ranges = world.cast([(0.0, 0.0), (0.0, 0.6), (5.0, 0.0), (5.5, 0.0)], [0.0, 0.0, 1.0, np.pi])
+    np.testing.assert_allclose(ranges, [4.0, 4.2, 1.0, 1.5], atol=1e-12)
+
+
+def test_beams_that_pass_by_or_look_away_meet_nothing():
+    world = World([[2.0, -1.0, 2.0, 1.0]], [[5.0, 4.0, 1.0]])
+    origins = [(0.0, 0.0), (0.0, 1.1), (0.0, 5.001), (2.0, -3.0)]
+    assert np.isposinf(world.cast(origins, [np.pi, 0.0, 0.0, np.pi / 2])).all()
+    assert np.isfinite(world.cast([(0.0, 4.999), (0.0, 0.999)], [0.0, 0.0])).all()
+
+
+def test_a_grazing_beam_meets_a_wall_far_away():
+    # 1 m beside a wall at 0.5 degrees: 1 / sin 0.5 degrees
+    world = World([[-500.0, 1.0, 500.0, 1.0]])
+    np.testing.assert_allclose(cast(world, (0.0, 0.0), 0.5), 1.0 / np.sin(np.radians(0.5)), rtol=1e-9)
+
+
+def test_no_beam_slips_out_through_a_corner():
+    generator = np.random.default_rng(0)
+    origins = generator.uniform([0.1, 0.1], [3.9, 2.9], (400, 2))
+    corners = ROOM.segments[generator.integers(0, 4, 400), :2]
+    ranges = ROOM.cast(origins, np.arctan2(*(corners - origins).T[::-1]))
+    np.testing.assert_allclose(ranges, np.linalg.norm(corners - origins, axis=1), atol=1e-6)
+
+
+def solved_one_by_one(world, origin, angle):
+    """The nearest crossing by a linear solver for walls and polynomial roots for circles."""
+    direction = np.array([np.cos(angle), np.sin(angle)])
+    found = [np.inf]
+    for x1, y1, x2, y2 in world.segments:
+        t, u = np.linalg.solve(
+            np.array([[direction[0], x1 - x2], [direction[1], y1 - y2]]), [x1 - origin[0], y1 - origin[1]]
+        )
+        found += [t] if t >= 0 and 0 <= u <= 1 else []
+    for x, y, radius in world.circles:
+        offset = origin - [x, y]
+        roots = np.roots([1.0, 2.0 * direction @ offset, offset @ offset - radius**2])
+        found += [root.real for root in roots if abs(root.imag) < 1e-12 and root.real >= 0]
+    return min(found)
+
+
+def test_random_beams_agree_with_a_solver_that_takes_them_one_by_one():
+    generator = np.random.default_rng(1)
+    world = World(
+        generator.uniform(-5, 5, (20, 4)),
+        np.column_stack([generator.uniform(-5, 5, (8, 2)), generator.uniform(0.1, 1.0, 8)]),
+    )
+    origins, angles = generator.uniform(-5, 5, (300, 2)), generator.uniform(-10, 10, 300)
+    expected = [solved_one_by_one(world, origin, angle) for origin, angle in zip(origins, angles, strict=True)]
+    np.testing.assert_allclose(world.cast(origins, angles), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("beams", [400, 1600])
+def test_leaving_out_what_lies_beside_the_sector_changes_nothing(beams):
+    generator = np.random.default_rng(beams)
+    world = World(
+        generator.uniform(-8, 8, (60, 4)),
+        np.column_stack([generator.uniform(-8, 8, (20, 2)), generator.uniform(0.05, 1.0, 20)]),
+    )
+    origins = np.linspace([0.0, 0.0], [0.6, -0.3], beams)  # a sensor that moves while it turns
+    angles = 1.0 - np.linspace(0.0, 2.5 * np.pi, beams)
+    alone = np.concatenate([world.cast(origins[[k]], angles[[k]]) for k in range(beams)])
+    shuffled = generator.permutation(beams)  # no sector is narrow: nothing is left out
+    np.testing.assert_allclose(world.cast(origins, angles), alone, atol=1e-9)
+    np.testing.assert_allclose(world.cast(origins[shuffled], angles[shuffled]), alone[shuffled], atol=1e-9)
+
+
+def test_a_world_without_boundaries_returns_nothing():
+    assert np.isposinf(cast(World(np.zeros((0, 4))), (0.0, 0.0), 0, 90)).all()
+
+
+def test_clearance_is_the_distance_to_the_nearest_wall_end_or_circle():
+    world = World([[0.0, 0.0, 2.0, 0.0]], [[10.0, 0.0, 1.0]])
+    np.testing.assert_allclose(
+        world.clearance([(1.0, 3.0), (-3.0, 4.0), (8.0, 0.0), (10.0, 0.25)]), [3.0, 5.0, 1.0, 0.75]
+    )
+
+
+@pytest.mark.parametrize(
+    ("segments", "circles", "word"),
+    [([[0, 0, 0, 0]], [], "wall"), ([[0, 0, np.nan, 1]], [], "finite"), ([[0, 0, 1, 1]], [[0, 0, 0]], "radius")],
+)
+def test_a_world_with_an_impossible_boundary_is_refused(segments, circles, word):
+    with pytest.raises(ValueError, match=word):
+        World(np.array(segments, dtype=float), np.array(circles, dtype=float))
+
+
+def test_the_true_map_of_a_square_has_its_area_and_its_walls():
+    grid = truth_grid(World(polygon((0, 0), (4, 0), (4, 4), (0, 4))), 0.05, [(2.0, 2.0)])
+    assert grid.occupied().sum() == 4 * 80  # 81 cells a side, corners shared
+    assert grid.free().sum() == 79**2
+    walls = grid.centres(grid.occupied())
+    np.testing.assert_allclose(np.abs(walls - 2.0).max(axis=1), 2.0, atol=1e-9)
+    assert set(np.unique(grid.log_odds)) == {-5.0, 0.0, 5.0}
+
+
+def test_the_true_map_of_a_room_with_a_pillar_approaches_the_drawn_area():
+    world = World(polygon((0, 0), (10, 0), (10, 10), (0, 10)), [[3.0, 6.0, 1.5]])
+    grid = truth_grid(world, 0.05, [(1.0, 1.0), (9.0, 1.0), (9.0, 9.0), (1.0, 9.0)])
+    area = (grid.free().sum() + 0.5 * grid.occupied().sum()) * 0.05**2
+    assert area == pytest.approx(100.0 - np.pi * 1.5**2, rel=2e-3)
+
+
+def test_the_true_map_marks_exactly_the_cells_a_slanted_wall_passes_through():
+    turn = np.radians(37.0)
+    corners = np.array([(-2, -2), (2, -2), (2, 2), (-2, 2)]) @ np.array(
+        [[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]]
+    )
+    grid = truth_grid(World(polygon(*corners)), 0.1, [(0.0, 0.0)])
+    share = np.linspace(0.0, 1.0, 200_001)[:, None]
+    walked = np.concatenate([a + share * (b - a) for a, b in zip(corners, np.roll(corners, -1, axis=0), strict=True)])
+    passed = np.zeros(grid.shape, dtype=bool)
+    columns, rows = np.floor((walked - [grid.origin_x, grid.origin_y]) / 0.1).astype(int).T
+    passed[rows, columns] = True
+    assert not (grid.occupied() & ~passed).any()
+    left_out = grid.centres(passed & ~grid.occupied())  # only in the tips, where no free cell is beside them
+    assert np.linalg.norm(left_out[:, None] - corners, axis=2).min(axis=1).max(initial=0.0) < 0.2
+
+
+def test_the_true_map_shows_only_what_can_be_seen():
+    box, outside = polygon((5, 1), (6, 1), (6, 2), (5, 2)), polygon((-3, 0), (-2, 0), (-2, 1))
+    walls = polygon((0, 0), (10, 0), (10, 4), (0, 4))
+    grid = truth_grid(World(np.concatenate([walls, box, outside])), 0.1, [(1.0, 1.5)])
+
+    def state(x, y):
+        row, column = int((y - grid.origin_y) / 0.1), int((x - grid.origin_x) / 0.1)
+        return "unknown" if not grid.observed[row, column] else "wall" if grid.occupied()[row, column] else "free"
+
+    assert [state(1.0, 1.5), state(5.0, 1.5), state(10.0, 3.5), state(8.0, 3.5)] == ["free", "wall", "wall", "free"]
+    assert [state(5.5, 1.5), state(6.0, 1.5), state(8.0, 1.5), state(10.0, 1.5)] == [
+        "unknown"
+    ] * 4  # in and behind the box
+    assert grid.origin_x > -0.2  # what stands outside is not there
+
+
+def test_the_true_map_ends_where_the_lidar_does():
+    grid = truth_grid(World([[-50.0, 0.0, 50.0, 0.0], [-50.0, 2.0, 50.0, 2.0]]), 0.1, [(0.0, 1.0)], range_m=12.0)
+    x = grid.centres(grid.free())[:, 0]
+    assert np.abs(x).max() == pytest.approx(12.0, abs=0.11)
+
+
+def test_a_position_on_a_wall_is_refused():
+    with pytest.raises(ValueError, match="stands on a boundary"):
+        truth_grid(ROOM, 0.05, [(4.0, 1.0)])
