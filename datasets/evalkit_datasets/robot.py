@@ -1,0 +1,201 @@
+"""How a simulated robot moves, exactly and at any time, and what its wheels and gyroscope make of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from evalkit import se2
+from evalkit.se2 import Floats, Stamps
+
+_TICK_NS = 10_000_000  # wheel encoders and gyroscope are read at 100 Hz
+
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """A closed path of straight lines and arcs, smooth in position and heading.
+
+    ``sections`` (K, 5): x, y (m) and heading (rad) where a section begins, its curvature (1/m), its length (m).
+    """
+
+    sections: Floats
+
+    @classmethod
+    def through(cls, corners: ArrayLike) -> Route:
+        """The route along a closed polygon whose corners (W, 3), given as x, y, radius in m, are rounded.
+
+        It starts half-way between the first two corners. ValueError where two arcs do not fit on the side they share.
+        """
+        rows = np.asarray(corners, dtype=np.float64)
+        points, radii = rows[:, :2], rows[:, 2]
+        sides = np.roll(points, -1, axis=0) - points
+        lengths, headings = np.linalg.norm(sides, axis=1), np.arctan2(sides[:, 1], sides[:, 0])
+        turns = se2.wrap(headings - np.roll(headings, 1))
+        cut = radii * np.tan(0.5 * np.abs(turns))
+        straights = lengths - cut - np.roll(cut, -1)
+        if (straights < -1e-9).any():
+            side = int(np.argmin(straights))
+            raise ValueError(f"corners: arcs overlap by {-straights[side]:.3f} m between corners {side} and {side + 1}")
+        forward = sides / lengths[:, None]
+        lines = np.column_stack(
+            [points + cut[:, None] * forward, headings, np.zeros(len(rows)), np.maximum(straights, 0.0)]
+        )
+        arcs = np.column_stack(
+            [
+                points - cut[:, None] * np.roll(forward, 1, axis=0),
+                np.roll(headings, 1),
+                np.sign(turns) / radii,
+                radii * np.abs(turns),
+            ]
+        )
+        sections = np.stack([arcs, lines], axis=1).reshape(-1, 5)[1:]  # from the first line on
+        half = 0.5 * sections[0, 4]
+        second_half = sections[0] + [*(half * forward[0]), 0.0, 0.0, -half]
+        first_half = [*sections[0, :4], half]
+        return cls(np.concatenate([[second_half], sections[1:], arcs[:1], [first_half]]))
+
+    @property
+    def length_m(self) -> float:
+        """Metres once round."""
+        return float(self.sections[:, 4].sum())
+
+    def at(self, distance_m: ArrayLike) -> Floats:
+        """The poses ``world_from_base`` (N, 3) after a distance (N,) from the start, which may be many laps."""
+        distance = np.asarray(distance_m, dtype=np.float64) % self.length_m
+        begins = np.concatenate([[0.0], np.cumsum(self.sections[:-1, 4])])
+        section = np.searchsorted(begins, distance, side="right") - 1
+        begin_from_base = _motion(
+            np.stack(
+                [
+                    distance - begins[section],
+                    np.zeros_like(distance),
+                    (distance - begins[section]) * self.sections[section, 3],
+                ],
+                axis=-1,
+            )
+        )
+        return se2.compose(self.sections[section, :3], begin_from_base)
+
+    def curvature(self, distance_m: ArrayLike) -> Floats:
+        """The curvatures (N,) in 1/m, positive to the left, after a distance (N,) from the start."""
+        distance = np.asarray(distance_m, dtype=np.float64) % self.length_m
+        section = np.searchsorted(np.cumsum(self.sections[:-1, 4]), distance, side="right")
+        return np.asarray(self.sections[section, 3])
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One drive along a route from rest to rest: steady acceleration, steady speed, steady braking.
+
+    ``laps`` may be any share of a lap; time starts at 0.
+    """
+
+    route: Route
+    speed_mps: float
+    laps: float = 1.0
+    acceleration_mps2: float = 0.5
+
+    def __post_init__(self) -> None:
+        for name in ("speed_mps", "laps", "acceleration_mps2"):
+            if not getattr(self, name) > 0.0:
+                raise ValueError(f"{name}: expected a positive number, got {getattr(self, name)}")
+
+    @property
+    def path_m(self) -> float:
+        """Metres driven in all."""
+        return self.laps * self.route.length_m
+
+    @property
+    def top_speed_mps(self) -> float:
+        """The speed between the ramps: lower than asked for where the path is too short to reach it."""
+        return min(self.speed_mps, float(np.sqrt(self.acceleration_mps2 * self.path_m)))
+
+    @property
+    def duration_ns(self) -> int:
+        """Nanoseconds from rest to rest."""
+        return int((self.path_m / self.top_speed_mps + self._ramp_s) * 1e9)
+
+    @property
+    def top_yaw_rate(self) -> float:
+        """The fastest turn (rad/s) between the ramps."""
+        return self.top_speed_mps * float(np.abs(self.route.sections[:, 3]).max())
+
+    def distance(self, stamps_ns: ArrayLike) -> Floats:
+        """Metres driven (N,) at times (N,)."""
+        time = np.clip(np.asarray(stamps_ns, dtype=np.int64), 0, self.duration_ns) * 1e-9
+        left = self.path_m / self.top_speed_mps + self._ramp_s - time
+        a, v, ramp = self.acceleration_mps2, self.top_speed_mps, self._ramp_s
+        steady = v * (time - 0.5 * ramp)
+        return np.where(time < ramp, 0.5 * a * time**2, np.where(left < ramp, self.path_m - 0.5 * a * left**2, steady))
+
+    def pose(self, stamps_ns: ArrayLike) -> Floats:
+        """The exact ``world_from_base`` (N, 3) at times (N,)."""
+        return self.route.at(self.distance(stamps_ns))
+
+    @property
+    def _ramp_s(self) -> float:
+        return self.top_speed_mps / self.acceleration_mps2
+
+
+@dataclass(frozen=True)
+class WheelOdometry:
+    """Wheel encoders and a gyroscope at 100 Hz: the paper names them without figures, so these are assumed.
+
+    ``scale``: 1 sigma of the wheels' scale error, a share, drawn once a run. ``velocity_noise_mps``: of every reading.
+    ``gyro_bias`` (rad/s): 1 sigma, drawn once a run. ``gyro_noise`` (rad/s): of every reading.
+    """
+
+    scale: float = 0.01
+    velocity_noise_mps: float = 0.02
+    gyro_bias: float = float(np.radians(0.2))
+    gyro_noise: float = float(np.radians(0.5))
+
+    def poses(self, drive: Drive, stamps_ns: ArrayLike, generator: np.random.Generator) -> Floats:
+        """What dead reckoning answers, ``odom_from_base`` (N, 3) at times (N,) of a drive: the identity at time 0.
+
+        A reading holds until the next one; its velocities are integrated exactly on SE(2), also between readings.
+        """
+        asked = np.asarray(stamps_ns, dtype=np.int64)
+        ticks = np.arange(0, int(asked.max(initial=0)) + _TICK_NS, _TICK_NS)
+        times: Stamps = np.union1d(ticks, asked)
+        scale, bias = generator.standard_normal(2) * [self.scale, self.gyro_bias]
+        noise = generator.standard_normal((len(ticks), 2)) * [self.velocity_noise_mps, self.gyro_noise]
+        true = drive.pose(times)
+        travelled = _twist(se2.between(true[:-1], true[1:]))
+        lasted = np.diff(times) * 1e-9
+        reading = noise[times[:-1] // _TICK_NS] * lasted[:, None]
+        travelled[:, :2] *= 1.0 + scale
+        travelled[:, 0] += reading[:, 0]
+        travelled[:, 2] += reading[:, 1] + bias * lasted
+        return _chained(_motion(travelled))[np.searchsorted(times, asked)]
+
+
+def _chained(steps: Floats) -> Floats:
+    """The poses (N + 1, 3) from the identity on, one motion (N, 3) after the other, each in the frame before it."""
+    headings = np.concatenate([[0.0], np.cumsum(steps[:, 2])])
+    cos, sin = np.cos(headings[:-1]), np.sin(headings[:-1])
+    x = np.cumsum(cos * steps[:, 0] - sin * steps[:, 1])
+    y = np.cumsum(sin * steps[:, 0] + cos * steps[:, 1])
+    return np.column_stack([np.append(0.0, x), np.append(0.0, y), se2.wrap(headings)])
+
+
+def _motion(twists: Floats) -> Floats:
+    """The motions (N, 3) of unit-time velocities (N, 3): the exponential of SE(2), steady at zero rotation."""
+    half = 0.5 * twists[:, 2]
+    chord = np.sinc(half / np.pi)
+    cos, sin = chord * np.cos(half), chord * np.sin(half)
+    return np.column_stack(
+        [cos * twists[:, 0] - sin * twists[:, 1], sin * twists[:, 0] + cos * twists[:, 1], twists[:, 2]]
+    )
+
+
+def _twist(motions: Floats) -> Floats:
+    """The unit-time velocities (N, 3) of motions (N, 3): the logarithm of SE(2)."""
+    half = 0.5 * motions[:, 2]
+    chord = np.sinc(half / np.pi)
+    cos, sin = np.cos(half) / chord, np.sin(half) / chord
+    return np.column_stack(
+        [cos * motions[:, 0] + sin * motions[:, 1], -sin * motions[:, 0] + cos * motions[:, 1], motions[:, 2]]
+    )

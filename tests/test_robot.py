@@ -1,0 +1,131 @@
+import numpy as np
+import pytest
+
+from evalkit import se2
+from evalkit_datasets.robot import Drive, Route, WheelOdometry
+
+SQUARE = Route.through([(0, 0, 1), (4, 0, 1), (4, 4, 1), (0, 4, 1)])
+FAULTLESS = WheelOdometry(0.0, 0.0, 0.0, 0.0)
+
+
+def every(drive, step_ns=10_000_000):
+    return np.arange(0, drive.duration_ns + 1, step_ns)
+
+
+def odometry(errors, drive, stamps, seed=0):
+    return errors.poses(drive, stamps, np.random.default_rng(seed))
+
+
+def test_a_square_with_rounded_corners_has_its_hand_computed_length():
+    assert SQUARE.length_m == pytest.approx(4 * 2.0 + 2.0 * np.pi)
+
+
+def test_a_route_passes_where_its_geometry_says():
+    quarter = 0.25 * SQUARE.length_m
+    expected = [(2, 0, 0), (3, 0, 0), (3 + np.sin(np.pi / 4), 1 - np.cos(np.pi / 4), np.pi / 4), (4, 2, np.pi / 2)]
+    np.testing.assert_allclose(SQUARE.at([0.0, 1.0, 1.0 + np.pi / 4, quarter]), expected, atol=1e-12)
+
+
+def test_a_route_closes_and_goes_round_again():
+    np.testing.assert_allclose(SQUARE.at([0.3 + 2.0 * SQUARE.length_m]), SQUARE.at([0.3]), atol=1e-9)
+    np.testing.assert_allclose(SQUARE.at([SQUARE.length_m - 1e-9]), SQUARE.at([0.0]), atol=1e-8)
+
+
+def test_a_route_moves_where_it_heads_and_turns_by_its_curvature():
+    route = Route.through([(0, 0, 0.5), (5, -1, 0.8), (6, 4, 0.3), (3, 2, 0.4), (-1, 5, 0.25)])
+    ends = np.cumsum(route.sections[:, 4])
+    distance = np.linspace(0.0, route.length_m, 3000)
+    distance = distance[np.abs(distance[:, None] - ends).min(axis=1) > 1e-3]  # the curvature jumps there
+    ahead = se2.between(route.at(distance), route.at(distance + 1e-6)) / 1e-6
+    np.testing.assert_allclose(
+        ahead, np.column_stack([np.ones_like(distance), np.zeros_like(distance), route.curvature(distance)]), atol=1e-4
+    )
+
+
+def test_corners_too_round_for_their_sides_are_refused():
+    with pytest.raises(ValueError, match="between corners 0 and 1"):
+        Route.through([(0, 0, 2), (3, 0, 2), (3, 9, 0.1), (0, 9, 0.1)])
+
+
+def test_a_drive_ramps_up_cruises_and_stops():
+    drive = Drive(SQUARE, speed_mps=1.0, laps=10.0 / SQUARE.length_m, acceleration_mps2=0.5)
+    assert drive.duration_ns == pytest.approx(12e9, abs=2)
+    seconds = np.array([0.0, 1.0, 2.0, 7.0, 10.0, 11.0, 12.0])
+    np.testing.assert_allclose(drive.distance((seconds * 1e9).astype(int)), [0, 0.25, 1, 6, 9, 9.75, 10], atol=1e-8)
+
+
+def test_a_drive_too_short_for_its_speed_turns_the_ramps_at_the_middle():
+    drive = Drive(SQUARE, speed_mps=5.0, laps=2.0 / SQUARE.length_m, acceleration_mps2=0.5)
+    assert drive.top_speed_mps == pytest.approx(1.0)
+    np.testing.assert_allclose(drive.distance([2_000_000_000, 4_000_000_000]), [1.0, 2.0], atol=1e-8)
+
+
+def test_a_drive_keeps_to_its_speed_and_its_yaw_rate():
+    drive = Drive(SQUARE, speed_mps=0.3, laps=1.3)
+    steps = se2.between(drive.pose(every(drive))[:-1], drive.pose(every(drive))[1:]) / 0.01
+    assert np.hypot(steps[:, 0], steps[:, 1]).max() <= 0.3 + 1e-9
+    assert np.abs(steps[:, 2]).max() <= drive.top_yaw_rate + 1e-9
+    assert drive.top_yaw_rate == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize("wrong", [{"speed_mps": 0.0}, {"laps": -1.0}, {"acceleration_mps2": 0.0}])
+def test_a_drive_that_goes_nowhere_is_refused(wrong):
+    with pytest.raises(ValueError, match=next(iter(wrong))):
+        Drive(**{"route": SQUARE, "speed_mps": 1.0} | wrong)
+
+
+def test_odometry_without_errors_is_the_truth():
+    drive = Drive(SQUARE, speed_mps=0.5, laps=2.2)
+    stamps = every(drive, 33_333_333)  # between the readings
+    true = se2.between(drive.pose([0]), drive.pose(stamps))
+    np.testing.assert_allclose(odometry(FAULTLESS, drive, stamps), true, atol=1e-9)
+
+
+def test_a_scale_error_alone_scales_the_path_and_leaves_the_heading():
+    drive = Drive(SQUARE, speed_mps=0.5)
+    stamps = every(drive)
+    true = se2.between(drive.pose([0]), drive.pose(stamps))
+    found = odometry(WheelOdometry(0.1, 0.0, 0.0, 0.0), drive, stamps)
+    share = found[100, 0] / true[100, 0]
+    assert share != pytest.approx(1.0, abs=1e-6)
+    np.testing.assert_allclose(found, true * [share, share, 1.0], atol=1e-9)
+
+
+def test_a_gyro_bias_alone_turns_the_heading_in_proportion_to_time():
+    drive = Drive(SQUARE, speed_mps=0.5)
+    stamps = every(drive)
+    found = odometry(WheelOdometry(0.0, 0.0, 0.01, 0.0), drive, stamps)
+    error = se2.wrap(found[:, 2] - se2.between(drive.pose([0]), drive.pose(stamps))[:, 2])
+    assert abs(error[-1]) > 1e-4
+    np.testing.assert_allclose(error, error[-1] * stamps / stamps[-1], atol=1e-9)
+
+
+def test_errors_of_many_runs_spread_as_asked_for():
+    drive = Drive(SQUARE, speed_mps=1.0, laps=0.25)
+    end = [drive.duration_ns]
+    seconds, runs = end[0] * 1e-9, 400
+    true = se2.between(drive.pose([0]), drive.pose(end))[0]
+
+    def spread(errors, column):
+        return np.std([odometry(errors, drive, end, seed)[0, column] - true[column] for seed in range(runs)])
+
+    within = 4.0 / np.sqrt(2.0 * runs)  # four standard errors of a standard deviation
+    assert spread(WheelOdometry(0.0, 0.0, 0.004, 0.0), 2) == pytest.approx(0.004 * seconds, rel=within)
+    assert spread(WheelOdometry(0.0, 0.0, 0.0, 0.01), 2) == pytest.approx(0.01 * np.sqrt(0.01 * seconds), rel=within)
+    assert spread(WheelOdometry(0.01, 0.0, 0.0, 0.0), 0) == pytest.approx(0.01 * true[0], rel=within)
+
+
+def test_the_same_seed_gives_the_same_odometry_and_another_seed_another():
+    drive = Drive(SQUARE, speed_mps=0.5)
+    first, again, other = (odometry(WheelOdometry(), drive, every(drive), seed) for seed in (3, 3, 4))
+    assert first.tobytes() == again.tobytes()
+    assert not np.allclose(first, other)
+    np.testing.assert_array_equal(first[0], [0.0, 0.0, 0.0])
+
+
+def test_asking_at_more_times_does_not_change_the_answers():
+    drive = Drive(SQUARE, speed_mps=0.5)
+    few, many = every(drive, 100_000_000), every(drive, 7_000_000)
+    both = np.union1d(few, many)
+    found = odometry(WheelOdometry(), drive, both)[np.searchsorted(both, few)]
+    np.testing.assert_allclose(found, odometry(WheelOdometry(), drive, few), atol=1e-5)
