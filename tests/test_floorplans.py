@@ -1,0 +1,57 @@
+import numpy as np
+import pytest
+
+from evalkit_datasets import floorplans
+from evalkit_datasets.robot import Drive
+
+PLANS = {name: getattr(floorplans, name)() for name in ("room", "lab", "loop", "corridor", "office")}
+
+
+@pytest.mark.parametrize("name", PLANS)
+def test_a_route_never_comes_within_30_cm_of_anything(name):
+    plan = PLANS[name]
+    path = plan.route.at(np.arange(0.0, plan.route.length_m, 0.01))
+    assert plan.world.clearance(path[:, :2]).min() >= 0.3
+
+
+@pytest.mark.parametrize(
+    ("name", "length_m"), [("room", 22.7), ("lab", 23.5), ("loop", 40.9), ("corridor", 20.9), ("office", 34.8)]
+)
+def test_a_route_is_as_long_as_its_description_says(name, length_m):
+    assert PLANS[name].route.length_m == pytest.approx(length_m, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("name", "fastest_dps"), [("room", 69), ("lab", 69), ("loop", 69), ("corridor", 43), ("office", 69)]
+)
+def test_a_route_turns_as_fast_as_its_description_says(name, fastest_dps):
+    assert np.degrees(Drive(PLANS[name].route, 0.3).top_yaw_rate) == pytest.approx(fastest_dps, abs=0.5)
+
+
+@pytest.mark.parametrize("name", ["room", "lab", "loop"])
+def test_routes_have_straights_gentle_curves_and_quick_turns(name):
+    curvature, length = np.abs(PLANS[name].route.sections[:, 3]), PLANS[name].route.sections[:, 4]
+    kinds = [curvature == 0.0, (curvature > 0.0) & (curvature < 0.6), curvature >= 4.0]
+    assert [bool(length[kind].sum() > 0.3) for kind in kinds] == [True, True, True]
+
+
+def test_the_room_is_the_papers():
+    world = PLANS["room"].world
+    np.testing.assert_array_equal(world.circles, [[2.0, 8.0, 1.5]])
+    assert np.linalg.norm(world.segments[:, 2:] - world.segments[:, :2], axis=1).tolist() == [10.0] * 4
+
+
+def test_the_corridor_shows_nothing_but_two_walls_longer_than_the_lidar_sees():
+    plan = PLANS["corridor"]
+    assert len(plan.world.segments) == 2
+    assert len(plan.world.circles) == 0
+    x = plan.route.at(np.arange(0.0, plan.route.length_m, 0.01))[:, 0]
+    first, last = plan.world.segments[:, [0, 2]].min(), plan.world.segments[:, [0, 2]].max()
+    assert min(x.min() - first, last - x.max()) > 12.2
+
+
+@pytest.mark.parametrize("name", ["room", "lab", "loop", "office"])
+def test_no_beam_leaves_a_closed_world(name):
+    plan, generator = PLANS[name], np.random.default_rng(0)
+    path = plan.route.at(np.repeat(np.arange(0.0, plan.route.length_m, 0.5), 90))
+    assert np.isfinite(plan.world.cast(path[:, :2], generator.uniform(-np.pi, np.pi, len(path)))).all()
