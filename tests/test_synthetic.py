@@ -1,0 +1,212 @@
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from evalkit import se2
+from evalkit.errors import BadParameter, UnknownName
+from evalkit.protocols import DatasetSpec, resolved
+from evalkit_datasets import synthetic
+
+SPECS = {name: getattr(synthetic, name.upper()) for name in ("room", "lab", "loop", "corridor", "office")}
+FAULTLESS = {
+    "noise_m": 0.0,
+    "dropout": 0.0,
+    "odometry_scale": 0.0,
+    "velocity_noise_mps": 0.0,
+    "gyro_bias_dps": 0.0,
+    "gyro_noise_dps": 0.0,
+}
+
+
+@cache
+def short(name, **parameters):
+    return SPECS[name].make(**{"laps": 0.1} | parameters)
+
+
+@cache
+def whole(name):
+    return SPECS[name].make()
+
+
+@cache
+def exact(name):
+    return SPECS[name].make(laps=0.3, rate_hz=5.0, **FAULTLESS)
+
+
+def ranges(sequence):
+    return np.stack([frame.scan.ranges for frame in sequence.frames()])
+
+
+def odometry(sequence):
+    return np.array([frame.odom_from_base.row for frame in sequence.frames()])
+
+
+def in_world(world_from_sensor, scan):
+    return se2.transform(world_from_sensor, scan.points())
+
+
+@pytest.mark.parametrize("name", SPECS)
+def test_a_spec_makes_a_sequence_from_its_own_defaults(name):
+    spec = SPECS[name]
+    assert isinstance(spec, DatasetSpec)
+    assert spec.seeded
+    assert spec.missing() == ""
+    made = spec.make(**resolved(name, spec.parameters, {}))
+    assert len(made) == len(whole(name))
+    assert (made.drive.laps, made.lidar, made.odometry) == (
+        whole(name).drive.laps,
+        whole(name).lidar,
+        whole(name).odometry,
+    )
+
+
+@pytest.mark.parametrize(("rate_hz", "beams"), [(5.0, 1600), (10.0, 800), (15.0, 533)])
+def test_frames_come_at_the_lidars_rate_with_all_beams(rate_hz, beams):
+    sequence = short("room", rate_hz=rate_hz)
+    scans = [frame.scan for frame in sequence.frames()]
+    assert len(scans) == len(sequence)
+    assert {len(scan.ranges) for scan in scans} == {beams}
+    assert {scan.time_increment_ns for scan in scans} == {125_000}
+    period_ns = np.diff([scan.stamp_ns for scan in scans])
+    assert np.abs(period_ns - 1e9 / rate_hz).max() <= 1.0
+    assert all(later.stamp_ns > earlier.stamp_ns + earlier.duration_ns for earlier, later in pairwise(scans))
+
+
+@pytest.mark.parametrize("name", SPECS)
+def test_a_beam_without_noise_ends_on_a_boundary_seen_from_where_it_was_fired(name):
+    sequence = exact(name)
+    for frame in list(sequence.frames())[::25]:
+        stamps = frame.scan.stamp_ns + frame.scan.time_increment_ns * np.arange(len(frame.scan.ranges))
+        fired_from = se2.compose(sequence.drive.pose(stamps), frame.base_from_sensor.row)
+        hits = frame.scan.hits
+        ends = se2.transform_each(fired_from[hits], frame.scan.points())
+        assert sequence.plan.world.clearance(ends).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", ["room", "lab"])
+def test_a_deskewed_scan_falls_on_the_walls_and_a_raw_one_does_not(name):
+    sequence = exact(name)
+    boundaries = np.cumsum(sequence.plan.route.sections[:, 4])
+    cleared, raw = [], []
+    for frame, pose in list(zip(sequence.frames(), sequence.truth().trajectory.poses, strict=True))[::2]:
+        begin, end = sequence.drive.distance([frame.scan.stamp_ns, frame.scan.stamp_ns + frame.scan.duration_ns])
+        cruising = end - begin > 0.3 * frame.scan.duration_ns * 1e-9 - 1e-9
+        if not cruising or ((boundaries > begin) & (boundaries < end)).any():
+            continue  # deskewing takes the motion as steady: skip scans in which the curvature or the speed changes
+        world_from_sensor = se2.compose(pose, frame.base_from_sensor.row)
+        deskewed = frame.scan.deskewed(frame.base_from_sensor, frame.start_from_end)
+        cleared.append(sequence.plan.world.clearance(in_world(world_from_sensor, deskewed)).max())
+        raw.append(sequence.plan.world.clearance(in_world(world_from_sensor, frame.scan)).max())
+    assert len(cleared) > 20
+    assert max(cleared) < 1e-6
+    assert min(raw) > 0.02  # 6 cm are driven in one scan
+    assert max(raw) > 0.2  # and up to 13 degrees turned
+
+
+def test_faultless_odometry_is_the_true_motion():
+    sequence = exact("lab")
+    true = sequence.truth().trajectory.poses
+    np.testing.assert_allclose(odometry(sequence), se2.between(true[:1], true), atol=1e-9)
+    frame = list(sequence.frames())[20]
+    ends = sequence.drive.pose([frame.scan.stamp_ns, frame.scan.stamp_ns + frame.scan.duration_ns])
+    np.testing.assert_allclose(frame.start_from_end.row, se2.between(ends[0], ends[1]), atol=1e-9)
+
+
+def test_odometry_starts_at_the_identity_and_drifts():
+    sequence = whole("lab")
+    true = sequence.truth().trajectory.poses
+    found = odometry(sequence)
+    np.testing.assert_array_equal(found[0], [0.0, 0.0, 0.0])
+    off = np.linalg.norm(se2.between(se2.between(true[0], true[-1]), found[-1])[:2])
+    assert 0.01 < off < 5.0
+
+
+def test_frames_are_the_same_every_time():
+    first, again = list(short("lab").frames()), list(short("lab").frames())
+    assert [a.scan.ranges.tobytes() for a in first] == [b.scan.ranges.tobytes() for b in again]
+
+
+@pytest.mark.parametrize("name", SPECS)
+def test_the_same_seed_gives_the_same_bits_and_another_seed_others(name):
+    first, again, other = (SPECS[name].make(laps=0.05, seed=seed) for seed in (5, 5, 6))
+    assert ranges(first).tobytes() == ranges(again).tobytes()
+    assert odometry(first).tobytes() == odometry(again).tobytes()
+    assert not np.array_equal(ranges(first), ranges(other), equal_nan=True)
+    assert not np.array_equal(odometry(first)[1:], odometry(other)[1:])
+
+
+def test_changing_one_error_leaves_the_others_as_they_were():
+    usual, quiet, straight = short("lab"), short("lab", noise_m=0.0), short("lab", gyro_bias_dps=5.0)
+    np.testing.assert_array_equal(np.isnan(ranges(usual)), np.isnan(ranges(quiet)))
+    assert odometry(usual).tobytes() == odometry(quiet).tobytes()
+    assert ranges(usual).tobytes() == ranges(straight).tobytes()
+
+
+def test_range_errors_have_the_papers_spread():
+    error = ranges(short("lab", dropout=0.0)) - ranges(short("lab", dropout=0.0, noise_m=0.0))
+    assert error.std() == pytest.approx(0.0483, rel=4.0 / np.sqrt(2.0 * error.size))
+
+
+def test_notes_count_what_came_back_empty():
+    sequence = short("corridor")
+    found = ranges(sequence)
+    assert sequence.notes() == {
+        "beams without return": int(np.isposinf(found).sum()),
+        "invalid ranges": int(np.isnan(found).sum()),
+    }
+    assert sequence.notes()["beams without return"] > 0
+    assert np.isnan(found).mean() == pytest.approx(0.01, abs=4.0 * np.sqrt(0.01 / found.size))
+
+
+@pytest.mark.parametrize(
+    ("name", "path_m"), [("room", 22.7), ("lab", 23.5), ("loop", 43.0), ("corridor", 20.9), ("office", 34.8)]
+)
+def test_the_true_path_has_its_length_and_keeps_its_speed(name, path_m):
+    truth = whole(name).truth()
+    assert len(truth.trajectory) == len(whole(name))
+    steps = np.linalg.norm(np.diff(truth.trajectory.poses[:, :2], axis=0), axis=1)
+    assert truth.how.startswith("exact")
+    assert truth.trajectory.path_m == pytest.approx(path_m, abs=0.1)
+    assert (steps / np.diff(truth.trajectory.stamps_ns) * 1e9).max() <= 0.3 + 1e-6
+
+
+def test_the_loop_ends_where_it_has_been_before():
+    poses = whole("loop").truth().trajectory.poses
+    back = np.linalg.norm(poses[-200:, None, :2] - poses[None, :200, :2], axis=2).min(axis=1)
+    assert back[-1] < 0.02
+    assert np.linalg.norm(poses[-1, :2] - poses[0, :2]) == pytest.approx(2.0, abs=0.1)
+
+
+@pytest.mark.parametrize("name", ["room", "lab", "corridor", "office"])
+def test_what_perfect_beams_meet_is_on_the_true_map(name):
+    sequence = whole(name)
+    grid = sequence.truth().grid
+    stamps = sequence.lidar.beam_stamps(sequence.stamps_ns[::20])
+    fired_from = se2.compose(sequence.drive.pose(stamps.ravel()), sequence.base_from_sensor.row)
+    fired_from[:, 2] += np.tile(sequence.lidar.angles(), len(stamps))
+    distance = sequence.plan.world.cast(fired_from[:, :2], fired_from[:, 2])
+    met = distance <= 12.0
+    ends = fired_from[met, :2] + distance[met, None] * np.column_stack(
+        [np.cos(fired_from[met, 2]), np.sin(fired_from[met, 2])]
+    )
+    columns, rows = np.floor((ends - [grid.origin_x, grid.origin_y]) / grid.resolution_m).astype(int).T
+    assert grid.occupied()[rows, columns].mean() > 0.999
+
+
+def test_only_the_corridor_is_degenerate():
+    assert [name for name, spec in SPECS.items() if spec.degenerate] == ["corridor"]
+
+
+def test_lidars_do_not_sit_in_the_middle_and_not_all_straight():
+    mounts = [SPECS[name].make(laps=0.1).base_from_sensor for name in SPECS]
+    assert all((mount.x, mount.y) != (0.0, 0.0) for mount in mounts)
+    assert any(mount.theta != 0.0 for mount in mounts)
+
+
+def test_unknown_and_impossible_parameters_are_refused():
+    with pytest.raises(UnknownName, match="speed_mps"):
+        SPECS["lab"].make(speed=1.0)
+    with pytest.raises(BadParameter, match="rate_hz"):
+        SPECS["lab"].make(rate_hz=20.0)
