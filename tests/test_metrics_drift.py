@@ -57,7 +57,7 @@ def test_wheels_two_percent_too_large_drift_two_percent_over_every_length() -> N
 
 
 def test_a_gyro_bias_of_one_degree_per_metre_is_read_off() -> None:
-    biased = STRAIGHT + [0.0, 0.0, np.radians(0.05)]
+    biased = np.add(STRAIGHT, [0.0, 0.0, np.radians(0.05)])
     found = matched(path(biased), path(STRAIGHT))
     assert value("drift_deg_per_m", found) == pytest.approx(1.0)
     assert value("rpe_step_deg", found) == pytest.approx(0.05)

@@ -82,7 +82,7 @@ def test_a_rigidly_moved_copy_of_the_truth_has_no_error() -> None:
 
 def test_errors_of_a_square_with_one_corner_displaced_are_what_a_hand_finds() -> None:
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
-    shifted = corners + [[0.3, 0.4, 0.1], [0, 0, 0], [0, 0, 0], [0, 0, 0]]
+    shifted = np.add(corners, [[0.3, 0.4, 0.1], [0, 0, 0], [0, 0, 0], [0, 0, 0]])
     stamps = np.arange(4) * SECOND
     found = matched(Trajectory(stamps, shifted), Trajectory(stamps, corners), alignment="none")
     assert trajectory.position_errors(found) == pytest.approx([0.5, 0, 0, 0])
@@ -129,9 +129,9 @@ def test_ate_is_that_of_evo() -> None:
 
 def test_a_dense_estimate_is_interpolated_at_the_stamps_of_a_sparse_truth() -> None:
     stamps = np.arange(101) * SECOND // 10
-    line = np.column_stack([stamps * 1e-9, np.zeros((101, 2))])
+    line = np.array([[1e-9 * stamp, 0.0, 0.0] for stamp in stamps])
     sparse = np.array([0, 1.05 * SECOND, 5.51 * SECOND, 12 * SECOND], dtype=np.int64)
-    truth = Trajectory(sparse, np.column_stack([sparse * 1e-9, np.zeros((4, 2))]))
+    truth = Trajectory(sparse, np.array([[1e-9 * stamp, 0.0, 0.0] for stamp in sparse]))
     found = matched(Trajectory(stamps, line), truth)
     assert found.stamps_ns.tolist() == sparse[:3].tolist()
     assert trajectory.position_errors(found) == pytest.approx(np.zeros(3), abs=1e-12)
@@ -164,9 +164,10 @@ def test_what_cannot_be_matched_says_why() -> None:
 
 
 def test_errors_over_time_are_nan_where_the_truth_is_not_known() -> None:
-    truth = Trajectory(np.array([1, 2, 9]) * SECOND, [[1.0, 0, 0], [2.0, 0, 0], [9.0, 0, 0]])
+    truth = Trajectory(np.array([1, 2, 9]) * SECOND, np.array([[1.0, 0, 0], [2.0, 0, 0], [9.0, 0, 0]]))
     stamps = np.array([0, 1, 1.5, 5, 9]) * SECOND
-    estimate = Trajectory(stamps.astype(np.int64), [[0.0, 0, 0], [1, 0.2, 0], [1.5, 0, 0], [5, 0, 0], [9, 0, 0]])
+    poses = np.array([[0.0, 0, 0], [1, 0.2, 0], [1.5, 0, 0], [5, 0, 0], [9, 0, 0]])
+    estimate = Trajectory(stamps.astype(np.int64), poses)
     errors = trajectory.errors_m(estimate, truth)
     assert errors == pytest.approx([np.nan, 0.2, 0.0, np.nan, 0.0], nan_ok=True)
 

@@ -1,1 +1,31 @@
-"""The metrics: pure functions of what a run left behind, and one table of them."""
+"""The metrics: pure functions of what a run left behind, and one table of them.
+
+A metric is one function and one row of the ``METRICS`` table at the end of its module; the tables are joined here in
+the order of a report.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from evalkit.metrics import consistency, drift, maps, registration, relations, runtime, trajectory
+from evalkit.metrics.table import Evidence, Metric
+from evalkit.types import Score
+
+METRICS: tuple[Metric, ...] = (
+    *trajectory.METRICS,
+    *drift.METRICS,
+    *relations.METRICS,
+    *maps.METRICS,
+    *consistency.METRICS,
+    *registration.METRICS,
+    *runtime.METRICS,
+)
+
+
+def score(evidence: Evidence, table: Iterable[Metric] = METRICS) -> dict[str, Score]:
+    """Every metric's score by name, in the table's order; what is not meaningful says why."""
+    with np.errstate(over="ignore", invalid="ignore"):  # a diverged estimate is answered with a reason
+        return {metric.name: metric.compute(evidence) for metric in table}

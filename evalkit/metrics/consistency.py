@@ -1,0 +1,240 @@
+"""Judges a map by itself, without a truth: sharp or smeared, single or doubled walls."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from evalkit import se2
+from evalkit.metrics.maps import nearest_m
+from evalkit.metrics.table import Evidence, Mapped, Metric, number
+from evalkit.se2 import Floats
+from evalkit.types import Bools, Ints, OccupancyGrid, Score
+
+PATCH_M = 0.5
+FLATNESS = 9.0
+MIN_CELLS = 5
+MOST_PATCHES = 2000
+MIN_WALL_SHARE = 0.05
+CORNER_APART_M = 0.2
+CORNER_RESPONSE = 1.8e-5
+"""In units of (occupied - free)^4: right angles of walls 2 to 5 cells thick give 2e-5 to 1e-4, slanted walls less."""
+MIN_AREA_CELLS = 4
+CLEARED = -1.0
+MIN_SHARED = 100
+
+
+def entropy(grid: OccupancyGrid) -> float:
+    """Mean entropy of the observed cells, in nats: 0 where all is certain, ln 2 where nothing is known."""
+    p = grid.probability()[grid.observed]
+    p = np.clip(p, 1e-12, 1.0 - 1e-12)
+    return float(-np.mean(p * np.log(p) + (1.0 - p) * np.log(1.0 - p)))
+
+
+def thicknesses(grid: OccupancyGrid) -> tuple[Floats, float]:
+    """Wall thickness (K,) in metres where occupied cells lie along a line, and the share of patches that do.
+
+    A patch is all occupied cells within 0.5 m of one; its thickness is sqrt(lambda_min) of their covariance, cells
+    taken as squares, where lambda_max > 9 lambda_min. At most 2,000 patches, evenly spaced over the cells.
+    """
+    centres = grid.centres(grid.occupied())
+    chosen = np.unique(np.linspace(0, len(centres) - 1, min(MOST_PATCHES, len(centres))).astype(int))
+    balls = cKDTree(centres).query_ball_point(centres[chosen], PATCH_M, return_sorted=False)
+    neighbours = [np.asarray(ball, dtype=np.int64) for ball in balls]
+    counts = np.array([len(indices) for indices in neighbours])
+    offsets = centres[np.concatenate(neighbours)] - np.repeat(centres[chosen], counts, axis=0)
+    small, large = _eigenvalues(offsets, counts)
+    square = grid.resolution_m**2 / 12.0
+    flat = (counts >= MIN_CELLS) & (large + square > FLATNESS * (small + square))
+    return np.sqrt(small[flat] + square), float(flat.mean())
+
+
+def occupied_share(grid: OccupancyGrid) -> float:
+    """Occupied cells, of occupied and free ones; at least one cell must be either."""
+    occupied, free = grid.occupied().sum(), grid.free().sum()
+    return float(occupied / (occupied + free))
+
+
+def corners(grid: OccupancyGrid) -> int:
+    """How many corners the occupied cells show.
+
+    Laplacian of Gaussian (1 cell) of the 0/1 image, Harris response (window 1.5 cells, k = 0.05), peaks over an
+    absolute threshold, at most one within 0.2 m.
+    """
+    image = np.pad(_cropped(grid.occupied()), 8).astype(np.float32)
+    edges = -ndimage.gaussian_laplace(image, 1.0)
+    x, y = (ndimage.gaussian_filter(edges, 1.0, order=order) for order in ((0, 1), (1, 0)))
+    xx, xy, yy = (ndimage.gaussian_filter(product, 1.5) for product in (x * x, x * y, y * y))
+    response = xx * yy - xy * xy - 0.05 * (xx + yy) ** 2
+    reach = max(int(np.ceil(CORNER_APART_M / grid.resolution_m)), 1)
+    peaks = (response > CORNER_RESPONSE) & (response == ndimage.maximum_filter(response, 2 * reach + 1))
+    return int(ndimage.label(peaks, np.ones((3, 3)))[1])
+
+
+def enclosed_areas(grid: OccupancyGrid) -> Ints:
+    """Sizes (K,) in cells of the free areas shut in by anything not free, but for the largest, the drivable one.
+
+    Areas of fewer than 4 cells and areas at the border of the grid do not count.
+    """
+    free = grid.free()
+    labels, count = ndimage.label(free)
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
+    kept = sizes >= MIN_AREA_CELLS
+    if count:
+        kept[np.argmax(sizes)] = False
+    border = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
+    kept[border[border > 0] - 1] = False
+    return np.asarray(sizes[kept], dtype=np.int64)
+
+
+def cleared_share(hits: Floats, other: OccupancyGrid) -> tuple[float, int]:
+    """The share of hits (N, 2) in cells the other map has cleared (log-odds < -1), of those in observed cells."""
+    log_odds, observed = _looked_up(hits, other)
+    count = int(observed.sum())
+    return (float(np.mean(log_odds[observed] < CLEARED)), count) if count else (0.0, 0)
+
+
+def split_distances(first: OccupancyGrid, second: OccupancyGrid) -> Floats:
+    """Distance (N,) from the occupied cells of each map, where the other has observed, to the other's nearest one."""
+    cells = [grid.centres(grid.occupied()) for grid in (first, second)]
+    if not all(map(len, cells)):
+        return np.zeros(0)
+    shared = [cells[0][_looked_up(cells[0], second)[1]], cells[1][_looked_up(cells[1], first)[1]]]
+    return np.concatenate([nearest_m(shared[0], cells[1]), nearest_m(shared[1], cells[0])])
+
+
+def hits(mapped: Mapped) -> Floats:
+    """The hits (N, 2) of scans with known sensor poses, in the world (m)."""
+    return np.concatenate([np.zeros((0, 2)), *(se2.transform(pose, scan.points()) for scan, pose in mapped)])
+
+
+def _eigenvalues(offsets: Floats, counts: Ints) -> tuple[Floats, Floats]:
+    """Smaller and larger eigenvalue (K,) of the covariance of each run of ``counts`` (K,) offsets."""
+    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
+    x, y = offsets[:, 0], offsets[:, 1]
+    mean_x, mean_y, xx, xy, yy = (np.add.reduceat(v, starts) / counts for v in (x, y, x * x, x * y, y * y))
+    xx, xy, yy = xx - mean_x**2, xy - mean_x * mean_y, yy - mean_y**2
+    half, root = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
+    return np.maximum(half - root, 0.0), half + root
+
+
+def _cropped(mask: Bools) -> Bools:
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    return mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] if len(rows) else mask[:1, :1]
+
+
+def _looked_up(points: Floats, grid: OccupancyGrid) -> tuple[Floats, Bools]:
+    """Log-odds (N,) at points (N, 2), and which (N,) lie in observed cells."""
+    cells = np.floor((points - [grid.origin_x, grid.origin_y]) / grid.resolution_m).astype(np.int64)
+    rows, columns = cells[:, 1], cells[:, 0]
+    height, width = grid.shape
+    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
+    rows, columns = np.where(inside, rows, 0), np.where(inside, columns, 0)
+    return grid.log_odds[rows, columns].astype(np.float64), np.asarray(inside & grid.observed[rows, columns])
+
+
+def _of_grid(measure: Callable[[OccupancyGrid], Score]) -> Callable[[Evidence], Score]:
+    def compute(evidence: Evidence) -> Score:
+        grid = evidence.grid
+        if grid is None:
+            return Score(None, 0, "no map: the run answered no scan")
+        if not grid.occupied().any() or not grid.free().any():
+            return Score(None, 0, "the map has no occupied or no free cell")
+        return measure(grid)
+
+    return compute
+
+
+def _of_thicknesses(statistic: Callable[[Floats], np.floating | float]) -> Callable[[Evidence], Score]:
+    def measure(grid: OccupancyGrid) -> Score:
+        found, share = thicknesses(grid)
+        if share < MIN_WALL_SHARE or len(found) == 0:
+            return Score(None, len(found), f"only {100.0 * share:.0f} % of the occupied cells lie along a wall")
+        return number(statistic(found), len(found))
+
+    return _of_grid(measure)
+
+
+def _wall_share(grid: OccupancyGrid) -> Score:
+    return number(100.0 * thicknesses(grid)[1], min(int(grid.occupied().sum()), MOST_PATCHES))
+
+
+def _enclosed(grid: OccupancyGrid) -> Score:
+    return number(len(enclosed_areas(grid)), int(grid.free().sum()))
+
+
+def _enclosed_m2(grid: OccupancyGrid) -> Score:
+    return number(enclosed_areas(grid).sum() * grid.resolution_m**2, int(grid.free().sum()))
+
+
+def _cleared(evidence: Evidence) -> Score:
+    first, second, middle = evidence.first_half, evidence.second_half, len(evidence.mapped) // 2
+    if first is None or second is None:
+        return Score(None, 0, "no maps of both halves of the run")
+    one, shared_one = cleared_share(hits(evidence.mapped[:middle]), second)
+    other, shared_other = cleared_share(hits(evidence.mapped[middle:]), first)
+    if min(shared_one, shared_other) < MIN_SHARED:
+        return Score(None, shared_one + shared_other, "both halves of the run hardly see the same places")
+    return number(50.0 * (one + other), shared_one + shared_other)
+
+
+def _split(evidence: Evidence) -> Score:
+    if evidence.first_half is None or evidence.second_half is None:
+        return Score(None, 0, "no maps of both halves of the run")
+    distances = split_distances(evidence.first_half, evidence.second_half)
+    if len(distances) < MIN_SHARED:
+        return Score(None, len(distances), "both halves of the run hardly see the same places")
+    return number(distances.mean(), len(distances))
+
+
+def _cells(grid: OccupancyGrid) -> int:
+    return int((grid.occupied() | grid.free()).sum())
+
+
+FILATOV = "after Filatov et al., arXiv 1708.02354, 2017; thresholds and units frozen by evalkit"
+WARP = "a smooth warp of the whole map; it compares maps of the same scans by the same mapper only"
+WALL = "Spread across the wall of the occupied cells within 0.5 m of one, sqrt(lambda_min), where they lie along a line"
+
+METRICS = (
+    Metric("map_entropy", "map entropy", "nat", "lower", "map consistency",
+           "Mean entropy of the occupancy over the cells that a beam has touched.", "Blanco et al., RSS 2008 (map "
+           "entropy); per observed cell: evalkit", WARP,
+           _of_grid(lambda grid: number(entropy(grid), int(grid.observed.sum()))), 4, headline=True),
+    Metric("wall_thickness_m", "wall thickness", "m", "lower", "map consistency",
+           f"{WALL} (lambda_max > 9 lambda_min); mean over at most 2,000 patches. A wall w wide gives w / sqrt(12).",
+           "Razlaw et al., ECMR 2015 (plane variance), on grid cells: evalkit",
+           f"walls doubled farther than 0.3 m apart, which no longer count as a line; {WARP}",
+           _of_thicknesses(np.mean), headline=True),
+    Metric("wall_thickness_p95_m", "wall thickness, 95 %", "m", "lower", "map consistency",
+           f"{WALL}; 95th percentile.", "as wall thickness", f"walls doubled farther than 0.3 m apart; {WARP}",
+           _of_thicknesses(lambda found: np.percentile(found, 95))),
+    Metric("wall_share_percent", "cells along a wall", "%", "higher", "map consistency",
+           "Patches of 0.5 m around occupied cells in which the cells lie along a line, of all patches.",
+           "as wall thickness", f"how thick the walls are; furniture and corners lower it; {WARP}",
+           _of_grid(_wall_share), 1),
+    Metric("split_distance_m", "halves of the run apart", "m", "lower", "map consistency",
+           "Distance from the occupied cells of the map of one half of the run, where the other half has looked, to "
+           "the nearest occupied cell of the other half's map; mean over both directions.", "evalkit",
+           f"drift within places seen in one half only; {WARP}", _split),
+    Metric("cleared_percent", "free-space violation", "%", "lower", "map consistency",
+           "Hits of one half of the run in cells the other half has cleared (log-odds < -1), of those in cells it has "
+           "observed; mean of both directions.", "evalkit", "drift along a wall; people walking raise it; " + WARP,
+           _cleared, 2),
+    Metric("occupied_percent", "occupied share", "%", "", "map consistency",
+           "Occupied cells (p > 0.65), of occupied and free (p < 0.196) ones.", FILATOV,
+           "most errors: smearing can raise or lower it",
+           _of_grid(lambda grid: number(100.0 * occupied_share(grid), _cells(grid))), 2),
+    Metric("corners", "corners", "", "lower", "map consistency",
+           "Corners of the occupied cells: Harris peaks on their Laplacian of Gaussian, at most one within 0.2 m.",
+           FILATOV, f"walls smeared until their corners vanish; {WARP}",
+           _of_grid(lambda grid: number(corners(grid), int(grid.occupied().sum()))), 0),
+    Metric("enclosed_areas", "enclosed areas", "", "lower", "map consistency",
+           "Free areas of at least 4 cells shut in by occupied or unknown cells, without the largest and without those "
+           "at the grid's border.", FILATOV, f"copies that leave no gap between them; {WARP}", _of_grid(_enclosed), 0),
+    Metric("enclosed_m2", "enclosed area", "m2", "lower", "map consistency",
+           "Total size of the enclosed areas.", FILATOV, f"copies that leave no gap between them; {WARP}",
+           _of_grid(_enclosed_m2), 2),
+)  # fmt: skip

@@ -1,0 +1,152 @@
+"""How well scans lie on each other under the estimate: measured alike for all, and as the back ends say themselves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Literal
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from evalkit import se2
+from evalkit.metrics.table import Evidence, Mapped, Metric, number
+from evalkit.se2 import Floats
+from evalkit.types import Ints, Scan, Score
+
+MAX_PAIR_M = 0.5
+KEYFRAMES = 10
+KEYFRAME_M = 0.5
+KEYFRAME_RAD = np.radians(20.0)
+MIN_PAIRS = 10
+"""Residuals of fewer pairs are not believed."""
+
+MOST_SCANS = 100
+"""Of more mapped scans, this many are measured, evenly spaced."""
+
+MAX_STEP_M = 2.0
+"""Scans farther apart (median) than this are no longer neighbours."""
+
+
+def nearest(source: Floats, target: cKDTree, max_pair_m: float = MAX_PAIR_M) -> tuple[Floats, Ints]:
+    """Distance and index (N,) of the target point nearest to each source point (N, 2); inf where none is so near."""
+    distances, indices = target.query(source, distance_upper_bound=max_pair_m)
+    return np.asarray(distances, dtype=np.float64), np.asarray(indices, dtype=np.int64)
+
+
+def one_to_one(distances: Floats, nearest: Ints) -> Floats:
+    """Distances (K,) of the pairs that stay when each target point keeps only its closest source point (paper)."""
+    order = np.argsort(distances, kind="stable")
+    order = order[np.isfinite(distances[order])]
+    _, closest = np.unique(nearest[order], return_index=True)
+    return distances[order][closest]
+
+
+def scan_to_scan(mapped: Mapped) -> Floats:
+    """Per measured scan (K, 2): mean distance (m) of its pairs with the scan before it, and the share of it paired."""
+    measured = _measured(len(mapped))
+    return _residuals((_points(mapped[index]), cKDTree(_points(mapped[index - 1]))) for index in measured)
+
+
+def scan_to_map(mapped: Mapped) -> Floats:
+    """Per measured scan (K, 2): mean distance (m) of its pairs with the last keyframes, and the share of it paired.
+
+    A keyframe is a scan whose sensor moved 0.5 m or 20 deg from the keyframe before; ten make the submap.
+    """
+    return _residuals(_against_submap(mapped))
+
+
+def step_m(mapped: Mapped) -> float:
+    """Median distance the sensor went from one mapped scan to the next."""
+    poses = np.array([pose for _, pose in mapped])
+    return float(np.median(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1)))
+
+
+def keyframes(poses: Floats) -> Ints:
+    """Indices (K,) of the poses (N, 3) that moved 0.5 m or 20 deg from the keyframe before; the first is one."""
+    found = [0]
+    for index in range(1, len(poses)):
+        x, y, theta = se2.between(poses[found[-1]], poses[index])
+        if np.hypot(x, y) >= KEYFRAME_M or abs(theta) >= KEYFRAME_RAD:
+            found.append(index)
+    return np.array(found, dtype=np.int64)
+
+
+def _against_submap(mapped: Mapped) -> Iterator[tuple[Floats, cKDTree]]:
+    frames = keyframes(np.array([pose for _, pose in mapped]))
+    tree, until = cKDTree(np.zeros((0, 2))), 0
+    for index in _measured(len(mapped)):
+        before = int(np.searchsorted(frames, index))  # keyframes strictly before this scan
+        if before != until:
+            tree, until = cKDTree(np.concatenate([_points(mapped[k]) for k in frames[:before][-KEYFRAMES:]])), before
+        yield _points(mapped[index]), tree
+
+
+def _measured(count: int) -> list[int]:
+    """The indices of the scans to measure; never the first, which has nothing before it."""
+    return [int(i) for i in np.unique(np.linspace(1, count - 1, min(MOST_SCANS, count - 1)).astype(int))]
+
+
+def _points(scan_and_pose: tuple[Scan, Floats]) -> Floats:
+    scan, world_from_sensor = scan_and_pose
+    return se2.transform(world_from_sensor, scan.points())
+
+
+def _residuals(clouds: Iterator[tuple[Floats, cKDTree]]) -> Floats:
+    rows = [np.zeros((0, 2))]
+    for source, target in clouds:
+        if len(source) == 0 or target.n == 0:
+            continue
+        distances, indices = nearest(source, target)
+        pairs = one_to_one(distances, indices)
+        mean = pairs.mean() if len(pairs) >= MIN_PAIRS else np.nan
+        rows.append(np.array([[mean, np.isfinite(distances).mean()]]))
+    return np.concatenate(rows)
+
+
+def _uniform(residuals: Callable[[Mapped], Floats], column: int, evidence: Evidence) -> Score:
+    if len(evidence.mapped) < 2:
+        return Score(None, 0, "fewer than two mapped scans")
+    step = step_m(evidence.mapped)
+    if step > MAX_STEP_M:
+        return Score(None, 0, f"mapped scans are {step:.1f} m apart: too far to lie on each other")
+    values = residuals(evidence.mapped)[:, column]
+    values = values[np.isfinite(values)]
+    if len(values) == 0:
+        return Score(None, 0, f"no scan has {MIN_PAIRS} pairs within {MAX_PAIR_M:g} m")
+    return number(np.median(values) * (100.0 if column else 1.0), len(values))
+
+
+def _own(stage: str, field: Literal["error", "iterations"], evidence: Evidence) -> Score:
+    values = evidence.run.steps[f"{stage}_{field}"].astype(np.float64)
+    told = np.isfinite(values) if field == "error" else values > 0.0
+    if not told.any():
+        return Score(None, 0, "the back end tells none")
+    return number(np.median(values[told]), int(told.sum()))
+
+
+PAPER = "the paper, eq. 5 and figure 9; the same pairs for every back end: evalkit"
+LOOKS_GOOD = "a match that is smoothly wrong, as along a corridor; points farther off than 0.5 m; rest at one place"
+
+METRICS = (
+    Metric("s2s_m", "S2S residual", "m", "lower", "residuals",
+           "Mean distance over the one-to-one nearest pairs within 0.5 m between a mapped scan and the one before it "
+           "under the estimated trajectory; median over at most 100 scans.", PAPER, LOOKS_GOOD,
+           partial(_uniform, scan_to_scan, 0), 4),
+    Metric("s2m_m", "S2M residual", "m", "lower", "residuals",
+           "The same against the submap of the last ten keyframes (0.5 m or 20 deg apart).", PAPER, LOOKS_GOOD,
+           partial(_uniform, scan_to_map, 0), 4, headline=True),
+    Metric("s2m_paired_percent", "S2M points paired", "%", "higher", "residuals",
+           "Points of a mapped scan within 0.5 m of the submap of the last ten keyframes; median over the same scans.",
+           "evalkit", "how well the paired points lie; new places are seen without a fault of the estimate",
+           partial(_uniform, scan_to_map, 1), 1),
+    *(Metric(f"own_{stage}_m", f"own {stage.upper()} error", "m", "", "residuals",
+             f"The error the back end itself reports for its {words} stage, by its own definition; median over scans.",
+             "the back end", "everything the back end does not look at; not comparable between back ends",
+             partial(_own, stage, "error"), 4) for stage, words in (("s2s", "scan-to-scan"), ("s2m", "scan-to-map"))),
+    *(Metric(f"{stage}_iterations", f"{stage.upper()} iterations", "", "", "residuals",
+             f"Iterations of the {words} stage; median over scans.", "the back end",
+             "what one iteration costs; not comparable between methods",
+             partial(_own, stage, "iterations"), 1)
+      for stage, words in (("s2s", "scan-to-scan"), ("s2m", "scan-to-map"))),
+)  # fmt: skip

@@ -1,0 +1,126 @@
+"""Holds an estimate against measured motions between pairs of times, which need no common frame."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from evalkit import se2
+from evalkit.metrics.table import Evidence, Metric, number
+from evalkit.metrics.trajectory import bracketed
+from evalkit.se2 import Floats
+from evalkit.types import Bools, Relations, Score, Trajectory
+
+Part = Literal["short", "long", "all"]
+
+MAX_GAP_S = 2.0
+"""The estimate is interpolated at a relation's stamps between answers at most this far apart."""
+
+SHORT_S = 10.0
+"""Relations over less time tell local consistency, the others drift."""
+
+NOISE_FLOOR_M = 0.03
+"""The published relations themselves are not better than this: smaller differences rank nobody."""
+
+
+def symmetric_errors(estimated: ArrayLike, measured: ArrayLike) -> Floats:
+    """Metres and radians (M, 2) between motions ``first_from_second`` (M, 3): half of each order of the pair.
+
+    The translation error depends on the order in which the pair was written down; the mean of both does not.
+    """
+    forward = ordered_errors(estimated, measured)
+    backward = ordered_errors(se2.inverse(estimated), se2.inverse(measured))
+    metres = 0.5 * (np.linalg.norm(forward[:, :2], axis=1) + np.linalg.norm(backward[:, :2], axis=1))
+    return np.stack([metres, np.abs(forward[:, 2])], axis=1)
+
+
+def ordered_errors(estimated: ArrayLike, measured: ArrayLike) -> Floats:
+    """The motions (M, 3) measured^-1 estimated: Kuemmerle et al., Autonomous Robots 27, 2009, as printed."""
+    return se2.between(measured, estimated)
+
+
+def componentwise_errors(estimated: ArrayLike, measured: ArrayLike) -> Floats:
+    """The differences (M, 3) of x, y and heading, as that paper's own evaluator takes them; the norms are the same."""
+    difference = np.asarray(estimated, dtype=np.float64) - np.asarray(measured, dtype=np.float64)
+    difference[:, 2] = se2.wrap(difference[:, 2])
+    return difference
+
+
+def cartographer_errors(estimated: ArrayLike, measured: ArrayLike) -> Floats:
+    """The motions (M, 3) estimated measured^-1, as Cartographer's evaluator takes them: the pair's other order."""
+    return se2.compose(estimated, se2.inverse(measured))
+
+
+def estimated_motions(estimate: Trajectory, relations: Relations, max_gap_s: float = MAX_GAP_S) -> tuple[Floats, Bools]:
+    """The estimate's ``first_from_second`` (K, 3), and which relations (M,) it can answer at all."""
+    answered = bracketed(estimate.stamps_ns, relations.first_ns, max_gap_s) & bracketed(
+        estimate.stamps_ns, relations.second_ns, max_gap_s
+    )
+    world_from_first = estimate.at(relations.first_ns[answered])
+    return se2.between(world_from_first, estimate.at(relations.second_ns[answered])), answered
+
+
+def in_part(relations: Relations, part: Part) -> Bools:
+    """Which relations (M,) span less than 10 s ("short"), 10 s or more ("long"), or anything ("all")."""
+    short = np.abs(relations.second_ns - relations.first_ns) < SHORT_S * 1e9
+    return np.asarray({"short": short, "long": ~short, "all": np.ones_like(short)}[part])
+
+
+def _scored(part: Part, column: int, statistic: Callable[[Floats], np.floating]) -> Callable[[Evidence], Score]:
+    def compute(evidence: Evidence) -> Score:
+        relations = evidence.truth.relations
+        if relations is None or len(relations) == 0:
+            return Score(None, 0, "no measured relations")
+        wanted = in_part(relations, part)
+        motions, answered = estimated_motions(evidence.run.estimate, relations)
+        measured = relations.first_from_second[answered]
+        errors = symmetric_errors(motions, measured)[wanted[answered], column]
+        if len(errors) == 0:
+            kind = "" if part == "all" else f"{part} "
+            return Score(None, 0, f"the estimate answers none of {wanted.sum()} {kind}relations")
+        return number(statistic(np.degrees(errors) if column else errors), len(errors))
+
+    return compute
+
+
+def _answered(evidence: Evidence) -> Score:
+    relations = evidence.truth.relations
+    if relations is None or len(relations) == 0:
+        return Score(None, 0, "no measured relations")
+    return number(100.0 * estimated_motions(evidence.run.estimate, relations)[1].mean(), len(relations))
+
+
+_SPANS: dict[Part, str] = {
+    "short": "pairs of times less than 10 s apart",
+    "long": "pairs of times 10 s apart or more",
+    "all": "all pairs of times",
+}
+_STATISTICS: dict[str, tuple[str, Callable[[Floats], np.floating]]] = {
+    "mean": ("Mean", np.mean),
+    "sd": ("Standard deviation of the", np.std),
+}
+_ERRORS = (("m", "translation", 3), ("deg", "rotation", 2))
+_BLIND: dict[Part, str] = {
+    "short": "drift over the whole path, and differences below the relations' own noise of about 0.03 m",
+    "long": "where on the way the error arose, and differences below the relations' own noise of about 0.03 m",
+    "all": "whether few relations are very wrong or many a little; the mix of short and long is the recorder's",
+}
+
+METRICS = (
+    *(
+        Metric(f"relations_{part}_{name}_{unit}", f"relations, {part}, {name} {what}", unit, "lower", "relations",
+               f"{words} {what} error of the estimated motions between {_SPANS[part]}; the translation error is "
+               "averaged over both orders of the pair; answers are interpolated between scans at most 2 s apart.",
+               "Kuemmerle et al., Autonomous Robots 27, 2009; both orders: evalkit", _BLIND[part],
+               _scored(part, column, statistic), digits, headline=(part, name, unit) == ("short", "mean", "m"))
+        for part in _SPANS
+        for name, (words, statistic) in _STATISTICS.items()
+        for column, (unit, what, digits) in enumerate(_ERRORS)
+    ),
+    Metric("relations_answered_percent", "relations answered", "%", "higher", "relations",
+           "Relations both of whose times lie between answers at most 2 s apart, of all.", "evalkit",
+           "whether the answers are right", _answered, 1),
+)  # fmt: skip

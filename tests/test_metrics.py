@@ -1,0 +1,91 @@
+"""The table of all metrics: complete cards, unique names, and an answer to every kind of run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evalkit import metrics
+from evalkit.metrics.table import Evidence, Metric, number
+from evalkit.metrics.trajectory import match
+from evalkit.types import STEP, Run, Score, Trajectory, Truth
+
+
+def run(poses: list[tuple[float, float, float]]) -> Run:
+    steps = np.zeros(len(poses), STEP)
+    steps["stamp_ns"] = np.arange(len(poses)) * 100_000_000
+    for column, name in enumerate(("x", "y", "theta")):
+        steps[name] = [pose[column] for pose in poses]
+    return Run("b", "s", "failed", "it broke", steps, 100)
+
+
+def evidence(of: Run, truth: Truth) -> Evidence:
+    return Evidence(of, truth, match(of.estimate, truth.trajectory), None, ())
+
+
+def test_names_are_unique_and_every_card_is_filled_in() -> None:
+    names = [metric.name for metric in metrics.METRICS]
+    assert len(names) == len(set(names))
+    for metric in metrics.METRICS:
+        assert metric.label, metric.name
+        assert metric.definition.endswith("."), metric.name
+        assert metric.source, metric.name
+        assert metric.blind_to, metric.name
+
+
+def test_names_end_in_the_unit_of_their_numbers() -> None:
+    endings = {
+        "m": "_m",
+        "deg": "_deg",
+        "%": "_percent",
+        "ms": "_ms",
+        "MiB": "_mib",
+        "deg/m": "_deg_per_m",
+        "m2": "_m2",
+    }
+    for metric in metrics.METRICS:
+        if metric.unit in endings and metric.name != "drift_deg_per_turn":
+            assert metric.name.endswith(endings[metric.unit]), metric.name
+
+
+def test_about_ten_metrics_lead_and_each_has_a_direction() -> None:
+    leading = [metric for metric in metrics.METRICS if metric.headline]
+    assert 8 <= len(leading) <= 12
+    assert all(metric.better for metric in leading)
+
+
+def test_a_run_that_answered_nothing_gets_a_reason_from_every_metric_but_what_it_answered() -> None:
+    truth = Truth("exact", Trajectory(np.arange(5) * 100_000_000, np.zeros((5, 3))))
+    found = metrics.score(evidence(run([]), truth))
+    assert list(found) == [metric.name for metric in metrics.METRICS]
+    told = {name: score.value for name, score in found.items() if score.value is not None}
+    assert told == {"answered_percent": 0.0, "covered_percent": 0.0}
+
+
+def test_a_sequence_without_truth_gets_a_reason_from_every_metric_that_needs_it() -> None:
+    found = metrics.score(evidence(run([(0.0, 0, 0), (1.0, 0, 0)]), Truth("none")))
+    reasons = {"ate_rmse_m": "no true trajectory", "drift_percent": "no true trajectory"}
+    reasons |= {"relations_all_mean_m": "no measured relations", "map_f1": "no true map"}
+    assert {name: found[name].reason for name in reasons} == reasons
+    assert found["answered_percent"].value == 2.0
+
+
+@pytest.mark.filterwarnings("error")
+def test_an_estimate_that_flew_away_is_answered_without_a_warning() -> None:
+    truth = Truth("exact", Trajectory(np.arange(3) * 100_000_000, np.array([[0.0, 0, 0], [1, 0, 0], [2, 1, 0]])))
+    found = metrics.score(evidence(run([(0.0, 0, 0), (1e200, 0, 0), (-1e300, 3, 0)]), truth))
+    assert found["ate_rmse_m"] == Score(None, 3, "not finite: the estimate has diverged")
+
+
+def test_a_strangers_metric_is_scored_like_our_own() -> None:
+    card: Metric = replace(metrics.METRICS[0], name="scans", compute=lambda seen: number(len(seen.run.steps), 1))
+    of = run([(0.0, 0, 0)])
+    assert metrics.score(evidence(of, Truth("none")), [card]) == {"scans": Score(1.0, 1)}
+
+
+def test_a_number_that_is_not_finite_is_no_score() -> None:
+    assert number(math.nan, 7).value is None
+    assert number(np.float64(2.0), 7) == Score(2.0, 7)

@@ -1,0 +1,156 @@
+"""Maps judged by themselves: closed forms for bands, squares, slivers and certainties."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from evalkit.metrics import consistency
+from evalkit.metrics.table import Evidence, Mapped
+from evalkit.types import STEP, Bools, OccupancyGrid, Run, Scan, Score, Truth
+
+
+def grid(occupied: Bools, free: Bools | None = None, resolution_m: float = 0.05) -> OccupancyGrid:
+    """Occupied cells, free cells (all others by default), the rest unobserved."""
+    free = ~occupied if free is None else free
+    log_odds = np.where(occupied, 4.0, np.where(free, -4.0, 0.0)).astype(np.float32)
+    return OccupancyGrid(log_odds, occupied | free, resolution_m, 0.0, 0.0)
+
+
+def band(cells: int, length: int = 200) -> Bools:
+    """A wall that many cells thick along x."""
+    occupied = np.zeros((60, length), np.bool_)
+    occupied[20 : 20 + cells] = True
+    return occupied
+
+
+def square(side: int, thick: int, shape: tuple[int, int] = (160, 160)) -> Bools:
+    """The walls of a square room in the middle of the grid."""
+    occupied = np.zeros(shape, np.bool_)
+    low, high = (shape[0] - side) // 2, (shape[0] + side) // 2
+    occupied[low:high, low:high] = True
+    occupied[low + thick : high - thick, low + thick : high - thick] = False
+    return occupied
+
+
+def scores(
+    whole: OccupancyGrid | None,
+    first: OccupancyGrid | None = None,
+    second: OccupancyGrid | None = None,
+    mapped: Mapped = (),
+) -> dict[str, Score]:
+    run = Run("b", "s", "complete", "", np.zeros(0, STEP), 0)
+    evidence = Evidence(run, Truth("none"), None, whole, mapped, first, second)
+    return {metric.name: metric.compute(evidence) for metric in consistency.METRICS}
+
+
+def test_entropy_is_that_of_the_observed_cells_alone() -> None:
+    log_odds = np.array([[0.0, np.log(3.0)], [-np.log(3.0), 0.0]], np.float32)
+    observed = np.array([[True, True], [True, False]])
+    quarter = -(0.25 * np.log(0.25) + 0.75 * np.log(0.75))
+    found = consistency.entropy(OccupancyGrid(log_odds, observed, 0.05, 0.0, 0.0))
+    assert found == pytest.approx((np.log(2.0) + 2 * quarter) / 3, rel=1e-6)
+
+
+@pytest.mark.parametrize("cells", [1, 2, 4])
+def test_a_band_of_width_w_is_w_over_root_twelve_thick(cells: int) -> None:
+    found = scores(grid(band(cells)))
+    assert found["wall_thickness_m"].value == pytest.approx(cells * 0.05 / np.sqrt(12.0), rel=0.01)
+    share = found["wall_share_percent"].value
+    assert share is not None
+    assert share >= 98.0  # at its two ends a thick band is no line
+
+
+def test_thickness_is_in_metres_whatever_the_resolution() -> None:
+    coarse = consistency.thicknesses(grid(band(2)))[0].mean()
+    fine = np.repeat(np.repeat(band(2), 2, axis=0), 2, axis=1)
+    assert consistency.thicknesses(grid(fine, resolution_m=0.025))[0].mean() == pytest.approx(coarse, rel=0.02)
+
+
+def test_a_wall_drawn_twice_a_little_apart_is_thicker() -> None:
+    twice = band(1) | np.roll(band(1), 3, axis=0)
+    once = scores(grid(band(1)))["wall_thickness_p95_m"].value
+    # two cells 3 apart: variance 1.5^2 cells and a square's own 1/12
+    assert scores(grid(twice))["wall_thickness_m"].value == pytest.approx(0.05 * np.sqrt(1.5**2 + 1 / 12), rel=0.01)
+    assert once == pytest.approx(0.05 / np.sqrt(12.0))
+
+
+def test_scattered_cells_are_no_wall() -> None:
+    scattered = np.random.default_rng(0).random((200, 200)) < 0.05
+    found = scores(grid(scattered))
+    assert found["wall_thickness_m"].value is None
+    assert found["wall_thickness_m"].reason.endswith("of the occupied cells lie along a wall")
+
+
+@pytest.mark.parametrize("thick", [2, 3, 4])
+def test_a_square_room_has_four_corners_and_a_copy_beside_it_four_more(thick: int) -> None:
+    one = square(60, thick)
+    assert consistency.corners(grid(one)) == 4
+    two = np.concatenate([one, one])
+    assert consistency.corners(grid(two)) == 8
+    assert consistency.corners(grid(np.pad(one, 13))) == 4
+    assert consistency.corners(grid(band(thick) & False)) == 0
+
+
+def test_slivers_between_copies_of_a_wall_are_counted_without_the_room_and_the_border() -> None:
+    occupied = square(60, 2) | np.roll(square(60, 2), 6, axis=1)
+    free = np.zeros_like(occupied)
+    free[52:108, 52:116] = ~occupied[52:108, 52:116]
+    free[0, :10] = True
+    # one sliver on either side of the room, 4 columns wide and 56 rows high; the room is 50 columns wide
+    assert consistency.enclosed_areas(grid(occupied, free)).tolist() == [224, 224]
+    found = scores(grid(occupied, free))
+    assert found["enclosed_areas"].value == 2
+    assert found["enclosed_m2"].value == pytest.approx(2 * 224 * 0.05**2)
+
+
+def test_unknown_cells_enclose_and_three_cells_are_no_area() -> None:
+    free = np.zeros((30, 30), np.bool_)
+    free[2:12, 2:12] = True
+    free[20, 4:8] = True
+    free[25, 4:7] = True
+    occupied = np.zeros_like(free)
+    occupied[2, 2] = True
+    assert consistency.enclosed_areas(grid(occupied, free & ~occupied)).tolist() == [4]
+
+
+def test_occupied_share_leaves_the_unknown_out() -> None:
+    occupied, free = band(1), np.zeros((60, 200), np.bool_)
+    free[30:33] = True
+    assert scores(grid(occupied, free))["occupied_percent"].value == pytest.approx(25.0)
+
+
+def wall_scan(distance_m: float) -> tuple[Scan, np.ndarray]:
+    """200 hits on a wall across x, seen from the lower left, and where the sensor stood."""
+    y = np.linspace(-1.0, 1.0, 200)
+    scan = Scan(0, np.hypot(distance_m, y), np.arctan2(y, distance_m), 0.0, 20.0)
+    return scan, np.array([0.5, 1.5, 0.0])
+
+
+def test_hits_where_the_other_half_saw_free_space_are_violations() -> None:
+    # the wall stands at x = 3.0; half of the hits of the second half lie 0.5 m before it
+    occupied = np.zeros((60, 80), np.bool_)
+    occupied[:, 60] = True
+    half = grid(occupied)
+    mapped = (wall_scan(2.525), wall_scan(2.525), wall_scan(2.525), wall_scan(2.025))
+    found = scores(half, half, half, mapped)["cleared_percent"]
+    assert found == Score(25.0, 800)
+
+
+def test_halves_that_see_different_places_have_no_violations_to_count() -> None:
+    nowhere = OccupancyGrid(np.zeros((3, 3), np.float32), np.zeros((3, 3), np.bool_), 0.05, 0.0, 0.0)
+    found = scores(grid(band(1)), nowhere, grid(band(1)), (wall_scan(2.5), wall_scan(2.5)))
+    assert found["cleared_percent"].reason == "both halves of the run hardly see the same places"
+    assert found["split_distance_m"].reason == "both halves of the run hardly see the same places"
+
+
+def test_halves_three_cells_apart_are_fifteen_centimetres_apart() -> None:
+    first, second = grid(band(1)), grid(np.roll(band(1), 3, axis=0))
+    assert scores(first, first, second)["split_distance_m"].value == pytest.approx(0.15)
+
+
+def test_without_a_map_there_is_a_reason_for_everything() -> None:
+    nothing = scores(None)
+    assert all(score.value is None and score.reason for score in nothing.values())
+    unseen = OccupancyGrid(np.zeros((3, 3), np.float32), np.zeros((3, 3), np.bool_), 0.05, 0.0, 0.0)
+    assert scores(unseen)["map_entropy"].reason == "the map has no occupied or no free cell"

@@ -1,0 +1,96 @@
+"""Maps held against the truth: shifted walls, brute force, and grids that share neither origin nor resolution."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from evalkit.metrics import maps
+from evalkit.metrics.table import Evidence
+from evalkit.types import STEP, Bools, OccupancyGrid, Run, Score, Truth
+
+
+def grid(occupied: Bools, resolution_m: float = 0.05, origin_x: float = 0.0, origin_y: float = 0.0) -> OccupancyGrid:
+    log_odds = np.where(occupied, 4.0, -4.0).astype(np.float32)
+    return OccupancyGrid(log_odds, np.ones(occupied.shape, np.bool_), resolution_m, origin_x, origin_y)
+
+
+def wall(column: int, shape: tuple[int, int] = (40, 60)) -> Bools:
+    """One wall along y, one cell thick."""
+    occupied = np.zeros(shape, np.bool_)
+    occupied[:, column] = True
+    return occupied
+
+
+def scores(mapped: OccupancyGrid | None, true: OccupancyGrid | None) -> dict[str, Score]:
+    run = Run("b", "s", "complete", "", np.zeros(0, STEP), 0)
+    evidence = Evidence(run, Truth("exact", grid=true), None, mapped, ())
+    return {metric.name: metric.compute(evidence) for metric in maps.METRICS}
+
+
+def test_the_true_map_scores_perfectly_against_itself() -> None:
+    same = scores(grid(wall(20)), grid(wall(20)))
+    assert same["map_f1"] == same["map_iou"] == Score(1.0, 80)
+    assert same["map_chamfer_m"].value == same["map_wall_p95_m"].value == 0.0
+
+
+def test_a_wall_shifted_by_two_cells_is_within_ten_centimetres_and_by_three_is_not() -> None:
+    two, three = (scores(grid(wall(20 + cells)), grid(wall(20))) for cells in (2, 3))
+    assert (two["map_f1"].value, two["map_iou"].value) == (1.0, 0.0)
+    assert two["map_wall_mean_m"].value == pytest.approx(0.10)
+    assert (three["map_f1"].value, three["map_precision"].value, three["map_recall"].value) == (0.0, 0.0, 0.0)
+    assert three["map_chamfer_m"].value == pytest.approx(0.15)
+
+
+def test_a_doubled_wall_costs_precision_and_a_missing_one_recall() -> None:
+    doubled = scores(grid(wall(20) | wall(40)), grid(wall(20)))
+    assert (doubled["map_precision"].value, doubled["map_recall"].value) == (0.5, 1.0)
+    assert doubled["map_f1"].value == pytest.approx(2 / 3)
+    assert doubled["map_wall_mean_m"].value == pytest.approx(0.5)
+    missing = scores(grid(wall(20)), grid(wall(20) | wall(40)))
+    assert (missing["map_precision"].value, missing["map_recall"].value) == (1.0, 0.5)
+    assert missing["map_chamfer_m"].value == pytest.approx(0.25)
+
+
+def test_random_maps_score_as_by_brute_force() -> None:
+    rng = np.random.default_rng(0)
+    mapped = grid(rng.random((20, 25)) < 0.03, 0.05, 0.3, -0.2)
+    true = grid(rng.random((24, 18)) < 0.03, 0.04, 0.1, -0.1)
+    ours, theirs = mapped.centres(mapped.occupied()), true.centres(true.occupied())
+    distances = np.linalg.norm(ours[:, None] - theirs[None], axis=2)
+    precision, recall = (distances.min(axis=1) <= 0.1).mean(), (distances.min(axis=0) <= 0.1).mean()
+    found = scores(mapped, true)
+    assert found["map_precision"].value == pytest.approx(precision)
+    assert found["map_recall"].value == pytest.approx(recall)
+    assert found["map_f1"].value == pytest.approx(2 * precision * recall / (precision + recall))
+    assert found["map_chamfer_m"].value == pytest.approx(
+        (distances.min(axis=1).mean() + distances.min(axis=0).mean()) / 2
+    )
+    assert found["map_wall_p95_m"].value == pytest.approx(np.percentile(distances.min(axis=1), 95))
+
+
+def test_moving_both_grids_or_padding_one_changes_nothing() -> None:
+    rng = np.random.default_rng(1)
+    ours, theirs = rng.random((30, 30)) < 0.05, rng.random((30, 30)) < 0.05
+    here = scores(grid(ours), grid(theirs))
+    moved = scores(grid(ours, 0.05, 12.3, -4.0), grid(theirs, 0.05, 12.3, -4.0))
+    padded = scores(grid(np.pad(ours, 7), 0.05, -0.35, -0.35), grid(theirs))
+    for name, score in here.items():
+        assert moved[name].value == pytest.approx(score.value), name
+        assert padded[name].value == pytest.approx(score.value), name
+
+
+def test_iou_compares_at_the_coarser_resolution() -> None:
+    coarse = grid(wall(5, (10, 15)), 0.2)
+    fine = grid(np.kron(coarse.occupied(), np.ones((4, 4))) > 0, 0.05)
+    assert scores(fine, coarse)["map_iou"].value == 1.0
+    assert scores(coarse, fine)["map_iou"].value == 1.0
+
+
+def test_a_map_without_walls_scores_nothing_and_without_truth_has_no_score() -> None:
+    empty = grid(np.zeros((5, 5), np.bool_))
+    found = scores(empty, grid(wall(20)))
+    assert (found["map_f1"].value, found["map_recall"].value) == (0.0, 0.0)
+    assert found["map_precision"].reason == "the map has no wall"
+    assert scores(empty, None)["map_f1"].reason == "no true map"
+    assert scores(None, grid(wall(20)))["map_f1"].reason == "no map: the run answered no scan"
