@@ -1,0 +1,248 @@
+"""A ROS bag as a Sequence: ROS 1 .bag, ROS 2 folder, .db3 or .mcap, read without ROS.
+
+``scan.stamp_ns`` is the header's time (the first beam), not the time of recording. Ranges follow REP-117: inf is no
+return; -inf, nan, zero, negative and anything under the sensor's minimum is invalid. Its maximum itself is no return,
+too: drivers write it for beams that met nothing (2.5 % of the backpack's are exactly 60 m). A lidar mounted upside
+down has its angles mirrored, so that base_from_sensor stays a motion of the plane.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+import numpy as np
+
+from evalkit.errors import BadData
+from evalkit.protocols import DatasetSpec, Parameter
+from evalkit.se2 import Floats, Stamps, between, compose
+from evalkit.types import Bools, Frame, Pose, Scan, Trajectory, Truth
+from evalkit_datasets import bag, recording
+from evalkit_datasets.bag import Contents, Sweep
+from evalkit_datasets.stamps import ordered
+from evalkit_datasets.transforms import Mounting, planar
+
+BASE_FRAMES = ("base_link", "base_footprint", "base")
+
+Samples = list[tuple[int, Floats]]
+
+
+class RosBag:
+    """The Sequence of one laser topic of a bag.
+
+    Odometry "auto": the nav_msgs/Odometry topic, filled up by tf of the same two frames; without one, tf from "odom"
+    to the base; else none. It is interpolated at the scan's first and last beam.
+    """
+
+    def __init__(
+        self,
+        path: str,
+        topic: str = "",
+        relations: str = "",
+        reference: str = "",
+        odometry: str = "auto",
+        base_frame: str = "",
+        base_from_sensor: str = "auto",
+        start: int = 0,
+        every: int = 1,
+        limit: int = 0,
+        how: str = "",
+    ) -> None:
+        self._path = recording.existing("rosbag", path)
+        contents = bag.read(self._path, topic)
+        sweeps = self._in_order(contents)
+        self._sweeps = sweeps[recording.selection(start, every, limit)]
+        if not self._sweeps:
+            raise BadData(str(path), "", f"start {start} lies beyond its {len(sweeps)} scans", "start earlier")
+        self._stamps = np.array([sweep.stamp_ns for sweep in self._sweeps], dtype=np.int64)
+        self._odometry, child = self._odometry_of(contents, odometry, base_frame)
+        base = base_frame or child or self._likely_base(contents)
+        self._mounting = (
+            self._mounting_on(contents, base, bool(base_frame))
+            if base_from_sensor == "auto"
+            else Mounting(recording.sensor_pose("rosbag", base_from_sensor))
+        )
+        if self._odometry is not None and child != base:
+            self._odometry = self._moved_to_base(contents, self._odometry, child, base)
+        self._poses, self._motions = self._at_scans()
+        how = how or ("files given by the user" if relations or reference else "none")
+        span = sweeps[0].stamp_ns, sweeps[-1].stamp_ns
+        self._truth, cut = recording.truth_from_files(self._stamps, span, relations, reference, how)
+        self._counts |= cut
+        self._ranges = [self._clean(sweep) for sweep in self._sweeps]
+
+    def __len__(self) -> int:
+        return len(self._sweeps)
+
+    def frames(self) -> Iterator[Frame]:
+        """The scans in order of time."""
+        for sweep, ranges, pose, motion in zip(self._sweeps, self._ranges, self._poses, self._motions, strict=True):
+            angles = sweep.angles()
+            if self._mounting.mirrored:
+                angles = -angles
+            limits = sweep.range_min_m, sweep.range_max_m
+            scan = Scan(sweep.stamp_ns, ranges, angles, *limits, sweep.time_increment_ns)
+            yield Frame(
+                scan, self._mounting.base_from_sensor, recording.pose_or_none(pose), recording.pose_or_none(motion)
+            )
+
+    def truth(self) -> Truth:
+        """Relations and reference trajectory of the files given; a bag itself holds none."""
+        return self._truth
+
+    def notes(self) -> Mapping[str, int]:
+        """Defects met and handled, counted by name."""
+        return recording.counted(self._counts)
+
+    def _in_order(self, contents: Contents) -> list[Sweep]:
+        if not contents.sweeps:
+            raise BadData(
+                str(self._path),
+                "",
+                f"none of its {contents.damaged} laser messages makes sense (angles, limits or number of beams)",
+                bag.FETCH_AGAIN,
+            )
+        keep, backwards, repeated = ordered(np.array([s.stamp_ns for s in contents.sweeps], dtype=np.int64))
+        self._counts = {
+            "scans out of order": backwards,
+            "scans with a repeated stamp left out": repeated,
+            "scans without a stamp, given the time of recording": contents.unstamped,
+            "damaged messages left out": contents.damaged,
+        }
+        return [contents.sweeps[index] for index in keep]
+
+    def _odometry_of(self, contents: Contents, wanted: str, base_frame: str) -> tuple[Trajectory | None, str]:
+        """The odometry ``odom_from_child`` and the name of the child frame; (None, "") where there is none."""
+        if wanted == "none":
+            return None, ""
+        key = None if wanted == "tf" else self._odometry_topic(contents, wanted)
+        if key is None:
+            parent, child = _odometry_frames(contents, base_frame)
+            samples = _samples(contents, parent, child)
+        else:
+            _, parent, child = key
+            samples = contents.odometry[key] + (_samples(contents, parent, child) if wanted == "auto" else [])
+        if not samples and wanted == "tf":
+            known = ", ".join(contents.tree.frames()) or "none"
+            raise BadData(
+                str(self._path), "odometry 'tf'", f"no moving transform from 'odom'; frames: {known}", "use 'none'"
+            )
+        return (self._sorted(samples), child) if samples else (None, "")
+
+    def _odometry_topic(self, contents: Contents, wanted: str) -> tuple[str, str, str] | None:
+        """The (topic, parent, child) of the odometry messages to use, None where "auto" finds none."""
+        keys = sorted(contents.odometry)
+        name = "odom" if wanted == "auto" else wanted.lstrip("/")
+        named = [key for key in keys if key[0].lstrip("/") == name]
+        if named or (wanted == "auto" and len(keys) <= 1):
+            return next(iter(named or keys), None)
+        raise BadData(
+            str(self._path),
+            f"odometry '{wanted}'",
+            f"topics with odometry: {', '.join(key[0] for key in keys) or 'none'}",
+            "set parameter 'odometry' to one of them, to 'tf' or to 'none'",
+        )
+
+    def _sorted(self, samples: Samples) -> Trajectory:
+        stamps = np.array([stamp for stamp, _ in samples], dtype=np.int64)
+        keep, _, _ = ordered(stamps)
+        return Trajectory(stamps[keep], np.array([row for _, row in samples])[keep], "odom", "base")
+
+    def _likely_base(self, contents: Contents) -> str:
+        """A base frame by its usual name, the lidar itself where there is none."""
+        frames = contents.tree.frames()
+        return next((name for name in BASE_FRAMES if name in frames), self._sweeps[0].frame)
+
+    def _mounting_on(self, contents: Contents, base: str, asked_for: bool) -> Mounting:
+        sensor = self._sweeps[0].frame
+        try:
+            mounting = contents.tree.mounting(base, sensor, int(self._stamps[0]))
+        except ValueError as error:
+            raise BadData(str(self._path), "", str(error), "choose a laser that scans level") from None
+        if mounting is not None:
+            return mounting
+        if asked_for:
+            known = ", ".join(contents.tree.frames()) or "none"
+            raise BadData(
+                str(self._path),
+                f"base_frame '{base}'",
+                f"no transforms lead from it to '{sensor}'; frames: {known}",
+                "name another frame, or give parameter 'base_from_sensor'",
+            )
+        self._counts["no transform from the base to the lidar, taken as one"] = 1
+        return Mounting(Pose())
+
+    def _moved_to_base(self, contents: Contents, odometry: Trajectory, child: str, base: str) -> Trajectory:
+        mounting = contents.tree.mounting(child, base, int(self._stamps[0]))
+        if mounting is None:
+            raise BadData(
+                str(self._path),
+                f"base_frame '{base}'",
+                f"no transforms lead from the odometry's frame '{child}' to it",
+                f"use base_frame '{child}' or odometry 'none'",
+            )
+        return Trajectory(odometry.stamps_ns, compose(odometry.poses, mounting.base_from_sensor.row), "odom", "base")
+
+    def _at_scans(self) -> tuple[Floats, Floats]:
+        """The odometry's pose at the first beam (N, 3) and its motion to the last (N, 3), nan where unknown."""
+        nothing = np.full((len(self._sweeps), 3), np.nan)
+        if self._odometry is None:
+            return nothing, nothing
+        self._counts |= recording.odometry_counts(self._odometry, self._stamps)
+        durations = [sweep.time_increment_ns * (len(sweep.ranges) - 1) for sweep in self._sweeps]
+        ends = self._stamps + np.array(durations, dtype=np.int64)
+        poses = recording.odometry_at(self._odometry, self._stamps)
+        motions = between(poses, recording.odometry_at(self._odometry, ends))
+        motions[~_covered(self._odometry, self._stamps, ends)] = np.nan
+        return poses, motions
+
+    def _clean(self, sweep: Sweep) -> Floats:
+        """The ranges with inf for no return and nan for invalid, counted."""
+        near = ~(sweep.ranges >= max(sweep.range_min_m, 1e-9))
+        name = "invalid ranges (nan, zero, negative or under the minimum)"
+        self._counts[name] = self._counts.get(name, 0) + int(near.sum())
+        return np.where(near, np.nan, np.where(sweep.ranges >= sweep.range_max_m, np.inf, sweep.ranges))
+
+
+def _covered(odometry: Trajectory, begins: Stamps, ends: Stamps) -> Bools:
+    first, last = odometry.stamps_ns[0], odometry.stamps_ns[-1]
+    return np.asarray((begins >= first) & (ends <= last) & (ends > begins))
+
+
+def _odometry_frames(contents: Contents, base_frame: str) -> tuple[str, str]:
+    """The two frames of the transform that is odometry: from "odom" to the base asked for, or the likeliest one."""
+    children = [child for parent, child in contents.tree.moving if parent == "odom"]
+    for name in (base_frame, *BASE_FRAMES, *sorted(children)):
+        if name in children:
+            return "odom", name
+    return "odom", ""
+
+
+def _samples(contents: Contents, parent: str, child: str) -> Samples:
+    edges = contents.tree.moving.get((parent, child), [])
+    return [(edge.stamp_ns, planar(edge.parent_from_child).row) for edge in edges]
+
+
+def _missing(path: str = "", relations: str = "", reference: str = "", **_: object) -> str:
+    optional = [(name, value) for name, value in (("relations", relations), ("reference", reference)) if value]
+    return recording.missing_files("rosbag", [("path", path), *optional])
+
+
+SPEC = DatasetSpec(
+    make=RosBag,
+    summary="A ROS 1 or ROS 2 bag with LaserScan or MultiEchoLaserScan messages",
+    sensor="as recorded; of several echoes of a beam the first, which is the nearest",
+    truth="relations and a reference trajectory where files are given",
+    citation="rosbags (Ternaris); sensor_msgs/LaserScan and REP-117",
+    licence="as the recording's",
+    suffixes=(".bag", ".db3", ".mcap"),
+    parameters=(
+        Parameter("path", "", "", "the bag: a .bag, .db3 or .mcap file, or the folder of a ROS 2 bag"),
+        Parameter("topic", "", "", "the laser's topic; empty: the only one there is"),
+        *recording.TRUTH,
+        Parameter("odometry", "auto", "", "'auto', a topic of nav_msgs/Odometry, 'tf' or 'none'"),
+        Parameter("base_frame", "", "", "the frame poses are given for; empty: the odometry's, else base_link"),
+        Parameter("base_from_sensor", "auto", "", "where the lidar sits: 'auto' (tf) or 'x y theta' in m, m, rad"),
+        *recording.SELECTION,
+    ),
+    missing=_missing,
+)

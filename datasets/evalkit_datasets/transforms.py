@@ -1,0 +1,113 @@
+"""A tree of 3D transforms as ROS publishes it, asked where a sensor sits on its base, seen from above."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from evalkit.se2 import Floats
+from evalkit.types import Pose
+
+MAX_TILT_RAD = math.radians(30.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Mounting:
+    """Where a lidar sits, seen from above. ``mirrored``: it hangs upside down, so its angles turn the other way."""
+
+    base_from_sensor: Pose
+    mirrored: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edge:
+    """One transform ``parent_from_child`` (4, 4) at one time."""
+
+    stamp_ns: int
+    parent: str
+    child: str
+    parent_from_child: Floats
+
+
+@dataclass(eq=False)
+class Tree:
+    """Transforms by child frame, static ones before moving ones; a frame may be published under several parents."""
+
+    static: dict[str, dict[str, Edge]] = field(default_factory=dict)
+    moving: dict[tuple[str, str], list[Edge]] = field(default_factory=dict)
+
+    def add(self, edge: Edge, static: bool) -> None:
+        """Takes in one transform; of static ones the last said counts, as in tf2."""
+        if static:
+            self.static.setdefault(edge.child, {})[edge.parent] = edge
+        else:
+            self.moving.setdefault((edge.parent, edge.child), []).append(edge)
+
+    def frames(self) -> list[str]:
+        """All frames by name."""
+        names = {name for child, parents in self.static.items() for name in (child, *parents)}
+        return sorted(names | {name for pair in self.moving for name in pair})
+
+    def mounting(self, base: str, sensor: str, stamp_ns: int) -> Mounting | None:
+        """How the sensor sits on the base, transforms that move taken nearest to a time; None where no way leads there.
+
+        ValueError for a lidar tilted more than 30 deg: its scans do not lie in the plane.
+        """
+        matrix = self._between(base, sensor, stamp_ns)
+        if matrix is None:
+            return None
+        upright = float(np.clip(matrix[2, 2], -1.0, 1.0))
+        tilt = math.acos(abs(upright))
+        if tilt > MAX_TILT_RAD:
+            raise ValueError(f"'{sensor}' is tilted by {math.degrees(tilt):.0f} deg to the plane of '{base}'")
+        return Mounting(planar(matrix), upright < 0.0)
+
+    def _between(self, base: str, sensor: str, stamp_ns: int) -> Floats | None:
+        """``base_from_sensor`` (4, 4) along the tree, breadth first."""
+        reached: dict[str, Floats] = {base: np.eye(4)}
+        queue = [base]
+        while queue and sensor not in reached:
+            here = queue.pop(0)
+            for there, here_from_there in self._neighbours(here, stamp_ns):
+                if there not in reached:
+                    reached[there] = reached[here] @ here_from_there
+                    queue.append(there)
+        return reached.get(sensor)
+
+    def _neighbours(self, frame: str, stamp_ns: int) -> Iterable[tuple[str, Floats]]:
+        for parents in self.static.values():
+            yield from _from(frame, parents.values())
+        for edges in self.moving.values():
+            yield from _from(frame, [min(edges, key=lambda edge: abs(edge.stamp_ns - stamp_ns))])
+
+
+def _from(frame: str, edges: Iterable[Edge]) -> Iterable[tuple[str, Floats]]:
+    for edge in edges:
+        if edge.parent == frame:
+            yield edge.child, edge.parent_from_child
+        elif edge.child == frame:
+            yield edge.parent, np.asarray(np.linalg.inv(edge.parent_from_child), dtype=np.float64)
+
+
+def planar(matrix: Floats) -> Pose:
+    """x, y and the direction of the x axis, seen from above, of a transform (4, 4)."""
+    return Pose(float(matrix[0, 3]), float(matrix[1, 3]), math.atan2(matrix[1, 0], matrix[0, 0]))
+
+
+def matrix_of(translation: tuple[float, float, float], quaternion: tuple[float, float, float, float]) -> Floats:
+    """The transform (4, 4) of a translation (m) and a quaternion (x, y, z, w); ValueError where it is no rotation."""
+    length = math.sqrt(sum(part * part for part in quaternion))
+    if not (math.isfinite(sum(translation)) and abs(length - 1.0) < 0.05):
+        raise ValueError(f"translation {translation}, quaternion {quaternion} is no transform")
+    x, y, z, w = (part / length for part in quaternion)
+    matrix = np.eye(4)
+    matrix[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    matrix[:3, 3] = translation
+    return matrix
