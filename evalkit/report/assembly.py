@@ -1,0 +1,92 @@
+"""A plan and its trials made one comparison: cards from the specs, and what was held equal, in sentences."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from datetime import datetime
+
+from evalkit import environment, registry
+from evalkit.experiment import Contestant, Course, MapperChoice, Plan
+from evalkit.frontend import parameters_of
+from evalkit.metrics import METRICS
+from evalkit.protocols import Value
+from evalkit.report.comparison import Comparison, ContestantCard, SequenceCard, Setting
+from evalkit.types import Trial
+
+LIBRARIES = ("numpy", "scipy")
+
+
+def comparison_of(plan: Plan, trials: Sequence[Trial], started: datetime, finished: datetime) -> Comparison:
+    """The comparison of a plan's trials, scored by evalkit's own metrics."""
+    specs = [registry.backend(contestant.backend) for contestant in plan.contestants]
+    libraries = dict.fromkeys((*LIBRARIES, *(name for spec in specs for name in spec.requires)))
+    return Comparison(
+        title=plan.title,
+        description=plan.description,
+        trials=tuple(trials),
+        metrics=METRICS,
+        contestants={contestant.label: contestant_card(contestant) for contestant in plan.contestants},
+        sequences={course.label: sequence_card(course) for course in plan.courses},
+        environment=environment.describe(libraries),
+        command=f"evalkit {plan.source}",
+        started=started,
+        finished=finished,
+        mapper=mapper_text(plan.mapper),
+        fairness=fairness(trials),
+    )
+
+
+def contestant_card(contestant: Contestant) -> ContestantCard:
+    """The card of a contestant, with every setting it ran with."""
+    spec = registry.backend(contestant.backend)
+    known = {parameter.name: parameter for parameter in parameters_of(spec)}
+    settings = tuple(
+        Setting(name, value, known[name].default, known[name].unit, known[name].meaning)
+        if name in known
+        else Setting(name, value, value, "", "set for this contestant")
+        for name, value in contestant.parameters.items()
+    )
+    return ContestantCard(
+        spec.summary, spec.citation, spec.licence, settings, spec.guess, contestant.missing, spec.role
+    )
+
+
+def sequence_card(course: Course) -> SequenceCard:
+    """The card of a sequence."""
+    spec = registry.dataset(course.dataset)
+    return SequenceCard(
+        spec.summary,
+        spec.sensor,
+        spec.truth,
+        spec.citation,
+        spec.licence,
+        spec.defects,
+        spec.degenerate,
+        spec.published,
+    )
+
+
+def mapper_text(mapper: MapperChoice) -> str:
+    """The mapper with its settings, and how many scans it was given."""
+    return f"{mapper.name} ({_settings(mapper.parameters)}) from at most {mapper.scans} scans, evenly spaced."
+
+
+def fairness(trials: Sequence[Trial]) -> tuple[str, ...]:
+    """What was held equal between contestants, and what was not."""
+    warm = sorted({trial.run.warm_up_scans for trial in trials if len(trial.run.steps)})
+    warmed = f"the first {'/'.join(map(str, warm))} scans" if warm else "the first scans"
+    return (
+        "Every run has a process of its own, one thread for numerical libraries, and contestants take turns within "
+        "each repetition, so that a slow hour hits all alike.",
+        "Only the contestant's own call is timed; turning values into a library's format and back is part of it and is "
+        "also shown apart. Reading, checking and storing are not timed.",
+        f"Imports and first allocations are paid by another instance that sees {warmed} before the timed one starts.",
+        "What a contestant starts its registration from is on its card; all that start from wheel odometry get the "
+        "same odometry.",
+        "All maps are drawn by one mapper from each contestant's trajectory, aligned to the truth where there is one.",
+        "Runs that did not complete are counted and shown, and enter no median; nobody who lost a run can win.",
+    )
+
+
+def _settings(parameters: Mapping[str, Value]) -> str:
+    return ", ".join(f"{name} {value}" for name, value in parameters.items())

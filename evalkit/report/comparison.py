@@ -1,0 +1,115 @@
+"""What a report is made from: the trials, the metrics they were scored with, and a card for everyone who took part."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Literal
+
+from evalkit.metrics.table import Metric
+from evalkit.protocols import Published, Value
+from evalkit.types import Trial
+
+Role = Literal["", "paper", "bar"]
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One parameter of a contestant as it ran, beside its default."""
+
+    name: str
+    value: Value
+    default: Value
+    unit: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class ContestantCard:
+    """Who a contestant is. ``role``: "paper" for the paper's own method, "bar" for what all others have to beat.
+
+    ``guess``: what its registration starts from. ``missing``: why it could not run here, "" where it could.
+    """
+
+    summary: str
+    citation: str
+    licence: str
+    settings: tuple[Setting, ...] = ()
+    guess: str = ""
+    missing: str = ""
+    role: Role = ""
+
+
+@dataclass(frozen=True)
+class SequenceCard:
+    """What a sequence is. ``truth``: how the truth was made. ``degenerate``: why its geometry cannot fix the pose."""
+
+    summary: str
+    sensor: str
+    truth: str
+    citation: str
+    licence: str
+    defects: tuple[str, ...] = ()
+    degenerate: str = ""
+    published: tuple[Published, ...] = ()
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Everything one report tells.
+
+    ``trials``: one per contestant, sequence and seed, failed ones included. ``contestants``, ``sequences``: cards by
+    the labels in the trials; rows and sections keep the order of the cards. ``environment``: what it ran on (CPU,
+    threads, versions, commit). ``command``: reproduces the whole report. ``mapper``: what drew every map, with its
+    settings. ``fairness``: what was held equal and what was not (guess, threads, warm-up), one sentence each.
+    """
+
+    title: str
+    description: str
+    trials: tuple[Trial, ...]
+    metrics: tuple[Metric, ...]
+    contestants: Mapping[str, ContestantCard]
+    sequences: Mapping[str, SequenceCard]
+    environment: Mapping[str, str]
+    command: str
+    started: datetime
+    finished: datetime
+    mapper: str = ""
+    fairness: tuple[str, ...] = field(default_factory=tuple)
+
+    def __post_init__(self) -> None:
+        for name in ("trials", "metrics", "fairness"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        seen: set[tuple[str, str, int | None]] = set()
+        for trial in self.trials:
+            if trial.contestant not in self.contestants:
+                raise ValueError(f"contestants: no card for '{trial.contestant}'")
+            if trial.sequence not in self.sequences:
+                raise ValueError(f"sequences: no card for '{trial.sequence}'")
+            row = (trial.contestant, trial.sequence, trial.seed)
+            if row in seen:
+                raise ValueError(f"trials: {row[0]} over {row[1]} with seed {row[2]} stands there twice")
+            seen.add(row)
+
+    def of_sequence(self, sequence: str) -> tuple[Trial, ...]:
+        """The trials over one sequence, in order."""
+        return tuple(trial for trial in self.trials if trial.sequence == sequence)
+
+    @property
+    def contestant_labels(self) -> tuple[str, ...]:
+        """The labels of the contestants that have trials, in the order of their cards."""
+        present = {trial.contestant for trial in self.trials}
+        return tuple(label for label in self.contestants if label in present)
+
+    @property
+    def sequence_labels(self) -> tuple[str, ...]:
+        """The labels of the sequences that have trials, in the order of their cards."""
+        present = {trial.sequence for trial in self.trials}
+        return tuple(label for label in self.sequences if label in present)
+
+    def by_contestant(self, sequence: str) -> dict[str, tuple[Trial, ...]]:
+        """The trials over one sequence under their contestants, in the order of the cards, lowest seed first."""
+        trials = sorted(self.of_sequence(sequence), key=lambda trial: -1 if trial.seed is None else trial.seed)
+        grouped = {label: tuple(t for t in trials if t.contestant == label) for label in self.contestants}
+        return {label: own for label, own in grouped.items() if own}

@@ -1,0 +1,239 @@
+"""The report's drawings as SVG, on white, without pyplot; the only module that imports matplotlib."""
+
+from __future__ import annotations
+
+import io
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from evalkit import se2
+from evalkit.report.palette import TRUTH, Stroke
+from evalkit.se2 import Floats
+from evalkit.types import Trial
+
+POINTS = 600  # of a drawn line: more cannot be seen at this size
+STRETCHES = 150  # of a noisy line: more cannot be told apart
+SIZE = (6.6, 4.7)  # inches
+STYLE: Any = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 10.0,
+    "axes.edgecolor": "#9aa3ad",
+    "axes.labelcolor": "#30363d",
+    "axes.linewidth": 0.8,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "grid.color": "#e4e8ec",
+    "grid.linewidth": 0.7,
+    "xtick.color": "#59636e",
+    "ytick.color": "#59636e",
+    "legend.frameon": False,
+    "legend.fontsize": 9.0,
+    "text.parse_math": False,  # labels are names, not formulae
+    "svg.fonttype": "path",
+    "svg.hashsalt": "evalkit",  # the same report twice is the same bytes
+    "path.simplify_threshold": 0.5,
+}
+
+Strokes = Mapping[str, Stroke]
+
+
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """An SVG file and what its caption must admit ("" if nothing)."""
+
+    svg: bytes
+    admits: str = ""
+
+
+def trajectories(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
+    """The paths seen from above, aligned to the truth (black) where there is one; None if nobody moved a scan."""
+    paths = {trial.contestant: world_path(trial) for trial in trials if len(trial.run.steps)}
+    if not paths:
+        return None
+    true = next((t.truth.trajectory.poses[:, :2] for t in trials if t.truth.trajectory is not None), None)
+    low, high = _frame([true] if true is not None else list(paths.values()))
+    outside = [label for label, path in paths.items() if ((path < low) | (path > high)).any()]
+
+    def draw(axes: Axes) -> None:
+        if true is not None:
+            axes.plot(*_thinned(true).T, color=TRUTH, linewidth=2.2, label="truth", zorder=1.5)
+        for label, path in paths.items():
+            axes.plot(*_thinned(path).T, label=label, **_line(strokes[label]))
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
+        axes.set_aspect("equal", adjustable="box")
+
+    return Drawing(_svg(draw), f"{', '.join(outside)} leaves the frame." if outside else "")
+
+
+def errors(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
+    """The distance to the truth over time, the largest of each stretch; None where there is no true trajectory."""
+    lines = {}
+    for trial in trials:
+        if trial.errors_m is not None and np.isfinite(trial.errors_m).any():
+            lines[trial.contestant] = _binned(_seconds(trial), trial.errors_m, np.max, POINTS)
+    if not lines:
+        return None
+    finals = [float(np.median(values)) for _, values in lines.values()]
+    wide = max(finals) > 20.0 * max(min(finals), 1e-3)
+
+    def draw(axes: Axes) -> None:
+        for label, (seconds, values) in lines.items():
+            axes.plot(seconds, np.maximum(values, 1e-4) if wide else values, label=label, **_line(strokes[label]))
+        axes.set(xlabel="time [s]", ylabel="distance to the truth [m]")
+        if wide:
+            axes.set_yscale("log")
+            _plain_log(axes, "y")
+        else:
+            axes.set_ylim(bottom=0.0)
+
+    return Drawing(_svg(draw), "Logarithmic axis." if wide else "")
+
+
+def runtimes(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
+    """CPU time per scan: box 25 to 75 %, whiskers 5 to 95 %, dot the longest; line: the scan period."""
+    boxes, periods = [], []
+    for trial in trials:
+        steps = trial.run.steps
+        if len(steps) < 2:
+            continue
+        milliseconds = np.maximum(steps["cpu_ns"], 1) * 1e-6
+        low, q1, middle, q3, high = np.percentile(milliseconds, [5, 25, 50, 75, 95])
+        boxes.append((trial.contestant, low, q1, middle, q3, high, milliseconds.max()))
+        periods.append(float(np.median(np.diff(steps["stamp_ns"])) * 1e-6))
+    if not boxes:
+        return None
+
+    def draw(axes: Axes) -> None:
+        _boxes(axes, boxes, strokes)
+        period = float(np.median(periods))
+        axes.axvline(period, color="#b42318", linewidth=1.2, linestyle=(0, (5, 3)))
+        axes.annotate(
+            f"scan period {period:.0f} ms ", (period, 1.0), (0, 3), xycoords=("data", "axes fraction"),
+            textcoords="offset points", color="#b42318", ha="right", fontsize=9,
+        )  # fmt: skip
+        axes.set_xscale("log")
+        _plain_log(axes, "x")
+        axes.set_xlabel("CPU time per scan [ms]")
+
+    return Drawing(_svg(draw, legend=False))
+
+
+def residuals(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
+    """What the registrations say of themselves over time, scan-to-scan and scan-to-map; None if nobody tells."""
+    stages = (("s2s_error", "scan to scan [m]"), ("s2m_error", "scan to map [m]"))
+    lines: dict[str, dict[str, tuple[Floats, Floats]]] = {stage: {} for stage, _ in stages}
+    for trial in trials:
+        for stage, _ in stages:
+            values = np.asarray(trial.run.steps[stage], dtype=np.float64)
+            if np.isfinite(values).any():
+                lines[stage][trial.contestant] = _binned(_seconds(trial), values, np.median, STRETCHES)
+    told = [(stage, title) for stage, title in stages if lines[stage]]
+    if not told:
+        return None
+
+    def draw(*panels: Axes) -> None:
+        for axes, (stage, title) in zip(panels, told, strict=True):
+            for label, (seconds, values) in lines[stage].items():
+                axes.plot(seconds, values, label=label, **_line(strokes[label]))
+            axes.set_ylim(bottom=0.0)
+            axes.set_ylabel(title)
+        panels[-1].set_xlabel("time [s]")
+
+    return Drawing(_svg(draw, panels=len(told)))
+
+
+def world_path(trial: Trial) -> Floats:
+    """The positions (N, 2) a run answered, in the frame of the truth (m); finite ones only."""
+    steps = trial.run.steps
+    poses = np.stack([steps["x"], steps["y"], steps["theta"]], axis=-1).astype(np.float64)
+    poses = poses[np.isfinite(poses).all(axis=1)]
+    return se2.compose(trial.world_from_start.row, poses)[:, :2]
+
+
+def _svg(draw: Callable[..., None], panels: int = 1, legend: bool = True) -> bytes:
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=SIZE, layout="constrained")
+        axes = list(figure.subplots(panels, 1, sharex=True, squeeze=False)[:, 0])
+        draw(*axes)
+        if legend:
+            _legend(figure, axes)
+        out = io.BytesIO()
+        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+    return out.getvalue()
+
+
+def _legend(figure: Figure, panels: Sequence[Axes]) -> None:
+    handles: dict[str, Any] = {}
+    for axes in panels:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    columns = 5 if max(map(len, handles), default=0) < 14 else 4 if max(map(len, handles)) < 22 else 3
+    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns, handlelength=2.4)
+
+
+def _line(stroke: Stroke) -> dict[str, Any]:
+    dashes = (0, stroke.dash) if stroke.dash else "-"
+    return {"color": stroke.colour, "linestyle": dashes, "linewidth": 1.3}
+
+
+def _boxes(axes: Axes, boxes: Sequence[tuple[str, float, float, float, float, float, float]], strokes: Strokes) -> None:
+    for height, (label, low, q1, middle, q3, high, longest) in enumerate(reversed(boxes)):
+        colour = strokes[label].colour
+        axes.hlines(height, low, high, color=colour, linewidth=1.4)
+        axes.barh(height, q3 - q1, left=q1, height=0.5, color=colour, alpha=0.35, edgecolor=colour, linewidth=1.2)
+        axes.vlines(middle, height - 0.25, height + 0.25, color=colour, linewidth=2.4)
+        axes.plot(longest, height, ".", color=colour, markersize=5)
+    axes.set_yticks(range(len(boxes)), [row[0] for row in reversed(boxes)])
+    axes.grid(False, axis="y")
+
+
+def _plain_log(axes: Axes, which: str) -> None:
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    axis.set_major_formatter(lambda value, _: f"{value:g}")
+    axis.set_minor_formatter("")
+
+
+def _seconds(trial: Trial) -> Floats:
+    stamps = trial.run.steps["stamp_ns"]
+    return np.asarray((stamps - stamps[0]) * 1e-9)
+
+
+def _frame(paths: Sequence[Floats]) -> tuple[Floats, Floats]:
+    """The corners of the drawing: all paths, but none that ends up far from where most are."""
+    corners = np.array([[*path.min(axis=0), *path.max(axis=0)] for path in paths if len(path)])
+    sides = np.hypot(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
+    usual = corners[sides <= max(2.0 * float(np.median(sides)), 0.1)]
+    low, high = usual[:, :2].min(axis=0), usual[:, 2:].max(axis=0)
+    margin = max(0.12 * float((high - low).max()), 0.05)
+    return low - margin, high + margin
+
+
+def _thinned(points: Floats) -> Floats:
+    """At most POINTS of the points (N, 2), evenly spaced in index, first and last kept."""
+    if len(points) <= POINTS:
+        return points
+    return np.asarray(points[np.linspace(0, len(points) - 1, POINTS).round().astype(int)])
+
+
+def _binned(seconds: Floats, values: Floats, of: Callable[[Floats], Any], most: int) -> tuple[Floats, Floats]:
+    """At most so many stretches of a series: their mean time and what ``of`` makes of their finite values."""
+    finite = np.isfinite(values)
+    seconds, values = seconds[finite], values[finite]
+    if len(values) <= most:
+        return seconds, values
+    edges = np.linspace(0, len(values), most + 1).round().astype(int)
+    pieces = list(itertools.pairwise(edges))
+    return (
+        np.array([seconds[a:b].mean() for a, b in pieces]),
+        np.array([float(of(values[a:b])) for a, b in pieces]),
+    )

@@ -1,0 +1,169 @@
+"""The page: figures, tables and sentences put into one HTML file that needs nothing else."""
+
+from __future__ import annotations
+
+from base64 import b64encode
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from evalkit.metrics.table import Metric
+from evalkit.report import figures, views
+from evalkit.report.comparison import Comparison, SequenceCard
+from evalkit.report.maps import Window, picture, window
+from evalkit.report.palette import Stroke, strokes
+from evalkit.report.standings import STATUS, contestant_of
+from evalkit.report.summary import Verdict
+from evalkit.types import OccupancyGrid, Trial
+
+MAP_CAPTION_GROUPS = ("map against truth", "map consistency")
+
+
+@dataclass(frozen=True, slots=True)
+class Picture:
+    """An image within the page: a data URI, what it shows for those who cannot see it, and its caption."""
+
+    uri: str
+    title: str
+    caption: str
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """Everything the page shows of one sequence."""
+
+    label: str
+    anchor: str
+    card: SequenceCard
+    verdict: Verdict
+    table: views.Table
+    drawn: str
+    pictures: tuple[Picture, ...]
+    maps: tuple[Picture, ...]
+    map_window: Window | None
+    everything: Mapping[str, tuple[views.Line, ...]]
+    contestants: tuple[str, ...]
+    published: tuple[Metric, tuple[views.Reference, ...]] | None
+    failures: tuple[views.Failure, ...]
+    notes: Mapping[str, int]
+    trials: tuple[Trial, ...]
+
+
+def render(comparison: Comparison, overview: Sequence[str], verdicts: Sequence[Verdict]) -> str:
+    """The HTML of a whole report."""
+    lines = strokes(comparison.contestant_labels, contestant_of(comparison, "bar"))
+    environment = Environment(
+        loader=PackageLoader("evalkit.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template("page.html.j2").render(
+        comparison=comparison,
+        overview=overview,
+        sections=[section(comparison, verdict, number, lines) for number, verdict in enumerate(verdicts, start=1)],
+        metrics=_by_group(comparison.metrics),
+        strokes=lines,
+        status=STATUS,
+        finished=sum(trial.run.status == "complete" for trial in comparison.trials),
+    )
+
+
+def section(comparison: Comparison, verdict: Verdict, number: int, lines: Mapping[str, Stroke]) -> Section:
+    """One sequence, drawn from each contestant's first run."""
+    grouped = comparison.by_contestant(verdict.sequence)
+    trials = tuple(trial for own in grouped.values() for trial in own)
+    first = tuple(own[0] for own in grouped.values())
+    grids = [trial.grid for trial in first if trial.grid is not None]
+    shown = window(grids, true_grid(first)) if grids else None
+    seeds = sorted({trial.seed for trial in first if trial.seed is not None})
+    return Section(
+        label=verdict.sequence,
+        anchor=f"sequence-{number}",
+        card=comparison.sequences[verdict.sequence],
+        verdict=verdict,
+        table=views.headline(comparison, verdict.sequence),
+        drawn=f"seed {seeds[0]} only" if seeds else "the one run of each",
+        pictures=tuple(drawings(first, lines)),
+        maps=map_tiles(comparison, first, shown) if shown else (),
+        map_window=shown,
+        everything=views.everything(comparison, verdict.sequence),
+        contestants=tuple(grouped),
+        published=views.published(comparison, verdict.sequence),
+        failures=views.failures(trials),
+        notes=views.notes(trials),
+        trials=trials,
+    )
+
+
+def drawings(trials: Sequence[Trial], lines: Mapping[str, Stroke]) -> list[Picture]:
+    """The figures of a sequence; those without anything to draw are left out."""
+    planned = (
+        (figures.trajectories, "Trajectories", "Seen from above, aligned to the truth where there is one."),
+        (figures.errors, "Error over time", "Distance to the truth; the largest of each stretch, so no peak is lost."),
+        (
+            figures.runtimes,
+            "CPU time per scan",
+            "Box: middle half. Bar: median. Whiskers: 5 to 95 %. Dot: longest. Logarithmic axis.",
+        ),
+        (
+            figures.residuals,
+            "Registration residuals over time",
+            "What each method says of itself, by its own definition. Each point is the median of a stretch.",
+        ),
+    )
+    made = ((draw(trials, lines), title, caption) for draw, title, caption in planned)
+    return [
+        Picture(_uri("svg+xml", drawing.svg), title, f"{caption} {drawing.admits}".strip())
+        for drawing, title, caption in made
+        if drawing is not None
+    ]
+
+
+def true_grid(trials: Sequence[Trial]) -> OccupancyGrid | None:
+    """The true map of a sequence, None where nobody knows it."""
+    return next((trial.truth.grid for trial in trials if trial.truth.grid is not None), None)
+
+
+def map_tiles(comparison: Comparison, trials: Sequence[Trial], shown: Window) -> tuple[Picture, ...]:
+    """The maps in one window, the true one first."""
+    metric = _map_metric(comparison, trials)
+    true = true_grid(trials)
+    tiles = [Picture(_uri("png", picture(true, shown)), "truth", "")] if true is not None else []
+    for trial in trials:
+        if trial.grid is not None:
+            uri = _uri("png", picture(trial.grid, shown))
+            tiles.append(Picture(uri, trial.contestant, _map_caption(trial, metric)))
+    return tuple(tiles)
+
+
+def _map_metric(comparison: Comparison, trials: Sequence[Trial]) -> Metric | None:
+    for group in MAP_CAPTION_GROUPS:
+        for metric in comparison.metrics:
+            scores = [trial.scores[metric.name] for trial in trials if metric.name in trial.scores]
+            if metric.group == group and metric.headline and any(score.value is not None for score in scores):
+                return metric
+    return None
+
+
+def _map_caption(trial: Trial, metric: Metric | None) -> str:
+    parts = []
+    score = trial.scores.get(metric.name) if metric else None
+    if metric and score and score.value is not None:
+        parts.append(f"{metric.label} {views.printed(metric, score.value)} {metric.unit}".rstrip())
+    if trial.run.status != "complete":
+        parts.append(STATUS[trial.run.status])
+    return ", ".join(parts)
+
+
+def _by_group(metrics: Sequence[Metric]) -> dict[str, list[Metric]]:
+    groups: dict[str, list[Metric]] = {}
+    for metric in metrics:
+        groups.setdefault(metric.group, []).append(metric)
+    return groups
+
+
+def _uri(kind: str, body: bytes) -> str:
+    return f"data:image/{kind};base64,{b64encode(body).decode()}"

@@ -1,0 +1,29 @@
+"""One stroke per contestant, the same in every table and figure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+# Okabe and Ito, "Color Universal Design" (2008): black is the truth's, and yellow is darkened for white paper.
+HUES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#a89400")
+DASHES: tuple[tuple[float, ...], ...] = ((), (6.0, 2.0), (1.5, 1.5), (6.0, 2.0, 1.5, 2.0))
+TRUTH = "#000000"
+BAR = "#7a7a7a"
+
+
+@dataclass(frozen=True, slots=True)
+class Stroke:
+    """A line's colour and dashes (lengths on and off in points; () is solid)."""
+
+    colour: str
+    dash: tuple[float, ...] = ()
+
+
+def strokes(contestants: Iterable[str], bars: Iterable[str] = ()) -> Mapping[str, Stroke]:
+    """A stroke for every contestant: hues first, dashes when they run out; the bar is grey and dashed."""
+    grey = set(bars)
+    chosen: dict[str, Stroke] = {}
+    for index, label in enumerate(label for label in contestants if label not in grey):
+        chosen[label] = Stroke(HUES[index % len(HUES)], DASHES[index // len(HUES) % len(DASHES)])
+    return chosen | {label: Stroke(BAR, (4.0, 2.0)) for label in grey}

@@ -1,0 +1,77 @@
+"""The report for programs: results.json, schema version 1.
+
+The layout is fixed by results.schema.json beside this module, a copy of which goes with every report. Within a version
+keys are only ever added. Numbers are in the unit that ``metrics`` names, times in ISO 8601; a score whose ``value`` is
+null carries the ``reason``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from importlib.resources import files
+from typing import Any
+
+from evalkit.metrics.table import Metric
+from evalkit.report.comparison import Comparison
+from evalkit.report.summary import Verdict
+from evalkit.types import Trial
+
+NAME, VERSION = "evalkit-results", 1
+
+
+def results(comparison: Comparison, overview: Sequence[str], verdicts: Sequence[Verdict]) -> dict[str, Any]:
+    """The content of results.json: plain dictionaries, lists, numbers and texts only."""
+    return {
+        "schema": {"name": NAME, "version": VERSION},
+        "title": comparison.title,
+        "description": comparison.description,
+        "command": comparison.command,
+        "started": comparison.started.isoformat(),
+        "finished": comparison.finished.isoformat(),
+        "environment": dict(comparison.environment),
+        "mapper": comparison.mapper,
+        "fairness": list(comparison.fairness),
+        "metrics": [_metric(metric) for metric in comparison.metrics],
+        "contestants": {label: asdict(card) for label, card in comparison.contestants.items()},
+        "sequences": {label: asdict(card) for label, card in comparison.sequences.items()},
+        "overview": list(overview),
+        "verdicts": [asdict(verdict) for verdict in verdicts],
+        "trials": [_trial(trial) for trial in comparison.trials],
+    }
+
+
+def schema() -> str:
+    """The JSON Schema (draft 2020-12) of results.json."""
+    return files("evalkit.report").joinpath("results.schema.json").read_text(encoding="utf-8")
+
+
+def _metric(metric: Metric) -> dict[str, Any]:
+    names = ("name", "label", "unit", "better", "group", "definition", "source", "blind_to", "digits", "headline")
+    return {name: getattr(metric, name) for name in names}
+
+
+def _trial(trial: Trial) -> dict[str, Any]:
+    run = trial.run
+    return {
+        "key": trial.key,
+        "contestant": trial.contestant,
+        "backend": trial.backend,
+        "backend_parameters": dict(trial.backend_parameters),
+        "sequence": trial.sequence,
+        "dataset": trial.dataset,
+        "dataset_parameters": dict(trial.dataset_parameters),
+        "seed": trial.seed,
+        "command": trial.command,
+        "status": run.status,
+        "reason": run.reason,
+        "scans_answered": len(run.steps),
+        "scans_expected": run.expected,
+        "warm_up_scans": run.warm_up_scans,
+        "peak_memory_bytes": run.peak_memory_bytes,
+        "notes": {name: int(count) for name, count in run.notes.items()},
+        "scores": {
+            name: {"value": score.value, "support": int(score.support), "reason": score.reason}
+            for name, score in trial.scores.items()
+        },
+    }

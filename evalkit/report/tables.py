@@ -1,0 +1,96 @@
+"""The report's numbers as tables for other programs; the only module that imports pandas."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pandas as pd
+
+from evalkit.report.comparison import Comparison
+from evalkit.report.standings import standing
+
+
+def trials(comparison: Comparison) -> pd.DataFrame:
+    """One row per trial: who, over what, how it ended, and one column per metric (empty where not meaningful)."""
+    rows = []
+    for trial in comparison.trials:
+        row: dict[str, object] = {
+            "key": trial.key,
+            "contestant": trial.contestant,
+            "sequence": trial.sequence,
+            "seed": trial.seed,
+            "status": trial.run.status,
+            "reason": trial.run.reason,
+            "scans_answered": len(trial.run.steps),
+            "scans_expected": trial.run.expected,
+        }
+        for metric in comparison.metrics:
+            score = trial.scores.get(metric.name)
+            row[metric.name] = None if score is None else score.value
+        rows.append(row | {"command": trial.command})
+    return pd.DataFrame(rows).astype({"seed": "Int64"}) if rows else pd.DataFrame()
+
+
+def scores(comparison: Comparison) -> pd.DataFrame:
+    """One row per trial and metric: value, support, and the reason where there is no value."""
+    rows = [
+        {
+            "key": trial.key,
+            "contestant": trial.contestant,
+            "sequence": trial.sequence,
+            "seed": trial.seed,
+            "status": trial.run.status,
+            "metric": metric.name,
+            "unit": metric.unit,
+            "value": score.value,
+            "support": score.support,
+            "reason": score.reason,
+        }
+        for trial in comparison.trials
+        for metric in comparison.metrics
+        if (score := trial.scores.get(metric.name)) is not None
+    ]
+    return pd.DataFrame(rows).astype({"seed": "Int64"}) if rows else pd.DataFrame()
+
+
+def summary(comparison: Comparison) -> pd.DataFrame:
+    """One row per sequence, contestant and metric: median, lowest and highest over the complete runs.
+
+    ``place`` is 1 for the best among those who completed every run, empty for the rest; ``level_with_best`` says that
+    the noise does not separate them from it.
+    """
+    rows = []
+    for sequence in comparison.sequence_labels:
+        for metric in comparison.metrics:
+            found = standing(comparison, sequence, metric)
+            places = {cell.contestant: place for place, cell in enumerate(found.ranked, start=1)}
+            rows += [
+                {
+                    "sequence": sequence,
+                    "contestant": cell.contestant,
+                    "metric": metric.name,
+                    "unit": metric.unit,
+                    "better": metric.better,
+                    "runs_complete": cell.complete,
+                    "runs_expected": cell.expected,
+                    "runs_scored": len(cell.values),
+                    "median": cell.median,
+                    "lowest": min(cell.values, default=None),
+                    "highest": max(cell.values, default=None),
+                    "place": places.get(cell.contestant),
+                    "level_with_best": cell in found.level,
+                    "reason": cell.reason,
+                }
+                for cell in found.cells
+            ]
+    return pd.DataFrame(rows).astype({"place": "Int64"}) if rows else pd.DataFrame()
+
+
+def write_csv(comparison: Comparison, folder: Path) -> tuple[Path, ...]:
+    """The files trials.csv, scores.csv and summary.csv in a folder; numbers in full precision."""
+    written = []
+    for name, table in (("trials", trials), ("scores", scores), ("summary", summary)):
+        path = folder / f"{name}.csv"
+        table(comparison).to_csv(path, index=False)
+        written.append(path)
+    return tuple(written)

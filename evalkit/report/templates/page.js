@@ -1,0 +1,42 @@
+"use strict";
+// Sorting: a heading's button orders the bodies of its table; what has no value stays last.
+for (const table of document.querySelectorAll("table.sortable")) {
+  const headings = [...table.tHead.rows[0].cells];
+  headings.forEach((heading, column) => {
+    const button = heading.querySelector("button");
+    if (!button) return;
+    button.addEventListener("click", () => {
+      const up = heading.getAttribute("aria-sort") !== "ascending";
+      headings.forEach((other) => other.removeAttribute("aria-sort"));
+      heading.setAttribute("aria-sort", up ? "ascending" : "descending");
+      const key = (body) => body.rows[0].cells[column].dataset.sort ?? "";
+      const order = (a, b) => {
+        const [x, y] = [key(a), key(b)];
+        if (x === "" || y === "") return (x === "") - (y === "");
+        const by = Number.isNaN(Number(x)) ? x.localeCompare(y) : Number(x) - Number(y);
+        return up ? by : -by;
+      };
+      table.append(...[...table.tBodies].sort(order));
+    });
+  });
+}
+// Pictures: a click or Enter enlarges, Escape or a second click closes.
+const viewer = document.getElementById("viewer");
+for (const button of document.querySelectorAll("button.enlarge")) {
+  button.addEventListener("click", () => {
+    const image = button.querySelector("img");
+    viewer.querySelector("img").src = image.src;
+    viewer.querySelector("img").alt = image.alt;
+    viewer.querySelector("p").textContent = image.alt;
+    viewer.showModal();
+  });
+}
+viewer.addEventListener("click", () => viewer.close());
+// Paper shows everything.
+addEventListener("beforeprint", () => {
+  for (const details of document.querySelectorAll("details")) details.open = true;
+});
+// A click on a command selects it whole.
+for (const command of document.querySelectorAll("code.command")) {
+  command.addEventListener("click", () => getSelection().selectAllChildren(command));
+}

@@ -1,0 +1,217 @@
+"""What the page shows, as texts and flags: the templates only arrange it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import median
+
+from evalkit.metrics.table import Metric
+from evalkit.protocols import Published
+from evalkit.report.comparison import Comparison
+from evalkit.report.standings import STATUS, Cell, Standing, contestant_of, deciding, standing, unfinished, worse
+from evalkit.types import Status, Trial
+
+
+@dataclass(frozen=True, slots=True)
+class Number:
+    """A cell of a table. ``sort``: None sorts last. ``tip``: what it stands on, or why there is nothing.
+
+    ``best``: the best of those who completed every run; ``level``: not separable from it. ``partial``: what runs that
+    ended early had reached, shown apart because it is comparable with nothing.
+    """
+
+    text: str
+    extent: str = ""
+    sort: float | None = None
+    tip: str = ""
+    best: bool = False
+    level: bool = False
+    partial: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Failure:
+    """Runs of one contestant that ended the same way."""
+
+    contestant: str
+    seeds: str
+    status: str
+    progress: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One contestant over one sequence."""
+
+    contestant: str
+    complete: int
+    expected: int
+    numbers: tuple[Number, ...]
+    failures: tuple[Failure, ...]
+    behind_bar: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """A headline table; ``absent``: reasons, with the headline metrics that mean nothing here for each."""
+
+    metrics: tuple[Metric, ...]
+    rows: tuple[Row, ...]
+    absent: dict[str, tuple[str, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One metric over all contestants of a sequence."""
+
+    metric: Metric
+    numbers: tuple[Number, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Reference:
+    """A row of a table that sets a metric beside what others have printed; ``source`` is empty for our own rows."""
+
+    label: str
+    value: str
+    spread: str
+    sort: float
+    source: str
+
+
+def headline(comparison: Comparison, sequence: str) -> Table:
+    """The first table of a sequence: contestants down, headline metrics across."""
+    found = [standing(comparison, sequence, metric) for metric in comparison.metrics if metric.headline]
+    present = [one for one in found if any(cell.values or cell.partial for cell in one.cells)]
+    rows = [_row(comparison, label, own, present) for label, own in comparison.by_contestant(sequence).items()]
+    return Table(
+        tuple(one.metric for one in present), tuple(rows), _absent([one for one in found if one not in present])
+    )
+
+
+def everything(comparison: Comparison, sequence: str) -> dict[str, tuple[Line, ...]]:
+    """All metrics of a sequence by group; metrics that nobody has a score for are left out."""
+    groups: dict[str, list[Line]] = {}
+    for metric in comparison.metrics:
+        found = standing(comparison, sequence, metric)
+        if any(metric.name in trial.scores for trial in comparison.of_sequence(sequence)):
+            numbers = tuple(number(found, cell) for cell in found.cells)
+            groups.setdefault(metric.group, []).append(Line(metric, numbers))
+    return {group: tuple(lines) for group, lines in groups.items()}
+
+
+def number(found: Standing, cell: Cell) -> Number:
+    """A cell as printed: the median with the lowest and highest run, or a dash with the reason as its tip."""
+    metric = found.metric
+    partial = ", ".join(printed(metric, value) for value in cell.partial)
+    if not cell.values:
+        return Number("–", tip=cell.reason, partial=partial)
+    middle = median(cell.values)
+    extent = f"{printed(metric, min(cell.values))}–{printed(metric, max(cell.values))}" if len(cell.values) > 1 else ""
+    runs = f"{len(cell.values)} of {cell.expected} runs"
+    support = f", support {cell.support}" if cell.support else ""
+    contest = len(found.ranked) > 1
+    return Number(
+        printed(metric, middle),
+        extent,
+        middle,
+        f"{metric.label}: median of {runs}{support}",
+        best=contest and cell is found.ranked[0],
+        level=contest and cell in found.level and len(found.level) > 1,
+        partial=partial,
+    )
+
+
+def printed(metric: Metric, value: float) -> str:
+    """A number with the metric's decimals and a true minus sign."""
+    return f"{value:.{metric.digits}f}".replace("-", "\u2212")
+
+
+def failures(trials: Sequence[Trial]) -> tuple[Failure, ...]:
+    """The runs that did not complete, those of one contestant with one reason together."""
+    together: dict[tuple[str, Status, str], list[Trial]] = {}
+    for trial in unfinished(trials):
+        together.setdefault((trial.contestant, trial.run.status, trial.run.reason), []).append(trial)
+    return tuple(
+        Failure(who, _seeds(alike), STATUS[status], _progress(alike), reason)
+        for (who, status, reason), alike in together.items()
+    )
+
+
+def published(comparison: Comparison, sequence: str) -> tuple[Metric, tuple[Reference, ...]] | None:
+    """Our contestants among published figures, best first, with the metric; None where nothing was published."""
+    rows = comparison.sequences[sequence].published
+    metric = _counterpart(comparison, rows) if rows else None
+    if metric is None:
+        return None
+    deviation = next((m for m in comparison.metrics if m.name == rows[0].spread_metric), None)
+    references = [
+        Reference(
+            row.label,
+            printed(metric, row.value),
+            "" if row.spread is None else printed(metric, row.spread),
+            row.value,
+            row.source,
+        )
+        for row in rows
+    ]
+    for cell in standing(comparison, sequence, metric).ranked:
+        beside = standing(comparison, sequence, deviation).of(cell.contestant) if deviation else None
+        spread = printed(deviation, beside.median) if deviation and beside and beside.median is not None else ""
+        references.append(
+            Reference(cell.contestant, printed(metric, median(cell.values)), spread, median(cell.values), "")
+        )
+    return metric, tuple(sorted(references, key=lambda row: row.sort))
+
+
+def notes(trials: Sequence[Trial]) -> dict[str, int]:
+    """Defects counted while reading a sequence: the highest count over its runs."""
+    counts: dict[str, int] = {}
+    for trial in trials:
+        for name, count in trial.run.notes.items():
+            counts[name] = max(counts.get(name, 0), int(count))
+    return counts
+
+
+def _row(comparison: Comparison, label: str, trials: Sequence[Trial], present: Sequence[Standing]) -> Row:
+    cells = [(found, cell) for found in present if (cell := found.of(label)) is not None]
+    complete = len(trials) - len(unfinished(trials))
+    decision = deciding(comparison, trials[0].sequence)
+    behind = decision is not None and any(
+        worse(decision.metric, decision.of(label), decision.of(bar)) for bar in contestant_of(comparison, "bar")
+    )
+    numbers = tuple(number(found, cell) for found, cell in cells)
+    return Row(label, complete, len(trials), numbers, failures(trials), behind)
+
+
+def _absent(found: Sequence[Standing]) -> dict[str, tuple[str, ...]]:
+    """Metrics nobody has a value for, by the reason that complete runs give; none where nothing was completed."""
+    reasons: dict[str, tuple[str, ...]] = {}
+    for one in found:
+        for cell in one.cells:
+            if cell.complete:
+                reasons[cell.reason] = (*reasons.get(cell.reason, ()), one.metric.label)
+                break
+    return reasons
+
+
+def _counterpart(comparison: Comparison, rows: Sequence[Published]) -> Metric | None:
+    named = rows[0].metric
+    for metric in comparison.metrics:
+        if metric.name == named or (not named and metric.group == "relations" and metric.unit == "m"):
+            return metric
+    return None
+
+
+def _seeds(trials: Sequence[Trial]) -> str:
+    seeds = [str(trial.seed) for trial in trials if trial.seed is not None]
+    if not seeds:
+        return ""
+    return f"seed{'s' if len(seeds) > 1 else ''} {', '.join(seeds)}"
+
+
+def _progress(trials: Sequence[Trial]) -> str:
+    counts = dict.fromkeys(f"{len(t.run.steps)} of {t.run.expected} scans" for t in trials if len(t.run.steps))
+    return f"after {' / '.join(counts)}" if counts else ""

@@ -1,0 +1,223 @@
+"""What several tests share: a made-up comparison for the report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+
+from evalkit.metrics.table import Group, Metric
+from evalkit.protocols import Published
+from evalkit.report import Comparison, ContestantCard, SequenceCard, Setting
+from evalkit.types import STEP, OccupancyGrid, Pose, Run, Score, Status, Trajectory, Trial, Truth
+
+Build = Callable[..., Comparison]
+
+UNITS: tuple[tuple[str, str, str, str, Group, int, bool], ...] = (
+    ("ate_rmse_m", "ATE RMSE", "m", "lower", "drift", 3, True),
+    ("drift_percent", "drift per metre", "%", "lower", "drift", 2, True),
+    ("heading_rmse_deg", "heading RMSE", "deg", "lower", "drift", 2, False),
+    ("relations_mean_m", "relation error, mean", "m", "lower", "relations", 3, True),
+    ("relations_sd_m", "relation error, sd", "m", "lower", "relations", 3, False),
+    ("map_f1", "map F1 at 10 cm", "", "higher", "map against truth", 3, True),
+    ("map_entropy", "map entropy", "nat", "lower", "map consistency", 4, True),
+    ("s2m_m", "S2M residual", "m", "lower", "residuals", 4, True),
+    ("cpu_median_ms", "CPU time per scan, median", "ms", "lower", "runtime", 2, True),
+    ("corners", "corners", "", "", "map consistency", 0, False),
+)
+
+
+def metric_table() -> tuple[Metric, ...]:
+    """Ten metrics of every group and direction."""
+    return tuple(
+        Metric(
+            name, label, unit, better, group, f"What {label} is.", "Author 2012", "global warp", _unused, digits, head
+        )  # type: ignore[arg-type]
+        for name, label, unit, better, group, digits, head in UNITS
+    )
+
+
+def make_trial(
+    contestant: str,
+    sequence: str,
+    scores: Mapping[str, float | None],
+    *,
+    seed: int | None = 0,
+    status: Status = "complete",
+    reason: str = "",
+    answered: int = 60,
+    expected: int = 60,
+    error_m: float = 0.02,
+    ms: float = 1.0,
+    truth: bool = True,
+) -> Trial:
+    """A run around a rectangle whose estimate walks away from the truth by ``error_m``."""
+    stamps = np.arange(expected) * 100_000_000
+    poses = _lap(np.linspace(0.0, 1.0, expected))
+    rng = np.random.default_rng([seed or 0, *contestant.encode()])
+    off = error_m * np.linspace(0.0, 1.0, expected)[:, None] * [0.7, -0.7, 0.05] + rng.normal(0, 0.002, (expected, 3))
+    steps = np.zeros(answered, dtype=STEP)
+    for column, values in zip(("x", "y", "theta"), (poses + off).T, strict=True):
+        steps[column] = values[:answered]
+    steps["stamp_ns"] = stamps[:answered]
+    steps["cpu_ns"] = rng.lognormal(0.0, 0.4, answered) * ms * 1e6
+    steps["wall_ns"] = steps["cpu_ns"]
+    steps["s2s_error"] = np.nan if contestant.startswith("wheel") else rng.gamma(9, 0.002, answered)
+    steps["s2m_error"] = np.nan if contestant.startswith("wheel") else rng.gamma(9, 0.003, answered)
+    run = Run(contestant, sequence, status, reason, steps, expected, 120_000_000, 5, {"scans out of order": 2})
+    return Trial(
+        key=f"{contestant}-{sequence}-{seed}".replace("<", "_").replace(">", "_").replace("/", "_"),
+        contestant=contestant,
+        backend=contestant,
+        backend_parameters={"keyframes": 10},
+        sequence=sequence,
+        dataset=sequence,
+        dataset_parameters={"rate_hz": 10.0},
+        seed=seed,
+        command=f"evalkit report demo.toml --sequence '{sequence}' --contestant '{contestant}'"
+        + ("" if seed is None else f" --seed {seed}"),
+        run=run,
+        truth=_truth(stamps, poses) if truth else Truth("none"),
+        scores={n: Score(v, answered) if v is not None else Score(None, 0, f"no {n} here") for n, v in scores.items()},
+        world_from_start=Pose(),
+        grid=_grid(error_m) if answered else None,
+        errors_m=np.hypot(off[:answered, 0], off[:answered, 1]) if truth and answered else None,
+    )
+
+
+def make_comparison(trials: Sequence[Trial], **changes: object) -> Comparison:
+    """A comparison of those trials with plain cards; the contestants "paper" and "wheel" have their roles."""
+    roles = {"paper": "paper", "wheel": "bar"}
+    made = Comparison(
+        title="Demo",
+        description="Nine ways to follow a lidar.",
+        trials=tuple(trials),
+        metrics=metric_table(),
+        contestants={
+            label: ContestantCard(
+                f"What {label} does.",
+                "Author, https://example.org/paper",
+                "MIT",
+                (Setting("keyframes", 20, 10, "", "how many"), Setting("radius", 0.3, 0.3, "m", "search radius")),
+                "wheel odometry",
+                role=roles.get(label, ""),  # type: ignore[arg-type]
+            )
+            for label in dict.fromkeys(trial.contestant for trial in trials)
+        },
+        sequences={
+            label: SequenceCard(f"A sequence called {label}.", "360 beams, 10 Hz", "exact: simulated", "Author", "MIT")
+            for label in dict.fromkeys(trial.sequence for trial in trials)
+        },
+        environment={"processor": "a processor", "threads per run": "1"},
+        command="evalkit report demo.toml",
+        started=datetime(2024, 5, 1, 8, 0, tzinfo=UTC),
+        finished=datetime(2024, 5, 1, 9, 30, tzinfo=UTC),
+        mapper="log-odds (resolution_m 0.05)",
+        fairness=("One thread each.",),
+    )
+    return replace(made, **changes)  # type: ignore[arg-type]
+
+
+@pytest.fixture
+def trial() -> Callable[..., Trial]:
+    """``trial(contestant, sequence, scores, ...)``."""
+    return make_trial
+
+
+@pytest.fixture
+def build() -> Build:
+    """``build(trials, ...)``: a comparison of them."""
+    return make_comparison
+
+
+@pytest.fixture(scope="session")
+def demo() -> Comparison:
+    """Two sequences, three seeds and one run, with every way to end and a name that tries to be a script."""
+    trials = []
+    for seed in range(3):
+        for name, ate, ms in (("paper", 0.066, 0.3), ("plane", 0.011, 4.2), ("wheel", 0.39, 0.01), ("lost", 2.5, 9.0)):
+            value = ate * (1 + 0.03 * seed)
+            scores = {
+                "ate_rmse_m": value, "drift_percent": 10 * value, "heading_rmse_deg": value, "relations_mean_m": None,
+                "map_f1": 1 / (1 + 4 * value), "map_entropy": 0.1 + value / 9, "cpu_median_ms": ms, "corners": 40.0,
+                "s2m_m": None if name == "wheel" else 0.02,
+            }  # fmt: skip
+            trials.append(make_trial(name, "room", scores, seed=seed, error_m=ate, ms=ms))
+        ends: tuple[tuple[Status, str, int], ...] = (
+            ("complete", "", 60), ("crashed", "signal 11 (segmentation fault)", 31), ("timeout", "900 s passed", 45),
+        )  # fmt: skip
+        status, reason, answered = ends[seed]
+        trials.append(
+            make_trial(
+                "<script>alert(1)</script>",
+                "room",
+                {"ate_rmse_m": 0.05, "cpu_median_ms": 50.0},
+                seed=seed,
+                status=status,
+                reason=reason,
+                answered=answered,
+                error_m=0.05,
+                ms=50.0,
+            )
+        )
+        trials.append(
+            make_trial(
+                "absent",
+                "room",
+                {},
+                seed=seed,
+                status="not-installed",
+                answered=0,
+                reason="no module named 'absent'; pip install absent",
+            )
+        )
+    for name, error in (("paper", 0.27), ("plane", 0.051), ("lost", 0.062)):
+        scores = {"ate_rmse_m": None, "relations_mean_m": error, "relations_sd_m": error, "cpu_median_ms": 1.0}
+        trials.append(make_trial(name, "fr079", scores, seed=None, error_m=error, truth=False))
+    trials.append(
+        make_trial("wheel", "fr079", {}, seed=None, status="failed", reason="no odometry was recorded", answered=0)
+    )
+    trials.append(
+        make_trial(
+            "plane",
+            "intel",
+            {},
+            seed=None,
+            status="data-missing",
+            answered=0,
+            expected=0,
+            reason="intel: no such folder; run: evalkit data get intel",
+        )
+    )
+    made = make_comparison(trials)
+    paper = "Kuemmerle et al. 2009, https://example.org/relations"
+    published = (Published("scan matching", 0.258, 0.427, paper), Published("graph mapping", 0.056, 0.042, paper))
+    cards = {**made.sequences, "fr079": replace(made.sequences["fr079"], published=published, defects=("odd",))}
+    return replace(made, sequences=cards)
+
+
+def _unused(evidence: object) -> Score:
+    raise AssertionError("a report scores nothing")
+
+
+def _lap(share: np.ndarray) -> np.ndarray:
+    angle = 2 * np.pi * share
+    return np.stack([6 + 4 * np.cos(angle), 4 + 2.5 * np.sin(angle), angle], axis=-1)
+
+
+def _truth(stamps: np.ndarray, poses: np.ndarray) -> Truth:
+    return Truth("exact: simulated", Trajectory(stamps, poses), grid=_grid(0.0))
+
+
+def _grid(blur_m: float) -> OccupancyGrid:
+    """A room of 12 x 8 m at 5 cm; walls doubled at a distance that grows with the blur."""
+    log_odds = np.full((160, 240), -3.0, dtype=np.float32)
+    for shift in {0, min(round(blur_m / 0.05), 30)}:
+        log_odds[shift, :] = log_odds[-1 - shift, :] = log_odds[:, shift] = log_odds[:, -1 - shift] = 3.0
+        log_odds[60:80, 100 + shift] = 3.0
+    observed = np.ones_like(log_odds, dtype=bool)
+    observed[62:78, 105:130] = False
+    return OccupancyGrid(log_odds, observed, 0.05, 0.0, 0.0)

@@ -1,0 +1,176 @@
+"""The page shows everything, loads nothing and runs nothing it was given."""
+
+import io
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from evalkit.report import write
+from evalkit.report.maps import Window, greys, picture, window
+from evalkit.report.palette import strokes
+from evalkit.report.views import headline
+from evalkit.types import OccupancyGrid
+
+
+class Tags(HTMLParser):
+    """Collects (tag, attributes) and checks that what is opened is closed."""
+
+    VOID = ("meta", "img", "br", "line", "link", "input")
+
+    def __init__(self):
+        super().__init__()
+        self.found, self.open, self.text = [], [], ""
+
+    def handle_starttag(self, tag, attrs):
+        self.found.append((tag, dict(attrs)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.found.append((tag, dict(attrs)))
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.text += data
+
+
+@pytest.fixture(scope="module")
+def html(demo, tmp_path_factory):
+    return write(demo, tmp_path_factory.mktemp("report")).read_text(encoding="utf-8")
+
+
+@pytest.fixture(scope="module")
+def tags(html):
+    parser = Tags()
+    parser.feed(html)
+    parser.close()
+    return parser
+
+
+def test_every_tag_that_opens_closes(tags):
+    assert tags.open == []
+
+
+def test_names_that_try_to_be_scripts_stay_text(tags, html):
+    assert "<script>alert" not in html
+    assert "<script>alert(1)</script>" in tags.text
+    assert sum(tag == "script" for tag, _ in tags.found) == 1
+
+
+def test_nothing_is_loaded_from_anywhere(tags):
+    for tag, attributes in tags.found:
+        for name in ("src", "srcset", "data", "action", "poster", "background"):
+            assert attributes.get(name, "data:").startswith("data:"), tag
+        assert tag not in ("link", "iframe", "object", "embed")
+        assert "@import" not in attributes.get("style", "")
+        if attributes.get("href", "").startswith("http"):
+            assert tag == "a"
+
+
+def test_the_browser_is_told_to_load_nothing(tags):
+    policies = [a["content"] for tag, a in tags.found if a.get("http-equiv") == "Content-Security-Policy"]
+    assert policies[0].startswith("default-src 'none'")
+
+
+def test_links_within_the_page_lead_somewhere(tags):
+    anchors = [attributes["id"] for _, attributes in tags.found if "id" in attributes]
+    assert len(anchors) == len(set(anchors))
+    targets = {a["href"][1:] for _, a in tags.found if a.get("href", "").startswith("#")}
+    assert targets <= set(anchors)
+
+
+def test_every_run_has_its_command_and_its_files(tags, demo):
+    links = {attributes.get("href") for _, attributes in tags.found}
+    for trial in demo.trials:
+        assert trial.command in tags.text
+        file = f"trajectories/{trial.key}.tum".replace("(", "%28").replace(")", "%29")
+        assert (file in links) == (len(trial.run.steps) > 0)
+
+
+def test_runs_that_failed_are_counted_and_shown_with_their_reason(tags):
+    text = " ".join(tags.text.split())
+    assert "1 of 3" in text
+    for said in (
+        "crashed seed 1 after 31 of 60 scans: signal 11 (segmentation fault)",
+        "timed out seed 2 after 45 of 60 scans: 900 s passed",
+        "not installed seeds 0, 1, 2: no module named 'absent'; pip install absent",
+        "data missing intel: no such folder; run: evalkit data get intel",
+        "failed no odometry was recorded",
+    ):
+        assert said in text
+
+
+def test_arrows_point_where_better_is(html):
+    heading = {
+        name: re.search(rf"{name}.*?</th>", html[html.index("<table") :], re.DOTALL)[0]
+        for name in ("ATE RMSE", "Map F1")
+    }
+    assert "↓" in heading["ATE RMSE"]
+    assert "↑" in heading["Map F1"]
+
+
+def test_a_number_that_means_nothing_is_a_dash_with_its_reason(tags):
+    reasons = [a["title"] for tag, a in tags.found if tag == "span" and a.get("class") == "none"]
+    assert "no relations_mean_m here" in reasons
+    assert "failed: no odometry was recorded" in reasons
+
+
+def test_only_who_completed_every_run_is_best(demo):
+    table = headline(demo, "room")
+    best = {m.name: [r.contestant for r in table.rows if r.numbers[i].best] for i, m in enumerate(table.metrics)}
+    assert best["ate_rmse_m"] == ["plane"]
+    assert best["map_f1"] == ["plane"]
+    assert best["cpu_median_ms"] == ["paper"]
+
+
+def test_who_is_worse_than_the_bar_is_marked(demo):
+    assert [row.contestant for row in headline(demo, "room").rows if row.behind_bar] == ["lost"]
+
+
+def test_published_figures_stand_among_ours_in_order(tags):
+    text = " ".join(tags.text.split())
+    table = text[text.index("Beside published figures") :]
+    places = [table.index(f"{name} {value}") for name, value in (("plane", "0.051"), ("graph mapping", "0.056"))]
+    assert places == sorted(places)
+    assert table.index("scan matching 0.258") < table.index("paper 0.270")
+
+
+def test_counted_defects_of_the_data_are_printed(tags):
+    assert "2 scans out of order" in " ".join(tags.text.split())
+
+
+def test_a_map_shows_walls_black_where_they_stand():
+    log_odds = np.full((40, 80), -4.0, dtype=np.float32)
+    log_odds[5, 10] = 4.0
+    observed = np.ones((40, 80), dtype=bool)
+    observed[:, 70:] = False
+    grid = OccupancyGrid(log_odds, observed, 0.1, -1.0, 2.0)
+    shown = Window(-1.0, 7.0, 2.0, 6.0)
+    levels = greys(grid, shown)
+    rows, columns = np.nonzero(levels == 0)
+    metres = 8.0 / levels.shape[1]
+    assert -1.0 + (columns.mean() + 0.5) * metres == pytest.approx(0.05, abs=0.02)
+    assert 6.0 - (rows.mean() + 0.5) * metres == pytest.approx(2.55, abs=0.02)
+    assert levels[0, 0] == 15
+    assert levels[0, -1] == 12
+    read = np.asarray(Image.open(io.BytesIO(picture(grid, shown))))
+    assert np.array_equal(read, levels * 17)
+
+
+def test_a_map_that_has_spread_does_not_shrink_the_others():
+    def room(size):
+        cells = np.ones((size, size), dtype=bool)
+        return OccupancyGrid(np.zeros((size, size)), cells, 1.0, 0.0, 0.0)
+
+    assert window([room(10), room(11), room(500)]) == Window(0.0, 11.0, 0.0, 11.0)
+    assert window([]) is None
+
+
+def test_nine_contestants_have_nine_strokes():
+    chosen = strokes([f"c{i}" for i in range(9)], ["c0"])
+    assert len(set(chosen.values())) == 9

@@ -1,0 +1,77 @@
+"""What programs read is what was scored."""
+
+import csv
+import json
+
+import pytest
+
+from evalkit.report import write
+
+
+@pytest.fixture(scope="module")
+def folder(demo, tmp_path_factory):
+    return write(demo, tmp_path_factory.mktemp("report")).parent
+
+
+def _rows(path):
+    with path.open(encoding="utf-8", newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def test_trials_csv_holds_every_run_and_every_score(folder, demo):
+    rows = _rows(folder / "trials.csv")
+    assert [row["key"] for row in rows] == [trial.key for trial in demo.trials]
+    for row, trial in zip(rows, demo.trials, strict=True):
+        assert (row["status"], row["reason"], row["command"]) == (trial.run.status, trial.run.reason, trial.command)
+        assert row["seed"] == ("" if trial.seed is None else str(trial.seed))
+        for metric in demo.metrics:
+            score = trial.scores.get(metric.name)
+            value = None if score is None else score.value
+            assert (float(row[metric.name]) if row[metric.name] else None) == value
+
+
+def test_scores_csv_keeps_the_reason_of_what_is_not_meaningful(folder, demo):
+    rows = _rows(folder / "scores.csv")
+    assert len(rows) == sum(len(trial.scores) for trial in demo.trials)
+    empty = [row for row in rows if not row["value"]]
+    assert empty
+    assert all(row["reason"] for row in empty)
+
+
+def test_summary_csv_has_medians_over_complete_runs_only(folder):
+    found = {(r["contestant"], r["metric"]): r for r in _rows(folder / "summary.csv") if r["sequence"] == "room"}
+    plane = found["plane", "ate_rmse_m"]
+    assert float(plane["median"]) == pytest.approx(0.011 * 1.03)
+    assert [float(plane[k]) for k in ("lowest", "highest")] == pytest.approx([0.011, 0.011 * 1.06])
+    assert (plane["place"], plane["level_with_best"]) == ("1", "True")
+    survivor = found["<script>alert(1)</script>", "ate_rmse_m"]
+    assert [survivor[k] for k in ("runs_complete", "runs_expected", "place")] == ["1", "3", ""]
+
+
+def test_results_json_holds_the_same_scores(folder, demo):
+    results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+    assert results["schema"] == {"name": "evalkit-results", "version": 1}
+    for row, trial in zip(results["trials"], demo.trials, strict=True):
+        assert row["scores"] == {
+            name: {"value": score.value, "support": score.support, "reason": score.reason}
+            for name, score in trial.scores.items()
+        }
+        assert row["scans_answered"] == len(trial.run.steps)
+
+
+def test_results_json_obeys_the_schema_that_lies_beside_it(folder):
+    jsonschema = pytest.importorskip("jsonschema")
+    schema = json.loads((folder / "results.schema.json").read_text(encoding="utf-8"))
+    jsonschema.Draft202012Validator.check_schema(schema)
+    jsonschema.validate(json.loads((folder / "results.json").read_text(encoding="utf-8")), schema)
+
+
+def test_the_same_comparison_writes_the_same_files(folder, demo, tmp_path):
+    again = write(demo, tmp_path / "again").parent
+    for path in folder.iterdir():
+        assert (again / path.name).read_bytes() == path.read_bytes(), path.name
+
+
+def test_a_comparison_refuses_a_run_that_stands_there_twice(trial, build):
+    with pytest.raises(ValueError, match="a over room with seed 0 stands there twice"):
+        build([trial("a", "room", {}), trial("a", "room", {})])
