@@ -109,7 +109,7 @@ def with_defaults(parameters: tuple[Parameter, ...], **defaults: Value) -> tuple
     return tuple(replace(p, default=defaults.get(p.name, p.default)) for p in parameters)
 
 
-def nothing_missing() -> str:
+def nothing_missing(**_parameters: Value) -> str:
     """The answer of a plug-in that needs nothing beyond evalkit."""
     return ""
 

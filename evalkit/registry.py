@@ -25,17 +25,17 @@ def names(kind: str) -> list[str]:
 
 def backend(name: str) -> BackendSpec:
     """The back end registered under a name."""
-    return _load("backends", name, BackendSpec)
+    return load("backends", name, BackendSpec)
 
 
 def mapper(name: str) -> MapperSpec:
     """The mapper registered under a name."""
-    return _load("mappers", name, MapperSpec)
+    return load("mappers", name, MapperSpec)
 
 
 def dataset(name: str) -> DatasetSpec:
     """The data set or reader registered under a name."""
-    return _load("datasets", name, DatasetSpec)
+    return load("datasets", name, DatasetSpec)
 
 
 RUN_CODE = ("se2", "types", "protocols", "clock", "lift", "submap", "frontend", "worker")
@@ -45,7 +45,7 @@ SCORE_CODE = ("se2", "types", "scoring", "metrics")
 def run_fingerprint(backend: str, dataset: str) -> str:
     """A digest of the code a run stands on: evalkit's part in it, the two plug-ins and the libraries they require."""
     plugins = [_found("backends")[backend].module, _found("datasets")[dataset].module]
-    libraries = ["numpy", "scipy", *_load("backends", backend, BackendSpec).requires]
+    libraries = ["numpy", "scipy", *load("backends", backend, BackendSpec).requires]
     return _digest([*(f"evalkit.{name}" for name in RUN_CODE), *plugins], libraries)
 
 
@@ -82,7 +82,8 @@ def _found(kind: str) -> dict[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=f"evalkit.{kind}")}
 
 
-def _load(kind: str, name: str, wanted: type[Spec]) -> Spec:
+def load(kind: str, name: str, wanted: type[Spec]) -> Spec:
+    """What is registered under a name of a kind; UnknownName lists the known ones."""
     points = _found(kind)
     if name not in points:
         raise UnknownName(kind.removesuffix("s"), name, points)

@@ -10,6 +10,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from evalkit import registry
 from evalkit.metrics import consistency, drift, maps, registration, relations, runtime, trajectory
 from evalkit.metrics.table import Evidence, Metric
 from evalkit.types import Score
@@ -23,6 +24,11 @@ METRICS: tuple[Metric, ...] = (
     *registration.METRICS,
     *runtime.METRICS,
 )
+
+
+def all_metrics() -> tuple[Metric, ...]:
+    """evalkit's own metrics, then those of other packages, found under the entry points ``evalkit.metrics``."""
+    return (*METRICS, *(registry.load("metrics", name, Metric) for name in registry.names("metrics")))
 
 
 def score(evidence: Evidence, table: Iterable[Metric] = METRICS) -> dict[str, Score]:

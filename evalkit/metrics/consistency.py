@@ -16,8 +16,9 @@ from evalkit.types import Bools, Ints, OccupancyGrid, Score
 
 PATCH_M = 0.5
 FLATNESS = 9.0
-MIN_CELLS = 5
-MOST_PATCHES = 2000
+MIN_HITS = 5
+MOST_HITS = 20_000
+MOST_PATCHES = 1000
 MIN_WALL_SHARE = 0.05
 CORNER_APART_M = 0.2
 CORNER_RESPONSE = 1.8e-5
@@ -34,22 +35,21 @@ def entropy(grid: OccupancyGrid) -> float:
     return float(-np.mean(p * np.log(p) + (1.0 - p) * np.log(1.0 - p)))
 
 
-def thicknesses(grid: OccupancyGrid) -> tuple[Floats, float]:
-    """Wall thickness (K,) in metres where occupied cells lie along a line, and the share of patches that do.
+def thicknesses(hits: Floats) -> tuple[Floats, float]:
+    """Wall thickness (K,) in metres where hits (N, 2), N > 0, lie along a line, and the share of patches where they do.
 
-    A patch is all occupied cells within 0.5 m of one; its thickness is sqrt(lambda_min) of their covariance, cells
-    taken as squares, where lambda_max > 9 lambda_min. At most 2,000 patches, evenly spaced over the cells.
+    A patch is all hits within 0.5 m of one; its thickness is sqrt(lambda_min) of their covariance, where lambda_max
+    > 9 lambda_min. Hits and patches are at most 20,000 and 1,000, evenly spaced in the order of time.
     """
-    centres = grid.centres(grid.occupied())
-    chosen = np.unique(np.linspace(0, len(centres) - 1, min(MOST_PATCHES, len(centres))).astype(int))
-    balls = cKDTree(centres).query_ball_point(centres[chosen], PATCH_M, return_sorted=False)
+    points = _evenly(hits, MOST_HITS)
+    middles = _evenly(points, MOST_PATCHES)
+    balls = cKDTree(points).query_ball_point(middles, PATCH_M, return_sorted=False)
     neighbours = [np.asarray(ball, dtype=np.int64) for ball in balls]
     counts = np.array([len(indices) for indices in neighbours])
-    offsets = centres[np.concatenate(neighbours)] - np.repeat(centres[chosen], counts, axis=0)
+    offsets = points[np.concatenate(neighbours)] - np.repeat(middles, counts, axis=0)
     small, large = _eigenvalues(offsets, counts)
-    square = grid.resolution_m**2 / 12.0
-    flat = (counts >= MIN_CELLS) & (large + square > FLATNESS * (small + square))
-    return np.sqrt(small[flat] + square), float(flat.mean())
+    flat = (counts >= MIN_HITS) & (large > FLATNESS * small)
+    return np.sqrt(small[flat]), float(flat.mean())
 
 
 def occupied_share(grid: OccupancyGrid) -> float:
@@ -121,6 +121,10 @@ def _eigenvalues(offsets: Floats, counts: Ints) -> tuple[Floats, Floats]:
     return np.maximum(half - root, 0.0), half + root
 
 
+def _evenly(points: Floats, most: int) -> Floats:
+    return np.asarray(points[np.unique(np.linspace(0, len(points) - 1, min(most, len(points))).astype(int))])
+
+
 def _cropped(mask: Bools) -> Bools:
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     return mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] if len(rows) else mask[:1, :1]
@@ -149,17 +153,23 @@ def _of_grid(measure: Callable[[OccupancyGrid], Score]) -> Callable[[Evidence], 
 
 
 def _of_thicknesses(statistic: Callable[[Floats], np.floating | float]) -> Callable[[Evidence], Score]:
-    def measure(grid: OccupancyGrid) -> Score:
-        found, share = thicknesses(grid)
-        if share < MIN_WALL_SHARE or len(found) == 0:
-            return Score(None, len(found), f"only {100.0 * share:.0f} % of the occupied cells lie along a wall")
+    def compute(evidence: Evidence) -> Score:
+        points = hits(evidence.mapped)
+        if len(points) == 0:
+            return Score(None, 0, "no mapped scan has a hit")
+        found, share = thicknesses(points)
+        if share < MIN_WALL_SHARE:
+            return Score(None, len(found), f"only {100.0 * share:.0f} % of the hits lie along a wall")
         return number(statistic(found), len(found))
 
-    return _of_grid(measure)
+    return compute
 
 
-def _wall_share(grid: OccupancyGrid) -> Score:
-    return number(100.0 * thicknesses(grid)[1], min(int(grid.occupied().sum()), MOST_PATCHES))
+def _wall_share(evidence: Evidence) -> Score:
+    points = hits(evidence.mapped)
+    if len(points) == 0:
+        return Score(None, 0, "no mapped scan has a hit")
+    return number(100.0 * thicknesses(points)[1], min(len(points), MOST_PATCHES))
 
 
 def _enclosed(grid: OccupancyGrid) -> Score:
@@ -196,7 +206,7 @@ def _cells(grid: OccupancyGrid) -> int:
 
 FILATOV = "after Filatov et al., arXiv 1708.02354, 2017; thresholds and units frozen by evalkit"
 WARP = "a smooth warp of the whole map; it compares maps of the same scans by the same mapper only"
-WALL = "Spread across the wall of the occupied cells within 0.5 m of one, sqrt(lambda_min), where they lie along a line"
+WALL = "Spread across the wall of the hits within 0.5 m of one, sqrt(lambda_min), where they lie along a line"
 
 METRICS = (
     Metric("map_entropy", "map entropy", "nat", "lower", "map consistency",
@@ -204,21 +214,21 @@ METRICS = (
            "entropy); per observed cell: evalkit", WARP,
            _of_grid(lambda grid: number(entropy(grid), int(grid.observed.sum()))), 4, headline=True),
     Metric("wall_thickness_m", "wall thickness", "m", "lower", "map consistency",
-           f"{WALL} (lambda_max > 9 lambda_min); mean over at most 2,000 patches. A wall w wide gives w / sqrt(12).",
-           "Razlaw et al., ECMR 2015 (plane variance), on grid cells: evalkit",
-           f"walls doubled farther than 0.3 m apart, which no longer count as a line; {WARP}",
+           f"{WALL} (lambda_max > 9 lambda_min), all mapped scans laid together; mean over at most 1,000 places. A "
+           "wall w wide gives w / sqrt(12).", "after Razlaw et al., ECMR 2015 (mean plane variance)",
+           f"walls doubled so far apart that they no longer count as a line; {WARP}",
            _of_thicknesses(np.mean), headline=True),
     Metric("wall_thickness_p95_m", "wall thickness, 95 %", "m", "lower", "map consistency",
-           f"{WALL}; 95th percentile.", "as wall thickness", f"walls doubled farther than 0.3 m apart; {WARP}",
+           f"{WALL}; 95th percentile.", "as wall thickness",
+           f"walls doubled so far apart that they no longer count as a line; {WARP}",
            _of_thicknesses(lambda found: np.percentile(found, 95))),
-    Metric("wall_share_percent", "cells along a wall", "%", "higher", "map consistency",
-           "Patches of 0.5 m around occupied cells in which the cells lie along a line, of all patches.",
-           "as wall thickness", f"how thick the walls are; furniture and corners lower it; {WARP}",
-           _of_grid(_wall_share), 1),
+    Metric("wall_share_percent", "hits along a wall", "%", "higher", "map consistency",
+           "Places at which the hits within 0.5 m lie along a line, of all places looked at.", "as wall thickness",
+           f"how thick the walls are; furniture and corners lower it; {WARP}", _wall_share, 1),
     Metric("split_distance_m", "halves of the run apart", "m", "lower", "map consistency",
            "Distance from the occupied cells of the map of one half of the run, where the other half has looked, to "
            "the nearest occupied cell of the other half's map; mean over both directions.", "evalkit",
-           f"drift within places seen in one half only; {WARP}", _split),
+           f"drift within places seen in one half only; {WARP}", _split, headline=True),
     Metric("cleared_percent", "free-space violation", "%", "lower", "map consistency",
            "Hits of one half of the run in cells the other half has cleared (log-odds < -1), of those in cells it has "
            "observed; mean of both directions.", "evalkit", "drift along a wall; people walking raise it; " + WARP,

@@ -8,7 +8,7 @@ from datetime import datetime
 from evalkit import environment, registry
 from evalkit.experiment import Contestant, Course, MapperChoice, Plan
 from evalkit.frontend import parameters_of
-from evalkit.metrics import METRICS
+from evalkit.metrics import all_metrics
 from evalkit.protocols import Value
 from evalkit.report.comparison import Comparison, ContestantCard, SequenceCard, Setting
 from evalkit.types import Trial
@@ -24,7 +24,7 @@ def comparison_of(plan: Plan, trials: Sequence[Trial], started: datetime, finish
         title=plan.title,
         description=plan.description,
         trials=tuple(trials),
-        metrics=METRICS,
+        metrics=all_metrics(),
         contestants={contestant.label: contestant_card(contestant) for contestant in plan.contestants},
         sequences={course.label: sequence_card(course) for course in plan.courses},
         environment=environment.describe(libraries),

@@ -1,0 +1,201 @@
+"""The command line: arguments, paths, progress, exit codes (0 fine, 1 a run failed, 2 usage); nothing else."""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import sys
+from dataclasses import asdict
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from evalkit import __version__, console, experiment, listing, recording
+from evalkit.engine import Engine
+from evalkit.errors import EvalkitError
+from evalkit.experiment import Plan
+from evalkit.store import Store
+from evalkit.types import Trial
+
+app = typer.Typer(
+    help="Which scan matcher, on my robot, and is my own one right? Compare 2D lidar registration back ends.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+)
+datasets = typer.Typer(help="Recorded data: where it is, and how to get it.", no_args_is_help=True)
+app.add_typer(datasets, name="datasets")
+
+out = Console(soft_wrap=True)
+err = Console(stderr=True, soft_wrap=True)
+
+Experiment = Annotated[Path, typer.Argument(help="An experiment file (*.toml).", show_default=False)]
+Out = Annotated[Path | None, typer.Option("--out", "-o", help="Results folder.", show_default="reports/build/NAME")]
+Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="Runs at a time.", show_default="cores")]
+Resume = Annotated[bool, typer.Option("--resume", help="Keep what is done, run only what is missing.")]
+Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+Only = Annotated[list[str] | None, typer.Option(show_default=False)]
+
+
+def main() -> None:
+    """Entry point: every EvalkitError becomes one line and exit code 2."""
+    try:
+        app()
+    except EvalkitError as error:
+        err.print(f"evalkit: {error}", style="red", markup=False, highlight=False)
+        sys.exit(2)
+
+
+@app.callback(invoke_without_command=True)
+def _root(version: Annotated[bool, typer.Option("--version", help="Print the version.")] = False) -> None:
+    if version:
+        out.print(f"evalkit {__version__}", highlight=False)
+        raise typer.Exit
+
+
+@app.command("list")
+def list_(
+    kind: Annotated[str, typer.Argument(help="backends, mappers, datasets, metrics or all.")] = "all",
+    as_json: Json = False,
+) -> None:
+    """Back ends, mappers, data sets and metrics, with what is missing and why."""
+    if kind != "all" and kind not in listing.KINDS:
+        raise typer.BadParameter(f"found '{kind}', expected one of: all, {', '.join(listing.KINDS)}")
+    chosen = {name: rows for name, rows in listing.KINDS.items() if kind in ("all", name)}
+    found = {name: rows() for name, rows in chosen.items()}
+    if as_json:
+        _print_json({name: [asdict(row) for row in rows] for name, rows in found.items()})
+        return
+    for name, rows in found.items():
+        table = Table("name", "what it is", "missing here", title=name, title_justify="left", expand=out.is_terminal)
+        for row in rows:
+            table.add_row(row.name, row.summary, row.missing or "-")
+        out.print(table)
+
+
+@app.command()
+def run(
+    file: Experiment,
+    folder: Out = None,
+    jobs: Jobs = None,
+    resume: Resume = False,
+    sequence: Only = None,
+    contestant: Only = None,
+    seed: Annotated[list[int] | None, typer.Option(show_default=False)] = None,
+    as_json: Json = False,
+) -> None:
+    """Run an experiment and score it; results land in the folder as they come."""
+    plan = experiment.read(file).only(sequence or [], contestant or [], seed or [])
+    trials = _trials(plan, Store(folder or _folder(plan)), jobs, resume)
+    _end(trials, plan, None, as_json)
+
+
+@app.command()
+def report(
+    file: Experiment,
+    folder: Out = None,
+    jobs: Jobs = None,
+    resume: Resume = False,
+    sequence: Only = None,
+    contestant: Only = None,
+    seed: Annotated[list[int] | None, typer.Option(show_default=False)] = None,
+    as_json: Json = False,
+) -> None:
+    """Run an experiment and write its report: one HTML page, CSV and JSON tables, trajectories and maps."""
+    plan = experiment.read(file).only(sequence or [], contestant or [], seed or [])
+    _report(plan, folder, jobs, resume, as_json)
+
+
+@app.command()
+def compare(
+    file: Annotated[Path, typer.Argument(help="A bag (ROS 1 or 2) or a CARMEN log.", show_default=False)],
+    topic: Annotated[str, typer.Option(help="Laser topic of a bag.", show_default="the only one")] = "",
+    relations: Annotated[Path | None, typer.Option(help="Relations file (Kuemmerle).", show_default=False)] = None,
+    reference: Annotated[Path | None, typer.Option(help="True trajectory (TUM).", show_default=False)] = None,
+    backends: Annotated[str, typer.Option(help="Back ends, a,b,c.", show_default="all")] = "",
+    setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE for the reader.")] = None,
+    folder: Out = None,
+    jobs: Jobs = None,
+    resume: Resume = False,
+    sequence: Only = None,
+    contestant: Only = None,
+    as_json: Json = False,
+) -> None:
+    """Compare back ends on your own recording, in one line."""
+    given = {"topic": topic, "relations": relations, "reference": reference}
+    source = f"compare {shlex.quote(str(file))}" + "".join(
+        f" --{name} {shlex.quote(str(value))}" for name, value in given.items() if value
+    )
+    source += f" --backends {backends}" if backends else ""
+    source += "".join(f" --set {shlex.quote(item)}" for item in setting or [])
+    own = {name: str(value) for name, value in given.items() if value}
+    plan = recording.plan(file, own, _settings(setting or []), [b for b in backends.split(",") if b], source)
+    _report(plan.only(sequence or [], contestant or [], []), folder, jobs, resume, as_json)
+
+
+def _report(plan: Plan, folder: Path | None, jobs: int | None, resume: bool, as_json: bool) -> None:
+    from evalkit import report as pages  # noqa: PLC0415 - loads pandas and matplotlib: only who draws pays for them
+
+    started = datetime.now(UTC)
+    store = Store(folder or _folder(plan))
+    trials = _trials(plan, store, jobs, resume)
+    comparison = pages.comparison_of(plan, trials, started, datetime.now(UTC))
+    _end(trials, plan, pages.write(comparison, store.folder), as_json)
+
+
+def _trials(plan: Plan, store: Store, jobs: int | None, resume: bool) -> tuple[Trial, ...]:
+    at_once = jobs or _cores()
+    with console.progress(err, list(plan.runs()), at_once) as shown:
+        return Engine(plan, store, shown, at_once, resume).trials()
+
+
+def _end(trials: tuple[Trial, ...], plan: Plan, page: Path | None, as_json: bool) -> None:
+    """Prints where the result is; exit code 1 if a run that could have completed did not."""
+    complete = sum(trial.run.status == "complete" for trial in trials)
+    broken = [trial for trial in trials if trial.run.status in ("failed", "crashed", "timeout", "out-of-memory")]
+    if as_json:
+        _print_json(
+            {"title": plan.title, "page": str(page) if page else None, "runs": [_row(trial) for trial in trials]}
+        )
+    else:
+        absent = len(trials) - complete - len(broken)
+        out.print(f"{complete} runs complete, {len(broken)} failed, {absent} not possible here", highlight=False)
+        if page is not None:
+            out.print(str(page.resolve()), highlight=False, markup=False)
+    if broken:
+        raise typer.Exit(1)
+
+
+def _row(trial: Trial) -> dict[str, Any]:
+    return {
+        "contestant": trial.contestant,
+        "sequence": trial.sequence,
+        "seed": trial.seed,
+        "status": trial.run.status,
+        "reason": trial.run.reason,
+        "key": trial.key,
+        "scores": {name: score.value for name, score in trial.scores.items()},
+    }
+
+
+def _folder(plan: Plan) -> Path:
+    return Path("reports") / "build" / plan.name
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _settings(items: list[str]) -> dict[str, str]:
+    for item in items:
+        if "=" not in item:
+            raise typer.BadParameter(f"--set: found '{item}', expected NAME=VALUE")
+    return dict(item.split("=", 1) for item in items)
+
+
+def _print_json(content: object) -> None:
+    sys.stdout.write(json.dumps(content, indent=1) + "\n")

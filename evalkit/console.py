@@ -1,0 +1,117 @@
+"""What a comparison looks like while it runs: a bar with the time left on a terminal, plain lines when piped."""
+
+from __future__ import annotations
+
+import time
+from collections import defaultdict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from statistics import fmean
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from evalkit.experiment import Planned
+from evalkit.types import Trial
+
+
+class TimeLeft:
+    """An estimate from what finished runs took: a sequence's mean times a contestant's share of the mean."""
+
+    def __init__(self, planned: list[Planned], jobs: int) -> None:
+        self._open = [(item.course.label, item.contestant.label, item.seed) for item in planned]
+        self._jobs = jobs
+        self._took: dict[str, list[float]] = defaultdict(list)
+
+    def finished(self, course: str, contestant: str, seed: int | None, seconds: float) -> None:
+        """One run less; ``seconds`` is what it took with its scoring."""
+        self._open.remove((course, contestant, seed))
+        for name in ("", f"course {course}", f"contestant {contestant}"):
+            self._took[name].append(seconds)
+
+    def seconds(self) -> float | None:
+        """Seconds until all is done; None before anything is known."""
+        if not self._took:
+            return None
+        mean = max(fmean(self._took[""]), 1e-9)
+        of = {name: fmean(took) for name, took in self._took.items()}
+        expected = (
+            of.get(f"course {course}", mean) * of.get(f"contestant {contestant}", mean) / mean
+            for course, contestant, _ in self._open
+        )
+        return sum(expected) / self._jobs
+
+
+class RunLines:
+    """Plain lines, one a finished run: for logs and pipes."""
+
+    def __init__(self, console: Console, planned: list[Planned], jobs: int) -> None:
+        self._console, self._total, self._done = console, len(planned), 0
+        self._left = TimeLeft(planned, jobs)
+        self._begun: dict[str, float] = {}
+        self._started = time.monotonic()
+
+    def begun(self, planned: Planned) -> None:
+        """A run starts now."""
+        self._begun[planned.key] = time.monotonic()
+
+    def answered(self, planned: Planned, scans: int) -> None:
+        """A run has answered so many scans; a line each would be too many."""
+
+    def finished(self, trial: Trial) -> None:
+        """A run is done: its line, and the time left."""
+        self._done += 1
+        now = time.monotonic()
+        seconds = now - self._begun.get(trial.key, now)
+        self._left.finished(trial.sequence, trial.contestant, trial.seed, seconds)
+        self._tell(trial, seconds)
+
+    def _tell(self, trial: Trial, seconds: float) -> None:
+        self._console.print(f"[{self._done}/{self._total}] {_line(trial, seconds)}, {self._time_left()}", markup=False)
+
+    def _time_left(self) -> str:
+        left = self._left.seconds()
+        return "time left unknown" if left is None else f"{_clock(left)} left"
+
+
+class RunBar(RunLines):
+    """A bar with the time left, and above it a line for every run that did not complete."""
+
+    def __init__(self, console: Console, planned: list[Planned], jobs: int) -> None:
+        super().__init__(console, planned, jobs)
+        columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+        self.bar = Progress(*columns, console=console, transient=True)
+        self._task = self.bar.add_task("starting", total=self._total)
+
+    def answered(self, planned: Planned, scans: int) -> None:
+        """Shows which run is at which scan."""
+        at = escape(f"{planned.course.label} / {planned.contestant.label}: scan {scans:,}")
+        self.bar.update(self._task, description=f"{self._time_left()}  {at}")
+
+    def _tell(self, trial: Trial, seconds: float) -> None:
+        self.bar.update(self._task, completed=self._done, description=self._time_left())
+        if trial.run.status != "complete":
+            self._console.print(_line(trial, seconds), markup=False)
+
+
+@contextmanager
+def progress(console: Console, planned: list[Planned], jobs: int) -> Iterator[RunLines]:
+    """A bar on a terminal, lines elsewhere."""
+    if not console.is_terminal:
+        yield RunLines(console, planned, jobs)
+        return
+    shown = RunBar(console, planned, jobs)
+    with shown.bar:
+        yield shown
+
+
+def _line(trial: Trial, seconds: float) -> str:
+    seed = "" if trial.seed is None else f" seed {trial.seed}"
+    reason = f" ({trial.run.reason})" if trial.run.reason else ""
+    return f"{trial.sequence}{seed} / {trial.contestant}: {trial.run.status}{reason}, {seconds:.1f} s"
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    return f"{minutes}:{rest:02d}"

@@ -1,0 +1,198 @@
+"""Where a plan's runs execute: on this machine, a few at a time, results on disk as they come."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Mapping
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+from queue import SimpleQueue
+from typing import Any, Protocol
+
+import numpy as np
+
+from evalkit import registry, runner, scoring
+from evalkit.environment import SINGLE_THREAD
+from evalkit.experiment import MapperChoice, Plan, Planned
+from evalkit.protocols import Value
+from evalkit.store import Store
+from evalkit.types import STEP, Run, Status, Trial, Truth
+from evalkit.worker import Request
+
+REPEATED: tuple[Status, ...] = ("not-installed", "data-missing")
+"""Statuses that ``resume`` does not accept as done: what was absent may have come."""
+
+
+class Progress(Protocol):
+    """Hears how a comparison goes on; called from several threads."""
+
+    def begun(self, planned: Planned) -> None:
+        """A run starts."""
+        ...
+
+    def answered(self, planned: Planned, scans: int) -> None:
+        """A run has answered so many scans."""
+        ...
+
+    def finished(self, trial: Trial) -> None:
+        """A run is done, scored and stored."""
+        ...
+
+
+@dataclass(frozen=True)
+class Engine:
+    """This machine, ``jobs`` runs at a time, each pinned to a core of its own. ``resume`` keeps what is done."""
+
+    plan: Plan
+    store: Store
+    progress: Progress
+    jobs: int = 1
+    resume: bool = False
+
+    def trials(self) -> tuple[Trial, ...]:
+        """Every run of the plan, made, scored and stored, in the plan's order.
+
+        A run that fails is a row with a reason; only a results folder that cannot be written stops the whole.
+        """
+        os.environ.update(SINGLE_THREAD)  # inherited by the scoring processes, as by the runs
+        planned = list(self.plan.runs())
+        cores = _cores(self.jobs)
+        stop = threading.Event()
+        context = get_context("spawn")
+        with (
+            ProcessPoolExecutor(self.jobs, mp_context=context) as scorers,
+            ThreadPoolExecutor(self.jobs) as slots,
+        ):
+            futures = [slots.submit(self._one, item, cores, scorers, stop) for item in planned]
+            try:
+                done = [future.result() for future in futures]
+            except BaseException:  # an interrupt or an unwritable folder: end what runs, start nothing more
+                stop.set()
+                slots.shutdown(wait=True, cancel_futures=True)
+                raise
+        truths: dict[str, Truth] = {}
+        return tuple(self._with_truth(item, trial, truths) for item, trial in zip(planned, done, strict=True))
+
+    def _one(
+        self, planned: Planned, cores: SimpleQueue[int | None], scorers: ProcessPoolExecutor, stop: threading.Event
+    ) -> Trial:
+        self.progress.begun(planned)
+        run = self._run(planned, cores, stop)
+        content: Mapping[str, Any] = {"scores": {}}
+        if len(run.steps):
+            try:
+                content = self._scored(planned, run, scorers)
+            except Exception as error:  # noqa: BLE001 - a run that cannot be scored must not take the others with it
+                run = replace(run, status="failed", reason=f"scoring failed: {type(error).__name__}: {error}")
+        trial = self._trial(planned, run, content)
+        self.progress.finished(trial)
+        return trial
+
+    def _run(self, planned: Planned, cores: SimpleQueue[int | None], stop: threading.Event) -> Run:
+        """The stored run if it will do, else a new one."""
+        absent = _absent(planned)
+        if absent is not None:
+            return absent
+        known = self.store.load_run(planned.key) if self.resume else None
+        if known is not None and known.status not in REPEATED:
+            return known
+        core = cores.get()
+        try:
+            request = Request(
+                planned.contestant.backend,
+                dict(planned.contestant.parameters),
+                planned.course.dataset,
+                planned.course.seeded(planned.seed),
+                core,
+            )
+            run = runner.run(
+                request,
+                (planned.contestant.label, planned.course.label),
+                self.store.fresh(planned.key),
+                self.plan.limits,
+                lambda scans: self.progress.answered(planned, scans),
+                stop,
+            )
+        finally:
+            cores.put(core)
+        if not stop.is_set():
+            self.store.save_run(planned.key, run)
+        return run
+
+    def _scored(self, planned: Planned, run: Run, scorers: ProcessPoolExecutor) -> Mapping[str, Any]:
+        """The stored scores if the code they stand on is unchanged, else new ones."""
+        fingerprint = f"{registry.score_fingerprint(self.plan.mapper.name)} {self.plan.mapper}"
+        known = self.store.load_scores(planned.key) if self.resume else None
+        if known is None or known["fingerprint"] != fingerprint:
+            course = planned.course
+            job = (course.dataset, course.seeded(planned.seed), self.plan.mapper, fingerprint)
+            scorers.submit(score_stored, self.store.folder, planned.key, run, *job).result()
+            known = self.store.load_scores(planned.key)
+        if known is None:
+            raise ValueError(f"{self.store.run_folder(planned.key)}: scores were written but cannot be read back")
+        return known
+
+    def _trial(self, planned: Planned, run: Run, content: Mapping[str, Any]) -> Trial:
+        return Trial(
+            key=planned.key,
+            contestant=planned.contestant.label,
+            backend=planned.contestant.backend,
+            backend_parameters=planned.contestant.parameters,
+            sequence=planned.course.label,
+            dataset=planned.course.dataset,
+            dataset_parameters=planned.course.seeded(planned.seed),
+            seed=planned.seed,
+            command=self.plan.command(planned),
+            run=run,
+            truth=Truth("not loaded"),
+            **{name: value for name, value in content.items() if name != "fingerprint"},
+        )
+
+    def _with_truth(self, planned: Planned, trial: Trial, truths: dict[str, Truth]) -> Trial:
+        if planned.course.missing:
+            return replace(trial, truth=Truth("the data are not here"))
+        course = f"{planned.course.label} {planned.seed}"
+        if course not in truths:
+            parameters = planned.course.seeded(planned.seed)
+            truths[course] = registry.dataset(planned.course.dataset).make(**parameters).truth()
+        return replace(trial, truth=truths[course])
+
+
+def score_stored(
+    folder: Path, key: str, run: Run, dataset: str, parameters: dict[str, Value], mapper: MapperChoice, fingerprint: str
+) -> None:
+    """Scores one run and keeps the result in the store; runs in a process of the scoring pool."""
+    spec = registry.mapper(mapper.name)
+    sequence = registry.dataset(dataset).make(**parameters)
+    scored = scoring.score(run, sequence, lambda: spec.make(**mapper.parameters), mapper.scans)
+    content = {
+        "fingerprint": fingerprint,
+        "world_from_start": scored.world_from_start.row.tolist(),
+        "scores": {name: asdict(score) for name, score in scored.scores.items()},
+    }
+    Store(folder).save_scores(key, content, scored.grid, scored.errors_m)
+
+
+def _absent(planned: Planned) -> Run | None:
+    """The run that cannot be made for want of a library or of data, or None."""
+    reasons: list[tuple[Status, str]] = [
+        ("data-missing", planned.course.missing),
+        ("not-installed", planned.contestant.missing),
+    ]
+    for status, reason in reasons:
+        if reason:
+            empty = np.zeros(0, dtype=STEP)
+            return Run(planned.contestant.label, planned.course.label, status, reason, empty, expected=0)
+    return None
+
+
+def _cores(jobs: int) -> SimpleQueue[int | None]:
+    """One core per job to pin to; None where the system cannot pin."""
+    cores: SimpleQueue[int | None] = SimpleQueue()
+    known: list[int | None] = list(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [None]
+    for job in range(jobs):
+        cores.put(known[job % len(known)])
+    return cores
