@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from evalkit import se2
 from evalkit.metrics import consistency
 from evalkit.metrics.table import Evidence, Mapped
+from evalkit.se2 import Floats
 from evalkit.types import STEP, Bools, OccupancyGrid, Run, Scan, Score, Truth
 
 
@@ -52,34 +54,39 @@ def test_entropy_is_that_of_the_observed_cells_alone() -> None:
     assert found == pytest.approx((np.log(2.0) + 2 * quarter) / 3, rel=1e-6)
 
 
-@pytest.mark.parametrize("cells", [1, 2, 4])
-def test_a_band_of_width_w_is_w_over_root_twelve_thick(cells: int) -> None:
-    found = scores(grid(band(cells)))
-    assert found["wall_thickness_m"].value == pytest.approx(cells * 0.05 / np.sqrt(12.0), rel=0.01)
-    share = found["wall_share_percent"].value
-    assert share is not None
-    assert share >= 98.0  # at its two ends a thick band is no line
+def wall_hits(width_m: float, count: int = 20_000) -> Floats:
+    """Hits spread evenly over a wall 20 m long."""
+    rng = np.random.default_rng(0)
+    return np.column_stack([rng.uniform(0.0, 20.0, count), rng.uniform(0.0, width_m, count)])
 
 
-def test_thickness_is_in_metres_whatever_the_resolution() -> None:
-    coarse = consistency.thicknesses(grid(band(2)))[0].mean()
-    fine = np.repeat(np.repeat(band(2), 2, axis=0), 2, axis=1)
-    assert consistency.thicknesses(grid(fine, resolution_m=0.025))[0].mean() == pytest.approx(coarse, rel=0.02)
+@pytest.mark.parametrize("width_m", [0.02, 0.1, 0.2])
+def test_a_wall_of_width_w_is_w_over_root_twelve_thick(width_m: float) -> None:
+    found, share = consistency.thicknesses(wall_hits(width_m))
+    assert found.mean() == pytest.approx(width_m / np.sqrt(12.0), rel=0.01)
+    assert share > 0.97  # at its ends a thick wall is no line
+
+
+def test_thickness_depends_neither_on_the_frame_nor_on_how_many_hits_there_are() -> None:
+    hits = wall_hits(0.1)
+    here = consistency.thicknesses(hits)[0].mean()
+    assert consistency.thicknesses(se2.transform([3.0, 4.0, 1.0], hits))[0].mean() == pytest.approx(here)
+    assert consistency.thicknesses(hits[::4])[0].mean() == pytest.approx(here, rel=0.02)
 
 
 def test_a_wall_drawn_twice_a_little_apart_is_thicker() -> None:
-    twice = band(1) | np.roll(band(1), 3, axis=0)
-    once = scores(grid(band(1)))["wall_thickness_p95_m"].value
-    # two cells 3 apart: variance 1.5^2 cells and a square's own 1/12
-    assert scores(grid(twice))["wall_thickness_m"].value == pytest.approx(0.05 * np.sqrt(1.5**2 + 1 / 12), rel=0.01)
-    assert once == pytest.approx(0.05 / np.sqrt(12.0))
+    once = wall_hits(0.0)
+    twice = np.concatenate([once[::2], np.add(once[1::2], [0.0, 0.15])])
+    assert consistency.thicknesses(once)[0].max() == pytest.approx(0.0, abs=1e-9)
+    assert consistency.thicknesses(twice)[0].mean() == pytest.approx(0.075, rel=0.01)
 
 
-def test_scattered_cells_are_no_wall() -> None:
-    scattered = np.random.default_rng(0).random((200, 200)) < 0.05
-    found = scores(grid(scattered))
+def test_scattered_hits_are_no_wall() -> None:
+    rng = np.random.default_rng(0)
+    scan = Scan(0, np.sqrt(rng.uniform(0.0, 25.0, 5000)), rng.uniform(-np.pi, np.pi, 5000), 0.0, 5.0)
+    found = scores(None, mapped=((scan, np.zeros(3)),))
     assert found["wall_thickness_m"].value is None
-    assert found["wall_thickness_m"].reason.endswith("of the occupied cells lie along a wall")
+    assert found["wall_thickness_m"].reason.endswith("of the hits lie along a wall")
 
 
 @pytest.mark.parametrize("thick", [2, 3, 4])
@@ -120,7 +127,7 @@ def test_occupied_share_leaves_the_unknown_out() -> None:
     assert scores(grid(occupied, free))["occupied_percent"].value == pytest.approx(25.0)
 
 
-def wall_scan(distance_m: float) -> tuple[Scan, np.ndarray]:
+def wall_scan(distance_m: float) -> tuple[Scan, Floats]:
     """200 hits on a wall across x, seen from the lower left, and where the sensor stood."""
     y = np.linspace(-1.0, 1.0, 200)
     scan = Scan(0, np.hypot(distance_m, y), np.arctan2(y, distance_m), 0.0, 20.0)
