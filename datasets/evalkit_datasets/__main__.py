@@ -1,0 +1,53 @@
+"""The command line of the recorded data: ``python -m evalkit_datasets list | fetch NAME...``."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+from rich.console import Console
+from rich.progress import Progress
+from rich.table import Table
+
+from evalkit.errors import EvalkitError
+from evalkit_datasets import catalog, recorded
+from evalkit_datasets.fetch import fetch
+
+app = typer.Typer(help="Recorded data: where it is, and how to get it.", no_args_is_help=True, add_completion=False)
+out = Console(soft_wrap=True)
+err = Console(stderr=True, soft_wrap=True)
+
+
+@app.command("list")
+def list_() -> None:
+    """All catalogued files: what they are, and where they are on this machine."""
+    table = Table("name", "what it is", "licence", "where")
+    for card in catalog.entries().values():
+        where = str(catalog.found(card) or ("can be fetched" if card.url else "no public address"))
+        table.add_row(card.name, card.summary, card.licence, where)
+    out.print(table)
+
+
+@app.command("fetch")
+def fetch_(names: Annotated[list[str], typer.Argument(help="Files or data sets.", show_default=False)]) -> None:
+    """Downloads files, or all files of a data set, into the cache and verifies them."""
+    files = dict.fromkeys(file for name in names for file in recorded.FILES.get(name, (name,)))
+    failed = False
+    for name in files:
+        try:
+            out.print(str(_fetched(name)), highlight=False)
+        except EvalkitError as error:
+            err.print(str(error), style="red", highlight=False, markup=False)
+            failed = True
+    if failed:
+        raise typer.Exit(2)
+
+
+def _fetched(name: str) -> str:
+    with Progress(console=err, transient=True) as bar:
+        task = bar.add_task(name, total=None)
+        return str(fetch(name, lambda so_far, in_all: bar.update(task, completed=so_far, total=in_all or None)))
+
+
+if __name__ == "__main__":
+    app()

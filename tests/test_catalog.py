@@ -1,0 +1,114 @@
+"""The catalogue of recorded files."""
+
+import hashlib
+import re
+from dataclasses import fields
+
+import pytest
+
+from evalkit.errors import BadData, DataMissing, UnknownName
+from evalkit_datasets import catalog, recorded
+from evalkit_datasets.catalog import Entry
+
+
+@pytest.fixture
+def folders(tmp_path, monkeypatch):
+    """A data folder and a cache of the test's own."""
+    monkeypatch.setenv(catalog.VARIABLE, str(tmp_path / "data"))
+    monkeypatch.setattr(catalog, "cache_folder", lambda: tmp_path / "cache")
+    return tmp_path
+
+
+def card(content=b"hello", **changes):
+    known = {"sha256": hashlib.sha256(content).hexdigest(), "bytes": len(content), **changes}
+    return Entry("a.log", "set/a.log", "a log", "MIT", "somebody", **known)
+
+
+def put(folder, content):
+    path = folder / "set" / "a.log"
+    path.parent.mkdir(parents=True)
+    path.write_bytes(content)
+    return path
+
+
+@pytest.mark.parametrize("name", list(catalog.entries()))
+def test_every_card_is_complete(name):
+    entry = catalog.entry(name)
+    kinds = {field.name: field.type for field in fields(Entry)}
+    for field in fields(Entry):
+        expected = {"str": str, "int": int, "tuple[str, ...]": tuple}[kinds[field.name]]
+        assert isinstance(getattr(entry, field.name), expected), field.name
+    assert entry.summary
+    assert entry.licence
+    assert entry.citation
+    assert bool(re.fullmatch("[0-9a-f]{64}", entry.sha256)) != bool(re.fullmatch("[0-9a-f]{40}", entry.git_blob))
+    assert bool(entry.url) != bool(entry.derived)
+    assert not entry.url or re.fullmatch(r"https://raw\.githubusercontent\.com/[^/]+/[^/]+/[0-9a-f]{40}/\S+", entry.url)
+    assert all(catalog.entry(other).url for other in entry.instead)
+    assert ".." not in entry.path
+    assert not entry.path.startswith("/")
+
+
+def test_every_data_set_needs_only_catalogued_files():
+    assert all(catalog.entry(name) for names in recorded.FILES.values() for name in names)
+
+
+def test_an_unknown_file_lists_the_known_ones():
+    with pytest.raises(UnknownName, match=r"did you mean 'fr079\.relations'"):
+        catalog.entry("fr079.relation")
+
+
+def test_the_data_folder_comes_before_the_cache(folders):
+    inside = put(folders / "data", b"hello")
+    assert catalog.found(card()) == inside
+    inside.unlink()
+    assert catalog.found(card()) is None
+    assert catalog.found(card()) is None
+    assert catalog.found(card()) != put(folders / "cache", b"hello").with_name("other")
+    assert catalog.found(card()) == folders / "cache" / "set" / "a.log"
+
+
+def test_a_right_file_passes_by_sha256_and_by_git_blob(tmp_path):
+    path = put(tmp_path, b"hello")
+    catalog.verify(card(), path)
+    # `printf hello | git hash-object --stdin`
+    catalog.verify(card(sha256="", git_blob="b6fc4c620b67d95f953a5c1c1230aaab5db5a1b0"), path)
+
+
+@pytest.mark.parametrize(
+    ("changes", "part"),
+    [
+        ({"bytes": 6}, "5 bytes instead of 6"),
+        ({"sha256": "0" * 64}, r"sha256 2cf24dba5fb0\.\.\. instead of 000000000000"),
+        ({"sha256": "", "git_blob": "0" * 40}, r"git blob b6fc4c620b67\.\.\. instead of 000000000000"),
+    ],
+)
+def test_a_wrong_file_is_named_with_what_to_do(tmp_path, changes, part):
+    with pytest.raises(BadData, match=rf"a\.log: {part}.*replace it by a good copy"):
+        catalog.verify(card(**changes), put(tmp_path, b"hello"))
+    with pytest.raises(BadData, match=r"fetch it again: .* fetch a\.log"):
+        catalog.verify(card(**changes, url="https://x"), tmp_path / "set" / "a.log")
+
+
+def test_an_absent_file_says_where_it_was_sought_and_how_to_get_it(folders):
+    with pytest.raises(
+        DataMissing, match=r"EVALKIT_DATA=.*data or in the cache .*cache; fetch it: .* fr079\.relations"
+    ):
+        catalog.located("fr079.relations")
+
+
+def test_a_derived_file_says_why_it_cannot_be_fetched_and_what_can(folders):
+    with pytest.raises(DataMissing, match=r"no public address \(joined from .*in its place: .* flirtlib-fr079\.log"):
+        catalog.located("fr079-fullrate.clf.gz")
+    assert "no public address" in recorded.FR079.missing()
+    assert recorded.STATIC.missing().endswith("fetch it: python -m evalkit_datasets fetch static")
+
+
+def test_a_data_set_is_complete_or_names_what_it_lacks(folders):
+    lacking = catalog.missing("turtlebot4", recorded.FILES["turtlebot4"])
+    assert lacking.startswith("macfirst_floor_take_2_0.db3 (and 1 more): not found")
+    for name in recorded.FILES["turtlebot4"]:
+        path = folders / "data" / catalog.entry(name).path
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.touch()
+    assert catalog.missing("turtlebot4", recorded.FILES["turtlebot4"]) == ""

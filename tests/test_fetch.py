@@ -1,0 +1,158 @@
+"""Downloading, against a server in the same process."""
+
+import hashlib
+import http.server
+import threading
+from dataclasses import replace
+from types import MappingProxyType
+
+import pytest
+
+from evalkit.errors import BadData, DataMissing
+from evalkit_datasets import catalog
+from evalkit_datasets.catalog import Entry
+from evalkit_datasets.fetch import fetch
+
+CONTENT = bytes(range(256)) * 2000
+
+
+class Server(http.server.BaseHTTPRequestHandler):
+    """Serves CONTENT under /file, with ranges; /norange without; /break breaks off half way; /lie serves else."""
+
+    def do_GET(self):
+        asked = self.headers.get("Range")
+        self.server.asked.append(asked)
+        begin = int(asked.removeprefix("bytes=").removesuffix("-")) if asked and self.path != "/norange" else 0
+        if self.path == "/absent" or begin >= len(CONTENT):
+            self.send_error(404 if self.path == "/absent" else 416)
+            return
+        body = (b"x" * len(CONTENT) if self.path == "/lie" else CONTENT)[begin:]
+        self.send_response(206 if begin else 200)
+        self.send_header("Content-Length", str(len(body)))
+        self.end_headers()
+        self.wfile.write(body[: len(body) // 2] if self.path == "/break" else body)
+
+    def log_message(self, *_):
+        """Keeps the test's output clean."""
+
+
+@pytest.fixture
+def server():
+    with http.server.ThreadingHTTPServer(("127.0.0.1", 0), Server) as running:
+        running.asked = []
+        thread = threading.Thread(target=running.serve_forever, args=(0.01,))
+        thread.start()
+        yield running
+        running.shutdown()
+        thread.join()
+
+
+@pytest.fixture
+def known(server, tmp_path, monkeypatch):
+    """Catalogues one file under the server's given path; gives its place in the cache."""
+    monkeypatch.delenv(catalog.VARIABLE, raising=False)
+    for proxy in ("http_proxy", "HTTP_PROXY", "all_proxy", "ALL_PROXY"):
+        monkeypatch.delenv(proxy, raising=False)
+    monkeypatch.setattr(catalog, "cache_folder", lambda: tmp_path / "cache")
+
+    def catalogued(path="/file", **changes):
+        url = f"http://127.0.0.1:{server.server_port}{path}" if path else ""
+        card = Entry("a.log", "set/a.log", "", "", "", hashlib.sha256(CONTENT).hexdigest(), bytes=len(CONTENT), url=url)
+        monkeypatch.setattr(catalog, "entries", lambda: MappingProxyType({"a.log": replace(card, **changes)}))
+        return tmp_path / "cache" / "set" / "a.log"
+
+    return catalogued
+
+
+def part_of(target, content):
+    target.parent.mkdir(parents=True)
+    part = target.with_name("a.log.part")
+    part.write_bytes(content)
+    return part
+
+
+def test_a_file_is_downloaded_verified_and_then_found(known, server):
+    target = known()
+    heard = []
+    assert fetch("a.log", lambda so_far, in_all: heard.append((so_far, in_all))) == target
+    assert target.read_bytes() == CONTENT
+    assert heard[-1] == (len(CONTENT), len(CONTENT))
+    assert not target.with_name("a.log.part").exists()
+    assert fetch("a.log") == target
+    assert server.asked == [None]
+
+
+def test_what_broke_off_is_kept_and_resumed(known, server):
+    target = known("/break")
+    with pytest.raises(DataMissing, match=r"could not be downloaded .* bytes are kept"):
+        fetch("a.log")
+    assert not target.exists()
+    kept = target.with_name("a.log.part").stat().st_size
+    assert 0 < kept <= len(CONTENT) // 2
+    known("/file")
+    assert fetch("a.log").read_bytes() == CONTENT
+    assert server.asked == [None, f"bytes={kept}-"]
+
+
+def test_a_server_without_ranges_sends_all_of_it_again(known, server):
+    target = known("/norange")
+    part_of(target, CONTENT[:1000])
+    assert fetch("a.log").read_bytes() == CONTENT
+    assert server.asked == ["bytes=1000-"]
+
+
+@pytest.mark.parametrize("size", [0, len(CONTENT)])
+def test_a_part_that_is_already_whole_is_taken(known, server, size):
+    part_of(known(bytes=size), CONTENT)
+    assert fetch("a.log").read_bytes() == CONTENT
+    assert server.asked == ([] if size else [f"bytes={len(CONTENT)}-"])
+
+
+@pytest.mark.parametrize("path", ["/lie", "/file"])
+def test_a_wrong_file_is_deleted_and_said_to_be(known, path):
+    target = known(path)
+    if path == "/file":
+        part_of(target, b"y" * 1000)  # the beginning of something else
+    with pytest.raises(BadData, match=r"not the catalogued file .* and was deleted; fetch it again"):
+        fetch("a.log")
+    assert not target.exists()
+    assert not target.with_name("a.log.part").exists()
+
+
+def test_a_git_blob_verifies_a_file_of_unknown_size(known):
+    blob = hashlib.sha1(b"blob %d\0" % len(CONTENT) + CONTENT).hexdigest()
+    known(sha256="", git_blob=blob, bytes=0)
+    assert fetch("a.log").read_bytes() == CONTENT
+
+
+def test_a_damaged_file_in_the_cache_is_fetched_anew(known):
+    target = known()
+    target.parent.mkdir(parents=True)
+    target.write_bytes(b"rotten")
+    assert fetch("a.log").read_bytes() == CONTENT
+
+
+def test_a_damaged_file_in_the_users_own_folder_is_left_alone(known, tmp_path, monkeypatch):
+    known()
+    own = tmp_path / "own" / "set" / "a.log"
+    own.parent.mkdir(parents=True)
+    own.write_bytes(b"rotten")
+    monkeypatch.setenv(catalog.VARIABLE, str(tmp_path / "own"))
+    with pytest.raises(BadData, match="6 bytes instead of"):
+        fetch("a.log")
+    assert own.read_bytes() == b"rotten"
+
+
+def test_an_absent_address_and_an_absent_server_are_said(known):
+    known("/absent")
+    with pytest.raises(DataMissing, match=r"404.*check the connection"):
+        fetch("a.log")
+    known(url="http://127.0.0.1:9/file")
+    with pytest.raises(DataMissing, match="could not be downloaded"):
+        fetch("a.log")
+
+
+def test_a_derived_file_cannot_be_fetched_and_says_what_can(known):
+    known("", derived="joined from b and c", instead=("b", "c"))
+    with pytest.raises(DataMissing, match=r"no public address \(joined from b and c\).*in its place: .* fetch b c"):
+        fetch("a.log")
