@@ -64,6 +64,7 @@ def render(comparison: Comparison, overview: Sequence[str], verdicts: Sequence[V
         comparison=comparison,
         overview=overview,
         sections=[section(comparison, verdict, number, lines) for number, verdict in enumerate(verdicts, start=1)],
+        glance=views.glance(comparison),
         metrics=_by_group(comparison.metrics),
         strokes=lines,
         status=STATUS,

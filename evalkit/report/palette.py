@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
-# Okabe and Ito, "Color Universal Design" (2008): black is the truth's, and yellow is darkened for white paper.
-HUES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#a89400")
+# Okabe and Ito, "Color Universal Design" (2008): black is the truth's, yellow is darkened for white paper, and a dark
+# brown is added, which differs from all others in lightness.
+HUES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#a89400", "#5b3a29")
 DASHES: tuple[tuple[float, ...], ...] = ((), (6.0, 2.0), (1.5, 1.5), (6.0, 2.0, 1.5, 2.0))
 TRUTH = "#000000"
 BAR = "#7a7a7a"

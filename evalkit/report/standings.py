@@ -105,12 +105,12 @@ def ranking(metric: Metric, cells: Sequence[Cell]) -> tuple[Cell, ...]:
 
 def difference(metric: Metric, one: Cell, other: Cell) -> Level:
     """Whether two cells with values differ clearly, or why nobody should say so."""
-    gap = abs(median(one.values) - median(other.values))
-    if gap < noise_floor(metric):
+    ours, theirs = median(one.values), median(other.values)
+    if abs(ours - theirs) < noise_floor(metric):
         return "within the noise floor"
     if max(len(one.values), len(other.values)) > 1 and _overlap(one.values, other.values):
         return "overlapping seeds"
-    if round(gap, metric.digits) == 0.0:
+    if round(ours, metric.digits) == round(theirs, metric.digits):
         return "equal as printed"
     return "clear"
 

@@ -54,7 +54,7 @@ def verdict(comparison: Comparison, sequence: str) -> Verdict:
         sentences.append("No headline metric has a value here, so nobody can be ranked.")
     else:
         sentences.append(_leaders(found, outcome))
-        sentences += [_paper(comparison, found), _bar(comparison, found), _caveat(found)]
+        sentences += [_paper(comparison, found) if not degenerate else "", _bar(comparison, found), *_caveats(found)]
     sentences.append(_cost(comparison, sequence))
     leaders = tuple(cell.contestant for cell in found.level) if found and outcome in ("winner", "level") else ()
     counts = outcome in ("winner", "level") and found is not None and found.metric.group in WITH_TRUTH
@@ -203,14 +203,14 @@ def _bar(comparison: Comparison, found: Standing) -> str:
     return ""
 
 
-def _caveat(found: Standing) -> str:
+def _caveats(found: Standing) -> list[str]:
+    caveats = []
     if found.metric.group == "map consistency":
-        return f"There is no truth here: {found.metric.label} compares maps only, and is blind to " + (
-            _plain(found.metric.blind_to) + "."
-        )
+        blind = _plain(found.metric.blind_to)
+        caveats.append(f"There is no truth here: {found.metric.label} compares maps only, and is blind to {blind}.")
     if found.ranked and all(len(cell.values) == 1 for cell in found.ranked):
-        return "One run each: how much repetitions would differ is not known."
-    return ""
+        caveats.append("One run each: how much repetitions would differ is not known.")
+    return caveats
 
 
 def _cost(comparison: Comparison, sequence: str) -> str:
@@ -296,11 +296,11 @@ def late_share(trial: Trial) -> float:
 
 def _set_aside(comparison: Comparison, verdicts: Sequence[Verdict]) -> str:
     aside = [v.sequence for v in verdicts if not v.counts]
-    degenerate = [s for s in aside if comparison.sequences[s].degenerate]
-    rest = [s for s in aside if s not in degenerate]
-    parts = [f"{joined(degenerate)} (degenerate geometry)"] if degenerate else []
-    if rest:
-        parts.append(f"{joined(rest)} (no truth, or nobody to compare)")
+    unrun = [s for s in aside if len(unfinished(comparison.of_sequence(s))) == len(comparison.of_sequence(s))]
+    degenerate = [s for s in aside if s not in unrun and comparison.sequences[s].degenerate]
+    rest = [s for s in aside if s not in (*unrun, *degenerate)]
+    groups = ((degenerate, "degenerate geometry"), (rest, "no truth, or nobody to compare"), (unrun, "no run finished"))
+    parts = [f"{joined(labels)} ({why})" for labels, why in groups if labels]
     return f"Not counted as wins or losses: {joined(parts)}." if parts else ""
 
 

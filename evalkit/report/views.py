@@ -63,6 +63,14 @@ class Table:
 
 
 @dataclass(frozen=True, slots=True)
+class Glance:
+    """The whole comparison in one table; a sequence without any value has no standing."""
+
+    columns: tuple[tuple[str, Standing | None], ...]
+    rows: tuple[tuple[str, tuple[Number, ...]], ...]
+
+
+@dataclass(frozen=True, slots=True)
 class Line:
     """One metric over all contestants of a sequence."""
 
@@ -91,28 +99,43 @@ def headline(comparison: Comparison, sequence: str) -> Table:
     )
 
 
+def glance(comparison: Comparison) -> Glance:
+    """Every contestant over every sequence in the metric that decides it."""
+    columns = tuple((label, deciding(comparison, label)) for label in comparison.sequence_labels)
+    rows = tuple(
+        (who, tuple(_glanced(comparison, found, who) for _, found in columns)) for who in comparison.contestant_labels
+    )
+    return Glance(columns, rows)
+
+
 def everything(comparison: Comparison, sequence: str) -> dict[str, tuple[Line, ...]]:
     """All metrics of a sequence by group; metrics that nobody has a score for are left out."""
+    degenerate = bool(comparison.sequences[sequence].degenerate)
     groups: dict[str, list[Line]] = {}
     for metric in comparison.metrics:
         found = standing(comparison, sequence, metric)
         if any(metric.name in trial.scores for trial in comparison.of_sequence(sequence)):
-            numbers = tuple(number(found, cell) for cell in found.cells)
+            numbers = tuple(number(found, cell, degenerate) for cell in found.cells)
             groups.setdefault(metric.group, []).append(Line(metric, numbers))
     return {group: tuple(lines) for group, lines in groups.items()}
 
 
-def number(found: Standing, cell: Cell) -> Number:
-    """A cell as printed: the median with the lowest and highest run, or a dash with the reason as its tip."""
+def number(found: Standing, cell: Cell, degenerate: bool = False) -> Number:
+    """A cell as printed: the median with the lowest and highest run, or a dash with the reason as its tip.
+
+    ``degenerate``: the geometry cannot fix the pose, so nothing is marked as best.
+    """
     metric = found.metric
     partial = ", ".join(printed(metric, value) for value in cell.partial)
     if not cell.values:
         return Number("–", tip=cell.reason, partial=partial)
     middle = median(cell.values)
     extent = f"{printed(metric, min(cell.values))}–{printed(metric, max(cell.values))}" if len(cell.values) > 1 else ""
+    if len(cell.values) < cell.expected:
+        extent = f"{len(cell.values)} of {cell.expected} runs {extent}".rstrip()
     runs = f"{len(cell.values)} of {cell.expected} runs"
     support = f", support {cell.support}" if cell.support else ""
-    contest = len(found.ranked) > 1
+    contest = len(found.ranked) > 1 and not degenerate
     return Number(
         printed(metric, middle),
         extent,
@@ -182,8 +205,16 @@ def _row(comparison: Comparison, label: str, trials: Sequence[Trial], present: S
     behind = decision is not None and any(
         worse(decision.metric, decision.of(label), decision.of(bar)) for bar in contestant_of(comparison, "bar")
     )
-    numbers = tuple(number(found, cell) for found, cell in cells)
+    degenerate = bool(comparison.sequences[trials[0].sequence].degenerate)
+    numbers = tuple(number(found, cell, degenerate) for found, cell in cells)
     return Row(label, complete, len(trials), numbers, failures(trials), behind)
+
+
+def _glanced(comparison: Comparison, found: Standing | None, contestant: str) -> Number:
+    cell = found.of(contestant) if found else None
+    if found is None or cell is None:
+        return Number("–", tip="no value for any headline metric" if found is None else "not run here")
+    return number(found, cell, bool(comparison.sequences[found.sequence].degenerate))
 
 
 def _absent(found: Sequence[Standing]) -> dict[str, tuple[str, ...]]:
