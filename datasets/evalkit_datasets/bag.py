@@ -132,7 +132,8 @@ def _take(contents: Contents, topic: str, kind: str, message: Any, recorded_ns: 
 def _take_sweep(contents: Contents, message: Any, echoes: bool, recorded_ns: int) -> None:
     stamp = _stamp(message.header)
     contents.unstamped += stamp == 0
-    ranges = _first_echoes(message.ranges) if echoes else np.asarray(message.ranges, dtype=np.float64)
+    with np.errstate(invalid="ignore"):  # some nan patterns complain when they are widened
+        ranges = _first_echoes(message.ranges) if echoes else np.asarray(message.ranges, dtype=np.float64)
     geometry = [message.angle_min, message.angle_increment, message.range_min, message.range_max]
     plausible = np.isfinite(geometry).all() and 0.0 <= geometry[2] < geometry[3] and geometry[1] != 0.0
     if len(ranges) < 2 or not plausible:

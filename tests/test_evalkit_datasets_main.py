@@ -1,0 +1,25 @@
+"""The command line of the recorded data."""
+
+from typer.testing import CliRunner
+
+from evalkit_datasets import __main__ as command
+from evalkit_datasets import catalog
+
+
+def test_list_names_every_file(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "400")
+    result = CliRunner().invoke(command.app, ["list"])
+    assert result.exit_code == 0
+    assert len(catalog.entries()) == sum(line.startswith("│") for line in result.output.splitlines())
+
+
+def test_fetch_of_a_data_set_reports_every_file_and_ends_with_2_if_one_fails(monkeypatch, tmp_path):
+    def pretended(name, _progress):
+        return tmp_path / catalog.entry(name).name
+
+    monkeypatch.setattr(command, "fetch", pretended)
+    result = CliRunner().invoke(command.app, ["fetch", "turtlebot4", "nothing"])
+    assert "macfirst_floor_take_2_0.db3" in result.output
+    assert "metadata.yaml" in result.output
+    assert "no recorded file named 'nothing'" in result.output
+    assert result.exit_code == 2
