@@ -116,8 +116,13 @@ def test_arrows_point_where_better_is(html):
 
 def test_a_number_that_means_nothing_is_a_dash_with_its_reason(tags):
     reasons = [a["title"] for tag, a in tags.found if tag == "span" and a.get("class") == "none"]
-    assert "no relations_mean_m here" in reasons
     assert "failed: no odometry was recorded" in reasons
+    assert "not installed: no module named 'absent'; pip install absent" in reasons
+
+
+def test_metrics_that_mean_nothing_to_anybody_are_named_with_the_reason(tags):
+    text = " ".join(tags.text.split())
+    assert "Not shown, because nobody has a value: relation error, mean (no relations_mean_m here)." in text
 
 
 def test_only_who_completed_every_run_is_best(demo):

@@ -17,7 +17,7 @@ LIBRARIES = ("numpy", "scipy")
 
 
 def comparison_of(plan: Plan, trials: Sequence[Trial], started: datetime, finished: datetime) -> Comparison:
-    """The comparison of a plan's trials, scored by evalkit's own metrics."""
+    """The comparison of a plan's trials, scored by every registered metric."""
     specs = [registry.backend(contestant.backend) for contestant in plan.contestants]
     libraries = dict.fromkeys((*LIBRARIES, *(name for spec in specs for name in spec.requires)))
     return Comparison(

@@ -122,6 +122,7 @@ def runtimes(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
             textcoords="offset points", color="#b42318", ha="right", fontsize=9,
         )  # fmt: skip
         axes.set_xscale("log")
+        axes.set_xlim(0.6 * min(row[1] for row in boxes), 1.6 * max(period, *(row[-1] for row in boxes)))
         _plain_log(axes, "x")
         axes.set_xlabel("CPU time per scan [ms]")
 

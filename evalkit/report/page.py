@@ -43,6 +43,7 @@ class Section:
     maps: tuple[Picture, ...]
     map_window: Window | None
     everything: Mapping[str, tuple[views.Line, ...]]
+    absent: Mapping[str, tuple[str, ...]]
     contestants: tuple[str, ...]
     published: tuple[Metric, tuple[views.Reference, ...]] | None
     failures: tuple[views.Failure, ...]
@@ -60,6 +61,7 @@ def render(comparison: Comparison, overview: Sequence[str], verdicts: Sequence[V
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["sentence"] = sentence
     return environment.get_template("page.html.j2").render(
         comparison=comparison,
         overview=overview,
@@ -70,6 +72,11 @@ def render(comparison: Comparison, overview: Sequence[str], verdicts: Sequence[V
         status=STATUS,
         finished=sum(trial.run.status == "complete" for trial in comparison.trials),
     )
+
+
+def sentence(text: str) -> str:
+    """The text with a capital first letter, the rest untouched."""
+    return text[:1].upper() + text[1:]
 
 
 def section(comparison: Comparison, verdict: Verdict, number: int, lines: Mapping[str, Stroke]) -> Section:
@@ -91,6 +98,7 @@ def section(comparison: Comparison, verdict: Verdict, number: int, lines: Mappin
         maps=map_tiles(comparison, first, shown) if shown else (),
         map_window=shown,
         everything=views.everything(comparison, verdict.sequence),
+        absent=views.absent(comparison, verdict.sequence),
         contestants=tuple(grouped),
         published=views.published(comparison, verdict.sequence),
         failures=views.failures(trials),

@@ -147,7 +147,8 @@ def _leaders(found: Standing, outcome: Outcome) -> str:
     if outcome == "degenerate":
         return f"On {metric.label}, {first}, {_last(metric, ranked)}."
     if outcome == "winner":
-        return f"{ranked[0].contestant} wins on {metric.label}: {_lead(metric, ranked[0], ranked[1])}."
+        verb = "wins" if metric.group in WITH_TRUTH else "is ahead"
+        return f"{ranked[0].contestant} {verb} on {metric.label}: {_lead(metric, ranked[0], ranked[1])}."
     level = joined(f"{cell.contestant} {spread(metric, cell.values)}" for cell in found.level)
     return f"No clear winner on {metric.label}: {level} {_why_level(found)}."
 
@@ -182,13 +183,13 @@ def _paper_clause(label: str, found: Standing) -> str:
         count = f"{cell.complete} of {cell.expected}" if cell else "none"
         return f"{label} cannot be ranked ({count} of its runs finished)"
     if found.winner is cell:
-        return f"{label} wins"
+        return f"{label} {'wins' if found.metric.group in WITH_TRUTH else 'is ahead'}"
     if cell in found.level:
         return f"{label} is level with the best"
     best, own = median(found.ranked[0].values), median(cell.values)
-    return f"{label} loses, with {amount(found.metric, own)} against {amount(found.metric, best)}: " + gap(
-        found.metric, own, best
-    )
+    verb = "loses" if found.metric.group in WITH_TRUTH else "is behind"
+    figures = f"{amount(found.metric, own)} against {amount(found.metric, best)}"
+    return f"{label} {verb}, with {figures}: {gap(found.metric, own, best)}"
 
 
 def _bar(comparison: Comparison, found: Standing) -> str:

@@ -92,11 +92,14 @@ class Reference:
 def headline(comparison: Comparison, sequence: str) -> Table:
     """The first table of a sequence: contestants down, headline metrics across."""
     found = [standing(comparison, sequence, metric) for metric in comparison.metrics if metric.headline]
-    present = [one for one in found if any(cell.values or cell.partial for cell in one.cells)]
+    present = [one for one in found if _told(one)]
     rows = [_row(comparison, label, own, present) for label, own in comparison.by_contestant(sequence).items()]
-    return Table(
-        tuple(one.metric for one in present), tuple(rows), _absent([one for one in found if one not in present])
-    )
+    return Table(tuple(one.metric for one in present), tuple(rows), _absent(found))
+
+
+def absent(comparison: Comparison, sequence: str) -> dict[str, tuple[str, ...]]:
+    """All metrics of a sequence that nobody has a value for, by the reason."""
+    return _absent([standing(comparison, sequence, metric) for metric in comparison.metrics])
 
 
 def glance(comparison: Comparison) -> Glance:
@@ -109,12 +112,12 @@ def glance(comparison: Comparison) -> Glance:
 
 
 def everything(comparison: Comparison, sequence: str) -> dict[str, tuple[Line, ...]]:
-    """All metrics of a sequence by group; metrics that nobody has a score for are left out."""
+    """All metrics of a sequence by group; metrics that nobody has a value for are left out."""
     degenerate = bool(comparison.sequences[sequence].degenerate)
     groups: dict[str, list[Line]] = {}
     for metric in comparison.metrics:
         found = standing(comparison, sequence, metric)
-        if any(metric.name in trial.scores for trial in comparison.of_sequence(sequence)):
+        if _told(found):
             numbers = tuple(number(found, cell, degenerate) for cell in found.cells)
             groups.setdefault(metric.group, []).append(Line(metric, numbers))
     return {group: tuple(lines) for group, lines in groups.items()}
@@ -135,7 +138,7 @@ def number(found: Standing, cell: Cell, degenerate: bool = False) -> Number:
         extent = f"{len(cell.values)} of {cell.expected} runs {extent}".rstrip()
     runs = f"{len(cell.values)} of {cell.expected} runs"
     support = f", support {cell.support}" if cell.support else ""
-    contest = len(found.ranked) > 1 and not degenerate
+    contest = len(found.level) < len(found.ranked) and not degenerate
     return Number(
         printed(metric, middle),
         extent,
@@ -217,14 +220,17 @@ def _glanced(comparison: Comparison, found: Standing | None, contestant: str) ->
     return number(found, cell, bool(comparison.sequences[found.sequence].degenerate))
 
 
+def _told(found: Standing) -> bool:
+    return any(cell.values or cell.partial for cell in found.cells)
+
+
 def _absent(found: Sequence[Standing]) -> dict[str, tuple[str, ...]]:
     """Metrics nobody has a value for, by the reason that complete runs give; none where nothing was completed."""
     reasons: dict[str, tuple[str, ...]] = {}
     for one in found:
-        for cell in one.cells:
-            if cell.complete:
-                reasons[cell.reason] = (*reasons.get(cell.reason, ()), one.metric.label)
-                break
+        reason = next((cell.reason for cell in one.cells if cell.complete), "")
+        if reason and not _told(one):
+            reasons[reason] = (*reasons.get(reason, ()), one.metric.label)
     return reasons
 
 
