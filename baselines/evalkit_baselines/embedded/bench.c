@@ -1,0 +1,244 @@
+/* What the core costs on this machine: registration, index, map, and the whole pipeline. CPU time, median of many. */
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <time.h>
+
+#include "ek/pipeline.h"
+#include "tests/walls.h"
+
+#define REPEATS 101
+#define BEAMS 1600u
+#define SIGMA 0.0483 /* m, the paper's range noise */
+
+static uint64_t state = 88172645463325252u;
+
+static double uniform(void) /* Marsaglia 2003, xorshift64 */
+{
+    state ^= state << 13;
+    state ^= state >> 7;
+    state ^= state << 17;
+    return (double)(state >> 11) / 9007199254740992.0;
+}
+
+static double noise(void)
+{
+    double sum = -6.0;
+    for (int k = 0; k < 12; k++) {
+        sum += uniform();
+    }
+    return SIGMA * sum;
+}
+
+static void *taken(size_t bytes)
+{
+    void *const memory = malloc(bytes);
+    if (!memory) {
+        fprintf(stderr, "bench: no memory\n");
+        exit(EXIT_FAILURE);
+    }
+    return memory;
+}
+
+static int by_size(const void *a, const void *b)
+{
+    const double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* Median CPU time of a job in microseconds; each measurement repeats it so that the clock's step does not count. */
+static double median_us(void (*job)(void *), void *context, int inner)
+{
+    static double times[REPEATS];
+    job(context);
+    for (int k = 0; k < REPEATS; k++) {
+        const clock_t from = clock();
+        for (int j = 0; j < inner; j++) {
+            job(context);
+        }
+        times[k] = (double)(clock() - from) * 1e6 / CLOCKS_PER_SEC / inner;
+    }
+    qsort(times, REPEATS, sizeof *times, by_size);
+    return times[REPEATS / 2];
+}
+
+/* One noisy scan as points in the frame of `into_from_sensor`. */
+static void scan_points(ek_pose world_from_sensor, ek_pose into_from_sensor, ek_real *xy, size_t beams)
+{
+    const double c = cos((double)into_from_sensor.theta), s = sin((double)into_from_sensor.theta);
+    for (size_t k = 0; k < beams; k++) {
+        const double angle = 2.0 * (double)EK_PI * (double)k / (double)beams;
+        const double range = range_at(world_from_sensor, angle) + noise();
+        const double u = range * cos(angle), v = range * sin(angle);
+        xy[2u * k] = EK_R(c * u - s * v + (double)into_from_sensor.x);
+        xy[2u * k + 1u] = EK_R(s * u + c * v + (double)into_from_sensor.y);
+    }
+}
+
+typedef struct {
+    ek_icp icp;
+    ek_index index;
+    ek_icp_parameters parameters;
+    ek_pose guess;
+    ek_real *target, *source;
+    size_t targets, sources;
+    ek_match match;
+} registration;
+
+static void build(void *context)
+{
+    registration *const r = (registration *)context;
+    (void)ek_index_build(&r->index, r->target, r->targets);
+}
+
+static void match(void *context)
+{
+    registration *const r = (registration *)context;
+    (void)ek_icp_register(&r->icp, &r->index, r->source, r->sources, r->guess, &r->parameters, NULL, NULL, &r->match);
+}
+
+static void bench_registration(size_t scans)
+{
+    static registration r;
+    const ek_pose nowhere = {EK_R(0), EK_R(0), EK_R(0)}, truth = {EK_R(4.2), EK_R(1.5), EK_R(0.4)};
+    r.sources = 1000u;
+    r.targets = scans * r.sources;
+    r.target = (ek_real *)taken(2u * r.targets * sizeof(ek_real));
+    r.source = (ek_real *)taken(2u * r.sources * sizeof(ek_real));
+    for (size_t k = 0; k < scans; k++) {
+        const double share = (double)k / (double)scans;
+        const ek_pose from = {EK_R(1.0 + 4.0 * share), EK_R(1.0 + 0.3 * share), EK_R(0.6 * share)};
+        scan_points(from, from, r.target + 2u * k * r.sources, r.sources);
+    }
+    scan_points(truth, nowhere, r.source, r.sources);
+    r.guess.x = truth.x + EK_R(0.06);
+    r.guess.y = truth.y - EK_R(0.04);
+    r.guess.theta = truth.theta + EK_R(0.03);
+    r.parameters = ek_icp_default();
+    r.parameters.max_iterations = 20;
+    r.parameters.epsilon = EK_R(0.0);
+    r.parameters.max_correspondence = EK_R(0.3);
+    ek_arena arena = ek_arena_over(NULL, 0u);
+    (void)ek_index_lay_out(&r.index, &arena, r.targets, 262144u);
+    (void)ek_icp_lay_out(&r.icp, &arena, r.sources, r.targets);
+    const size_t bytes = arena.used;
+    void *const memory = taken(bytes);
+    arena = ek_arena_over(memory, bytes);
+    (void)ek_index_lay_out(&r.index, &arena, r.targets, 262144u);
+    (void)ek_icp_lay_out(&r.icp, &arena, r.sources, r.targets);
+    build(&r);
+    const double build_us = median_us(build, &r, 5), match_us = median_us(match, &r, 3);
+    printf("register 1000 on %6zu points, %2d iterations: %8.1f us (%u queries of %d), index %8.1f us\n", r.targets,
+           r.match.iterations, match_us, r.match.asked, r.match.iterations * 1000, build_us);
+    free(memory);
+    free(r.target);
+    free(r.source);
+}
+
+typedef struct {
+    ek_grid grid;
+    ek_real *points;
+    int16_t *plain;
+} mapping;
+
+static void draw(void *context)
+{
+    mapping *const m = (mapping *)context;
+    const ek_pose pose = {EK_R(0.02), EK_R(0.01), EK_R(0.3)};
+    (void)ek_grid_add(&m->grid, pose, EK_R(0), EK_R(0), m->points, BEAMS, NULL, 0u);
+}
+
+static void set(void *context)
+{
+    mapping *const m = (mapping *)context;
+    memset(m->plain, (int)m->grid.touched & 0xFF, m->grid.touched * sizeof(int16_t));
+}
+
+static void bench_map(const char *name, double range)
+{
+    static mapping m;
+    const ek_pose truth = {EK_R(4.2), EK_R(1.5), EK_R(0.4)}, nowhere = {EK_R(0), EK_R(0), EK_R(0)};
+    const ek_grid_parameters parameters = ek_grid_default();
+    m.points = (ek_real *)taken(2u * BEAMS * sizeof(ek_real));
+    scan_points(truth, nowhere, m.points, BEAMS);
+    for (size_t k = 0; range > 0.0 && k < BEAMS; k++) {
+        const double angle = 2.0 * (double)EK_PI * (double)k / BEAMS;
+        m.points[2u * k] = EK_R(range * cos(angle));
+        m.points[2u * k + 1u] = EK_R(range * sin(angle));
+    }
+    ek_arena arena = ek_arena_over(NULL, 0u);
+    (void)ek_grid_lay_out(&m.grid, &arena, &parameters);
+    const size_t bytes = arena.used;
+    void *const memory = taken(bytes);
+    arena = ek_arena_over(memory, bytes);
+    (void)ek_grid_lay_out(&m.grid, &arena, &parameters);
+    double crossed = 0.0;
+    for (size_t k = 0; k < BEAMS; k++) { /* one cell a grid line, and the first */
+        crossed += 1.0 + (fabs((double)m.points[2u * k]) + fabs((double)m.points[2u * k + 1u])) / 0.05;
+    }
+    const double draw_us = median_us(draw, &m, 3);
+    m.plain = (int16_t *)taken(m.grid.touched * sizeof(int16_t));
+    const double set_us = median_us(set, &m, 20);
+    printf("map %s, %u beams: %8.1f us, %.0f cells crossed (%.0f M/s), %u touched (%.0f M/s; memset of them %.1f us)\n",
+           name, BEAMS, draw_us, crossed, crossed / draw_us, m.grid.touched, m.grid.touched / draw_us, set_us);
+    free(m.plain);
+    free(memory);
+    free(m.points);
+}
+
+static void bench_pipeline(double epsilon)
+{
+    static ek_pipeline pipeline;
+    static ek_real ranges[BEAMS], angles[BEAMS];
+    static double times[400];
+    ek_pipeline_parameters parameters = ek_pipeline_default();
+    ek_answer answer;
+    size_t bytes;
+    int iterations = 0, keyframes = 0;
+    parameters.frontend.points = BEAMS;
+    parameters.frontend.scan_to_scan.epsilon = parameters.frontend.scan_to_map.epsilon = EK_R(epsilon);
+    (void)ek_pipeline_bytes(&parameters, &bytes);
+    void *const memory = taken(bytes);
+    (void)ek_pipeline_start(&pipeline, memory, bytes, &parameters);
+    for (int k = 0; k < 400; k++) {
+        const double turn = 2.0 * (double)EK_PI * k / 400.0;
+        const ek_pose truth = {EK_R(4.2 + 2.8 * cos(turn)), EK_R(3.1 + 1.9 * sin(turn)), EK_R(turn)};
+        ek_sweep sweep;
+        memset(&sweep, 0, sizeof sweep);
+        for (size_t j = 0; j < BEAMS; j++) {
+            angles[j] = EK_R(2.0 * (double)EK_PI * (double)j / BEAMS);
+            ranges[j] = EK_R(range_at(truth, (double)angles[j]) + noise());
+        }
+        sweep.stamp_ns = k * (int64_t)200000000;
+        sweep.time_increment_ns = 125000;
+        sweep.ranges = ranges;
+        sweep.angles = angles;
+        sweep.beams = BEAMS;
+        sweep.has_odometry = sweep.has_motion = 1;
+        sweep.odom_from_base = truth;
+        const clock_t from = clock();
+        const ek_status status = ek_pipeline_update(&pipeline, &sweep, &answer);
+        times[k] = (double)(clock() - from) * 1e6 / CLOCKS_PER_SEC;
+        if (status != EK_OK) {
+            fprintf(stderr, "bench: %s\n", ek_status_text(status));
+            exit(EXIT_FAILURE);
+        }
+        iterations += answer.scan_to_scan.iterations + answer.scan_to_map.iterations;
+        keyframes += answer.keyframe;
+    }
+    qsort(times, 400u, sizeof *times, by_size);
+    printf("pipeline, epsilon %g, %u beams: %8.1f us (95 %%: %.1f), %.1f iterations in two stages, %d keyframes, %zu kB\n",
+           epsilon, BEAMS, times[200], times[380], iterations / 399.0, keyframes, bytes / 1024u);
+    free(memory);
+}
+
+int main(void)
+{
+    bench_registration(5u);
+    bench_registration(50u);
+    bench_map("of the room", 0.0);
+    bench_map("of 12 m all round", 12.0);
+    bench_pipeline(1e-4);
+    bench_pipeline(1e-6);
+    return 0;
+}

@@ -1,0 +1,60 @@
+/* real.h - the number type of a build and the names that let both builds live in one program.
+ *
+ * Compile everything that shares values with -DEK_FLOAT (single precision) or without (double). Every symbol of the
+ * library is named through EK_NAME: ek32_... in a float build, ek64_... in a double build; ek_... in source is a macro.
+ */
+#ifndef EK_REAL_H
+#define EK_REAL_H
+
+#include <float.h>
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+
+#define EK_JOIN_(a, b) a##b
+#define EK_JOIN(a, b) EK_JOIN_(a, b)
+
+#ifdef EK_FLOAT
+typedef float ek_real;
+#define EK_NAME(name) EK_JOIN(ek32_, name)
+#define EK_EPSILON FLT_EPSILON
+#define EK_SQRT sqrtf
+#define EK_SIN sinf
+#define EK_COS cosf
+#define EK_TAN tanf
+#define EK_ATAN2 atan2f
+#define EK_FLOOR floorf
+#define EK_FABS fabsf
+#else
+typedef double ek_real;
+#define EK_NAME(name) EK_JOIN(ek64_, name)
+#define EK_EPSILON DBL_EPSILON
+#define EK_SQRT sqrt
+#define EK_SIN sin
+#define EK_COS cos
+#define EK_TAN tan
+#define EK_ATAN2 atan2
+#define EK_FLOOR floor
+#define EK_FABS fabs
+#endif
+
+#define EK_R(number) ((ek_real)(number))
+#define EK_PI EK_R(3.14159265358979323846)
+
+/* No coordinate may lie beyond this (m). */
+#define EK_LARGEST EK_R(1e6)
+
+/* What is left out of clouds is put here (m), so that distances stay finite in both builds. */
+#define EK_FAR EK_R(1e18)
+
+/* Hot loops work on whole groups of this many lanes; arrays of the core are padded to it. */
+#define EK_LANES 8u
+#define EK_PADDED(count) (((size_t)(count) + (EK_LANES - 1u)) / EK_LANES * EK_LANES)
+
+#if defined(__GNUC__) || defined(__clang__)
+#define EK_RESTRICT __restrict__
+#else
+#define EK_RESTRICT
+#endif
+
+#endif

@@ -1,0 +1,225 @@
+#include "ek/frontend.h"
+
+#include <string.h>
+
+#define MOST_KEYFRAMES 1024u
+#define MOST_POINTS ((size_t)1 << 20)
+#define CELLS_PER_POINT 16u
+#define MOST_CELLS ((size_t)1 << 18)
+#define LONGEST_GAP EK_R(2.0) /* steps: a longer gap says nothing about the speed */
+
+ek_frontend_parameters ek_frontend_default(void)
+{
+    ek_frontend_parameters parameters;
+    parameters.scan_to_scan = ek_icp_default();
+    parameters.scan_to_map = ek_icp_default();
+    parameters.use_scan_to_scan = parameters.use_scan_to_map = 1;
+    parameters.min_inliers = 10;
+    parameters.keyframes = 10u;
+    parameters.keyframe_distance = EK_R(0.5);
+    parameters.keyframe_angle = EK_R(20.0) * EK_PI / EK_R(180.0);
+    parameters.points = 2048u;
+    parameters.cells = 0u;
+    return parameters;
+}
+
+ek_status ek_frontend_check(const ek_frontend_parameters *parameters)
+{
+    if (!parameters) {
+        return EK_NULL_POINTER;
+    }
+    if (!isfinite(parameters->keyframe_distance) || !isfinite(parameters->keyframe_angle)) {
+        return EK_NOT_FINITE;
+    }
+    if (parameters->keyframe_distance < EK_R(0.0) || parameters->keyframe_angle < EK_R(0.0) ||
+        parameters->keyframes < 1u || parameters->keyframes > MOST_KEYFRAMES || parameters->points < 1u ||
+        parameters->points > MOST_POINTS || parameters->min_inliers < 0) {
+        return EK_OUT_OF_RANGE;
+    }
+    const ek_status status = ek_icp_check(&parameters->scan_to_scan);
+    return status == EK_OK ? ek_icp_check(&parameters->scan_to_map) : status;
+}
+
+static size_t cells_for(size_t points)
+{
+    const size_t cells = CELLS_PER_POINT * points;
+    return cells < MOST_CELLS ? cells : MOST_CELLS;
+}
+
+ek_status ek_frontend_lay_out(ek_frontend *frontend, ek_arena *arena, const ek_frontend_parameters *parameters)
+{
+    if (!frontend || !arena) {
+        return EK_NULL_POINTER;
+    }
+    ek_status status = ek_frontend_check(parameters);
+    if (status != EK_OK) {
+        return status;
+    }
+    memset(frontend, 0, sizeof *frontend);
+    frontend->parameters = *parameters;
+    const size_t points = parameters->points, all = points * parameters->keyframes;
+    status = ek_icp_lay_out(&frontend->icp, arena, points, all);
+    if (status == EK_OK) {
+        status = ek_index_lay_out(&frontend->last, arena, points, cells_for(points));
+    }
+    if (status == EK_OK) {
+        status = ek_index_lay_out(&frontend->submap, arena, all, parameters->cells ? parameters->cells : cells_for(all));
+    }
+    frontend->keyframe_points = (ek_real *)ek_arena_take(arena, 2u * all, sizeof(ek_real));
+    frontend->cloud = (ek_real *)ek_arena_take(arena, 2u * all, sizeof(ek_real));
+    frontend->keyframe_counts = (size_t *)ek_arena_take(arena, parameters->keyframes, sizeof(size_t));
+    return status;
+}
+
+void ek_frontend_reset(ek_frontend *frontend)
+{
+    const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+    frontend->first = frontend->held = 0u;
+    frontend->started = frontend->has_last_odometry = 0;
+    frontend->start_from_base = frontend->start_from_keyframe = frontend->step = identity;
+    frontend->stamp_ns = frontend->step_ns = 0;
+    frontend->last.count = frontend->submap.count = 0u;
+}
+
+ek_pose ek_frontend_steady(const ek_frontend *frontend, int64_t elapsed_ns)
+{
+    const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+    if (frontend->step_ns <= 0) {
+        return identity;
+    }
+    const ek_real share = (ek_real)elapsed_ns / (ek_real)frontend->step_ns;
+    return ek_se2_fraction(frontend->step, share < LONGEST_GAP ? share : LONGEST_GAP);
+}
+
+/* Adds a scan to the ring of keyframes and builds the submap again, oldest keyframe first. */
+static ek_status add_keyframe(ek_frontend *frontend, const ek_real *xy, size_t count, ek_pose start_from_base)
+{
+    const uint32_t keyframes = frontend->parameters.keyframes;
+    const size_t stride = 2u * frontend->parameters.points;
+    const ek_real c = EK_COS(start_from_base.theta), s = EK_SIN(start_from_base.theta);
+    const uint32_t slot = (frontend->first + frontend->held) % keyframes;
+    ek_real *const into = frontend->keyframe_points + slot * stride;
+    for (size_t i = 0; i < count; i++) {
+        into[2u * i] = c * xy[2u * i] - s * xy[2u * i + 1u] + start_from_base.x;
+        into[2u * i + 1u] = s * xy[2u * i] + c * xy[2u * i + 1u] + start_from_base.y;
+    }
+    frontend->keyframe_counts[slot] = count;
+    if (frontend->held < keyframes) {
+        frontend->held++;
+    } else {
+        frontend->first = (frontend->first + 1u) % keyframes;
+    }
+    size_t total = 0u;
+    for (uint32_t k = 0; k < frontend->held; k++) {
+        const uint32_t from = (frontend->first + k) % keyframes;
+        const size_t size = frontend->keyframe_counts[from];
+        memcpy(frontend->cloud + 2u * total, frontend->keyframe_points + from * stride, 2u * size * sizeof(ek_real));
+        total += size;
+    }
+    return ek_index_build(&frontend->submap, frontend->cloud, total);
+}
+
+/* One stage: its answer if it stands on enough pairs, else the guess. */
+static ek_status believed(ek_frontend *frontend, const ek_index *target, const ek_real *xy, size_t count,
+                          const ek_icp_parameters *parameters, ek_pose *guess, ek_match *match)
+{
+    const ek_status status =
+        ek_icp_register(&frontend->icp, target, xy, count, *guess, parameters, NULL, NULL, match);
+    if (status == EK_OK && match->inliers >= frontend->parameters.min_inliers) {
+        *guess = match->target_from_source;
+    }
+    return status;
+}
+
+static ek_status check(const ek_frontend *frontend, const ek_real *xy, size_t count, const ek_prior *prior,
+                       const ek_answer *answer)
+{
+    if (!frontend || !prior || !answer || (!xy && count)) {
+        return EK_NULL_POINTER;
+    }
+    if (count > frontend->parameters.points) {
+        return EK_TOO_MANY_POINTS;
+    }
+    if (prior->has_odometry && !ek_se2_finite(prior->odom_from_base)) {
+        return EK_NOT_FINITE;
+    }
+    for (size_t i = 0; i < 2u * count; i++) {
+        if (!(EK_FABS(xy[i]) <= EK_LARGEST)) {
+            return isfinite(xy[i]) ? EK_OUT_OF_RANGE : EK_NOT_FINITE;
+        }
+    }
+    return frontend->started && prior->stamp_ns <= frontend->stamp_ns ? EK_OUT_OF_RANGE : EK_OK;
+}
+
+static ek_pose predict(const ek_frontend *frontend, const ek_prior *prior)
+{
+    if (prior->has_odometry && frontend->has_last_odometry) {
+        return ek_se2_between(frontend->odom_from_base, prior->odom_from_base);
+    }
+    return ek_frontend_steady(frontend, frontend->started ? prior->stamp_ns - frontend->stamp_ns : 0);
+}
+
+/* Both stages; *answer is complete but for the keyframe. */
+static ek_status locate(ek_frontend *frontend, const ek_real *xy, size_t count, const ek_prior *prior,
+                        ek_answer *answer)
+{
+    const ek_frontend_parameters *const p = &frontend->parameters;
+    ek_pose last_from_base = predict(frontend, prior);
+    ek_status status = EK_OK;
+    if (frontend->started && count && p->use_scan_to_scan) {
+        status = believed(frontend, &frontend->last, xy, count, &p->scan_to_scan, &last_from_base,
+                          &answer->scan_to_scan);
+    }
+    if (frontend->started) {
+        answer->start_from_base = ek_se2_compose(frontend->start_from_base, last_from_base);
+    }
+    if (status == EK_OK && frontend->started && count && p->use_scan_to_map) {
+        status = believed(frontend, &frontend->submap, xy, count, &p->scan_to_map, &answer->start_from_base,
+                          &answer->scan_to_map);
+    }
+    return status;
+}
+
+/* Takes the answer in: as a keyframe if the base has moved enough, as the last scan in any case. */
+static ek_status keep(ek_frontend *frontend, const ek_real *xy, size_t count, const ek_prior *prior,
+                      ek_answer *answer)
+{
+    const ek_pose moved = ek_se2_between(frontend->start_from_keyframe, answer->start_from_base);
+    const ek_real distance = EK_SQRT(moved.x * moved.x + moved.y * moved.y);
+    ek_status status = EK_OK;
+    answer->keyframe = count && (frontend->held == 0u || distance >= frontend->parameters.keyframe_distance ||
+                                 EK_FABS(moved.theta) >= frontend->parameters.keyframe_angle);
+    if (answer->keyframe) {
+        status = add_keyframe(frontend, xy, count, answer->start_from_base);
+        frontend->start_from_keyframe = answer->start_from_base;
+    }
+    if (status == EK_OK) {
+        status = ek_index_build(&frontend->last, xy, count);
+    }
+    if (frontend->started) {
+        frontend->step_ns = prior->stamp_ns - frontend->stamp_ns;
+        frontend->step = ek_se2_between(frontend->start_from_base, answer->start_from_base);
+    }
+    frontend->started = 1;
+    frontend->stamp_ns = prior->stamp_ns;
+    frontend->start_from_base = answer->start_from_base;
+    frontend->has_last_odometry = prior->has_odometry;
+    frontend->odom_from_base = prior->odom_from_base;
+    return status;
+}
+
+ek_status ek_frontend_update(ek_frontend *frontend, const ek_real *xy, size_t count, const ek_prior *prior,
+                             ek_answer *answer)
+{
+    const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+    const ek_match none = {identity, 0, 0, 0, (ek_real)NAN, 0u};
+    ek_status status = check(frontend, xy, count, prior, answer);
+    if (status != EK_OK) {
+        return status;
+    }
+    answer->start_from_base = identity;
+    answer->scan_to_scan = answer->scan_to_map = none;
+    answer->keyframe = 0;
+    status = locate(frontend, xy, count, prior, answer);
+    return status == EK_OK ? keep(frontend, xy, count, prior, answer) : status;
+}

@@ -1,0 +1,312 @@
+#include "ek/icp.h"
+
+#include <string.h>
+
+#define MOST ((size_t)1 << 30)
+#define FARTHEST EK_R(1e12) /* m; below EK_FAR: what stands for "no limit" */
+
+ek_icp_parameters ek_icp_default(void)
+{
+    ek_icp_parameters parameters;
+    parameters.max_iterations = 40;
+    parameters.min_pairs = 3;
+    parameters.epsilon = EK_R(1e-4);
+    parameters.max_correspondence = EK_R(0.5);
+    parameters.error = EK_ERROR_MEAN;
+    parameters.error_before = 0;
+    parameters.one_to_one = 1;
+    return parameters;
+}
+
+ek_status ek_icp_check(const ek_icp_parameters *parameters)
+{
+    if (!parameters) {
+        return EK_NULL_POINTER;
+    }
+    if (parameters->max_iterations < 1 || parameters->min_pairs < 2 || (int)parameters->error < 0 ||
+        (int)parameters->error > (int)EK_ERROR_RMSE) {
+        return EK_OUT_OF_RANGE;
+    }
+    if (!isfinite(parameters->epsilon) || parameters->epsilon < EK_R(0.0) ||
+        !isfinite(parameters->max_correspondence) || parameters->max_correspondence < EK_R(0.0)) {
+        return EK_OUT_OF_RANGE;
+    }
+    return EK_OK;
+}
+
+ek_status ek_icp_lay_out(ek_icp *icp, ek_arena *arena, size_t capacity, size_t targets)
+{
+    if (!icp || !arena) {
+        return EK_NULL_POINTER;
+    }
+    if (capacity == 0u || targets == 0u || capacity > MOST || targets > MOST) {
+        return EK_OUT_OF_RANGE;
+    }
+    ek_real **const reals[] = {&icp->px, &icp->py, &icp->mx,     &icp->my,       &icp->tx,    &icp->ty,
+                               &icp->ax, &icp->ay, &icp->others, &icp->distance, &icp->slack, &icp->weight};
+    uint32_t **const numbers[] = {&icp->nearest, &icp->stale, &icp->pair_source, &icp->pair_target};
+    icp->capacity = capacity;
+    icp->targets = targets;
+    for (size_t i = 0; i < sizeof reals / sizeof *reals; i++) {
+        *reals[i] = (ek_real *)ek_arena_take(arena, EK_PADDED(capacity), sizeof(ek_real));
+    }
+    for (size_t i = 0; i < sizeof numbers / sizeof *numbers; i++) {
+        *numbers[i] = (uint32_t *)ek_arena_take(arena, EK_PADDED(capacity), sizeof(uint32_t));
+    }
+    icp->owner = (uint32_t *)ek_arena_take(arena, targets, sizeof(uint32_t));
+    if (arena->memory && ek_arena_check(arena) == EK_OK) {
+        /* any value will do: an owner counts only if it points back; but reading it must be defined */
+        memset(icp->owner, 0, targets * sizeof(uint32_t));
+    }
+    return EK_OK;
+}
+
+/* Takes the source in; the padding lies on its first point and never counts. */
+static ek_status load(ek_icp *icp, const ek_real *xy, size_t count)
+{
+    const size_t padded = EK_PADDED(count);
+    for (size_t i = 0; i < padded; i++) {
+        const size_t from = i < count ? i : 0u;
+        icp->px[i] = xy[2u * from];
+        icp->py[i] = xy[2u * from + 1u];
+        if (!(EK_FABS(icp->px[i]) <= EK_LARGEST && EK_FABS(icp->py[i]) <= EK_LARGEST)) {
+            return isfinite(icp->px[i]) && isfinite(icp->py[i]) ? EK_OUT_OF_RANGE : EK_NOT_FINITE;
+        }
+        icp->tx[i] = icp->ty[i] = EK_FAR;
+        icp->ax[i] = icp->ay[i] = EK_R(0.0);
+        icp->others[i] = EK_R(-1.0);
+        icp->weight[i] = EK_R(0.0);
+        icp->nearest[i] = (uint32_t)icp->targets;
+    }
+    return EK_OK;
+}
+
+/* Moves the source by a pose and measures each point's distance to the target point it had, and how far it is from
+ * having to ask again: its neighbour cannot have changed while distance + way moved < distance to all others then. */
+static void move(ek_icp *icp, size_t padded, ek_pose pose, ek_real limit)
+{
+    const ek_real c = EK_COS(pose.theta), s = EK_SIN(pose.theta), x0 = pose.x, y0 = pose.y;
+    const ek_real *const EK_RESTRICT px = icp->px, *const EK_RESTRICT py = icp->py;
+    const ek_real *const EK_RESTRICT tx = icp->tx, *const EK_RESTRICT ty = icp->ty;
+    const ek_real *const EK_RESTRICT ax = icp->ax, *const EK_RESTRICT ay = icp->ay;
+    const ek_real *const EK_RESTRICT others = icp->others;
+    ek_real *const EK_RESTRICT mx = icp->mx, *const EK_RESTRICT my = icp->my;
+    ek_real *const EK_RESTRICT distance = icp->distance, *const EK_RESTRICT slack = icp->slack;
+    for (size_t i = 0; i < padded; i++) {
+        const ek_real x = c * px[i] - s * py[i] + x0, y = s * px[i] + c * py[i] + y0;
+        const ek_real dx = x - tx[i], dy = y - ty[i], wx = x - ax[i], wy = y - ay[i];
+        const ek_real to = EK_SQRT(dx * dx + dy * dy), way = EK_SQRT(wx * wx + wy * wy);
+        mx[i] = x;
+        my[i] = y;
+        distance[i] = to;
+        slack[i] = others[i] - way - (to < limit ? to : limit);
+    }
+}
+
+/* Asks the index for every point whose neighbour may have changed; says how many. */
+static uint32_t refresh(ek_icp *icp, const ek_index *target, size_t count, ek_real limit)
+{
+    uint32_t asked = 0u;
+    for (uint32_t i = 0; i < count; i++) {
+        icp->stale[asked] = i;
+        asked += icp->slack[i] > target->margin ? 0u : 1u;
+    }
+    for (uint32_t k = 0; k < asked; k++) {
+        const uint32_t i = icp->stale[k];
+        const ek_real x = icp->mx[i], y = icp->my[i];
+        const ek_neighbour answer = ek_index_nearest(target, x, y, limit);
+        const int found = answer.slot != EK_NONE;
+        icp->nearest[i] = found ? answer.slot : (uint32_t)icp->targets;
+        icp->tx[i] = found ? target->x[answer.slot] : EK_FAR;
+        icp->ty[i] = found ? target->y[answer.slot] : EK_FAR;
+        icp->distance[i] = found ? answer.distance : EK_FAR;
+        icp->ax[i] = x;
+        icp->ay[i] = y;
+        icp->others[i] = answer.others;
+    }
+    return asked;
+}
+
+/* Gives every pair that counts the weight 1; says how many (equation 2). */
+static int32_t pair(ek_icp *icp, size_t count, ek_real limit, int one_to_one)
+{
+    const ek_real *const EK_RESTRICT distance = icp->distance;
+    const uint32_t *const EK_RESTRICT nearest = icp->nearest;
+    ek_real *const EK_RESTRICT weight = icp->weight;
+    uint32_t *const EK_RESTRICT owner = icp->owner;
+    int32_t pairs = 0;
+    for (uint32_t i = 0; i < count; i++) {
+        const uint32_t slot = nearest[i];
+        if (!(distance[i] < limit)) {
+            weight[i] = EK_R(0.0);
+            continue;
+        }
+        weight[i] = EK_R(1.0);
+        pairs++;
+        if (!one_to_one) {
+            continue;
+        }
+        /* owner is never cleared: it holds in this pass if it points back from a point already seen */
+        const uint32_t rival = owner[slot];
+        if (rival < i && nearest[rival] == slot && weight[rival] > EK_R(0.0)) {
+            const int loses = distance[rival] <= distance[i];
+            weight[loses ? i : rival] = EK_R(0.0);
+            pairs--;
+            owner[slot] = loses ? rival : i;
+        } else {
+            owner[slot] = i;
+        }
+    }
+    return pairs;
+}
+
+/* The step that brings the pairs together best (equations 3 and 4, corrected: the angle cannot be a reflection).
+ * Sums run over shifted points, in lanes: the answer does not depend on how a compiler vectorises. */
+static ek_pose closed_form(const ek_icp *icp, size_t padded, ek_pose pose)
+{
+    const ek_real *const EK_RESTRICT mx = icp->mx, *const EK_RESTRICT my = icp->my;
+    const ek_real *const EK_RESTRICT tx = icp->tx, *const EK_RESTRICT ty = icp->ty;
+    const ek_real *const EK_RESTRICT weight = icp->weight;
+    const ek_real ox = pose.x, oy = pose.y;
+    ek_real sums[7][EK_LANES] = {{EK_R(0.0)}};
+    for (size_t i = 0; i < padded; i += EK_LANES) {
+        for (size_t k = 0; k < EK_LANES; k++) {
+            const ek_real w = weight[i + k];
+            const ek_real x = w * (mx[i + k] - ox), y = w * (my[i + k] - oy);
+            const ek_real u = tx[i + k] - ox, v = ty[i + k] - oy;
+            sums[0][k] += w;
+            sums[1][k] += x;
+            sums[2][k] += y;
+            sums[3][k] += w * u;
+            sums[4][k] += w * v;
+            sums[5][k] += x * v - y * u;
+            sums[6][k] += x * u + y * v;
+        }
+    }
+    ek_real total[7];
+    for (size_t j = 0; j < 7u; j++) {
+        total[j] = EK_R(0.0);
+        for (size_t k = 0; k < EK_LANES; k++) {
+            total[j] += sums[j][k];
+        }
+    }
+    const ek_real pairs = total[0], px = total[1] / pairs, py = total[2] / pairs;
+    const ek_real qx = total[3] / pairs, qy = total[4] / pairs;
+    ek_pose step;
+    step.theta = EK_ATAN2(total[5] - pairs * (px * qy - py * qx), total[6] - pairs * (px * qx + py * qy));
+    const ek_real c = EK_COS(step.theta), s = EK_SIN(step.theta);
+    step.x = (qx + ox) - c * (px + ox) + s * (py + oy);
+    step.y = (qy + oy) - s * (px + ox) - c * (py + oy);
+    return step;
+}
+
+/* Equation 5 over the pairs, in the unit of the stop rule. */
+static ek_real residual(const ek_icp *icp, size_t padded, int32_t pairs, ek_error_measure measure)
+{
+    const ek_real *const EK_RESTRICT distance = icp->distance, *const EK_RESTRICT weight = icp->weight;
+    ek_real sums[EK_LANES] = {EK_R(0.0)}, total = EK_R(0.0);
+    if (measure == EK_ERROR_MEAN) {
+        for (size_t i = 0; i < padded; i += EK_LANES) {
+            for (size_t k = 0; k < EK_LANES; k++) {
+                sums[k] += weight[i + k] * distance[i + k];
+            }
+        }
+    } else {
+        for (size_t i = 0; i < padded; i += EK_LANES) {
+            for (size_t k = 0; k < EK_LANES; k++) {
+                sums[k] += weight[i + k] * distance[i + k] * distance[i + k];
+            }
+        }
+    }
+    for (size_t k = 0; k < EK_LANES; k++) {
+        total += sums[k];
+    }
+    total /= (ek_real)pairs;
+    return measure == EK_ERROR_RMSE ? EK_SQRT(total) : total;
+}
+
+static void report(ek_icp *icp, const ek_index *target, size_t count, ek_icp_iteration *iteration, ek_icp_trace trace,
+                   void *context)
+{
+    size_t pairs = 0;
+    for (uint32_t i = 0; i < count; i++) {
+        if (icp->weight[i] > EK_R(0.0)) {
+            icp->pair_source[pairs] = i;
+            icp->pair_target[pairs++] = target->id[icp->nearest[i]];
+        }
+    }
+    iteration->source = icp->pair_source;
+    iteration->target = icp->pair_target;
+    trace(context, iteration);
+}
+
+static ek_status check(const ek_icp *icp, const ek_index *target, const ek_real *source_xy, size_t count,
+                       ek_pose guess, const ek_icp_parameters *parameters, const ek_match *match)
+{
+    if (!icp || !target || !source_xy || !parameters || !match) {
+        return EK_NULL_POINTER;
+    }
+    if (count == 0u) {
+        return EK_NO_POINTS;
+    }
+    if (count > icp->capacity) {
+        return EK_TOO_MANY_POINTS;
+    }
+    if (!ek_se2_finite(guess)) {
+        return EK_NOT_FINITE;
+    }
+    if (target->count > icp->targets || EK_FABS(guess.x) > EK_LARGEST || EK_FABS(guess.y) > EK_LARGEST) {
+        return EK_OUT_OF_RANGE;
+    }
+    return ek_icp_check(parameters);
+}
+
+/* The loop itself; everything has been checked. */
+static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_pose guess,
+                        const ek_icp_parameters *parameters, ek_icp_trace trace, void *context)
+{
+    const size_t padded = EK_PADDED(count);
+    const ek_real limit = parameters->max_correspondence > EK_R(0.0) ? parameters->max_correspondence : FARTHEST;
+    ek_match match = {guess, 0, 0, 0, (ek_real)NAN, 0u};
+    ek_pose pose = guess;
+    ek_real previous = (ek_real)INFINITY;
+    move(icp, padded, pose, limit);
+    while (match.iterations < parameters->max_iterations && !match.converged) {
+        match.asked += refresh(icp, target, count, limit);
+        match.inliers = pair(icp, count, limit, parameters->one_to_one);
+        if (match.inliers < parameters->min_pairs) {
+            match.error = (ek_real)NAN;
+            match.target_from_source = guess;
+            return match;
+        }
+        ek_icp_iteration now = {++match.iterations, match.inliers, EK_R(0.0), {EK_R(0.0), EK_R(0.0), EK_R(0.0)},
+                                pose, NULL, NULL};
+        now.step = closed_form(icp, padded, pose);
+        now.error = parameters->error_before ? residual(icp, padded, match.inliers, parameters->error) : EK_R(0.0);
+        pose = ek_se2_compose(now.step, pose); /* equation 9: the step is in the target's frame */
+        now.target_from_source = pose;
+        move(icp, padded, pose, limit);
+        now.error = parameters->error_before ? now.error : residual(icp, padded, match.inliers, parameters->error);
+        if (trace) {
+            report(icp, target, count, &now, trace, context);
+        }
+        match.converged = EK_FABS(now.error - previous) < parameters->epsilon;
+        previous = now.error;
+    }
+    match.target_from_source = pose;
+    match.error = parameters->error == EK_ERROR_MEAN_SQUARED ? EK_SQRT(previous) : previous;
+    return match;
+}
+
+ek_status ek_icp_register(ek_icp *icp, const ek_index *target, const ek_real *source_xy, size_t count, ek_pose guess,
+                          const ek_icp_parameters *parameters, ek_icp_trace trace, void *context, ek_match *match)
+{
+    ek_status status = check(icp, target, source_xy, count, guess, parameters, match);
+    if (status == EK_OK) {
+        status = load(icp, source_xy, count);
+    }
+    if (status == EK_OK) {
+        *match = iterate(icp, target, count, guess, parameters, trace, context);
+    }
+    return status;
+}

@@ -1,0 +1,84 @@
+#include "ek/pipeline.h"
+
+#include <string.h>
+
+ek_pipeline_parameters ek_pipeline_default(void)
+{
+    ek_pipeline_parameters parameters;
+    memset(&parameters, 0, sizeof parameters);
+    parameters.scan.range_min = EK_R(0.15);
+    parameters.scan.range_max = EK_R(12.0);
+    parameters.frontend = ek_frontend_default();
+    parameters.grid = ek_grid_default();
+    parameters.deskew = parameters.map = 1;
+    return parameters;
+}
+
+static ek_status lay_out(ek_pipeline *pipeline, ek_arena *arena, const ek_pipeline_parameters *parameters)
+{
+    memset(pipeline, 0, sizeof *pipeline);
+    pipeline->parameters = *parameters;
+    ek_status status = ek_scan_check(&parameters->scan);
+    if (status == EK_OK) {
+        status = ek_frontend_lay_out(&pipeline->frontend, arena, &parameters->frontend);
+    }
+    if (status == EK_OK) {
+        status = ek_scan_lay_out(&pipeline->scan, arena, parameters->frontend.points);
+    }
+    if (status == EK_OK && parameters->map) {
+        status = ek_grid_lay_out(&pipeline->grid, arena, &parameters->grid);
+    }
+    return status;
+}
+
+ek_status ek_pipeline_bytes(const ek_pipeline_parameters *parameters, size_t *bytes)
+{
+    ek_pipeline pipeline;
+    ek_arena arena = ek_arena_over(NULL, 0u);
+    if (!parameters || !bytes) {
+        return EK_NULL_POINTER;
+    }
+    const ek_status status = lay_out(&pipeline, &arena, parameters);
+    *bytes = status == EK_OK ? arena.used : 0u;
+    return status;
+}
+
+ek_status ek_pipeline_start(ek_pipeline *pipeline, void *memory, size_t bytes, const ek_pipeline_parameters *parameters)
+{
+    ek_arena arena = ek_arena_over(memory, bytes);
+    if (!pipeline || !memory || !parameters) {
+        return EK_NULL_POINTER;
+    }
+    const ek_status status = lay_out(pipeline, &arena, parameters);
+    return status == EK_OK ? ek_arena_check(&arena) : status;
+}
+
+ek_status ek_pipeline_update(ek_pipeline *pipeline, const ek_sweep *sweep, ek_answer *answer)
+{
+    if (!pipeline || !sweep || !answer) {
+        return EK_NULL_POINTER;
+    }
+    const ek_pipeline_parameters *const p = &pipeline->parameters;
+    const int64_t gaps = sweep->beams > 1u ? (int64_t)(sweep->beams - 1u) : 0;
+    if (sweep->time_increment_ns < 0 || (gaps && sweep->time_increment_ns > INT64_MAX / gaps)) {
+        return EK_OUT_OF_RANGE;
+    }
+    const ek_pose moved = sweep->has_motion ? sweep->start_from_end
+                                            : ek_frontend_steady(&pipeline->frontend, sweep->time_increment_ns * gaps);
+    const int moves = p->deskew && sweep->time_increment_ns > 0;
+    ek_status status = ek_scan_project(&pipeline->scan, sweep, &p->scan, moves ? &moved : NULL);
+    if (status != EK_OK) {
+        return status;
+    }
+    ek_prior prior;
+    prior.stamp_ns = sweep->stamp_ns;
+    prior.has_odometry = sweep->has_odometry;
+    prior.odom_from_base = sweep->odom_from_base;
+    status = ek_frontend_update(&pipeline->frontend, pipeline->scan.hits, pipeline->scan.count, &prior, answer);
+    if (status == EK_OK && p->map) {
+        status = ek_grid_add(&pipeline->grid, answer->start_from_base, p->scan.base_from_sensor.x,
+                             p->scan.base_from_sensor.y, pipeline->scan.hits, pipeline->scan.count,
+                             pipeline->scan.ends, p->clear_no_returns ? pipeline->scan.misses : 0u);
+    }
+    return status;
+}

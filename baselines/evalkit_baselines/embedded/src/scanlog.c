@@ -1,0 +1,117 @@
+#include "ek/scanlog.h"
+
+#include <string.h>
+
+#define VERSION 1u
+#define HAS_ODOMETRY 1u
+#define HAS_MOTION 2u
+#define MOST_BEAMS ((uint32_t)1 << 20)
+
+static int unsigned_of(FILE *file, int bytes, uint64_t *value)
+{
+    unsigned char raw[8];
+    if (fread(raw, 1u, (size_t)bytes, file) != (size_t)bytes) {
+        return 0;
+    }
+    *value = 0u;
+    for (int k = bytes - 1; k >= 0; k--) {
+        *value = *value << 8 | raw[k];
+    }
+    return 1;
+}
+
+static int word(FILE *file, uint32_t *value)
+{
+    uint64_t bits;
+    const int read = unsigned_of(file, 4, &bits);
+    *value = read ? (uint32_t)bits : 0u;
+    return read;
+}
+
+static int time_of(FILE *file, int64_t *value)
+{
+    uint64_t bits;
+    const int read = unsigned_of(file, 8, &bits);
+    if (read) {
+        memcpy(value, &bits, sizeof bits);
+    }
+    return read;
+}
+
+static int real(FILE *file, ek_real *value)
+{
+    uint64_t bits;
+    double number;
+    if (!unsigned_of(file, 8, &bits)) {
+        return 0;
+    }
+    memcpy(&number, &bits, sizeof number);
+    *value = (ek_real)number;
+    return 1;
+}
+
+static int pose(FILE *file, ek_pose *value)
+{
+    return real(file, &value->x) && real(file, &value->y) && real(file, &value->theta);
+}
+
+static int reals(FILE *file, ek_real *values, size_t count)
+{
+    for (size_t i = 0; i < count; i++) {
+        uint32_t bits;
+        float number;
+        if (!word(file, &bits)) {
+            return 0;
+        }
+        memcpy(&number, &bits, sizeof number);
+        values[i] = (ek_real)number;
+    }
+    return 1;
+}
+
+ek_status ek_scanlog_open(FILE *file, ek_scanlog *log)
+{
+    char magic[4];
+    uint32_t version;
+    if (!file || !log) {
+        return EK_NULL_POINTER;
+    }
+    if (fread(magic, 1u, sizeof magic, file) != sizeof magic || memcmp(magic, "EKSL", sizeof magic) != 0 ||
+        !word(file, &version) || version != VERSION || !word(file, &log->most_beams) || log->most_beams == 0u ||
+        log->most_beams > MOST_BEAMS || !real(file, &log->range_min) || !real(file, &log->range_max) ||
+        !pose(file, &log->base_from_sensor)) {
+        return EK_BAD_FILE;
+    }
+    return EK_OK;
+}
+
+ek_status ek_scanlog_next(FILE *file, const ek_scanlog *log, ek_real *ranges, ek_real *angles, ek_sweep *sweep)
+{
+    uint32_t beams, flags;
+    if (!file || !log || !ranges || !angles || !sweep) {
+        return EK_NULL_POINTER;
+    }
+    const int next = fgetc(file);
+    if (next == EOF) {
+        return ferror(file) ? EK_BAD_FILE : EK_END_OF_FILE;
+    }
+    if (ungetc(next, file) == EOF) {
+        return EK_BAD_FILE;
+    }
+    memset(sweep, 0, sizeof *sweep);
+    if (!time_of(file, &sweep->stamp_ns) || !time_of(file, &sweep->time_increment_ns) || !word(file, &beams) ||
+        !word(file, &flags) || beams > log->most_beams || (flags & ~(HAS_ODOMETRY | HAS_MOTION)) != 0u) {
+        return EK_BAD_FILE;
+    }
+    sweep->has_odometry = (flags & HAS_ODOMETRY) != 0u;
+    sweep->has_motion = (flags & HAS_MOTION) != 0u;
+    if ((sweep->has_odometry && !pose(file, &sweep->odom_from_base)) ||
+        (sweep->has_motion && !pose(file, &sweep->start_from_end)) || !reals(file, ranges, beams) ||
+        !reals(file, angles, beams)) {
+        return EK_BAD_FILE;
+    }
+    sweep->ranges = ranges;
+    sweep->angles = angles;
+    sweep->beams = beams;
+    return EK_OK;
+}

@@ -1,0 +1,63 @@
+/* check.h - the least a test needs: a check that says where it failed, numbers anyone can repeat, memory. */
+#ifndef EK_TEST_CHECK_H
+#define EK_TEST_CHECK_H
+
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+#include "ek/arena.h"
+
+static int failures;
+
+#define CHECK(condition)                                                                                              \
+    do {                                                                                                              \
+        if (!(condition)) {                                                                                           \
+            fprintf(stderr, "%s:%d: %s\n", __FILE__, __LINE__, #condition);                                           \
+            failures++;                                                                                               \
+        }                                                                                                             \
+    } while (0)
+
+#define CHECK_NEAR(found, expected, tolerance)                                                                        \
+    do {                                                                                                              \
+        const double found_ = (double)(found), expected_ = (double)(expected);                                        \
+        if (!(fabs(found_ - expected_) <= (double)(tolerance))) {                                                     \
+            fprintf(stderr, "%s:%d: %s: found %.17g, expected %.17g\n", __FILE__, __LINE__, #found, found_,           \
+                    expected_);                                                                                       \
+            failures++;                                                                                               \
+        }                                                                                                             \
+    } while (0)
+
+/* What a build can be held to, relative to numbers around 1. */
+#ifdef EK_FLOAT
+#define TOLERANCE 2e-5
+#else
+#define TOLERANCE 1e-10
+#endif
+
+/* A number in [low, high); the same sequence everywhere (Marsaglia 2003, xorshift64). */
+static inline ek_real uniform(uint64_t *state, double low, double high)
+{
+    *state ^= *state << 13;
+    *state ^= *state >> 7;
+    *state ^= *state << 17;
+    return EK_R(low + (high - low) * ((double)(*state >> 11) / 9007199254740992.0));
+}
+
+/* An arena of its own for a test, taken once. */
+static inline ek_arena memory_of(size_t bytes)
+{
+    void *const memory = malloc(bytes);
+    if (!memory) {
+        fprintf(stderr, "no memory\n");
+        exit(EXIT_FAILURE);
+    }
+    return ek_arena_over(memory, bytes);
+}
+
+static inline int verdict(void)
+{
+    return failures ? EXIT_FAILURE : EXIT_SUCCESS;
+}
+
+#endif

@@ -1,0 +1,107 @@
+#include "check.h"
+#include "ek/frontend.h"
+#include "walls.h"
+
+#define BEAMS 720u
+
+static ek_frontend frontend;
+static ek_real points[2u * BEAMS];
+
+static ek_pose truth_at(int k)
+{
+    const ek_pose pose = {EK_R(1.2 + 0.03 * k), EK_R(1.2 + 0.01 * k), EK_R(0.012 * k)};
+    return pose;
+}
+
+static void see(ek_pose world_from_base)
+{
+    for (unsigned k = 0; k < BEAMS; k++) {
+        const double angle = 2.0 * (double)EK_PI * k / BEAMS, range = range_at(world_from_base, angle);
+        points[2u * k] = EK_R(range * cos(angle));
+        points[2u * k + 1u] = EK_R(range * sin(angle));
+    }
+}
+
+/* Follows the robot for `scans` scans; says how far off (m) the last answer is. */
+static double follow(int scans, int with_odometry)
+{
+    ek_answer answer;
+    double error = 0.0;
+    int keyframes = 0;
+    for (int k = 0; k < scans; k++) {
+        const ek_pose truth = truth_at(k), start_from_base = ek_se2_between(truth_at(0), truth);
+        ek_prior prior = {100000000 * (int64_t)(k + 1), with_odometry, start_from_base};
+        prior.odom_from_base.x *= EK_R(1.05); /* wheels slip */
+        prior.odom_from_base.theta *= EK_R(0.95);
+        see(truth);
+        CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &answer) == EK_OK);
+        keyframes += answer.keyframe;
+        const double dx = (double)(answer.start_from_base.x - start_from_base.x);
+        const double dy = (double)(answer.start_from_base.y - start_from_base.y);
+        error = sqrt(dx * dx + dy * dy);
+        CHECK(k == 0 || (answer.scan_to_scan.iterations > 0 && answer.scan_to_map.iterations > 0));
+    }
+    CHECK(keyframes >= 4);
+    return error;
+}
+
+static void the_robot_is_followed(void)
+{
+    CHECK(follow(80, 1) < 0.02);
+    ek_frontend_reset(&frontend);
+    CHECK(follow(80, 0) < 0.02);
+}
+
+static void a_scan_without_points_gets_the_guess(void)
+{
+    ek_answer before, after;
+    ek_prior prior;
+    memset(&prior, 0, sizeof prior);
+    ek_frontend_reset(&frontend);
+    for (int k = 0; k < 5; k++) {
+        prior.stamp_ns = k + 1;
+        see(truth_at(k));
+        CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &before) == EK_OK);
+    }
+    prior.stamp_ns = 6;
+    CHECK(ek_frontend_update(&frontend, points, 0u, &prior, &after) == EK_OK);
+    CHECK(after.scan_to_map.iterations == 0 && !after.keyframe);
+    CHECK_NEAR(after.start_from_base.x - before.start_from_base.x, 0.032, 0.02);
+    prior.stamp_ns = 7;
+    see(truth_at(6));
+    CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &after) == EK_OK);
+    CHECK_NEAR(after.start_from_base.x, 6.0 * 0.03, 0.02);
+}
+
+static void bad_input_is_named(void)
+{
+    ek_answer answer;
+    ek_prior prior;
+    memset(&prior, 0, sizeof prior);
+    prior.stamp_ns = 7;
+    CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &answer) == EK_OUT_OF_RANGE); /* not after the last */
+    prior.stamp_ns = 8;
+    CHECK(ek_frontend_update(&frontend, points, BEAMS + 1u, &prior, &answer) == EK_TOO_MANY_POINTS);
+    points[9] = (ek_real)NAN;
+    CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &answer) == EK_NOT_FINITE);
+    ek_frontend_parameters bad = ek_frontend_default();
+    bad.keyframes = 0u;
+    CHECK(ek_frontend_check(&bad) == EK_OUT_OF_RANGE);
+}
+
+int main(void)
+{
+    ek_frontend_parameters parameters = ek_frontend_default();
+    ek_arena measured = ek_arena_over(NULL, 0u);
+    parameters.points = BEAMS;
+    parameters.scan_to_scan.epsilon = parameters.scan_to_map.epsilon = EK_R(1e-6);
+    CHECK(ek_frontend_lay_out(&frontend, &measured, &parameters) == EK_OK);
+    ek_arena arena = memory_of(measured.used);
+    CHECK(ek_frontend_lay_out(&frontend, &arena, &parameters) == EK_OK && ek_arena_check(&arena) == EK_OK);
+    ek_frontend_reset(&frontend);
+    the_robot_is_followed();
+    a_scan_without_points_gets_the_guess();
+    bad_input_is_named();
+    free(arena.memory);
+    return verdict();
+}

@@ -1,0 +1,178 @@
+#include "check.h"
+#include "ek/icp.h"
+
+#define SIDE 70u /* points a wall */
+#define ROUND 200u
+#define POINTS (4u * SIDE + ROUND)
+
+static ek_real room[2u * POINTS], moved[2u * POINTS];
+static ek_index reference;
+static ek_icp icp;
+
+/* The paper's scene: a room of 10 m x 10 m with a round pillar. */
+static void build_room(void)
+{
+    size_t n = 0;
+    for (unsigned k = 0; k < SIDE; k++) {
+        const double along = 10.0 * k / (SIDE - 1.0);
+        const double corners[4][2] = {{along, 0.0}, {10.0, along}, {along, 10.0}, {0.0, along}};
+        for (int wall = 0; wall < 4; wall++, n++) {
+            room[2u * n] = EK_R(corners[wall][0]);
+            room[2u * n + 1u] = EK_R(corners[wall][1]);
+        }
+    }
+    for (unsigned k = 0; k < ROUND; k++, n++) {
+        const double angle = 2.0 * (double)EK_PI * k / ROUND;
+        room[2u * n] = EK_R(2.0 + 1.5 * cos(angle));
+        room[2u * n + 1u] = EK_R(8.0 + 1.5 * sin(angle));
+    }
+}
+
+static void move_room(ek_pose pose)
+{
+    const ek_real c = EK_COS(pose.theta), s = EK_SIN(pose.theta);
+    for (size_t k = 0; k < POINTS; k++) {
+        moved[2u * k] = c * room[2u * k] - s * room[2u * k + 1u] + pose.x;
+        moved[2u * k + 1u] = s * room[2u * k] + c * room[2u * k + 1u] + pose.y;
+    }
+}
+
+static ek_match match_of(const ek_icp_parameters *parameters, ek_icp_trace trace, void *context)
+{
+    const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+    ek_match match;
+    memset(&match, 0, sizeof match);
+    CHECK(ek_index_build(&reference, room, POINTS) == EK_OK);
+    CHECK(ek_icp_register(&icp, &reference, moved, POINTS, identity, parameters, trace, context, &match) == EK_OK);
+    return match;
+}
+
+/* Table 1: turned by 30 degrees, moved by (4, 5), noise of 4.83 cm on every coordinate, no guess. */
+static void table_1_is_met(void)
+{
+    const ek_pose truth = {EK_R(4.0), EK_R(5.0), EK_PI / EK_R(6.0)};
+    ek_icp_parameters parameters = ek_icp_default();
+    uint64_t seed = 11u;
+    parameters.max_correspondence = EK_R(0.0);
+    move_room(ek_se2_inverse(truth));
+    for (size_t k = 0; k < 2u * POINTS; k++) {
+        for (int j = 0; j < 12; j++) { /* nearly Gaussian */
+            moved[k] += uniform(&seed, -0.0483, 0.0483) / EK_R(2.0);
+        }
+    }
+    const ek_match match = match_of(&parameters, NULL, NULL);
+    CHECK(match.converged && match.iterations >= 19 && match.iterations <= 31);
+    CHECK_NEAR(match.target_from_source.x, 4.0, 0.02);
+    CHECK_NEAR(match.target_from_source.y, 5.0, 0.02);
+    CHECK_NEAR(match.target_from_source.theta, truth.theta, 0.005);
+    CHECK_NEAR(match.error, 0.0467, 0.005);
+}
+
+static void a_small_motion_is_found_exactly(void)
+{
+    const ek_pose truth = {EK_R(0.02), EK_R(-0.01), EK_R(0.004)};
+    ek_icp_parameters parameters = ek_icp_default();
+    parameters.one_to_one = 0; /* the corners stand twice in the room */
+    move_room(ek_se2_inverse(truth));
+    const ek_match match = match_of(&parameters, NULL, NULL);
+    CHECK(match.converged && match.inliers == (int)POINTS);
+    CHECK_NEAR(match.target_from_source.x, truth.x, TOLERANCE);
+    CHECK_NEAR(match.target_from_source.y, truth.y, TOLERANCE);
+    CHECK_NEAR(match.target_from_source.theta, truth.theta, TOLERANCE);
+    CHECK_NEAR(match.error, 0.0, TOLERANCE);
+    CHECK(match.asked < (uint32_t)match.iterations * POINTS); /* some neighbours were proven, not asked for */
+}
+
+typedef struct {
+    const ek_icp_parameters *parameters;
+    double error;
+    int iterations;
+} seen;
+
+/* Every pair is the nearest one there is, and each target point has one owner. */
+static void inspect(void *context, const ek_icp_iteration *now)
+{
+    seen *const s = (seen *)context;
+    static uint8_t owned[POINTS];
+    memset(owned, 0, sizeof owned);
+    CHECK(now->iteration == ++s->iterations);
+    for (int k = 0; k < now->inliers; k++) {
+        CHECK(now->target[k] < POINTS && now->source[k] < POINTS && (k == 0 || now->source[k] > now->source[k - 1]));
+        CHECK(!s->parameters->one_to_one || !owned[now->target[k]]++);
+    }
+    s->error = (double)now->error;
+}
+
+static void a_trace_sees_every_step(int one_to_one, ek_error_measure error)
+{
+    const ek_pose away = {EK_R(0.1), EK_R(-0.05), EK_R(0.03)};
+    ek_icp_parameters parameters = ek_icp_default();
+    parameters.one_to_one = one_to_one;
+    parameters.error = error;
+    seen s = {&parameters, 0.0, 0};
+    move_room(away);
+    const ek_match match = match_of(&parameters, inspect, &s), again = match_of(&parameters, NULL, NULL);
+    CHECK(s.iterations == match.iterations && match.iterations > 2);
+    CHECK_NEAR(match.error, error == EK_ERROR_MEAN_SQUARED ? sqrt(s.error) : s.error, TOLERANCE);
+    CHECK(memcmp(&match.target_from_source, &again.target_from_source, sizeof again.target_from_source) == 0);
+}
+
+static void of_rivals_the_closest_counts(void)
+{
+    const ek_real target[] = {EK_R(0), EK_R(0), EK_R(1), EK_R(0), EK_R(0), EK_R(1)};
+    const ek_real source[] = {EK_R(0.2), EK_R(0), EK_R(0.1), EK_R(0), EK_R(1.1), EK_R(0),
+                              EK_R(0), EK_R(1.1), EK_R(-0.1), EK_R(0)};
+    const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+    ek_icp_parameters parameters = ek_icp_default();
+    ek_match match;
+    parameters.max_iterations = 1;
+    parameters.error_before = 1;
+    CHECK(ek_index_build(&reference, target, 3u) == EK_OK);
+    CHECK(ek_icp_register(&icp, &reference, source, 5u, identity, &parameters, NULL, NULL, &match) == EK_OK);
+    CHECK(match.inliers == 3 && !match.converged);
+    CHECK_NEAR(match.error, 0.1, TOLERANCE);
+}
+
+static void too_few_pairs_give_the_guess(void)
+{
+    const ek_pose guess = {EK_R(100.0), EK_R(0.0), EK_R(1.0)};
+    const ek_icp_parameters parameters = ek_icp_default();
+    ek_match match;
+    CHECK(ek_icp_register(&icp, &reference, room, POINTS, guess, &parameters, NULL, NULL, &match) == EK_OK);
+    CHECK(match.inliers == 0 && !match.converged && isnan(match.error) && match.iterations == 0);
+    CHECK(memcmp(&match.target_from_source, &guess, sizeof guess) == 0);
+}
+
+static void bad_input_is_named(void)
+{
+    const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)}, lost = {(ek_real)NAN, EK_R(0.0), EK_R(0.0)};
+    const ek_icp_parameters good = ek_icp_default();
+    ek_icp_parameters bad = good;
+    ek_match match;
+    CHECK(ek_icp_register(&icp, &reference, NULL, 5u, identity, &good, NULL, NULL, &match) == EK_NULL_POINTER);
+    CHECK(ek_icp_register(&icp, &reference, room, 0u, identity, &good, NULL, NULL, &match) == EK_NO_POINTS);
+    CHECK(ek_icp_register(&icp, &reference, room, POINTS + 1u, identity, &good, NULL, NULL, &match) == EK_TOO_MANY_POINTS);
+    CHECK(ek_icp_register(&icp, &reference, room, POINTS, lost, &good, NULL, NULL, &match) == EK_NOT_FINITE);
+    bad.epsilon = -EK_R(1.0);
+    CHECK(ek_icp_register(&icp, &reference, room, POINTS, identity, &bad, NULL, NULL, &match) == EK_OUT_OF_RANGE);
+    moved[3] = (ek_real)INFINITY;
+    CHECK(ek_icp_register(&icp, &reference, moved, POINTS, identity, &good, NULL, NULL, &match) == EK_NOT_FINITE);
+}
+
+int main(void)
+{
+    ek_arena arena = memory_of(400000u);
+    CHECK(ek_index_lay_out(&reference, &arena, POINTS, 8192u) == EK_OK);
+    CHECK(ek_icp_lay_out(&icp, &arena, POINTS, POINTS) == EK_OK && ek_arena_check(&arena) == EK_OK);
+    build_room();
+    table_1_is_met();
+    a_small_motion_is_found_exactly();
+    a_trace_sees_every_step(1, EK_ERROR_MEAN);
+    a_trace_sees_every_step(0, EK_ERROR_RMSE);
+    a_trace_sees_every_step(1, EK_ERROR_MEAN_SQUARED);
+    of_rivals_the_closest_counts();
+    too_few_pairs_give_the_guess();
+    bad_input_is_named();
+    free(arena.memory);
+    return verdict();
+}

@@ -1,0 +1,97 @@
+#include "check.h"
+#include "ek/index.h"
+
+#define POINTS 1500u
+
+static ek_real cloud[2u * POINTS];
+static ek_index reference;
+
+/* The nearest and the second nearest distance, by looking at all. */
+static size_t search_all(size_t count, ek_real x, ek_real y, double *nearest, double *second)
+{
+    size_t at = 0;
+    *nearest = *second = 1e30;
+    for (size_t k = 0; k < count; k++) {
+        const ek_real dx = cloud[2u * k] - x, dy = cloud[2u * k + 1u] - y, squared = dx * dx + dy * dy;
+        const double distance = (double)EK_SQRT(squared);
+        if (distance < *nearest) {
+            *second = *nearest;
+            *nearest = distance;
+            at = k;
+        } else if (distance < *second) {
+            *second = distance;
+        }
+    }
+    return at;
+}
+
+static void answers_are_those_of_a_search_of_all(size_t count, double limit, uint64_t *seed)
+{
+    CHECK(ek_index_build(&reference, cloud, count) == EK_OK);
+    for (int k = 0; k < 400; k++) {
+        const ek_real x = uniform(seed, -3.0, 13.0), y = uniform(seed, -3.0, 8.0);
+        double nearest, second;
+        const size_t at = search_all(count, x, y, &nearest, &second);
+        const ek_neighbour found = ek_index_nearest(&reference, x, y, EK_R(limit));
+        CHECK((found.slot != EK_NONE) == (EK_R(nearest) < EK_R(limit)));
+        if (found.slot != EK_NONE) {
+            CHECK(reference.id[found.slot] == at);
+            CHECK_NEAR(found.distance, nearest, 0.0);
+        }
+        CHECK((double)found.others <= (found.slot != EK_NONE ? second : nearest) + (double)reference.margin);
+    }
+}
+
+static void fill(uint64_t *seed)
+{
+    for (size_t k = 0; k < POINTS; k++) { /* half on walls, half anywhere, one far away */
+        cloud[2u * k] = uniform(seed, 0.0, 10.0);
+        cloud[2u * k + 1u] = k % 2u ? uniform(seed, -0.05, 0.05) : uniform(seed, 0.0, 5.0);
+    }
+    cloud[20] = EK_R(-40.0);
+}
+
+static void of_equally_near_points_the_lowest_wins(void)
+{
+    const ek_real square[] = {EK_R(1), EK_R(1), EK_R(-1), EK_R(1), EK_R(-1), EK_R(-1), EK_R(1), EK_R(-1), EK_R(-1), EK_R(1)};
+    CHECK(ek_index_build(&reference, square, 5u) == EK_OK);
+    CHECK(reference.id[ek_index_nearest(&reference, EK_R(0.0), EK_R(0.0), EK_R(9.0)).slot] == 0u);
+    const ek_neighbour twin = ek_index_nearest(&reference, EK_R(-1.1), EK_R(1.0), EK_R(9.0));
+    CHECK(reference.id[twin.slot] == 1u);
+    CHECK_NEAR(twin.others, 0.1, TOLERANCE);
+}
+
+static void bad_input_is_named(void)
+{
+    cloud[7] = (ek_real)NAN;
+    CHECK(ek_index_build(&reference, cloud, 10u) == EK_NOT_FINITE && reference.count == 0u);
+    cloud[7] = EK_R(1e7);
+    CHECK(ek_index_build(&reference, cloud, 10u) == EK_OUT_OF_RANGE);
+    cloud[7] = EK_R(0.0);
+    CHECK(ek_index_build(&reference, cloud, POINTS + 1u) == EK_TOO_MANY_POINTS);
+    CHECK(ek_index_build(&reference, NULL, 10u) == EK_NULL_POINTER);
+    CHECK(ek_index_build(&reference, cloud, 0u) == EK_OK);
+    CHECK(ek_index_nearest(&reference, EK_R(0.0), EK_R(0.0), EK_R(9.0)).slot == EK_NONE);
+    ek_arena none = ek_arena_over(NULL, 0u);
+    CHECK(ek_index_lay_out(&reference, &none, 0u, 10u) == EK_OUT_OF_RANGE);
+}
+
+int main(void)
+{
+    uint64_t seed = 7u;
+    ek_arena arena = memory_of(200000u);
+    CHECK(ek_index_lay_out(&reference, &arena, POINTS, 4000u) == EK_OK && ek_arena_check(&arena) == EK_OK);
+    fill(&seed);
+    answers_are_those_of_a_search_of_all(POINTS, 0.3, &seed);
+    answers_are_those_of_a_search_of_all(POINTS, 1e9, &seed);
+    cloud[20] = EK_R(5.0);
+    for (int k = 0; k < 3; k++) { /* the cell size settles */
+        answers_are_those_of_a_search_of_all(POINTS, 0.5, &seed);
+    }
+    answers_are_those_of_a_search_of_all(2u, 1e9, &seed);
+    answers_are_those_of_a_search_of_all(1u, 0.5, &seed);
+    of_equally_near_points_the_lowest_wins();
+    bad_input_is_named();
+    free(arena.memory);
+    return verdict();
+}

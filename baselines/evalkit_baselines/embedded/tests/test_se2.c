@@ -1,0 +1,31 @@
+#include "check.h"
+#include "ek/se2.h"
+
+static void check_pose(ek_pose found, double x, double y, double theta)
+{
+    CHECK_NEAR(found.x, x, TOLERANCE);
+    CHECK_NEAR(found.y, y, TOLERANCE);
+    CHECK_NEAR(found.theta, theta, TOLERANCE);
+}
+
+int main(void)
+{
+    const ek_pose quarter = {EK_R(1.0), EK_R(0.0), EK_PI / EK_R(2.0)}, ahead = {EK_R(1.0), EK_R(0.0), EK_R(0.0)};
+    check_pose(ek_se2_compose(quarter, ahead), 1.0, 1.0, (double)EK_PI / 2.0);
+    check_pose(ek_se2_compose(quarter, ek_se2_inverse(quarter)), 0.0, 0.0, 0.0);
+    check_pose(ek_se2_between(quarter, ek_se2_compose(quarter, ahead)), 1.0, 0.0, 0.0);
+
+    CHECK_NEAR(ek_se2_wrap(EK_R(3.0) * EK_PI / EK_R(2.0)), -(double)EK_PI / 2.0, TOLERANCE);
+    CHECK(ek_se2_wrap(EK_PI) < EK_R(0.0) && ek_se2_wrap(-EK_PI) >= -EK_PI && ek_se2_wrap(EK_R(1e5)) < EK_PI);
+
+    /* half of a quarter circle of radius 1 ends at 45 degrees of it */
+    const ek_pose arc = {EK_R(1.0), EK_R(1.0), EK_PI / EK_R(2.0)};
+    check_pose(ek_se2_fraction(arc, EK_R(0.5)), sin(0.25 * (double)EK_PI), 1.0 - cos(0.25 * (double)EK_PI),
+               (double)EK_PI / 4.0);
+    check_pose(ek_se2_fraction(ahead, EK_R(0.25)), 0.25, 0.0, 0.0);
+    check_pose(ek_se2_fraction(arc, EK_R(1.0)), 1.0, 1.0, (double)EK_PI / 2.0);
+
+    const ek_pose broken = {EK_R(0.0), (ek_real)NAN, EK_R(0.0)};
+    CHECK(ek_se2_finite(arc) && !ek_se2_finite(broken));
+    return verdict();
+}
