@@ -70,7 +70,7 @@ def trajectories(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
         for label, path in paths.items():
             axes.plot(*_thinned(path).T, label=label, **_line(strokes[label]))
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
-        axes.set_aspect("equal", adjustable="box")
+        axes.set_aspect("equal", adjustable="datalim")
 
     return Drawing(_svg(draw), f"{', '.join(outside)} leaves the frame." if outside else "")
 

@@ -32,6 +32,14 @@ for (const button of document.querySelectorAll("button.enlarge")) {
   });
 }
 viewer.addEventListener("click", () => viewer.close());
+// A link to something folded away unfolds it.
+const unfold = () => {
+  const target = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+  for (let fold = target?.closest("details"); fold; fold = fold.parentElement.closest("details")) fold.open = true;
+  target?.scrollIntoView();
+};
+addEventListener("hashchange", unfold);
+if (location.hash) unfold();
 // Paper shows everything.
 addEventListener("beforeprint", () => {
   for (const details of document.querySelectorAll("details")) details.open = true;
