@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from importlib.metadata import packages_distributions
 
 from evalkit import environment, registry
 from evalkit.experiment import Contestant, Course, MapperChoice, Plan
@@ -19,7 +20,7 @@ LIBRARIES = ("numpy", "scipy")
 def comparison_of(plan: Plan, trials: Sequence[Trial], started: datetime, finished: datetime) -> Comparison:
     """The comparison of a plan's trials, scored by every registered metric."""
     specs = [registry.backend(contestant.backend) for contestant in plan.contestants]
-    libraries = dict.fromkeys((*LIBRARIES, *(name for spec in specs for name in spec.requires)))
+    libraries = dict.fromkeys((*LIBRARIES, *(distribution(name) for spec in specs for name in spec.requires)))
     return Comparison(
         title=plan.title,
         description=plan.description,
@@ -34,6 +35,12 @@ def comparison_of(plan: Plan, trials: Sequence[Trial], started: datetime, finish
         mapper=mapper_text(plan.mapper),
         fairness=fairness(trials),
     )
+
+
+def distribution(requirement: str) -> str:
+    """The installed distribution that answers a requirement: open3d also comes as open3d-cpu."""
+    known = packages_distributions()
+    return known.get(requirement.replace("-", "_"), [requirement])[0]
 
 
 def contestant_card(contestant: Contestant) -> ContestantCard:

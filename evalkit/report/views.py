@@ -198,7 +198,7 @@ def notes(trials: Sequence[Trial]) -> dict[str, int]:
     for trial in trials:
         for name, count in trial.run.notes.items():
             counts[name] = max(counts.get(name, 0), int(count))
-    return counts
+    return {name: count for name, count in counts.items() if count}
 
 
 def _row(comparison: Comparison, label: str, trials: Sequence[Trial], present: Sequence[Standing]) -> Row:

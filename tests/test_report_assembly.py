@@ -1,0 +1,49 @@
+"""A plan becomes the cards of a report."""
+
+from datetime import UTC, datetime
+
+import pytest
+
+from evalkit import experiment
+from evalkit.report import comparison_of
+from evalkit.report.assembly import distribution, fairness
+
+
+@pytest.fixture
+def plan():
+    content = {
+        "title": "Two",
+        "contestant": [{"use": "wheel-odometry"}, {"use": "paper", "label": "ours", "keyframes": 7}],
+        "sequence": [{"use": "room", "seeds": [0]}, {"use": "corridor", "seeds": [0]}],
+    }
+    return experiment.plan(content, "two.toml", "two", "report two.toml")
+
+
+def test_cards_tell_every_setting_a_contestant_runs_with(plan):
+    noon = datetime(2024, 5, 1, 12, tzinfo=UTC)
+    made = comparison_of(plan, [], noon, noon)
+    assert made.command == "evalkit report two.toml"
+    assert [card.role for card in made.contestants.values()] == ["bar", "paper"]
+    settings = {setting.name: setting for setting in made.contestants["ours"].settings}
+    assert {name: setting.value for name, setting in settings.items()} == dict(plan.contestants[1].parameters)
+    assert (settings["keyframes"].value, settings["keyframes"].default) == (7, 10)
+
+
+def test_only_the_corridor_is_degenerate(plan):
+    noon = datetime(2024, 5, 1, 12, tzinfo=UTC)
+    cards = comparison_of(plan, [], noon, noon).sequences
+    assert [bool(card.degenerate) for card in cards.values()] == [False, True]
+
+
+def test_the_mapper_is_named_with_its_settings(plan):
+    noon = datetime(2024, 5, 1, 12, tzinfo=UTC)
+    assert comparison_of(plan, [], noon, noon).mapper.startswith("log-odds (")
+
+
+def test_warm_up_is_named_as_it_was(demo):
+    assert any("sees the first 5 scans before" in sentence for sentence in fairness(demo.trials))
+
+
+def test_a_requirement_nobody_answers_keeps_its_name():
+    assert distribution("numpy") == "numpy"
+    assert distribution("no-such-library") == "no-such-library"
