@@ -157,11 +157,20 @@ def test_an_absent_package_is_named_with_what_installs_it(monkeypatch):
 
 def test_an_absent_system_library_is_named_with_what_installs_it(monkeypatch):
     monkeypatch.setattr(open3d_icp.importlib.util, "find_spec", lambda _name: object())
+    monkeypatch.setattr(open3d_icp, "_version", lambda: (0, 20))
     monkeypatch.setattr(open3d_icp.sys, "platform", "linux")
     monkeypatch.setattr(open3d_icp, "_loads", lambda name: name != "libusb-1.0.so.0")
     assert open3d_icp.open3d_missing() == (
         "open3d needs system libraries that are not here (libusb-1.0.so.0): "
         "apt-get install -y --no-install-recommends libgl1 libegl1 libx11-6 libusb-1.0-0"
+    )
+
+
+def test_a_version_without_a_thread_limit_is_named_with_what_replaces_it(monkeypatch):
+    monkeypatch.setattr(open3d_icp.importlib.util, "find_spec", lambda _name: object())
+    monkeypatch.setattr(open3d_icp.importlib.metadata, "version", lambda _name: "0.19.0+1e7b174")
+    assert open3d_icp.open3d_missing() == (
+        "open3d 0.19 cannot be held to one thread, 0.20 can: pip install 'evalkit[open3d]' --upgrade"
     )
 
 

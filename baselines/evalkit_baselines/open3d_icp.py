@@ -16,7 +16,9 @@ is therefore 0 and ``converged`` only means that enough points had a partner at 
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import importlib.metadata
 import importlib.util
 import math
 import sys
@@ -33,6 +35,7 @@ from evalkit.types import Cloud, Match, Pose
 INSTALL = "pip install 'evalkit[open3d]'"
 SYSTEM_LIBRARIES = ("libGL.so.1", "libEGL.so.1", "libX11.so.6", "libusb-1.0.so.0")
 INSTALL_SYSTEM = "apt-get install -y --no-install-recommends libgl1 libegl1 libx11-6 libusb-1.0-0"
+OLDEST = (0, 20)
 FEWEST_PAIRS = 3  # two pairs fix a planar pose exactly, so they fit whatever they are
 
 Describe = Callable[[Any, Any, Cloud], None]
@@ -140,6 +143,8 @@ def open3d_missing() -> str:
     """Why Open3D cannot be imported here and how to mend it, or ""; found out without importing it (1.3 s)."""
     if importlib.util.find_spec("open3d") is None:
         return f"not installed: {INSTALL}"
+    if (found := _version()) and found < OLDEST:
+        return f"open3d {found[0]}.{found[1]} cannot be held to one thread, 0.20 can: {INSTALL} --upgrade"
     if sys.platform != "linux":
         return ""
     absent = [name for name in SYSTEM_LIBRARIES if not _loads(name)]
@@ -172,6 +177,14 @@ def _imported() -> Any:
     open3d.utility.set_max_threads(1)
     open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)  # a Match says it, standard output need not
     return open3d
+
+
+def _version() -> tuple[int, ...]:
+    """Major and minor version, () where no package says so (a build of one's own)."""
+    for package in ("open3d-cpu", "open3d"):
+        with contextlib.suppress(importlib.metadata.PackageNotFoundError):
+            return tuple(int(part) for part in importlib.metadata.version(package).split(".")[:2])
+    return ()
 
 
 def _loads(library: str) -> bool:
