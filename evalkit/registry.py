@@ -5,14 +5,11 @@ Listing names imports nothing; loading one name imports only the module it stand
 
 from __future__ import annotations
 
-import hashlib
-from functools import cache
-from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points, version
-from importlib.util import find_spec
-from pathlib import Path
+from importlib.metadata import EntryPoint, entry_points
 from typing import TypeVar
 
 from evalkit.errors import NotInstalled, UnknownName
+from evalkit.fingerprint import fingerprint
 from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec
 
 Spec = TypeVar("Spec")
@@ -38,44 +35,15 @@ def dataset(name: str) -> DatasetSpec:
     return load("datasets", name, DatasetSpec)
 
 
-RUN_CODE = ("se2", "types", "protocols", "clock", "lift", "submap", "frontend", "worker")
-SCORE_CODE = ("se2", "types", "scoring", "metrics")
-
-
 def run_fingerprint(backend: str, dataset: str) -> str:
     """A digest of the code a run stands on: evalkit's part in it, the two plug-ins and the libraries they require."""
-    plugins = [_found("backends")[backend].module, _found("datasets")[dataset].module]
-    libraries = ["numpy", "scipy", *load("backends", backend, BackendSpec).requires]
-    return _digest([*(f"evalkit.{name}" for name in RUN_CODE), *plugins], libraries)
+    modules = ("evalkit.worker", _found("backends")[backend].module, _found("datasets")[dataset].module)
+    return fingerprint(modules, ("numpy", "scipy", *load("backends", backend, BackendSpec).requires))
 
 
 def score_fingerprint(mapper: str) -> str:
     """A digest of the code the scores and the map of a run stand on."""
-    return _digest([*(f"evalkit.{name}" for name in SCORE_CODE), _found("mappers")[mapper].module], ["numpy", "scipy"])
-
-
-def _digest(modules: list[str], libraries: list[str]) -> str:
-    parts = [*map(_source_digest, modules), *(f"{name} {_version(name)}" for name in libraries)]
-    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
-
-
-@cache
-def _source_digest(module: str) -> str:
-    """A digest of a module's file, or of every source file of a package."""
-    spec = find_spec(module)
-    if spec is None or spec.origin is None:
-        return module
-    origin = Path(spec.origin)
-    files = sorted(origin.parent.rglob("*.py")) if spec.submodule_search_locations else [origin]
-    return hashlib.sha256(b"".join(file.read_bytes() for file in files)).hexdigest()
-
-
-@cache
-def _version(distribution: str) -> str:
-    try:
-        return version(distribution)
-    except PackageNotFoundError:
-        return "absent"
+    return fingerprint(("evalkit.scoring", _found("mappers")[mapper].module), ("numpy", "scipy"))
 
 
 def _found(kind: str) -> dict[str, EntryPoint]:

@@ -1,0 +1,70 @@
+"""Which code a result stands on: the sources a module reaches by its imports, as one digest."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+from collections.abc import Iterator
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
+from importlib.util import find_spec
+from pathlib import Path
+
+
+def fingerprint(modules: tuple[str, ...], libraries: tuple[str, ...]) -> str:
+    """A digest of the modules' sources, of all they import within evalkit and their own packages, and of versions."""
+    roots = {"evalkit", *(module.partition(".")[0] for module in modules)}
+    files = sorted({file for module in modules for file in sources(module, frozenset(roots))})
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.read_bytes())
+    for library in libraries:
+        digest.update(f"{library} {_version(library)}".encode())
+    return digest.hexdigest()
+
+
+@cache
+def sources(module: str, roots: frozenset[str]) -> frozenset[Path]:
+    """The files of a module and of everything it imports, however far, within the packages ``roots``."""
+    found: dict[str, Path] = {}
+    waiting = [module]
+    while waiting:
+        name = waiting.pop()
+        if name in found or name.partition(".")[0] not in roots:
+            continue
+        file = _file(name)
+        if file is not None:
+            found[name] = file
+            waiting.extend(_imported(name, file))
+    return frozenset(found.values())
+
+
+def _file(name: str) -> Path | None:
+    try:
+        spec = find_spec(name)
+    except ModuleNotFoundError:  # "package.name" where name is no module but a thing in it
+        return None
+    return Path(spec.origin) if spec is not None and spec.origin and spec.origin != "built-in" else None
+
+
+def _imported(name: str, file: Path) -> Iterator[str]:
+    """The modules a source file imports anywhere, "package.name" for every name it takes from a package."""
+    if file.suffix != ".py":
+        return
+    package = name if file.name == "__init__.py" else name.rpartition(".")[0]
+    for node in ast.walk(ast.parse(file.read_bytes())):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            parent = ".".join(package.split(".")[: len(package.split(".")) - node.level + 1]) if node.level else ""
+            base = ".".join(part for part in (parent, node.module) if part)
+            yield base
+            yield from (f"{base}.{alias.name}" for alias in node.names)
+
+
+@cache
+def _version(distribution: str) -> str:
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return "absent"
