@@ -15,7 +15,7 @@ import typer
 from rich.console import Console
 from rich.table import Table
 
-from evalkit import __version__, console, experiment, listing, recording
+from evalkit import __version__, console, experiment, listing, recording, registry
 from evalkit.engine import Engine
 from evalkit.errors import EvalkitError
 from evalkit.experiment import Plan
@@ -27,8 +27,6 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-datasets = typer.Typer(help="Recorded data: where it is, and how to get it.", no_args_is_help=True)
-app.add_typer(datasets, name="datasets")
 
 out = Console(soft_wrap=True)
 err = Console(stderr=True, soft_wrap=True)
@@ -44,6 +42,8 @@ Only = Annotated[list[str] | None, typer.Option(show_default=False)]
 def main() -> None:
     """Entry point: every EvalkitError becomes one line and exit code 2."""
     try:
+        for name in registry.names("commands"):  # of plug-ins: the data sets bring "datasets"
+            app.add_typer(registry.load("commands", name, typer.Typer), name=name)
         app()
     except EvalkitError as error:
         err.print(f"evalkit: {error}", style="red", markup=False, highlight=False)

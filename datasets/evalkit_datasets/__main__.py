@@ -1,4 +1,4 @@
-"""The command line of the recorded data: ``python -m evalkit_datasets list | fetch NAME...``."""
+"""The command line of the recorded data: ``evalkit datasets list | fetch NAME...``."""
 
 from __future__ import annotations
 

@@ -17,7 +17,7 @@ from evalkit.errors import BadData, DataMissing, UnknownName
 VARIABLE = "EVALKIT_DATA"
 """The environment variable that names the folder of recorded data."""
 
-FETCH = "python -m evalkit_datasets fetch"
+FETCH = "evalkit datasets fetch"
 """The command that downloads a file or all files of a data set."""
 
 

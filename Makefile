@@ -1,0 +1,56 @@
+# Each target works from a fresh clone: it makes the environment first.
+.DEFAULT_GOAL := help
+PYTHON ?= python3
+EXTRAS ?= all
+VENV   := .venv
+BIN    := $(VENV)/bin
+export PIP_DISABLE_PIP_VERSION_CHECK := 1
+
+.PHONY: help install report report-quick test check bench clean
+
+help:  ## this list
+	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+
+install: $(VENV)/evalkit  ## the environment in .venv, with Open3D and KISS-ICP (EXTRAS= leaves them out)
+
+report: $(VENV)/evalkit  ## the whole comparison: reports/build/default/index.html
+	$(BIN)/evalkit report reports/default.toml --resume
+
+report-quick: $(VENV)/evalkit  ## the small one, under 90 seconds: reports/build/quick/index.html
+	$(BIN)/evalkit report reports/quick.toml --resume
+
+test: $(VENV)/test  ## the tests
+	$(BIN)/pytest
+
+check: $(VENV)/dev  ## lint, formatting, types, layers
+	$(BIN)/ruff check
+	$(BIN)/ruff format --check
+	$(BIN)/mypy
+	$(BIN)/pyright
+	$(BIN)/lint-imports --no-cache
+
+bench: $(VENV)/evalkit  ## what the harness costs, and the back ends side by side
+	$(BIN)/python tests/bench/overhead.py
+	$(BIN)/python tests/bench/backends.py
+
+clean:  ## removes the environment and all results
+	rm -rf $(VENV) reports/build
+
+$(VENV)/python: $(MAKEFILE_LIST)
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "evalkit needs Python 3.11 or newer; $(PYTHON) is $$($(PYTHON) -V 2>&1). Try: make PYTHON=python3.12 $(MAKECMDGOALS)"; exit 1; }
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	@touch $@
+
+comma := ,
+$(VENV)/evalkit: pyproject.toml | $(VENV)/python
+	$(BIN)/python -m pip install --quiet --editable '.[$(EXTRAS)]'
+	@touch $@
+
+$(VENV)/test: pyproject.toml | $(VENV)/python
+	$(BIN)/python -m pip install --quiet --editable '.[test$(if $(EXTRAS),$(comma)$(EXTRAS))]'
+	@touch $(VENV)/evalkit $@
+
+$(VENV)/dev: pyproject.toml | $(VENV)/python
+	$(BIN)/python -m pip install --quiet --editable '.[dev$(if $(EXTRAS),$(comma)$(EXTRAS))]'
+	@touch $(VENV)/evalkit $(VENV)/test $@

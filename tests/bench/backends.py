@@ -1,0 +1,70 @@
+"""Registrations side by side: one call on the same clouds from the same guess, interleaved, CPU time, one thread."""
+
+from __future__ import annotations
+
+import argparse
+import os
+
+import numpy as np
+
+from evalkit import Cloud, Pose, frontend, registry
+from evalkit.clock import timed
+from evalkit.environment import SINGLE_THREAD
+from evalkit.protocols import Registration
+
+REFERENCE = "paper-tight"
+
+
+def clouds(targets: int) -> tuple[Cloud, Cloud, Pose]:
+    """A submap of the synthetic lab with about so many points, one scan of it, and a guess 5 cm and 2 deg off."""
+    frames = list(registry.dataset("lab").make(**_defaults("lab")).frames())
+    points = np.concatenate([frame.base_from_sensor.transform(frame.scan.points()) for frame in frames[:80:10]])
+    generator = np.random.default_rng(0)
+    submap = points[generator.permutation(len(points))[:targets]]
+    source = frames[4].base_from_sensor.transform(frames[4].scan.points())
+    return Cloud(submap, "start"), Cloud(source, "base"), Pose(0.05, 0.02, np.radians(2.0))
+
+
+def registrations() -> dict[str, Registration]:
+    """Every registration that is installed, with its default parameters."""
+    made: dict[str, Registration] = {}
+    for name in registry.names("backends"):
+        spec = registry.backend(name)
+        if spec.kind == "registration" and not spec.missing():
+            parameters = frontend.complete_parameters(name, spec, {})
+            made[name] = spec.make(**{p.name: parameters[p.name] for p in spec.parameters})
+    return made
+
+
+def main() -> None:
+    """Prints the median CPU time of each registration and its ratio to the reference, paired round by round."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rounds", type=int, default=40)
+    parser.add_argument("--targets", type=int, default=5000)
+    arguments = parser.parse_args()
+    os.environ.update(SINGLE_THREAD)
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    target, source, guess = clouds(arguments.targets)
+    made = registrations()
+    times: dict[str, list[int]] = {name: [] for name in made}
+    for round_ in range(arguments.rounds + 3):
+        fresh = Cloud(target.points, "start")  # a new submap each round: what is built over it counts
+        order = list(made) if round_ % 2 else list(reversed(made))
+        for name in order:
+            _, timing = timed(lambda name=name: made[name].register(fresh, source, guess))
+            if round_ >= 3:
+                times[name].append(timing.cpu_ns)
+    print(f"{len(source)} points against {len(target)}, index and normals built in the call, {arguments.rounds} rounds")
+    print(f"{'back end':18} {'ms':>8} {'x ' + REFERENCE:>16}")
+    for name, ns in times.items():
+        ratio = np.median(np.array(ns) / np.array(times[REFERENCE]))
+        print(f"{name:18} {np.median(ns) / 1e6:8.2f} {ratio:16.2f}")
+
+
+def _defaults(dataset: str) -> dict[str, object]:
+    return {p.name: p.default for p in registry.dataset(dataset).parameters}
+
+
+if __name__ == "__main__":
+    main()
