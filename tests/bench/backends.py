@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+from functools import partial
 
 import numpy as np
 
@@ -52,7 +53,7 @@ def main() -> None:
         fresh = Cloud(target.points, "start")  # a new submap each round: what is built over it counts
         order = list(made) if round_ % 2 else list(reversed(made))
         for name in order:
-            _, timing = timed(lambda name=name: made[name].register(fresh, source, guess))
+            _, timing = timed(partial(made[name].register, fresh, source, guess))
             if round_ >= 3:
                 times[name].append(timing.cpu_ns)
     print(f"{len(source)} points against {len(target)}, index and normals built in the call, {arguments.rounds} rounds")
