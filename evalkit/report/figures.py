@@ -21,6 +21,7 @@ from evalkit.types import Trial
 POINTS = 600  # of a drawn line: more cannot be seen at this size
 STRETCHES = 150  # of a noisy line: more cannot be told apart
 SIZE = (6.6, 4.7)  # inches
+PLAN_RATIO = 1.5  # of width to height of what is seen from above
 STYLE: Any = {
     "font.family": "sans-serif",
     "font.sans-serif": ["DejaVu Sans"],
@@ -70,7 +71,7 @@ def trajectories(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
         for label, path in paths.items():
             axes.plot(*_thinned(path).T, label=label, **_line(strokes[label]))
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
-        axes.set_aspect("equal", adjustable="datalim")
+        axes.set_aspect("equal", adjustable="box")
 
     return Drawing(_svg(draw), f"{', '.join(outside)} leaves the frame." if outside else "")
 
@@ -210,13 +211,16 @@ def _seconds(trial: Trial) -> Floats:
 
 
 def _frame(paths: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """The corners of the drawing: all paths, but none that ends up far from where most are."""
+    """The corners of the drawing: all paths with a margin, but none that spreads to twice what is usual."""
     corners = np.array([[*path.min(axis=0), *path.max(axis=0)] for path in paths if len(path)])
     sides = np.hypot(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     usual = corners[sides <= max(2.0 * float(np.median(sides)), 0.1)]
     low, high = usual[:, :2].min(axis=0), usual[:, 2:].max(axis=0)
-    margin = max(0.12 * float((high - low).max()), 0.05)
-    return low - margin, high + margin
+    margin = max(0.06 * float((high - low).max()), 0.05)
+    side = high - low + 2.0 * margin
+    side = np.maximum(side, side[::-1] * [PLAN_RATIO, 1.0 / PLAN_RATIO])
+    middle = 0.5 * (low + high)
+    return middle - 0.5 * side, middle + 0.5 * side
 
 
 def _thinned(points: Floats) -> Floats:

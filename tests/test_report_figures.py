@@ -1,0 +1,32 @@
+"""Figures stay small, admit what they cut off, and are absent where there is nothing to draw."""
+
+from evalkit.report.figures import errors, residuals, runtimes, trajectories
+from evalkit.report.palette import strokes
+
+
+def test_a_long_run_is_drawn_no_larger_than_its_line_can_show(trial):
+    short = [trial("a", "room", {}, answered=600, expected=600)]
+    long = [trial("a", "room", {}, answered=6000, expected=6000)]
+    for draw in (trajectories, errors, residuals):
+        assert len(draw(long, strokes(["a"])).svg) < 1.5 * len(draw(short, strokes(["a"])).svg)
+
+
+def test_who_leaves_the_frame_is_named(trial):
+    pair = [trial("near", "room", {}, error_m=0.02), trial("far", "room", {}, error_m=30.0)]
+    drawn = trajectories(pair, strokes(["near", "far"]))
+    assert drawn.admits == "far leaves the frame."
+
+
+def test_errors_of_very_different_size_share_a_logarithmic_axis(trial):
+    pair = [trial("near", "room", {}, error_m=0.02), trial("far", "room", {}, error_m=30.0)]
+    assert errors(pair, strokes(["near", "far"])).admits == "Logarithmic axis."
+    assert errors(pair[:1], strokes(["near"])).admits == ""
+
+
+def test_nothing_is_drawn_of_runs_that_never_answered(trial):
+    none = [trial("a", "room", {}, status="failed", reason="no odometry", answered=0)]
+    assert [draw(none, strokes(["a"])) for draw in (trajectories, errors, runtimes, residuals)] == [None] * 4
+
+
+def test_wheel_odometry_has_no_residuals(trial):
+    assert residuals([trial("wheel", "room", {})], strokes(["wheel"])) is None
