@@ -98,6 +98,10 @@ def _defects(dataset: str) -> tuple[str, ...]:
     return catalog.entry(FILES[dataset][0]).defects
 
 
+def _published(label: str, mean_m: float, sd_m: float) -> Published:
+    return Published(label, mean_m, sd_m, KUEMMERLE, "relations_all_mean_m", "relations_all_sd_m")
+
+
 FR079 = DatasetSpec(
     make=_fr079,
     summary="Freiburg building 079, full rate: 4,791 scans, 1,061 s, about 400 m",
@@ -107,9 +111,9 @@ FR079 = DatasetSpec(
     licence=_card("fr079", "licence"),
     defects=_defects("fr079"),
     published=(
-        Published("scan matching", 0.258, 0.427, KUEMMERLE),
-        Published("RBPF (GMapping)", 0.061, 0.044, KUEMMERLE),
-        Published("graph mapping", 0.056, 0.042, KUEMMERLE),
+        _published("scan matching", 0.258, 0.427),
+        _published("RBPF (GMapping)", 0.061, 0.044),
+        _published("graph mapping", 0.056, 0.042),
     ),
     parameters=recording.SELECTION,
     missing=partial(_missing, "fr079"),
@@ -124,9 +128,9 @@ INTEL = DatasetSpec(
     licence=_card("intel", "licence"),
     defects=_defects("intel"),
     published=(
-        Published("scan matching", 0.220, 0.296, KUEMMERLE),
-        Published("RBPF (GMapping)", 0.070, 0.083, KUEMMERLE),
-        Published("graph mapping", 0.031, 0.026, KUEMMERLE),
+        _published("scan matching", 0.220, 0.296),
+        _published("RBPF (GMapping)", 0.070, 0.083),
+        _published("graph mapping", 0.031, 0.026),
     ),
     parameters=recording.SELECTION,
     missing=partial(_missing, "intel"),

@@ -94,9 +94,9 @@ def _answered(evidence: Evidence) -> Score:
 
 
 _SPANS: dict[Part, str] = {
+    "all": "all pairs of times",
     "short": "pairs of times less than 10 s apart",
     "long": "pairs of times 10 s apart or more",
-    "all": "all pairs of times",
 }
 _STATISTICS: dict[str, tuple[str, Callable[[Floats], np.floating]]] = {
     "mean": ("Mean", np.mean),
@@ -115,7 +115,7 @@ METRICS = (
                f"{words} {what} error of the estimated motions between {_SPANS[part]}; the translation error is "
                "averaged over both orders of the pair; answers are interpolated between scans at most 2 s apart.",
                "Kuemmerle et al., Autonomous Robots 27, 2009; both orders: evalkit", _BLIND[part],
-               _scored(part, column, statistic), digits, headline=(part, name, unit) == ("short", "mean", "m"))
+               _scored(part, column, statistic), digits, headline=part != "long" and (name, unit) == ("mean", "m"))
         for part in _SPANS
         for name, (words, statistic) in _STATISTICS.items()
         for column, (unit, what, digits) in enumerate(_ERRORS)
