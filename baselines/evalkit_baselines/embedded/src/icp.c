@@ -3,6 +3,8 @@
 #include <string.h>
 
 #define MOST ((size_t)1 << 30)
+#define FIRST_LOOK EK_R(0.75) /* cells: how far to look when nothing is known */
+#define BEYOND EK_R(0.25)     /* cells: how far beyond the last neighbour; pays for queries that are not needed later */
 #define FARTHEST EK_R(1e12) /* m; below EK_FAR: what stands for "no limit" */
 
 ek_icp_parameters ek_icp_default(void)
@@ -114,11 +116,13 @@ static uint32_t refresh(ek_icp *icp, const ek_index *target, size_t count, ek_re
     for (uint32_t k = 0; k < asked; k++) {
         const uint32_t i = icp->stale[k];
         const ek_real x = icp->mx[i], y = icp->my[i];
-        const ek_neighbour answer = ek_index_nearest(target, x, y, limit);
+        const ek_real known = icp->distance[i] + BEYOND * target->cell;
+        const ek_real radius = icp->distance[i] < limit ? known : FIRST_LOOK * target->cell;
+        const ek_neighbour answer = ek_index_nearest(target, x, y, limit, radius);
         const int found = answer.slot != EK_NONE;
         icp->nearest[i] = found ? answer.slot : (uint32_t)icp->targets;
-        icp->tx[i] = found ? target->x[answer.slot] : EK_FAR;
-        icp->ty[i] = found ? target->y[answer.slot] : EK_FAR;
+        icp->tx[i] = found ? target->xy[2u * answer.slot] : EK_FAR;
+        icp->ty[i] = found ? target->xy[2u * answer.slot + 1u] : EK_FAR;
         icp->distance[i] = found ? answer.distance : EK_FAR;
         icp->ax[i] = x;
         icp->ay[i] = y;

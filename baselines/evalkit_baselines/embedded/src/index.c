@@ -18,8 +18,7 @@ ek_status ek_index_lay_out(ek_index *index, ek_arena *arena, size_t capacity, si
     memset(index, 0, sizeof *index);
     index->capacity = capacity;
     index->cell_capacity = cells;
-    index->x = (ek_real *)ek_arena_take(arena, capacity, sizeof(ek_real));
-    index->y = (ek_real *)ek_arena_take(arena, capacity, sizeof(ek_real));
+    index->xy = (ek_real *)ek_arena_take(arena, 2u * capacity, sizeof(ek_real));
     index->id = (uint32_t *)ek_arena_take(arena, capacity, sizeof(uint32_t));
     index->start = (uint32_t *)ek_arena_take(arena, cells + 2u, sizeof(uint32_t));
     index->scratch = (uint32_t *)ek_arena_take(arena, capacity, sizeof(uint32_t));
@@ -101,8 +100,8 @@ static void scatter(ek_index *index, const ek_real *xy, size_t count)
     }
     for (size_t i = 0; i < count; i++) {
         const uint32_t slot = next[index->scratch[i]]++;
-        index->x[slot] = xy[2u * i];
-        index->y[slot] = xy[2u * i + 1u];
+        index->xy[2u * slot] = xy[2u * i];
+        index->xy[2u * slot + 1u] = xy[2u * i + 1u];
         index->id[slot] = (uint32_t)i;
     }
 }
@@ -151,11 +150,11 @@ typedef struct {
 /* Looks at the slots [from, to). */
 static inline void look(const ek_index *index, uint32_t from, uint32_t to, ek_real x, ek_real y, candidates *found)
 {
-    const ek_real *const EK_RESTRICT xs = index->x, *const EK_RESTRICT ys = index->y;
+    const ek_real *const EK_RESTRICT xy = index->xy;
     ek_real best = found->best, second = found->second;
     uint32_t slot = found->slot;
     for (uint32_t k = from; k < to; k++) {
-        const ek_real dx = xs[k] - x, dy = ys[k] - y, squared = dx * dx + dy * dy;
+        const ek_real dx = xy[2u * k] - x, dy = xy[2u * k + 1u] - y, squared = dx * dx + dy * dy;
         const ek_real worse = squared > best ? squared : best;
         second = worse < second ? worse : second;
         slot = squared < best ? k : slot;
@@ -174,7 +173,7 @@ static uint32_t lowest(const ek_index *index, int32_t box[4], ek_real x, ek_real
         const uint32_t base = (uint32_t)row * index->columns;
         const uint32_t to = index->start[base + (uint32_t)box[1] + 1u];
         for (uint32_t k = index->start[base + (uint32_t)box[0]]; k < to; k++) {
-            const ek_real dx = index->x[k] - x, dy = index->y[k] - y;
+            const ek_real dx = index->xy[2u * k] - x, dy = index->xy[2u * k + 1u] - y;
             if (dx * dx + dy * dy <= best && (slot == EK_NONE || index->id[k] < index->id[slot])) {
                 slot = k;
             }
@@ -183,91 +182,48 @@ static uint32_t lowest(const ek_index *index, int32_t box[4], ek_real x, ek_real
     return slot;
 }
 
-static int32_t clamped(int32_t value, int32_t high)
+/* The cell number of a place along one axis, in cells, or that of the nearest cell there is. */
+static inline int32_t cell_of(ek_real place, int32_t last)
 {
-    return value < 0 ? 0 : value > high ? high : value;
+    const ek_real within = place > EK_R(0.0) ? place : EK_R(0.0);
+    return within < (ek_real)last ? (int32_t)within : last;
 }
 
-/* Searches the (2 reach + 1)^2 cells around a cell; fills box with their columns and rows and gives the distance (m)
- * below which nothing outside of them lies. column and row are in cells, floats; reach and cell numbers stay < 2^23. */
-static ek_real search(const ek_index *index, ek_real x, ek_real y, int32_t reach, int32_t box[4], candidates *found)
+/* Searches all cells that a square of half a side `radius` (m) around a place touches; fills box with their columns and
+ * rows and gives the distance (m) below which nothing outside of them lies. */
+static inline ek_real search(const ek_index *index, ek_real x, ek_real y, ek_real radius, int32_t box[4],
+                             candidates *found)
 {
     const ek_real column = (x - index->left) * index->per_cell, row = (y - index->bottom) * index->per_cell;
+    const ek_real reach = radius * index->per_cell;
     const int32_t last_column = (int32_t)index->columns - 1, last_row = (int32_t)index->rows - 1;
-    const int32_t c = column < EK_R(0.0) ? -1 : column > (ek_real)last_column ? last_column : (int32_t)column;
-    const int32_t r = row < EK_R(0.0) ? -1 : row > (ek_real)last_row ? last_row : (int32_t)row;
-    ek_real border = EK_FAR;
+    box[0] = cell_of(column - reach, last_column);
+    box[1] = cell_of(column + reach, last_column);
+    box[2] = cell_of(row - reach, last_row);
+    box[3] = cell_of(row + reach, last_row);
     found->best = found->second = EK_FAR * EK_FAR;
     found->slot = EK_NONE;
-    const ek_real gaps[4] = {
-        c - reach > 0 ? column - (ek_real)(c - reach) : EK_FAR,
-        c + reach < last_column ? (ek_real)(c + reach + 1) - column : EK_FAR,
-        r - reach > 0 ? row - (ek_real)(r - reach) : EK_FAR,
-        r + reach < last_row ? (ek_real)(r + reach + 1) - row : EK_FAR,
-    };
-    for (int side = 0; side < 4; side++) {
-        border = gaps[side] < border ? gaps[side] : border;
+    const uint32_t *start = index->start + (size_t)box[2] * index->columns;
+    for (int32_t line = box[2]; line <= box[3]; line++, start += index->columns) {
+        look(index, start[box[0]], start[box[1] + 1], x, y, found);
     }
-    box[0] = clamped(c - reach, last_column);
-    box[1] = clamped(c + reach, last_column);
-    box[2] = clamped(r - reach, last_row);
-    box[3] = clamped(r + reach, last_row);
-    for (int32_t line = box[2]; line <= box[3]; line++) {
-        const uint32_t base = (uint32_t)line * index->columns;
-        look(index, index->start[base + (uint32_t)box[0]], index->start[base + (uint32_t)box[1] + 1u], x, y, found);
-    }
-    return border * index->cell - index->margin;
+    const int all = box[0] == 0 && box[2] == 0 && box[1] == last_column && box[3] == last_row;
+    return all ? EK_FAR : radius - index->margin;
 }
 
-/* The next reach to try when the answer may lie `needed` cells away. */
-static int32_t wider(int32_t reach, ek_real needed)
-{
-    const int32_t enough = needed < (ek_real)(2 * reach) ? (int32_t)needed + 1 : 2 * reach;
-    return enough > reach ? enough : reach + 1;
-}
-
-/* search() with reach 1 for a place well inside of the grid, where nothing needs clamping; less than 0 elsewhere. */
-static inline ek_real search_nine(const ek_index *index, ek_real x, ek_real y, int32_t box[4], candidates *found)
-{
-    const ek_real column = (x - index->left) * index->per_cell, row = (y - index->bottom) * index->per_cell;
-    const uint32_t columns = index->columns;
-    if (!(column >= EK_R(1.0) && row >= EK_R(1.0) && column < (ek_real)columns - EK_R(1.0) &&
-          row < (ek_real)index->rows - EK_R(1.0))) {
-        return EK_R(-1.0);
-    }
-    const int32_t c = (int32_t)column, r = (int32_t)row;
-    const uint32_t *const start = index->start + (size_t)(r - 1) * columns + (size_t)(c - 1);
-    const ek_real u = column - (ek_real)c, v = row - (ek_real)r;
-    const ek_real near_u = u < EK_R(1.0) - u ? u : EK_R(1.0) - u, near_v = v < EK_R(1.0) - v ? v : EK_R(1.0) - v;
-    found->best = found->second = EK_FAR * EK_FAR;
-    found->slot = EK_NONE;
-    look(index, start[0], start[3], x, y, found);
-    look(index, start[columns], start[columns + 3u], x, y, found);
-    look(index, start[2u * columns], start[2u * columns + 3u], x, y, found);
-    box[0] = c - 1;
-    box[1] = c + 1;
-    box[2] = r - 1;
-    box[3] = r + 1;
-    return (EK_R(1.0) + (near_u < near_v ? near_u : near_v)) * index->cell - index->margin;
-}
-
-ek_neighbour ek_index_nearest(const ek_index *index, ek_real x, ek_real y, ek_real limit)
+ek_neighbour ek_index_nearest(const ek_index *index, ek_real x, ek_real y, ek_real limit, ek_real radius)
 {
     ek_neighbour answer = {EK_NONE, EK_FAR, EK_FAR};
     if (index->count == 0u) {
         return answer;
     }
-    const int32_t widest = (int32_t)(index->columns > index->rows ? index->columns : index->rows);
     candidates found;
-    int32_t box[4], reach = 1;
-    ek_real border = search_nine(index, x, y, box, &found);
-    if (border < EK_R(0.0)) {
-        border = search(index, x, y, reach, box, &found);
-    }
-    ek_real best = EK_SQRT(found.best);
-    while (border < best && border < limit && reach < widest) {
-        reach = wider(reach, (best < limit ? best : limit) * index->per_cell);
-        border = search(index, x, y, reach, box, &found);
+    int32_t box[4];
+    ek_real border = search(index, x, y, radius, box, &found), best = EK_SQRT(found.best);
+    while (border <= best && border < limit) {
+        const ek_real needed = (best < limit ? best : limit) + EK_R(4.0) * index->margin;
+        radius = needed < EK_R(2.0) * radius ? needed : EK_R(2.0) * radius;
+        border = search(index, x, y, radius, box, &found);
         best = EK_SQRT(found.best);
     }
     const ek_real second = EK_SQRT(found.second);

@@ -32,7 +32,7 @@ static void answers_are_those_of_a_search_of_all(size_t count, double limit, uin
         const ek_real x = uniform(seed, -3.0, 13.0), y = uniform(seed, -3.0, 8.0);
         double nearest, second;
         const size_t at = search_all(count, x, y, &nearest, &second);
-        const ek_neighbour found = ek_index_nearest(&reference, x, y, EK_R(limit));
+        const ek_neighbour found = ek_index_nearest(&reference, x, y, EK_R(limit), uniform(seed, 0.001, 1.0));
         CHECK((found.slot != EK_NONE) == (EK_R(nearest) < EK_R(limit)));
         if (found.slot != EK_NONE) {
             CHECK(reference.id[found.slot] == at);
@@ -55,8 +55,8 @@ static void of_equally_near_points_the_lowest_wins(void)
 {
     const ek_real square[] = {EK_R(1), EK_R(1), EK_R(-1), EK_R(1), EK_R(-1), EK_R(-1), EK_R(1), EK_R(-1), EK_R(-1), EK_R(1)};
     CHECK(ek_index_build(&reference, square, 5u) == EK_OK);
-    CHECK(reference.id[ek_index_nearest(&reference, EK_R(0.0), EK_R(0.0), EK_R(9.0)).slot] == 0u);
-    const ek_neighbour twin = ek_index_nearest(&reference, EK_R(-1.1), EK_R(1.0), EK_R(9.0));
+    CHECK(reference.id[ek_index_nearest(&reference, EK_R(0.0), EK_R(0.0), EK_R(9.0), EK_R(0.1)).slot] == 0u);
+    const ek_neighbour twin = ek_index_nearest(&reference, EK_R(-1.1), EK_R(1.0), EK_R(9.0), EK_R(0.5));
     CHECK(reference.id[twin.slot] == 1u);
     CHECK_NEAR(twin.others, 0.1, TOLERANCE);
 }
@@ -71,7 +71,7 @@ static void bad_input_is_named(void)
     CHECK(ek_index_build(&reference, cloud, POINTS + 1u) == EK_TOO_MANY_POINTS);
     CHECK(ek_index_build(&reference, NULL, 10u) == EK_NULL_POINTER);
     CHECK(ek_index_build(&reference, cloud, 0u) == EK_OK);
-    CHECK(ek_index_nearest(&reference, EK_R(0.0), EK_R(0.0), EK_R(9.0)).slot == EK_NONE);
+    CHECK(ek_index_nearest(&reference, EK_R(0.0), EK_R(0.0), EK_R(9.0), EK_R(0.1)).slot == EK_NONE);
     ek_arena none = ek_arena_over(NULL, 0u);
     CHECK(ek_index_lay_out(&reference, &none, 0u, 10u) == EK_OUT_OF_RANGE);
 }

@@ -24,7 +24,7 @@ typedef struct {
     ek_real left, bottom;      /* lower left corner (m) */
     ek_real cell, per_cell;    /* cell width (m) and its inverse */
     ek_real margin;            /* what rounding can do to a distance (m) */
-    ek_real *x, *y;            /* points by slot (m) */
+    ek_real *xy;               /* points by slot, pairs x y (m) */
     uint32_t *id;              /* slot -> index in the cloud given to build */
     uint32_t *start;           /* cell -> its first slot; cells + 1 entries */
     uint32_t *scratch;         /* point -> cell while building */
@@ -51,8 +51,10 @@ ek_status ek_index_lay_out(ek_index *index, ek_arena *arena, size_t capacity, si
 ek_status ek_index_build(ek_index *index, const ek_real *xy, size_t count);
 
 /* The point nearest to (x, y), if it is nearer than limit (m); of equally near ones that with the lowest index in the
- * cloud. x and y must be finite. */
-ek_neighbour ek_index_nearest(const ek_index *index, ek_real x, ek_real y, ek_real limit);
+ * cloud. `radius` (m, above 0): how far to look first; the answer is the same for any, `others` and the time are not.
+ * x and y must be finite. */
+ek_neighbour ek_index_nearest(const ek_index *index, ek_real x, ek_real y, ek_real limit,
+                              ek_real radius);
 
 #ifdef __cplusplus
 }
