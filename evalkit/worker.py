@@ -18,7 +18,7 @@ import numpy as np
 
 from evalkit import frontend, registry
 from evalkit.clock import Timing, timed
-from evalkit.errors import DataMissing, EvalkitError, NotInstalled
+from evalkit.errors import BadData, DataMissing, EvalkitError, NotInstalled
 from evalkit.protocols import Odometry, Sequence, Value
 from evalkit.types import STEP, Frame, Match, Pose, Status
 
@@ -72,7 +72,7 @@ class Residuals:
 
 def main() -> int:
     """Runs the request of the folder named on the command line; the outcome is in ``outcome.json``."""
-    folder = Path(sys.argv[1])
+    folder = Path(sys.argv[1]).resolve()  # a back end may change the working directory
     request = Request(**json.loads((folder / "request.json").read_text(encoding="utf-8")))
     if request.core is not None and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {request.core})
@@ -92,12 +92,13 @@ def perform(request: Request, folder: Path) -> Outcome:
             raise NotInstalled(request.backend, "not installed", why)
         sequence: Sequence = registry.dataset(request.dataset).make(**request.dataset_parameters)
         expected = len(sequence)
+        _leave(folder / "begun.json", {"expected": expected})  # for a back end that ends this process in its warm-up
         warm = _warm_up(frontend.odometry(spec, request.backend_parameters), sequence)
         residuals = Residuals()
         contestant = frontend.odometry(spec, request.backend_parameters, residuals.hear)
         _leave(folder / "begun.json", {"expected": expected, "warm_up_scans": warm})
         with (folder / "steps.bin").open("ab", buffering=0) as file:
-            _follow(contestant, sequence, residuals, file)
+            _follow(contestant, sequence, request.dataset, residuals, file)
         notes = dict(sequence.notes())
     except NotInstalled as error:
         status, reason = "not-installed", str(error)
@@ -105,6 +106,9 @@ def perform(request: Request, folder: Path) -> Outcome:
         status, reason = "data-missing", str(error)
     except EvalkitError as error:
         status, reason = "failed", str(error)
+    except MemoryError as error:
+        traceback.print_exc()
+        status, reason = "out-of-memory", f"the system gave no more memory: {error or 'MemoryError'}"
     except Exception as error:  # noqa: BLE001 - whatever a third party's code raises is a result to report
         traceback.print_exc()
         status, reason = "failed", f"{type(error).__name__}: {error}"
@@ -128,11 +132,16 @@ def _warm_up(contestant: Odometry, sequence: Sequence) -> int:
     return seen
 
 
-def _follow(contestant: Odometry, sequence: Sequence, residuals: Residuals, steps: BinaryIO) -> None:
+def _follow(contestant: Odometry, sequence: Sequence, dataset: str, residuals: Residuals, steps: BinaryIO) -> None:
     """Asks the back end for every scan; a record's ``harness_ns`` is what the harness took around the scan before."""
     around = 0
-    for frame in sequence.frames():
+    last_ns: int | None = None
+    for index, frame in enumerate(sequence.frames()):
         begun = time.perf_counter_ns()
+        if last_ns is not None and frame.scan.stamp_ns <= last_ns:
+            found = f"stamp {frame.scan.stamp_ns} ns is not later than the one before, {last_ns} ns"
+            raise BadData(dataset, f"scan {index + 1}", found, "give the scans in the order of time")
+        last_ns = frame.scan.stamp_ns
         residuals.clear()
         pose, timing = timed(lambda frame=frame: contestant.update(frame))  # type: ignore[misc]
         steps.write(_record(frame, pose, timing, residuals, around))
@@ -142,6 +151,8 @@ def _follow(contestant: Odometry, sequence: Sequence, residuals: Residuals, step
 def _record(frame: Frame, pose: object, timing: Timing, residuals: Residuals, around_ns: int) -> bytes:
     if not isinstance(pose, Pose):
         raise TypeError(f"update() answered a {type(pose).__name__}, expected an evalkit.Pose")
+    if not np.isfinite(pose.row).all():  # a Pose of a third party's own making need not have been checked
+        raise ValueError(f"update() answered a pose that is not finite: ({pose.x}, {pose.y}, {pose.theta})")
     record = np.zeros((), dtype=STEP)
     record["stamp_ns"] = frame.scan.stamp_ns
     record["x"], record["y"], record["theta"] = pose.x, pose.y, pose.theta
@@ -153,6 +164,12 @@ def _record(frame: Frame, pose: object, timing: Timing, residuals: Residuals, ar
 
 
 def _peak_memory_bytes() -> int:
+    """The resident set at its highest. Linux's ru_maxrss would not do: it starts at what the parent process held."""
+    status = Path("/proc/self/status")
+    if status.exists():
+        for line in status.read_text(encoding="utf-8").splitlines():
+            if line.startswith("VmHWM:"):
+                return int(line.split()[1]) * 1024
     import resource  # noqa: PLC0415 - not on every system; only a run needs it
 
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss

@@ -1,10 +1,12 @@
-"""What several tests share: a made-up comparison for the report."""
+"""What several tests share: a made-up comparison for the report, and a stranger's plug-ins."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -221,3 +223,13 @@ def _grid(blur_m: float) -> OccupancyGrid:
     observed = np.ones_like(log_odds, dtype=bool)
     observed[62:78, 105:130] = False
     return OccupancyGrid(log_odds, observed, 0.05, 0.0, 0.0)
+
+
+@pytest.fixture(scope="module")
+def strangers() -> Iterator[None]:
+    """Somebody else's plug-ins (tests/strangers) are installed, for this process and those it starts."""
+    folder = Path(__file__).parent / "strangers"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(folder)
+        patch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(folder), os.environ.get("PYTHONPATH", "")])))
+        yield

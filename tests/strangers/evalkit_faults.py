@@ -1,0 +1,229 @@
+"""Somebody else's plug-ins, each with every fault that evalkit must survive, and a tiny sequence to show them on."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from evalkit.errors import DataMissing
+from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter
+from evalkit.types import Frame, OccupancyGrid, Pose, Scan, Trajectory, Truth
+
+STEP_M = 0.1
+STEP_NS = 100_000_000
+
+
+class NoPose(Pose):
+    """A pose that was never checked."""
+
+    def __post_init__(self) -> None:
+        """Looks at nothing."""
+
+
+def _spin() -> None:
+    while True:
+        math.sqrt(2.0)
+
+
+def _leak() -> None:
+    kept = []
+    while True:
+        kept.append(np.ones(1_000_000))
+        time.sleep(0.01)
+
+
+def _sleeper(own_session: bool = False) -> None:
+    """A child that sleeps, with the run's folder on its command line so that it can be found."""
+    command = [sys.executable, "-c", "import time; time.sleep(600)", sys.argv[-1]]
+    subprocess.Popen(command, start_new_session=own_session)
+
+
+def _child() -> None:
+    _sleeper()
+    _sleeper(own_session=True)
+    time.sleep(600)
+
+
+def _orphan() -> None:
+    _sleeper()
+    raise RuntimeError("left a child behind")
+
+
+def _garbage() -> None:
+    os.write(1, b"\xff\xfe\x00garbage\x1b[31m\n" * 100_000)
+    os.write(2, b"\x1b[2J the wheel is off \x07\n")
+    os._exit(9)
+
+
+def _remove_folder() -> None:
+    shutil.rmtree(Path(sys.argv[-1]))
+
+
+def _exhaust() -> None:
+    raise MemoryError("cannot allocate 7 TiB")
+
+
+def _linger() -> None:
+    threading.Thread(target=time.sleep, args=(600,)).start()
+
+
+def _fail() -> None:
+    raise RuntimeError("lost the plot")
+
+
+FAULTS: dict[str, Callable[[], object]] = {
+    "none": lambda: None,
+    "segfault": lambda: ctypes.string_at(0),
+    "sigkill": lambda: os.kill(os.getpid(), signal.SIGKILL),
+    "unnamed-signal": lambda: os.kill(os.getpid(), signal.SIGRTMIN + 5),
+    "abort": os.abort,
+    "exit": lambda: os._exit(3),
+    "sys-exit": lambda: sys.exit(0),
+    "raise": _fail,
+    "memory-error": _exhaust,
+    "hang": lambda: time.sleep(600),
+    "spin": _spin,
+    "leak": _leak,
+    "nan": lambda: Pose(math.nan, 0.0, 0.0),
+    "unchecked-nan": lambda: NoPose(math.nan, 0.0, 0.0),
+    "no-pose": lambda: (1.0, 2.0, 3.0),
+    "child": _child,
+    "orphan": _orphan,
+    "garbage": _garbage,
+    "chdir": lambda: os.chdir("/"),
+    "remove-folder": _remove_folder,
+    "linger": _linger,
+    "far": lambda: Pose(1e6, -1e6, 1.0),
+    "farthest": lambda: Pose(1e300, -1e300, 1.0),
+}
+
+
+class Faulty:
+    """An Odometry that knows the way, until at scan number ``at`` (from 0) its fault comes over it."""
+
+    def __init__(self, fault: str, at: int) -> None:
+        self._fault, self._at, self._seen = FAULTS[fault], at, 0
+
+    def update(self, frame: Frame) -> object:
+        """``start_from_base``, or worse."""
+        self._seen += 1
+        answer = self._fault() if self._seen > self._at else None
+        return answer if answer is not None else Pose((self._seen - 1) * STEP_M, 0.0, 0.0)
+
+
+class Straight:
+    """Scans of a box of 8 x 4 m from a base that moves 0.1 m a scan along x.
+
+    ``backwards``: the number of a scan whose stamp lies before the one before; 0: none. ``file``: must exist.
+    """
+
+    def __init__(self, scans: int, backwards: int, file: str, breaks: bool) -> None:
+        if gone := _gone(file):
+            raise DataMissing("straight", gone, "bring it back")
+        self._stamps = np.arange(scans) * STEP_NS
+        self._given = self._stamps.copy()
+        if backwards:
+            self._given[backwards] = 0
+        self._breaks = breaks
+
+    def __len__(self) -> int:
+        return len(self._stamps)
+
+    def frames(self) -> Iterator[Frame]:
+        """The frames."""
+        angles = np.linspace(-math.pi, math.pi, 72, endpoint=False)
+        for index, stamp in enumerate(self._given.tolist()):
+            x = 1.0 + index * STEP_M
+            with np.errstate(divide="ignore"):
+                along = np.where(np.cos(angles) > 0, 8.0 - x, x) / np.abs(np.cos(angles))
+                aside = 2.0 / np.abs(np.sin(angles))
+            scan = Scan(stamp, np.minimum(along, aside), angles, 0.1, 20.0)
+            yield Frame(scan, odom_from_base=Pose(index * STEP_M, 0.0, 0.0))
+
+    def truth(self) -> Truth:
+        """The exact way."""
+        if self._breaks:
+            raise RuntimeError("the truth is out there")
+        poses = np.zeros((len(self), 3))
+        poses[:, 0] = 1.0 + np.arange(len(self)) * STEP_M
+        return Truth("exact", Trajectory(self._stamps, poses))
+
+    def notes(self) -> Mapping[str, int]:
+        """None."""
+        return {}
+
+
+def _gone(file: str, **_others: object) -> str:
+    return f"{file} is gone" if file and not Path(file).exists() else ""
+
+
+class FaultyMapper:
+    """A Mapper of one empty cell that raises or ends its process."""
+
+    def __init__(self, fault: str, only_past_m: float) -> None:
+        self._fault, self._only_past_m = FAULTS[fault], only_past_m
+
+    def update(self, scan: Scan, world_from_sensor: Pose) -> None:
+        """Breaks at a pose beyond ``only_past_m``."""
+        if world_from_sensor.x > self._only_past_m:
+            self._fault()
+
+    def grid(self) -> OccupancyGrid:
+        """One cell."""
+        return OccupancyGrid(np.zeros((1, 1), dtype=np.float32), np.zeros((1, 1), dtype=np.bool_), 0.05, 0.0, 0.0)
+
+
+FAULT = Parameter("fault", "none", "", "what goes wrong", choices=tuple(FAULTS))
+
+FAULTY = BackendSpec(
+    make=Faulty,
+    kind="odometry",
+    summary="goes wrong in the way it is told",
+    citation="Murphy",
+    licence="MIT",
+    parameters=(FAULT, Parameter("at", 8, "scans", "after how many good answers", low=0)),
+)
+
+ABSENT = BackendSpec(
+    make=Faulty,
+    kind="odometry",
+    summary="needs what is not here",
+    citation="Murphy",
+    licence="MIT",
+    missing=lambda: "the library 'nowhere' is not installed; pip install nowhere",
+)
+
+MAPPER = MapperSpec(
+    make=FaultyMapper,
+    summary="goes wrong in the way it is told",
+    citation="Murphy",
+    licence="MIT",
+    parameters=(FAULT, Parameter("only_past_m", -1e9, "m", "goes wrong where x is greater")),
+)
+
+STRAIGHT = DatasetSpec(
+    make=Straight,
+    summary="a straight drive through a box",
+    sensor="72 beams",
+    truth="exact",
+    citation="Murphy",
+    licence="MIT",
+    parameters=(
+        Parameter("scans", 12, "", "how many", low=1),
+        Parameter("backwards", 0, "", "which scan has a stamp before the others; 0: none", low=0),
+        Parameter("file", "", "", "a file that must be there"),
+        Parameter("breaks", False, "", "whether the truth cannot be read"),
+    ),
+    missing=_gone,
+)

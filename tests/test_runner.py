@@ -1,0 +1,161 @@
+"""One run in a process of its own: every way to end is a result with a reason, and leaves no process behind."""
+
+import json
+import os
+import threading
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from pathlib import Path
+
+import psutil
+import pytest
+
+from evalkit import runner
+from evalkit.errors import StoreError
+from evalkit.experiment import Limits
+from evalkit.worker import Request
+
+AT, SCANS = 8, 12
+HASTE = Limits(run_s=60.0, scan_s=30.0, memory_mib=1024)
+LIMITS = {
+    "hang": replace(HASTE, scan_s=2.5),
+    "child": replace(HASTE, scan_s=4.0),
+    "spin": replace(HASTE, run_s=4.0),
+    "leak": replace(HASTE, memory_mib=300),
+}
+
+
+def request(fault="none", at=AT, **dataset):
+    course = {"scans": SCANS, "backwards": 0, "file": "", "breaks": False, **dataset}
+    return Request("faulty", {"fault": fault, "at": at}, "straight", course)
+
+
+def made(folder, wanted, limits=HASTE, heard=lambda _: None, stop=None):
+    folder.mkdir()
+    return runner.run(wanted, ("f", "s"), folder, limits, heard, stop or threading.Event())
+
+
+FAULTS = (
+    "none", "segfault", "sigkill", "unnamed-signal", "abort", "exit", "sys-exit", "raise", "memory-error", "hang",
+    "spin", "leak", "nan", "unchecked-nan", "no-pose", "child", "orphan", "garbage", "chdir", "remove-folder", "linger",
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    """Where the folders of ``runs`` are."""
+    return tmp_path_factory.mktemp("runs")
+
+
+@pytest.fixture(scope="module")
+def runs(strangers, root):
+    """Every fault's run, all made at once: most of the time they wait."""
+
+    def one(fault):
+        folder = root / fault
+        folder = Path(os.path.relpath(folder)) if fault == "chdir" else folder
+        return made(folder, request(fault), LIMITS.get(fault, HASTE))
+
+    with ThreadPoolExecutor(4) as threads:
+        return dict(zip(FAULTS, threads.map(one, FAULTS), strict=True))
+
+
+@pytest.mark.parametrize(
+    ("fault", "status", "reason"),
+    [
+        ("none", "complete", ""),
+        ("segfault", "crashed", "SIGSEGV"),
+        ("sigkill", "crashed", "SIGKILL (by the system, where memory ran out)"),
+        ("unnamed-signal", "crashed", "signal "),
+        ("abort", "crashed", "SIGABRT"),
+        ("exit", "failed", "ended itself with code 3"),
+        ("sys-exit", "failed", "ended itself with code 0"),
+        ("raise", "failed", "RuntimeError: lost the plot"),
+        ("memory-error", "out-of-memory", "cannot allocate 7 TiB"),
+        ("hang", "timeout", f"no answer for 2.5 s after scan {AT}"),
+        ("spin", "timeout", "not finished after 4 s"),
+        ("leak", "out-of-memory", "used more than 300 MiB"),
+        ("nan", "failed", "pose: not finite"),
+        ("unchecked-nan", "failed", "a pose that is not finite: (nan, 0.0, 0.0)"),
+        ("no-pose", "failed", "update() answered a tuple, expected an evalkit.Pose"),
+        ("child", "timeout", "no answer"),
+        ("orphan", "failed", "left a child behind"),
+        ("garbage", "failed", "code 9; it said last: [2J the wheel is off"),
+        ("chdir", "complete", ""),
+        ("remove-folder", "failed", "folder was removed"),
+        ("linger", "complete", ""),
+    ],
+)
+def test_every_fault_has_its_status_and_a_reason_that_names_it(runs, fault, status, reason):
+    assert runs[fault].status == status, runs[fault].reason
+    assert reason in runs[fault].reason
+    assert runs[fault].reason.isprintable()
+    assert bool(runs[fault].reason) == (status != "complete")
+
+
+@pytest.mark.parametrize("fault", sorted(set(FAULTS) - {"none", "chdir", "linger", "remove-folder"}))
+def test_what_was_answered_before_the_fault_is_kept(runs, fault):
+    run = runs[fault]
+    assert run.steps["x"].tolist() == pytest.approx([0.1 * k for k in range(AT)])
+    assert run.expected == SCANS
+    assert run.warm_up_scans == 5
+
+
+def test_a_run_that_completes_has_every_scan_once_and_in_order(runs):
+    run = runs["none"]
+    assert run.steps["stamp_ns"].tolist() == [k * 100_000_000 for k in range(SCANS)]
+    assert (run.steps["wall_ns"] > 0).all()
+    assert (run.steps["harness_ns"][1:] > 0).all()
+    assert (run.backend, run.sequence) == ("f", "s")
+
+
+def test_no_process_is_left_by_whatever_fault(runs, root):
+    assert (root / "child" / "request.json").exists()
+    assert not [process for process in psutil.process_iter(["cmdline"]) if str(root) in str(process.info["cmdline"])]
+
+
+def test_the_memory_of_a_run_is_its_own_and_not_that_of_the_process_that_started_it(strangers, tmp_path):
+    ballast = bytearray(400 * 2**20)  # Linux hands a parent's peak down to its children in ru_maxrss
+    ballast[::4096] = b"x" * len(ballast[::4096])
+    run = made(tmp_path / "run", request())
+    assert len(ballast) > run.peak_memory_bytes > 10 * 2**20
+
+
+def test_a_crash_in_the_warm_up_tells_how_many_scans_there_would_have_been(strangers, tmp_path):
+    run = made(tmp_path / "run", request("exit", at=2))
+    assert (run.status, len(run.steps), run.expected, run.warm_up_scans) == ("failed", 0, SCANS, 0)
+
+
+def test_stamps_that_go_backwards_are_a_failure_that_names_the_scan(strangers, tmp_path):
+    run = made(tmp_path / "run", request(backwards=6))
+    assert run.status == "failed"
+    assert run.reason.startswith("straight: scan 7: stamp 0 ns is not later than the one before, 500000000 ns; ")
+    assert len(run.estimate) == 6
+
+
+def test_a_file_that_vanished_is_missing_data(strangers, tmp_path):
+    run = made(tmp_path / "run", request(file=str(tmp_path / "gone")))
+    assert (run.status, run.reason) == ("data-missing", f"straight: {tmp_path / 'gone'} is gone; bring it back")
+
+
+def test_a_run_that_is_stopped_says_so_and_keeps_its_answers(strangers, tmp_path):
+    stop = threading.Event()
+    run = made(tmp_path / "run", request("hang"), heard=lambda scans: stop.set() if scans == AT else None, stop=stop)
+    assert (run.status, run.reason, len(run.steps)) == ("failed", "interrupted", AT)
+
+
+def test_modules_of_the_working_directory_stand_in_for_no_others(strangers, tmp_path, monkeypatch):
+    (tmp_path / "numpy.py").write_text("raise SystemExit('wrong numpy')")
+    monkeypatch.chdir(tmp_path)
+    assert made(tmp_path / "run", request()).status == "complete"
+
+
+def test_the_request_stays_beside_the_answers(strangers, tmp_path):
+    made(tmp_path / "run", request("raise", at=0))
+    assert json.loads((tmp_path / "run" / "request.json").read_text())["backend_parameters"]["fault"] == "raise"
+    assert "lost the plot" in (tmp_path / "run" / "output.txt").read_text()
+
+
+def test_a_folder_that_cannot_be_written_is_the_users_to_mend(tmp_path):
+    with pytest.raises(StoreError, match=r"absent: cannot be written \(No such file or directory\); free some space"):
+        runner.run(request(), ("f", "s"), tmp_path / "absent", HASTE, lambda _: None, threading.Event())
