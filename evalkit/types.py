@@ -242,7 +242,8 @@ class OccupancyGrid:
 
     def probability(self) -> Floats:
         """The probability of occupancy (H, W); 0.5 where nothing was seen."""
-        return np.asarray(1.0 / (1.0 + np.exp(-self.log_odds.astype(np.float64))))
+        with np.errstate(over="ignore"):  # a mapper without bounds: exp is inf where the probability is 0
+            return np.asarray(1.0 / (1.0 + np.exp(-self.log_odds.astype(np.float64))))
 
     def occupied(self, threshold: float = 0.65) -> Bools:
         """Observed cells (H, W) with a probability above the threshold (map_server's default)."""

@@ -1,0 +1,46 @@
+"""Messages say what, where and what to do, and survive the way between processes."""
+
+import pickle
+
+import pytest
+
+from evalkit.errors import (
+    BadData,
+    BadExperiment,
+    BadParameter,
+    DataMissing,
+    EvalkitError,
+    NotInstalled,
+    StoreError,
+    UnknownName,
+)
+
+EXAMPLES = {
+    UnknownName(
+        "backend", "ipc", ["open3d", "icp"]
+    ): "no backend named 'ipc' (did you mean 'icp'?); known: icp, open3d",
+    UnknownName("seed", "9", [], "x.toml"): "x.toml: no seed named '9'; known: none",
+    BadParameter("icp", "radius", "wide", "a number"): "icp: parameter 'radius': found 'wide', expected a number",
+    BadExperiment("x.toml", "sequence 2", "missing key 'use'"): "x.toml: sequence 2: missing key 'use'",
+    BadExperiment("x.toml", "", "no such file"): "x.toml: no such file",
+    BadData("a.log", "line 3", "no number", "take it out"): "a.log: line 3: no number; take it out",
+    BadData("a.log", "", "empty", "give a log"): "a.log: empty; give a log",
+    DataMissing("intel", "no folder", "fetch it"): "intel: no folder; fetch it",
+    NotInstalled("open3d", "no module", "pip install it"): "open3d: no module; pip install it",
+    StoreError("/out", "cannot be written", "free some space"): "/out: cannot be written; free some space",
+}
+
+
+@pytest.mark.parametrize(("error", "message"), EXAMPLES.items(), ids=str)
+def test_an_error_says_the_same_on_the_other_side_of_a_pickle(error, message):
+    again = pickle.loads(pickle.dumps(error))
+    assert str(error) == message
+    assert (type(again), str(again), again.args) == (type(error), message, error.args)
+
+
+def test_every_error_is_among_the_examples_and_in_one_tree():
+    assert {type(error) for error in EXAMPLES} == set(EvalkitError.__subclasses__())
+
+
+def test_a_name_far_from_all_known_ones_gets_no_suggestion():
+    assert str(UnknownName("mapper", "zzz", ["log-odds"])) == "no mapper named 'zzz'; known: log-odds"

@@ -1,0 +1,74 @@
+"""A digest changes with the code a result stands on, and with nothing else."""
+
+import importlib
+import sys
+
+import pytest
+
+from evalkit import fingerprint as module
+from evalkit.fingerprint import fingerprint, sources
+
+
+@pytest.fixture
+def package(tmp_path, monkeypatch):
+    """A stranger's package: plug-in -> step -> deep, a relative import inside a function, and a bystander."""
+    home = tmp_path / "stranger_plugin"
+    home.mkdir()
+    files = {
+        "__init__": "",
+        "plugin": "from stranger_plugin.step import walk\nimport json\n",
+        "step": "def walk():\n    from . import deep\n    from .deeper import far\n",
+        "deep": "import stranger_plugin.plugin\n",  # a circle
+        "deeper": "far = 1\n",
+        "bystander": "",
+    }
+    for name, text in files.items():
+        (home / f"{name}.py").write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    importlib.invalidate_caches()
+    sources.cache_clear()
+    yield home
+    sources.cache_clear()
+    for name in [name for name in sys.modules if name.startswith("stranger_plugin")]:
+        del sys.modules[name]
+
+
+def digest():
+    sources.cache_clear()
+    return fingerprint(("stranger_plugin.plugin",), ())
+
+
+def test_everything_a_module_imports_within_its_package_counts_however_far(package):
+    files = sources("stranger_plugin.plugin", frozenset({"stranger_plugin"}))
+    assert {"plugin.py", "step.py", "deep.py", "deeper.py"} <= {file.name for file in files}
+    assert "bystander.py" not in {file.name for file in files}
+    assert all(file.is_relative_to(package) for file in files)
+
+
+@pytest.mark.parametrize("name", ["plugin", "step", "deep", "deeper"])
+def test_a_change_of_reached_code_changes_the_digest(package, name):
+    before = digest()
+    assert digest() == before
+    with (package / f"{name}.py").open("a") as file:
+        file.write("# changed\n")
+    assert digest() != before
+
+
+def test_a_change_beside_the_reached_code_changes_nothing(package):
+    before = digest()
+    (package / "bystander.py").write_text("x = 1\n")
+    assert digest() == before
+
+
+def test_the_versions_of_libraries_count(monkeypatch):
+    found = {"numpy": "1.0"}
+    monkeypatch.setattr(module, "_version", lambda name: found.get(name, "absent"))
+    before = fingerprint(("evalkit.se2",), ("numpy", "open3d"))
+    found["open3d"] = "0.19"
+    assert fingerprint(("evalkit.se2",), ("numpy", "open3d")) != before
+
+
+def test_the_harness_counts_through_what_the_worker_reaches():
+    reached = {file.name for file in sources("evalkit.worker", frozenset({"evalkit"}))}
+    assert {"worker.py", "frontend.py", "submap.py", "types.py", "se2.py", "clock.py"} <= reached
+    assert not {"cli.py", "console.py", "figures.py"} & reached

@@ -1,0 +1,70 @@
+"""Parameters take what their default's type takes, and say what they wanted."""
+
+import math
+
+import pytest
+
+from evalkit.errors import BadParameter, UnknownName
+from evalkit.protocols import Parameter, nothing_missing, resolved, with_defaults
+
+FLAG = Parameter("flag", True, "", "on or off")
+COUNT = Parameter("count", 3, "", "how many", low=1, high=9)
+WIDTH = Parameter("width", 0.5, "m", "how wide", low=0.0, high=2.0)
+KIND = Parameter("kind", "near", "", "which", choices=("near", "far"))
+ALL = (FLAG, COUNT, WIDTH, KIND)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "value", "expected"),
+    [(FLAG, False, False), (COUNT, 1, 1), (COUNT, 9, 9), (WIDTH, 2, 2.0), (WIDTH, 0.0, 0.0), (KIND, "far", "far")],
+)
+def test_a_fitting_value_comes_back_in_the_defaults_type(parameter, value, expected):
+    found = parameter.checked("icp", value)
+    assert (found, type(found)) == (expected, type(parameter.default))
+
+
+@pytest.mark.parametrize(
+    ("parameter", "value", "message"),
+    [
+        (FLAG, 1, "icp: parameter 'flag': found 1, expected true or false (on or off)"),
+        (FLAG, "true", "icp: parameter 'flag': found 'true', expected true or false (on or off)"),
+        (COUNT, True, "icp: parameter 'count': found True, expected a whole number (how many)"),
+        (COUNT, 2.0, "icp: parameter 'count': found 2.0, expected a whole number (how many)"),
+        (COUNT, 10, "icp: parameter 'count': found 10, expected a number within [1, 9]"),
+        (WIDTH, True, "icp: parameter 'width': found True, expected a number (how wide)"),
+        (WIDTH, "2", "icp: parameter 'width': found '2', expected a number (how wide)"),
+        (WIDTH, -0.1, "icp: parameter 'width': found -0.1, expected a number within [0, 2] m"),
+        (WIDTH, math.nan, "icp: parameter 'width': found nan, expected a number within [0, 2] m"),
+        (KIND, "wide", "icp: parameter 'kind': found 'wide', expected one of near, far"),
+        (KIND, 3, "icp: parameter 'kind': found 3, expected a text (which)"),
+        (KIND, ["far"], "icp: parameter 'kind': found ['far'], expected a text (which)"),
+    ],
+)
+def test_any_other_value_is_refused_by_name(parameter, value, message):
+    with pytest.raises(BadParameter) as caught:
+        parameter.checked("icp", value)
+    assert str(caught.value) == message
+
+
+def test_what_is_not_given_keeps_its_default():
+    assert resolved("icp", ALL, {"width": 1}) == {"flag": True, "count": 3, "width": 1.0, "kind": "near"}
+
+
+def test_an_unknown_parameter_is_met_with_the_near_one():
+    with pytest.raises(UnknownName) as caught:
+        resolved("icp", ALL, {"widht": 1.0})
+    known = "known: count, flag, kind, width"
+    assert str(caught.value) == f"icp: no parameter named 'widht' (did you mean 'width'?); {known}"
+
+
+def test_a_variant_differs_in_its_defaults_alone():
+    variant = with_defaults(ALL, count=7)
+    assert resolved("icp", variant, {}) == {"flag": True, "count": 7, "width": 0.5, "kind": "near"}
+    assert variant[1].high == COUNT.high
+    assert COUNT.default == 3
+    with pytest.raises(UnknownName, match="no parameter named 'cuont'"):
+        with_defaults(ALL, cuont=7)
+
+
+def test_what_needs_nothing_misses_nothing():
+    assert nothing_missing(path="x") == ""

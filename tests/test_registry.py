@@ -1,0 +1,111 @@
+"""Names by entry points; a light import."""
+
+import subprocess
+import sys
+from importlib.metadata import EntryPoint
+
+import pytest
+
+import evalkit
+from evalkit import registry
+from evalkit.errors import NotInstalled, UnknownName
+from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec
+
+HEAVY = (
+    "pandas",
+    "matplotlib",
+    "open3d",
+    "kiss_icp",
+    "rosbags",
+    "scipy",
+    "typer",
+    "evalkit_baselines",
+    "evalkit_datasets",
+)
+
+
+def loaded_by(statement):
+    """Which of the heavy modules a fresh process has after a statement."""
+    code = f"import sys\n{statement}\nprint(*(name for name in {HEAVY} if name in sys.modules))"
+    answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    return answer.stdout.split()
+
+
+@pytest.fixture
+def points(monkeypatch):
+    """Entry points that are all there is."""
+    known = []
+    monkeypatch.setattr(registry, "entry_points", lambda group: [p for p in known if p.group == group])
+    return known
+
+
+def test_importing_evalkit_loads_nothing_heavy():
+    assert loaded_by("import evalkit") == []
+
+
+def test_listing_names_loads_no_plug_in():
+    kinds = ("backends", "mappers", "datasets", "metrics", "commands")
+    assert loaded_by(f"from evalkit import registry\nfor kind in {kinds}: registry.names(kind)") == []
+
+
+def test_loading_a_name_loads_its_own_module_and_no_other_back_end():
+    statement = "from evalkit import registry\nregistry.backend('open3d-icp')\nregistry.backend('kiss-icp')"
+    assert not {"open3d", "kiss_icp", "evalkit_datasets"} & set(loaded_by(statement))
+
+
+@pytest.mark.parametrize(
+    ("kind", "load", "spec"),
+    [
+        ("backends", registry.backend, BackendSpec),
+        ("mappers", registry.mapper, MapperSpec),
+        ("datasets", registry.dataset, DatasetSpec),
+    ],
+)
+def test_every_shipped_name_leads_to_its_spec(kind, load, spec):
+    names = registry.names(kind)
+    assert names
+    assert names == sorted(names)
+    assert all(isinstance(load(name), spec) for name in names)
+
+
+def test_an_unknown_name_lists_the_known_and_the_near_one():
+    with pytest.raises(
+        UnknownName, match=r"no backend named 'wheel-odometri' \(did you mean 'wheel-odometry'\?\)"
+    ) as e:
+        registry.backend("wheel-odometri")
+    assert all(name in str(e.value) for name in registry.names("backends"))
+
+
+@pytest.mark.parametrize(
+    ("value", "parts"),
+    [
+        ("nowhere_to_be_found:SPEC", ["nowhere_to_be_found:SPEC does not load", "reinstall"]),
+        ("math:SPEC", ["math:SPEC does not load", "SPEC"]),
+        ("math:pi", ["math:pi is a float", "expected a BackendSpec"]),
+    ],
+)
+def test_a_broken_plug_in_is_told_from_an_unknown_one(points, value, parts):
+    points.append(EntryPoint("broken", value, "evalkit.backends"))
+    assert registry.names("backends") == ["broken"]
+    with pytest.raises(NotInstalled) as caught:
+        registry.backend("broken")
+    assert str(caught.value).startswith("broken: ")
+    assert all(part in str(caught.value) for part in parts)
+
+
+def test_a_strangers_plug_in_is_found_as_the_shipped_ones_are(points, monkeypatch):
+    spec = BackendSpec(object, "odometry", "a stranger", "none", "MIT")
+    monkeypatch.setattr(evalkit, "STRANGER", spec, raising=False)
+    points.append(EntryPoint("mine", "evalkit:STRANGER", "evalkit.backends"))
+    assert registry.backend("mine") is spec
+
+
+def test_results_stand_on_the_code_of_both_plug_ins():
+    room = registry.run_fingerprint("paper", "room")
+    assert room == registry.run_fingerprint("paper", "room")
+    assert room == registry.run_fingerprint("paper-tight", "lab")  # the same modules; parameters are told elsewhere
+    assert (
+        len({room, registry.run_fingerprint("paper", "carmen"), registry.run_fingerprint("wheel-odometry", "room")})
+        == 3
+    )
+    assert registry.score_fingerprint("log-odds") != room
