@@ -25,8 +25,8 @@ ek_status ek_icp_check(const ek_icp_parameters *parameters)
     if (!parameters) {
         return EK_NULL_POINTER;
     }
-    if (parameters->max_iterations < 1 || parameters->min_pairs < 2 || (int)parameters->error < 0 ||
-        (int)parameters->error > (int)EK_ERROR_RMSE) {
+    if (parameters->max_iterations < 1 || parameters->min_pairs < 2 ||
+        (unsigned)parameters->error > (unsigned)EK_ERROR_RMSE) {
         return EK_OUT_OF_RANGE;
     }
     if (!isfinite(parameters->epsilon) || parameters->epsilon < EK_R(0.0) ||

@@ -13,7 +13,7 @@ const char *ek_status_text(ek_status status)
         "the file is not an evalkit scan log of this version or is cut short",
         "the file has no more scans",
     };
-    if ((int)status < 0 || (int)status >= (int)EK_STATUS_COUNT) {
+    if ((unsigned)status >= (unsigned)EK_STATUS_COUNT) {
         return "unknown status";
     }
     return texts[status];
