@@ -265,7 +265,6 @@ static ek_status check(const ek_icp *icp, const ek_index *target, const ek_real 
     return ek_icp_check(parameters);
 }
 
-/* The loop itself; everything has been checked. */
 static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_pose guess,
                         const ek_icp_parameters *parameters, ek_icp_trace trace, void *context)
 {
@@ -306,9 +305,7 @@ ek_status ek_icp_register(ek_icp *icp, const ek_index *target, const ek_real *so
                           const ek_icp_parameters *parameters, ek_icp_trace trace, void *context, ek_match *match)
 {
     ek_status status = check(icp, target, source_xy, count, guess, parameters, match);
-    if (status == EK_OK) {
-        status = load(icp, source_xy, count);
-    }
+    status = status == EK_OK ? load(icp, source_xy, count) : status;
     if (status == EK_OK) {
         *match = iterate(icp, target, count, guess, parameters, trace, context);
     }
