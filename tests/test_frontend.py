@@ -1,0 +1,307 @@
+"""The two-stage front end, driven by registrations whose answers are known."""
+
+import math
+
+import numpy as np
+import pytest
+
+from evalkit import frontend, se2
+from evalkit.errors import BadParameter, UnknownName
+from evalkit.frontend import complete_parameters, odometry, parameters_of
+from evalkit.protocols import BackendSpec, Parameter
+from evalkit.types import Frame, Match, Pose, Scan
+
+LANDMARKS = np.random.default_rng(5).uniform(-4.0, 4.0, (60, 2))
+BASE_FROM_SENSOR = Pose(0.2, -0.1, math.radians(40.0))
+STEP_NS = 100_000_000
+PATH = [Pose(0.15 * i, 0.02 * i * i, 0.06 * i) for i in range(12)]
+
+
+class ByIndex:
+    """The true motion: point i of the source is point i of the target. Notes what it was asked."""
+
+    def __init__(self, inliers=60):
+        self.inliers, self.targets, self.guesses = inliers, [], []
+
+    def register(self, target, source, guess):
+        self.targets.append(target)
+        self.guesses.append(guess)
+        shared = min(len(target), len(source))
+        t, s = (complex_(cloud.points[:shared]) for cloud in (target, source))
+        theta = np.angle(np.sum(np.conj(s - s.mean()) * (t - t.mean())))
+        move = t.mean() - np.exp(1j * theta) * s.mean()
+        return Match(Pose(move.real, move.imag, float(theta)), True, 1, 0.0, self.inliers)
+
+
+class Nonsense:
+    """Far off, and standing on few pairs."""
+
+    def __init__(self, inliers):
+        self.inliers = inliers
+
+    def register(self, target, source, guess):
+        return Match(Pose(70.0, 80.0, 1.0), True, 1, 0.0, self.inliers)
+
+
+def complex_(points):
+    return points[:, 0] + 1j * points[:, 1]
+
+
+def frame(start_from_base, index=0, *, stamp_ns=None, odom=None, moved=None, told=None):
+    """The landmarks from a pose; ``moved``: the base's motion meanwhile; ``told``: what odometry says of it."""
+    share = np.linspace(0.0, 1.0, len(LANDMARKS))
+    start_from_beam = se2.compose(start_from_base.row, se2.fraction((moved or Pose()).row, share))
+    sensor_from_start = se2.inverse(se2.compose(start_from_beam, BASE_FROM_SENSOR.row))
+    points = se2.transform_each(sensor_from_start, LANDMARKS)
+    scan = Scan(
+        index * STEP_NS if stamp_ns is None else stamp_ns,
+        np.hypot(points[:, 0], points[:, 1]),
+        np.arctan2(points[:, 1], points[:, 0]),
+        0.0,
+        99.0,
+        STEP_NS // 100 if moved else 0,
+    )
+    return Frame(scan, BASE_FROM_SENSOR, odom, told)
+
+
+def spec(make, **changes):
+    return BackendSpec(make, "registration", "for a test", "none", "MIT", **changes)
+
+
+def made(registration, on_match=lambda stage, match: None, **given):
+    """An odometry around one registration object, which serves both stages."""
+    described = spec(lambda: registration)
+    return odometry(described, complete_parameters("test", described, given), on_match)
+
+
+def followed(contestant, frames):
+    return np.array([contestant.update(item).row for item in frames])
+
+
+def rows(poses):
+    return np.array([pose.row for pose in poses])
+
+
+# trajectories
+
+
+@pytest.mark.parametrize(
+    "stages",
+    [{}, {"scan_to_map": False}, {"scan_to_scan": False}, {"prior": "none"}, {"prior": "constant-velocity"}],
+    ids=str,
+)
+def test_a_perfect_registration_gives_the_exact_trajectory(stages):
+    frames = [frame(pose, i) for i, pose in enumerate(PATH)]
+    np.testing.assert_allclose(followed(made(ByIndex(), **stages), frames), rows(PATH), atol=1e-9)
+
+
+def test_the_first_answer_is_the_identity_wherever_the_odometry_stands():
+    contestant = made(ByIndex())
+    assert contestant.update(frame(Pose(), odom=Pose(8.0, 9.0, 1.0))) == Pose()
+
+
+def test_an_answer_on_too_few_pairs_is_not_believed():
+    frames = [frame(pose, i, odom=Pose(3.0, 1.0, 2.0) @ pose) for i, pose in enumerate(PATH)]
+    kept = followed(made(Nonsense(inliers=9), min_inliers=10), frames)
+    np.testing.assert_allclose(kept, rows(PATH), atol=1e-12)
+    believed = followed(made(Nonsense(inliers=10), min_inliers=10), frames)
+    assert believed[1].tolist() == [70.0, 80.0, 1.0]
+
+
+def test_a_back_end_without_any_stage_is_its_prior():
+    frames = [frame(pose, i, odom=pose) for i, pose in enumerate(PATH)]
+    alone = made(Nonsense(99), scan_to_scan=False, scan_to_map=False)
+    np.testing.assert_allclose(followed(alone, frames), rows(PATH), atol=1e-12)
+
+
+# guesses
+
+
+def test_odometry_guesses_its_own_step():
+    registration = ByIndex()
+    followed(
+        made(registration, scan_to_map=False),
+        [frame(Pose(), 0, odom=Pose(1.0, 0.0, math.pi / 2)), frame(PATH[1], 1, odom=Pose(1.0, 0.5, math.pi))],
+    )
+    assert registration.guesses[0].row == pytest.approx([0.5, 0.0, math.pi / 2])
+
+
+@pytest.mark.parametrize(("elapsed", "expected"), [(1, 0.2), (2, 0.4), (0.5, 0.1), (9, 0.4)])
+def test_constant_velocity_guesses_the_last_step_by_time_and_at_most_twice(elapsed, expected):
+    registration = ByIndex()
+    last = STEP_NS + int(elapsed * STEP_NS)
+    frames = [
+        frame(Pose(), 0, odom=Pose()),
+        frame(Pose(0.2, 0.0, 0.0), 1, odom=Pose(5.0, 0.0, 0.0)),
+        frame(Pose(0.3, 0.0, 0.0), stamp_ns=last, odom=Pose(9.0, 0.0, 0.0)),
+    ]
+    followed(made(registration, scan_to_map=False, prior="constant-velocity"), frames)
+    np.testing.assert_allclose(rows(registration.guesses), [[0, 0, 0], [expected, 0, 0]], atol=1e-9)
+
+
+def test_without_a_prior_the_guess_is_no_motion():
+    registration = ByIndex()
+    frames = [frame(pose, i, odom=pose) for i, pose in enumerate(PATH)]
+    followed(made(registration, scan_to_map=False, prior="none"), frames)
+    assert set(registration.guesses) == {Pose()}
+
+
+def test_where_odometry_is_not_recorded_the_velocity_stays():
+    registration = ByIndex()
+    odom = [Pose(), Pose(0.2, 0.0, 0.0), None, Pose(0.7, 0.0, 0.0)]
+    frames = [frame(Pose(0.2 * i, 0.0, 0.0), i, odom=told) for i, told in enumerate(odom)]
+    followed(made(registration, scan_to_map=False), frames)
+    np.testing.assert_allclose(rows(registration.guesses), [[0.2, 0, 0]] * 3, atol=1e-9)
+
+
+def test_the_second_stage_starts_from_the_answer_of_the_first():
+    registration = ByIndex()
+    followed(made(registration, prior="none"), [frame(PATH[0], 0), frame(PATH[1], 1), frame(PATH[2], 2)])
+    expected = [Pose(), PATH[1], Pose(), PATH[2]]  # s2s, s2m, s2s, s2m
+    np.testing.assert_allclose(rows(registration.guesses), rows(expected), atol=1e-9)
+
+
+def test_both_stages_are_heard_in_order():
+    heard = []
+    contestant = made(ByIndex(inliers=33), lambda stage, match: heard.append((stage, match.inliers)))
+    contestant.update(frame(PATH[0], 0))
+    assert heard == []
+    contestant.update(frame(PATH[1], 1))
+    contestant.update(frame(PATH[2], 2))
+    assert heard == [("s2s", 33), ("s2m", 33)] * 2
+
+
+# motion within a scan
+
+
+def swept(told):
+    """Scans during which the base moves; odometry tells that motion or not."""
+    moved = Pose(0.12, 0.01, 0.25)
+    return [frame(pose, i, odom=pose, moved=moved, told=moved if told else None) for i, pose in enumerate(PATH)]
+
+
+def test_the_motion_within_a_scan_is_undone_by_what_the_odometry_says():
+    exact = followed(made(ByIndex(), keyframe_distance_m=0.1), swept(told=True))
+    np.testing.assert_allclose(exact, rows(PATH), atol=1e-9)
+
+
+@pytest.mark.parametrize(("told", "settings"), [(True, {"deskew": False}), (False, {}), (True, {"prior": "none"})])
+def test_else_the_map_stays_bent(told, settings):
+    registration = ByIndex()
+    followed(made(registration, scan_to_scan=False, **settings), swept(told)[:2])
+    assert np.abs(registration.targets[0].points - LANDMARKS).max() > 0.1
+
+
+def test_steady_motion_is_undone_without_odometry_from_the_second_step_on():
+    """The base goes on at the speed of the last step, 0.2 m in 0.1 s; a scan takes 59 % of that."""
+    moved = Pose(0.2 * 0.59, 0.0, 0.0)
+    frames = [frame(Pose(0.2 * i, 0.0, 0.0), i, moved=moved) for i in range(4)]
+    registration = ByIndex()
+    followed(made(registration, scan_to_map=False, prior="constant-velocity"), frames)
+    seen = Pose(0.4, 0.0, 0.0).transform(registration.targets[2].points)
+    np.testing.assert_allclose(seen, LANDMARKS, atol=1e-9)
+
+
+# what is matched
+
+
+def held(path, **settings):
+    """How many keyframes the submap holds when each scan but the first is matched."""
+    registration = ByIndex()
+    followed(made(registration, scan_to_scan=False, **settings), [frame(pose, i) for i, pose in enumerate(path)])
+    return [len(target) // len(LANDMARKS) for target in registration.targets]
+
+
+def test_a_keyframe_is_kept_after_every_half_metre():
+    assert held([Pose(0.2 * i, 0.0, 0.0) for i in range(9)]) == [1, 1, 1, 2, 2, 2, 3, 3]
+
+
+def test_or_after_a_turn_either_way():
+    assert held([Pose(0.0, 0.0, math.radians(-15.0 * i)) for i in range(6)]) == [1, 1, 2, 2, 3]
+
+
+def test_the_submap_is_made_of_the_last_keyframes():
+    assert held([Pose(0.6 * i, 0.0, 0.0) for i in range(7)], keyframes=3) == [1, 2, 3, 3, 3, 3]
+
+
+def test_a_lasting_map_is_asked_for_by_name():
+    registration = ByIndex()
+    contestant = made(registration, scan_to_scan=False, submap="voxels", submap_voxel_m=1.0)
+    followed(contestant, [frame(PATH[0], 0), frame(PATH[1], 1)])
+    assert len(registration.targets[0]) == len(np.unique(np.floor(LANDMARKS), axis=0))
+
+
+def test_only_points_near_the_base_are_used_if_asked():
+    registration = ByIndex()
+    contestant = made(registration, local_radius_m=3.0)
+    followed(contestant, [frame(PATH[0], 0), frame(PATH[0], 1)])
+    near = LANDMARKS[np.hypot(LANDMARKS[:, 0], LANDMARKS[:, 1]) <= 3.0]
+    np.testing.assert_allclose(registration.targets[0].points, near, atol=1e-9)
+    assert registration.targets[0].frame == "base"
+
+
+def test_a_scan_may_be_thinned_to_voxel_means():
+    registration = ByIndex()
+    followed(made(registration, source_voxel_m=2.0), [frame(PATH[0], 0), frame(PATH[0], 1)])
+    assert len(registration.targets[0]) == len(np.unique(np.floor(LANDMARKS / 2.0), axis=0))
+
+
+# parameters
+
+GAIN, BIAS = Parameter("gain", 1.0, "", "how much", low=0.0), Parameter("bias", 0, "", "how far")
+
+
+def asked_for(described, given):
+    """What the two stages' registrations are made with."""
+    calls = []
+    told = spec(
+        lambda **parameters: calls.append(parameters) or ByIndex(),
+        parameters=described.parameters,
+        scan_to_scan=described.scan_to_scan,
+    )
+    odometry(told, complete_parameters("test", told, given))
+    return calls
+
+
+def test_a_parameter_may_differ_in_the_first_stage_alone():
+    plain, own = spec(ByIndex, parameters=(GAIN, BIAS)), {"gain": 3.0, "bias": 4}
+    assert asked_for(plain, own) == [own, own]
+    assert asked_for(plain, {**own, "s2s.gain": 2}) == [{"gain": 2.0, "bias": 4}, own]
+
+
+def test_a_back_end_may_come_with_a_first_stage_of_its_own():
+    eager = spec(ByIndex, parameters=(GAIN, BIAS), scan_to_scan={"gain": 9.0})
+    assert asked_for(eager, {"bias": 1}) == [{"gain": 9.0, "bias": 1}, {"gain": 1.0, "bias": 1}]
+    assert asked_for(eager, {"s2s.gain": 5.0})[0]["gain"] == 5.0
+    assert [p.name for p in parameters_of(eager)][:3] == ["gain", "bias", "s2s.gain"]
+
+
+def test_a_back_ends_own_front_end_settings_are_defaults():
+    wide = spec(ByIndex, frontend={"keyframes": 4})
+    assert complete_parameters("test", wide, {})["keyframes"] == 4
+    assert complete_parameters("test", wide, {"keyframes": 5})["keyframes"] == 5
+    assert complete_parameters("test", spec(ByIndex), {}) == {p.name: p.default for p in frontend.PARAMETERS}
+
+
+@pytest.mark.parametrize(
+    ("given", "error", "message"),
+    [
+        ({"keyframe": 3}, UnknownName, r"test: no parameter named 'keyframe' \(did you mean 'keyframes'\?\)"),
+        ({"s2s.gian": 3.0}, UnknownName, "no parameter named 's2s.gian'"),
+        ({"s2s.keyframes": 3}, UnknownName, "no parameter named 's2s.keyframes'"),
+        ({"s2s.gain": -1.0}, BadParameter, "parameter 's2s.gain': found -1.0"),
+        ({"prior": "gps"}, BadParameter, "one of odometry, constant-velocity, none"),
+    ],
+)
+def test_unknown_and_unfit_parameters_are_refused(given, error, message):
+    with pytest.raises(error, match=message):
+        complete_parameters("test", spec(ByIndex, parameters=(GAIN,)), given)
+
+
+def test_an_odometry_is_made_as_it_is_and_has_no_front_end():
+    calls = []
+    own = BackendSpec(lambda **p: calls.append(p) or "made", "odometry", "", "", "MIT", parameters=(GAIN,))
+    assert odometry(own, complete_parameters("test", own, {})) == "made"
+    assert calls == [{"gain": 1.0}]
+    with pytest.raises(UnknownName, match="no parameter named 'keyframes'; known: gain"):
+        complete_parameters("test", own, {"keyframes": 3})

@@ -1,0 +1,116 @@
+"""What scans are matched against, by hand."""
+
+import numpy as np
+import pytest
+
+from evalkit.submap import KeyframeSubmap, VoxelMap, voxel_means
+from evalkit.types import Pose
+
+
+def ordered(points):
+    return sorted(np.round(points, 9).tolist())
+
+
+# voxel means
+
+
+def test_every_cell_keeps_the_mean_of_its_points():
+    points = np.array([[0.1, 0.1], [0.9, 0.3], [1.5, 0.5], [-0.2, 0.4], [-0.4, -0.1]])
+    assert ordered(voxel_means(points, 1.0)) == [[-0.4, -0.1], [-0.2, 0.4], [0.5, 0.2], [1.5, 0.5]]
+
+
+def test_voxel_means_are_those_of_a_dictionary_and_ordered_by_cell():
+    points = np.random.default_rng(0).uniform(-3, 3, (500, 2))
+    cells = {}
+    for point in points:
+        cells.setdefault(tuple(np.floor(point / 0.5)), []).append(point)
+    expected = [np.mean(cells[cell], axis=0) for cell in sorted(cells)]
+    np.testing.assert_allclose(voxel_means(points, 0.5), expected, atol=1e-12)
+
+
+def test_no_points_have_no_means():
+    assert voxel_means(np.empty((0, 2)), 0.1).shape == (0, 2)
+
+
+# keyframes
+
+
+def test_the_oldest_keyframe_leaves():
+    submap = KeyframeSubmap(2, 0.0)
+    for x in (1.0, 2.0, 3.0):
+        submap.add(np.array([[0.0, 0.0]]), Pose(x, 0.0, 0.0))
+    assert submap.cloud(Pose()).points.tolist() == [[2.0, 0.0], [3.0, 0.0]]
+
+
+def test_keyframes_stand_in_the_start_frame():
+    submap = KeyframeSubmap(2, 0.0)
+    submap.add(np.array([[1.0, 0.0]]), Pose(5.0, 0.0, np.pi / 2))
+    np.testing.assert_allclose(submap.cloud(Pose()).points, [[5.0, 1.0]], atol=1e-12)
+    assert submap.cloud(Pose()).frame == "start"
+
+
+def test_keyframes_may_be_thinned_together():
+    submap = KeyframeSubmap(2, 1.0)
+    submap.add(np.array([[0.2, 0.2]]), Pose())
+    submap.add(np.array([[0.4, 0.6], [3.5, 0.5]]), Pose())
+    np.testing.assert_allclose(submap.cloud(Pose()).points, [[0.3, 0.4], [3.5, 0.5]])
+
+
+def test_the_submap_is_one_object_until_a_keyframe_comes():
+    submap = KeyframeSubmap(3, 0.0)
+    submap.add(np.zeros((1, 2)), Pose())
+    before = submap.cloud(Pose())
+    assert submap.cloud(Pose(9.0, 9.0, 1.0)) is before
+    submap.add(np.zeros((1, 2)), Pose())
+    assert submap.cloud(Pose()) is not before
+
+
+# the lasting map
+
+
+def test_an_open_voxel_is_the_mean_of_all_its_points():
+    lasting = VoxelMap(1.0, 10.0, settled=3)
+    lasting.add(np.array([[0.2, 0.2], [0.4, 0.4]]), Pose())
+    lasting.add(np.array([[0.6, 0.9]]), Pose())
+    np.testing.assert_allclose(lasting.cloud(Pose()).points, [[0.4, 0.5]])
+
+
+def test_a_settled_voxel_does_not_move_but_others_may_open():
+    lasting = VoxelMap(1.0, 10.0, settled=2)
+    lasting.add(np.array([[0.2, 0.2], [0.4, 0.4]]), Pose())
+    lasting.add(np.array([[0.9, 0.9], [1.5, 0.5]]), Pose())
+    np.testing.assert_allclose(lasting.cloud(Pose()).points, [[0.3, 0.3], [1.5, 0.5]])
+
+
+def test_a_lasting_map_that_never_settles_is_the_voxel_mean_of_everything():
+    rng = np.random.default_rng(1)
+    batches, lasting = rng.uniform(-20, 20, (40, 100, 2)), VoxelMap(0.5, 100.0, settled=10**9)
+    for points in batches:
+        lasting.add(points, Pose())
+    points = lasting.cloud(Pose()).points
+    assert len(points) > 1024  # more voxels than the first allocation holds
+    np.testing.assert_allclose(ordered(points), ordered(voxel_means(batches.reshape(-1, 2), 0.5)), atol=1e-8)
+
+
+def test_only_voxels_within_the_radius_are_matched():
+    lasting = VoxelMap(0.1, 2.0)
+    lasting.add(np.array([[0.05, 0.05], [1.95, 0.05], [2.45, 0.05]]), Pose())
+    assert len(lasting.cloud(Pose())) == 2
+    np.testing.assert_allclose(lasting.cloud(Pose(4.0, 0.0, 0.0)).points, [[2.45, 0.05]])
+
+
+def test_the_lasting_map_is_one_object_until_it_grows_or_the_pose_moves_on():
+    lasting = VoxelMap(0.1, 10.0)
+    lasting.add(np.zeros((1, 2)), Pose())
+    before = lasting.cloud(Pose())
+    assert lasting.cloud(Pose(0.9, 0.0, 3.0)) is before
+    moved_on = lasting.cloud(Pose(1.1, 0.0, 0.0))
+    assert moved_on is not before
+    lasting.add(np.zeros((1, 2)), Pose())
+    assert lasting.cloud(Pose(1.1, 0.0, 0.0)) is not moved_on
+
+
+@pytest.mark.parametrize("submap", [KeyframeSubmap(2, 0.1), VoxelMap(0.1, 5.0)])
+def test_a_scan_without_a_hit_is_a_keyframe_without_points(submap):
+    submap.add(np.empty((0, 2)), Pose())
+    assert len(submap.cloud(Pose())) == 0
