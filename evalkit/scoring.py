@@ -33,27 +33,28 @@ def score(run: Run, sequence: Sequence, make_mapper: Callable[[], Mapper], scans
     world_from_base = run.estimate.moved(world_from_start, "world")
     mapped = _mapped(sequence, world_from_base, scans)
     middle = len(mapped) // 2
-    evidence = Evidence(
-        run,
-        truth,
-        matched,
-        draw(mapped, make_mapper),
-        mapped,
-        first_half=draw(mapped[:middle], make_mapper),
-        second_half=draw(mapped[middle:], make_mapper),
-    )
+    grid, no_grid = draw(mapped, make_mapper)
+    first, _ = draw(mapped[:middle], make_mapper)
+    second, _ = draw(mapped[middle:], make_mapper)
+    evidence = Evidence(run, truth, matched, grid, mapped, first, second, no_grid)
     errors = None if truth.trajectory is None else errors_m(world_from_base, truth.trajectory)
     return Scored(metrics.score(evidence, metrics.all_metrics()), world_from_start, evidence.grid, errors)
 
 
-def draw(mapped: Mapped, make_mapper: Callable[[], Mapper]) -> OccupancyGrid | None:
-    """The map of scans with known sensor poses; None of none."""
+def draw(mapped: Mapped, make_mapper: Callable[[], Mapper]) -> tuple[OccupancyGrid | None, str]:
+    """The map of scans with known sensor poses, or None and why there is none.
+
+    A trajectory that ran away can be beyond any map; its other scores shall stand nevertheless.
+    """
     if not mapped:
-        return None
+        return None, "the run answered no scan"
     mapper = make_mapper()
-    for scan, world_from_sensor in mapped:
-        mapper.update(scan, Pose.of(world_from_sensor))
-    return mapper.grid()
+    try:
+        for scan, world_from_sensor in mapped:
+            mapper.update(scan, Pose.of(world_from_sensor))
+        return mapper.grid(), ""
+    except Exception as error:  # noqa: BLE001 - a mapper is a third party's code
+        return None, f"it cannot be drawn ({error})"
 
 
 def _mapped(sequence: Sequence, world_from_base: Trajectory, most: int) -> Mapped:
@@ -67,7 +68,9 @@ def _mapped(sequence: Sequence, world_from_base: Trajectory, most: int) -> Mappe
     chosen = set(np.unique(np.linspace(0, count - 1, min(most, count)).astype(int)).tolist())
     last = max(chosen)
     mapped = []
-    for index, frame in enumerate(sequence.frames()):
+    rows = {stamp_ns: row for row, stamp_ns in enumerate(world_from_base.stamps_ns.tolist())}
+    for frame in sequence.frames():
+        index = rows.get(frame.scan.stamp_ns, -1)  # not every scan need have been answered
         if index in chosen:
             scan = frame.scan.deskewed(frame.base_from_sensor, _within(frame, world_from_base, index))
             mapped.append((scan, se2.compose(world_from_base.poses[index], frame.base_from_sensor.row)))

@@ -144,7 +144,7 @@ def _of_grid(measure: Callable[[OccupancyGrid], Score]) -> Callable[[Evidence], 
     def compute(evidence: Evidence) -> Score:
         grid = evidence.grid
         if grid is None:
-            return Score(None, 0, "no map: the run answered no scan")
+            return Score(None, 0, f"no map: {evidence.no_grid}")
         if not grid.occupied().any() or not grid.free().any():
             return Score(None, 0, "the map has no occupied or no free cell")
         return measure(grid)

@@ -84,7 +84,7 @@ def _scored(
         if true is None or not true.occupied().any():
             return Score(None, 0, "no true map" if true is None else "the true map has no wall")
         if mapped is None:
-            return Score(None, 0, "no map: the run answered no scan")
+            return Score(None, 0, f"no map: {evidence.no_grid}")
         if not mapped.occupied().any():
             return Score(without_walls, 0, "the map has no wall")
         found = walls(mapped, true)

@@ -37,7 +37,7 @@ class Evidence:
     ``matched``: what ``trajectory.match`` answers; a text says why there is none, None: there is no true trajectory.
     ``grid``: the map of the estimated trajectory, in the world frame. ``mapped``: the scans it was made of (deskewed),
     with ``world_from_sensor``, in the order of time. ``first_half``, ``second_half``: maps by the same mapper of
-    ``mapped[:n]`` and ``mapped[n:]``, n = len(mapped) // 2.
+    ``mapped[:n]`` and ``mapped[n:]``, n = len(mapped) // 2. ``no_grid``: why there is no map where ``grid`` is None.
     """
 
     run: Run
@@ -47,6 +47,7 @@ class Evidence:
     mapped: Mapped
     first_half: OccupancyGrid | None = None
     second_half: OccupancyGrid | None = None
+    no_grid: str = "the run answered no scan"
 
 
 @dataclass(frozen=True)

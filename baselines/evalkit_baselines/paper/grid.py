@@ -16,6 +16,7 @@ from evalkit.types import Bools, Ints, OccupancyGrid, Pose, Scan
 
 CHUNK = 256  # cells: the array grows in steps of this, so that copying stays rare
 MOST_CELLS = 64_000_000  # 400 m x 400 m at 5 cm, 320 MB: a trajectory that ran away must not take the machine along
+FARTHEST_CELL = 2**40  # farther out a place within a cell is lost to rounding, and soon the cell
 
 PARAMETERS = (
     Parameter("resolution_m", 0.05, "m", "side of a cell", low=0.005, high=10.0),
@@ -86,6 +87,9 @@ class LogOddsGrid:
 
     def _add(self, start: Floats, ends: Floats, hits: Bools) -> None:
         """One scan, in cells: from ``start`` (2,) to ``ends`` (B, 2), of which ``hits`` (B,) are occupied."""
+        farthest = max(np.abs(start).max(), np.abs(ends).max())
+        if not farthest <= FARTHEST_CELL:
+            raise self._too_large(f"{farthest * self.resolution_m:.3g} m")
         first, last = np.floor(start).astype(np.int64), np.floor(ends).astype(np.int64)
         low, high = np.minimum(first, last.min(axis=0)), np.maximum(first, last.max(axis=0)) + 1
         width, height = (high - low).tolist()
@@ -130,15 +134,15 @@ class LogOddsGrid:
         low, high = low // CHUNK * CHUNK, -(-high // CHUNK) * CHUNK
         columns, rows = (high - low).tolist()
         if columns * rows > MOST_CELLS:
-            reach = f"{columns * self.resolution_m:.0f} m x {rows * self.resolution_m:.0f} m"
-            raise BadParameter(
-                "log-odds", "resolution_m", self.resolution_m, f"larger cells: the map has reached {reach}"
-            )
+            raise self._too_large(f"{columns * self.resolution_m:.0f} m x {rows * self.resolution_m:.0f} m")
         (left, bottom), (width, height) = self._low - low, size
         old = np.s_[bottom : bottom + height, left : left + width] if size.any() else np.s_[:0, :0]
         log_odds, observed = np.zeros((rows, columns), dtype=np.float32), np.zeros((rows, columns), dtype=np.bool_)
         log_odds[old], observed[old] = self._log_odds, self._observed
         self._low, self._log_odds, self._observed = low, log_odds, observed
+
+    def _too_large(self, reach: str) -> BadParameter:
+        return BadParameter("log-odds", "resolution_m", self.resolution_m, f"larger cells: the map has reached {reach}")
 
 
 def _span(marked: Bools, across: int) -> tuple[int, int]:

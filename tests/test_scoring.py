@@ -1,0 +1,136 @@
+"""A run made numbers: alignment, map and scores, and what becomes of them when the estimate has run away."""
+
+import numpy as np
+import pytest
+
+from evalkit import registry, scoring
+from evalkit.protocols import resolved
+from evalkit.types import STEP, OccupancyGrid, Pose, Run, Scan, Truth
+
+SCANS = 12
+
+
+class Listener:
+    """A mapper that remembers what it was given; ``made`` remembers the mapper."""
+
+    def __init__(self, made):
+        self.scans = []
+        made.append(self)
+
+    def update(self, scan, world_from_sensor):
+        self.scans.append((scan, world_from_sensor))
+
+    def grid(self):
+        return OccupancyGrid(np.zeros((1, 1)), np.zeros((1, 1)), 0.05, 0.0, 0.0)
+
+
+class Listeners(list):
+    """Makes a new one whenever it is called, and keeps it."""
+
+    def __call__(self):
+        return Listener(self)
+
+
+@pytest.fixture
+def listener():
+    return Listeners()
+
+
+@pytest.fixture
+def straight(strangers):
+    return registry.dataset("straight").make(SCANS, 0, "", False)
+
+
+def log_odds():
+    spec = registry.mapper("log-odds")
+    return spec.make(**resolved("mapper", spec.parameters, {}))
+
+
+def run_of(x, y=0.0, status="complete", reason=""):
+    steps = np.zeros(len(x), dtype=STEP)
+    steps["stamp_ns"] = np.arange(len(x)) * 100_000_000
+    steps["x"], steps["y"] = x, y
+    steps["wall_ns"] = steps["cpu_ns"] = 2_000_000
+    return Run("b", "s", status, reason, steps, SCANS)
+
+
+def perfect():
+    return run_of(0.1 * np.arange(SCANS))
+
+
+def test_a_perfect_run_is_put_where_the_truth_is_and_has_no_error(straight):
+    scored = scoring.score(perfect(), straight, log_odds, 400)
+    assert np.allclose(scored.world_from_start.row, [1.0, 0.0, 0.0], atol=1e-9)
+    assert np.allclose(scored.errors_m, 0.0, atol=1e-9)
+    assert scored.scores["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
+    assert scored.scores["cpu_median_ms"].value == pytest.approx(2.0)
+    x, y = scored.grid.centres(scored.grid.occupied()).T
+    assert min(x.min(), 8.0 - x.max(), y.min() + 2.0, 2.0 - y.max()) > -0.051  # the walls of the box, to a cell
+
+
+@pytest.mark.parametrize("far_m", [1e6, 1e300])
+def test_an_estimate_beyond_any_map_loses_its_map_and_nothing_else(straight, far_m):
+    x = 0.1 * np.arange(SCANS)
+    x[-3:] = far_m
+    with np.errstate(all="ignore"):
+        scored = scoring.score(run_of(x, -x), straight, log_odds, 400)
+    assert scored.grid is None
+    for name in ("map_entropy", "occupied_percent", "corners"):
+        assert scored.scores[name].value is None
+        assert scored.scores[name].reason.startswith("no map: it cannot be drawn (")
+    assert scored.scores["cpu_median_ms"].value == pytest.approx(2.0)
+    assert (scored.scores["ate_rmse_m"].value or np.inf) > 1e5
+    assert all(score.reason or np.isfinite(score.value) for score in scored.scores.values())
+
+
+def test_a_mapper_that_raises_costs_the_map_alone(straight):
+    def broken():
+        return registry.mapper("faulty-mapper").make("raise", 1.35)
+
+    scored = scoring.score(perfect(), straight, broken, 400)
+    assert scored.grid is None
+    assert scored.scores["map_entropy"].reason == "no map: it cannot be drawn (lost the plot)"
+    assert scored.scores["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_mapper_gets_so_many_scans_evenly_and_each_half_of_them_again(straight, listener):
+    scoring.score(perfect(), straight, listener, 5)
+    whole, first, second = ([pose.x for _, pose in mapper.scans] for mapper in listener)
+    assert whole == pytest.approx([1.0, 1.2, 1.5, 1.8, 2.1])  # scans 0, 2, 5, 8, 11 of 12
+    assert (first, second) == (whole[:2], whole[2:])
+
+
+def test_a_run_that_broke_off_is_scored_as_far_as_it_came(straight, listener):
+    x = 0.1 * np.arange(4)
+    scored = scoring.score(run_of(x, status="crashed", reason="signal"), straight, listener, 400)
+    assert len(listener[0].scans) == len(scored.errors_m) == 4
+
+
+def test_a_run_without_answers_has_scores_that_say_so(straight, listener):
+    scored = scoring.score(run_of(np.zeros(0), status="timeout", reason="slow"), straight, listener, 400)
+    assert scored.grid is None
+    assert listener == []
+    assert scored.scores["map_entropy"].reason == "no map: the run answered no scan"
+    assert scored.scores["ate_rmse_m"].value is None
+
+
+def test_without_truth_nothing_is_aligned(straight, monkeypatch):
+    monkeypatch.setattr(straight, "truth", lambda: Truth("none"))
+    scored = scoring.score(perfect(), straight, log_odds, 400)
+    assert scored.world_from_start == Pose()
+    assert scored.errors_m is None
+    assert scored.grid is not None
+
+
+def test_the_motion_within_a_scan_is_undone_by_the_estimates_own_speed(straight, listener, monkeypatch):
+    ahead = np.zeros(3)  # three beams straight ahead, 50 ms from first to last: 5 cm at 1 m/s
+
+    def frames(original=straight.frames):
+        for frame in original():
+            scan = Scan(frame.scan.stamp_ns, [4.0, 4.0, 4.0], ahead, 0.1, 20.0, 25_000_000)
+            yield type(frame)(scan)
+
+    monkeypatch.setattr(straight, "frames", frames)
+    scoring.score(perfect(), straight, listener, 3)
+    for scan, _ in listener[0].scans:
+        assert scan.ranges.tolist() == pytest.approx([4.0, 4.025, 4.05])
