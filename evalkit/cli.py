@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shlex
+import signal
 import sys
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -17,9 +18,9 @@ from rich.table import Table
 
 from evalkit import __version__, console, experiment, listing, recording, registry
 from evalkit.engine import Engine
-from evalkit.errors import EvalkitError
+from evalkit.errors import EvalkitError, StoreError
 from evalkit.experiment import Plan
-from evalkit.store import Store
+from evalkit.store import REMEDY, Store
 from evalkit.types import Trial
 
 app = typer.Typer(
@@ -41,6 +42,7 @@ Only = Annotated[list[str] | None, typer.Option(show_default=False)]
 
 def main() -> None:
     """Entry point: every EvalkitError becomes one line and exit code 2."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # whoever ends us must not leave our runs behind
     try:
         for name in registry.names("commands"):  # of plug-ins: the data sets bring "datasets"
             app.add_typer(registry.load("commands", name, typer.Typer), name=name)
@@ -144,13 +146,21 @@ def _report(plan: Plan, folder: Path | None, jobs: int | None, resume: bool, as_
     store = Store(folder or _folder(plan))
     trials = _trials(plan, store, jobs, resume)
     comparison = pages.comparison_of(plan, trials, started, datetime.now(UTC))
-    _end(trials, plan, pages.write(comparison, store.folder), as_json)
+    try:
+        page = pages.write(comparison, store.folder)
+    except OSError as error:
+        raise StoreError(str(store.folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
+    _end(trials, plan, page, as_json)
 
 
 def _trials(plan: Plan, store: Store, jobs: int | None, resume: bool) -> tuple[Trial, ...]:
     at_once = jobs or _cores()
-    with console.progress(err, list(plan.runs()), at_once) as shown:
-        return Engine(plan, store, shown, at_once, resume).trials()
+    try:
+        with console.progress(err, list(plan.runs()), at_once) as shown:
+            return Engine(plan, store, shown, at_once, resume).trials()
+    except KeyboardInterrupt:
+        err.print("interrupted; finished runs are kept: the same command with --resume goes on from here")
+        raise
 
 
 def _end(trials: tuple[Trial, ...], plan: Plan, page: Path | None, as_json: bool) -> None:

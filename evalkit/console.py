@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections import defaultdict
 from collections.abc import Iterator
@@ -50,7 +51,7 @@ class RunLines:
         self._console, self._total, self._done = console, len(planned), 0
         self._left = TimeLeft(planned, jobs)
         self._begun: dict[str, float] = {}
-        self._started = time.monotonic()
+        self._lock = threading.Lock()
 
     def begun(self, planned: Planned) -> None:
         """A run starts now."""
@@ -61,11 +62,12 @@ class RunLines:
 
     def finished(self, trial: Trial) -> None:
         """A run is done: its line, and the time left."""
-        self._done += 1
-        now = time.monotonic()
-        seconds = now - self._begun.get(trial.key, now)
-        self._left.finished(trial.sequence, trial.contestant, trial.seed, seconds)
-        self._tell(trial, seconds)
+        with self._lock:  # runs end in several threads
+            self._done += 1
+            now = time.monotonic()
+            seconds = now - self._begun.get(trial.key, now)
+            self._left.finished(trial.sequence, trial.contestant, trial.seed, seconds)
+            self._tell(trial, seconds)
 
     def _tell(self, trial: Trial, seconds: float) -> None:
         self._console.print(f"[{self._done}/{self._total}] {_line(trial, seconds)}, {self._time_left()}", markup=False)

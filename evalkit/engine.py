@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import os
+import signal
 import threading
-from collections.abc import Mapping
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from collections.abc import Callable, Mapping
+from concurrent.futures import CancelledError, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, replace
 from multiprocessing import get_context
 from pathlib import Path
@@ -16,6 +18,7 @@ import numpy as np
 
 from evalkit import registry, runner, scoring
 from evalkit.environment import SINGLE_THREAD
+from evalkit.errors import StoreError
 from evalkit.experiment import MapperChoice, Plan, Planned
 from evalkit.protocols import Value
 from evalkit.store import Store
@@ -61,9 +64,8 @@ class Engine:
         planned = list(self.plan.runs())
         cores = _cores(self.jobs)
         stop = threading.Event()
-        context = get_context("spawn")
         with (
-            ProcessPoolExecutor(self.jobs, mp_context=context) as scorers,
+            _scorers(self.jobs) as scorers,
             ThreadPoolExecutor(self.jobs) as slots,
         ):
             futures = [slots.submit(self._one, item, cores, scorers, stop) for item in planned]
@@ -79,17 +81,32 @@ class Engine:
     def _one(
         self, planned: Planned, cores: SimpleQueue[int | None], scorers: ProcessPoolExecutor, stop: threading.Event
     ) -> Trial:
-        self.progress.begun(planned)
+        """One run's row; whatever is raised here stops all the others at once."""
+        if stop.is_set():
+            raise CancelledError
+        try:
+            self.progress.begun(planned)
+            trial = self._made(planned, cores, scorers, stop)
+            if not stop.is_set():
+                self.progress.finished(trial)
+        except BaseException:
+            stop.set()
+            raise
+        return trial
+
+    def _made(
+        self, planned: Planned, cores: SimpleQueue[int | None], scorers: ProcessPoolExecutor, stop: threading.Event
+    ) -> Trial:
         run = self._run(planned, cores, stop)
         content: Mapping[str, Any] = {"scores": {}}
-        if len(run.steps):
+        if len(run.steps) and not stop.is_set():
             try:
                 content = self._scored(planned, run, scorers)
+            except StoreError:
+                raise
             except Exception as error:  # noqa: BLE001 - a run that cannot be scored must not take the others with it
                 run = replace(run, status="failed", reason=f"scoring failed: {type(error).__name__}: {error}")
-        trial = self._trial(planned, run, content)
-        self.progress.finished(trial)
-        return trial
+        return self._trial(planned, run, content)
 
     def _run(self, planned: Planned, cores: SimpleQueue[int | None], stop: threading.Event) -> Run:
         """The stored run if it will do, else a new one."""
@@ -129,7 +146,7 @@ class Engine:
         if known is None or known["fingerprint"] != fingerprint:
             course = planned.course
             job = (course.dataset, course.seeded(planned.seed), self.plan.mapper, fingerprint)
-            scorers.submit(score_stored, self.store.folder, planned.key, run, *job).result()
+            _in_pool(scorers, score_stored, self.store.folder, planned.key, run, *job)
             known = self.store.load_scores(planned.key)
         if known is None:
             raise ValueError(f"{self.store.run_folder(planned.key)}: scores were written but cannot be read back")
@@ -156,8 +173,7 @@ class Engine:
             return replace(trial, truth=Truth("the data are not here"))
         course = f"{planned.course.label} {planned.seed}"
         if course not in truths:
-            parameters = planned.course.seeded(planned.seed)
-            truths[course] = registry.dataset(planned.course.dataset).make(**parameters).truth()
+            truths[course] = _truth(planned)
         return replace(trial, truth=truths[course])
 
 
@@ -174,6 +190,28 @@ def score_stored(
         "scores": {name: asdict(score) for name, score in scored.scores.items()},
     }
     Store(folder).save_scores(key, content, scored.grid, scored.errors_m)
+
+
+def _scorers(jobs: int) -> ProcessPoolExecutor:
+    """Processes to score in; an interrupt at the keyboard is this process's business alone."""
+    ignore = (signal.SIGINT, signal.SIG_IGN)
+    return ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=signal.signal, initargs=ignore)
+
+
+def _in_pool(scorers: ProcessPoolExecutor, job: Callable[..., None], *arguments: object) -> None:
+    """Does a job in the pool; where a process of the pool has died, in a pool of its own: it may be another's fault."""
+    try:
+        scorers.submit(job, *arguments).result()
+    except BrokenProcessPool:
+        with _scorers(1) as own:
+            own.submit(job, *arguments).result()
+
+
+def _truth(planned: Planned) -> Truth:
+    try:
+        return registry.dataset(planned.course.dataset).make(**planned.course.seeded(planned.seed)).truth()
+    except Exception as error:  # noqa: BLE001 - a reader's fault, of which each of its runs has told already
+        return Truth(f"cannot be read: {error}")
 
 
 def _absent(planned: Planned) -> Run | None:

@@ -60,6 +60,8 @@ def _entries(kind: str, entry: Callable[[str], Entry]) -> list[Entry]:
             rows.append(entry(name))
         except NotInstalled as error:  # a plug-in that does not load is a row with a reason
             rows.append(Entry(name, "", str(error), {}))
+        except Exception as error:  # noqa: BLE001 - so is one that fails to say what it misses
+            rows.append(Entry(name, "", f"its plug-in failed: {type(error).__name__}: {error}", {}))
     return rows
 
 

@@ -6,6 +6,7 @@ Listing names imports nothing; loading one name imports only the module it stand
 from __future__ import annotations
 
 from importlib.metadata import EntryPoint, entry_points
+from types import FunctionType
 from typing import TypeVar
 
 from evalkit.errors import NotInstalled, UnknownName
@@ -21,8 +22,12 @@ def names(kind: str) -> list[str]:
 
 
 def backend(name: str) -> BackendSpec:
-    """The back end registered under a name."""
-    return load("backends", name, BackendSpec)
+    """The back end registered under a name, or what a scheme makes of the rest of one ("exec:./my_icp --fast")."""
+    scheme, colon, rest = name.partition(":")
+    if not colon:
+        return load("backends", name, BackendSpec)
+    made: BackendSpec = load("schemes", scheme, FunctionType)(rest)
+    return made
 
 
 def mapper(name: str) -> MapperSpec:
@@ -35,10 +40,13 @@ def dataset(name: str) -> DatasetSpec:
     return load("datasets", name, DatasetSpec)
 
 
-def run_fingerprint(backend: str, dataset: str) -> str:
+def run_fingerprint(contestant: str, dataset: str) -> str:
     """A digest of the code a run stands on: evalkit's part in it, the two plug-ins and the libraries they require."""
-    modules = ("evalkit.worker", _found("backends")[backend].module, _found("datasets")[dataset].module)
-    return fingerprint(modules, ("numpy", "scipy", *load("backends", backend, BackendSpec).requires))
+    spec = backend(contestant)
+    scheme, colon, _ = contestant.partition(":")
+    plug_in = _found("schemes")[scheme] if colon else _found("backends")[contestant]
+    modules = ("evalkit.worker", plug_in.module, _found("datasets")[dataset].module)
+    return fingerprint(modules, ("numpy", "scipy", *spec.requires)) + spec.digest
 
 
 def score_fingerprint(mapper: str) -> str:
@@ -57,7 +65,7 @@ def load(kind: str, name: str, wanted: type[Spec]) -> Spec:
         raise UnknownName(kind.removesuffix("s"), name, points)
     try:
         spec = points[name].load()
-    except (ImportError, AttributeError) as error:
+    except Exception as error:  # a plug-in is a third party's code; it must not take the others along
         raise NotInstalled(
             name, f"its plug-in {points[name].value} does not load ({error})", "reinstall its package"
         ) from error

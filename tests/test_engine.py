@@ -1,0 +1,181 @@
+"""A plan's runs on this machine: rows for whatever happens, resumed where they stopped, stopped where they must."""
+
+import multiprocessing
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+
+from evalkit import engine, experiment, registry
+from evalkit.engine import Engine
+from evalkit.errors import StoreError
+from evalkit.store import Store
+
+pytestmark = pytest.mark.usefixtures("strangers")
+
+
+class Heard:
+    """A progress that remembers."""
+
+    def __init__(self):
+        self.begins, self.ends, self.scans = [], [], 0
+
+    def begun(self, planned):
+        self.begins.append(planned.contestant.label)
+
+    def answered(self, planned, scans):
+        self.scans = max(scans, self.scans)
+
+    def finished(self, trial):
+        self.ends.append(trial.contestant)
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Scores are made in threads: this test is not about the processes for it."""
+    monkeypatch.setattr(engine, "_scorers", ThreadPoolExecutor)
+
+
+def plan(*faults, sequence=None, mapper=None, **limits):
+    """A contestant for every fault, or for every table of contestants."""
+    tables = [{"use": "faulty", "label": f, "fault": f} if isinstance(f, str) else f for f in faults]
+    content = {
+        "contestant": tables,
+        "sequence": [{"use": "straight", **(sequence or {})}],
+        "mapper": mapper or {"resolution_m": 0.25},
+        "limits": {"run_s": 60.0, "scan_s": 30.0, **limits},
+    }
+    return experiment.plan(content, "t.toml", "t", "report t.toml")
+
+
+def trials(plan, folder, jobs=2, resume=False, heard=None):
+    made = Engine(plan, Store(folder), heard or Heard(), jobs, resume).trials()
+    return {trial.contestant: trial for trial in made}
+
+
+def written(folder):
+    """When each run's answers and scores were written, by label."""
+    runs = [
+        run for run in (folder / "runs").iterdir() if (run / "run.json").exists() and (run / "scores.json").exists()
+    ]
+    return {
+        run.name.split("-", 1)[1].rsplit("-", 1)[0]: tuple(
+            (run / name).stat().st_mtime_ns for name in ("steps.bin", "scores.json")
+        )
+        for run in runs
+    }
+
+
+def test_every_run_is_a_row_whatever_becomes_of_it(tmp_path):
+    heard = Heard()
+    faults = ("none", "raise", "remove-folder", "segfault", "far", {"use": "absent"})
+    made = trials(plan(*faults), tmp_path, heard=heard)
+    assert {label: trial.run.status for label, trial in made.items()} == {
+        "none": "complete", "raise": "failed", "remove-folder": "failed", "segfault": "crashed", "far": "complete",
+        "absent": "not-installed",
+    }  # fmt: skip
+    assert list(made) == ["none", "raise", "remove-folder", "segfault", "far", "absent"] == heard.begins
+    assert sorted(heard.ends) == sorted(made)
+    assert heard.scans == 12
+    good, broken, far = made["none"], made["raise"], made["far"]
+    assert good.scores["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
+    assert good.truth.how == broken.truth.how == "exact"
+    assert broken.scores["ate_rmse_m"].support == 8
+    assert far.scores["ate_rmse_m"].value > 1e5
+    assert far.grid is None
+    assert far.scores["map_entropy"].reason.startswith("no map: it cannot be drawn (log-odds: parameter 'resolution_m'")
+    assert made["absent"].run.reason == "the library 'nowhere' is not installed; pip install nowhere"
+    assert not Store(tmp_path).run_folder(made["absent"].key).exists()
+    assert multiprocessing.active_children() == []
+
+
+def test_resume_runs_only_what_is_missing_and_what_has_changed(tmp_path, quick):
+    first = trials(plan("none", "raise"), tmp_path)
+    before = written(tmp_path)
+    heard = Heard()
+    changed = {"use": "faulty", "label": "raise", "fault": "raise", "at": 6}
+    again = trials(plan("none", changed, "nan"), tmp_path, resume=True, heard=heard)
+    after = written(tmp_path)
+    assert after["none"] == before["none"]
+    assert again["none"].key == first["none"].key
+    assert again["raise"].key != first["raise"].key
+    assert [len(again[label].run.steps) for label in ("none", "raise", "nan")] == [12, 6, 8]
+    assert dict(again["none"].scores) == dict(first["none"].scores)
+    assert np.array_equal(again["none"].errors_m, first["none"].errors_m)
+    assert np.array_equal(again["none"].grid.log_odds, first["none"].grid.log_odds)
+    assert sorted(heard.ends) == ["nan", "none", "raise"]
+
+
+def test_without_resume_everything_is_run_again(tmp_path, quick):
+    trials(plan("none"), tmp_path)
+    before = written(tmp_path)
+    trials(plan("none"), tmp_path)
+    assert written(tmp_path)["none"][0] > before["none"][0]
+
+
+@pytest.mark.parametrize("what", ["code", "mapper"])
+def test_what_scores_stand_on_has_changed_so_they_are_made_anew_from_the_same_run(tmp_path, quick, monkeypatch, what):
+    trials(plan("none"), tmp_path)
+    (answers, scores) = written(tmp_path)["none"]
+    mapper = {"resolution_m": 0.5} if what == "mapper" else None
+    if what == "code":
+        monkeypatch.setattr(registry, "score_fingerprint", lambda mapper: "another")
+    again = trials(plan("none", mapper=mapper), tmp_path, resume=True)["none"]
+    assert written(tmp_path)["none"][0] == answers
+    assert written(tmp_path)["none"][1] > scores
+    assert again.grid.resolution_m == (0.5 if what == "mapper" else 0.25)
+
+
+def test_what_was_absent_is_tried_again(tmp_path, quick):
+    file = tmp_path / "file"
+    absent = trials(plan("none", sequence={"file": str(file)}), tmp_path / "out")["none"]
+    assert (absent.run.status, absent.run.reason) == ("data-missing", f"{file} is gone")
+    assert absent.truth.how == "the data are not here"
+    file.touch()
+    assert trials(plan("none", sequence={"file": str(file)}), tmp_path / "out", resume=True)["none"].run.reason == ""
+
+
+def test_a_file_that_vanishes_after_the_planning_is_a_row(tmp_path, quick):
+    file = tmp_path / "file"
+    file.touch()
+    planned = plan("none", "raise", sequence={"file": str(file)})
+    file.unlink()
+    for trial in trials(planned, tmp_path / "out").values():
+        assert trial.run.status == "data-missing"
+        assert trial.run.reason == f"straight: {file} is gone; bring it back"
+        assert trial.truth.how == f"cannot be read: straight: {file} is gone; bring it back"
+
+
+def test_a_run_that_cannot_be_scored_is_a_failed_row_with_its_answers(tmp_path, quick):
+    trial = trials(plan("none", sequence={"breaks": True}), tmp_path)["none"]
+    assert trial.run.status == "failed"
+    assert trial.run.reason == "scoring failed: RuntimeError: the truth is out there"
+    assert len(trial.run.steps) == 12
+    assert trial.scores == {}
+
+
+def test_a_mapper_that_ends_its_process_costs_the_run_it_draws_and_no_other(tmp_path):
+    mapper = {"use": "faulty-mapper", "fault": "sigkill", "only_past_m": 1e3}
+    made = trials(plan("none", "far", "raise", "nan", mapper=mapper), tmp_path, jobs=1)
+    assert [trial.run.status for trial in made.values()] == ["complete", "failed", "failed", "failed"]
+    assert made["far"].run.reason.startswith("scoring failed: BrokenProcessPool: ")
+    assert made["raise"].run.reason == "RuntimeError: lost the plot"
+    for label in ("none", "raise", "nan"):
+        assert made[label].scores["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("full", ["save_run", "save_scores", "fresh"])
+def test_a_results_folder_that_fills_up_stops_all_and_keeps_what_is_done(tmp_path, quick, monkeypatch, full):
+    original = getattr(Store, full)
+
+    def guarded(self, key, *arguments):
+        if "-raise-" in key:
+            raise StoreError(str(self.folder), "cannot be written (No space left on device)", "free some space")
+        return original(self, key, *arguments)
+
+    monkeypatch.setattr(Store, full, guarded)
+    heard = Heard()
+    with pytest.raises(StoreError, match="No space left on device"):
+        trials(plan("none", "raise", "nan", "far"), tmp_path, jobs=1, heard=heard)
+    assert heard.ends == ["none"]
+    assert written(tmp_path).keys() == {"none"}
