@@ -298,7 +298,7 @@ def test_the_four_readings_differ_only_where_they_say():
     for spec, other in (
         (paper.LITERAL, {"error": "mean-squared"}),
         (paper.TIGHT, {"epsilon": 1e-6}),
-        (paper.MAP, {"epsilon": 1e-6, "one_to_one": False}),
+        (paper.MAP, {"epsilon": 1e-6, "one_to_one": False, "max_correspondence_m": 0.2}),
     ):
         assert settings(spec) == plain | other
         assert spec.make(**settings(spec)) == paper.SPEC.make(**other)

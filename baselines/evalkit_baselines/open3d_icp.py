@@ -7,6 +7,8 @@ What the adapters change, and why (Open3D is a 3D library, and z = 0 breaks part
   and the guess comes back with a fitness that looks perfect. Its generalised ICP, left to make its own covariances,
   is point-to-point in disguise. Normals and covariances are therefore made in the plane by ``evalkit.lift``.
 * The legacy pipeline, not the tensor one: the tensor point-to-plane refuses planar input as a singular system.
+* In space, half a turn about a wall mirrors it: near single walls the point-to-point answer may be turned over (Open3D
+  does so for half of all rough, short walls). Such an answer is none: the guess is kept, not converged.
 * One thread, whatever the machine: the last bits of a sum depend on how it was split.
 * ``relative_fitness`` and ``relative_rmse`` keep Open3D's names; it compares them with absolute changes.
 
@@ -72,7 +74,8 @@ class Open3DRegistration:
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """The motion ``target_from_source``; ``error`` is the root mean square distance (m) of the final pairs.
 
-        Not converged, with the guess as the answer, where fewer than three points have a partner.
+        Not converged, with the guess as the answer, where fewer than three points have a partner or where the answer
+        left the plane: pairs on one line let a rotation by half a turn about that line fit as well.
         """
         if min(len(target), len(source)) < FEWEST_PAIRS:
             return _unmatched(guess, 0)
@@ -85,9 +88,13 @@ class Open3DRegistration:
         result = self._method(moving, fixed, self._max_correspondence_m, initial, self._estimation, self._criteria)
         with conversion():
             pairs = len(result.correspondence_set)
-            answer = lift.pose_2d(result.transformation)
         if pairs < FEWEST_PAIRS:
             return _unmatched(guess, pairs)
+        try:
+            with conversion():
+                answer = lift.pose_2d(result.transformation)
+        except ValueError:  # turned over
+            return _unmatched(guess, 0)
         return Match(answer, converged=True, iterations=0, error=float(result.inlier_rmse), inliers=pairs)
 
     def _lifted(self, cloud: Cloud, describe: Describe) -> Any:
@@ -196,7 +203,7 @@ def _loads(library: str) -> bool:
 
 
 _STOP = (
-    Parameter("max_correspondence_m", 0.5, "m", "largest distance of a pair", 1e-3),
+    Parameter("max_correspondence_m", 0.2, "m", "largest distance of a pair", 1e-3),
     Parameter("max_iterations", 40, "", "most iterations", 1),
     Parameter("relative_fitness", 1e-6, "", "stop where the share of paired points changes by less", 0.0),
     Parameter("relative_rmse", 1e-6, "m", "and the root mean square distance changes by less", 0.0),

@@ -41,7 +41,7 @@ PARAMETERS = (
     Parameter("error", "mean", "", "what the stop rule watches", choices=("mean", "mean-squared", "rmse")),
     Parameter("error_at", "after", "", "error of the same pairs after or before the step", choices=("after", "before")),
     Parameter("one_to_one", True, "", "of several source points that share a target point only the closest counts"),
-    Parameter("max_correspondence_m", 0.5, "m", "pairs farther apart are dropped; 0 keeps all", low=0.0),
+    Parameter("max_correspondence_m", 0.3, "m", "pairs farther apart are dropped; 0 keeps all", low=0.0),
     Parameter("min_pairs", 3, "", "with fewer pairs the guess is the answer, not converged", low=2),
     Parameter("metric", "point", "", "distance to the point, or to the line through it", choices=("point", "line")),
     Parameter("line_neighbours", 8, "", "target points that make a line (metric 'line')", low=2),
@@ -67,7 +67,7 @@ class Icp:
     error: Literal["mean", "mean-squared", "rmse"] = "mean"
     error_at: Literal["after", "before"] = "after"
     one_to_one: bool = True
-    max_correspondence_m: float = 0.5
+    max_correspondence_m: float = 0.3
     min_pairs: int = 3
     metric: Literal["point", "line"] = "point"
     line_neighbours: int = 8
