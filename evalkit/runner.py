@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
-import signal
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable
@@ -15,18 +11,14 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-import psutil
-
-from evalkit.environment import SINGLE_THREAD
+from evalkit import child
 from evalkit.errors import StoreError
 from evalkit.experiment import Limits
 from evalkit.store import REMEDY, read_steps
 from evalkit.types import STEP, Run, Status
 from evalkit.worker import Request
 
-POLL_S = 0.05
 OUTCOME = "outcome.json"
-LAST_WORDS = 4096  # bytes of its output that are looked at for a reason
 
 
 def run(
@@ -47,15 +39,11 @@ def run(
     except OSError as error:
         raise StoreError(str(folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
     with output:
-        process = subprocess.Popen(  # -P: modules of the folder we happen to be in must not stand in for others
-            [sys.executable, "-P", "-m", "evalkit.worker", str(folder)],
-            stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True,
-            env={**os.environ, **SINGLE_THREAD},
-        )  # fmt: skip
+        process = child.started("evalkit.worker", folder, output)
         try:
             ended, peak = _watched(process, folder, limits, heard, stop)
         finally:
-            _end_group(process)
+            child.end_group(process)
     return _result(labels, folder, ended, process.returncode, peak)
 
 
@@ -73,12 +61,12 @@ def _watched(
     begun = last_answer = time.monotonic()
     answered = peak = 0
     while process.poll() is None and not (folder / OUTCOME).exists():
-        time.sleep(POLL_S)
+        time.sleep(child.POLL_S)
         now, size = time.monotonic(), _size(folder / "steps.bin")
         if size > answered:
             answered, last_answer = size, now
             heard(size // STEP.itemsize)
-        peak = max(peak, _resident_bytes(process.pid))
+        peak = max(peak, child.resident_bytes(process.pid))
         if peak > limits.memory_mib * 2**20:
             return ("out-of-memory", f"used more than {limits.memory_mib} MiB"), peak
         if now - begun > limits.run_s:
@@ -114,52 +102,11 @@ def _read(path: Path) -> dict[str, Any]:
 def _how_it_died(code: int, folder: Path) -> tuple[Status, str]:
     if not (folder / "request.json").exists():
         return "failed", "the run's folder was removed while it ran, and its answers with it"
-    last = _last_line(folder / "output.txt")
-    if code < 0:
-        hint = " (by the system, where memory ran out)" if -code == signal.SIGKILL else ""
-        return "crashed", f"the process was ended by {_signal(-code)}{hint}{last}"
-    return "failed", f"the process ended itself with code {code}{last}"
-
-
-def _signal(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:  # most real-time signals have no name
-        return f"signal {number}"
-
-
-def _last_line(output: Path) -> str:
-    """The last line it wrote that can be read, from the end of what may be a very long file."""
-    if not output.exists():  # the back end removed it
-        return ""
-    with output.open("rb") as file:
-        file.seek(max(output.stat().st_size - LAST_WORDS, 0))
-        text = file.read().decode("utf-8", errors="replace")
-    lines = ["".join(char for char in line if char.isprintable()).strip() for line in text.splitlines()]
-    said = [line for line in lines if line]
-    return f"; it said last: {said[-1][:300]}" if said else ""
-
-
-def _end_group(process: subprocess.Popen[bytes]) -> None:
-    """Ends the process and all it started: they share its session, or are still known as its children."""
-    if process.poll() is None:  # its number is still its own
-        with contextlib.suppress(psutil.Error):  # ended meanwhile
-            for child in psutil.Process(process.pid).children(recursive=True):
-                child.kill()
-    with contextlib.suppress(ProcessLookupError):  # nobody is left, as it should be
-        os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
+    return "crashed" if code < 0 else "failed", child.last_words(code, folder / "output.txt")
 
 
 def _size(path: Path) -> int:
     try:
         return path.stat().st_size
     except FileNotFoundError:  # not yet begun, or the back end removed it
-        return 0
-
-
-def _resident_bytes(pid: int) -> int:
-    try:
-        return int(psutil.Process(pid).memory_info().rss)
-    except psutil.Error:  # ended between two looks
         return 0
