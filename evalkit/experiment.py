@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
+import shlex
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
@@ -93,9 +95,8 @@ class Plan:
     def command(self, planned: Planned) -> str:
         """What reproduces one run alone."""
         seed = "" if planned.seed is None else f" --seed {planned.seed}"
-        return (
-            f"evalkit {self.source} --sequence '{planned.course.label}' --contestant '{planned.contestant.label}'{seed}"
-        )
+        sequence, contestant = shlex.quote(planned.course.label), shlex.quote(planned.contestant.label)
+        return f"evalkit {self.source} --sequence {sequence} --contestant {contestant}{seed}"
 
     def only(self, sequences: list[str], contestants: list[str], seeds: list[int]) -> Plan:
         """The part of the plan with these labels and seeds; an empty list keeps all."""
@@ -122,7 +123,7 @@ def read(path: Path) -> Plan:
         raise BadExperiment(str(path), "", f"cannot be read ({error})") from error
     except tomllib.TOMLDecodeError as error:
         raise BadExperiment(str(path), "", f"not valid TOML: {error}") from error
-    return plan(content, str(path), path.stem, f"report {path}")
+    return plan(content, str(path), path.stem, f"report {shlex.quote(str(path))}")
 
 
 def plan(content: Mapping[str, Any], file: str, name: str, source: str) -> Plan:
@@ -154,7 +155,7 @@ def _contestant(table: Mapping[str, Any], file: str, place: str) -> Contestant:
     use = _required(table, "use", file, place)
     label = _text(table, "label", use, file, place)
     given = _flat({key: value for key, value in table.items() if key not in ("use", "label")})
-    spec = registry.backend(use)
+    spec = _registered(registry.backend, use, file, place)
     return Contestant(label, use, frontend.complete_parameters(f"{place} ({label})", spec, given), spec.missing())
 
 
@@ -162,7 +163,7 @@ def _course(table: Mapping[str, Any], file: str, place: str) -> Course:
     use = _required(table, "use", file, place)
     label = _text(table, "label", use, file, place)
     given = _flat({key: value for key, value in table.items() if key not in ("use", "label", "seeds")})
-    spec = registry.dataset(use)
+    spec = _registered(registry.dataset, use, file, place)
     if "seeds" in table and not spec.seeded:
         raise BadExperiment(file, f"{place} ({label})", f"'seeds': {use} is a recording and has none; remove the key")
     if "seed" in given and spec.seeded:
@@ -186,7 +187,8 @@ def _mapper(table: object, file: str) -> MapperChoice:
     if not isinstance(scans, int) or isinstance(scans, bool) or scans < 2:
         raise BadExperiment(file, "mapper", f"'scans': found {scans!r}, expected a whole number of at least 2")
     given = {key: value for key, value in table.items() if key not in ("use", "scans")}
-    return MapperChoice(name, resolved("mapper", registry.mapper(name).parameters, given), scans)
+    spec = _registered(registry.mapper, name, file, "mapper")
+    return MapperChoice(name, resolved("mapper", spec.parameters, given), scans)
 
 
 def _limits(table: object, file: str) -> Limits:
@@ -195,7 +197,7 @@ def _limits(table: object, file: str) -> Limits:
         raise BadExperiment(file, "limits", f"found {table!r}, expected a table [limits]")
     _known_keys(table, known, file, "limits")
     for key, value in table.items():
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or value <= 0:
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < math.inf:
             raise BadExperiment(file, "limits", f"'{key}': found {value!r}, expected a positive number")
     return Limits(**{**known, **table})
 
@@ -207,6 +209,13 @@ def _tables(content: Mapping[str, Any], key: str, file: str) -> list[tuple[int, 
     if not tables:
         raise BadExperiment(file, "", f"no [[{key}]]: an experiment needs at least one")
     return list(enumerate(tables))
+
+
+def _registered(find: Callable[[str], Item], name: str, file: str, place: str) -> Item:
+    try:
+        return find(name)
+    except UnknownName as error:
+        raise BadExperiment(file, place, str(error)) from error
 
 
 def _seeds(seeds: object, file: str, place: str) -> tuple[int, ...]:
@@ -259,6 +268,7 @@ def _chosen(
 
 def _key(contestant: Contestant, course: Course, seed: int | None) -> str:
     identity = {
+        "labels": [contestant.label, course.label],  # two that read alike as file names must not share a folder
         "backend": [contestant.backend, dict(contestant.parameters)],
         "dataset": [course.dataset, course.seeded(seed)],
         "code": registry.run_fingerprint(contestant.backend, course.dataset),
@@ -270,9 +280,14 @@ def _key(contestant: Contestant, course: Course, seed: int | None) -> str:
 
 
 def _file_state(value: str) -> list[object]:
+    """The text, and size and time of what it names: of a folder (a ROS 2 bag), those of the files in it too."""
     path = Path(value)
-    state = path.stat() if path.exists() else None
-    return [value] if state is None else [value, state.st_size, state.st_mtime_ns]
+    try:
+        inside = sorted(path.iterdir()) if path.is_dir() else []
+        states = [(file.name, file.stat()) for file in (path, *inside)]
+    except (OSError, ValueError):  # a text that names no file, or could not
+        return [value]
+    return [value, *([name, state.st_size, state.st_mtime_ns] for name, state in states)]
 
 
 def _filename(word: str) -> str:

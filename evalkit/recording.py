@@ -49,6 +49,6 @@ def _value(owner: str, parameter: Parameter, text: str) -> Value:
     if kind is bool and text.lower() in ("true", "false"):
         return text.lower() == "true"
     try:
-        return text if kind is str else kind(text)
+        return text if kind in (str, bool) else kind(text)
     except ValueError:
         raise BadParameter(owner, parameter.name, text, f"{kind.__name__} ({parameter.meaning})") from None
