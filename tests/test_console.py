@@ -1,0 +1,72 @@
+"""The time left, by hand, and the lines of a pipe."""
+
+import io
+
+import pytest
+from rich.console import Console
+
+from evalkit import experiment
+from evalkit.console import TimeLeft, progress
+
+
+@pytest.fixture
+def planned():
+    """Two contestants, one sequence with two seeds and one with one."""
+    content = {
+        "contestant": [{"use": "wheel-odometry", "label": "fast"}, {"use": "paper", "label": "slow"}],
+        "sequence": [{"use": "room", "seeds": [0, 1]}, {"use": "lab"}],
+    }
+    return list(experiment.plan(content, "x.toml", "x", "report x.toml").runs())
+
+
+def test_nothing_is_known_before_the_first_run_ends(planned):
+    assert TimeLeft(planned, 1).seconds() is None
+
+
+def test_after_one_run_all_others_are_like_it(planned):
+    left = TimeLeft(planned, 1)
+    left.finished("room", "fast", 0, 4.0)
+    assert left.seconds() == pytest.approx(5 * 4.0)
+
+
+def test_an_open_run_takes_its_sequences_mean_times_its_contestants_share(planned):
+    """Room: fast 1 s, slow 3 s, so mean 2 s: shares 1/2 and 3/2. Open: room 1 and lab 0, both unlike any other yet."""
+    left = TimeLeft(planned, 1)
+    left.finished("room", "fast", 0, 1.0)
+    left.finished("room", "slow", 0, 3.0)
+    assert left.seconds() == pytest.approx(1.0 + 3.0 + 1.0 + 3.0)
+    left.finished("lab", "fast", 0, 5.0)  # mean 3; fast 3, slow 3; room 2, lab 5
+    assert left.seconds() == pytest.approx(2.0 * 3.0 / 3.0 + 2.0 * 3.0 / 3.0 + 5.0 * 3.0 / 3.0)
+
+
+def test_two_at_a_time_take_half_as_long_and_all_done_is_nothing_left(planned):
+    left = TimeLeft(planned, 2)
+    left.finished("room", "fast", 0, 4.0)
+    assert left.seconds() == pytest.approx(5 * 4.0 / 2)
+    for item in planned[1:]:
+        left.finished(item.course.label, item.contestant.label, item.seed, 4.0)
+    assert left.seconds() == 0.0
+
+
+def test_a_pipe_gets_one_plain_line_a_run_with_its_reason(planned, trial):
+    told = io.StringIO()
+    ends = [trial("fast", "room", {}), trial("slow", "room", {}, status="crashed", reason="signal [bold]11[/bold]")]
+    with progress(Console(file=told, soft_wrap=True), planned, 1) as shown:
+        for item, ended in zip(planned, ends, strict=False):
+            shown.begun(item)
+            shown.answered(item, 7)
+            shown.finished(ended)
+    first, second = told.getvalue().splitlines()
+    assert first.startswith("[1/6] room seed 0 / fast: complete, 0.0 s, 0:00 left")
+    assert second.startswith("[2/6] room seed 0 / slow: crashed (signal [bold]11[/bold]), 0.0 s")
+
+
+def test_a_terminal_gets_a_line_only_for_what_did_not_complete(planned, trial):
+    told = io.StringIO()
+    screen = Console(file=told, force_terminal=True, width=100, color_system=None)
+    with progress(screen, planned, 1) as shown:
+        shown.finished(trial("fast", "room", {}))
+        shown.answered(planned[1], 1234)
+        shown.finished(trial("slow", "room", {}, status="timeout", reason="[late]"))
+    assert "room seed 0 / slow: timeout ([late]), 0.0 s" in told.getvalue()
+    assert "room seed 0 / fast: complete" not in told.getvalue()

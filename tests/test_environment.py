@@ -1,0 +1,50 @@
+"""What a report says of the machine."""
+
+import subprocess
+from importlib.metadata import version
+from pathlib import Path
+
+import psutil
+import pytest
+
+import evalkit
+from evalkit import environment
+
+CHECKOUT = Path(evalkit.__file__).parent.parent
+
+
+def test_everything_a_reader_needs_is_told_in_words():
+    told = environment.describe(("numpy", "no-such-library"))
+    assert list(told)[:5] == ["evalkit", "commit", "python", "system", "processor"]
+    assert told["evalkit"] == evalkit.__version__
+    assert told["numpy"] == version("numpy")
+    assert told["no-such-library"] == "not installed"
+    assert f"{psutil.cpu_count()} logical" in told["cores"]
+    assert all(isinstance(text, str) and text for text in told.values())
+
+
+def test_the_commit_is_that_of_the_checkout_and_says_if_it_was_changed():
+    if not (CHECKOUT / ".git").exists():
+        pytest.skip("not a checkout")
+    head = subprocess.run(["git", "-C", CHECKOUT, "rev-parse", "HEAD"], capture_output=True, text=True, check=True)
+    changed = subprocess.run(["git", "-C", CHECKOUT, "diff", "--quiet", "HEAD"], check=False).returncode != 0
+    told = environment.describe()["commit"]
+    assert head.stdout.startswith(told.removesuffix("-dirty").rpartition("-g")[2])
+    assert told.endswith("-dirty") == changed
+
+
+def test_an_installed_package_has_no_commit(tmp_path, monkeypatch):
+    monkeypatch.setattr(environment, "__file__", str(tmp_path / "evalkit" / "environment.py"))
+    assert environment.describe()["commit"] == "none (installed package)"
+
+
+def test_a_checkout_without_git_says_so(tmp_path, monkeypatch):
+    (tmp_path / ".git").mkdir()
+    monkeypatch.setattr(environment, "__file__", str(tmp_path / "evalkit" / "environment.py"))
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert environment.describe()["commit"] == "unknown (git is not there)"
+
+
+def test_a_timed_process_has_one_thread_in_every_pool():
+    assert set(environment.SINGLE_THREAD.values()) == {"1"}
+    assert {"OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"} <= set(environment.SINGLE_THREAD)
