@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +58,7 @@ class Store:
         """Writes a file whole or not at all."""
         partial = path.with_name(path.name + ".part")
         with _reported(path):
+            path.parent.mkdir(parents=True, exist_ok=True)  # a back end may have removed it
             partial.write_bytes(content)
             partial.replace(path)
 
@@ -79,7 +81,7 @@ class Store:
         """Keeps what scoring made of a run, its map also for map_server."""
         folder = self.run_folder(key)
         with _reported(folder):
-            for name in ("grid.npz", "errors.npy"):
+            for name in ("scores.json", "grid.npz", "errors.npy"):  # scores.json first and written last: it vouches
                 (folder / name).unlink(missing_ok=True)
             if grid is not None:
                 np.savez_compressed(folder / "grid.npz", log_odds=grid.log_odds, observed=grid.observed,
@@ -98,7 +100,7 @@ class Store:
             content["world_from_start"] = Pose.of(content["world_from_start"])
             content["grid"] = _load_grid(folder / "grid.npz")
             content["errors_m"] = np.load(folder / "errors.npy") if (folder / "errors.npy").exists() else None
-        except (OSError, ValueError, TypeError, KeyError):  # absent or half-written: scoring is simply done again
+        except (OSError, ValueError, TypeError, KeyError, EOFError, BadZipFile):  # absent or damaged: scored again
             return None
         return content
 
@@ -107,13 +109,14 @@ class Store:
         pixels = np.full(grid.shape, 205, dtype=np.uint8)
         pixels[grid.free()], pixels[grid.occupied()] = 254, 0
         rows, columns = grid.shape
+        size, x, y = (float(value) for value in (grid.resolution_m, grid.origin_x, grid.origin_y))  # no numpy in repr
         self.write_bytes(
             stem.with_name(stem.name + ".pgm"), b"P5\n%d %d\n255\n" % (columns, rows) + pixels[::-1].tobytes()
         )
         self.write_text(
             stem.with_name(stem.name + ".yaml"),
-            f"image: {stem.name}.pgm\nmode: trinary\nresolution: {grid.resolution_m!r}\n"
-            f"origin: [{grid.origin_x!r}, {grid.origin_y!r}, 0.0]\nnegate: 0\n"
+            f"image: {stem.name}.pgm\nmode: trinary\nresolution: {size!r}\n"
+            f"origin: [{x!r}, {y!r}, 0.0]\nnegate: 0\n"
             "occupied_thresh: 0.65\nfree_thresh: 0.196\n",
         )
 

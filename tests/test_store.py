@@ -1,0 +1,242 @@
+"""Results on disk come back as they were, whole or not at all."""
+
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evalkit.errors import StoreError
+from evalkit.store import Store, read_steps, tum
+from evalkit.types import STEP, OccupancyGrid, Pose, Run, Score, Status, Trajectory
+from evalkit_datasets import mapserver
+from evalkit_datasets import tum as tum_files
+
+KEY = "room-s0-icp-0123456789"
+
+
+@pytest.fixture
+def store(tmp_path):
+    return Store(tmp_path / "out")
+
+
+def steps(count=5):
+    rng = np.random.default_rng(3)
+    made = np.frombuffer(rng.bytes(count * STEP.itemsize), dtype=STEP).copy()
+    made["stamp_ns"] = 1_700_000_000_123_456_789 + np.cumsum(rng.integers(1, 10**9, count))
+    made["x"], made["y"], made["theta"] = rng.uniform(-3, 3, (3, count))
+    return made
+
+
+def saved_run(store, status: Status = "complete", reason=""):
+    run = Run("icp", "room <1>", status, reason, steps(), 9, 123, 5, {"invalid ranges": 2})
+    (store.fresh(KEY) / "steps.bin").write_bytes(run.steps.tobytes())
+    store.save_run(KEY, run)
+    return run
+
+
+def grid(**changes):
+    rng = np.random.default_rng(4)
+    place = {"resolution_m": 0.05, "origin_x": -1.0 / 3.0, "origin_y": 2.0 / 7.0, **changes}
+    log_odds = rng.uniform(-5, 5, (7, 11)).astype(np.float32)
+    return OccupancyGrid(log_odds, rng.random((7, 11)) < 0.8, **place)
+
+
+def same_grid(a, b):
+    assert a.log_odds.tobytes() == b.log_odds.tobytes()
+    assert a.observed.tolist() == b.observed.tolist()
+    assert (a.resolution_m, a.origin_x, a.origin_y) == (b.resolution_m, b.origin_x, b.origin_y)
+
+
+CONTENT = {
+    "fingerprint": "f",
+    "world_from_start": [0.1, 1.0 / 3.0, -2.0],
+    "scores": {
+        "ate": {"value": 1.0 / 3.0, "support": 60, "reason": ""},
+        "f1": {"value": None, "support": 0, "reason": "no truth"},
+    },
+}
+ERRORS = np.array([0.1, np.nan, 1.0 / 3.0])
+
+
+# runs
+
+
+@pytest.mark.parametrize("ended", [("complete", ""), ("crashed", "ended by SIGSEGV")])
+def test_a_run_comes_back_bit_by_bit(store, ended):
+    kept = saved_run(store, *ended)
+    again = Store(store.folder).load_run(KEY)
+    assert again is not None
+    assert again.steps.tobytes() == kept.steps.tobytes()
+    for name in ("backend", "sequence", "status", "reason", "expected", "peak_memory_bytes", "warm_up_scans", "notes"):
+        assert getattr(again, name) == getattr(kept, name)
+
+
+def test_a_record_cut_short_is_left_out(tmp_path):
+    path, whole = tmp_path / "steps.bin", steps(3)
+    for cut in (1, STEP.itemsize - 1, STEP.itemsize):
+        path.write_bytes(whole.tobytes()[:-cut])
+        assert read_steps(path).tobytes() == whole[:2].tobytes()
+    path.write_bytes(b"")
+    assert read_steps(path).shape == (0,)
+    assert read_steps(tmp_path / "absent.bin").shape == (0,)
+
+
+@pytest.mark.parametrize("keep", [0, 1, 40, -1])
+def test_a_half_written_run_is_no_run(store, keep):
+    saved_run(store)
+    path = store.run_folder(KEY) / "run.json"
+    path.write_bytes(path.read_bytes()[:keep])
+    assert store.load_run(KEY) is None
+
+
+@pytest.mark.parametrize("record", [[], {"backend": "icp"}, {"unheard": 1}])
+def test_a_record_of_something_else_is_no_run(store, record):
+    saved_run(store)
+    (store.run_folder(KEY) / "run.json").write_text(json.dumps(record))
+    assert store.load_run(KEY) is None
+
+
+def test_a_run_never_made_is_no_run_and_a_fresh_one_forgets_the_last(store):
+    assert store.load_run(KEY) is None
+    saved_run(store)
+    assert list(store.fresh(KEY).iterdir()) == []
+    assert store.load_run(KEY) is None
+
+
+# scores
+
+
+def test_scores_map_and_errors_come_back_bit_by_bit(store):
+    saved_run(store)
+    store.save_scores(KEY, CONTENT, grid(), ERRORS)
+    again = Store(store.folder).load_scores(KEY)
+    assert again is not None
+    assert again["scores"] == {"ate": Score(1.0 / 3.0, 60), "f1": Score(None, 0, "no truth")}
+    assert again["world_from_start"] == Pose(0.1, 1.0 / 3.0, -2.0)
+    assert again["fingerprint"] == "f"
+    assert again["errors_m"].tobytes() == ERRORS.tobytes()
+    same_grid(again["grid"], grid())
+
+
+def test_new_scores_without_a_map_forget_the_old_one(store):
+    saved_run(store)
+    store.save_scores(KEY, CONTENT, grid(), ERRORS)
+    store.save_scores(KEY, CONTENT, None, None)
+    again = store.load_scores(KEY)
+    assert (again["grid"], again["errors_m"]) == (None, None)
+
+
+@pytest.mark.parametrize("name", ["scores.json", "grid.npz", "errors.npy"])
+@pytest.mark.parametrize("keep", [0, 60, -1])
+def test_a_damaged_file_means_scoring_again(store, name, keep):
+    saved_run(store)
+    store.save_scores(KEY, CONTENT, grid(), ERRORS)
+    path = store.run_folder(KEY) / name
+    path.write_bytes(path.read_bytes()[:keep])
+    assert store.load_scores(KEY) is None
+
+
+def test_scoring_cut_short_leaves_no_old_scores_behind(store, monkeypatch):
+    saved_run(store)
+    store.save_scores(KEY, CONTENT, grid(), ERRORS)
+    monkeypatch.setattr(store, "write_map", lambda stem, grid: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        store.save_scores(KEY, CONTENT, grid(), ERRORS)
+    assert store.load_scores(KEY) is None
+
+
+# folders that cannot be written
+
+
+def test_a_folder_that_cannot_be_made_is_named_with_what_to_do(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StoreError) as caught:
+        Store(tmp_path / "file" / "out")
+    assert str(caught.value).startswith(f"{tmp_path / 'file' / 'out'}: cannot be written (Not a directory)")
+    assert str(caught.value).endswith("; free some space or name another folder with --out")
+
+
+@pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="no /proc here")
+def test_a_folder_nobody_may_write_to_is_named():
+    with pytest.raises(StoreError, match=r"/proc/out: cannot be written \(.+\); free some space or name another"):
+        Store(Path("/proc/out"))
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
+def test_a_full_disk_leaves_the_old_file_and_says_so(tmp_path):
+    store, path = Store(tmp_path / "out"), tmp_path / "run.json"
+    store.write_text(path, "old")
+    path.with_name("run.json.part").symlink_to("/dev/full")
+    with pytest.raises(StoreError, match=r"run.json: cannot be written \(No space left on device\); free some space"):
+        store.write_text(path, "new")
+    assert path.read_text() == "old"
+
+
+def test_a_map_that_finds_no_room_is_a_store_error(store, monkeypatch):
+    def full(*_args, **_arrays):
+        raise OSError(28, os.strerror(28))
+
+    saved_run(store)
+    monkeypatch.setattr(np, "savez_compressed", full)
+    with pytest.raises(StoreError, match=r"No space left on device"):
+        store.save_scores(KEY, CONTENT, grid(), None)
+    assert store.load_scores(KEY) is None
+
+
+def test_what_is_written_leaves_nothing_else_behind(store):
+    saved_run(store)
+    store.save_scores(KEY, CONTENT, grid(), ERRORS)
+    names = sorted(str(path.relative_to(store.folder)) for path in store.folder.rglob("*") if path.is_file())
+    own = ("errors.npy", "grid.npz", "run.json", "scores.json", "steps.bin")
+    assert names == sorted(
+        [*(f"runs/{KEY}/{name}" for name in own), f"maps/{KEY}.pgm", f"maps/{KEY}.yaml", f"trajectories/{KEY}.tum"]
+    )
+
+
+# maps for map_server
+
+
+def test_a_map_is_grey_by_its_cells_and_row_0_is_on_top(store):
+    log_odds = np.array([[5.0, -5.0, 0.0], [-5.0, 5.0, 5.0]])
+    observed = np.array([[True, True, True], [True, True, False]])
+    store.write_map(
+        store.folder / "maps" / "a.b", OccupancyGrid(log_odds.astype(np.float32), observed, 0.05, -1.5, 2.0)
+    )
+    header, pixels = (store.folder / "maps" / "a.b.pgm").read_bytes().split(b"\n255\n")
+    assert header == b"P5\n3 2"
+    assert list(pixels) == [254, 0, 205, 0, 254, 205]
+    lines = (store.folder / "maps" / "a.b.yaml").read_text().splitlines()
+    assert {"image: a.b.pgm", "resolution: 0.05", "origin: [-1.5, 2.0, 0.0]", "negate: 0"} <= set(lines)
+
+
+@pytest.mark.parametrize("number", [float, np.float64])
+def test_a_map_read_again_has_the_same_cells_in_the_same_place(store, number):
+    pytest.importorskip("ruamel.yaml")
+    kept = grid(resolution_m=number(0.1 / 3.0), origin_x=number(-1e-7 / 3.0), origin_y=number(12345.678901234567))
+    store.write_map(store.folder / "maps" / KEY, kept)
+    again = mapserver.read(store.folder / "maps" / f"{KEY}.yaml")
+    assert again.occupied().tolist() == kept.occupied().tolist()
+    assert again.free().tolist() == kept.free().tolist()
+    assert (again.resolution_m, again.origin_x, again.origin_y) == (kept.resolution_m, kept.origin_x, kept.origin_y)
+
+
+# trajectories for other tools
+
+
+def test_a_trajectory_reads_again_to_the_nanosecond(store):
+    kept = saved_run(store).estimate
+    again = tum_files.read(store.folder / "trajectories" / f"{KEY}.tum").trajectory
+    assert again.stamps_ns.tolist() == kept.stamps_ns.tolist()
+    np.testing.assert_allclose(again.poses, kept.poses, atol=1e-9)
+
+
+def test_a_line_is_seconds_metres_and_a_quaternion():
+    text = tum(Trajectory(np.array([-1_500_000_000, 7]), np.array([[1.5, -2.0, np.pi / 2], [0, 0, 0]])), "room", "icp")
+    assert text.splitlines() == [
+        "# evalkit: icp on room, world_from_base",
+        "# timestamp tx ty tz qx qy qz qw",
+        "-1.500000000 1.500000000 -2.000000000 0 0 0 0.707106781187 0.707106781187",
+        "0.000000007 0.000000000 0.000000000 0 0 0 0.000000000000 1.000000000000",
+    ]
