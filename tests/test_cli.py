@@ -1,0 +1,342 @@
+"""The command line: exit codes, what goes to which stream, and what is left when it is cut short."""
+
+import json
+import math
+import os
+import resource
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import psutil
+import pytest
+
+from evalkit import __version__, cli
+
+pytestmark = pytest.mark.usefixtures("strangers")
+
+FAULTY = '[[contestant]]\nuse = "faulty"\nlabel = "{0}"\nfault = "{0}"\n'
+MAPPER = "[mapper]\nresolution_m = 0.25\n"
+
+
+@pytest.fixture
+def evalkit(monkeypatch, capsys):
+    """``evalkit(*words)``: exit code, standard output and standard error."""
+    handler = signal.getsignal(signal.SIGTERM)
+
+    def call(*words):
+        monkeypatch.setattr(sys, "argv", ["evalkit", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        said = capsys.readouterr()
+        return ended.value.code, said.out, said.err
+
+    yield call
+    signal.signal(signal.SIGTERM, handler)
+
+
+@pytest.fixture
+def experiment(tmp_path):
+    """``experiment(*faults)``: the path of an experiment file over the straight drive."""
+
+    def write(*faults, more="", sequence="straight"):
+        path = tmp_path / "small.toml"
+        path.write_text(
+            "".join(FAULTY.format(fault) for fault in faults) + more + MAPPER + f'[[sequence]]\nuse = "{sequence}"\n'
+        )
+        return path
+
+    return write
+
+
+def test_the_version(evalkit):
+    assert evalkit("--version") == (0, f"evalkit {__version__}\n", "")
+
+
+def test_without_a_command_the_help_names_them_all(evalkit):
+    _, out, err = evalkit()
+    assert all(command in out + err for command in ("list", "run", "report", "compare"))
+
+
+def test_completion_for_bash_knows_the_commands():
+    command = [sys.executable, "-c", "from evalkit.cli import main; main()"]
+    asked = {"_EVALKIT_COMPLETE": "complete_bash", "COMP_WORDS": "evalkit re", "COMP_CWORD": "1"}
+    # the program's own name counts, so it is told
+    command[2] = "import sys; sys.argv[0] = 'evalkit'; " + command[2]
+    shown = subprocess.run([*command, "--show-completion", "bash"], capture_output=True, text=True, check=False)
+    answer = subprocess.run(command, env={**os.environ, **asked}, capture_output=True, text=True, check=False)
+    assert "complete" in shown.stdout
+    assert answer.stdout.split() == ["report"]
+
+
+# --- list
+
+
+def rows(table):
+    """The rows of a printed table, lines that go on put together."""
+    found = []
+    for line in table.splitlines():
+        cells = [cell.strip() for cell in line.strip("│").split("│")] if "│" in line else []
+        if cells and cells[0]:
+            found.append(cells)
+        elif cells:
+            found[-1] = [f"{first} {more}".strip() for first, more in zip(found[-1], cells, strict=True)]
+    return found
+
+
+def test_the_list_tells_what_is_missing_and_why(evalkit):
+    code, out, _ = evalkit("list", "backends")
+    assert code == 0
+    name, _, missing = next(row for row in rows(out) if row[0].startswith("absent"))
+    assert (name, missing) == ("absent", "the library 'nowhere' is not installed; pip install nowhere")
+    assert "paper" in {row[0] for row in rows(out)}
+
+
+def test_the_list_for_programs(evalkit):
+    code, out, _ = evalkit("list", "--json")
+    listed = json.loads(out)
+    assert code == 0
+    assert sorted(listed) == ["backends", "datasets", "mappers", "metrics"]
+    absent = next(row for row in listed["backends"] if row["name"] == "absent")
+    assert absent["missing"] == "the library 'nowhere' is not installed; pip install nowhere"
+
+
+def test_an_unknown_kind_is_refused_with_the_known_ones(evalkit):
+    code, _, err = evalkit("list", "robots")
+    assert code == 2
+    assert "expected one of: all, backends, mappers, datasets, metrics" in " ".join(err.replace("│", " ").split())
+
+
+# --- names are checked before anything runs
+
+
+@pytest.mark.parametrize(
+    ("words", "more", "message"),
+    [
+        ((), '[[contestant]]\nuse = "ipc"\n', "no backend named 'ipc'; known: absent, faulty, kiss-icp, open3d-gicp"),
+        ((), '[[contestant]]\nuse = "paper"\nkeyframe = 3\n', "no parameter named 'keyframe' (did you mean 'keyfram"),
+        (("--contestant", "non"), "", "no contestant named 'non' (did you mean 'none'?); known: none"),
+        (("--sequence", "bent"), "", "no sequence named 'bent'; known: straight"),
+        (("--resume", "--seed", "3"), "", "no seed named '3'; known: none"),
+    ],
+)
+@pytest.mark.parametrize("command", ["run", "report"])
+def test_unknown_names_end_with_the_known_ones_and_nothing_was_run(
+    evalkit, experiment, tmp_path, command, words, more, message
+):
+    folder = tmp_path / "out"
+    code, out, err = evalkit(command, experiment("none", more=more), "--out", folder, *words)
+    assert (code, out) == (2, "")
+    assert message in err.replace("\n", "")
+    assert not folder.exists()
+
+
+def test_an_experiment_that_is_not_there(evalkit, tmp_path):
+    code, _, err = evalkit("run", tmp_path / "absent.toml")
+    assert code == 2
+    assert "absent.toml: no such file" in err
+
+
+# --- run
+
+
+def test_a_failed_run_is_exit_code_1_and_a_plain_line_and_the_others_stand(evalkit, experiment, tmp_path):
+    code, out, err = evalkit("run", experiment("none", "raise"), "--out", tmp_path / "out", "-j", 2)
+    assert code == 1
+    assert out == "1 runs complete, 1 failed, 0 not possible here\n"
+    lines = sorted(err.splitlines())
+    assert len(lines) == 2
+    assert "\x1b" not in err
+    assert lines[0].startswith("[1/2] straight / ")
+    assert sum("straight / raise: failed (RuntimeError: lost the plot), " in line for line in lines) == 1
+    assert sum("straight / none: complete, " in line for line in lines) == 1
+
+
+def test_what_cannot_run_here_is_no_failure(evalkit, experiment, tmp_path):
+    path = experiment(more='[[contestant]]\nuse = "absent"\n')
+    code, out, err = evalkit("run", path, "--out", tmp_path / "out")
+    assert (code, out) == (0, "0 runs complete, 0 failed, 1 not possible here\n")
+    assert "not-installed (the library 'nowhere' is not installed; pip install nowhere)" in err
+
+
+def test_the_result_for_programs_is_alone_on_standard_output(evalkit, experiment, tmp_path):
+    code, out, _ = evalkit("run", experiment("none", "nan"), "--out", tmp_path / "out", "--json")
+    result = json.loads(out)
+    assert code == 1
+    assert result["page"] is None
+    assert [(row["contestant"], row["status"], row["seed"]) for row in result["runs"]] == [
+        ("none", "complete", None), ("nan", "failed", None),
+    ]  # fmt: skip
+    assert result["runs"][0]["scores"]["ate_rmse_m"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_results_folder_that_is_a_file_is_exit_code_2(evalkit, experiment, tmp_path):
+    (tmp_path / "out").touch()
+    code, _, err = evalkit("run", experiment("none"), "--out", tmp_path / "out")
+    assert code == 2
+    assert "cannot be written" in err
+    assert "name another folder with --out" in err
+
+
+# --- cut short
+
+
+def started(path, folder, *words, **how):
+    command = [sys.executable, "-c", "from evalkit.cli import main; main()", "run", path, "--out", folder, *words]
+    return subprocess.Popen(
+        list(map(str, command)),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        **how,
+    )
+
+
+@pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
+def test_an_interrupt_keeps_what_is_done_and_leaves_no_process(experiment, tmp_path, ending):
+    folder = tmp_path / "out"
+    process = started(experiment("none", "hang", "raise"), folder, "-j", "1")
+    deadline = time.monotonic() + 60.0
+    while not list(folder.glob("runs/straight-hang-*/steps.bin")) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.killpg(process.pid, ending)  # as a terminal does: to all in the foreground
+    _, err = process.communicate(timeout=60.0)
+    assert process.returncode not in (0, 2)
+    assert "interrupted; finished runs are kept: the same command with --resume goes on from here" in err
+    assert "Traceback" not in err
+    assert [run.parent.name.rsplit("-", 1)[0] for run in folder.glob("runs/*/run.json")] == ["straight-none"]
+    assert not list(folder.glob("runs/straight-raise-*"))
+    assert not [other for other in psutil.process_iter(["cmdline"]) if str(folder) in str(other.info["cmdline"])]
+
+
+def test_a_disk_that_fills_up_is_exit_code_2_and_a_message(experiment, tmp_path):
+    def small_disk():
+        resource.setrlimit(resource.RLIMIT_FSIZE, (2000, 2000))
+
+    process = started(experiment("none"), tmp_path / "out", preexec_fn=small_disk)
+    _, err = process.communicate(timeout=60.0)
+    assert process.returncode == 2
+    assert "cannot be written (File too large); free some space or name another folder with --out" in err
+    assert "Traceback" not in err
+
+
+# --- compare
+
+
+def box(x):
+    """What a lidar 8 x 4 m of walls around it sees, 180 beams to the front (m), at x on the middle line."""
+    angles = np.radians(np.arange(-90.0, 90.0))
+    with np.errstate(divide="ignore"):
+        return np.minimum((8.0 - x) / np.cos(angles), 2.0 / np.abs(np.sin(angles)))
+
+
+TRUE_X = 1.0 + 0.1 * np.arange(24)
+WHEEL_X = 1.0 + 0.11 * np.arange(24)  # wheels that are believed to be a tenth larger than they are
+
+
+@pytest.fixture
+def carmen(tmp_path):
+    """A CARMEN log with its true trajectory and relations, of a straight drive with wheels 10 % too small."""
+    lines, poses = [], []
+    for index, (x, wheel_x) in enumerate(zip(TRUE_X, WHEEL_X, strict=True)):
+        robot = f"{wheel_x} 0 0"
+        ranges = " ".join(f"{r:.4f}" for r in box(x))
+        lines.append(f"FLASER 180 {ranges} {robot} {robot} {100 + 0.1 * index:.6f} robot 0.5")
+        poses.append(f"{100 + 0.1 * index:.6f} {x} 0 0 0 0 0 1")
+    (tmp_path / "drive.log").write_text("\n".join(lines) + "\n")
+    (tmp_path / "true.tum").write_text("\n".join(poses) + "\n")
+    (tmp_path / "true.relations").write_text("100.0 101.0 1.0 0 0 0 0 0\n101.0 102.0 1.0 0 0 0 0 0\n")
+    return tmp_path / "drive.log"
+
+
+@pytest.mark.slow
+def test_a_carmen_log_is_compared_in_one_line(evalkit, carmen, tmp_path):
+    folder = tmp_path / "out"
+    code, out, _ = evalkit(
+        "compare", carmen, "--reference", tmp_path / "true.tum", "--relations", tmp_path / "true.relations",
+        "--backends", "wheel-odometry,paper", "--out", folder, "--json",
+    )  # fmt: skip
+    assert code == 0
+    result = json.loads(out)
+    assert Path(result["page"]) == folder / "index.html"
+    assert (folder / "index.html").stat().st_size > 10_000
+    wheels, paper = (row["scores"] for row in result["runs"])
+    assert wheels["relations_all_mean_m"] == pytest.approx(0.1, abs=1e-6)
+    assert paper["relations_all_mean_m"] < 0.05
+    assert paper["ate_rmse_m"] < 0.5 * wheels["ate_rmse_m"]
+    assert "--backends wheel-odometry,paper" in (folder / "results.json").read_text()
+
+
+def ros_bag(path):
+    """A ROS 1 bag of the same drive: /scan and /odom."""
+    rosbag1, typesys = pytest.importorskip("rosbags.rosbag1"), pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
+
+    def make(name, *values):
+        return store.types[name](*values)
+
+    def header(index, frame):
+        stamp = make("builtin_interfaces/msg/Time", 100 + index // 10, index % 10 * 100_000_000)
+        return make("std_msgs/msg/Header", index, stamp, frame)
+
+    def scan(index, x):
+        ranges, none = box(x).astype(np.float32), np.zeros(0, dtype=np.float32)
+        angles = (-math.pi / 2, math.radians(89.0), math.radians(1.0))
+        return make("sensor_msgs/msg/LaserScan", header(index, "base_link"), *angles, 0.0, 0.1, 0.1, 20.0, ranges, none)
+
+    def odom(index, x):
+        place = make("geometry_msgs/msg/Point", x, 0.0, 0.0), make("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0)
+        still = make("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
+        pose = make("geometry_msgs/msg/PoseWithCovariance", make("geometry_msgs/msg/Pose", *place), np.zeros(36))
+        twist = make(
+            "geometry_msgs/msg/TwistWithCovariance", make("geometry_msgs/msg/Twist", still, still), np.zeros(36)
+        )
+        return make("nav_msgs/msg/Odometry", header(index, "odom"), "base_link", pose, twist)
+
+    with rosbag1.Writer(path) as writer:
+        topics = {"/odom": "nav_msgs/msg/Odometry", "/scan": "sensor_msgs/msg/LaserScan"}
+        connections = {topic: writer.add_connection(topic, kind, typestore=store) for topic, kind in topics.items()}
+        for index, (x, wheel_x) in enumerate(zip(TRUE_X, WHEEL_X, strict=True)):
+            for topic, message in (("/odom", odom(index, float(wheel_x))), ("/scan", scan(index, float(x)))):
+                raw = store.serialize_ros1(message, topics[topic])
+                writer.write(connections[topic], (1000 + index) * 100_000_000, raw)
+
+
+@pytest.mark.slow
+def test_a_ros_bag_is_compared_in_one_line(evalkit, carmen, tmp_path):
+    ros_bag(tmp_path / "drive.bag")
+    code, out, _ = evalkit(
+        "compare", tmp_path / "drive.bag", "--topic", "/scan", "--reference", tmp_path / "true.tum",
+        "--backends", "paper,wheel-odometry", "--contestant", "paper", "--set", "every=2", "--out", tmp_path / "out",
+    )  # fmt: skip
+    assert code == 0
+    first, page = out.splitlines()
+    assert first == "1 runs complete, 0 failed, 0 not possible here"
+    assert Path(page) == tmp_path / "out" / "index.html"
+    trial = json.loads((tmp_path / "out" / "results.json").read_text())["trials"][0]
+    assert (trial["scans_answered"], trial["dataset_parameters"]["every"]) == (12, 2)
+    assert trial["scores"]["ate_rmse_m"]["value"] < 0.05
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("absent.bag",), "absent.bag: no such file or folder; give the path of a bag or a log"),
+        (("drive.log", "--set", "every"), "--set: found 'every', expected NAME=VALUE"),
+        (("drive.log", "--set", "every=x"), "parameter 'every': found 'x', expected int (take every n-th scan)"),
+        (("drive.log", "--backends", "papr"), "no backend named 'papr' (did you mean 'paper'?)"),
+        (("drive.log", "--backends", "paper", "--topic", "/scan"), "no parameter named 'topic'"),
+    ],
+)
+def test_a_comparison_that_cannot_be_is_refused_before_anything_runs(
+    evalkit, carmen, tmp_path, monkeypatch, words, message
+):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = evalkit("compare", *words)
+    assert code == 2
+    assert message in err.replace("\n", "")
+    assert not Path("reports").exists()
