@@ -68,6 +68,11 @@ def test_every_shipped_name_leads_to_its_spec(kind, load, spec):
     assert all(isinstance(load(name), spec) for name in names)
 
 
+def test_names_are_sorted_however_packages_list_them(points):
+    points += [EntryPoint(name, "nowhere:SPEC", "evalkit.mappers") for name in ("b", "c", "a")]
+    assert registry.names("mappers") == ["a", "b", "c"]
+
+
 def test_an_unknown_name_lists_the_known_and_the_near_one():
     with pytest.raises(
         UnknownName, match=r"no backend named 'wheel-odometri' \(did you mean 'wheel-odometry'\?\)"
