@@ -1,11 +1,12 @@
 """Wheel odometry alone: what every other back end has to beat.
 
-The adapter changes nothing but the frame: the first pose becomes the identity.
+The adapter changes nothing but the frame, the first pose becomes the identity, and bridges gaps in the odometry by
+standing still until the wheels are heard again.
 """
 
 from __future__ import annotations
 
-from evalkit.errors import BadData
+from evalkit.errors import DataMissing
 from evalkit.protocols import BackendSpec
 from evalkit.types import Frame, Pose
 
@@ -15,20 +16,24 @@ class WheelOdometry:
 
     def __init__(self) -> None:
         self._odom_from_start: Pose | None = None
+        self._start_from_base = Pose()
 
     def update(self, frame: Frame) -> Pose:
-        """``start_from_base`` when the first beam was fired; BadData where the recording has no odometry for it."""
-        if frame.odom_from_base is None:
-            raise BadData(
+        """``start_from_base`` when the first beam was fired; the last answer again in a gap of the odometry.
+
+        DataMissing where the recording begins without odometry.
+        """
+        if frame.odom_from_base is not None:
+            if self._odom_from_start is None:
+                self._odom_from_start = frame.odom_from_base
+            self._start_from_base = self._odom_from_start.inverse() @ frame.odom_from_base
+        elif self._odom_from_start is None:
+            raise DataMissing(
                 "wheel-odometry",
-                f"scan at {frame.scan.stamp_ns} ns",
-                "the recording has no wheel odometry here",
-                "leave wheel-odometry out for this sequence",
+                "the recording has no wheel odometry at its first scan",
+                "there is no bar to beat here",
             )
-        if self._odom_from_start is None:
-            self._odom_from_start = frame.odom_from_base
-            return Pose()
-        return self._odom_from_start.inverse() @ frame.odom_from_base
+        return self._start_from_base
 
 
 SPEC = BackendSpec(
