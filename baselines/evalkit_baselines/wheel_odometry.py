@@ -26,7 +26,8 @@ class WheelOdometry:
         if frame.odom_from_base is not None:
             if self._odom_from_start is None:
                 self._odom_from_start = frame.odom_from_base
-            self._start_from_base = self._odom_from_start.inverse() @ frame.odom_from_base
+            else:
+                self._start_from_base = self._odom_from_start.inverse() @ frame.odom_from_base
         elif self._odom_from_start is None:
             raise DataMissing(
                 "wheel-odometry",
