@@ -5,6 +5,8 @@ Listing names imports nothing; loading one name imports only the module it stand
 
 from __future__ import annotations
 
+import sys
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from types import FunctionType
 from typing import TypeVar
@@ -55,6 +57,11 @@ def score_fingerprint(mapper: str) -> str:
 
 
 def _found(kind: str) -> dict[str, EntryPoint]:
+    return _listed(kind, tuple(sys.path))
+
+
+@cache  # looking through every installed package takes 30 ms, and a plan asks hundreds of times
+def _listed(kind: str, _path: tuple[str, ...]) -> dict[str, EntryPoint]:
     return {point.name: point for point in entry_points(group=f"evalkit.{kind}")}
 
 

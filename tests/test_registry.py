@@ -36,7 +36,9 @@ def points(monkeypatch):
     """Entry points that are all there is."""
     known = []
     monkeypatch.setattr(registry, "entry_points", lambda group: [p for p in known if p.group == group])
-    return known
+    registry._listed.cache_clear()
+    yield known
+    registry._listed.cache_clear()
 
 
 def test_importing_evalkit_loads_nothing_heavy():
