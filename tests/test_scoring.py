@@ -100,6 +100,14 @@ def test_the_mapper_gets_so_many_scans_evenly_and_each_half_of_them_again(straig
     assert (first, second) == (whole[:2], whole[2:])
 
 
+def test_a_scan_without_an_answer_is_not_drawn_and_shifts_no_other(straight, listener):
+    run = perfect()
+    answered = np.delete(run.steps, 4)
+    scoring.score(Run("b", "s", "complete", "", answered, SCANS), straight, listener, 400)
+    assert [scan.stamp_ns for scan, _ in listener[0].scans] == answered["stamp_ns"].tolist()
+    assert [pose.x for _, pose in listener[0].scans] == pytest.approx((1.0 + answered["x"]).tolist())
+
+
 def test_a_run_that_broke_off_is_scored_as_far_as_it_came(straight, listener):
     x = 0.1 * np.arange(4)
     scored = scoring.score(run_of(x, status="crashed", reason="signal"), straight, listener, 400)

@@ -213,7 +213,7 @@ SPEC = BackendSpec(
         Parameter("initial_threshold_m", 2.0, "m", "three times this is the first largest distance of a pair", 1e-3),
         Parameter("min_motion_m", 0.1, "m", "corrections below this do not adapt the threshold", 0.0),
         Parameter("max_iterations", 500, "", "most iterations", 1),
-        Parameter("convergence_m", 1e-4, "", "stop where a step is smaller (norm of metres and radians)", 0.0),
+        Parameter("convergence_m", 1e-4, "m", "stop where a step is smaller (norm of its metres and radians)", 0.0),
         Parameter("min_points", 10, "", "a scan of fewer points is not registered; the prediction is kept", 1),
     ),
     missing=kiss_icp_missing,

@@ -1,0 +1,146 @@
+"""The whole path: an experiment file in, a report with believable numbers out, and the same numbers again."""
+
+import csv
+import json
+import math
+import signal
+
+import numpy as np
+import pytest
+
+from evalkit import cli, registry
+from evalkit.store import Store
+from evalkit_datasets import mapserver, tum
+
+pytestmark = pytest.mark.slow
+
+LAPS = 0.12  # 2.8 m and a turn: far enough for the wheels to be wrong
+CONTESTANTS = ("wheel-odometry", "paper", "open3d-icp", "kiss-icp")
+HERE = [name for name in CONTESTANTS if not registry.backend(name).missing()]
+
+
+def experiment(path, contestants, laps):
+    rows = "".join(f'[[contestant]]\nuse = "{name}"\n' for name in contestants)
+    wheels = "odometry_scale = 0.1\ngyro_bias_dps = 2.0\n"
+    course = f'[[sequence]]\nuse = "room"\nlaps = {laps}\nspeed_mps = 0.5\n{wheels}seeds = [1]\n'
+    path.write_text(f'title = "A small one"\n{rows}[mapper]\nscans = 40\n{course}')
+    return path
+
+
+def evalkit(*words):
+    """Exit code of a command of evalkit in this process."""
+    handler = signal.getsignal(signal.SIGTERM)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("sys.argv", ["evalkit", *map(str, words)])
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+    signal.signal(signal.SIGTERM, handler)
+    return ended.value.code
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A finished report's folder."""
+    root = tmp_path_factory.mktemp("report")
+    assert evalkit("report", experiment(root / "small.toml", CONTESTANTS, LAPS), "--out", root / "out") == 0
+    return root / "out"
+
+
+@pytest.fixture(scope="module")
+def results(folder):
+    return json.loads((folder / "results.json").read_text(encoding="utf-8"))
+
+
+@pytest.fixture
+def trials(results):
+    return {trial["contestant"]: trial for trial in results["trials"]}
+
+
+def test_every_contestant_is_in_the_page_and_complete_or_says_why_not(folder, trials):
+    page = (folder / "index.html").read_text(encoding="utf-8")
+    assert "A small one" in page
+    assert list(trials) == list(CONTESTANTS)
+    for name, trial in trials.items():
+        assert name in page
+        assert trial["status"] == ("complete" if name in HERE else "not-installed")
+        assert bool(trial["reason"]) == (name not in HERE)
+
+
+def test_the_page_needs_nothing_from_anywhere_else(folder):
+    page = (folder / "index.html").read_text(encoding="utf-8")
+    assert not any(f'{word}="http' in page for word in ("src", "srcset", "xlink:href"))
+    assert "<link " not in page
+
+
+def test_the_results_keep_to_their_schema(folder, results):
+    schema = json.loads((folder / "results.schema.json").read_text(encoding="utf-8"))
+    jsonschema = pytest.importorskip("jsonschema")
+    jsonschema.Draft202012Validator(schema).validate(results)
+
+
+def test_every_number_is_finite_and_every_absent_one_has_a_reason(trials):
+    for name in HERE:
+        scores = trials[name]["scores"]
+        assert scores
+        for metric, score in scores.items():
+            if score["value"] is None:
+                assert score["reason"], metric
+                assert "could not be computed" not in score["reason"], metric
+            else:
+                assert math.isfinite(score["value"]), metric
+
+
+def test_scan_matching_beats_wheels_that_are_wrong(trials):
+    wheels = trials["wheel-odometry"]["scores"]["ate_rmse_m"]["value"]
+    assert wheels > 0.03
+    for name in set(HERE) - {"wheel-odometry"}:
+        assert trials[name]["scores"]["ate_rmse_m"]["value"] < min(0.04, 0.7 * wheels), name
+
+
+def test_the_tables_for_programs_have_a_row_for_every_run(folder, trials):
+    for name in ("trials.csv", "scores.csv", "summary.csv"):
+        with (folder / name).open(encoding="utf-8", newline="") as file:
+            rows = list(csv.DictReader(file))
+        assert {row["contestant"] for row in rows} >= set(HERE), name
+    assert {row["contestant"] for row in csv.DictReader((folder / "trials.csv").open(encoding="utf-8"))} == set(trials)
+
+
+@pytest.mark.parametrize("name", HERE)
+def test_the_trajectory_for_other_tools_is_the_runs_own(folder, trials, name):
+    key = trials[name]["key"]
+    run = Store(folder).load_run(key)
+    read = tum.read(folder / "trajectories" / f"{key}.tum").trajectory
+    assert np.array_equal(read.stamps_ns, run.steps["stamp_ns"])
+    assert np.allclose(read.poses, run.estimate.poses, atol=1e-8)
+    assert len(read) == trials[name]["scans_answered"] == trials[name]["scans_expected"]
+
+
+def test_the_map_for_other_tools_has_the_runs_walls(folder, trials):
+    key = trials["paper"]["key"]
+    grid = Store(folder).load_scores(key)["grid"]
+    read = mapserver.read(folder / "maps" / f"{key}.yaml")
+    assert read.shape == grid.shape
+    assert (read.resolution_m, read.origin_x, read.origin_y) == (grid.resolution_m, grid.origin_x, grid.origin_y)
+    assert np.array_equal(read.occupied(), grid.occupied())
+
+
+def test_resuming_a_finished_report_runs_nothing_and_says_the_same(folder, results):
+    before = {path: path.stat().st_mtime_ns for path in folder.glob("runs/*/*")}
+    file = folder.parent / "small.toml"
+    assert evalkit("report", file, "--out", folder, "--resume") == 0
+    assert {path: path.stat().st_mtime_ns for path in folder.glob("runs/*/*")} == before
+    again = json.loads((folder / "results.json").read_text(encoding="utf-8"))
+    assert again["trials"] == results["trials"]
+
+
+def test_the_same_inputs_give_the_same_numbers(folder, results, tmp_path):
+    """All but what is measured in seconds or bytes, to the bit, one at a time or two."""
+    again_too = ("paper", "wheel-odometry")
+    chosen = [word for name in again_too for word in ("--contestant", name)]
+    assert evalkit("run", folder.parent / "small.toml", "--out", tmp_path / "out", "-j", "1", *chosen) == 0
+    timed = {metric["name"] for metric in results["metrics"] if metric["group"] == "runtime"}
+    for trial in (trial for trial in results["trials"] if trial["contestant"] in again_too):
+        again = Store(tmp_path / "out").load_scores(trial["key"])
+        ours = {name: score["value"] for name, score in trial["scores"].items() if name not in timed}
+        assert {name: score.value for name, score in again["scores"].items() if name not in timed} == ours
+    assert timed

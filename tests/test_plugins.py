@@ -1,0 +1,201 @@
+"""What every shipped plug-in must do, whatever it is: the contract of its seam."""
+
+import math
+from importlib.metadata import entry_points
+
+import numpy as np
+import pytest
+
+from evalkit import frontend, registry
+from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter, resolved
+from evalkit.types import Pose, Scan
+
+SHIPPED = ("evalkit_baselines", "evalkit_datasets")
+
+
+def shipped(kind):
+    """The names evalkit itself brings; strangers' plug-ins keep their own promises."""
+    found = entry_points(group=f"evalkit.{kind}")
+    return sorted(point.name for point in found if point.value.startswith(SHIPPED))
+
+
+BACKENDS, MAPPERS, DATASETS = (shipped(kind) for kind in ("backends", "mappers", "datasets"))
+SYNTHETIC = [name for name in DATASETS if registry.dataset(name).seeded]
+
+
+def course(name, **parameters):
+    spec = registry.dataset(name)
+    return spec.make(**resolved(name, spec.parameters, parameters))
+
+
+@pytest.fixture(scope="module")
+def drive():
+    """2.1 m of the room in 40 scans without noise, its frames and truth; only the wheels are wrong, by up to 10 cm."""
+    return course(
+        "room", laps=0.09, speed_mps=0.5, noise_m=0.0, dropout=0.0, odometry_scale=0.1, gyro_bias_dps=2.0, seed=1
+    )
+
+
+def made(name):
+    spec = registry.backend(name)
+    if why := spec.missing():
+        pytest.skip(why)
+    return frontend.odometry(spec, frontend.complete_parameters(name, spec, {}))
+
+
+def driven(name, sequence):
+    contestant = made(name)
+    return np.array([contestant.update(frame).row for frame in sequence.frames()])
+
+
+def seen_from_start(sequence):
+    poses = sequence.truth().trajectory
+    return poses.moved(Pose.of(poses.poses[0]).inverse()).poses
+
+
+def farthest_m(poses, true):
+    return np.linalg.norm(poses[:, :2] - true[:, :2], axis=1).max()
+
+
+@pytest.fixture(scope="module")
+def wheels_m(drive):
+    return farthest_m(driven("wheel-odometry", drive), seen_from_start(drive))
+
+
+# --- back ends
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_a_back_end_starts_at_the_identity_follows_and_says_the_same_again(name, drive, wheels_m):
+    poses = driven(name, drive)
+    assert poses[0].tolist() == [0.0, 0.0, 0.0]
+    assert np.array_equal(poses, driven(name, drive))
+    if registry.backend(name).role != "bar":
+        assert farthest_m(poses, seen_from_start(drive)) < min(0.05, wheels_m)
+
+
+def test_the_bar_is_one_that_can_be_beaten(wheels_m):
+    assert wheels_m > 0.05
+    assert [name for name in BACKENDS if registry.backend(name).role == "bar"] == ["wheel-odometry"]
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_a_back_end_writes_into_nothing_it_is_given(name):
+    contestant = made(name)
+    frame = next(course("room", laps=0.02).frames())
+    before = frame.scan.ranges.copy(), frame.scan.angles.copy()
+    contestant.update(frame)
+    contestant.update(frame)
+    assert not frame.scan.ranges.flags.writeable
+    assert np.array_equal(frame.scan.ranges, before[0], equal_nan=True)
+    assert np.array_equal(frame.scan.angles, before[1])
+
+
+@pytest.mark.parametrize("name", BACKENDS)
+def test_two_instances_know_nothing_of_each_other(name, drive):
+    frames = [frame for frame, _ in zip(drive.frames(), range(6), strict=False)]
+    alone, one, other = made(name), made(name), made(name)
+    expected = [alone.update(frame) for frame in frames]
+    for index, frame in enumerate(frames):
+        assert one.update(frame) == expected[index]
+        other.update(frames[-1 - index])
+
+
+# --- specs
+
+
+SPECS = [
+    *(("backends", name, BackendSpec) for name in BACKENDS),
+    *(("mappers", name, MapperSpec) for name in MAPPERS),
+    *(("datasets", name, DatasetSpec) for name in DATASETS),
+]
+
+
+@pytest.mark.parametrize(("kind", "name", "of"), SPECS)
+def test_a_spec_tells_what_it_is_and_what_every_parameter_means(kind, name, of):
+    spec = registry.load(kind, name, of)
+    assert spec.summary
+    assert spec.citation
+    assert spec.licence
+    names = [parameter.name for parameter in spec.parameters]
+    assert len(set(names)) == len(names)
+    for parameter in spec.parameters:
+        assert isinstance(parameter, Parameter)
+        assert parameter.meaning, parameter.name
+        assert parameter.checked(name, parameter.default) == parameter.default
+        suffixed = parameter.name.rsplit("_", 1)[-1]
+        expected = {"m": "m", "deg": "deg", "hz": "Hz", "mps": "m/s", "dps": "deg/s", "s": "s"}
+        assert parameter.unit == expected.get(suffixed, parameter.unit), parameter.name
+
+
+def test_every_shipped_name_is_found():
+    assert len(BACKENDS) >= 9
+    assert MAPPERS
+    assert set(SYNTHETIC) == {"room", "lab", "loop", "corridor", "office"}
+
+
+# --- mappers
+
+
+@pytest.mark.parametrize("name", MAPPERS)
+def test_a_mapper_frees_the_cells_before_the_end_of_a_beam_and_fills_its_end(name):
+    spec = registry.mapper(name)
+    mapper = spec.make(**resolved(name, spec.parameters, {"resolution_m": 0.1}))
+    beam = Scan(0, [1.0], [0.0], 0.1, 10.0)
+    mapper.update(beam, Pose(0.05, 2.05, math.pi / 2))  # up the column of cells at x = 0
+    grid = mapper.grid()
+    assert grid.centres(grid.occupied(0.5)).tolist() == [pytest.approx([0.05, 3.05])]
+    expected = [[0.05, 2.05 + 0.1 * k] for k in range(10)]
+    assert np.allclose(grid.centres(grid.free(0.5)), expected)
+    assert int(grid.observed.sum()) == 11
+
+
+# --- data sets
+
+
+def small(name, seed):
+    return course(name, laps=0.03, seed=seed)
+
+
+def bits(sequence):
+    return [
+        (frame.scan.stamp_ns, frame.scan.ranges.tobytes(), frame.odom_from_base, frame.start_from_end)
+        for frame in sequence.frames()
+    ]
+
+
+@pytest.mark.parametrize("name", SYNTHETIC)
+def test_a_synthetic_sequence_is_the_same_again_and_another_with_another_seed(name):
+    sequence = small(name, 3)
+    first = bits(sequence)
+    assert len(first) == len(sequence) > 10
+    assert bits(sequence) == bits(small(name, 3)) == first
+    assert bits(small(name, 4)) != first
+    assert np.array_equal(small(name, 4).truth().trajectory.poses, sequence.truth().trajectory.poses)
+
+
+@pytest.mark.parametrize("name", SYNTHETIC)
+def test_a_synthetic_sequence_is_in_order_and_its_truth_is_known_at_every_scan(name):
+    sequence = small(name, 0)
+    stamps = [frame.scan.stamp_ns for frame in sequence.frames()]
+    assert (np.diff(stamps) > 0).all()
+    assert sequence.truth().trajectory.stamps_ns.tolist() == stamps
+    assert sequence.truth().grid.occupied().any()
+    assert all(frame.odom_from_base is not None for frame in sequence.frames())
+
+
+@pytest.mark.parametrize("name", sorted(set(DATASETS) - set(SYNTHETIC)))
+def test_a_recording_is_the_same_again_and_in_order_or_says_how_to_get_it(name):
+    spec = registry.dataset(name)
+    if spec.suffixes:
+        assert "path" in {parameter.name for parameter in spec.parameters}
+        return
+    parameters = resolved(name, spec.parameters, {"limit": 20})
+    if why := spec.missing(**parameters):
+        assert "evalkit" in why or "EVALKIT_DATA" in why
+        pytest.skip(why)
+    sequence = spec.make(**parameters)
+    first = bits(sequence)
+    assert len(first) == len(sequence) == 20
+    assert (np.diff([stamp for stamp, *_ in first]) > 0).all()
+    assert bits(sequence) == first
