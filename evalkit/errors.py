@@ -82,6 +82,17 @@ class NotInstalled(EvalkitError):
         return f"{name}: {why}; {remedy}"
 
 
+class BackendFailed(EvalkitError):
+    """Somebody else's implementation that cannot go on: ``BackendFailed(name, what, remedy)``."""
+
+    def __init__(self, name: str, what: str, remedy: str) -> None:
+        super().__init__(name, what, remedy)
+
+    def __str__(self) -> str:
+        name, what, remedy = self.args
+        return f"{name}: {what}; {remedy}"
+
+
 class StoreError(EvalkitError):
     """A results folder that cannot be written or read: ``StoreError(path, what, remedy)``."""
 

@@ -28,8 +28,15 @@ class Odometry(Protocol):
     """Follows a sensor through one sequence; a fresh object per sequence."""
 
     def update(self, frame: Frame) -> Pose:
-        """``start_from_base`` when the frame's first beam was fired; the first answer is the identity."""
+        """``start_from_base`` when the frame's first beam was fired; the first answer is the identity.
+
+        May raise NoAnswer and go on with the next frame.
+        """
         ...
+
+
+class NoAnswer(Exception):
+    """No error: the scan counts as not answered, and the text says why. Who leaves out too many has failed."""
 
 
 class Mapper(Protocol):
@@ -138,7 +145,8 @@ class BackendSpec:
     "odometry" (``make`` gives an Odometry). ``frontend``: front-end settings this back end wants other than the
     defaults. ``scan_to_scan``: its own parameters that differ in the first stage. ``guess``: what it starts from, for
     the report. ``role``: "paper" for the method evalkit itself stands for, "bar" for what all others have to beat.
-    ``missing()`` says why it cannot run here and how to mend it, or "".
+    ``missing()`` says why it cannot run here and how to mend it, or "". ``digest``: changes with what it consists of
+    beyond its Python sources (a shared library, a program, a file of results).
     """
 
     make: Callable[..., Any]
@@ -153,6 +161,7 @@ class BackendSpec:
     frontend: Mapping[str, Value] = field(default_factory=dict)
     scan_to_scan: Mapping[str, Value] = field(default_factory=dict)
     missing: Callable[[], str] = nothing_missing
+    digest: str = ""
 
 
 @dataclass(frozen=True)

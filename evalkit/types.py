@@ -324,12 +324,15 @@ class Match:
 STEP = np.dtype(
     [
         ("stamp_ns", "i8"), ("x", "f8"), ("y", "f8"), ("theta", "f8"),
-        ("wall_ns", "i8"), ("cpu_ns", "i8"), ("conversion_ns", "i8"), ("harness_ns", "i8"),
+        ("wall_ns", "i8"), ("cpu_ns", "i8"), ("conversion_ns", "i8"), ("harness_ns", "i8"), ("device_ns", "i8"),
         ("s2s_error", "f8"), ("s2s_iterations", "i4"), ("s2s_inliers", "i4"),
         ("s2m_error", "f8"), ("s2m_iterations", "i4"), ("s2m_inliers", "i4"),
     ]
 )  # fmt: skip
-"""One scan of a run: answer ``start_from_base``, cost in ns, residuals in m (nan where a stage does not exist)."""
+"""One scan of a run: answer ``start_from_base``, cost in ns, residuals in m (nan where a stage does not exist).
+
+``device_ns`` is what the back end itself says it took; a cost of 0 is one nobody measured.
+"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,11 +5,13 @@ Every scan's answer is on disk before the next scan begins, so whatever ends thi
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import sys
 import time
 import traceback
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -18,12 +20,15 @@ import numpy as np
 
 from evalkit import frontend, registry
 from evalkit.clock import Timing, timed
-from evalkit.errors import BadData, DataMissing, EvalkitError, NotInstalled
-from evalkit.protocols import Odometry, Sequence, Value
+from evalkit.errors import BackendFailed, BadData, DataMissing, EvalkitError, NotInstalled
+from evalkit.protocols import NoAnswer, Odometry, Sequence, Value
 from evalkit.types import STEP, Frame, Match, Pose, Status
 
 WARM_UP_SCANS = 5
 """Scans shown to a back end of its own before the clock starts; their cost is in no number."""
+
+LEAST_ANSWERED = 0.95
+"""Who leaves out more of the scans than this share has not followed the sequence: the run has failed."""
 
 
 @dataclass(frozen=True)
@@ -98,7 +103,7 @@ def perform(request: Request, folder: Path) -> Outcome:
         contestant = frontend.odometry(spec, request.backend_parameters, residuals.hear)
         _leave(folder / "begun.json", {"expected": expected, "warm_up_scans": warm})
         with (folder / "steps.bin").open("ab", buffering=0) as file:
-            _follow(contestant, sequence, request.dataset, residuals, file)
+            _follow(contestant, sequence, request, residuals, file)
         notes = dict(sequence.notes())
     except NotInstalled as error:
         status, reason = "not-installed", str(error)
@@ -125,27 +130,43 @@ def _warm_up(contestant: Odometry, sequence: Sequence) -> int:
     """How many scans a back end of its own saw: imports, first allocations and thread pools are paid here."""
     seen = 0
     for frame in sequence.frames():
-        contestant.update(frame)
+        with contextlib.suppress(NoAnswer):
+            contestant.update(frame)
         seen += 1
         if seen == WARM_UP_SCANS:
             break
     return seen
 
 
-def _follow(contestant: Odometry, sequence: Sequence, dataset: str, residuals: Residuals, steps: BinaryIO) -> None:
+def _follow(contestant: Odometry, sequence: Sequence, request: Request, residuals: Residuals, steps: BinaryIO) -> None:
     """Asks the back end for every scan; a record's ``harness_ns`` is what the harness took around the scan before."""
-    around = 0
+    around = asked = 0
+    unanswered: list[str] = []
+    for frame in _in_order(sequence, request.dataset):
+        begun = time.perf_counter_ns()
+        asked += 1
+        residuals.clear()
+        try:
+            pose, timing = timed(lambda frame=frame: contestant.update(frame))  # type: ignore[misc]
+        except NoAnswer as reason:
+            unanswered.append(str(reason))
+            continue
+        steps.write(_record(frame, pose, timing, residuals, around))
+        around = time.perf_counter_ns() - begun - timing.wall_ns
+    if len(unanswered) > (1.0 - LEAST_ANSWERED) * asked:
+        what = f"no answer for {len(unanswered)} of {asked} scans"
+        raise BackendFailed(request.backend, what, f"why the last time: {unanswered[-1]}")
+
+
+def _in_order(sequence: Sequence, dataset: str) -> Iterator[Frame]:
+    """The frames; BadData where their stamps do not increase."""
     last_ns: int | None = None
     for index, frame in enumerate(sequence.frames()):
-        begun = time.perf_counter_ns()
         if last_ns is not None and frame.scan.stamp_ns <= last_ns:
             found = f"stamp {frame.scan.stamp_ns} ns is not later than the one before, {last_ns} ns"
             raise BadData(dataset, f"scan {index + 1}", found, "give the scans in the order of time")
         last_ns = frame.scan.stamp_ns
-        residuals.clear()
-        pose, timing = timed(lambda frame=frame: contestant.update(frame))  # type: ignore[misc]
-        steps.write(_record(frame, pose, timing, residuals, around))
-        around = time.perf_counter_ns() - begun - timing.wall_ns
+        yield frame
 
 
 def _record(frame: Frame, pose: object, timing: Timing, residuals: Residuals, around_ns: int) -> bytes:
@@ -157,7 +178,7 @@ def _record(frame: Frame, pose: object, timing: Timing, residuals: Residuals, ar
     record["stamp_ns"] = frame.scan.stamp_ns
     record["x"], record["y"], record["theta"] = pose.x, pose.y, pose.theta
     record["wall_ns"], record["cpu_ns"], record["conversion_ns"] = timing.wall_ns, timing.cpu_ns, timing.conversion_ns
-    record["harness_ns"] = around_ns
+    record["harness_ns"], record["device_ns"] = around_ns, timing.device_ns
     for name, value in residuals.row.items():
         record[name] = value
     return record.tobytes()
