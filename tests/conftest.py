@@ -3,18 +3,25 @@
 from __future__ import annotations
 
 import os
+import platform
+import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
 
 import numpy as np
 import pytest
 
+from evalkit import frontend, registry
 from evalkit.metrics.table import Group, Metric
-from evalkit.protocols import Published
+from evalkit.protocols import DatasetSpec, Published
 from evalkit.report import Comparison, ContestantCard, SequenceCard, Setting
-from evalkit.types import STEP, OccupancyGrid, Pose, Run, Score, Status, Trajectory, Trial, Truth
+from evalkit.store import read_steps
+from evalkit.types import STEP, Frame, OccupancyGrid, Pose, Run, Scan, Score, Status, Trajectory, Trial, Truth
+from evalkit.worker import Outcome, Request, perform
 
 Build = Callable[..., Comparison]
 
@@ -233,3 +240,51 @@ def strangers() -> Iterator[None]:
         patch.syspath_prepend(folder)
         patch.setenv("PYTHONPATH", os.pathsep.join(filter(None, [str(folder), os.environ.get("PYTHONPATH", "")])))
         yield
+
+
+class SquareRoom:
+    """A 5 m square room, 40 scans of 180 beams, 100 ms apart, 4 cm further each; wheels that drift half a cm a scan."""
+
+    stamps_ns = np.arange(40) * 100_000_000
+    drift_m = 0.005 * np.arange(40)
+    truth = np.stack([0.04 * np.arange(40), np.zeros(40), 0.01 * np.arange(40)], axis=1)
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    def frames(self) -> Iterator[Frame]:
+        """The frames; the sensor is the base."""
+        angles = np.linspace(-3.1, 3.1, 180)
+        for index, (x, y, theta) in enumerate(self.truth.tolist()):
+            cos, sin = np.cos(angles + theta), np.sin(angles + theta)
+            ranges = np.minimum((2.5 - np.sign(cos) * x) / np.abs(cos), (2.5 - np.sign(sin) * y) / np.abs(sin))
+            scan = Scan(int(self.stamps_ns[index]), ranges, angles, 0.1, 10.0)
+            yield Frame(scan, odom_from_base=Pose(x + self.drift_m[index], y, theta))
+
+    def notes(self) -> dict[str, int]:
+        """Nothing."""
+        return {}
+
+
+@pytest.fixture
+def followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """``followed(name, **parameters)``: outcome and steps of a back end in a square room, in this process."""
+    room = DatasetSpec(SquareRoom, "", "", "", "", "")  # type: ignore[arg-type]  # nobody asks for its truth
+
+    def follow(name: str, **parameters: Any) -> tuple[Outcome, Any]:
+        complete = frontend.complete_parameters(name, registry.backend(name), parameters)
+        folder = Path(mkdtemp(dir=tmp_path))
+        with monkeypatch.context() as patched:
+            patched.setattr(registry, "dataset", lambda _name: room)
+            outcome = perform(Request(name, complete, "square", {}), folder)
+        return outcome, read_steps(folder / "steps.bin")
+
+    follow.truth, follow.drift_m = SquareRoom.truth, SquareRoom.drift_m  # type: ignore[attr-defined]
+    return follow
+
+
+@pytest.fixture
+def foreign_elf() -> bytes:
+    """The head of a shared library for a machine that this one is not: 64-bit RISC-V, or ARM on such."""
+    number = 0xB7 if platform.machine() == "riscv64" else 0xF3
+    return b"\x7fELF\x02\x01\x01" + bytes(9) + struct.pack("<HH", 3, number) + bytes(44)

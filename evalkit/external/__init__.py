@@ -1,0 +1,6 @@
+"""Somebody else's implementation as a contestant: a shared library, a program, or poses computed elsewhere."""
+
+from pathlib import Path
+
+INCLUDE = Path(__file__).parent
+"""The folder of ``evalkit_backend.h``, for the compiler's ``-I``."""

@@ -1,0 +1,101 @@
+"""The C interface of ``evalkit_backend.h`` in ctypes, checked when a library is loaded."""
+
+from __future__ import annotations
+
+import ctypes
+from ctypes import CFUNCTYPE, POINTER, c_char_p, c_double, c_int32, c_int64, c_size_t, c_void_p
+from pathlib import Path
+from typing import ClassVar, Literal
+
+from evalkit.errors import BackendFailed
+
+VERSION = 1
+
+KINDS: dict[int, Literal["registration", "odometry"]] = {1: "registration", 2: "odometry"}
+
+
+class Pose(ctypes.Structure):
+    """``evalkit_pose``."""
+
+    _fields_: ClassVar = [("x", c_double), ("y", c_double), ("theta", c_double)]
+    x: float
+    y: float
+    theta: float
+
+
+class Match(ctypes.Structure):
+    """``evalkit_match``."""
+
+    _fields_: ClassVar = [
+        ("target_from_source", Pose), ("error_m", c_double),
+        ("converged", c_int32), ("iterations", c_int32), ("inliers", c_int32),
+    ]  # fmt: skip
+    target_from_source: Pose
+    error_m: float
+    converged: int
+    iterations: int
+    inliers: int
+
+
+class Frame(ctypes.Structure):
+    """``evalkit_frame``."""
+
+    _fields_: ClassVar = [
+        ("stamp_ns", c_int64), ("time_increment_ns", c_int64),
+        ("ranges", POINTER(c_double)), ("angles", POINTER(c_double)), ("beams", c_size_t),
+        ("range_min_m", c_double), ("range_max_m", c_double),
+        ("base_from_sensor", Pose), ("odom_from_base", POINTER(Pose)), ("start_from_end", POINTER(Pose)),
+    ]  # fmt: skip
+
+
+Trace = CFUNCTYPE(None, c_void_p, c_double, c_int32, POINTER(Pose))
+
+_COMMON: dict[str, tuple[object, list[object]]] = {
+    "evalkit_create": (c_void_p, [POINTER(c_char_p), POINTER(c_char_p), c_size_t]),
+    "evalkit_destroy": (None, [c_void_p]),
+}
+_CALLS: dict[str, tuple[str, list[object]]] = {
+    "registration": (
+        "evalkit_register",
+        [c_void_p, POINTER(c_double), c_size_t, POINTER(c_double), c_size_t, POINTER(Pose), Trace, c_void_p,
+         POINTER(Match)],
+    ),
+    "odometry": ("evalkit_update", [c_void_p, POINTER(Frame), POINTER(Pose)]),
+}  # fmt: skip
+_OPTIONAL: dict[str, tuple[object, list[object]]] = {
+    "evalkit_summary": (c_char_p, []),
+    "evalkit_parameters": (c_char_p, []),
+    "evalkit_last_error": (c_char_p, [c_void_p]),
+}
+
+
+def load(name: str, file: Path) -> ctypes.CDLL:
+    """The library with all its functions typed; BackendFailed names what does not fit the interface."""
+    try:
+        library = ctypes.CDLL(str(file))
+    except OSError as error:
+        raise BackendFailed(name, f"does not load ({error})", "build it for this machine, with all it needs") from None
+    _need(name, library, "evalkit_abi", c_int32, [])
+    if (found := library.evalkit_abi()) != VERSION:
+        remedy = "compile it with the evalkit_backend.h of this evalkit"
+        raise BackendFailed(name, f"has version {found} of the interface, expected {VERSION}", remedy)
+    _need(name, library, "evalkit_kind", c_int32, [])
+    if (kind := library.evalkit_kind()) not in KINDS:
+        raise BackendFailed(name, f"evalkit_kind answered {kind}", "expected 1 (registration) or 2 (odometry)")
+    for function, (result, arguments) in _COMMON.items():
+        _need(name, library, function, result, arguments)
+    call, arguments = _CALLS[KINDS[kind]]
+    _need(name, library, call, c_int32, arguments)
+    for function, (result, arguments) in _OPTIONAL.items():
+        if hasattr(library, function):
+            _need(name, library, function, result, arguments)
+    return library
+
+
+def _need(name: str, library: ctypes.CDLL, function: str, result: object, arguments: list[object]) -> None:
+    try:
+        found = getattr(library, function)
+    except AttributeError:
+        remedy = 'write it as evalkit_backend.h says (in C++ within extern "C")'
+        raise BackendFailed(name, f"lacks the function {function}", remedy) from None
+    found.restype, found.argtypes = result, arguments

@@ -1,0 +1,206 @@
+"""A shared library with evalkit's C interface (``evalkit_backend.h``) as a back end: ``lib:./libmine.so``.
+
+What it is, is asked in a process of its own, so that a library that cannot even be loaded ends nobody but itself.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import json
+import shlex
+import signal
+import subprocess
+import sys
+import weakref
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evalkit.clock import conversion
+from evalkit.errors import BackendFailed
+from evalkit.external import abi, elf
+from evalkit.external.declaration import absent, declaration, digest_of, listed, settings, spec, text
+from evalkit.protocols import BackendSpec, Parameter, Value
+from evalkit.se2 import Floats
+from evalkit.types import Cloud, Frame, Iteration, Match, Pose
+
+LOOK_S = 20.0
+"""How long loading a library and asking what it is may take."""
+
+TRACE = Parameter("trace", False, "", "hear of every iteration; costs time in the call")
+
+
+def scheme(rest: str) -> BackendSpec:
+    """The back end ``lib:PATH [NAME=VALUE ...]``: a library of a kind and with parameters of its own telling."""
+    name = f"lib:{rest}"
+    path, *words = shlex.split(rest) or [""]
+    file = Path(path).resolve()
+    digest = digest_of(file)
+    if why := _unfit(file):
+        return absent(name, why, digest)
+    try:
+        declared = declaration(name, _asked(name, file, digest))
+    except BackendFailed as error:
+        return absent(name, "; ".join(error.args[1:]), digest)
+    own = (TRACE,) if declared.kind == "registration" else ()
+    make = LibraryRegistration if declared.kind == "registration" else LibraryOdometry
+    return spec(declared, settings(name, (*declared.parameters, *own), words), partial(make, name, file), digest)
+
+
+class LibraryRegistration:
+    """A Registration: ``evalkit_register`` of a library."""
+
+    def __init__(self, name: str, file: Path, *, trace: bool = False, **parameters: Value) -> None:
+        self._instance = Instance(name, file, parameters)
+        self._trace = trace
+
+    def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
+        """The library's answer; BackendFailed where it reports an error or its answer is no pose."""
+        history: list[Iteration] = []
+
+        def heard(_listener: object, error_m: float, inliers: int, pose: Any) -> None:
+            history.append(Iteration(error_m, inliers, _pose(pose.contents)))
+
+        with conversion():
+            onto, points, start, answer = _flat(target.points), _flat(source.points), _row(guess), abi.Match()
+            answer.target_from_source.x = np.nan  # to be noticed if it stays
+            trace = abi.Trace(heard) if self._trace else abi.Trace()
+        self._instance.call(
+            "evalkit_register", _doubles(onto), len(target), _doubles(points), len(source),
+            ctypes.byref(start), trace, None, ctypes.byref(answer),
+        )  # fmt: skip
+        with conversion():
+            pose = self._instance.finite(answer.target_from_source)
+            return Match(
+                pose, bool(answer.converged), answer.iterations, answer.error_m, answer.inliers, tuple(history)
+            )
+
+
+class LibraryOdometry:
+    """An Odometry: ``evalkit_update`` of a library."""
+
+    def __init__(self, name: str, file: Path, **parameters: Value) -> None:
+        self._instance = Instance(name, file, parameters)
+
+    def update(self, frame: Frame) -> Pose:
+        """The library's answer; BackendFailed where it reports an error or its answer is no pose."""
+        with conversion():
+            scan = frame.scan
+            ranges, angles = _flat(scan.ranges), _flat(scan.angles)
+            question = abi.Frame(
+                scan.stamp_ns, scan.time_increment_ns, _doubles(ranges), _doubles(angles), len(ranges),
+                scan.range_min_m, scan.range_max_m, _row(frame.base_from_sensor),
+                _reference(frame.odom_from_base), _reference(frame.start_from_end),
+            )  # fmt: skip
+            answer = abi.Pose(np.nan, np.nan, np.nan)  # to be noticed if it stays
+        self._instance.call("evalkit_update", ctypes.byref(question), ctypes.byref(answer))
+        with conversion():
+            return self._instance.finite(answer)
+
+
+class Instance:
+    """What ``evalkit_create`` made, freed when nobody holds it any more."""
+
+    def __init__(self, name: str, file: Path, parameters: dict[str, Value]) -> None:
+        self._name = name
+        self._library = abi.load(name, file)
+        names = (ctypes.c_char_p * len(parameters))(*(key.encode() for key in parameters))
+        values = (ctypes.c_char_p * len(parameters))(*(text(setting).encode() for setting in parameters.values()))
+        self._self: int | None = self._library.evalkit_create(names, values, len(parameters))
+        if self._self is None:
+            raise BackendFailed(name, f"evalkit_create gave NULL{self._said()}", "see what it needs")
+        weakref.finalize(self, self._library.evalkit_destroy, self._self)
+
+    def call(self, function: str, *arguments: object) -> None:
+        """Calls a function of the instance; BackendFailed with its own words where it answers a code."""
+        code = getattr(self._library, function)(self._self, *arguments)
+        if code:
+            raise BackendFailed(self._name, f"{function} answered error {code}{self._said()}", "see what it needs")
+
+    def finite(self, row: abi.Pose) -> Pose:
+        """The pose of an answer; BackendFailed where it is none."""
+        if not np.isfinite([row.x, row.y, row.theta]).all():
+            found = f"reported success with a pose that is not finite: ({row.x}, {row.y}, {row.theta})"
+            raise BackendFailed(self._name, found, "fill in the answer; where there is none better, the guess")
+        return _pose(row)
+
+    def _said(self) -> str:
+        last_error = getattr(self._library, "evalkit_last_error", None)
+        said = last_error(self._self) if last_error is not None else None
+        return f": {said.decode(errors='replace')[:300]}" if said else ""
+
+
+def main() -> int:
+    """Prints as JSON what the library named on the command line says of itself, or why it cannot be used."""
+    name, file = sys.argv[1:]
+    try:
+        library = abi.load(name, Path(file))
+        said = {
+            "kind": abi.KINDS[library.evalkit_kind()],
+            "summary": _told(library, "evalkit_summary") or Path(file).name,
+            "parameters": listed(_told(library, "evalkit_parameters")),
+        }
+    except BackendFailed as error:
+        said = {"failed": error.args[1:]}
+    sys.stdout.write("\n" + json.dumps(said) + "\n")
+    return 0
+
+
+@cache
+def _asked(name: str, file: Path, _digest: str) -> dict[str, Any]:
+    """What ``main`` says of a library in a process of its own; the digest tells one build from the next."""
+    command = [sys.executable, "-P", "-m", __name__, name, str(file)]
+    try:
+        done = subprocess.run(
+            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=LOOK_S, check=False, text=True,
+            errors="replace",
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return {"failed": (f"was not loaded within {LOOK_S:g} s", "see what it does when loaded")}
+    if done.returncode:
+        how = f"code {done.returncode}" if done.returncode > 0 else signal.Signals(-done.returncode).name
+        return {"failed": (f"loading it ended the process with {how}", "mend what it does when loaded")}
+    said: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])  # before it, whatever the library printed
+    return said
+
+
+def _unfit(file: Path) -> str:
+    if not file.is_file():
+        return f"no such file: {file.name}; build it, or mend its path"
+    try:
+        why = elf.unfit(file, library=True)
+    except OSError as error:
+        why = f"cannot be read ({error.strerror})"
+    return f"{file.name} {why}; build it as a shared library on this machine" if why else ""
+
+
+def _told(library: ctypes.CDLL, function: str) -> str:
+    found = getattr(library, function, None)
+    said = found() if found is not None else None
+    return said.decode(errors="replace") if said else ""
+
+
+def _flat(array: Floats) -> Floats:
+    return np.ascontiguousarray(array, dtype=np.float64)
+
+
+def _doubles(array: Floats) -> Any:
+    return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
+
+
+def _row(pose: Pose) -> abi.Pose:
+    return abi.Pose(pose.x, pose.y, pose.theta)
+
+
+def _reference(pose: Pose | None) -> Any:
+    return None if pose is None else ctypes.pointer(_row(pose))
+
+
+def _pose(row: abi.Pose) -> Pose:
+    return Pose(row.x, row.y, row.theta)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,204 @@
+"""A program that speaks evalkit's protocol (PROTOCOL.md) as a back end, here or on a board: ``exec:./my_icp -x``."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+from collections.abc import Mapping
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evalkit import clock
+from evalkit.errors import BackendFailed
+from evalkit.external import elf
+from evalkit.external.declaration import Declaration, absent, declaration, digest_of, spec
+from evalkit.external.program import Program
+from evalkit.protocols import BackendSpec, Parameter, Value
+from evalkit.se2 import Floats
+from evalkit.types import Cloud, Frame, Match, Pose
+
+VERSION = 1
+HELLO_S = 10.0
+"""How long starting a program and its first answer may take."""
+
+TIMEOUT = Parameter(
+    "answer_timeout_s", 10.0, "s", "longest wait for an answer; who needs longer has failed", low=1e-3, high=3600.0
+)
+
+
+def scheme(rest: str) -> BackendSpec:
+    """The back end ``exec:COMMAND``: a program of a kind and with parameters of its own telling."""
+    name = f"exec:{rest}"
+    try:
+        words = shlex.split(rest)
+    except ValueError as error:
+        return absent(name, f"not a command line ({error}); mend the quotation marks")
+    argv, why = _command(words)
+    digest = digest_of(*(Path(word) for word in argv if Path(word).is_file()), words=rest)
+    if why:
+        return absent(name, why, digest)
+    said = _introduced(name, tuple(argv), digest)
+    try:
+        declared = declaration(name, said)
+    except BackendFailed as error:
+        return absent(name, "; ".join(error.args[1:]), digest)
+    parameters = (*declared.parameters, TIMEOUT)
+    return spec(declared, parameters, partial(_make, name, argv, declared), digest_of(words=f"{digest} {said}"))
+
+
+class ProgramRegistration:
+    """A Registration: the question "register" to a program."""
+
+    def __init__(self, talk: Talk) -> None:
+        self._talk = talk
+
+    def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
+        """The program's answer; BackendFailed where there is none or it is no match."""
+        with clock.conversion():
+            question = self._talk.program.line(
+                {
+                    "ask": "register",
+                    "guess": guess.row.tolist(),
+                    "source": source.points.ravel().tolist(),
+                    "target": target.points.ravel().tolist(),
+                }
+            )
+        line = self._talk.timed(question)
+        with clock.conversion():
+            answer = self._talk.heard(line)
+            return Match(
+                self._talk.pose(answer),
+                bool(self._talk.number(answer, "converged")),
+                int(self._talk.number(answer, "iterations")),
+                self._talk.number(answer, "error_m", optional=True),
+                int(self._talk.number(answer, "inliers")),
+            )
+
+
+class ProgramOdometry:
+    """An Odometry: the question "update" to a program."""
+
+    def __init__(self, talk: Talk) -> None:
+        self._talk = talk
+
+    def update(self, frame: Frame) -> Pose:
+        """The program's answer; BackendFailed where there is none or it is no pose."""
+        with clock.conversion():
+            scan = frame.scan
+            question = self._talk.program.line(
+                {
+                    "ask": "update",
+                    "stamp_ns": scan.stamp_ns,
+                    "time_increment_ns": scan.time_increment_ns,
+                    "range_min_m": scan.range_min_m,
+                    "range_max_m": scan.range_max_m,
+                    "base_from_sensor": frame.base_from_sensor.row.tolist(),
+                    "odom_from_base": None if frame.odom_from_base is None else frame.odom_from_base.row.tolist(),
+                    "start_from_end": None if frame.start_from_end is None else frame.start_from_end.row.tolist(),
+                    "angles": scan.angles.tolist(),
+                    "ranges": _ranges(scan.ranges),
+                }
+            )
+        line = self._talk.timed(question)
+        with clock.conversion():
+            return self._talk.pose(self._talk.heard(line))
+
+
+class Talk:
+    """A program that was greeted and given its parameters, and the reading of its answers."""
+
+    def __init__(
+        self,
+        name: str,
+        argv: list[str],
+        declared: Declaration,
+        answer_timeout_s: float,
+        parameters: Mapping[str, Value],
+    ) -> None:
+        self.program = Program(name, argv, HELLO_S)
+        self._elsewhere = bool(declared.device)
+        _greeted(self.program)
+        self.program.answer_timeout_s = answer_timeout_s
+        self.program.ask({"ask": "create", "parameters": dict(parameters)})
+
+    def timed(self, question: bytes) -> bytes:
+        """The line answered, and the program's CPU time told to the clock."""
+        before = self.program.cpu_ns()
+        line = self.program.told(question)
+        if self._elsewhere:
+            clock.withhold("cpu")
+        else:
+            clock.program(self.program.cpu_ns() - before)
+        return line
+
+    def heard(self, line: bytes) -> dict[str, Any]:
+        """The answer in a line, and the time the program says it took told to the clock."""
+        answer = self.program.read(line)
+        if "elapsed_ns" in answer:
+            clock.device(int(self.number(answer, "elapsed_ns")))
+        return answer
+
+    def number(self, answer: dict[str, Any], key: str, *, optional: bool = False) -> float:
+        """A number (or true, false) of an answer; nan where it is optional and not told."""
+        found = answer.get(key)
+        if found is None and optional:
+            return float("nan")
+        if not isinstance(found, (int, float)) or not np.isfinite(found):
+            raise self.program.malformed(key, found, "a number")
+        return found
+
+    def pose(self, answer: dict[str, Any]) -> Pose:
+        """The pose of an answer."""
+        found = answer.get("pose")
+        if not isinstance(found, list) or len(found) != 3 or not all(type(value) in (int, float) for value in found):
+            raise self.program.malformed("pose", found, "three numbers: x, y, theta")
+        if not np.isfinite(found).all():
+            raise self.program.malformed("pose", found, "finite numbers; where there is none better, the guess")
+        return Pose.of(found)
+
+
+def _make(
+    name: str, argv: list[str], declared: Declaration, *, answer_timeout_s: float, **parameters: Value
+) -> ProgramRegistration | ProgramOdometry:
+    talk = Talk(name, argv, declared, answer_timeout_s, parameters)
+    return ProgramRegistration(talk) if declared.kind == "registration" else ProgramOdometry(talk)
+
+
+def _greeted(program: Program) -> dict[str, Any]:
+    said = program.ask({"ask": "hello", "protocol": VERSION})
+    if said.get("protocol") != VERSION:
+        raise program.malformed("protocol", said.get("protocol"), f"{VERSION}, which this evalkit speaks")
+    return said
+
+
+@cache
+def _introduced(name: str, argv: tuple[str, ...], _digest: str) -> dict[str, Any]:
+    """What a program says of itself, or why it does not; the digest tells one build from the next."""
+    try:
+        return _greeted(Program(name, list(argv), HELLO_S))
+    except BackendFailed as error:
+        return {"failed": error.args[1:]}
+
+
+def _command(words: list[str]) -> tuple[list[str], str]:
+    """The words with the program's whole path, and why it cannot be started, or ""."""
+    if not words:
+        return [], "no program named; write exec:PROGRAM ARGUMENTS"
+    found = shutil.which(words[0])
+    if found is None:
+        exists = Path(words[0]).is_file()
+        return words, f"{words[0]} {'may not be executed; chmod +x it' if exists else 'is no program found here'}"
+    path = Path(found).absolute()
+    why = elf.unfit(path, library=False)
+    remedy = "build it here, or run it there: exec:ssh HOST PROGRAM"
+    return [str(path), *words[1:]], f"{words[0]} {why}; {remedy}" if why else ""
+
+
+def _ranges(ranges: Floats) -> list[float | str | None]:
+    """Ranges in JSON, which knows neither: null for no return, "nan" for invalid."""
+    if np.isfinite(ranges).all():
+        return list(ranges.tolist())
+    return [value if np.isfinite(value) else "nan" if np.isnan(value) else None for value in ranges.tolist()]

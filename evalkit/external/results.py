@@ -1,0 +1,119 @@
+"""Poses computed elsewhere as a back end: ``file:poses.tum`` answers every scan from a trajectory in TUM format."""
+
+from __future__ import annotations
+
+import shlex
+from decimal import Decimal, DecimalException
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from evalkit.clock import withhold
+from evalkit.errors import BadData
+from evalkit.external.declaration import UNTOLD, digest_of, settings
+from evalkit.protocols import BackendSpec, NoAnswer, Parameter
+from evalkit.types import Frame, Pose, Trajectory
+
+LAYOUT = "t x y z qx qy qz qw"
+
+PARAMETERS = (
+    Parameter("poses_of", "base", "", "whose poses the file holds", choices=("base", "sensor")),
+    Parameter("max_gap_s", 1.0, "s", "interpolate between poses no further apart than this", low=0.0),
+    Parameter("tolerance_s", 0.02, "s", "else take the nearest pose, if it is no further than this from the scan",
+              low=0.0),
+)  # fmt: skip
+
+
+def scheme(rest: str) -> BackendSpec:
+    """The back end ``file:PATH [NAME=VALUE ...]``."""
+    name = f"file:{rest}"
+    path, *words = shlex.split(rest) or [""]
+    file = Path(path).resolve()
+    return BackendSpec(
+        make=partial(PosesFromFile, file),
+        kind="odometry",
+        summary=f"poses computed elsewhere, read from {file.name}",
+        citation=UNTOLD,
+        licence=UNTOLD,
+        guess="unknown: it was computed elsewhere",
+        parameters=settings(name, PARAMETERS, words),
+        missing=lambda: "" if file.is_file() else f"no such file: {file.name}; mend its path",
+        digest=digest_of(file),
+    )
+
+
+class PosesFromFile:
+    """An Odometry that looks nothing up but a file; its times say nothing and are withheld.
+
+    A scan the file has no pose for is not answered: nothing is extrapolated.
+    """
+
+    def __init__(self, file: Path, *, poses_of: str, max_gap_s: float, tolerance_s: float) -> None:
+        self._file, self._trajectory = file, read(file)
+        self._of_sensor = poses_of == "sensor"
+        self._max_gap_ns, self._tolerance_ns = round(max_gap_s * 1e9), round(tolerance_s * 1e9)
+        self._world_from_start: Pose | None = None
+
+    def update(self, frame: Frame) -> Pose:
+        """``start_from_base`` when the first beam was fired; NoAnswer where the file has no pose near."""
+        withhold("wall", "cpu")
+        world_from_base = self._at(frame.scan.stamp_ns)
+        if self._of_sensor:
+            world_from_base = world_from_base @ frame.base_from_sensor.inverse()
+        if self._world_from_start is None:
+            self._world_from_start = world_from_base
+            return Pose()
+        return self._world_from_start.inverse() @ world_from_base
+
+    def _at(self, stamp_ns: int) -> Pose:
+        stamps = self._trajectory.stamps_ns
+        right = int(np.searchsorted(stamps, stamp_ns))
+        near = [index for index in (right - 1, right) if 0 <= index < len(stamps)]
+        gap_ns = int(stamps[near[-1]] - stamps[near[0]])
+        if len(near) == 2 and gap_ns <= self._max_gap_ns:
+            return Pose.of(self._trajectory.at([stamp_ns])[0])
+        nearest = min(near, key=lambda index: abs(int(stamps[index]) - stamp_ns))
+        if abs(int(stamps[nearest]) - stamp_ns) <= self._tolerance_ns:
+            return Pose.of(self._trajectory.poses[nearest])
+        first, last = stamps[0] * 1e-9, stamps[-1] * 1e-9
+        raise NoAnswer(
+            f"{self._file.name} has no pose near {stamp_ns * 1e-9:.3f} s; it reaches from {first:.3f} s to {last:.3f} s"
+        )
+
+
+def read(path: Path) -> Trajectory:
+    """The planar part of a file in TUM format, sorted by time, the first of equal times kept; BadData names the line.
+
+    Comments (#) and blank lines are allowed.
+    """
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadData(str(path), "", f"cannot be read ({error})", f"give a text file of lines '{LAYOUT}'") from error
+    poses: dict[int, list[float]] = {}
+    for number, line in enumerate(lines, 1):
+        words = line.partition("#")[0].replace(",", " ").split()
+        if words:
+            stamp_ns, row = _pose(path, number, words)
+            poses.setdefault(stamp_ns, row)
+    if not poses:
+        raise BadData(str(path), "", "no pose in it", f"expected lines '{LAYOUT}'")
+    stamps = sorted(poses)
+    return Trajectory(np.array(stamps), np.array([poses[stamp] for stamp in stamps]))
+
+
+def _pose(path: Path, number: int, words: list[str]) -> tuple[int, list[float]]:
+    """The time (ns, without passing through a float) and x, y, theta of a line."""
+    try:
+        stamp_ns = int(Decimal(words[0]).scaleb(9).to_integral_value())
+        x, y, _z, qx, qy, qz, qw = (float(word) for word in words[1:])
+    except (DecimalException, ValueError, OverflowError):
+        raise BadData(str(path), f"line {number}", f"'{' '.join(words)[:80]}'", f"expected '{LAYOUT}'") from None
+    length = float(np.linalg.norm([qx, qy, qz, qw]))
+    if abs(stamp_ns) >= 2**63:
+        raise BadData(str(path), f"line {number}", f"the time {words[0]}", "expected seconds")
+    if not np.isfinite([x, y]).all() or not abs(length - 1.0) < 0.01:
+        found = f"x = {x}, y = {y}, quaternion of length {length:g}"
+        raise BadData(str(path), f"line {number}", found, "expected finite metres and a unit quaternion")
+    return stamp_ns, [x, y, float(np.arctan2(2.0 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz))]

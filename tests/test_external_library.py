@@ -1,0 +1,257 @@
+"""Shared libraries as back ends: the examples follow, broken ones are a reason."""
+
+import shutil
+import subprocess
+import sys
+import threading
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evalkit import registry, runner
+from evalkit.errors import BackendFailed, BadParameter, UnknownName
+from evalkit.experiment import Limits
+from evalkit.external import INCLUDE, elf, library
+from evalkit.protocols import resolved
+from evalkit.types import Cloud, Pose
+from evalkit.worker import Request
+
+EXAMPLES = Path(__file__).parents[1] / "examples"
+STRICT = ["-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
+LIGHT = {"keyframes": 3, "submap_voxel_m": 0.02}
+
+
+def built(output, compiler, *words):
+    if shutil.which(compiler) is None:
+        pytest.skip(f"no compiler '{compiler}' here")
+    subprocess.run([compiler, *STRICT, *map(str, words), "-o", str(output), "-lm"], check=True)
+    return output
+
+
+@pytest.fixture(scope="session")
+def workshop(tmp_path_factory):
+    """Where the examples are built."""
+    return tmp_path_factory.mktemp("examples")
+
+
+@pytest.fixture(scope="session")
+def c_library(workshop):
+    c = EXAMPLES / "c"
+    words = ("-std=c99", "-shared", "-fPIC", "-I", INCLUDE, c / "library.c", c / "icp.c")
+    return f"lib:{built(workshop / 'libicp.so', 'cc', *words)}"
+
+
+@pytest.fixture(scope="session")
+def c_program(workshop):
+    c = EXAMPLES / "c"
+    return f"exec:{built(workshop / 'icp', 'cc', '-std=c99', c / 'program.c', c / 'icp.c')}"
+
+
+@pytest.fixture(scope="session")
+def cpp_library(workshop):
+    words = ("-std=c++17", "-shared", "-fPIC", "-I", INCLUDE, EXAMPLES / "cpp" / "odometry.cpp")
+    return f"lib:{built(workshop / 'libodometry.so', 'c++', *words)}"
+
+
+@pytest.fixture(scope="session")
+def python_program():
+    return f"exec:{sys.executable} {EXAMPLES / 'python' / 'icp.py'}"
+
+
+GOOD = """
+#include <math.h>
+#include <stdlib.h>
+#include "evalkit_backend.h"
+static const char *said;
+int32_t evalkit_abi(void) { return EVALKIT_ABI; }
+int32_t evalkit_kind(void) { return EVALKIT_ODOMETRY; }
+void *evalkit_create(const char *const *n, const char *const *v, size_t c)
+{ (void)n; (void)v; (void)c; return malloc(1); }
+int32_t evalkit_update(void *self, const evalkit_frame *frame, evalkit_pose *answer)
+{ (void)self; *answer = *frame->odom_from_base; return 0; }
+void evalkit_destroy(void *self) { free(self); }
+const char *evalkit_last_error(void *self) { (void)self; return said; }
+"""
+
+
+@pytest.fixture
+def small(tmp_path):
+    """Builds GOOD with one piece replaced; its name for evalkit."""
+
+    def build(old="", new=""):
+        assert old in GOOD
+        (tmp_path / "small.c").write_text(GOOD.replace(old, new) if old else GOOD)
+        words = ("-std=c99", "-shared", "-fPIC", "-Wno-unused-variable", "-I", INCLUDE, tmp_path / "small.c")
+        return f"lib:{built(tmp_path / 'small.so', 'cc', *words)}"
+
+    return build
+
+
+@pytest.mark.parametrize("which", ["c_library", "c_program", "python_program"])
+def test_a_registration_from_outside_undoes_the_drift_of_the_wheels(which, request, followed):
+    outcome, steps = followed(request.getfixturevalue(which), **LIGHT)
+    assert (outcome.status, outcome.reason) == ("complete", "")
+    answered = np.stack([steps["x"], steps["y"], steps["theta"]], axis=1)
+    assert np.abs(answered - followed.truth).max() < 0.03  # the wheels alone: 0.2 m at the end
+    assert steps["s2m_inliers"][1:].min() > 50
+    assert steps["s2m_error"][1:].max() < 0.05
+
+
+def test_an_odometry_from_outside_undoes_the_drift_of_the_wheels(cpp_library, followed):
+    outcome, steps = followed(cpp_library)
+    assert (outcome.status, outcome.reason) == ("complete", "")
+    answered = np.stack([steps["x"], steps["y"], steps["theta"]], axis=1)
+    assert np.abs(answered - followed.truth).max() < 0.05
+    assert steps["device_ns"].tolist() == [0] * len(steps)  # a library tells none
+
+
+def made(name, **given):
+    spec = registry.backend(name)
+    assert not spec.missing()
+    return spec.make(**resolved(name, spec.parameters, given))
+
+
+def test_one_method_gives_one_answer_in_three_wrappings(c_library, c_program, python_program):
+    rng = np.random.default_rng(5)
+    target = rng.uniform(-3, 3, (80, 2))
+    motion = Pose(0.05, -0.03, 0.04)
+    source = motion.inverse().transform(target)
+    answers = [
+        made(name).register(Cloud(target), Cloud(source), Pose()) for name in (c_library, c_program, python_program)
+    ]
+    for answer in answers:
+        assert answer.target_from_source.row == pytest.approx(motion.row, abs=1e-12)
+        assert (answer.converged, answer.inliers) == (True, 80)
+        assert answer.iterations == answers[0].iterations
+        assert answer.error == pytest.approx(answers[0].error, abs=1e-12)
+
+
+@pytest.mark.parametrize("which", ["c_library", "c_program", "python_program"])
+def test_without_points_the_guess_is_kept_and_nothing_converged(which, request):
+    follower = made(request.getfixturevalue(which))
+    empty, guess = Cloud(np.zeros((0, 2))), Pose(1.0, 2.0, 0.5)
+    for target, source in ((empty, empty), (Cloud(np.eye(2)), empty), (empty, Cloud(np.eye(2)))):
+        answer = follower.register(target, source, guess)
+        assert answer.target_from_source.row.tolist() == [1.0, 2.0, 0.5]
+        assert (answer.converged, answer.inliers, np.isnan(answer.error)) == (False, 0, True)
+
+
+def test_a_traced_library_tells_every_iteration_and_answers_the_same(c_library):
+    rng = np.random.default_rng(6)
+    target = rng.uniform(-3, 3, (60, 2))
+    source = Pose(0.1, 0.05, -0.05).transform(target)
+    plain = made(c_library).register(Cloud(target), Cloud(source), Pose())
+    traced = made(c_library, trace=True).register(Cloud(target), Cloud(source), Pose())
+    assert plain.history == ()
+    assert len(traced.history) == traced.iterations == plain.iterations
+    assert traced.history[-1].target_from_source == traced.target_from_source == plain.target_from_source
+    errors = [iteration.error for iteration in traced.history]
+    assert errors[0] > errors[-1] == traced.error
+
+
+def test_settings_behind_the_file_are_its_defaults(c_library):
+    once = registry.backend(f"{c_library} max_iterations=1 max_correspondence_m=2")
+    defaults = {parameter.name: parameter.default for parameter in once.parameters}
+    assert defaults == {"max_correspondence_m": 2.0, "max_iterations": 1, "trace": False}
+    cloud = Cloud(np.random.default_rng(7).uniform(-1, 1, (20, 2)))
+    assert once.make(**defaults).register(cloud, cloud, Pose(0.3)).iterations == 1
+    with pytest.raises(UnknownName, match="no parameter named 'most'"):
+        registry.backend(f"{c_library} most=1")
+    with pytest.raises(BadParameter, match="'max_iterations': found 'many'"):
+        registry.backend(f"{c_library} max_iterations=many")
+    with pytest.raises(BadParameter, match="NAME=VALUE"):
+        registry.backend(f"{c_library} fast")
+
+
+def test_a_library_may_refuse_its_parameters_in_its_own_words(c_library):
+    with pytest.raises(BackendFailed, match="evalkit_create gave NULL: max_correspondence_m must be more than 0"):
+        made(c_library, max_correspondence_m=-1.0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("return EVALKIT_ABI", "return 2", "has version 2 of the interface, expected 1"),
+        ("return EVALKIT_ODOMETRY", "return 7", "evalkit_kind answered 7"),
+        ("return EVALKIT_ODOMETRY", "return EVALKIT_REGISTRATION", "lacks the function evalkit_register"),
+        ("void *evalkit_create", "void *evalkit_make", "lacks the function evalkit_create"),
+        ("int32_t evalkit_abi", "int32_t evalkit_abi_version", "lacks the function evalkit_abi"),
+        (
+            "#include <math.h>",
+            "__attribute__((constructor)) static void begin(void) { __builtin_trap(); }",
+            "loading it",
+        ),
+        ("#include <math.h>", "extern int absent(void); int (*needed)(void) = absent;", "undefined symbol: absent"),
+    ],
+)
+def test_a_library_that_does_not_fit_is_absent_with_a_reason(small, followed, old, new, said):
+    outcome, steps = followed(small(old, new))
+    assert outcome.status == "not-installed"
+    assert said in outcome.reason
+    assert len(steps) == 0
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("return malloc(1)", 'said = "no device"; return NULL', "evalkit_create gave NULL: no device"),
+        ("*answer = *frame->odom_from_base;", "(void)frame; (void)answer;", "pose that is not finite: (nan, nan, nan)"),
+        ("= *frame->odom_from_base; return 0", '= frame->base_from_sensor; said = "lost"; return 3', "error 3: lost"),
+    ],
+)
+def test_a_library_that_fails_is_a_reason_in_its_own_words(small, followed, old, new, said):
+    outcome, _ = followed(small(old, new))
+    assert outcome.status == "failed"
+    assert said in outcome.reason
+
+
+def test_a_library_that_crashes_takes_its_own_run_along_and_nothing_else(small, tmp_path):
+    name = small("*answer = *frame->odom_from_base;", "(void)frame; *(volatile int *)answer = 0; __builtin_trap();")
+    request = Request(name, {}, "room", {**defaults("room"), "laps": 0.02})
+    run = runner.run(request, ("mine", "room"), tmp_path, Limits(60, 30, 2048), lambda _: None, threading.Event())
+    assert run.status == "crashed"
+    assert "SIGILL" in run.reason or "SIGTRAP" in run.reason
+
+
+def defaults(dataset):
+    return {parameter.name: parameter.default for parameter in registry.dataset(dataset).parameters}
+
+
+def test_a_library_that_hangs_when_loaded_is_absent(small, followed, monkeypatch):
+    monkeypatch.setattr(library, "LOOK_S", 1.0)
+    begin = "#include <unistd.h>\n__attribute__((constructor)) static void begin(void) { sleep(60); }"
+    outcome, _ = followed(small("#include <math.h>", begin))
+    assert (outcome.status, "was not loaded within 1 s" in outcome.reason) == ("not-installed", True)
+
+
+def test_a_file_that_is_no_library_of_this_machine_is_said_to_be_none(tmp_path, foreign_elf):
+    if sys.platform != "linux":
+        pytest.skip("this system does not use ELF")
+    path = tmp_path / "libmine.so"
+    assert "no such file: libmine.so" in registry.backend(f"lib:{path}").missing()
+    path.write_bytes(foreign_elf)
+    assert (
+        "libmine.so is built for 64-bit RISC-V, and this machine is 64-bit" in registry.backend(f"lib:{path}").missing()
+    )
+    path.write_text("INPUT ( libmine.so.1 )")
+    assert "is not a shared library (it begins with b'INPUT ( ')" in registry.backend(f"lib:{path}").missing()
+    own = Path(sys.executable).read_bytes()[:64]
+    path.write_bytes(own[:16] + (b"\x01\x00" if own[5] == 1 else b"\x00\x01") + own[18:])
+    assert "an object file or a program" in registry.backend(f"lib:{path}").missing()
+
+
+def test_machines_are_read_in_both_byte_orders():
+    assert elf.machine(b"\x7fELF\x01\x02\x01" + bytes(9) + b"\x00\x03\x00\x08") == "32-bit MIPS"
+    assert elf.machine(b"\x7fELF\x02\x01\x01" + bytes(9) + b"\x03\x00\xb7\x00") == "64-bit AArch64"
+    assert elf.machine(b"\x7fELF\x02\x01\x01" + bytes(9) + b"\x03\x00\x99\x99") == "64-bit machine 0x9999"
+    assert elf.machine(b"#!/bin/sh\nexec ./icp\n") == elf.machine(b"") == ""
+
+
+def test_results_are_keyed_by_what_the_library_contains(small):
+    name = small()
+    before = registry.run_fingerprint(name, "room")
+    small("said;", "said = 0;\nint another_build;")
+    assert registry.run_fingerprint(name, "room") != before
+    assert replace(registry.backend(name), digest="").kind == "odometry"

@@ -1,0 +1,220 @@
+"""Programs as back ends: a good one follows, a bad one is a reason."""
+
+import json
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evalkit import experiment, registry
+from evalkit.errors import UnknownName
+from evalkit.external import process
+from evalkit.metrics import runtime
+from evalkit.metrics.table import Evidence
+from evalkit.types import Frame, Pose, Run, Scan, Truth
+
+FOLLOWS = """
+import json, sys, time
+def say(**answer): print(json.dumps(answer), flush=True)
+for line in sys.stdin:
+    q = json.loads(line)
+    if q["ask"] == "hello":
+        HELLO
+    elif q["ask"] == "create":
+        say()
+    else:
+        x = q["odom_from_base"][0]
+        ANSWER
+"""
+HELLO = 'say(protocol=1, kind="odometry", summary="the wheels, over a pipe", parameters=[])'
+ANSWER = "say(pose=[x, 0.0, 0.0], elapsed_ns=5_000_000)"
+
+
+@pytest.fixture
+def program(tmp_path):
+    """Writes a program that answers what the wheels say, but for the lines given; its name for evalkit."""
+
+    def write(answer=ANSWER, hello=HELLO):
+        path = tmp_path / "program.py"
+        text = FOLLOWS
+        for word, lines, indent in (("HELLO", hello, 8), ("ANSWER", answer, 8)):
+            text = text.replace(" " * indent + word, textwrap.indent(textwrap.dedent(lines).strip(), " " * indent))
+        path.write_text(text)
+        return f"exec:{sys.executable} -I -S {path}"
+
+    return write
+
+
+def reason(outcome, status="failed"):
+    assert outcome.status == status, outcome
+    return outcome.reason
+
+
+def test_a_program_follows_and_its_device_time_stands_beside_the_round_trip(program, followed):
+    outcome, steps = followed(program())
+    assert outcome.status == "complete"
+    assert steps["x"].tolist() == pytest.approx((followed.truth[:, 0] + followed.drift_m).tolist(), abs=1e-15)
+    assert set(steps["device_ns"].tolist()) == {5_000_000}
+    assert (steps["wall_ns"] > 0).all()
+
+
+def test_cpu_time_includes_what_the_program_itself_spends(program, followed):
+    spin = "end = time.process_time() + 0.005\nwhile time.process_time() < end: pass\n" + ANSWER
+    _, steps = followed(program(spin))
+    assert (steps["cpu_ns"] >= 5_000_000).all()
+
+
+def test_on_a_named_device_there_is_no_cpu_time_but_its_own(program, followed):
+    _, steps = followed(program(hello=HELLO.replace("summary=", 'device="a board", summary=')))
+    run = Run("b", "s", "complete", "", steps, len(steps))
+    scores = {m.name: m.compute(Evidence(run, Truth("none"), None, None, ())) for m in runtime.METRICS}
+    assert scores["cpu_median_ms"].reason == "no CPU time was measured"
+    assert scores["device_median_ms"].value == pytest.approx(5.0)
+    assert scores["real_time_factor"].value == pytest.approx(100.0 / 5.0)  # a scan every 100 ms
+
+
+def test_a_back_end_that_tells_no_device_time_has_none(program, followed):
+    _, steps = followed(program("say(pose=[x, 0.0, 0.0])"))
+    run = Run("b", "s", "complete", "", steps, len(steps))
+    score = next(m for m in runtime.METRICS if m.name == "device_median_ms").compute(
+        Evidence(run, Truth("none"), None, None, ())
+    )
+    assert (score.value, score.reason) == (None, "the back end tells no device time")
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        ("time.sleep(60)", "no answer within 0.5 s"),
+        ("sys.stdout.write('x' * 3_000_000)", "answers without end"),
+        ("print('Loading map...', flush=True)", "not one line of JSON: Loading map..."),
+        ("print('{}\\n{}', flush=True)", "not one line of JSON"),
+        ("print('[1, 2]', flush=True)", "expected a JSON object"),
+        ("sys.stderr.write('no such device: /dev/lidar'); sys.exit(3)", "ended with code 3 instead of answering"),
+        ("sys.stderr.write('no such device: /dev/lidar'); sys.exit(3)", "it said last: no such device: /dev/lidar"),
+        ("import os; os.kill(os.getpid(), 11)", "ended with SIGSEGV"),
+        ("sys.stdout.close(); import os; os.close(1); time.sleep(60)", "closed its output without an answer"),
+        ("say(pose=[x, float('nan'), 0.0])", "expected finite numbers"),
+        ("say(pose=[x, 0.0])", "expected three numbers"),
+        ("say(pose=[x, 0.0, 0.0], elapsed_ns='long')", "'elapsed_ns': long, expected a number"),
+        ("say(failed='lost the wall')", "says it failed: lost the wall"),
+        ("sys.stderr.write('error 7\\n' * 200_000); time.sleep(60)", "error 7 | error 7; see where it hangs"),
+    ],
+)
+def test_a_program_that_does_not_answer_as_it_should_is_a_reason(program, followed, answer, said):
+    outcome, steps = followed(program(answer), answer_timeout_s=0.5)
+    assert said in reason(outcome)
+    assert len(steps) == 0
+
+
+def test_a_program_may_flood_its_standard_error_and_answer(program, followed):
+    outcome, steps = followed(program("sys.stderr.write('x' * 500_000)\n" + ANSWER))
+    assert (outcome.status, len(steps)) == ("complete", len(followed.truth))
+
+
+def test_words_without_a_question_are_noticed_before_they_answer_the_next(program, followed):
+    outcome, _ = followed(program(ANSWER + "\nprint('done', flush=True)"))
+    assert "without being asked" in reason(outcome) or "not one line of JSON" in reason(outcome)
+
+
+def test_what_was_answered_before_the_end_is_kept(program, followed):
+    outcome, steps = followed(program(f"if q['stamp_ns'] > 600_000_000: sys.exit(1)\n{ANSWER}"))
+    assert "ended with code 1" in reason(outcome)
+    assert len(steps) == 7
+
+
+@pytest.mark.parametrize(
+    ("hello", "said"),
+    [
+        ("say(protocol=2)", "'protocol': 2, expected 1"),
+        ("say(protocol=1, kind='mapper')", "'kind': found 'mapper'"),
+        ("say(protocol=1, kind='odometry', parameters=[{'name': 'a b', 'default': 1}])", "'parameters'"),
+        ("say(protocol=1, kind='registration', parameters=[{'name': 'keyframes', 'default': 1}])", "each once"),
+        ("print('hello!', flush=True)", "not one line of JSON: hello!"),
+        ("time.sleep(60)", "no answer within 0.3 s"),
+    ],
+)
+def test_a_program_that_does_not_introduce_itself_is_absent(program, followed, monkeypatch, hello, said):
+    monkeypatch.setattr(process, "HELLO_S", 0.3)
+    outcome, _ = followed(program(hello=hello))
+    assert said in reason(outcome, "not-installed")
+
+
+@pytest.mark.parametrize(
+    ("rest", "said"),
+    [("", "no program named"), ("'a", "mend the quotation"), ("./nowhere-to-be-found x", "no program found here")],
+)
+def test_a_command_that_is_none_is_absent_with_a_reason(rest, said):
+    assert said in registry.backend(f"exec:{rest}").missing()
+
+
+def test_a_program_for_another_machine_is_said_to_be_one(tmp_path, foreign_elf):
+    path = tmp_path / "icp"
+    path.write_bytes(foreign_elf)
+    assert "chmod" in registry.backend(f"exec:{path}").missing()
+    path.chmod(0o755)
+    assert "is built for 64-bit RISC-V" in registry.backend(f"exec:{path}").missing()
+
+
+def test_an_unknown_scheme_lists_the_known_ones():
+    with pytest.raises(UnknownName, match=r"no scheme named 'execute'.*known: exec, file, lib"):
+        registry.backend("execute:./x")
+
+
+def test_its_parameters_are_set_in_an_experiment_and_reach_it(program, followed):
+    listed = '[dict(name="offset_m", default=0.0, unit="m", meaning="added to x"), dict(name="on", default=True)]'
+    name = program("say(pose=[x + s['offset_m'] * s['on'], 0.0, 0.0])", HELLO.replace("[]", listed))
+    path = Path(name.split()[-1])
+    path.write_text(path.read_text().replace("        say()\n", "        s = q['parameters']; say()\n"))
+    plan = experiment.plan(
+        {"contestant": [{"use": name, "offset_m": 2}], "sequence": [{"use": "room"}]}, "x.toml", "x", "report x.toml"
+    )
+    (contestant,) = plan.contestants
+    assert (contestant.label, contestant.missing) == (name, "")
+    assert contestant.parameters == {"offset_m": 2.0, "on": True, "answer_timeout_s": 10.0}
+    _, steps = followed(name, **contestant.parameters)
+    assert steps["x"][0] == pytest.approx(2.0)
+
+
+def test_an_absent_program_with_parameters_is_still_a_row_with_a_reason():
+    content = {"contestant": [{"use": "exec:./nowhere", "max_iterations": 3}], "sequence": [{"use": "room"}]}
+    (contestant,) = experiment.plan(content, "x.toml", "x", "report x.toml").contestants
+    assert "no program found" in contestant.missing
+
+
+def test_results_are_keyed_by_what_the_program_contains(program):
+    name = program()
+    before = registry.run_fingerprint(name, "room")
+    assert before == registry.run_fingerprint(name, "room")
+    program(ANSWER + "  # another build")
+    assert before != registry.run_fingerprint(name, "room")
+
+
+def test_no_return_is_null_and_invalid_is_nan_in_the_question(program):
+    name = program("say(pose=[float([v is None for v in q['ranges']].index(True)), q['ranges'].index('nan'), 0.0])")
+    follower = registry.backend(name).make(answer_timeout_s=5.0)
+    scan = Scan(0, np.array([1.0, np.inf, np.nan]), np.zeros(3), 0.1, 9.0)
+    assert follower.update(Frame(scan, odom_from_base=Pose())).row.tolist() == [1.0, 2.0, 0.0]
+
+
+def test_a_question_is_one_line_of_ascii_in_the_order_of_the_protocol(tmp_path):
+    heard = tmp_path / "heard"
+    script = tmp_path / "echo.py"
+    script.write_text(
+        "import sys\n"
+        f"heard = open({str(heard)!r}, 'wb', buffering=0)\n"
+        'answers = [\'{"protocol":1,"kind":"odometry"}\', \'{}\', \'{"pose":[0,0,0]}\']\n'
+        "for line, answer in zip(sys.stdin.buffer, answers):\n"
+        "    heard.write(line)\n"
+        "    print(answer, flush=True)\n"
+    )
+    follower = registry.backend(f"exec:{sys.executable} -I -S {script}").make(answer_timeout_s=5.0)
+    follower.update(Frame(Scan(7, np.array([1.5]), np.array([0.25]), 0.1, 9.0)))
+    hello, create, update = heard.read_bytes().splitlines()
+    assert hello == b'{"ask":"hello","protocol":1}'
+    assert create == b'{"ask":"create","parameters":{}}'
+    assert update.startswith(b'{"ask":"update","stamp_ns":7,"time_increment_ns":0,"range_min_m":0.1,"range_max_m":9.0,')
+    assert update.endswith(b'"odom_from_base":null,"start_from_end":null,"angles":[0.25],"ranges":[1.5]}')
+    assert json.loads(update)["base_from_sensor"] == [0.0, 0.0, 0.0]

@@ -1,0 +1,145 @@
+"""Poses computed elsewhere as a back end: what the file says is answered, what it does not say is not."""
+
+import numpy as np
+import pytest
+
+from evalkit import registry
+from evalkit.errors import BadData
+from evalkit.external import results
+from evalkit.metrics import runtime
+from evalkit.metrics.table import Evidence
+from evalkit.protocols import NoAnswer, resolved
+from evalkit.store import tum
+from evalkit.types import Frame, Pose, Run, Scan, Trajectory, Truth
+
+STAMPS = np.arange(40) * 100_000_000
+
+
+@pytest.fixture
+def poses(tmp_path):
+    """Writes a trajectory in TUM format; its name for evalkit."""
+
+    def write(stamps_ns, rows):
+        path = tmp_path / "poses.tum"
+        path.write_text(tum(Trajectory(stamps_ns, rows), "room", "elsewhere"))
+        return f"file:{path}"
+
+    return write
+
+
+def rows_of(steps):
+    return np.stack([steps["x"], steps["y"], steps["theta"]], axis=1)
+
+
+def made(name, **given):
+    spec = registry.backend(name)
+    return spec.make(**resolved(name, spec.parameters, given))
+
+
+def at(stamp_ns, base_from_sensor=None):
+    return Frame(Scan(stamp_ns, np.array([1.0]), np.zeros(1), 0.1, 9.0), base_from_sensor or Pose())
+
+
+def test_the_answers_are_the_file_s_poses_from_the_first_on(poses, followed):
+    world_from_start = Pose(3.0, -2.0, 1.0)
+    outcome, steps = followed(poses(STAMPS, Trajectory(STAMPS, followed.truth).moved(world_from_start).poses))
+    assert (outcome.status, len(steps)) == ("complete", 40)
+    assert rows_of(steps) == pytest.approx(followed.truth, abs=1e-8)
+
+
+def test_its_times_are_withheld(poses, followed):
+    _, steps = followed(poses(STAMPS, followed.truth))
+    assert not steps["wall_ns"].any()
+    assert not steps["cpu_ns"].any()
+    run = Run("b", "s", "complete", "", steps, 40)
+    scores = {m.name: m.compute(Evidence(run, Truth("none"), None, None, ())) for m in runtime.METRICS}
+    names = ("wall_median_ms", "cpu_median_ms", "real_time_factor", "late_percent", "device_median_ms")
+    assert [scores[name].value for name in names] == [None] * 5
+    assert scores["wall_median_ms"].reason == "the answers were computed elsewhere"
+
+
+def test_between_two_poses_it_interpolates_if_they_are_not_too_far_apart(poses):
+    name = poses(np.array([0, 1_000_000_000, 5_000_000_000]), np.array([[0.0, 0, 0], [1.0, 0, 0.2], [2.0, 0, 0]]))
+    follower = made(name)
+    assert follower.update(at(0)) == Pose()
+    assert follower.update(at(250_000_000)).row == pytest.approx([0.25, 0.0, 0.05])
+    with pytest.raises(NoAnswer, match=r"no pose near 3\.000 s; it reaches from 0\.000 s to 5\.000 s"):
+        follower.update(at(3_000_000_000))
+    assert made(name, max_gap_s=4.0).update(at(3_000_000_000)) == Pose()
+
+
+def test_outside_its_span_only_a_pose_within_the_tolerance_answers(poses):
+    follower = made(poses(STAMPS, np.zeros((40, 3))), tolerance_s=0.05)
+    assert follower.update(at(-50_000_000)) == Pose()
+    for stamp_ns in (-51_000_000, int(STAMPS[-1]) + 51_000_000):
+        with pytest.raises(NoAnswer):
+            follower.update(at(stamp_ns))
+
+
+def test_poses_of_the_sensor_become_those_of_the_base(poses):
+    base_from_sensor = Pose(0.2, 0.0, np.pi / 2)
+    truth = Trajectory(np.array([0, 10]), np.array([[0.0, 0, 0], [1.0, 0, 0.5]]))
+    world_from_sensor = np.array([(Pose.of(row) @ base_from_sensor).row for row in truth.poses])
+    follower = made(poses(truth.stamps_ns, world_from_sensor), poses_of="sensor")
+    assert follower.update(at(0, base_from_sensor)) == Pose()
+    assert follower.update(at(10, base_from_sensor)).row == pytest.approx([1.0, 0.0, 0.5], abs=1e-8)
+
+
+def test_a_scan_it_leaves_out_is_not_answered_and_the_run_still_complete(poses, followed):
+    outcome, steps = followed(poses(STAMPS[2:], followed.truth[2:]))  # 38 of 40: 95 %
+    assert (outcome.status, outcome.expected) == ("complete", 40)
+    assert steps["stamp_ns"].tolist() == STAMPS[2:].tolist()
+
+
+def test_who_leaves_out_more_than_one_in_twenty_has_failed_and_says_how_much(poses, followed):
+    outcome, steps = followed(poses(STAMPS[:30], followed.truth[:30]))
+    assert outcome.status == "failed"
+    assert "no answer for 10 of 40 scans" in outcome.reason
+    assert "it reaches from 0.000 s to 2.900 s" in outcome.reason
+    assert len(steps) == 30
+
+
+def test_a_file_that_is_not_there_is_absent(tmp_path, followed):
+    outcome, _ = followed(f"file:{tmp_path / 'none.tum'}")
+    assert (outcome.status, "no such file: none.tum" in outcome.reason) == ("not-installed", True)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "no pose in it"),
+        ("# t x y z\n", "no pose in it"),
+        ("0 1 2 3\n", "line 1: '0 1 2 3'"),
+        ("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 one\n", "line 2"),
+        ("0 nan 0 0 0 0 0 1\n", "expected finite metres"),
+        ("0 0 0 0 0 0 0 0\n", "quaternion of length 0"),
+        ("nan 0 0 0 0 0 0 1\n", "line 1"),
+        ("1e400 0 0 0 0 0 0 1\n", "line 1"),
+    ],
+)
+def test_a_file_that_cannot_be_read_fails_with_its_line(tmp_path, followed, text, said):
+    path = tmp_path / "poses.tum"
+    path.write_text(text)
+    outcome, _ = followed(f"file:{path}")
+    assert outcome.status == "failed"
+    assert said in outcome.reason
+    with pytest.raises(BadData):
+        results.read(path)
+
+
+def test_times_keep_every_nanosecond_and_their_order(tmp_path):
+    path = tmp_path / "poses.tum"
+    path.write_text(
+        "976052857.337284002, 1, 0, 0, 0, 0, 0, 1\n976052857.337284001 0 0 0 0 0 0 1 # late\n"
+        "976052857.337284001 7 0 0 0 0 0 1\n"
+    )
+    trajectory = results.read(path)
+    assert trajectory.stamps_ns.tolist() == [976052857337284001, 976052857337284002]
+    assert trajectory.poses[:, 0].tolist() == [0.0, 1.0]
+
+
+def test_results_are_keyed_by_what_the_file_contains(poses):
+    name = poses(STAMPS, np.zeros((40, 3)))
+    before = registry.run_fingerprint(name, "room")
+    poses(STAMPS, np.ones((40, 3)))
+    assert registry.run_fingerprint(name, "room") != before
