@@ -1,0 +1,1 @@
+"""Checks of what others wrote: does a back end or a data set keep the rules its seam asks for?"""

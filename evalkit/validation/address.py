@@ -1,0 +1,91 @@
+"""Where a spec stands, in words that another process can follow."""
+
+from __future__ import annotations
+
+import importlib
+import importlib.util
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import TypeVar
+
+from evalkit import registry
+from evalkit.errors import NotInstalled
+from evalkit.protocols import BackendSpec, DatasetSpec
+
+Spec = TypeVar("Spec", BackendSpec, DatasetSpec)
+
+
+@dataclass(frozen=True)
+class Address:
+    """A registered name in ``label`` and nothing else, or a module, the name in it and the module's file."""
+
+    label: str
+    module: str = ""
+    attribute: str = ""
+    file: str = ""
+
+
+def address_of(plug_in: str | BackendSpec | DatasetSpec) -> Address:
+    """The address of a registered name, of "module:SPEC", or of a spec that stands in a module under a name."""
+    if not isinstance(plug_in, str):
+        return _address_of_object(plug_in)
+    module, colon, attribute = plug_in.partition(":")
+    if not colon or module in registry.names("schemes"):
+        return Address(plug_in)
+    return Address(plug_in, module, attribute)
+
+
+def spec_at(address: Address, wanted: type[Spec], registered: Callable[[str], Spec]) -> Spec:
+    """The spec at an address; ``registered`` finds the registered ones. NotInstalled where there is none."""
+    if not address.module:
+        return registered(address.label)
+    try:
+        spec = getattr(_module(address), address.attribute)
+    except Exception as error:  # a third party's code; a plug-in under development may raise anything
+        raise NotInstalled(address.label, f"does not load ({type(error).__name__}: {error})", _REMEDY) from error
+    if not isinstance(spec, wanted):
+        found = f"is a {type(spec).__name__}, expected a {wanted.__name__}"
+        raise NotInstalled(address.label, found, _REMEDY)
+    return spec
+
+
+_REMEDY = "give a registered name, or module:SPEC of a module that can be imported"
+
+
+def _module(address: Address) -> ModuleType:
+    """The module by its name, or by its file where the name leads elsewhere (a test, a script)."""
+    if address.module != "__main__":
+        try:
+            module = importlib.import_module(address.module)
+        except ModuleNotFoundError:
+            if not address.file:
+                raise
+        else:
+            if address.file in ("", getattr(module, "__file__", None)):
+                return module
+    return _module_of_file(address.file)
+
+
+def _module_of_file(file: str) -> ModuleType:
+    name = f"_checked_{Path(file).stem}"
+    if name not in sys.modules:
+        found = importlib.util.spec_from_file_location(name, file)
+        if found is None or found.loader is None:
+            raise ImportError(f"{file} is no Python file")
+        sys.modules[name] = module = importlib.util.module_from_spec(found)
+        found.loader.exec_module(module)
+    return sys.modules[name]
+
+
+def _address_of_object(spec: BackendSpec | DatasetSpec) -> Address:
+    home = getattr(spec.make, "__module__", "")  # others may have imported it
+    for name, module in sorted(sys.modules.items(), key=lambda item: item[0] != home):
+        for attribute, value in list(vars(module).items()) if isinstance(module, ModuleType) else ():
+            if value is spec:
+                return Address(f"{name}:{attribute}", name, attribute, str(getattr(module, "__file__", "") or ""))
+    raise NotInstalled(
+        "this spec", "stands in no module under a name, so another process cannot find it", "give it a name in a module"
+    )

@@ -1,0 +1,181 @@
+"""Small made-up scenes with a known answer: a room's points for registrations, a drive through it for odometries.
+
+They are made here and not by the synthetic data sets, so that the rules hang on nothing but evalkit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from evalkit import se2
+from evalkit.se2 import Floats
+from evalkit.types import Cloud, Frame, Pose, Scan
+
+CORNERS = np.array([[-4.0, -3.0], [4.0, -3.0], [4.0, 1.0], [0.5, 1.0], [0.5, 4.0], [-4.0, 4.0]])
+"""An L-shaped room (m): no motion brings it onto itself."""
+
+REACH_M = 4.0
+"""Half the room: a turn is weighed by what it moves there."""
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Two clouds of the room, the true ``target_from_source``, and a guess that is somewhat off."""
+
+    target: Cloud
+    source: Cloud
+    truth: Pose
+    guess: Pose
+
+
+def clear_pair(truth: Pose = Pose(0.3, 0.0, 0.3)) -> Pair:  # noqa: B008 - a Pose is frozen
+    """The same 150 points twice, without noise, so wide apart that with this guess every nearest neighbour is right.
+
+    Any method that minimises distances, to points or to walls, reaches the truth within a few steps.
+    """
+    points = _along_walls(spacing_m=0.2)
+    guess = truth @ Pose(0.03, -0.02, np.radians(0.5))
+    return Pair(Cloud(points), Cloud(truth.inverse().transform(points)), truth, guess)
+
+
+def noisy_pair(truth: Pose = Pose(0.04, -0.03, 0.035)) -> Pair:  # noqa: B008 - a Pose is frozen
+    """Two scans of the room with 3 cm of noise, no point twice; the guess is the identity: 5 cm and 2 degrees off."""
+    rng = np.random.default_rng(7)
+    target, source = (_sampled(rng, count, 0.03) for count in (1200, 500))
+    return Pair(Cloud(target), Cloud(truth.inverse().transform(source)), truth, Pose())
+
+
+def wall_pair() -> Pair:
+    """One straight wall seen twice, 5 cm off across it; along it nothing can be told."""
+    along = np.random.default_rng(3).uniform(-4.0, 4.0, 400)
+    wall = np.stack([along, np.full_like(along, 2.0)], axis=1)
+    truth = Pose(0.0, -0.05, 0.0)
+    return Pair(Cloud(wall), Cloud(truth.inverse().transform(wall[::2])), truth, Pose())
+
+
+def away(answer: Pose, truth: Pose) -> float:
+    """How far (m) an answer is from the truth: its shift, and its turn as felt half a room away."""
+    left = truth.inverse() @ answer
+    return float(np.hypot(left.x, left.y) + REACH_M * abs(left.theta))
+
+
+def told(pose: Pose) -> str:
+    """A pose for a message."""
+    return f"({pose.x:.3f} m, {pose.y:.3f} m, {pose.theta:.4f} rad)"
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Frames along a known path: ``truth`` (N, 3) is ``start_from_base`` at each first beam."""
+
+    frames: tuple[Frame, ...]
+    truth: Floats
+
+
+BEAMS = 360
+PERIOD_NS = 100_000_000
+WORLD_FROM_START = Pose(-2.0, -1.5, 0.4)
+ODOM_FROM_START = Pose(10.0, -5.0, 1.0)
+
+
+def drive(
+    scans: int = 16,
+    speed_mps: float = 0.4,
+    turn_radps: float = 0.4,
+    *,
+    base_from_sensor: Pose = Pose(),  # noqa: B008 - a Pose is frozen
+    standing: int = 0,
+    odometry_gain: float | None = 1.0,
+    sweeping: bool = True,
+) -> Drive:
+    """A drive along a left-hand arc, ten scans a second, 1 cm of noise; the first ``standing`` scans do not move.
+
+    ``odometry_gain``: by what the wheels overstate every motion; None: no odometry. ``sweeping``: beams are fired one
+    after the other, and each sees the room from where the sensor is then; otherwise all at once.
+    """
+    rng = np.random.default_rng(11)
+    frames, truth = [], []
+    here, odom = Pose(), ODOM_FROM_START
+    for index in range(scans):
+        moving = index >= standing
+        step = _arc(speed_mps, turn_radps) if moving else Pose()
+        share: Floats = np.arange(BEAMS, dtype=np.float64) * (sweeping / BEAMS)
+        truth.append(here.row)
+        frame = _frame(index, WORLD_FROM_START @ here, step, share, base_from_sensor, rng)
+        if odometry_gain is not None:
+            felt = Pose.of(step.row * odometry_gain)
+            within = Pose.of(se2.fraction(felt.row, share[-1:])[0])
+            frame = replace(frame, odom_from_base=odom, start_from_end=within)
+            odom = odom @ felt
+        frames.append(frame)
+        here = here @ step
+    return Drive(tuple(frames), np.array(truth))
+
+
+def without_hits(frame: Frame) -> Frame:
+    """The same frame with every beam a no-return."""
+    scan = frame.scan
+    return replace(frame, scan=replace(scan, ranges=np.full(len(scan.ranges), np.inf)))
+
+
+def _arc(speed_mps: float, turn_radps: float) -> Pose:
+    seconds = PERIOD_NS * 1e-9
+    angle = turn_radps * seconds
+    if angle == 0.0:
+        return Pose(speed_mps * seconds, 0.0, 0.0)
+    radius = speed_mps / turn_radps
+    return Pose(radius * np.sin(angle), radius * (1.0 - np.cos(angle)), angle)
+
+
+def _frame(
+    index: int, world_from_base: Pose, step: Pose, share: Floats, base_from_sensor: Pose, rng: np.random.Generator
+) -> Frame:
+    angles: Floats = np.arange(BEAMS, dtype=np.float64) * (2.0 * np.pi / BEAMS)
+    world_from_then = se2.compose(world_from_base.row, se2.fraction(step.row, share))
+    ranges = _cast(se2.compose(world_from_then, base_from_sensor.row), angles) + rng.normal(0.0, 0.01, BEAMS)
+    increment = PERIOD_NS // BEAMS if share[-1] > 0.0 else 0
+    scan = Scan(1_000_000_000 + index * PERIOD_NS, np.clip(ranges, 0.15, 12.0), angles, 0.15, 12.0, increment)
+    return Frame(scan, base_from_sensor)
+
+
+def _cast(world_from_sensor: Floats, angles: Floats) -> Floats:
+    """Distances (B,) from sensor poses (B, 3) along beams (B,) to the nearest wall of the room."""
+    heading = world_from_sensor[:, 2] + angles
+    ray = np.stack([np.cos(heading), np.sin(heading)], axis=1)[:, None, :]
+    side = (np.roll(CORNERS, -1, axis=0) - CORNERS)[None]
+    to_corner = CORNERS[None] - world_from_sensor[:, None, :2]
+    across = _cross(ray, side)
+    with np.errstate(divide="ignore", invalid="ignore"):  # a beam along a wall does not meet it
+        distance = _cross(to_corner, side) / across
+        at = _cross(to_corner, ray) / across
+    met = (distance > 0.0) & (at >= 0.0) & (at <= 1.0)
+    return np.asarray(np.where(met, distance, np.inf).min(axis=1))
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+
+
+def _sides() -> tuple[Floats, Floats]:
+    sides = np.roll(CORNERS, -1, axis=0) - CORNERS
+    return sides, np.linalg.norm(sides, axis=1)
+
+
+def _along_walls(spacing_m: float) -> Floats:
+    """Points on the walls, about evenly spaced: a strictly even row would fit itself shifted by one."""
+    sides, lengths = _sides()
+    rng = np.random.default_rng(5)
+    walls = []
+    for corner, side, length in zip(CORNERS, sides, lengths, strict=True):
+        count = round(length / spacing_m)
+        at = (np.arange(count) + 0.5 + rng.uniform(-0.1, 0.1, count)) / count
+        walls.append(corner + at[:, None] * side)
+    return np.concatenate(walls)
+
+
+def _sampled(rng: np.random.Generator, count: int, noise_m: float) -> Floats:
+    sides, lengths = _sides()
+    wall = rng.choice(len(sides), count, p=lengths / lengths.sum())
+    return np.asarray(CORNERS[wall] + rng.uniform(size=(count, 1)) * sides[wall] + rng.normal(0.0, noise_m, (count, 2)))

@@ -1,0 +1,388 @@
+"""Back ends that each break one rule, and sound ones to compare with; found as "faulty_backends:NAME"."""
+
+from __future__ import annotations
+
+import ctypes
+import itertools
+import math
+import os
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from evalkit import lift
+from evalkit.errors import NotInstalled
+from evalkit.protocols import BackendSpec, NoAnswer, Parameter
+from evalkit.types import Cloud, Frame, Match, Pose
+from evalkit_baselines.paper.icp import Icp
+
+
+class Sound:
+    """A Registration that keeps every rule; the faulty ones change one thing."""
+
+    def __init__(self) -> None:
+        self._icp = Icp(epsilon=1e-6)
+
+    def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
+        return self._icp.register(target, source, guess)
+
+
+class Guess:
+    def register(self, target, source, guess):
+        return Match(guess, True, 1, 0.0, len(source))
+
+
+class Identity:
+    def register(self, target, source, guess):
+        return Match(Pose(), True, 1, 0.0, len(source))
+
+
+class IgnoresTheGuess(Sound):
+    def register(self, target, source, guess):
+        return super().register(target, source, Pose())
+
+
+class Inverse(Sound):
+    def register(self, target, source, guess):
+        match = super().register(target, source, guess)
+        return replace(match, target_from_source=match.target_from_source.inverse())
+
+
+class Degrees(Sound):
+    def register(self, target, source, guess):
+        match = super().register(target, source, guess)
+        pose = match.target_from_source
+        return replace(match, target_from_source=Pose(pose.x, pose.y, math.degrees(pose.theta)))
+
+
+class Clockwise(Sound):
+    def register(self, target, source, guess):
+        match = super().register(target, source, guess)
+        pose = match.target_from_source
+        return replace(match, target_from_source=Pose(pose.x, pose.y, -pose.theta))
+
+
+class Millimetres(Sound):
+    def register(self, target, source, guess):
+        match = super().register(target, source, guess)
+        pose = match.target_from_source
+        return replace(match, target_from_source=Pose(1000.0 * pose.x, 1000.0 * pose.y, pose.theta))
+
+
+class Biased(Sound):
+    """Off by 3 cm, always the same way in the target's frame."""
+
+    def register(self, target, source, guess):
+        match = super().register(target, source, guess)
+        return replace(match, target_from_source=Pose(0.03) @ match.target_from_source)
+
+
+class ByIndex(Sound):
+    """Takes equal rows for partners."""
+
+    def register(self, target, source, guess):
+        count = min(len(target), len(source))
+        if count < 3:
+            return Match(guess, False, 0, math.nan, 0)
+        shift = (target.points[:count] - guess.transform(source.points[:count])).mean(axis=0)
+        return Match(Pose(*shift) @ guess, True, 1, 0.0, count)
+
+
+class Halves(Sound):
+    """Looks at the first half of the source only, and says so too seldom: doubled points change the answer."""
+
+    def register(self, target, source, guess):
+        some = Cloud(source.points[:: 1 + (len(source) > 700)] + 0.1 * (len(source) > 700))
+        return super().register(target, some, guess)
+
+
+class Stateful(Sound):
+    """Starts where it ended the last time."""
+
+    last = None
+
+    def register(self, target, source, guess):
+        match = super().register(target, source, guess)
+        shift, self.last = self.last or Pose(), Pose(1e-6) @ (self.last or Pose())
+        return replace(match, target_from_source=shift @ match.target_from_source)
+
+
+class Random(Sound):
+    def register(self, target, source, guess):
+        rows = np.random.default_rng().choice(len(source), len(source) // 2, replace=False) if len(source) > 9 else []
+        return super().register(target, Cloud(source.points[rows]), guess) if len(rows) else Match(
+            guess, False, 0, math.nan, 0
+        )  # fmt: skip
+
+
+class WritesPolitely(Sound):
+    """In NumPy, which refuses."""
+
+    def register(self, target, source, guess):
+        source.points[:] = guess.transform(source.points)
+        return super().register(target, source, Pose())
+
+
+class WritesRudely(Sound):
+    """Through a pointer, as a C library would."""
+
+    def register(self, target, source, guess):
+        match = super().register(target, source, guess)
+        ctypes.memset(source.points.ctypes.data, 0, min(source.points.nbytes, 16))
+        return match
+
+
+class Liar(Sound):
+    """Always converged."""
+
+    def register(self, target, source, guess):
+        return replace(super().register(target, source, guess), converged=True)
+
+
+class NoPairs(Sound):
+    def register(self, target, source, guess):
+        return replace(super().register(target, source, guess), inliers=0)
+
+
+class Unbounded(Sound):
+    """Solves for what a wall leaves open."""
+
+    def register(self, target, source, guess):
+        match = super().register(target, source, guess)
+        wall = len(source) and np.ptp(target.points[:, 1]) < 1e-6
+        return replace(match, target_from_source=Pose(1e6) @ match.target_from_source) if wall else match
+
+
+class Nan(Sound):
+    def register(self, target, source, guess):
+        match = super().register(target, source, guess)
+        return match if len(source) > 1 else replace(match, target_from_source=None)
+
+
+class Matrix(Sound):
+    """Answers as its library does."""
+
+    def register(self, target, source, guess):
+        return np.eye(4)
+
+
+class Leaks(Sound):
+    def __init__(self) -> None:
+        super().__init__()
+        self._kept = []
+
+    def register(self, target, source, guess):
+        self._kept.append(np.ones(100_000))
+        return super().register(target, source, guess)
+
+
+class Segfault(Sound):
+    """A null pointer where the source is empty."""
+
+    def register(self, target, source, guess):
+        if len(source) == 0:
+            sys.stderr.write("about to read nothing\n")
+            ctypes.string_at(0)
+        return super().register(target, source, guess)
+
+
+class AlwaysSegfault(Sound):
+    def register(self, target, source, guess):
+        ctypes.string_at(0)
+
+
+class Exits(Sound):
+    def register(self, target, source, guess):
+        if len(source) == 1:
+            os._exit(3)
+        return super().register(target, source, guess)
+
+
+class Hangs(Sound):
+    """Iterates for ever on a single wall."""
+
+    def register(self, target, source, guess):
+        while len(target) and np.ptp(target.points[:, 1]) < 1e-6:
+            time.sleep(0.01)
+        return super().register(target, source, guess)
+
+
+class Hogs(Sound):
+    """Allocates by what it is given."""
+
+    def register(self, target, source, guess):
+        self.kept = [np.ones(2_000_000) for _ in itertools.count()] if len(source) == 0 else []
+        return super().register(target, source, guess)
+
+
+class Absent(Sound):
+    def __init__(self) -> None:
+        raise NotInstalled("absent", "does not load (no libabsent.so)", "install libabsent")
+
+
+class Raises(Sound):
+    def register(self, target, source, guess):
+        raise RuntimeError("the licence has run out")
+
+
+class RawOpen3DPlane:
+    """Open3D's point-to-plane on z = 0 with the normals it estimates by itself."""
+
+    def register(self, target, source, guess):
+        import open3d as o3d
+
+        if min(len(target), len(source)) < 3:
+            return Match(guess, False, 0, math.nan, 0)
+        fixed, moving = (
+            o3d.geometry.PointCloud(o3d.utility.Vector3dVector(lift.points_3d(cloud.points)))
+            for cloud in (target, source)
+        )
+        fixed.estimate_normals()
+        icp = o3d.pipelines.registration
+        found = icp.registration_icp(
+            moving, fixed, 0.5, lift.matrix_4x4(guess), icp.TransformationEstimationPointToPlane()
+        )
+        pairs = len(found.correspondence_set)
+        return Match(lift.pose_2d(found.transformation), found.fitness > 0.5, 0, found.inlier_rmse, pairs)
+
+
+class RawSmallGicpPlane:
+    """small_gicp's PLANE_ICP on z = 0."""
+
+    def register(self, target, source, guess):
+        import small_gicp
+
+        if min(len(target), len(source)) < 3:
+            return Match(guess, False, 0, math.nan, 0)
+        found = small_gicp.align(
+            lift.points_3d(target.points), lift.points_3d(source.points), lift.matrix_4x4(guess),
+            registration_type="PLANE_ICP", downsampling_resolution=0.01, max_correspondence_distance=0.5,
+        )  # fmt: skip
+        return Match(
+            lift.pose_2d(found.T_target_source, 1e-3), found.converged, found.iterations, 0.0, found.num_inliers
+        )
+
+
+class Wheels:
+    """An Odometry that keeps the rules as long as there are wheels; the faulty ones change one thing."""
+
+    def __init__(self) -> None:
+        self.begin = None
+
+    def update(self, frame: Frame) -> Pose:
+        if self.begin is None:
+            self.begin = frame.odom_from_base
+        return self.begin.inverse() @ frame.odom_from_base
+
+
+class StartsElsewhere(Wheels):
+    def update(self, frame):
+        return frame.odom_from_base
+
+
+class Stands(Wheels):
+    def update(self, frame):
+        return Pose()
+
+
+class LastBeam(Wheels):
+    def update(self, frame):
+        answer = super().update(frame)
+        return answer @ frame.start_from_end if answer != Pose() else answer
+
+
+class OfTheSensor(Wheels):
+    """Follows the lidar instead of the base."""
+
+    def update(self, frame):
+        mount = frame.base_from_sensor
+        return mount.inverse() @ super().update(frame) @ mount
+
+
+class TurnsRight(Wheels):
+    def update(self, frame):
+        answer = super().update(frame)
+        return Pose(answer.x, answer.y, -answer.theta)
+
+
+class DegreesOdometry(Wheels):
+    def update(self, frame):
+        answer = super().update(frame)
+        return Pose(answer.x, answer.y, math.degrees(answer.theta))
+
+
+class MillimetresOdometry(Wheels):
+    def update(self, frame):
+        answer = super().update(frame)
+        return Pose(1000.0 * answer.x, 1000.0 * answer.y, answer.theta)
+
+
+class Backwards(Wheels):
+    def update(self, frame):
+        return super().update(frame).inverse()
+
+
+class NeedsHits(Wheels):
+    def update(self, frame):
+        frame.scan.points().max(axis=0)
+        return super().update(frame)
+
+
+class DividesByTime(Wheels):
+    def update(self, frame):
+        _ = 1 / frame.scan.time_increment_ns
+        return super().update(frame)
+
+
+class Shared(Wheels):
+    """Its state is the class's."""
+
+    steps = 0
+
+    def update(self, frame):
+        Shared.steps += 1
+        return super().update(frame) @ Pose(1e-9 * Shared.steps)
+
+
+class WritesScans(Wheels):
+    def update(self, frame):
+        frame.scan.ranges[~frame.scan.hits] = 0.0
+        return super().update(frame)
+
+
+class LeaksScans(Wheels):
+    def update(self, frame):
+        self.kept = [*getattr(self, "kept", []), np.ones(100_000)]
+        return super().update(frame)
+
+
+class Seldom(Wheels):
+    """Leaves out every third scan, and says so."""
+
+    count = 0
+
+    def update(self, frame):
+        answer = super().update(frame)
+        self.count += 1
+        if self.count % 3 == 2:
+            raise NoAnswer("every third scan is left out")
+        return answer
+
+
+def spec(make, kind="registration", **more) -> BackendSpec:
+    return BackendSpec(make=make, kind=kind, summary="", citation="", licence="MIT", **more)
+
+
+def parameterised(stop: int) -> Sound:
+    return AlwaysSegfault() if stop == 13 else Sound()
+
+
+SOUND = spec(Sound)
+SEGFAULT, ALWAYS_SEGFAULT, EXITS, HANGS, HOGS = map(spec, (Segfault, AlwaysSegfault, Exits, Hangs, Hogs))
+LEAKS, ABSENT, RAISES, MATRIX = map(spec, (Leaks, Absent, Raises, Matrix))
+PARAMETERISED = spec(parameterised, parameters=(Parameter("stop", 1, "", "13 ends badly", low=1),))
+MISSING = spec(Sound, missing=lambda: "not installed: pip install nothing")
+WHEELS = spec(Wheels, "odometry", role="bar")
+NO_SPEC = 3
