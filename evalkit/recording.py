@@ -6,9 +6,10 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from evalkit import experiment, registry
-from evalkit.errors import BadData, BadParameter
+from evalkit.errors import BadData
 from evalkit.experiment import Plan
-from evalkit.protocols import DatasetSpec, Parameter, Value
+from evalkit.protocols import DatasetSpec
+from evalkit.settings import from_text
 
 
 def plan(path: Path, options: Mapping[str, str], settings: Mapping[str, str], backends: list[str], source: str) -> Plan:
@@ -18,9 +19,7 @@ def plan(path: Path, options: Mapping[str, str], settings: Mapping[str, str], ba
     ``settings``: its other parameters, as text. ``source``: the command line, for the commands in the report.
     """
     reader, spec = _reader(path)
-    texts = {**settings, **options}
-    known = {parameter.name: parameter for parameter in spec.parameters}
-    values = {name: _value(reader, known[name], text) if name in known else text for name, text in texts.items()}
+    values = from_text(reader, spec.parameters, {**settings, **options})
     content = {
         "title": f"{path.name}: every back end on one recording",
         "sequence": [{"use": reader, "label": path.name, "path": str(path), **values}],
@@ -41,14 +40,3 @@ def _reader(path: Path) -> tuple[str, DatasetSpec]:
             return name, spec
     known = ", ".join(f"{name} ({' '.join(spec.suffixes)})" for name, spec in readers.items())
     raise BadData(str(path), "", f"no reader for '{path.suffix or path.name}'", f"known readers: {known}")
-
-
-def _value(owner: str, parameter: Parameter, text: str) -> Value:
-    """The text in the type of the parameter's default."""
-    kind = type(parameter.default)
-    if kind is bool and text.lower() in ("true", "false"):
-        return text.lower() == "true"
-    try:
-        return text if kind in (str, bool) else kind(text)
-    except ValueError:
-        raise BadParameter(owner, parameter.name, text, f"{kind.__name__} ({parameter.meaning})") from None

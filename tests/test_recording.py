@@ -4,7 +4,6 @@ import pytest
 
 from evalkit import recording, registry
 from evalkit.errors import BadData, BadExperiment, BadParameter
-from evalkit.protocols import Parameter
 
 
 @pytest.fixture
@@ -54,13 +53,6 @@ def test_settings_take_the_type_of_their_parameter_and_options_come_first(log):
 def test_a_setting_that_does_not_fit_is_named(log, settings, error, message):
     with pytest.raises(error, match=message):
         plan(log, settings=settings)
-
-
-def test_only_true_and_false_are_yes_and_no():
-    flag = Parameter("flag", False, "", "on or off")
-    assert [recording._value("x", flag, text) for text in ("true", "False")] == [True, False]
-    with pytest.raises(BadParameter, match="parameter 'flag': found 'no', expected true or false"):
-        flag.checked("x", recording._value("x", flag, "no"))
 
 
 def test_a_back_end_that_is_none_is_named(log):
