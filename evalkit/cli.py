@@ -1,4 +1,4 @@
-"""The command line: arguments, paths, progress, exit codes (0 fine, 1 a run failed, 2 usage); nothing else."""
+"""The command line: arguments, paths, progress, exit codes (0 fine, 1 failed run or broken rule, 2 usage); no more."""
 
 from __future__ import annotations
 
@@ -15,13 +15,16 @@ from typing import Annotated, Any
 import typer
 from rich.console import Console
 from rich.table import Table
+from rich.text import Text
 
 from evalkit import __version__, console, experiment, listing, recording, registry
 from evalkit.engine import Engine
 from evalkit.errors import EvalkitError, StoreError
 from evalkit.experiment import Plan
+from evalkit.settings import from_text
 from evalkit.store import REMEDY, Store
 from evalkit.types import Trial
+from evalkit.validation import conformance
 
 app = typer.Typer(
     help="Which scan matcher, on my robot, and is my own one right? Compare 2D lidar registration back ends.",
@@ -137,6 +140,36 @@ def compare(
     own = {name: str(value) for name, value in given.items() if value}
     plan = recording.plan(file, own, _settings(setting or []), [b for b in backends.split(",") if b], source)
     _report(plan.only(sequence or [], contestant or [], []), folder, jobs, resume, as_json)
+
+
+@app.command()
+def check(
+    backend: Annotated[str, typer.Argument(help="A registered name, or module:SPEC.", show_default=False)],
+    setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE for the back end.")] = None,
+    rule: Annotated[list[str] | None, typer.Option(help="Ask this rule only.", show_default="all")] = None,
+    limit: Annotated[float, typer.Option(min=0.1, help="Seconds that one rule may take.")] = 30.0,
+    as_json: Json = False,
+) -> None:
+    """Check that a back end keeps the rules all others keep: known answers, units, frames, no crash, no leak."""
+    sys.path.append(str(Path.cwd()))  # a module under development stands there
+    values = from_text(backend, conformance.spec_of(backend).parameters, _settings(setting or []))
+    found = conformance.check(backend, values, limit_s=limit, only=rule or ())
+    if as_json:
+        _print_json(asdict(found))
+    else:
+        table = Table("rule", "outcome", "what was seen", expand=out.is_terminal)
+        for row in found.verdicts:
+            asked = f"{row.sentence} Seen: " if row in found.broken else ""
+            table.add_row(row.rule, row.outcome, Text(asked + row.observed))  # others' words are no markup
+        out.print(table)
+        out.print(
+            f"{found.label}: {len(found.broken)} of {len(found.verdicts)} rules broken",
+            markup=False,
+            emoji=False,
+            highlight=False,
+        )
+    if found.broken:
+        raise typer.Exit(1)
 
 
 def _report(plan: Plan, folder: Path | None, jobs: int | None, resume: bool, as_json: bool) -> None:
