@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evalkit import registry
-from evalkit.errors import BadData
+from evalkit.errors import BadData, BadParameter
 from evalkit.external import results
 from evalkit.metrics import runtime
 from evalkit.metrics.table import Evidence
@@ -97,6 +97,11 @@ def test_who_leaves_out_more_than_one_in_twenty_has_failed_and_says_how_much(pos
     assert "no answer for 10 of 40 scans" in outcome.reason
     assert "it reaches from 0.000 s to 2.900 s" in outcome.reason
     assert len(steps) == 30
+
+
+def test_quotation_marks_must_close():
+    with pytest.raises(BadParameter, match="No closing quotation"):
+        registry.backend("file:'poses.tum")
 
 
 def test_a_file_that_is_not_there_is_absent(tmp_path, followed):

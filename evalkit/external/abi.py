@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import json
+import sys
 from ctypes import CFUNCTYPE, POINTER, c_char_p, c_double, c_int32, c_int64, c_size_t, c_void_p
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -92,6 +94,28 @@ def load(name: str, file: Path) -> ctypes.CDLL:
     return library
 
 
+def main() -> int:
+    """Prints as JSON what the library named on the command line says of itself, or why it cannot be used."""
+    name, file = sys.argv[1:]
+    try:
+        library = load(name, Path(file))
+        said: dict[str, object] = {
+            "kind": KINDS[library.evalkit_kind()],
+            "summary": _told(library, "evalkit_summary"),
+            "parameters": _told(library, "evalkit_parameters"),
+        }
+    except BackendFailed as error:
+        said = {"failed": error.args[1:]}
+    sys.stdout.write("\n" + json.dumps(said) + "\n")
+    return 0
+
+
+def _told(library: ctypes.CDLL, function: str) -> str:
+    found = getattr(library, function, None)
+    said = found() if found is not None else None
+    return said.decode(errors="replace") if said else ""
+
+
 def _need(name: str, library: ctypes.CDLL, function: str, result: object, arguments: list[object]) -> None:
     try:
         found = getattr(library, function)
@@ -99,3 +123,7 @@ def _need(name: str, library: ctypes.CDLL, function: str, result: object, argume
         remedy = 'write it as evalkit_backend.h says (in C++ within extern "C")'
         raise BackendFailed(name, f"lacks the function {function}", remedy) from None
     found.restype, found.argtypes = result, arguments
+
+
+if __name__ == "__main__":
+    sys.exit(main())

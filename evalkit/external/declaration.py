@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import re
+import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -44,7 +46,8 @@ def declaration(name: str, content: Mapping[str, Any]) -> Declaration:
     for index, parameter in enumerate(parameters):
         if parameter.name in reserved or parameter.name in {p.name for p in parameters[:index]}:
             raise _malformed(name, "parameters", parameter.name, "names of its own, each once")
-    return Declaration(kind, _text(name, content, "summary"), parameters, _text(name, content, "device"))
+    summary = _text(name, content, "summary") or "somebody else's: it does not say what it is"
+    return Declaration(kind, summary, parameters, _text(name, content, "device"))
 
 
 def listed(text: str) -> list[dict[str, Value]]:
@@ -74,6 +77,14 @@ def value(word: str) -> Value:
 def text(setting: Value) -> str:
     """The word that ``value`` reads back."""
     return str(setting).lower() if isinstance(setting, bool) else str(setting)
+
+
+def split(name: str, rest: str) -> list[str]:
+    """The file and the words ``NAME=VALUE`` behind a scheme, as a shell would split them."""
+    try:
+        return shlex.split(rest) or [""]
+    except ValueError as error:
+        raise BadParameter(name, "file", rest, f"a file and NAME=VALUE words ({error})") from None
 
 
 def settings(name: str, parameters: tuple[Parameter, ...], words: list[str]) -> tuple[Parameter, ...]:
@@ -121,8 +132,8 @@ def _parameter(name: str, entry: object) -> Parameter:
     if not isinstance(entry, Mapping) or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", str(entry.get("name", ""))):
         raise _malformed(name, "parameters", entry, "a name of letters, digits and underscores")
     default = entry.get("default")
-    if not isinstance(default, (bool, int, float, str)):
-        raise _malformed(name, "parameters", entry, "a default that is true or false, a number or a text")
+    if not isinstance(default, (bool, int, float, str)) or (isinstance(default, float) and not math.isfinite(default)):
+        raise _malformed(name, "parameters", entry, "a default that is true or false, a finite number or a text")
     unit = _text(name, entry, "unit")
     return Parameter(str(entry["name"]), default, "" if unit == "-" else unit, _text(name, entry, "meaning"))
 

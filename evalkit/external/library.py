@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import ctypes
 import json
-import shlex
 import signal
 import subprocess
 import sys
@@ -21,7 +20,7 @@ import numpy as np
 from evalkit.clock import conversion
 from evalkit.errors import BackendFailed
 from evalkit.external import abi, elf
-from evalkit.external.declaration import absent, declaration, digest_of, listed, settings, spec, text
+from evalkit.external.declaration import absent, declaration, digest_of, listed, settings, spec, split, text
 from evalkit.protocols import BackendSpec, Parameter, Value
 from evalkit.se2 import Floats
 from evalkit.types import Cloud, Frame, Iteration, Match, Pose
@@ -35,7 +34,7 @@ TRACE = Parameter("trace", False, "", "hear of every iteration; costs time in th
 def scheme(rest: str) -> BackendSpec:
     """The back end ``lib:PATH [NAME=VALUE ...]``: a library of a kind and with parameters of its own telling."""
     name = f"lib:{rest}"
-    path, *words = shlex.split(rest) or [""]
+    path, *words = split(name, rest)
     file = Path(path).resolve()
     digest = digest_of(file)
     if why := _unfit(file):
@@ -132,26 +131,10 @@ class Instance:
         return f": {said.decode(errors='replace')[:300]}" if said else ""
 
 
-def main() -> int:
-    """Prints as JSON what the library named on the command line says of itself, or why it cannot be used."""
-    name, file = sys.argv[1:]
-    try:
-        library = abi.load(name, Path(file))
-        said = {
-            "kind": abi.KINDS[library.evalkit_kind()],
-            "summary": _told(library, "evalkit_summary") or Path(file).name,
-            "parameters": listed(_told(library, "evalkit_parameters")),
-        }
-    except BackendFailed as error:
-        said = {"failed": error.args[1:]}
-    sys.stdout.write("\n" + json.dumps(said) + "\n")
-    return 0
-
-
 @cache
 def _asked(name: str, file: Path, _digest: str) -> dict[str, Any]:
-    """What ``main`` says of a library in a process of its own; the digest tells one build from the next."""
-    command = [sys.executable, "-P", "-m", __name__, name, str(file)]
+    """What ``abi.main`` says of a library in a process of its own; the digest tells one build from the next."""
+    command = [sys.executable, "-P", "-m", abi.__name__, name, str(file)]
     try:
         done = subprocess.run(
             command, stdin=subprocess.DEVNULL, capture_output=True, timeout=LOOK_S, check=False, text=True,
@@ -163,7 +146,7 @@ def _asked(name: str, file: Path, _digest: str) -> dict[str, Any]:
         how = f"code {done.returncode}" if done.returncode > 0 else signal.Signals(-done.returncode).name
         return {"failed": (f"loading it ended the process with {how}", "mend what it does when loaded")}
     said: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])  # before it, whatever the library printed
-    return said
+    return said if "failed" in said else said | {"parameters": listed(said["parameters"])}
 
 
 def _unfit(file: Path) -> str:
@@ -174,12 +157,6 @@ def _unfit(file: Path) -> str:
     except OSError as error:
         why = f"cannot be read ({error.strerror})"
     return f"{file.name} {why}; build it as a shared library on this machine" if why else ""
-
-
-def _told(library: ctypes.CDLL, function: str) -> str:
-    found = getattr(library, function, None)
-    said = found() if found is not None else None
-    return said.decode(errors="replace") if said else ""
 
 
 def _flat(array: Floats) -> Floats:
@@ -200,7 +177,3 @@ def _reference(pose: Pose | None) -> Any:
 
 def _pose(row: abi.Pose) -> Pose:
     return Pose(row.x, row.y, row.theta)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

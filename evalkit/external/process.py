@@ -146,8 +146,8 @@ class Talk:
         found = answer.get(key)
         if found is None and optional:
             return float("nan")
-        if not isinstance(found, (int, float)) or not np.isfinite(found):
-            raise self.program.malformed(key, found, "a number")
+        if not isinstance(found, (int, float)) or not 0.0 <= found < np.inf:
+            raise self.program.malformed(key, found, "a number from 0")
         return found
 
     def pose(self, answer: dict[str, Any]) -> Pose:

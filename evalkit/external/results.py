@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
 from decimal import Decimal, DecimalException
 from functools import partial
 from pathlib import Path
@@ -11,7 +10,7 @@ import numpy as np
 
 from evalkit.clock import withhold
 from evalkit.errors import BadData
-from evalkit.external.declaration import UNTOLD, digest_of, settings
+from evalkit.external.declaration import UNTOLD, digest_of, settings, split
 from evalkit.protocols import BackendSpec, NoAnswer, Parameter
 from evalkit.types import Frame, Pose, Trajectory
 
@@ -28,7 +27,7 @@ PARAMETERS = (
 def scheme(rest: str) -> BackendSpec:
     """The back end ``file:PATH [NAME=VALUE ...]``."""
     name = f"file:{rest}"
-    path, *words = shlex.split(rest) or [""]
+    path, *words = split(name, rest)
     file = Path(path).resolve()
     return BackendSpec(
         make=partial(PosesFromFile, file),
