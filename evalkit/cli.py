@@ -135,7 +135,7 @@ def compare(
     source = f"compare {shlex.quote(str(file))}" + "".join(
         f" --{name} {shlex.quote(str(value))}" for name, value in given.items() if value
     )
-    source += f" --backends {backends}" if backends else ""
+    source += f" --backends {shlex.quote(backends)}" if backends else ""
     source += "".join(f" --set {shlex.quote(item)}" for item in setting or [])
     own = {name: str(value) for name, value in given.items() if value}
     plan = recording.plan(file, own, _settings(setting or []), [b for b in backends.split(",") if b], source)

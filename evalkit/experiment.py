@@ -291,4 +291,4 @@ def _file_state(value: str) -> list[object]:
 
 
 def _filename(word: str) -> str:
-    return "".join(char if char.isalnum() or char in "._" else "-" for char in word).strip("-.") or "x"
+    return "".join(char if char.isalnum() or char in "._" else "-" for char in word).strip("-.")[:60] or "x"

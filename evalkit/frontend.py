@@ -121,7 +121,7 @@ class FrontEnd:
         self._submap: Submap = (
             KeyframeSubmap(settings.keyframes, settings.submap_voxel_m)
             if settings.submap == "keyframes"
-            else VoxelMap(settings.submap_voxel_m or 0.05, settings.submap_radius_m)
+            else VoxelMap(settings.submap_voxel_m, settings.submap_radius_m)
         )
         self._motion = Motion(settings.prior)
         self._last: Cloud | None = None

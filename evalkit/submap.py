@@ -6,6 +6,7 @@ from collections import deque
 
 import numpy as np
 
+from evalkit.errors import BadParameter
 from evalkit.se2 import Floats
 from evalkit.types import Cloud, Ints, Pose
 
@@ -43,11 +44,15 @@ class KeyframeSubmap:
 class VoxelMap:
     """Every keyframe's points for good, one mean per square voxel: places seen again are matched where they were.
 
-    A voxel's mean is that of the first ``settled`` points it received: later visits are matched against the map and
-    must not drag it along.
+    A voxel takes points until it has ``settled`` of them: later visits are matched against the map and must not drag
+    it along.
     """
 
     def __init__(self, voxel_m: float, radius_m: float, settled: int = 20) -> None:
+        if not voxel_m > 0.0:
+            raise BadParameter(
+                "front end", "submap_voxel_m", voxel_m, "a positive number: a lasting map is made of voxels"
+            )
         self._voxel_m, self._radius_m, self._settled = voxel_m, radius_m, settled
         self._index: dict[int, int] = {}
         self._sums = np.zeros((1024, 2))

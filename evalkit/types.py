@@ -255,11 +255,8 @@ class OccupancyGrid:
 
     def centres(self, cells: Bools) -> Floats:
         """The centres (N, 2) in the world (m) of the cells marked in a mask (H, W)."""
-        rows, columns = np.nonzero(cells)
-        return np.stack(
-            [self.origin_x + (columns + 0.5) * self.resolution_m, self.origin_y + (rows + 0.5) * self.resolution_m],
-            axis=1,
-        )
+        cell = np.argwhere(cells)[:, ::-1].astype(np.float64)  # column and row: x and y
+        return np.asarray([self.origin_x, self.origin_y] + (cell + 0.5) * self.resolution_m)
 
 
 @dataclass(frozen=True, eq=False)
