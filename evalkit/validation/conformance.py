@@ -22,6 +22,9 @@ from evalkit.validation.rules import Conformance, Rule, Verdict, not_asked
 PATIENCE = 3
 """After so many ends of the process the rest is not asked any more."""
 
+LOADING_S = 60.0
+"""What the process may take before it asks its first question: Python and the plug-in's module, no fault of a rule's."""
+
 _NO_ANSWER = "no answer"
 
 Heard = Callable[[Verdict], None]
@@ -129,8 +132,9 @@ class _Examination:
             if (size := len(_lines(folder))) > told:
                 told, since = size, time.monotonic()
                 self._told(folder)
-            if time.monotonic() - since > self._limit_s:
-                return f"{_NO_ANSWER} for {self._limit_s:g} s"
+            limit_s = self._limit_s if told else LOADING_S
+            if time.monotonic() - since > limit_s:
+                return f"{_NO_ANSWER} for {limit_s:g} s"
             if child.resident_bytes(process.pid) > self._memory_mib * 2**20:
                 return f"used more than {self._memory_mib} MiB"
         return ""
