@@ -23,7 +23,7 @@ PATIENCE = 3
 """After so many ends of the process the rest is not asked any more."""
 
 LOADING_S = 60.0
-"""What the process may take before it asks its first question: Python and the plug-in's module, no fault of a rule's."""
+"""What the process may take before its first question: Python and the plug-in's module, not a rule's fault."""
 
 _NO_ANSWER = "no answer"
 
