@@ -1,0 +1,176 @@
+"""Two back ends asked the same questions, scan by scan, so that no error of one scan reaches the next.
+
+The first runs over the sequence as it would alone; the second is then asked what the first was asked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+from evalkit import frontend
+from evalkit.errors import BackendFailed
+from evalkit.protocols import BackendSpec, NoAnswer, Odometry, Registration, Sequence, Value
+from evalkit.types import Cloud, Frame, Match, Pose
+from evalkit.validation.rules import raised
+
+DISTURBED = "-disturbed"
+"""Ending of the stage of a question whose guess is off."""
+
+DISTURBED_M = 0.3
+DISTURBED_RAD = 0.15
+"""How far off a disturbed guess is: well within what the paper's method recovers from."""
+
+REMEDY = "make sure that it runs alone before comparing it"
+
+
+@dataclass(frozen=True)
+class Side:
+    """One of the two: its label, its spec and all its parameters, the front end's included."""
+
+    label: str
+    spec: BackendSpec
+    parameters: Mapping[str, Value]
+
+    def registrations(self) -> dict[str, Registration]:
+        """A fresh registration for each stage of the front end."""
+        own = {p.name: self.parameters[p.name] for p in self.spec.parameters}
+        prefix = frontend.STAGE_ONE
+        first = {k.removeprefix(prefix): v for k, v in self.parameters.items() if k.startswith(prefix)}
+        return {"s2s": self.spec.make(**{**own, **first}), "s2m": self.spec.make(**own)}
+
+
+@dataclass(frozen=True, eq=False)
+class Question:
+    """What a registration is asked, and where in the sequence; scans count from 1."""
+
+    scan: int
+    stage: str
+    target: Cloud
+    source: Cloud
+    guess: Pose
+
+
+@dataclass(frozen=True, eq=False)
+class Exchange:
+    """One question with both answers; ``b`` is None where the second has none, and ``failure`` says why."""
+
+    question: Question
+    a: Match
+    b: Match | None
+    failure: str = ""
+
+    @property
+    def disturbed(self) -> bool:
+        """Whether the guess was not the front end's but one that is off."""
+        return self.question.stage.endswith(DISTURBED)
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One scan of two odometries; None where one had no answer, and ``failure`` says why."""
+
+    scan: int
+    a: Pose | None
+    b: Pose | None
+    failure: str = ""
+
+
+class _Overheard:
+    """A registration whose last question is remembered."""
+
+    def __init__(self, registration: Registration, heard: _Heard) -> None:
+        self._registration, self._heard = registration, heard
+
+    def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
+        self._heard.last = (target, source, guess)
+        return self._registration.register(target, source, guess)
+
+
+class _Heard:
+    """What the first back end was asked in the current scan, and what it answered."""
+
+    def __init__(self) -> None:
+        self.scan = 0
+        self.last: tuple[Cloud, Cloud, Pose] | None = None
+        self.answered: list[tuple[Question, Match]] = []
+
+    def hear(self, stage: frontend.Stage, match: Match) -> None:
+        if self.last is not None:
+            self.answered.append((Question(self.scan, stage, *self.last), match))
+
+
+def exchanges(a: Side, b: Side, sequence: Sequence, scans: int, disturbed: bool = True) -> Iterator[Exchange]:
+    """Every question of the first ``scans`` scans, from running ``a`` through the front end, with both answers.
+
+    ``disturbed``: each scan's last question is asked again with a guess that is off, since rules about outliers and
+    limits show only on a long way; its stage ends in "-disturbed".
+    """
+    heard = _Heard()
+
+    def overheard(**parameters: Value) -> _Overheard:
+        return _Overheard(a.spec.make(**parameters), heard)
+
+    runner = frontend.odometry(replace(a.spec, make=overheard), a.parameters, heard.hear)
+    others, again = b.registrations(), a.registrations()
+    rng = np.random.default_rng(0)
+    for scan, frame in enumerate(islice(sequence.frames(), scans), start=1):
+        heard.scan = scan
+        heard.answered.clear()
+        _followed(a.label, runner, frame, scan)
+        for question, match in heard.answered:
+            yield asked(others[question.stage], question, match)
+        if disturbed and heard.answered:
+            stage = heard.answered[-1][0].stage
+            question = _disturbed(heard.answered[-1][0], rng)
+            try:
+                match = again[stage].register(question.target, question.source, question.guess)
+            except Exception as error:  # a third party's code: what it raises is not ours to let through
+                raise BackendFailed(a.label, f"scan {scan}, disturbed: {raised(error)}", REMEDY) from error
+            yield asked(others[stage], question, match)
+
+
+def _disturbed(question: Question, rng: np.random.Generator) -> Question:
+    """The same question with a guess that is off in a random direction, by as much every time."""
+    way = rng.uniform(-np.pi, np.pi)
+    turn = DISTURBED_RAD * rng.choice([-1.0, 1.0])
+    off = Pose(DISTURBED_M * float(np.cos(way)), DISTURBED_M * float(np.sin(way)), turn)
+    return replace(question, stage=question.stage + DISTURBED, guess=question.guess @ off)
+
+
+def asked(registration: Registration, question: Question, a: Match) -> Exchange:
+    """What a registration says to a question that has been answered by another."""
+    try:
+        b: Any = registration.register(question.target, question.source, question.guess)
+    except Exception as error:  # noqa: BLE001 - a third party's crash is a difference to report
+        return Exchange(question, a, None, raised(error))
+    if not isinstance(b, Match):
+        return Exchange(question, a, None, f"answers a {type(b).__name__}, expected an evalkit.Match")
+    return Exchange(question, a, b)
+
+
+def steps(a: Side, b: Side, sequence: Sequence, scans: int) -> Iterator[Step]:
+    """The poses of two odometries, each following the first ``scans`` scans by itself."""
+    first, second = (frontend.odometry(side.spec, side.parameters) for side in (a, b))
+    for scan, frame in enumerate(islice(sequence.frames(), scans), start=1):
+        pose = _followed(a.label, first, frame, scan)
+        try:
+            yield Step(scan, pose, second.update(frame))
+        except NoAnswer as reason:
+            yield Step(scan, pose, None, f"no answer: {reason}")
+        except Exception as error:  # noqa: BLE001 - a third party's crash is a difference to report
+            yield Step(scan, pose, None, raised(error))
+            return
+
+
+def _followed(label: str, odometry: Odometry, frame: Frame, scan: int) -> Pose | None:
+    try:
+        return odometry.update(frame)
+    except NoAnswer:
+        return None
+    except Exception as error:  # a third party's code: what it raises is not ours to let through
+        raise BackendFailed(label, f"scan {scan}: {raised(error)}", REMEDY) from error

@@ -1,0 +1,164 @@
+"""How far apart two answers may lie and still be the same, and whether a series of differences stays within that."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy import stats
+
+from evalkit import se2
+from evalkit.se2 import Floats
+from evalkit.types import Cloud, Pose
+
+FLOAT32_ROUNDOFF = 2.0**-24
+"""Relative error of rounding once to single precision."""
+
+CONTRACTION = 2.0 / 3.0
+"""By what one ICP step shrinks the error of the one before (linear convergence), for the float32 budget."""
+
+FEWEST_FOR_BOOTSTRAP = 30
+RESAMPLES = 2000
+LEVEL = 0.90
+"""Of the interval: inside the margin means both one-sided tests at 5 % reject "too far" (Schuirmann 1987)."""
+
+
+@dataclass(frozen=True)
+class Margin:
+    """Differences smaller than this do not count: metres, radians, log-odds; ``origin`` says where it comes from."""
+
+    metres: float = 1e-9
+    radians: float = 1e-9
+    log_odds: float = 1e-5
+    origin: str = "as given"
+
+    def __post_init__(self) -> None:
+        for name in ("metres", "radians", "log_odds"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ValueError(f"margin {name}: expected a positive number, got {getattr(self, name)}")
+
+    def holds(self, a: Pose, b: Pose) -> bool:
+        """Whether two poses are the same within the margin."""
+        away = a.inverse() @ b
+        return math.hypot(away.x, away.y) <= self.metres and abs(away.theta) <= self.radians
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What rounding grows with: largest coordinate (m), most points, least rms radius of a source (m)."""
+
+    reach_m: float
+    points: int
+    radius_m: float
+
+    @classmethod
+    def of(cls, target: Cloud, source: Cloud, guess: Pose) -> Scale:
+        """The scale of one question."""
+        moved = guess.transform(source.points)
+        coordinates = np.concatenate([target.points, source.points, moved]).ravel()
+        arms = source.points - source.points.mean(axis=0) if len(source) else np.zeros((1, 2))
+        radius = float(np.sqrt(np.mean(np.sum(arms**2, axis=1))))
+        return cls(float(np.abs(coordinates).max(initial=0.0)), len(source), radius)
+
+    @classmethod
+    def largest(cls, scales: Iterable[Scale]) -> Scale:
+        """The scale at which rounding is worst."""
+        known = list(scales)
+        radius = min((one.radius_m for one in known), default=0.0)
+        return cls(
+            max((one.reach_m for one in known), default=0.0), max((one.points for one in known), default=0), radius
+        )
+
+
+def float32(scale: Scale) -> Margin:
+    """What rounding to single precision may do to an ICP's answer.
+
+    Each of N points is rounded about three times (stored, turned, shifted), each time by u = 2^-24 of the largest
+    coordinate C. A sum of N terms, one after the other, errs like a random walk: by u C sqrt(N / 3) on their mean
+    (Higham and Mary 2019). One step therefore errs by s = u C (3 + sqrt(N / 3)) metres; felt as a turn about points of
+    rms radius r by s / r radians, and this moves what is C away by C s / r. A later step corrects all but a share of
+    2/3 (linear convergence), so the errors of all steps add up to at most three times that of one.
+    """
+    gain = 1.0 / (1.0 - CONTRACTION)
+    step = FLOAT32_ROUNDOFF * scale.reach_m * (3.0 + math.sqrt(scale.points / 3.0))
+    turn = step / max(scale.radius_m, 1e-3)
+    origin = (
+        f"float32: s = u C (3 + sqrt(N/3)) = {step:.2g} m, u = 2^-24, C = {scale.reach_m:.3g} m, N = {scale.points}; "
+        f"{gain:.0f} (s + C s/r) and {gain:.0f} s/r with r = {scale.radius_m:.3g} m"
+    )
+    metres = max(gain * (step + scale.reach_m * turn), FLOAT32_ROUNDOFF)
+    return Margin(metres, max(gain * turn, FLOAT32_ROUNDOFF), origin=origin)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """The 90 % interval of the mean of one quantity, in ``unit``, with the margin and the worst single value."""
+
+    quantity: str
+    unit: str
+    mean: float
+    low: float
+    high: float
+    worst: float
+    worst_scan: int
+    margin: float
+    n: int
+    method: str
+
+    @property
+    def inside(self) -> bool:
+        """Whether both one-sided tests pass."""
+        return -self.margin < self.low and self.high < self.margin
+
+
+def interval(quantity: str, unit: str, values: ArrayLike, scans: ArrayLike, margin: float) -> Interval:
+    """The interval of the mean of values (N,), one a scan, in the order of time; infinite for fewer than two.
+
+    From 30 on by moving blocks of n^(1/3) scans (Kuensch 1989), which assumes that differences farther apart do not
+    depend on each other; for fewer by Student's t, which assumes that none do.
+    """
+    series, at = np.asarray(values, dtype=np.float64), np.asarray(scans)
+    n = len(series)
+    if n < 2:
+        low, high, method = -math.inf, math.inf, "fewer than two scans"
+    elif n < FEWEST_FOR_BOOTSTRAP:
+        half = float(stats.t.ppf(0.5 + LEVEL / 2.0, n - 1) * series.std(ddof=1) / math.sqrt(n))
+        low, high, method = float(series.mean()) - half, float(series.mean()) + half, "Student's t"
+    else:
+        low, high = _by_blocks(series, np.random.default_rng(0))
+        method = "moving blocks"
+    row = int(np.argmax(np.abs(series))) if n else 0
+    mean, worst, worst_scan = (float(series.mean()), float(series[row]), int(at[row])) if n else (math.inf, math.inf, 0)
+    return Interval(quantity, unit, mean, low, high, worst, worst_scan, margin, n, method)
+
+
+def pose_intervals(stage: str, a_from_b: Floats, scans: ArrayLike, margin: Margin) -> tuple[Interval, ...]:
+    """Five intervals of differences (N, 3): signed along x, y and theta, which shows a bias, and the sizes.
+
+    Signed differences can cancel over a sequence; sizes cannot.
+    """
+    shift = np.hypot(a_from_b[:, 0], a_from_b[:, 1])
+    return (
+        interval(f"{stage} x", "m", a_from_b[:, 0], scans, margin.metres),
+        interval(f"{stage} y", "m", a_from_b[:, 1], scans, margin.metres),
+        interval(f"{stage} theta", "rad", a_from_b[:, 2], scans, margin.radians),
+        interval(f"{stage} |translation|", "m", shift, scans, margin.metres),
+        interval(f"{stage} |rotation|", "rad", np.abs(a_from_b[:, 2]), scans, margin.radians),
+    )
+
+
+def difference(a: Pose, b: Pose) -> Floats:
+    """The row (3,) ``a_from_b`` of two answers to one question."""
+    return se2.between(a.row, b.row)
+
+
+def _by_blocks(series: Floats, rng: np.random.Generator) -> tuple[float, float]:
+    n = len(series)
+    length = math.ceil(n ** (1.0 / 3.0))
+    starts = rng.integers(0, n - length + 1, (RESAMPLES, math.ceil(n / length)))
+    rows = (starts[:, :, None] + np.arange(length)).reshape(RESAMPLES, -1)[:, :n]
+    low, high = np.quantile(series[rows].mean(axis=1), [0.5 - LEVEL / 2.0, 0.5 + LEVEL / 2.0])
+    return float(low), float(high)

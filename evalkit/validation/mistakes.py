@@ -1,0 +1,161 @@
+"""What usual mistakes would have answered: candidates that a differing answer, step or start is held against."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from evalkit import se2
+from evalkit.se2 import Floats
+
+Kind = Literal[
+    "nearest-neighbour tie",
+    "precision",
+    "stop rule",
+    "iteration cap",
+    "outlier rule",
+    "cost",
+    "units",
+    "sign",
+    "different",
+    "traversal",
+    "endpoint rule",
+    "clamp",
+    "counting rule",
+    "increment",
+]
+
+EXPLAINED = 0.01
+"""A mistake explains a difference if it leaves less than this share of it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Mistake:
+    """A usual mistake: its class, what it is, and the motion (3,) it leads to."""
+
+    kind: Kind
+    what: str
+    row: Floats
+
+
+def explanation(mistakes: Sequence[Mistake], right: Floats, found: Floats, lever_m: float) -> Mistake | None:
+    """The mistake that leads from the right motion (3,) to the one found, if one does; turns weigh ``lever_m``."""
+    if not mistakes:
+        return None
+    left = [apart(mistake.row, found, lever_m) for mistake in mistakes]
+    best = int(np.argmin(left))
+    return mistakes[best] if left[best] < EXPLAINED * apart(right, found, lever_m) else None
+
+
+def apart(a: Floats, b: Floats, lever_m: float) -> float:
+    """How far (m) two motions lie apart, their turns as felt at the end of a lever."""
+    x, y, theta = se2.between(a, b)
+    return float(math.hypot(x, y) + lever_m * abs(theta))
+
+
+def in_answer(answer: Floats, guess: Floats) -> list[Mistake]:
+    """Ways to tell a right answer (3,) wrongly."""
+    x, y, theta = answer
+    swapped = np.array([y, x, theta])
+    return [
+        *_units("the answer", answer),
+        *_signs("the answer", answer),
+        Mistake("different", "the answer is the inverse: source_from_target", se2.inverse(answer)),
+        Mistake("different", "the answer has x and y exchanged", swapped),
+        Mistake("different", "the answer leaves out the guess", se2.compose(answer, se2.inverse(guess))),
+        Mistake("different", "the answer is relative to the guess", se2.compose(se2.inverse(guess), answer)),
+        Mistake("different", "the guess comes back as the answer", guess),
+    ]
+
+
+def in_start(guess: Floats) -> list[Mistake]:
+    """Ways to start from something else than the guess (3,)."""
+    return [
+        *_units("the guess", guess),
+        *_signs("the guess", guess),
+        Mistake("different", "the guess is used the wrong way round: source_from_target", se2.inverse(guess)),
+        Mistake("different", "the guess is not used", np.zeros(3)),
+    ]
+
+
+def in_step(before: Floats, source: Floats, target: Floats, everything: Floats) -> list[Mistake]:
+    """Ways to take a wrong step from the pose before (3,): pairs (K, 2), moved, and all source points (N, 2), moved."""
+    p_bar, q_bar = source.mean(axis=0), target.mean(axis=0)
+    step = best_step(source, target)
+    theta = step[2]
+    steps = [
+        Mistake("different", "the rotation is transposed", _about(p_bar, q_bar, -theta)),
+        Mistake("different", "the translation leaves out the rotation", np.array([*(q_bar - p_bar), theta])),
+        Mistake("different", "the rotation is left out", np.array([*(q_bar - p_bar), 0.0])),
+        Mistake(
+            "different",
+            "the centroid is that of all points, not of the pairs",
+            _about(everything.mean(0), q_bar, theta),
+        ),
+        Mistake("different", "the step is inverted", se2.inverse(step)),
+        Mistake("units", "the step's angle is in degrees", _about(p_bar, q_bar, math.degrees(theta))),
+        Mistake("units", "the step's angle is converted to radians twice", _about(p_bar, q_bar, math.radians(theta))),
+        *_units("the step", step),
+        *_signs("the step", step),
+    ]
+    composed = [Mistake(one.kind, one.what, se2.compose(one.row, before)) for one in steps]
+    wrong_side = Mistake("different", "the step is composed on the wrong side", se2.compose(before, step))
+    return [*composed, wrong_side]
+
+
+def best_step(source: Floats, target: Floats) -> Floats:
+    """The motion (3,) that is best in least squares for pairs (K, 2) (Umeyama, PAMI 1991, in the plane)."""
+    p_bar, q_bar = source.mean(axis=0), target.mean(axis=0)
+    cross = (source - p_bar).T @ (target - q_bar)
+    return _about(p_bar, q_bar, math.atan2(cross[0, 1] - cross[1, 0], cross[0, 0] + cross[1, 1]))
+
+
+COSTS: dict[str, Callable[[Floats], float]] = {
+    "mean distance": lambda d: float(d.mean()),
+    "root mean square distance": lambda d: float(np.sqrt(np.mean(d * d))),
+    "mean squared distance": lambda d: float(np.mean(d * d)),
+    "median distance": lambda d: float(np.median(d)),
+    "sum of distances": lambda d: float(d.sum()),
+    "sum of squared distances": lambda d: float(np.sum(d * d)),
+}
+
+
+def cost_told(error: float, before: Floats, after: Floats) -> str:
+    """Which cost of the pairs' distances (K,), before or after the step, an error is; "" if none of the usual."""
+    for when, distances in (("after", after), ("before", before)):
+        for name, cost in COSTS.items():
+            if math.isclose(cost(distances), error, rel_tol=1e-5):
+                return f"the {name} {when} the step"
+    return ""
+
+
+def _units(what: str, row: Floats) -> list[Mistake]:
+    x, y, theta = row
+    return [
+        Mistake("units", f"{what}'s angle is in degrees", np.array([x, y, float(se2.wrap(math.degrees(theta)))])),
+        Mistake("units", f"{what}'s angle is taken for degrees", np.array([x, y, math.radians(theta)])),
+        *(
+            Mistake("units", f"{what}'s translation is {name} of what it should be", np.array([x * by, y * by, theta]))
+            for by, name in ((1e3, "1000 times"), (1e2, "100 times"), (1e-2, "a 100th"), (1e-3, "a 1000th"))
+        ),
+    ]
+
+
+def _signs(what: str, row: Floats) -> list[Mistake]:
+    x, y, theta = row
+    return [
+        Mistake("sign", f"{what}'s angle has the wrong sign", np.array([x, y, -theta])),
+        Mistake("sign", f"{what}'s x has the wrong sign", np.array([-x, y, theta])),
+        Mistake("sign", f"{what}'s y has the wrong sign", np.array([x, -y, theta])),
+        Mistake("sign", f"{what}'s translation has the wrong sign", np.array([-x, -y, theta])),
+    ]
+
+
+def _about(centre: Floats, moved_centre: Floats, theta: float) -> Floats:
+    turn = np.array([0.0, 0.0, theta])
+    x, y = moved_centre - se2.transform(turn, centre[None])[0]
+    return np.array([x, y, float(se2.wrap(theta))])

@@ -1,0 +1,97 @@
+"""Planted mistakes of mappers, each found and named."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evalkit import registry
+from evalkit.protocols import DatasetSpec
+from evalkit.types import Frame, Truth
+from evalkit.validation.equivalence import mapper_equivalence
+from evalkit.validation.margins import Margin
+from evalkit.validation.scenes import drive
+from evalkit_baselines import paper
+from evalkit_baselines.paper.grid import LogOddsGrid
+
+
+class Drive:
+    """The drive through the L-shaped room of the conformance rules, as a sequence."""
+
+    def __len__(self) -> int:
+        return 12
+
+    def frames(self) -> Iterator[Frame]:
+        return iter(drive(scans=12).frames)
+
+    def truth(self) -> Truth:
+        return Truth("not told")
+
+    def notes(self) -> dict[str, int]:
+        return {}
+
+
+ROOM = DatasetSpec(Drive, "a drive", "", "", "", "MIT")
+
+
+class EndIsFree(LogOddsGrid):
+    def _once(self, beams, passed, ended, hits, size):
+        free, occupied = super()._once(beams, passed, ended, hits, size)
+        return free, np.zeros_like(occupied)
+
+
+class Sixteenths(LogOddsGrid):
+    def grid(self):
+        drawn = super().grid()
+        return replace(drawn, log_odds=np.rint(drawn.log_odds * 2048) / 2048)
+
+
+class LFreeSubtracted(LogOddsGrid):
+    def _once(self, beams, passed, ended, hits, size):
+        free, occupied = super()._once(beams, passed, ended, hits, size)
+        return -free, occupied
+
+
+class RaisesAtOnce(LogOddsGrid):
+    def update(self, scan, world_from_sensor):
+        raise ZeroDivisionError("no cells")
+
+
+MAPPERS = {
+    "wrong sign of l_free": (LFreeSubtracted, "sign", 1, "what A adds along a beam, B takes away"),
+    "no occupied ends": (EndIsFree, "endpoint rule", 1, "differ where beams end"),
+    "another traversal": (lambda **given: LogOddsGrid(**{**given, "traversal": "bresenham"}), "traversal", 1, ""),
+    "a nearer bound": (lambda **given: LogOddsGrid(**{**given, "l_max": 2.0}), "clamp", 3, "B stops at 2"),
+    "every beam counts": (lambda **given: LogOddsGrid(**{**given, "once_per_scan": False}), "counting rule", 1, ""),
+    "another l_free": (lambda **given: LogOddsGrid(**{**given, "l_free": -0.4}), "increment", 1, "0.4723 times"),
+    "fixed point": (Sixteenths, "precision", 1, "B counts in steps of 2^-11"),
+    "larger cells": (lambda **given: LogOddsGrid(**{**given, "resolution_m": 0.1}), "different", 1, "0.05 m against"),
+    "a crash": (RaisesAtOnce, "different", 1, "B raises ZeroDivisionError: no cells"),
+}
+
+
+@pytest.mark.parametrize("name", MAPPERS)
+def test_a_planted_mistake_of_a_mapper_is_found_and_named(name):
+    make, kind, scan, words = MAPPERS[name]
+    found = mapper_equivalence("log-odds", replace(paper.MAPPER, make=make), ROOM, scans=5)
+    assert found.first is not None
+    assert (found.first.kind, found.first.scan) == (kind, scan), str(found)
+    assert words in found.first.what
+    assert not found.equivalent
+
+
+def test_a_mapper_is_equal_to_itself_and_fixed_point_is_within_half_a_step():
+    assert mapper_equivalence("log-odds", "log-odds", ROOM, scans=5).first is None
+    fixed = replace(paper.MAPPER, make=Sixteenths)
+    assert mapper_equivalence("log-odds", fixed, ROOM, scans=5, margin=Margin(log_odds=2.0**-11)).equivalent
+
+
+def test_the_compiled_mapper_is_its_readable_twin():
+    name = "embedded-log-odds"
+    if name not in registry.names("mappers"):
+        pytest.skip(f"no mapper named '{name}' is registered")
+    if why := registry.mapper(name).missing():
+        pytest.skip(why)
+    found = mapper_equivalence("log-odds", name, ROOM, scans=8, margin=Margin(log_odds=1e-2))
+    assert found.equivalent, str(found)

@@ -1,0 +1,408 @@
+"""Planted mistakes of registrations and odometries, each found and named; twins found to be the same."""
+
+import json
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evalkit import registry, se2
+from evalkit.cli import app
+from evalkit.errors import BackendFailed, EvalkitError, UnknownName
+from evalkit.protocols import BackendSpec, DatasetSpec, NoAnswer
+from evalkit.types import Cloud, Frame, Match, Pose, Truth
+from evalkit.validation.divergence import first_divergence
+from evalkit.validation.equivalence import NotEquivalent, assert_equivalent, equivalence
+from evalkit.validation.lockstep import Question, asked
+from evalkit.validation.margins import Margin
+from evalkit.validation.scenes import drive
+from evalkit_baselines import open3d_icp, paper
+from evalkit_baselines.paper import icp
+from evalkit_baselines.paper.icp import Icp
+
+TIGHT = {"epsilon": 1e-10, "max_iterations": 200}
+FEW = 6
+
+
+class Drive:
+    """The drive through the L-shaped room of the conformance rules, as a sequence."""
+
+    def __init__(self, change: Callable[[Frame], Frame] = lambda frame: frame) -> None:
+        self._frames = [change(frame) for frame in drive(scans=12).frames]
+
+    def __len__(self) -> int:
+        return len(self._frames)
+
+    def frames(self) -> Iterator[Frame]:
+        return iter(self._frames)
+
+    def truth(self) -> Truth:
+        return Truth("not told")
+
+    def notes(self) -> dict[str, int]:
+        return {}
+
+
+def sequence(change: Callable[[Frame], Frame] = lambda frame: frame) -> DatasetSpec:
+    return DatasetSpec(lambda: Drive(change), "a drive", "", "", "", "MIT")
+
+
+ROOM = sequence()
+
+
+def planted(make: Callable[..., object], spec: BackendSpec = paper.SPEC) -> BackendSpec:
+    return replace(spec, make=make)
+
+
+class Transposed(Icp):
+    def _step(self, source, target, normals):
+        theta = -super()._step(source, target, normals)[2]
+        return icp._about(icp._centroid(source), icp._centroid(target), theta)
+
+
+class WrongCentroid(Icp):
+    def _step(self, source, target, normals):
+        x, y, theta = super()._step(source, target, normals)
+        x, y = icp._centroid(target) - icp._centroid(source)
+        return np.array([x, y, theta])
+
+
+class Backwards(Icp):
+    def _step(self, source, target, normals):
+        return se2.inverse(super()._step(source, target, normals))
+
+
+class GuessInDegrees(Icp):
+    def register(self, target, source, guess):
+        return super().register(target, source, Pose(guess.x, guess.y, math.radians(guess.theta)))
+
+
+class AnswerInDegrees(Icp):
+    def register(self, target, source, guess):
+        match = super().register(target, source, guess)
+        pose = match.target_from_source
+        return replace(match, target_from_source=Pose(pose.x, pose.y, math.degrees(pose.theta)))
+
+
+class WrongSign(Icp):
+    def register(self, target, source, guess):
+        match = super().register(target, source, guess)
+        pose = match.target_from_source
+        return replace(match, target_from_source=Pose(pose.x, pose.y, -pose.theta))
+
+
+class Inverse(Icp):
+    def register(self, target, source, guess):
+        match = super().register(target, source, guess)
+        return replace(match, target_from_source=match.target_from_source.inverse())
+
+
+class Exchanged(Icp):
+    def register(self, target, source, guess):
+        return super().register(source, target, guess)
+
+
+class Rounded(Icp):
+    def register(self, target, source, guess):
+        return super().register(*(Cloud(np.float32(cloud.points)) for cloud in (target, source)), guess)
+
+
+class OneMore(Icp):
+    def register(self, target, source, guess):
+        match = super().register(target, source, guess)
+        more = replace(self, epsilon=0.0, max_iterations=match.iterations + 1)
+        return replace(Icp.register(more, target, source, guess), converged=match.converged)
+
+
+class OneFewer(Icp):
+    def register(self, target, source, guess):
+        match = super().register(target, source, guess)
+        last = match.history[-2]
+        return Match(last.target_from_source, True, match.iterations - 1, last.error, last.inliers, match.history[:-1])
+
+
+class Raises(Icp):
+    def register(self, target, source, guess):
+        raise ZeroDivisionError("no pairs")
+
+
+class Untraced:
+    def __init__(self, registration: Icp) -> None:
+        self._registration = registration
+
+    def register(self, target, source, guess):
+        return replace(self._registration.register(target, source, guess), history=())
+
+
+class Fixed:
+    def __init__(self, match: Match) -> None:
+        self._match = match
+
+    def register(self, target, source, guess):
+        return self._match
+
+
+class Alternating:
+    """A millimetre to either side in turn."""
+
+    def __init__(self, made: Iterator[int]) -> None:
+        self._made, self._icp = made, Icp()
+
+    def register(self, target, source, guess):
+        match = self._icp.register(target, source, guess)
+        off = Pose(1e-3 if (next(self._made) // 2) % 2 else -1e-3, 0.0, 0.0)
+        return replace(match, target_from_source=match.target_from_source @ off)
+
+
+class TiesToTheHigher(Icp):
+    def _pairs(self, association, moved, targets):
+        nearest, distance = association.of(moved)
+        at = np.flatnonzero(np.isfinite(distance))[::-1]
+        at = np.sort(at[icp.closest_only(nearest[at], distance[at], targets)])
+        return at, nearest[at]
+
+
+def command(*words: str) -> int:
+    try:
+        app(["equiv", *words], standalone_mode=True)
+    except SystemExit as end:
+        return int(end.code or 0)
+    except EvalkitError:  # main() makes it exit code 2
+        return 2
+    return 0
+
+
+def option(**options: object) -> Callable[..., Icp]:
+    return lambda **given: Icp(**{**given, **options})
+
+
+def test_a_registration_is_equal_to_itself_in_every_pair_of_every_iteration():
+    found = equivalence("paper", "paper", ROOM, scans=FEW)
+    assert found.equivalent
+    assert (found.first, dict(found.classes), found.unanswered) == (None, {}, 0)
+    assert (found.level, found.n, found.questions) == ("pairs of every iteration", 5, 15)
+    assert all(abs(one.worst) < 1e-15 for one in found.intervals)
+
+
+NEAR = {"max_correspondence_m": 0.2}
+
+PLANTED = {
+    "transposed rotation": (Transposed, {}, "different pose", "rotation is transposed"),
+    "translation without rotation": (WrongCentroid, {}, "different pose", "translation leaves out the rotation"),
+    "inverted step": (Backwards, {}, "different pose", "step is inverted"),
+    "guess read as degrees": (GuessInDegrees, {}, "units pairs", "guess's angle is taken for degrees"),
+    "answer in degrees": (AnswerInDegrees, {}, "units answer", "angle is in degrees"),
+    "sign of the angle": (WrongSign, {}, "sign answer", "angle has the wrong sign"),
+    "inverse answer": (Inverse, {}, "different answer", "inverse"),
+    "exchanged clouds": (Exchanged, {}, "different pairs", "target and source are exchanged"),
+    "rounded to float32": (Rounded, {}, "precision pose", "within rounding to float32"),
+    "one iteration more": (OneMore, {}, "stop rule iterations", "A stops after"),
+    "one iteration fewer": (OneFewer, {}, "stop rule iterations", "B stops after"),
+    "fewer iterations allowed": (option(max_iterations=2), TIGHT, "iteration cap iterations", "B ends unconverged"),
+    "no one-to-one filter": (option(one_to_one=False), {}, "outlier rule pairs", "one-to-one filter: B"),
+    "twice the distance": (option(max_correspondence_m=0.4), NEAR, "outlier rule pairs", "maximum distance"),
+    "mean squared": (option(error="mean-squared"), {}, "cost cost", "B the root mean square distance after the step"),
+    "error before": (option(error_at="before"), {}, "cost cost", "B the mean distance before the step"),
+    "no answer": (Raises, {}, "different answer", "B raises ZeroDivisionError: no pairs"),
+}
+
+
+@pytest.mark.parametrize("name", PLANTED)
+def test_a_planted_mistake_is_found_and_named(name):
+    make, parameters, found_as, words = PLANTED[name]
+    found = equivalence("paper", planted(make), ROOM, set_a=parameters, set_b=parameters, scans=4)
+    assert found.first is not None
+    assert f"{found.first.kind} {found.first.quantity}" == found_as, str(found)
+    assert words in found.first.what
+    assert found.classes[found.first.kind] > 0
+    assert not found.equivalent
+
+
+UNTRACED = {
+    "answer in degrees": (AnswerInDegrees, "units"),
+    "inverse answer": (Inverse, "different"),
+    "sign of the angle": (WrongSign, "sign"),
+    "one iteration more": (OneMore, "stop rule"),
+    "no one-to-one filter": (option(one_to_one=False, max_iterations=1), "outlier rule"),
+    "rounded to float32": (Rounded, "precision"),
+    "fewer iterations allowed": (option(max_iterations=2), "iteration cap"),
+}
+
+
+@pytest.mark.parametrize("name", UNTRACED)
+def test_an_answer_without_its_path_still_tells_what_it_can(name):
+    make, kind = UNTRACED[name]
+    parameters = {"epsilon": 0.0, "max_iterations": 1} if "filter" in name else {}
+    spec = planted(lambda **given: Untraced(make(**given)))
+    found = equivalence("paper", spec, ROOM, set_a=parameters, set_b=parameters, scans=4)
+    assert found.level == "answers"
+    assert found.first is not None
+    assert found.first.kind == kind
+
+
+def test_equal_distances_are_told_apart_from_other_rules():
+    def doubled(frame):
+        scan = frame.scan
+        again = replace(scan, ranges=np.repeat(scan.ranges, 2), angles=np.repeat(scan.angles, 2), time_increment_ns=0)
+        return replace(frame, scan=again, start_from_end=None)
+
+    found = equivalence("paper", planted(TiesToTheHigher), sequence(doubled), scans=4)
+    assert found.first is not None
+    assert (found.first.kind, found.first.iteration, found.first.quantity) == ("nearest-neighbour tie", 1, "pairs")
+
+
+def test_a_point_between_two_targets_is_a_tie():
+    question = Question(2, "s2s", Cloud([[0, 0], [2, 0], [0, 4], [3, 5]]), Cloud([[1, 0], [0, 4], [3, 5]]), Pose())
+    a = Icp(max_iterations=1, max_correspondence_m=0.0, trace=True).register(question.target, question.source, Pose())
+    step = a.history[0]
+    others = step.pairs.copy()
+    others[0, 1] = 1 - others[0, 1]
+    b = replace(a, history=(replace(step, pairs=others),))
+    found = first_divergence(asked(Fixed(b), question, a), Margin())
+    assert found is not None
+    assert (found.kind, found.quantity) == ("nearest-neighbour tie", "pairs")
+    others[0, 1] = 2
+    found = first_divergence(asked(Fixed(b), question, a), Margin())
+    assert found is not None
+    assert found.kind == "different"
+    assert "B does not take the nearest neighbour (source point 0: 1 m against 4.123 m" in found.what
+
+
+def test_rounding_to_float32_is_equivalent_within_its_budget_and_not_below():
+    assert equivalence("paper", planted(Rounded), ROOM, scans=FEW, margin="float32").equivalent
+    found = equivalence("paper", planted(Rounded), ROOM, scans=FEW)
+    assert not found.equivalent
+    assert set(found.classes) == {"precision"}
+    assert not equivalence("paper", planted(OneFewer), ROOM, scans=FEW, margin="float32").equivalent
+
+
+def test_a_larger_limit_that_only_a_bad_guess_shows_is_found_by_the_disturbed_questions():
+    options = {"set_a": {"max_correspondence_m": 0.5}, "set_b": {"max_correspondence_m": 1.0}, "scans": FEW}
+    calm = equivalence("paper", "paper", ROOM, **options, disturbed=False)
+    assert calm.equivalent
+    assert calm.first is None
+    found = equivalence("paper", "paper", ROOM, **options)
+    assert found.first is not None
+    assert found.first.kind == "outlier rule"
+    assert found.first.stage == "s2m-disturbed"
+
+
+def test_differences_that_cancel_are_not_equivalent():
+    made = iter(range(1000))
+    found = equivalence(
+        "paper", planted(lambda **given: Alternating(made)), ROOM, scans=12, margin=Margin(8e-4, 1e-9), disturbed=False
+    )
+    signed = {one.quantity: one.inside for one in found.intervals}
+    assert signed["s2s x"]
+    assert not signed["s2s |translation|"]
+    assert not found.equivalent
+
+
+def test_the_first_who_fails_alone_is_an_error_that_names_it():
+    with pytest.raises(BackendFailed, match="A: scan 2: raises ZeroDivisionError"):
+        equivalence(planted(Raises), "paper", ROOM, scans=FEW)
+
+
+def test_the_assertion_says_what_the_comparison_found():
+    assert assert_equivalent("paper", "paper", ROOM, scans=4).equivalent
+    with pytest.raises(NotEquivalent, match="first divergence: scan 2, s2s, iteration 1, pose: different"):
+        assert_equivalent("paper", planted(Transposed), ROOM, scans=4)
+
+
+def test_open3d_is_the_paper_with_the_same_rule_of_pairs():
+    if why := open3d_icp.POINT_TO_POINT.missing():
+        pytest.skip(why)
+    found = equivalence(
+        "paper", "open3d-icp", ROOM, scans=FEW, margin=Margin(1e-9, 1e-9), disturbed=False,
+        set_a={**TIGHT, "epsilon": 1e-12, "one_to_one": False, "error": "rmse", "max_correspondence_m": 0.2},
+        set_b={"max_iterations": 200, "relative_fitness": 1e-12, "relative_rmse": 1e-12, "max_correspondence_m": 0.2},
+    )  # fmt: skip
+    assert found.level == "answers"
+    assert found.equivalent, str(found)
+
+
+@pytest.mark.parametrize(("name", "margin"), [("embedded", Margin()), ("embedded-f32", "float32")])
+def test_the_compiled_core_is_its_readable_twin(name, margin):
+    if name not in registry.names("backends"):
+        pytest.skip(f"no back end named '{name}' is registered")
+    if why := registry.backend(name).missing():
+        pytest.skip(why)
+    found = equivalence("paper", name, ROOM, scans=12, margin=margin)
+    assert found.equivalent, str(found)
+
+
+class Wanderer:
+    def __init__(self, change: Callable[[Pose], Pose] = lambda pose: pose, silent_at: int = -1) -> None:
+        self._change, self._silent_at, self._asked = change, silent_at, 0
+
+    def update(self, frame):
+        self._asked += 1
+        if self._asked == self._silent_at:
+            raise NoAnswer("too dark")
+        return self._change(Pose(0.1 * (self._asked - 1), 0.02 * self._asked - 0.02, 0.05 * (self._asked - 1)))
+
+
+def wanderer(**options: object) -> BackendSpec:
+    return BackendSpec(lambda: Wanderer(**options), "odometry", "", "", "MIT")
+
+
+WANDERERS = {
+    "inverse": (Pose.inverse, "different", "inverse"),
+    "degrees": (lambda pose: Pose(pose.x, pose.y, math.degrees(pose.theta)), "units", "angle is in degrees"),
+    "sign": (lambda pose: Pose(pose.x, -pose.y, pose.theta), "sign", "y has the wrong sign"),
+    "rounding": (lambda pose: Pose.of(np.float32(pose.row)), "precision", ""),
+    "another": (lambda pose: pose @ Pose(0.02, 0.01, 0.0), "different", "0.022 m"),
+}
+
+
+def test_an_odometry_is_equal_to_itself():
+    found = equivalence(wanderer(), wanderer(), ROOM, scans=FEW)
+    assert found.equivalent
+    assert (found.level, found.first) == ("trajectories", None)
+
+
+@pytest.mark.parametrize("name", WANDERERS)
+def test_odometries_are_compared_by_their_poses(name):
+    change, kind, words = WANDERERS[name]
+    found = equivalence(wanderer(), wanderer(change=change), ROOM, scans=FEW)
+    assert found.first is not None
+    assert found.first.kind == kind
+    assert words in found.first.what
+    assert not found.equivalent
+
+
+def test_a_scan_that_only_one_odometry_answers_is_unanswered():
+    found = equivalence(wanderer(), wanderer(silent_at=3), ROOM, scans=FEW)
+    assert (found.unanswered, found.equivalent) == (1, False)
+    assert str(found.first) == "scan 3, trajectory, pose: different: B no answer: too dark"
+
+
+def test_unknown_names_and_parameters_are_refused():
+    with pytest.raises(UnknownName, match="no backend named 'papper'"):
+        equivalence("papper", "paper", ROOM)
+    with pytest.raises(UnknownName, match="no parameter named 'epsilom'"):
+        equivalence("paper", "paper", ROOM, set_b={"epsilom": 1.0})
+    with pytest.raises(ValueError, match="margin metres: expected a positive number, got 0"):
+        Margin(metres=0.0)
+
+
+def test_everything_found_can_be_written_as_json():
+    found = equivalence("paper", planted(Raises), ROOM, scans=4)
+    told = json.loads(json.dumps(found.as_json(), allow_nan=False))
+    assert told["equivalent"] is False
+    assert told["first"]["kind"] == "different"
+    assert told["classes"] == {"different": 9}
+    assert found.unanswered == 9
+
+
+def test_the_command_ends_with_0_for_equivalent_1_for_different_and_2_for_usage(capsys):
+    assert command("paper", "paper", "--scans", "4") == 0
+    assert "A = paper, B = paper: equivalent on room" in capsys.readouterr().out
+    assert command("paper", "paper", "--scans", "4", "--set-b", "one_to_one=false", "--json") == 1
+    assert json.loads(capsys.readouterr().out)["first"]["kind"] == "outlier rule"
+    assert command("log-odds", "log-odds", "--mapper", "--scans", "3", "--set-b", "l_free=-0.4") == 1
+    assert "increment" in capsys.readouterr().out
+    assert command("paper", "papper") == 2
+    assert command("paper", "paper", "--margin", "float16") == 2
