@@ -1,0 +1,54 @@
+"""The paper's method in C99, for a board, as it runs on this host: registration, map and the whole pipeline.
+
+The NumPy twin in ``evalkit_baselines.paper`` is the meaning: in double precision the answers are the same to 1e-9. What
+the core is made of and what made it fast stands in the README beside this file.
+"""
+
+from functools import partial
+
+from evalkit.protocols import BackendSpec, MapperSpec
+from evalkit_baselines.embedded import mapper, pipeline, registration
+from evalkit_baselines.embedded.compiled import compiled_missing
+from evalkit_baselines.embedded.mapper import CompiledGrid
+from evalkit_baselines.embedded.pipeline import CompiledPipeline
+from evalkit_baselines.embedded.registration import CompiledIcp
+from evalkit_baselines.paper import CITATION
+
+SPEC = BackendSpec(
+    make=partial(CompiledIcp, "double"),
+    kind="registration",
+    summary="the paper's ICP in C99, double precision: what 'paper' computes, compiled",
+    citation=CITATION,
+    licence="MIT",
+    parameters=registration.PARAMETERS,
+    missing=compiled_missing,
+)
+
+FLOAT = BackendSpec(
+    make=partial(CompiledIcp, "float"),
+    kind="registration",
+    summary="the paper's ICP in C99, single precision: what a board without double arithmetic computes",
+    citation=CITATION,
+    licence="MIT",
+    parameters=registration.PARAMETERS,
+    missing=compiled_missing,
+)
+
+PIPELINE = BackendSpec(
+    make=CompiledPipeline,
+    kind="odometry",
+    summary="the paper's whole way from scan to pose in C99: projection, both stages and keyframes in one call",
+    citation=CITATION,
+    licence="MIT",
+    parameters=pipeline.PARAMETERS,
+    missing=compiled_missing,
+)
+
+MAPPER = MapperSpec(
+    make=CompiledGrid,
+    summary="the paper's log-odds grid in C99: cells of 16 bits that hold thousandths",
+    citation=f"{CITATION}; traversal: Amanatides and Woo 1987",
+    licence="MIT",
+    parameters=mapper.PARAMETERS,
+    missing=compiled_missing,
+)

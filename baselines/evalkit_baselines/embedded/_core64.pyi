@@ -1,0 +1,102 @@
+"""The embedded core in double precision, compiled from binding/ by the installation.
+
+Arrays must be C-contiguous and of the module's ``REAL``; others are a TypeError. What the core refuses is a ValueError
+with its own words. Motions are rows x, y (m), theta (rad).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.floating]
+Row = tuple[float, float, float]
+Place = tuple[int, int, int, int]
+"""Left and bottom cell, columns, rows; multiples of 32."""
+
+REAL: str
+"""The dtype of all arrays."""
+
+class Index:
+    """Exact nearest neighbours among points (N, 2); not changed by anything after."""
+
+    def __init__(self, points: Array) -> None: ...
+    def __len__(self) -> int: ...
+
+class Icp:
+    """One registration at a time (ek/icp.h); ``error``: 0 mean, 1 mean squared, 2 its root."""
+
+    def __init__(
+        self,
+        *,
+        epsilon: float,
+        max_iterations: int,
+        error: int,
+        error_before: bool,
+        one_to_one: bool,
+        max_correspondence: float,
+        min_pairs: int,
+    ) -> None: ...
+    def register(
+        self, target: Index, source: Array, guess: Row, trace: bool = False
+    ) -> tuple[Row, bool, int, float, int, Sequence[tuple[float, int, Row, NDArray[np.int64]]]]:
+        """``target_from_source``, converged, iterations, error (m), inliers; if traced, of each iteration the error
+        (in the unit of the stop rule), inliers, pose and pairs (K, 2)."""
+
+class Grid:
+    """A map of log-odds (ek/grid.h)."""
+
+    def __init__(
+        self,
+        *,
+        resolution: float,
+        l_occ: float,
+        l_free: float,
+        l_min: float,
+        l_max: float,
+        range_max: float,
+        place: Place,
+    ) -> None: ...
+    def add(self, world_from_sensor: Row, hits: Array, misses: Array) -> None:
+        """Draws the beams from the sensor to points (N, 2) of its frame: ends occupied (hits) or free (misses)."""
+    def move(self, place: Place, range_max: float) -> None:
+        """Gives the map another place and longest beam (m); cells in both places keep what they hold."""
+    def cells(self) -> NDArray[np.int16]:
+        """A copy (rows, columns) in thousandths of log-odds, -32768 where unknown."""
+    @property
+    def touched(self) -> int:
+        """Cells of the last scan within the map."""
+    @property
+    def left_out(self) -> int:
+        """Beams of the last scan that were longer than 1 m beyond the longest."""
+
+class Pipeline:
+    """A sequence's way from scans to poses (ek/pipeline.h), without map."""
+
+    def __init__(
+        self,
+        icp: Icp,
+        *,
+        scan_to_scan: bool,
+        scan_to_map: bool,
+        deskew: bool,
+        local_radius: float,
+        keyframes: int,
+        keyframe_distance: float,
+        keyframe_angle: float,
+        min_inliers: int,
+        beams: int,
+    ) -> None: ...
+    def update(
+        self,
+        *,
+        stamp_ns: int,
+        time_increment_ns: int,
+        ranges: Array,
+        angles: Array,
+        odom_from_base: Row | None,
+        start_from_end: Row | None,
+        base_from_sensor: Row,
+        range_limits: tuple[float, float],
+    ) -> Row:
+        """``start_from_base`` at the first beam of the scan of ranges (B,) at angles (B,)."""

@@ -1,0 +1,40 @@
+// The embedded core for Python; compiled once for each precision. Arrays come in without copies, and the interpreter is
+// free meanwhile. What each thing means stands in the core's headers and in _core64.pyi.
+#include <nanobind/stl/optional.h>
+#include <nanobind/stl/tuple.h>
+
+#include "grid.hpp"
+#include "pipeline.hpp"
+
+NB_MODULE(CORE, module)
+{
+    using namespace EK_NAME(binding);
+    using namespace nanobind::literals;
+    module.attr("REAL") = sizeof(ek_real) == 8 ? "float64" : "float32";
+
+    nb::class_<Index>(module, "Index")
+        .def(nb::init<const Points &>(), "points"_a.noconvert())
+        .def("__len__", [](const Index &index) { return index.index().count; });
+
+    nb::class_<Icp>(module, "Icp")
+        .def(nb::init<double, int64_t, int64_t, bool, bool, double, int64_t>(), nb::kw_only(), "epsilon"_a,
+             "max_iterations"_a, "error"_a, "error_before"_a, "one_to_one"_a, "max_correspondence"_a, "min_pairs"_a)
+        .def("register", &Icp::answer, "target"_a, "source"_a.noconvert(), "guess"_a, "trace"_a = false);
+
+    nb::class_<Grid>(module, "Grid")
+        .def(nb::init<double, double, double, double, double, double, const Place &>(), nb::kw_only(), "resolution"_a,
+             "l_occ"_a, "l_free"_a, "l_min"_a, "l_max"_a, "range_max"_a, "place"_a)
+        .def("add", &Grid::add, "world_from_sensor"_a, "hits"_a.noconvert(), "misses"_a.noconvert())
+        .def("move", &Grid::move, "place"_a, "range_max"_a)
+        .def("cells", &Grid::cells)
+        .def_prop_ro("touched", &Grid::touched)
+        .def_prop_ro("left_out", &Grid::left_out);
+
+    nb::class_<Pipeline>(module, "Pipeline")
+        .def(nb::init<const Icp &, bool, bool, bool, double, int64_t, double, double, int64_t, int64_t>(), "icp"_a,
+             nb::kw_only(), "scan_to_scan"_a, "scan_to_map"_a, "deskew"_a, "local_radius"_a, "keyframes"_a,
+             "keyframe_distance"_a, "keyframe_angle"_a, "min_inliers"_a, "beams"_a)
+        .def("update", &Pipeline::update, nb::kw_only(), "stamp_ns"_a, "time_increment_ns"_a, "ranges"_a.noconvert(),
+             "angles"_a.noconvert(), "odom_from_base"_a.none(), "start_from_end"_a.none(), "base_from_sensor"_a,
+             "range_limits"_a);
+}

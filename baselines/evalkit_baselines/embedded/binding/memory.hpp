@@ -1,0 +1,91 @@
+// The core's memory, owned by C++; what the core refuses, as exceptions; arrays, one way and the other.
+#pragma once
+
+#include <nanobind/nanobind.h>
+#include <nanobind/ndarray.h>
+
+#include <algorithm>
+#include <array>
+#include <cstddef>
+#include <memory>
+#include <new>
+#include <stdexcept>
+#include <string>
+#include <tuple>
+#include <utility>
+#include <vector>
+
+#include "ek/arena.h"
+#include "ek/se2.h"
+
+namespace nb = nanobind;
+
+// A namespace of its own for each precision: both modules live in one process, and C++ tells types by their names.
+namespace EK_NAME(binding) {
+
+using Points = nb::ndarray<const ek_real, nb::shape<-1, 2>, nb::c_contig, nb::device::cpu>;
+using Numbers = nb::ndarray<const ek_real, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
+using Row = std::tuple<double, double, double>;
+
+// Python sees a ValueError with the core's own words.
+inline void require(ek_status status, const char *what)
+{
+    if (status != EK_OK) {
+        throw std::invalid_argument(std::string(what) + ": " + ek_status_text(status));
+    }
+}
+
+class Memory {
+public:
+    Memory() = default;
+
+    // Measures what `lay_out(arena)` takes, gets it, and lays out in it.
+    template <typename LayOut> Memory(const char *what, LayOut lay_out)
+    {
+        ek_arena arena = ek_arena_over(nullptr, 0);
+        require(lay_out(&arena), what);
+        const std::size_t bytes = std::max<std::size_t>(arena.used, 1);
+        bytes_.reset(static_cast<unsigned char *>(::operator new(bytes, alignment)));
+        arena = ek_arena_over(bytes_.get(), bytes);
+        require(lay_out(&arena), what);
+        require(ek_arena_check(&arena), what);
+    }
+
+private:
+    static constexpr std::align_val_t alignment{EK_ALIGNMENT};
+    struct Free {
+        void operator()(unsigned char *bytes) const { ::operator delete(bytes, alignment); }
+    };
+    std::unique_ptr<unsigned char, Free> bytes_;
+};
+
+inline ek_pose pose_of(const Row &row)
+{
+    return {ek_real(std::get<0>(row)), ek_real(std::get<1>(row)), ek_real(std::get<2>(row))};
+}
+
+inline Row row_of(ek_pose pose) { return {pose.x, pose.y, pose.theta}; }
+
+// A number of Python's in the core's 32 bits: beyond them the nearest, which the core judges.
+inline int32_t whole(int64_t number) { return int32_t(std::clamp<int64_t>(number, INT32_MIN, INT32_MAX)); }
+inline uint32_t natural(int64_t number) { return uint32_t(std::clamp<int64_t>(number, 0, INT32_MAX)); }
+
+// Where an array begins; the core refuses NULL, even for no points.
+template <typename Array> const ek_real *start_of(const Array &array)
+{
+    static const ek_real nothing = 0;
+    return array.shape(0) > 0 ? array.data() : &nothing;
+}
+
+// The numbers as an array of Python's, which owns them.
+template <typename Number> nb::object array_of(std::vector<Number> &&numbers, std::array<std::size_t, 2> shape)
+{
+    auto kept = std::make_unique<std::vector<Number>>(std::move(numbers));
+    kept->reserve(1); // an empty array has a place too
+    Number *const start = kept->data();
+    nb::capsule owner(kept.get(), [](void *vector) noexcept { delete static_cast<std::vector<Number> *>(vector); });
+    kept.release();
+    return nb::cast(nb::ndarray<nb::numpy, Number>(start, shape.size(), shape.data(), owner));
+}
+
+} // namespace EK_NAME(binding)

@@ -1,0 +1,73 @@
+// The core's whole way from a scan to a pose, without its map.
+#pragma once
+
+#include <mutex>
+#include <optional>
+
+#include "ek/pipeline.h"
+#include "registration.hpp"
+
+namespace EK_NAME(binding) {
+
+class Pipeline {
+public:
+    Pipeline(const Icp &icp, bool scan_to_scan, bool scan_to_map, bool deskew, double local_radius, int64_t keyframes,
+             double keyframe_distance, double keyframe_angle, int64_t min_inliers, int64_t beams)
+    {
+        ek_pipeline_parameters made = ek_pipeline_default();
+        made.map = 0;
+        made.deskew = deskew;
+        made.scan.local_radius = ek_real(local_radius);
+        made.frontend.scan_to_scan = made.frontend.scan_to_map = icp.parameters();
+        made.frontend.use_scan_to_scan = scan_to_scan;
+        made.frontend.use_scan_to_map = scan_to_map;
+        made.frontend.keyframes = natural(keyframes);
+        made.frontend.keyframe_distance = ek_real(keyframe_distance);
+        made.frontend.keyframe_angle = ek_real(keyframe_angle);
+        made.frontend.min_inliers = whole(min_inliers);
+        made.frontend.points = natural(beams);
+        std::size_t bytes = 0;
+        require(ek_pipeline_bytes(&made, &bytes), "parameters");
+        memory_ = Memory("parameters", [&](ek_arena *arena) {
+            void *const memory = ek_arena_take(arena, bytes, 1);
+            return memory ? ek_pipeline_start(&pipeline_, memory, bytes, &made) : EK_OK; // NULL: it only measures
+        });
+    }
+
+    Row update(int64_t stamp_ns, int64_t time_increment_ns, const Numbers &ranges, const Numbers &angles,
+               const std::optional<Row> &odom_from_base, const std::optional<Row> &start_from_end,
+               const Row &base_from_sensor, const std::tuple<double, double> &range_limits)
+    {
+        if (ranges.shape(0) != angles.shape(0)) {
+            throw std::invalid_argument("scan: ranges and angles differ in number");
+        }
+        ek_sweep sweep = {};
+        sweep.stamp_ns = stamp_ns;
+        sweep.time_increment_ns = time_increment_ns;
+        sweep.ranges = start_of(ranges);
+        sweep.angles = start_of(angles);
+        sweep.beams = ranges.shape(0);
+        sweep.has_odometry = odom_from_base.has_value();
+        sweep.odom_from_base = pose_of(odom_from_base.value_or(Row{}));
+        sweep.has_motion = start_from_end.has_value();
+        sweep.start_from_end = pose_of(start_from_end.value_or(Row{}));
+        const nb::gil_scoped_release others_may_run;
+        const std::lock_guard<std::mutex> one_at_a_time(mutex_);
+        ek_scan_parameters scan = pipeline_.parameters.scan;
+        scan.base_from_sensor = pose_of(base_from_sensor);
+        scan.range_min = ek_real(std::get<0>(range_limits));
+        scan.range_max = ek_real(std::get<1>(range_limits));
+        require(ek_scan_check(&scan), "scan");
+        pipeline_.parameters.scan = scan;
+        ek_answer answer;
+        require(ek_pipeline_update(&pipeline_, &sweep, &answer), "scan");
+        return row_of(answer.start_from_base);
+    }
+
+private:
+    ek_pipeline pipeline_ = {};
+    Memory memory_;
+    std::mutex mutex_;
+};
+
+} // namespace EK_NAME(binding)

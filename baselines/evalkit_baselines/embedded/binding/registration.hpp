@@ -1,0 +1,108 @@
+// The core's index and ICP.
+#pragma once
+
+#include <mutex>
+
+#include "ek/icp.h"
+#include "memory.hpp"
+
+namespace EK_NAME(binding) {
+
+class Index {
+public:
+    explicit Index(const Points &points)
+    {
+        constexpr std::size_t cells_per_point = 16, most_cells = std::size_t{1} << 18; // as the core's front end
+        const nb::gil_scoped_release others_may_run;
+        const std::size_t room = std::max<std::size_t>(points.shape(0), 1);
+        memory_ = Memory("target", [&](ek_arena *arena) {
+            return ek_index_lay_out(&index_, arena, room, std::min(cells_per_point * room, most_cells));
+        });
+        require(ek_index_build(&index_, start_of(points), points.shape(0)), "target");
+    }
+
+    const ek_index &index() const { return index_; }
+
+private:
+    ek_index index_ = {};
+    Memory memory_;
+};
+
+struct Iteration {
+    double error;
+    int32_t inliers;
+    Row pose;
+    std::vector<int64_t> pairs;
+};
+
+inline void note(void *context, const ek_icp_iteration *now)
+{
+    std::vector<int64_t> pairs;
+    pairs.reserve(2 * std::size_t(now->inliers));
+    for (int32_t i = 0; i < now->inliers; i++) {
+        pairs.push_back(now->source[i]);
+        pairs.push_back(now->target[i]);
+    }
+    static_cast<std::vector<Iteration> *>(context)->push_back(
+        {double(now->error), now->inliers, row_of(now->target_from_source), std::move(pairs)});
+}
+
+class Icp {
+public:
+    Icp(double epsilon, int64_t max_iterations, int64_t error, bool error_before, bool one_to_one,
+        double max_correspondence, int64_t min_pairs)
+        : parameters_(ek_icp_default())
+    {
+        parameters_.epsilon = ek_real(epsilon);
+        parameters_.max_iterations = whole(max_iterations);
+        parameters_.error = static_cast<ek_error_measure>(std::clamp<int64_t>(error, 0, EK_ERROR_RMSE + 1));
+        parameters_.error_before = error_before;
+        parameters_.one_to_one = one_to_one;
+        parameters_.max_correspondence = ek_real(max_correspondence);
+        parameters_.min_pairs = whole(min_pairs);
+        require(ek_icp_check(&parameters_), "parameters");
+    }
+
+    nb::tuple answer(const Index &target, const Points &source, const Row &guess, bool trace)
+    {
+        ek_match match;
+        std::vector<Iteration> history;
+        {
+            const nb::gil_scoped_release others_may_run;
+            const std::lock_guard<std::mutex> one_at_a_time(mutex_);
+            make_room(std::max<std::size_t>(source.shape(0), 1), std::max<std::size_t>(target.index().count, 1));
+            require(ek_icp_register(&icp_, &target.index(), start_of(source), source.shape(0), pose_of(guess),
+                                    &parameters_, trace ? note : nullptr, &history, &match),
+                    "registration");
+        }
+        nb::list iterations;
+        for (Iteration &now : history) {
+            const std::size_t pairs = now.pairs.size() / 2;
+            iterations.append(nb::make_tuple(now.error, now.inliers, now.pose, array_of(std::move(now.pairs), {pairs, 2})));
+        }
+        return nb::make_tuple(row_of(match.target_from_source), match.converged != 0, match.iterations,
+                              double(match.error), match.inliers, iterations);
+    }
+
+    const ek_icp_parameters &parameters() const { return parameters_; }
+
+private:
+    void make_room(std::size_t sources, std::size_t targets)
+    {
+        if (sources <= icp_.capacity && targets <= icp_.targets) {
+            return;
+        }
+        ek_icp larger = {};
+        memory_ = Memory("registration", [&](ek_arena *arena) {
+            return ek_icp_lay_out(&larger, arena, std::max(sources, icp_.capacity), std::max(targets, icp_.targets));
+        });
+        icp_ = larger;
+    }
+
+    ek_icp_parameters parameters_;
+    ek_icp icp_ = {};
+    Memory memory_;
+    std::mutex mutex_;
+};
+
+} // namespace EK_NAME(binding)

@@ -1,0 +1,52 @@
+"""The compiled core, if the installation could build it; where it is not, asking is an error: no substitute is made."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+from types import ModuleType
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evalkit.errors import NotInstalled
+from evalkit.se2 import Floats
+
+Precision = Literal["double", "float"]
+Reals = NDArray[np.floating]
+
+MODULES: dict[Precision, str] = {"double": "_core64", "float": "_core32"}
+
+
+def compiled_missing() -> str:
+    """Why the core is not here and how to get it, or ""; found out without loading it."""
+    package = __name__.rpartition(".")[0]
+    if all(find_spec(f"{package}.{name}") for name in MODULES.values()):
+        return ""
+    return f"not installed: the compiled core was not built (needs a C and a C++ compiler): {_remedy()}"
+
+
+def core(precision: Precision) -> ModuleType:
+    """The core's module of that precision; NotInstalled where it cannot be loaded."""
+    try:
+        if precision == "double":
+            from evalkit_baselines.embedded import _core64 as found  # noqa: PLC0415 - may be absent
+        else:
+            from evalkit_baselines.embedded import _core32 as found  # type: ignore[no-redef]  # noqa: PLC0415 - likewise
+    except ImportError as error:
+        raise NotInstalled("embedded", f"does not load ({error})", compiled_missing() or _remedy()) from error
+    return found
+
+
+def real(values: Floats, module: ModuleType) -> Reals:
+    """The same numbers in the core's precision, as it reads them; no copy where they are so already."""
+    with np.errstate(over="ignore"):  # too large for a float: the core refuses infinity
+        return np.ascontiguousarray(values, dtype=module.REAL)
+
+
+def _remedy() -> str:
+    """The command that builds it: from the checkout this is, or from the package's source."""
+    root = Path(__file__).resolve().parents[3]
+    what = f"--editable '{root}'" if (root / "pyproject.toml").exists() else "--no-binary evalkit evalkit"
+    return f"apt-get install -y gcc g++ && pip install --force-reinstall --no-deps {what}"

@@ -1,0 +1,111 @@
+"""The core's log-odds grid as a Mapper that grows with the map."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from evalkit.errors import BadParameter
+from evalkit.protocols import Parameter
+from evalkit.se2 import Floats
+from evalkit.types import Bools, OccupancyGrid, Pose, Scan
+from evalkit_baselines.embedded.compiled import core, real
+from evalkit_baselines.paper import grid
+from evalkit_baselines.paper.grid import CHUNK, MOST_CELLS
+
+UNKNOWN = np.iinfo(np.int16).min
+THOUSANDTHS = np.float32(1000.0)
+MOST_ACROSS = 1 << 15  # cells a side, the core's limit
+LONGEST_BEAM = 8192  # cells, likewise
+NO_POINTS = np.zeros((0, 2))
+NOT_HERE = ("once_per_scan", "traversal")
+MOST_LOG_ODDS = 15.0
+
+PARAMETERS: tuple[Parameter, ...] = tuple(
+    replace(p, low=max(p.low, -MOST_LOG_ODDS), high=min(p.high, MOST_LOG_ODDS)) if p.name.startswith("l_") else p
+    for p in grid.PARAMETERS
+    if p.name not in NOT_HERE
+)
+"""Those of ``log-odds``; a scan always adds to a cell once, along the exact traversal."""
+
+
+class CompiledGrid:
+    """The core's map in double precision; parameters as in ``PARAMETERS``.
+
+    A board has a map of one size; here it grows in steps of ``CHUNK`` cells, as the NumPy twin's does, and raises
+    BadParameter where that one does.
+    """
+
+    def __init__(self, resolution_m: float, clear_no_returns: bool, **log_odds: float) -> None:
+        self._core = core("double")
+        self._resolution_m, self._clear_no_returns = resolution_m, clear_no_returns
+        self._log_odds = log_odds
+        self._grid: Any = None
+        self._low, self._high = np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.int64)  # cells: from, to behind
+        self._range_max_m = 0.0
+
+    def update(self, scan: Scan, world_from_sensor: Pose) -> None:
+        """Adds one scan whose beams all start at the sensor."""
+        hits = scan.points()
+        misses = self._misses(scan) if self._clear_no_returns else NO_POINTS
+        if len(hits) or len(misses):
+            self._make_room(np.concatenate([hits, misses, np.zeros((1, 2))]), world_from_sensor, scan.range_max_m)
+            self._grid.add(
+                (world_from_sensor.x, world_from_sensor.y, world_from_sensor.theta),
+                real(hits, self._core),
+                real(misses, self._core),
+            )
+
+    def grid(self) -> OccupancyGrid:
+        """All scans so far, cut to the cells observed; (0, 0) cells before the first."""
+        cells = np.zeros((0, 0), dtype=np.int16) if self._grid is None else self._grid.cells()
+        observed = cells != UNKNOWN
+        rows, columns = _span(observed.any(axis=1)), _span(observed.any(axis=0))
+        seen = observed[rows, columns]
+        log_odds = np.where(seen, cells[rows, columns], 0).astype(np.float32) / THOUSANDTHS
+        x, y = (self._low + np.array([columns.start, rows.start])) * self._resolution_m
+        return OccupancyGrid(log_odds, seen, self._resolution_m, float(x), float(y))
+
+    def _misses(self, scan: Scan) -> Floats:
+        angles = scan.angles[scan.no_returns]
+        return scan.range_max_m * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+    def _make_room(self, points: Floats, world_from_sensor: Pose, range_max_m: float) -> None:
+        """Grows the map where the scan leaves it, and the longest beam where the scan's is longer."""
+        reached = world_from_sensor.transform(points) / self._resolution_m
+        if not np.abs(reached).max() < 1e9:  # beyond, cells cannot be numbered
+            raise self._too_large(f"{np.abs(reached).max() * self._resolution_m:.3g} m")
+        low, high = np.floor(reached.min(axis=0)).astype(np.int64), np.floor(reached.max(axis=0)).astype(np.int64) + 1
+        longer = range_max_m > self._range_max_m
+        if not longer and (low >= self._low).all() and (high <= self._high).all():
+            return
+        if self._grid is not None:
+            low, high = np.minimum(low, self._low), np.maximum(high, self._high)
+        low, high = low // CHUNK * CHUNK, -(-high // CHUNK) * CHUNK
+        columns, rows = (high - low).tolist()
+        if columns * rows > MOST_CELLS or max(columns, rows) > MOST_ACROSS:
+            raise self._too_large(f"{columns * self._resolution_m:.0f} m x {rows * self._resolution_m:.0f} m")
+        range_max_m = max(range_max_m, self._range_max_m)
+        if range_max_m > LONGEST_BEAM * self._resolution_m:
+            raise self._too_large(f"beams of {range_max_m:.0f} m")
+        self._place((*low.tolist(), columns, rows), range_max_m)
+        self._low, self._high, self._range_max_m = low, high, range_max_m
+
+    def _place(self, place: tuple[int, int, int, int], range_max_m: float) -> None:
+        if self._grid is None:
+            self._grid = self._core.Grid(
+                resolution=self._resolution_m, range_max=range_max_m, place=place, **self._log_odds
+            )
+        else:
+            self._grid.move(place, range_max_m)
+
+    def _too_large(self, reach: str) -> BadParameter:
+        return BadParameter("embedded-log-odds", "resolution_m", self._resolution_m, f"larger cells: {reach}")
+
+
+def _span(marked: Bools) -> slice:
+    """From the first mark (N,) to behind the last; nothing if there is none."""
+    places = np.flatnonzero(marked)
+    return slice(int(places[0]), int(places[-1]) + 1) if len(places) else slice(0, 0)

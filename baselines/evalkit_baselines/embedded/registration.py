@@ -1,0 +1,78 @@
+"""The core's ICP as a Registration."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+from evalkit.clock import conversion
+from evalkit.protocols import Parameter
+from evalkit.types import Cloud, Iteration, Match, Pose
+from evalkit_baselines.embedded.compiled import Precision, core, real
+from evalkit_baselines.paper import icp
+from evalkit_baselines.paper.association import Recent
+
+NOT_HERE = ("metric", "line_neighbours", "cauchy_m")
+ERRORS = ("mean", "mean-squared", "rmse")  # in the order of ek_error_measure
+
+PARAMETERS: tuple[Parameter, ...] = tuple(
+    replace(p, meaning="tell every iteration with its pairs (costs more than the registration)")
+    if p.name == "trace"
+    else p
+    for p in icp.PARAMETERS
+    if p.name not in NOT_HERE
+)
+"""Those of ``paper``, but for the distance to the wall, which the core has not."""
+
+
+class CompiledIcp:
+    """A Registration; parameters as in ``PARAMETERS``.
+
+    The index of recent targets is kept, found by the identity of their (frozen) clouds. ``history`` is empty without
+    ``trace``. Raises ValueError with the core's words where a coordinate lies beyond 1,000 km.
+    """
+
+    def __init__(self, precision: Precision, **parameters: Any) -> None:
+        self._core = core(precision)
+        self._icp = icp_of(self._core, parameters)
+        self._min_pairs = parameters["min_pairs"]
+        self._squared = parameters["error"] == "mean-squared"
+        self._trace = parameters["trace"]
+        self._recent: Recent[Any] = Recent()
+
+    def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
+        """The motion ``target_from_source``; with too few pairs the guess, not converged, with error nan."""
+        if not len(target) or not len(source):
+            return Match(guess, False, 0, math.nan, 0)
+        index = self._recent.of(target, self._index)
+        with conversion():
+            points = real(source.points, self._core)
+        row, converged, iterations, error, inliers, history = self._icp.register(
+            index, points, (guess.x, guess.y, guess.theta), self._trace
+        )
+        with conversion():
+            told = tuple(self._iteration(*told) for told in history)
+            answer = guess if inliers < self._min_pairs else Pose(*row)  # to the bit, in single precision too
+        return Match(answer, converged, iterations, error, inliers, told)
+
+    def _index(self, target: Cloud) -> Any:
+        with conversion():
+            points = real(target.points, self._core)
+        return self._core.Index(points)
+
+    def _iteration(self, error: float, inliers: int, row: tuple[float, float, float], pairs: Any) -> Iteration:
+        return Iteration(math.sqrt(error) if self._squared else error, inliers, Pose(*row), pairs)
+
+
+def icp_of(module: Any, parameters: dict[str, Any]) -> Any:
+    """The core's own ICP of complete parameters; ValueError where it refuses one."""
+    return module.Icp(
+        epsilon=parameters["epsilon"],
+        max_iterations=parameters["max_iterations"],
+        error=ERRORS.index(parameters["error"]),
+        error_before=parameters["error_at"] == "before",
+        one_to_one=parameters["one_to_one"],
+        max_correspondence=parameters["max_correspondence_m"],
+        min_pairs=parameters["min_pairs"],
+    )

@@ -1,0 +1,263 @@
+"""The compiled core answers as its NumPy twin: registrations, maps and whole sequences."""
+
+import math
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from evalkit import frontend, registry
+from evalkit.errors import BadParameter, NotInstalled
+from evalkit.protocols import resolved
+from evalkit.types import Cloud, Frame, Pose, Scan
+from evalkit_baselines import embedded, paper
+from evalkit_baselines.embedded import compiled
+from evalkit_baselines.paper.grid import LogOddsGrid
+from evalkit_baselines.paper.icp import Icp
+
+needs_core = pytest.mark.skipif(bool(why := compiled.compiled_missing()), reason=why or "the core is here")
+
+SAME = 1e-9  # m and rad: both compute in double precision, in another order
+FLOAT_M, FLOAT_RAD = 2e-4, 5e-5
+"""What single precision may change 10 m around the origin: a float is good to 1e-6 m there, and the stop rule (1e-4 m)
+may be met an iteration earlier or later."""
+
+VARIANTS = (
+    {},
+    {"epsilon": 1e-6},
+    {"error": "mean-squared", "epsilon": 1e-7},
+    {"error": "rmse", "epsilon": 0.0, "max_iterations": 25},
+    {"one_to_one": False, "epsilon": 1e-6},
+    {"max_correspondence_m": 0.0},
+    {"max_correspondence_m": 0.05, "epsilon": 1e-8},
+    {"error_at": "before", "epsilon": 1e-5},
+    {"min_pairs": 900},
+)
+
+
+def made(spec, **parameters):
+    return spec.make(**resolved("embedded", spec.parameters, parameters))
+
+
+def room(n, rng, noise_m=0.02):
+    """Points on the walls of an L-shaped room."""
+    corners = np.array([[-4.0, -3.0], [4.0, -3.0], [4.0, 1.0], [0.0, 1.0], [0.0, 4.0], [-4.0, 4.0]])
+    sides = np.roll(corners, -1, axis=0) - corners
+    lengths = np.linalg.norm(sides, axis=1)
+    side = rng.choice(len(sides), n, p=lengths / lengths.sum())
+    return corners[side] + rng.uniform(size=(n, 1)) * sides[side] + rng.normal(0.0, noise_m, (n, 2))
+
+
+def scans(seed):
+    """A submap, a scan of it, and a guess some centimetres and degrees off."""
+    rng = np.random.default_rng(seed)
+    truth = Pose(*rng.normal(0.0, [0.5, 0.5, 0.5]))
+    source = truth.inverse().transform(room(900, rng))
+    return Cloud(room(3000, rng)), Cloud(source), truth @ Pose(*rng.normal(0.0, [0.08, 0.08, 0.04]))
+
+
+def assert_alike(found, twin, metres=SAME, radians=SAME):
+    ours, theirs = found.target_from_source, twin.target_from_source
+    assert math.hypot(ours.x - theirs.x, ours.y - theirs.y) < metres
+    assert abs(Pose(0.0, 0.0, ours.theta - theirs.theta).theta) < radians
+    assert found.error == pytest.approx(twin.error, abs=metres, nan_ok=True)
+
+
+def assert_same(found, twin):
+    assert_alike(found, twin)
+    assert (found.converged, found.iterations, found.inliers) == (twin.converged, twin.iterations, twin.inliers)
+
+
+@needs_core
+@pytest.mark.parametrize("variant", VARIANTS, ids=str)
+def test_every_variant_of_the_icp_is_that_of_the_twin(variant):
+    compiled_icp, twin = made(embedded.SPEC, **variant), Icp(**variant)
+    for seed in range(6):
+        target, source, guess = scans(seed)
+        assert_same(compiled_icp.register(target, source, guess), twin.register(target, source, guess))
+
+
+@needs_core
+@pytest.mark.parametrize("variant", VARIANTS[:-1], ids=str)
+def test_single_precision_stays_within_its_budget(variant):
+    narrow = made(embedded.FLOAT, **variant)
+    for seed in range(6):
+        target, source, guess = scans(seed)
+        if variant.get("epsilon", 1.0) < 1e-5:  # below the rounding of a float: both then run as far as they get
+            narrow_, wide = (made(s, **variant | {"epsilon": 0.0}) for s in (embedded.FLOAT, embedded.SPEC))
+            assert_alike(narrow_.register(target, source, guess), wide.register(target, source, guess), 1e-3, 1e-4)
+        else:
+            twin = Icp(**variant).register(target, source, guess)
+            assert_alike(narrow.register(target, source, guess), twin, FLOAT_M, FLOAT_RAD)
+
+
+@needs_core
+@pytest.mark.parametrize("error", ["mean", "mean-squared", "rmse"])
+def test_the_trace_tells_every_iteration_and_pair_as_the_twin_does(error):
+    target, source, guess = scans(3)
+    found = made(embedded.SPEC, trace=True, error=error).register(target, source, guess)
+    twin = Icp(trace=True, error=error).register(target, source, guess)
+    assert len(found.history) == found.iterations == len(twin.history)
+    for ours, theirs in zip(found.history, twin.history, strict=True):
+        assert ours.error == pytest.approx(theirs.error, abs=SAME)
+        assert ours.target_from_source.row == pytest.approx(theirs.target_from_source.row, abs=SAME)
+        assert np.asarray(ours.pairs).tolist() == np.asarray(theirs.pairs).tolist()
+
+
+COORDINATES = st.integers(-40, 40).map(lambda k: k / 8.0)  # exact in binary; many points coincide or lie on a line
+CLOUDS = st.lists(st.tuples(COORDINATES, COORDINATES), max_size=40).map(lambda rows: Cloud(np.reshape(rows, (-1, 2))))
+
+
+@needs_core
+@settings(max_examples=150, deadline=None)
+@given(CLOUDS, CLOUDS, st.tuples(*[st.floats(-0.4, 0.4)] * 3))
+def test_whatever_the_clouds_the_answer_is_finite_repeatable_and_not_worse_than_asked(target, source, guess):
+    icp = made(embedded.SPEC, one_to_one=False, max_correspondence_m=0.0, epsilon=1e-6)
+    found = icp.register(target, source, Pose(*guess))
+    again = made(embedded.SPEC, one_to_one=False, max_correspondence_m=0.0, epsilon=1e-6)
+    repeated = again.register(target, source, Pose(*guess))
+    assert found.target_from_source == repeated.target_from_source
+    if not len(target) or len(source) < 3:
+        assert (found.target_from_source, found.converged) == (Pose(*guess), False)
+        return
+    assert found.inliers == len(source)  # no limit, many-to-one: every point has a partner
+    assert np.isfinite([*found.target_from_source.row, found.error]).all()
+    nearest = np.linalg.norm(Pose(*guess).transform(source.points)[:, None] - target.points, axis=2).min(axis=1)
+    assert found.error <= math.sqrt(np.mean(nearest**2)) + 1e-9  # each step lessens the squared distances
+
+
+@needs_core
+@pytest.mark.parametrize("spec", [embedded.SPEC, embedded.FLOAT], ids=["double", "float"])
+def test_empty_and_hopeless_clouds_give_the_guess_back_to_the_bit(spec):
+    icp, guess, none = made(spec), Pose(0.1, 0.2, 0.3), Cloud(np.zeros((0, 2)))
+    some, far = Cloud(np.eye(2).repeat(5, axis=0)), Cloud(np.full((9, 2), 50.0))
+    for target, source in ((none, some), (some, none), (none, none), (some, far)):
+        match = icp.register(target, source, guess)
+        assert (match.target_from_source, match.converged, match.inliers) == (guess, False, 0)
+        assert math.isnan(match.error)
+
+
+@needs_core
+@pytest.mark.parametrize("spec", [embedded.SPEC, embedded.FLOAT], ids=["double", "float"])
+def test_what_was_asked_before_changes_nothing(spec):
+    icp = made(spec)
+    (first, second) = (scans(seed) for seed in (1, 2))
+    alone = icp.register(*first)
+    icp.register(*second)
+    icp.register(Cloud(np.eye(2)), Cloud(np.eye(2)), Pose())
+    after = icp.register(*first)
+    assert (alone.target_from_source, alone.error) == (after.target_from_source, after.error)
+
+
+@needs_core
+def test_a_coordinate_beyond_the_limit_is_refused_with_the_cores_words():
+    icp, some = made(embedded.SPEC), Cloud(np.eye(2))
+    with pytest.raises(ValueError, match="registration: a parameter lies outside its range"):
+        icp.register(some, Cloud(np.full((3, 2), 2e6)), Pose())
+    with pytest.raises(ValueError, match="target: a parameter lies outside its range"):
+        icp.register(Cloud(np.full((3, 2), 2e6)), some, Pose())
+    with pytest.raises(ValueError, match="nan or infinite"):  # 1e39 m is infinite in single precision
+        made(embedded.FLOAT).register(some, Cloud(np.full((3, 2), 1e39)), Pose())
+
+
+def test_its_parameters_are_the_papers_but_for_the_lines():
+    theirs = {p.name: (p.default, p.unit, p.low, p.high, p.choices) for p in paper.SPEC.parameters}
+    ours = {p.name: (p.default, p.unit, p.low, p.high, p.choices) for p in embedded.SPEC.parameters}
+    assert ours.items() <= theirs.items()
+    assert theirs.keys() - ours.keys() == {"metric", "line_neighbours", "cauchy_m"}
+
+
+def lab(scans_wanted=120, every=1):
+    frames = (
+        registry.dataset("lab")
+        .make(**{p.name: p.default for p in registry.dataset("lab").parameters} | {"laps": 0.12, "seed": 5})
+        .frames()
+    )
+    return [frame for index, frame in enumerate(frames) if index < scans_wanted * every][::every]
+
+
+@needs_core
+@pytest.mark.parametrize("clear", [False, True])
+def test_the_map_is_the_twins_cell_by_cell(clear):
+    ours, theirs = made(embedded.MAPPER, clear_no_returns=clear), LogOddsGrid(clear_no_returns=clear)
+    for index, frame in enumerate(lab(25, every=5)):
+        # off the corners of cells, where rounding decides; and far enough that the map grows
+        pose = Pose(30.0 * (index // 13) - 7.2931, 0.02 * index + 0.00113, 0.0977 * index)
+        ours.update(frame.scan, pose)
+        theirs.update(frame.scan, pose)
+    found, twin = ours.grid(), theirs.grid()
+    assert (found.origin_x, found.origin_y, found.resolution_m) == (twin.origin_x, twin.origin_y, twin.resolution_m)
+    assert np.array_equal(found.observed, twin.observed)
+    assert found.log_odds.dtype == np.float32
+    assert np.abs(found.log_odds - twin.log_odds).max() < 1e-5
+    assert found.observed.sum() > 10_000
+
+
+@needs_core
+def test_a_map_of_nothing_is_empty_and_one_that_runs_away_says_so():
+    mapper = made(embedded.MAPPER)
+    assert mapper.grid().shape == (0, 0)
+    mapper.update(Scan(0, np.array([np.inf, np.nan]), np.zeros(2), 0.0, 12.0), Pose())
+    assert mapper.grid().shape == (0, 0)
+    one = Scan(0, np.ones(1), np.zeros(1), 0.0, 12.0)
+    mapper.update(one, Pose())
+    before = mapper.grid()
+    for far in (1e4, 1e9, 1e300):
+        with pytest.raises(BadParameter, match="larger cells"):
+            mapper.update(one, Pose(far, 0.0, 0.0))
+    assert np.array_equal(mapper.grid().log_odds, before.log_odds)
+
+
+@needs_core
+def test_a_longer_beam_than_any_before_is_drawn_whole():
+    mapper, twin = made(embedded.MAPPER), LogOddsGrid()
+    for length in (1.0, 30.0, 3.0):
+        scan = Scan(0, np.full(3, length), np.arange(3.0), 0.0, length)
+        mapper.update(scan, Pose())
+        twin.update(scan, Pose())
+    assert np.array_equal(mapper.grid().observed, twin.grid().observed)
+
+
+@needs_core
+@pytest.mark.parametrize("odometry", [True, False])
+def test_the_pipeline_follows_a_sequence_as_the_twin_behind_the_front_end_does(odometry):
+    frames = [
+        Frame(f.scan, f.base_from_sensor, f.odom_from_base, f.start_from_end)
+        if odometry
+        else Frame(f.scan, f.base_from_sensor)
+        for f in lab(90)
+    ]
+    twin = frontend.odometry(paper.SPEC, frontend.complete_parameters("paper", paper.SPEC, {}))
+    pipeline = made(embedded.PIPELINE)
+    worst = max(np.abs((twin.update(f).inverse() @ pipeline.update(f)).row).max() for f in frames)
+    assert worst < 1e-8
+    narrow, wide = made(embedded.PIPELINE, precision="float"), made(embedded.PIPELINE)
+    off = max(np.abs((wide.update(f).inverse() @ narrow.update(f)).row).max() for f in frames)
+    assert 0.0 < off < 0.02  # m and rad: where the stop rule is met decides what comes after
+
+
+@needs_core
+def test_a_scan_without_beams_is_answered_with_the_guess_and_one_too_long_is_refused():
+    pipeline = made(embedded.PIPELINE, beams=300)
+    walls = Scan(0, np.full(300, 2.0), np.linspace(0.0, 6.0, 300), 0.0, 12.0)
+    assert pipeline.update(Frame(walls, odom_from_base=Pose())) == Pose()
+    none = Scan(1, np.zeros(0), np.zeros(0), 0.0, 12.0)
+    assert pipeline.update(Frame(none, odom_from_base=Pose(0.1, 0.0, 0.0))).x == pytest.approx(0.1)
+    long = Scan(2, np.full(301, 2.0), np.zeros(301), 0.0, 12.0)
+    with pytest.raises(ValueError, match="more points or beams than the capacity"):
+        pipeline.update(Frame(long))
+
+
+def test_where_the_core_was_not_built_each_of_its_names_says_so_and_nothing_takes_its_place(monkeypatch):
+    monkeypatch.setattr(compiled, "MODULES", {"double": "_core_absent"})
+    for spec in (embedded.SPEC, embedded.FLOAT, embedded.PIPELINE, embedded.MAPPER):
+        assert spec.missing().startswith(
+            "not installed: the compiled core was not built (needs a C and a C++ compiler)"
+        )
+        assert "pip install" in spec.missing()
+    monkeypatch.setitem(sys.modules, "evalkit_baselines.embedded._core64", None)
+    monkeypatch.delattr(embedded, "_core64", raising=False)
+    with pytest.raises(NotInstalled, match="does not load"):
+        made(embedded.SPEC)

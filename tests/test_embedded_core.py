@@ -1,0 +1,228 @@
+"""The C library and its binding by themselves: its own tests under sanitizers, and what the binding refuses."""
+
+import shutil
+import subprocess
+import threading
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+
+from evalkit_baselines.embedded import compiled
+
+FOLDER = Path(compiled.__file__).parent
+TOOLS = [tool for tool in ("cmake", "ctest", "cc") if shutil.which(tool) is None]
+
+needs_core = pytest.mark.skipif(bool(why := compiled.compiled_missing()), reason=why or "the core is here")
+PRECISIONS = ["double", "float"]
+PARAMETERS = {
+    "epsilon": 1e-4, "max_iterations": 40, "error": 0, "error_before": False, "one_to_one": True,
+    "max_correspondence": 0.3, "min_pairs": 3,
+}  # fmt: skip
+MAP = {"resolution": 0.05, "l_occ": 0.8, "l_free": -0.8, "l_min": -5.0, "l_max": 5.0, "range_max": 12.0}
+PLACE = (-64, -64, 128, 128)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(bool(TOOLS), reason=f"not found: {', '.join(TOOLS)}; the core's own tests need them")
+@pytest.mark.parametrize("sanitize", ["OFF", "ON"])
+def test_the_cores_own_tests_pass_without_a_warning(tmp_path, sanitize):
+    options = [f"-DEK_SANITIZE={sanitize}", "-DEK_WERROR=ON", "-DCMAKE_BUILD_TYPE=Debug", "-DEK_BUILD_PROGRAMS=OFF"]
+    for command in (
+        ["cmake", "-S", str(FOLDER), "-B", str(tmp_path), *options],
+        ["cmake", "--build", str(tmp_path)],
+        ["ctest", "--test-dir", str(tmp_path), "--output-on-failure"],
+    ):
+        answer = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+        assert answer.returncode == 0, f"{' '.join(command)}\n{answer.stdout[-4000:]}\n{answer.stderr[-4000:]}"
+    assert "100% tests passed" in answer.stdout
+
+
+def test_every_header_says_what_its_module_is_for():
+    headers = sorted((FOLDER / "include" / "ek").glob("*.h"))
+    assert headers
+    for header in headers:
+        assert header.read_text(encoding="utf-8").startswith(f"/* {header.name} - "), header.name
+
+
+def small_pipeline(core):
+    return core.Pipeline(
+        core.Icp(**PARAMETERS), scan_to_scan=True, scan_to_map=True, deskew=True, local_radius=0.0, keyframes=3,
+        keyframe_distance=0.5, keyframe_angle=0.3, min_inliers=10, beams=32,
+    )  # fmt: skip
+
+
+def asked(call):
+    """Its answer and "", or None and the words with which it was refused."""
+    try:
+        return call(), ""
+    except ValueError as error:
+        return None, str(error)
+
+
+ANY_NUMBER = st.floats(width=64, allow_nan=True, allow_infinity=True) | st.sampled_from([0.0, 1e6, -1e6, 1.0])
+ANY_POINTS = st.integers(0, 30).flatmap(
+    lambda n: arrays.arrays(np.float64, (n, 2), elements=ANY_NUMBER | st.floats(-3.0, 3.0))
+)
+
+
+@needs_core
+@pytest.mark.parametrize("precision", PRECISIONS)
+@settings(max_examples=200, deadline=None)
+@given(
+    ANY_POINTS,
+    ANY_POINTS,
+    st.tuples(ANY_NUMBER, ANY_NUMBER, ANY_NUMBER),
+    st.integers(-2, 2**40),
+    st.integers(-2, 2**40),
+    st.integers(-1, 4),
+)
+def test_whatever_comes_in_a_registration_answers_soundly_or_refuses(
+    precision, target, source, guess, most, least, error
+):
+    core = compiled.core(precision)
+    with np.errstate(over="ignore"):
+        target, source = target.astype(core.REAL), source.astype(core.REAL)
+    parameters = PARAMETERS | {"max_iterations": min(most, 50), "min_pairs": least, "error": error}
+    answer, refused = asked(lambda: core.Icp(**parameters).register(core.Index(target), source, guess, True))
+    assert refused.partition(": ")[0] in ("", "parameters", "target", "registration")
+    if answer is None:
+        return
+    row, converged, iterations, left, inliers, history = answer
+    assert np.isfinite(row).all()
+    assert 0 <= inliers <= len(source)
+    assert len(history) == iterations <= 50
+    assert np.isnan(left) or left >= 0.0
+    for _, pairs_told, _, pairs in history:
+        assert pairs.shape == (pairs_told, 2)
+        assert (pairs >= 0).all()
+        assert (pairs < [len(source), len(target)]).all()
+    assert isinstance(converged, bool)
+
+
+@needs_core
+@pytest.mark.parametrize("precision", PRECISIONS)
+@settings(max_examples=150, deadline=None)
+@given(ANY_POINTS, ANY_POINTS, st.tuples(ANY_NUMBER, ANY_NUMBER, ANY_NUMBER))
+def test_whatever_comes_in_a_map_draws_it_or_stays_as_it_was(precision, hits, misses, pose):
+    core = compiled.core(precision)
+    grid = core.Grid(place=PLACE, **MAP)
+    grid.add((0.0, 0.0, 0.0), np.ones((1, 2), dtype=core.REAL), np.zeros((0, 2), dtype=core.REAL))
+    before = grid.cells()
+    with np.errstate(over="ignore"):
+        hits, misses = hits.astype(core.REAL), misses.astype(core.REAL)
+    _, refused = asked(lambda: grid.add(pose, hits, misses))
+    if refused:
+        assert refused.startswith("scan: ")
+        assert np.array_equal(grid.cells(), before)
+        return
+    known = grid.cells()[grid.cells() != -32768]
+    assert (np.abs(known.astype(int)) <= 5000).all()
+    assert grid.left_out <= len(hits) + len(misses)
+
+
+@needs_core
+@pytest.mark.parametrize("precision", PRECISIONS)
+@settings(max_examples=100, deadline=None)
+@given(
+    arrays.arrays(np.float64, st.integers(0, 40), elements=ANY_NUMBER | st.floats(0.2, 10.0)),
+    st.integers(-(2**62), 2**62),
+    st.integers(-1, 2**62),
+    st.none() | st.tuples(ANY_NUMBER, ANY_NUMBER, ANY_NUMBER),
+    st.none() | st.tuples(ANY_NUMBER, ANY_NUMBER, ANY_NUMBER),
+    st.tuples(ANY_NUMBER, ANY_NUMBER),
+)
+def test_whatever_comes_in_the_pipeline_answers_a_finite_pose_or_refuses(
+    precision, ranges, stamp, step, odom, moved, limits
+):
+    core = compiled.core(precision)
+    pipeline = small_pipeline(core)
+    with np.errstate(over="ignore"):
+        ranges = ranges.astype(core.REAL)
+    angles = np.linspace(-3.0, 3.0, len(ranges), dtype=core.REAL)
+    scan = {"time_increment_ns": step, "ranges": ranges, "angles": angles, "odom_from_base": odom}
+    for later, scan_limits in enumerate(((0.1, 12.0), limits, (0.1, 12.0))):
+        now = {"stamp_ns": stamp + later, "range_limits": scan_limits, "start_from_end": moved}
+        row, refused = asked(partial(pipeline.update, base_from_sensor=(0.1, 0.0, 0.0), **scan, **now))
+        assert refused.startswith("scan: ") if row is None else np.isfinite(row).all()
+
+
+@needs_core
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_arrays_of_another_kind_are_refused_instead_of_converted(precision):
+    core = compiled.core(precision)
+    good = np.zeros((4, 2), dtype=core.REAL)
+    other = np.float32 if core.REAL == "float64" else np.float64
+    for wrong in (
+        good.astype(other),
+        good.astype(int),
+        good[:, :1],
+        good.T,
+        np.zeros((8, 4), dtype=core.REAL)[::2, ::2],
+        [[0.0, 0.0]],
+    ):
+        with pytest.raises(TypeError):
+            core.Index(wrong)
+    good.flags.writeable = False
+    assert len(core.Index(good)) == 4
+
+
+@needs_core
+def test_parameters_and_places_outside_their_ranges_are_refused():
+    core = compiled.core("double")
+    for name, wrong in (("epsilon", -1.0), ("epsilon", np.nan), ("max_iterations", 0), ("max_iterations", -(2**40)),
+                        ("min_pairs", 1), ("error", 3), ("max_correspondence", np.inf)):  # fmt: skip
+        with pytest.raises(ValueError, match="parameters: a parameter lies outside its range"):
+            core.Icp(**PARAMETERS | {name: wrong})
+    for place in ((1, 0, 128, 128), (0, 0, 0, 128), (0, 0, 2**31, 32), (2**40, 0, 32, 32)):
+        with pytest.raises(ValueError, match="map: a parameter lies outside its range"):
+            core.Grid(place=place, **MAP)
+    grid = core.Grid(place=PLACE, **MAP)
+    grid.add((0.0, 0.0, 0.0), np.ones((1, 2)), np.zeros((0, 2)))
+    before = grid.cells()
+    with pytest.raises(ValueError, match="map: "):
+        grid.move((0, 0, 31, 32), 12.0)
+    assert np.array_equal(grid.cells(), before)
+    scan = {"stamp_ns": 0, "time_increment_ns": 0, "odom_from_base": None, "start_from_end": None}
+    pipeline = small_pipeline(core)
+    with pytest.raises(ValueError, match="ranges and angles differ"):
+        pipeline.update(
+            ranges=np.ones(3), angles=np.ones(2), base_from_sensor=(0.0, 0.0, 0.0), range_limits=(0.1, 12.0), **scan
+        )
+
+
+@needs_core
+def test_a_map_that_moves_keeps_what_both_places_hold():
+    core, none = compiled.core("double"), np.zeros((0, 2))
+    grid = core.Grid(place=PLACE, **MAP)
+    rng = np.random.default_rng(0)
+    grid.add((0.1, 0.2, 0.3), rng.uniform(-3.0, 3.0, (60, 2)), none)
+    before = grid.cells()
+    grid.move((-32, -96, 64, 128), 20.0)
+    after = grid.cells()
+    assert np.array_equal(after[32:128, :], before[0:96, 32:96])
+    assert (after[:32] == -32768).all()
+
+
+@needs_core
+def test_two_threads_may_ask_the_same_objects():
+    core = compiled.core("double")
+    rng = np.random.default_rng(0)
+    targets = [core.Index(rng.uniform(-3.0, 3.0, (n, 2))) for n in (4000, 300)]
+    source, icp, answers = rng.uniform(-3.0, 3.0, (500, 2)), core.Icp(**PARAMETERS), [[], []]
+
+    def ask(which):
+        for _ in range(60):
+            answers[which].append(icp.register(targets[which], source, (0.0, 0.0, 0.0))[:5])
+
+    threads = [threading.Thread(target=ask, args=(which,)) for which in (0, 1)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert [len(set(told)) for told in answers] == [1, 1]
+    assert [len(told) for told in answers] == [60, 60]
