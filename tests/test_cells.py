@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from evalkit import registry
+from evalkit.errors import BackendFailed
 from evalkit.protocols import DatasetSpec
 from evalkit.types import Frame, Truth
 from evalkit.validation.equivalence import mapper_equivalence
@@ -85,6 +86,11 @@ def test_a_mapper_is_equal_to_itself_and_fixed_point_is_within_half_a_step():
     assert mapper_equivalence("log-odds", "log-odds", ROOM, scans=5).first is None
     fixed = replace(paper.MAPPER, make=Sixteenths)
     assert mapper_equivalence("log-odds", fixed, ROOM, scans=5, margin=Margin(log_odds=2.0**-11)).equivalent
+
+
+def test_the_first_mapper_that_fails_alone_is_an_error_that_names_it():
+    with pytest.raises(BackendFailed, match="A: scan 1: raises ZeroDivisionError: no cells"):
+        mapper_equivalence(replace(paper.MAPPER, make=RaisesAtOnce), "log-odds", ROOM, scans=3)
 
 
 def test_the_compiled_mapper_is_its_readable_twin():

@@ -75,9 +75,10 @@ class Equivalence:
 
 def _line(one: Interval) -> str:
     sign = "within" if one.inside else "beyond"
+    decides = "; decides nothing" if DISTURBED in one.quantity else ""
     return (
         f"  {one.quantity}: {one.mean:.3g} {one.unit}, 90 % [{one.low:.3g}, {one.high:.3g}] {sign} +-{one.margin:.3g}; "
-        f"worst {one.worst:.3g} at scan {one.worst_scan} (n = {one.n}, {one.method})"
+        f"worst {one.worst:.3g} at scan {one.worst_scan} (n = {one.n}, {one.method}{decides})"
     )
 
 

@@ -9,10 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from evalkit import se2
+from evalkit.errors import BackendFailed
 from evalkit.protocols import Mapper
 from evalkit.se2 import Floats
 from evalkit.types import Bools, Ints, OccupancyGrid, Pose, Scan
 from evalkit.validation.divergence import Divergence
+from evalkit.validation.lockstep import REMEDY
 from evalkit.validation.mistakes import Kind
 from evalkit.validation.rules import raised
 
@@ -36,19 +38,24 @@ class Drawing:
 
 
 def compared(
-    make_a: Callable[[], Mapper], make_b: Callable[[], Mapper], drawn: Iterable[Drawn], margin: float
+    label_a: str, make_a: Callable[[], Mapper], make_b: Callable[[], Mapper], drawn: Iterable[Drawn], margin: float
 ) -> Drawing:
-    """Both mappers over the same scans, held against each other after each; ``margin`` in log-odds."""
+    """Both mappers over the same scans, held against each other after each; ``margin`` in log-odds.
+
+    Raises BackendFailed, with its label, where the first mapper raises.
+    """
     a, b = make_a(), make_b()
     first: Divergence | None = None
     largest: list[float] = []
     cells: list[int] = []
     past = Layers.none()
     for number, (scan, world_from_sensor) in enumerate(drawn, start=1):
-        a.update(scan, world_from_sensor)
         try:
-            b.update(scan, world_from_sensor)
-            grids = a.grid(), b.grid()
+            drawn_a = _updated(a, scan, world_from_sensor)
+        except Exception as error:  # a third party's code: what it raises is not ours to let through
+            raise BackendFailed(label_a, f"scan {number}: {raised(error)}", REMEDY) from error
+        try:
+            grids = drawn_a, _updated(b, scan, world_from_sensor)
         except Exception as error:  # noqa: BLE001 - a third party's crash is a difference to report
             first = first or _found(number, "different", f"B {raised(error)}")
             return Drawing(first, (*largest, np.inf), (*cells, 0))
@@ -210,6 +217,11 @@ class _Change:
         x, y = self._now.low + np.array([column, row])
         a, b = self._now.a[row, column], self._now.b[row, column]
         return f"first at cell ({x}, {y}) from the world's origin: {a:.4g} against {b:.4g}"
+
+
+def _updated(mapper: Mapper, scan: Scan, world_from_sensor: Pose) -> OccupancyGrid:
+    mapper.update(scan, world_from_sensor)
+    return mapper.grid()
 
 
 def _misplaced(a: OccupancyGrid, b: OccupancyGrid) -> str:

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from evalkit import frontend, registry
-from evalkit.errors import BadData, BadParameter, NotInstalled
+from evalkit.errors import BadData, BadParameter, DataMissing, NotInstalled
 from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter, Sequence, Value, resolved
 from evalkit.settings import from_text
 from evalkit.types import Pose
@@ -53,7 +53,7 @@ def equivalence(
     ``a``, ``b``: registered names, "module:SPEC", or specs. Two registrations are compared question by question; the
     questions come from running ``a``. With an odometry among them, trajectories are. ``margin``: "float32" computes
     what rounding to single precision may do. ``disturbed``: every scan's last question is asked again with a guess that
-    is off. Raises NotInstalled, BackendFailed where ``a`` raises, BadData where there
+    is off. Raises NotInstalled, DataMissing, BackendFailed where ``a`` raises, BadData where there
     is nothing to compare.
     """
     sides = side("A", a, set_a or {}), side("B", b, set_b or {})
@@ -92,7 +92,7 @@ def mapper_equivalence(
     )
     name, sequence = _sequence(on, set_on or {})
     drawing = cells.compared(
-        lambda: spec_a.make(**known_a), lambda: spec_b.make(**known_b), _drawn(sequence, scans), known.log_odds
+        label_a, lambda: spec_a.make(**known_a), lambda: spec_b.make(**known_b), _drawn(sequence, scans), known.log_odds
     )
     n = len(drawing.largest)
     if n == 0:
@@ -258,7 +258,7 @@ def _sequence(on: str | DatasetSpec, given: Given) -> tuple[str, Sequence]:
     spec = registry.dataset(on) if isinstance(on, str) else on
     known: dict[str, Value] = resolved(name, spec.parameters, given)
     if why := spec.missing(**{key: value for key, value in known.items() if key != "seed"}):
-        raise NotInstalled(name, "its files are not here", why)
+        raise DataMissing(name, "cannot be read here", why)
     return name, spec.make(**known)
 
 
