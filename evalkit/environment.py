@@ -14,7 +14,7 @@ import psutil
 
 from evalkit import __version__
 
-SINGLE_THREAD = dict.fromkeys(
+SINGLE_THREAD: dict[str, str] = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "TBB_NUM_THREADS"), "1"
 )
 """Environment of every timed process."""
