@@ -10,7 +10,10 @@ from __future__ import annotations
 
 from evalkit.protocols import BackendSpec, DatasetSpec
 from evalkit.validation import conformance, dataset_rules
+from evalkit.validation.equivalence import NotEquivalent, assert_equivalent
 from evalkit.validation.rules import Conformance, Verdict
+
+__all__ = ["ConformanceError", "NotEquivalent", "assert_equivalent", "check_backend", "check_dataset"]
 
 
 class ConformanceError(AssertionError):
