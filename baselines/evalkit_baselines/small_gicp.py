@@ -1,0 +1,174 @@
+"""small_gicp's point-to-plane and point-to-point ICP on planar clouds.
+
+What the adapters change, and why (small_gicp is a 3D library, and z = 0 breaks part of it silently):
+
+* Points get z = 0. Point-to-point then stays exactly in the plane by itself.
+* It estimates normals itself and takes none from Python. Of a cloud at z = 0 they all stand upright, the residual
+  vanishes and the guess comes back. For point-to-plane the *target* is therefore extruded to three layers,
+  ``layer_m`` below, at and above 0, so that walls are walls; the source stays flat and meets the middle layer.
+  The 30 neighbours a normal stands on are ten of the plane, seen three times.
+* Its point-to-plane takes each axis by itself (normal times distance, in x and in y), not the distance along the
+  normal: the same at walls along the target's axes, half a point-to-point at walls across. Nothing here changes that.
+* Its generalised ICP is left out: it makes covariances as it makes normals, and with a flat source it is its
+  point-to-point ICP to the last digit.
+* An answer that left the plane is none: the guess is kept, not converged.
+* One thread. Cloud, tree and normals of a target are kept as long as the target.
+* ``translation_epsilon_m`` and ``rotation_epsilon_deg`` are a tenth of its defaults (1 mm, 0.1 deg), at which
+  point-to-point stops centimetres early: the answer then depends on where the source's frame lies.
+
+``error`` is the root of twice small_gicp's mean cost: for point-to-point the root mean square distance (m).
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from collections.abc import Callable
+from typing import Any
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from evalkit import lift
+from evalkit.clock import conversion
+from evalkit.errors import NotInstalled
+from evalkit.protocols import BackendSpec, Parameter
+from evalkit.se2 import Floats
+from evalkit.types import Cloud, Match, Pose
+
+INSTALL = "pip install 'evalkit[small-gicp]'"
+FEWEST_PAIRS = 3  # two pairs fix a planar pose exactly, so they fit whatever they are
+
+Prepare = Callable[[Any, Cloud], tuple[Any, Any]]
+"""The library's cloud and tree of a target."""
+
+
+class SmallGicpRegistration:
+    """A Registration by one of small_gicp's methods."""
+
+    def __init__(
+        self,
+        method: str,
+        prepare: Prepare,
+        max_correspondence_m: float,
+        max_iterations: int,
+        translation_epsilon_m: float,
+        rotation_epsilon_deg: float,
+    ) -> None:
+        self._library = _imported()
+        self._prepare = prepare
+        self._settings = {
+            "registration_type": method,
+            "max_correspondence_distance": max_correspondence_m,
+            "max_iterations": max_iterations,
+            "translation_epsilon": translation_epsilon_m,
+            "rotation_epsilon": math.radians(rotation_epsilon_deg),
+            "num_threads": 1,
+        }
+        # by identity: clouds are frozen, so what was made for one stays true
+        self._targets: WeakKeyDictionary[Cloud, tuple[Any, Any]] = WeakKeyDictionary()
+
+    def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
+        """The motion ``target_from_source``; the guess, not converged, where fewer than three points have a partner."""
+        if min(len(target), len(source)) < FEWEST_PAIRS:
+            return _unmatched(guess, 0)
+        if target not in self._targets:
+            self._targets[target] = self._prepare(self._library, target)
+        cloud, tree = self._targets[target]
+        with conversion():
+            moving = self._library.PointCloud(lift.points_3d(source.points))
+            initial = lift.matrix_4x4(guess)
+        result = self._library.align(cloud, moving, tree, init_T_target_source=initial, **self._settings)
+        pairs = int(result.num_inliers)
+        if pairs < FEWEST_PAIRS:
+            return _unmatched(guess, pairs)
+        try:
+            with conversion():
+                answer = lift.pose_2d(result.T_target_source)
+        except ValueError:  # left the plane
+            return _unmatched(guess, 0)
+        error = math.sqrt(2.0 * max(float(result.error), 0.0) / pairs)
+        return Match(answer, bool(result.converged), int(result.iterations), error, pairs)
+
+
+def point_to_point(**stop: Any) -> SmallGicpRegistration:
+    """small_gicp's point-to-point ICP."""
+    return SmallGicpRegistration("ICP", _flat, **stop)
+
+
+def point_to_plane(normal_neighbours: int, layer_m: float, **stop: Any) -> SmallGicpRegistration:
+    """small_gicp's point-to-plane ICP on a target extruded to three layers."""
+
+    def extruded(library: Any, target: Cloud) -> tuple[Any, Any]:
+        with conversion():
+            cloud = library.PointCloud(layers(target.points, layer_m))
+        tree = library.KdTree(cloud, num_threads=1)
+        library.estimate_normals_covariances(cloud, tree, num_neighbors=normal_neighbours, num_threads=1)
+        return cloud, tree
+
+    return SmallGicpRegistration("PLANE_ICP", extruded, **stop)
+
+
+def layers(points: Floats, height_m: float) -> Floats:
+    """The points (3 N, 3) of a planar cloud (N, 2), ``height_m`` below, at and above z = 0."""
+    space = np.tile(lift.points_3d(points), (3, 1))
+    space[:, 2] = np.repeat([-height_m, 0.0, height_m], len(points))
+    return space
+
+
+def small_gicp_missing() -> str:
+    """Why small_gicp cannot be imported here and how to mend it, or ""; found out without importing it."""
+    return "" if importlib.util.find_spec("small_gicp") else f"not installed: {INSTALL}"
+
+
+def _flat(library: Any, target: Cloud) -> tuple[Any, Any]:
+    with conversion():
+        cloud = library.PointCloud(lift.points_3d(target.points))
+    return cloud, library.KdTree(cloud, num_threads=1)
+
+
+def _unmatched(guess: Pose, pairs: int) -> Match:
+    return Match(guess, converged=False, iterations=0, error=math.nan, inliers=pairs)
+
+
+def _imported() -> Any:
+    try:
+        import small_gicp  # noqa: PLC0415 - optional
+    except ImportError as error:
+        raise NotInstalled("small_gicp", f"does not load ({error})", INSTALL) from error
+    return small_gicp
+
+
+_STOP = (
+    Parameter("max_correspondence_m", 0.2, "m", "largest distance of a pair", 1e-3),
+    Parameter("max_iterations", 40, "", "most iterations", 1, 1_000_000),
+    Parameter("translation_epsilon_m", 1e-4, "m", "stop where a step is shorter", 0.0),
+    Parameter("rotation_epsilon_deg", 0.01, "deg", "and turns by less", 0.0),
+)
+_LIBRARY = "Koide, small_gicp: efficient and parallel algorithms for point cloud registration, JOSS 9(100), 2024"
+
+POINT_TO_PLANE = BackendSpec(
+    make=point_to_plane,
+    kind="registration",
+    summary="small_gicp point-to-plane ICP on walls of three layers",
+    citation=f"Chen and Medioni, IVC 1992; {_LIBRARY}",
+    licence="MIT",
+    requires=("small_gicp",),
+    parameters=(
+        *_STOP,
+        Parameter("normal_neighbours", 30, "", "points of all three layers that make a wall", 5, 10_000),
+        Parameter("layer_m", 0.12, "m", "height of a layer above the one below", 1e-3),
+    ),
+    missing=small_gicp_missing,
+)
+
+POINT_TO_POINT = BackendSpec(
+    make=point_to_point,
+    kind="registration",
+    summary="small_gicp point-to-point ICP",
+    citation=f"Besl and McKay, PAMI 1992; {_LIBRARY}",
+    licence="MIT",
+    requires=("small_gicp",),
+    parameters=_STOP,
+    missing=small_gicp_missing,
+)

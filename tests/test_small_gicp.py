@@ -1,0 +1,127 @@
+"""small_gicp on planar clouds: both methods find a known motion, and the walls are what makes it possible."""
+
+import sys
+
+import numpy as np
+import pytest
+
+from evalkit import lift
+from evalkit.errors import NotInstalled
+from evalkit.protocols import resolved
+from evalkit.types import Cloud, Pose
+from evalkit_baselines import small_gicp
+
+METHODS = {"point-to-point": small_gicp.POINT_TO_POINT, "point-to-plane": small_gicp.POINT_TO_PLANE}
+TRUTH = Pose(0.06, -0.04, np.radians(2.0))
+
+needs_small_gicp = pytest.mark.skipif(bool(why := small_gicp.small_gicp_missing()), reason=why or "small_gicp is here")
+
+
+def backend(method, **parameters):
+    spec = METHODS[method]
+    return spec.make(**resolved(method, spec.parameters, parameters))
+
+
+def room(n=1200, noise_m=0.0, seed=0):
+    """Points on the walls of an L-shaped room."""
+    rng = np.random.default_rng(seed)
+    corners = np.array([[-4.0, -3.0], [4.0, -3.0], [4.0, 1.0], [0.0, 1.0], [0.0, 4.0], [-4.0, 4.0]])
+    sides = np.roll(corners, -1, axis=0) - corners
+    lengths = np.linalg.norm(sides, axis=1)
+    side = rng.choice(len(sides), n, p=lengths / lengths.sum())
+    return corners[side] + rng.uniform(size=(n, 1)) * sides[side] + rng.normal(0.0, noise_m, (n, 2))
+
+
+def away_from_truth_m(match):
+    left = TRUTH.inverse() @ match.target_from_source
+    return np.hypot(left.x, left.y) + 4.0 * abs(left.theta)  # metres at the far end of the room
+
+
+@needs_small_gicp
+@pytest.mark.parametrize("method", METHODS)
+def test_a_known_motion_is_found_to_the_millimetre(method):
+    target = room()
+    match = backend(method, max_iterations=300, translation_epsilon_m=1e-7, rotation_epsilon_deg=1e-5).register(
+        Cloud(target), Cloud(TRUTH.inverse().transform(target[::2])), Pose()
+    )
+    assert match.converged
+    assert away_from_truth_m(match) < 1e-3
+    assert match.inliers == 600
+    assert match.error < 1e-3
+
+
+@needs_small_gicp
+@pytest.mark.parametrize("method", METHODS)
+def test_with_the_lidars_noise_a_known_motion_is_found_to_centimetres(method):
+    match = backend(method).register(
+        Cloud(room(3000, 0.03)), Cloud(TRUTH.inverse().transform(room(800, 0.03, seed=1))), Pose()
+    )
+    assert away_from_truth_m(match) < 0.03
+
+
+@needs_small_gicp
+def test_its_own_normals_of_a_flat_target_hold_nothing_and_those_of_three_layers_do():
+    import small_gicp as library
+
+    target, source = room(3000, 0.01), TRUTH.inverse().transform(room(800, 0.01, seed=1))
+    cloud = library.PointCloud(lift.points_3d(target))
+    tree = library.KdTree(cloud)
+    library.estimate_normals_covariances(cloud, tree)
+    flat = library.align(cloud, library.PointCloud(lift.points_3d(source)), tree, registration_type="PLANE_ICP")
+    assert np.allclose(flat.T_target_source, np.eye(4), atol=1e-9)
+    assert away_from_truth_m(backend("point-to-plane").register(Cloud(target), Cloud(source), Pose())) < 0.01
+
+
+@needs_small_gicp
+def test_the_error_of_point_to_point_is_the_root_mean_square_distance():
+    target = room(3000, 0.02)
+    source = room(500, 0.02, seed=1)
+    match = backend("point-to-point", max_correspondence_m=5.0).register(Cloud(target), Cloud(source), Pose())
+    moved = match.target_from_source.transform(source)
+    nearest = np.linalg.norm(moved[:, None] - target, axis=2).min(axis=1)
+    assert match.inliers == len(source)
+    assert match.error == pytest.approx(np.sqrt(np.mean(nearest**2)), rel=1e-2)
+
+
+@needs_small_gicp
+@pytest.mark.parametrize("method", METHODS)
+def test_too_little_to_stand_on_gives_the_guess_not_converged(method):
+    guess, none, two = Pose(0.1, 0.2, 0.3), Cloud(np.zeros((0, 2))), Cloud(np.eye(2))
+    far = Cloud(room(50) + 100.0)
+    for target, source in (
+        (none, none),
+        (Cloud(room(50)), none),
+        (none, Cloud(room(50))),
+        (two, two),
+        (Cloud(room(50)), far),
+    ):
+        match = backend(method).register(target, source, guess)
+        assert (match.target_from_source, match.converged) == (guess, False)
+        assert match.inliers < 3
+
+
+@needs_small_gicp
+@pytest.mark.parametrize("method", METHODS)
+def test_the_same_question_has_the_same_answer_to_the_bit_whatever_came_before(method):
+    target, source = Cloud(room(2000, 0.02)), Cloud(room(500, 0.02, seed=1))
+    one = backend(method)
+    first = one.register(target, source, TRUTH)
+    one.register(source, target, Pose())
+    assert one.register(target, source, TRUTH).target_from_source == first.target_from_source
+    assert backend(method).register(target, source, TRUTH).target_from_source == first.target_from_source
+
+
+def test_layers_are_three_and_flat_walls_become_walls():
+    space = small_gicp.layers(np.array([[1.0, 2.0], [3.0, 4.0]]), 0.12)
+    assert space.tolist() == [
+        [1.0, 2.0, -0.12], [3.0, 4.0, -0.12], [1.0, 2.0, 0.0], [3.0, 4.0, 0.0], [1.0, 2.0, 0.12], [3.0, 4.0, 0.12],
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("spec", METHODS.values(), ids=METHODS)
+def test_an_absent_library_is_a_reason_and_an_error_that_says_what_to_install(monkeypatch, spec):
+    monkeypatch.setattr(small_gicp.importlib.util, "find_spec", lambda _: None)
+    assert spec.missing() == "not installed: pip install 'evalkit[small-gicp]'"
+    monkeypatch.setitem(sys.modules, "small_gicp", None)
+    with pytest.raises(NotInstalled, match=r"small_gicp: does not load .*; pip install"):
+        spec.make(**resolved("small-gicp", spec.parameters, {}))
