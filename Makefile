@@ -32,6 +32,8 @@ check: $(VENV)/dev  ## lint, formatting, types, layers
 bench: $(VENV)/evalkit  ## what the harness costs, and the back ends side by side
 	$(BIN)/python tests/bench/overhead.py
 	$(BIN)/python tests/bench/backends.py
+	$(BIN)/python tests/bench/registration.py
+	$(BIN)/python tests/bench/mapper.py
 
 clean:  ## removes the environment and all results
 	rm -rf $(VENV) reports/build

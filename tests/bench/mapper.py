@@ -1,0 +1,92 @@
+"""The map's update for 1,600 beams: cells a second of each mapper, beside writing as many cells and nothing else.
+
+Each is called twice in its turn: after the others, which have taken the caches, and at once again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from evalkit import Pose, Scan
+from evalkit.environment import SINGLE_THREAD
+from evalkit.protocols import MapperSpec, resolved
+from evalkit_baselines import embedded, paper
+from evalkit_baselines.embedded.compiled import compiled_missing, core
+
+BEAMS = 1600
+RANGE_MAX_M = 12.0
+AWAY = Pose(0.0213, 0.0117, 0.3)
+PLACE = (-512, -512, 1024, 1024)
+MAP = {"resolution": 0.05, "l_occ": 0.847, "l_free": -0.847, "l_min": -5.0, "l_max": 5.0, "range_max": RANGE_MAX_M}
+
+
+def scenes() -> dict[str, Scan]:
+    """A room of 10 m x 8 m seen from its middle, and walls 12 m away all round."""
+    angles = np.arange(BEAMS) * 2.0 * np.pi / BEAMS
+    room = np.minimum(5.0 / np.maximum(np.abs(np.cos(angles)), 1e-9), 4.0 / np.maximum(np.abs(np.sin(angles)), 1e-9))
+    return {
+        "room 10 x 8 m": Scan(0, room, angles, 0.15, RANGE_MAX_M),
+        "12 m all round": Scan(0, np.full(BEAMS, RANGE_MAX_M), angles, 0.15, RANGE_MAX_M),
+    }
+
+
+def made(spec: MapperSpec) -> Any:
+    """A mapper with its defaults."""
+    return spec.make(**resolved("bench", spec.parameters, {}))
+
+
+def calls_for(scan: Scan) -> tuple[dict[str, Callable[[], Any]], int]:
+    """What is timed, and how many cells the scan touches."""
+    grid = core("double").Grid(place=PLACE, **MAP)
+    hits, misses, row = scan.points(), np.zeros((0, 2)), (AWAY.x, AWAY.y, AWAY.theta)
+    grid.add(row, hits, misses)
+    cells = np.zeros(grid.touched, dtype=np.int16)
+    compiled, twin = made(embedded.MAPPER), made(paper.MAPPER)
+    return {
+        "memset of these cells": lambda: cells.fill(1),
+        "core": lambda: grid.add(row, hits, misses),
+        "embedded-log-odds": lambda: compiled.update(scan, AWAY),
+        "log-odds (NumPy)": lambda: twin.update(scan, AWAY),
+    }, int(grid.touched)
+
+
+def main() -> None:
+    """Prints the median CPU time of each update and the cells it touches a second."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else "")
+    parser.add_argument("--rounds", type=int, default=60)
+    arguments = parser.parse_args()
+    if why := compiled_missing():
+        parser.error(why)
+    os.environ.update(SINGLE_THREAD)
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    for name, scan in scenes().items():
+        calls, touched = calls_for(scan)
+        first: dict[str, list[int]] = {what: [] for what in calls}
+        again: dict[str, list[int]] = {what: [] for what in calls}
+        for round_ in range(arguments.rounds + 3):
+            for what in list(calls) if round_ % 2 else reversed(calls):
+                first[what].append(cpu_ns(calls[what]))
+                again[what].append(cpu_ns(calls[what]))
+        print(f"{BEAMS} beams, {name}: {touched} cells of 5 cm, {arguments.rounds} rounds")
+        print(f"{'':24} {'CPU us':>8} {'at once again':>14} {'million cells/s then':>21}")
+        for what in calls:
+            cold, warm = (float(np.median(taken[what][3:])) / 1e3 for taken in (first, again))
+            print(f"{what:24} {cold:8.1f} {warm:14.1f} {touched / warm:21.0f}")
+
+
+def cpu_ns(call: Callable[[], Any]) -> int:
+    """CPU time of one call."""
+    start = time.process_time_ns()
+    call()
+    return time.process_time_ns() - start
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,187 @@
+"""20 iterations of each library's ICP over the same clouds: interleaved, CPU time, one thread, ratios to the core's.
+
+What is compared is the registration alone: clouds are converted before, and who can keep an index over the target
+does; "+ index" builds it in the call, as Open3D always does. Each pairs in its own way (one-to-one in the core and its
+twin, many-to-one in the others) and KISS-ICP weighs robustly; clouds, guess, largest distance and iterations are the
+same.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import os
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from evalkit import Cloud, Pose, lift, registry
+from evalkit.environment import SINGLE_THREAD
+from evalkit.se2 import Floats
+from evalkit_baselines.embedded.compiled import Precision, compiled_missing, core, real
+from evalkit_baselines.open3d_icp import open3d_missing
+from evalkit_baselines.paper.icp import Icp
+
+ITERATIONS = 20
+LARGEST_M = 0.3
+SOURCES = 1000
+REFERENCE = "embedded"
+KISS_CELL_M, KISS_POINTS_PER_CELL, KISS_KERNEL_M = 0.12, 20, 0.1
+GUESS_OFF = Pose(0.06, -0.04, 0.03)
+
+Calls = dict[str, Callable[[], Any]]
+
+
+def clouds(targets: int) -> tuple[Floats, Floats, Pose]:
+    """So many points (N, 2) of the synthetic lab, 1,000 of two scans in the middle (1000, 2), and a guess 7 cm off."""
+    lab = registry.dataset("lab")
+    sequence = lab.make(**{p.name: p.default for p in lab.parameters} | {"laps": 0.3})
+    truth = sequence.truth().trajectory
+    if truth is None:
+        raise ValueError("lab: no true trajectory")
+    scans, poses = [], []
+    for frame in sequence.frames():
+        scan = frame.scan.deskewed(frame.base_from_sensor, frame.start_from_end)
+        poses.append(Pose.of(truth.at([frame.scan.stamp_ns])[0]))
+        scans.append((poses[-1] @ frame.base_from_sensor).transform(scan.points()))
+    middle, generator = len(scans) // 2, np.random.default_rng(0)
+    source = np.concatenate(scans[middle : middle + 2])
+    others = np.concatenate(scans[:middle] + scans[middle + 2 :])
+    source = source[np.sort(generator.permutation(len(source))[:SOURCES])]
+    target = others[np.sort(generator.permutation(len(others))[:targets])]
+    return target, poses[middle].inverse().transform(source), poses[middle] @ GUESS_OFF
+
+
+def of_the_core(precision: Precision, name: str, target: Floats, source: Floats, guess: Pose) -> Calls:
+    """The compiled core, with its index kept and with building it."""
+    module = core(precision)
+    icp = module.Icp(
+        epsilon=0.0, max_iterations=ITERATIONS, error=0, error_before=False, one_to_one=True,
+        max_correspondence=LARGEST_M, min_pairs=3,
+    )  # fmt: skip
+    to, points, row = real(target, module), real(source, module), (guess.x, guess.y, guess.theta)
+    index = module.Index(to)
+    return {
+        name: lambda: icp.register(index, points, row),
+        f"{name} + index": lambda: icp.register(module.Index(to), points, row),
+    }
+
+
+def of_the_twin(target: Floats, source: Floats, guess: Pose) -> Calls:
+    """The NumPy twin, its tree kept."""
+    twin = Icp(epsilon=0.0, max_iterations=ITERATIONS, max_correspondence_m=LARGEST_M)
+    fixed, moving = Cloud(target), Cloud(source)
+    return {"paper (NumPy)": lambda: twin.register(fixed, moving, guess)}
+
+
+def of_small_gicp(target: Floats, source: Floats, guess: Pose) -> Calls:
+    """small_gicp's point-to-point, its tree kept (it makes 19 iterations of 20), and with building it."""
+    import small_gicp
+
+    space = lift.points_3d(target)
+    fixed, moving = small_gicp.PointCloud(space), small_gicp.PointCloud(lift.points_3d(source))
+    tree = small_gicp.KdTree(fixed, num_threads=1)
+
+    def align(cloud: Any, index: Any) -> Any:
+        return small_gicp.align(
+            cloud, moving, index, init_T_target_source=lift.matrix_4x4(guess), registration_type="ICP",
+            max_correspondence_distance=LARGEST_M, num_threads=1, max_iterations=ITERATIONS, rotation_epsilon=0.0,
+            translation_epsilon=0.0,
+        )  # fmt: skip
+
+    def rebuilt() -> Any:
+        cloud = small_gicp.PointCloud(space)
+        return align(cloud, small_gicp.KdTree(cloud, num_threads=1))
+
+    return {"small_gicp": lambda: align(fixed, tree), "small_gicp + index": rebuilt}
+
+
+def of_open3d(target: Floats, source: Floats, guess: Pose) -> Calls:
+    """Open3D's legacy point-to-point; it builds its tree in every call."""
+    import open3d
+
+    open3d.utility.set_max_threads(1)
+    methods = open3d.pipelines.registration
+    fixed, moving = (
+        open3d.geometry.PointCloud(open3d.utility.Vector3dVector(lift.points_3d(points))) for points in (target, source)
+    )
+    estimation, initial = methods.TransformationEstimationPointToPoint(), lift.matrix_4x4(guess)
+    stop = methods.ICPConvergenceCriteria(0.0, 0.0, ITERATIONS)
+    return {
+        "Open3D + index": lambda: methods.registration_icp(moving, fixed, LARGEST_M, initial, estimation, stop),
+    }
+
+
+def of_kiss_icp(target: Floats, source: Floats, guess: Pose) -> Calls:
+    """KISS-ICP's align_points_to_map against a map of its own (which keeps 20 points a cell of 12 cm)."""
+    from kiss_icp.mapping import VoxelHashMap
+    from kiss_icp.pybind import kiss_icp_pybind
+
+    voxels = VoxelHashMap(KISS_CELL_M, 1e3, KISS_POINTS_PER_CELL)
+    voxels.add_points(lift.points_3d(target))
+    registration = kiss_icp_pybind._Registration(
+        max_num_iterations=ITERATIONS, convergence_criterion=0.0, max_num_threads=1
+    )
+    points = kiss_icp_pybind._Vector3dVector(lift.points_3d(source))
+    initial = lift.matrix_4x4(guess)
+    return {
+        "KISS-ICP": lambda: registration._align_points_to_map(
+            points=points,
+            voxel_map=voxels._internal_map,
+            initial_guess=initial,
+            max_correspondance_distance=LARGEST_M,
+            kernel=KISS_KERNEL_M,
+        )
+    }
+
+
+def contestants(target: Floats, source: Floats, guess: Pose) -> Calls:
+    """Everything that is installed; the core first, because the rest is compared with it."""
+    calls = of_the_core("double", REFERENCE, target, source, guess)
+    calls |= of_the_core("float", "embedded-f32", target, source, guess)
+    calls |= of_the_twin(target, source, guess)
+    if importlib.util.find_spec("small_gicp"):
+        calls |= of_small_gicp(target, source, guess)
+    if not open3d_missing():
+        calls |= of_open3d(target, source, guess)
+    if importlib.util.find_spec("kiss_icp"):
+        calls |= of_kiss_icp(target, source, guess)
+    return calls
+
+
+def measured_ns(calls: Calls, rounds: int) -> dict[str, Floats]:
+    """CPU time (rounds,) of each call, in turns, forwards and backwards; three rounds before are not counted."""
+    times: dict[str, list[int]] = {name: [] for name in calls}
+    for round_ in range(rounds + 3):
+        for name in list(calls) if round_ % 2 else reversed(calls):
+            start = time.process_time_ns()
+            calls[name]()
+            times[name].append(time.process_time_ns() - start)
+    return {name: np.array(taken[3:], dtype=np.float64) for name, taken in times.items()}
+
+
+def main() -> None:
+    """Prints the median CPU time of each and its ratio to the core's, paired round by round, with quartiles."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else "")
+    parser.add_argument("--rounds", type=int, default=40)
+    parser.add_argument("--targets", type=int, nargs="+", default=[5000, 50_000])
+    arguments = parser.parse_args()
+    if why := compiled_missing():
+        parser.error(why)
+    os.environ.update(SINGLE_THREAD)
+    if hasattr(os, "sched_setaffinity"):
+        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+    for targets in arguments.targets:
+        target, source, guess = clouds(targets)
+        times = measured_ns(contestants(target, source, guess), arguments.rounds)
+        print(f"{ITERATIONS} iterations, {len(source)} points against {len(target)}, {arguments.rounds} rounds")
+        print(f"{'':22} {'CPU ms':>8} {'x ' + REFERENCE:>12} {'quartiles':>14}")
+        for name, taken in times.items():
+            low, ratio, high = np.percentile(taken / times[REFERENCE], [25, 50, 75])
+            print(f"{name:22} {np.median(taken) / 1e6:8.2f} {ratio:12.2f} {low:7.2f}-{high:.2f}")
+
+
+if __name__ == "__main__":
+    main()
