@@ -101,7 +101,7 @@ def test_a_derived_file_says_why_it_cannot_be_fetched_and_what_can(folders):
     with pytest.raises(DataMissing, match=r"no public address \(joined from .*in its place: .* flirtlib-fr079\.log"):
         catalog.located("fr079-fullrate.clf.gz")
     assert "no public address" in recorded.FR079.missing()
-    assert recorded.STATIC.missing().endswith("fetch it: python -m evalkit_datasets fetch static")
+    assert recorded.STATIC.missing().endswith("fetch it: evalkit datasets fetch static")
 
 
 def test_a_data_set_is_complete_or_names_what_it_lacks(folders):

@@ -61,7 +61,7 @@ def log(tmp_path):
          ["contestant 2: no backend named 'papper' (did you mean 'paper'?)", "known:", "wheel-odometry"]),
         (WHEELS + "[[sequence]]\nuse = 'rooom'\n",
          ["sequence 1: no dataset named 'rooom' (did you mean 'room'?)", "known:", "carmen"]),
-        ("[mapper]\nuse = 'log-ods'\n" + WHEELS + ROOM, ["mapper: no mapper named 'log-ods'", "known: log-odds"]),
+        ("[mapper]\nuse = 'log-ods'\n" + WHEELS + ROOM, ["mapper: no mapper named 'log-ods' (did you mean 'log-odds'?)", "known:"]),
         (PAPER + "epsilom = 1e-3\n" + ROOM,
          ["contestant 1 (paper): no parameter named 'epsilom' (did you mean 'epsilon'?)", "known:", "keyframes"]),
         (PAPER + "label = 'mine'\nkeyframes = 2.5\n" + ROOM,
