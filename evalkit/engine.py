@@ -187,6 +187,7 @@ def score_stored(
     content = {
         "fingerprint": fingerprint,
         "world_from_start": scored.world_from_start.row.tolist(),
+        "alignment": scored.alignment,
         "scores": {name: asdict(score) for name, score in scored.scores.items()},
     }
     Store(folder).save_scores(key, content, scored.grid, scored.errors_m)

@@ -17,12 +17,16 @@ from evalkit.types import Frame, OccupancyGrid, Pose, Run, Score, Trajectory
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """What scoring makes of a run. ``world_from_start``: alignment used for errors, maps and drawings."""
+    """What scoring makes of a run. ``world_from_start``: alignment used for errors, maps and drawings.
+
+    ``alignment``: in words how that was found, or why it was not; "" without a true trajectory.
+    """
 
     scores: dict[str, Score]
     world_from_start: Pose
     grid: OccupancyGrid | None
     errors_m: Floats | None
+    alignment: str = ""
 
 
 def score(run: Run, sequence: Sequence, make_mapper: Callable[[], Mapper], scans: int) -> Scored:
@@ -38,7 +42,9 @@ def score(run: Run, sequence: Sequence, make_mapper: Callable[[], Mapper], scans
     second, _ = draw(mapped[middle:], make_mapper)
     evidence = Evidence(run, truth, matched, grid, mapped, first, second, no_grid)
     errors = None if truth.trajectory is None else errors_m(world_from_base, truth.trajectory)
-    return Scored(metrics.score(evidence, metrics.all_metrics()), world_from_start, evidence.grid, errors)
+    return Scored(
+        metrics.score(evidence, metrics.all_metrics()), world_from_start, evidence.grid, errors, _in_words(matched)
+    )
 
 
 def draw(mapped: Mapped, make_mapper: Callable[[], Mapper]) -> tuple[OccupancyGrid | None, str]:
@@ -55,6 +61,12 @@ def draw(mapped: Mapped, make_mapper: Callable[[], Mapper]) -> tuple[OccupancyGr
         return mapper.grid(), ""
     except Exception as error:  # noqa: BLE001 - a mapper is a third party's code
         return None, f"it cannot be drawn ({error})"
+
+
+def _in_words(matched: Matched | str | None) -> str:
+    if isinstance(matched, Matched):
+        return f"{matched.alignment} over {len(matched.stamps_ns):,} poses; {matched.rule}"
+    return matched or ""
 
 
 def _mapped(sequence: Sequence, world_from_base: Trajectory, most: int) -> Mapped:

@@ -386,6 +386,7 @@ class Trial:
     results folder. ``command``: reproduces this row alone. ``world_from_start``: the alignment used for drawing and
     for the map. ``grid``: the map of the estimated trajectory, None where there is none. ``errors_m`` (N,): distance to
     the truth at each of ``run.steps`` after alignment, nan where unmatched; None without a true trajectory.
+    ``alignment``: in words how estimate and truth were matched, or why not; "" without a true trajectory.
     """
 
     key: str
@@ -403,6 +404,7 @@ class Trial:
     world_from_start: Pose = field(default_factory=Pose)
     grid: OccupancyGrid | None = None
     errors_m: Floats | None = None
+    alignment: str = ""
 
 
 def _polar(ranges: Floats, angles: Floats) -> Floats:

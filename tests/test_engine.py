@@ -79,6 +79,7 @@ def test_every_run_is_a_row_whatever_becomes_of_it(tmp_path):
     assert heard.scans == 12
     good, broken, far = made["none"], made["raise"], made["far"]
     assert good.scores["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
+    assert good.alignment == "least squares over 12 poses; 12 equal stamps"
     assert good.truth.how == broken.truth.how == "exact"
     assert broken.scores["ate_rmse_m"].support == 8
     assert far.scores["ate_rmse_m"].value > 1e5

@@ -62,6 +62,7 @@ def test_a_perfect_run_is_put_where_the_truth_is_and_has_no_error(straight):
     scored = scoring.score(perfect(), straight, log_odds, 400)
     assert np.allclose(scored.world_from_start.row, [1.0, 0.0, 0.0], atol=1e-9)
     assert np.allclose(scored.errors_m, 0.0, atol=1e-9)
+    assert scored.alignment == "least squares over 12 poses; 12 equal stamps"
     assert scored.scores["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
     assert scored.scores["cpu_median_ms"].value == pytest.approx(2.0)
     x, y = scored.grid.centres(scored.grid.occupied()).T
@@ -120,6 +121,7 @@ def test_a_run_without_answers_has_scores_that_say_so(straight, listener):
     assert listener == []
     assert scored.scores["map_entropy"].reason == "no map: the run answered no scan"
     assert scored.scores["ate_rmse_m"].value is None
+    assert scored.alignment == "the run answered no scan"
 
 
 def test_without_truth_nothing_is_aligned(straight, monkeypatch):
@@ -127,6 +129,7 @@ def test_without_truth_nothing_is_aligned(straight, monkeypatch):
     scored = scoring.score(perfect(), straight, log_odds, 400)
     assert scored.world_from_start == Pose()
     assert scored.errors_m is None
+    assert scored.alignment == ""
     assert scored.grid is not None
 
 
