@@ -30,7 +30,8 @@ PARAMETERS: tuple[Parameter, ...] = (
 class CompiledPipeline:
     """An Odometry with the meaning of ``paper`` behind evalkit's front end, both in C; parameters as in ``PARAMETERS``.
 
-    Raises ValueError with the core's words for a scan of more than ``beams`` beams.
+    Raises ValueError with the core's words for a scan of more than ``beams`` beams, and for one that is not later than
+    the one before ("a parameter lies outside its range").
     """
 
     def __init__(self, **parameters: Any) -> None:
