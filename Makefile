@@ -6,7 +6,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help install report report-quick test check bench clean
+.PHONY: help install report report-quick test check bench clean distclean
 
 help:  ## this list
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -35,8 +35,11 @@ bench: $(VENV)/evalkit  ## what the harness costs, and the back ends side by sid
 	$(BIN)/python tests/bench/registration.py
 	$(BIN)/python tests/bench/mapper.py
 
-clean:  ## removes the environment and all results
-	rm -rf $(VENV) reports/build
+clean:  ## removes all results
+	rm -rf reports/build
+
+distclean: clean  ## removes the environment too
+	rm -rf $(VENV)
 
 $(VENV)/python: $(MAKEFILE_LIST)
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shlex
 import signal
 import sys
@@ -17,7 +16,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from evalkit import __version__, console, experiment, listing, recording, registry
+from evalkit import __version__, console, environment, experiment, listing, recording, registry
 from evalkit.engine import Engine
 from evalkit.errors import EvalkitError, StoreError
 from evalkit.experiment import Plan
@@ -37,7 +36,7 @@ err = Console(stderr=True, soft_wrap=True)
 
 Experiment = Annotated[Path, typer.Argument(help="An experiment file (*.toml).", show_default=False)]
 Out = Annotated[Path | None, typer.Option("--out", "-o", help="Results folder.", show_default="reports/build/NAME")]
-Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="Runs at a time.", show_default="cores")]
+Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="Runs at a time.", show_default="physical cores")]
 Resume = Annotated[bool, typer.Option("--resume", help="Keep what is done, run only what is missing.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Only = Annotated[list[str] | None, typer.Option(show_default=False)]
@@ -95,7 +94,7 @@ def run(
 ) -> None:
     """Run an experiment and score it; results land in the folder as they come."""
     plan = experiment.read(file).only(sequence or [], contestant or [], seed or [])
-    trials = _trials(plan, Store(folder or _folder(plan)), jobs, resume)
+    trials, _ = _trials(plan, Store(folder or _folder(plan)), jobs, resume)
     _end(trials, plan, None, as_json)
 
 
@@ -212,8 +211,10 @@ def _report(plan: Plan, folder: Path | None, jobs: int | None, resume: bool, as_
 
     started = datetime.now(UTC)
     store = Store(folder or _folder(plan))
-    trials = _trials(plan, store, jobs, resume)
-    comparison = pages.comparison_of(plan, trials, started, datetime.now(UTC))
+    trials, ran_on = _trials(plan, store, jobs, resume)
+    made = [store.load_made(trial.key) for trial in trials if trial.run.status not in ("not-installed", "data-missing")]
+    ran_on |= environment.kept(made, started)
+    comparison = pages.comparison_of(plan, trials, started, datetime.now(UTC), ran_on)
     try:
         page = pages.write(comparison, store.folder)
     except OSError as error:
@@ -221,11 +222,13 @@ def _report(plan: Plan, folder: Path | None, jobs: int | None, resume: bool, as_
     _end(trials, plan, page, as_json)
 
 
-def _trials(plan: Plan, store: Store, jobs: int | None, resume: bool) -> tuple[Trial, ...]:
-    at_once = jobs or _cores()
+def _trials(plan: Plan, store: Store, jobs: int | None, resume: bool) -> tuple[tuple[Trial, ...], dict[str, str]]:
+    """Every run of the plan, and what they ran on as it was before the first."""
+    at_once = jobs or environment.physical_cores()
+    ran_on = environment.describe(jobs=at_once)
     try:
         with console.progress(err, list(plan.runs()), at_once) as shown:
-            return Engine(plan, store, shown, at_once, resume).trials()
+            return Engine(plan, store, shown, at_once, resume, ran_on).trials(), ran_on
     except KeyboardInterrupt:
         err.print("interrupted; finished runs are kept: the same command with --resume goes on from here")
         raise
@@ -262,10 +265,6 @@ def _row(trial: Trial) -> dict[str, Any]:
 
 def _folder(plan: Plan) -> Path:
     return Path("reports") / "build" / plan.name
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _settings(items: list[str]) -> dict[str, str]:

@@ -8,7 +8,8 @@ import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from datetime import UTC, datetime
 from multiprocessing import get_context
 from pathlib import Path
 from queue import SimpleQueue
@@ -16,8 +17,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from evalkit import registry, runner, scoring
-from evalkit.environment import SINGLE_THREAD
+from evalkit import environment, registry, runner, scoring
 from evalkit.errors import StoreError
 from evalkit.experiment import MapperChoice, Plan, Planned
 from evalkit.protocols import Value
@@ -25,8 +25,11 @@ from evalkit.store import Store
 from evalkit.types import STEP, Run, Status, Trial, Truth
 from evalkit.worker import Request
 
-REPEATED: tuple[Status, ...] = ("not-installed", "data-missing")
-"""Statuses that ``resume`` does not accept as done: what was absent may have come."""
+DONE: tuple[Status, ...] = ("complete", "failed", "crashed")
+"""Statuses that ``resume`` accepts as done: the same would come of it again."""
+
+LIMITED: tuple[Status, ...] = ("timeout", "out-of-memory")
+"""Statuses that ``resume`` accepts as done under the limits they were made with, and no others."""
 
 
 class Progress(Protocol):
@@ -47,20 +50,24 @@ class Progress(Protocol):
 
 @dataclass(frozen=True)
 class Engine:
-    """This machine, ``jobs`` runs at a time, each pinned to a core of its own. ``resume`` keeps what is done."""
+    """This machine, ``jobs`` runs at a time, each pinned to a core of its own. ``resume`` keeps what is done.
+
+    ``ran_on``: what the environment says, kept with every run that is made.
+    """
 
     plan: Plan
     store: Store
     progress: Progress
     jobs: int = 1
     resume: bool = False
+    ran_on: Mapping[str, str] = field(default_factory=dict)
 
     def trials(self) -> tuple[Trial, ...]:
         """Every run of the plan, made, scored and stored, in the plan's order.
 
         A run that fails is a row with a reason; only a results folder that cannot be written stops the whole.
         """
-        os.environ.update(SINGLE_THREAD)  # inherited by the scoring processes, as by the runs
+        os.environ.update(environment.SINGLE_THREAD)  # inherited by the scoring processes, as by the runs
         planned = list(self.plan.runs())
         cores = _cores(self.jobs)
         stop = threading.Event()
@@ -84,68 +91,77 @@ class Engine:
         """One run's row; whatever is raised here stops all the others at once."""
         if stop.is_set():
             raise CancelledError
+        core = cores.get()
         try:
             self.progress.begun(planned)
-            trial = self._made(planned, cores, scorers, stop)
+            trial = self._made(planned, core, scorers, stop)
             if not stop.is_set():
                 self.progress.finished(trial)
         except BaseException:
             stop.set()
             raise
+        finally:
+            cores.put(core)  # after the scoring, which must not compete with a timed run
         return trial
 
-    def _made(
-        self, planned: Planned, cores: SimpleQueue[int | None], scorers: ProcessPoolExecutor, stop: threading.Event
-    ) -> Trial:
-        run = self._run(planned, cores, stop)
+    def _made(self, planned: Planned, core: int | None, scorers: ProcessPoolExecutor, stop: threading.Event) -> Trial:
+        run = self._run(planned, core, stop)
         content: Mapping[str, Any] = {"scores": {}}
         if len(run.steps) and not stop.is_set():
             try:
-                content = self._scored(planned, run, scorers)
+                content = self._scored(planned, run, core, scorers)
             except StoreError:
                 raise
             except Exception as error:  # noqa: BLE001 - a run that cannot be scored must not take the others with it
                 run = replace(run, status="failed", reason=f"scoring failed: {type(error).__name__}: {error}")
         return self._trial(planned, run, content)
 
-    def _run(self, planned: Planned, cores: SimpleQueue[int | None], stop: threading.Event) -> Run:
+    def _run(self, planned: Planned, core: int | None, stop: threading.Event) -> Run:
         """The stored run if it will do, else a new one."""
         absent = _absent(planned)
         if absent is not None:
             return absent
-        known = self.store.load_run(planned.key) if self.resume else None
-        if known is not None and known.status not in REPEATED:
+        known = self._kept(planned) if self.resume else None
+        if known is not None:
             return known
-        core = cores.get()
-        try:
-            request = Request(
-                planned.contestant.backend,
-                dict(planned.contestant.parameters),
-                planned.course.dataset,
-                planned.course.seeded(planned.seed),
-                core,
-            )
-            run = runner.run(
-                request,
-                (planned.contestant.label, planned.course.label),
-                self.store.fresh(planned.key),
-                self.plan.limits,
-                lambda scans: self.progress.answered(planned, scans),
-                stop,
-            )
-        finally:
-            cores.put(core)
+        request = Request(
+            planned.contestant.backend,
+            dict(planned.contestant.parameters),
+            planned.course.dataset,
+            planned.course.seeded(planned.seed),
+            core,
+        )
+        run = runner.run(
+            request,
+            (planned.contestant.label, planned.course.label),
+            self.store.fresh(planned.key),
+            self.plan.limits,
+            lambda scans: self.progress.answered(planned, scans),
+            stop,
+        )
         if not stop.is_set():
-            self.store.save_run(planned.key, run)
+            self.store.save_run(planned.key, run, self._how_made())
         return run
 
-    def _scored(self, planned: Planned, run: Run, scorers: ProcessPoolExecutor) -> Mapping[str, Any]:
+    def _kept(self, planned: Planned) -> Run | None:
+        """The stored run, None where there is none or it must be repeated: what was absent may have come."""
+        known = self.store.load_run(planned.key)
+        if known is None or known.status in DONE:
+            return known
+        same_limits = self.store.load_made(planned.key).get("limits") == asdict(self.plan.limits)
+        return known if known.status in LIMITED and same_limits else None
+
+    def _how_made(self) -> dict[str, Any]:
+        where = {name: self.ran_on.get(name, "unknown") for name in environment.KEPT_WITH_RUNS}
+        return {"made": datetime.now(UTC).isoformat(), **where, "limits": asdict(self.plan.limits)}
+
+    def _scored(self, planned: Planned, run: Run, core: int | None, scorers: ProcessPoolExecutor) -> Mapping[str, Any]:
         """The stored scores if the code they stand on is unchanged, else new ones."""
         fingerprint = f"{registry.score_fingerprint(self.plan.mapper.name)} {self.plan.mapper}"
         known = self.store.load_scores(planned.key) if self.resume else None
         if known is None or known["fingerprint"] != fingerprint:
             course = planned.course
-            job = (course.dataset, course.seeded(planned.seed), self.plan.mapper, fingerprint)
+            job = (course.dataset, course.seeded(planned.seed), self.plan.mapper, fingerprint, core)
             _in_pool(scorers, score_stored, self.store.folder, planned.key, run, *job)
             known = self.store.load_scores(planned.key)
         if known is None:
@@ -178,9 +194,12 @@ class Engine:
 
 
 def score_stored(
-    folder: Path, key: str, run: Run, dataset: str, parameters: dict[str, Value], mapper: MapperChoice, fingerprint: str
-) -> None:
-    """Scores one run and keeps the result in the store; runs in a process of the scoring pool."""
+    folder: Path, key: str, run: Run, dataset: str, parameters: dict[str, Value],
+    mapper: MapperChoice, fingerprint: str, core: int | None,
+) -> None:  # fmt: skip
+    """Scores one run and keeps the result in the store; runs in a process of the scoring pool, on the run's core."""
+    if core is not None:
+        os.sched_setaffinity(0, {core})
     spec = registry.mapper(mapper.name)
     sequence = registry.dataset(dataset).make(**parameters)
     scored = scoring.score(run, sequence, lambda: spec.make(**mapper.parameters), mapper.scans)
@@ -231,7 +250,7 @@ def _absent(planned: Planned) -> Run | None:
 def _cores(jobs: int) -> SimpleQueue[int | None]:
     """One core per job to pin to; None where the system cannot pin."""
     cores: SimpleQueue[int | None] = SimpleQueue()
-    known: list[int | None] = list(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else [None]
+    known = environment.cores() or [None]
     for job in range(jobs):
         cores.put(known[job % len(known)])
     return cores

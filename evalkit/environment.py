@@ -6,9 +6,11 @@ import os
 import platform
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
+from datetime import datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from typing import Any
 
 import psutil
 
@@ -19,9 +21,12 @@ SINGLE_THREAD: dict[str, str] = dict.fromkeys(
 )
 """Environment of every timed process."""
 
+KEPT_WITH_RUNS = ("evalkit", "commit", "processor", "load before", "runs at a time")
+"""What of a description is kept with every run: a later report may show the run beside others."""
 
-def describe(distributions: Iterable[str] = ()) -> dict[str, str]:
-    """What a reader needs to judge the numbers, as ordered pairs of name and text."""
+
+def describe(distributions: Iterable[str] = (), *, jobs: int | None = None) -> dict[str, str]:
+    """What a reader needs to judge the numbers, as ordered pairs of name and text; to be asked before the first run."""
     return {
         "evalkit": __version__,
         "commit": _commit(),
@@ -32,8 +37,68 @@ def describe(distributions: Iterable[str] = ()) -> dict[str, str]:
         "memory": f"{psutil.virtual_memory().total / 2**30:.1f} GiB",
         "threads per run": "1 (pinned to one core)" if hasattr(os, "sched_setaffinity") else "1 (not pinned)",
         "load before": f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown",
-        **{name: _version(name) for name in distributions},
+        **({"runs at a time": str(jobs)} if jobs else {}),
+        **versions(distributions),
     }
+
+
+def versions(distributions: Iterable[str]) -> dict[str, str]:
+    """The version of each distribution, or that it is not installed."""
+    return {name: _version(name) for name in distributions}
+
+
+def kept(made: Iterable[Mapping[str, Any]], started: datetime) -> dict[str, str]:
+    """The line on runs made before ``started`` and kept: how many, when and on which commit; empty where none was.
+
+    ``made``: a record for every run, as the store keeps it.
+    """
+    times = [(_time(record.get("made")), record) for record in made]
+    earlier = [(time, record) for time, record in times if time is None or time < started]
+    if not earlier:
+        return {}
+    dates = sorted(f"{time:%Y-%m-%d %H:%M}" for time, _ in earlier if time is not None)
+    told = [f"{len(earlier)} {'run' if len(earlier) == 1 else 'runs'}"]
+    told.append(f"made {dates[0]}..{dates[-1]} UTC" if dates else "made nobody knows when")
+    for name in ("commit", "processor"):
+        found = sorted({str(record.get(name, "unknown")) for _, record in earlier})
+        told.append(f"{name} {' and '.join(found)}")
+    return {"kept from earlier": ", ".join(told)}
+
+
+def cores() -> list[int | None]:
+    """The logical CPUs this process may use, one of each physical core before the second of any; empty: cannot pin."""
+    if not hasattr(os, "sched_getaffinity"):
+        return []
+    seen: dict[str, int] = {}
+    order: list[tuple[int, int]] = []
+    for cpu in sorted(os.sched_getaffinity(0)):
+        core = _siblings(cpu)
+        seen[core] = seen.get(core, 0) + 1
+        order.append((seen[core], cpu))
+    return [cpu for _, cpu in sorted(order)]
+
+
+def physical_cores() -> int:
+    """How many physical cores this process may use: that many runs do not disturb one another."""
+    usable = cores()
+    known = psutil.cpu_count(logical=False) or psutil.cpu_count() or 1
+    return min(known, len({_siblings(cpu) for cpu in usable})) if usable else known
+
+
+def _siblings(cpu: int | None) -> str:
+    """What all logical CPUs of one physical core share; Linux only, elsewhere each counts for itself."""
+    path = Path(f"/sys/devices/system/cpu/cpu{cpu}/topology/thread_siblings_list")
+    try:
+        return path.read_text(encoding="ascii").strip()
+    except OSError:
+        return str(cpu)
+
+
+def _time(text: object) -> datetime | None:
+    try:
+        return datetime.fromisoformat(str(text))
+    except ValueError:
+        return None
 
 
 def _version(distribution: str) -> str:

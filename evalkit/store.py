@@ -1,6 +1,7 @@
 """Results on disk: one folder a run, written as it goes, found again by its key.
 
 runs/<key>/  request.json  steps.bin  outcome.json  output.txt     what the run left behind
+             made.json  run.json                                   when, on what and under which limits; how it ended
              scores.json  grid.npz  errors.npy                     what the scoring made of it
 trajectories/<key>.tum   maps/<key>.pgm  maps/<key>.yaml           for other tools
 """
@@ -62,8 +63,9 @@ class Store:
             partial.write_bytes(content)
             partial.replace(path)
 
-    def save_run(self, key: str, run: Run) -> None:
-        """Keeps how a run ended; its steps are there already. A run with a status is one that need not be repeated."""
+    def save_run(self, key: str, run: Run, made: Mapping[str, Any]) -> None:
+        """Keeps how a run ended, its steps are there already, and how it was ``made``: when, on what, which limits."""
+        self.write_text(self.run_folder(key) / "made.json", json.dumps(made, indent=1))
         record = {name: value for name, value in asdict(run).items() if name != "steps"}
         self.write_text(self.run_folder(key) / "run.json", json.dumps(record, indent=1))
         self.write_text(self.folder / "trajectories" / f"{key}.tum", tum(run.estimate, run.sequence, run.backend))
@@ -76,6 +78,14 @@ class Store:
             return Run(steps=read_steps(folder / "steps.bin"), **record)
         except (OSError, ValueError, TypeError):  # absent or half-written: the run is simply made again
             return None
+
+    def load_made(self, key: str) -> dict[str, Any]:
+        """When a run was made ("made", ISO 8601), on what, and under which limits; empty where nobody knows."""
+        try:
+            content = json.loads((self.run_folder(key) / "made.json").read_text(encoding="utf-8"))
+        except (OSError, ValueError):  # made before this was kept, or half-written
+            return {}
+        return content if isinstance(content, dict) else {}
 
     def save_scores(self, key: str, content: Mapping[str, Any], grid: OccupancyGrid | None, errors_m: Any) -> None:
         """Keeps what scoring made of a run, its map also for map_server."""

@@ -1,12 +1,15 @@
 """A plan's runs on this machine: rows for whatever happens, resumed where they stopped, stopped where they must."""
 
 import multiprocessing
+import os
 from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime
+from queue import SimpleQueue
 
 import numpy as np
 import pytest
 
-from evalkit import engine, experiment, registry
+from evalkit import engine, environment, experiment, registry
 from evalkit.engine import Engine
 from evalkit.errors import StoreError
 from evalkit.store import Store
@@ -105,6 +108,58 @@ def test_resume_runs_only_what_is_missing_and_what_has_changed(tmp_path, quick):
     assert np.array_equal(again["none"].errors_m, first["none"].errors_m)
     assert np.array_equal(again["none"].grid.log_odds, first["none"].grid.log_odds)
     assert sorted(heard.ends) == ["nan", "none", "raise"]
+
+
+def test_resume_repeats_a_time_out_when_the_limits_have_changed_and_only_then(tmp_path, quick):
+    first = trials(plan("hang", "raise", run_s=0.8), tmp_path)
+    assert [trial.run.status for trial in first.values()] == ["timeout", "failed"]
+    stamps = {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()}
+    trials(plan("hang", "raise", run_s=0.8), tmp_path, resume=True)
+    assert {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()} == stamps
+    trials(plan("hang", "raise", run_s=0.9), tmp_path, resume=True)
+    changed = {name for name, run in run_files(tmp_path).items() if run.stat().st_mtime_ns != stamps[name]}
+    assert changed == {"hang"}
+
+
+def run_files(folder):
+    """Each run's record of how it ended, by label."""
+    return {path.parent.name.split("-")[1]: path for path in folder.glob("runs/*/run.json")}
+
+
+def test_every_run_keeps_when_on_what_and_under_which_limits_it_was_made(tmp_path, quick):
+    ran_on = {"commit": "abc", "processor": "slow", "memory": "not kept"}
+    before = datetime.now(UTC)
+    (trial,) = Engine(plan("none"), Store(tmp_path), Heard(), ran_on=ran_on).trials()
+    made = Store(tmp_path).load_made(trial.key)
+    assert before <= datetime.fromisoformat(made.pop("made")) <= datetime.now(UTC)
+    assert made.pop("limits") == {"run_s": 60.0, "scan_s": 30.0, "memory_mib": 2048}
+    assert made == {
+        "evalkit": "unknown", "commit": "abc", "processor": "slow", "load before": "unknown",
+        "runs at a time": "unknown",
+    }  # fmt: skip
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system cannot pin")
+def test_a_run_is_scored_on_its_own_core_which_is_given_back_afterwards(tmp_path, monkeypatch):
+    """With one core for two runs, the second must not begin before the first is scored."""
+    told = []
+
+    class Told(Heard):
+        def begun(self, planned):
+            told.append(f"begun {planned.contestant.label}")
+
+    def score(*arguments):
+        told.append(f"scored on {arguments[-1]}")
+        raise RuntimeError("enough")
+
+    monkeypatch.setattr(engine, "_scorers", ThreadPoolExecutor)
+    monkeypatch.setattr(engine, "score_stored", score)
+    only = environment.cores()[0]
+    one = SimpleQueue()
+    one.put(only)
+    monkeypatch.setattr(engine, "_cores", lambda jobs: one)
+    Engine(plan("none", "far"), Store(tmp_path), Told(), jobs=2).trials()
+    assert told == ["begun none", f"scored on {only}", "begun far", f"scored on {only}"]
 
 
 def test_without_resume_everything_is_run_again(tmp_path, quick):

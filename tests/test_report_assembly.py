@@ -47,3 +47,9 @@ def test_warm_up_is_named_as_it_was(demo):
 def test_a_requirement_nobody_answers_keeps_its_name():
     assert distribution("numpy") == "numpy"
     assert distribution("no-such-library") == "no-such-library"
+
+
+def test_the_environment_is_the_one_before_the_first_run_with_the_versions_of_the_libraries(plan):
+    noon = datetime(2024, 5, 1, 12, tzinfo=UTC)
+    told = comparison_of(plan, [], noon, noon, {"commit": "abc", "kept from earlier": "2 runs"}).environment
+    assert list(told) == ["commit", "kept from earlier", "numpy", "scipy"]

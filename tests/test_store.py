@@ -32,7 +32,7 @@ def steps(count=5):
 def saved_run(store, status: Status = "complete", reason=""):
     run = Run("icp", "room <1>", status, reason, steps(), 9, 123, 5, {"invalid ranges": 2})
     (store.fresh(KEY) / "steps.bin").write_bytes(run.steps.tobytes())
-    store.save_run(KEY, run)
+    store.save_run(KEY, run, {"made": "2024-05-01T12:00:00+00:00"})
     return run
 
 
@@ -189,7 +189,7 @@ def test_what_is_written_leaves_nothing_else_behind(store):
     saved_run(store)
     store.save_scores(KEY, CONTENT, grid(), ERRORS)
     names = sorted(str(path.relative_to(store.folder)) for path in store.folder.rglob("*") if path.is_file())
-    own = ("errors.npy", "grid.npz", "run.json", "scores.json", "steps.bin")
+    own = ("errors.npy", "grid.npz", "made.json", "run.json", "scores.json", "steps.bin")
     assert names == sorted(
         [*(f"runs/{KEY}/{name}" for name in own), f"maps/{KEY}.pgm", f"maps/{KEY}.yaml", f"trajectories/{KEY}.tum"]
     )

@@ -17,8 +17,17 @@ from evalkit.types import Trial
 LIBRARIES = ("numpy", "scipy")
 
 
-def comparison_of(plan: Plan, trials: Sequence[Trial], started: datetime, finished: datetime) -> Comparison:
-    """The comparison of a plan's trials, scored by every registered metric."""
+def comparison_of(
+    plan: Plan,
+    trials: Sequence[Trial],
+    started: datetime,
+    finished: datetime,
+    ran_on: Mapping[str, str] | None = None,
+) -> Comparison:
+    """The comparison of a plan's trials, scored by every registered metric.
+
+    ``ran_on``: the environment as it was before the first run; without it, as it is now.
+    """
     specs = [registry.backend(contestant.backend) for contestant in plan.contestants]
     libraries = dict.fromkeys((*LIBRARIES, *(distribution(name) for spec in specs for name in spec.requires)))
     return Comparison(
@@ -28,7 +37,7 @@ def comparison_of(plan: Plan, trials: Sequence[Trial], started: datetime, finish
         metrics=all_metrics(),
         contestants={contestant.label: contestant_card(contestant) for contestant in plan.contestants},
         sequences={course.label: sequence_card(course) for course in plan.courses},
-        environment=environment.describe(libraries),
+        environment={**(ran_on or environment.describe()), **environment.versions(libraries)},
         command=f"evalkit {plan.source}",
         started=started,
         finished=finished,
