@@ -20,7 +20,8 @@ from evalkit.submap import KeyframeSubmap, VoxelMap, voxel_means
 from evalkit.types import Cloud, Frame, Match, Pose
 
 Stage = Literal["s2s", "s2m"]
-OnMatch = Callable[[Stage, Match], None]
+OnMatch = Callable[[Stage, Match, bool], None]
+"""Hears of a stage, its answer, and whether that was believed or the guess kept."""
 
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter("prior", "odometry", "", "where the first guess comes from; without odometry: constant velocity",
@@ -86,7 +87,7 @@ def complete_parameters(owner: str, spec: BackendSpec, given: Mapping[str, objec
 
 
 def odometry(
-    spec: BackendSpec, parameters: Mapping[str, Value], on_match: OnMatch = lambda _stage, _match: None
+    spec: BackendSpec, parameters: Mapping[str, Value], on_match: OnMatch = lambda _stage, _match, _believed: None
 ) -> Odometry:
     """A fresh odometry of a back end with complete parameters; ``on_match`` hears every stage's answer."""
     if spec.kind == "odometry":
@@ -157,8 +158,9 @@ class FrontEnd:
 
     def _believed(self, stage: Stage, registration: Registration, target: Cloud, source: Cloud, guess: Pose) -> Pose:
         match = registration.register(target, source, guess)
-        self._on_match(stage, match)
-        return match.target_from_source if match.inliers >= self._settings.min_inliers else guess
+        believed = match.inliers >= self._settings.min_inliers
+        self._on_match(stage, match, believed)
+        return match.target_from_source if believed else guess
 
     def _keep(self, source: Cloud, start_from_base: Pose) -> None:
         if self._last is not None:

@@ -324,11 +324,14 @@ STEP = np.dtype(
         ("wall_ns", "i8"), ("cpu_ns", "i8"), ("conversion_ns", "i8"), ("harness_ns", "i8"), ("device_ns", "i8"),
         ("s2s_error", "f8"), ("s2s_iterations", "i4"), ("s2s_inliers", "i4"),
         ("s2m_error", "f8"), ("s2m_iterations", "i4"), ("s2m_inliers", "i4"),
+        ("s2s_believed", "i1"), ("s2s_converged", "i1"), ("s2m_believed", "i1"), ("s2m_converged", "i1"),
     ]
 )  # fmt: skip
 """One scan of a run: answer ``start_from_base``, cost in ns, residuals in m (nan where a stage does not exist).
 
-``device_ns`` is what the back end itself says it took; a cost of 0 is one nobody measured.
+``device_ns`` is what the back end itself says it took; a cost of 0 is one nobody measured. ``believed``: 1 where the
+stage's answer was taken, 0 where its guess was kept; ``converged``: 1 or 0; both -1 where there is no such stage or
+nobody tells. An odometry that tells of itself is a second stage.
 """
 
 

@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from evalkit import frontend, registry
+from evalkit import belief, frontend, registry
 from evalkit.clock import Timing, timed
 from evalkit.errors import BackendFailed, BadData, DataMissing, EvalkitError, NotInstalled
 from evalkit.protocols import NoAnswer, Odometry, Sequence, Value
@@ -55,7 +55,7 @@ class Outcome:
 
 
 class Residuals:
-    """The last scan's matches, as the front end tells them."""
+    """The last scan's matches, as the front end or the odometry itself tells of them."""
 
     def __init__(self) -> None:
         self.row: dict[str, float] = {}
@@ -63,16 +63,29 @@ class Residuals:
 
     def clear(self) -> None:
         """Forgets the last scan."""
-        self.row = {
-            "s2s_error": np.nan, "s2s_iterations": 0, "s2s_inliers": 0,
-            "s2m_error": np.nan, "s2m_iterations": 0, "s2m_inliers": 0,
-        }  # fmt: skip
+        nothing = {
+            "error": np.nan,
+            "iterations": 0,
+            "inliers": 0,
+            "believed": belief.UNTOLD,
+            "converged": belief.UNTOLD,
+        }
+        self.row = {f"{stage}_{name}": value for stage in ("s2s", "s2m") for name, value in nothing.items()}
+        belief.heard()
 
-    def hear(self, stage: frontend.Stage, match: Match) -> None:
+    def hear(self, stage: frontend.Stage, match: Match, believed: bool) -> None:
         """Takes in one stage's answer."""
         self.row[f"{stage}_error"] = match.error
         self.row[f"{stage}_iterations"] = match.iterations
         self.row[f"{stage}_inliers"] = match.inliers
+        self.row[f"{stage}_believed"] = believed
+        self.row[f"{stage}_converged"] = bool(match.converged)
+
+    def ask(self) -> None:
+        """Takes in what an odometry has told of its answer by itself."""
+        told = belief.heard()
+        if told != belief.UNTOLD:
+            self.row["s2m_believed"] = told
 
 
 def main() -> int:
@@ -151,6 +164,7 @@ def _follow(contestant: Odometry, sequence: Sequence, request: Request, residual
         except NoAnswer as reason:
             unanswered.append(str(reason))
             continue
+        residuals.ask()
         steps.write(_record(frame, pose, timing, residuals, around))
         around = time.perf_counter_ns() - begun - timing.wall_ns
     if len(unanswered) > (1.0 - LEAST_ANSWERED) * asked:

@@ -68,7 +68,7 @@ def spec(make, **changes):
     return BackendSpec(make, "registration", "for a test", "none", "MIT", **changes)
 
 
-def made(registration, on_match=lambda stage, match: None, **given):
+def made(registration, on_match=lambda stage, match, believed: None, **given):
     """An odometry around one registration object, which serves both stages."""
     described = spec(lambda: registration)
     return odometry(described, complete_parameters("test", described, given), on_match)
@@ -106,6 +106,15 @@ def test_an_answer_on_too_few_pairs_is_not_believed():
     np.testing.assert_allclose(kept, rows(PATH), atol=1e-12)
     believed = followed(made(Nonsense(inliers=10), min_inliers=10), frames)
     assert believed[1].tolist() == [70.0, 80.0, 1.0]
+
+
+def test_who_listens_hears_which_answers_were_believed():
+    heard = []
+    contestant = made(ByIndex(inliers=9), lambda stage, match, believed: heard.append((stage, believed)), min_inliers=9)
+    doubter = made(ByIndex(inliers=8), lambda stage, match, believed: heard.append((stage, believed)), min_inliers=9)
+    for each in (contestant, doubter):
+        followed(each, [frame(PATH[0], 0), frame(PATH[1], 1)])
+    assert heard == [("s2s", True), ("s2m", True), ("s2s", False), ("s2m", False)]
 
 
 def test_a_back_end_without_any_stage_is_its_prior():
@@ -163,7 +172,7 @@ def test_the_second_stage_starts_from_the_answer_of_the_first():
 
 def test_both_stages_are_heard_in_order():
     heard = []
-    contestant = made(ByIndex(inliers=33), lambda stage, match: heard.append((stage, match.inliers)))
+    contestant = made(ByIndex(inliers=33), lambda stage, match, believed: heard.append((stage, match.inliers)))
     contestant.update(frame(PATH[0], 0))
     assert heard == []
     contestant.update(frame(PATH[1], 1))

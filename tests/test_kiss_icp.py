@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evalkit import se2
+from evalkit import belief, se2
 from evalkit.errors import NotInstalled
 from evalkit.protocols import resolved
 from evalkit.types import Frame, Pose, Scan
@@ -144,6 +144,23 @@ def test_a_scan_with_next_to_nothing_in_it_keeps_the_prediction(first):
     assert off(truth, poses)[0].max() < 0.03
     after, before = frames[first + 1].odom_from_base, frames[first].odom_from_base
     assert np.allclose(se2.between(poses[first], poses[first + 1]), (before.inverse() @ after).row, atol=1e-12)
+
+
+@needs_kiss_icp
+def test_a_scan_of_too_few_points_or_without_a_pair_is_told_as_a_guess_kept():
+    frames, _ = drive(START_UP, odometry_scale=1.01)
+    frames[8] = Frame(replace(frames[8].scan, ranges=np.full(BEAMS, np.inf)), MOUNT, frames[8].odom_from_base)
+    lost = replace(frames[-1].scan, stamp_ns=frames[-1].scan.stamp_ns + PERIOD_NS)
+    frames.append(Frame(lost, MOUNT, Pose(500.0, 500.0, 1.0)))
+    follower = kiss_icp.SPEC.make(**resolved("kiss-icp", kiss_icp.SPEC.parameters, {}))
+    told = []
+    belief.heard()
+    for frame in frames:
+        follower.update(frame)
+        told.append(belief.heard())
+    assert told[0] == belief.UNTOLD
+    assert told[8] == told[-1] == belief.GUESS_KEPT
+    assert set(told[6:8] + told[9:-1]) == {belief.BELIEVED}
 
 
 @needs_kiss_icp

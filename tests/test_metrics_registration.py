@@ -111,3 +111,13 @@ def test_what_a_back_end_tells_is_passed_on_and_silence_is_named() -> None:
     assert found["s2s_iterations"] == Score(5.5, 4)
     assert found["own_s2m_m"].reason == "the back end tells none"
     assert found["s2m_iterations"].reason == "the back end tells none"
+
+
+def test_the_last_stage_that_tells_is_the_one_whose_guess_counts() -> None:
+    steps = np.zeros(5, STEP)
+    steps["s2s_believed"] = steps["s2s_converged"] = [-1, 0, 0, 0, 1]
+    steps["s2m_believed"] = [-1, 1, 1, 1, 0]
+    steps["s2m_converged"] = -1
+    found = scores((), steps)
+    assert found["guess_kept_percent"] == Score(25.0, 4)
+    assert found["not_converged_percent"] == Score(75.0, 4)

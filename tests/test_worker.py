@@ -5,8 +5,11 @@ import json
 import numpy as np
 import pytest
 
-from evalkit import worker
+from evalkit import belief, frontend, metrics, registry, worker
+from evalkit.metrics.table import Evidence
+from evalkit.protocols import BackendSpec
 from evalkit.store import read_steps
+from evalkit.types import Pose, Run, Score, Truth
 from evalkit.worker import Request
 
 pytestmark = pytest.mark.usefixtures("strangers")
@@ -17,7 +20,7 @@ ROOM = {"laps": 0.02, "seed": 3}
 def perform(folder, backend="wheel-odometry", parameters=None, dataset="straight", course=None):
     if dataset == "straight":
         course = {"scans": 12, "backwards": 0, "file": "", "breaks": False, **(course or {})}
-    return worker.perform(Request(backend, parameters or {}, dataset, course), folder), read_steps(folder / "steps.bin")
+    return worker.perform(Request(backend, parameters or {}, dataset, course or {}), folder), read_steps(folder / "steps.bin")
 
 
 def test_the_warm_up_is_another_instance_so_the_first_answer_is_the_identity(tmp_path):
@@ -34,8 +37,6 @@ def test_a_sequence_shorter_than_the_warm_up_is_all_warm_up_and_all_run(tmp_path
 
 
 def test_an_odometry_has_no_residuals_and_a_registration_has_those_of_both_stages(tmp_path):
-    from evalkit import frontend, registry
-
     _, steps = perform(tmp_path)
     assert np.isnan(steps["s2s_error"]).all()
     assert (steps["s2m_inliers"] == 0).all()
@@ -46,6 +47,50 @@ def test_an_odometry_has_no_residuals_and_a_registration_has_those_of_both_stage
     assert np.isnan(steps["s2s_error"][0])
     assert (steps["s2s_error"][1:] > 0).all()
     assert (steps["s2m_inliers"][1:] > 100).all()
+    assert (steps["s2s_believed"][0], steps["s2m_believed"][0], steps["s2m_converged"][0]) == (-1, -1, -1)
+    assert (steps["s2s_believed"][1:] == 1).all()
+    assert (steps["s2m_believed"][1:] == 1).all()
+    assert set(steps["s2m_converged"][1:].tolist()) <= {0, 1}
+
+
+def shares(outcome, steps):
+    run = Run("b", "s", outcome.status, outcome.reason, steps, outcome.expected)
+    found = metrics.score(Evidence(run, Truth("none"), None, None, ()))
+    return found["guess_kept_percent"], found["not_converged_percent"]
+
+
+def test_a_contestant_that_registers_nothing_is_complete_and_has_kept_every_guess(tmp_path):
+    given = {"max_correspondence_m": 0.0001}
+    parameters = frontend.complete_parameters("t", registry.backend("paper"), given)
+    outcome, steps = perform(tmp_path, "paper", parameters, "room", ROOM)
+    assert outcome.status == "complete"
+    assert shares(outcome, steps)[0] == Score(100.0, len(steps) - 1)
+
+
+def test_an_odometry_that_does_not_tell_is_reported_as_such(tmp_path):
+    assert {score.reason for score in shares(*perform(tmp_path))} == {"not told by the back end"}
+
+
+class Doubtful:
+    """Tells of every other scan that it kept its guess."""
+
+    def __init__(self):
+        self.scans = 0
+
+    def update(self, frame):
+        self.scans += 1
+        if self.scans > 1:
+            belief.tell(self.scans % 2 == 0)
+        return Pose()
+
+
+def test_an_odometry_can_tell_of_its_own_answers(tmp_path, monkeypatch):
+    spec = BackendSpec(Doubtful, "odometry", "for a test", "none", "MIT")
+    monkeypatch.setattr(registry, "backend", lambda name: spec)
+    outcome, steps = perform(tmp_path)
+    assert steps["s2m_believed"].tolist() == [-1, *[1, 0] * 5, 1]
+    assert (steps["s2s_believed"] == -1).all()
+    assert [score.value for score in shares(outcome, steps)] == [pytest.approx(500.0 / 11.0), None]
 
 
 def test_the_sequences_notes_are_kept(tmp_path):

@@ -18,6 +18,8 @@ What the adapter changes, and why (KISS-ICP is made for 3D lidars outdoors):
   ``"constant-velocity"`` they come from its own last two poses, as in the paper. Without odometry in the recording the
   two are the same.
 * A scan of fewer than ``min_points`` is not registered, because KISS-ICP accepts any answer: the prediction is.
+* KISS-ICP does not say whether it found pairs. An answer equal to the prediction to the last digit is one without any,
+  and is told as a guess kept.
 * Its settings are made here in full. Its own loader lets environment variables change them silently.
 * One thread.
 """
@@ -30,7 +32,7 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import lift, se2
+from evalkit import belief, lift, se2
 from evalkit.clock import conversion
 from evalkit.errors import NotInstalled
 from evalkit.protocols import BackendSpec, Parameter
@@ -38,6 +40,7 @@ from evalkit.se2 import Floats
 from evalkit.types import Frame, Pose
 
 INSTALL = "pip install 'evalkit[kiss-icp]'"
+UNMOVED = 1e-12  # metres and radians: what writing a pose as a matrix and back may change
 LONGEST_SHARE = 2.0  # a long gap says nothing about the speed: as in evalkit's front end
 BEYOND_M = 1e6  # farther than any max_range: KISS-ICP drops such points after it has read their times
 
@@ -86,9 +89,13 @@ class KissIcpOdometry:
         first, first_from_end = self._predicted(frame)
         with conversion():
             points, beams = self._points(frame)
-        end = first @ first_from_end
+        predicted = end = first @ first_from_end
         if len(points) >= self._settings.min_points:
             end = self._registered(points, self._times(frame, beams, first_from_end), first, first_from_end)
+        if self._last is not None:
+            belief.tell(
+                max(abs(end.x - predicted.x), abs(end.y - predicted.y), abs(end.theta - predicted.theta)) > UNMOVED
+            )
         answer = Pose() if self._last is None else end @ first_from_end.inverse()
         self._remember(frame, answer, end)
         return answer

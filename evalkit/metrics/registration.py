@@ -125,6 +125,16 @@ def _own(stage: str, field: Literal["error", "iterations"], evidence: Evidence) 
     return number(np.median(values[told]), int(told.sum()))
 
 
+def _share(field: Literal["believed", "converged"], evidence: Evidence) -> Score:
+    """Per cent of scans whose last stage says no."""
+    steps = evidence.run.steps
+    last = np.where(steps[f"s2m_{field}"] >= 0, steps[f"s2m_{field}"], steps[f"s2s_{field}"])
+    told = last[last >= 0]
+    if len(told) == 0:
+        return Score(None, 0, "not told by the back end")
+    return number(100.0 * np.mean(told == 0), len(told))
+
+
 PAPER = "the paper, eq. 5 and figure 9; the same pairs for every back end: evalkit"
 LOOKS_GOOD = "a match that is smoothly wrong, as along a corridor; points farther off than 0.5 m; rest at one place"
 
@@ -140,6 +150,15 @@ METRICS = (
            "Points of a mapped scan within 0.5 m of the submap of the last ten keyframes; median over the same scans.",
            "evalkit", "how well the paired points lie; new places are seen without a fault of the estimate",
            partial(_uniform, scan_to_map, 1), 1),
+    Metric("guess_kept_percent", "guess kept", "%", "lower", "residuals",
+           "Scans after the first of which the last stage's answer was not believed (too few pairs, or nothing moved "
+           "to the last digit), so that the guess it started from stands in its place.", "evalkit",
+           "whether the answers believed are right; back ends that do not tell", partial(_share, "believed"), 1,
+           headline=True),
+    Metric("not_converged_percent", "not converged", "%", "lower", "residuals",
+           "Scans after the first of which the last stage ended without meeting its own criterion of convergence.",
+           "the back end", "what it converged to; not comparable between methods with different criteria",
+           partial(_share, "converged"), 1),
     *(Metric(f"own_{stage}_m", f"own {stage.upper()} error", "m", "", "residuals",
              f"The error the back end itself reports for its {words} stage, by its own definition; median over scans.",
              "the back end", "everything the back end does not look at; not comparable between back ends",
