@@ -33,6 +33,9 @@ UNITS: tuple[tuple[str, str, str, str, Group, int, bool], ...] = (
     ("relations_sd_m", "relation error, sd", "m", "lower", "relations", 3, False),
     ("map_f1", "map F1 at 10 cm", "", "higher", "map against truth", 3, True),
     ("map_entropy", "map entropy", "nat", "lower", "map consistency", 4, True),
+    ("wall_thickness_m", "wall thickness", "m", "lower", "map consistency", 3, True),
+    ("split_distance_m", "halves of the run apart", "m", "lower", "map consistency", 3, True),
+    ("guess_kept_percent", "guess kept", "%", "lower", "residuals", 1, True),
     ("s2m_m", "S2M residual", "m", "lower", "residuals", 4, True),
     ("cpu_median_ms", "CPU time per scan, median", "ms", "lower", "runtime", 2, True),
     ("corners", "corners", "", "", "map consistency", 0, False),
@@ -40,7 +43,7 @@ UNITS: tuple[tuple[str, str, str, str, Group, int, bool], ...] = (
 
 
 def metric_table() -> tuple[Metric, ...]:
-    """Ten metrics of every group and direction."""
+    """Metrics of every group and direction."""
     return tuple(
         Metric(
             name, label, unit, better, group, f"What {label} is.", "Author 2012", "global warp", _unused, digits, head
@@ -153,6 +156,7 @@ def demo() -> Comparison:
                 "ate_rmse_m": value, "drift_percent": 10 * value, "heading_rmse_deg": value, "relations_mean_m": None,
                 "map_f1": 1 / (1 + 4 * value), "map_entropy": 0.1 + value / 9, "cpu_median_ms": ms, "corners": 40.0,
                 "s2m_m": None if name == "wheel" else 0.02,
+                "wall_thickness_m": 0.02, "split_distance_m": 0.05, "guess_kept_percent": 0.0,
             }  # fmt: skip
             trials.append(make_trial(name, "room", scores, seed=seed, error_m=ate, ms=ms))
         ends: tuple[tuple[Status, str, int], ...] = (

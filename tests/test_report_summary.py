@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import pytest
 
-from evalkit.report.summary import gap, joined, overview, verdict
+from evalkit.report.overview import overview
+from evalkit.report.summary import verdict
+from evalkit.report.wording import gap, joined
 
 
 def _said(comparison, sequence="room"):
@@ -28,11 +30,28 @@ def test_a_clear_winner_is_named_with_its_lead(trial, build):
     assert expected + "2.0 times as much." in _said(comparison)
 
 
-def test_overlapping_seeds_make_no_winner(trial, build):
-    comparison = build([*_seeds(trial, "a", [0.010, 0.011, 0.020]), *_seeds(trial, "b", [0.019, 0.022, 0.024])])
+def test_a_lead_that_turns_in_one_seed_makes_no_winner(trial, build):
+    comparison = build([*_seeds(trial, "a", [0.010, 0.011, 0.025]), *_seeds(trial, "b", [0.019, 0.022, 0.024])])
     assert verdict(comparison, "room").outcome == "level"
     assert "No clear winner on ATE RMSE" in _said(comparison)
-    assert "overlap over their seeds" in _said(comparison)
+    assert "are not in the same order in every seed" in _said(comparison)
+
+
+def test_a_lead_in_every_seed_wins_though_the_seeds_overlap(trial, build):
+    comparison = build([*_seeds(trial, "a", [0.010, 0.011, 0.020]), *_seeds(trial, "b", [0.019, 0.022, 0.024])])
+    assert (verdict(comparison, "room").outcome, verdict(comparison, "room").leaders) == ("winner", ("a",))
+
+
+@pytest.mark.parametrize(("other", "outcome"), [(1.049, "level"), (1.051, "winner")])
+def test_a_winner_is_better_by_five_percent(trial, build, other, outcome):
+    comparison = build([*_seeds(trial, "a", [1.0, 1.0]), *_seeds(trial, "b", [other, other])])
+    assert verdict(comparison, "room").outcome == outcome
+
+
+def test_a_millimetre_wins_nothing(trial, build):
+    comparison = build([*_seeds(trial, "a", [0.010, 0.011]), *_seeds(trial, "b", [0.0115, 0.0125])])
+    assert verdict(comparison, "room").outcome == "level"
+    assert "are less than 5 % or 2 mm apart" in _said(comparison)
 
 
 def test_relations_closer_than_their_own_noise_make_no_winner(trial, build):
@@ -44,9 +63,22 @@ def test_relations_closer_than_their_own_noise_make_no_winner(trial, build):
     assert "One run each" in _said(far)
 
 
-def test_the_same_gap_in_metres_of_drift_is_a_win(trial, build):
+def test_the_same_gap_in_metres_of_drift_is_a_lead(trial, build):
     comparison = build([trial(n, "room", {"ate_rmse_m": v}, seed=None) for n, v in (("a", 0.051), ("b", 0.080))])
-    assert verdict(comparison, "room").leaders == ("a",)
+    found = verdict(comparison, "room")
+    assert (found.outcome, found.leaders) == ("ahead", ("a",))
+
+
+def test_one_run_each_wins_nothing(trial, build):
+    pair = (("a", 0.051), ("b", 0.080), ("paper", 0.1))
+    comparison = build([trial(n, "room", {"ate_rmse_m": v}, seed=None) for n, v in pair])
+    assert "a is ahead in the one run there is, on ATE RMSE: 0.051 m; the runner-up, b, has 0.080 m" in _said(
+        comparison
+    )
+    said = " ".join(_overview(comparison))
+    assert "a is ahead in the one run of room." in said
+    assert "The paper's method, paper, is behind in the one run of room." in said
+    assert not {"wins", "winner", "loses"} & set(f"{said} {_said(comparison)}".split())
 
 
 def test_higher_wins_where_higher_is_better(trial, build):
@@ -96,11 +128,69 @@ def test_a_degenerate_sequence_is_named_and_not_counted(trial, build):
     assert "Not counted as wins or losses: room (degenerate geometry)." in _overview(comparison)
 
 
-def test_maps_without_truth_decide_nothing_overall(trial, build):
-    pair = (("a", 0.1), ("b", 0.4))
-    comparison = build([trial(n, "room", {"map_entropy": v}, seed=None, truth=False) for n, v in pair])
-    assert not verdict(comparison, "room").counts
+def _maps(trial, build, **measures):
+    """One run each without truth; per contestant entropy, wall thickness, halves apart and S2M residual."""
+    names = ("map_entropy", "wall_thickness_m", "split_distance_m", "s2m_m")
+    runs = measures.items()
+    return build([trial(n, "room", dict(zip(names, v, strict=True)), seed=None, truth=False) for n, v in runs])
+
+
+def test_the_lowest_entropy_alone_leads_nothing(trial, build):
+    comparison = _maps(
+        trial, build, lost=(0.10, 0.09, 0.30, 0.08), a=(0.12, 0.02, 0.05, 0.03), b=(0.2, 0.03, 0.04, 0.04)
+    )
+    found = verdict(comparison, "room")
+    assert (found.outcome, found.leaders, found.counts) == ("disagreement", (), False)
+    assert (
+        "The map measures disagree: lost has the lowest entropy, a the thinnest walls and the lowest S2M residual, "
+        "b the halves of the run closest together."
+    ) in _said(comparison)
+
+
+def test_a_map_best_in_every_measure_is_ahead(trial, build):
+    comparison = _maps(trial, build, a=(0.10, 0.02, 0.04, 0.03), b=(0.20, 0.02, 0.05, 0.04))
+    found = verdict(comparison, "room")
+    assert (found.outcome, found.leaders, found.counts) == ("ahead", ("a",), False)
+    assert "The other measures of the map do not contradict." in _said(comparison)
     assert "compares maps only, and is blind to global warp." in _said(comparison)
+
+
+def test_a_measure_nobody_has_leaves_the_map_undecided(trial, build):
+    comparison = _maps(trial, build, a=(0.10, 0.02, None, 0.03), b=(0.20, 0.03, None, 0.04))
+    assert verdict(comparison, "room").outcome == "disagreement"
+    assert "Nobody is named without truth: there is no value for halves of the run apart." in _said(comparison)
+
+
+def test_without_truth_worse_than_odometry_takes_every_measure(trial, build):
+    wheel = (0.10, 0.02, 0.04, 0.03)
+    one = _maps(trial, build, wheel=wheel, a=(0.20, 0.01, 0.05, 0.04))
+    every = _maps(trial, build, wheel=wheel, a=(0.20, 0.03, 0.05, 0.04))
+    assert "Worse than wheel alone" not in _said(one)
+    assert "Worse than wheel alone (0.1000 nat): a (0.2000 nat)." in _said(every)
+
+
+def test_scans_left_to_the_guess_are_told_and_most_of_them_bar_from_ranking(trial, build):
+    shares = {"a": (0.01, 60.0), "b": (0.02, 12.0), "c": (0.03, 9.0)}
+    comparison = build([
+        trial(who, "room", {"ate_rmse_m": ate, "guess_kept_percent": kept}, seed=seed)
+        for who, (ate, kept) in shares.items() for seed in (0, 1)
+    ])  # fmt: skip
+    said = _said(comparison)
+    assert verdict(comparison, "room").leaders == ("b",)
+    assert "a left 60 % of the scans to the guess and b left 12 % of the scans to the guess." in said
+    assert "a registered too little to be ranked." in said
+    assert "c left" not in said
+
+
+def test_damaged_data_are_told_above_one_percent(trial, build):
+    def noted(notes):
+        made = trial("a", "room", {"ate_rmse_m": 0.1})
+        return _said(build([replace(made, run=replace(made.run, notes=notes))]))
+
+    assert "damaged" not in noted({"scans out of order": 60, "rear-laser lines left out": 60})
+    assert "The data are damaged: 30 damaged lines left out (50 % of the scans)." in noted(
+        {"damaged lines left out": 30}
+    )
 
 
 def test_what_could_not_start_is_no_failure_of_the_contestant(demo):
@@ -115,7 +205,27 @@ def test_whoever_is_slower_than_the_sensor_is_named(demo):
     assert "Slower than the sensor in more than 1 % of the scans: <script>alert(1)</script> on room." in _overview(demo)
 
 
-@pytest.mark.parametrize(("value", "best", "words"), [(0.5, 0.1, "5.0 times as much"), (0.15, 0.1, "50 % more")])
+def test_a_comparison_of_nothing_claims_nothing(build):
+    said = _overview(build([]))
+    assert said[0] == "There was nothing to run."
+    assert all("nobody is worse" not in sentence and "Of all runs" not in sentence for sentence in said)
+    assert all("run once" not in sentence for sentence in said)
+
+
+@pytest.mark.parametrize("status", ["complete", "not-installed"])
+def test_where_only_odometry_ran_nobody_is_said_to_pass_it(trial, build, status):
+    alone = trial("wheel", "room", {"ate_rmse_m": 0.4}, status="complete")
+    other = trial("a", "room", {}, status="not-installed", reason="no module", answered=0)
+    comparison = build([alone] if status == "complete" else [other])
+    said = " ".join(_overview(comparison))
+    assert not any(words in said for words in ("nobody is worse", "Of all runs", "Slower", "keeps up", "held against"))
+    assert "Worse" not in _said(comparison)
+
+
+@pytest.mark.parametrize(
+    ("value", "best", "words"),
+    [(0.5, 0.1, "5.0 times as much"), (0.15, 0.1, "50 % more"), (1.001, 1, "less than 1 % more")],
+)
 def test_gaps_are_told_as_people_say_them(demo, value, best, words):
     assert gap(demo.metrics[0], value, best) == words
 

@@ -211,7 +211,8 @@ WALL = "Spread across the wall of the hits within 0.5 m of one, sqrt(lambda_min)
 METRICS = (
     Metric("map_entropy", "map entropy", "nat", "lower", "map consistency",
            "Mean entropy of the occupancy over the cells that a beam has touched.", "Blanco et al., RSS 2008 (map "
-           "entropy); per observed cell: evalkit", WARP,
+           "entropy); per observed cell: evalkit",
+           f"scans scattered over fresh cells, which lower it; {WARP}",
            _of_grid(lambda grid: number(entropy(grid), int(grid.observed.sum()))), 4, headline=True),
     Metric("wall_thickness_m", "wall thickness", "m", "lower", "map consistency",
            f"{WALL} (lambda_max > 9 lambda_min), all mapped scans laid together; mean over at most 1,000 places. A "

@@ -16,16 +16,16 @@ def write(comparison: Comparison, folder: Path) -> Path:
 
     The page links to ``trajectories/<key>.tum`` and ``maps/<key>.pgm`` in the same folder, which the store writes.
     """
-    from evalkit.report import page, record, summary, tables  # noqa: PLC0415 - pandas and matplotlib are slow to load
+    from evalkit.report import overview, page, record, summary, tables  # noqa: PLC0415 - pandas and matplotlib are slow to load
 
     folder.mkdir(parents=True, exist_ok=True)
     verdicts = [summary.verdict(comparison, sequence) for sequence in comparison.sequence_labels]
-    overview = summary.overview(comparison, verdicts)
-    results = record.results(comparison, overview, verdicts)
+    sentences = overview.overview(comparison, verdicts)
+    results = record.results(comparison, sentences, verdicts)
     text = json.dumps(results, indent=1, ensure_ascii=False, allow_nan=False)
     (folder / "results.json").write_text(text + "\n", encoding="utf-8")
     (folder / "results.schema.json").write_text(record.schema(), encoding="utf-8")
     tables.write_csv(comparison, folder)
     index = folder / "index.html"
-    index.write_text(page.render(comparison, overview, verdicts), encoding="utf-8")
+    index.write_text(page.render(comparison, sentences, verdicts), encoding="utf-8")
     return index

@@ -28,7 +28,7 @@ def comparison_of(
 
     ``ran_on``: the environment as it was before the first run; without it, as it is now.
     """
-    specs = [registry.backend(contestant.backend) for contestant in plan.contestants]
+    specs = [registry.entrant(contestant.backend) for contestant in plan.contestants]
     libraries = dict.fromkeys((*LIBRARIES, *(distribution(name) for spec in specs for name in spec.requires)))
     return Comparison(
         title=plan.title,
@@ -54,7 +54,7 @@ def distribution(requirement: str) -> str:
 
 def contestant_card(contestant: Contestant) -> ContestantCard:
     """The card of a contestant, with every setting it ran with."""
-    spec = registry.backend(contestant.backend)
+    spec = registry.entrant(contestant.backend)
     known = {parameter.name: parameter for parameter in parameters_of(spec)}
     settings = tuple(
         Setting(name, value, known[name].default, known[name].unit, known[name].meaning)

@@ -14,6 +14,14 @@ from evalkit.types import Status, Trial
 # The published relations are only good to this much themselves, whatever two contestants differ by.
 RELATIONS_FLOOR = {"m": 0.03, "deg": 0.4, "°": 0.4}
 
+# Nobody is better by less: a share of the better value, and metres where positions are compared.
+MARGIN_SHARE = 0.05
+MARGIN_M = 0.002
+
+# Of more scans left to the guess than this (%), it is the guess that would be ranked.
+MOST_GUESSED = 50.0
+GUESSED = "guess_kept_percent"
+
 # What decides a sequence: official relations where they exist, then a true trajectory, then maps.
 DECIDING: tuple[Group, ...] = ("relations", "drift", "map against truth", "map consistency")
 WITH_TRUTH: tuple[Group, ...] = DECIDING[:3]
@@ -34,7 +42,7 @@ STATUS: dict[Status, str] = {
     "data-missing": "data missing",
 }
 
-Level = Literal["clear", "within the noise floor", "overlapping seeds", "equal as printed"]
+Level = Literal["clear", "within the noise floor", "not in every seed", "within the margin"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +50,8 @@ class Cell:
     """One metric of one contestant over one sequence.
 
     ``values``: one per complete run that has a score, in the order of the trials. ``partial``: the same for runs that
-    ended early; they never enter a median. ``reason``: why there is no value, "" where there is one.
+    ended early; they never enter a median. ``reason``: why there is no value, "" where there is one. ``seeds``: those
+    of ``values``. ``guessed_percent``: scans it left to the guess, 0 where unknown.
     """
 
     contestant: str
@@ -52,6 +61,8 @@ class Cell:
     expected: int
     support: int
     reason: str
+    seeds: tuple[int | None, ...] = ()
+    guessed_percent: float = 0.0
 
     @property
     def median(self) -> float | None:
@@ -60,8 +71,13 @@ class Cell:
 
     @property
     def rankable(self) -> bool:
-        """Whether every run was completed and scored: nobody leads by the runs it survived."""
-        return self.complete == self.expected == len(self.values)
+        """Whether every run was completed and scored, by registering: nobody leads by the runs it survived."""
+        return self.complete == self.expected == len(self.values) and self.registers
+
+    @property
+    def registers(self) -> bool:
+        """Whether the answers are its own: not where most scans were left to the guess."""
+        return self.guessed_percent <= MOST_GUESSED
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,6 +90,11 @@ class Standing:
     ranked: tuple[Cell, ...]
     level: tuple[Cell, ...]
     why_level: Level
+
+    @property
+    def repeated(self) -> bool:
+        """Whether those who are ranked were run more than once: only then does anybody win."""
+        return any(len(cell.values) > 1 for cell in self.ranked)
 
     @property
     def winner(self) -> Cell | None:
@@ -104,20 +125,32 @@ def ranking(metric: Metric, cells: Sequence[Cell]) -> tuple[Cell, ...]:
 
 
 def difference(metric: Metric, one: Cell, other: Cell) -> Level:
-    """Whether two cells with values differ clearly, or why nobody should say so."""
-    ours, theirs = median(one.values), median(other.values)
-    if abs(ours - theirs) < noise_floor(metric):
+    """Whether two cells with values differ clearly, or why nobody should say so: compared seed by seed.
+
+    Clear is what has the same sign in every seed both have, and a median of at least the margin.
+    """
+    theirs = dict(zip(other.seeds, other.values, strict=True))
+    pairs = [(value, theirs[seed]) for seed, value in zip(one.seeds, one.values, strict=True) if seed in theirs]
+    differences = [ours - others for ours, others in pairs]
+    if not differences:
+        return "not in every seed"
+    apart = abs(median(differences))
+    if apart < noise_floor(metric):
         return "within the noise floor"
-    if max(len(one.values), len(other.values)) > 1 and _overlap(one.values, other.values):
-        return "overlapping seeds"
-    if round(ours, metric.digits) == round(theirs, metric.digits):
-        return "equal as printed"
-    return "clear"
+    if min(differences) <= 0.0 <= max(differences):
+        return "not in every seed" if len(differences) > 1 else "within the margin"
+    return "within the margin" if apart < margin(metric, _better(metric, one, other)) else "clear"
 
 
 def noise_floor(metric: Metric) -> float:
     """The difference below which the truth itself cannot tell two contestants apart (the metric's unit); 0: none."""
     return RELATIONS_FLOOR.get(metric.unit, 0.0) if metric.group == "relations" else 0.0
+
+
+def margin(metric: Metric, better: float) -> float:
+    """The least difference that counts beside the better value: 5 % of it, one printed digit, 2 mm of a position."""
+    position = metric.unit == "m" and metric.group in ("drift", "relations")
+    return max(MARGIN_SHARE * abs(better), 10.0**-metric.digits, MARGIN_M if position else 0.0)
 
 
 def worse(metric: Metric, one: Cell | None, other: Cell | None) -> bool:
@@ -152,21 +185,29 @@ def unfinished(trials: Sequence[Trial]) -> tuple[Trial, ...]:
     return tuple(trial for trial in trials if trial.run.status != "complete")
 
 
+def guessed_percent(trials: Sequence[Trial]) -> float:
+    """The share of scans (%) that a contestant left to the guess, the median over its runs; 0 where unknown."""
+    scores = [trial.scores[GUESSED].value for trial in trials if GUESSED in trial.scores]
+    known = [value for value in scores if value is not None]
+    return median(known) if known else 0.0
+
+
 def _cell(trials: Sequence[Trial], metric: Metric) -> Cell:
     complete = [trial for trial in trials if trial.run.status == "complete"]
-    scores = [trial.scores[metric.name] for trial in complete if metric.name in trial.scores]
-    values = tuple(score.value for score in scores if score.value is not None)
+    scores = [(trial.seed, trial.scores[metric.name]) for trial in complete if metric.name in trial.scores]
+    values = tuple(score.value for _, score in scores if score.value is not None)
     ended = [trial.scores[metric.name] for trial in unfinished(trials) if metric.name in trial.scores]
-    partial = tuple(score.value for score in ended if score.value is not None)
-    supports = [score.support for score in scores if score.value is not None]
+    supports = [score.support for _, score in scores if score.value is not None]
     return Cell(
         trials[0].contestant,
         values,
-        partial,
+        tuple(score.value for score in ended if score.value is not None),
         len(complete),
         len(trials),
         int(median(supports)) if supports else 0,
         "" if values else _why_none(trials, metric),
+        tuple(seed for seed, score in scores if score.value is not None),
+        guessed_percent(complete),
     )
 
 
@@ -180,5 +221,6 @@ def _why_none(trials: Sequence[Trial], metric: Metric) -> str:
     return "; ".join(dict.fromkeys(reasons)) or "not scored"
 
 
-def _overlap(one: Sequence[float], other: Sequence[float]) -> bool:
-    return min(one) <= max(other) and min(other) <= max(one)
+def _better(metric: Metric, one: Cell, other: Cell) -> float:
+    medians = (median(one.values), median(other.values))
+    return max(medians) if metric.better == "higher" else min(medians)

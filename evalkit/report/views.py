@@ -9,7 +9,8 @@ from statistics import median
 from evalkit.metrics.table import Metric
 from evalkit.protocols import Published
 from evalkit.report.comparison import Comparison
-from evalkit.report.standings import STATUS, Cell, Standing, contestant_of, deciding, standing, unfinished, worse
+from evalkit.report.consensus import disagrees, is_behind_bar
+from evalkit.report.standings import STATUS, Cell, Standing, deciding, standing, unfinished
 from evalkit.types import Status, Trial
 
 
@@ -123,10 +124,10 @@ def everything(comparison: Comparison, sequence: str) -> dict[str, tuple[Line, .
     return {group: tuple(lines) for group, lines in groups.items()}
 
 
-def number(found: Standing, cell: Cell, degenerate: bool = False) -> Number:
+def number(found: Standing, cell: Cell, unranked: bool = False) -> Number:
     """A cell as printed: the median with the lowest and highest run, or a dash with the reason as its tip.
 
-    ``degenerate``: the geometry cannot fix the pose, so nothing is marked as best.
+    ``unranked``: the geometry cannot fix the pose, or the map measures disagree, so nothing is marked as best.
     """
     metric = found.metric
     partial = ", ".join(printed(metric, value) for value in cell.partial)
@@ -138,7 +139,7 @@ def number(found: Standing, cell: Cell, degenerate: bool = False) -> Number:
         extent = f"{len(cell.values)} of {cell.expected} runs {extent}".rstrip()
     runs = f"{len(cell.values)} of {cell.expected} runs"
     support = f", support {cell.support}" if cell.support else ""
-    contest = len(found.level) < len(found.ranked) and not degenerate
+    contest = len(found.level) < len(found.ranked) and not unranked
     return Number(
         printed(metric, middle),
         extent,
@@ -205,9 +206,7 @@ def _row(comparison: Comparison, label: str, trials: Sequence[Trial], present: S
     cells = [(found, cell) for found in present if (cell := found.of(label)) is not None]
     complete = len(trials) - len(unfinished(trials))
     decision = deciding(comparison, trials[0].sequence)
-    behind = decision is not None and any(
-        worse(decision.metric, decision.of(label), decision.of(bar)) for bar in contestant_of(comparison, "bar")
-    )
+    behind = decision is not None and is_behind_bar(comparison, decision, label)
     degenerate = bool(comparison.sequences[trials[0].sequence].degenerate)
     numbers = tuple(number(found, cell, degenerate) for found, cell in cells)
     return Row(label, complete, len(trials), numbers, failures(trials), behind)
@@ -217,7 +216,8 @@ def _glanced(comparison: Comparison, found: Standing | None, contestant: str) ->
     cell = found.of(contestant) if found else None
     if found is None or cell is None:
         return Number("–", tip="no value for any headline metric" if found is None else "not run here")
-    return number(found, cell, bool(comparison.sequences[found.sequence].degenerate))
+    unranked = bool(comparison.sequences[found.sequence].degenerate) or disagrees(comparison, found)
+    return number(found, cell, unranked)
 
 
 def _told(found: Standing) -> bool:

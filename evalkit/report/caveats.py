@@ -1,0 +1,56 @@
+"""What a verdict has to be read with: no truth, one run, damaged data, scans left to the guess."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+
+from evalkit.report.comparison import Comparison
+from evalkit.report.consensus import by_maps
+from evalkit.report.standings import MOST_GUESSED, Standing, guessed_percent
+from evalkit.report.wording import joined, plain
+from evalkit.types import Trial
+
+# Notes that tell of scans that never reached anybody; readers name them by these words.
+LOST_SCANS = re.compile(r"^(?!reference).*\b(damaged|skipped|dropped)\b|^scans .*left out")
+MOST_LOST_PERCENT = 1.0
+
+NAMED_GUESSED = 10.0
+"""From this share of scans (%) left to the guess on, a contestant is named."""
+
+
+def of_evidence(found: Standing) -> list[str]:
+    """What the deciding metric cannot tell: sentences."""
+    caveats = []
+    if by_maps(found):
+        blind = plain(found.metric.blind_to)
+        caveats.append(f"There is no truth here: {found.metric.label} compares maps only, and is blind to {blind}.")
+    if found.ranked and not found.repeated:
+        caveats.append("One run each: how much repetitions would differ is not known.")
+    return caveats
+
+
+def of_data(trials: Sequence[Trial]) -> str:
+    """A sentence on scans that were damaged or left out, if they are more than 1 % of a run's scans; else ""."""
+    worst: dict[str, tuple[int, float]] = {}
+    for trial in trials:
+        for name, count in trial.run.notes.items():
+            percent = 100.0 * count / max(trial.run.expected, 1)
+            if LOST_SCANS.search(name) and percent > worst.get(name, (0, MOST_LOST_PERCENT))[1]:
+                worst[name] = (int(count), percent)
+    if not worst:
+        return ""
+    listed = joined(f"{count:,} {name} ({percent:.0f} % of the scans)" for name, (count, percent) in worst.items())
+    return f"The data are damaged: {listed}."
+
+
+def of_guesses(comparison: Comparison, sequence: str) -> str:
+    """Sentences on who left more than 10 % of the scans to the guess, and who cannot be ranked for it; else ""."""
+    grouped = comparison.by_contestant(sequence).items()
+    shares = {who: guessed_percent([t for t in own if t.run.status == "complete"]) for who, own in grouped}
+    named = {who: share for who, share in shares.items() if share > NAMED_GUESSED}
+    if not named:
+        return ""
+    said = f"{joined(f'{who} left {share:.0f} % of the scans to the guess' for who, share in named.items())}."
+    unranked = [who for who, share in named.items() if share > MOST_GUESSED]
+    return f"{said} {joined(unranked)} registered too little to be ranked." if unranked else said

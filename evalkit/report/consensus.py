@@ -1,0 +1,74 @@
+"""Whether the measures of a map agree: without a truth no single one of them may name a leader."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from evalkit.report.comparison import Comparison
+from evalkit.report.standings import Cell, Standing, contestant_of, difference, ranking, standing, worse
+
+MEASURES: Mapping[str, str] = {
+    "map_entropy": "the lowest entropy",
+    "wall_thickness_m": "the thinnest walls",
+    "split_distance_m": "the halves of the run closest together",
+    "s2m_m": "the lowest S2M residual",
+}
+"""A lost trajectory can do well in one of these, hardly in all: metric, and what its best has."""
+
+
+@dataclass(frozen=True, slots=True)
+class Consensus:
+    """What the map measures say. ``best``: contestant by measure; ``agreed``: who is best or level in all of them;
+    ``untold``: measures that nobody has a value for."""
+
+    best: Mapping[str, str]
+    agreed: tuple[str, ...]
+    untold: tuple[str, ...]
+
+
+def consensus(comparison: Comparison, sequence: str) -> Consensus:
+    """The agreement of the measures over one sequence; the bar takes part, for its map is as good as any."""
+    best: dict[str, str] = {}
+    agreed = comparison.contestant_labels
+    untold = []
+    known = {metric.name: metric for metric in comparison.metrics}
+    for name in MEASURES:
+        ranked = ranking(known[name], standing(comparison, sequence, known[name]).cells) if name in known else ()
+        if not ranked:
+            untold.append(known[name].label if name in known else name)
+            continue
+        best[name] = ranked[0].contestant
+        level = [c.contestant for c in ranked if c is ranked[0] or difference(known[name], ranked[0], c) != "clear"]
+        agreed = tuple(label for label in agreed if label in level)
+    return Consensus(best, () if untold else agreed, tuple(untold))
+
+
+def by_maps(found: Standing | None) -> bool:
+    """Whether a sequence is decided without a truth."""
+    return found is not None and found.metric.group == "map consistency"
+
+
+def disagrees(comparison: Comparison, found: Standing | None) -> bool:
+    """Whether a sequence without truth has nobody who is best or level in every measure of the map."""
+    return found is not None and by_maps(found) and not consensus(comparison, found.sequence).agreed
+
+
+def behind_bar(comparison: Comparison, found: Standing, bar: str) -> tuple[Cell, ...]:
+    """The cells that are clearly worse than the bar's; without truth, only those worse in every measure of the map."""
+    behind = tuple(cell for cell in found.cells if worse(found.metric, cell, found.of(bar)))
+    if not behind or not by_maps(found):
+        return behind
+    standings = [standing(comparison, found.sequence, m) for m in comparison.metrics if m.name in MEASURES]
+    return tuple(
+        cell
+        for cell in behind
+        if len(standings) == len(MEASURES)
+        and all(worse(one.metric, one.of(cell.contestant), one.of(bar)) for one in standings)
+    )
+
+
+def is_behind_bar(comparison: Comparison, found: Standing, contestant: str) -> bool:
+    """Whether a contestant is clearly worse than a bar where a sequence is decided."""
+    bars = contestant_of(comparison, "bar")
+    return any(cell.contestant == contestant for bar in bars for cell in behind_bar(comparison, found, bar))
