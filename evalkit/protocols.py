@@ -185,6 +185,8 @@ class DatasetSpec:
     opens (then it has a parameter ``path``). ``truth``: how the truth was made. ``defects``: what is known to be wrong
     with the data. ``degenerate``: why the geometry cannot fix the pose, "" where it can. ``published``: figures others
     printed for it. ``missing(**parameters)`` says which files are not here and how to get them, or "".
+    ``thinned_by``: name of the parameter n that takes every n-th of the sensor's scans, "" where all are taken: without
+    it a sensor seems slower than it is.
     """
 
     make: Callable[..., Sequence]
@@ -200,6 +202,7 @@ class DatasetSpec:
     suffixes: tuple[str, ...] = ()
     parameters: tuple[Parameter, ...] = ()
     missing: Callable[..., str] = nothing_missing
+    thinned_by: str = ""
 
 
 def _article(kind: type) -> str:

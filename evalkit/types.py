@@ -341,6 +341,7 @@ class Run:
 
     ``steps`` (N,) of dtype ``STEP``: every scan answered before the end, kept whatever the status.
     ``expected``: scans in the sequence. ``peak_memory_bytes``: resident set of the run's process at its highest.
+    ``every``: the sequence holds one in so many of the sensor's scans.
     """
 
     backend: str
@@ -352,6 +353,7 @@ class Run:
     peak_memory_bytes: int = 0
     warm_up_scans: int = 0
     notes: Mapping[str, int] = field(default_factory=dict)
+    every: int = 1
 
     def __post_init__(self) -> None:
         _freeze(self, "steps", self.steps, (None,), STEP)

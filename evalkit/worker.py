@@ -21,7 +21,7 @@ import numpy as np
 from evalkit import belief, frontend, registry
 from evalkit.clock import Timing, timed
 from evalkit.errors import BackendFailed, BadData, DataMissing, EvalkitError, NotInstalled
-from evalkit.protocols import NoAnswer, Odometry, Sequence, Value
+from evalkit.protocols import DatasetSpec, NoAnswer, Odometry, Sequence, Value
 from evalkit.types import STEP, Frame, Match, Pose, Status
 
 WARM_UP_SCANS = 5
@@ -108,13 +108,15 @@ def perform(request: Request, folder: Path) -> Outcome:
         spec = registry.backend(request.backend)
         if why := spec.missing():
             raise NotInstalled(request.backend, "not installed", why)
-        sequence: Sequence = registry.dataset(request.dataset).make(**request.dataset_parameters)
+        dataset = registry.dataset(request.dataset)
+        sequence: Sequence = dataset.make(**request.dataset_parameters)
         expected = len(sequence)
-        _leave(folder / "begun.json", {"expected": expected})  # for a back end that ends this process in its warm-up
+        begun = {"expected": expected, "every": _every(dataset, request)}
+        _leave(folder / "begun.json", begun)  # for a back end that ends this process in its warm-up
         warm = _warm_up(frontend.odometry(spec, request.backend_parameters), sequence)
         residuals = Residuals()
         contestant = frontend.odometry(spec, request.backend_parameters, residuals.hear)
-        _leave(folder / "begun.json", {"expected": expected, "warm_up_scans": warm})
+        _leave(folder / "begun.json", begun | {"warm_up_scans": warm})
         with (folder / "steps.bin").open("ab", buffering=0) as file:
             _follow(contestant, sequence, request, residuals, file)
         notes = dict(sequence.notes())
@@ -131,6 +133,11 @@ def perform(request: Request, folder: Path) -> Outcome:
         traceback.print_exc()
         status, reason = "failed", f"{type(error).__name__}: {error}"
     return Outcome(status, reason, expected, _peak_memory_bytes(), warm, notes)
+
+
+def _every(dataset: DatasetSpec, request: Request) -> int:
+    """The sequence holds one in so many of the sensor's scans."""
+    return int(request.dataset_parameters.get(dataset.thinned_by, 1))
 
 
 def _leave(path: Path, content: dict[str, Any]) -> None:

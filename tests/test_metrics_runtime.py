@@ -47,6 +47,18 @@ def test_one_dropped_scan_does_not_change_the_sensors_period() -> None:
     assert runtime.period_ns(Run("b", "s", "complete", "", steps, 10)) == 100_000_000
 
 
+def test_leaving_out_scans_does_not_make_the_sensor_slower() -> None:
+    steps = np.zeros(10, STEP)
+    steps["stamp_ns"], steps["cpu_ns"], steps["wall_ns"] = np.arange(10) * 100_000_000, 50_000_000, 101_000_000
+    found = []
+    for every in (1, 2):
+        run = Run("b", "s", "complete", "", steps[::every], len(steps[::every]), every=every)
+        evidence = Evidence(run, Truth("exact"), None, None, ())
+        found.append({metric.name: metric.compute(evidence).value for metric in runtime.METRICS})
+    assert found[0]["real_time_factor"] == found[1]["real_time_factor"] == pytest.approx(2.0)
+    assert found[0]["late_percent"] == found[1]["late_percent"] == 100.0
+
+
 def test_what_was_not_measured_says_so() -> None:
     nothing = scores([], [])
     assert nothing["cpu_median_ms"].reason == "the run answered no scan"

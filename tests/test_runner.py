@@ -13,6 +13,7 @@ import pytest
 from evalkit import runner
 from evalkit.errors import StoreError
 from evalkit.experiment import Limits
+from evalkit.metrics import runtime
 from evalkit.worker import Request
 
 AT, SCANS = 8, 12
@@ -58,6 +59,18 @@ def runs(strangers, root):
 
     with ThreadPoolExecutor(4) as threads:
         return dict(zip(FAULTS, threads.map(one, FAULTS), strict=True))
+
+
+@pytest.mark.parametrize("every", [1, 2])
+def test_a_thinned_recording_keeps_the_pace_of_its_sensor(tmp_path, every):
+    beams = " ".join(["2.0"] * 180)
+    lines = [f"FLASER 180 {beams} 0 0 0 0 0 0 {0.1 * k:.1f} robot {0.1 * k:.1f}" for k in range(1, SCANS + 1)]
+    (tmp_path / "drive.log").write_text("\n".join(lines) + "\n")
+    course = {"path": str(tmp_path / "drive.log"), "odometry": "scan-poses", "every": every}
+    wanted = Request("wheel-odometry", {}, "carmen", course)
+    run = made(tmp_path / "run", wanted)
+    assert (run.status, run.reason, run.every, len(run.steps)) == ("complete", "", every, SCANS // every)
+    assert runtime.period_ns(run) == pytest.approx(1e8, rel=1e-6)
 
 
 @pytest.mark.parametrize(

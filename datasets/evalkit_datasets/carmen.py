@@ -245,4 +245,5 @@ SPEC = DatasetSpec(
         *recording.SELECTION,
     ),
     missing=_missing,
+    thinned_by="every",
 )  # fmt: skip

@@ -117,6 +117,7 @@ FR079 = DatasetSpec(
     ),
     parameters=recording.SELECTION,
     missing=partial(_missing, "fr079"),
+    thinned_by="every",
 )
 
 INTEL = DatasetSpec(
@@ -134,6 +135,7 @@ INTEL = DatasetSpec(
     ),
     parameters=recording.SELECTION,
     missing=partial(_missing, "intel"),
+    thinned_by="every",
 )
 
 TURTLEBOT4 = DatasetSpec(
@@ -146,6 +148,7 @@ TURTLEBOT4 = DatasetSpec(
     defects=_defects("turtlebot4"),
     parameters=recording.SELECTION,
     missing=partial(_missing, "turtlebot4"),
+    thinned_by="every",
 )
 
 WHEELCHAIR = DatasetSpec(
@@ -158,6 +161,7 @@ WHEELCHAIR = DatasetSpec(
     defects=_defects("wheelchair"),
     parameters=(_topic("/right_scan", "/left_scan", "/rear_scan"), *recording.SELECTION),
     missing=partial(_missing, "wheelchair"),
+    thinned_by="every",
 )
 
 STATIC = DatasetSpec(
@@ -170,6 +174,7 @@ STATIC = DatasetSpec(
     defects=_defects("static"),
     parameters=(_topic("/front_scan", "/rear_scan"), *recording.SELECTION),
     missing=partial(_missing, "static"),
+    thinned_by="every",
 )
 
 BACKPACK = DatasetSpec(
@@ -182,4 +187,5 @@ BACKPACK = DatasetSpec(
     defects=_defects("backpack"),
     parameters=recording.SELECTION,
     missing=partial(_missing, "backpack"),
+    thinned_by="every",
 )

@@ -139,7 +139,7 @@ class RosBag:
             str(self._path),
             f"odometry '{wanted}'",
             f"topics with odometry: {', '.join(key[0] for key in keys) or 'none'}",
-            "set parameter 'odometry' to one of them, to 'tf' or to 'none'",
+            "choose with odometry: one of them, tf or none",
         )
 
     def _sorted(self, samples: Samples) -> Trajectory:
@@ -245,4 +245,5 @@ SPEC = DatasetSpec(
         *recording.SELECTION,
     ),
     missing=_missing,
+    thinned_by="every",
 )

@@ -20,8 +20,8 @@ UNTOLD = {
 
 
 def period_ns(run: Run) -> float:
-    """The sensor's period: the median time between two answered scans."""
-    return float(np.median(np.diff(run.steps["stamp_ns"])))
+    """The sensor's period: the median time between two answered scans, by how many of the sensor's come to each."""
+    return float(np.median(np.diff(run.steps["stamp_ns"]))) / run.every
 
 
 def _milliseconds(field: str, statistic: Callable[[Floats], np.floating], evidence: Evidence) -> Score:
@@ -99,14 +99,16 @@ METRICS = (
            "Share of the CPU time that only turns evalkit's values into the library's and back.", "evalkit",
            "conversion inside the library itself", _conversion_percent, 1),
     Metric("real_time_factor", "real-time factor", "x", "higher", "runtime",
-           "The sensor's period (median time between scans) divided by the mean CPU time per scan (for a back end on "
-           "another machine, the mean device time): above 1 the back end keeps up on one such core.", "evalkit",
+           "The sensor's period (median time between its scans, those a thinned sequence leaves out included) divided "
+           "by the mean CPU time per scan (for a back end on another machine, the mean device time): above 1 the back "
+           "end keeps up on one such core with every scan.", "evalkit",
            "single slow scans; the machine it was measured on", _real_time_factor, 1, headline=True),
     Metric("late_percent", "scans too slow", "%", "lower", "runtime",
            "Scans whose call took longer by the wall clock than the sensor's period.", "evalkit",
            "how late they were; delays that would add up", _late_percent, 1),
     Metric("peak_memory_mib", "peak memory", "MiB", "lower", "runtime",
-           "Largest resident set of the run's process, interpreter and libraries included.", "evalkit",
+           "Largest resident set of the run's process: interpreter, libraries, the data set as read and the instance "
+           "that was warmed up included.", "evalkit",
            "how much of it the method itself needs", _memory, 0),
     Metric("harness_median_ms", "harness per scan", "ms", "lower", "runtime",
            "Median wall time the harness itself takes around a scan (reading, checking, storing); in no other number.",
