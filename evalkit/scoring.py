@@ -8,11 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from evalkit import metrics, se2
-from evalkit.metrics.table import Evidence, Mapped, Matched
+from evalkit.metrics.table import Evidence, Mapped, Matched, Placed
 from evalkit.metrics.trajectory import errors_m, match
 from evalkit.protocols import Mapper, Sequence
 from evalkit.se2 import Floats
 from evalkit.types import Frame, OccupancyGrid, Pose, Run, Score, Trajectory
+
+MOST_PAIRS = 100
+"""So many pairs of successive scans are kept for the metrics that look from one scan to the next."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,12 +38,12 @@ def score(run: Run, sequence: Sequence, make_mapper: Callable[[], Mapper], scans
     matched = match(run.estimate, truth.trajectory) if truth.trajectory is not None else None
     world_from_start = matched.world_from_start if isinstance(matched, Matched) else Pose()
     world_from_base = run.estimate.moved(world_from_start, "world")
-    mapped = _mapped(sequence, world_from_base, scans)
+    mapped, successive = _placed(sequence, world_from_base, scans)
     middle = len(mapped) // 2
     grid, no_grid = draw(mapped, make_mapper)
     first, _ = draw(mapped[:middle], make_mapper)
     second, _ = draw(mapped[middle:], make_mapper)
-    evidence = Evidence(run, truth, matched, grid, mapped, first, second, no_grid)
+    evidence = Evidence(run, truth, matched, grid, mapped, first, second, no_grid, successive)
     errors = None if truth.trajectory is None else errors_m(world_from_base, truth.trajectory)
     return Scored(
         metrics.score(evidence, metrics.all_metrics()), world_from_start, evidence.grid, errors, _in_words(matched)
@@ -69,26 +72,33 @@ def _in_words(matched: Matched | str | None) -> str:
     return matched or ""
 
 
-def _mapped(sequence: Sequence, world_from_base: Trajectory, most: int) -> Mapped:
-    """At most that many scans, evenly spaced, the same for every contestant, with where the sensor was.
+def _placed(
+    sequence: Sequence, world_from_base: Trajectory, most: int
+) -> tuple[Mapped, tuple[tuple[Placed, Placed], ...]]:
+    """At most that many scans and at most ``MOST_PAIRS`` pairs of successive ones, with where the sensor was.
 
-    The motion within a scan is undone by the estimate's own speed, whatever the back end did with it.
+    Both are evenly spaced over the whole sequence, the same for every contestant; what a run has not answered is
+    missing. The motion within a scan is undone by the estimate's own speed, whatever the back end did with it.
     """
-    count = len(world_from_base)
-    if count == 0:
-        return ()
-    chosen = set(np.unique(np.linspace(0, count - 1, min(most, count)).astype(int)).tolist())
-    last = max(chosen)
-    mapped = []
+    expected = len(sequence)
+    chosen, earlier = _evenly(expected, most), _evenly(expected - 1, MOST_PAIRS)
+    wanted = {*chosen, *earlier, *(index + 1 for index in earlier)}
     rows = {stamp_ns: row for row, stamp_ns in enumerate(world_from_base.stamps_ns.tolist())}
-    for frame in sequence.frames():
-        index = rows.get(frame.scan.stamp_ns, -1)  # not every scan need have been answered
-        if index in chosen:
-            scan = frame.scan.deskewed(frame.base_from_sensor, _within(frame, world_from_base, index))
-            mapped.append((scan, se2.compose(world_from_base.poses[index], frame.base_from_sensor.row)))
-        if index == last:
+    placed: dict[int, Placed] = {}
+    for index, frame in enumerate(sequence.frames()):
+        if index > max(wanted, default=-1):
             break
-    return tuple(mapped)
+        row = rows.get(frame.scan.stamp_ns)
+        if index in wanted and row is not None:
+            scan = frame.scan.deskewed(frame.base_from_sensor, _within(frame, world_from_base, row))
+            placed[index] = scan, se2.compose(world_from_base.poses[row], frame.base_from_sensor.row)
+    pairs = ((index, index + 1) for index in earlier if index in placed and index + 1 in placed)
+    return tuple(placed[i] for i in chosen if i in placed), tuple((placed[i], placed[j]) for i, j in pairs)
+
+
+def _evenly(count: int, most: int) -> list[int]:
+    """At most that many of the indices of ``count`` things, first and last among them, in order."""
+    return [int(i) for i in np.unique(np.linspace(0, count - 1, min(most, count)).astype(int))] if count > 0 else []
 
 
 def _within(frame: Frame, world_from_base: Trajectory, index: int) -> Pose | None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -33,7 +35,7 @@ def mapped_at(poses: Floats, shown: Floats | None = None) -> Mapped:
 def scores(mapped: Mapped, steps: NDArray[np.void] | None = None) -> dict[str, Score]:
     record = np.zeros(0, STEP) if steps is None else steps
     run = Run("b", "s", "complete", "", record, len(record))
-    evidence = Evidence(run, Truth("exact"), None, None, mapped)
+    evidence = Evidence(run, Truth("exact"), None, None, mapped, successive=tuple(pairwise(mapped)))
     return {metric.name: metric.compute(evidence) for metric in registration.METRICS}
 
 
@@ -94,11 +96,14 @@ def test_a_keyframe_is_half_a_metre_or_twenty_degrees_on() -> None:
 
 def test_scans_too_far_apart_or_too_few_say_so() -> None:
     far = np.array([[0.0, 0, 0], [2.5, 0, 0], [0.0, 0, 0]])
-    assert scores(mapped_at(far))["s2s_m"].reason == "mapped scans are 2.5 m apart: too far to lie on each other"
+    found = scores(mapped_at(far))
+    assert found["s2s_m"].reason == "successive scans are 2.5 m apart: too far to lie on each other"
+    assert found["s2m_m"].reason == "mapped scans are 2.5 m apart: too far to lie on each other"
+    assert scores(())["s2s_m"].reason == "no two scans in a row were answered"
     assert scores(())["s2m_m"].reason == "fewer than two mapped scans"
     near = np.array([[0.0, 0, 0], [0.1, 0, 0]])
     nowhere = mapped_at(near, np.array([[0.0, 0, 0], [1.5, 1.5, 0.4]]))
-    assert scores(nowhere)["s2s_m"].reason == "mapped scans are 2.1 m apart: too far to lie on each other"
+    assert scores(nowhere)["s2s_m"].reason == "successive scans are 2.1 m apart: too far to lie on each other"
 
 
 def test_what_a_back_end_tells_is_passed_on_and_silence_is_named() -> None:

@@ -109,6 +109,26 @@ def test_a_scan_without_an_answer_is_not_drawn_and_shifts_no_other(straight, lis
     assert [pose.x for _, pose in listener[0].scans] == pytest.approx((1.0 + answered["x"]).tolist())
 
 
+def test_the_scans_drawn_are_the_same_for_every_contestant(straight, listener):
+    whole = perfect()
+    for missing in ((), (2, 3), (0,), range(6, SCANS)):
+        steps = np.delete(whole.steps, missing)
+        scoring.score(Run("b", "s", "complete", "", steps, SCANS), straight, listener, 5)
+        drawn = [scan.stamp_ns // 100_000_000 for scan, _ in listener[-3].scans]
+        assert drawn == [scan for scan in (0, 2, 5, 8, 11) if scan not in missing]
+
+
+def test_a_residual_from_scan_to_scan_is_that_of_scans_in_a_row_however_few_are_drawn(straight, monkeypatch):
+    seen = []
+    monkeypatch.setattr(scoring.metrics, "score", lambda evidence, _: seen.append(evidence) or {})
+    run = perfect()
+    scoring.score(Run("b", "s", "complete", "", np.delete(run.steps, 4), SCANS), straight, log_odds, 3)
+    pairs = [(a.stamp_ns // 100_000_000, b.stamp_ns // 100_000_000) for (a, _), (b, _) in seen[0].successive]
+    assert pairs == [(k, k + 1) for k in range(SCANS - 1) if k not in (3, 4)]
+    for (_, earlier), (_, later) in seen[0].successive:
+        assert np.allclose(later - earlier, [0.1, 0.0, 0.0])
+
+
 def test_a_run_that_broke_off_is_scored_as_far_as_it_came(straight, listener):
     x = 0.1 * np.arange(4)
     scored = scoring.score(run_of(x, status="crashed", reason="signal"), straight, listener, 400)

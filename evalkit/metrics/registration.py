@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Iterator
 from functools import partial
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from evalkit import se2
-from evalkit.metrics.table import Evidence, Mapped, Metric, number
+from evalkit.metrics.table import Evidence, Mapped, Metric, Placed, number
 from evalkit.se2 import Floats
-from evalkit.types import Ints, Scan, Score
+from evalkit.types import Ints, Score
 
 MAX_PAIR_M = 0.5
 KEYFRAMES = 10
@@ -22,7 +23,7 @@ MIN_PAIRS = 10
 """Residuals of fewer pairs are not believed."""
 
 MOST_SCANS = 100
-"""Of more mapped scans, this many are measured, evenly spaced."""
+"""Of more mapped scans, this many are measured against the map, evenly spaced."""
 
 MAX_STEP_M = 2.0
 """Scans farther apart (median) than this are no longer neighbours."""
@@ -42,10 +43,12 @@ def one_to_one(distances: Floats, nearest: Ints) -> Floats:
     return distances[order][closest]
 
 
-def scan_to_scan(mapped: Mapped) -> Floats:
-    """Per measured scan (K, 2): mean distance (m) of its pairs with the scan before it, and the share of it paired."""
-    measured = _measured(len(mapped))
-    return _residuals((_points(mapped[index]), cKDTree(_points(mapped[index - 1]))) for index in measured)
+def scan_to_scan(successive: Iterable[tuple[Placed, Placed]]) -> Floats:
+    """Per pair of scans (K, 2): mean distance (m) of the points paired, and the share of the later scan that is paired.
+
+    A pair with fewer than ten pairs of points has a distance of nan, and one with an empty scan is left out.
+    """
+    return _residuals((_points(later), cKDTree(_points(earlier))) for earlier, later in successive)
 
 
 def scan_to_map(mapped: Mapped) -> Floats:
@@ -56,10 +59,9 @@ def scan_to_map(mapped: Mapped) -> Floats:
     return _residuals(_against_submap(mapped))
 
 
-def step_m(mapped: Mapped) -> float:
-    """Median distance the sensor went from one mapped scan to the next."""
-    poses = np.array([pose for _, pose in mapped])
-    return float(np.median(np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1)))
+def step_m(pairs: Iterable[tuple[Placed, Placed]]) -> float:
+    """Median distance the sensor went from one scan of a pair to the other."""
+    return float(np.median([np.hypot(*(later[:2] - earlier[:2])) for (_, earlier), (_, later) in pairs]))
 
 
 def keyframes(poses: Floats) -> Ints:
@@ -87,8 +89,8 @@ def _measured(count: int) -> list[int]:
     return [int(i) for i in np.unique(np.linspace(1, count - 1, min(MOST_SCANS, count - 1)).astype(int))]
 
 
-def _points(scan_and_pose: tuple[Scan, Floats]) -> Floats:
-    scan, world_from_sensor = scan_and_pose
+def _points(placed: Placed) -> Floats:
+    scan, world_from_sensor = placed
     return se2.transform(world_from_sensor, scan.points())
 
 
@@ -104,13 +106,26 @@ def _residuals(clouds: Iterator[tuple[Floats, cKDTree]]) -> Floats:
     return np.concatenate(rows)
 
 
-def _uniform(residuals: Callable[[Mapped], Floats], column: int, evidence: Evidence) -> Score:
+def _successive(evidence: Evidence) -> Score:
+    if not evidence.successive:
+        return Score(None, 0, "no two scans in a row were answered")
+    step = step_m(evidence.successive)
+    if step > MAX_STEP_M:
+        return Score(None, 0, f"successive scans are {step:.1f} m apart: too far to lie on each other")
+    return _median(scan_to_scan(evidence.successive), 0)
+
+
+def _mapped(column: int, evidence: Evidence) -> Score:
     if len(evidence.mapped) < 2:
         return Score(None, 0, "fewer than two mapped scans")
-    step = step_m(evidence.mapped)
+    step = step_m(pairwise(evidence.mapped))
     if step > MAX_STEP_M:
         return Score(None, 0, f"mapped scans are {step:.1f} m apart: too far to lie on each other")
-    values = residuals(evidence.mapped)[:, column]
+    return _median(scan_to_map(evidence.mapped), column)
+
+
+def _median(residuals: Floats, column: int) -> Score:
+    values = residuals[:, column]
     values = values[np.isfinite(values)]
     if len(values) == 0:
         return Score(None, 0, f"no scan has {MIN_PAIRS} pairs within {MAX_PAIR_M:g} m")
@@ -140,16 +155,16 @@ LOOKS_GOOD = "a match that is smoothly wrong, as along a corridor; points farthe
 
 METRICS = (
     Metric("s2s_m", "S2S residual", "m", "lower", "residuals",
-           "Mean distance over the one-to-one nearest pairs within 0.5 m between a mapped scan and the one before it "
-           "under the estimated trajectory; median over at most 100 scans.", PAPER, LOOKS_GOOD,
-           partial(_uniform, scan_to_scan, 0), 4),
+           "Mean distance over the one-to-one nearest pairs within 0.5 m between a scan and the next one of the "
+           "sequence under the estimated trajectory; median over at most 100 such steps, the same for every back end.",
+           PAPER, LOOKS_GOOD, _successive, 4),
     Metric("s2m_m", "S2M residual", "m", "lower", "residuals",
-           "The same against the submap of the last ten keyframes (0.5 m or 20 deg apart).", PAPER, LOOKS_GOOD,
-           partial(_uniform, scan_to_map, 0), 4, headline=True),
+           "The same between a mapped scan and the submap of the last ten keyframes among the mapped scans (0.5 m or "
+           "20 deg apart).", PAPER, LOOKS_GOOD, partial(_mapped, 0), 4, headline=True),
     Metric("s2m_paired_percent", "S2M points paired", "%", "higher", "residuals",
            "Points of a mapped scan within 0.5 m of the submap of the last ten keyframes; median over the same scans.",
            "evalkit", "how well the paired points lie; new places are seen without a fault of the estimate",
-           partial(_uniform, scan_to_map, 1), 1),
+           partial(_mapped, 1), 1),
     Metric("guess_kept_percent", "guess kept", "%", "lower", "residuals",
            "Scans after the first of which the last stage's answer was not believed (too few pairs, or nothing moved "
            "to the last digit), so that the guess it started from stands in its place.", "evalkit",

@@ -12,7 +12,10 @@ from evalkit.se2 import Floats, Stamps
 from evalkit.types import OccupancyGrid, Pose, Run, Scan, Score, Truth
 
 Group = Literal["drift", "relations", "residuals", "runtime", "map against truth", "map consistency"]
-Mapped = tuple[tuple[Scan, Floats], ...]
+Placed = tuple[Scan, Floats]
+"""A scan, deskewed, and ``world_from_sensor`` (3,)."""
+
+Mapped = tuple[Placed, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +41,7 @@ class Evidence:
     ``grid``: the map of the estimated trajectory, in the world frame. ``mapped``: the scans it was made of (deskewed),
     with ``world_from_sensor``, in the order of time. ``first_half``, ``second_half``: maps by the same mapper of
     ``mapped[:n]`` and ``mapped[n:]``, n = len(mapped) // 2. ``no_grid``: why there is no map where ``grid`` is None.
+    ``successive``: pairs of a scan and the very next one of the sequence, evenly spaced over it.
     """
 
     run: Run
@@ -48,6 +52,7 @@ class Evidence:
     first_half: OccupancyGrid | None = None
     second_half: OccupancyGrid | None = None
     no_grid: str = "the run answered no scan"
+    successive: tuple[tuple[Placed, Placed], ...] = ()
 
 
 @dataclass(frozen=True)
