@@ -13,6 +13,7 @@ from typing import Annotated, Any
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 from rich.text import Text
 
@@ -39,7 +40,9 @@ Out = Annotated[Path | None, typer.Option("--out", "-o", help="Results folder.",
 Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="Runs at a time.", show_default="physical cores")]
 Resume = Annotated[bool, typer.Option("--resume", help="Keep what is done, run only what is missing.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
-Only = Annotated[list[str] | None, typer.Option(show_default=False)]
+Sequences = Annotated[list[str] | None, typer.Option(help="Only this sequence (repeatable).", show_default="all")]
+Contestants = Annotated[list[str] | None, typer.Option(help="Only this contestant (repeatable).", show_default="all")]
+Seeds = Annotated[list[int] | None, typer.Option(help="Only this seed (repeatable).", show_default="all")]
 
 
 def main() -> None:
@@ -77,8 +80,8 @@ def list_(
     for name, rows in found.items():
         table = Table("name", "what it is", "missing here", title=name, title_justify="left", expand=out.is_terminal)
         for row in rows:
-            table.add_row(row.name, row.summary, row.missing or "-")
-        out.print(table)
+            table.add_row(*map(escape, (row.name, row.summary, row.missing or "-")))
+        console.show(out, table)
 
 
 @app.command()
@@ -87,9 +90,9 @@ def run(
     folder: Out = None,
     jobs: Jobs = None,
     resume: Resume = False,
-    sequence: Only = None,
-    contestant: Only = None,
-    seed: Annotated[list[int] | None, typer.Option(show_default=False)] = None,
+    sequence: Sequences = None,
+    contestant: Contestants = None,
+    seed: Seeds = None,
     as_json: Json = False,
 ) -> None:
     """Run an experiment and score it; results land in the folder as they come."""
@@ -104,9 +107,9 @@ def report(
     folder: Out = None,
     jobs: Jobs = None,
     resume: Resume = False,
-    sequence: Only = None,
-    contestant: Only = None,
-    seed: Annotated[list[int] | None, typer.Option(show_default=False)] = None,
+    sequence: Sequences = None,
+    contestant: Contestants = None,
+    seed: Seeds = None,
     as_json: Json = False,
 ) -> None:
     """Run an experiment and write its report: one HTML page, CSV and JSON tables, trajectories and maps."""
@@ -125,8 +128,8 @@ def compare(
     folder: Out = None,
     jobs: Jobs = None,
     resume: Resume = False,
-    sequence: Only = None,
-    contestant: Only = None,
+    sequence: Sequences = None,
+    contestant: Contestants = None,
     as_json: Json = False,
 ) -> None:
     """Compare back ends on your own recording, in one line."""
@@ -137,7 +140,9 @@ def compare(
     source += f" --backends {shlex.quote(backends)}" if backends else ""
     source += "".join(f" --set {shlex.quote(item)}" for item in setting or [])
     own = {name: str(value) for name, value in given.items() if value}
-    plan = recording.plan(file, own, _settings(setting or []), [b for b in backends.split(",") if b], source)
+    names = [name for word in backends.split(",") if (name := word.strip())]
+    plan = recording.plan(file, own, _settings(setting or []), names, source)
+    recording.first_frame(plan)
     _report(plan.only(sequence or [], contestant or [], []), folder, jobs, resume, as_json)
 
 
@@ -160,7 +165,7 @@ def check(
         for row in found.verdicts:
             asked = f"{row.sentence} Seen: " if row in found.broken else ""
             table.add_row(row.rule, row.outcome, Text(asked + row.observed))  # others' words are no markup
-        out.print(table)
+        console.show(out, table)
         out.print(
             f"{found.label}: {len(found.broken)} of {len(found.verdicts)} rules broken",
             markup=False,
@@ -224,6 +229,8 @@ def _report(plan: Plan, folder: Path | None, jobs: int | None, resume: bool, as_
 
 def _trials(plan: Plan, store: Store, jobs: int | None, resume: bool) -> tuple[tuple[Trial, ...], dict[str, str]]:
     """Every run of the plan, and what they ran on as it was before the first."""
+    for line in console.missing(plan):
+        err.print(line, markup=False, highlight=False)
     at_once = jobs or environment.physical_cores()
     ran_on = environment.describe(jobs=at_once)
     try:
@@ -244,11 +251,19 @@ def _end(trials: tuple[Trial, ...], plan: Plan, page: Path | None, as_json: bool
         )
     else:
         absent = len(trials) - complete - len(broken)
-        out.print(f"{complete} runs complete, {len(broken)} failed, {absent} not possible here", highlight=False)
+        names = ", ".join(_absent(trials))
+        told = f"{complete} runs complete, {len(broken)} failed, {absent} not possible here"
+        out.print(f"{told}: {names}" if names else told, markup=False, highlight=False)
         if page is not None:
             out.print(str(page.resolve()), highlight=False, markup=False)
     if broken:
         raise typer.Exit(1)
+
+
+def _absent(trials: tuple[Trial, ...]) -> list[str]:
+    """The contestants and sequences that could not run here, each once."""
+    label = {"not-installed": lambda trial: trial.contestant, "data-missing": lambda trial: trial.sequence}
+    return list(dict.fromkeys(label[trial.run.status](trial) for trial in trials if trial.run.status in label))
 
 
 def _row(trial: Trial) -> dict[str, Any]:

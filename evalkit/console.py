@@ -12,9 +12,13 @@ from statistics import fmean
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
 
-from evalkit.experiment import Planned
+from evalkit.experiment import Plan, Planned
 from evalkit.types import Trial
+
+WIDE = 10_000
+"""Columns of a table that is piped: one line a row, whatever it holds."""
 
 
 class TimeLeft:
@@ -106,6 +110,23 @@ def progress(console: Console, planned: list[Planned], jobs: int) -> Iterator[Ru
     shown = RunBar(console, planned, jobs)
     with shown.bar:
         yield shown
+
+
+def show(console: Console, table: Table) -> None:
+    """Prints a table: fitted to a terminal, one line a row elsewhere."""
+    (console if console.is_terminal else Console(width=WIDE)).print(table)
+
+
+def missing(plan: Plan) -> list[str]:
+    """A line for every reason why part of a plan cannot run here: what the system lacks first, one command mends it."""
+    entrants = [(entrant.label, entrant.missing) for entrant in plan.contestants]
+    courses = [(course.label, course.missing) for course in plan.courses]
+    lacking: dict[str, list[str]] = defaultdict(list)
+    for label, reason in entrants + courses:
+        if reason:
+            lacking[" ".join(reason.split())].append(label)
+    by_system = sorted(lacking, key=lambda reason: "apt-get" not in reason)
+    return [f"missing here: {', '.join(lacking[reason])}: {reason}" for reason in by_system]
 
 
 def _line(trial: Trial, seconds: float) -> str:

@@ -93,10 +93,12 @@ class Plan:
                     yield Planned(_key(contestant, course, seed), contestant, course, seed)
 
     def command(self, planned: Planned) -> str:
-        """What reproduces one run alone."""
+        """What reproduces one run alone, in a folder of its own: this plan's results and page stay."""
         seed = "" if planned.seed is None else f" --seed {planned.seed}"
         sequence, contestant = shlex.quote(planned.course.label), shlex.quote(planned.contestant.label)
-        return f"evalkit {self.source} --sequence {sequence} --contestant {contestant}{seed}"
+        source = f"run {rest}" if (rest := self.source.removeprefix("report ")) != self.source else self.source
+        folder = shlex.quote(f"reports/build/{self.name}-one")
+        return f"evalkit {source} --sequence {sequence} --contestant {contestant}{seed} --out {folder}"
 
     def only(self, sequences: list[str], contestants: list[str], seeds: list[int]) -> Plan:
         """The part of the plan with these labels and seeds; an empty list keeps all."""
@@ -155,7 +157,7 @@ def _contestant(table: Mapping[str, Any], file: str, place: str) -> Contestant:
     use = _required(table, "use", file, place)
     label = _text(table, "label", use, file, place)
     given = _flat({key: value for key, value in table.items() if key not in ("use", "label")})
-    spec = _registered(registry.backend, use, file, place)
+    spec = _registered(registry.entrant, use, file, place)
     return Contestant(label, use, frontend.complete_parameters(f"{place} ({label})", spec, given), spec.missing())
 
 
@@ -176,6 +178,8 @@ def _course(table: Mapping[str, Any], file: str, place: str) -> Course:
         missing = spec.missing(**parameters)
     except EvalkitError as error:
         raise BadExperiment(file, f"{place} ({label})", str(error)) from error
+    if missing and spec.suffixes:  # the files of a reader are the user's own: a wrong path is a mistake
+        raise BadExperiment(file, f"{place} ({label})", missing)
     return Course(label, use, parameters, seeds, missing)
 
 
@@ -271,7 +275,7 @@ def _key(contestant: Contestant, course: Course, seed: int | None) -> str:
         "labels": [contestant.label, course.label],  # two that read alike as file names must not share a folder
         "backend": [contestant.backend, dict(contestant.parameters)],
         "dataset": [course.dataset, course.seeded(seed)],
-        "code": registry.run_fingerprint(contestant.backend, course.dataset),
+        "code": "" if contestant.missing else registry.run_fingerprint(contestant.backend, course.dataset),
         "files": [_file_state(value) for value in course.parameters.values() if isinstance(value, str) and value],
     }
     digest = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:10]

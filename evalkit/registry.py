@@ -11,9 +11,9 @@ from importlib.metadata import EntryPoint, entry_points
 from types import FunctionType
 from typing import TypeVar
 
-from evalkit.errors import NotInstalled, UnknownName
+from evalkit.errors import EvalkitError, NotInstalled, UnknownName
 from evalkit.fingerprint import fingerprint
-from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec
+from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec, Odometry, Value
 
 Spec = TypeVar("Spec")
 
@@ -30,6 +30,27 @@ def backend(name: str) -> BackendSpec:
         return load("backends", name, BackendSpec)
     made: BackendSpec = load("schemes", scheme, FunctionType)(rest)
     return made
+
+
+def entrant(name: str) -> BackendSpec:
+    """The back end of a name, as ``backend``; of a plug-in that does not load one whose ``missing()`` says why."""
+    try:
+        spec = backend(name)
+        spec.missing()
+    except NotInstalled as error:
+        why = str(error)
+    except EvalkitError:
+        raise
+    except Exception as error:  # noqa: BLE001 - a third party's code; it must not take the others along
+        why = f"its plug-in failed: {type(error).__name__}: {error}"
+    else:
+        return spec
+
+    def make(**_parameters: Value) -> Odometry:
+        raise NotInstalled(name, "cannot be used", why)
+
+    untold = "not told: its plug-in does not load"
+    return BackendSpec(make, "odometry", untold, untold, untold, missing=lambda: why)
 
 
 def mapper(name: str) -> MapperSpec:

@@ -7,6 +7,9 @@ from collections.abc import Iterable, Mapping
 from evalkit.errors import BadParameter
 from evalkit.protocols import Parameter, Value
 
+WORDS: dict[type, str] = {int: "a whole number", float: "a number"}
+"""What is asked for where a text is none of its type."""
+
 
 def from_text(owner: str, parameters: Iterable[Parameter], texts: Mapping[str, str]) -> dict[str, Value]:
     """The given values in the types of the parameters' defaults; unknown names stay as they are, to be refused later.
@@ -24,4 +27,4 @@ def _value(owner: str, parameter: Parameter, text: str) -> Value:
     try:
         return text if kind in (str, bool) else kind(text)
     except ValueError:
-        raise BadParameter(owner, parameter.name, text, f"{kind.__name__} ({parameter.meaning})") from None
+        raise BadParameter(owner, parameter.name, text, f"{WORDS[kind]} ({parameter.meaning})") from None

@@ -90,6 +90,7 @@ def test_the_list_tells_what_is_missing_and_why(evalkit):
     name, _, missing = next(row for row in rows(out) if row[0].startswith("absent"))
     assert (name, missing) == ("absent", "the library 'nowhere' is not installed; pip install nowhere")
     assert "paper" in {row[0] for row in rows(out)}
+    assert len([line for line in out.splitlines() if "│" in line]) == len(rows(out))  # piped: one line a row
 
 
 def test_the_list_for_programs(evalkit):
@@ -159,7 +160,8 @@ def test_a_failed_run_is_exit_code_1_and_a_plain_line_and_the_others_stand(evalk
 def test_what_cannot_run_here_is_no_failure(evalkit, experiment, tmp_path):
     path = experiment(more='[[contestant]]\nuse = "absent"\n')
     code, out, err = evalkit("run", path, "--out", tmp_path / "out")
-    assert (code, out) == (0, "0 runs complete, 0 failed, 1 not possible here\n")
+    assert (code, out) == (0, "0 runs complete, 0 failed, 1 not possible here: absent\n")
+    assert err.splitlines()[0] == "missing here: absent: the library 'nowhere' is not installed; pip install nowhere"
     assert "not-installed (the library 'nowhere' is not installed; pip install nowhere)" in err
 
 
@@ -248,7 +250,7 @@ def test_a_carmen_log_is_compared_in_one_line(evalkit, carmen, tmp_path):
     folder = tmp_path / "out"
     code, out, _ = evalkit(
         "compare", carmen, "--reference", tmp_path / "true.tum", "--relations", tmp_path / "true.relations",
-        "--backends", "wheel-odometry,paper", "--out", folder, "--json",
+        "--backends", "wheel-odometry, paper", "--out", folder, "--json",
     )  # fmt: skip
     assert code == 0
     result = json.loads(out)
@@ -258,7 +260,7 @@ def test_a_carmen_log_is_compared_in_one_line(evalkit, carmen, tmp_path):
     assert wheels["relations_all_mean_m"] == pytest.approx(0.1, abs=1e-6)
     assert paper["relations_all_mean_m"] < 0.05
     assert paper["ate_rmse_m"] < 0.5 * wheels["ate_rmse_m"]
-    assert "--backends wheel-odometry,paper" in (folder / "results.json").read_text()
+    assert "--backends 'wheel-odometry, paper'" in (folder / "results.json").read_text()
 
 
 def ros_bag(path):
@@ -316,8 +318,17 @@ def test_a_ros_bag_is_compared_in_one_line(evalkit, carmen, tmp_path):
     ("words", "message"),
     [
         (("absent.bag",), "absent.bag: no such file or folder; give the path of a bag or a log"),
+        (("drive.log", "--relations", "no.relations"), "carmen: parameter 'relations': no file no.relations; check"),
+        (
+            ("drive.log", "--reference", "other.tum"),
+            "have nothing in common with the recording: the scans are from 100",
+        ),
+        (("cut.bag",), "cut.bag: not a readable bag ("),
         (("drive.log", "--set", "every"), "--set: found 'every', expected NAME=VALUE"),
-        (("drive.log", "--set", "every=x"), "parameter 'every': found 'x', expected int (take every n-th scan)"),
+        (
+            ("drive.log", "--set", "every=x"),
+            "parameter 'every': found 'x', expected a whole number (take every n-th scan)",
+        ),
         (("drive.log", "--backends", "papr"), "no backend named 'papr' (did you mean 'paper'?)"),
         (("drive.log", "--backends", "paper", "--topic", "/scan"), "no parameter named 'topic'"),
     ],
@@ -326,7 +337,10 @@ def test_a_comparison_that_cannot_be_is_refused_before_anything_runs(
     evalkit, carmen, tmp_path, monkeypatch, words, message
 ):
     monkeypatch.chdir(tmp_path)
+    Path("other.tum").write_text("9000.0 0 0 0 0 0 0 1\n9001.0 1 0 0 0 0 0 1\n")
+    Path("cut.bag").write_bytes(b"#ROSBAG V2.0\n\x45\x00\x00\x00")
     code, _, err = evalkit("compare", *words)
     assert code == 2
+    assert "Traceback" not in err
     assert message in err.replace("\n", "")
     assert not Path("reports").exists()

@@ -1,12 +1,14 @@
 """The time left, by hand, and the lines of a pipe."""
 
 import io
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
 
 from evalkit import experiment
-from evalkit.console import TimeLeft, progress
+from evalkit.console import TimeLeft, missing, progress
+from evalkit.experiment import Contestant, Course
 
 
 @pytest.fixture
@@ -59,6 +61,20 @@ def test_a_pipe_gets_one_plain_line_a_run_with_its_reason(planned, trial):
     first, second = told.getvalue().splitlines()
     assert first.startswith("[1/6] room seed 0 / fast: complete, 0.0 s, 0:00 left")
     assert second.startswith("[2/6] room seed 0 / slow: crashed (signal [bold]11[/bold]), 0.0 s")
+
+
+def test_what_is_missing_is_one_line_a_reason_and_what_the_system_lacks_comes_first(planned):
+    content = {"contestant": [{"use": "wheel-odometry"}], "sequence": [{"use": "room"}]}
+    plan = experiment.plan(content, "x.toml", "x", "report x.toml")
+    assert missing(plan) == []
+    pip, apt = "not installed: pip install x", "needs libGL:\napt-get install libgl1"
+    entrants = [Contestant(label, "", {}, why) for label, why in (("a", pip), ("b", apt), ("c", apt), ("d", ""))]
+    courses = (Course("e", "", {}, (None,), "no file e"),)
+    assert missing(replace(plan, contestants=tuple(entrants), courses=courses)) == [
+        "missing here: b, c: needs libGL: apt-get install libgl1",
+        "missing here: a: not installed: pip install x",
+        "missing here: e: no file e",
+    ]
 
 
 def test_a_terminal_gets_a_line_only_for_what_did_not_complete(planned, trial):

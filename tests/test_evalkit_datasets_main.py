@@ -1,16 +1,24 @@
 """The command line of the recorded data."""
 
+import json
+
 from typer.testing import CliRunner
 
 from evalkit_datasets import __main__ as command
 from evalkit_datasets import catalog
 
 
-def test_list_names_every_file(monkeypatch):
-    monkeypatch.setenv("COLUMNS", "400")
+def test_list_names_every_file_on_a_line_of_its_own_however_narrow_the_pipe(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
     result = CliRunner().invoke(command.app, ["list"])
     assert result.exit_code == 0
     assert len(catalog.entries()) == sum(line.startswith("│") for line in result.output.splitlines())
+
+
+def test_the_list_for_programs():
+    listed = json.loads(CliRunner().invoke(command.app, ["list", "--json"]).output)
+    assert [row["name"] for row in listed] == list(catalog.entries())
+    assert set(listed[0]) == {"name", "summary", "licence", "where"}
 
 
 def test_fetch_of_a_data_set_reports_every_file_and_ends_with_2_if_one_fails(monkeypatch, tmp_path):

@@ -61,7 +61,8 @@ def log(tmp_path):
          ["contestant 2: no backend named 'papper' (did you mean 'paper'?)", "known:", "wheel-odometry"]),
         (WHEELS + "[[sequence]]\nuse = 'rooom'\n",
          ["sequence 1: no dataset named 'rooom' (did you mean 'room'?)", "known:", "carmen"]),
-        ("[mapper]\nuse = 'log-ods'\n" + WHEELS + ROOM, ["mapper: no mapper named 'log-ods' (did you mean 'log-odds'?)", "known:"]),
+        ("[mapper]\nuse = 'log-ods'\n" + WHEELS + ROOM, ["mapper: no mapper named 'log-ods' (did you mean 'log-odds'?)",
+          "known:"]),
         (PAPER + "epsilom = 1e-3\n" + ROOM,
          ["contestant 1 (paper): no parameter named 'epsilom' (did you mean 'epsilon'?)", "known:", "keyframes"]),
         (PAPER + "label = 'mine'\nkeyframes = 2.5\n" + ROOM,
@@ -102,13 +103,31 @@ def test_a_file_that_is_none_is_named(tmp_path):
         experiment.read(tmp_path)
 
 
-def test_a_recording_that_is_not_here_is_a_row_and_not_a_refusal(tmp_path, log):
-    absent, present = planned(
-        sequences=[{"use": "carmen", "path": str(tmp_path / "no.log"), "label": "absent"},
-                   {"use": "carmen", "path": str(log), "label": "present"}]
-    ).courses  # fmt: skip
-    assert "no.log" in absent.missing
-    assert present.missing == ""
+@pytest.mark.parametrize("key", ["path", "reference", "relations"])
+def test_a_readers_file_that_is_not_there_is_a_mistake(tmp_path, log, key):
+    table = {"use": "carmen", "label": "mine", "path": str(log), key: str(tmp_path / "no.such")}
+    with pytest.raises(BadExperiment, match=rf"sequence 1 \(mine\): carmen: parameter '{key}': no file .*no\.such"):
+        planned(sequences=[table])
+
+
+def test_a_reader_without_a_path_is_a_mistake():
+    with pytest.raises(BadExperiment, match=r"sequence 1 \(carmen\): carmen: parameter 'path' is empty; give a path"):
+        planned(sequences=[{"use": "carmen"}])
+
+
+def test_a_catalogued_recording_that_is_not_here_is_a_row_and_not_a_refusal(tmp_path, monkeypatch):
+    monkeypatch.setenv("EVALKIT_DATA", str(tmp_path))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (course,) = planned(sequences=[{"use": "turtlebot4"}]).courses
+    assert "evalkit datasets fetch turtlebot4" in course.missing
+
+
+def test_a_back_end_whose_plugin_does_not_load_is_a_row_with_the_reason(strangers):
+    plan = planned([{"use": "unloadable", "speed": 3}, {"use": "wheel-odometry"}])
+    assert [entrant.missing != "" for entrant in plan.contestants] == [True, False]
+    assert "the licence server does not answer" in plan.contestants[0].missing
+    assert len(list(plan.runs())) == 2
 
 
 # what is planned
@@ -197,14 +216,15 @@ def test_a_part_that_is_none_is_refused(wide, choice, message):
 def test_the_command_of_a_run_is_that_run_alone(wide):
     for item in wide.runs():
         words = shlex.split(wide.command(item))
-        assert words[:3] == ["evalkit", "report", "exp.toml"]
-        given = {name: [] for name in ("--sequence", "--contestant", "--seed")}
+        assert words[:3] == ["evalkit", "run", "exp.toml"]
+        given = {name: [] for name in ("--sequence", "--contestant", "--seed", "--out")}
         for name, value in zip(words[3::2], words[4::2], strict=True):
             given[name].append(value)
         part = wide.only(given["--sequence"], given["--contestant"], [int(seed) for seed in given["--seed"]])
         assert [(alone.key, alone.contestant, alone.course.label, alone.seed) for alone in part.runs()] == [
             (item.key, item.contestant, item.course.label, item.seed)
         ]
+        assert given["--out"] == ["reports/build/exp-one"]  # never the folder of the whole
 
 
 def test_the_command_of_a_file_with_blanks_in_its_name_is_one_word(tmp_path):

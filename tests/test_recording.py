@@ -1,9 +1,12 @@
 """A plan from the words of a command line."""
 
+import re
+from types import SimpleNamespace
+
 import pytest
 
 from evalkit import recording, registry
-from evalkit.errors import BadData, BadExperiment, BadParameter
+from evalkit.errors import BadData, BadExperiment, BadParameter, NotInstalled
 
 
 @pytest.fixture
@@ -37,6 +40,81 @@ def test_all_back_ends_run_unless_some_are_named(log):
     assert [entrant.label for entrant in plan(log, backends=("paper", "kiss-icp")).contestants] == ["paper", "kiss-icp"]
 
 
+def test_a_broken_plugin_is_a_row_and_stops_neither_the_others_nor_the_reader(log, strangers, monkeypatch):
+    original = registry.dataset
+
+    def dataset(name):
+        if name == "lab":
+            raise NotInstalled(name, "its plug-in does not load", "reinstall its package")
+        return original(name)
+
+    monkeypatch.setattr(registry, "dataset", dataset)
+    missing = {entrant.label: entrant.missing for entrant in plan(log, backends=()).contestants}
+    assert "does not load" in missing["unloadable"]
+    assert missing["wheel-odometry"] == ""
+
+
+def test_the_title_counts_the_back_ends(log):
+    titles = [plan(log, backends=names).title for names in ((), ("paper",), ("paper", "wheel-odometry"))]
+    assert [title.removeprefix("my run.LOG: ") for title in titles] == [
+        f"{many} on one recording" for many in ("every back end", "one back end", "2 back ends")
+    ]
+
+
+def test_files_of_one_name_and_topics_of_one_file_have_folders_of_their_own(tmp_path):
+    names = []
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "x.bag").write_text("")
+        names += [plan(tmp_path / folder / "x.bag", {"topic": topic}).name for topic in ("/left/scan", "/right")]
+    assert len(set(names)) == 4
+    assert names == [plan(tmp_path / f / "x.bag", {"topic": t}).name for f in "ab" for t in ("/left/scan", "/right")]
+    assert re.fullmatch(r"x-bag-left-scan-[0-9a-f]{6}", names[0])
+
+
+def test_a_bag_one_folder_down_is_found_and_of_several_one_must_be_named(tmp_path):
+    for name in ("one", "two"):
+        (tmp_path / "top" / name).mkdir(parents=True)
+        (tmp_path / "top" / name / "x_0.db3").write_text("")
+    with pytest.raises(BadData, match=r"2 folders with a recording in it; give one of .*top/one, .*top/two"):
+        plan(tmp_path / "top")
+    (tmp_path / "top" / "two" / "x_0.db3").unlink()
+    assert plan(tmp_path / "top").courses[0].parameters["path"] == str(tmp_path / "top" / "one")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"FLASER 3 1 2\n", "drive.log"),
+        (bytes(range(256)) * 40, "drive.log"),
+        (b"# nothing\n", "drive.log"),
+    ],
+)
+def test_what_cannot_be_read_is_known_before_anything_runs(tmp_path, content, message):
+    path = tmp_path / "drive.log"
+    path.write_bytes(content)
+    with pytest.raises(BadData, match=message) as caught:
+        recording.first_frame(plan(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_reader_that_fails_in_a_way_of_its_own_and_one_without_a_scan_are_named(log, monkeypatch):
+    class Empty:
+        def frames(self):
+            return iter(())
+
+    def opened_by(make):
+        made = plan(log)
+        with monkeypatch.context() as patch:
+            patch.setattr(registry, "dataset", lambda name: SimpleNamespace(make=make))
+            with pytest.raises(BadData) as caught:
+                recording.first_frame(made)
+        return str(caught.value)
+
+    assert opened_by(lambda **_: {}["x"]) == "my run.LOG: cannot be read (KeyError: 'x'); is the file whole?"
+    assert opened_by(lambda **_: Empty()).startswith("my run.LOG: there is not one scan in it; ")
+
+
 def test_settings_take_the_type_of_their_parameter_and_options_come_first(log):
     found = plan(log, {"odometry": "none"}, {"range_max_m": "30", "odometry": "auto"}).courses[0].parameters
     assert (found["range_max_m"], found["odometry"]) == (30.0, "none")
@@ -45,7 +123,7 @@ def test_settings_take_the_type_of_their_parameter_and_options_come_first(log):
 @pytest.mark.parametrize(
     ("settings", "error", "message"),
     [
-        ({"range_max_m": "far"}, BadParameter, "carmen: parameter 'range_max_m': found 'far', expected float"),
+        ({"range_max_m": "far"}, BadParameter, "carmen: parameter 'range_max_m': found 'far', expected a number"),
         ({"range_max_m": "-3"}, BadExperiment, "'range_max_m': found -3.0, expected a number within"),
         ({"range_max": "3"}, BadExperiment, r"no parameter named 'range_max' \(did you mean 'range_max_m'\?\); known:"),
     ],

@@ -116,3 +116,17 @@ def test_results_stand_on_the_code_of_both_plug_ins():
         == 3
     )
     assert registry.score_fingerprint("log-odds") != room
+
+
+def test_an_entrant_is_the_back_end_and_of_a_broken_plugin_one_that_says_why(strangers, monkeypatch):
+    assert registry.entrant("paper") is registry.backend("paper")
+    assert "the licence server does not answer" in registry.entrant("unloadable").missing()
+
+    def broken(name):
+        raise OSError("no such device")
+
+    monkeypatch.setattr(registry, "backend", broken)
+    spec = registry.entrant("paper")
+    assert spec.missing() == "its plug-in failed: OSError: no such device"
+    with pytest.raises(NotInstalled, match="cannot be used; its plug-in failed"):
+        spec.make()

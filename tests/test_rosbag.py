@@ -289,10 +289,10 @@ def test_several_laser_topics_are_named_with_their_counts(tmp_path):
         .write(tmp_path)
     )
     with pytest.raises(
-        BadData, match=r"2 topics.*/left \(LaserScan, 1\), /right \(LaserScan, 2\).*set parameter 'topic'"
+        BadData, match=r"2 topics.*/left \(LaserScan, 1\), /right \(LaserScan, 2\).*choose one with topic: /left"
     ):
         RosBag(path)
-    with pytest.raises(BadData, match=r"no laser scans on topic '/up'.*one of /left, /right"):
+    with pytest.raises(BadData, match=r"no laser scans on topic '/up'.*choose one with topic: /left, /right"):
         RosBag(path, topic="/up")
     assert len(RosBag(path, topic="right")) == 2
 

@@ -17,7 +17,7 @@ def test_words_take_the_types_of_the_defaults():
 
 
 def test_a_word_of_no_such_type_is_named():
-    with pytest.raises(BadParameter, match=r"x: parameter 'count': found '2\.5', expected int"):
+    with pytest.raises(BadParameter, match=r"x: parameter 'count': found '2\.5', expected a whole number"):
         from_text("x", PARAMETERS, {"count": "2.5"})
 
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import json
+import sys
 from typing import Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
+from evalkit import console
 from evalkit.errors import EvalkitError
 from evalkit_datasets import catalog, recorded
 from evalkit_datasets.fetch import fetch
@@ -19,13 +23,24 @@ err = Console(stderr=True, soft_wrap=True)
 
 
 @app.command("list")
-def list_() -> None:
+def list_(as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False) -> None:
     """All catalogued files: what they are, and where they are on this machine."""
+    rows = [
+        {
+            "name": card.name,
+            "summary": card.summary,
+            "licence": card.licence,
+            "where": str(catalog.found(card) or ("can be fetched" if card.url else "no public address")),
+        }
+        for card in catalog.entries().values()
+    ]
+    if as_json:
+        sys.stdout.write(json.dumps(rows, indent=1) + "\n")
+        return
     table = Table("name", "what it is", "licence", "where")
-    for card in catalog.entries().values():
-        where = str(catalog.found(card) or ("can be fetched" if card.url else "no public address"))
-        table.add_row(card.name, card.summary, card.licence, where)
-    out.print(table)
+    for row in rows:
+        table.add_row(*map(escape, row.values()))
+    console.show(out, table)
 
 
 @app.command("fetch")

@@ -17,7 +17,9 @@ from evalkit_datasets.transforms import Edge, Tree, matrix_of, planar
 LASER = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan")
 ODOMETRY = "nav_msgs/msg/Odometry"
 TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
-FETCH_AGAIN = "record or fetch the bag again (ROS 1: try 'rosbag reindex')"
+FETCH_AGAIN = "record or fetch the bag again"
+
+ENDINGS = (".bag", ".db3", ".mcap")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,17 +93,23 @@ def _opened(path: Path) -> Iterator[Any]:
         raise
     except Exception as error:  # a reader of binary files meets damage in any way it likes
         what = " ".join(str(error).split()) or type(error).__name__
-        raise BadData(str(path), "", f"not a readable bag ({what[:160]})", FETCH_AGAIN) from error
+        raise BadData(str(path), "", f"not a readable bag ({what[:160]})", _remedy(path)) from error
 
 
 def _plausible(path: Path) -> None:
     """Refuses what cannot be a bag, before a library says so less clearly."""
     if path.is_dir() and not (path / "metadata.yaml").is_file():
-        raise BadData(str(path), "", "a folder without metadata.yaml", "give the folder of a ROS 2 bag, or its file")
-    if path.is_file() and path.suffix not in {".bag", ".db3", ".mcap"}:
+        files = sorted(str(file) for file in path.iterdir() if file.suffix in ENDINGS)
+        remedy = f"give one of {', '.join(files)}" if files else "give the folder of a ROS 2 bag, or its file"
+        raise BadData(str(path), "", "a folder without metadata.yaml", remedy)
+    if path.is_file() and path.suffix not in ENDINGS:
         raise BadData(str(path), "", f"no ending of a bag: '{path.suffix}'", "give a .bag, .db3 or .mcap file")
     if path.is_file() and path.stat().st_size == 0:
         raise BadData(str(path), "", "the file is empty", FETCH_AGAIN)
+
+
+def _remedy(path: Path) -> str:
+    return f"{FETCH_AGAIN}, or try 'rosbag reindex'" if path.suffix == ".bag" else FETCH_AGAIN
 
 
 def _laser_topic(path: Path, topics: dict[str, tuple[str, int]], wanted: str) -> str:
@@ -116,7 +124,7 @@ def _laser_topic(path: Path, topics: dict[str, tuple[str, int]], wanted: str) ->
     else:
         problem = f"{len(lasers)} topics with laser scans"
     known = ", ".join(f"{name} ({kind.split('/')[-1]}, {count})" for name, (kind, count) in sorted(topics.items()))
-    remedy = f"set parameter 'topic' to one of {', '.join(lasers)}" if lasers else "give a bag with LaserScan messages"
+    remedy = f"choose one with topic: {', '.join(lasers)}" if lasers else "give a bag with LaserScan messages"
     raise BadData(str(path), "", f"{problem}; topics: {known or 'none'}", remedy)
 
 
