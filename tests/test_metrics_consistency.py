@@ -144,6 +144,15 @@ def test_hits_where_the_other_half_saw_free_space_are_violations() -> None:
     assert found == Score(25.0, 800)
 
 
+def test_hits_a_little_before_the_other_halfs_wall_are_noise() -> None:
+    occupied = np.zeros((60, 80), np.bool_)
+    occupied[:, 60] = True  # centres at x = 3.025
+    half = grid(occupied)
+    for distance_m, violations in ((2.43, 0.0), (2.42, 25.0)):  # hits at 2.93 and 2.92
+        mapped = (wall_scan(2.525), wall_scan(2.525), wall_scan(2.525), wall_scan(distance_m))
+        assert scores(half, half, half, mapped)["cleared_percent"].value == violations
+
+
 def test_halves_that_see_different_places_have_no_violations_to_count() -> None:
     nowhere = OccupancyGrid(np.zeros((3, 3), np.float32), np.zeros((3, 3), np.bool_), 0.05, 0.0, 0.0)
     found = scores(grid(band(1)), nowhere, grid(band(1)), (wall_scan(2.5), wall_scan(2.5)))

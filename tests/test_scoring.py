@@ -101,6 +101,21 @@ def test_the_mapper_gets_so_many_scans_evenly_and_each_half_of_them_again(straig
     assert (first, second) == (whole[:2], whole[2:])
 
 
+def test_free_space_is_hardly_violated_under_true_poses_and_clearly_under_those_of_the_wheels():
+    spec = registry.dataset("lab")
+    lab = spec.make(**resolved("lab", spec.parameters, {"laps": 0.5, "seed": 1, "rate_hz": 5.0}))
+    wheels = [frame.odom_from_base.row for frame in lab.frames()]
+    violations = []
+    for poses in (lab.truth().trajectory.poses, np.array(wheels)):
+        steps = np.zeros(len(lab), dtype=STEP)
+        steps["stamp_ns"] = lab.truth().trajectory.stamps_ns
+        steps["x"], steps["y"], steps["theta"] = poses.T
+        scored = scoring.score(Run("b", "lab", "complete", "", steps, len(lab)), lab, log_odds, 100)
+        violations.append(scored.scores["cleared_percent"].value)
+    assert violations[0] < 5.0
+    assert violations[1] > 4.0 * violations[0]
+
+
 def test_a_scan_without_an_answer_is_not_drawn_and_shifts_no_other(straight, listener):
     run = perfect()
     answered = np.delete(run.steps, 4)
