@@ -49,7 +49,7 @@ $(VENV)/python: $(MAKEFILE_LIST)
 
 comma := ,
 $(VENV)/evalkit: pyproject.toml | $(VENV)/python
-	$(BIN)/python -m pip install --quiet --editable '.[$(EXTRAS)]'
+	$(BIN)/python -m pip install --quiet --editable '.$(if $(EXTRAS),[$(EXTRAS)])'
 	@touch $@
 
 $(VENV)/test: pyproject.toml | $(VENV)/python
