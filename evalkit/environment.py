@@ -58,7 +58,7 @@ def kept(made: Iterable[Mapping[str, Any]], started: datetime) -> dict[str, str]
         return {}
     dates = sorted(f"{time:%Y-%m-%d %H:%M}" for time, _ in earlier if time is not None)
     told = [f"{len(earlier)} {'run' if len(earlier) == 1 else 'runs'}"]
-    told.append(f"made {dates[0]}..{dates[-1]} UTC" if dates else "made nobody knows when")
+    told.append(f"made {'..'.join(dict.fromkeys((dates[0], dates[-1])))} UTC" if dates else "made nobody knows when")
     for name in ("commit", "processor"):
         found = sorted({str(record.get(name, "unknown")) for _, record in earlier})
         told.append(f"{name} {' and '.join(found)}")

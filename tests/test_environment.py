@@ -69,6 +69,7 @@ def test_runs_kept_from_earlier_are_one_line_with_their_dates_and_commits():
     assert environment.kept([made(3, "b"), made(1, "a"), made(9, "c")], noon) == {
         "kept from earlier": "2 runs, made 2024-05-01 12:00..2024-05-03 12:00 UTC, commit a and b, processor P"
     }
+    assert ", made 2024-05-01 12:00 UTC, " in environment.kept([made(1, "a")], noon)["kept from earlier"]
     assert environment.kept([{}], noon) == {
         "kept from earlier": "1 run, made nobody knows when, commit unknown, processor unknown"
     }
