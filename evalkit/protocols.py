@@ -15,6 +15,8 @@ from evalkit.types import Cloud, Frame, Match, OccupancyGrid, Pose, Scan, Truth
 
 Value = bool | int | float | str
 
+GUESS_NOT_TOLD = "not told"
+
 
 class Registration(Protocol):
     """Brings one cloud onto another. Stateless: the same arguments give the same answer, whatever came before."""
@@ -144,7 +146,8 @@ class BackendSpec:
     ``kind``: "registration" (``make(**parameters)`` gives a Registration; evalkit's front end makes it an odometry) or
     "odometry" (``make`` gives an Odometry). ``frontend``: front-end settings this back end wants other than the
     defaults. ``scan_to_scan``: its own parameters that differ in the first stage. ``guess``: what it starts from, for
-    the report. ``role``: "paper" for the method evalkit itself stands for, "bar" for what all others have to beat.
+    the report (an odometry that does not say: "not told"). ``role``: "paper" for the method evalkit itself stands for,
+    "bar" for what all others have to beat.
     ``missing()`` says why it cannot run here and how to mend it, or "". ``digest``: changes with what it consists of
     beyond its Python sources (a shared library, a program, a file of results).
     """
@@ -154,7 +157,7 @@ class BackendSpec:
     summary: str
     citation: str
     licence: str
-    guess: str = "wheel odometry where recorded, else constant velocity"
+    guess: str = ""
     role: Literal["", "paper", "bar"] = ""
     requires: tuple[str, ...] = ()
     parameters: tuple[Parameter, ...] = ()
@@ -162,6 +165,11 @@ class BackendSpec:
     scan_to_scan: Mapping[str, Value] = field(default_factory=dict)
     missing: Callable[[], str] = nothing_missing
     digest: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.guess:  # evalkit's front end gives registrations theirs; what an odometry does only it can tell
+            front_end = "wheel odometry where recorded, else constant velocity"
+            object.__setattr__(self, "guess", front_end if self.kind == "registration" else GUESS_NOT_TOLD)
 
 
 @dataclass(frozen=True)

@@ -1,12 +1,15 @@
 """A plan becomes the cards of a report."""
 
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import pytest
 
 from evalkit import experiment
+from evalkit.protocols import BackendSpec
 from evalkit.report import comparison_of
-from evalkit.report.assembly import distribution, fairness
+from evalkit.report.assembly import distribution, fairness, sequence_card
+from evalkit.types import Truth
 
 
 @pytest.fixture
@@ -41,7 +44,7 @@ def test_the_mapper_is_named_with_its_settings(plan):
 
 
 def test_warm_up_is_named_as_it_was(demo):
-    assert any("sees the first 5 scans before" in sentence for sentence in fairness(demo.trials))
+    assert any("sees the first 5 scans before" in sentence for sentence in fairness(demo.trials, {}))
 
 
 def test_a_requirement_nobody_answers_keeps_its_name():
@@ -53,3 +56,26 @@ def test_the_environment_is_the_one_before_the_first_run_with_the_versions_of_th
     noon = datetime(2024, 5, 1, 12, tzinfo=UTC)
     told = comparison_of(plan, [], noon, noon, {"commit": "abc", "kept from earlier": "2 runs"}).environment
     assert list(told) == ["commit", "kept from earlier", "numpy", "scipy"]
+
+
+def test_runs_at_a_time_are_told_where_known(demo):
+    assert fairness(demo.trials, {"runs at a time": "2"})[0].startswith(
+        "Runs at a time: 2; those at the same time share"
+    )
+    assert fairness(demo.trials, {"runs at a time": "1"})[0] == "Runs at a time: 1."
+    assert not any("at a time" in sentence for sentence in fairness(demo.trials, {}))
+
+
+def test_a_sequence_tells_its_settings_and_the_truth_its_runs_met(plan, trial):
+    course = plan.courses[0]
+    met = replace(trial("paper", "room", {}), truth=Truth("exact: as met"))
+    card = sequence_card(course, [met])
+    assert {setting.name: setting.value for setting in card.settings} == dict(course.parameters)
+    assert card.truth == "exact: as met"
+    assert sequence_card(course, []).truth != "exact: as met"
+
+
+def test_an_odometry_that_does_not_say_what_it_starts_from_is_given_no_guess():
+    kinds = {kind: BackendSpec(Truth, kind, "", "", "").guess for kind in ("registration", "odometry")}
+    assert kinds == {"registration": "wheel odometry where recorded, else constant velocity", "odometry": "not told"}
+    assert BackendSpec(Truth, "odometry", "", "", "", guess="its own").guess == "its own"

@@ -133,6 +133,27 @@ def test_only_who_completed_every_run_is_best(demo):
     assert best["cpu_median_ms"] == ["paper"]
 
 
+def test_what_decides_and_what_it_costs_stand_first(demo):
+    names = [[metric.name for metric in headline(demo, label).metrics] for label in ("room", "fr079")]
+    assert names[0][:2] == ["ate_rmse_m", "cpu_median_ms"]
+    assert names[1][:2] == ["relations_mean_m", "cpu_median_ms"]
+
+
+def test_where_a_true_map_is_known_consistency_leaves_the_first_table(trial, build):
+    def shown(truth):
+        runs = [trial(who, "room", {"map_f1": 0.9, "map_entropy": 0.1}, truth=truth) for who in "ab"]
+        return {metric.name for metric in headline(build(runs), "room").metrics}
+
+    assert shown(True) == {"map_f1"}
+    assert shown(False) == {"map_f1", "map_entropy"}
+
+
+def test_what_was_driven_stands_beside_what_the_data_set_says_of_itself(tags):
+    text = " ".join(tags.text.split())
+    assert "The data set: A sequence called room." in text
+    assert "Scans answered31 of 60 to 60 of 60, by run" in text
+
+
 def test_who_is_worse_than_the_bar_is_marked(demo):
     assert [row.contestant for row in headline(demo, "room").rows if row.behind_bar] == ["lost"]
 

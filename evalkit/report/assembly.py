@@ -10,7 +10,7 @@ from evalkit import environment, registry
 from evalkit.experiment import Contestant, Course, MapperChoice, Plan
 from evalkit.frontend import parameters_of
 from evalkit.metrics import all_metrics
-from evalkit.protocols import Value
+from evalkit.protocols import GUESS_NOT_TOLD, Parameter, Value
 from evalkit.report.comparison import Comparison, ContestantCard, SequenceCard, Setting
 from evalkit.types import Trial
 
@@ -29,6 +29,7 @@ def comparison_of(
     ``ran_on``: the environment as it was before the first run; without it, as it is now.
     """
     specs = [registry.entrant(contestant.backend) for contestant in plan.contestants]
+    where = dict(ran_on or environment.describe())
     libraries = dict.fromkeys((*LIBRARIES, *(distribution(name) for spec in specs for name in spec.requires)))
     return Comparison(
         title=plan.title,
@@ -36,13 +37,13 @@ def comparison_of(
         trials=tuple(trials),
         metrics=all_metrics(),
         contestants={contestant.label: contestant_card(contestant) for contestant in plan.contestants},
-        sequences={course.label: sequence_card(course) for course in plan.courses},
-        environment={**(ran_on or environment.describe()), **environment.versions(libraries)},
+        sequences={course.label: sequence_card(course, trials) for course in plan.courses},
+        environment={**where, **environment.versions(libraries)},
         command=f"evalkit {plan.source}",
         started=started,
         finished=finished,
         mapper=mapper_text(plan.mapper),
-        fairness=fairness(trials),
+        fairness=fairness(trials, where),
     )
 
 
@@ -55,30 +56,36 @@ def distribution(requirement: str) -> str:
 def contestant_card(contestant: Contestant) -> ContestantCard:
     """The card of a contestant, with every setting it ran with."""
     spec = registry.entrant(contestant.backend)
-    known = {parameter.name: parameter for parameter in parameters_of(spec)}
-    settings = tuple(
+    settings = settings_of(contestant.parameters, parameters_of(spec), "set for this contestant")
+    guess = "" if spec.guess == GUESS_NOT_TOLD else spec.guess
+    return ContestantCard(spec.summary, spec.citation, spec.licence, settings, guess, contestant.missing, spec.role)
+
+
+def settings_of(given: Mapping[str, Value], parameters: Sequence[Parameter], otherwise: str) -> tuple[Setting, ...]:
+    """The values beside the defaults; ``otherwise``: the meaning of one that is no declared parameter."""
+    known = {parameter.name: parameter for parameter in parameters}
+    return tuple(
         Setting(name, value, known[name].default, known[name].unit, known[name].meaning)
         if name in known
-        else Setting(name, value, value, "", "set for this contestant")
-        for name, value in contestant.parameters.items()
-    )
-    return ContestantCard(
-        spec.summary, spec.citation, spec.licence, settings, spec.guess, contestant.missing, spec.role
+        else Setting(name, value, value, "", otherwise)
+        for name, value in given.items()
     )
 
 
-def sequence_card(course: Course) -> SequenceCard:
-    """The card of a sequence."""
+def sequence_card(course: Course, trials: Sequence[Trial]) -> SequenceCard:
+    """The card of a sequence; the truth is told as its runs met it, else as the data set promises it."""
     spec = registry.dataset(course.dataset)
+    met = dict.fromkeys(t.truth.how for t in trials if t.sequence == course.label and len(t.run.steps))
     return SequenceCard(
         spec.summary,
         spec.sensor,
-        spec.truth,
+        "; ".join(met) or spec.truth,
         spec.citation,
         spec.licence,
         spec.defects,
         spec.degenerate,
         spec.published,
+        settings_of(course.parameters, spec.parameters, "set for this sequence"),
     )
 
 
@@ -87,11 +94,14 @@ def mapper_text(mapper: MapperChoice) -> str:
     return f"{mapper.name} ({_settings(mapper.parameters)}) from at most {mapper.scans} scans, evenly spaced."
 
 
-def fairness(trials: Sequence[Trial]) -> tuple[str, ...]:
-    """What was held equal between contestants, and what was not."""
+def fairness(trials: Sequence[Trial], environment: Mapping[str, str]) -> tuple[str, ...]:
+    """What was held equal between contestants, and what was not; ``environment``: what they ran on."""
     warm = sorted({trial.run.warm_up_scans for trial in trials if len(trial.run.steps)})
     warmed = f"the first {'/'.join(map(str, warm))} scans" if warm else "the first scans"
+    at_once = environment.get("runs at a time", "")
+    shared = "; those at the same time share caches and memory, and slow each other" if at_once != "1" else ""
     return (
+        *([f"Runs at a time: {at_once}{shared}."] if at_once else []),
         "Every run has a process of its own, one thread for numerical libraries, and contestants take turns within "
         "each repetition, so that a slow hour hits all alike.",
         "Only the contestant's own call is timed; turning values into a library's format and back is part of it and is "

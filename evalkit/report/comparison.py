@@ -16,7 +16,7 @@ Role = Literal["", "paper", "bar"]
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One parameter of a contestant as it ran, beside its default."""
+    """One parameter of a contestant or a sequence as it ran, beside its default."""
 
     name: str
     value: Value
@@ -43,7 +43,10 @@ class ContestantCard:
 
 @dataclass(frozen=True)
 class SequenceCard:
-    """What a sequence is. ``truth``: how the truth was made. ``degenerate``: why its geometry cannot fix the pose."""
+    """What a sequence is. ``summary`` tells of the data set, ``settings`` what of it was taken.
+
+    ``truth``: how the truth was made. ``degenerate``: why its geometry cannot fix the pose.
+    """
 
     summary: str
     sensor: str
@@ -53,6 +56,7 @@ class SequenceCard:
     defects: tuple[str, ...] = ()
     degenerate: str = ""
     published: tuple[Published, ...] = ()
+    settings: tuple[Setting, ...] = ()
 
 
 @dataclass(frozen=True)

@@ -93,7 +93,7 @@ def _bar_tally(comparison: Comparison) -> str:
         return f"Worse than {bars[0]} alone: {joined(f'{who} on {joined(where)}' for who, where in behind.items())}."
     if not held:
         return f"Nobody could be held against {bars[0]} alone: no sequence has a value of both."
-    return f"Where it could be compared, nobody is worse than {bars[0]} alone."
+    return f"Where it could be compared, nobody is clearly worse than {bars[0]} alone."
 
 
 def _keeping_up(comparison: Comparison) -> str:

@@ -11,6 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from evalkit.metrics.table import Metric
 from evalkit.report import figures, views
 from evalkit.report.comparison import Comparison, SequenceCard
+from evalkit.report.driven import alignments, driven
 from evalkit.report.maps import Window, picture, window
 from evalkit.report.palette import Stroke, strokes
 from evalkit.report.standings import STATUS, contestant_of
@@ -48,6 +49,8 @@ class Section:
     published: tuple[Metric, tuple[views.Reference, ...]] | None
     failures: tuple[views.Failure, ...]
     notes: Mapping[str, int]
+    driven: tuple[tuple[str, str], ...]
+    alignments: tuple[str, ...]
     trials: tuple[Trial, ...]
 
 
@@ -103,6 +106,8 @@ def section(comparison: Comparison, verdict: Verdict, number: int, lines: Mappin
         published=views.published(comparison, verdict.sequence),
         failures=views.failures(trials),
         notes=views.notes(trials),
+        driven=driven(comparison, verdict.sequence),
+        alignments=alignments(trials),
         trials=trials,
     )
 

@@ -63,6 +63,7 @@ def _trial(trial: Trial) -> dict[str, Any]:
         "dataset_parameters": dict(trial.dataset_parameters),
         "seed": trial.seed,
         "command": trial.command,
+        "alignment": trial.alignment,
         "status": run.status,
         "reason": run.reason,
         "scans_answered": len(run.steps),

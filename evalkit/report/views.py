@@ -91,8 +91,11 @@ class Reference:
 
 
 def headline(comparison: Comparison, sequence: str) -> Table:
-    """The first table of a sequence: contestants down, headline metrics across."""
-    found = [standing(comparison, sequence, metric) for metric in comparison.metrics if metric.headline]
+    """The first table of a sequence: contestants down, headline metrics across, what decides and what it costs first.
+
+    Where there is a true map, the maps' consistency is left to the table of all metrics.
+    """
+    found = [standing(comparison, sequence, metric) for metric in _headline_metrics(comparison, sequence)]
     present = [one for one in found if _told(one)]
     rows = [_row(comparison, label, own, present) for label, own in comparison.by_contestant(sequence).items()]
     return Table(tuple(one.metric for one in present), tuple(rows), _absent(found))
@@ -200,6 +203,14 @@ def notes(trials: Sequence[Trial]) -> dict[str, int]:
         for name, count in trial.run.notes.items():
             counts[name] = max(counts.get(name, 0), int(count))
     return {name: count for name, count in counts.items() if count}
+
+
+def _headline_metrics(comparison: Comparison, sequence: str) -> list[Metric]:
+    decision = deciding(comparison, sequence)
+    first = decision.metric.name if decision else ""
+    mapped = any(trial.truth.grid is not None for trial in comparison.of_sequence(sequence))
+    shown = [m for m in comparison.metrics if m.headline and not (mapped and m.group == "map consistency")]
+    return sorted(shown, key=lambda metric: (metric.name != first, metric.group != "runtime"))
 
 
 def _row(comparison: Comparison, label: str, trials: Sequence[Trial], present: Sequence[Standing]) -> Row:

@@ -40,6 +40,7 @@ PIPELINE = BackendSpec(
     summary="the paper's whole way from scan to pose in C99: projection, both stages and keyframes in one call",
     citation=CITATION,
     licence="MIT",
+    guess="wheel odometry where recorded, else constant velocity",
     parameters=pipeline.PARAMETERS,
     missing=compiled_missing,
 )

@@ -1,0 +1,115 @@
+"""What was really driven over a sequence, measured from its runs: scans, seconds, metres, rate, beams."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from statistics import median
+
+import numpy as np
+
+from evalkit.report.comparison import Comparison
+from evalkit.report.consensus import disagrees
+from evalkit.report.standings import deciding
+from evalkit.types import Trajectory, Trial
+
+STEP_M = 0.05
+"""A path is summed over poses at least so far apart, so that the noise of one that stands still adds nothing."""
+
+
+def driven(comparison: Comparison, sequence: str) -> tuple[tuple[str, str], ...]:
+    """Name and text of each thing measured, over all seeds; empty where nobody answered a scan."""
+    answered = [trial for trial in comparison.of_sequence(sequence) if len(trial.run.steps)]
+    if not answered:
+        return ()
+    longest = list(_longest(answered).values())
+    facts = [("Scans answered", _scans(answered))]
+    facts.append(("Driven", f"{_span([t.run.estimate.duration_s for t in longest], 1)} s"))
+    if path := _path(comparison, sequence, longest):
+        facts.append(("Path", path))
+    rates = [_rate_hz(trial) for trial in longest if len(trial.run.steps) > 1]
+    if rates:
+        facts.append(("Scan rate", f"{_span(rates, 1)} Hz (median)"))
+    beams = dict.fromkeys(str(t.dataset_parameters["beams"]) for t in longest if t.dataset_parameters.get("beams"))
+    if beams:
+        facts.append(("Beams", ", ".join(beams)))
+    return tuple(facts)
+
+
+def path_m(trajectory: Trajectory) -> float:
+    """Metres travelled, summed over poses at least 0.05 m apart and the last one."""
+    if len(trajectory) == 0:
+        return 0.0
+    positions = trajectory.poses[:, :2]
+    total, last = 0.0, positions[0]
+    for position in positions[1:]:
+        step = float(np.hypot(*(position - last)))
+        if step >= STEP_M:
+            total, last = total + step, position
+    return total + float(np.hypot(*(positions[-1] - last)))
+
+
+def alignments(trials: Sequence[Trial]) -> tuple[str, ...]:
+    """How estimates were aligned and matched with the truth: each distinct way once, with its number of runs."""
+    counts: dict[str, int] = {}
+    for trial in trials:
+        if trial.alignment:
+            counts[trial.alignment] = counts.get(trial.alignment, 0) + 1
+    return tuple(f"{_aligned(text)} ({count} run{'s' if count > 1 else ''})" for text, count in counts.items())
+
+
+def _aligned(text: str) -> str:
+    alignment, _, rule = text.partition("; ")
+    return f"Aligned: {alignment}; matched: {rule}" if rule else f"Not aligned: {alignment}"
+
+
+def _longest(trials: Sequence[Trial]) -> dict[int | None, Trial]:
+    """Per seed the run that answered most scans: the data are the same for all."""
+    longest: dict[int | None, Trial] = {}
+    for trial in trials:
+        if trial.seed not in longest or len(trial.run.steps) > len(longest[trial.seed].run.steps):
+            longest[trial.seed] = trial
+    return longest
+
+
+def _scans(trials: Sequence[Trial]) -> str:
+    counts = sorted({(len(trial.run.steps), trial.run.expected) for trial in trials})
+    texts = [f"{answered:,} of {expected:,}" for answered, expected in counts]
+    return texts[0] if len(texts) == 1 else f"{texts[0]} to {texts[-1]}, by run"
+
+
+def _path(comparison: Comparison, sequence: str, longest: Sequence[Trial]) -> str:
+    """The true path while scans came; else that of the best estimate that registers scans, named; "" without any.
+
+    Where nobody knows which estimate is best, it is the median of all.
+    """
+    true = [found for trial in longest if (found := _true_path_m(trial)) is not None]
+    if true:
+        return f"{_span(true, 1)} m (true trajectory)"
+    decision = deciding(comparison, sequence)
+    known = comparison.contestants
+    ranked = [cell.contestant for cell in decision.ranked if known[cell.contestant].role != "bar"] if decision else []
+    if not ranked:
+        return ""
+    grouped = comparison.by_contestant(sequence)
+    if disagrees(comparison, decision):
+        estimates = [path_m(trial.run.estimate) for label in ranked for trial in grouped[label]]
+        return f"{median(estimates):,.1f} m (median of {len(estimates)} estimates, {_span(estimates, 1)} m)"
+    estimates = [path_m(trial.run.estimate) for trial in grouped[ranked[0]]]
+    return f"{_span(estimates, 1)} m (estimate of {ranked[0]})"
+
+
+def _true_path_m(trial: Trial) -> float | None:
+    trajectory, stamps = trial.truth.trajectory, trial.run.steps["stamp_ns"]
+    if trajectory is None:
+        return None
+    inside = (trajectory.stamps_ns >= stamps[0]) & (trajectory.stamps_ns <= stamps[-1])
+    return path_m(Trajectory(trajectory.stamps_ns[inside], trajectory.poses[inside])) if inside.sum() > 1 else None
+
+
+def _rate_hz(trial: Trial) -> float:
+    return 1e9 / float(np.median(np.diff(trial.run.steps["stamp_ns"])))
+
+
+def _span(values: Sequence[float], digits: int) -> str:
+    low, high = f"{min(values):,.{digits}f}", f"{max(values):,.{digits}f}"
+    return low if low == high else f"{low} to {high}"

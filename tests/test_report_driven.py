@@ -1,0 +1,68 @@
+"""What was driven is measured from the runs, not copied from the data set's card."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evalkit.report.driven import alignments, driven, path_m
+from evalkit.types import Trajectory
+
+
+def _line(metres):
+    """A straight way there, 1 cm a step, with 1 mm of noise across that alternates."""
+    x = np.arange(0.0, metres + 1e-9, 0.01)
+    poses = np.stack([x, 0.001 * (np.arange(len(x)) % 2), np.zeros(len(x))], axis=1)
+    return Trajectory(np.arange(len(x)) * 100_000_000, poses)
+
+
+def test_noise_adds_nothing_to_a_path():
+    assert path_m(_line(3.0)) == pytest.approx(3.0, abs=0.002)
+    assert path_m(Trajectory(np.arange(50), np.zeros((50, 3)))) == 0.0
+    assert path_m(Trajectory(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))) == 0.0
+
+
+def test_scans_seconds_rate_and_the_true_path_are_measured(trial, build):
+    made = trial("a", "room", {"ate_rmse_m": 0.1})
+    way = _line(0.59)
+    made = replace(made, truth=replace(made.truth, trajectory=way), dataset_parameters={"beams": 360})
+    short = trial("b", "room", {}, status="crashed", reason="signal 11", answered=31)
+    assert dict(driven(build([made, short]), "room")) == {
+        "Scans answered": "31 of 60 to 60 of 60, by run",
+        "Driven": "5.9 s",
+        "Path": "0.6 m (true trajectory)",
+        "Scan rate": "10.0 Hz (median)",
+        "Beams": "360",
+    }
+
+
+def test_without_truth_the_path_is_an_estimate_that_is_named_and_never_the_odometry(trial, build):
+    values = {"a": 0.1, "b": 0.2, "wheel": 0.3}
+    names = ("map_entropy", "wall_thickness_m", "split_distance_m", "s2m_m")
+    runs = [trial(n, "room", dict.fromkeys(names, v), seed=None, truth=False, error_m=0.0) for n, v in values.items()]
+    path = dict(driven(build(runs), "room"))["Path"]
+    metres, unit, whose = path.partition(" m ")
+    assert (unit, whose) == (" m ", "(estimate of a)")
+    assert float(metres) == pytest.approx(20.7, abs=0.3)  # an ellipse of 4 and 2.5 m
+
+
+def test_where_nobody_knows_the_best_estimate_the_path_is_the_median_of_all(trial, build):
+    runs = [
+        trial(n, "room", {"map_entropy": v}, seed=None, truth=False)
+        for n, v in (("wheel", 0.1), ("a", 0.2), ("b", 0.3))
+    ]
+    assert "(median of 2 estimates, " in dict(driven(build(runs), "room"))["Path"]
+
+
+def test_nothing_is_measured_where_nothing_ran(trial, build):
+    absent = trial("a", "room", {}, status="not-installed", reason="no module", answered=0)
+    assert driven(build([absent]), "room") == ()
+
+
+def test_each_way_of_aligning_is_told_once_with_its_runs(trial):
+    words = ["least squares over 60 poses; 60 equal stamps"] * 2 + ["the run answered no scan", ""]
+    runs = [replace(trial("a", "room", {}, seed=seed), alignment=text) for seed, text in enumerate(words)]
+    assert alignments(runs) == (
+        "Aligned: least squares over 60 poses; matched: 60 equal stamps (2 runs)",
+        "Not aligned: the run answered no scan (1 run)",
+    )
