@@ -214,7 +214,7 @@ def test_verdicts_are_told_as_they_come():
     [
         (("SOUND", "--rule", "wall"), 0, "faulty_backends:SOUND: 0 of 3 rules broken"),
         (("PARAMETERISED", "--rule", "starts", "--set", "stop=13"), 1, "2 of 3 rules broken"),
-        (("PARAMETERISED", "--set", "stop=x"), 2, "parameter 'stop': found 'x', expected int"),
+        (("PARAMETERISED", "--set", "stop=x"), 2, "parameter 'stop': found 'x', expected"),
         (("MISSING",), 2, "cannot be checked here; not installed: pip install nothing"),
         (("SOUND", "--rule", "wal"), 2, "no rule named 'wal'"),
     ],

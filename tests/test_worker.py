@@ -20,7 +20,8 @@ ROOM = {"laps": 0.02, "seed": 3}
 def perform(folder, backend="wheel-odometry", parameters=None, dataset="straight", course=None):
     if dataset == "straight":
         course = {"scans": 12, "backwards": 0, "file": "", "breaks": False, **(course or {})}
-    return worker.perform(Request(backend, parameters or {}, dataset, course or {}), folder), read_steps(folder / "steps.bin")
+    request = Request(backend, parameters or {}, dataset, course or {})
+    return worker.perform(request, folder), read_steps(folder / "steps.bin")
 
 
 def test_the_warm_up_is_another_instance_so_the_first_answer_is_the_identity(tmp_path):

@@ -14,6 +14,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from evalkit import se2
+from evalkit.metrics.runtime import period_ns
 from evalkit.report.palette import TRUTH, Stroke
 from evalkit.se2 import Floats
 from evalkit.types import Trial
@@ -110,7 +111,7 @@ def runtimes(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
         milliseconds = np.maximum(steps["cpu_ns"], 1) * 1e-6
         low, q1, middle, q3, high = np.percentile(milliseconds, [5, 25, 50, 75, 95])
         boxes.append((trial.contestant, low, q1, middle, q3, high, milliseconds.max()))
-        periods.append(float(np.median(np.diff(steps["stamp_ns"])) * 1e-6))
+        periods.append(period_ns(trial.run) * 1e-6)
     if not boxes:
         return None
 

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from evalkit.metrics.runtime import period_ns
 from evalkit.report.comparison import Comparison
 from evalkit.report.consensus import behind_bar
 from evalkit.report.standings import contestant_of, deciding, unfinished
@@ -113,11 +114,11 @@ def _keeping_up(comparison: Comparison) -> str:
 
 
 def late_share(trial: Trial) -> float:
-    """The share of a run's scans whose wall time exceeded the median scan period; 0 without scans."""
+    """The share of a run's scans whose wall time exceeded the sensor's period; 0 without scans."""
     steps = trial.run.steps
     if len(steps) < 2:
         return 0.0
-    return float(np.mean(steps["wall_ns"] > np.median(np.diff(steps["stamp_ns"]))))
+    return float(np.mean(steps["wall_ns"] > period_ns(trial.run)))
 
 
 def _set_aside(comparison: Comparison, verdicts: Sequence[Verdict]) -> str:
