@@ -261,9 +261,16 @@ def _end(trials: tuple[Trial, ...], plan: Plan, page: Path | None, as_json: bool
 
 
 def _absent(trials: tuple[Trial, ...]) -> list[str]:
-    """The contestants and sequences that could not run here, each once."""
-    label = {"not-installed": lambda trial: trial.contestant, "data-missing": lambda trial: trial.sequence}
-    return list(dict.fromkeys(label[trial.run.status](trial) for trial in trials if trial.run.status in label))
+    """The contestants and sequences that could not run here, each once; "who on what" where it was the pair alone."""
+    absent = [trial for trial in trials if trial.run.status in ("not-installed", "data-missing")]
+    missing = {trial.sequence for trial in absent if trial.run.status == "data-missing" and trial.run.expected == 0}
+    return list(dict.fromkeys(_what_is_absent(trial, trial.sequence not in missing) for trial in absent))
+
+
+def _what_is_absent(trial: Trial, sequence_is_here: bool) -> str:
+    if trial.run.status == "not-installed":
+        return trial.contestant
+    return f"{trial.contestant} on {trial.sequence}" if sequence_is_here else trial.sequence
 
 
 def _row(trial: Trial) -> dict[str, Any]:
