@@ -2,29 +2,29 @@
 
 from __future__ import annotations
 
-import json
 import shlex
 import signal
 import sys
+from collections.abc import Callable
 from dataclasses import asdict
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
-from rich.text import Text
 
 from evalkit import __version__, console, environment, experiment, listing, recording, registry
+from evalkit.commands import options
+from evalkit.commands.check import check
+from evalkit.commands.equiv import equiv
+from evalkit.commands.options import Jobs, Json, Out, Resume, err, out
 from evalkit.engine import Engine
 from evalkit.errors import EvalkitError, StoreError
 from evalkit.experiment import Plan
-from evalkit.settings import from_text
 from evalkit.store import REMEDY, Store
 from evalkit.types import Trial
-from evalkit.validation import conformance
 
 app = typer.Typer(
     help="Which scan matcher, on my robot, and is my own one right? Compare 2D lidar registration back ends.",
@@ -32,14 +32,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-out = Console(soft_wrap=True)
-err = Console(stderr=True, soft_wrap=True)
-
 Experiment = Annotated[Path, typer.Argument(help="An experiment file (*.toml).", show_default=False)]
-Out = Annotated[Path | None, typer.Option("--out", "-o", help="Results folder.", show_default="reports/build/NAME")]
-Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="Runs at a time.", show_default="physical cores")]
-Resume = Annotated[bool, typer.Option("--resume", help="Keep what is done, run only what is missing.")]
-Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Sequences = Annotated[list[str] | None, typer.Option(help="Only this sequence (repeatable).", show_default="all")]
 Contestants = Annotated[list[str] | None, typer.Option(help="Only this contestant (repeatable).", show_default="all")]
 Seeds = Annotated[list[int] | None, typer.Option(help="Only this seed (repeatable).", show_default="all")]
@@ -75,7 +68,7 @@ def list_(
     chosen = {name: rows for name, rows in listing.KINDS.items() if kind in ("all", name)}
     found = {name: rows() for name, rows in chosen.items()}
     if as_json:
-        _print_json({name: [asdict(row) for row in rows] for name, rows in found.items()})
+        options.print_json({name: [asdict(row) for row in rows] for name, rows in found.items()})
         return
     for name, rows in found.items():
         table = Table("name", "what it is", "missing here", title=name, title_justify="left", expand=out.is_terminal)
@@ -141,74 +134,16 @@ def compare(
     source += "".join(f" --set {shlex.quote(item)}" for item in setting or [])
     own = {name: str(value) for name, value in given.items() if value}
     names = [name for word in backends.split(",") if (name := word.strip())]
-    plan = recording.plan(file, own, _settings(setting or []), names, source)
+    plan = recording.plan(file, own, options.settings(setting or []), names, source)
     recording.first_frame(plan)
     _report(plan.only(sequence or [], contestant or [], []), folder, jobs, resume, as_json)
 
 
-@app.command()
-def check(
-    backend: Annotated[str, typer.Argument(help="A registered name, or module:SPEC.", show_default=False)],
-    setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE for the back end.")] = None,
-    rule: Annotated[list[str] | None, typer.Option(help="Ask this rule only.", show_default="all")] = None,
-    limit: Annotated[float, typer.Option(min=0.1, help="Seconds that one rule may take.")] = 30.0,
-    as_json: Json = False,
-) -> None:
-    """Check that a back end keeps the rules all others keep: known answers, units, frames, no crash, no leak."""
-    sys.path.append(str(Path.cwd()))  # a module under development stands there
-    values = from_text(backend, conformance.spec_of(backend).parameters, _settings(setting or []))
-    found = conformance.check(backend, values, limit_s=limit, only=rule or ())
-    if as_json:
-        _print_json(asdict(found))
-    else:
-        table = Table("rule", "outcome", "what was seen", expand=out.is_terminal)
-        for row in found.verdicts:
-            asked = f"{row.sentence} Seen: " if row in found.broken else ""
-            table.add_row(row.rule, row.outcome, Text(asked + row.observed))  # others' words are no markup
-        console.show(out, table)
-        out.print(
-            f"{found.label}: {len(found.broken)} of {len(found.verdicts)} rules broken",
-            markup=False,
-            emoji=False,
-            highlight=False,
-        )
-    if found.broken:
-        raise typer.Exit(1)
+COMMANDS: tuple[Callable[..., None], ...] = (check, equiv)
+"""The commands with a module of their own, in the order of the help."""
 
-
-@app.command()
-def equiv(
-    a: Annotated[str, typer.Argument(help="A registered name, or module:SPEC.", show_default=False)],
-    b: Annotated[str, typer.Argument(help="What is held against it.", show_default=False)],
-    on: Annotated[str, typer.Option(help="The sequence both are asked about.")] = "room",
-    set_a: Annotated[list[str] | None, typer.Option(help="NAME=VALUE for A.")] = None,
-    set_b: Annotated[list[str] | None, typer.Option(help="NAME=VALUE for B.")] = None,
-    set_on: Annotated[list[str] | None, typer.Option(help="NAME=VALUE for the sequence.")] = None,
-    margin: Annotated[str, typer.Option(help="float32: what rounding to it may do, computed.")] = "",
-    margin_m: Annotated[float, typer.Option(help="Metres that do not count.")] = 1e-9,
-    margin_rad: Annotated[float | None, typer.Option(help="Radians.", show_default="metres, felt at 1 m")] = None,
-    margin_log_odds: Annotated[float, typer.Option(help="Log-odds, for mappers.")] = 1e-5,
-    scans: Annotated[int, typer.Option(min=3, help="How many scans.")] = 30,
-    disturb: Annotated[bool, typer.Option(help="Ask again with guesses that are off.")] = True,
-    mapper: Annotated[bool, typer.Option("--mapper", help="A and B are mappers.")] = False,
-    as_json: Json = False,
-) -> None:
-    """Find where two back ends (or mappers) first differ, and why; 0 if equivalent within the margin, 1 if not."""
-    from evalkit.validation import equivalence  # noqa: PLC0415 - loads scipy.stats: only who compares pays for it
-
-    sys.path.append(str(Path.cwd()))  # a module under development stands there
-    known = equivalence.margin(margin, margin_m, margin_rad, margin_log_odds)
-    given = equivalence.settings(a, b, on, *map(_settings, (set_a or [], set_b or [], set_on or [])), mapper=mapper)
-    if mapper:
-        found = equivalence.mapper_equivalence(a, b, on, **given, margin=known, scans=scans)
-    else:
-        found = equivalence.equivalence(a, b, on, **given, margin=known, scans=scans, disturbed=disturb)
-    if as_json:
-        _print_json(found.as_json())
-    else:
-        out.print(str(found), markup=False, emoji=False, highlight=False)
-    if not found.equivalent:
-        raise typer.Exit(1)
+for _command in COMMANDS:
+    app.command()(_command)
 
 
 def _report(plan: Plan, folder: Path | None, jobs: int | None, resume: bool, as_json: bool) -> None:
@@ -246,7 +181,7 @@ def _end(trials: tuple[Trial, ...], plan: Plan, page: Path | None, as_json: bool
     complete = sum(trial.run.status == "complete" for trial in trials)
     broken = [trial for trial in trials if trial.run.status in ("failed", "crashed", "timeout", "out-of-memory")]
     if as_json:
-        _print_json(
+        options.print_json(
             {"title": plan.title, "page": str(page) if page else None, "runs": [_row(trial) for trial in trials]}
         )
     else:
@@ -287,14 +222,3 @@ def _row(trial: Trial) -> dict[str, Any]:
 
 def _folder(plan: Plan) -> Path:
     return Path("reports") / "build" / plan.name
-
-
-def _settings(items: list[str]) -> dict[str, str]:
-    for item in items:
-        if "=" not in item:
-            raise typer.BadParameter(f"--set: found '{item}', expected NAME=VALUE")
-    return dict(item.split("=", 1) for item in items)
-
-
-def _print_json(content: object) -> None:
-    sys.stdout.write(json.dumps(content, indent=1) + "\n")

@@ -1,0 +1,219 @@
+"""Many small computations, each kept as soon as it is done: a killed study goes on where it was."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib
+import io
+import json
+import multiprocessing
+import os
+import re
+import signal
+import time
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, field
+from functools import cache
+from multiprocessing.queues import Queue
+from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
+
+import numpy as np
+
+from evalkit import environment
+from evalkit.errors import EvalkitError, StoreError
+from evalkit.fingerprint import fingerprint
+from evalkit.store import REMEDY
+
+Result = Mapping[str, Any]
+"""What a job gives: JSON values, and NumPy arrays at the top level."""
+
+OnDone = Callable[[str, float], None]
+"""Hears of a job that is done: its name, and the seconds it took (0 if it was kept from before)."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """One computation: ``function`` is "module:name" of a plain function, ``arguments`` are its keywords (JSON values).
+
+    ``name`` is what results are asked for by; ``uses`` names modules the result stands on beyond what the function's
+    module imports: plug-ins that are found by name.
+    """
+
+    name: str
+    function: str
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    uses: tuple[str, ...] = ()
+
+    @property
+    def key(self) -> str:
+        """Names the result's file; changes with all that could change the result."""
+        code = _code((self.function.partition(":")[0], *self.uses))
+        identity = json.dumps([self.function, dict(self.arguments), code], sort_keys=True)
+        word = re.sub(r"[^\w.=+-]+", "-", self.name)[:80].strip("-.") or "job"
+        return f"{word}-{hashlib.sha256(identity.encode()).hexdigest()[:12]}"
+
+
+class JobsFailed(EvalkitError):
+    """Some jobs raised; all the others are kept: ``JobsFailed(folder, reasons by name)``."""
+
+    def __init__(self, folder: str, reasons: Mapping[str, str]) -> None:
+        super().__init__(folder, dict(reasons))
+
+    def __str__(self) -> str:
+        folder, reasons = self.args
+        name, reason = next(iter(reasons.items()))
+        others = f" and {len(reasons) - 1} more" if len(reasons) > 1 else ""
+        return f"{folder}: {name}{others} failed: {reason}; the finished ones are kept, the same command goes on"
+
+
+@dataclass(frozen=True)
+class Ledger:
+    """The results of jobs in a folder, one file each, written whole or not at all."""
+
+    folder: Path
+
+    def run(
+        self, jobs: Iterable[Job], workers: int = 1, done: OnDone = lambda _name, _seconds: None
+    ) -> dict[str, Result]:
+        """The result of every job by name: what is here is taken, the rest computed by so many processes.
+
+        Raises JobsFailed when all others are done and kept; StoreError where the folder cannot be written.
+        """
+        known = list(jobs)
+        _refuse_doubles(known)
+        kept = {job.name: found for job in known if (found := self.kept(job)) is not None}
+        for name in kept:
+            done(name, 0.0)
+        made, reasons = self._made([job for job in known if job.name not in kept], workers, done)
+        if reasons:
+            raise JobsFailed(str(self.folder), reasons)
+        found = kept | made
+        return {job.name: found[job.name] for job in known}
+
+    def kept(self, job: Job) -> Result | None:
+        """The stored result of a job, None if there is none that can be read."""
+        path = self.path(job)
+        try:
+            with np.load(path, allow_pickle=False) as file:
+                content: dict[str, Any] = json.loads(str(file["json"]))
+                return content | {name: file[name] for name in file.files if name != "json"}
+        except (OSError, ValueError, KeyError, BadZipFile):
+            return None
+
+    def path(self, job: Job) -> Path:
+        """Where the result of a job stands."""
+        return self.folder / f"{job.key}.npz"
+
+    def keep(self, job: Job, result: Result) -> None:
+        """Writes the result of a job, whole or not at all."""
+        members: dict[str, Any] = {name: value for name, value in result.items() if isinstance(value, np.ndarray)}
+        rest = {name: value for name, value in result.items() if name not in members}
+        body = io.BytesIO()
+        np.savez_compressed(body, **members, json=np.array(json.dumps(rest)))
+        path = self.path(job)
+        part = path.with_name(f"{path.name}.{os.getpid()}.part")
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            part.write_bytes(body.getvalue())
+            part.replace(path)
+        except OSError as error:
+            raise StoreError(str(self.folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
+
+    def _made(self, jobs: list[Job], workers: int, done: OnDone) -> tuple[dict[str, Result], dict[str, str]]:
+        """Results and reasons of failure by name. A job that ends its process is asked again in one of its own."""
+        made: dict[str, Result] = {}
+        reasons: dict[str, str] = {}
+        alone: list[Job] = []
+        for job, future in _computed(jobs, workers):
+            try:
+                result, seconds = future.result()
+            except BrokenProcessPool:
+                alone.append(job)
+            except Exception as error:  # noqa: BLE001 - whatever a job raises must not take the others along
+                reasons[job.name] = f"{type(error).__name__}: {error}"
+            else:
+                self._take(job, result, seconds, made, done)
+        for job in alone:
+            for _, future in _computed([job], 1):
+                try:
+                    result, seconds = future.result()
+                except BrokenProcessPool:
+                    reasons[job.name] = "it ended its process"
+                except Exception as error:  # noqa: BLE001 - as above
+                    reasons[job.name] = f"{type(error).__name__}: {error}"
+                else:
+                    self._take(job, result, seconds, made, done)
+        return made, reasons
+
+    def _take(self, job: Job, result: Result, seconds: float, made: dict[str, Result], done: OnDone) -> None:
+        self.keep(job, result)
+        kept = self.kept(job)  # as a second run will see it
+        if kept is None:
+            raise StoreError(str(self.path(job)), "was written but cannot be read back", REMEDY)
+        made[job.name] = kept
+        done(job.name, seconds)
+
+
+def call(function: str, arguments: Mapping[str, Any]) -> tuple[Result, float]:
+    """What "module:name" gives for the keywords, and the seconds it took."""
+    module, _, name = function.partition(":")
+    started = time.perf_counter()
+    try:
+        result: Result = getattr(importlib.import_module(module), name)(**arguments)
+    except Exception as error:
+        error.add_note(traceback.format_exc())
+        raise
+    return result, time.perf_counter() - started
+
+
+def _computed(jobs: list[Job], workers: int) -> Iterator[tuple[Job, Future[tuple[Result, float]]]]:
+    """The jobs as they are done, computed by processes with one thread and one core each."""
+    if not jobs:
+        return
+    os.environ.update(environment.SINGLE_THREAD)  # inherited by the processes
+    context = multiprocessing.get_context("spawn")
+    cores: Queue[int | None] = context.Queue()
+    known = environment.cores() or [None]
+    for worker in range(workers):
+        cores.put(known[worker % len(known)])
+    pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_settle, initargs=(cores,))
+    try:
+        futures = {_submitted(pool, job): job for job in jobs}
+        for future in as_completed(futures):
+            yield futures[future], future
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _submitted(pool: ProcessPoolExecutor, job: Job) -> Future[tuple[Result, float]]:
+    try:
+        return pool.submit(call, job.function, dict(job.arguments))
+    except BrokenProcessPool as error:  # an earlier job has ended its process already
+        future: Future[tuple[Result, float]] = Future()
+        future.set_exception(error)
+        return future
+
+
+def _settle(cores: Queue[int | None]) -> None:
+    """A worker's start: an interrupt at the keyboard is its parent's business; a core of its own."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    core = cores.get()
+    if core is not None:
+        os.sched_setaffinity(0, {core})
+
+
+@cache  # hundreds of jobs stand on the same sources
+def _code(modules: tuple[str, ...]) -> str:
+    return fingerprint(modules, ("numpy", "scipy"))
+
+
+def _refuse_doubles(jobs: list[Job]) -> None:
+    names = [job.name for job in jobs]
+    doubled = sorted({name for name in names if names.count(name) > 1}) if len(set(names)) < len(names) else []
+    if doubled:
+        raise ValueError(f"jobs: two are named {doubled[0]!r}")

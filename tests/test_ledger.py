@@ -1,0 +1,112 @@
+"""The ledger of a study: what is done stays done."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evalkit.study.ledger import Job, JobsFailed, Ledger
+
+
+def square(number, log=""):
+    if log:
+        with Path(log).open("a") as file:
+            file.write(f"{number}\n")
+    return {"square": number * number, "row": np.arange(number)}
+
+
+def refuse(why):
+    raise ValueError(why)
+
+
+def die():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def doze(number, log):
+    time.sleep(0.3)
+    return square(number, log)
+
+
+@pytest.fixture
+def squares(monkeypatch):
+    """Jobs whose function the worker processes can import."""
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
+    monkeypatch.syspath_prepend(str(Path(__file__).parent))
+
+    def make(name, function, **arguments):
+        return Job(name, f"test_ledger:{function}", arguments)
+
+    return make
+
+
+def test_results_come_by_name_in_the_order_of_the_jobs(squares, tmp_path):
+    found = Ledger(tmp_path).run([squares("three", "square", number=3), squares("two", "square", number=2)])
+    assert list(found) == ["three", "two"]
+    assert found["three"]["square"] == 9
+    assert found["three"]["row"].tolist() == [0, 1, 2]
+
+
+def test_what_is_kept_is_not_computed_again(squares, tmp_path):
+    log = tmp_path / "log"
+    jobs = [squares(f"n{n}", "square", number=n, log=str(log)) for n in range(4)]
+    Ledger(tmp_path / "kept").run(jobs[:2])
+    again = Ledger(tmp_path / "kept").run(jobs)
+    assert sorted(log.read_text().split()) == ["0", "1", "2", "3"]
+    assert [result["square"] for result in again.values()] == [0, 1, 4, 9]
+
+
+def test_other_arguments_are_another_result(squares):
+    assert squares("n", "square", number=1).key != squares("n", "square", number=2).key
+
+
+def test_a_damaged_result_is_computed_again(squares, tmp_path):
+    ledger, job = Ledger(tmp_path), squares("n", "square", number=5)
+    ledger.run([job])
+    ledger.path(job).write_bytes(ledger.path(job).read_bytes()[:40])
+    assert ledger.run([job])["n"]["square"] == 25
+
+
+def test_a_job_that_raises_is_named_and_costs_no_other(squares, tmp_path):
+    jobs = [squares("bad", "refuse", why="no such wall"), squares("good", "square", number=2)]
+    with pytest.raises(JobsFailed, match="bad failed: ValueError: no such wall"):
+        Ledger(tmp_path).run(jobs)
+    assert Ledger(tmp_path).kept(jobs[1])["square"] == 4
+
+
+def test_a_job_that_ends_its_process_is_named_and_costs_no_other(squares, tmp_path):
+    jobs = [squares("deadly", "die"), *(squares(f"n{n}", "square", number=n) for n in range(3))]
+    with pytest.raises(JobsFailed, match="deadly failed: it ended its process"):
+        Ledger(tmp_path).run(jobs)
+    assert all(Ledger(tmp_path).kept(job) for job in jobs[1:])
+
+
+def test_two_jobs_of_one_name_are_refused(squares, tmp_path):
+    with pytest.raises(ValueError, match="two are named 'n'"):
+        Ledger(tmp_path).run([squares("n", "square", number=1), squares("n", "square", number=2)])
+
+
+def test_a_killed_study_goes_on_without_repeating(squares, tmp_path):
+    script = tmp_path / "study.py"
+    script.write_text(
+        "from pathlib import Path\nfrom evalkit.study.ledger import Job, Ledger\n"
+        f"log, folder = {str(tmp_path / 'log')!r}, Path({str(tmp_path / 'kept')!r})\n"
+        "jobs = [Job(f'n{n}', 'test_ledger:doze', {'number': n, 'log': log}) for n in range(6)]\n"
+        "if __name__ == '__main__':\n    Ledger(folder).run(jobs)\n"
+    )
+    study = subprocess.Popen([sys.executable, script], start_new_session=True)
+    deadline = time.monotonic() + 60
+    while len(list((tmp_path / "kept").glob("*.npz"))) < 2 and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.killpg(study.pid, signal.SIGKILL)
+    study.wait()
+    kept = len(list((tmp_path / "kept").glob("*.npz")))
+    computed = len((tmp_path / "log").read_text().split())
+    assert 2 <= kept < 6
+    subprocess.run([sys.executable, script], check=True)
+    assert len((tmp_path / "log").read_text().split()) - computed == 6 - kept
