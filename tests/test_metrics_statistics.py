@@ -146,7 +146,8 @@ def test_friedman_and_the_critical_difference_are_demsars():
     assert found.ranks == pytest.approx((3.143, 2.000, 2.893, 1.964), abs=5e-4)
     uncorrected = 12 * 14 / (4 * 5) * (sum(rank**2 for rank in found.ranks) - 4 * 25 / 4)
     assert uncorrected == pytest.approx(9.28, abs=5e-3)
-    assert uncorrected < found.statistic < 1.05 * uncorrected  # which allows for ties, as he did not
+    tied = 3 * (2**3 - 2) + (4**3 - 4)  # three pairs and a line of four, which he did not allow for
+    assert found.statistic == pytest.approx(uncorrected / (1 - tied / (14 * 4 * (4**2 - 1))))
     assert found.critical_difference == pytest.approx(1.25, abs=5e-3)
 
 
