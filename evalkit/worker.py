@@ -72,6 +72,7 @@ class Residuals:
         }
         self.row = {f"{stage}_{name}": value for stage in ("s2s", "s2m") for name, value in nothing.items()}
         belief.heard()
+        belief.heard_of_stages()
 
     def hear(self, stage: frontend.Stage, match: Match, believed: bool) -> None:
         """Takes in one stage's answer."""
@@ -86,6 +87,8 @@ class Residuals:
         told = belief.heard()
         if told != belief.UNTOLD:
             self.row["s2m_believed"] = told
+        for stage, registered in belief.heard_of_stages().items():
+            self.row.update({f"{stage}_{name}": value for name, value in registered._asdict().items()})
 
 
 def main() -> int:

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evalkit import frontend, registry
+from evalkit import belief, frontend, registry
 from evalkit.errors import BadParameter, NotInstalled
 from evalkit.protocols import resolved
 from evalkit.types import Cloud, Frame, Pose, Scan
@@ -236,6 +236,36 @@ def test_the_pipeline_follows_a_sequence_as_the_twin_behind_the_front_end_does(o
     narrow, wide = made(embedded.PIPELINE, precision="float"), made(embedded.PIPELINE)
     off = max(np.abs((wide.update(f).inverse() @ narrow.update(f)).row).max() for f in frames)
     assert 0.0 < off < 0.02  # m and rad: where the stop rule is met decides what comes after
+
+
+@needs_core
+def test_the_pipeline_tells_of_both_stages_what_the_front_end_hears_of_the_twin():
+    heard = {}
+    twin = frontend.odometry(
+        paper.SPEC,
+        frontend.complete_parameters("paper", paper.SPEC, {"min_inliers": 60}),
+        lambda stage, match, believed: heard.update({stage: (match, believed)}),
+    )
+    pipeline = made(embedded.PIPELINE, min_inliers=60)
+    nothing = np.full(50, np.inf)
+    belief.heard_of_stages()  # what other tests left
+    for index, frame in enumerate(lab(12)):
+        if index in (5, 6):  # a scan of which nothing, and one of which not enough came back
+            ranges = nothing if index == 5 else np.concatenate([nothing, frame.scan.ranges[:40]])
+            scan = Scan(frame.scan.stamp_ns, ranges, frame.scan.angles[: len(ranges)], 0.15, 12.0)
+            frame = Frame(scan, frame.base_from_sensor, frame.odom_from_base)  # noqa: PLW2901
+        heard.clear()
+        twin.update(frame)
+        pipeline.update(frame)
+        told = belief.heard_of_stages()
+        assert belief.heard() == belief.UNTOLD
+        assert len(told) == (2 if index else 0)
+        assert index != 5 or not any(stage.believed for stage in told.values())
+        for name, stage in told.items():
+            match, believed = heard[name]
+            assert stage[:3] == (believed, match.converged, match.iterations)
+            assert stage.inliers == match.inliers
+            assert stage.error == pytest.approx(match.error, abs=1e-8, nan_ok=True)
 
 
 @needs_core

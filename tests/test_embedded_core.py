@@ -147,8 +147,8 @@ def test_whatever_comes_in_the_pipeline_answers_a_finite_pose_or_refuses(
     scan = {"time_increment_ns": step, "ranges": ranges, "angles": angles, "odom_from_base": odom}
     for later, scan_limits in enumerate(((0.1, 12.0), limits, (0.1, 12.0))):
         now = {"stamp_ns": stamp + later, "range_limits": scan_limits, "start_from_end": moved}
-        row, refused = asked(partial(pipeline.update, base_from_sensor=(0.1, 0.0, 0.0), **scan, **now))
-        assert refused.startswith("scan: ") if row is None else np.isfinite(row).all()
+        answer, refused = asked(partial(pipeline.update, base_from_sensor=(0.1, 0.0, 0.0), **scan, **now))
+        assert refused.startswith("scan: ") if answer is None else np.isfinite(answer[0]).all()
 
 
 @needs_core

@@ -94,6 +94,23 @@ def test_an_odometry_can_tell_of_its_own_answers(tmp_path, monkeypatch):
     assert [score.value for score in shares(outcome, steps)] == [pytest.approx(500.0 / 11.0), None]
 
 
+class TwoStaged:
+    """Tells of both its stages as the front end hears of its own."""
+
+    def update(self, frame):
+        belief.tell_stage("s2s", belief.Registered(True, True, 7, 0.02, 90))
+        belief.tell_stage("s2m", belief.Registered(False, False, 40, 0.05, 12))
+        return Pose()
+
+
+def test_an_odometry_can_tell_of_its_own_stages(tmp_path, monkeypatch):
+    monkeypatch.setattr(registry, "backend", lambda name: BackendSpec(TwoStaged, "odometry", "a test", "none", "MIT"))
+    _, steps = perform(tmp_path)
+    assert set(steps[["s2s_iterations", "s2s_inliers", "s2s_believed", "s2s_converged"]].tolist()) == {(7, 90, 1, 1)}
+    assert set(steps[["s2m_iterations", "s2m_inliers", "s2m_believed", "s2m_converged"]].tolist()) == {(40, 12, 0, 0)}
+    assert set(steps["s2m_error"].tolist()) == {0.05}
+
+
 def test_the_sequences_notes_are_kept(tmp_path):
     outcome, _ = perform(tmp_path, dataset="room", course=ROOM)
     assert outcome.notes["invalid ranges"] > 0

@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.floating]
 Row = tuple[float, float, float]
+Stage = tuple[int, bool, int, float, int]
+"""Of a stage: -1 not asked, 0 guess kept, 1 believed; converged, iterations, error (m), inliers."""
 Place = tuple[int, int, int, int]
 """Left and bottom cell, columns, rows; multiples of 32."""
 
@@ -98,5 +100,5 @@ class Pipeline:
         start_from_end: Row | None,
         base_from_sensor: Row,
         range_limits: tuple[float, float],
-    ) -> Row:
-        """``start_from_base`` at the first beam of the scan of ranges (B,) at angles (B,)."""
+    ) -> tuple[Row, Stage, Stage]:
+        """``start_from_base`` at the first beam of the scan of ranges (B,) at angles (B,); and both stages."""

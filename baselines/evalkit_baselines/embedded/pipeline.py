@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import frontend
+from evalkit import belief, frontend
 from evalkit.clock import conversion
 from evalkit.protocols import Parameter
 from evalkit.types import Frame, Pose, Scan
@@ -30,8 +30,8 @@ PARAMETERS: tuple[Parameter, ...] = (
 class CompiledPipeline:
     """An Odometry with the meaning of ``paper`` behind evalkit's front end, both in C; parameters as in ``PARAMETERS``.
 
-    Raises ValueError with the core's words for a scan of more than ``beams`` beams, and for one that is not later than
-    the one before ("a parameter lies outside its range").
+    Tells of both stages what evalkit's front end would. Raises ValueError with the core's words for a scan of more than
+    ``beams`` beams, and for one that is not later than the one before ("a parameter lies outside its range").
     """
 
     def __init__(self, **parameters: Any) -> None:
@@ -53,7 +53,7 @@ class CompiledPipeline:
         """``start_from_base`` when the scan's first beam was fired."""
         with conversion():
             ranges, angles = self._beams(frame.scan)
-        row = self._pipeline.update(
+        row, scan_to_scan, scan_to_map = self._pipeline.update(
             stamp_ns=frame.scan.stamp_ns,
             time_increment_ns=frame.scan.time_increment_ns,
             ranges=ranges,
@@ -63,6 +63,9 @@ class CompiledPipeline:
             base_from_sensor=_row(frame.base_from_sensor),
             range_limits=(frame.scan.range_min_m, frame.scan.range_max_m),
         )
+        with conversion():
+            _tell("s2s", *scan_to_scan)
+            _tell("s2m", *scan_to_map)
         return Pose(*row)
 
     def _beams(self, scan: Scan) -> tuple[Any, Any]:
@@ -70,6 +73,12 @@ class CompiledPipeline:
         if not len(scan.ranges):
             return real(np.array([np.nan]), self._core), real(np.zeros(1), self._core)
         return real(scan.ranges, self._core), real(scan.angles, self._core)
+
+
+def _tell(stage: frontend.Stage, told: int, converged: bool, iterations: int, error: float, inliers: int) -> None:
+    if told != belief.UNTOLD:  # the stage was asked
+        believed = told == belief.BELIEVED
+        belief.tell_stage(stage, belief.Registered(believed, converged, iterations, error, inliers))
 
 
 def _row(pose: Pose | None) -> tuple[float, float, float] | None:

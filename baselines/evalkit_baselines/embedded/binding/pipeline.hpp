@@ -9,6 +9,14 @@
 
 namespace EK_NAME(binding) {
 
+// A stage's belief, converged, iterations, error and inliers.
+using Stage = std::tuple<int, bool, int32_t, double, int32_t>;
+
+inline Stage stage_of(const ek_match &match, ek_belief belief)
+{
+    return {int(belief), match.converged != 0, match.iterations, double(match.error), match.inliers};
+}
+
 class Pipeline {
 public:
     Pipeline(const Icp &icp, bool scan_to_scan, bool scan_to_map, bool deskew, double local_radius, int64_t keyframes,
@@ -34,9 +42,10 @@ public:
         });
     }
 
-    Row update(int64_t stamp_ns, int64_t time_increment_ns, const Numbers &ranges, const Numbers &angles,
-               const std::optional<Row> &odom_from_base, const std::optional<Row> &start_from_end,
-               const Row &base_from_sensor, const std::tuple<double, double> &range_limits)
+    std::tuple<Row, Stage, Stage> update(int64_t stamp_ns, int64_t time_increment_ns, const Numbers &ranges,
+                                         const Numbers &angles, const std::optional<Row> &odom_from_base,
+                                         const std::optional<Row> &start_from_end, const Row &base_from_sensor,
+                                         const std::tuple<double, double> &range_limits)
     {
         if (ranges.shape(0) != angles.shape(0)) {
             throw std::invalid_argument("scan: ranges and angles differ in number");
@@ -61,7 +70,8 @@ public:
         pipeline_.parameters.scan = scan;
         ek_answer answer;
         require(ek_pipeline_update(&pipeline_, &sweep, &answer), "scan");
-        return row_of(answer.start_from_base);
+        return {row_of(answer.start_from_base), stage_of(answer.scan_to_scan, answer.scan_to_scan_belief),
+                stage_of(answer.scan_to_map, answer.scan_to_map_belief)};
     }
 
 private:

@@ -119,14 +119,19 @@ static ek_status add_keyframe(ek_frontend *frontend, const ek_real *xy, size_t c
     return ek_index_build(&frontend->submap, frontend->cloud, total);
 }
 
-/* One stage: its answer if it stands on enough pairs, else the guess. */
+/* One stage: its answer if it stands on enough pairs, else the guess; no points stand on none. */
 static ek_status believed(ek_frontend *frontend, const ek_index *target, const ek_real *xy, size_t count,
-                          const ek_icp_parameters *parameters, ek_pose *guess, ek_match *match)
+                          const ek_icp_parameters *parameters, ek_pose *guess, ek_match *match, ek_belief *belief)
 {
+    *belief = EK_GUESS_KEPT;
+    if (count == 0u) {
+        return EK_OK;
+    }
     const ek_status status =
         ek_icp_register(&frontend->icp, target, xy, count, *guess, parameters, NULL, NULL, match);
     if (status == EK_OK && match->inliers >= frontend->parameters.min_inliers) {
         *guess = match->target_from_source;
+        *belief = EK_BELIEVED;
     }
     return status;
 }
@@ -166,16 +171,16 @@ static ek_status locate(ek_frontend *frontend, const ek_real *xy, size_t count, 
     const ek_frontend_parameters *const p = &frontend->parameters;
     ek_pose last_from_base = predict(frontend, prior);
     ek_status status = EK_OK;
-    if (frontend->started && count && p->use_scan_to_scan) {
+    if (frontend->started && p->use_scan_to_scan) {
         status = believed(frontend, &frontend->last, xy, count, &p->scan_to_scan, &last_from_base,
-                          &answer->scan_to_scan);
+                          &answer->scan_to_scan, &answer->scan_to_scan_belief);
     }
     if (frontend->started) {
         answer->start_from_base = ek_se2_compose(frontend->start_from_base, last_from_base);
     }
-    if (status == EK_OK && frontend->started && count && p->use_scan_to_map) {
+    if (status == EK_OK && frontend->started && p->use_scan_to_map) {
         status = believed(frontend, &frontend->submap, xy, count, &p->scan_to_map, &answer->start_from_base,
-                          &answer->scan_to_map);
+                          &answer->scan_to_map, &answer->scan_to_map_belief);
     }
     return status;
 }
@@ -219,6 +224,7 @@ ek_status ek_frontend_update(ek_frontend *frontend, const ek_real *xy, size_t co
     }
     answer->start_from_base = identity;
     answer->scan_to_scan = answer->scan_to_map = none;
+    answer->scan_to_scan_belief = answer->scan_to_map_belief = EK_NOT_ASKED;
     answer->keyframe = 0;
     status = locate(frontend, xy, count, prior, answer);
     return status == EK_OK ? keep(frontend, xy, count, prior, answer) : status;

@@ -40,6 +40,8 @@ static double follow(int scans, int with_odometry)
         const double dy = (double)(answer.start_from_base.y - start_from_base.y);
         error = sqrt(dx * dx + dy * dy);
         CHECK(k == 0 || (answer.scan_to_scan.iterations > 0 && answer.scan_to_map.iterations > 0));
+        CHECK(answer.scan_to_scan_belief == (k ? EK_BELIEVED : EK_NOT_ASKED));
+        CHECK(answer.scan_to_map_belief == (k ? EK_BELIEVED : EK_NOT_ASKED));
     }
     CHECK(keyframes >= 4);
     return error;
@@ -66,6 +68,7 @@ static void a_scan_without_points_gets_the_guess(void)
     prior.stamp_ns = 6;
     CHECK(ek_frontend_update(&frontend, points, 0u, &prior, &after) == EK_OK);
     CHECK(after.scan_to_map.iterations == 0 && !after.keyframe);
+    CHECK(after.scan_to_scan_belief == EK_GUESS_KEPT && after.scan_to_map_belief == EK_GUESS_KEPT);
     CHECK_NEAR(after.start_from_base.x - before.start_from_base.x, 0.032, 0.02);
     prior.stamp_ns = 7;
     see(truth_at(6));

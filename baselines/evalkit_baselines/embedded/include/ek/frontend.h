@@ -30,10 +30,14 @@ typedef struct {
     ek_pose odom_from_base;
 } ek_prior;
 
+/* What became of a stage's answer: the stage is off or had nothing before it, its guess was kept, or it was believed. */
+typedef enum { EK_NOT_ASKED = -1, EK_GUESS_KEPT = 0, EK_BELIEVED = 1 } ek_belief;
+
 /* The answer for one scan; a stage that did not run has 0 iterations and error nan. */
 typedef struct {
     ek_pose start_from_base;
     ek_match scan_to_scan, scan_to_map;
+    ek_belief scan_to_scan_belief, scan_to_map_belief;
     int32_t keyframe; /* 1: the scan became one */
 } ek_answer;
 
