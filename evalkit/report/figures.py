@@ -1,4 +1,4 @@
-"""The report's drawings as SVG, on white, without pyplot; the only module that imports matplotlib."""
+"""The report's drawings as SVG, on white, without pyplot; with `charts` the only module that imports matplotlib."""
 
 from __future__ import annotations
 

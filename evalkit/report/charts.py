@@ -1,0 +1,366 @@
+"""Charts of numbers as SVG, for every page that is not the comparison: they know axes and units, but no run.
+
+Like ``figures``, without pyplot, on white, the same bytes for the same numbers.
+"""
+
+from __future__ import annotations
+
+import io
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
+
+from evalkit.report.figures import STYLE
+from evalkit.report.palette import DASHES, HUES, Stroke
+from evalkit.se2 import Floats
+
+WIDE = (7.6, 4.4)  # inches
+SQUARE = (6.2, 5.4)
+Scale = Literal["linear", "log"]
+
+
+@dataclass(frozen=True, slots=True)
+class Axis:
+    """What stands on an axis, with its unit, and how it is divided; ``ticks`` are the only values marked, if given."""
+
+    label: str
+    scale: Scale = "linear"
+    low: float | None = None
+    high: float | None = None
+    ticks: Sequence[float] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Curve:
+    """A line through (x, y), both (N,); ``low`` and ``high`` (N,) are a band around it; ``marks`` shows its points."""
+
+    label: str
+    x: Floats
+    y: Floats
+    low: Floats | None = None
+    high: Floats | None = None
+    stroke: Stroke | None = None
+    marks: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Points:
+    """Points (N, 2) under one name; ``size`` in points; ``joined`` draws them as a line; "" is not in the legend."""
+
+    label: str
+    points: Floats
+    colour: str
+    size: float = 3.0
+    joined: bool = False
+    alpha: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A stretch of the horizontal axis that is shaded (``low`` < ``high``), or a line where they are equal."""
+
+    low: float
+    high: float
+    label: str = ""
+    colour: str = "#f3dca9"
+
+
+def stroke(number: int) -> Stroke:
+    """The n-th stroke of the palette, hues first."""
+    return Stroke(HUES[number % len(HUES)], DASHES[number // len(HUES) % len(DASHES)])
+
+
+def lines(
+    curves: Sequence[Curve], x: Axis, y: Axis, spans: Sequence[Span] = (), levels: Mapping[str, float] | None = None
+) -> bytes:
+    """Curves over one axis; ``spans`` shade stretches of x, ``levels`` are named horizontal lines."""
+
+    def draw(axes: Axes) -> None:
+        _shade(axes, spans)
+        for number, curve in enumerate(curves):
+            drawn = _stroke(curve.stroke or stroke(number))
+            axes.plot(curve.x, curve.y, label=curve.label, marker="o" if curve.marks else "", markersize=4, **drawn)
+            if curve.low is not None and curve.high is not None:
+                axes.fill_between(curve.x, curve.low, curve.high, color=drawn["color"], alpha=0.16, linewidth=0)
+        _levels(axes, levels or {})
+        _settle(axes, x, y)
+
+    return _svg([draw], WIDE)
+
+
+def panels(
+    groups: Sequence[tuple[Sequence[Curve], Axis]], x: Axis, spans: Sequence[Span] = (), height: float = 2.3
+) -> bytes:
+    """Several vertical axes one below the other over the same horizontal one; ``height`` of each in inches."""
+
+    def panel(curves: Sequence[Curve], y: Axis, last: bool) -> Callable[[Axes], None]:
+        def draw(axes: Axes) -> None:
+            _shade(axes, spans)
+            for number, curve in enumerate(curves):
+                drawn = _stroke(curve.stroke or stroke(number))
+                axes.plot(curve.x, curve.y, label=curve.label, marker="o" if curve.marks else "", markersize=3, **drawn)
+            _settle(axes, x if last else Axis("", x.scale, x.low, x.high, x.ticks), y)
+
+        return draw
+
+    drawings = [panel(curves, y, number == len(groups) - 1) for number, (curves, y) in enumerate(groups)]
+    return _svg(drawings, (WIDE[0], 0.8 + height * len(groups)))
+
+
+def heat(
+    values: Floats, x: Axis, y: Axis, columns: Sequence[float], rows: Sequence[float], of: Axis,
+    printed: Callable[[float], str] | None = None, contours: Sequence[float] = (),
+) -> bytes:  # fmt: skip
+    """A table (R, C) of values as colours, first row lowest; NaN is hatched. ``printed`` writes a value in its cell.
+
+    ``columns`` (C,) and ``rows`` (R,) are the values at the cells' middles, drawn at even spacing; ``of`` names the
+    colours and limits them; ``contours`` are lines between the cells where the values pass through them.
+    """
+    table = np.asarray(values, dtype=np.float64)
+
+    def draw(axes: Axes) -> None:
+        norm = mpl.colors.LogNorm if of.scale == "log" else mpl.colors.Normalize
+        scale = norm(of.low, of.high, clip=True)
+        axes.set_facecolor("#e9edf2")
+        image = axes.imshow(table, origin="lower", cmap="cividis", norm=scale, aspect="auto", interpolation="nearest")
+        if contours:
+            drawn = axes.contour(table, levels=sorted(contours), colors="#ffffff", linewidths=1.6)
+            axes.clabel(drawn, fmt=lambda level: f"{level:g}", fontsize=9)
+        if printed is not None:
+            for (row, column), value in np.ndenumerate(table):
+                if np.isfinite(value):
+                    ink = "#000000" if scale(value) > 0.55 else "#ffffff"
+                    axes.text(column, row, printed(float(value)), ha="center", va="center", color=ink, fontsize=8)
+        axes.set_xticks(range(table.shape[1]), [f"{value:g}" for value in columns])
+        axes.set_yticks(range(table.shape[0]), [f"{value:g}" for value in rows])
+        axes.set(xlabel=x.label, ylabel=y.label)
+        axes.grid(False)
+        bar = axes.figure.colorbar(image, ax=axes, shrink=0.9)
+        bar.set_label(of.label)
+        if of.scale == "log":
+            bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+            bar.ax.yaxis.set_minor_formatter("")
+
+    return _svg([draw], SQUARE, legend=False)
+
+
+def histogram(
+    series: Mapping[str, Floats], x: Axis, bins: int = 40, levels: Mapping[str, float] | None = None
+) -> bytes:
+    """How often values fall where, in the same bins for all series; ``levels`` are named vertical lines."""
+    finite = {label: values[np.isfinite(values)] for label, values in series.items()}
+    everything = np.concatenate([*finite.values(), np.zeros(0)])
+    edges = np.histogram_bin_edges(everything, bins=bins, range=_range(everything, x))
+
+    def draw(axes: Axes) -> None:
+        for number, (label, values) in enumerate(finite.items()):
+            colour = stroke(number).colour
+            axes.hist(values, bins=edges.tolist(), histtype="stepfilled", color=colour, alpha=0.25)
+            axes.hist(values, bins=edges.tolist(), histtype="step", color=colour, linewidth=1.4, label=label)
+        for label, value in (levels or {}).items():
+            axes.axvline(value, color="#b42318", linewidth=1.2, linestyle=(0, (5, 3)), label=label)
+        _settle(axes, x, Axis("count", low=0.0))
+
+    return _svg([draw], WIDE)
+
+
+def scatter(layers: Sequence[Points], x: Axis, y: Axis, equal: bool = True) -> bytes:
+    """Points in the plane, the later layers on top; ``equal`` gives both axes one scale."""
+
+    def draw(axes: Axes) -> None:
+        for layer in layers:
+            label, kind = layer.label or "_unnamed", "-" if layer.joined else ""
+            marker = "" if layer.joined else "o"
+            axes.plot(
+                *np.asarray(layer.points, dtype=np.float64).reshape(-1, 2).T, kind or "none", marker=marker,
+                color=layer.colour, markersize=layer.size, linewidth=layer.size if layer.joined else 0.0,
+                markeredgewidth=0.0, alpha=layer.alpha, label=label,
+            )  # fmt: skip
+        _settle(axes, x, y)
+        if equal:
+            axes.set_aspect("equal", adjustable="datalim" if x.low is None else "box")
+
+    return _svg([draw], SQUARE if equal else WIDE)
+
+
+def bars(
+    labels: Sequence[str], values: Floats, x: Axis, low: Floats | None = None, high: Floats | None = None,
+    zero: float = 0.0, colours: Sequence[str] = (),
+) -> bytes:  # fmt: skip
+    """One horizontal bar a label from ``zero``, the first on top, with intervals from ``low`` to ``high``."""
+    heights = np.arange(len(labels))[::-1]
+
+    def draw(axes: Axes) -> None:
+        filled = list(colours) or [HUES[0]] * len(labels)
+        axes.barh(heights, np.asarray(values) - zero, left=zero, height=0.62, color=filled, alpha=0.55)
+        if low is not None and high is not None:
+            axes.hlines(heights, low, high, color="#1c2128", linewidth=1.4)
+        axes.axvline(zero, color="#59636e", linewidth=1.0)
+        axes.set_yticks(heights, labels)
+        _settle(axes, x, Axis(""))
+        axes.grid(False, axis="y")
+
+    return _svg([draw], (WIDE[0], 0.9 + 0.32 * max(len(labels), 2)), legend=False)
+
+
+def picture(
+    image: Any, extent_m: tuple[float, float, float, float], layers: Sequence[Points] = (), title: str = ""
+) -> bytes:
+    """An image (H, W) of grey in 0..1 or (H, W, 3), first row on top, at (left, right, bottom, top) in metres."""
+
+    def draw(axes: Axes) -> None:
+        axes.imshow(image, extent=extent_m, cmap="gray", vmin=0.0, vmax=1.0, interpolation="nearest")
+        for layer in layers:
+            style = (
+                {"linestyle": "-", "linewidth": layer.size} if layer.joined else {"linestyle": "none", "marker": "o"}
+            )
+            axes.plot(
+                *np.asarray(layer.points, dtype=np.float64).reshape(-1, 2).T, color=layer.colour, alpha=layer.alpha,
+                markersize=layer.size, markeredgewidth=0.0, label=layer.label or "_unnamed", **style,
+            )  # fmt: skip
+        axes.set(xlabel="x [m]", ylabel="y [m]", xlim=extent_m[:2], ylim=extent_m[2:], title=title)
+        axes.set_aspect("equal", adjustable="box")
+        axes.grid(False)
+
+    return _svg([draw], SQUARE)
+
+
+@dataclass(frozen=True, slots=True)
+class Box:
+    """A stage of a flow chart at (column, row), row 0 on top; ``kind`` "choice" is a question, "end" starts or ends."""
+
+    name: str
+    text: str
+    column: float
+    row: float
+    kind: Literal["step", "choice", "end", "store"] = "step"
+
+
+def flow(boxes: Sequence[Box], arrows: Sequence[tuple[str, str, str]]) -> bytes:
+    """Boxes and arrows: ``arrows`` are (from, to, words beside it) by the boxes' names."""
+    known = {box.name: box for box in boxes}
+    columns = [box.column for box in boxes]
+    rows = [box.row for box in boxes]
+    size = (1.2 + 2.3 * (max(columns) - min(columns) + 1.0), 0.5 + 0.95 * (max(rows) - min(rows) + 1.0))
+
+    def draw(axes: Axes) -> None:
+        for box in boxes:
+            _box(axes, box)
+        for start, end, words in arrows:
+            _arrow(axes, known[start], known[end], words)
+        axes.set(xlim=(min(columns) - 0.62, max(columns) + 0.62), ylim=(max(rows) + 0.5, min(rows) - 0.5))
+        axes.axis("off")
+
+    return _svg([draw], size, legend=False)
+
+
+HALF_BOX = (0.44, 0.29)
+FILLS = {"step": "#e1ecfb", "choice": "#fff1d6", "end": "#e9edf2", "store": "#e3f0e6"}
+
+
+def _box(axes: Axes, box: Box) -> None:
+    wide, high = HALF_BOX
+    shape = "round,pad=0,rounding_size=0.28" if box.kind == "end" else "round,pad=0,rounding_size=0.05"
+    axes.add_patch(
+        FancyBboxPatch(
+            (box.column - wide, box.row - high), 2 * wide, 2 * high, boxstyle=shape, mutation_aspect=1.0,
+            facecolor=FILLS[box.kind], edgecolor="#59636e", linewidth=1.0,
+        )
+    )  # fmt: skip
+    axes.text(box.column, box.row, textwrap.fill(box.text, 26), ha="center", va="center", fontsize=8.5)
+
+
+def _arrow(axes: Axes, start: Box, end: Box, words: str) -> None:
+    wide, high = HALF_BOX
+    across, down = end.column - start.column, end.row - start.row
+    if abs(across) < 1e-9 and 0 < down <= 1.5:  # to the next one below
+        a, b, bend = (start.column, start.row + high), (end.column, end.row - high), "arc3"
+    elif abs(across) < 1e-9:  # back up, or past others, around the right side
+        a, b = (start.column + wide, start.row), (end.column + wide, end.row)
+        bend = "arc3,rad=0.35" if down < 0 else "arc3,rad=-0.35"
+    else:
+        side = 1.0 if across > 0 else -1.0
+        level = abs(down) < 0.6
+        a = (start.column + side * wide, start.row) if level else (start.column, start.row + np.sign(down) * high)
+        b = (end.column - side * wide, end.row)
+        bend = "arc3" if level else "angle,angleA=90,angleB=0,rad=4"
+    axes.add_patch(
+        FancyArrowPatch(
+            a, b, connectionstyle=bend, arrowstyle="-|>", mutation_scale=11, color="#30363d", linewidth=1.1,
+            shrinkA=0, shrinkB=0,
+        )
+    )  # fmt: skip
+    if words and abs(across) > 1e-9 and a[1] == b[1]:
+        axes.text(0.5 * (a[0] + b[0]), a[1] - 0.07, words, fontsize=8, color="#59636e", ha="center")
+    elif words:
+        bulge = 0.22 if bend.startswith("arc3,") else 0.0
+        axes.text(
+            0.5 * (a[0] + b[0]) + 0.03 + bulge, 0.5 * (a[1] + b[1]), words, fontsize=8, color="#59636e", va="center"
+        )
+
+
+def _shade(axes: Axes, spans: Sequence[Span]) -> None:
+    named = set()
+    for span in spans:
+        label = span.label if span.label not in named else ""
+        named.add(span.label)
+        if span.low < span.high:
+            axes.axvspan(span.low, span.high, color=span.colour, alpha=0.55, linewidth=0, label=label or "_span")
+        else:
+            axes.axvline(span.low, color=span.colour, linewidth=1.2, label=label or "_span")
+
+
+def _levels(axes: Axes, levels: Mapping[str, float]) -> None:
+    for label, value in levels.items():
+        axes.axhline(value, color="#b42318", linewidth=1.1, linestyle=(0, (5, 3)), label=label)
+
+
+def _settle(axes: Axes, x: Axis, y: Axis) -> None:
+    for axis, which, set_scale, set_limits, set_label in (
+        (x, axes.xaxis, axes.set_xscale, axes.set_xlim, axes.set_xlabel),
+        (y, axes.yaxis, axes.set_yscale, axes.set_ylim, axes.set_ylabel),
+    ):
+        set_label(axis.label)
+        if axis.scale == "log":
+            set_scale("log")
+            which.set_major_formatter(lambda value, _: f"{value:g}")
+            which.set_minor_formatter("")
+        if axis.ticks:
+            which.set_ticks(list(axis.ticks), [f"{tick:g}" for tick in axis.ticks])
+            which.set_ticks([], minor=True)
+        if axis.low is not None or axis.high is not None:
+            set_limits(axis.low, axis.high)
+
+
+def _range(values: Floats, x: Axis) -> tuple[float, float]:
+    low = float(values.min()) if len(values) else 0.0
+    high = float(values.max()) if len(values) else 1.0
+    return (low if x.low is None else x.low, high if x.high is None else x.high)
+
+
+def _stroke(drawn: Stroke) -> dict[str, Any]:
+    return {"color": drawn.colour, "linestyle": (0, drawn.dash) if drawn.dash else "-", "linewidth": 1.5}
+
+
+def _svg(drawings: Sequence[Callable[[Axes], None]], size: tuple[float, float], legend: bool = True) -> bytes:
+    with mpl.rc_context(STYLE):
+        figure = Figure(figsize=size, layout="constrained")
+        shared = list(figure.subplots(len(drawings), 1, sharex=True, squeeze=False)[:, 0])
+        handles: dict[str, Any] = {}
+        for draw, axes in zip(drawings, shared, strict=True):
+            draw(axes)
+            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+                handles.setdefault(label, handle)
+        if legend and len(handles) > (1 if len(drawings) == 1 else 0):
+            columns = 4 if max(map(len, handles)) < 18 else 3 if max(map(len, handles)) < 30 else 2
+            figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns)
+        out = io.BytesIO()
+        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+    return out.getvalue()
