@@ -21,7 +21,9 @@ DRAWN = {
     "scatter": lambda: charts.scatter([Points("p", np.stack([X, X], 1), "#000000")], Axis("x [m]"), Axis("y [m]")),
     "bars": lambda: charts.bars(["a", "b"], np.array([1.0, -1.0]), Axis("effect"), np.zeros(2), np.ones(2)),
     "picture": lambda: charts.picture(np.zeros((3, 4)), (0.0, 4.0, 0.0, 3.0), [Points("g", np.ones((2, 2)), "#f00")]),
-    "flow": lambda: charts.flow([Box("a", "A", 0, 0), Box("b", "B", 0, 1, "choice")], [("a", "b", ""), ("b", "a", "no")]),
+    "flow": lambda: charts.flow(
+        [Box("a", "A", 0, 0), Box("b", "B", 0, 1, "choice")], [("a", "b", ""), ("b", "a", "no")]
+    ),
 }  # fmt: skip
 
 
