@@ -1,0 +1,47 @@
+"""What a chapter of the paper's page is: settings, computations, and what is shown and found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from evalkit.protocols import Parameter, Value
+from evalkit.report.document import Section
+from evalkit.study.ledger import Job, Result
+
+Verdict = Literal[
+    "reproduced", "reproduced with a correction", "not determined by the text", "not reproducible in software"
+]
+Settings = Mapping[str, Value]
+Results = Mapping[str, Result]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One table, figure or claim of the paper, what was printed, what is measured here, and the verdict with its reason.
+
+    ``anchor``: the section of the page that shows it.
+    """
+
+    item: str
+    printed: str
+    measured: str
+    verdict: Verdict
+    why: str
+    anchor: str
+
+
+@dataclass(frozen=True)
+class Chapter:
+    """A chapter: ``name`` is its table in the experiment file, ``parameters`` what may stand there.
+
+    ``jobs`` says what must be computed, ``sections`` and ``findings`` only draw and word the results, by the jobs'
+    names.
+    """
+
+    name: str
+    parameters: tuple[Parameter, ...]
+    jobs: Callable[[Settings], tuple[Job, ...]]
+    sections: Callable[[Settings, Results], tuple[Section, ...]]
+    findings: Callable[[Settings, Results], tuple[Finding, ...]]
