@@ -112,6 +112,63 @@ def progress(console: Console, planned: list[Planned], jobs: int) -> Iterator[Ru
         yield shown
 
 
+class JobLines:
+    """How a study goes on: a line now and then, for logs and pipes. Call it with each job that is done."""
+
+    EVERY_S = 10.0
+
+    def __init__(self, console: Console, total: int, workers: int) -> None:
+        self._console, self._total, self._workers = console, total, workers
+        self._done = self._kept = 0
+        self._took: list[float] = []
+        self._told_at = time.monotonic()
+
+    def __call__(self, name: str, seconds: float) -> None:
+        """One job is done; 0 seconds: it was kept from before."""
+        self._done += 1
+        if seconds > 0.0:
+            self._took.append(seconds)
+        else:
+            self._kept += 1
+        self._tell(name)
+
+    def _tell(self, name: str) -> None:
+        last = self._done == self._total
+        if last or time.monotonic() - self._told_at >= self.EVERY_S:
+            self._told_at = time.monotonic()
+            self._console.print(f"[{self._done}/{self._total}] {name}, {self._time_left()}", markup=False)
+
+    def _time_left(self) -> str:
+        kept = f", {self._kept} kept from before" if self._kept else ""
+        if not self._took:
+            return f"time left unknown{kept}"
+        return f"{_clock((self._total - self._done) * fmean(self._took) / self._workers)} left{kept}"
+
+
+class JobBar(JobLines):
+    """The same as a bar with the time left."""
+
+    def __init__(self, console: Console, total: int, workers: int) -> None:
+        super().__init__(console, total, workers)
+        columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+        self.bar = Progress(*columns, console=console, transient=True)
+        self._task = self.bar.add_task("starting", total=total)
+
+    def _tell(self, name: str) -> None:
+        self.bar.update(self._task, completed=self._done, description=f"{self._time_left()}  {escape(name)}")
+
+
+@contextmanager
+def jobs(console: Console, total: int, workers: int) -> Iterator[JobLines]:
+    """What a ledger tells of its jobs: a bar on a terminal, lines elsewhere."""
+    if not console.is_terminal:
+        yield JobLines(console, total, workers)
+        return
+    shown = JobBar(console, total, workers)
+    with shown.bar:
+        yield shown
+
+
 def show(console: Console, table: Table) -> None:
     """Prints a table: fitted to a terminal, one line a row elsewhere."""
     (console if console.is_terminal else Console(width=WIDE)).print(table)

@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from evalkit import experiment
-from evalkit.console import TimeLeft, missing, progress
+from evalkit.console import JobLines, TimeLeft, jobs, missing, progress
 from evalkit.experiment import Contestant, Course
 
 
@@ -86,3 +86,20 @@ def test_a_terminal_gets_a_line_only_for_what_did_not_complete(planned, trial):
         shown.finished(trial("slow", "room", {}, status="timeout", reason="[late]"))
     assert "room seed 0 / slow: timeout ([late]), 0.0 s" in told.getvalue()
     assert "room seed 0 / fast: complete" not in told.getvalue()
+
+
+def test_a_study_tells_of_its_last_job_what_was_kept_and_what_is_left():
+    told = io.StringIO()
+    with jobs(Console(file=told, width=100), 3, 2) as done:
+        done("first", 0.0)
+        done("second", 4.0)
+        done("third", 2.0)
+    assert told.getvalue().splitlines() == ["[3/3] third, 0:00 left, 1 kept from before"]
+
+
+def test_the_time_left_of_a_study_is_the_mean_of_its_jobs_shared_among_the_workers():
+    told = io.StringIO()
+    lines = JobLines(Console(file=told, width=100), 5, 2)
+    lines.EVERY_S = 0.0
+    lines("first", 30.0)
+    assert told.getvalue() == "[1/5] first, 1:00 left\n"

@@ -19,7 +19,7 @@ Results = Mapping[str, Result]
 
 @dataclass(frozen=True)
 class Finding:
-    """One table, figure or claim of the paper, what was printed, what is measured here, and the verdict with its reason.
+    """One table, figure or claim of the paper: what was printed, what is measured here, the verdict and its reason.
 
     ``anchor``: the section of the page that shows it.
     """
