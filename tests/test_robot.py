@@ -129,3 +129,40 @@ def test_asking_at_more_times_does_not_change_the_answers():
     both = np.union1d(few, many)
     found = odometry(WheelOdometry(), drive, both)[np.searchsorted(both, few)]
     np.testing.assert_allclose(found, odometry(WheelOdometry(), drive, few), atol=1e-5)
+
+
+CORNERED = Route.through([(0, 0, 0.5), (6, 0, 0.25), (6, 4, 5.0), (4, 6, 0.25), (0, 6, 0.25)])
+
+
+def yaw_rates(drive):
+    stamps = every(drive)
+    poses = drive.pose(stamps)
+    return np.abs(se2.between(poses[:-1], poses[1:])[:, 2]) / 0.01
+
+
+def test_a_tightened_route_keeps_its_corners_and_its_gentle_curves():
+    tight = CORNERED.tightened(0.1)
+    assert tight.corners[:, 2].tolist() == [0.1, 0.1, 5.0, 0.1, 0.1]
+    turns = np.radians([90.0, 90.0, 45.0, 45.0, 90.0])
+    shortcuts = 2.0 * np.tan(0.5 * turns) - turns  # what a rounded corner saves, in radii
+    assert tight.length_m - CORNERED.length_m == pytest.approx(shortcuts @ [0.4, 0.15, 0.0, 0.15, 0.15])
+
+
+@pytest.mark.parametrize("degrees", [20.0, 90.0, 180.0])
+def test_a_drive_turns_every_corner_at_the_yaw_rate_asked_for(degrees):
+    drive = Drive.turning_at(CORNERED, 0.3, 1.0, np.radians(degrees))
+    found = np.degrees(yaw_rates(drive))
+    assert found.max() == pytest.approx(degrees, rel=1e-6)
+    assert np.degrees(drive.top_yaw_rate) == pytest.approx(degrees)
+    assert 350.0 < found.sum() * 0.01 < 361.0  # once round, however fast
+    turning = found > 0.9 * degrees
+    assert np.count_nonzero(np.diff(turning.astype(int)) == 1) == 4  # the four turns, not the gentle curve
+
+
+def test_a_drive_that_slows_down_does_so_steadily():
+    drive = Drive(SQUARE, speed_mps=2.0, laps=2.0, most_yaw_rate=0.5)  # radius 1 m: 0.5 m/s through the arcs
+    poses = drive.pose(every(drive))
+    speed = np.hypot(*se2.between(poses[:-1], poses[1:])[:, :2].T) / 0.01
+    assert np.abs(np.diff(speed)).max() < 0.5 * 0.01 * 1.01
+    assert speed.max() == pytest.approx(np.sqrt(0.5**2 + 2.0 * 0.5 * 1.0), abs=0.01)  # 1 m on from an arc, 1 m to go
+    np.testing.assert_allclose(drive.distance([0, drive.duration_ns]), [0.0, drive.path_m], atol=1e-8)

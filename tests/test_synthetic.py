@@ -88,7 +88,7 @@ def test_a_beam_without_noise_ends_on_a_boundary_seen_from_where_it_was_fired(na
 @pytest.mark.parametrize("name", ["room", "lab"])
 def test_a_deskewed_scan_falls_on_the_walls_and_a_raw_one_does_not(name):
     sequence = exact(name)
-    boundaries = np.cumsum(sequence.plan.route.sections[:, 4])
+    boundaries = np.cumsum(sequence.drive.route.sections[:, 4])
     cleared, raw = [], []
     for frame, pose in list(zip(sequence.frames(), sequence.truth().trajectory.poses, strict=True))[::2]:
         begin, end = sequence.drive.distance([frame.scan.stamp_ns, frame.scan.stamp_ns + frame.scan.duration_ns])
@@ -203,6 +203,33 @@ def test_lidars_do_not_sit_in_the_middle_and_not_all_straight():
     mounts = [SPECS[name].make(laps=0.1).base_from_sensor for name in SPECS]
     assert all((mount.x, mount.y) != (0.0, 0.0) for mount in mounts)
     assert any(mount.theta != 0.0 for mount in mounts)
+
+
+TODAY = [  # scans, invalid ranges, sum of the others (m), the last odometry
+    ("room", 81, 703, 303837.664910, [2.250688867, -0.02610002, -0.022688902]),
+    ("lab", 84, 724, 236079.611691, [2.323129756, -0.161805775, -0.165427769]),
+    ("loop", 142, 1185, 246712.175834, [4.047829788, -0.328444252, -0.151043841]),
+    ("corridor", 75, 645, 117342.014641, [2.072015723, -0.022276646, -0.021198021]),
+    ("office", 121, 988, 285751.081182, [1.935847522, 1.884125706, 1.537825194]),
+]
+
+
+@pytest.mark.parametrize(("name", "scans", "invalid", "metres", "last"), TODAY)
+def test_published_sequences_do_not_change(name, scans, invalid, metres, last):
+    sequence = short(name, seed=3)
+    found = ranges(sequence)
+    assert (len(sequence), np.isnan(found).sum()) == (scans, invalid)
+    assert found[np.isfinite(found)].sum() == pytest.approx(metres, abs=1e-5)
+    np.testing.assert_allclose(odometry(sequence)[-1], last, atol=1e-8)
+
+
+@pytest.mark.parametrize(("speed_mps", "turn_dps"), [(0.2, 90.0), (1.0, 30.0)])
+def test_turns_go_at_the_yaw_rate_asked_for_at_any_speed(speed_mps, turn_dps):
+    drive = SPECS["lab"].make(speed_mps=speed_mps, turn_dps=turn_dps).drive
+    poses = drive.pose(np.arange(0, drive.duration_ns, 10_000_000))
+    steps = se2.between(poses[:-1], poses[1:]) / 0.01
+    assert np.degrees(np.abs(steps[:, 2]).max()) == pytest.approx(turn_dps, rel=1e-6)
+    assert np.hypot(steps[:, 0], steps[:, 1]).max() == pytest.approx(speed_mps, rel=1e-6)
 
 
 def test_unknown_and_impossible_parameters_are_refused():

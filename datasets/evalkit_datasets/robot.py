@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,6 +12,8 @@ from evalkit import se2
 from evalkit.se2 import Floats, Stamps
 
 _TICK_NS = 10_000_000  # wheel encoders and gyroscope are read at 100 Hz
+_GENTLE_M = 1.0  # a curve this round is no turn
+_STEP_M = 0.005  # between two places at which a drive that slows down for its curves has a speed of its own
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,9 +21,11 @@ class Route:
     """A closed path of straight lines and arcs, smooth in position and heading.
 
     ``sections`` (K, 5): x, y (m) and heading (rad) where a section begins, its curvature (1/m), its length (m).
+    ``corners`` (W, 3): what it was made of, x, y, radius (m).
     """
 
     sections: Floats
+    corners: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
     @classmethod
     def through(cls, corners: ArrayLike) -> Route:
@@ -54,7 +59,14 @@ class Route:
         half = 0.5 * sections[0, 4]
         second_half = sections[0] + [*(half * forward[0]), 0.0, 0.0, -half]
         first_half = [*sections[0, :4], half]
-        return cls(np.concatenate([[second_half], sections[1:], arcs[:1], [first_half]]))
+        return cls(np.concatenate([[second_half], sections[1:], arcs[:1], [first_half]]), rows)
+
+    def tightened(self, radius_m: float) -> Route:
+        """The same route with no turn rounder than a radius; gentle curves, rounder than 1 m, stay as they are."""
+        corners = self.corners.copy()
+        turns = corners[:, 2] <= _GENTLE_M
+        corners[turns, 2] = np.minimum(corners[turns, 2], radius_m)
+        return Route.through(corners)
 
     @property
     def length_m(self) -> float:
@@ -89,18 +101,25 @@ class Route:
 class Drive:
     """One drive along a route from rest to rest: steady acceleration, steady speed, steady braking.
 
-    ``laps`` may be any share of a lap; time starts at 0.
+    ``laps`` may be any share of a lap; time starts at 0. ``most_yaw_rate`` (rad/s): the drive slows down where a curve
+    would turn it faster.
     """
 
     route: Route
     speed_mps: float
     laps: float = 1.0
     acceleration_mps2: float = 0.5
+    most_yaw_rate: float = float("inf")
 
     def __post_init__(self) -> None:
-        for name in ("speed_mps", "laps", "acceleration_mps2"):
+        for name in ("speed_mps", "laps", "acceleration_mps2", "most_yaw_rate"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name}: expected a positive number, got {getattr(self, name)}")
+
+    @classmethod
+    def turning_at(cls, route: Route, speed_mps: float, laps: float, yaw_rate: float) -> Drive:
+        """The drive whose turns all go at ``yaw_rate`` (rad/s): turns are tightened to it, then slowed down to it."""
+        return cls(route.tightened(speed_mps / yaw_rate), speed_mps, laps, most_yaw_rate=yaw_rate)
 
     @property
     def path_m(self) -> float:
@@ -115,16 +134,20 @@ class Drive:
     @property
     def duration_ns(self) -> int:
         """Nanoseconds from rest to rest."""
+        if self._slows_down:
+            return int(self._places[0][-1] * 1e9)
         return int((self.path_m / self.top_speed_mps + self._ramp_s) * 1e9)
 
     @property
     def top_yaw_rate(self) -> float:
         """The fastest turn (rad/s) between the ramps."""
-        return self.top_speed_mps * float(np.abs(self.route.sections[:, 3]).max())
+        return min(self.top_speed_mps * float(np.abs(self.route.sections[:, 3]).max()), self.most_yaw_rate)
 
     def distance(self, stamps_ns: ArrayLike) -> Floats:
         """Metres driven (N,) at times (N,)."""
-        time = np.clip(np.asarray(stamps_ns, dtype=np.int64), 0, self.duration_ns) * 1e-9
+        time = np.asarray(np.clip(np.asarray(stamps_ns, dtype=np.int64), 0, self.duration_ns) * 1e-9, np.float64)
+        if self._slows_down:
+            return self._slowed_distance(time)
         left = self.path_m / self.top_speed_mps + self._ramp_s - time
         a, v, ramp = self.acceleration_mps2, self.top_speed_mps, self._ramp_s
         steady = v * (time - 0.5 * ramp)
@@ -137,6 +160,38 @@ class Drive:
     @property
     def _ramp_s(self) -> float:
         return self.top_speed_mps / self.acceleration_mps2
+
+    @cached_property
+    def _slows_down(self) -> bool:
+        sharpest = float(np.abs(self.route.sections[:, 3]).max())
+        return self.speed_mps * sharpest > self.most_yaw_rate * (1.0 + 1e-9)
+
+    @cached_property
+    def _places(self) -> tuple[Floats, Floats, Floats]:
+        """Seconds, metres and speeds (K,) all along the drive; between two places the acceleration is steady.
+
+        The square of the speed is the lower envelope of cones of slope 2 a over the sections' limits, and over 0 at
+        both ends of the drive.
+        """
+        ends = np.cumsum(self.route.sections[:, 4]) + self.route.length_m * np.arange(np.ceil(self.laps))[:, None]
+        evenly = np.linspace(0.0, self.path_m, max(int(self.path_m / _STEP_M), 2) + 1)
+        distance = np.union1d(evenly, ends[ends < self.path_m])
+        curvature = np.abs(self.route.curvature(0.5 * (distance[:-1] + distance[1:])))
+        between = np.minimum(self.speed_mps, self.most_yaw_rate / np.maximum(curvature, 1e-12))
+        limits = np.minimum(np.append(0.0, between), np.append(between, 0.0))
+        slope = 2.0 * self.acceleration_mps2 * distance
+        ahead = np.minimum.accumulate(limits**2 - slope) + slope
+        behind = (np.minimum.accumulate((limits**2 + slope)[::-1]))[::-1] - slope
+        speed = np.sqrt(np.maximum(np.minimum(ahead, behind), 0.0))
+        seconds = np.cumsum(np.diff(distance) * 2.0 / (speed[:-1] + speed[1:]))
+        return np.append(0.0, seconds), distance, speed
+
+    def _slowed_distance(self, time: Floats) -> Floats:
+        seconds, distance, speed = self._places
+        place = np.clip(np.searchsorted(seconds, time, side="right") - 1, 0, len(seconds) - 2)
+        since = time - seconds[place]
+        gained = (speed[place + 1] - speed[place]) / (seconds[place + 1] - seconds[place])
+        return np.asarray(np.minimum(distance[place] + since * (speed[place] + 0.5 * gained * since), self.path_m))
 
 
 @dataclass(frozen=True)

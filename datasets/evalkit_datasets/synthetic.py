@@ -14,7 +14,7 @@ from evalkit.types import Frame, Pose, Scan, Trajectory, Truth
 from evalkit_datasets import floorplans
 from evalkit_datasets.floorplans import FloorPlan
 from evalkit_datasets.lidar import Lidar
-from evalkit_datasets.robot import Drive, WheelOdometry
+from evalkit_datasets.robot import Drive, Route, WheelOdometry
 from evalkit_datasets.worlds import truth_grid
 
 _SCANS_AT_ONCE = 32  # simulated together: keeps the memory of a run small beside the back end's own
@@ -101,7 +101,7 @@ class Synthetic:
     @cached_property
     def _truth(self) -> Truth:
         poses = self.drive.pose(self.stamps_ns)
-        path = self.plan.route.at(np.arange(0.0, self.drive.path_m, _LOOK_EVERY_M))
+        path = self.drive.route.at(np.arange(0.0, self.drive.path_m, _LOOK_EVERY_M))
         sensor = se2.compose(path, self.base_from_sensor.row)
         grid = truth_grid(self.plan.world, self.resolution_m, sensor[:, :2], self.lidar.range_max_m)
         return Truth("exact: simulated", trajectory=Trajectory(self.stamps_ns, poses, "world", "base"), grid=grid)
@@ -111,6 +111,8 @@ PARAMETERS = (
     Parameter("seed", 0, "", "draws noise, drop-outs and odometry errors", low=0),
     Parameter("rate_hz", 10.0, "Hz", "revolutions of the lidar a second", low=5.0, high=15.0),
     Parameter("speed_mps", 0.3, "m/s", "speed between the ramps", low=0.05, high=3.0),
+    Parameter("turn_dps", 0.0, "deg/s", "yaw rate of every turn: tightened, then slowed down to it; 0: as drawn",
+              low=0.0, high=360.0),
     Parameter("laps", 1.0, "", "laps driven, may be a share of one", low=0.02, high=100.0),
     Parameter("noise_m", 0.0483, "m", "standard deviation of a range", low=0.0, high=1.0),
     Parameter("dropout", 0.01, "", "share of beams without an answer", low=0.0, high=1.0),
@@ -119,7 +121,7 @@ PARAMETERS = (
     Parameter("gyro_bias_dps", 0.2, "deg/s", "1 sigma of the gyroscope's bias, drawn once a run", low=0.0, high=20.0),
     Parameter("gyro_noise_dps", 0.5, "deg/s", "1 sigma of every yaw rate reading at 100 Hz", low=0.0, high=50.0),
     Parameter("resolution_m", 0.05, "m", "cell size of the true map", low=0.01, high=1.0),
-)
+)  # fmt: skip
 
 
 def sequence(plan: Callable[[], FloorPlan], base_from_sensor: Pose, **parameters: object) -> Synthetic:
@@ -129,7 +131,7 @@ def sequence(plan: Callable[[], FloorPlan], base_from_sensor: Pose, **parameters
     drawn = plan()
     return Synthetic(
         drawn,
-        Drive(drawn.route, number["speed_mps"], number["laps"]),
+        _drive(drawn.route, number["speed_mps"], number["laps"], float(np.radians(number["turn_dps"]))),
         Lidar(number["rate_hz"], number["noise_m"], number["dropout"]),
         WheelOdometry(
             number["odometry_scale"],
@@ -141,6 +143,10 @@ def sequence(plan: Callable[[], FloorPlan], base_from_sensor: Pose, **parameters
         int(value["seed"]),
         number["resolution_m"],
     )
+
+
+def _drive(route: Route, speed_mps: float, laps: float, yaw_rate: float) -> Drive:
+    return Drive.turning_at(route, speed_mps, laps, yaw_rate) if yaw_rate else Drive(route, speed_mps, laps)
 
 
 def _spec(
