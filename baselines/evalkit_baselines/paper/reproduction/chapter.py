@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
-from evalkit.protocols import Parameter, Value
+from evalkit.protocols import Parameter, resolved
 from evalkit.report.document import Section
 from evalkit.study.ledger import Job, Result
 
 Verdict = Literal[
     "reproduced", "reproduced with a correction", "not determined by the text", "not reproducible in software"
 ]
-Settings = Mapping[str, Value]
+Settings = Mapping[str, Any]
 Results = Mapping[str, Result]
 
 
@@ -37,7 +37,8 @@ class Chapter:
     """A chapter: ``name`` is its table in the experiment file, ``parameters`` what may stand there.
 
     ``jobs`` says what must be computed, ``sections`` and ``findings`` only draw and word the results, by the jobs'
-    names.
+    names. ``read`` turns the table into settings where it holds more than single values; its first argument says whose
+    table it is, for messages.
     """
 
     name: str
@@ -45,3 +46,8 @@ class Chapter:
     jobs: Callable[[Settings], tuple[Job, ...]]
     sections: Callable[[Settings, Results], tuple[Section, ...]]
     findings: Callable[[Settings, Results], tuple[Finding, ...]]
+    read: Callable[[str, Mapping[str, object]], Settings] | None = None
+
+    def settings(self, owner: str, table: Mapping[str, object]) -> Settings:
+        """The chapter's table with defaults filled in; BadParameter and UnknownName name the key."""
+        return self.read(owner, table) if self.read else resolved(owner, self.parameters, table)

@@ -1,0 +1,7 @@
+"""The chapters of the paper's page, in its order."""
+
+from __future__ import annotations
+
+from evalkit_baselines.paper.reproduction.chapter import Chapter
+
+CHAPTERS: tuple[Chapter, ...] = ()
