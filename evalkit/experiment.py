@@ -86,11 +86,14 @@ class Plan:
     limits: Limits
 
     def runs(self) -> Iterator[Planned]:
-        """Every run, contestants interleaved within each repetition so that a slow hour hits all alike."""
-        for course in self.courses:
-            for seed in course.seeds:
-                for contestant in self.contestants:
-                    yield Planned(_key(contestant, course, seed), contestant, course, seed)
+        """Every run, contestants interleaved within each repetition, every second one in reverse: A B, B A, A B.
+
+        A slow hour hits all alike, and nobody always runs first or always after the same one.
+        """
+        repetitions = [(course, seed) for course in self.courses for seed in course.seeds]
+        for turn, (course, seed) in enumerate(repetitions):
+            for contestant in self.contestants[:: -1 if turn % 2 else 1]:
+                yield Planned(_key(contestant, course, seed), contestant, course, seed)
 
     def command(self, planned: Planned) -> str:
         """What reproduces one run alone, in a folder of its own: this plan's results and page stay."""

@@ -165,13 +165,14 @@ def test_a_recording_runs_once_without_a_seed(log):
     assert "seed" not in course.seeded(None)
 
 
-def test_contestants_take_turns_within_each_repetition():
+def test_contestants_take_turns_forth_and_back():
     plan = planned(
         [{"use": "wheel-odometry", "label": "A"}, {"use": "paper", "label": "B"}],
         [{"use": "room", "seeds": [0, 1]}, {"use": "lab"}],
     )
     order = [(item.course.label, item.seed, item.contestant.label) for item in plan.runs()]
-    assert order == [(c, s, who) for c, s in (("room", 0), ("room", 1), ("lab", 0)) for who in "AB"]
+    turns = (("room", 0, "AB"), ("room", 1, "BA"), ("lab", 0, "AB"))
+    assert order == [(label, seed, who) for label, seed, both in turns for who in both]
 
 
 # a part of it
@@ -241,7 +242,7 @@ def test_keys_are_told_apart_and_fit_for_file_names(wide):
     keys = [item.key for item in wide.runs()]
     assert len(set(keys)) == len(keys) == 10
     assert all(re.fullmatch(r"[\w.-]+", key) for key in keys)
-    assert re.fullmatch(r"room-s1-wheel-odometry-[0-9a-f]{10}", keys[2])
+    assert re.fullmatch(r"room-s1-wheel-odometry-[0-9a-f]{10}", keys[3])
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from evalkit import experiment
 from evalkit.protocols import BackendSpec
 from evalkit.report import comparison_of
-from evalkit.report.assembly import distribution, fairness, sequence_card
+from evalkit.report.assembly import distribution, fairness, in_order, sequence_card
 from evalkit.types import Truth
 
 
@@ -79,3 +79,10 @@ def test_an_odometry_that_does_not_say_what_it_starts_from_is_given_no_guess():
     kinds = {kind: BackendSpec(Truth, kind, "", "", "").guess for kind in ("registration", "odometry")}
     assert kinds == {"registration": "wheel odometry where recorded, else constant velocity", "odometry": "not told"}
     assert BackendSpec(Truth, "odometry", "", "", "", guess="its own").guess == "its own"
+
+
+def test_trials_are_told_in_the_plans_order_though_every_second_repetition_ran_backwards(plan, trial):
+    course, labels = plan.courses[0], [contestant.label for contestant in plan.contestants]
+    run = [trial(who, course.label, {}, seed=seed) for seed in course.seeds for who in reversed(labels)]
+    told = in_order(plan, run)
+    assert [(t.seed, t.contestant) for t in told] == [(seed, who) for seed in course.seeds for who in labels]

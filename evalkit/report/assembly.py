@@ -34,7 +34,7 @@ def comparison_of(
     return Comparison(
         title=plan.title,
         description=plan.description,
-        trials=tuple(trials),
+        trials=in_order(plan, trials),
         metrics=all_metrics(),
         contestants={contestant.label: contestant_card(contestant) for contestant in plan.contestants},
         sequences={course.label: sequence_card(course, trials) for course in plan.courses},
@@ -45,6 +45,18 @@ def comparison_of(
         mapper=mapper_text(plan.mapper),
         fairness=fairness(trials, where),
     )
+
+
+def in_order(plan: Plan, trials: Sequence[Trial]) -> tuple[Trial, ...]:
+    """The trials by sequence, seed and contestant as the plan names them, whatever the order they were run in."""
+    entrants = [contestant.label for contestant in plan.contestants]
+    courses = {course.label: (row, course.seeds) for row, course in enumerate(plan.courses)}
+
+    def place(trial: Trial) -> tuple[int, int, int]:
+        row, seeds = courses[trial.sequence]
+        return row, seeds.index(trial.seed), entrants.index(trial.contestant)
+
+    return tuple(sorted(trials, key=place))
 
 
 def distribution(requirement: str) -> str:
@@ -103,7 +115,7 @@ def fairness(trials: Sequence[Trial], environment: Mapping[str, str]) -> tuple[s
     return (
         *([f"Runs at a time: {at_once}{shared}."] if at_once else []),
         "Every run has a process of its own, one thread for numerical libraries, and contestants take turns within "
-        "each repetition, so that a slow hour hits all alike.",
+        "each repetition, forth in one and back in the next (A B, B A), so that a slow hour hits all alike.",
         "Only the contestant's own call is timed; turning values into a library's format and back is part of it and is "
         "also shown apart. Reading, checking and storing are not timed.",
         f"Imports and first allocations are paid by another instance that sees {warmed} before the timed one starts.",
