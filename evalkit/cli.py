@@ -21,7 +21,7 @@ from evalkit.commands.check import check
 from evalkit.commands.equiv import equiv
 from evalkit.commands.options import Jobs, Json, Out, Resume, err, out
 from evalkit.engine import Engine
-from evalkit.errors import EvalkitError, StoreError
+from evalkit.errors import EvalkitError, NotInstalled, StoreError
 from evalkit.experiment import Plan
 from evalkit.store import REMEDY, Store
 from evalkit.types import Trial
@@ -43,11 +43,21 @@ def main() -> None:
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # whoever ends us must not leave our runs behind
     try:
         for name in registry.names("commands"):  # of plug-ins: the data sets bring "datasets"
-            app.add_typer(registry.load("commands", name, typer.Typer), name=name)
+            _add(name, registry.load("commands", name, object))
         app()
     except EvalkitError as error:
         err.print(f"evalkit: {error}", style="red", markup=False, highlight=False)
         sys.exit(2)
+
+
+def _add(name: str, command: object) -> None:
+    """A plug-in's command: a function, or a whole typer application."""
+    if isinstance(command, typer.Typer):
+        app.add_typer(command, name=name)
+    elif callable(command):
+        app.command(name)(command)
+    else:
+        raise NotInstalled(name, f"its command is a {type(command).__name__}", "expected a function or a typer.Typer")
 
 
 @app.callback(invoke_without_command=True)

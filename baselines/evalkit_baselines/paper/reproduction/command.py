@@ -2,23 +2,12 @@
 
 from __future__ import annotations
 
-import shlex
-from collections.abc import Mapping
-from datetime import UTC, datetime
-from itertools import chain
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from evalkit import console, environment
-from evalkit.commands.options import err, out
-from evalkit.errors import StoreError
-from evalkit.report.document import Cell, Column, Command, Fold, Section, Table, Text, render
-from evalkit.store import REMEDY
-from evalkit.study.ledger import Job, Ledger
-from evalkit_baselines.paper.reproduction import page
-from evalkit_baselines.paper.reproduction.chapters import CHAPTERS
+from evalkit.commands.options import out
 
 
 def paper(
@@ -31,63 +20,6 @@ def paper(
     ] = None,
 ) -> None:
     """Reproduce the paper: every table, figure and claim beside what is measured here; what is done is kept."""
-    started = datetime.now(UTC)
-    settings = page.read(file, CHAPTERS)
-    planned = page.jobs(settings, CHAPTERS)
-    every = [_within(chapter, job) for chapter, own in planned.items() for job in own]
-    folder = folder or Path("reports") / "build" / file.stem
-    workers = workers or environment.physical_cores()
-    ran_on = environment.describe(("numpy", "scipy", "open3d-cpu", "kiss-icp", "small-gicp"), jobs=workers)
-    try:
-        with console.jobs(err, len(every), workers) as done:
-            found = Ledger(folder / "results").run(every, workers, done)
-    except KeyboardInterrupt:
-        err.print("interrupted; what is done is kept: the same command goes on from here")
-        raise
-    results = {
-        chapter: {job.name: found[_within(chapter, job).name] for job in own} for chapter, own in planned.items()
-    }
-    facts = (("Computations", f"{len(every):,}"), ("Finished", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"))
-    whole = page.document(settings, CHAPTERS, results, facts, _provenance(file, folder, settings, planned, ran_on))
-    out.print(str(_written(folder / "index.html", render(whole))), markup=False, highlight=False)
-    err.print(f"made in {(datetime.now(UTC) - started).total_seconds():.0f} s", markup=False, highlight=False)
+    from evalkit_baselines.paper.reproduction.making import make  # noqa: PLC0415 - only who asks pays for its imports
 
-
-def _within(chapter: str, job: Job) -> Job:
-    """The job under a name of its own among all chapters."""
-    return Job(f"{chapter} {job.name}", job.function, job.arguments, job.uses)
-
-
-def _written(path: Path, body: str) -> Path:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(body, encoding="utf-8")
-    except OSError as error:
-        raise StoreError(str(path), f"cannot be written ({error.strerror or error})", REMEDY) from error
-    return path.resolve()
-
-
-def _provenance(
-    file: Path, folder: Path, settings: Mapping[str, Any], planned: Mapping[str, tuple[Job, ...]],
-    ran_on: Mapping[str, str],
-) -> Section:  # fmt: skip
-    """What was computed with what, where, and the command that does it again."""
-    columns = ("Chapter", "Setting", Column("Value", number=True))
-    rows = [
-        (chapter, Cell(name), Cell(str(value)))
-        for chapter, own in settings.items()
-        for name, value in own.items()
-    ]  # fmt: skip
-    machine = Table(("What", "This machine"), list(ran_on.items()), sortable=False)
-    count = sum(1 for _ in chain.from_iterable(planned.values()))
-    return Section(
-        "Provenance",
-        (
-            Text(f"{count:,} computations; each is kept in {folder / 'results'} under a key of its function, its "
-                 "arguments and the sources it stands on, and is computed again when one of them changes."),
-            Command(f"evalkit paper {shlex.quote(str(file))}"),
-            machine,
-            Fold("Settings of every chapter", (Table(columns, rows),)),
-        ),
-        "provenance",
-    )  # fmt: skip
+    out.print(str(make(file, folder, workers)), markup=False, highlight=False)
