@@ -1,0 +1,170 @@
+"""Convergence basins: from how far off a guess a registration still finds the truth, counted with intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from evalkit import se2
+from evalkit.metrics.statistics import Interval, wilson
+from evalkit.se2 import Floats
+from evalkit.types import Bools, Ints
+from evalkit.validation.observability import Observability
+
+PLASTIC = 1.2207440846057596
+"""The real root above 1 of x^4 = x + 1: its powers fill a cube evenly (Roberts 2018, after the golden ratio)."""
+
+QUANTILES = (0.50, 0.75, 0.95)
+"""A50, A75 and A95 of Pomerleau et al., "Comparing ICP variants on real-world data sets", Autonomous Robots 2013."""
+
+
+def offsets(count: int, reach_m: float, reach_rad: float, rng: np.random.Generator) -> Floats:
+    """Rows (count, 3) of x, y (m), theta (rad) that fill a disc of ``reach_m`` and turns up to ``reach_rad`` evenly.
+
+    Even in the distance, the bearing and the turn: an additive low-discrepancy sequence from a random start.
+    """
+    steps = 1.0 / PLASTIC ** np.arange(1, 4)
+    share = (rng.random(3) + np.arange(1, count + 1)[:, None] * steps) % 1.0
+    distance, bearing, turn = share[:, 0] * reach_m, share[:, 1] * 2.0 * np.pi, (2.0 * share[:, 2] - 1.0) * reach_rad
+    return np.stack([distance * np.cos(bearing), distance * np.sin(bearing), turn], axis=1)
+
+
+def off(rows: Floats, truths: Floats, world_from_target: Floats) -> Floats:
+    """How far motions (N, 3) are from the truth (N, 3), all ``target_from_source``, along the world's axes."""
+    cos, sin = np.cos(world_from_target[:, 2]), np.sin(world_from_target[:, 2])
+    x, y = (rows - truths)[:, :2].T
+    return np.stack([cos * x - sin * y, sin * x + cos * y, se2.wrap(rows[:, 2] - truths[:, 2])], axis=1)
+
+
+def guesses(offsets: Floats, truths: Floats, world_from_target: Floats) -> Floats:
+    """The motions (N, 3) that are ``off`` by offsets (N, 3)."""
+    cos, sin = np.cos(world_from_target[:, 2]), np.sin(world_from_target[:, 2])
+    x, y = offsets[:, :2].T
+    turned = np.stack([cos * x + sin * y, cos * y - sin * x, offsets[:, 2]], axis=1)
+    rows = truths + turned
+    rows[:, 2] = se2.wrap(rows[:, 2])
+    return np.asarray(rows)
+
+
+@dataclass(frozen=True, eq=False)
+class Shares:
+    """Successes and trials of cells (...,), the share of success and its Wilson interval; nan where nothing was tried.
+
+    ``edges``: one array of K + 1 borders for each axis of the cells, K cells along it.
+    """
+
+    edges: tuple[Floats, ...]
+    successes: Ints
+    trials: Ints
+    share: Floats
+    low: Floats
+    high: Floats
+
+    @classmethod
+    def of(cls, coordinates: Sequence[Floats], success: Bools, edges: Sequence[ArrayLike]) -> Shares:
+        """Counts of attempts (N,) at coordinates (N,) each; attempts outside the edges do not count."""
+        borders = tuple(np.asarray(edge, dtype=np.float64) for edge in edges)
+        points = np.stack(coordinates, axis=1)
+        trials = np.histogramdd(points, borders)[0].astype(np.int64)
+        successes = np.histogramdd(points[success], borders)[0].astype(np.int64)
+        return cls.counted(borders, successes, trials)
+
+    @classmethod
+    def counted(cls, edges: tuple[Floats, ...], successes: Ints, trials: Ints) -> Shares:
+        """Shares of counts that are known already."""
+        bounds = np.full((3, *trials.shape), np.nan)
+        for at in np.argwhere(trials > 0):
+            cell = tuple(at)
+            interval = wilson(int(successes[cell]), int(trials[cell]))
+            bounds[(slice(None), *cell)] = interval.value, interval.low, interval.high
+        return cls(edges, successes, trials, *bounds)
+
+    def reach(self, level: float) -> float:
+        """The border up to which every cell of the (only) axis succeeds in at least this share of its trials."""
+        held = np.where(self.trials > 0, self.share >= level, False)
+        return float(self.edges[0][int(np.argmin(held)) if not held.all() else len(held)])
+
+
+@dataclass(frozen=True, eq=False)
+class Criterion:
+    """What counts as success: within so many metres and radians of the truth along the directions that can be told."""
+
+    within_m: float
+    within_rad: float
+
+    def met(self, errors: Floats) -> Bools:
+        """Whether errors (N, 3) of x, y (m), theta (rad) are small enough; nan is not."""
+        near = np.hypot(errors[:, 0], errors[:, 1]) <= self.within_m
+        return np.asarray(near & (np.abs(errors[:, 2]) <= self.within_rad))
+
+
+@dataclass(frozen=True, eq=False)
+class Basin:
+    """Attempts (N,) of one back end at one place: where the guess was off, where the answer was, both observable only.
+
+    ``answers``: nan where there was none. ``claimed`` (N,): it said "converged".
+    """
+
+    offsets: Floats
+    errors: Floats
+    success: Bools
+    claimed: Bools
+
+    @classmethod
+    def of(cls, offsets: Floats, errors: Floats, claimed: Bools, known: Observability, criterion: Criterion) -> Basin:
+        """The basin of guesses that were off by (N, 3) and of answers that are."""
+        observable = known.observable(errors)
+        return cls(known.observable(offsets), observable, criterion.met(observable), claimed)
+
+    @property
+    def distance_m(self) -> Floats:
+        """How far (N,) the guess was off."""
+        return np.asarray(np.hypot(self.offsets[:, 0], self.offsets[:, 1]))
+
+    @property
+    def turn_rad(self) -> Floats:
+        """By how much (N,) the guess was turned, without sign."""
+        return np.asarray(np.abs(self.offsets[:, 2]))
+
+    def overall(self) -> Interval:
+        """The share of success over everything tried."""
+        return wilson(int(self.success.sum()), len(self.success))
+
+    def falsely_claimed(self) -> Interval | None:
+        """The share of failures that were told as converged; None without failures."""
+        failed = int((~self.success).sum())
+        return wilson(int((self.claimed & ~self.success).sum()), failed) if failed else None
+
+    def by_distance_and_turn(self, distances: ArrayLike, turns: ArrayLike) -> Shares:
+        """Cells over the distance (m) and the turn (rad)."""
+        return Shares.of((self.distance_m, self.turn_rad), self.success, (distances, turns))
+
+    def by_place(self, borders: ArrayLike) -> Shares:
+        """Cells over the offset in x and y (m), whatever the turn."""
+        return Shares.of((self.offsets[:, 0], self.offsets[:, 1]), self.success, (borders, borders))
+
+    def along(self, borders: ArrayLike, most_rad: float) -> Shares:
+        """Cells over the distance (m) of guesses turned by at most ``most_rad``."""
+        return self._along(self.distance_m, borders, self.turn_rad <= most_rad)
+
+    def around(self, borders: ArrayLike, most_m: float) -> Shares:
+        """Cells over the turn (rad) of guesses at most ``most_m`` away."""
+        return self._along(self.turn_rad, borders, self.distance_m <= most_m)
+
+    def _along(self, values: Floats, borders: ArrayLike, chosen: Bools) -> Shares:
+        return Shares.of((values[chosen],), self.success[chosen], (borders,))
+
+    def accuracy(self) -> Floats:
+        """A50, A75 and A95 (3, 2) of the error in m and rad over all attempts; inf where too many had no answer."""
+        sizes = np.stack([np.hypot(self.errors[:, 0], self.errors[:, 1]), np.abs(self.errors[:, 2])], axis=1)
+        sizes = np.where(np.isfinite(sizes), sizes, np.inf)
+        return np.asarray(np.quantile(sizes, QUANTILES, axis=0, method="inverted_cdf"))
+
+    def worst(self, count: int) -> Ints:
+        """Up to so many failures (K,) that look worst: the guess was nearest (in shares of what was tried)."""
+        failed = np.flatnonzero(~self.success)
+        far = self.distance_m / max(self.distance_m.max(), 1e-12) + self.turn_rad / max(self.turn_rad.max(), 1e-12)
+        return np.asarray(failed[np.argsort(far[failed], kind="stable")][:count])

@@ -1,0 +1,169 @@
+"""Four kinds of places with a known outline, seen from two poses close together: what a registration is asked about."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from evalkit import se2
+from evalkit.errors import UnknownName
+from evalkit.se2 import Floats
+from evalkit.types import Cloud, Pose
+
+RANGE_M = (0.15, 12.0)
+"""What the lidar can see: nearer and farther there is no point."""
+
+NEAR = Pose(0.3, 0.15, float(np.radians(10.0)))
+"""How far two scans of a pair are apart at most, in each coordinate."""
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """Walls (S, 4) as x, y of both ends, round things (D, 3) as x, y, radius, and where a lidar may stand.
+
+    ``stands``: the lower and the upper corner of a box, in metres, that keeps clear of every wall.
+    """
+
+    name: str
+    what: str
+    walls: Floats
+    stands: tuple[tuple[float, float], tuple[float, float]]
+    discs: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """A pair of noisy scans of a place, each in its sensor's frame, and the exact answer.
+
+    ``world_from_target`` and ``target_from_source`` are true. ``points`` and ``normals`` (N, 2): where the source scan
+    met walls without noise, from the source's sensor, along the world's axes.
+    """
+
+    target: Cloud
+    source: Cloud
+    world_from_target: Pose
+    target_from_source: Pose
+    points: Floats
+    normals: Floats
+
+
+def _box(x: float, y: float, width: float, depth: float, degrees: float = 0.0) -> Floats:
+    """Four walls of a box about (x, y), turned."""
+    corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (width / 2.0, depth / 2.0)
+    return _outline(se2.transform([x, y, np.radians(degrees)], corners))
+
+
+def _outline(corners: Floats) -> Floats:
+    """The walls (S, 4) of a closed outline (S, 2)."""
+    return np.concatenate([corners, np.roll(corners, -1, axis=0)], axis=1)
+
+
+_CLUTTERED = (
+    _outline(np.array([[-4.0, -3.0], [4.0, -3.0], [4.0, 3.0], [-4.0, 3.0]])),
+    *(_box(*row) for row in (
+        (-3.2, 2.4, 1.5, 0.8, 0.0), (3.3, -1.9, 0.9, 1.6, 0.0), (2.6, 2.2, 0.7, 0.6, 25.0),
+        (-2.9, -2.1, 1.1, 0.5, -40.0), (-3.4, 0.3, 0.4, 0.9, 10.0), (1.9, -2.6, 0.5, 0.4, -15.0),
+    )),
+)  # fmt: skip
+_LEGS = np.array([
+    (2.3, 0.2), (2.9, 0.3), (2.2, 0.9), (2.8, 1.0), (-0.6, 2.1), (0.5, 2.2), (-0.7, 2.6), (0.4, 2.7),
+    (-0.2, -2.2), (0.3, -2.1), (-0.1, -2.6), (0.4, -2.5), (-2.3, 1.1), (-2.6, -0.9),
+])  # fmt: skip
+
+PLACES = {
+    place.name: place
+    for place in (
+        Place(
+            "room",
+            "a bare room of 8 x 6 m with a niche and a pillar",
+            _outline(
+                np.array([[-4, -3], [4, -3], [4, 3], [1.5, 3], [1.5, 3.6], [-0.5, 3.6], [-0.5, 3], [-4, 3]], float)
+            ),
+            ((-1.5, -1.5), (1.2, 1.5)),
+            np.array([[2.4, 0.6, 0.3]]),
+        ),
+        Place(
+            "corridor",
+            "two bare parallel walls 2 m apart that go on beyond the lidar's range",
+            np.array([[-20.0, -1.0, 20.0, -1.0], [-20.0, 1.0, 20.0, 1.0]]),
+            ((-2.0, -0.4), (2.0, 0.4)),
+        ),
+        Place(
+            "corner",
+            "two walls of 6 m that meet at a right angle, and nothing else within range",
+            np.array([[0.0, 0.0, 6.0, 0.0], [0.0, 0.0, 0.0, 6.0]]),
+            ((1.0, 1.0), (3.0, 3.0)),
+        ),
+        Place(
+            "clutter",
+            "a room of 8 x 6 m full of boxes, cupboards and the legs of tables and chairs",
+            np.concatenate(_CLUTTERED),
+            ((-1.2, -1.0), (1.2, 1.0)),
+            np.column_stack([_LEGS, np.full(len(_LEGS), 0.03)]),
+        ),
+    )
+}
+"""By name, in the order of the page."""
+
+
+def place(name: str) -> Place:
+    """The place of a name; UnknownName lists the known ones."""
+    if name not in PLACES:
+        raise UnknownName("scene", name, PLACES)
+    return PLACES[name]
+
+
+def seen(where: Place, rng: np.random.Generator, beams: int, noise_m: float) -> Seen:
+    """A pair of scans with so many beams all round, whose ranges (m) are off by Gaussian noise."""
+    stand = rng.uniform(*where.stands)
+    world_from_target = Pose(float(stand[0]), float(stand[1]), float(rng.uniform(-np.pi, np.pi)))
+    target_from_source = Pose.of(rng.uniform(-NEAR.row, NEAR.row))
+    world_from_source = world_from_target @ target_from_source
+    target, _, _ = _scan(where, world_from_target, rng, beams, noise_m)
+    source, points, normals = _scan(where, world_from_source, rng, beams, noise_m)
+    return Seen(target, source, world_from_target, target_from_source, points, normals)
+
+
+def _scan(
+    where: Place, world_from_sensor: Pose, rng: np.random.Generator, beams: int, noise_m: float
+) -> tuple[Cloud, Floats, Floats]:
+    """The noisy points in the sensor's frame, and exact points (from the sensor) and normals along the world's axes."""
+    angles = np.arange(beams) * (2.0 * np.pi / beams)
+    heading = angles + world_from_sensor.theta
+    rays = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    ranges, normals = cast(where, world_from_sensor.row[:2], rays)
+    measured = ranges + rng.normal(0.0, noise_m, beams)
+    met = (measured >= RANGE_M[0]) & (measured <= RANGE_M[1])
+    in_sensor = np.stack([np.cos(angles), np.sin(angles)], axis=1)[met] * measured[met, None]
+    return Cloud(in_sensor), rays[met] * ranges[met, None], normals[met]
+
+
+def cast(where: Place, origin: Floats, rays: Floats) -> tuple[Floats, Floats]:
+    """Distances (B,) from a point along unit rays (B, 2) to the nearest thing, inf for none, and its normals (B, 2)."""
+    starts, sides = where.walls[:, :2], where.walls[:, 2:] - where.walls[:, :2]
+    to_start = starts - origin
+    across = _cross(rays[:, None], sides)
+    with np.errstate(divide="ignore", invalid="ignore"):  # a beam along a wall does not meet it
+        distance = _cross(to_start, sides) / across
+        at = _cross(to_start[None], rays[:, None]) / across
+    wall = np.where((distance > 0.0) & (at >= 0.0) & (at <= 1.0), distance, np.inf)
+    to_centre, radius = where.discs[:, :2] - origin, where.discs[:, 2]
+    along = rays @ to_centre.T
+    inside = radius**2 - (np.sum(to_centre**2, axis=1) - along**2)
+    near = along - np.sqrt(np.maximum(inside, 0.0))
+    disc = np.where((inside >= 0.0) & (near > 0.0), near, np.inf)
+    both = np.concatenate([wall, disc], axis=1)
+    nearest, ranges = both.argmin(axis=1), both.min(axis=1)
+    facing = np.stack([-sides[:, 1], sides[:, 0]], axis=1) / np.linalg.norm(sides, axis=1, keepdims=True)
+    normals = np.zeros_like(rays)
+    on_wall = nearest < len(sides)
+    normals[on_wall] = facing[nearest[on_wall]]
+    on_disc = np.flatnonzero(~on_wall)
+    which = nearest[on_disc] - len(sides)
+    normals[on_disc] = (rays[on_disc] * ranges[on_disc, None] - to_centre[which]) / radius[which, None]
+    return ranges, normals
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])

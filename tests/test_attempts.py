@@ -1,0 +1,83 @@
+"""Asking a back end from wrong guesses: all alike, and whatever it does becomes an answer or a reason."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evalkit.protocols import BackendSpec
+from evalkit.types import Match, Pose
+from evalkit.validation import attempts
+from evalkit.validation.attempts import Trials
+
+TRIALS = Trials("corridor", 40, 4, 90, 0.02, 1.0, 0.5, seed=3)
+
+
+class KeepsGuess:
+    def register(self, target, source, guess):
+        return Match(guess, converged=True, iterations=0, error=0.0, inliers=len(source))
+
+
+class Raises:
+    def register(self, target, source, guess):
+        if guess.theta > 0.0:
+            raise RuntimeError("no turn to the left")
+        return Match(Pose(), converged=False, iterations=0, error=0.0, inliers=len(source))
+
+
+def asked(monkeypatch, make, begin=0, end=40):
+    spec = BackendSpec(make, "registration", "", "", "")
+    monkeypatch.setattr(attempts, "spec_of", lambda _name: spec)
+    return attempts.answers(backend="x", values={}, trials=vars(TRIALS), begin=begin, end=end, code="")
+
+
+def test_who_keeps_the_guess_is_off_by_the_offset(monkeypatch):
+    found = asked(monkeypatch, KeepsGuess)
+    left = attempts.basin.off(found["rows"], *TRIALS.truths(TRIALS.seen()))
+    np.testing.assert_allclose(left, TRIALS.drawn(), atol=1e-12)
+    assert found["claimed"].all()
+
+
+def test_an_attempt_does_not_depend_on_the_job_it_is_in(monkeypatch):
+    whole = asked(monkeypatch, KeepsGuess)["rows"]
+    parts = [asked(monkeypatch, KeepsGuess, begin, end)["rows"] for begin, end in ((0, 13), (13, 40))]
+    assert (np.concatenate(parts) == whole).all()
+
+
+def test_what_raises_has_no_answer_and_a_reason(monkeypatch):
+    found = asked(monkeypatch, Raises)
+    turned = attempts.basin.guesses(TRIALS.drawn(), *TRIALS.truths(TRIALS.seen()))[:, 2] > 0.0
+    assert np.isnan(found["rows"][turned]).all()
+    assert np.isfinite(found["rows"][~turned]).all()
+    assert "no turn to the left" in found["reason"]
+
+
+def test_every_place_and_seed_draws_its_own_scans():
+    first = TRIALS.seen()[0].source.points
+    assert (TRIALS.seen()[0].source.points == first).all()
+    other = replace(TRIALS, seed=4).seen()[0].source.points
+    assert len(other) != len(first) or (other != first).any()
+
+
+def test_jobs_cover_all_attempts_once(monkeypatch):
+    monkeypatch.setattr(attempts, "AT_ONCE", 16)
+    spec = attempts.spec_of("paper")
+    jobs = attempts.jobs("paper", spec, {}, TRIALS)
+    assert [(job.arguments["begin"], job.arguments["end"]) for job in jobs] == [(0, 16), (16, 32), (32, 40)]
+
+
+def test_the_papers_icp_converges_from_near_and_not_from_far():
+    trials = replace(TRIALS, place="room", beams=360, offsets=24)
+    found = attempts.answers(backend="paper-tight", values={}, trials=vars(trials), begin=0, end=24, code="")
+    left = attempts.basin.off(found["rows"], *trials.truths(trials.seen()))
+    drawn = trials.drawn()
+    near = (np.hypot(*drawn[:, :2].T) < 0.3) & (np.abs(drawn[:, 2]) < np.radians(5.0))
+    assert near.any()
+    assert np.hypot(*left[near, :2].T).max() < 0.1
+    assert np.hypot(*left[:, :2].T).max() > 0.3
+
+
+def test_a_module_and_a_spec_can_be_named():
+    assert attempts.spec_of("evalkit_baselines.paper:TIGHT").kind == "registration"
+    with pytest.raises(Exception, match="papr"):
+        attempts.spec_of("papr")

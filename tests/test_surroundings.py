@@ -1,0 +1,59 @@
+"""Places with a known outline: what a beam meets, and that two scans of a pair fit together exactly."""
+
+import numpy as np
+import pytest
+
+from evalkit.errors import UnknownName
+from evalkit.types import Pose
+from evalkit.validation import surroundings
+from evalkit.validation.surroundings import Place, cast
+
+
+def test_a_beam_meets_the_nearest_wall_or_disc_and_its_normal():
+    square = Place(
+        "square", "", np.array([[2.0, -1.0, 2.0, 1.0], [5.0, -1.0, 5.0, 1.0]]), ((0, 0), (0, 0)),
+        np.array([[0.0, 3.0, 1.0]]),
+    )  # fmt: skip
+    ranges, normals = cast(square, np.zeros(2), np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]))
+    assert ranges.tolist() == [2.0, 2.0, np.inf]
+    assert np.abs(normals[:2]).tolist() == [[1.0, 0.0], [0.0, 1.0]]
+
+
+@pytest.mark.parametrize("name", surroundings.PLACES)
+def test_without_noise_both_scans_lie_on_the_place_through_the_true_motion(name):
+    where = surroundings.place(name)
+    pair = surroundings.seen(where, np.random.default_rng(3), 360, 0.0)
+    world_from_source = pair.world_from_target @ pair.target_from_source
+    for cloud, world_from_sensor in ((pair.target, pair.world_from_target), (pair.source, world_from_source)):
+        assert _farthest_from(where, world_from_sensor.transform(cloud.points)) < 1e-9
+    met = world_from_source.row[:2] + pair.points
+    np.testing.assert_allclose(met, world_from_source.transform(pair.source.points), atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(pair.normals, axis=1), 1.0)
+
+
+def test_the_sensor_keeps_clear_of_everything():
+    for where in surroundings.PLACES.values():
+        rng = np.random.default_rng(0)
+        for _ in range(50):
+            pair = surroundings.seen(where, rng, 90, 0.0)
+            assert np.linalg.norm(pair.source.points, axis=1).min() > surroundings.RANGE_M[0]
+
+
+def test_an_unknown_scene_is_refused_by_name():
+    with pytest.raises(UnknownName, match="corridor"):
+        surroundings.place("coridor")
+
+
+def _farthest_from(where: Place, points) -> float:
+    start, side = where.walls[:, :2], where.walls[:, 2:] - where.walls[:, :2]
+    at = np.clip(np.sum((points[:, None] - start) * side, axis=2) / np.sum(side * side, axis=1), 0.0, 1.0)
+    to_walls = np.linalg.norm(points[:, None] - start - at[..., None] * side, axis=2)
+    to_discs = np.abs(np.linalg.norm(points[:, None] - where.discs[:, :2], axis=2) - where.discs[:, 2])
+    return float(np.concatenate([to_walls, to_discs], axis=1).min(axis=1).max())
+
+
+def test_a_pair_is_two_scans_close_together():
+    rng = np.random.default_rng(8)
+    poses = [surroundings.seen(surroundings.place("room"), rng, 8, 0.05).target_from_source for _ in range(100)]
+    assert np.abs([pose.row for pose in poses]).max(axis=0) == pytest.approx(surroundings.NEAR.row, rel=0.1)
+    assert Pose() not in poses
