@@ -13,10 +13,10 @@ from typing import Literal, Protocol
 
 import numpy as np
 
-from evalkit import se2
+from evalkit import registry, se2
 from evalkit.protocols import BackendSpec, Odometry, Parameter, Registration, Value, resolved, with_defaults
 from evalkit.se2 import Floats
-from evalkit.submap import KeyframeSubmap, VoxelMap, voxel_means
+from evalkit.submap import GridSubmap, KeyframeSubmap, VoxelMap, voxel_means
 from evalkit.types import Cloud, Frame, Match, Pose
 
 Stage = Literal["s2s", "s2m"]
@@ -31,15 +31,26 @@ PARAMETERS: tuple[Parameter, ...] = (
     Parameter("deskew", True, "", "undo the motion within a scan by the prior's velocity"),
     Parameter("local_radius_m", 0.0, "m", "use only points this near to the base; 0: all", low=0.0),
     Parameter("source_voxel_m", 0.0, "m", "one mean of the scan per cell this wide; 0: off", low=0.0),
-    Parameter("submap", "keyframes", "", "the last keyframes' points, or one lasting map of voxels",
-              choices=("keyframes", "voxels")),
-    Parameter("keyframes", 10, "", "how many keyframes make the submap", low=1),
+    Parameter("submap", "keyframes", "", "the points of the last keyframes or of the last scans, one lasting map of "
+              "voxels, or the occupied cells of a grid drawn from every scan",
+              choices=("keyframes", "scans", "voxels", "grid")),
+    Parameter("keyframes", 10, "", "how many keyframes (or scans) make the submap", low=1),
     Parameter("keyframe_distance_m", 0.5, "m", "a new keyframe after this distance", low=0.0),
     Parameter("keyframe_angle_deg", 20.0, "deg", "or after this turn", low=0.0),
     Parameter("submap_voxel_m", 0.0, "m", "one mean of the submap per cell this wide; 0: off", low=0.0),
-    Parameter("submap_radius_m", 15.0, "m", "lasting map only: how far around the base it is matched against", low=1.0),
+    Parameter("submap_radius_m", 15.0, "m", "voxels and grid only: how far around the base they are matched against",
+              low=1.0),
+    Parameter("submap_cell_m", 0.05, "m", "grid only: side of a cell", low=0.005, high=10.0),
+    Parameter("submap_probability", 0.5, "", "grid only: a cell more probable than this is matched against",
+              low=0.0, high=1.0),
     Parameter("min_inliers", 10, "", "an answer standing on fewer pairs is not believed; the guess is kept", low=0),
 )  # fmt: skip
+
+EVERY_SCAN = ("scans", "grid")
+"""Submaps that take in every scan, not only keyframes."""
+
+GRID_MAPPER = "log-odds"
+"""What draws the submap "grid": the paper's mapper."""
 
 STAGE_ONE = "s2s."
 """Prefix of a registration parameter that shall differ in the first stage only."""
@@ -61,6 +72,8 @@ class Settings:
     keyframe_angle_deg: float
     submap_voxel_m: float
     submap_radius_m: float
+    submap_cell_m: float
+    submap_probability: float
     min_inliers: int
 
 
@@ -102,8 +115,8 @@ def odometry(
 class Submap(Protocol):
     """What a scan is matched against in the second stage."""
 
-    def add(self, points: Floats, start_from_base: Pose) -> None:
-        """Takes in a keyframe's points (N, 2), in the base frame."""
+    def add(self, points: Floats, start_from_base: Pose, base_from_sensor: Pose) -> None:
+        """Takes in a keyframe's points (N, 2), in the base frame, and where the sensor sits that saw them."""
         ...
 
     def cloud(self, near: Pose) -> Cloud:
@@ -119,11 +132,7 @@ class FrontEnd:
     ) -> None:
         self._scan_to_scan, self._scan_to_map = scan_to_scan, scan_to_map
         self._settings, self._on_match = settings, on_match
-        self._submap: Submap = (
-            KeyframeSubmap(settings.keyframes, settings.submap_voxel_m)
-            if settings.submap == "keyframes"
-            else VoxelMap(settings.submap_voxel_m, settings.submap_radius_m)
-        )
+        self._submap = _submap(settings)
         self._motion = Motion(settings.prior)
         self._last: Cloud | None = None
         self._start_from_keyframe = Pose()
@@ -134,7 +143,7 @@ class FrontEnd:
         source = self._source(frame)
         if self._last is None:
             start_from_base = Pose()
-            self._submap.add(source.points, start_from_base)
+            self._submap.add(source.points, start_from_base, frame.base_from_sensor)
         else:
             if self._settings.scan_to_scan:
                 last_from_base = self._believed("s2s", self._scan_to_scan, self._last, source, last_from_base)
@@ -142,7 +151,7 @@ class FrontEnd:
             if self._settings.scan_to_map:
                 submap = self._submap.cloud(start_from_base)
                 start_from_base = self._believed("s2m", self._scan_to_map, submap, source, start_from_base)
-        self._keep(source, start_from_base)
+        self._keep(source, start_from_base, frame.base_from_sensor)
         self._motion.settle(frame, start_from_base)
         return start_from_base
 
@@ -162,14 +171,27 @@ class FrontEnd:
         self._on_match(stage, match, believed)
         return match.target_from_source if believed else guess
 
-    def _keep(self, source: Cloud, start_from_base: Pose) -> None:
-        if self._last is not None:
-            moved = self._start_from_keyframe.inverse() @ start_from_base
-            far = math.hypot(moved.x, moved.y) >= self._settings.keyframe_distance_m
-            if far or abs(moved.theta) >= math.radians(self._settings.keyframe_angle_deg):
-                self._submap.add(source.points, start_from_base)
-                self._start_from_keyframe = start_from_base
+    def _keep(self, source: Cloud, start_from_base: Pose, base_from_sensor: Pose) -> None:
+        if self._last is not None and self._is_keyframe(start_from_base):
+            self._submap.add(source.points, start_from_base, base_from_sensor)
+            self._start_from_keyframe = start_from_base
         self._last = source
+
+    def _is_keyframe(self, start_from_base: Pose) -> bool:
+        if self._settings.submap in EVERY_SCAN:
+            return True
+        moved = self._start_from_keyframe.inverse() @ start_from_base
+        far = math.hypot(moved.x, moved.y) >= self._settings.keyframe_distance_m
+        return far or abs(moved.theta) >= math.radians(self._settings.keyframe_angle_deg)
+
+
+def _submap(settings: Settings) -> Submap:
+    if settings.submap == "voxels":
+        return VoxelMap(settings.submap_voxel_m, settings.submap_radius_m)
+    if settings.submap == "grid":
+        mapper = registry.mapper(GRID_MAPPER).make(resolution_m=settings.submap_cell_m)
+        return GridSubmap(mapper, settings.submap_probability, settings.submap_radius_m)
+    return KeyframeSubmap(settings.keyframes, settings.submap_voxel_m)
 
 
 class Motion:

@@ -1,4 +1,4 @@
-"""What scans are matched against: the last keyframes, or one lasting map of voxels."""
+"""What scans are matched against: the last scans or keyframes, one lasting map of voxels, or an occupancy grid."""
 
 from __future__ import annotations
 
@@ -7,8 +7,11 @@ from collections import deque
 import numpy as np
 
 from evalkit.errors import BadParameter
+from evalkit.protocols import Mapper
 from evalkit.se2 import Floats
-from evalkit.types import Cloud, Ints, Pose
+from evalkit.types import Cloud, Ints, Pose, Scan
+
+ORIGIN = Pose()
 
 
 def voxel_means(points: Floats, size_m: float) -> Floats:
@@ -28,8 +31,9 @@ class KeyframeSubmap:
         self._voxel_m = voxel_m
         self._cloud: Cloud | None = None
 
-    def add(self, points: Floats, start_from_base: Pose) -> None:
+    def add(self, points: Floats, start_from_base: Pose, base_from_sensor: Pose = ORIGIN) -> None:
         """Takes in a keyframe's points (N, 2) of the base frame; the oldest keyframe leaves."""
+        del base_from_sensor  # points are points, wherever they were seen from
         self._clouds.append(start_from_base.transform(points))
         self._cloud = None
 
@@ -60,8 +64,9 @@ class VoxelMap:
         self._cloud: Cloud | None = None
         self._centre = Pose()
 
-    def add(self, points: Floats, start_from_base: Pose) -> None:
+    def add(self, points: Floats, start_from_base: Pose, base_from_sensor: Pose = ORIGIN) -> None:
         """Takes in a keyframe's points (N, 2) of the base frame."""
+        del base_from_sensor
         moved = start_from_base.transform(points)
         keys, inverse, counts = np.unique(_keys(moved, self._voxel_m), return_inverse=True, return_counts=True)
         slots = self._slots(keys)
@@ -88,6 +93,34 @@ class VoxelMap:
             self._sums = np.concatenate([self._sums, np.zeros_like(self._sums)])
             self._counts = np.concatenate([self._counts, np.zeros_like(self._counts)])
         return slots
+
+
+class GridSubmap:
+    """The occupied cells of an occupancy grid that grows with every scan: the map the paper draws, matched against.
+
+    A cell is occupied where its probability is above ``probability``; its centre is the point to be matched.
+    """
+
+    def __init__(self, mapper: Mapper, probability: float, radius_m: float) -> None:
+        self._mapper, self._probability, self._radius_m = mapper, probability, radius_m
+        self._cloud: Cloud | None = None
+
+    def add(self, points: Floats, start_from_base: Pose, base_from_sensor: Pose = ORIGIN) -> None:
+        """Draws a scan's points (N, 2) of the base frame, each at the end of a beam from the sensor."""
+        x, y = base_from_sensor.inverse().transform(points).T
+        ranges = np.hypot(x, y)
+        scan = Scan(0, ranges, np.arctan2(y, x), 0.0, float(ranges.max(initial=0.0)) + 1.0)
+        self._mapper.update(scan, start_from_base @ base_from_sensor)
+        self._cloud = None
+
+    def cloud(self, near: Pose) -> Cloud:
+        """The centres of the occupied cells around a pose, in the start frame."""
+        if self._cloud is None:
+            grid = self._mapper.grid()
+            centres = grid.centres(grid.occupied(self._probability))
+            inside = np.hypot(centres[:, 0] - near.x, centres[:, 1] - near.y) <= self._radius_m
+            self._cloud = Cloud(centres[inside], "start")
+        return self._cloud
 
 
 def _keys(points: Floats, size_m: float) -> Ints:

@@ -233,6 +233,20 @@ def test_the_submap_is_made_of_the_last_keyframes():
     assert held([Pose(0.6 * i, 0.0, 0.0) for i in range(7)], keyframes=3) == [1, 2, 3, 3, 3, 3]
 
 
+def test_the_last_scans_make_a_submap_however_little_they_moved():
+    assert held([Pose(0.01 * i, 0.0, 0.0) for i in range(6)], keyframes=3, submap="scans") == [1, 2, 3, 3, 3]
+
+
+def test_a_grid_takes_every_scan_and_gives_its_occupied_cells():
+    registration = ByIndex(inliers=0)  # not believed: the odometry's poses stay
+    contestant = made(registration, scan_to_scan=False, submap="grid", submap_cell_m=0.1)
+    followed(contestant, [frame(Pose(), i, odom=Pose()) for i in range(3)])
+    cells = np.unique(np.floor(LANDMARKS / 0.1), axis=0)
+    for target in registration.targets:
+        assert target.frame == "start"
+        np.testing.assert_allclose(target.points, cells[np.lexsort(cells.T)] * 0.1 + 0.05, atol=1e-9)
+
+
 def test_a_lasting_map_is_asked_for_by_name():
     registration = ByIndex()
     contestant = made(registration, scan_to_scan=False, submap="voxels", submap_voxel_m=1.0)

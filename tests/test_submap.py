@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from evalkit.submap import KeyframeSubmap, VoxelMap, voxel_means
+from evalkit import registry
+from evalkit.submap import GridSubmap, KeyframeSubmap, VoxelMap, voxel_means
 from evalkit.types import Pose
 
 
@@ -110,7 +111,45 @@ def test_the_lasting_map_is_one_object_until_it_grows_or_the_pose_moves_on():
     assert lasting.cloud(Pose(1.1, 0.0, 0.0)) is not moved_on
 
 
-@pytest.mark.parametrize("submap", [KeyframeSubmap(2, 0.1), VoxelMap(0.1, 5.0)])
+# occupied cells
+
+
+def drawn(*adds, probability=0.5, radius_m=9.0):
+    """The cells matched against, in the order of their place, after scans of single points."""
+    submap = GridSubmap(registry.mapper("log-odds").make(resolution_m=0.5), probability, radius_m)
+    for point, *poses in adds:
+        submap.add(np.array([point]), *poses)
+    return ordered(submap.cloud(Pose()).points)
+
+
+AT_REST = (Pose(), Pose())
+
+
+def test_a_hit_makes_the_centre_of_its_cell_a_point():
+    assert drawn(([2.1, 0.1], *AT_REST)) == [[2.25, 0.25]]
+    assert drawn(([2.1, 0.1], Pose(1.0, 1.0, np.pi / 2), Pose())) == [[0.75, 3.25]]
+
+
+def test_beams_that_pass_a_cell_take_its_point_away():
+    hit, past = ([2.1, 0.1], *AT_REST), ([4.1, 0.1], *AT_REST)
+    assert drawn(hit, past, past) == [[4.25, 0.25]]  # -0.847 once free, twice for good
+    from_aside = Pose(4.0, 3.0, 0.0)
+    assert drawn(hit, *[([4.1, 0.1], Pose(), from_aside)] * 2) == [[2.25, 0.25], [4.25, 0.25]]
+
+
+def test_only_cells_more_probable_than_asked_for_are_matched_against():
+    once, twice = ([2.1, 0.1], *AT_REST), ([0.1, 2.1], *AT_REST)
+    assert drawn(once, twice, twice, probability=0.8) == [[0.25, 2.25]]  # 0.70 and 0.84
+
+
+def test_only_cells_within_the_radius_are_matched_against():
+    assert drawn(([2.1, 0.1], *AT_REST), ([0.1, 5.1], *AT_REST), radius_m=3.0) == [[2.25, 0.25]]
+
+
+@pytest.mark.parametrize(
+    "submap",
+    [KeyframeSubmap(2, 0.1), VoxelMap(0.1, 5.0), GridSubmap(registry.mapper("log-odds").make(), 0.5, 5.0)],
+)
 def test_a_scan_without_a_hit_is_a_keyframe_without_points(submap):
     submap.add(np.empty((0, 2)), Pose())
     assert len(submap.cloud(Pose())) == 0
