@@ -5,9 +5,11 @@ Listing names imports nothing; loading one name imports only the module it stand
 
 from __future__ import annotations
 
+import re
 import sys
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from importlib.util import find_spec
 from types import FunctionType
 from typing import TypeVar
 
@@ -17,6 +19,8 @@ from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec, Odometry, Va
 
 Spec = TypeVar("Spec")
 
+_PLACE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+
 
 def names(kind: str) -> list[str]:
     """All names of a kind: "backends", "mappers", "datasets" or "metrics", sorted."""
@@ -24,10 +28,12 @@ def names(kind: str) -> list[str]:
 
 
 def backend(name: str) -> BackendSpec:
-    """The back end registered under a name, or what a scheme makes of the rest of one ("exec:./my_icp --fast")."""
+    """The back end of a name: registered, of a scheme ("exec:./my_icp --fast"), or in a module ("my.icp:SPEC")."""
     scheme, colon, rest = name.partition(":")
     if not colon:
         return load("backends", name, BackendSpec)
+    if point := _in_module(name):
+        return _loaded(name, point, BackendSpec)
     made: BackendSpec = load("schemes", scheme, FunctionType)(rest)
     return made
 
@@ -66,10 +72,17 @@ def dataset(name: str) -> DatasetSpec:
 def run_fingerprint(contestant: str, dataset: str) -> str:
     """A digest of the code a run stands on: evalkit's part in it, the two plug-ins and the libraries they require."""
     spec = backend(contestant)
-    scheme, colon, _ = contestant.partition(":")
-    plug_in = _found("schemes")[scheme] if colon else _found("backends")[contestant]
+    plug_in = plug_in_of("backends", contestant)
     modules = ("evalkit.worker", plug_in.module, _found("datasets")[dataset].module)
     return fingerprint(modules, ("numpy", "scipy", *spec.requires)) + spec.digest
+
+
+def plug_in_of(kind: str, name: str) -> EntryPoint:
+    """Where the plug-in of a name of a kind stands; a back end of a scheme stands where the scheme does."""
+    scheme, colon, _ = name.partition(":")
+    if not colon:
+        return _point(kind, name)
+    return _in_module(name) or _point("schemes", scheme)
 
 
 def score_fingerprint(mapper: str) -> str:
@@ -88,15 +101,35 @@ def _listed(kind: str, _path: tuple[str, ...]) -> dict[str, EntryPoint]:
 
 def load(kind: str, name: str, wanted: type[Spec]) -> Spec:
     """What is registered under a name of a kind; UnknownName lists the known ones."""
+    return _loaded(name, _point(kind, name), wanted)
+
+
+def _point(kind: str, name: str) -> EntryPoint:
     points = _found(kind)
     if name not in points:
         raise UnknownName(kind.removesuffix("s"), name, points)
+    return points[name]
+
+
+def _in_module(name: str) -> EntryPoint | None:
+    """The place a name "module:SPEC" spells out, None where it is no such name: schemes come first."""
+    module, _, attribute = name.partition(":")
+    if module in _found("schemes") or not _PLACE.fullmatch(name):
+        return None
     try:
-        spec = points[name].load()
+        found = find_spec(module)
+    except (ImportError, ValueError):  # a part of it is no package
+        return None
+    return EntryPoint(attribute, name, "evalkit.backends") if found else None
+
+
+def _loaded(name: str, point: EntryPoint, wanted: type[Spec]) -> Spec:
+    try:
+        spec = point.load()
     except Exception as error:  # a plug-in is a third party's code; it must not take the others along
         raise NotInstalled(
-            name, f"its plug-in {points[name].value} does not load ({error})", "reinstall its package"
+            name, f"its plug-in {point.value} does not load ({error})", "reinstall its package"
         ) from error
     if not isinstance(spec, wanted):
-        raise NotInstalled(name, f"{points[name].value} is a {type(spec).__name__}", f"expected a {wanted.__name__}")
+        raise NotInstalled(name, f"{point.value} is a {type(spec).__name__}", f"expected a {wanted.__name__}")
     return spec

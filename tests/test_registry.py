@@ -107,6 +107,16 @@ def test_a_strangers_plug_in_is_found_as_the_shipped_ones_are(points, monkeypatc
     assert registry.backend("mine") is spec
 
 
+def test_a_back_end_under_development_is_found_in_its_module():
+    assert registry.backend("evalkit_baselines.paper:TIGHT") is registry.backend("paper-tight")
+    with pytest.raises(UnknownName, match="no scheme named 'nowhere.at.all'"):
+        registry.backend("nowhere.at.all:SPEC")
+    with pytest.raises(NotInstalled, match="is a str"):
+        registry.backend("evalkit_baselines.paper:CITATION")
+    of_module, of_name = (registry.run_fingerprint(n, "room") for n in ("evalkit_baselines.paper:SPEC", "paper"))
+    assert of_module == of_name
+
+
 def test_results_stand_on_the_code_of_both_plug_ins():
     room = registry.run_fingerprint("paper", "room")
     assert room == registry.run_fingerprint("paper", "room")
