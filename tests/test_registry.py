@@ -109,7 +109,7 @@ def test_a_strangers_plug_in_is_found_as_the_shipped_ones_are(points, monkeypatc
 
 def test_a_back_end_under_development_is_found_in_its_module():
     assert registry.backend("evalkit_baselines.paper:TIGHT") is registry.backend("paper-tight")
-    with pytest.raises(UnknownName, match="no scheme named 'nowhere.at.all'"):
+    with pytest.raises(UnknownName, match=r"no scheme named 'nowhere\.at\.all'"):
         registry.backend("nowhere.at.all:SPEC")
     with pytest.raises(NotInstalled, match="is a str"):
         registry.backend("evalkit_baselines.paper:CITATION")
