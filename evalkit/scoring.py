@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,20 +34,35 @@ class Scored:
 
 def score(run: Run, sequence: Sequence, make_mapper: Callable[[], Mapper], scans: int) -> Scored:
     """The scores, the map and the error over time of a run, failed runs as far as they came."""
+    evidence = with_map(without_map(run, sequence), sequence, make_mapper, scans)
+    world_from_start = _world_from_start(evidence)
+    true = evidence.truth.trajectory
+    errors = None if true is None else errors_m(run.estimate.moved(world_from_start, "world"), true)
+    scores = metrics.score(evidence, metrics.all_metrics())
+    return Scored(scores, world_from_start, evidence.grid, errors, _in_words(evidence.matched))
+
+
+def without_map(run: Run, sequence: Sequence) -> Evidence:
+    """What a run shows without its scans looked at again: enough for drift and runtime."""
     truth = sequence.truth()
     matched = match(run.estimate, truth.trajectory) if truth.trajectory is not None else None
-    world_from_start = matched.world_from_start if isinstance(matched, Matched) else Pose()
-    world_from_base = run.estimate.moved(world_from_start, "world")
+    return Evidence(run, truth, matched, None, ())
+
+
+def with_map(
+    evidence: Evidence, sequence: Sequence, make_mapper: Callable[[], Mapper], scans: int, halves: bool = True
+) -> Evidence:
+    """The same with its map; ``halves``: with the maps of its two halves too, which some consistency metrics compare."""
+    world_from_base = evidence.run.estimate.moved(_world_from_start(evidence), "world")
     mapped, successive = _placed(sequence, world_from_base, scans)
-    middle = len(mapped) // 2
     grid, no_grid = draw(mapped, make_mapper)
+    drawn = replace(evidence, grid=grid, mapped=mapped, no_grid=no_grid, successive=successive)
+    if not halves:
+        return drawn
+    middle = len(mapped) // 2
     first, _ = draw(mapped[:middle], make_mapper)
     second, _ = draw(mapped[middle:], make_mapper)
-    evidence = Evidence(run, truth, matched, grid, mapped, first, second, no_grid, successive)
-    errors = None if truth.trajectory is None else errors_m(world_from_base, truth.trajectory)
-    return Scored(
-        metrics.score(evidence, metrics.all_metrics()), world_from_start, evidence.grid, errors, _in_words(matched)
-    )
+    return replace(drawn, first_half=first, second_half=second)
 
 
 def draw(mapped: Mapped, make_mapper: Callable[[], Mapper]) -> tuple[OccupancyGrid | None, str]:
@@ -64,6 +79,10 @@ def draw(mapped: Mapped, make_mapper: Callable[[], Mapper]) -> tuple[OccupancyGr
         return mapper.grid(), ""
     except Exception as error:  # noqa: BLE001 - a mapper is a third party's code
         return None, f"it cannot be drawn ({error})"
+
+
+def _world_from_start(evidence: Evidence) -> Pose:
+    return evidence.matched.world_from_start if isinstance(evidence.matched, Matched) else Pose()
 
 
 def _in_words(matched: Matched | str | None) -> str:

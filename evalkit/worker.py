@@ -121,7 +121,7 @@ def perform(request: Request, folder: Path) -> Outcome:
         contestant = frontend.odometry(spec, request.backend_parameters, residuals.hear)
         _leave(folder / "begun.json", begun | {"warm_up_scans": warm})
         with (folder / "steps.bin").open("ab", buffering=0) as file:
-            _follow(contestant, sequence, request, residuals, file)
+            follow(contestant, sequence, request, residuals, file)
         notes = dict(sequence.notes())
     except NotInstalled as error:
         status, reason = "not-installed", str(error)
@@ -161,8 +161,11 @@ def _warm_up(contestant: Odometry, sequence: Sequence) -> int:
     return seen
 
 
-def _follow(contestant: Odometry, sequence: Sequence, request: Request, residuals: Residuals, steps: BinaryIO) -> None:
-    """Asks the back end for every scan; a record's ``harness_ns`` is what the harness took around the scan before."""
+def follow(contestant: Odometry, sequence: Sequence, request: Request, residuals: Residuals, steps: BinaryIO) -> None:
+    """Writes a ``STEP`` record for every scan the back end answers; BackendFailed where it leaves out too many.
+
+    A record's ``harness_ns`` is what the harness took around the scan before.
+    """
     around = asked = 0
     unanswered: list[str] = []
     for frame in _in_order(sequence, request.dataset):
