@@ -7,6 +7,10 @@ import os
 import signal
 import subprocess
 import sys
+import time
+import uuid
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO
 
@@ -17,20 +21,40 @@ from evalkit.environment import SINGLE_THREAD
 POLL_S = 0.05
 """How often whoever waits for a child looks at it."""
 
+COUNT_S = 0.5
+"""How often its children are counted: that means looking at every process there is."""
+
 LAST_WORDS = 4096  # bytes of its output that are looked at for a reason
+
+MOST_OUTPUT = 16 * 2**20
+"""Bytes of output that are kept; who says more loses what it said first."""
+
+MARK = "EVALKIT_CHILD"
+"""Environment variable by which a child's descendants are known, wherever they have gone."""
+
+
+@dataclass(frozen=True, slots=True)
+class Usage:
+    """What a child and its descendants hold and have used: resident memory in bytes, CPU time in seconds."""
+
+    resident_bytes: int = 0
+    cpu_s: float = 0.0
 
 
 def started(module: str, folder: Path, output: IO[bytes]) -> subprocess.Popen[bytes]:
-    """``python -m module folder`` in a session of its own, with one thread; what it says goes to ``output``."""
+    """``python -m module folder`` in a session of its own, with one thread; what it says goes to ``output``.
+
+    ``output`` must be open for appending: see ``cut``.
+    """
     return subprocess.Popen(  # -P: modules of the folder we happen to be in must not stand in for others
         [sys.executable, "-P", "-m", module, str(folder)],
         stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True,
-        env={**os.environ, **SINGLE_THREAD},
+        env={**os.environ, **SINGLE_THREAD, MARK: _mark(folder)},
     )  # fmt: skip
 
 
-def end_group(process: subprocess.Popen[bytes]) -> None:
-    """Ends the process and all it started: they share its session, or are still known as its children."""
+def end_group(process: subprocess.Popen[bytes], folder: Path) -> None:
+    """Ends the process and all it started: its children, who shares its session, and who carries its mark."""
     if process.poll() is None:  # its number is still its own
         with contextlib.suppress(psutil.Error):  # ended meanwhile
             for child in psutil.Process(process.pid).children(recursive=True):
@@ -38,14 +62,55 @@ def end_group(process: subprocess.Popen[bytes]) -> None:
     with contextlib.suppress(ProcessLookupError):  # nobody is left, as it should be
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
+    for stray in _marked(folder):
+        with contextlib.suppress(psutil.Error):  # ended meanwhile
+            stray.kill()
 
 
-def resident_bytes(pid: int) -> int:
-    """Its resident memory now; 0 once it has ended."""
-    try:
-        return int(psutil.Process(pid).memory_info().rss)
-    except psutil.Error:  # ended between two looks
-        return 0
+class Family:
+    """A child and its descendants, looked at from outside."""
+
+    def __init__(self, pid: int) -> None:
+        self._pid, self._members, self._counted_at = pid, [psutil.Process(pid)], time.monotonic()
+
+    def usage(self) -> Usage:
+        """What they use now; nothing once they have ended."""
+        if time.monotonic() - self._counted_at > COUNT_S:
+            self._count()
+        memory, cpu = 0, 0.0
+        for member in self._members:
+            with contextlib.suppress(psutil.Error):  # ended between two looks
+                memory += int(member.memory_info().rss)
+                times = member.cpu_times()
+                cpu += times.user + times.system + times.children_user + times.children_system
+        return Usage(memory, cpu)
+
+    def _count(self) -> None:
+        self._counted_at = time.monotonic()
+        with contextlib.suppress(psutil.Error):  # ended between two looks
+            process = psutil.Process(self._pid)
+            self._members = [process, *process.children(recursive=True)]
+
+
+def cut(output: Path) -> None:
+    """Empties a file of output that has grown too long; the child goes on at its new end."""
+    with contextlib.suppress(OSError):  # the child has removed it
+        if output.stat().st_size > MOST_OUTPUT:
+            os.truncate(output, 0)
+
+
+def _mark(folder: Path) -> str:
+    """A name for all that is started in a folder, the same whoever asks."""
+    return str(uuid.uuid5(uuid.NAMESPACE_URL, folder.absolute().as_uri()))
+
+
+def _marked(folder: Path) -> Iterator[psutil.Process]:
+    """Who carries the mark of a folder, whatever has become of their parents."""
+    mark = _mark(folder)
+    for process in psutil.process_iter():
+        with contextlib.suppress(psutil.Error, OSError):  # somebody else's, or ended meanwhile
+            if process.environ().get(MARK) == mark:
+                yield process
 
 
 def last_words(code: int, output: Path) -> str:

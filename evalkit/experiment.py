@@ -55,10 +55,15 @@ class MapperChoice:
 
 @dataclass(frozen=True)
 class Limits:
-    """What one run may take: seconds in all, seconds without an answer, MiB of memory; seconds are wall clock."""
+    """What one run may take: seconds in all and without an answer, by the wall clock and of CPU, and MiB of memory.
+
+    CPU time and memory are those of the run's process and of all it has started.
+    """
 
     run_s: float = 900.0
     scan_s: float = 60.0
+    run_cpu_s: float = 3600.0
+    scan_cpu_s: float = 240.0
     memory_mib: int = 2048
 
 

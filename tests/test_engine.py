@@ -3,6 +3,7 @@
 import multiprocessing
 import os
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict
 from datetime import UTC, datetime
 from queue import SimpleQueue
 
@@ -12,6 +13,7 @@ import pytest
 from evalkit import engine, environment, experiment, registry
 from evalkit.engine import Engine
 from evalkit.errors import StoreError
+from evalkit.experiment import Limits
 from evalkit.store import Store
 
 pytestmark = pytest.mark.usefixtures("strangers")
@@ -132,7 +134,7 @@ def test_every_run_keeps_when_on_what_and_under_which_limits_it_was_made(tmp_pat
     (trial,) = Engine(plan("none"), Store(tmp_path), Heard(), ran_on=ran_on).trials()
     made = Store(tmp_path).load_made(trial.key)
     assert before <= datetime.fromisoformat(made.pop("made")) <= datetime.now(UTC)
-    assert made.pop("limits") == {"run_s": 60.0, "scan_s": 30.0, "memory_mib": 2048}
+    assert made.pop("limits") == asdict(Limits(run_s=60.0, scan_s=30.0))
     assert made == {
         "evalkit": "unknown", "commit": "abc", "processor": "slow", "load before": "unknown",
         "runs at a time": "unknown",

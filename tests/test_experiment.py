@@ -151,7 +151,7 @@ def test_what_is_written_is_taken(tmp_path):
         f"{PAPER}label = 'eager'\nkeyframes = 3\ns2s.epsilon = 0.5\n"
         f"{ROOM}label = 'box'\nlaps = 2\nseeds = [4, 2, 4]\n",
     )
-    assert (plan.title, plan.description, plan.limits) == ("T", "D", Limits(9, 60.0, 100))
+    assert (plan.title, plan.description, plan.limits) == ("T", "D", Limits(run_s=9, memory_mib=100))
     assert (plan.mapper.scans, plan.mapper.parameters["resolution_m"]) == (20, 0.1)
     entrant, course = plan.contestants[0], plan.courses[0]
     assert (entrant.label, entrant.backend, entrant.parameters["keyframes"]) == ("eager", "paper", 3)

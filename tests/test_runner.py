@@ -10,7 +10,7 @@ from pathlib import Path
 import psutil
 import pytest
 
-from evalkit import runner
+from evalkit import child, runner
 from evalkit.errors import StoreError
 from evalkit.experiment import Limits
 from evalkit.metrics import runtime
@@ -23,6 +23,10 @@ LIMITS = {
     "child": replace(HASTE, scan_s=4.0),
     "spin": replace(HASTE, run_s=4.0),
     "leak": replace(HASTE, memory_mib=300),
+    "hold": replace(HASTE, scan_s=2.5),
+    "daemon": replace(HASTE, scan_s=2.5),
+    "spin-in-child": replace(HASTE, scan_cpu_s=2.0),
+    "leak-in-child": replace(HASTE, memory_mib=300),
 }
 
 
@@ -39,6 +43,7 @@ def made(folder, wanted, limits=HASTE, heard=lambda _: None, stop=None):
 FAULTS = (
     "none", "segfault", "sigkill", "unnamed-signal", "abort", "exit", "sys-exit", "raise", "memory-error", "hang",
     "spin", "leak", "nan", "unchecked-nan", "no-pose", "child", "orphan", "garbage", "chdir", "remove-folder", "linger",
+    "hold", "daemon", "spin-in-child", "leak-in-child", "flood", "matrix",
 )  # fmt: skip
 
 
@@ -97,6 +102,12 @@ def test_a_thinned_recording_keeps_the_pace_of_its_sensor(tmp_path, every):
         ("chdir", "complete", ""),
         ("remove-folder", "failed", "folder was removed"),
         ("linger", "complete", ""),
+        ("hold", "timeout", f"no answer for 2.5 s after scan {AT}"),
+        ("daemon", "timeout", "no answer for 2.5 s"),
+        ("spin-in-child", "timeout", f"no answer for 2 s of CPU time after scan {AT}"),
+        ("leak-in-child", "out-of-memory", "used more than 300 MiB"),
+        ("flood", "failed", "code 9; it said last: the wheel is off"),
+        ("matrix", "failed", "update() answered a ndarray, expected an evalkit.Pose"),
     ],
 )
 def test_every_fault_has_its_status_and_a_reason_that_names_it(runs, fault, status, reason):
@@ -123,8 +134,12 @@ def test_a_run_that_completes_has_every_scan_once_and_in_order(runs):
 
 
 def test_no_process_is_left_by_whatever_fault(runs, root):
-    assert (root / "child" / "request.json").exists()
+    assert (root / "daemon" / "request.json").exists()
     assert not [process for process in psutil.process_iter(["cmdline"]) if str(root) in str(process.info["cmdline"])]
+
+
+def test_who_never_stops_talking_does_not_fill_the_disk(runs, root):
+    assert (root / "flood" / runner.OUTPUT).stat().st_size < 2 * child.MOST_OUTPUT
 
 
 def test_the_memory_of_a_run_is_its_own_and_not_that_of_the_process_that_started_it(strangers, tmp_path):

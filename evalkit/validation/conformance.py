@@ -25,6 +25,7 @@ PATIENCE = 3
 LOADING_S = 60.0
 """What the process may take before its first question: Python and the plug-in's module, not a rule's fault."""
 
+OUTPUT = "output.txt"
 _NO_ANSWER = "no answer"
 
 Heard = Callable[[Verdict], None]
@@ -112,21 +113,22 @@ class _Examination:
             path = [str(Path(entry or ".").resolve()) for entry in sys.path]
             request = Request(asdict(self._address), self._parameters, names, path)
             (folder / REQUEST).write_text(json.dumps(asdict(request)), encoding="utf-8")
-            with (folder / "output.txt").open("wb") as output:
+            with (folder / OUTPUT).open("ab") as output:
                 process = child.started("evalkit.validation.examiner", folder, output)
                 try:
                     limit = self._watched(process, folder)
                 finally:
-                    child.end_group(process)
+                    child.end_group(process, folder)
             self._told(folder)
             lines = _lines(folder)
             at = lines[-1].get("begun", "") if lines else names[0]
             if at:
-                self._ended(self._rules[at], limit or child.last_words(process.returncode, folder / "output.txt"))
+                self._ended(self._rules[at], limit or child.last_words(process.returncode, folder / OUTPUT))
 
     def _watched(self, process: subprocess.Popen[bytes], folder: Path) -> str:
         """Waits for the process's end, telling each verdict as it comes; which limit it broke, or ""."""
         told, since = 0, time.monotonic()
+        family = child.Family(process.pid)
         while process.poll() is None:
             time.sleep(child.POLL_S)
             if (size := len(_lines(folder))) > told:
@@ -135,7 +137,8 @@ class _Examination:
             limit_s = self._limit_s if told else LOADING_S
             if time.monotonic() - since > limit_s:
                 return f"{_NO_ANSWER} for {limit_s:g} s"
-            if child.resident_bytes(process.pid) > self._memory_mib * 2**20:
+            child.cut(folder / OUTPUT)
+            if family.usage().resident_bytes > self._memory_mib * 2**20:
                 return f"used more than {self._memory_mib} MiB"
         return ""
 

@@ -49,6 +49,38 @@ def _sleeper(own_session: bool = False) -> None:
     subprocess.Popen(command, start_new_session=own_session)
 
 
+def _daemon() -> None:
+    """A grandchild in a session of its own whose parent is gone at once: nobody's child."""
+    if os.fork() == 0:
+        _sleeper(own_session=True)
+        os._exit(0)
+    os.wait()
+    time.sleep(600)
+
+
+def _hold() -> None:
+    """Waits in C and keeps the interpreter's lock."""
+    ctypes.PyDLL(None).sleep(600)
+
+
+def _spin_in_child() -> None:
+    subprocess.run([sys.executable, "-c", "while True: pass", sys.argv[-1]], check=True)
+
+
+def _leak_in_child() -> None:
+    leak = "import time\nkept = []\nwhile True: kept.append(b'x' * 8_000_000); time.sleep(0.01)"
+    subprocess.run([sys.executable, "-c", leak, sys.argv[-1]], check=True)
+
+
+def _flood() -> None:
+    """40 MiB of output, and then its reason."""
+    for _ in range(40):
+        os.write(1, b"the wheel squeaks " * 58_254 + b"\n")
+        time.sleep(0.01)
+    os.write(2, b"the wheel is off\n")
+    os._exit(9)
+
+
 def _child() -> None:
     _sleeper()
     _sleeper(own_session=True)
@@ -95,6 +127,12 @@ FAULTS: dict[str, Callable[[], object]] = {
     "hang": lambda: time.sleep(600),
     "spin": _spin,
     "leak": _leak,
+    "hold": _hold,
+    "daemon": _daemon,
+    "spin-in-child": _spin_in_child,
+    "leak-in-child": _leak_in_child,
+    "flood": _flood,
+    "matrix": lambda: np.eye(3),
     "nan": lambda: Pose(math.nan, 0.0, 0.0),
     "unchecked-nan": lambda: NoPose(math.nan, 0.0, 0.0),
     "no-pose": lambda: (1.0, 2.0, 3.0),
