@@ -96,8 +96,14 @@ def make_trial(
         scores={n: Score(v, answered) if v is not None else Score(None, 0, f"no {n} here") for n, v in scores.items()},
         world_from_start=Pose(),
         grid=_grid(error_m) if answered else None,
-        errors_m=np.hypot(off[:answered, 0], off[:answered, 1]) if truth and answered else None,
+        errors_m=_errors(np.hypot(off[:answered, 0], off[:answered, 1]), scores) if truth and answered else None,
     )
+
+
+def _errors(errors_m: np.ndarray, scores: Mapping[str, float | None]) -> np.ndarray:
+    """Errors that make the ATE that is claimed, if one is."""
+    ate = scores.get("ate_rmse_m")
+    return errors_m if ate is None else errors_m * ate / np.sqrt(np.mean(errors_m**2))
 
 
 def make_comparison(trials: Sequence[Trial], **changes: object) -> Comparison:

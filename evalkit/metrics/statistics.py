@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -177,20 +178,27 @@ def vargha_delaney(a: ArrayLike, b: ArrayLike) -> float:
 def smallest_detectable_difference(differences: ArrayLike, power: float = 0.8, alpha: float = 0.05) -> float:
     """The mean difference that a paired design with these runs would have shown with 80 % power at 5 %.
 
-    By the two-sided paired t-test: the mean at which the noncentral t with the standard deviation and number of these
-    differences exceeds its critical value with that power. Infinite for fewer than two.
+    By the two-sided paired t-test, for the standard deviation and the number of these differences. Infinite for fewer
+    than two.
     """
     series = np.asarray(differences, dtype=np.float64)
     if len(series) < 2 or not np.isfinite(series).all():
         return math.inf
-    free, critical = len(series) - 1, float(stats.t.ppf(1.0 - alpha / 2.0, len(series) - 1))
+    error = float(series.std(ddof=1)) / math.sqrt(len(series))
+    return error * detectable_errors(len(series) - 1, power, alpha)
+
+
+@cache
+def detectable_errors(spare: float, power: float = 0.8, alpha: float = 0.05) -> float:
+    """How many standard errors, known with so many degrees of freedom, a difference must be to be shown so often."""
+    critical = float(stats.t.ppf(1.0 - alpha / 2.0, spare))
+    even = (np.arange(4000) + 0.5) / 4000.0
+    known = critical * np.sqrt(stats.chi2.ppf(even, spare) / spare)  # the bar, for every standard error one may get
 
     def lacking(shift: float) -> float:
-        found = stats.nct.sf(critical, free, shift) + stats.nct.cdf(-critical, free, shift)
-        return float(found) - power
+        return float(np.mean(stats.norm.sf(known - shift) + stats.norm.cdf(-known - shift))) - power
 
-    shift = optimize.brentq(lacking, 0.0, 2.0 * (critical + 4.0))
-    return float(shift) * float(series.std(ddof=1)) / math.sqrt(len(series))
+    return float(optimize.brentq(lacking, 0.0, 2.0 * (critical + 4.0)))
 
 
 def friedman(errors: ArrayLike, alpha: float = 0.05) -> Friedman | str:

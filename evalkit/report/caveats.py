@@ -5,9 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from evalkit.report.cells import MOST_GUESSED
 from evalkit.report.comparison import Comparison
 from evalkit.report.consensus import by_maps
-from evalkit.report.standings import MOST_GUESSED, Standing, guessed_percent
+from evalkit.report.standings import Standing, guessed_percent
 from evalkit.report.wording import joined, plain
 from evalkit.types import Trial
 

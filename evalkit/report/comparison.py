@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
+from functools import cached_property
 from typing import Literal
 
 from evalkit.metrics.table import Metric
 from evalkit.protocols import Published, Value
+from evalkit.report.resampling import Resamples
 from evalkit.types import Trial
 
 Role = Literal["", "paper", "bar"]
@@ -95,6 +97,11 @@ class Comparison:
             if row in seen:
                 raise ValueError(f"trials: {row[0]} over {row[1]} with seed {row[2]} stands there twice")
             seen.add(row)
+
+    @cached_property
+    def resamples(self) -> Resamples:
+        """What the trials' numbers might as well have been, drawn once and kept."""
+        return Resamples(self.trials)
 
     def of_sequence(self, sequence: str) -> tuple[Trial, ...]:
         """The trials over one sequence, in order."""

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from evalkit.report.cells import Cell
 from evalkit.report.comparison import Comparison
-from evalkit.report.standings import Cell, Standing, contestant_of, difference, ranking, standing, worse
+from evalkit.report.standings import Standing, behind, contestant_of, distinct, ranking, standing, worse
 
 MEASURES: Mapping[str, str] = {
     "map_entropy": "the lowest entropy",
@@ -39,7 +40,7 @@ def consensus(comparison: Comparison, sequence: str) -> Consensus:
             untold.append(known[name].label if name in known else name)
             continue
         best[name] = ranked[0].contestant
-        level = [c.contestant for c in ranked if c is ranked[0] or difference(known[name], ranked[0], c) != "clear"]
+        level = [c.contestant for c in ranked if c is ranked[0] or not distinct(known[name], ranked[0], c)]
         agreed = tuple(label for label in agreed if label in level)
     return Consensus(best, () if untold else agreed, tuple(untold))
 
@@ -55,17 +56,19 @@ def disagrees(comparison: Comparison, found: Standing | None) -> bool:
 
 
 def behind_bar(comparison: Comparison, found: Standing, bar: str) -> tuple[Cell, ...]:
-    """The cells that are clearly worse than the bar's; without truth, only those worse in every measure of the map."""
-    behind = tuple(cell for cell in found.cells if worse(found.metric, cell, found.of(bar)))
-    if not behind or not by_maps(found):
-        return behind
+    """The cells shown to be worse than the bar's; without truth, those with the worse map by every measure of it."""
+    if not by_maps(found):
+        return tuple(cell for cell in found.cells if worse(found.metric, cell, found.of(bar)))
     standings = [standing(comparison, found.sequence, m) for m in comparison.metrics if m.name in MEASURES]
-    return tuple(
-        cell
-        for cell in behind
-        if len(standings) == len(MEASURES)
-        and all(worse(one.metric, one.of(cell.contestant), one.of(bar)) for one in standings)
-    )
+    if len(standings) < len(MEASURES):
+        return ()
+    return tuple(cell for cell in found.cells if all(_worse_map(one, cell.contestant, bar) for one in standings))
+
+
+def _worse_map(found: Standing, contestant: str, bar: str) -> bool:
+    one, other = found.of(contestant), found.of(bar)
+    worse_than = behind(found.metric, one, other)
+    return worse_than and one is not None and other is not None and distinct(found.metric, one, other)
 
 
 def is_behind_bar(comparison: Comparison, found: Standing, contestant: str) -> bool:

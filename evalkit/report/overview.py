@@ -38,7 +38,7 @@ def _tally(verdicts: Sequence[Verdict]) -> str:
     parts += [f"{who} is ahead in the one run of {', '.join(where)}" for who, where in _led(counted, "ahead")]
     level = [v.sequence for v in counted if v.outcome == "level"]
     if level:
-        parts.append(f"there is no clear winner on {len(level)} ({', '.join(level)})")
+        parts.append(f"no difference is shown between the best on {len(level)} ({', '.join(level)})")
     count = "the one sequence" if len(counted) == 1 else f"the {len(counted)} sequences"
     return f"Over {count} with truth and a geometry that fixes the pose, {joined(parts)}."
 
@@ -59,7 +59,9 @@ def _paper_tally(label: str, verdicts: Sequence[Verdict]) -> str:
     groups = {
         "loses": [v.sequence for v in counted if label not in v.leaders and v.repeated],
         "is behind in the one run of": [v.sequence for v in counted if label not in v.leaders and not v.repeated],
-        "is level with the best on": [v.sequence for v in counted if v.outcome == "level" and label in v.leaders],
+        "shows no difference from the best on": [
+            v.sequence for v in counted if v.outcome == "level" and label in v.leaders
+        ],
         "is ahead in the one run of": [v.sequence for v in counted if v.outcome == "ahead" and label in v.leaders],
         "wins": [v.sequence for v in counted if v.outcome == "winner" and label in v.leaders],
     }
@@ -137,9 +139,11 @@ def _evidence(comparison: Comparison) -> str:
     if not runs:
         return ""
     most = max(runs.values())
-    if most < 2:
-        return "Every sequence was run once: there is no spread, and small differences mean nothing."
+    seeds = "Every sequence was run once, so intervals speak of these runs and not of a next one. "
+    if most > 1:
+        seeds = f"Numbers are medians over up to {most} seeds. "
     return (
-        f"Numbers are medians over up to {most} seeds with the lowest and highest in brackets. Nobody wins who is not "
-        "better in every seed, by a median of at least 5 % and, of positions, 2 mm. This is no significance test."
+        f"{seeds}A 95 % interval says between which bounds the number would lie had the robot met other stretches of "
+        "the same kind; it is drawn from stretches of up to 10 s. Somebody leads only where the interval of the "
+        "difference on the same scans excludes zero and the difference matters: at least 5 % and, of positions, 2 mm."
     )

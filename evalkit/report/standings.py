@@ -1,4 +1,4 @@
-"""Who stands where: medians over seeds of the complete runs, and who leads by more than the noise."""
+"""Who stands where: medians over the complete runs, and who leads by a difference that is shown and matters."""
 
 from __future__ import annotations
 
@@ -8,7 +8,9 @@ from statistics import median
 from typing import Literal
 
 from evalkit.metrics.table import Group, Metric
+from evalkit.report.cells import Cell, apart
 from evalkit.report.comparison import Comparison
+from evalkit.report.resampling import Resamples
 from evalkit.types import Status, Trial
 
 # The published relations are only good to this much themselves, whatever two contestants differ by.
@@ -18,8 +20,6 @@ RELATIONS_FLOOR = {"m": 0.03, "deg": 0.4, "°": 0.4}
 MARGIN_SHARE = 0.05
 MARGIN_M = 0.002
 
-# Of more scans left to the guess than this (%), it is the guess that would be ranked.
-MOST_GUESSED = 50.0
 GUESSED = "guess_kept_percent"
 
 # What decides a sequence: official relations where they exist, then a true trajectory, then maps.
@@ -42,42 +42,8 @@ STATUS: dict[Status, str] = {
     "data-missing": "data missing",
 }
 
-Level = Literal["clear", "within the noise floor", "not in every seed", "within the margin"]
-
-
-@dataclass(frozen=True, slots=True)
-class Cell:
-    """One metric of one contestant over one sequence.
-
-    ``values``: one per complete run that has a score, in the order of the trials. ``partial``: the same for runs that
-    ended early; they never enter a median. ``reason``: why there is no value, "" where there is one. ``seeds``: those
-    of ``values``. ``guessed_percent``: scans it left to the guess, 0 where unknown.
-    """
-
-    contestant: str
-    values: tuple[float, ...]
-    partial: tuple[float, ...]
-    complete: int
-    expected: int
-    support: int
-    reason: str
-    seeds: tuple[int | None, ...] = ()
-    guessed_percent: float = 0.0
-
-    @property
-    def median(self) -> float | None:
-        """The middle of the complete runs; None without any."""
-        return median(self.values) if self.values else None
-
-    @property
-    def rankable(self) -> bool:
-        """Whether every run was completed and scored, by registering: nobody leads by the runs it survived."""
-        return self.complete == self.expected == len(self.values) and self.registers
-
-    @property
-    def registers(self) -> bool:
-        """Whether the answers are its own: not where most scans were left to the guess."""
-        return self.guessed_percent <= MOST_GUESSED
+Level = Literal["clear", "within the noise floor", "no interval", "not shown", "within the margin"]
+"""Whether two differ, or why nobody should say so."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +74,7 @@ class Standing:
 
 def standing(comparison: Comparison, sequence: str, metric: Metric) -> Standing:
     """Where all contestants stand in one metric over one sequence."""
-    cells = tuple(_cell(trials, metric) for trials in comparison.by_contestant(sequence).values())
+    cells = tuple(_cell(trials, metric, comparison.resamples) for trials in comparison.by_contestant(sequence).values())
     bars = contestant_of(comparison, "bar") if metric.group in WITHOUT_BAR else ()
     ranked = ranking(metric, [cell for cell in cells if cell.contestant not in bars])
     level = tuple(cell for cell in ranked if cell is ranked[0] or difference(metric, ranked[0], cell) != "clear")
@@ -125,21 +91,30 @@ def ranking(metric: Metric, cells: Sequence[Cell]) -> tuple[Cell, ...]:
 
 
 def difference(metric: Metric, one: Cell, other: Cell) -> Level:
-    """Whether two cells with values differ clearly, or why nobody should say so: compared seed by seed.
+    """Whether two cells with values differ clearly, or why nobody should say so: compared run by run.
 
-    Clear is what has the same sign in every seed both have, and a median of at least the margin.
+    Clear is a paired difference whose 95 % interval excludes zero and whose median is of at least the margin.
     """
-    theirs = dict(zip(other.seeds, other.values, strict=True))
-    pairs = [(value, theirs[seed]) for seed, value in zip(one.seeds, one.values, strict=True) if seed in theirs]
-    differences = [ours - others for ours, others in pairs]
+    differences = _differences(one, other)
     if not differences:
-        return "not in every seed"
-    apart = abs(median(differences))
-    if apart < noise_floor(metric):
+        return "no interval"
+    size = abs(median(differences))
+    if size < noise_floor(metric):
         return "within the noise floor"
-    if min(differences) <= 0.0 <= max(differences):
-        return "not in every seed" if len(differences) > 1 else "within the margin"
-    return "within the margin" if apart < margin(metric, _better(metric, one, other)) else "clear"
+    found = apart(one, other)
+    if found is None:
+        return "no interval"
+    if not found.interval.excludes(0.0):
+        return "not shown"
+    return "within the margin" if size < margin(metric, _better(metric, one, other)) else "clear"
+
+
+def distinct(metric: Metric, one: Cell, other: Cell) -> bool:
+    """Whether two cells differ by at least the margin, in the same direction in every run, shown or not."""
+    differences = _differences(one, other)
+    if not differences or (min(differences) <= 0.0 <= max(differences)):
+        return False
+    return abs(median(differences)) >= max(margin(metric, _better(metric, one, other)), noise_floor(metric))
 
 
 def noise_floor(metric: Metric) -> float:
@@ -154,13 +129,21 @@ def margin(metric: Metric, better: float) -> float:
 
 
 def worse(metric: Metric, one: Cell | None, other: Cell | None) -> bool:
-    """Whether one cell is worse than another by more than the noise; False where they cannot be compared."""
+    """Whether one cell is shown to be worse than another; False where they cannot be compared."""
+    return (
+        behind(metric, one, other)
+        and one is not None
+        and other is not None
+        and (difference(metric, one, other) == "clear")
+    )
+
+
+def behind(metric: Metric, one: Cell | None, other: Cell | None) -> bool:
+    """Whether the median of one cell is worse than that of another, by however little."""
     if not metric.better or one is None or other is None or not one.values or not other.values:
         return False
-    behind = median(one.values) - median(other.values)
-    if metric.better == "higher":
-        behind = -behind
-    return behind > 0.0 and difference(metric, one, other) == "clear"
+    further = median(one.values) - median(other.values)
+    return further > 0.0 if metric.better == "lower" else further < 0.0
 
 
 def deciding(comparison: Comparison, sequence: str) -> Standing | None:
@@ -192,22 +175,27 @@ def guessed_percent(trials: Sequence[Trial]) -> float:
     return median(known) if known else 0.0
 
 
-def _cell(trials: Sequence[Trial], metric: Metric) -> Cell:
+def _differences(one: Cell, other: Cell) -> list[float]:
+    theirs = dict(zip(other.seeds, other.values, strict=True))
+    return [value - theirs[seed] for seed, value in zip(one.seeds, one.values, strict=True) if seed in theirs]
+
+
+def _cell(trials: Sequence[Trial], metric: Metric, resamples: Resamples) -> Cell:
     complete = [trial for trial in trials if trial.run.status == "complete"]
-    scores = [(trial.seed, trial.scores[metric.name]) for trial in complete if metric.name in trial.scores]
-    values = tuple(score.value for _, score in scores if score.value is not None)
-    ended = [trial.scores[metric.name] for trial in unfinished(trials) if metric.name in trial.scores]
-    supports = [score.support for _, score in scores if score.value is not None]
+    scored = [(t, t.scores[metric.name]) for t in complete if metric.name in t.scores]
+    known = [(t, score.value, score.support) for t, score in scored if score.value is not None]
+    ended = [t.scores[metric.name].value for t in unfinished(trials) if metric.name in t.scores]
     return Cell(
         trials[0].contestant,
-        values,
-        tuple(score.value for score in ended if score.value is not None),
+        tuple(value for _, value, _ in known),
+        tuple(value for value in ended if value is not None),
         len(complete),
         len(trials),
-        int(median(supports)) if supports else 0,
-        "" if values else _why_none(trials, metric),
-        tuple(seed for seed, score in scores if score.value is not None),
+        int(median(support for *_, support in known)) if known else 0,
+        "" if known else _why_none(trials, metric),
+        tuple(t.seed for t, *_ in known),
         guessed_percent(complete),
+        tuple(resamples.of(t, metric.name) for t, *_ in known),
     )
 
 

@@ -10,6 +10,7 @@ from typing import Literal
 
 from evalkit.metrics.table import Metric
 from evalkit.report import caveats
+from evalkit.report.cells import Cell, apart
 from evalkit.report.comparison import Comparison
 from evalkit.report.consensus import MEASURES, behind_bar, by_maps, consensus, disagrees
 from evalkit.report.standings import (
@@ -17,7 +18,6 @@ from evalkit.report.standings import (
     NOT_POSSIBLE,
     STATUS,
     WITH_TRUTH,
-    Cell,
     Standing,
     contestant_of,
     deciding,
@@ -25,10 +25,11 @@ from evalkit.report.standings import (
     standing,
     unfinished,
 )
-from evalkit.report.wording import amount, gap, joined, plain, spread
+from evalkit.report.wording import amount, difference, figure, gap, joined, plain, told
 from evalkit.types import Trial
 
 Outcome = Literal["winner", "ahead", "level", "unrivalled", "disagreement", "degenerate", "nothing"]
+SAME = {"stretches": "on the same scans", "runs": "run by run"}
 LED: tuple[Outcome, ...] = ("winner", "ahead", "level")
 
 
@@ -118,15 +119,21 @@ def _leading(comparison: Comparison, found: Standing) -> tuple[str, ...]:
 def _told(comparison: Comparison, found: Standing, outcome: Outcome) -> str:
     if outcome == "disagreement":
         return _disagreement(comparison, found)
-    said = _leaders(found, outcome)
-    return f"{said} The other measures of the map do not contradict." if by_maps(found) and outcome in LED else said
+    if not by_maps(found) or outcome not in LED:
+        return _leaders(found, outcome)
+    if outcome == "level" and found.why_level == "no interval":
+        best = joined(consensus(comparison, found.sequence).agreed)
+        return (
+            f"No difference shown: one run each gives no interval. By every measure of the map {best} is best or level."
+        )
+    return f"{_leaders(found, outcome)} The other measures of the map do not contradict."
 
 
 def _leaders(found: Standing, outcome: Outcome) -> str:
     metric, ranked = found.metric, found.ranked
     if not ranked:
         return f"Nobody completed every run with a value for {metric.label}, so nobody can win."
-    first = f"{ranked[0].contestant} has {spread(metric, ranked[0].values)}"
+    first = f"{ranked[0].contestant} has {told(metric, ranked[0])}"
     if len(ranked) == 1:
         return f"Only {first} {metric.label} over every run: there is nobody to compare it with."
     if outcome == "degenerate":
@@ -139,8 +146,8 @@ def _leaders(found: Standing, outcome: Outcome) -> str:
     if outcome == "winner":
         verb = "wins" if metric.group in WITH_TRUTH else "is ahead"
         return f"{ranked[0].contestant} {verb} on {metric.label}: {_lead(metric, ranked[0], ranked[1])}."
-    level = joined(f"{cell.contestant} {spread(metric, cell.values)}" for cell in found.level)
-    return f"No clear winner on {metric.label}: {level} {_why_level(found)}."
+    level = joined(f"{cell.contestant} {told(metric, cell)}" for cell in found.level)
+    return f"No difference shown on {metric.label} between {level}: {_why_level(found)}."
 
 
 def _disagreement(comparison: Comparison, found: Standing) -> str:
@@ -157,23 +164,41 @@ def _disagreement(comparison: Comparison, found: Standing) -> str:
 
 def _lead(metric: Metric, winner: Cell, runner_up: Cell) -> str:
     best, second = median(winner.values), median(runner_up.values)
+    found = apart(runner_up, winner)
+    over = f"; the difference, {SAME[found.by]}, is {difference(metric, found, _sign(metric))}" if found else ""
     return (
-        f"{spread(metric, winner.values)}; the runner-up, {runner_up.contestant}, "
-        f"has {spread(metric, runner_up.values)}, {gap(metric, second, best)}"
+        f"{told(metric, winner)}; the runner-up, {runner_up.contestant}, "
+        f"has {told(metric, runner_up)}, {gap(metric, second, best)}{over}"
     )
 
 
 def _last(metric: Metric, ranked: Sequence[Cell]) -> str:
-    return f"and the last of those who finished, {ranked[-1].contestant}, {spread(metric, ranked[-1].values)}"
+    return f"and the last of those who finished, {ranked[-1].contestant}, {told(metric, ranked[-1])}"
 
 
 def _why_level(found: Standing) -> str:
+    metric, first, second = found.metric, found.level[0], found.level[1]
     if found.why_level == "within the noise floor":
-        return f"differ by less than the truth can tell ({amount(found.metric, noise_floor(found.metric))})"
-    if found.why_level == "not in every seed":
-        return "are not in the same order in every seed"
-    position = found.metric.unit == "m" and found.metric.group in ("drift", "relations")
-    return f"are less than {100 * MARGIN_SHARE:.0f} % {'or 2 mm ' if position else ''}apart"
+        return f"they differ by less than the truth can tell ({amount(metric, noise_floor(metric))})"
+    if found.why_level == "no interval":
+        return "one run each, without an error for every scan, gives no interval"
+    if found.why_level == "within the margin":
+        position = metric.unit == "m" and metric.group in ("drift", "relations")
+        return f"they are less than {100 * MARGIN_SHARE:.0f} % {'or 2 mm ' if position else ''}apart"
+    between = apart(second, first)
+    if between is None:
+        return "they cannot be compared"
+    reach = f"{figure(between.detectable, metric.digits + 1)}\u00a0{metric.unit}".rstrip()
+    said = difference(metric, between, _sign(metric))
+    return (
+        f"{SAME[between.by]}, {second.contestant} is worse by {said}, which may be nothing; these runs would have "
+        f"shown a difference of {reach}"
+    )
+
+
+def _sign(metric: Metric) -> float:
+    """What makes "worse minus better" a positive number."""
+    return -1.0 if metric.better == "higher" else 1.0
 
 
 def _paper(comparison: Comparison, found: Standing) -> str:
@@ -189,14 +214,22 @@ def _paper_clause(label: str, found: Standing) -> str:
             return f"{label} registered too little to be ranked"
         count = f"{cell.complete} of {cell.expected}" if cell else "none"
         return f"{label} cannot be ranked ({count} of its runs finished)"
-    wins = found.metric.group in WITH_TRUTH and found.repeated
-    if found.winner is cell:
-        return f"{label} {'wins' if wins else 'is ahead'}"
     if cell in found.level:
-        return f"{label} is level with the best" if len(found.ranked) > 1 else f"{label} has nobody beside it"
+        return _paper_first(cell, found)
     best, own = median(found.ranked[0].values), median(cell.values)
     figures = f"{amount(found.metric, own)} against {amount(found.metric, best)}"
-    return f"{label} {'loses' if wins else 'is behind'}, with {figures}: {gap(found.metric, own, best)}"
+    verb = "loses" if found.metric.group in WITH_TRUTH and found.repeated else "is behind"
+    return f"{label} {verb}, with {figures}: {gap(found.metric, own, best)}"
+
+
+def _paper_first(cell: Cell, found: Standing) -> str:
+    if found.winner is cell:
+        return f"{cell.contestant} {'wins' if found.metric.group in WITH_TRUTH and found.repeated else 'is ahead'}"
+    if len(found.ranked) == 1:
+        return f"{cell.contestant} has nobody beside it"
+    if cell is found.ranked[0]:
+        return f"{cell.contestant} has the best value, but not by a difference that is shown"
+    return f"no difference is shown between {cell.contestant} and the best, {found.ranked[0].contestant}"
 
 
 def _bar(comparison: Comparison, found: Standing) -> str:
@@ -207,6 +240,9 @@ def _bar(comparison: Comparison, found: Standing) -> str:
         if measure is None or measure.median is None:
             return f"{bar} has no value here, so the others have no bar to pass."
         behind = behind_bar(comparison, found, bar)
+        if behind and by_maps(found):
+            listed = joined(cell.contestant for cell in behind)
+            return f"A worse map than {bar} alone, by every measure: {listed}."
         if behind:
             listed = joined(f"{cell.contestant} ({amount(found.metric, median(cell.values))})" for cell in behind)
             return f"Worse than {bar} alone ({amount(found.metric, measure.median)}): {listed}."

@@ -8,9 +8,10 @@ from statistics import median
 
 from evalkit.metrics.table import Metric
 from evalkit.protocols import Published
+from evalkit.report.cells import Cell
 from evalkit.report.comparison import Comparison
 from evalkit.report.consensus import disagrees, is_behind_bar
-from evalkit.report.standings import STATUS, Cell, Standing, deciding, standing, unfinished
+from evalkit.report.standings import STATUS, Standing, deciding, standing, unfinished
 from evalkit.types import Status, Trial
 
 
