@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from evalkit import se2
+from evalkit_datasets.episodes import Episodes
 from evalkit_datasets.robot import Drive, Route, WheelOdometry
 
 SQUARE = Route.through([(0, 0, 1), (4, 0, 1), (4, 4, 1), (0, 4, 1)])
@@ -98,6 +99,16 @@ def test_a_gyro_bias_alone_turns_the_heading_in_proportion_to_time():
     error = se2.wrap(found[:, 2] - se2.between(drive.pose([0]), drive.pose(stamps))[:, 2])
     assert abs(error[-1]) > 1e-4
     np.testing.assert_allclose(error, error[-1] * stamps / stamps[-1], atol=1e-9)
+
+
+def test_slipping_wheels_see_a_way_that_was_not_driven():
+    drive = Drive(SQUARE, speed_mps=0.5, laps=0.06)  # straight on
+    stamps = every(drive)
+    slipping = WheelOdometry(0.0, 0.0, 0.0, 0.0, Episodes(every_s=1.0, lasts_s=0.2), slip_mps=0.4)
+    too_far = odometry(slipping, drive, stamps)[:, 0] - odometry(FAULTLESS, drive, stamps)[:, 0]
+    seconds = stamps * 1e-9
+    slips = np.clip(seconds[:, None] - [0.5, 1.5, 2.5, 3.5], 0.0, 0.2).sum(axis=1)
+    np.testing.assert_allclose(too_far, 0.4 * slips, atol=1e-9)
 
 
 def test_errors_of_many_runs_spread_as_asked_for():

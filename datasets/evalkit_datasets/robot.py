@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from evalkit import se2
 from evalkit.se2 import Floats, Stamps
+from evalkit_datasets.episodes import NEVER, Episodes
 
 _TICK_NS = 10_000_000  # wheel encoders and gyroscope are read at 100 Hz
 _GENTLE_M = 1.0  # a curve this round is no turn
@@ -199,13 +200,16 @@ class WheelOdometry:
     """Wheel encoders and a gyroscope at 100 Hz: the paper names them without figures, so these are assumed.
 
     ``scale``: 1 sigma of the wheels' scale error, a share, drawn once a run. ``velocity_noise_mps``: of every reading.
-    ``gyro_bias`` (rad/s): 1 sigma, drawn once a run. ``gyro_noise`` (rad/s): of every reading.
+    ``gyro_bias`` (rad/s): 1 sigma, drawn once a run. ``gyro_noise`` (rad/s): of every reading. ``slips``: when the
+    wheels spin, ``slip_mps`` faster than the vehicle moves; the gyroscope does not feel it.
     """
 
     scale: float = 0.01
     velocity_noise_mps: float = 0.02
     gyro_bias: float = float(np.radians(0.2))
     gyro_noise: float = float(np.radians(0.5))
+    slips: Episodes = NEVER
+    slip_mps: float = 0.5
 
     def poses(self, drive: Drive, stamps_ns: ArrayLike, generator: np.random.Generator) -> Floats:
         """What dead reckoning answers, ``odom_from_base`` (N, 3) at times (N,) of a drive: the identity at time 0.
@@ -223,6 +227,7 @@ class WheelOdometry:
         reading = noise[times[:-1] // _TICK_NS] * lasted[:, None]
         travelled[:, :2] *= 1.0 + scale
         travelled[:, 0] += reading[:, 0]
+        travelled[:, 0] += np.where(self.slips.at(times[:-1]), self.slip_mps * lasted, 0.0)
         travelled[:, 2] += reading[:, 1] + bias * lasted
         return _chained(_motion(travelled))[np.searchsorted(times, asked)]
 
