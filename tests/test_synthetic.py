@@ -205,6 +205,35 @@ def test_lidars_do_not_sit_in_the_middle_and_not_all_straight():
     assert any(mount.theta != 0.0 for mount in mounts)
 
 
+def test_lost_scans_are_missing_and_the_others_stay_as_they_were():
+    usual, thinned = short("lab"), short("lab", drop_every_s=3.0, drop_s=0.35)
+    kept = np.isin(usual.stamps_ns, thinned.stamps_ns)
+    missing = usual.stamps_ns[~kept] * 1e-9
+    np.testing.assert_allclose(missing, [1.5, 1.6, 1.7, 1.8, 4.5, 4.6, 4.7, 4.8, 7.5, 7.6, 7.7, 7.8], atol=1e-6)
+    assert ranges(thinned).tobytes() == ranges(usual)[kept].tobytes()
+    assert odometry(thinned).tobytes() == odometry(usual)[kept].tobytes()
+    assert len(thinned.truth().trajectory) == len(thinned) == len(usual) - 12
+    assert thinned.notes()["scans lost"] == 12
+
+
+def test_people_hide_walls_and_leave_all_else_as_it_was():
+    empty, busy = short("room", noise_m=0.0), short("room", noise_m=0.0, people=2)
+    before, after = ranges(empty), ranges(busy)
+    hidden = ~np.isclose(before, after, equal_nan=True)
+    assert (after[hidden] < before[hidden]).all()
+    assert 0.005 < hidden.mean() < 0.3
+    assert odometry(busy).tobytes() == odometry(empty).tobytes()
+    np.testing.assert_array_equal(busy.truth().grid.log_odds, empty.truth().grid.log_odds)
+
+
+def test_slips_reach_the_odometry_alone():
+    usual, slipping = short("lab"), short("lab", slip_every_s=4.0, slip_mps=1.0)
+    assert ranges(usual).tobytes() == ranges(slipping).tobytes()
+    steps = [np.hypot(*np.diff(odometry(each), axis=0)[:, :2].T) for each in (usual, slipping)]
+    longer = np.flatnonzero(steps[1] - steps[0] > 0.05)
+    assert longer.tolist() == [20, 21, 22, 23, 24, 60, 61, 62, 63, 64]
+
+
 TODAY = [  # scans, invalid ranges, sum of the others (m), the last odometry
     ("room", 81, 703, 303837.664910, [2.250688867, -0.02610002, -0.022688902]),
     ("lab", 84, 724, 236079.611691, [2.323129756, -0.161805775, -0.165427769]),

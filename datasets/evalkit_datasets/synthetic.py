@@ -12,8 +12,10 @@ from evalkit.protocols import DatasetSpec, Parameter, Value, resolved, with_defa
 from evalkit.se2 import Floats
 from evalkit.types import Frame, Pose, Scan, Trajectory, Truth
 from evalkit_datasets import floorplans
+from evalkit_datasets.episodes import NEVER, Episodes
 from evalkit_datasets.floorplans import FloorPlan
 from evalkit_datasets.lidar import Lidar
+from evalkit_datasets.people import Walk, walks
 from evalkit_datasets.robot import Drive, Route, WheelOdometry
 from evalkit_datasets.worlds import truth_grid
 
@@ -24,7 +26,8 @@ _LOOK_EVERY_M = 0.2  # how far apart on the path the true map looks around
 class Synthetic:
     """A drive through a floor plan: the same parameters give the same bits, on every pass and in every process.
 
-    Range noise, drop-outs and odometry draw from streams of their own, so that changing one leaves the others alone.
+    Range noise, drop-outs, odometry and people draw from streams of their own, so that changing one leaves the others
+    alone. ``lost``: scans that begin meanwhile never arrive.
     """
 
     def __init__(
@@ -36,10 +39,16 @@ class Synthetic:
         base_from_sensor: Pose,
         seed: int = 0,
         resolution_m: float = 0.05,
+        lost: Episodes = NEVER,
+        people: int = 0,
+        walk_mps: float = 1.0,
     ) -> None:
         self.plan, self.drive, self.lidar, self.odometry = plan, drive, lidar, odometry
         self.base_from_sensor, self.seed, self.resolution_m = base_from_sensor, seed, resolution_m
-        self.stamps_ns = lidar.stamps(drive.duration_ns)
+        self.people, self.walk_mps = people, walk_mps
+        self._swept_ns = lidar.stamps(drive.duration_ns)  # of the scans lost, too
+        self._arrived = ~lost.at(self._swept_ns)
+        self.stamps_ns = self._swept_ns[self._arrived]
         if len(self.stamps_ns) == 0:
             raise ValueError(f"laps: {drive.laps:g} laps at {drive.speed_mps:g} m/s end before the first scan does")
 
@@ -60,37 +69,49 @@ class Synthetic:
         return {
             "beams without return": sum(int(scan.no_returns.sum()) for scan in scans),
             "invalid ranges": sum(int(np.isnan(scan.ranges).sum()) for scan in scans),
-        }
+        } | ({"scans lost": lost} if (lost := int((~self._arrived).sum())) else {})
 
     def _streams(self) -> list[np.random.Generator]:
-        """Independent generators for range noise, drop-outs and odometry."""
-        return [np.random.default_rng(child) for child in np.random.SeedSequence(self.seed).spawn(3)]
+        """Independent generators for range noise, drop-outs, odometry and people."""
+        return [np.random.default_rng(child) for child in np.random.SeedSequence(self.seed).spawn(4)]
+
+    @cached_property
+    def walks(self) -> tuple[Walk, ...]:
+        """Where the people walk."""
+        *_, generator = self._streams()
+        return walks(self.people, self.plan.world, self.drive, self.walk_mps, generator)
 
     @cached_property
     def _frames(self) -> tuple[Frame, ...]:
-        noise, dropouts, errors = self._streams()
-        last_ns = self.stamps_ns + (self.lidar.beams - 1) * self.lidar.time_increment_ns
-        odometry = self.odometry.poses(self.drive, np.stack([self.stamps_ns, last_ns], axis=1).ravel(), errors)
+        noise, dropouts, errors, _ = self._streams()
+        last_ns = self._swept_ns + (self.lidar.beams - 1) * self.lidar.time_increment_ns
+        odometry = self.odometry.poses(self.drive, np.stack([self._swept_ns, last_ns], axis=1).ravel(), errors)
         first, last = odometry[0::2], odometry[1::2]
         turned = se2.between(first, last)
         return tuple(
             Frame(self._scan(index, ranges), self.base_from_sensor, Pose.of(first[index]), Pose.of(turned[index]))
             for index, ranges in enumerate(self._ranges(noise, dropouts))
+            if self._arrived[index]
         )
 
     def _ranges(self, noise: np.random.Generator, dropouts: np.random.Generator) -> Iterator[Floats]:
         """What the lidar reports (B,), scan by scan, every beam fired from where the sensor is at that moment."""
-        for begin in range(0, len(self), _SCANS_AT_ONCE):
-            stamps = self.lidar.beam_stamps(self.stamps_ns[begin : begin + _SCANS_AT_ONCE])
+        for begin in range(0, len(self._swept_ns), _SCANS_AT_ONCE):
+            stamps = self.lidar.beam_stamps(self._swept_ns[begin : begin + _SCANS_AT_ONCE])
             world_from_sensor = se2.compose(self.drive.pose(stamps.ravel()), self.base_from_sensor.row)
-            bearings = world_from_sensor[:, 2] + np.tile(self.lidar.angles(), len(stamps))
-            distances = self.plan.world.cast(world_from_sensor[:, :2], bearings)
+            origins, bearings = (
+                world_from_sensor[:, :2],
+                world_from_sensor[:, 2] + np.tile(self.lidar.angles(), len(stamps)),
+            )
+            distances = self.plan.world.cast(origins, bearings)
+            for walk in self.walks:
+                distances = np.minimum(distances, walk.met(origins, bearings, stamps.ravel()))
             yield from self.lidar.measured(distances.reshape(stamps.shape), noise, dropouts)
 
     def _scan(self, index: int, ranges: Floats) -> Scan:
         lidar = self.lidar
         return Scan(
-            int(self.stamps_ns[index]),
+            int(self._swept_ns[index]),
             ranges,
             lidar.angles(),
             lidar.range_min_m,
@@ -120,6 +141,13 @@ PARAMETERS = (
     Parameter("velocity_noise_mps", 0.02, "m/s", "1 sigma of every speed reading at 100 Hz", low=0.0, high=1.0),
     Parameter("gyro_bias_dps", 0.2, "deg/s", "1 sigma of the gyroscope's bias, drawn once a run", low=0.0, high=20.0),
     Parameter("gyro_noise_dps", 0.5, "deg/s", "1 sigma of every yaw rate reading at 100 Hz", low=0.0, high=50.0),
+    Parameter("slip_every_s", 0.0, "s", "the wheels slip once in so long, first after half of it; 0: never", low=0.0),
+    Parameter("slip_s", 0.5, "s", "how long they slip", low=0.0),
+    Parameter("slip_mps", 0.5, "m/s", "by how much they turn too fast meanwhile", low=-3.0, high=3.0),
+    Parameter("drop_every_s", 0.0, "s", "scans are lost once in so long, first after half of it; 0: never", low=0.0),
+    Parameter("drop_s", 0.5, "s", "for how long scans are lost", low=0.0),
+    Parameter("people", 0, "", "people who walk about: discs of 0.25 m radius", low=0, high=50),
+    Parameter("walk_mps", 1.0, "m/s", "how fast people walk", low=0.05, high=3.0),
     Parameter("resolution_m", 0.05, "m", "cell size of the true map", low=0.01, high=1.0),
 )  # fmt: skip
 
@@ -138,10 +166,15 @@ def sequence(plan: Callable[[], FloorPlan], base_from_sensor: Pose, **parameters
             number["velocity_noise_mps"],
             float(np.radians(number["gyro_bias_dps"])),
             float(np.radians(number["gyro_noise_dps"])),
+            Episodes(number["slip_every_s"], number["slip_s"]),
+            number["slip_mps"],
         ),
         base_from_sensor,
         int(value["seed"]),
         number["resolution_m"],
+        Episodes(number["drop_every_s"], number["drop_s"]),
+        int(value["people"]),
+        number["walk_mps"],
     )
 
 
