@@ -1,0 +1,145 @@
+"""``evalkit realtime``: how slow a device may be before a back end drops scans, and before it loses its way."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.table import Table
+
+from evalkit import console, frontend, registry
+from evalkit.commands import options
+from evalkit.commands.options import Json, err, out
+from evalkit.errors import DataMissing
+from evalkit.protocols import Value, resolved
+from evalkit.realtime import POLICIES, Policy, Rule, first_broken
+from evalkit.settings import from_text
+from evalkit.study.ledger import Job, Ledger
+
+RULE = Rule()
+
+
+def realtime(
+    backend: Annotated[str, typer.Argument(help="A registered name.", show_default=False)],
+    on: Annotated[str, typer.Option(help="The sequence.")] = "lab",
+    setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE for the back end.")] = None,
+    set_on: Annotated[list[str] | None, typer.Option(help="NAME=VALUE for the sequence.")] = None,
+    factors: Annotated[
+        str, typer.Option(help="How many times slower than here the device is, a,b,c.")
+    ] = "1,2,5,10,20,50,100,200,500,1000",
+    policy: Annotated[
+        str, typer.Option(help=f"A scan that finds the robot busy: {' or '.join(POLICIES)}.")
+    ] = "queue-of-one",
+    odometry: Annotated[bool, typer.Option(help="Wheel odometry bridges the time between answers.")] = True,
+    repetitions: Annotated[int, typer.Option(min=1, help="Measurements a scan; the median counts.")] = 3,
+    folder: options.Out = Path("reports") / "build" / "realtime",
+    as_json: Json = False,
+) -> None:
+    """Measure what each scan costs here, then drop the scans a slower device would drop: drift against device factor.
+
+    The measured costs are kept: the same command again drops the same scans.
+    """
+    known = _factors(factors)
+    asked = _arguments(backend, on, options.settings(setting or []), options.settings(set_on or [], "--set-on"))
+    arguments = asked | {
+        "factors": known, "policies": [_policy(policy)], "repetitions": repetitions, "bridged": odometry,
+    }  # fmt: skip
+    job = Job(f"{backend} on {on}", "evalkit.pacing:paced", arguments)
+    with console.jobs(err, 1, 1) as done:
+        found = Ledger(folder or Path("reports") / "build" / "realtime").run([job], 1, done)[job.name]
+    rows = _rows(found)
+    if as_json:
+        options.print_json(_told(backend, on, found, rows))
+    else:
+        _show(backend, on, found, rows)
+
+
+def _arguments(backend: str, on: str, given: dict[str, str], given_on: dict[str, str]) -> dict[str, Any]:
+    """What is asked for, checked before anything is measured."""
+    from evalkit.pacing import Contestant  # noqa: PLC0415 - loads scipy: only who measures pays for it
+
+    parameters = from_text(backend, frontend.parameters_of(registry.backend(backend)), given)
+    Contestant.of(backend, parameters)
+    spec = registry.dataset(on)
+    of_sequence: dict[str, Value] = resolved(on, spec.parameters, from_text(on, spec.parameters, given_on))
+    if why := spec.missing(**of_sequence):
+        raise DataMissing(on, "is not here", why)
+    return {
+        "backend": backend,
+        "parameters": parameters,
+        "dataset": on,
+        "dataset_parameters": of_sequence,
+        "code": registry.run_fingerprint(backend, on),
+    }
+
+
+def _factors(text: str) -> list[float]:
+    try:
+        found = [float(word) for word in text.split(",")]
+    except ValueError:
+        found = [-1.0]
+    if not all(0.0 < factor < math.inf for factor in found):
+        raise typer.BadParameter(f"--factors: found '{text}', expected positive numbers: 1,5,10")
+    return sorted(found)
+
+
+def _policy(text: str) -> Policy:
+    for policy in POLICIES:
+        if text == policy:
+            return policy
+    raise typer.BadParameter(f"--policy: found '{text}', expected one of: {', '.join(POLICIES)}")
+
+
+def _rows(found: Any) -> list[dict[str, Any]]:
+    """Every rung with whether it is broken, against the one of a device that takes no time."""
+    reference = found["rungs"][0]["at_hand"]["ate_rmse_m"]
+    return [rung | {"broken": _broken(rung, reference)} for rung in found["rungs"]]
+
+
+def _broken(rung: dict[str, Any], reference: float | None) -> bool:
+    ate = rung["at_hand"]["ate_rmse_m"]
+    return reference is None or RULE.broken(None if rung["lost"] else ate, reference)
+
+
+def _told(backend: str, on: str, found: Any, rows: list[dict[str, Any]]) -> dict[str, Any]:
+    return {
+        "backend": backend,
+        "sequence": on,
+        "median_cost_ms": float(sorted(found["costs_ns"])[len(found["costs_ns"]) // 2] * 1e-6),
+        "period_ms": found["period_ns"] * 1e-6,
+        "headroom": found["headroom"],
+        "growth": dict(zip(map(str, found["gaps"].tolist()), found["growth"].tolist(), strict=True)),
+        "linear": found["linear"],
+        "breaks_at": _breaks(rows),
+        "rungs": rows,
+    }
+
+
+def _breaks(rows: list[dict[str, Any]]) -> float | None:
+    return first_broken([row["factor"] for row in rows], [row["broken"] for row in rows])
+
+
+def _show(backend: str, on: str, found: Any, rows: list[dict[str, Any]]) -> None:
+    told = _told(backend, on, found, rows)
+    columns = ("device factor", "answered", "dropped %", "late %", "age p95 ms", "ATE of answers m", "ATE at hand m")
+    table = Table(*columns, "", title=f"{backend} on {on}", title_justify="left", expand=out.is_terminal)
+    for row in rows:
+        table.add_row(
+            f"{row['factor']:g}" if row["factor"] else "no drops", str(row["answered"]), f"{100 * row['dropped']:.1f}",
+            f"{100 * row['late']:.1f}", f"{row['age_ms'][1]:.1f}", _metres(row["of_answers"]), _metres(row["at_hand"]),
+            f"broken {row['lost']}".strip() if row["broken"] else "",
+        )  # fmt: skip
+    console.show(out, table)
+    breaks = f"breaks at {told['breaks_at']:g}" if told["breaks_at"] is not None else "holds at every factor asked"
+    out.print(
+        f"{told['median_cost_ms']:.2f} ms a scan here (median); a device up to {told['headroom']:.3g} times slower "
+        f"answers every scan in time; {breaks}. Broken: {RULE}.",
+        markup=False, emoji=False, highlight=False,
+    )  # fmt: skip
+
+
+def _metres(measures: dict[str, float | None]) -> str:
+    value = measures["ate_rmse_m"]
+    return "-" if value is None else f"{value:.3f}"

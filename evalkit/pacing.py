@@ -1,0 +1,281 @@
+"""Measures what a back end's scans cost here, then lets it run on slower and slower virtual devices and scores it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from evalkit import belief, frontend, metrics, realtime, registry
+from evalkit.belief import Stage
+from evalkit.clock import timed
+from evalkit.errors import BackendFailed, NotInstalled
+from evalkit.metrics.table import Evidence
+from evalkit.metrics.trajectory import match
+from evalkit.protocols import NoAnswer, Odometry, Value, resolved
+from evalkit.realtime import CostProfile, LinearCost, Policy, Schedule, headroom, linear_cost, schedule
+from evalkit.se2 import Floats
+from evalkit.types import STEP, Frame, Ints, Match, Pose, Run, Truth
+
+WARM_UP_SCANS = 5
+GAPS = (1, 2, 4, 8, 16)
+MEASURES = ("ate_rmse_m", "rpe_1m_m", "heading_rmse_deg")
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """A back end by name with complete parameters; ``fresh`` makes one for a sequence."""
+
+    name: str
+    parameters: Mapping[str, Value]
+
+    @classmethod
+    def of(cls, name: str, given: Mapping[str, object]) -> Contestant:
+        """The back end of a name; raises NotInstalled where it cannot run here."""
+        spec = registry.backend(name)
+        if why := spec.missing():
+            raise NotInstalled(name, "not installed", why)
+        return cls(name, frontend.complete_parameters(name, spec, given))
+
+    def fresh(self, on_match: frontend.OnMatch = lambda _stage, _match, _believed: None) -> Odometry:
+        """An odometry that has seen nothing."""
+        return frontend.odometry(registry.backend(self.name), self.parameters, on_match)
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A sequence held in memory. ``bridged``: dropped scans are bridged by its wheel odometry, where it has any."""
+
+    frames: tuple[Frame, ...]
+    truth: Truth
+    bridged: bool = True
+
+    @property
+    def stamps_ns(self) -> Ints:
+        """When each scan (N,) begins."""
+        return np.array([frame.scan.stamp_ns for frame in self.frames], dtype=np.int64)
+
+    @property
+    def odometry(self) -> Floats | None:
+        """``odom_from_base`` (N, 3) at the stamps; None where a scan has none, or it is not to be used."""
+        poses = [frame.odom_from_base.row for frame in self.frames if frame.odom_from_base is not None]
+        return np.array(poses) if self.bridged and len(poses) == len(self.frames) else None
+
+
+@dataclass(frozen=True, eq=False)
+class Measured:
+    """A cost profile with what it was measured on. ``work`` (N,): iterations times points; ``linear``: fitted to it."""
+
+    profile: CostProfile
+    work: Ints
+    linear: LinearCost | None
+
+
+@dataclass(frozen=True, slots=True)
+class Rung:
+    """One device factor: what was dropped and how good the rest was.
+
+    ``late``: share of the answers that came after the next scan; ``age_ms``: from scan to answer, median and 95 %.
+    ``of_answers``, ``at_hand``: metrics by name, None where there is none, of the poses answered, and of what the robot
+    goes by at every scan, dropped ones included. ``lost``: why there is none, or "".
+    ``predicted``: cost by the linear model from the iterations really done, in units of the cost the clock assumed
+    (median over the answers); None where there is no such model.
+    """
+
+    policy: str
+    factor: float
+    answered: int
+    dropped: float
+    late: float
+    age_ms: tuple[float, float]
+    of_answers: Mapping[str, float | None]
+    at_hand: Mapping[str, float | None]
+    lost: str
+    predicted: float | None
+
+
+def profile(contestant: Contestant, frames: Sequence[Frame], repetitions: int = 3) -> Measured:
+    """What every scan costs, median over the repetitions in CPU time; and how the cost grows with gaps.
+
+    A back end whose work is done elsewhere is taken by its word (device time); BackendFailed where nobody measured.
+    """
+    _follow(contestant, frames[:WARM_UP_SCANS])
+    full, work = _costs(contestant, frames, repetitions)
+    growth = [1.0]
+    unseen_work: list[Ints] = []
+    unseen_ns: list[Ints] = []
+    gaps = [gap for gap in GAPS if len(frames) // gap >= WARM_UP_SCANS]
+    for gap in gaps[1:]:
+        costs, their_work = _costs(contestant, frames[::gap], 1)
+        growth.append(float(costs[1:].sum() / full[::gap][1:].sum()))
+        unseen_work.append(their_work[1:])
+        unseen_ns.append(costs[1:])
+    linear = linear_cost(work[1:], full[1:], np.concatenate([[], *unseen_work]), np.concatenate([[], *unseen_ns]))
+    return Measured(CostProfile(full, np.array(gaps), np.array(growth)), work, linear)
+
+
+def arrivals_ns(frames: Iterable[Frame]) -> Ints:
+    """When each scan (N,) is complete: at its last beam."""
+    return np.array([frame.scan.stamp_ns + frame.scan.duration_ns for frame in frames], dtype=np.int64)
+
+
+def ladder(
+    contestant: Contestant, course: Course, measured: Measured, factors: Iterable[float], policy: Policy
+) -> tuple[Rung, ...]:
+    """One rung for every factor; 0 is a device that takes no time: nothing is dropped."""
+    arrivals = arrivals_ns(course.frames)
+    known: dict[bytes, _Followed | str] = {}
+    rungs = []
+    for factor in factors:
+        made = schedule(arrivals, measured.profile.slowed(factor), policy)
+        key = made.answered.tobytes()
+        if key not in known:
+            known[key] = _driven(contestant, [course.frames[index] for index in made.answered])
+        rungs.append(_rung(course, measured, factor, policy, made, known[key]))
+    return tuple(rungs)
+
+
+def paced(
+    backend: str,
+    parameters: Mapping[str, Value],
+    dataset: str,
+    dataset_parameters: Mapping[str, Value],
+    factors: Sequence[float],
+    policies: Sequence[Policy] = ("queue-of-one",),
+    repetitions: int = 3,
+    bridged: bool = True,
+    code: str = "",  # noqa: ARG001 - read by the ledger alone, which takes it for a part of the question
+) -> dict[str, Any]:
+    """A back end's cost profile on a sequence and its ladder of device factors: JSON values and arrays, for a ledger.
+
+    ``code``: a digest of what back end and sequence are made of (``registry.run_fingerprint``), for the ledger's key.
+    Keys: ``costs_ns`` and ``work`` (N,), ``gaps`` and ``growth``, ``period_ns``, ``headroom``, ``linear`` (None where
+    the back end tells no iterations) and ``rungs``, for every policy from factor 0 up.
+    """
+    contestant = Contestant.of(backend, parameters)
+    spec = registry.dataset(dataset)
+    sequence = spec.make(**resolved(dataset, spec.parameters, dataset_parameters))
+    course = Course(tuple(sequence.frames()), sequence.truth(), bridged)
+    measured = profile(contestant, course.frames, repetitions)
+    rungs = [
+        asdict(rung)
+        for policy in policies
+        for rung in ladder(contestant, course, measured, sorted({0.0, *factors}), policy)
+    ]
+    arrivals = arrivals_ns(course.frames)
+    return {
+        "costs_ns": measured.profile.scans_ns,
+        "work": measured.work,
+        "gaps": measured.profile.gaps,
+        "growth": measured.profile.growth,
+        "period_ns": float(np.median(np.diff(arrivals))),
+        "headroom": headroom(arrivals, measured.profile),
+        "linear": None if measured.linear is None else asdict(measured.linear),
+        "rungs": rungs,
+    }
+
+
+def _costs(contestant: Contestant, frames: Sequence[Frame], repetitions: int) -> tuple[Ints, Ints]:
+    """Cost in ns, median over repetitions, and work (N,) of every scan."""
+    told = [_follow(contestant, frames) for _ in range(repetitions)]
+    costs = np.median([row.costs_ns for row in told], axis=0)
+    if not (costs > 0).all():
+        scan = int(np.argmin(costs > 0))
+        raise BackendFailed(contestant.name, f"nobody measured what scan {scan + 1} costs", "measure where it runs")
+    return costs.astype(np.int64), told[0].work
+
+
+@dataclass(frozen=True, eq=False)
+class _Followed:
+    """What a back end made of frames: answers (K, 3), nan where it gave none; cost and work (K,) of each."""
+
+    answers: Floats
+    costs_ns: Ints
+    work: Ints
+
+
+def _follow(contestant: Contestant, frames: Sequence[Frame]) -> _Followed:
+    iterations = 0
+
+    def hear(_stage: Stage, found: Match, _believed: bool) -> None:
+        nonlocal iterations
+        iterations += found.iterations
+
+    odometry = contestant.fresh(hear)
+    answers, costs = np.full((len(frames), 3), np.nan), np.zeros(len(frames), dtype=np.int64)
+    work = np.zeros(len(frames), dtype=np.int64)
+    for index, frame in enumerate(frames):
+        iterations = 0
+        answer, timing = timed(_asked(odometry, frame))
+        iterations += sum(stage.iterations for stage in belief.heard_of_stages().values())
+        costs[index] = timing.cpu_ns or timing.device_ns
+        work[index] = iterations * int(frame.scan.hits.sum())
+        if answer is not None:
+            answers[index] = answer.row
+    return _Followed(answers, costs, work)
+
+
+def _asked(odometry: Odometry, frame: Frame) -> Callable[[], Pose | None]:
+    def ask() -> Pose | None:
+        try:
+            return odometry.update(frame)
+        except NoAnswer:
+            return None
+
+    return ask
+
+
+def _driven(contestant: Contestant, frames: Sequence[Frame]) -> _Followed | str:
+    """What the back end makes of these frames, or why nothing."""
+    try:
+        return _follow(contestant, frames)
+    except Exception as error:  # noqa: BLE001 - whatever a third party's code raises is a result to report
+        return f"{type(error).__name__}: {error}"
+
+
+def _rung(
+    course: Course, measured: Measured, factor: float, policy: Policy, made: Schedule, followed: _Followed | str
+) -> Rung:
+    of_answers: dict[str, float | None] = dict.fromkeys(MEASURES)
+    at_hand = dict(of_answers)
+    lost, predicted = "", None
+    if isinstance(followed, str):
+        lost = followed
+    else:
+        given = np.isfinite(followed.answers[:, 0])
+        answers = followed.answers[given]
+        theirs = replace(
+            made, answered=made.answered[given], begun_ns=made.begun_ns[given], done_ns=made.done_ns[given]
+        )
+        lost = "fewer than two answers" if len(answers) < 2 else ""
+        of_answers = _measured(course, course.stamps_ns[theirs.answered], answers)
+        if len(answers):
+            live = realtime.at_hand(course.stamps_ns, theirs, answers, course.odometry)
+            at_hand = _measured(course, course.stamps_ns, live)
+        predicted = _predicted(measured, made.answered, followed.work)
+    age = np.percentile(made.age_ns * 1e-6, [50, 95])
+    return Rung(
+        policy, float(factor), len(made.answered), made.dropped_share, float(made.late.mean()),
+        (float(age[0]), float(age[1])), of_answers, at_hand, lost, predicted,
+    )  # fmt: skip
+
+
+def _measured(course: Course, stamps_ns: Ints, poses: Floats) -> dict[str, float | None]:
+    """The measures by name of poses (K, 3) at stamps (K,)."""
+    steps = np.zeros(len(stamps_ns), dtype=STEP)
+    steps["stamp_ns"] = stamps_ns
+    steps["x"], steps["y"], steps["theta"] = poses.T
+    run = Run("", "", "complete", "", steps, len(course.frames))
+    evidence = Evidence(run, course.truth, match(run.estimate, course.truth.trajectory), None, ())
+    found = metrics.score(evidence, (metric for metric in metrics.METRICS if metric.name in MEASURES))
+    return {name: found[name].value for name in MEASURES}
+
+
+def _predicted(measured: Measured, answered: Ints, work: Ints) -> float | None:
+    if measured.linear is None or len(answered) < 2:
+        return None
+    gaps = np.diff(answered)
+    assumed = [measured.profile.ns(i, g) for i, g in zip(answered[1:].tolist(), gaps.tolist(), strict=True)]
+    return float(np.median(measured.linear.ns(work[1:]) / assumed))
