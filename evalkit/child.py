@@ -44,8 +44,10 @@ class Usage:
 def started(module: str, folder: Path, output: IO[bytes]) -> subprocess.Popen[bytes]:
     """``python -m module folder`` in a session of its own, with one thread; what it says goes to ``output``.
 
-    ``output`` must be open for appending: see ``cut``.
+    ``output`` must be open for appending: see ``cut``. Whoever an evalkit that was killed left behind in this folder is
+    ended first.
     """
+    _end_marked(folder)
     return subprocess.Popen(  # -P: modules of the folder we happen to be in must not stand in for others
         [sys.executable, "-P", "-m", module, str(folder)],
         stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True,
@@ -62,9 +64,7 @@ def end_group(process: subprocess.Popen[bytes], folder: Path) -> None:
     with contextlib.suppress(ProcessLookupError):  # nobody is left, as it should be
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
-    for stray in _marked(folder):
-        with contextlib.suppress(psutil.Error):  # ended meanwhile
-            stray.kill()
+    _end_marked(folder)
 
 
 class Family:
@@ -102,6 +102,12 @@ def cut(output: Path) -> None:
 def _mark(folder: Path) -> str:
     """A name for all that is started in a folder, the same whoever asks."""
     return str(uuid.uuid5(uuid.NAMESPACE_URL, folder.absolute().as_uri()))
+
+
+def _end_marked(folder: Path) -> None:
+    for stray in _marked(folder):
+        with contextlib.suppress(psutil.Error):  # ended meanwhile
+            stray.kill()
 
 
 def _marked(folder: Path) -> Iterator[psutil.Process]:

@@ -17,14 +17,16 @@ from rich.table import Table
 
 from evalkit import __version__, console, environment, experiment, listing, recording, registry
 from evalkit.commands import options
+from evalkit.commands.basin import basin
 from evalkit.commands.check import check
 from evalkit.commands.equiv import equiv
-from evalkit.commands.options import Jobs, Json, Out, Resume, err, out
+from evalkit.commands.options import FAILED, Collect, Jobs, Json, Making, Out, Rerun, Resume, err, out
+from evalkit.commands.realtime import realtime
 from evalkit.engine import Engine
 from evalkit.errors import EvalkitError, NotInstalled, StoreError
 from evalkit.experiment import Plan
 from evalkit.store import REMEDY, Store
-from evalkit.types import Trial
+from evalkit.types import Status, Trial
 
 app = typer.Typer(
     help="Which scan matcher, on my robot, and is my own one right? Compare 2D lidar registration back ends.",
@@ -36,6 +38,10 @@ Experiment = Annotated[Path, typer.Argument(help="An experiment file (*.toml).",
 Sequences = Annotated[list[str] | None, typer.Option(help="Only this sequence (repeatable).", show_default="all")]
 Contestants = Annotated[list[str] | None, typer.Option(help="Only this contestant (repeatable).", show_default="all")]
 Seeds = Annotated[list[int] | None, typer.Option(help="Only this seed (repeatable).", show_default="all")]
+
+
+ABSENT: tuple[Status, ...] = ("not-installed", "data-missing", "skipped")
+"""The statuses of runs that were never begun."""
 
 
 def main() -> None:
@@ -93,6 +99,8 @@ def run(
     folder: Out = None,
     jobs: Jobs = None,
     resume: Resume = False,
+    rerun: Rerun = None,
+    collect: Collect = False,
     sequence: Sequences = None,
     contestant: Contestants = None,
     seed: Seeds = None,
@@ -100,7 +108,7 @@ def run(
 ) -> None:
     """Run an experiment and score it; results land in the folder as they come."""
     plan = experiment.read(file).only(sequence or [], contestant or [], seed or [])
-    trials, _ = _trials(plan, Store(folder or _folder(plan)), jobs, resume)
+    trials, _ = _trials(plan, Store(folder or _folder(plan)), Making.of(jobs, resume, rerun, collect))
     _end(trials, plan, None, as_json)
 
 
@@ -110,6 +118,8 @@ def report(
     folder: Out = None,
     jobs: Jobs = None,
     resume: Resume = False,
+    rerun: Rerun = None,
+    collect: Collect = False,
     sequence: Sequences = None,
     contestant: Contestants = None,
     seed: Seeds = None,
@@ -117,7 +127,7 @@ def report(
 ) -> None:
     """Run an experiment and write its report: one HTML page, CSV and JSON tables, trajectories and maps."""
     plan = experiment.read(file).only(sequence or [], contestant or [], seed or [])
-    _report(plan, folder, jobs, resume, as_json)
+    _report(plan, folder, Making.of(jobs, resume, rerun, collect), as_json)
 
 
 @app.command()
@@ -131,6 +141,8 @@ def compare(
     folder: Out = None,
     jobs: Jobs = None,
     resume: Resume = False,
+    rerun: Rerun = None,
+    collect: Collect = False,
     sequence: Sequences = None,
     contestant: Contestants = None,
     as_json: Json = False,
@@ -146,23 +158,24 @@ def compare(
     names = [name for word in backends.split(",") if (name := word.strip())]
     plan = recording.plan(file, own, options.settings(setting or []), names, source)
     recording.first_frame(plan)
-    _report(plan.only(sequence or [], contestant or [], []), folder, jobs, resume, as_json)
+    plan = plan.only(sequence or [], contestant or [], [])
+    _report(plan, folder, Making.of(jobs, resume, rerun, collect), as_json)
 
 
-COMMANDS: tuple[Callable[..., None], ...] = (check, equiv)
+COMMANDS: tuple[Callable[..., None], ...] = (check, equiv, realtime, basin)
 """The commands with a module of their own, in the order of the help."""
 
 for _command in COMMANDS:
     app.command()(_command)
 
 
-def _report(plan: Plan, folder: Path | None, jobs: int | None, resume: bool, as_json: bool) -> None:
+def _report(plan: Plan, folder: Path | None, how: Making, as_json: bool) -> None:
     from evalkit import report as pages  # noqa: PLC0415 - loads pandas and matplotlib: only who draws pays for them
 
     started = datetime.now(UTC)
     store = Store(folder or _folder(plan))
-    trials, ran_on = _trials(plan, store, jobs, resume)
-    made = [store.load_made(trial.key) for trial in trials if trial.run.status not in ("not-installed", "data-missing")]
+    trials, ran_on = _trials(plan, store, how)
+    made = [store.load_made(trial.key) for trial in trials if trial.run.status not in ABSENT]
     ran_on |= environment.kept(made, started)
     comparison = pages.comparison_of(plan, trials, started, datetime.now(UTC), ran_on)
     try:
@@ -172,42 +185,52 @@ def _report(plan: Plan, folder: Path | None, jobs: int | None, resume: bool, as_
     _end(trials, plan, page, as_json)
 
 
-def _trials(plan: Plan, store: Store, jobs: int | None, resume: bool) -> tuple[tuple[Trial, ...], dict[str, str]]:
+def _trials(plan: Plan, store: Store, how: Making) -> tuple[tuple[Trial, ...], dict[str, str]]:
     """Every run of the plan, and what they ran on as it was before the first."""
     for line in console.missing(plan):
         err.print(line, markup=False, highlight=False)
-    at_once = jobs or environment.physical_cores()
-    ran_on = environment.describe(jobs=at_once)
+    ran_on = environment.describe(jobs=how.jobs)
     try:
-        with console.progress(err, list(plan.runs()), at_once) as shown:
-            return Engine(plan, store, shown, at_once, resume, ran_on).trials(), ran_on
+        with console.progress(err, list(plan.runs()), how.jobs) as shown:
+            engine = Engine(plan, store, shown, how.jobs, how.resume, ran_on, how.rerun, how.collect)
+            return engine.trials(), ran_on
     except KeyboardInterrupt:
         err.print("interrupted; finished runs are kept: the same command with --resume goes on from here")
         raise
 
 
 def _end(trials: tuple[Trial, ...], plan: Plan, page: Path | None, as_json: bool) -> None:
-    """Prints where the result is; exit code 1 if a run that could have completed did not."""
+    """Prints where the result is; exit code 1 if a run that could have completed did not, 3 if one is not made yet."""
     complete = sum(trial.run.status == "complete" for trial in trials)
-    broken = [trial for trial in trials if trial.run.status in ("failed", "crashed", "timeout", "out-of-memory")]
+    broken = [trial for trial in trials if trial.run.status in FAILED]
+    skipped = [trial for trial in trials if trial.run.status == "skipped"]
     if as_json:
         options.print_json(
             {"title": plan.title, "page": str(page) if page else None, "runs": [_row(trial) for trial in trials]}
         )
     else:
-        absent = len(trials) - complete - len(broken)
+        absent = len(trials) - complete - len(broken) - len(skipped)
         names = ", ".join(_absent(trials))
         told = f"{complete} runs complete, {len(broken)} failed, {absent} not possible here"
         out.print(f"{told}: {names}" if names else told, markup=False, highlight=False)
+        if skipped:
+            missing = ", ".join(f"{trial.contestant} on {_with_seed(trial)}" for trial in skipped)
+            out.print(f"{len(skipped)} not made yet: {missing}", markup=False, highlight=False)
         if page is not None:
             out.print(str(page.resolve()), highlight=False, markup=False)
     if broken:
         raise typer.Exit(1)
+    if skipped:
+        raise typer.Exit(3)
+
+
+def _with_seed(trial: Trial) -> str:
+    return trial.sequence if trial.seed is None else f"{trial.sequence} seed {trial.seed}"
 
 
 def _absent(trials: tuple[Trial, ...]) -> list[str]:
     """The contestants and sequences that could not run here, each once; "who on what" where it was the pair alone."""
-    absent = [trial for trial in trials if trial.run.status in ("not-installed", "data-missing")]
+    absent = [trial for trial in trials if trial.run.status in ABSENT and trial.run.status != "skipped"]
     missing = {trial.sequence for trial in absent if trial.run.status == "data-missing" and trial.run.expected == 0}
     return list(dict.fromkeys(_what_is_absent(trial, trial.sequence not in missing) for trial in absent))
 

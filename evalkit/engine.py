@@ -8,6 +8,7 @@ import threading
 from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from multiprocessing import get_context
@@ -17,7 +18,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from evalkit import environment, registry, runner, scoring
+from evalkit import environment, lifeline, registry, runner, scoring
 from evalkit.errors import StoreError
 from evalkit.experiment import MapperChoice, Plan, Planned
 from evalkit.protocols import Value
@@ -50,9 +51,10 @@ class Progress(Protocol):
 
 @dataclass(frozen=True)
 class Engine:
-    """This machine, ``jobs`` runs at a time, each pinned to a core of its own. ``resume`` keeps what is done.
+    """This machine, ``jobs`` runs at a time, each pinned to a core of its own.
 
-    ``ran_on``: what the environment says, kept with every run that is made.
+    ``resume`` keeps what is done, but makes runs that ended in one of ``rerun`` again. ``collect`` makes none: what is
+    not there is skipped. ``ran_on``: what the environment says, kept with every run that is made.
     """
 
     plan: Plan
@@ -61,12 +63,18 @@ class Engine:
     jobs: int = 1
     resume: bool = False
     ran_on: Mapping[str, str] = field(default_factory=dict)
+    rerun: frozenset[Status] = frozenset()
+    collect: bool = False
 
     def trials(self) -> tuple[Trial, ...]:
         """Every run of the plan, made, scored and stored, in the plan's order.
 
         A run that fails is a row with a reason; only a results folder that cannot be written stops the whole.
         """
+        with nullcontext() if self.collect else self.store.writer():
+            return self._trials()
+
+    def _trials(self) -> tuple[Trial, ...]:
         os.environ.update(environment.SINGLE_THREAD)  # inherited by the scoring processes, as by the runs
         planned = list(self.plan.runs())
         cores = _cores(self.jobs)
@@ -121,9 +129,11 @@ class Engine:
         absent = _absent(planned)
         if absent is not None:
             return absent
-        known = self._kept(planned) if self.resume else None
+        known = self._kept(planned) if self.resume or self.collect else None
         if known is not None:
             return known
+        if self.collect:
+            return _unmade(planned, "skipped", "not made yet; the same command without --collect makes it")
         request = Request(
             planned.contestant.backend,
             dict(planned.contestant.parameters),
@@ -146,7 +156,11 @@ class Engine:
     def _kept(self, planned: Planned) -> Run | None:
         """The stored run, None where there is none or it must be repeated: what was absent may have come."""
         known = self.store.load_run(planned.key)
-        if known is None or known.status in DONE:
+        if known is None or self.collect:
+            return known
+        if known.status in self.rerun:
+            return None
+        if known.status in DONE:
             return known
         same_limits = self.store.load_made(planned.key).get("limits") == asdict(self.plan.limits)
         return known if known.status in LIMITED and same_limits else None
@@ -158,7 +172,7 @@ class Engine:
     def _scored(self, planned: Planned, run: Run, core: int | None, scorers: ProcessPoolExecutor) -> Mapping[str, Any]:
         """The stored scores if the code they stand on is unchanged, else new ones."""
         fingerprint = f"{registry.score_fingerprint(self.plan.mapper.name)} {self.plan.mapper}"
-        known = self.store.load_scores(planned.key) if self.resume else None
+        known = self.store.load_scores(planned.key) if self.resume or self.collect else None
         if known is None or known["fingerprint"] != fingerprint:
             course = planned.course
             job = (course.dataset, course.seeded(planned.seed), self.plan.mapper, fingerprint, core)
@@ -213,9 +227,14 @@ def score_stored(
 
 
 def _scorers(jobs: int) -> ProcessPoolExecutor:
-    """Processes to score in; an interrupt at the keyboard is this process's business alone."""
-    ignore = (signal.SIGINT, signal.SIG_IGN)
-    return ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=signal.signal, initargs=ignore)
+    """Processes to score in."""
+    return ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_settle)
+
+
+def _settle() -> None:
+    """A scoring process's start: an interrupt at the keyboard is its parent's business, its parent's end its own."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    lifeline.watch_parent()
 
 
 def _in_pool(scorers: ProcessPoolExecutor, job: Callable[..., None], *arguments: object) -> None:
@@ -242,9 +261,12 @@ def _absent(planned: Planned) -> Run | None:
     ]
     for status, reason in reasons:
         if reason:
-            empty = np.zeros(0, dtype=STEP)
-            return Run(planned.contestant.label, planned.course.label, status, reason, empty, expected=0)
+            return _unmade(planned, status, reason)
     return None
+
+
+def _unmade(planned: Planned, status: Status, reason: str) -> Run:
+    return Run(planned.contestant.label, planned.course.label, status, reason, np.zeros(0, dtype=STEP), expected=0)
 
 
 def _cores(jobs: int) -> SimpleQueue[int | None]:

@@ -8,6 +8,7 @@ trajectories/<key>.tum   maps/<key>.pgm  maps/<key>.yaml           for other too
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import shutil
@@ -19,10 +20,13 @@ from typing import Any
 from zipfile import BadZipFile
 
 import numpy as np
+from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
 from evalkit.errors import StoreError
 from evalkit.types import STEP, OccupancyGrid, Pose, Run, Score, Trajectory
+
+LOCK = ".writer.lock"
 
 REMEDY = "free some space or name another folder with --out"
 
@@ -38,6 +42,17 @@ class Store:
             probe = folder / "runs" / f".writable-{os.getpid()}"
             probe.write_text("", encoding="utf-8")
             probe.unlink()
+
+    @contextmanager
+    def writer(self) -> Iterator[None]:
+        """While it lasts nobody else makes runs in this folder; StoreError where somebody does already."""
+        lock = FileLock(self.folder / LOCK)
+        try:
+            with lock.acquire(timeout=0):
+                yield
+        except Timeout as error:
+            what = "another evalkit makes runs in this folder"
+            raise StoreError(str(self.folder), what, "wait for it or name another folder with --out") from error
 
     def run_folder(self, key: str) -> Path:
         """Where a run keeps its files."""
@@ -137,6 +152,14 @@ def read_steps(path: Path) -> NDArray[np.void]:
         return np.zeros(0, dtype=STEP)
     content = path.read_bytes()
     return np.frombuffer(content[: len(content) // STEP.itemsize * STEP.itemsize], dtype=STEP)
+
+
+def digest(run: Run) -> str:
+    """What a run answered, as SHA-256 of its stamps and poses: two runs with one digest agree to the last bit."""
+    hashed = hashlib.sha256(run.steps["stamp_ns"].astype("<i8").tobytes())
+    for name in ("x", "y", "theta"):
+        hashed.update(run.steps[name].astype("<f8").tobytes())
+    return hashed.hexdigest()
 
 
 def tum(trajectory: Trajectory, sequence: str, backend: str) -> str:

@@ -18,7 +18,10 @@ from evalkit.se2 import Floats, Stamps
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
 
-Status = Literal["complete", "failed", "crashed", "timeout", "out-of-memory", "not-installed", "data-missing"]
+Status = Literal[
+    "complete", "failed", "crashed", "timeout", "out-of-memory", "not-installed", "data-missing", "skipped"
+]
+"""How a run ended; "skipped": it was not made, and may be."""
 
 
 @dataclass(frozen=True, slots=True)

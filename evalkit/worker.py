@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from evalkit import belief, frontend, registry
+from evalkit import belief, frontend, lifeline, registry
 from evalkit.clock import Timing, timed
 from evalkit.errors import BackendFailed, BadData, DataMissing, EvalkitError, NotInstalled
 from evalkit.protocols import DatasetSpec, NoAnswer, Odometry, Sequence, Value
@@ -93,6 +93,7 @@ class Residuals:
 
 def main() -> int:
     """Runs the request of the folder named on the command line; the outcome is in ``outcome.json``."""
+    lifeline.end_with_parent()
     folder = Path(sys.argv[1]).resolve()  # a back end may change the working directory
     request = Request(**json.loads((folder / "request.json").read_text(encoding="utf-8")))
     if request.core is not None and hasattr(os, "sched_setaffinity"):

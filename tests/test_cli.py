@@ -63,7 +63,7 @@ def test_without_a_command_the_help_names_them_all(evalkit):
 
 def test_completion_for_bash_knows_the_commands(evalkit, monkeypatch):
     assert "complete -o default -F _evalkit_completion evalkit" in evalkit("--show-completion", "bash")[1]
-    asked = {"_EVALKIT_COMPLETE": "complete_bash", "COMP_WORDS": "evalkit re", "COMP_CWORD": "1"}
+    asked = {"_EVALKIT_COMPLETE": "complete_bash", "COMP_WORDS": "evalkit rep", "COMP_CWORD": "1"}
     for name, value in asked.items():
         monkeypatch.setenv(name, value)
     assert evalkit()[1].split() == ["report"]
@@ -214,6 +214,78 @@ def test_a_disk_that_fills_up_is_exit_code_2_and_a_message(experiment, tmp_path)
     assert process.returncode == 2
     assert "cannot be written (File too large); free some space or name another folder with --out" in err
     assert "Traceback" not in err
+
+
+def test_a_runner_that_is_killed_loses_nothing_and_leaves_nobody(experiment, tmp_path):
+    path, folder = experiment("none", "daemon", "raise"), tmp_path / "out"
+    process = started(path, folder, "-j", "1")
+    deadline = time.monotonic() + 60.0
+    while not list(folder.glob("runs/straight-daemon-*/steps.bin")) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    (done,) = folder.glob("runs/straight-none-*/steps.bin")
+    answers = done.read_bytes(), done.stat().st_mtime_ns
+    process.kill()
+    process.wait()
+    again = started(path, folder, "-j", "1", "--resume", "--sequence", "straight", "--contestant", "none",
+                    "--contestant", "raise")  # fmt: skip
+    again.communicate(timeout=60.0)
+    assert (done.read_bytes(), done.stat().st_mtime_ns) == answers
+    assert len(list(folder.glob("runs/*/run.json"))) == 2
+    deadline = time.monotonic() + 10.0
+    while workers(folder) and time.monotonic() < deadline:
+        time.sleep(0.1)
+    assert not workers(folder)
+
+
+def workers(folder):
+    """The processes that run a back end in a results folder."""
+    lines = (other.info["cmdline"] or [] for other in psutil.process_iter(["cmdline"]))
+    return [line for line in lines if "evalkit.worker" in line and str(folder) in line[-1]]
+
+
+@pytest.fixture
+def small_disk(tmp_path):
+    """A disk of 400 kB."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    made = subprocess.run(
+        ["mount", "-t", "tmpfs", "-o", "size=400k", "tmpfs", folder], check=False, capture_output=True
+    )
+    if made.returncode:
+        pytest.skip("mounting a small disk takes the rights of an administrator")
+    yield folder
+    subprocess.run(["umount", folder], check=True)
+
+
+def test_a_disk_that_is_full_stops_all_and_what_was_done_is_there_when_there_is_room(experiment, small_disk):
+    path = experiment("none", "raise", "nan")
+    first = started(path, small_disk / "out", "-j", "1")
+    first.communicate(timeout=60.0)
+    assert first.returncode == 1
+    room = os.statvfs(small_disk)
+    (small_disk / "filler").write_bytes(bytes((room.f_bavail - 1) * room.f_bsize))
+    full = started(experiment("none", "far"), small_disk / "out", "-j", "1", "--resume")
+    _, err = full.communicate(timeout=60.0)
+    assert full.returncode == 2
+    assert "No space left on device); free some space or name another folder with --out" in err
+    assert "Traceback" not in err
+    (small_disk / "filler").unlink()
+    last = started(experiment("none", "far"), small_disk / "out", "-j", "1", "--resume", "--json")
+    out, _ = last.communicate(timeout=60.0)
+    assert [row["status"] for row in json.loads(out)["runs"]] == ["complete", "complete"]
+
+
+def test_what_is_missing_is_exit_code_3_and_a_status_to_make_again_must_be_one(evalkit, experiment, tmp_path):
+    assert evalkit("run", experiment("none"), "--out", tmp_path / "out")[0] == 0
+    code, out, _ = evalkit("run", experiment("none", "raise"), "--out", tmp_path / "out", "--collect")
+    assert code == 3
+    assert out.splitlines() == [
+        "1 runs complete, 0 failed, 0 not possible here",
+        "1 not made yet: raise on straight",
+    ]
+    code, _, err = evalkit("run", experiment("none"), "--out", tmp_path / "out", "--rerun", "sleepy")
+    assert code == 2
+    assert "found 'sleepy', expected one of: complete, failed, crashed" in " ".join(err.replace("│", " ").split())
 
 
 # --- compare

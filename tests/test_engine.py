@@ -1,7 +1,9 @@
 """A plan's runs on this machine: rows for whatever happens, resumed where they stopped, stopped where they must."""
 
+import itertools
 import multiprocessing
 import os
+import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict
 from datetime import UTC, datetime
@@ -113,14 +115,48 @@ def test_resume_runs_only_what_is_missing_and_what_has_changed(tmp_path, quick):
 
 
 def test_resume_repeats_a_time_out_when_the_limits_have_changed_and_only_then(tmp_path, quick):
-    first = trials(plan("hang", "raise", run_s=0.8), tmp_path)
+    first = trials(plan("hang", "raise", run_s=3.0), tmp_path)
     assert [trial.run.status for trial in first.values()] == ["timeout", "failed"]
     stamps = {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()}
-    trials(plan("hang", "raise", run_s=0.8), tmp_path, resume=True)
+    trials(plan("hang", "raise", run_s=3.0), tmp_path, resume=True)
     assert {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()} == stamps
-    trials(plan("hang", "raise", run_s=0.9), tmp_path, resume=True)
+    trials(plan("hang", "raise", run_s=3.1), tmp_path, resume=True)
     changed = {name for name, run in run_files(tmp_path).items() if run.stat().st_mtime_ns != stamps[name]}
     assert changed == {"hang"}
+
+
+def test_a_status_named_is_made_again_and_no_other(tmp_path, quick):
+    trials(plan("none", "raise", "nan", "segfault"), tmp_path)
+    stamps = {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()}
+    again = frozenset({"crashed"})
+    made = Engine(plan("none", "raise", "nan", "segfault"), Store(tmp_path), Heard(), 1, True, rerun=again).trials()
+    assert [trial.run.status for trial in made] == ["complete", "failed", "failed", "crashed"]
+    changed = {name for name, run in run_files(tmp_path).items() if run.stat().st_mtime_ns != stamps[name]}
+    assert changed == {"segfault"}
+
+
+def test_collecting_makes_no_run_and_says_what_is_missing(tmp_path, quick):
+    trials(plan("none", "raise"), tmp_path)
+    stamps = {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()}
+    made = Engine(plan("none", "nan", "raise"), Store(tmp_path), Heard(), 1, collect=True).trials()
+    assert [trial.run.status for trial in made] == ["complete", "skipped", "failed"]
+    assert made[0].scores["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
+    assert made[1].run.reason == "not made yet; the same command without --collect makes it"
+    assert {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()} == stamps
+
+
+def test_two_at_once_do_not_share_a_results_folder(tmp_path, quick):
+    store = Store(tmp_path)
+    with store.writer(), pytest.raises(StoreError, match="another evalkit makes runs in this folder; wait for it"):
+        trials(plan("none"), tmp_path)
+    assert trials(plan("none"), tmp_path)["none"].run.status == "complete"
+
+
+def test_a_clock_that_is_set_while_runs_are_made_changes_nothing(tmp_path, quick, monkeypatch):
+    now, jumps = time.time(), itertools.cycle((-86_400.0, 0.0, 86_400.0))
+    monkeypatch.setattr(time, "time", lambda: now + next(jumps))
+    made = trials(plan("none", "hang", scan_s=1.5), tmp_path)
+    assert [trial.run.status for trial in made.values()] == ["complete", "timeout"]
 
 
 def run_files(folder):

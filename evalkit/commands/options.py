@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, get_args
 
 import typer
 from rich.console import Console
+
+from evalkit import environment
+from evalkit.types import Status
 
 out = Console(soft_wrap=True)
 err = Console(stderr=True, soft_wrap=True)
@@ -16,7 +20,40 @@ err = Console(stderr=True, soft_wrap=True)
 Out = Annotated[Path | None, typer.Option("--out", "-o", help="Results folder.", show_default="reports/build/NAME")]
 Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="Runs at a time.", show_default="physical cores")]
 Resume = Annotated[bool, typer.Option("--resume", help="Keep what is done, run only what is missing.")]
+Rerun = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="Keep what is done, but make runs with this status again (repeatable); failed: whatever the way.",
+        show_default=False,
+    ),
+]
+Collect = Annotated[bool, typer.Option("--collect", help="Make no run: what is done, and what is missing.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+
+
+FAILED: tuple[Status, ...] = ("failed", "crashed", "timeout", "out-of-memory")
+"""The statuses of runs that could have completed and did not."""
+
+
+@dataclass(frozen=True)
+class Making:
+    """How runs are made: see the options of the same names."""
+
+    jobs: int
+    resume: bool
+    rerun: frozenset[Status]
+    collect: bool
+
+    @classmethod
+    def of(cls, jobs: int | None, resume: bool, rerun: list[str] | None, collect: bool) -> Making:
+        """What the command line says; a status that is none is a usage error."""
+        again: set[Status] = set()
+        for name in rerun or []:
+            found = [status for status in get_args(Status) if status == name]
+            if not found:
+                raise typer.BadParameter(f"--rerun: found '{name}', expected one of: {', '.join(get_args(Status))}")
+            again.update(FAILED if name == "failed" else found)
+        return cls(jobs or environment.physical_cores(), resume or bool(rerun), frozenset(again), collect)
 
 
 def settings(items: list[str], option: str = "--set") -> dict[str, str]:

@@ -15,6 +15,7 @@ from typing import Any
 from evalkit.metrics.table import Metric
 from evalkit.report.comparison import Comparison
 from evalkit.report.summary import Verdict
+from evalkit.store import digest
 from evalkit.types import Trial
 
 NAME, VERSION = "evalkit-results", 1
@@ -68,6 +69,7 @@ def _trial(trial: Trial) -> dict[str, Any]:
         "reason": run.reason,
         "scans_answered": len(run.steps),
         "scans_expected": run.expected,
+        "answers_sha256": digest(run),
         "warm_up_scans": run.warm_up_scans,
         "peak_memory_bytes": run.peak_memory_bytes,
         "notes": {name: int(count) for name, count in run.notes.items()},

@@ -30,7 +30,7 @@ WITH_TRUTH: tuple[Group, ...] = DECIDING[:3]
 WITHOUT_BAR: tuple[Group, ...] = ("residuals", "runtime")
 
 # What no contestant can be blamed for.
-NOT_POSSIBLE: tuple[Status, ...] = ("not-installed", "data-missing")
+NOT_POSSIBLE: tuple[Status, ...] = ("not-installed", "data-missing", "skipped")
 
 STATUS: dict[Status, str] = {
     "complete": "complete",
@@ -40,6 +40,7 @@ STATUS: dict[Status, str] = {
     "out-of-memory": "out of memory",
     "not-installed": "not installed",
     "data-missing": "data missing",
+    "skipped": "not run yet",
 }
 
 Level = Literal["clear", "within the noise floor", "no interval", "not shown", "within the margin"]
@@ -74,12 +75,10 @@ class Standing:
 
 def standing(comparison: Comparison, sequence: str, metric: Metric) -> Standing:
     """Where all contestants stand in one metric over one sequence."""
-    cells = tuple(_cell(trials, metric, comparison.resamples) for trials in comparison.by_contestant(sequence).values())
-    bars = contestant_of(comparison, "bar") if metric.group in WITHOUT_BAR else ()
-    ranked = ranking(metric, [cell for cell in cells if cell.contestant not in bars])
-    level = tuple(cell for cell in ranked if cell is ranked[0] or difference(metric, ranked[0], cell) != "clear")
-    why = difference(metric, ranked[0], level[1]) if len(level) > 1 else "clear"
-    return Standing(sequence, metric, cells, ranked, level, why)
+    known = (sequence, metric.name)
+    if known not in comparison.standings:
+        comparison.standings[known] = _standing(comparison, sequence, metric)
+    return comparison.standings[known]
 
 
 def ranking(metric: Metric, cells: Sequence[Cell]) -> tuple[Cell, ...]:
@@ -173,6 +172,15 @@ def guessed_percent(trials: Sequence[Trial]) -> float:
     scores = [trial.scores[GUESSED].value for trial in trials if GUESSED in trial.scores]
     known = [value for value in scores if value is not None]
     return median(known) if known else 0.0
+
+
+def _standing(comparison: Comparison, sequence: str, metric: Metric) -> Standing:
+    cells = tuple(_cell(trials, metric, comparison.resamples) for trials in comparison.by_contestant(sequence).values())
+    bars = contestant_of(comparison, "bar") if metric.group in WITHOUT_BAR else ()
+    ranked = ranking(metric, [cell for cell in cells if cell.contestant not in bars])
+    level = tuple(cell for cell in ranked if cell is ranked[0] or difference(metric, ranked[0], cell) != "clear")
+    why = difference(metric, ranked[0], level[1]) if len(level) > 1 else "clear"
+    return Standing(sequence, metric, cells, ranked, level, why)
 
 
 def _differences(one: Cell, other: Cell) -> list[float]:

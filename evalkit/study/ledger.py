@@ -24,7 +24,7 @@ from zipfile import BadZipFile
 
 import numpy as np
 
-from evalkit import environment
+from evalkit import environment, lifeline
 from evalkit.errors import EvalkitError, StoreError
 from evalkit.fingerprint import fingerprint
 from evalkit.store import REMEDY
@@ -200,8 +200,9 @@ def _submitted(pool: ProcessPoolExecutor, job: Job) -> Future[tuple[Result, floa
 
 
 def _settle(cores: Queue[int | None]) -> None:
-    """A worker's start: an interrupt at the keyboard is its parent's business; a core of its own."""
+    """A worker's start: an interrupt at the keyboard is its parent's business, its parent's end its own; a core."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    lifeline.watch_parent()
     core = cores.get()
     if core is not None:
         os.sched_setaffinity(0, {core})

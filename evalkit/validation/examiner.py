@@ -14,7 +14,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
-from evalkit import registry
+from evalkit import lifeline, registry
 from evalkit.errors import NotInstalled
 from evalkit.protocols import BackendSpec, Value
 from evalkit.validation import odometry_rules, registration_rules
@@ -47,6 +47,7 @@ class Request:
 
 def main() -> int:
     """Asks the rules of the request in the folder named on the command line, one line each to ``verdicts.jsonl``."""
+    lifeline.end_with_parent()
     folder = Path(sys.argv[1]).resolve()  # a back end may change the working directory
     request = Request(**json.loads((folder / REQUEST).read_text(encoding="utf-8")))
     sys.path.extend(entry for entry in request.path if entry not in sys.path)

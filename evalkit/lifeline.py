@@ -1,0 +1,35 @@
+"""A process that ends when the one that started it does: nobody goes on working for somebody who was killed."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import sys
+import threading
+import time
+
+_PR_SET_PDEATHSIG = 1  # of Linux's prctl
+
+
+def end_with_parent() -> None:
+    """From now on this process ends when the one that started it does, however that comes about.
+
+    On Linux the system sees to it, whatever foreign code does here; the thread that started us must live as long.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    else:
+        watch_parent()
+
+
+def watch_parent() -> None:
+    """The same by looking now and then: for processes that run no foreign code."""
+    parent = os.getppid()
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
