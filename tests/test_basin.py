@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evalkit.metrics.statistics import wilson
-from evalkit.validation.basin import Basin, Criterion, Shares, guesses, off, offsets
+from evalkit.validation.basin import Basin, Criterion, Shares, guesses, off, offsets, on_axes
 from evalkit.validation.observability import observability
 
 CRITERION = Criterion(0.1, np.radians(2.0))
@@ -75,7 +75,7 @@ def test_success_needs_both_the_place_and_the_turn_and_an_answer():
 def test_an_error_along_a_corridor_is_forgiven_and_one_across_is_not():
     errors = np.array([[2.0, 0.01, 0.0], [0.0, 0.2, 0.0]])
     found = Basin.of(
-        np.array([[1.0, 0.3, 0.1], [0.0, -0.4, 0.0]]), errors, np.ones(2, dtype=bool), corridor(), CRITERION
+        np.array([[1.0, 0.3, 0.1], [0.0, -0.4, 0.1]]), errors, np.ones(2, dtype=bool), corridor(), CRITERION
     )
     assert found.success.tolist() == [True, False]
     assert found.distance_m == pytest.approx([0.3, 0.4], abs=1e-3)
@@ -84,7 +84,7 @@ def test_an_error_along_a_corridor_is_forgiven_and_one_across_is_not():
 
 def test_failures_told_as_converged_are_counted_among_failures():
     errors = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [np.nan] * 3])
-    found = Basin.of(np.zeros((4, 3)), errors, np.array([True, True, False, False]), corridor(), CRITERION)
+    found = Basin.of(np.ones((4, 3)), errors, np.array([True, True, False, False]), corridor(), CRITERION)
     claimed = found.falsely_claimed()
     assert claimed is not None
     assert (claimed.value, claimed.support) == (pytest.approx(1 / 3), 3)
@@ -94,10 +94,10 @@ def test_accuracy_is_the_error_that_so_many_attempts_stay_below():
     errors = np.zeros((100, 3))
     errors[:, 1] = np.arange(1, 101) / 100.0
     errors[99] = np.nan
-    found = Basin.of(np.zeros((100, 3)), errors, np.ones(100, dtype=bool), corridor(), CRITERION)
+    found = Basin.of(np.ones((100, 3)), errors, np.ones(100, dtype=bool), corridor(), CRITERION)
     np.testing.assert_allclose(found.accuracy()[:, 0], [0.5, 0.75, 0.95], atol=1e-9)
     errors[50:] = np.nan
-    lost = Basin.of(np.zeros((100, 3)), errors, np.ones(100, dtype=bool), corridor(), CRITERION)
+    lost = Basin.of(np.ones((100, 3)), errors, np.ones(100, dtype=bool), corridor(), CRITERION)
     assert np.isinf(lost.accuracy()[1:, 0]).all()
 
 
@@ -106,3 +106,13 @@ def test_the_worst_failure_is_the_one_with_the_best_guess():
     errors = np.array([[0, 1.0, 0], [0, 1.0, 0], [0, 1.0, 0], [0, 0, 0]])
     found = Basin.of(offs, errors, np.ones(4, dtype=bool), corridor(), CRITERION)
     assert found.worst(2).tolist() == [1, 2]
+
+
+def test_curves_stand_on_guesses_that_are_only_shifted_or_only_turned():
+    offs = on_axes(offsets(64, 1.0, 0.5, np.random.default_rng(2)))
+    errors = np.where((offs[:, 2:] == 0.0) | (offs[:, :1] == 0.0), 0.0, 1.0) * np.array([[0.0, 1.0, 0.0]])
+    found = Basin.of(offs, errors, np.ones(64, dtype=bool), corridor(), CRITERION)
+    assert found.overall().value == 0.0
+    assert found.overall().support == 32
+    assert (found.along([0.0, 1.0]).successes, found.along([0.0, 1.0]).trials) == ([16], [16])
+    assert (found.around([0.0, 0.5]).successes, found.around([0.0, 0.5]).trials) == ([16], [16])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,10 +10,11 @@ import numpy as np
 
 from evalkit import registry
 from evalkit.fingerprint import fingerprint
-from evalkit.protocols import BackendSpec, Registration, Value
+from evalkit.protocols import BackendSpec, Registration, Value, resolved
 from evalkit.se2 import Floats
-from evalkit.study.ledger import Job
-from evalkit.types import Pose
+from evalkit.settings import from_text
+from evalkit.study.ledger import Job, JobsFailed, Ledger, OnDone
+from evalkit.types import Bools, Pose
 from evalkit.validation import basin, surroundings
 from evalkit.validation.address import address_of, spec_at
 from evalkit.validation.rules import raised
@@ -51,7 +52,8 @@ class Trials:
 
     def drawn(self) -> Floats:
         """By how much each guess (N, 3) is off, along the world's axes."""
-        return basin.offsets(self.offsets, self.reach_m, self.reach_rad, np.random.default_rng([self.seed, 99]))
+        rng = np.random.default_rng([self.seed, len(surroundings.PLACES)])
+        return basin.on_axes(basin.offsets(self.offsets, self.reach_m, self.reach_rad, rng))
 
     def truths(self, seen: tuple[Seen, ...]) -> tuple[Floats, Floats]:
         """For each attempt the true ``target_from_source`` and the ``world_from_target`` (both (N, 3))."""
@@ -103,6 +105,80 @@ def answers(
         except Exception as error:  # noqa: BLE001 - a third party's crash is an answer it did not give
             reason = reason or raised(error)
     return {"rows": rows, "claimed": claimed, "reason": reason}
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What one back end answered at one place: ``rows`` (N, 3) with nan for none, ``claimed`` (N,), or why not at all.
+
+    ``reason``: what it raised first, or why nothing could be asked; "" where all was well.
+    """
+
+    backend: str
+    trials: Trials
+    reason: str
+    rows: Floats
+    claimed: Bools
+
+    @property
+    def answered(self) -> int:
+        """How many attempts have an answer."""
+        return int(np.isfinite(self.rows).all(axis=1).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class Entrant:
+    """A back end to be asked: its label, what makes it, its parameters, and why it cannot be asked ("" if it can)."""
+
+    label: str
+    spec: BackendSpec
+    values: Mapping[str, Value]
+    reason: str = ""
+
+
+def entrant(label: str, given: Mapping[str, str]) -> Entrant:
+    """A back end by registered name or "module:SPEC" with parameters as text; UnknownName and BadParameter as usual."""
+    address = address_of(label)
+    spec = spec_of(label) if address.module else registry.entrant(label)
+    if missing := spec.missing():
+        return Entrant(label, spec, {}, missing)
+    if spec.kind != "registration":
+        return Entrant(label, spec, {}, "follows whole sequences: it cannot be asked about one pair of scans")
+    return Entrant(label, spec, resolved(label, spec.parameters, from_text(label, spec.parameters, given)))
+
+
+def ask(
+    entrants: Sequence[Entrant], trials: Sequence[Trials], ledger: Ledger, workers: int, done: OnDone
+) -> list[Outcome]:
+    """What all answer to the same questions, everywhere; whoever ends its process has no answer there and a reason."""
+    planned = {
+        (number, one.place): jobs(each.label, each.spec, each.values, one)
+        for number, each in enumerate(entrants)
+        for one in trials
+        if not each.reason
+    }
+    reasons: Mapping[str, str] = {}
+    every = [job for group in planned.values() for job in group]
+    try:
+        ledger.run(every, workers, done)
+    except JobsFailed as failed:
+        reasons = failed.args[1]
+    return [
+        _outcome(each, one, planned.get((number, one.place), ()), ledger, reasons)
+        for one in trials
+        for number, each in enumerate(entrants)
+    ]
+
+
+def _outcome(each: Entrant, one: Trials, group: Sequence[Job], ledger: Ledger, reasons: Mapping[str, str]) -> Outcome:
+    rows, claimed, reason = np.full((one.offsets, 3), np.nan), np.zeros(one.offsets, dtype=np.bool_), each.reason
+    for job in group:
+        part = np.s_[job.arguments["begin"] : job.arguments["end"]]
+        found = ledger.kept(job)
+        if found is not None:
+            rows[part], claimed[part] = found["rows"], found["claimed"]
+        reason = reason or (reasons.get(job.name, "no result was kept") if found is None else found["reason"])
+    return Outcome(each.label, one, reason, rows, claimed)
 
 
 def spec_of(backend: str) -> BackendSpec:

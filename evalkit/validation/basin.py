@@ -32,6 +32,14 @@ def offsets(count: int, reach_m: float, reach_rad: float, rng: np.random.Generat
     return np.stack([distance * np.cos(bearing), distance * np.sin(bearing), turn], axis=1)
 
 
+def on_axes(offsets: Floats) -> Floats:
+    """The same offsets (N, 3), every fourth without its turn and every fourth without its shift: for curves."""
+    rows = offsets.copy()
+    rows[0::4, 2] = 0.0
+    rows[1::4, :2] = 0.0
+    return rows
+
+
 def off(rows: Floats, truths: Floats, world_from_target: Floats) -> Floats:
     """How far motions (N, 3) are from the truth (N, 3), all ``target_from_source``, along the world's axes."""
     cos, sin = np.cos(world_from_target[:, 2]), np.sin(world_from_target[:, 2])
@@ -105,19 +113,29 @@ class Criterion:
 class Basin:
     """Attempts (N,) of one back end at one place: where the guess was off, where the answer was, both observable only.
 
-    ``answers``: nan where there was none. ``claimed`` (N,): it said "converged".
+    ``errors``: nan where there was no answer. ``claimed`` (N,): it said "converged". ``only_shifted`` and
+    ``only_turned`` (N,): attempts for curves over one of both; all others fill the volume, and shares, cells and
+    accuracy are over these.
     """
 
     offsets: Floats
     errors: Floats
     success: Bools
     claimed: Bools
+    only_shifted: Bools
+    only_turned: Bools
 
     @classmethod
     def of(cls, offsets: Floats, errors: Floats, claimed: Bools, known: Observability, criterion: Criterion) -> Basin:
         """The basin of guesses that were off by (N, 3) and of answers that are."""
-        observable = known.observable(errors)
-        return cls(known.observable(offsets), observable, criterion.met(observable), claimed)
+        errors = known.observable(errors)
+        shifted, turned = np.asarray(offsets[:, 2] == 0.0), np.asarray(~offsets[:, :2].any(axis=1))
+        return cls(known.observable(offsets), errors, criterion.met(errors), claimed, shifted, turned)
+
+    @property
+    def filling(self) -> Bools:
+        """The attempts (N,) that fill the volume."""
+        return ~(self.only_shifted | self.only_turned)
 
     @property
     def distance_m(self) -> Floats:
@@ -130,41 +148,42 @@ class Basin:
         return np.asarray(np.abs(self.offsets[:, 2]))
 
     def overall(self) -> Interval:
-        """The share of success over everything tried."""
-        return wilson(int(self.success.sum()), len(self.success))
+        """The share of success over the volume."""
+        return wilson(int(self.success[self.filling].sum()), int(self.filling.sum()))
 
     def falsely_claimed(self) -> Interval | None:
-        """The share of failures that were told as converged; None without failures."""
+        """The share of all failures that were told as converged; None without failures."""
         failed = int((~self.success).sum())
         return wilson(int((self.claimed & ~self.success).sum()), failed) if failed else None
 
     def by_distance_and_turn(self, distances: ArrayLike, turns: ArrayLike) -> Shares:
         """Cells over the distance (m) and the turn (rad)."""
-        return Shares.of((self.distance_m, self.turn_rad), self.success, (distances, turns))
+        return self._shares((self.distance_m, self.turn_rad), (distances, turns), self.filling)
 
     def by_place(self, borders: ArrayLike) -> Shares:
         """Cells over the offset in x and y (m), whatever the turn."""
-        return Shares.of((self.offsets[:, 0], self.offsets[:, 1]), self.success, (borders, borders))
+        return self._shares((self.offsets[:, 0], self.offsets[:, 1]), (borders, borders), self.filling)
 
-    def along(self, borders: ArrayLike, most_rad: float) -> Shares:
-        """Cells over the distance (m) of guesses turned by at most ``most_rad``."""
-        return self._along(self.distance_m, borders, self.turn_rad <= most_rad)
+    def along(self, borders: ArrayLike) -> Shares:
+        """Bins over the distance (m) of guesses that were not turned."""
+        return self._shares((self.distance_m,), (borders,), self.only_shifted)
 
-    def around(self, borders: ArrayLike, most_m: float) -> Shares:
-        """Cells over the turn (rad) of guesses at most ``most_m`` away."""
-        return self._along(self.turn_rad, borders, self.distance_m <= most_m)
+    def around(self, borders: ArrayLike) -> Shares:
+        """Bins over the turn (rad) of guesses that were not shifted."""
+        return self._shares((self.turn_rad,), (borders,), self.only_turned)
 
-    def _along(self, values: Floats, borders: ArrayLike, chosen: Bools) -> Shares:
-        return Shares.of((values[chosen],), self.success[chosen], (borders,))
+    def _shares(self, values: Sequence[Floats], borders: Sequence[ArrayLike], chosen: Bools) -> Shares:
+        return Shares.of([one[chosen] for one in values], self.success[chosen], borders)
 
     def accuracy(self) -> Floats:
-        """A50, A75 and A95 (3, 2) of the error in m and rad over all attempts; inf where too many had no answer."""
-        sizes = np.stack([np.hypot(self.errors[:, 0], self.errors[:, 1]), np.abs(self.errors[:, 2])], axis=1)
+        """A50, A75 and A95 (3, 2) of the error in m and rad over the volume; inf where too many had no answer."""
+        errors = self.errors[self.filling]
+        sizes = np.stack([np.hypot(errors[:, 0], errors[:, 1]), np.abs(errors[:, 2])], axis=1)
         sizes = np.where(np.isfinite(sizes), sizes, np.inf)
         return np.asarray(np.quantile(sizes, QUANTILES, axis=0, method="inverted_cdf"))
 
     def worst(self, count: int) -> Ints:
-        """Up to so many failures (K,) that look worst: the guess was nearest (in shares of what was tried)."""
+        """Up to so many failures (K,) that are hardest to forgive: the guess was nearest, in shares of the farthest."""
         failed = np.flatnonzero(~self.success)
         far = self.distance_m / max(self.distance_m.max(), 1e-12) + self.turn_rad / max(self.turn_rad.max(), 1e-12)
         return np.asarray(failed[np.argsort(far[failed], kind="stable")][:count])

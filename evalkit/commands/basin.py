@@ -1,0 +1,123 @@
+"""``evalkit basin``: from how far off a guess each registration still finds the truth."""
+
+from __future__ import annotations
+
+import json
+import math
+import shlex
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from evalkit import console, environment, registry
+from evalkit.commands import options
+from evalkit.commands.options import Jobs, Json, Out, err, out
+from evalkit.errors import StoreError
+from evalkit.store import REMEDY
+
+if TYPE_CHECKING:
+    from evalkit.commands.basin_result import Result
+
+
+def basin(
+    backend: Annotated[
+        list[str] | None, typer.Argument(help="Registered names, or module:SPEC.", show_default="all")
+    ] = None,
+    scene: Annotated[list[str] | None, typer.Option(help="Only this scene (repeatable).", show_default="all")] = None,
+    setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE for every back end.")] = None,
+    offsets: Annotated[int, typer.Option(min=10, help="Wrong guesses a back end and scene.")] = 1024,
+    distance: Annotated[float, typer.Option(min=0.01, help="The farthest guess (m).")] = 1.0,
+    turn: Annotated[float, typer.Option(min=0.1, max=180.0, help="The most turned guess (deg).")] = 45.0,
+    within_m: Annotated[float, typer.Option(min=1e-6, help="Success: so near the truth (m).")] = 0.1,
+    within_deg: Annotated[float, typer.Option(min=1e-6, help="Success: so near the truth (deg).")] = 2.0,
+    noise: Annotated[float, typer.Option(min=0.0, help="Standard deviation of a range (m).")] = 0.0483,
+    beams: Annotated[int, typer.Option(min=8, help="Beams of a scan, all round.")] = 720,
+    pairs: Annotated[int, typer.Option(min=1, help="Pairs of scans a scene.")] = 16,
+    seed: Annotated[int, typer.Option(min=0, help="Draws scans and guesses.")] = 0,
+    folder: Out = None,
+    jobs: Jobs = None,
+    as_json: Json = False,
+) -> None:
+    """Measure convergence basins: success over the offset of the guess, scene by scene; a page and a JSON file."""
+    from evalkit.commands import basin_page  # noqa: PLC0415 - loads matplotlib and scipy.stats
+    from evalkit.commands.basin_result import result  # noqa: PLC0415 - as above
+    from evalkit.report.document import render  # noqa: PLC0415 - as above
+    from evalkit.validation import attempts, surroundings  # noqa: PLC0415 - as above
+    from evalkit.validation.basin import Criterion  # noqa: PLC0415 - as above
+
+    options.modules_from_here()
+    names = list(dict.fromkeys(backend or _registrations()))
+    given = options.settings(setting or [])
+    entrants = [attempts.entrant(name, given) for name in names]
+    trials = [
+        attempts.Trials(surroundings.place(name).name, offsets, pairs, beams, noise, distance, math.radians(turn), seed)
+        for name in dict.fromkeys(scene or surroundings.PLACES)
+    ]
+    folder = folder or Path("reports") / "build" / "basin"
+    outcomes = _asked(entrants, trials, folder / "results", jobs or environment.physical_cores())
+    found = result(trials, entrants, outcomes, Criterion(within_m, math.radians(within_deg)))
+    content = found.as_json() | {"command": shlex.join(["evalkit", *sys.argv[1:]])}
+    page = _write(folder, content, render(basin_page.document(found, content["command"])))
+    _end(found, content, page, as_json)
+
+
+def _registrations() -> list[str]:
+    """Every registered back end but those that follow whole sequences; what does not load stays, to be told."""
+    specs = {name: registry.entrant(name) for name in registry.names("backends")}
+    return [name for name, spec in specs.items() if spec.kind == "registration" or spec.missing()]
+
+
+def _asked(entrants: list[Any], trials: list[Any], folder: Path, workers: int) -> list[Any]:
+    from evalkit.study.ledger import Ledger  # noqa: PLC0415 - only who asks pays for it
+    from evalkit.validation import attempts  # noqa: PLC0415 - as above
+
+    count = sum(not each.reason for each in entrants) * sum(-(-one.offsets // attempts.AT_ONCE) for one in trials)
+    try:
+        with console.jobs(err, count, workers) as done:
+            return attempts.ask(entrants, trials, Ledger(folder), workers, done)
+    except KeyboardInterrupt:
+        err.print("interrupted; what is done is kept: the same command goes on from here")
+        raise
+
+
+def _write(folder: Path, content: dict[str, Any], page: str) -> Path:
+    """Writes ``basin.json`` and ``index.html``; the page's path."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "basin.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        (folder / "index.html").write_text(page, encoding="utf-8")
+    except OSError as error:
+        raise StoreError(str(folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
+    return folder / "index.html"
+
+
+def _end(found: Result, content: dict[str, Any], page: Path, as_json: bool) -> None:
+    """Prints what was found and where; exit code 1 if a back end raised or ended its process."""
+    if as_json:
+        options.print_json(content | {"page": str(page)})
+    else:
+        console.show(out, _table(found))
+        out.print(str(page.resolve()), highlight=False, markup=False)
+    if found.broken:
+        raise typer.Exit(1)
+
+
+def _table(found: Result) -> Any:
+    from rich.markup import escape  # noqa: PLC0415 - only where a table is printed
+    from rich.table import Table  # noqa: PLC0415 - as above
+
+    table = Table("back end", "scene", "success [%]", "reach [m]", "reach [deg]", "A50 [m]", "A95 [m]", "remark")
+    for row in found.rows:
+        if row.basin is None:
+            table.add_row(escape(row.backend), row.scene, "-", "-", "-", "-", "-", escape(row.reason))
+            continue
+        share, accuracy = row.basin.overall(), row.basin.accuracy()[:, 0]
+        table.add_row(
+            escape(row.backend), row.scene,
+            f"{100 * share.value:.0f} ({100 * share.low:.0f} to {100 * share.high:.0f})",
+            f"{row.reach_m(0.95):.2f}", f"{row.reach_deg(0.95):.0f}", f"{accuracy[0]:.3f}", f"{accuracy[2]:.3f}",
+            escape(row.reason),
+        )  # fmt: skip
+    return table

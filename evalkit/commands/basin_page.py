@@ -1,0 +1,324 @@
+"""The page of ``evalkit basin``: curves, maps and overlays of the failures, scene by scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from evalkit.commands.basin_result import LEVELS, Result, Row, Scene, answer
+from evalkit.metrics.statistics import Interval
+from evalkit.report import charts
+from evalkit.report.charts import Axis, Curve, Points
+from evalkit.report.document import (
+    Block,
+    Bullets,
+    Cell,
+    Column,
+    Command,
+    Document,
+    Figure,
+    Figures,
+    Fold,
+    Heading,
+    Section,
+    Table,
+    Text,
+    slug,
+)
+from evalkit.se2 import Floats
+from evalkit.types import Pose
+from evalkit.validation.basin import Shares
+
+DRAWN = 150
+"""Points of a cloud in an overlay: more cannot be seen."""
+
+WORST = 1
+"""Overlays of failures a back end and scene."""
+
+GREY, START, END = "#9aa3ad", "#e69f00", "#0072b2"
+BANDS = 4
+"""With more curves than this, bands hide one another."""
+
+REACHES = (
+    "Below, R50, R75 and R95 are the reach: the largest offset up to which every bin succeeds in at least so many per "
+    "cent of its guesses, for guesses that are only shifted (m) or only turned (deg). A50, A75 and A95 are errors of "
+    "the answers, quantiles over the whole volume (Pomerleau et al. 2013): large where many fail."
+)
+SHARE = Axis("success [%]", low=0.0, high=100.0)
+
+
+def document(found: Result, command: str) -> Document:
+    """The whole page."""
+    trials = found.scenes[0].trials
+    asked = sum(row.basin is not None for row in found.rows) * trials.offsets
+    facts = (
+        ("Attempts", f"{asked:,}"),
+        ("Guesses", f"up to {trials.reach_m:g} m and {math.degrees(trials.reach_rad):g} deg off"),
+        ("Success", f"within {found.criterion.within_m:g} m and {math.degrees(found.criterion.within_rad):g} deg"),
+        ("Seed", str(trials.seed)),
+    )
+    lead = (
+        "From how far off a guess each registration still finds the truth: every back end, with its own settings, is "
+        "asked about the same pairs of simulated scans from the same wrong guesses."
+    )
+    scenes = [_scene(found, scene) for scene in found.scenes]
+    return Document(
+        "evalkit basin", "Convergence basins", lead, (_summary(found), *scenes, _how(found, command)), facts
+    )
+
+
+def _summary(found: Result) -> Section:
+    names = [scene.trials.place for scene in found.scenes]
+    rows = [
+        [Cell(each.label), *(_share_at(found, scene, each.label) for scene in found.scenes)]
+        for each in found.entrants
+        if not each.reason
+    ]
+    columns = [Column("Back end"), *(Column(name, "%", number=True) for name in names)]
+    blocks: list[Block] = [
+        Table(columns, rows, "Success in the whole volume of shifts and turns, with Wilson's 95 % interval"),
+        Text(REACHES, "note"),
+        Text(
+            "Success asks for the truth, not for the back end's own flag. Where a back end raised or ended its "
+            "process, the attempts count as failures.",
+            "note",
+        ),
+    ]
+    if absent := [(each.label, each.reason) for each in found.entrants if each.reason]:
+        blocks.append(Table(("Not asked", "Why"), absent))
+    if raised := [(row.backend, row.scene, row.reason) for row in found.broken]:
+        blocks.append(Table(("Failed", "Scene", "What happened"), raised))
+    return Section("Summary", blocks, "summary")
+
+
+def _share_at(found: Result, scene: Scene, label: str) -> Cell:
+    row = next(row for row in found.at(scene) if row.backend == label)
+    if row.basin is None:
+        return Cell("no answer", sort=-1.0, tone="bad", tip=row.reason, link=f"#{row.scene}")
+    share = row.basin.overall()
+    return Cell(
+        _interval(share), sort=share.value, tone="bad" if row.reason else "", tip=row.reason, link=f"#{row.scene}"
+    )
+
+
+def _table(rows: Sequence[Row]) -> Table:
+    columns = [
+        Column("Back end"),
+        Column("Success", "%", number=True, tip="of the guesses that fill the volume"),
+        *(Column(f"R{100 * level:.0f}", "m", number=True, tip="shifted guesses up to here succeed this often")
+          for level in LEVELS),
+        Column("R95", "deg", number=True, tip="turned guesses up to here succeed this often"),
+        *(Column(name, "m", number=True, tip="this share of the answers is nearer to the truth (Pomerleau 2013)")
+          for name in ("A50", "A75", "A95")),
+        *(Column(name, "deg", number=True) for name in ("A50", "A75", "A95")),
+        Column("False", "%", number=True, tip="of the failures told as converged"),
+    ]  # fmt: skip
+    return Table(columns, [_line(row) for row in rows])
+
+
+def _line(row: Row) -> Sequence[Cell | str]:
+    if row.basin is None:
+        return (row.backend, Cell("no answer", sort=-1.0, tone="bad", tip=row.reason), *[Cell("-", sort=-1.0)] * 11)
+    errors, claimed, share = row.basin.accuracy(), row.basin.falsely_claimed(), row.basin.overall()
+    return (
+        row.backend,
+        Cell(_interval(share), sort=share.value, tip=row.reason),
+        *(Cell(f"{row.reach_m(level):.2f}", sort=row.reach_m(level)) for level in LEVELS),
+        Cell(f"{row.reach_deg(0.95):.0f}", sort=row.reach_deg(0.95)),
+        *(_number(value, 3) for value in errors[:, 0]),
+        *(_number(math.degrees(value), 1) for value in errors[:, 1]),
+        Cell("-", sort=-1.0)
+        if claimed is None
+        else Cell(f"{100 * claimed.value:.0f}", sort=claimed.value, link=_anchor(row), tip="to its worst failure"),
+    )
+
+
+def _scene(found: Result, scene: Scene) -> Section:
+    name = scene.trials.place
+    asked = {each.label for each in found.entrants if not each.reason}
+    every = [row for row in found.at(scene) if row.backend in asked]
+    rows = [row for row in every if row.basin is not None]
+    blocks: list[Block] = [Text(f"{scene.what[0].upper()}{scene.what[1:]}. {_directions(scene)}")]
+    if rows:
+        blocks += [
+            _table(every),
+            Figures((_over_distance(rows, name), _over_turn(rows, name))),
+            Figures([_map(row) for row in rows], small=True),
+            Fold("Over the offset in x and y", (Figures([_plane(row) for row in rows], small=True),)),
+            Fold("Counts and intervals", [_counts(row) for row in rows]),
+            Fold("Failures with the best guesses", _failures(rows, scene)),
+        ]
+    return Section(name.capitalize(), blocks, name)
+
+
+def _directions(scene: Scene) -> str:
+    known = scene.known
+    best = max(value for value in known.sigma_m if math.isfinite(value))
+    if names := known.names():
+        return (
+            f"Degenerate: the {' and the '.join(names)} cannot be told here; neither guesses nor answers are judged "
+            f"along it. The other directions can be told to {100 * best:.2g} cm at best."
+        )
+    weakest = known.shares.min()
+    return (
+        f"No direction is degenerate: the weakest gets {weakest:.2f} of a point's information, enough for "
+        f"{100 * best:.2g} cm at best (Cramer and Rao)."
+    )
+
+
+def _over_distance(rows: Sequence[Row], name: str) -> Figure:
+    drawn = [_curve(row.backend, row.along(), 1.0, len(rows) <= BANDS) for row in rows]
+    return Figure(
+        charts.lines(drawn, Axis("offset of the guess [m]", low=0.0), SHARE),
+        f"Success over the distance, {name}",
+        f"Guesses that are shifted and not turned{_bands(rows)}.",
+    )
+
+
+def _over_turn(rows: Sequence[Row], name: str) -> Figure:
+    drawn = [_curve(row.backend, row.around(), 180.0 / math.pi, len(rows) <= BANDS) for row in rows]
+    return Figure(
+        charts.lines(drawn, Axis("turn of the guess [deg]", low=0.0), SHARE),
+        f"Success over the turn, {name}",
+        f"Guesses that are turned and not shifted{_bands(rows)}.",
+    )
+
+
+def _bands(rows: Sequence[Row]) -> str:
+    most = max(float(np.nanmax(shares.high - shares.low)) for row in rows for shares in (row.along(), row.around()))
+    within = f"Wilson's 95 % intervals, at most {100 * most:.0f} points wide"
+    return f"; bands: {within}" if len(rows) <= BANDS else f"; {within}, stand in the JSON file"
+
+
+def _curve(label: str, shares: Shares, unit: float, band: bool) -> Curve:
+    middles = unit * _middles(shares.edges[0])
+    if not band:
+        return Curve(label, middles, 100 * shares.share, marks=True)
+    return Curve(label, middles, 100 * shares.share, 100 * shares.low, 100 * shares.high, marks=True)
+
+
+def _map(row: Row) -> Figure:
+    shares = row.cells()
+    body = charts.heat(
+        100 * shares.share.T, Axis("offset of the guess [m]"), Axis("turn of the guess [deg]"),
+        _told(_middles(shares.edges[0])), _told(np.degrees(_middles(shares.edges[1]))), SHARE,
+        printed=lambda value: f"{value:.0f}",
+    )  # fmt: skip
+    return Figure(body, f"{row.backend}, {row.scene}", "Success in % of the guesses in each cell.")
+
+
+def _plane(row: Row) -> Figure:
+    shares = row.plane()
+    middles = _told(_middles(shares.edges[0]))
+    body = charts.heat(
+        100 * shares.share.T, Axis("offset in x [m]"), Axis("offset in y [m]"), middles, middles, SHARE,
+        printed=lambda value: f"{value:.0f}",
+    )  # fmt: skip
+    return Figure(body, f"{row.backend}, {row.scene}", "All turns; hatched or grey: nothing was tried.")
+
+
+def _counts(row: Row) -> Table:
+    shares = row.cells()
+    distances, turns = shares.edges[0], np.degrees(shares.edges[1])
+    heads = [f"{low:.2g} to {high:.2g} m" for low, high in pairwise(distances)]
+    rows: list[tuple[Cell | str, ...]] = [
+        (f"{low:.3g} to {high:.3g} deg", *(_count(shares, column, number) for column in range(len(heads))))
+        for number, (low, high) in enumerate(pairwise(turns))
+    ]
+    return Table(("turn", *(Column(head, number=True) for head in heads)), rows, f"{row.backend}, {row.scene}", False)
+
+
+def _count(shares: Shares, *cell: int) -> Cell:
+    if not shares.trials[cell]:
+        return Cell("-")
+    low, high = 100 * shares.low[cell], 100 * shares.high[cell]
+    return Cell(f"{shares.successes[cell]}/{shares.trials[cell]} ({low:.0f} to {high:.0f} %)")
+
+
+def _failures(rows: Sequence[Row], scene: Scene) -> list[Block]:
+    """The failures that are hardest to forgive, drawn: the target, the source under the guess and under the answer."""
+    blocks: list[Block] = []
+    for row in rows:
+        worst = row.basin.worst(WORST) if row.basin is not None else ()
+        if len(worst):
+            figures = [_overlay(row, scene, int(attempt)) for attempt in worst]
+            blocks += [Heading(_title(row)), Figures(figures, small=True)]
+    return blocks or [Text("There are none.")]
+
+
+def _overlay(row: Row, scene: Scene, attempt: int) -> Figure:
+    number = attempt % scene.trials.pairs
+    pair, guess, end = scene.seen[number], Pose.of(scene.guesses()[attempt]), answer(row, attempt)
+    layers = [
+        Points("target", _thinned(pair.target.points), GREY, 3.0),
+        Points("source, guess", _thinned(guess.transform(pair.source.points)), START, 3.0),
+    ]
+    if end is not None:
+        layers.append(Points("source, answer", _thinned(end.transform(pair.source.points)), END, 3.0))
+    metres, degrees = _apart(guess, pair.target_from_source)
+    told = f"Guess {metres:.2f} m and {degrees:.1f} deg off"
+    if end is None:
+        told += ", no answer"
+    else:
+        metres, degrees = _apart(end, pair.target_from_source)
+        told += f"; answer {metres:.2f} m and {degrees:.1f} deg off"
+    flag = ", told as converged" if row.outcome.claimed[attempt] else ""
+    body = charts.scatter(layers, Axis("x [m]"), Axis("y [m]"))
+    return Figure(body, f"Attempt {attempt}, pair {number}", f"{told}{flag}.")
+
+
+def _how(found: Result, command: str) -> Section:
+    trials = found.scenes[0].trials
+    items = (
+        f"A scene gives {trials.pairs} pairs of scans of {trials.beams} beams with {100 * trials.noise_m:.3g} cm of "
+        "noise on every range, from two poses close together; the true motion is exact.",
+        f"The guess is the truth put off: {trials.offsets} offsets, even in distance, bearing and turn (an additive "
+        "low-discrepancy sequence from a seeded start), the same for all; a quarter is only shifted and a quarter "
+        "only turned, for the curves.",
+        "Directions that no wall can tell are found from the point-to-line Hessian of the scene, its turn scaled by "
+        "the points' mean square distance: a direction is degenerate where twice the best possible standard deviation "
+        "exceeds the tolerance. Guesses and answers are judged without them.",
+        "A back end that raises has no answer to that guess; one that ends its process has none in that batch.",
+        "Back ends keep their own settings; the largest distance of a pair, chosen for tracking, decides the basin "
+        "more than anything else.",
+    )
+    rows = [(name, str(value)) for each in found.entrants for name, value in each.values.items()]
+    owners = [each.label for each in found.entrants for _ in each.values]
+    table = Table(("Back end", "Setting", "Value"), [(who, *row) for who, row in zip(owners, rows, strict=True)])
+    return Section("How", (Bullets(items), Command(command), Fold("Settings of the back ends", (table,))), "how")
+
+
+def _apart(pose: Pose, truth: Pose) -> tuple[float, float]:
+    left = truth.inverse() @ pose
+    return math.hypot(left.x, left.y), abs(math.degrees(left.theta))
+
+
+def _thinned(points: Floats) -> Floats:
+    return points[:: max(1, len(points) // DRAWN)]
+
+
+def _middles(edges: Floats) -> Floats:
+    return np.asarray(0.5 * (edges[:-1] + edges[1:]))
+
+
+def _told(values: Floats) -> list[float]:
+    return [float(f"{value:.2g}") for value in values]
+
+
+def _title(row: Row) -> str:
+    return f"{row.backend} in the {row.scene}"
+
+
+def _anchor(row: Row) -> str:
+    return f"#{slug(_title(row))}" if row.basin is not None and row.basin.worst(1).size else ""
+
+
+def _interval(share: Interval) -> str:
+    return f"{100 * share.value:.0f} ({100 * share.low:.0f} to {100 * share.high:.0f})"
+
+
+def _number(value: float, digits: int) -> Cell:
+    return Cell(f"{value:.{digits}f}", sort=value) if math.isfinite(value) else Cell("none", sort=math.inf)
