@@ -17,6 +17,7 @@ from typing import IO
 import psutil
 
 from evalkit.environment import SINGLE_THREAD
+from evalkit.lifeline import MARK
 
 POLL_S = 0.05
 """How often whoever waits for a child looks at it."""
@@ -28,9 +29,6 @@ LAST_WORDS = 4096  # bytes of its output that are looked at for a reason
 
 MOST_OUTPUT = 16 * 2**20
 """Bytes of output that are kept; who says more loses what it said first."""
-
-MARK = "EVALKIT_CHILD"
-"""Environment variable by which a child's descendants are known, wherever they have gone."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,6 +9,9 @@ import sys
 import threading
 import time
 
+MARK = "EVALKIT_CHILD"
+"""Environment variable by which a child's descendants are known, wherever they have gone."""
+
 _PR_SET_PDEATHSIG = 1  # of Linux's prctl
 
 

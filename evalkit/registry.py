@@ -5,7 +5,9 @@ Listing names imports nothing; loading one name imports only the module it stand
 
 from __future__ import annotations
 
+import os
 import re
+import subprocess
 import sys
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
@@ -15,11 +17,16 @@ from typing import TypeVar
 
 from evalkit.errors import EvalkitError, NotInstalled, UnknownName
 from evalkit.fingerprint import fingerprint
+from evalkit.lifeline import MARK
 from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec, Odometry, Value
 
 Spec = TypeVar("Spec")
 
 _PLACE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+
+
+LOADING_S = 60.0
+"""How long importing somebody else's plug-in may take."""
 
 
 def names(kind: str) -> list[str]:
@@ -124,6 +131,8 @@ def _in_module(name: str) -> EntryPoint | None:
 
 
 def _loaded(name: str, point: EntryPoint, wanted: type[Spec]) -> Spec:
+    if _foreign(point) and (why := _fatal(point.module)):
+        raise NotInstalled(name, f"its plug-in {point.value} does not load ({why})", "mend or remove its package")
     try:
         spec = point.load()
     except Exception as error:  # a plug-in is a third party's code; it must not take the others along
@@ -133,3 +142,29 @@ def _loaded(name: str, point: EntryPoint, wanted: type[Spec]) -> Spec:
     if not isinstance(spec, wanted):
         raise NotInstalled(name, f"{point.value} is a {type(spec).__name__}", f"expected a {wanted.__name__}")
     return spec
+
+
+def _foreign(point: EntryPoint) -> bool:
+    """Whether a plug-in is somebody else's, and nobody has been put into a process of his own to run it."""
+    dist = getattr(point, "dist", None)
+    return (dist is None or dist.name != "evalkit") and MARK not in os.environ
+
+
+@cache  # once a process: it takes as long as the import
+def _fatal(module: str) -> str:
+    """How importing a module ends or stops the process that does it, "" where it does neither: tried in another one.
+
+    What it raises is for whoever imports it: that does no harm.
+    """
+    path = os.pathsep.join(filter(None, sys.path))
+    command = [sys.executable, "-P", "-c", f"try:\n import {module}\nexcept Exception: pass"]
+    try:
+        tried = subprocess.run(
+            command, env={**os.environ, "PYTHONPATH": path}, stdin=subprocess.DEVNULL, capture_output=True,
+            timeout=LOADING_S, check=False, start_new_session=True,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        return f"importing it takes more than {LOADING_S:g} s"
+    if tried.returncode < 0:
+        return f"importing it ends the process by signal {-tried.returncode}"
+    return f"importing it ends the process with code {tried.returncode}" if tried.returncode else ""

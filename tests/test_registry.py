@@ -1,5 +1,6 @@
 """Names by entry points; a light import."""
 
+import signal
 import subprocess
 import sys
 from importlib.metadata import EntryPoint
@@ -105,6 +106,22 @@ def test_a_strangers_plug_in_is_found_as_the_shipped_ones_are(points, monkeypatc
     monkeypatch.setattr(evalkit, "STRANGER", spec, raising=False)
     points.append(EntryPoint("mine", "evalkit:STRANGER", "evalkit.backends"))
     assert registry.backend("mine") is spec
+
+
+@pytest.mark.parametrize(
+    ("module", "why"),
+    [
+        ("evalkit_faults_deadly", f"importing it ends the process by signal {int(signal.SIGSEGV)}"),
+        ("evalkit_faults_stuck", "importing it takes more than 2 s"),
+    ],
+)
+def test_a_plug_in_whose_import_crashes_or_hangs_does_not_take_us_along(strangers, points, monkeypatch, module, why):
+    monkeypatch.setattr(registry, "LOADING_S", 2.0)
+    registry._fatal.cache_clear()
+    points.append(EntryPoint("theirs", f"{module}:SPEC", "evalkit.backends"))
+    assert registry.entrant("theirs").missing() == (
+        f"theirs: its plug-in {module}:SPEC does not load ({why}); mend or remove its package"
+    )
 
 
 def test_a_back_end_under_development_is_found_in_its_module():
