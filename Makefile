@@ -6,7 +6,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help install report report-quick test check bench clean distclean
+.PHONY: help install report report-quick test check bench faults paper paper-quick clean distclean
 
 help:  ## this list
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -34,6 +34,15 @@ bench: $(VENV)/evalkit  ## what the harness costs, and the back ends side by sid
 	$(BIN)/python tests/bench/backends.py
 	$(BIN)/python tests/bench/registration.py
 	$(BIN)/python tests/bench/mapper.py
+
+faults: $(VENV)/test  ## what back ends can do wrong, and what becomes of the run
+	$(BIN)/python tests/bench/faults.py
+
+paper: $(VENV)/evalkit  ## the paper reproduced, and its study: reports/build/paper/index.html
+	$(BIN)/evalkit paper reports/paper.toml
+
+paper-quick: $(VENV)/evalkit  ## the small one, under 2 minutes: reports/build/paper-quick/index.html
+	$(BIN)/evalkit paper reports/paper-quick.toml
 
 clean:  ## removes all results
 	rm -rf reports/build
