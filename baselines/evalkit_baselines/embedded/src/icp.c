@@ -269,7 +269,8 @@ static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_po
                         const ek_icp_parameters *parameters, ek_icp_trace trace, void *context)
 {
     const size_t padded = EK_PADDED(count);
-    const ek_real limit = parameters->max_correspondence > EK_R(0.0) ? parameters->max_correspondence : FARTHEST;
+    const int limited = parameters->max_correspondence > EK_R(0.0) && parameters->max_correspondence < FARTHEST;
+    const ek_real limit = limited ? parameters->max_correspondence : FARTHEST;
     ek_match match = {guess, 0, 0, 0, (ek_real)NAN, 0u};
     ek_pose pose = guess;
     ek_real previous = (ek_real)INFINITY;

@@ -190,9 +190,9 @@ static inline int32_t cell_of(ek_real place, int32_t last)
 }
 
 /* Searches all cells that a square of half a side `radius` (m) around a place touches; fills box with their columns and
- * rows and gives the distance (m) below which nothing outside of them lies. */
-static inline ek_real search(const ek_index *index, ek_real x, ek_real y, ek_real radius, int32_t box[4],
-                             candidates *found)
+ * rows and gives the distance (m) below which nothing outside of them lies, to within rounding (`margin`). */
+static inline ek_real search(const ek_index *index, ek_real x, ek_real y, ek_real radius, ek_real margin,
+                             int32_t box[4], candidates *found)
 {
     const ek_real column = (x - index->left) * index->per_cell, row = (y - index->bottom) * index->per_cell;
     const ek_real reach = radius * index->per_cell;
@@ -208,7 +208,7 @@ static inline ek_real search(const ek_index *index, ek_real x, ek_real y, ek_rea
         look(index, start[box[0]], start[box[1] + 1], x, y, found);
     }
     const int all = box[0] == 0 && box[2] == 0 && box[1] == last_column && box[3] == last_row;
-    return all ? EK_FAR : radius - index->margin;
+    return all ? EK_FAR : radius - margin;
 }
 
 ek_neighbour ek_index_nearest(const ek_index *index, ek_real x, ek_real y, ek_real limit, ek_real radius)
@@ -219,11 +219,13 @@ ek_neighbour ek_index_nearest(const ek_index *index, ek_real x, ek_real y, ek_re
     }
     candidates found;
     int32_t box[4];
-    ek_real border = search(index, x, y, radius, box, &found), best = EK_SQRT(found.best);
+    /* far from the points rounding does more than among them; without this the search would not end there */
+    const ek_real margin = index->margin + EK_R(16.0) * EK_EPSILON * (EK_FABS(x) + EK_FABS(y));
+    ek_real border = search(index, x, y, radius, margin, box, &found), best = EK_SQRT(found.best);
     while (border <= best && border < limit) {
-        const ek_real needed = (best < limit ? best : limit) + EK_R(4.0) * index->margin;
+        const ek_real needed = (best < limit ? best : limit) + EK_R(4.0) * margin;
         radius = needed < EK_R(2.0) * radius ? needed : EK_R(2.0) * radius;
-        border = search(index, x, y, radius, box, &found);
+        border = search(index, x, y, radius, margin, box, &found);
         best = EK_SQRT(found.best);
     }
     const ek_real second = EK_SQRT(found.second);

@@ -143,6 +143,24 @@ static void too_few_pairs_give_the_guess(void)
     CHECK(memcmp(&match.target_from_source, &guess, sizeof guess) == 0);
 }
 
+/* A limit beyond what stands for "no neighbour" must not make a pair of it. */
+static void a_limit_beyond_all_is_no_limit(void)
+{
+    const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
+    ek_icp_parameters none = ek_icp_default(), huge = none;
+    ek_match expected, found;
+    none.max_correspondence = EK_R(0.0);
+    huge.max_correspondence = EK_R(1e30);
+    CHECK(ek_icp_register(&icp, &reference, room, POINTS, identity, &none, NULL, NULL, &expected) == EK_OK);
+    CHECK(ek_icp_register(&icp, &reference, room, POINTS, identity, &huge, NULL, NULL, &found) == EK_OK);
+    CHECK(memcmp(&found.target_from_source, &expected.target_from_source, sizeof found.target_from_source) == 0);
+    CHECK(found.inliers == expected.inliers && found.inliers > 0);
+    ek_index empty = reference;
+    empty.count = 0u;
+    CHECK(ek_icp_register(&icp, &empty, room, POINTS, identity, &huge, NULL, NULL, &found) == EK_OK);
+    CHECK(found.inliers == 0 && !found.converged);
+}
+
 static void bad_input_is_named(void)
 {
     const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)}, lost = {(ek_real)NAN, EK_R(0.0), EK_R(0.0)};
@@ -172,6 +190,7 @@ int main(void)
     a_trace_sees_every_step(1, EK_ERROR_MEAN_SQUARED);
     of_rivals_the_closest_counts();
     too_few_pairs_give_the_guess();
+    a_limit_beyond_all_is_no_limit();
     bad_input_is_named();
     free(arena.memory);
     return verdict();

@@ -61,6 +61,19 @@ static void of_equally_near_points_the_lowest_wins(void)
     CHECK_NEAR(twin.others, 0.1, TOLERANCE);
 }
 
+/* Rounding is coarser a thousand kilometres away than among the points: the search must end nevertheless. */
+static void from_far_away_the_search_ends(void)
+{
+    const ek_real pair[] = {EK_R(0.0), EK_R(0.0), EK_R(4.0), EK_R(0.0)};
+    const ek_real places[] = {EK_R(1e6), EK_R(-1e6), EK_R(12345.678)};
+    CHECK(ek_index_build(&reference, pair, 2u) == EK_OK);
+    for (size_t k = 0; k < sizeof places / sizeof *places; k++) {
+        const ek_neighbour found = ek_index_nearest(&reference, places[k], EK_R(0.0), EK_R(1e12), EK_R(0.1));
+        CHECK(found.slot != EK_NONE && reference.id[found.slot] == (places[k] > EK_R(0.0)));
+        CHECK_NEAR(found.distance / EK_FABS(places[k]), 1.0, 1e-3);
+    }
+}
+
 static void bad_input_is_named(void)
 {
     cloud[7] = (ek_real)NAN;
@@ -91,6 +104,7 @@ int main(void)
     answers_are_those_of_a_search_of_all(2u, 1e9, &seed);
     answers_are_those_of_a_search_of_all(1u, 0.5, &seed);
     of_equally_near_points_the_lowest_wins();
+    from_far_away_the_search_ends();
     bad_input_is_named();
     free(arena.memory);
     return verdict();
