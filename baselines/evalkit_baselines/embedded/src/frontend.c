@@ -91,6 +91,25 @@ ek_pose ek_frontend_steady(const ek_frontend *frontend, int64_t elapsed_ns)
     return ek_se2_fraction(frontend->step, share < LONGEST_GAP ? share : LONGEST_GAP);
 }
 
+/* Whether a pose can be answered, and a keyframe seen from it can be matched against. */
+static ek_status within_reach(const ek_real *xy, size_t count, ek_pose pose, int keyframe)
+{
+    if (!ek_se2_finite(pose)) {
+        return EK_NOT_FINITE;
+    }
+    if (EK_FABS(pose.x) > EK_LARGEST || EK_FABS(pose.y) > EK_LARGEST) {
+        return EK_OUT_OF_RANGE;
+    }
+    const ek_real farther = EK_FABS(pose.x) > EK_FABS(pose.y) ? EK_FABS(pose.x) : EK_FABS(pose.y);
+    const ek_real spare = EK_LARGEST - farther - EK_R(16.0) * EK_EPSILON * EK_LARGEST; /* rounding */
+    for (size_t i = 0; keyframe && i < 2u * count; i += 2u) {
+        if (!(spare > EK_R(0.0) && xy[i] * xy[i] + xy[i + 1u] * xy[i + 1u] <= spare * spare)) {
+            return EK_OUT_OF_RANGE;
+        }
+    }
+    return EK_OK;
+}
+
 /* Adds a scan to the ring of keyframes and builds the submap again, oldest keyframe first. */
 static ek_status add_keyframe(ek_frontend *frontend, const ek_real *xy, size_t count, ek_pose start_from_base)
 {
@@ -156,12 +175,19 @@ static ek_status check(const ek_frontend *frontend, const ek_real *xy, size_t co
     return frontend->started && prior->stamp_ns <= frontend->stamp_ns ? EK_OUT_OF_RANGE : EK_OK;
 }
 
+/* Time from the last scan to a later one; never more than the type holds. */
+static int64_t since_last(const ek_frontend *frontend, int64_t stamp_ns)
+{
+    const uint64_t elapsed = (uint64_t)stamp_ns - (uint64_t)frontend->stamp_ns;
+    return elapsed < (uint64_t)INT64_MAX ? (int64_t)elapsed : INT64_MAX;
+}
+
 static ek_pose predict(const ek_frontend *frontend, const ek_prior *prior)
 {
     if (prior->has_odometry && frontend->has_last_odometry) {
         return ek_se2_between(frontend->odom_from_base, prior->odom_from_base);
     }
-    return ek_frontend_steady(frontend, frontend->started ? prior->stamp_ns - frontend->stamp_ns : 0);
+    return ek_frontend_steady(frontend, frontend->started ? since_last(frontend, prior->stamp_ns) : 0);
 }
 
 /* Both stages; *answer is complete but for the keyframe. */
@@ -185,15 +211,19 @@ static ek_status locate(ek_frontend *frontend, const ek_real *xy, size_t count, 
     return status;
 }
 
-/* Takes the answer in: as a keyframe if the base has moved enough, as the last scan in any case. */
+/* Takes the answer in: as a keyframe if the base has moved enough, as the last scan in any case. Changes nothing before
+ * it is sure to succeed. */
 static ek_status keep(ek_frontend *frontend, const ek_real *xy, size_t count, const ek_prior *prior,
                       ek_answer *answer)
 {
     const ek_pose moved = ek_se2_between(frontend->start_from_keyframe, answer->start_from_base);
     const ek_real distance = EK_SQRT(moved.x * moved.x + moved.y * moved.y);
-    ek_status status = EK_OK;
     answer->keyframe = count && (frontend->held == 0u || distance >= frontend->parameters.keyframe_distance ||
                                  EK_FABS(moved.theta) >= frontend->parameters.keyframe_angle);
+    ek_status status = within_reach(xy, count, answer->start_from_base, answer->keyframe);
+    if (status != EK_OK) {
+        return status;
+    }
     if (answer->keyframe) {
         status = add_keyframe(frontend, xy, count, answer->start_from_base);
         frontend->start_from_keyframe = answer->start_from_base;
@@ -202,7 +232,7 @@ static ek_status keep(ek_frontend *frontend, const ek_real *xy, size_t count, co
         status = ek_index_build(&frontend->last, xy, count);
     }
     if (frontend->started) {
-        frontend->step_ns = prior->stamp_ns - frontend->stamp_ns;
+        frontend->step_ns = since_last(frontend, prior->stamp_ns);
         frontend->step = ek_se2_between(frontend->start_from_base, answer->start_from_base);
     }
     frontend->started = 1;

@@ -92,9 +92,11 @@ static void add_miss(ek_scan *scan, size_t beam, const ek_scan_parameters *param
 {
     const ek_pose *const mount = &parameters->base_from_sensor;
     const ek_real angle = mount->theta + scan->angle[beam] + turned;
-    scan->ends[2u * scan->misses] = mount->x + parameters->range_max * EK_COS(angle);
-    scan->ends[2u * scan->misses + 1u] = mount->y + parameters->range_max * EK_SIN(angle);
-    scan->misses++;
+    const ek_real x = mount->x + parameters->range_max * EK_COS(angle);
+    const ek_real y = mount->y + parameters->range_max * EK_SIN(angle);
+    scan->ends[2u * scan->misses] = x;
+    scan->ends[2u * scan->misses + 1u] = y;
+    scan->misses += isfinite(x) && isfinite(y) ? 1u : 0u; /* finite angles may add up to one that is not */
 }
 
 static ek_status directions(ek_scan *scan, const ek_sweep *sweep)
@@ -144,7 +146,8 @@ ek_status ek_scan_project(ek_scan *scan, const ek_sweep *sweep, const ek_scan_pa
     const ek_real c = EK_COS(mount.theta), s = EK_SIN(mount.theta);
     const ek_arc arc = arc_of(sweep->beams > 1u ? start_from_end : NULL);
     const ek_real per_beam = sweep->beams > 1u ? EK_R(1.0) / (ek_real)(sweep->beams - 1u) : EK_R(0.0);
-    const ek_real radius = parameters->local_radius > EK_R(0.0) ? parameters->local_radius : EK_LARGEST;
+    const int local = parameters->local_radius > EK_R(0.0) && parameters->local_radius < EK_LARGEST;
+    const ek_real radius = local ? parameters->local_radius : EK_LARGEST;
     for (size_t i = 0; i < sweep->beams; i++) {
         const ek_real range = sweep->ranges[i];
         if (range >= parameters->range_min && range <= parameters->range_max) {

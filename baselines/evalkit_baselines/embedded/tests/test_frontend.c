@@ -76,12 +76,55 @@ static void a_scan_without_points_gets_the_guess(void)
     CHECK_NEAR(after.start_from_base.x, 6.0 * 0.03, 0.02);
 }
 
+static void times_as_far_apart_as_can_be_are_no_motion(void)
+{
+    ek_answer answer;
+    ek_prior prior;
+    memset(&prior, 0, sizeof prior);
+    const int64_t stamps[] = {INT64_MIN, INT64_MAX - 1, INT64_MAX};
+    ek_frontend_reset(&frontend);
+    for (int k = 0; k < 3; k++) {
+        prior.stamp_ns = stamps[k];
+        see(truth_at(k));
+        CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &answer) == EK_OK);
+        CHECK(ek_se2_finite(answer.start_from_base));
+    }
+    CHECK_NEAR(answer.start_from_base.x, 0.06, 0.02);
+}
+
+/* Where a scan would lead beyond all bounds it is refused, and the next is answered as if it had never come. */
+static void a_scan_that_is_refused_leaves_no_trace(void)
+{
+    static const double away[] = {2e6, 0.9999999e6, 1e30};
+    ek_answer answer;
+    for (int which = 0; which < 3; which++) {
+        ek_prior prior = {1, 1, {EK_R(0.0), EK_R(0.0), EK_R(0.0)}};
+        ek_frontend_reset(&frontend);
+        see(truth_at(0));
+        CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &answer) == EK_OK);
+        prior.stamp_ns = 2;
+        prior.odom_from_base.x = EK_R(away[which]);
+        prior.odom_from_base.theta = EK_R(1e30);
+        const ek_index submap = frontend.submap, last = frontend.last;
+        const uint32_t held = frontend.held;
+        frontend.parameters.use_scan_to_scan = frontend.parameters.use_scan_to_map = 0;
+        CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &answer) == EK_OUT_OF_RANGE);
+        frontend.parameters.use_scan_to_scan = frontend.parameters.use_scan_to_map = 1;
+        CHECK(frontend.submap.count == submap.count && frontend.last.count == last.count && frontend.held == held);
+        see(truth_at(1));
+        prior.odom_from_base = ek_se2_between(truth_at(0), truth_at(1));
+        CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &answer) == EK_OK);
+        CHECK_NEAR(answer.start_from_base.x, 0.03, 0.02);
+        CHECK(answer.scan_to_map_belief == EK_BELIEVED);
+    }
+}
+
 static void bad_input_is_named(void)
 {
     ek_answer answer;
     ek_prior prior;
     memset(&prior, 0, sizeof prior);
-    prior.stamp_ns = 7;
+    prior.stamp_ns = 2;
     CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &answer) == EK_OUT_OF_RANGE); /* not after the last */
     prior.stamp_ns = 8;
     CHECK(ek_frontend_update(&frontend, points, BEAMS + 1u, &prior, &answer) == EK_TOO_MANY_POINTS);
@@ -104,6 +147,8 @@ int main(void)
     ek_frontend_reset(&frontend);
     the_robot_is_followed();
     a_scan_without_points_gets_the_guess();
+    times_as_far_apart_as_can_be_are_no_motion();
+    a_scan_that_is_refused_leaves_no_trace();
     bad_input_is_named();
     free(arena.memory);
     return verdict();

@@ -56,6 +56,25 @@ static void motion_is_undone(ek_pose start_from_end)
     }
 }
 
+/* What no later step would take is left out here, whatever radius is asked for. */
+static void points_beyond_all_bounds_are_left_out(void)
+{
+    ek_scan_parameters far = parameters;
+    ranges[0] = EK_R(1.0);
+    ranges[1] = (ek_real)INFINITY;
+    angles[0] = angles[1] = EK_R(0.0);
+    const ek_sweep sweep = sweep_of(2u);
+    far.base_from_sensor.x = EK_R(2e6);
+    far.local_radius = EK_R(1e30);
+    CHECK(ek_scan_project(&scan, &sweep, &far, NULL) == EK_OK && scan.count == 0u && scan.misses == 1u);
+#ifdef EK_FLOAT
+    angles[1] = far.base_from_sensor.theta = EK_R(3e38);
+#else
+    angles[1] = far.base_from_sensor.theta = EK_R(1.5e308);
+#endif
+    CHECK(ek_scan_project(&scan, &sweep, &far, NULL) == EK_OK && scan.misses == 0u);
+}
+
 static void bad_input_is_named(void)
 {
     ek_sweep sweep = sweep_of(0u);
@@ -89,6 +108,7 @@ int main(void)
     motion_is_undone(slow);
     motion_is_undone(quick);
     motion_is_undone(straight);
+    points_beyond_all_bounds_are_left_out();
     bad_input_is_named();
     free(arena.memory);
     return verdict();

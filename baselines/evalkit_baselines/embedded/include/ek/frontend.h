@@ -78,8 +78,8 @@ ek_pose ek_frontend_steady(const ek_frontend *frontend, int64_t elapsed_ns);
 
 /* Takes in a scan: count pairs x y in the base frame, motion undone. The first guess comes from odometry where this scan
  * and the one before have it, else from a steady motion. A scan without points gets the guess and never is a keyframe.
- * EK_TOO_MANY_POINTS; EK_NOT_FINITE: a point or the odometry; EK_OUT_OF_RANGE: a stamp not after the last, a
- * coordinate beyond EK_LARGEST. After an error the scan is as if it had never come. */
+ * EK_TOO_MANY_POINTS; EK_NOT_FINITE: a point, the odometry or where it leads; EK_OUT_OF_RANGE: a stamp not after the
+ * last, a coordinate or pose beyond EK_LARGEST. After an error the scan is as if it had never come. */
 ek_status ek_frontend_update(ek_frontend *frontend, const ek_real *xy, size_t count, const ek_prior *prior,
                              ek_answer *answer);
 
