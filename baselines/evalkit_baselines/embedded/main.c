@@ -41,6 +41,13 @@ static ek_status start(session *s)
     return ek_pipeline_start(&s->pipeline, s->memory, bytes, &parameters);
 }
 
+/* Seconds with nine digits, as TUM format has them. */
+static void write_stamp(FILE *poses, int64_t stamp_ns)
+{
+    const uint64_t size = stamp_ns < 0 ? (uint64_t)0 - (uint64_t)stamp_ns : (uint64_t)stamp_ns;
+    fprintf(poses, "%s%" PRIu64 ".%09" PRIu64, stamp_ns < 0 ? "-" : "", size / 1000000000u, size % 1000000000u);
+}
+
 static ek_status run(session *s, FILE *input, FILE *poses)
 {
     ek_sweep sweep;
@@ -55,8 +62,8 @@ static ek_status run(session *s, FILE *input, FILE *poses)
         }
         const ek_pose pose = answer.start_from_base;
         const double half = 0.5 * (double)pose.theta;
-        fprintf(poses, "%" PRId64 ".%09" PRId64 " %.9f %.9f 0 0 0 %.12f %.12f\n", sweep.stamp_ns / 1000000000,
-                sweep.stamp_ns % 1000000000, (double)pose.x, (double)pose.y, sin(half), cos(half));
+        write_stamp(poses, sweep.stamp_ns);
+        fprintf(poses, " %.9f %.9f 0 0 0 %.12f %.12f\n", (double)pose.x, (double)pose.y, sin(half), cos(half));
     }
 }
 
