@@ -1,0 +1,65 @@
+"""Holds the probabilities of a map against the truth, cell by cell, and tells how thick its walls are."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from evalkit.metrics.consistency import thicknesses
+from evalkit.se2 import Floats
+from evalkit.types import Bools, Ints, OccupancyGrid
+
+_EDGE = 1e-6  # cells: a centre this near to an edge lies on it
+
+
+def true_states(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[Bools, Bools]:
+    """Which cells (H, W) of a map are occupied in truth, and which are free; the others are not known.
+
+    Occupied: the centre of an occupied cell of the true map lies in the cell or on its edge. Free: the centre of a free
+    one does, and of no occupied one. The true map must not be coarser; neither lattice is moved, so that a true map of
+    half the cell size or less blurs the truth by a quarter of a cell at most.
+    """
+    if true.resolution_m > mapped.resolution_m * (1.0 + _EDGE):
+        raise ValueError(f"true: its cells of {true.resolution_m} m are coarser than the map's {mapped.resolution_m} m")
+    occupied = _touched(mapped, true.centres(true.occupied()))
+    return occupied, _touched(mapped, true.centres(true.free())) & ~occupied
+
+
+def log_loss(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[float, int]:
+    """Mean of -ln p of the true state (nats) over the observed cells whose true state is known, and how many they are.
+
+    A proper score (Good, 1952): it is least, in the mean, for the right probabilities; a map that knows nothing has ln
+    2. (nan, 0) where no such cell is.
+    """
+    occupied, free = true_states(mapped, true)
+    known = mapped.observed & (occupied | free)
+    if not known.any():
+        return float("nan"), 0
+    log_odds = mapped.log_odds[known].astype(np.float64)
+    signed = np.where(occupied[known], -log_odds, log_odds)
+    return float(np.logaddexp(0.0, signed).mean()), int(known.sum())
+
+
+def wall_width_m(mapped: OccupancyGrid, threshold: float = 0.65) -> float:
+    """How thick the walls of a map are drawn (m): the mean over places where its occupied cells lie along a line.
+
+    n cells of size r side by side spread by r^2 (n^2 - 1) / 12 across the wall, so a spread s^2 is a width of
+    sqrt(12 s^2 + r^2). nan where no occupied cells lie along a line.
+    """
+    centres = mapped.centres(mapped.occupied(threshold))
+    if len(centres) == 0:
+        return float("nan")
+    spread, _ = thicknesses(centres)
+    return float(np.sqrt(12.0 * spread**2 + mapped.resolution_m**2).mean()) if len(spread) else float("nan")
+
+
+def _touched(mapped: OccupancyGrid, points: Floats) -> Bools:
+    """The cells (H, W) that hold one of the points (N, 2), or have one on their edge."""
+    height, width = mapped.shape
+    marked = np.zeros((height, width), dtype=np.bool_)
+    places = (points - [mapped.origin_x, mapped.origin_y]) / mapped.resolution_m
+    for side_x in (-_EDGE, _EDGE):
+        for side_y in (-_EDGE, _EDGE):
+            cells: Ints = np.floor(places + np.array([side_x, side_y])).astype(np.int64)
+            inside = cells[((cells >= 0) & (cells < [width, height])).all(axis=1)]
+            marked[inside[:, 1], inside[:, 0]] = True
+    return marked

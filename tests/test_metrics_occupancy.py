@@ -1,0 +1,65 @@
+"""Maps of a few cells, worked out by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from evalkit.metrics.occupancy import log_loss, true_states, wall_width_m
+from evalkit.types import OccupancyGrid
+
+
+def grid(rows, resolution_m=0.1, x=0.0, y=0.0, observed=None):
+    log_odds = np.array(rows, dtype=np.float32)
+    return OccupancyGrid(log_odds, log_odds != 0.0 if observed is None else observed, resolution_m, x, y)
+
+
+def test_a_true_cell_of_half_the_size_marks_the_cell_its_centre_is_in():
+    true = grid([[-5, 0, 0, 5]], resolution_m=0.05)  # centres 0.025 free, 0.175 occupied
+    occupied, free = true_states(grid([[1, 1, 1]]), true)
+    assert occupied.tolist() == [[False, True, False]]
+    assert free.tolist() == [[True, False, False]]
+
+
+def test_a_centre_on_an_edge_counts_for_both_sides_and_a_wall_before_free_space():
+    true = grid([[5, -5]], resolution_m=0.05, x=0.075)  # centres 0.1, on the edge, and 0.15
+    occupied, free = true_states(grid([[1, 1]]), true)
+    assert occupied.tolist() == [[True, True]]
+    assert not free.any()
+
+
+def test_the_truth_must_not_be_coarser():
+    with pytest.raises(ValueError, match="coarser"):
+        true_states(grid([[1.0]], 0.05), grid([[5.0]], 0.1))
+
+
+def test_log_loss_is_the_mean_surprise_and_ln_2_where_nothing_is_known():
+    true = grid([[-5, -5, 5, 5]], resolution_m=0.1)
+    unsure = grid([[0.0] * 4], observed=np.ones((1, 4), dtype=bool))
+    assert log_loss(unsure, true) == pytest.approx((math.log(2.0), 4))
+    # p(occupied) = 0.2 for a free cell and 0.9 for a wall, the other two not looked at
+    mapped = grid([[math.log(0.25), 0.0, math.log(9.0), 0.0]])
+    assert log_loss(mapped, true) == pytest.approx((-0.5 * (math.log(0.8) + math.log(0.9)), 2))
+
+
+def test_log_loss_is_least_for_the_right_probability():
+    true = grid([[5.0] * 7 + [-5.0] * 3])
+    losses = {p: log_loss(grid([[math.log(p / (1.0 - p))] * 10]), true)[0] for p in (0.5001, 0.6, 0.7, 0.8, 0.9)}
+    assert min(losses, key=losses.get) == 0.7
+
+
+def test_log_loss_of_what_was_never_seen_is_not_a_number():
+    value, cells = log_loss(grid([[0.0]]), grid([[5.0]]))
+    assert math.isnan(value)
+    assert cells == 0
+
+
+@pytest.mark.parametrize(("thick", "resolution_m"), [(1, 0.05), (3, 0.05), (2, 0.1)])
+def test_a_straight_wall_is_as_wide_as_its_cells(thick, resolution_m):
+    rows = np.full((60, 60), -5.0)
+    rows[20 : 20 + thick, :] = 5.0
+    assert wall_width_m(grid(rows, resolution_m)) == pytest.approx(thick * resolution_m, rel=0.02)
+
+
+def test_a_map_without_walls_has_no_width():
+    assert math.isnan(wall_width_m(grid([[-5.0]])))
