@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import json
+import os
 import subprocess
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 from evalkit import child
 from evalkit.errors import StoreError
 from evalkit.experiment import Limits
-from evalkit.store import REMEDY, read_steps
+from evalkit.store import REMEDY, STEPS, whole_records
 from evalkit.types import STEP, Run, Status
 from evalkit.worker import Request
 
 OUTCOME = "outcome.json"
 OUTPUT = "output.txt"
+BEGUN = "begun.json"
 
 
 def run(
@@ -36,47 +38,67 @@ def run(
     """
     try:
         (folder / "request.json").write_text(json.dumps(asdict(request), indent=1), encoding="utf-8")
-        output = (folder / OUTPUT).open("ab")
+        output, answers = (folder / OUTPUT).open("ab"), (folder / STEPS).open("w+b")
     except OSError as error:
         raise StoreError(str(folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
-    with output:
+    with output, answers:
         process = child.started("evalkit.worker", folder, output)
+        watch = _Watch(process, folder, limits, answers)
         try:
-            ended, peak = _watched(process, folder, limits, heard, stop)
+            ended = watch.until_the_end(heard, stop)
         finally:
             child.end_group(process, folder)
-    return _result(labels, folder, ended, process.returncode, peak)
+        return watch.result(labels, ended)
 
 
-def _watched(
-    process: subprocess.Popen[bytes],
-    folder: Path,
-    limits: Limits,
-    heard: Callable[[int], None],
-    stop: threading.Event,
-) -> tuple[tuple[Status, str] | None, int]:
-    """Waits for the process's end or its outcome, or says which limit it broke; and its highest memory from outside.
+class _Watch:
+    """A run from outside. Its answers are read through a file of our own: they are there even if their folder is not.
 
-    A process that has left its outcome has nothing to do any more, whatever still keeps it from ending.
+    ``answers``: the file the run appends to, open for reading.
     """
-    family = child.Family(process.pid)
-    begun = last_answer = time.monotonic()
-    answered = peak = 0
-    cpu_s = cpu_at_answer_s = 0.0
-    while process.poll() is None and not (folder / OUTCOME).exists():
-        time.sleep(child.POLL_S)
-        child.cut(folder / OUTPUT)
-        now, size, used = time.monotonic(), _size(folder / "steps.bin"), family.usage()
-        peak, cpu_s = max(peak, used.resident_bytes), max(cpu_s, used.cpu_s)
-        if size > answered:
-            answered, last_answer, cpu_at_answer_s = size, now, cpu_s
-            heard(size // STEP.itemsize)
-        if stop.is_set():
-            return ("failed", "interrupted"), peak
-        spent = Spent(now - begun, now - last_answer, cpu_s, cpu_s - cpu_at_answer_s, peak)
-        if broken := _broken(limits, spent, answered // STEP.itemsize):
-            return broken, peak
-    return None, peak
+
+    def __init__(self, process: subprocess.Popen[bytes], folder: Path, limits: Limits, answers: BinaryIO) -> None:
+        self._process, self._folder, self._limits, self._answers = process, folder, limits, answers
+        self._begun: dict[str, Any] = {}
+        self._peak = 0
+
+    def until_the_end(self, heard: Callable[[int], None], stop: threading.Event) -> tuple[Status, str] | None:
+        """Waits for the process's end or its outcome, or says which limit it broke.
+
+        A process that has left its outcome has nothing to do any more, whatever still keeps it from ending.
+        """
+        family = child.Family(self._process.pid)
+        begun = last_answer = time.monotonic()
+        answered = 0
+        cpu_s = cpu_at_answer_s = 0.0
+        while self._process.poll() is None and not (self._folder / OUTCOME).exists():
+            time.sleep(child.POLL_S)
+            child.cut(self._folder / OUTPUT)
+            self._begun = _read(self._folder / BEGUN) or self._begun
+            now, size, used = time.monotonic(), os.fstat(self._answers.fileno()).st_size, family.usage()
+            self._peak, cpu_s = max(self._peak, used.resident_bytes), max(cpu_s, used.cpu_s)
+            if size > answered:
+                answered, last_answer, cpu_at_answer_s = size, now, cpu_s
+                heard(size // STEP.itemsize)
+            if stop.is_set():
+                return "failed", "interrupted"
+            spent = Spent(now - begun, now - last_answer, cpu_s, cpu_s - cpu_at_answer_s, self._peak)
+            if broken := _broken(self._limits, spent, answered // STEP.itemsize):
+                return broken
+        return None
+
+    def result(self, labels: tuple[str, str], ended: tuple[Status, str] | None) -> Run:
+        """What became of it, once its process has ended."""
+        self._answers.seek(0)
+        steps = whole_records(self._answers.read())
+        nothing: dict[str, Any] = {"expected": 0, "warm_up_scans": 0, "notes": {}, "peak_memory_bytes": 0}
+        outcome = nothing | self._begun | _read(self._folder / BEGUN) | _read(self._folder / OUTCOME)
+        outcome["peak_memory_bytes"] = max(outcome["peak_memory_bytes"], self._peak)
+        if "status" not in outcome:
+            ended = ended or _how_it_died(self._process.returncode, self._folder)
+        if ended is not None:
+            outcome["status"], outcome["reason"] = ended
+        return Run(backend=labels[0], sequence=labels[1], steps=steps, **outcome)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,19 +127,6 @@ def _broken(limits: Limits, spent: Spent, answered: int) -> tuple[Status, str] |
     return None
 
 
-def _result(labels: tuple[str, str], folder: Path, ended: tuple[Status, str] | None, code: int, peak: int) -> Run:
-    steps = read_steps(folder / "steps.bin")
-    begun: dict[str, Any] = {"expected": 0, "warm_up_scans": 0, "notes": {}, "peak_memory_bytes": peak} | _read(
-        folder / "begun.json"
-    )
-    outcome = begun | _read(folder / OUTCOME)
-    if "status" not in outcome:
-        ended = ended or _how_it_died(code, folder)
-    if ended is not None:
-        outcome["status"], outcome["reason"] = ended
-    return Run(backend=labels[0], sequence=labels[1], steps=steps, **outcome)
-
-
 def _read(path: Path) -> dict[str, Any]:
     try:
         content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
@@ -128,12 +137,5 @@ def _read(path: Path) -> dict[str, Any]:
 
 def _how_it_died(code: int, folder: Path) -> tuple[Status, str]:
     if not (folder / "request.json").exists():
-        return "failed", "the run's folder was removed while it ran, and its answers with it"
+        return "failed", "the run's folder was removed while it ran"
     return "crashed" if code < 0 else "failed", child.last_words(code, folder / OUTPUT)
-
-
-def _size(path: Path) -> int:
-    try:
-        return path.stat().st_size
-    except FileNotFoundError:  # not yet begun, or the back end removed it
-        return 0

@@ -27,6 +27,7 @@ from evalkit.errors import StoreError
 from evalkit.types import STEP, OccupancyGrid, Pose, Run, Score, Trajectory
 
 LOCK = ".writer.lock"
+STEPS = "steps.bin"
 
 REMEDY = "free some space or name another folder with --out"
 
@@ -41,7 +42,7 @@ class Store:
                 (folder / name).mkdir(parents=True, exist_ok=True)
             probe = folder / "runs" / f".writable-{os.getpid()}"
             probe.write_text("", encoding="utf-8")
-            probe.unlink()
+            probe.unlink(missing_ok=True)
 
     @contextmanager
     def writer(self) -> Iterator[None]:
@@ -79,7 +80,9 @@ class Store:
             partial.replace(path)
 
     def save_run(self, key: str, run: Run, made: Mapping[str, Any]) -> None:
-        """Keeps how a run ended, its steps are there already, and how it was ``made``: when, on what, which limits."""
+        """Keeps how a run ended and how it was ``made``: when, on what, which limits. Its steps should be there."""
+        if not (self.run_folder(key) / STEPS).exists():  # the back end has removed them
+            self.write_bytes(self.run_folder(key) / STEPS, run.steps.tobytes())
         self.write_text(self.run_folder(key) / "made.json", json.dumps(made, indent=1))
         record = {name: value for name, value in asdict(run).items() if name != "steps"}
         self.write_text(self.run_folder(key) / "run.json", json.dumps(record, indent=1))
@@ -90,7 +93,7 @@ class Store:
         folder = self.run_folder(key)
         try:
             record = json.loads((folder / "run.json").read_text(encoding="utf-8"))
-            return Run(steps=read_steps(folder / "steps.bin"), **record)
+            return Run(steps=read_steps(folder / STEPS), **record)
         except (OSError, ValueError, TypeError):  # absent or half-written: the run is simply made again
             return None
 
@@ -150,7 +153,11 @@ def read_steps(path: Path) -> NDArray[np.void]:
     """The whole records of a steps file (N,); a record cut short by the process's end is left out."""
     if not path.exists():
         return np.zeros(0, dtype=STEP)
-    content = path.read_bytes()
+    return whole_records(path.read_bytes())
+
+
+def whole_records(content: bytes) -> NDArray[np.void]:
+    """The records of what was written up to now (N,); one cut short is left out."""
     return np.frombuffer(content[: len(content) // STEP.itemsize * STEP.itemsize], dtype=STEP)
 
 
