@@ -1,5 +1,14 @@
 #include "ek/arena.h"
 
+#ifdef EK_GUARDED /* under AddressSanitizer: what lies between two pieces must not be touched */
+#include <sanitizer/asan_interface.h>
+#define GAP EK_ALIGNMENT
+#define GUARD(start, bytes) __asan_poison_memory_region((start), (bytes))
+#else
+#define GAP 0u
+#define GUARD(start, bytes) ((void)(start), (void)(bytes))
+#endif
+
 ek_arena ek_arena_over(void *memory, size_t bytes)
 {
     ek_arena arena;
@@ -11,15 +20,16 @@ ek_arena ek_arena_over(void *memory, size_t bytes)
 
 void *ek_arena_take(ek_arena *arena, size_t count, size_t size)
 {
-    size_t start = arena->used;
+    const size_t start = arena->used, end = start + count * size;
     if (size != 0u && count > (SIZE_MAX / 2u - start) / size) {
         arena->used = SIZE_MAX / 2u;
         return NULL;
     }
-    arena->used = (start + count * size + (EK_ALIGNMENT - 1u)) / EK_ALIGNMENT * EK_ALIGNMENT;
+    arena->used = (end + GAP + (EK_ALIGNMENT - 1u)) / EK_ALIGNMENT * EK_ALIGNMENT;
     if (!arena->memory || arena->used > arena->bytes) {
         return NULL;
     }
+    GUARD(arena->memory + end, arena->used - end);
     return arena->memory + start;
 }
 

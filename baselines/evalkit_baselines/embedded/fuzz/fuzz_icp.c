@@ -1,0 +1,105 @@
+/* Registrations of any clouds are finite, repeatable and stand on true nearest neighbours, or are refused and leave
+ * nothing behind. */
+#include "ek/icp.h"
+#include "taken.h"
+
+#define MOST 32u
+#define NO_LIMIT EK_R(1e12) /* m */
+
+typedef struct {
+    const ek_real *source, *target;
+    size_t sources, targets;
+} clouds;
+
+/* Every pair the trace tells is one of these clouds, each source point once. */
+static void traced(void *context, const ek_icp_iteration *now)
+{
+    const clouds *const known = (const clouds *)context;
+    HOLDS(now->iteration >= 1 && now->inliers >= 2 && (size_t)now->inliers <= known->sources);
+    for (int32_t k = 0; k < now->inliers; k++) {
+        HOLDS(now->source[k] < known->sources && now->target[k] < known->targets);
+        HOLDS(k == 0 || now->source[k] > now->source[k - 1]);
+    }
+}
+
+/* What the index says of a place is what looking at every point says. */
+static void nearest(const ek_index *index, const clouds *known, ek_real x, ek_real y, ek_real limit, ek_real radius)
+{
+    const ek_neighbour found = ek_index_nearest(index, x, y, limit, radius);
+    ek_real least = EK_FAR;
+    for (size_t i = 0; i < known->targets; i++) {
+        const ek_real dx = known->target[2u * i] - x, dy = known->target[2u * i + 1u] - y;
+        const ek_real distance = EK_SQRT(dx * dx + dy * dy);
+        least = distance < least ? distance : least;
+    }
+    if (found.slot == EK_NONE) {
+        HOLDS(least >= limit);
+    } else {
+        HOLDS(found.slot < index->count && index->id[found.slot] < known->targets);
+        HOLDS(found.distance == least && least < limit);
+    }
+}
+
+static void ask(ek_icp *icp, const ek_index *index, const clouds *known, ek_input *input)
+{
+    ek_icp_parameters parameters = ek_icp_default();
+    const uint8_t flags = take_byte(input);
+    parameters.max_iterations = 1 + flags % 8u;
+    parameters.one_to_one = flags >> 3 & 1u;
+    parameters.error_before = flags >> 4 & 1u;
+    parameters.error = (ek_error_measure)(flags >> 5 & 3u); /* 3 is none */
+    parameters.min_pairs = take_byte(input) % 8;
+    parameters.epsilon = take_real(input);
+    parameters.max_correspondence = take_real(input);
+    const ek_pose guess = take_pose(input);
+    ek_match match, again;
+    memset(&match, 0xA5, sizeof match);
+    again = match;
+    const ek_status status = ek_icp_register(icp, index, known->source, known->sources, guess, &parameters, traced,
+                                             (void *)(uintptr_t)known, &match);
+    if (status != EK_OK) {
+        HOLDS(memcmp(&match, &again, sizeof match) == 0);
+        return;
+    }
+    HOLDS(ek_se2_finite(match.target_from_source) && (match.converged == 0 || match.converged == 1));
+    HOLDS(match.iterations >= 0 && match.iterations <= parameters.max_iterations);
+    HOLDS(match.inliers >= 0 && (size_t)match.inliers <= known->sources);
+    HOLDS(match.error >= EK_R(0.0) || match.inliers < parameters.min_pairs);
+    HOLDS(ek_icp_register(icp, index, known->source, known->sources, guess, &parameters, NULL, NULL, &again) == EK_OK);
+    HOLDS(same_pose(match.target_from_source, again.target_from_source) && match.inliers == again.inliers);
+    const int limited = parameters.max_correspondence > EK_R(0.0) && parameters.max_correspondence < NO_LIMIT;
+    const ek_real limit = limited ? parameters.max_correspondence : NO_LIMIT;
+    for (size_t i = 0; i < known->sources; i++) {
+        nearest(index, known, known->source[2u * i], known->source[2u * i + 1u], limit, EK_R(0.1) * (ek_real)(i + 1u));
+    }
+}
+
+int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
+{
+    ek_input input = {bytes, size};
+    ek_icp icp;
+    ek_index index;
+    ek_arena measured = ek_arena_over(NULL, 0u);
+    const size_t cells = 1u + take_byte(&input);
+    HOLDS(ek_icp_lay_out(&icp, &measured, MOST, MOST) == EK_OK);
+    HOLDS(ek_index_lay_out(&index, &measured, MOST, cells) == EK_OK);
+    ek_arena arena = memory_for(&measured);
+    HOLDS(ek_icp_lay_out(&icp, &arena, MOST, MOST) == EK_OK);
+    HOLDS(ek_index_lay_out(&index, &arena, MOST, cells) == EK_OK && ek_arena_check(&arena) == EK_OK);
+    for (int rounds = 0; rounds < 2 && input.left; rounds++) {
+        clouds known;
+        known.targets = take_byte(&input) % (MOST + 2u);
+        known.sources = take_byte(&input) % (MOST + 2u);
+        ek_real *const target = take_reals(&input, 2u * known.targets), *const source = take_reals(&input, 2u * known.sources);
+        known.target = target;
+        known.source = source;
+        const ek_status built = ek_index_build(&index, target, known.targets);
+        HOLDS(built == EK_OK ? index.count == known.targets : index.count == 0u);
+        known.targets = index.count;
+        ask(&icp, &index, &known, &input);
+        free(target);
+        free(source);
+    }
+    free(arena.memory);
+    return 0;
+}
