@@ -6,12 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from evalkit.metrics.table import Metric
 from evalkit.protocols import Published, Value
 from evalkit.report.resampling import Resamples
 from evalkit.types import Trial
+
+if TYPE_CHECKING:
+    from evalkit.report.standings import Standing
 
 Role = Literal["", "paper", "bar"]
 
@@ -102,6 +105,11 @@ class Comparison:
     def resamples(self) -> Resamples:
         """What the trials' numbers might as well have been, drawn once and kept."""
         return Resamples(self.trials)
+
+    @cached_property
+    def standings(self) -> dict[tuple[str, str], Standing]:
+        """Standings already made, by sequence and metric: each is asked for many times."""
+        return {}
 
     def of_sequence(self, sequence: str) -> tuple[Trial, ...]:
         """The trials over one sequence, in order."""

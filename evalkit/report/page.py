@@ -12,10 +12,13 @@ from evalkit.metrics.table import Metric
 from evalkit.report import figures, views
 from evalkit.report.comparison import Comparison, SequenceCard
 from evalkit.report.driven import alignments, driven
+from evalkit.report.evidence import evidence
 from evalkit.report.maps import Window, picture, window
+from evalkit.report.paired import Pairs, pairs
 from evalkit.report.palette import Stroke, strokes
 from evalkit.report.standings import STATUS, contestant_of
 from evalkit.report.summary import Verdict
+from evalkit.report.wording import bounds, figure
 from evalkit.types import OccupancyGrid, Trial
 
 MAP_CAPTION_GROUPS = ("map against truth", "map consistency")
@@ -39,6 +42,7 @@ class Section:
     card: SequenceCard
     verdict: Verdict
     table: views.Table
+    pairs: Pairs | None
     drawn: str
     pictures: tuple[Picture, ...]
     maps: tuple[Picture, ...]
@@ -65,11 +69,14 @@ def render(comparison: Comparison, overview: Sequence[str], verdicts: Sequence[V
         lstrip_blocks=True,
     )
     environment.filters["sentence"] = sentence
+    environment.filters["figure"] = figure
+    environment.filters["bounds"] = bounds
     return environment.get_template("page.html.j2").render(
         comparison=comparison,
         overview=overview,
         sections=[section(comparison, verdict, number, lines) for number, verdict in enumerate(verdicts, start=1)],
         glance=views.glance(comparison),
+        evidence=evidence(comparison),
         metrics=_by_group(comparison.metrics),
         strokes=lines,
         status=STATUS,
@@ -96,6 +103,7 @@ def section(comparison: Comparison, verdict: Verdict, number: int, lines: Mappin
         card=comparison.sequences[verdict.sequence],
         verdict=verdict,
         table=views.headline(comparison, verdict.sequence),
+        pairs=pairs(comparison, verdict.sequence),
         drawn=f"seed {seeds[0]} only" if seeds else "the one run of each",
         pictures=tuple(drawings(first, lines)),
         maps=map_tiles(comparison, first, shown) if shown else (),

@@ -7,13 +7,16 @@ null carries the ``reason``.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from importlib.resources import files
 from typing import Any
 
 from evalkit.metrics.table import Metric
+from evalkit.report.cells import interval
 from evalkit.report.comparison import Comparison
+from evalkit.report.paired import pairs
+from evalkit.report.standings import standing
 from evalkit.report.summary import Verdict
 from evalkit.store import digest
 from evalkit.types import Trial
@@ -39,12 +42,35 @@ def results(comparison: Comparison, overview: Sequence[str], verdicts: Sequence[
         "overview": list(overview),
         "verdicts": [asdict(verdict) for verdict in verdicts],
         "trials": [_trial(trial) for trial in comparison.trials],
+        "intervals": [row for label in comparison.sequence_labels for row in _intervals(comparison, label)],
+        "differences": [row for label in comparison.sequence_labels for row in _differences(comparison, label)],
     }
 
 
 def schema() -> str:
     """The JSON Schema (draft 2020-12) of results.json."""
     return files("evalkit.report").joinpath("results.schema.json").read_text(encoding="utf-8")
+
+
+def _intervals(comparison: Comparison, sequence: str) -> Iterator[dict[str, Any]]:
+    """The median over a contestant's runs with its 95 % interval, for every metric that has one."""
+    for metric in comparison.metrics:
+        for cell in standing(comparison, sequence, metric).cells:
+            found = interval(cell)
+            if found is not None:
+                names = {"sequence": sequence, "contestant": cell.contestant, "metric": metric.name}
+                yield names | asdict(found)
+
+
+def _differences(comparison: Comparison, sequence: str) -> Iterator[dict[str, Any]]:
+    """By how much everybody is worse than the leader and the paper's method in the metric that decides."""
+    found = pairs(comparison, sequence)
+    for who, held in found.rows if found else ():
+        for reference, one in zip(found.references if found else (), held, strict=True):
+            if found is not None and one is not None and one.apart is not None:
+                names = {"sequence": sequence, "contestant": who, "reference": reference, "metric": found.metric.name}
+                drawn = {"drawn": one.apart.by, "detectable": one.apart.detectable, "said": one.said}
+                yield names | asdict(one.apart.interval) | drawn
 
 
 def _metric(metric: Metric) -> dict[str, Any]:

@@ -23,7 +23,7 @@ FEWEST_VALUES = 20
 NEAR = 0.1
 """A series whose statistic is farther than this share from the score is not what the score was made of."""
 
-MOST_FOR_MEDIAN = 500
+MOST_FOR_MEDIAN = 250
 """A median is drawn from at most about so many values, evenly thinned: sorting is what costs."""
 
 

@@ -146,8 +146,9 @@ def _leaders(found: Standing, outcome: Outcome) -> str:
     if outcome == "winner":
         verb = "wins" if metric.group in WITH_TRUTH else "is ahead"
         return f"{ranked[0].contestant} {verb} on {metric.label}: {_lead(metric, ranked[0], ranked[1])}."
-    level = joined(f"{cell.contestant} {told(metric, cell)}" for cell in found.level)
-    return f"No difference shown on {metric.label} between {level}: {_why_level(found)}."
+    between, rest = (joined(f"{cell.contestant} {told(metric, cell)}" for cell in found.level[:2]), found.level[2:])
+    others = f" Nor between the first and {joined(cell.contestant for cell in rest)}." if rest else ""
+    return f"No difference shown on {metric.label} between {between}: {_why_level(found)}.{others}"
 
 
 def _disagreement(comparison: Comparison, found: Standing) -> str:
@@ -188,6 +189,8 @@ def _why_level(found: Standing) -> str:
     between = apart(second, first)
     if between is None:
         return "they cannot be compared"
+    if between.interval.low == between.interval.high == 0.0 or between.detectable < 0.05 * 10.0**-metric.digits:
+        return "they are the same to every digit printed"
     reach = f"{figure(between.detectable, metric.digits + 1)}\u00a0{metric.unit}".rstrip()
     said = difference(metric, between, _sign(metric))
     return (

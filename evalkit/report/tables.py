@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from evalkit.report.cells import interval
 from evalkit.report.comparison import Comparison
 from evalkit.report.standings import standing
 
@@ -54,10 +55,10 @@ def scores(comparison: Comparison) -> pd.DataFrame:
 
 
 def summary(comparison: Comparison) -> pd.DataFrame:
-    """One row per sequence, contestant and metric: median, lowest and highest over the complete runs.
+    """One row per sequence, contestant and metric: median, lowest, highest and 95 % interval over the complete runs.
 
     ``place`` is 1 for the best among those who completed every run, empty for the rest; ``level_with_best`` says that
-    the noise does not separate them from it.
+    no difference from it is shown.
     """
     rows = []
     for sequence in comparison.sequence_labels:
@@ -77,6 +78,8 @@ def summary(comparison: Comparison) -> pd.DataFrame:
                     "median": cell.median,
                     "lowest": min(cell.values, default=None),
                     "highest": max(cell.values, default=None),
+                    "low_95": bounds.low if (bounds := interval(cell)) else None,
+                    "high_95": bounds.high if bounds else None,
                     "place": places.get(cell.contestant),
                     "level_with_best": cell in found.level,
                     "reason": cell.reason,

@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 
+from evalkit.metrics.statistics import wilson
 from evalkit.metrics.table import Metric
 from evalkit.protocols import Published
-from evalkit.report.cells import Cell
+from evalkit.report.cells import Cell, interval
 from evalkit.report.comparison import Comparison
 from evalkit.report.consensus import disagrees, is_behind_bar
-from evalkit.report.standings import STATUS, Standing, deciding, standing, unfinished
+from evalkit.report.standings import NOT_POSSIBLE, STATUS, Standing, deciding, standing, unfinished
 from evalkit.types import Status, Trial
 
 
@@ -45,11 +46,12 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One contestant over one sequence."""
+    """One contestant over one sequence. ``success``: the interval of the share of runs that finish."""
 
     contestant: str
     complete: int
     expected: int
+    success: str
     numbers: tuple[Number, ...]
     failures: tuple[Failure, ...]
     behind_bar: bool
@@ -102,6 +104,15 @@ def headline(comparison: Comparison, sequence: str) -> Table:
     return Table(tuple(one.metric for one in present), tuple(rows), _absent(found))
 
 
+def share(trials: Sequence[Trial]) -> str:
+    """The 95 % interval of the share of runs that finish, of those that could start; "" where none could."""
+    started = [trial for trial in trials if trial.run.status not in NOT_POSSIBLE]
+    if not started:
+        return ""
+    found = wilson(len(started) - len(unfinished(started)), len(started))
+    return f"95 %: {100.0 * found.low:.0f}–{100.0 * found.high:.0f} %"
+
+
 def absent(comparison: Comparison, sequence: str) -> dict[str, tuple[str, ...]]:
     """All metrics of a sequence that nobody has a value for, by the reason."""
     return _absent([standing(comparison, sequence, metric) for metric in comparison.metrics])
@@ -129,7 +140,7 @@ def everything(comparison: Comparison, sequence: str) -> dict[str, tuple[Line, .
 
 
 def number(found: Standing, cell: Cell, unranked: bool = False) -> Number:
-    """A cell as printed: the median with the lowest and highest run, or a dash with the reason as its tip.
+    """A cell as printed: the median with its interval or the range of its runs, or a dash with the reason as its tip.
 
     ``unranked``: the geometry cannot fix the pose, or the map measures disagree, so nothing is marked as best.
     """
@@ -138,10 +149,11 @@ def number(found: Standing, cell: Cell, unranked: bool = False) -> Number:
     if not cell.values:
         return Number("–", tip=cell.reason, partial=partial)
     middle = median(cell.values)
-    extent = f"{printed(metric, min(cell.values))}–{printed(metric, max(cell.values))}" if len(cell.values) > 1 else ""
+    extent, runs = _extent(metric, cell), f"{len(cell.values)} of {cell.expected} runs"
     if len(cell.values) < cell.expected:
-        extent = f"{len(cell.values)} of {cell.expected} runs {extent}".rstrip()
-    runs = f"{len(cell.values)} of {cell.expected} runs"
+        extent = f"{runs} {extent}".rstrip()
+    if len(cell.values) > 1:
+        runs += f" ({printed(metric, min(cell.values))} to {printed(metric, max(cell.values))})"
     support = f", support {cell.support}" if cell.support else ""
     contest = len(found.level) < len(found.ranked) and not unranked
     return Number(
@@ -153,6 +165,14 @@ def number(found: Standing, cell: Cell, unranked: bool = False) -> Number:
         level=contest and cell in found.level and len(found.level) > 1,
         partial=partial,
     )
+
+
+def _extent(metric: Metric, cell: Cell) -> str:
+    """The 95 % interval, or the lowest and highest of several runs, as the page prints it beneath the number."""
+    found = interval(cell)
+    if found is not None:
+        return f"95 %: {printed(metric, found.low)}–{printed(metric, found.high)}"
+    return f"{printed(metric, min(cell.values))}–{printed(metric, max(cell.values))}" if len(cell.values) > 1 else ""
 
 
 def printed(metric: Metric, value: float) -> str:
@@ -221,7 +241,7 @@ def _row(comparison: Comparison, label: str, trials: Sequence[Trial], present: S
     behind = decision is not None and is_behind_bar(comparison, decision, label)
     degenerate = bool(comparison.sequences[trials[0].sequence].degenerate)
     numbers = tuple(number(found, cell, degenerate) for found, cell in cells)
-    return Row(label, complete, len(trials), numbers, failures(trials), behind)
+    return Row(label, complete, len(trials), share(trials), numbers, failures(trials), behind)
 
 
 def _glanced(comparison: Comparison, found: Standing | None, contestant: str) -> Number:
