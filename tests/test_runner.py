@@ -122,7 +122,7 @@ def test_what_was_answered_before_the_fault_is_kept(runs, fault):
 
 
 def test_answers_outlive_their_folder(runs):
-    assert runs["remove-folder"].steps["x"].tolist() == pytest.approx([0.1 * k for k in range(SCANS)])
+    assert runs["remove-folder"].steps["x"].tolist() == pytest.approx([0.1 * k for k in range(AT + 1)])
 
 
 def test_a_run_that_completes_has_every_scan_once_and_in_order(runs):
