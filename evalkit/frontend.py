@@ -92,7 +92,7 @@ def complete_parameters(owner: str, spec: BackendSpec, given: Mapping[str, objec
     ``s2s.NAME`` sets the registration's parameter NAME for the first stage only.
     """
     known = parameters_of(spec)
-    if not spec.parameters and spec.missing():  # what is not here cannot say what could be set on it
+    if not spec.parameters and (spec.broken or spec.missing()):  # it cannot say what could be set on it
         return {name: value for name, value in given.items() if isinstance(value, (bool, int, float, str))}
     extra = [_prefixed(p, p.default) for p in spec.parameters if STAGE_ONE + p.name in given]
     names = {parameter.name for parameter in known}

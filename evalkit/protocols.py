@@ -148,8 +148,10 @@ class BackendSpec:
     defaults. ``scan_to_scan``: its own parameters that differ in the first stage. ``guess``: what it starts from, for
     the report (an odometry that does not say: "not told"). ``role``: "paper" for the method evalkit itself stands for,
     "bar" for what all others have to beat.
-    ``missing()`` says why it cannot run here and how to mend it, or "". ``digest``: changes with what it consists of
-    beyond its Python sources (a shared library, a program, a file of results).
+    ``missing()`` says why it cannot run here and how to mend it, or "". ``broken``: why what is here does not work
+    (a program that does not introduce itself), or ""; then its runs have failed, and what could be set is unknown.
+    ``digest``: changes with what it consists of beyond its Python sources (a shared library, a program, a file of
+    results).
     """
 
     make: Callable[..., Any]
@@ -164,6 +166,7 @@ class BackendSpec:
     frontend: Mapping[str, Value] = field(default_factory=dict)
     scan_to_scan: Mapping[str, Value] = field(default_factory=dict)
     missing: Callable[[], str] = nothing_missing
+    broken: str = ""
     digest: str = ""
 
     def __post_init__(self) -> None:

@@ -56,6 +56,16 @@ def test_the_version(evalkit):
     assert evalkit("--version") == (0, f"evalkit {__version__}\n", "")
 
 
+def test_a_program_that_is_broken_is_a_failed_run_and_one_that_is_absent_is_not_possible_here(evalkit, tmp_path):
+    for use, code, status in ((f"exec:{sys.executable} -c pass", 1, "failed"), ("exec:./nowhere", 0, "not-installed")):
+        path = tmp_path / "small.toml"
+        path.write_text(f'[[contestant]]\nuse = "{use}"\n{MAPPER}[[sequence]]\nuse = "straight"\n')
+        exit_code, out, _ = evalkit("run", path, "-o", tmp_path / status, "-j", 1, "--json")
+        (row,) = json.loads(out)["runs"]
+        assert (exit_code, row["status"]) == (code, status)
+    assert "no program found" in row["reason"]
+
+
 def test_without_a_command_the_help_names_them_all(evalkit):
     _, out, err = evalkit()
     assert all(command in out + err for command in ("list", "run", "report", "compare"))

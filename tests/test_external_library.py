@@ -109,7 +109,7 @@ def test_an_odometry_from_outside_undoes_the_drift_of_the_wheels(cpp_library, fo
 
 def made(name, **given):
     spec = registry.backend(name)
-    assert not spec.missing()
+    assert not spec.missing() + spec.broken
     return spec.make(**resolved(name, spec.parameters, given))
 
 
@@ -186,9 +186,9 @@ def test_a_library_may_refuse_its_parameters_in_its_own_words(c_library):
         ("#include <math.h>", "extern int absent(void); int (*needed)(void) = absent;", "undefined symbol: absent"),
     ],
 )
-def test_a_library_that_does_not_fit_is_absent_with_a_reason(small, followed, old, new, said):
+def test_a_library_that_does_not_fit_has_failed_with_a_reason(small, followed, old, new, said):
     outcome, steps = followed(small(old, new))
-    assert outcome.status == "not-installed"
+    assert outcome.status == "failed"
     assert said in outcome.reason
     assert len(steps) == 0
 
@@ -219,11 +219,11 @@ def defaults(dataset):
     return {parameter.name: parameter.default for parameter in registry.dataset(dataset).parameters}
 
 
-def test_a_library_that_hangs_when_loaded_is_absent(small, followed, monkeypatch):
+def test_a_library_that_hangs_when_loaded_has_failed(small, followed, monkeypatch):
     monkeypatch.setattr(library, "LOOK_S", 1.0)
     begin = "#include <unistd.h>\n__attribute__((constructor)) static void begin(void) { sleep(60); }"
     outcome, _ = followed(small("#include <math.h>", begin))
-    assert (outcome.status, "was not loaded within 1 s" in outcome.reason) == ("not-installed", True)
+    assert (outcome.status, "was not loaded within 1 s" in outcome.reason) == ("failed", True)
 
 
 def test_a_file_that_is_no_library_of_this_machine_is_said_to_be_none(tmp_path, foreign_elf):
@@ -232,14 +232,13 @@ def test_a_file_that_is_no_library_of_this_machine_is_said_to_be_none(tmp_path, 
     path = tmp_path / "libmine.so"
     assert "no such file: libmine.so" in registry.backend(f"lib:{path}").missing()
     path.write_bytes(foreign_elf)
-    assert (
-        "libmine.so is built for 64-bit RISC-V, and this machine is 64-bit" in registry.backend(f"lib:{path}").missing()
-    )
+    assert "libmine.so is built for 64-bit RISC-V, and this machine is 64-bit" in registry.backend(f"lib:{path}").broken
+    assert registry.backend(f"lib:{path}").missing() == ""
     path.write_text("INPUT ( libmine.so.1 )")
-    assert "is not a shared library (it begins with b'INPUT ( ')" in registry.backend(f"lib:{path}").missing()
+    assert "is not a shared library (it begins with b'INPUT ( ')" in registry.backend(f"lib:{path}").broken
     own = Path(sys.executable).read_bytes()[:64]
     path.write_bytes(own[:16] + (b"\x01\x00" if own[5] == 1 else b"\x00\x01") + own[18:])
-    assert "an object file or a program" in registry.backend(f"lib:{path}").missing()
+    assert "an object file or a program" in registry.backend(f"lib:{path}").broken
 
 
 def test_machines_are_read_in_both_byte_orders():

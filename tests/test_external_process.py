@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from evalkit import experiment, registry
-from evalkit.errors import UnknownName
+from evalkit.errors import BadParameter, UnknownName
 from evalkit.external import process
 from evalkit.metrics import runtime
 from evalkit.metrics.table import Evidence
@@ -138,26 +138,39 @@ def test_what_was_answered_before_the_end_is_kept(program, followed):
         ("time.sleep(60)", "no answer within 0.3 s"),
     ],
 )
-def test_a_program_that_does_not_introduce_itself_is_absent(program, followed, monkeypatch, hello, said):
+def test_a_program_that_does_not_introduce_itself_has_failed(program, followed, monkeypatch, hello, said):
     monkeypatch.setattr(process, "HELLO_S", 0.3)
     outcome, _ = followed(program(hello=hello))
-    assert said in reason(outcome, "not-installed")
+    assert said in reason(outcome)
+    assert outcome.expected == len(followed.truth)  # it counts as one that answered none of the scans
 
 
-@pytest.mark.parametrize(
-    ("rest", "said"),
-    [("", "no program named"), ("'a", "mend the quotation"), ("./nowhere-to-be-found x", "no program found here")],
-)
-def test_a_command_that_is_none_is_absent_with_a_reason(rest, said):
-    assert said in registry.backend(f"exec:{rest}").missing()
+def test_a_program_that_does_not_introduce_itself_may_have_settings_all_the_same(program):
+    name = program(hello="sys.exit(7)")
+    content = {"contestant": [{"use": name, "max_iterations": 3}], "sequence": [{"use": "room"}]}
+    (contestant,) = experiment.plan(content, "x.toml", "x", "report x.toml").contestants
+    assert contestant.missing == ""
+    assert "ended with code 7 instead of answering" in registry.backend(name).broken
+
+
+def test_only_a_program_that_does_not_exist_is_absent(tmp_path):
+    for words in ("./nowhere-to-be-found x", str(tmp_path)):
+        spec = registry.backend(f"exec:{words}")
+        assert ("no program found here" in spec.missing(), spec.broken) == (True, "")
+
+
+def test_a_command_line_that_is_none_is_a_mistake_in_the_experiment():
+    for rest, said in (("", "expected exec:PROGRAM"), ("'a", "mend the quotation marks")):
+        with pytest.raises(BadParameter, match=said):
+            registry.backend(f"exec:{rest}")
 
 
 def test_a_program_for_another_machine_is_said_to_be_one(tmp_path, foreign_elf):
     path = tmp_path / "icp"
     path.write_bytes(foreign_elf)
-    assert "chmod" in registry.backend(f"exec:{path}").missing()
+    assert "chmod" in registry.backend(f"exec:{path}").broken
     path.chmod(0o755)
-    assert "is built for 64-bit RISC-V" in registry.backend(f"exec:{path}").missing()
+    assert "is built for 64-bit RISC-V" in registry.backend(f"exec:{path}").broken
 
 
 def test_an_unknown_scheme_lists_the_known_ones():

@@ -109,12 +109,20 @@ def spec(
 
 
 def absent(name: str, why: str, digest: str = "") -> BackendSpec:
-    """The spec of an implementation that cannot be used here; nobody knows what could be set on it."""
+    """The spec of an implementation that is not here; nobody knows what could be set on it."""
+    return replace(_unusable(name, why), missing=lambda: why, digest=digest)
 
-    def make(**_parameters: Value) -> Registration:
+
+def broken(name: str, why: str, digest: str = "") -> BackendSpec:
+    """The spec of an implementation that is here and does not work: its runs fail, with the reason."""
+    return replace(_unusable(name, why), broken=why, digest=digest_of(words=f"{digest} {why}"))
+
+
+def _unusable(name: str, why: str) -> BackendSpec:
+    def make(**_parameters: Value) -> Odometry:
         raise BackendFailed(name, "cannot be used", why)
 
-    return BackendSpec(make, "registration", "cannot be used here", UNTOLD, UNTOLD, missing=lambda: why, digest=digest)
+    return BackendSpec(make, "odometry", "cannot be used here", UNTOLD, UNTOLD)
 
 
 def digest_of(*files: Path, words: str = "") -> str:

@@ -20,7 +20,7 @@ import numpy as np
 from evalkit.clock import conversion
 from evalkit.errors import BackendFailed
 from evalkit.external import abi, elf
-from evalkit.external.declaration import absent, declaration, digest_of, listed, settings, spec, split, text
+from evalkit.external.declaration import absent, broken, declaration, digest_of, listed, settings, spec, split, text
 from evalkit.protocols import BackendSpec, Parameter, Value
 from evalkit.se2 import Floats
 from evalkit.types import Cloud, Frame, Iteration, Match, Pose
@@ -37,12 +37,14 @@ def scheme(rest: str) -> BackendSpec:
     path, *words = split(name, rest)
     file = Path(path).resolve()
     digest = digest_of(file)
+    if not file.is_file():
+        return absent(name, f"no such file: {file.name}; build it, or mend its path", digest)
     if why := _unfit(file):
-        return absent(name, why, digest)
+        return broken(name, why, digest)
     try:
         declared = declaration(name, _asked(name, file, digest))
     except BackendFailed as error:
-        return absent(name, "; ".join(error.args[1:]), digest)
+        return broken(name, "; ".join(error.args[1:]), digest)
     own = (TRACE,) if declared.kind == "registration" else ()
     make = LibraryRegistration if declared.kind == "registration" else LibraryOdometry
     return spec(declared, settings(name, (*declared.parameters, *own), words), partial(make, name, file), digest)
@@ -150,8 +152,6 @@ def _asked(name: str, file: Path, _digest: str) -> dict[str, Any]:
 
 
 def _unfit(file: Path) -> str:
-    if not file.is_file():
-        return f"no such file: {file.name}; build it, or mend its path"
     try:
         why = elf.unfit(file, library=True)
     except OSError as error:

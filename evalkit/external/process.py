@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from evalkit import clock
-from evalkit.errors import BackendFailed
+from evalkit.errors import BackendFailed, BadParameter
 from evalkit.external import elf
-from evalkit.external.declaration import Declaration, absent, declaration, digest_of, spec
+from evalkit.external.declaration import Declaration, absent, broken, declaration, digest_of, spec
 from evalkit.external.program import Program
 from evalkit.protocols import BackendSpec, Parameter, Value
 from evalkit.se2 import Floats
@@ -32,19 +32,18 @@ TIMEOUT = Parameter(
 def scheme(rest: str) -> BackendSpec:
     """The back end ``exec:COMMAND``: a program of a kind and with parameters of its own telling."""
     name = f"exec:{rest}"
-    try:
-        words = shlex.split(rest)
-    except ValueError as error:
-        return absent(name, f"not a command line ({error}); mend the quotation marks")
+    words = _words(name, rest)
+    if shutil.which(words[0]) is None and not Path(words[0]).is_file():
+        return absent(name, f"{words[0]} is no program found here; mend its path, or install it")
     argv, why = _command(words)
     digest = digest_of(*(Path(word) for word in argv if Path(word).is_file()), words=rest)
     if why:
-        return absent(name, why, digest)
+        return broken(name, why, digest)
     said = _introduced(name, tuple(argv), digest)
     try:
         declared = declaration(name, said)
     except BackendFailed as error:
-        return absent(name, "; ".join(error.args[1:]), digest)
+        return broken(name, "; ".join(error.args[1:]), digest)
     parameters = (*declared.parameters, TIMEOUT)
     return spec(declared, parameters, partial(_make, name, argv, declared), digest_of(words=f"{digest} {said}"))
 
@@ -183,14 +182,21 @@ def _introduced(name: str, argv: tuple[str, ...], _digest: str) -> dict[str, Any
         return {"failed": error.args[1:]}
 
 
+def _words(name: str, rest: str) -> list[str]:
+    try:
+        words = shlex.split(rest)
+    except ValueError as error:
+        raise BadParameter(name, "command", rest, f"a command line ({error}: mend the quotation marks)") from None
+    if not words:
+        raise BadParameter(name, "command", rest, "exec:PROGRAM ARGUMENTS")
+    return words
+
+
 def _command(words: list[str]) -> tuple[list[str], str]:
     """The words with the program's whole path, and why it cannot be started, or ""."""
-    if not words:
-        return [], "no program named; write exec:PROGRAM ARGUMENTS"
     found = shutil.which(words[0])
     if found is None:
-        exists = Path(words[0]).is_file()
-        return words, f"{words[0]} {'may not be executed; chmod +x it' if exists else 'is no program found here'}"
+        return words, f"{words[0]} may not be executed; chmod +x it"
     path = Path(found).absolute()
     why = elf.unfit(path, library=False)
     remedy = "build it here, or run it there: exec:ssh HOST PROGRAM"
