@@ -39,8 +39,10 @@ class Usage:
     cpu_s: float = 0.0
 
 
-def started(module: str, folder: Path, output: IO[bytes]) -> subprocess.Popen[bytes]:
-    """``python -m module folder`` in a session of its own, with one thread; what it says goes to ``output``.
+def started(module: str, folder: Path, output: IO[bytes], threads: int = 1) -> subprocess.Popen[bytes]:
+    """``python -m module folder`` in a session of its own; what it says goes to ``output``.
+
+    ``threads``: how many the libraries it uses may start.
 
     ``output`` must be open for appending: see ``cut``. Whoever an evalkit that was killed left behind in this folder is
     ended first.
@@ -49,7 +51,7 @@ def started(module: str, folder: Path, output: IO[bytes]) -> subprocess.Popen[by
     return subprocess.Popen(  # -P: modules of the folder we happen to be in must not stand in for others
         [sys.executable, "-P", "-m", module, str(folder)],
         stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True,
-        env={**os.environ, **SINGLE_THREAD, MARK: _mark(folder)},
+        env={**os.environ, **dict.fromkeys(SINGLE_THREAD, str(threads)), MARK: _mark(folder)},
     )  # fmt: skip
 
 

@@ -19,6 +19,8 @@ from evalkit import __version__, console, environment, experiment, listing, reco
 from evalkit.commands import options
 from evalkit.commands.basin import basin
 from evalkit.commands.check import check
+from evalkit.commands.determinism import determinism
+from evalkit.commands.diff import diff
 from evalkit.commands.equiv import equiv
 from evalkit.commands.options import FAILED, Collect, Jobs, Json, Making, Out, Rerun, Resume, err, out
 from evalkit.commands.realtime import realtime
@@ -162,7 +164,7 @@ def compare(
     _report(plan, folder, Making.of(jobs, resume, rerun, collect), as_json)
 
 
-COMMANDS: tuple[Callable[..., None], ...] = (check, equiv, realtime, basin)
+COMMANDS: tuple[Callable[..., None], ...] = (check, equiv, realtime, basin, determinism, diff)
 """The commands with a module of their own, in the order of the help."""
 
 for _command in COMMANDS:

@@ -31,10 +31,11 @@ def run(
     limits: Limits,
     heard: Callable[[int], None],
     stop: threading.Event,
+    threads: int = 1,
 ) -> Run:
     """What became of a request; ``labels``: contestant and sequence.
 
-    ``heard`` is told how many scans are answered; ``stop`` ends the run early.
+    ``heard`` is told how many scans are answered; ``stop`` ends the run early; ``threads`` may be started by libraries.
     """
     try:
         (folder / "request.json").write_text(json.dumps(asdict(request), indent=1), encoding="utf-8")
@@ -42,7 +43,7 @@ def run(
     except OSError as error:
         raise StoreError(str(folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
     with output, answers:
-        process = child.started("evalkit.worker", folder, output)
+        process = child.started("evalkit.worker", folder, output, threads)
         watch = _Watch(process, folder, limits, answers)
         try:
             ended = watch.until_the_end(heard, stop)

@@ -160,6 +160,20 @@ class Faulty:
         return answer if answer is not None else Pose((self._seen - 1) * STEP_M, 0.0, 0.0)
 
 
+class Lots:
+    """An Odometry that answers as chance has it."""
+
+    def __init__(self) -> None:
+        self._drawn = np.random.default_rng()
+        self._begun = False
+
+    def update(self, frame: Frame) -> Pose:
+        """Somewhere within 40 cm of the start."""
+        pose = Pose(*self._drawn.uniform(-0.2, 0.2, 2), 0.0) if self._begun else Pose()
+        self._begun = True
+        return pose
+
+
 class Straight:
     """Scans of a box of 8 x 4 m from a base that moves 0.1 m a scan along x.
 
@@ -231,6 +245,14 @@ FAULTY = BackendSpec(
     citation="Murphy",
     licence="MIT",
     parameters=(FAULT, Parameter("at", 8, "scans", "after how many good answers", low=0)),
+)
+
+LOTS = BackendSpec(
+    make=Lots,
+    kind="odometry",
+    summary="draws lots",
+    citation="Murphy",
+    licence="MIT",
 )
 
 ABSENT = BackendSpec(
