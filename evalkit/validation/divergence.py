@@ -11,7 +11,7 @@ from evalkit.se2 import Floats
 from evalkit.types import Ints, Iteration, Match, Pose
 from evalkit.validation import pairing
 from evalkit.validation.lockstep import Exchange, Question
-from evalkit.validation.margins import FLOAT32_ROUNDOFF, Margin, Scale, float32
+from evalkit.validation.margins import FLOAT32_ROUNDOFF, TIE_ROUNDINGS, Margin, Scale, float32
 from evalkit.validation.mistakes import (
     Kind,
     Mistake,
@@ -98,7 +98,7 @@ class _Comparison:
         if pairing.same(a.pairs, b.pairs):
             return None
         parted = apart(before_a.row, before_b.row, self._scale.reach_m)
-        tolerance_m = 2.0 * parted + 8.0 * FLOAT32_ROUNDOFF * self._scale.reach_m
+        tolerance_m = 2.0 * parted + TIE_ROUNDINGS * FLOAT32_ROUNDOFF * self._scale.reach_m
         kind, what = pairing.told(self._question, before_a, a.pairs, b.pairs, tolerance_m, number == 1)
         return self._found(number, "pairs", kind, what)
 

@@ -60,7 +60,7 @@ def equivalence(
     name, sequence = _sequence(on, set_on or {})
     if all(one.spec.kind == "registration" for one in sides):
         exchanges = list(lockstep.exchanges(*sides, sequence, scans, disturbed))
-        found = _of_registrations(sides, name, exchanges, margin)
+        found = of_exchanges(sides, name, exchanges, margin)
     else:
         found = _of_odometries(sides, name, sequence, scans, margin)
     if found.questions == 0:
@@ -172,7 +172,8 @@ def _backend_parameters(name: str) -> tuple[Parameter, ...]:
     return frontend.parameters_of(spec_at(address_of(name), BackendSpec, registry.backend))
 
 
-def _of_registrations(sides: tuple[Side, Side], name: str, exchanges: list[Exchange], margin: Known) -> Equivalence:
+def of_exchanges(sides: tuple[Side, Side], name: str, exchanges: list[Exchange], margin: Known) -> Equivalence:
+    """What the answers of both sides to the same questions say."""
     questions = [exchange.question for exchange in exchanges]
     known = _margin(margin, (Scale.of(one.target, one.source, one.guess) for one in questions))
     parted = [(one, divergence) for one in exchanges if (divergence := first_divergence(one, known))]
@@ -203,10 +204,17 @@ def _intervals(stage: str, exchanges: list[Exchange], margin: Margin) -> tuple[I
 
 
 def _of_odometries(sides: tuple[Side, Side], name: str, sequence: Sequence, scans: int, margin: Known) -> Equivalence:
-    frames = list(islice(sequence.frames(), scans))
-    scales = (Scale(one.scan.range_max_m, len(one.scan.ranges), 1.0) for one in frames)
-    known = _margin(margin, scales)
-    steps = list(lockstep.steps(*sides, sequence, scans))
+    return of_steps(sides, name, list(lockstep.steps(*sides, sequence, scans)), step_margin(margin, sequence, scans))
+
+
+def step_margin(margin: Known, sequence: Sequence, scans: int) -> Margin:
+    """The margin of odometries over a sequence: rounding grows with its scans."""
+    frames = islice(sequence.frames(), scans)
+    return _margin(margin, (Scale(one.scan.range_max_m, len(one.scan.ranges), 1.0) for one in frames))
+
+
+def of_steps(sides: tuple[Side, Side], name: str, steps: list[Step], known: Margin) -> Equivalence:
+    """What the poses of both sides, each following a sequence by itself, say."""
     found = [divergence for one in steps if (divergence := _parted(one, known))]
     both = [(one.scan, one.a, one.b) for one in steps if one.a is not None and one.b is not None]
     rows = np.stack([difference(a, b) for _, a, b in both]) if both else np.zeros((0, 3))

@@ -17,6 +17,9 @@ from evalkit.types import Cloud, Pose
 FLOAT32_ROUNDOFF = 2.0**-24
 """Relative error of rounding once to single precision."""
 
+TIE_ROUNDINGS = 8.0
+"""Two distances count as equal within so many roundings to single precision of the largest coordinate."""
+
 CONTRACTION = 2.0 / 3.0
 """By what one ICP step shrinks the error of the one before (linear convergence), for the float32 budget."""
 

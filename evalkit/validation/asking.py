@@ -1,0 +1,206 @@
+"""What a back end is asked for its dossier, in a process apart: plain values in, JSON values and arrays out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from evalkit import frontend, registry
+from evalkit.protocols import NoAnswer, Odometry, Sequence, Value
+from evalkit.se2 import Floats
+from evalkit.study.ledger import Result
+from evalkit.types import Frame, Pose
+from evalkit.validation import conformance, equivalence, lockstep, pairs
+from evalkit.validation.divergence import first_divergence
+from evalkit.validation.equivalence import FLOAT32, ROUNDING, Known
+from evalkit.validation.isolated import at
+from evalkit.validation.lockstep import Exchange, Side
+from evalkit.validation.margins import FLOAT32_ROUNDOFF, TIE_ROUNDINGS, Margin, difference
+from evalkit.validation.pairs import Pair, TwoScans
+
+Named = Mapping[str, Any]
+"""A back end: its "name", and what is "given" to it."""
+
+Data = Mapping[str, Any]
+"""A sequence: its "dataset" and "parameters"."""
+
+EXACT = "exact"
+NOWHERE = (np.nan, np.nan, np.nan)
+
+
+def rules(name: str, given: Mapping[str, Value], limit_s: float, digest: str = "") -> Result:  # noqa: ARG001
+    """What the rules of ``evalkit check`` find; it has processes of its own. ``digest``: of the build that is asked."""
+    found = conformance.check(name, given, limit_s)
+    return {"verdicts": [[one.rule, one.sentence, one.outcome, one.observed] for one in found.verdicts]}
+
+
+def pairs_compared(a: Named, b: Named, on: Data, count: int, exact: bool, margins: list[str]) -> Result:
+    """Both back ends asked about pairs of scans: every answer, what noise leaves of it, and where they part."""
+    sides = _side(a), _side(b)
+    alone = all(side.spec.kind == "registration" for side in sides)
+    first, second = (side.registrations()["s2m"] if alone else TwoScans(side) for side in sides)
+    asked = _pairs(on, count, exact)
+    exchanges = []
+    for pair in asked:
+        question = pair.question
+        at(f"{on['label']}, pair {question.scan} ({question.stage})")
+        mine = first.register(question.target, question.source, question.guess)
+        exchanges.append(lockstep.asked(second, question, mine))
+    answers = [one.a.target_from_source for one in exchanges]
+    residuals = [pairs.residual_m(one.question, answer) for one, answer in zip(exchanges, answers, strict=True)]
+    return {
+        **_known(asked),
+        **_judged(sides, on["label"], exchanges, margins),
+        "alone": alone,
+        "a": _rows(answers),
+        "b": _rows(None if one.b is None else one.b.target_from_source for one in exchanges),
+        "residual_m": np.array(residuals),
+    }
+
+
+def pair_answers(named: Named, on: Data, count: int, exact: bool) -> Result:
+    """What one back end answers to the same pairs: ``rows`` (N, 3), nan where it has no answer."""
+    side = _side(named)
+    alone = side.spec.kind == "registration"
+    asker = side.registrations()["s2m"] if alone else TwoScans(side)
+    rows: list[Pose | None] = []
+    for pair in _pairs(on, count, exact):
+        question = pair.question
+        at(f"{on['label']}, pair {question.scan} ({question.stage})")
+        try:
+            rows.append(asker.register(question.target, question.source, question.guess).target_from_source)
+        except Exception:  # noqa: BLE001 - a third party's code; no answer is one of its answers
+            rows.append(None)
+    return {"rows": _rows(rows), "alone": alone}
+
+
+def scans_compared(a: Named, b: Named, on: Data, scans: int, margins: list[str]) -> Result:
+    """Both back ends over the first scans of a sequence: registrations in lockstep, odometries each by itself."""
+    sides, sequence = (_side(a), _side(b)), _sequence(on)
+    if all(side.spec.kind == "registration" for side in sides):
+        exchanges = []
+        for exchange in lockstep.exchanges(*sides, sequence, scans):
+            at(f"{on['label']}, scan {exchange.question.scan}")
+            exchanges.append(exchange)
+        return {**_judged(sides, on["label"], exchanges, margins), **_apart(exchanges)}
+    steps = []
+    for step in lockstep.steps(*sides, sequence, scans):
+        at(f"{on['label']}, scan {step.scan}")
+        steps.append(step)
+    known = {word: equivalence.step_margin(margin(word), sequence, scans) for word in margins}
+    both = [(one.scan, difference(one.a, one.b)) for one in steps if one.a is not None and one.b is not None]
+    return {
+        **{
+            word: equivalence.of_steps(sides, on["label"], steps, one).as_json() | {"astray": 0}
+            for word, one in known.items()
+        },
+        "stage": ["trajectory"] * len(both),
+        **_differences([scan for scan, _ in both], [row for _, row in both]),
+    }
+
+
+def rounded_paths(named: Named, on: Data, times: int) -> Result:
+    """Paths (K, N, 3) of a back end over ``times`` copies of a sequence, each range changed by what rounding may.
+
+    That is ``TIE_ROUNDINGS`` roundings to float32 of the longest range, within which two distances count as equal. What
+    such a copy does to the path is what single precision may do to it.
+    """
+    side, rng = _side(named), np.random.default_rng(0)
+    frames = list(_sequence(on).frames())
+    paths = []
+    for copy in range(times):
+        at(f"{on['label']}, copy {copy + 1}")
+        odometry = frontend.odometry(side.spec, side.parameters)
+        paths.append(_rows(_answer(odometry, _rounded(frame, rng)) for frame in frames))
+    return {"stamps_ns": np.array([frame.scan.stamp_ns for frame in frames]), "paths": np.array(paths)}
+
+
+def maps_compared(a: str, b: str, on: Data, scans: int) -> Result:
+    """Two mappers drawing the same scans, cell by cell."""
+    spec = registry.dataset(on["dataset"])
+    at(f"{on['label']}: {a} and {b}")
+    found = equivalence.mapper_equivalence(a, b, spec, set_on=on["parameters"], scans=scans)
+    return {"cells": found.as_json()}
+
+
+def margin(word: str) -> Known:
+    """The margin of a word: "exact", "float32", or metres (and as many radians)."""
+    if word == EXACT:
+        return Margin(origin="rounding in double precision leaves a thousandth of it")
+    return FLOAT32 if word == FLOAT32 else Margin(float(word), float(word), origin="as given with --margin")
+
+
+def _rounded(frame: Frame, rng: np.random.Generator) -> Frame:
+    scan = frame.scan
+    reach = TIE_ROUNDINGS * FLOAT32_ROUNDOFF * float(np.max(scan.ranges, where=scan.hits, initial=0.0))
+    ranges = scan.ranges + rng.uniform(-reach, reach, len(scan.ranges))
+    inside = np.where(scan.hits, np.clip(ranges, scan.range_min_m, scan.range_max_m), scan.ranges)
+    return replace(frame, scan=replace(scan, ranges=inside))
+
+
+def _answer(odometry: Odometry, frame: Frame) -> Pose | None:
+    try:
+        return odometry.update(frame)
+    except NoAnswer:
+        return None
+
+
+def _side(named: Named) -> Side:
+    return equivalence.side(named["name"], named["name"], named["given"])
+
+
+def _sequence(on: Data) -> Sequence:
+    return registry.dataset(on["dataset"]).make(**on["parameters"])
+
+
+def _pairs(on: Data, count: int, exact: bool) -> list[Pair]:
+    return list(pairs.pairs(_sequence(on), count, exact))
+
+
+def _known(asked: list[Pair]) -> dict[str, Any]:
+    """What there is to know of the questions themselves."""
+    questions = [pair.question for pair in asked]
+    return {
+        "truth": _rows(pair.truth for pair in asked),
+        "guess": _rows(question.guess for question in questions),
+        "stage": [question.stage for question in questions],
+        "points": np.array([len(question.source) for question in questions]),
+        "radius_m": np.array([pairs.radius_m(question) for question in questions]),
+    }
+
+
+def _judged(sides: tuple[Side, Side], label: str, exchanges: list[Exchange], margins: list[str]) -> dict[str, Any]:
+    """What the answers say under every margin; ``astray``: answers beyond it for another reason than rounding."""
+    found = {}
+    for word in margins:
+        held = equivalence.of_exchanges(sides, label, exchanges, margin(word))
+        astray = sum(_astray(one, held.margin) for one in exchanges)
+        found[word] = held.as_json() | {"astray": astray}
+    return found
+
+
+def _astray(exchange: Exchange, known: Margin) -> bool:
+    if exchange.b is None:
+        return True
+    parted = first_divergence(exchange, known)
+    away = not known.holds(exchange.a.target_from_source, exchange.b.target_from_source)
+    return parted is not None and parted.kind not in ROUNDING and away
+
+
+def _apart(exchanges: list[Exchange]) -> dict[str, Any]:
+    both = [(one.question, difference(one.a.target_from_source, one.b.target_from_source))
+            for one in exchanges if one.b is not None]  # fmt: skip
+    rows = _differences([question.scan for question, _ in both], [row for _, row in both])
+    return {"stage": [question.stage for question, _ in both], **rows}
+
+
+def _differences(scans: list[int], rows: list[Floats]) -> dict[str, Any]:
+    apart = np.array(rows).reshape(-1, 3)
+    return {"scan": np.array(scans), "metres": np.hypot(apart[:, 0], apart[:, 1]), "radians": np.abs(apart[:, 2])}
+
+
+def _rows(poses: Iterable[Pose | None]) -> Floats:
+    return np.array([NOWHERE if pose is None else pose.row for pose in poses]).reshape(-1, 3)

@@ -1,0 +1,320 @@
+"""An implementation examined on all levels: what is asked, in which order, and what becomes a dossier."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from evalkit import environment, experiment, frontend, registry
+from evalkit.engine import Engine, Progress
+from evalkit.errors import NotInstalled
+from evalkit.experiment import Course, Limits, Plan
+from evalkit.protocols import Value
+from evalkit.settings import from_text
+from evalkit.store import Store
+from evalkit.study.ledger import Job, Ledger, OnDone, Result
+from evalkit.types import Trial
+from evalkit.validation import answers, costs, isolated, paths, twins
+from evalkit.validation.answers import Names
+from evalkit.validation.asking import EXACT
+from evalkit.validation.dossier import Claim, Dossier, Level
+from evalkit.validation.equivalence import FLOAT32
+
+ASKING, PACE = "evalkit.validation.asking", "evalkit.validation.pace"
+AUTO = "auto"
+COPIES = 5
+"""Copies of a sequence that tell how far rounding alone leads."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How much is asked: pairs of scans, scans in lockstep, scans drawn, scans and pairs timed; seconds, MiB, cells."""
+
+    pairs: int
+    scans: int
+    drawn: int
+    timed: int
+    limit_s: float
+    map_scans: int
+    memory_mib: int = 2048
+
+
+FULL = Effort(pairs=40, scans=150, drawn=40, timed=250, limit_s=240.0, map_scans=250)
+QUICK = Effort(pairs=16, scans=45, drawn=12, timed=45, limit_s=60.0, map_scans=40)
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Who is examined and how, as somebody asked for it; settings are texts NAME=VALUE."""
+
+    backend: str
+    given: Mapping[str, str]
+    twin: str
+    given_twin: Mapping[str, str]
+    against: tuple[str, ...]
+    on: tuple[str, ...]
+    seeds: int
+    claim: Claim
+    margin: str
+    share: float
+    mapper: str
+    effort: Effort
+
+
+@dataclass(frozen=True)
+class Watch:
+    """Who hears how it goes on: of jobs, told how many there are, and of runs."""
+
+    jobs: Callable[[int, int], AbstractContextManager[OnDone]]
+    runs: Callable[[Plan, int], AbstractContextManager[Progress]]
+
+
+@dataclass(frozen=True)
+class Examination:
+    """All names found and all settings complete; what cannot be asked here is told, not silently left out."""
+
+    asked: Asked
+    twin: str
+    why_twin: str
+    given: Mapping[str, Value]
+    given_twin: Mapping[str, Value]
+    against: tuple[str, ...]
+    absent: Mapping[str, str]
+    plan: Plan
+    mappers: tuple[str, str]
+
+    def dossier(self, folder: Path, workers: int, watch: Watch) -> Dossier:
+        """The dossier; what was computed before in the folder is taken from there."""
+        ledger, where = Ledger(folder / "jobs"), environment.describe(jobs=workers)
+        first = [self._rules()]
+        with watch.jobs(1, 1) as done:
+            level0 = answers.rules(ledger.run(first, 1, done)["rules"])
+        if _hopeless(level0):
+            return self._made(EXACT, "", (level0,), where)
+        jobs = list(self._jobs())
+        with watch.jobs(len(jobs), workers) as done:
+            found = ledger.run(jobs, workers, done)
+        with watch.runs(self.plan, workers) as progress:
+            trials = _placed(Engine(self.plan, Store(folder), progress, workers, resume=True, ran_on=where).trials())
+        if answers.margin_of(_compared(found), self._margins()) == FLOAT32:
+            copies = list(self._copies())
+            with watch.jobs(len(copies), workers) as done:
+                found = {**found, **ledger.run(copies, workers, done)}
+        timed = list(self._timed())
+        with watch.jobs(len(timed), 1) as done:  # alone: nothing else may run beside what is timed
+            taken = ledger.run(timed, 1, done)
+        return self._levels(level0, found, trials, taken, where)
+
+    def _levels(
+        self, level0: Level, found: Mapping[str, Result], trials: paths.Trials, taken: Mapping[str, Result],
+        where: Mapping[str, str],
+    ) -> Dossier:  # fmt: skip
+        pairs, scans = _of("pairs", found), _of("scans", found)
+        both = _compared(found)
+        margin = answers.margin_of(both, self._margins())
+        names = Names(self.mine, self.twin_label, margin, self.asked.share, self.against)
+        others = {name: _of(f"answers of {name}", found) for name in self.against}
+        allowed = {
+            place: (one[margin]["margin"]["metres"], one[margin]["margin"]["radians"])
+            for place, one in scans.items()
+            if isolated.ENDED not in one
+        }
+        levels = (
+            level0,
+            answers.pairs(pairs, {name: of for name, of in others.items() if of}, names),
+            answers.scans(scans, names),
+            paths.paths(trials, allowed, _of("copies", found), names),
+            paths.maps(trials, allowed, _of("mapper", found), self.mappers, names),
+            costs.costs(_of("time", taken), _of("time of a pair", taken), self._labels(), self._registrations(),
+                        trials, names),
+        )  # fmt: skip
+        return self._made(margin, answers.within(both, margin), levels, where)
+
+    @property
+    def mine(self) -> str:
+        """Its label."""
+        return self.asked.backend
+
+    @property
+    def twin_label(self) -> str:
+        """The twin's label, its own where it is examined against itself."""
+        return self.twin if self.twin != self.mine else f"{self.twin} (twin)"
+
+    def _made(self, margin: str, within: str, levels: tuple[Level, ...], where: Mapping[str, str]) -> Dossier:
+        settings = {
+            "backend": dict(self.given), "twin": dict(self.given_twin), "on": list(self.asked.on),
+            "seeds": self.asked.seeds, "share": self.asked.share, "effort": asdict(self.asked.effort),
+            "mappers": list(self.mappers),
+        }  # fmt: skip
+        return Dossier(
+            self.mine, self.twin_label, self.why_twin, self.against, self.absent, self.asked.claim, margin, within,
+            levels, settings, where,
+        )  # fmt: skip
+
+    def _margins(self) -> list[str]:
+        return [EXACT, FLOAT32] if self.asked.margin == AUTO else [self.asked.margin]
+
+    def _places(self) -> Iterator[tuple[str, Course, dict[str, Any]]]:
+        """Every sequence that is here, with every seed: place, course, and how it is made."""
+        for course in self.plan.courses:
+            for seed in course.seeds:
+                place = course.label if seed is None else f"{course.label}, seed {seed}"
+                yield place, course, {"label": place, "dataset": course.dataset, "parameters": course.seeded(seed)}
+
+    def _rules(self) -> Job:
+        own = {p.name for p in registry.backend(self.mine).parameters}
+        given = {name: value for name, value in self.given.items() if name in own}
+        arguments = {"name": self.mine, "given": given, "limit_s": 30.0, "digest": registry.backend(self.mine).digest}
+        return Job("rules", f"{ASKING}:rules", arguments, self._uses(self.mine))
+
+    def _jobs(self) -> Iterator[Job]:
+        """Levels 1 and 2, and the mappers of level 4."""
+        effort, both = self.asked.effort, {"a": self._named(self.twin), "b": self._named(self.mine)}
+        for place, course, on in self._places():
+            exact = registry.dataset(course.dataset).seeded  # a simulated truth has no error
+            asked = {"on": on, "count": effort.pairs, "exact": exact}
+            compared = {**both, **asked, "margins": self._margins()}
+            yield self._apart(f"pairs, {place}", f"{ASKING}:pairs_compared", compared, course)
+            scans = {**both, "on": on, "scans": effort.scans, "margins": self._margins()}
+            yield self._apart(f"scans, {place}", f"{ASKING}:scans_compared", scans, course)
+            for name in self._references():
+                given = {"named": self._named(name), **asked}
+                yield self._apart(f"answers of {name}, {place}", f"{ASKING}:pair_answers", given, course)
+        if all(self.mappers):
+            for place, course, on in self._first_places():
+                given = {"a": self.mappers[1], "b": self.mappers[0], "on": on, "scans": effort.drawn}
+                yield self._apart(f"mapper, {place}", f"{ASKING}:maps_compared", given, course)
+
+    def _copies(self) -> Iterator[Job]:
+        """The twin over copies that rounding has changed."""
+        for place, course, on in self._places():
+            given = {"named": self._named(self.twin), "on": on, "times": COPIES}
+            yield self._apart(f"copies, {place}", f"{ASKING}:rounded_paths", given, course)
+
+    def _timed(self) -> Iterator[Job]:
+        contestants = [self._named(name) for name in self._everybody()]
+        alone = [self._named(name) for name in self._everybody() if registry.backend(name).kind == "registration"]
+        for place, course, on in self._first_places():
+            given = {"contestants": contestants, "on": on, "scans": self.asked.effort.timed}
+            yield self._apart(f"time, {place}", f"{PACE}:scans_paced", given, course)
+            if self.mine in [one["name"] for one in alone]:
+                pairs = {"contestants": alone, "on": on, "count": self.asked.effort.pairs}
+                yield self._apart(f"time of a pair, {place}", f"{PACE}:pairs_paced", pairs, course)
+
+    def _first_places(self) -> Iterator[tuple[str, Course, dict[str, Any]]]:
+        seen = set()
+        for place, course, on in self._places():
+            if course.label not in seen:
+                seen.add(course.label)
+                yield place, course, on
+
+    def _apart(self, name: str, function: str, arguments: Mapping[str, Any], course: Course) -> Job:
+        limits = {"limit_s": self.asked.effort.limit_s, "memory_mib": self.asked.effort.memory_mib}
+        uses = (*self._uses(*self._everybody()), registry.plug_in_of("datasets", course.dataset).module)
+        return isolated.job(name, function, arguments, limits, uses)
+
+    def _named(self, name: str) -> dict[str, Any]:
+        """A back end with what is given to it; the digest tells one build of a library from the next."""
+        given = self.given if name == self.mine else self.given_twin if name == self.twin else {}
+        return {"name": name, "given": dict(given), "digest": registry.backend(name).digest}
+
+    def _uses(self, *names: str) -> tuple[str, ...]:
+        return tuple(sorted({registry.plug_in_of("backends", name).module for name in names}))
+
+    def _references(self) -> list[str]:
+        """The references that make something of two scans: the bar does not look at them."""
+        return [name for name in self.against if registry.backend(name).role != "bar"]
+
+    def _everybody(self) -> list[str]:
+        return list(dict.fromkeys((self.mine, self.twin, *self._references())))
+
+    def _labels(self) -> list[str]:
+        return [self.mine if name == self.mine else name for name in self._everybody()]
+
+    def _registrations(self) -> list[str]:
+        return [name for name in self._everybody() if registry.backend(name).kind == "registration"]
+
+
+def examination(asked: Asked) -> Examination:
+    """Everything checked before anything is computed; NotInstalled, UnknownName or BadParameter say what is wrong."""
+    twin, why = (asked.twin, "named with --twin") if asked.twin else twins.twin()
+    for name in (asked.backend, twin):
+        if missing := registry.backend(name).missing():
+            raise NotInstalled(name, "cannot be validated here", missing)
+    given = _typed(asked.backend, asked.given)
+    shared = {name: word for name, word in asked.given.items() if name in _parameters(twin)}
+    given_twin = _typed(twin, {**shared, **asked.given_twin})
+    wanted = [name for name in dict.fromkeys(asked.against) if name not in (asked.backend, twin)]
+    absent = {name: why for name in wanted if (why := registry.entrant(name).missing())}
+    here = [name for name in wanted if name not in absent]
+    bars = [name for name in twins.bars() if name not in (asked.backend, twin, *here)]
+    mapper = asked.mapper or twins.mapper_of(asked.backend)
+    mappers = (mapper, twins.mapper_of(twin)) if mapper else ("", "")
+    against = (*here, *bars)
+    plan = _plan(asked, twin, given, given_twin, against)
+    absent |= {course.label: course.missing for course in plan.courses if course.missing}
+    plan = replace(plan, courses=tuple(course for course in plan.courses if not course.missing))
+    return Examination(asked, twin, why, given, given_twin, against, absent, plan, mappers)
+
+
+def _plan(
+    asked: Asked, twin: str, given: Mapping[str, Value], given_twin: Mapping[str, Value], against: tuple[str, ...]
+) -> Plan:
+    label = twin if twin != asked.backend else f"{twin} (twin)"
+    content = {
+        "contestant": [
+            {"use": asked.backend, **given},
+            {"use": twin, "label": label, **given_twin},
+            *({"use": name} for name in against),
+        ],
+        "sequence": [_sequence(text, asked.seeds) for text in asked.on],
+        "mapper": {"scans": asked.effort.map_scans},
+        "limits": asdict(Limits()) | {"run_s": 3.0 * asked.effort.limit_s, "memory_mib": asked.effort.memory_mib},
+    }
+    return experiment.plan(content, "evalkit validate", "validate", f"validate {shlex.quote(asked.backend)}")
+
+
+def _sequence(text: str, seeds: int) -> dict[str, Any]:
+    """The table of "lab laps=0.3" for an experiment."""
+    name, *words = shlex.split(text) or [""]
+    spec = registry.dataset(name)
+    given = from_text(name, spec.parameters, dict(word.partition("=")[::2] for word in words))
+    return {"use": name, **given, **({"seeds": list(range(seeds))} if spec.seeded else {})}
+
+
+def _typed(name: str, given: Mapping[str, str]) -> dict[str, Value]:
+    return from_text(name, frontend.parameters_of(registry.backend(name)), given)
+
+
+def _parameters(name: str) -> set[str]:
+    return {parameter.name for parameter in frontend.parameters_of(registry.backend(name))}
+
+
+def _hopeless(level0: Level) -> bool:
+    """Whether nothing more can be asked: it does not start, or does not answer."""
+    broken = {name for line in level0.lines if line.outcome == "failed" for name in [line.name.removeprefix("rule ")]}
+    return bool(broken & {"starts", "in-time"})
+
+
+def _compared(found: Mapping[str, Result]) -> dict[str, Result]:
+    """All comparisons with the twin, question by question."""
+    return {f"{kind}, {place}": one for kind in ("pairs", "scans") for place, one in _of(kind, found).items()}
+
+
+def _of(kind: str, found: Mapping[str, Result]) -> dict[str, Result]:
+    """The results of a kind of job by place."""
+    start = f"{kind}, "
+    return {name.removeprefix(start): result for name, result in found.items() if name.startswith(start)}
+
+
+def _placed(trials: tuple[Trial, ...]) -> dict[str, dict[str, Trial]]:
+    placed: dict[str, dict[str, Trial]] = {}
+    for trial in trials:
+        if trial.run.status != "data-missing":
+            place = trial.sequence if trial.seed is None else f"{trial.sequence}, seed {trial.seed}"
+            placed.setdefault(place, {})[trial.contestant] = trial
+    return placed
