@@ -162,8 +162,11 @@ def _paired(one: Runs, other: Runs) -> tuple[Floats, Floats]:
     To nine digits: what differs by rounding is equal.
     """
     common = [run for run in one if run in other]
-    ours, theirs = (np.array([max(runs[run], 1e-12) for run in common]) for runs in (one, other))
-    return np.round(np.log(ours), 9), np.round(np.log(theirs), 9)
+    return _logarithms([one[run] for run in common]), _logarithms([other[run] for run in common])
+
+
+def _logarithms(errors: Sequence[float]) -> Floats:
+    return np.asarray(np.round(np.log(np.maximum(np.array(errors, dtype=np.float64), 1e-12)), 9), dtype=np.float64)
 
 
 def _duel(who: str, reference: str, ours: Floats, theirs: Floats, test: PairTest) -> Duel:
