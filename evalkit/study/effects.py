@@ -1,0 +1,208 @@
+"""What the points of a design tell: the effect of every factor, and of every two together, with intervals."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import combinations
+
+import numpy as np
+from scipy import stats
+
+from evalkit.metrics.statistics import CONFIDENCE, Interval
+from evalkit.se2 import Floats
+from evalkit.study.design import Model
+from evalkit.types import Bools
+
+
+@dataclass(frozen=True)
+class Effect:
+    """By how much the response differs between two levels of a factor, the others balanced over theirs."""
+
+    factor: str
+    level: int
+    against: int
+    value: Interval
+
+
+@dataclass(frozen=True)
+class FactorEffect:
+    """A factor's effects: every level's distance from the mean over its levels, and the worst level against the best.
+
+    ``levels``: intervals (L,) of the levels' distances. ``share``: of the response's variance, by what leaving the
+    factor's own columns out would cost (type III).
+    """
+
+    factor: str
+    levels: tuple[Interval, ...]
+    largest: Effect
+    share: float
+
+
+@dataclass(frozen=True)
+class Interaction:
+    """How much the effect of one factor depends on another: the difference of its effects at two levels of the other.
+
+    ``value``: (effect of ``a_levels`` at ``b_levels[1]``) - (the same at ``b_levels[0]``), the pair of corners where it
+    is largest. ``strict``: the same interval so wide that all pairs of the study together hold with its confidence
+    (Bonferroni).
+    """
+
+    a: str
+    b: str
+    a_levels: tuple[int, int]
+    b_levels: tuple[int, int]
+    value: Interval
+    strict: Interval
+    share: float
+
+    @property
+    def matters(self) -> bool:
+        """Whether the strict interval tells its sign."""
+        return self.strict.excludes(0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """A model fitted to the response (N,) at positions (N, K) by least squares.
+
+    Intervals are Student's t with the covariance that holds when points scatter unequally (HC3, MacKinnon and White, J.
+    Econometrics 29, 1985). ValueError where the points are not more than the columns or do not tell them apart.
+    """
+
+    model: Model
+    positions: Floats
+    response: Floats
+
+    def __post_init__(self) -> None:
+        points, columns = self._columns.shape
+        if points <= columns:
+            raise ValueError(f"response: {points} points are too few for the {columns} columns of the model")
+        if np.linalg.matrix_rank(self._columns) < columns:
+            raise ValueError("positions: the design does not tell the model's columns apart")
+
+    @cached_property
+    def mean(self) -> Interval:
+        """The response in the middle of all levels."""
+        return self._interval(np.eye(self._columns.shape[1])[0])
+
+    @cached_property
+    def residual(self) -> float:
+        """The standard deviation of what the model does not explain, in the response's unit."""
+        return float(np.sqrt(np.sum(self._residuals**2) / self._free))
+
+    @cached_property
+    def explained(self) -> float:
+        """The share of the response's variance that the model explains."""
+        total = self._total
+        return 1.0 - float(np.sum(self._residuals**2)) / total if total > 0.0 else 1.0
+
+    def predict(self, positions: Floats) -> Floats:
+        """The response (M,) that the model expects at positions (M, K)."""
+        return np.asarray(self.model.matrix(positions) @ self._coefficients)
+
+    def factor(self, number: int) -> FactorEffect:
+        """The effects of one factor."""
+        axis = self.model.axes[number]
+        rows = self._own(number)
+        levels = tuple(self._interval(row) for row in rows)
+        middles = [level.value for level in levels]
+        best, worst = int(np.argmin(middles)), int(np.argmax(middles))
+        largest = Effect(axis.name, worst, best, self._interval(rows[worst] - rows[best]))
+        return FactorEffect(axis.name, levels, largest, self._share((number,)))
+
+    def expected(self, levels: Mapping[int, int]) -> Interval:
+        """The response at levels of some factors, given by number, balanced over the levels of all others."""
+        row = np.zeros(self._columns.shape[1])
+        row[0] = 1.0
+        for number, level in levels.items():
+            row[self._mask((number,))] = self.model.axes[number].main[level]
+        for a, b in combinations(sorted(levels), 2) if self.model.pairs else ():
+            one, other = self.model.axes[a].crossed[levels[a]], self.model.axes[b].crossed[levels[b]]
+            row[self._mask((a, b))] = np.outer(one, other).ravel()
+        return self._interval(row)
+
+    def difference(self, number: int, level: int, against: int) -> Effect:
+        """The effect of going from one level of a factor to another."""
+        rows = self._own(number)
+        return Effect(self.model.axes[number].name, level, against, self._interval(rows[level] - rows[against]))
+
+    def interactions(self) -> tuple[Interaction, ...]:
+        """Every two factors' interaction, the largest share of the variance first; none in a model without pairs."""
+        pairs = list(combinations(range(len(self.model.axes)), 2)) if self.model.pairs else []
+        found = [self._interaction(a, b, len(pairs)) for a, b in pairs]
+        return tuple(sorted(found, key=lambda item: -item.share))
+
+    @cached_property
+    def _columns(self) -> Floats:
+        return self.model.matrix(self.positions)
+
+    @cached_property
+    def _inverse(self) -> Floats:
+        return np.asarray(np.linalg.inv(self._columns.T @ self._columns))
+
+    @cached_property
+    def _coefficients(self) -> Floats:
+        return np.asarray(np.linalg.lstsq(self._columns, np.asarray(self.response, dtype=np.float64), rcond=None)[0])
+
+    @cached_property
+    def _residuals(self) -> Floats:
+        return np.asarray(self.response - self._columns @ self._coefficients)
+
+    @cached_property
+    def _total(self) -> float:
+        return float(np.sum((self.response - np.mean(self.response)) ** 2))
+
+    @property
+    def _free(self) -> int:
+        points, columns = self._columns.shape
+        return int(points - columns)
+
+    @cached_property
+    def _covariance(self) -> Floats:
+        leverage = np.einsum("ij,jk,ik->i", self._columns, self._inverse, self._columns)
+        weighted = self._columns * (self._residuals / np.maximum(1.0 - leverage, 1e-9))[:, None]
+        return np.asarray(self._inverse @ (weighted.T @ weighted) @ self._inverse)
+
+    def _interval(self, contrast: Floats, confidence: float = CONFIDENCE) -> Interval:
+        value = float(contrast @ self._coefficients)
+        spread = float(np.sqrt(max(float(contrast @ self._covariance @ contrast), 0.0)))
+        half = spread * float(stats.t.ppf(0.5 + confidence / 2.0, self._free))
+        return Interval(value, value - half, value + half, len(self.response), confidence)
+
+    def _mask(self, term: tuple[int, ...]) -> Bools:
+        return np.array([found == term for found in self.model.terms])
+
+    def _own(self, number: int) -> Floats:
+        """The contrasts (L, P) of a factor's levels against their mean."""
+        axis = self.model.axes[number]
+        rows = np.zeros((axis.levels, self._columns.shape[1]))
+        rows[:, self._mask((number,))] = axis.main
+        return rows
+
+    def _share(self, term: tuple[int, ...]) -> float:
+        mask = self._mask(term)
+        own = self._coefficients[mask]
+        lost = float(own @ np.linalg.solve(self._inverse[np.ix_(mask, mask)], own))
+        return lost / self._total if self._total > 0.0 else 0.0
+
+    def _interaction(self, a: int, b: int, pairs: int) -> Interaction:
+        """The corner with the largest difference of differences, first level against another for both factors."""
+        one, other = self.model.axes[a], self.model.axes[b]
+        mask = self._mask((a, b))
+        corners: list[tuple[float, Floats, tuple[int, int], tuple[int, int]]] = []
+        for from_a, to_a in _steps(one.levels, one.scores is not None):
+            for from_b, to_b in _steps(other.levels, other.scores is not None):
+                row = np.zeros(len(mask))
+                step_a, step_b = one.crossed[to_a] - one.crossed[from_a], other.crossed[to_b] - other.crossed[from_b]
+                row[mask] = np.outer(step_a, step_b).ravel()
+                corners.append((abs(float(row @ self._coefficients)), row, (from_a, to_a), (from_b, to_b)))
+        _, row, a_levels, b_levels = max(corners, key=lambda corner: corner[0])
+        strict = 1.0 - (1.0 - CONFIDENCE) / pairs
+        value, wide = self._interval(row), self._interval(row, strict)
+        return Interaction(one.name, other.name, a_levels, b_levels, value, wide, self._share((a, b)))
+
+
+def _steps(levels: int, ordered: bool) -> list[tuple[int, int]]:
+    return [(0, levels - 1)] if ordered else list(combinations(range(levels), 2))

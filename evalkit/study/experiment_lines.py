@@ -1,0 +1,38 @@
+"""A point of a study written as an experiment file, to be run and reported like any other."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+
+from evalkit.protocols import Value
+from evalkit.study.plan import Study
+
+
+def experiment_lines(study: Study, key: str) -> str:
+    """The TOML of the experiment that runs one point with all its seeds, every setting in full."""
+    point = study.points[key]
+    seeds = [seed for seed in study.seeds(key) if seed is not None]
+    return "\n".join(
+        [
+            f"title = {json.dumps(f'{study.title}: {key}')}",
+            "",
+            "[mapper]",
+            f"use = {json.dumps(study.mapper)}",
+            f"scans = {study.scans}",
+            *_lines(point.mapper),
+            "",
+            "[[contestant]]",
+            f"use = {json.dumps(study.backend)}",
+            *_lines(point.contestant),
+            "",
+            "[[sequence]]",
+            f"use = {json.dumps(study.dataset)}",
+            *([f"seeds = {seeds}"] if seeds else []),
+            *_lines(point.sequence),
+        ]
+    )
+
+
+def _lines(settings: Mapping[str, Value]) -> list[str]:
+    return [f"{name} = {json.dumps(value)}" for name, value in settings.items()]

@@ -1,0 +1,106 @@
+"""The results of a study as tables of numbers, with lost runs at their bound instead of left out."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from evalkit.se2 import Floats
+from evalkit.study.effects import Fit
+from evalkit.study.ledger import Job, JobsFailed, Ledger, OnDone, Result
+from evalkit.study.plan import Design, Point, Response, Study, job_name
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """A study with the results of its jobs by name."""
+
+    study: Study
+    results: Mapping[str, Result]
+
+    def result(self, key: str, seed: int | None) -> Result:
+        """The result of one run."""
+        return self.results[job_name(key, seed)]
+
+    def value(self, response: Response, key: str, seed: int | None) -> float | None:
+        """What a metric answered, None where it had no answer."""
+        found: float | None = self.result(key, seed)["scores"][response.name]
+        return found
+
+    def lost(self, key: str, seed: int | None) -> str:
+        """Why a run counts as lost, "" if it does not: it failed, or a response is beyond its bound."""
+        result = self.result(key, seed)
+        if result["status"] != "complete":
+            return f"{result['status']}: {result['reason']}"
+        for response in self.study.responses:
+            value = result["scores"][response.name]
+            if response.lost is not None and value is None:
+                return f"no {response.metric.label}: {result['why'][response.name]}"
+            if value is not None and response.worse(value):
+                return f"{response.metric.label} {value:.3g} {response.metric.unit}".rstrip()
+        return ""
+
+    def bounded(self, response: Response, key: str, seed: int | None) -> float:
+        """A metric with the response's bound for runs beyond it, without an answer or failed; nan without a bound."""
+        value = self.value(response, key, seed)
+        failed = self.result(key, seed)["status"] != "complete"
+        if value is None or failed or response.worse(value):
+            return np.nan if response.lost is None else response.lost
+        return value
+
+    def table(self, design: Design, response: Response) -> Floats:
+        """The bounded metric (N, S) of a design's points and seeds."""
+        return np.array([self.row(design, response, point) for point in design.points])
+
+    def row(self, design: Design, response: Response, point: Point) -> Floats:
+        """The bounded metric (S,) of one point."""
+        return np.array([self.bounded(response, point.key, seed) for seed in design.seeds])
+
+    def counts(self, design: Design) -> tuple[int, int]:
+        """How many of a design's runs are lost, and how many there are."""
+        lost = [self.lost(point.key, seed) for point in design.points for seed in design.seeds]
+        return sum(map(bool, lost)), len(lost)
+
+    @cache  # noqa: B019 - an outcome lives as long as its page is made
+    def fit(self, design: Design, response: Response) -> Fit | str:
+        """The effects on a response (its logarithm on a log scale), means over the seeds; or why there are none."""
+        values = on_scale(response, self.table(design, response))
+        told = np.isfinite(values).any(axis=1)
+        means = np.array([row[np.isfinite(row)].mean() for row in values[told]])
+        try:
+            return Fit(design.model, design.positions[told], means)
+        except ValueError as error:
+            return str(error)
+
+
+def on_scale(response: Response, values: Floats) -> Floats:
+    """Values as effects are computed on them: natural logarithms on a log scale; what has none there is nan."""
+    if response.scale == "linear":
+        return values
+    return np.log(values, out=np.full_like(values, np.nan), where=values > 0.0)
+
+
+def computed(jobs: Sequence[Job], folder: Path, workers: int, done: OnDone) -> dict[str, Result]:
+    """The results of a study's jobs, kept in a folder; a job that ended its process is a crashed run."""
+    ledger = Ledger(folder)
+    try:
+        return ledger.run(jobs, workers, done)
+    except JobsFailed as failed:
+        reasons: Mapping[str, str] = failed.args[1]
+        return {job.name: ledger.kept(job) or _crashed(job, reasons.get(job.name, "")) for job in jobs}
+
+
+def _crashed(job: Job, reason: str) -> Result:
+    names = job.arguments["metrics"]
+    nothing = {"answered": 0, "expected": 0, "cpu_s": 0.0}
+    return {
+        "status": "crashed",
+        "reason": reason,
+        **nothing,
+        "scores": dict.fromkeys(names),
+        "why": dict.fromkeys(names, reason),
+    }

@@ -1,0 +1,55 @@
+"""The points of a kind of design, as positions and as levels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from evalkit.errors import BadParameter
+from evalkit.se2 import Floats
+from evalkit.study.design import Model, fractional, grid, optimal, space_filling
+from evalkit.study.factors import Factor, Level
+
+MOST_POINTS = 5000
+Row = Mapping[str, Level]
+"""A point's levels by factor."""
+
+
+def placed(kind: str, factors: Sequence[Factor], points: int, resolution: int, seed: int) -> tuple[Floats, list[Row]]:
+    """Positions (N, K) and levels of a design's points; curves have levels only.
+
+    BadParameter names the key that the design cannot have.
+    """
+    if kind == "curves":
+        return np.zeros((0, len(factors))), [{f.name: level} for f in factors for level in f.levels]
+    if kind in ("sobol", "latin"):
+        shares = space_filling(len(factors), points, np.random.default_rng(seed), kind)
+        return _between(factors, shares)
+    levels = [len(factor.levels) for factor in factors]
+    if kind == "grid":
+        if math.prod(levels) > MOST_POINTS:
+            raise BadParameter(
+                "a grid", "factors", math.prod(levels), f"at most {MOST_POINTS} points; take another kind"
+            )
+        positions = grid(levels)
+    elif kind == "fractional":
+        if not 3 <= resolution <= 5:
+            raise BadParameter("a fractional design", "resolution", resolution, "3, 4 or 5")
+        positions = fractional(len(factors), resolution) * (np.array(levels) - 1)
+    else:
+        model = Model(tuple(factor.axis for factor in factors))
+        if points <= len(model.terms):
+            raise BadParameter(
+                "an optimal design", "points", points, f"more than {len(model.terms)}, the columns of its model"
+            )
+        positions = optimal(model, points, np.random.default_rng(seed))
+    rows: list[Row] = [{f.name: f.levels[at] for f, at in zip(factors, row, strict=True)} for row in positions.tolist()]
+    return positions.astype(np.float64), rows
+
+
+def _between(factors: Sequence[Factor], shares: Floats) -> tuple[Floats, list[Row]]:
+    met = [[factor.at(float(share)) for factor, share in zip(factors, row, strict=True)] for row in shares]
+    positions = np.array([[position for _, position in row] for row in met])
+    return positions, [{f.name: level for f, (level, _) in zip(factors, row, strict=True)} for row in met]

@@ -1,0 +1,163 @@
+"""A study: designs of points, each a run to be made and kept."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+from evalkit import registry
+from evalkit.metrics.table import Metric
+from evalkit.protocols import Value
+from evalkit.se2 import Floats
+from evalkit.study.design import Model
+from evalkit.study.factors import Factor, Level, Scale
+from evalkit.study.ledger import Job
+
+Kind = Literal["optimal", "fractional", "sobol", "latin", "curves", "grid"]
+POINT = "evalkit.study.point:evaluate"
+
+
+@dataclass(frozen=True)
+class Response:
+    """A metric that is looked at; ``lost``: a run with a worse value, or without one, counts as lost, with this value.
+
+    ``scale`` "log": effects are ratios.
+    """
+
+    metric: Metric
+    scale: Scale = "linear"
+    lost: float | None = None
+
+    @property
+    def name(self) -> str:
+        """The metric's name."""
+        return self.metric.name
+
+    def worse(self, value: float) -> bool:
+        """Whether a value is beyond the bound."""
+        if self.lost is None:
+            return False
+        return value <= self.lost if self.metric.better == "higher" else value >= self.lost
+
+
+@dataclass(frozen=True)
+class Point:
+    """One point: its levels by factor, all settings in full, and a ``key`` of them that no other study point has."""
+
+    levels: Mapping[str, Level]
+    contestant: Mapping[str, Value]
+    sequence: Mapping[str, Value]
+    mapper: Mapping[str, Value]
+
+    @cached_property
+    def key(self) -> str:
+        """Eight digits that change with every setting."""
+        whole = [dict(self.contestant), dict(self.sequence), dict(self.mapper)]
+        return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:8]
+
+    @property
+    def label(self) -> str:
+        """The levels in words."""
+        return ", ".join(f"{name} {level.label}" for name, level in self.levels.items()) or "the study's own settings"
+
+
+@dataclass(frozen=True, eq=False)
+class Design:
+    """Points that belong together: ``positions`` (N, K) of ``factors``, and the points in the same order.
+
+    Curves have no positions: every factor's levels one after the other, all else as in the study's own settings.
+    """
+
+    name: str
+    kind: Kind
+    factors: tuple[Factor, ...]
+    positions: Floats
+    points: tuple[Point, ...]
+    seeds: tuple[int | None, ...]
+    resolution: int = 5
+
+    @property
+    def model(self) -> Model:
+        """What effects of its factors are computed for."""
+        return Model(tuple(factor.axis for factor in self.factors), self.kind != "fractional" or self.resolution >= 5)
+
+
+@dataclass(frozen=True)
+class EnvelopeChoice:
+    """Where an operating envelope is looked for: a grid design, its two axes, a response and its limit."""
+
+    design: str
+    x: str
+    y: str
+    response: Response
+    limit: float
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """A whole study, ready to run. ``command``: what runs it."""
+
+    title: str
+    description: str
+    command: str
+    backend: str
+    dataset: str
+    mapper: str
+    scans: int
+    missing: str
+    responses: tuple[Response, ...]
+    factors: tuple[Factor, ...]
+    designs: tuple[Design, ...]
+    envelopes: tuple[EnvelopeChoice, ...]
+
+    @cached_property
+    def points(self) -> Mapping[str, Point]:
+        """All points by key, each once however many designs share it."""
+        return {point.key: point for design in self.designs for point in design.points}
+
+    def design(self, name: str) -> Design:
+        """A design by its name."""
+        return next(design for design in self.designs if design.name == name)
+
+    def seeds(self, key: str) -> tuple[int | None, ...]:
+        """The seeds a point is run with: those of all designs that share it."""
+        found = (d.seeds for d in self.designs if key in {point.key for point in d.points})
+        return tuple(dict.fromkeys(seed for seeds in found for seed in seeds))
+
+    def jobs(self) -> tuple[Job, ...]:
+        """Every run of the study, those on one sequence next to each other: it is simulated once for them."""
+        asked = dict.fromkeys(
+            (point.key, seed) for design in self.designs for point in design.points for seed in design.seeds
+        )
+        made = [self.job(self.points[key], seed) for key, seed in asked]
+        return tuple(sorted(made, key=lambda job: json.dumps(job.arguments["sequence"], sort_keys=True)))
+
+    def job(self, point: Point, seed: int | None) -> Job:
+        """One run: a point with one seed."""
+        sequence = dict(point.sequence) if seed is None else {**point.sequence, "seed": seed}
+        arguments = {
+            "backend": self.backend,
+            "parameters": dict(point.contestant),
+            "dataset": self.dataset,
+            "sequence": sequence,
+            "mapper": self.mapper,
+            "mapper_parameters": dict(point.mapper),
+            "scans": self.scans,
+            "metrics": [response.name for response in self.responses],
+            "code": self.code,
+        }
+        return Job(job_name(point.key, seed), POINT, arguments)
+
+    @cached_property
+    def code(self) -> str:
+        """A digest of the plug-ins the results stand on."""
+        return registry.run_fingerprint(self.backend, self.dataset) + registry.score_fingerprint(self.mapper)
+
+
+def job_name(key: str, seed: int | None) -> str:
+    """What a run is called: the point's key and the seed."""
+    return key if seed is None else f"{key} seed {seed}"

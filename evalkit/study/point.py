@@ -1,0 +1,100 @@
+"""One point of a study computed in this process: the back end follows the sequence, and is scored as in the report."""
+
+from __future__ import annotations
+
+import io
+import json
+import time
+import traceback
+from collections.abc import Mapping, Sequence
+from functools import lru_cache, partial
+from typing import Any
+
+import numpy as np
+
+from evalkit import frontend, metrics, protocols, registry, scoring
+from evalkit.errors import EvalkitError
+from evalkit.metrics.table import Metric
+from evalkit.protocols import Value
+from evalkit.types import STEP, Run, Score, Status
+from evalkit.worker import Request, Residuals, follow
+
+DRAWN = ("map against truth", "map consistency")
+"""Groups of metrics that look at a map."""
+
+KEPT_SEQUENCES = 2
+"""So many sequences stay in memory: points of one sequence follow each other."""
+
+
+def evaluate(
+    backend: str,
+    parameters: Mapping[str, Value],
+    dataset: str,
+    sequence: Mapping[str, Value],
+    mapper: str,
+    mapper_parameters: Mapping[str, Value],
+    scans: int,
+    metrics: Sequence[str],
+    code: str,  # noqa: ARG001 - part of the result's key: what the plug-ins consist of
+) -> dict[str, Any]:
+    """The named scores of one run with complete parameters: a back end that fails is a result with its reason.
+
+    ``scores``: values by metric, None where there is none and ``why`` tells the reason. ``cpu_s``: what it cost in all.
+    """
+    begun = time.process_time()
+    driven = _sequence(dataset, json.dumps(dict(sequence), sort_keys=True))
+    run = _run(Request(backend, dict(parameters), dataset, dict(sequence)), driven)
+    make = partial(registry.mapper(mapper).make, **mapper_parameters)
+    scored = _scored(run, driven, make, scans, metrics)
+    return {
+        "status": run.status,
+        "reason": run.reason,
+        "answered": len(run.steps),
+        "expected": run.expected,
+        "cpu_s": time.process_time() - begun,
+        "scores": {name: score.value for name, score in scored.items()},
+        "why": {name: score.reason for name, score in scored.items() if score.value is None},
+    }
+
+
+@lru_cache(maxsize=KEPT_SEQUENCES)
+def _sequence(dataset: str, parameters: str) -> protocols.Sequence:
+    return registry.dataset(dataset).make(**json.loads(parameters))
+
+
+def _run(request: Request, sequence: protocols.Sequence) -> Run:
+    """What the back end answers, as far as it comes."""
+    steps = io.BytesIO()
+    status: Status = "complete"
+    reason = ""
+    residuals = Residuals()
+    try:
+        contestant = frontend.odometry(registry.backend(request.backend), request.backend_parameters, residuals.hear)
+        follow(contestant, sequence, request, residuals, steps)
+    except EvalkitError as error:
+        status, reason = "failed", str(error)
+    except Exception as error:  # noqa: BLE001 - whatever a third party's code raises is a result to report
+        told = traceback.extract_tb(error.__traceback__)[-1]
+        status, reason = "failed", f"{type(error).__name__}: {error} ({told.name})"
+    answered = np.frombuffer(steps.getvalue(), dtype=STEP)
+    return Run(request.backend, request.dataset, status, reason, answered, len(sequence))
+
+
+def _scored(
+    run: Run, sequence: protocols.Sequence, make_mapper: Any, scans: int, names: Sequence[str]
+) -> dict[str, Score]:
+    """The named scores; the map is drawn only where a metric looks at it, or has no answer without."""
+    table = {metric.name: metric for metric in metrics.all_metrics() if metric.name in names}
+    evidence = scoring.without_map(run, sequence)
+    plain = [metric for metric in table.values() if metric.group not in DRAWN]
+    found = metrics.score(evidence, plain)
+    drawn = [metric for metric in table.values() if metric not in plain or _lacks_scans(metric, found)]
+    if drawn:
+        halves = any(metric.group == "map consistency" for metric in drawn)
+        evidence = scoring.with_map(evidence, sequence, make_mapper, scans, halves)
+        found |= metrics.score(evidence, drawn)
+    return {name: found[name] for name in names}
+
+
+def _lacks_scans(metric: Metric, found: Mapping[str, Score]) -> bool:
+    return metric.group == "residuals" and found[metric.name].value is None

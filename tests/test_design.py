@@ -1,0 +1,80 @@
+"""Designs: what orthogonality, balance and resolution promise, counted by hand."""
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from evalkit.study.design import Axis, Model, fractional, grid, optimal, quality, space_filling
+
+
+def signs(factors, resolution):
+    return 2 * fractional(factors, resolution) - 1
+
+
+@pytest.mark.parametrize(
+    ("factors", "resolution", "runs"),
+    [(3, 3, 4), (7, 3, 8), (4, 4, 8), (8, 4, 16), (5, 5, 16), (6, 5, 32), (8, 5, 64), (11, 5, 128)],
+)
+def test_a_fractional_factorial_is_as_small_as_the_tables_say(factors, resolution, runs):
+    assert len(fractional(factors, resolution)) == runs  # Box, Hunter and Hunter, Statistics for Experimenters
+
+
+def test_every_column_of_a_fractional_factorial_is_balanced_and_orthogonal_to_all_others():
+    columns = signs(8, 5)
+    assert (columns.T @ columns == len(columns) * np.eye(8)).all()
+    assert (columns.sum(axis=0) == 0).all()
+
+
+def test_resolution_five_keeps_pairs_clear_of_pairs_and_resolution_four_does_not():
+    def products(columns):
+        return np.array([columns[:, a] * columns[:, b] for a, b in combinations(range(columns.shape[1]), 2)])
+
+    five, four = products(signs(8, 5)), products(signs(8, 4))
+    assert (five @ five.T == five.shape[1] * np.eye(len(five))).all()
+    assert not (four @ four.T == four.shape[1] * np.eye(len(four))).all()
+    assert (four @ signs(8, 4) == 0).all()  # main effects stay clear of them
+
+
+def test_an_optimal_design_for_two_levels_finds_the_orthogonal_one():
+    model = Model(tuple(Axis(name, 2) for name in "abcd"), pairs=False)
+    found = quality(model, optimal(model, 8, np.random.default_rng(0)))
+    assert found.efficiency == pytest.approx(1.0)
+    assert found.correlation == pytest.approx(0.0)
+    assert found.imbalance == 0.0
+
+
+def test_the_full_grid_is_the_measure_of_efficiency():
+    model = Model((Axis("a", 3, (0.0, 1.0, 2.0)), Axis("b", 2), Axis("c", 4)))
+    found = quality(model, grid([3, 2, 4]))
+    assert found.points == 24
+    assert found.columns == 1 + 2 + 1 + 3 + 1 + 3 + 3
+    assert found.efficiency == pytest.approx(1.0)
+    assert found.correlation == pytest.approx(0.0)
+
+
+def test_a_mixed_design_is_nearly_orthogonal_with_a_fraction_of_the_grid():
+    axes = (Axis("a", 6, tuple(range(6))), Axis("b", 2), Axis("c", 3, (0.0, 1.0, 2.0)), Axis("d", 3), Axis("e", 2))
+    model = Model(axes)
+    found = quality(model, optimal(model, 48, np.random.default_rng(0)))
+    assert found.efficiency > 0.95
+    assert found.correlation < 0.1
+
+
+def test_the_same_seed_gives_the_same_design():
+    model = Model((Axis("a", 3, (0.0, 1.0, 2.0)), Axis("b", 2)))
+    first, second = (optimal(model, 12, np.random.default_rng(7)) for _ in range(2))
+    assert (first == second).all()
+
+
+@pytest.mark.parametrize("kind", ["sobol", "latin"])
+def test_space_filling_points_leave_no_quarter_of_any_factor_out(kind):
+    points = space_filling(5, 32, np.random.default_rng(1), kind)
+    assert points.shape == (32, 5)
+    for column in points.T:
+        assert np.bincount((column * 4).astype(int), minlength=4).tolist() == [8, 8, 8, 8]
+
+
+def test_too_few_points_for_the_model_are_refused():
+    with pytest.raises(ValueError, match="points: 3 are too few for a model of 4 columns"):
+        optimal(Model((Axis("a", 2), Axis("b", 2))), 3, np.random.default_rng(0))

@@ -1,0 +1,84 @@
+"""Effects of responses that were made up, so that the answers are known."""
+
+import numpy as np
+import pytest
+
+from evalkit.study.design import Axis, Model, fractional, grid, optimal
+from evalkit.study.effects import Fit
+
+TWO = (Axis("a", 2), Axis("b", 2), Axis("c", 2))
+
+
+def fit(model, positions, response):
+    return Fit(model, np.asarray(positions, dtype=float), np.asarray(response, dtype=float))
+
+
+def test_a_linear_response_gives_back_its_effects_exactly():
+    rows = grid([2, 2, 2])
+    found = fit(Model(TWO), rows, 10.0 + 3.0 * rows[:, 0] - 2.0 * rows[:, 1])  # a adds 3, b takes 2, c does nothing
+    a, b, c = (found.factor(k) for k in range(3))
+    assert found.mean.value == pytest.approx(10.5)
+    assert [level.value for level in a.levels] == pytest.approx([-1.5, 1.5])
+    assert a.largest.value.value == pytest.approx(3.0)
+    assert (b.largest.against, b.largest.level) == (1, 0)
+    assert b.largest.value.value == pytest.approx(2.0)
+    assert c.largest.value.value == pytest.approx(0.0, abs=1e-12)
+    assert (a.share, b.share) == pytest.approx((9.0 / 13.0, 4.0 / 13.0))
+    assert a.largest.value.high - a.largest.value.low == pytest.approx(0.0, abs=1e-9)  # nothing is left to chance
+    assert found.explained == pytest.approx(1.0)
+
+
+def test_an_interaction_is_the_difference_of_differences():
+    rows = grid([2, 2, 2])
+    response = 5.0 + 4.0 * rows[:, 0] * rows[:, 1]  # a adds 4 where b is on, nothing where it is off
+    first, *others = fit(Model(TWO), rows, response).interactions()
+    assert (first.a, first.b) == ("a", "b")
+    assert first.value.value == pytest.approx(4.0)
+    assert [other.value.value for other in others] == pytest.approx([0.0, 0.0], abs=1e-12)
+
+
+def test_a_planted_interaction_is_found_in_noise_and_no_other_is_believed():
+    axes = (Axis("a", 4, (0.0, 1.0, 2.0, 3.0)), *(Axis(name, 2) for name in "bcde"))
+    model = Model(axes)
+    rng = np.random.default_rng(3)
+    rows = optimal(model, 64, rng)
+    response = 0.3 * rows[:, 4] + 0.5 * rows[:, 0] * rows[:, 2] + rng.normal(0.0, 0.1, 64)
+    found = fit(model, rows, response)
+    pairs = found.interactions()
+    assert [(pair.a, pair.b) for pair in pairs if pair.matters] == [("a", "c")]
+    assert pairs[0].value.low < 1.5 < pairs[0].value.high  # three steps of 0.5
+    effect = found.factor(4).largest.value
+    assert effect.low < 0.3 < effect.high
+
+
+def test_intervals_hold_as_often_as_they_say():
+    model = Model(tuple(Axis(name, 2) for name in "abcde"), pairs=False)
+    rows, rng = fractional(5, 5), np.random.default_rng(0)
+    held = 0
+    for _ in range(400):
+        value = fit(model, rows, 2.0 * rows[:, 0] + rng.normal(0.0, 1.0, len(rows))).difference(0, 1, 0).value
+        held += value.low <= 2.0 <= value.high
+    assert 0.92 <= held / 400 <= 0.99
+
+
+def test_levels_of_names_each_have_an_effect_of_their_own():
+    rows = grid([3, 2])
+    response = np.array([1.0, 5.0, 3.0])[rows[:, 0]] + np.array([0.0, 1.0])[rows[:, 1]]
+    found = fit(Model((Axis("stages", 3), Axis("b", 2)), pairs=False), rows, response)
+    assert [level.value for level in found.factor(0).levels] == pytest.approx([-2.0, 2.0, 0.0])
+    assert found.difference(0, 1, 0).value.value == pytest.approx(4.0)
+    assert found.expected({0: 1, 1: 1}).value == pytest.approx(6.0)
+
+
+def test_a_model_foretells_points_between_its_levels():
+    rows = grid([3, 2, 2])
+    model = Model((Axis("a", 3, (0.0, 1.0, 2.0)), Axis("b", 2), Axis("c", 2)))
+    found = fit(model, rows, 2.0 * rows[:, 0] + rows[:, 0] * rows[:, 1])
+    assert found.predict(np.array([[0.5, 0.0, 1.0], [1.5, 1.0, 0.0]])).tolist() == pytest.approx([1.0, 4.5])
+
+
+def test_fewer_points_than_effects_are_refused():
+    with pytest.raises(ValueError, match="7 points are too few for the 7 columns"):
+        fit(Model(TWO), grid([2, 2, 2])[:7], np.zeros(7))
+    with pytest.raises(ValueError, match="does not tell the model's columns apart"):
+        fit(Model(TWO), np.repeat(grid([2, 2, 2])[:4], 3, axis=0), np.zeros(12))
