@@ -73,7 +73,7 @@ def rules(result: Result) -> Level:
     """Level 0."""
     verdicts = [dict(zip(("rule", "sentence", "outcome", "observed"), one, strict=True)) for one in result["verdicts"]]
     broken = [one for one in verdicts if one["outcome"] == "failed"]
-    named = "; ".join(f"{one['rule']} ({one['observed']})" for one in broken)
+    named = ", ".join(one["rule"] for one in broken)
     lines = [
         Line(f"rule {one['rule']}", "", "failed", "always", f"{one['sentence']} Seen: {one['observed']}")
         for one in broken
@@ -134,15 +134,15 @@ def _equal(place: str, result: Result, names: Names, unit: str) -> Line:
     found = result[names.margin]
     margin = f"{found['margin']['metres']:.2g} m, {found['margin']['radians']:.2g} rad ({found['margin']['origin']})"
     first, classes = words(found, names, unit), ", ".join(f"{kind} {n}" for kind, n in found["classes"].items())
-    asked = f"{found['questions']} questions of {found['n']} {unit}s, seen as deep as {found['level']}"
+    asked = f"asked: {found['questions']} questions of {found['n']} {unit}s, seen as deep as {found['level']}"
     largest = max((abs(one["worst"]) for one in found["intervals"] if one["unit"] == "m" and one["worst"] is not None),
                   default=math.inf)  # fmt: skip
     if equal(found, names.margin):
-        parted = f"; {classes}: first {first}" if first else ""
-        return Line(name, place, "passed", "equal", f"{asked}; largest difference {largest:.2g} m{parted}", margin)
+        parted = f"; parted by rounding: {classes}, first {first}" if first else ""
+        return Line(name, place, "passed", "equal", f"largest difference {largest:.2g} m", margin, asked + parted)
     silent = f"; {found['unanswered']} without an answer" if found["unanswered"] else ""
-    where = first or "no single answer beyond the margin, but their mean"
-    return Line(name, place, "failed", "equal", f"{where}. In all: {classes or 'none'}{silent}; {asked}", margin)
+    where = first or "no single answer lies beyond the margin, but their mean does"
+    return Line(name, place, "failed", "equal", where, margin, f"in all: {classes or 'none'}{silent}; {asked}")
 
 
 def _known_motion(found: Found, names: Names) -> list[Line]:
@@ -185,11 +185,12 @@ def _beside(name: str, found: Found, answers: Found, names: Names) -> Line:
              for column, (axis, unit) in enumerate((("x", "m"), ("y", "m"), ("theta", "rad")))]  # fmt: skip
     agree = all(one.inside for one in tests)
     told = (
-        f"answers lie {np.median(far):.2g} m apart (median; 95 % within {np.quantile(far, 0.95):.2g} m); mean along x "
-        f"{_told(tests[0])}, y {_told(tests[1])}, theta {_told(tests[2])}: "
-        f"{'no bias beyond the margin' if agree else 'a bias beyond the margin, or too few pairs to exclude it'}"
+        f"answers lie {np.median(far):.2g} m apart (median; 95 % within {np.quantile(far, 0.95):.2g} m), "
+        f"{'without a bias' if agree else 'with a bias beyond the margin, or too few pairs to exclude one'}"
     )
-    return Line(label, f"{len(rows)} pairs, guess little off", "told", "", told, _noise_words(tests[0], names.share))
+    means = f"means, of {len(rows)} pairs: x {_told(tests[0])}, y {_told(tests[1])}, theta {_told(tests[2])}"
+    on = ", ".join(dict.fromkeys(place.partition(",")[0] for place in shared))
+    return Line(label, f"{on}, guess little off", "told", "", told, _noise_words(tests[0], names.share), means)
 
 
 def calm_ones(result: Result) -> Bools:

@@ -19,7 +19,7 @@ Ground = Literal["always", "equal", "as-good", ""]
 class Line:
     """One question with its answer: what was found, and the margin it was held against with that margin's reason.
 
-    ``told`` and ``not applicable`` are outcomes that can decide nothing.
+    ``detail``: what else is worth telling. ``told`` and ``not applicable`` are outcomes that can decide nothing.
     """
 
     name: str
@@ -28,6 +28,7 @@ class Line:
     ground: Ground
     observed: str
     margin: str = ""
+    detail: str = ""
 
     def decides(self, claim: Claim) -> bool:
         """Whether the verdict on a claim hangs on it."""

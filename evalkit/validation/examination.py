@@ -249,7 +249,7 @@ def examination(asked: Asked) -> Examination:
     shared = {name: word for name, word in asked.given.items() if name in _parameters(twin)}
     given_twin = _typed(twin, {**shared, **asked.given_twin})
     wanted = [name for name in dict.fromkeys(asked.against) if name not in (asked.backend, twin)]
-    absent = {name: why for name in wanted if (why := registry.entrant(name).missing())}
+    absent = {name: missing for name in wanted if (missing := registry.entrant(name).missing())}
     here = [name for name in wanted if name not in absent]
     bars = [name for name in twins.bars() if name not in (asked.backend, twin, *here)]
     mapper = asked.mapper or twins.mapper_of(asked.backend)
@@ -314,7 +314,6 @@ def _of(kind: str, found: Mapping[str, Result]) -> dict[str, Result]:
 def _placed(trials: tuple[Trial, ...]) -> dict[str, dict[str, Trial]]:
     placed: dict[str, dict[str, Trial]] = {}
     for trial in trials:
-        if trial.run.status != "data-missing":
-            place = trial.sequence if trial.seed is None else f"{trial.sequence}, seed {trial.seed}"
-            placed.setdefault(place, {})[trial.contestant] = trial
+        place = trial.sequence if trial.seed is None else f"{trial.sequence}, seed {trial.seed}"
+        placed.setdefault(place, {})[trial.contestant] = trial
     return placed

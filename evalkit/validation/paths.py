@@ -48,7 +48,7 @@ class Errors:
 
 def paths(trials: Trials, margins: Margins, rounded: Mapping[str, Result], names: Names) -> Level:
     """Level 3; ``rounded``: the twin's paths over copies of a sequence that rounding has changed, for float32."""
-    lines: list[Line | None] = [_whole(place, runs[names.mine]) for place, runs in trials.items()]
+    lines: list[Line | None] = [*_whole({place: runs[names.mine] for place, runs in trials.items()})]
     both = {place: runs for place, runs in trials.items() if _answered(runs, names.mine, names.twin)}
     lines += [_same_path(place, runs, margins.get(place), names) for place, runs in both.items()]
     lines += [
@@ -117,12 +117,21 @@ def _answered(runs: Mapping[str, Trial], *labels: str) -> bool:
     return all(label in runs and len(runs[label].run.steps) > 2 for label in labels)
 
 
-def _whole(place: str, trial: Trial) -> Line:
-    run = trial.run
-    told = f"{len(run.steps)} of {run.expected} scans answered"
-    if run.status == "complete":
-        return Line("runs to the end", place, "passed", "always", told)
-    return Line("runs to the end", place, "failed", "always", f"{run.status}: {run.reason}; {told}")
+def _whole(runs: Mapping[str, Trial]) -> list[Line]:
+    """One line for all runs that came to their end, one for each that did not."""
+    ended_well = [place for place, trial in runs.items() if trial.run.status == "complete"]
+    lines = []
+    for place, trial in runs.items():
+        run = trial.run
+        if place not in ended_well:
+            told = f"{run.status}: {run.reason}"
+            answered = f"{len(run.steps)} of {run.expected} scans answered"
+            lines.append(Line("runs to the end", place, "failed", "always", told, detail=answered))
+    if ended_well:
+        scans = sum(len(runs[place].run.steps) for place in ended_well)
+        told = f"{len(ended_well)} runs, {scans} scans answered"
+        lines.append(Line("runs to the end", "", "passed", "always", told, detail="; ".join(ended_well)))
+    return lines
 
 
 def _same_path(place: str, runs: Mapping[str, Trial], margin: tuple[float, float] | None, names: Names) -> Line | None:
@@ -135,8 +144,8 @@ def _same_path(place: str, runs: Mapping[str, Trial], margin: tuple[float, float
     beyond = np.flatnonzero(apart > bound)
     told = f"largest distance {apart[worst]:.2g} m, at {seconds[worst]:.1f} s; at the end {apart[-1]:.2g} m"
     if names.margin == "float32":
-        told += "; where single precision breaks a tie otherwise the ways part, so see how far rounding alone leads"
-        return Line(f"the path of {names.twin}", place, "told", "", told, reason)
+        why = "where single precision breaks a tie otherwise the ways part: how far rounding may lead is asked below"
+        return Line(f"the path of {names.twin}", place, "told", "", told, reason, why)
     if len(beyond):
         told = f"beyond the margin from scan {beyond[0] + 1} ({seconds[beyond[0]]:.1f} s) on; {told}"
     return Line(f"the path of {names.twin}", place, "failed" if len(beyond) else "passed", "equal", told, reason)
@@ -162,15 +171,18 @@ def _as_rounded(
     known = np.array([one for one in moved if np.isfinite(one)])
     drifted = math.sqrt(len(i)) * (margin[0] + margin[1] * own.path_m) if margin else 0.0
     parted = _one_more(known) if len(known) > 1 else 0.0
-    told = (
-        f"{rms(apart):.2g} m (RMS over the run); {names.twin} itself, over {len(known)} copies whose ranges were "
-        f"changed by as much as rounding may: {', '.join(f'{one:.2g}' for one in known)} m"
+    told = f"{rms(apart):.2g} m apart (RMS over the run)"
+    copies = (
+        f"{names.twin} itself, over {len(known)} copies whose ranges were changed by as much as rounding may: "
+        f"{', '.join(f'{one:.2g}' for one in known)} m from its own path"
     )
     reason = (
         f"{max(drifted, parted):.2g} m: the larger of what the budgets of {len(i)} scans add up to as a random walk, "
         f"{drifted:.2g} m, and of what one more copy would stay below with 95 %, {parted:.2g} m"
     )
-    return Line(name, place, "passed" if rms(apart) <= max(drifted, parted) else "failed", "equal", told, reason)
+    return Line(
+        name, place, "passed" if rms(apart) <= max(drifted, parted) else "failed", "equal", told, reason, copies
+    )
 
 
 def _one_more(known: Floats) -> float:
@@ -240,9 +252,8 @@ def _same_map(place: str, runs: Mapping[str, Trial], margin: tuple[float, float]
     layers = Layers.of(theirs, mine)
     seen = int(np.count_nonzero(layers.observed_a | layers.observed_b))
     values = int(np.count_nonzero(layers.differing(1e-5)))
-    walls = [np.abs(layer) > 0.0 for layer in (layers.a, layers.b)]
-    turned = int(np.count_nonzero((walls[0] | walls[1]) & (np.sign(layers.a) != np.sign(layers.b))))
-    told = f"{turned} of {seen} cells seen are free in one and not in the other; {values} hold another value"
+    turned = int(np.count_nonzero((layers.a > 0.0) != (layers.b > 0.0)))
+    told = f"{turned} of {seen} cells are a wall in one and not in the other; {values} hold another value"
     name = f"the map of {names.twin}, drawn by the same mapper"
     if margin is None or names.margin == "float32":
         return Line(name, place, "told", "", told)
