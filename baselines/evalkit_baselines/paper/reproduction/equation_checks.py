@@ -1,0 +1,265 @@
+"""What the paper's equations do if implemented as printed: each computed beside the corrected one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from evalkit import registry, se2
+from evalkit.protocols import Sequence
+from evalkit.se2 import Floats
+from evalkit.types import Bools, Cloud, Frame, OccupancyGrid, Pose
+from evalkit_baselines.paper import icp
+from evalkit_baselines.paper.grid import LogOddsGrid
+from evalkit_baselines.paper.icp import Icp
+from evalkit_baselines.paper.reproduction import table_1
+from evalkit_baselines.paper.reproduction.table_1 import ROOMS
+
+Rotation = Callable[[Floats], Floats]
+"""From K (2, 2) of equation 3 to a rotation (2, 2)."""
+
+WELL_OFF_M = 0.05
+WELL_OFF_DEG = 2.0
+"""How far a guess on real scans is put off before the stop rules are compared."""
+
+
+def as_printed(K: Floats) -> Floats:
+    """Equation 4 as printed: R = U V^T of K = U S V^T."""
+    U, _, Vt = np.linalg.svd(K)
+    return np.asarray(U @ Vt)
+
+
+def without_guard(K: Floats) -> Floats:
+    """R = V U^T: the right way round, but a reflection where the determinant says so."""
+    U, _, Vt = np.linalg.svd(K)
+    return np.asarray(Vt.T @ U.T)
+
+
+def guarded(K: Floats) -> Floats:
+    """R = V diag(1, det(V U^T)) U^T: never a reflection."""
+    U, _, Vt = np.linalg.svd(K)
+    return np.asarray(Vt.T @ np.diag([1.0, np.linalg.det(Vt.T @ U.T)]) @ U.T)
+
+
+def steps(target: Floats, source: Floats, rotation: Rotation, iterations: int) -> tuple[Floats, Floats]:
+    """ICP with a rotation of one's choice: mean distances (I,) after each step, and the homogeneous motion (3, 3)."""
+    tree, moved, motion, errors = cKDTree(target), source.copy(), np.eye(3), []
+    for _ in range(iterations):
+        distance, nearest = map(np.asarray, tree.query(moved))
+        at = icp.closest_only(nearest.astype(np.int64), distance, len(target))
+        p, q = moved[at], target[nearest[at]]
+        R = rotation((p - p.mean(axis=0)).T @ (q - q.mean(axis=0)))
+        t = q.mean(axis=0) - R @ p.mean(axis=0)
+        moved = moved @ R.T + t
+        step = np.eye(3)
+        step[:2, :2], step[:2, 2] = R, t
+        motion = step @ motion
+        errors.append(float(np.hypot(*(moved[at] - q).T).mean()))
+    return np.array(errors), motion
+
+
+def transposed(*, seeds: int) -> dict[str, Any]:
+    """Equation 4 as printed on Table 1's scene: mean distances (S, 40) "printed" and "correct", and who reached it.
+
+    "printed_reached" and "correct_reached": how many seeds end within 0.1 m and 2 deg of the truth.
+    """
+    room = ROOMS["first"]
+    found: dict[str, Any] = {}
+    for name, rotation in (("printed", as_printed), ("correct", guarded)):
+        errors, reached = [], 0
+        for seed in range(seeds):
+            profile, motion = steps(room.points(), table_1.scan(room, seed), rotation, table_1.MOST_ITERATIONS)
+            metres, degrees = _apart(Pose.of(se2.from_matrix(motion)), table_1.APPLIED)
+            reached += metres < 0.1 and degrees < 2.0
+            errors.append(profile)
+        found |= {name: np.array(errors), f"{name}_reached": reached}
+    return {**found, "seeds": seeds}
+
+
+def mirrored(*, walls: int, points: int = 50, noise_m: float = table_1.SIGMA_M) -> dict[str, Any]:
+    """How many of so many single walls (3 m, seen twice with noise) come back mirrored, without the guard and with it.
+
+    "worst_m": how far the mirror throws a point that stands 1 m before the wall; "exact": a wall without noise.
+    """
+    rng, counts, worst_m = np.random.default_rng(0), {"unguarded": 0, "guarded": 0}, 0.0
+    along = np.linspace(-1.5, 1.5, points)
+    wall = np.stack([along, np.zeros(points)], axis=1)
+    for _ in range(walls):
+        source, target = (wall + rng.normal(0.0, noise_m, wall.shape) for _ in range(2))
+        K = (source - source.mean(axis=0)).T @ (target - target.mean(axis=0))
+        for name, rotation in (("unguarded", without_guard), ("guarded", guarded)):
+            R = rotation(K)
+            if np.linalg.det(R) < 0.0:
+                counts[name] += 1
+                worst_m = max(worst_m, float(np.hypot(*(R @ [0.0, 1.0] - [0.0, 1.0]))))
+    exact = float(np.linalg.det(without_guard(wall.T @ wall)))
+    return {**counts, "walls": walls, "worst_m": worst_m, "exact_determinant": exact}
+
+
+STOP_RULES: Mapping[str, Mapping[str, Any]] = {
+    "printed": {"error": "mean-squared"},
+    "mean": {},
+    "tight": {"epsilon": 1e-6},
+}
+"""Mean squared with 1e-4 m^2, mean distance with 1e-4 m, mean distance with 1e-6 m."""
+
+
+def stopped(*, sequence: str, seed: int, laps: float, most: int, guess: str) -> dict[str, Any]:
+    """Three stop rules on successive simulated scans, from the odometry's guess ("odometry") or a worse one ("off").
+
+    By rule the lists "iterations", "error_m" and "error_deg" (to the truth), "first_square" and "last_square" (m^2, of
+    the pairs after the first and the last step); "guess_m" and "guess_deg": how far the guesses were off.
+    """
+    drive = _drive(sequence, seed, laps)
+    frames, truth = list(drive.frames())[: most + 1], _true_poses(drive)[: most + 1]
+    sensors = [Pose.of(pose) @ frame.base_from_sensor for pose, frame in zip(truth, frames, strict=True)]
+    clouds = [Cloud(frame.scan.points()) for frame in frames]
+    rng = np.random.default_rng(seed)
+    rules = {name: Icp(**parameters) for name, parameters in STOP_RULES.items()}
+    found: dict[str, list[list[float]]] = {name: [] for name in rules}
+    offs = []
+    for first in range(len(frames) - 1):
+        true = sensors[first].inverse() @ sensors[first + 1]
+        start = _told_by_wheels(*frames[first : first + 2]) if guess == "odometry" else true @ _put_off(rng)
+        offs.append(_apart(start, true))
+        for name, rule in rules.items():
+            match = rule.register(clouds[first], clouds[first + 1], start)
+            squares = match.history[0].error ** 2, match.error**2
+            found[name].append([match.iterations, *_apart(match.target_from_source, true), *squares])
+    keys = ("iterations", "error_m", "error_deg", "first_square", "last_square")
+    listed = {name: dict(zip(keys, np.array(rows).T.tolist(), strict=True)) for name, rows in found.items()}
+    far, turned = np.array(offs).T.tolist()
+    return {"rules": listed, "pairs": len(offs), "guess_m": far, "guess_deg": turned}
+
+
+def _put_off(rng: np.random.Generator) -> Pose:
+    bearing, side = rng.uniform(0.0, 2.0 * np.pi), rng.choice([-1.0, 1.0])
+    shift = WELL_OFF_M * np.array([math.cos(bearing), math.sin(bearing)])
+    return Pose(float(shift[0]), float(shift[1]), math.radians(WELL_OFF_DEG) * float(side))
+
+
+def _told_by_wheels(first: Frame, second: Frame) -> Pose:
+    """What the wheel odometry says of ``first_from_second``, between the sensor's poses."""
+    if first.odom_from_base is None or second.odom_from_base is None:
+        raise ValueError("odometry: the sequence has none")
+    between = first.odom_from_base.inverse() @ second.odom_from_base
+    return first.base_from_sensor.inverse() @ between @ second.base_from_sensor
+
+
+def _apart(found: Pose, true: Pose) -> tuple[float, float]:
+    """How far apart two poses are, in metres and degrees."""
+    left = true.inverse() @ found
+    return math.hypot(left.x, left.y), abs(math.degrees(left.theta))
+
+
+def evaluated(*, seeds: int) -> dict[str, Any]:
+    """Iterations (S,) on Table 1's scene with the error taken "after" the step and "before" it."""
+    found = {}
+    for when, reading in (("after", "mean distance"), ("before", "mean distance, before the step")):
+        found[when] = table_1.runs(room="first", reading=reading, begin=0, end=seeds)["rows"][:, 0]
+    return found
+
+
+def composed(*, sequence: str, seed: int, laps: float) -> dict[str, Any]:
+    """A short drive put together from exact body-frame steps, on the left (eq. 9) and on the right: positions (N, 2).
+
+    "true", "left" and "right"; "left_error_m" and "right_error_m": at the end; "turned_deg": the most the heading was
+    off the start's.
+    """
+    drive = _drive(sequence, seed, laps)
+    truth = _true_poses(drive)
+    path = se2.between(truth[:1], truth)
+    body_steps = se2.between(path[:-1], path[1:])
+    left, right = [path[0]], [path[0]]
+    for step in body_steps:
+        left.append(se2.compose(step, left[-1]))
+        right.append(se2.compose(right[-1], step))
+    ends = {name: np.array(poses) for name, poses in (("left", left), ("right", right))}
+    return {
+        "true": path[:, :2].copy(),
+        **{name: poses[:, :2].copy() for name, poses in ends.items()},
+        **{f"{name}_error_m": float(np.hypot(*(poses[-1] - path[-1])[:2])) for name, poses in ends.items()},
+        "turned_deg": float(np.degrees(np.abs(se2.wrap(path[:, 2])).max())),
+        "path_m": float(np.hypot(*np.diff(path[:, :2], axis=0).T).sum()),
+    }
+
+
+def subtracted(*, sequence: str, seed: int, laps: float, every: int) -> dict[str, Any]:
+    """The printed l_free = ln(0.3 / 0.7) subtracted instead of added, with true poses: two maps and what they say.
+
+    "added" and "taken": probabilities (H, W), first row lowest, 0.5 where nothing was seen; "extent_m"; "added_wrong"
+    and "taken_wrong": shares of the truly free cells that the map says are occupied; "cells": how many those are.
+    """
+    drive = _drive(sequence, seed, laps)
+    truth = _true_poses(drive)
+    added, taken = LogOddsGrid(), LogOddsGrid()
+    taken.l_free = -added.l_free  # the mistake under test: the parameter itself refuses this value
+    for frame, pose in list(zip(drive.frames(), truth, strict=True))[::every]:
+        for grid in (added, taken):
+            grid.update(frame.scan, Pose.of(pose) @ frame.base_from_sensor)
+    maps = {"added": added.grid(), "taken": taken.grid()}
+    one = maps["added"]
+    rows, columns = one.shape
+    right, top = one.origin_x + columns * one.resolution_m, one.origin_y + rows * one.resolution_m
+    free = _truly_free(drive, one)
+    return {
+        **{name: grid.probability() for name, grid in maps.items()},
+        **{f"{name}_wrong": float(grid.occupied()[free].mean()) for name, grid in maps.items()},
+        "extent_m": [one.origin_x, right, one.origin_y, top],
+        "cells": int(free.sum()),
+    }
+
+
+def headings(*, count: int) -> dict[str, Any]:
+    """Equation 7, atan2(r21, r11), over so many headings all round: "worst_rad" it is off by."""
+    rows = np.zeros((count, 3))
+    rows[:, 2] = np.linspace(-np.pi, np.pi, count, endpoint=False)
+    found = se2.from_matrix(se2.to_matrix(rows))[:, 2]
+    return {"worst_rad": float(np.abs(se2.wrap(found - rows[:, 2])).max()), "count": count}
+
+
+def shared(*, seeds: int) -> dict[str, Any]:
+    """Table 1's first association with and without the one-to-one filter: sizes of both subsets, means over seeds.
+
+    "points": of the scan; "pairs_all" and "targets_all": pairs without the filter and how many reference points they
+    use; "pairs_one" and "targets_one": with it.
+    """
+    room, counts = ROOMS["first"], {}
+    target = Cloud(room.points())
+    for name, one_to_one in (("all", False), ("one", True)):
+        registration = table_1.icp(one_to_one=one_to_one, trace=True, max_iterations=1)
+        first = [registration.register(target, Cloud(table_1.scan(room, s)), Pose()).history[0] for s in range(seeds)]
+        pairs = [step.pairs for step in first if step.pairs is not None]
+        counts[f"pairs_{name}"] = float(np.mean([len(rows) for rows in pairs]))
+        counts[f"targets_{name}"] = float(np.mean([len(np.unique(rows[:, 1])) for rows in pairs]))
+    return {**counts, "points": len(target)}
+
+
+def _drive(sequence: str, seed: int, laps: float) -> Sequence:
+    return registry.dataset(sequence).make(seed=seed, laps=laps)
+
+
+def _true_poses(drive: Sequence) -> Floats:
+    trajectory = drive.truth().trajectory
+    if trajectory is None:
+        raise ValueError("truth: the sequence has no true trajectory")
+    return trajectory.poses
+
+
+def _truly_free(drive: Sequence, like: OccupancyGrid) -> Bools:
+    """The cells (H, W) of a map that were seen and that the true map calls free, looked up at their centres."""
+    true = drive.truth().grid
+    if true is None:
+        raise ValueError("truth: the sequence has no true map")
+    rows, columns = np.nonzero(like.observed)
+    centres = like.centres(like.observed)
+    at = np.floor((centres - [true.origin_x, true.origin_y]) / true.resolution_m).astype(np.int64)
+    inside = ((at >= 0) & (at < np.array(true.shape[::-1]))).all(axis=1)
+    at, rows, columns = at[inside], rows[inside], columns[inside]
+    marked = np.zeros(like.shape, dtype=np.bool_)
+    marked[rows, columns] = true.free()[at[:, 1], at[:, 0]]
+    return marked
