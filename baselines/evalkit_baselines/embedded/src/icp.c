@@ -83,17 +83,15 @@ static ek_status load(ek_icp *icp, const ek_real *xy, size_t count)
     return EK_OK;
 }
 
-/* Moves the source by a pose and measures each point's distance to the target point it had, and how far it is from
- * having to ask again: its neighbour cannot have changed while distance + way moved < distance to all others then. */
-static void move(ek_icp *icp, size_t padded, ek_pose pose, ek_real limit)
+/* Moves points and measures how far they are from where they were and from their targets. All pointers are parameters:
+ * only of those do compilers believe `restrict` and take several points at once. */
+static void moved(size_t padded, ek_pose pose, ek_real limit, const ek_real *EK_RESTRICT px,
+                  const ek_real *EK_RESTRICT py, const ek_real *EK_RESTRICT tx, const ek_real *EK_RESTRICT ty,
+                  const ek_real *EK_RESTRICT ax, const ek_real *EK_RESTRICT ay, const ek_real *EK_RESTRICT others,
+                  ek_real *EK_RESTRICT mx, ek_real *EK_RESTRICT my, ek_real *EK_RESTRICT distance,
+                  ek_real *EK_RESTRICT slack)
 {
     const ek_real c = EK_COS(pose.theta), s = EK_SIN(pose.theta), x0 = pose.x, y0 = pose.y;
-    const ek_real *const EK_RESTRICT px = icp->px, *const EK_RESTRICT py = icp->py;
-    const ek_real *const EK_RESTRICT tx = icp->tx, *const EK_RESTRICT ty = icp->ty;
-    const ek_real *const EK_RESTRICT ax = icp->ax, *const EK_RESTRICT ay = icp->ay;
-    const ek_real *const EK_RESTRICT others = icp->others;
-    ek_real *const EK_RESTRICT mx = icp->mx, *const EK_RESTRICT my = icp->my;
-    ek_real *const EK_RESTRICT distance = icp->distance, *const EK_RESTRICT slack = icp->slack;
     for (size_t i = 0; i < padded; i++) {
         const ek_real x = c * px[i] - s * py[i] + x0, y = s * px[i] + c * py[i] + y0;
         const ek_real dx = x - tx[i], dy = y - ty[i], wx = x - ax[i], wy = y - ay[i];
@@ -103,6 +101,14 @@ static void move(ek_icp *icp, size_t padded, ek_pose pose, ek_real limit)
         distance[i] = to;
         slack[i] = others[i] - way - (to < limit ? to : limit);
     }
+}
+
+/* Moves the source by a pose and measures each point's distance to the target point it had, and how far it is from
+ * having to ask again: its neighbour cannot have changed while distance + way moved < distance to all others then. */
+static void move(ek_icp *icp, size_t padded, ek_pose pose, ek_real limit)
+{
+    moved(padded, pose, limit, icp->px, icp->py, icp->tx, icp->ty, icp->ax, icp->ay, icp->others, icp->mx, icp->my,
+          icp->distance, icp->slack);
 }
 
 /* Asks the index for every point whose neighbour may have changed; says how many. */
