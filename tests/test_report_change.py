@@ -83,6 +83,15 @@ def test_time_must_grow_in_every_run_and_twice_as_much_in_a_single_one(times, sa
     assert _said(_between(_seeds(ates), _seeds(ates, times)), TIME) == said
 
 
+def test_what_all_contestants_lose_together_is_the_machines():
+    """All took a third longer, d three times as long: the median of four is the machine's, d alone is a regression."""
+    old = {(who, "room", seed): _run(ms=1.0) for who in "abcd" for seed in (0, 1)}
+    new = {(who, "room", seed): _run(ms=3.0 if who == "d" else 1.3) for who in "abcd" for seed in (0, 1)}
+    found = _between(old, new)
+    assert [one.contestant for one in found.changes if one.said == "regression"] == ["d"]
+    assert found.notes[0].startswith("all contestants together took +30 % CPU time: taken for the machine's")
+
+
 def test_times_of_another_processor_are_not_compared():
     found = difference(
         _snapshot(_seeds([0.02])), _snapshot(_seeds([0.02], [9.0]), "new", "another"), tuple(METRICS.values()), Limits()

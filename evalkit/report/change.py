@@ -21,6 +21,9 @@ Said = Literal["regression", "improvement", "within the limit", "no difference s
 TIME = "cpu_median_ms"
 TICK_MS = 0.01
 
+FEWEST_FOR_SESSION = 3
+NAMED_SESSION = 0.03
+
 ONE_RUN = 2.0
 """Times the limit: one run's CPU time holds the noise of its session, and nothing else tells how large that is."""
 
@@ -108,17 +111,33 @@ def difference(old: Snapshot, new: Snapshot, metrics: Sequence[Metric], limits: 
     if not comparable:
         why = "; ".join(dict.fromkeys(reasons.values())) or "no contestant ran over the same sequence in both"
         raise StoreError(new.folder, f"not comparable with {old.folder}: {why}", "compare results of one experiment")
+    session = _session(old, new, comparable)
     return Difference(
         old.folder,
         new.folder,
         limits,
         tuple(one for pair in comparable for one in _ends(old, new, pair)),
-        tuple(one for pair in comparable for one in _changes(old, new, pair, metrics, limits)),
+        tuple(one for pair in comparable for one in _changes(old, new, pair, metrics, limits, session)),
         tuple(f"{who} over {where}" for who, where in pairs if (who, where) not in held[1]),
         tuple(f"{who} over {where}" for who, where in pairs if (who, where) not in held[0]),
         tuple(_grouped(reasons)),
-        tuple(_notes(old, new)),
+        tuple(_notes(old, new, session)),
     )
+
+
+def _session(old: Snapshot, new: Snapshot, comparable: Sequence[tuple[str, str]]) -> float:
+    """By what the CPU times of all contestants changed together (a factor): that is the machine, not one of them.
+
+    The median over the contestants; 1 for fewer than three, among whom nobody can tell.
+    """
+    ratios: dict[str, list[float]] = {}
+    for pair in comparable:
+        before, after = _runs(old, pair), _runs(new, pair)
+        for place in before:
+            times = [runs[place].scores.get(TIME, 0.0) for runs in (before, after) if place in runs]
+            if len(times) == 2 and min(times) > TICK_MS:
+                ratios.setdefault(pair[0], []).append(times[1] / times[0])
+    return median(median(own) for own in ratios.values()) if len(ratios) >= FEWEST_FOR_SESSION else 1.0
 
 
 def _grouped(reasons: Mapping[tuple[str, str], str]) -> Iterator[str]:
@@ -163,7 +182,12 @@ def _ends(old: Snapshot, new: Snapshot, pair: tuple[str, str]) -> Iterator[Ended
 
 
 def _changes(
-    old: Snapshot, new: Snapshot, pair: tuple[str, str], metrics: Sequence[Metric], limits: Limits
+    old: Snapshot,
+    new: Snapshot,
+    pair: tuple[str, str],
+    metrics: Sequence[Metric],
+    limits: Limits,
+    session: float,
 ) -> Iterator[Change]:
     """Every headline metric of the estimate's quality, and the CPU time."""
     before, after = _runs(old, pair), _runs(new, pair)
@@ -173,42 +197,55 @@ def _changes(
             scored = [p for p in both if metric.name in before[p].scores and metric.name in after[p].scores]
             if scored:
                 runs = [(place, before[place], after[place]) for place in scored]
-                same = not old.made_on or not new.made_on or old.made_on == new.made_on
-                yield _change(pair, metric, runs, limits, same)
+                yield _change(pair, metric, runs, limits, session if _same_machine(old, new) else None)
 
 
 def _change(
-    pair: tuple[str, str], metric: Metric, runs: Sequence[tuple[Place, Finished, Finished]], limits: Limits, same: bool
+    pair: tuple[str, str],
+    metric: Metric,
+    runs: Sequence[tuple[Place, Finished, Finished]],
+    limits: Limits,
+    session: float | None,
 ) -> Change:
+    """One metric before and after. ``session``: what all CPU times changed by, None for another machine's."""
     pairs = [_cells(metric.name, *run) for run in runs]
     before, after = _cell(pair[0], [one for one, _ in pairs]), _cell(pair[0], [other for _, other in pairs])
-    found = apart(after, before)
-    old, new = median(before.values), median(after.values)
-    said, why = _said(metric, before, after, found, limits)
-    if metric.name == TIME and not same:
-        said, why = "not comparable", "another processor"
+    found = None if metric.name == TIME else apart(after, before)  # no interval within a session knows another one
+    said, why = (
+        _timed(before, after, limits, session) if metric.name == TIME else _said(metric, before, after, found, limits)
+    )
     low, high = (found.interval.low, found.interval.high) if found else (None, None)
-    return Change(*pair, metric.name, metric.unit, old, new, low, high, len(runs), said, why)
+    medians = median(before.values), median(after.values)
+    return Change(*pair, metric.name, metric.unit, *medians, low, high, len(runs), said, why)
 
 
 def _said(metric: Metric, old: Cell, new: Cell, found: Apart | None, limits: Limits) -> tuple[Said, str]:
     if old.values == new.values:
         return "unchanged", "the same to the last digit"
     before, after = median(old.values), median(new.values)
-    worse = after > before if metric.better == "lower" else after < before
-    limit = limits.error
-    if metric.name == TIME:
-        limit = limits.time * (ONE_RUN if len(old.values) == 1 else 1.0)
-    if abs(after - before) <= max(limit * abs(before), noise_floor(metric), TICK_MS if metric.name == TIME else 0.0):
-        return "within the limit", f"at most {100 * limit:g} %, or less than the truth can tell"
-    if metric.name == TIME:  # every session has its own noise: no interval within a run knows it
-        ratios = [b / a if a else np.inf for a, b in zip(old.values, new.values, strict=True)]
-        if min(ratios) <= 1.0 <= max(ratios):
-            return "no difference shown", "not in every run"
-    elif found is not None and not found.interval.excludes(0.0):
+    if abs(after - before) <= max(limits.error * abs(before), noise_floor(metric)):
+        return "within the limit", f"at most {100 * limits.error:g} %, or less than the truth can tell"
+    if found is not None and not found.interval.excludes(0.0):
         return "no difference shown", "the 95 % interval of the difference holds zero"
-    noise = "beyond the noise" if found is not None or len(old.values) > 1 else "of one run, whose noise is not known"
-    return ("regression" if worse else "improvement"), f"more than {100 * limit:g} %, {noise}"
+    worse = after > before if metric.better == "lower" else after < before
+    noise = "beyond the noise" if found is not None else "of one run, whose noise is not known"
+    return ("regression" if worse else "improvement"), f"more than {100 * limits.error:g} %, {noise}"
+
+
+def _timed(old: Cell, new: Cell, limits: Limits, session: float | None) -> tuple[Said, str]:
+    """Of CPU times: the ratio, by what all changed together, in every run beyond the limit or not."""
+    if session is None:
+        return "not comparable", "another processor"
+    if old.values == new.values:
+        return "unchanged", "the same to the last digit"
+    expected = [session * value for value in old.values]
+    before, after = median(expected), median(new.values)
+    limit = limits.time * (ONE_RUN if len(old.values) == 1 else 1.0)
+    if abs(after - before) <= max(limit * before, TICK_MS):
+        return "within the limit", f"at most {100 * limit:g} % beside all others"
+    if min(new.values) < before < max(new.values) or min(expected) < after < max(expected):
+        return "no difference shown", "the runs before and after overlap"
+    return ("regression" if after > before else "improvement"), f"more than {100 * limit:g} % beside all others"
 
 
 def _cells(metric: str, place: Place, old: Finished, new: Finished) -> tuple[Cell, Cell]:
@@ -248,9 +285,18 @@ def _cell(contestant: str, cells: Sequence[Cell]) -> Cell:
     )
 
 
-def _notes(old: Snapshot, new: Snapshot) -> Iterator[str]:
-    if old.made_on and new.made_on and old.made_on != new.made_on:
+def _same_machine(old: Snapshot, new: Snapshot) -> bool:
+    return not old.made_on or not new.made_on or old.made_on == new.made_on
+
+
+def _notes(old: Snapshot, new: Snapshot, session: float) -> Iterator[str]:
+    if not _same_machine(old, new):
         yield f"times are not compared: {old.made_on} against {new.made_on}"
+    elif abs(session - 1.0) > NAMED_SESSION:
+        yield (
+            f"all contestants together took {100.0 * (session - 1.0):+.0f} % CPU time: taken for the machine's, so a "
+            "change that all have alike is not seen"
+        ).replace("-", "\u2212")
     for one in (old, new):
         if one.unfinished:
             yield f"{one.folder}: {one.unfinished} runs were begun and did not end; they are left out"
