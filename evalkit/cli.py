@@ -24,6 +24,7 @@ from evalkit.commands.diff import diff
 from evalkit.commands.equiv import equiv
 from evalkit.commands.options import FAILED, Collect, Jobs, Json, Making, Out, Rerun, Resume, err, out
 from evalkit.commands.realtime import realtime
+from evalkit.commands.study import study
 from evalkit.commands.validate import validate
 from evalkit.engine import Engine
 from evalkit.errors import EvalkitError, NotInstalled, StoreError
@@ -165,7 +166,7 @@ def compare(
     _report(plan, folder, Making.of(jobs, resume, rerun, collect), as_json)
 
 
-COMMANDS: tuple[Callable[..., None], ...] = (check, equiv, realtime, basin, determinism, diff, validate)
+COMMANDS: tuple[Callable[..., None], ...] = (check, equiv, realtime, basin, determinism, diff, validate, study)
 """The commands with a module of their own, in the order of the help."""
 
 for _command in COMMANDS:

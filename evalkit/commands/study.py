@@ -1,0 +1,104 @@
+"""``evalkit study``: what each parameter does to drift and map, alone and together, and how far a back end holds."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from evalkit import console, environment
+from evalkit.commands import options
+from evalkit.commands.options import Json, Out, err, out
+from evalkit.errors import NotInstalled, StoreError, UnknownName
+from evalkit.store import REMEDY
+
+if TYPE_CHECKING:
+    from evalkit.study.outcome import Outcome
+    from evalkit.study.plan import Study
+
+
+def study(
+    file: Annotated[Path, typer.Argument(help="A study file (*.toml).", show_default=False)],
+    point: Annotated[str, typer.Option(help="Compute this point alone, by its key.", show_default=False)] = "",
+    folder: Out = None,
+    jobs: Annotated[
+        int | None, typer.Option("--jobs", "-j", min=1, help="At a time.", show_default="physical cores")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Study the factors of a file: effects, interactions, operating envelope; killed, the same command goes on."""
+    from evalkit.study.outcome import Outcome, computed  # noqa: PLC0415 - loads scipy.stats
+    from evalkit.study.reading import read  # noqa: PLC0415 - as above
+
+    options.modules_from_here()
+    plan = read(file, f"evalkit study {shlex.quote(str(file))}")
+    if plan.missing:
+        raise NotInstalled(str(file), "cannot be run here", plan.missing)
+    if point:
+        _point(plan, point, as_json)
+        return
+    folder = folder or Path("reports") / "build" / file.stem
+    workers = jobs or environment.physical_cores()
+    ran_on = environment.describe(jobs=workers)
+    asked = plan.jobs()
+    try:
+        with console.jobs(err, len(asked), workers) as done:
+            outcome = Outcome(plan, computed(asked, folder / "results", workers, done))
+    except KeyboardInterrupt:
+        err.print("interrupted; finished points are kept: the same command goes on from here")
+        raise
+    page = _written(outcome, folder, ran_on)
+    lost = sum(bool(outcome.lost(key, seed)) for key in plan.points for seed in plan.seeds(key))
+    if as_json:
+        options.print_json({"title": plan.title, "page": str(page), "points": len(plan.points), "lost": lost})
+    else:
+        told = f"{len(plan.points):,} points, {len(asked):,} runs, {lost} lost"
+        out.print(told, markup=False, highlight=False)
+        out.print(str(page.resolve()), markup=False, highlight=False)
+
+
+def _point(plan: Study, key: str, as_json: bool) -> None:
+    """Prints the scores of one point, computed now, and the experiment that runs it."""
+    from evalkit.study.experiment_lines import experiment_lines  # noqa: PLC0415 - with the study's modules
+    from evalkit.study.point import evaluate  # noqa: PLC0415 - as above
+
+    if key not in plan.points:
+        raise UnknownName("point", key, plan.points, plan.command)
+    found = {}
+    for seed in plan.seeds(key):
+        job = plan.job(plan.points[key], seed)
+        found[job.name] = evaluate(**job.arguments)
+    if as_json:
+        options.print_json(found)
+        return
+    out.print(plan.points[key].label, markup=False, highlight=False)
+    for name, result in found.items():
+        out.print(f"{name}: {result['status']} {result['reason']}".rstrip(), markup=False, highlight=False)
+        for metric, value in result["scores"].items():
+            told = result["why"][metric] if value is None else repr(value)
+            out.print(f"  {metric} {told}", markup=False, highlight=False)
+    out.print("\nThe same as an experiment:\n", markup=False)
+    out.print(experiment_lines(plan, key), markup=False, highlight=False)
+
+
+def _written(outcome: Outcome, folder: Path, ran_on: dict[str, str]) -> Path:
+    """The path of index.html, written with study.json, points.csv and effects.csv."""
+    from evalkit.report.document import render  # noqa: PLC0415 - loads matplotlib
+    from evalkit.report.study import page, record  # noqa: PLC0415 - as above
+
+    texts = {
+        "points.csv": record.as_csv(record.runs(outcome)),
+        "effects.csv": record.as_csv(record.effects(outcome)),
+        "study.json": json.dumps(record.record(outcome), indent=1) + "\n",
+        "index.html": render(page.document(outcome, ran_on)),
+    }
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            (folder / name).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise StoreError(str(folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
+    return folder / "index.html"

@@ -1,0 +1,111 @@
+"""The parts of a study's page that show single factors and operating envelopes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import groupby
+
+import numpy as np
+
+from evalkit.report.document import Block, Cell, Column, Figures, Fold, Table, Text
+from evalkit.report.study import charts
+from evalkit.report.study.wording import limit_words
+from evalkit.study.envelope import Panel, axes, panels
+from evalkit.study.factors import Factor
+from evalkit.study.outcome import Outcome, on_scale
+from evalkit.study.plan import Design, EnvelopeChoice, Point, Response
+
+
+def curve_blocks(outcome: Outcome) -> tuple[Block, ...]:
+    """A chart for every factor that is varied by itself, for every bounded response, and a table of all."""
+    designs = [design for design in outcome.study.designs if design.kind == "curves"]
+    shown = [response for response in outcome.study.responses if response.lost is not None] or outcome.study.responses[
+        :1
+    ]
+    blocks: list[Block] = []
+    for factor in outcome.study.factors:
+        own = [design for design in designs if factor in design.factors]
+        if own and factor.numbers is not None:
+            blocks.append(Figures([charts.curve_chart(outcome, response, factor, own) for response in shown]))
+    rows: list[tuple[Cell | str, ...]] = [
+        (design.name, factor, Cell(level.label, level.number), *_values(outcome, design, point))
+        for design in designs
+        for point in design.points
+        for factor, level in point.levels.items()
+    ]
+    measured = (_column(response) for response in outcome.study.responses)
+    columns: tuple[Column | str, ...] = ("Design", "Factor", "Level", *measured, Column("Lost"))
+    return (*blocks, Fold("All values", (Table(columns, rows),))) if rows else ()
+
+
+def _column(response: Response) -> Column:
+    return Column(response.metric.label, response.metric.unit, number=True, tip="mean of the seeds, lowest to highest")
+
+
+def _values(outcome: Outcome, design: Design, point: Point) -> list[Cell]:
+    cells = []
+    for response in outcome.study.responses:
+        values = outcome.row(design, response, point)
+        middle = float(charts.off_scale(response, on_scale(response, values).mean()))
+        digits = response.metric.digits
+        text = f"{middle:.{digits}f} ({values.min():.{digits}f} to {values.max():.{digits}f})"
+        cells.append(Cell(text, middle))
+    lost = [outcome.lost(point.key, seed) for seed in design.seeds]
+    count = sum(map(bool, lost))
+    return [
+        *cells,
+        Cell(f"{count} of {len(lost)}" if count else "", count, "bad" if count else "", "; ".join(filter(None, lost))),
+    ]
+
+
+def envelope_blocks(outcome: Outcome) -> tuple[Block, ...]:
+    """For every envelope a table to be read at a glance and the maps behind it."""
+    blocks: list[Block] = []
+    for choice in outcome.study.envelopes:
+        design = outcome.study.design(choice.design)
+        found = panels(outcome, choice)
+        known = np.concatenate([panel.worst[np.isfinite(panel.worst)] for panel in found])
+        limits = (float(known.min()), float(known.max())) if len(known) else (0.1, 1.0)
+        blocks += [
+            Text(
+                f"{limit_words(choice)}, in every drive with every seed, for every combination of levels up to these:"
+            ),
+            glance(choice, design, found),
+            Text("Below, the worst seed in every cell; the white line is the limit, hatched cells are lost.", "note"),
+        ]
+        for _, row in groupby(found, key=lambda panel: list(panel.others.values())[:-1]):
+            blocks.append(Figures([charts.envelope(choice, design, panel, limits) for panel in row], small=True))
+    return tuple(blocks)
+
+
+def glance(choice: EnvelopeChoice, design: Design, found: Sequence[Panel]) -> Table:
+    """The largest box of every panel: rows the last other factor's levels, columns the rest."""
+    x, y = axes(design, choice)
+    heads = list(dict.fromkeys(_head(panel) for panel in found))
+    names = list(dict.fromkeys(list(panel.others.values())[-1] for panel in found if panel.others))
+    by_place = {(list(panel.others.values())[-1] if panel.others else "", _head(panel)): panel for panel in found}
+    rows: list[tuple[Cell | str, ...]] = [
+        (name, *(_box(x, y, by_place[name, head]) for head in heads)) for name in names or [""]
+    ]
+    return Table(("", *heads), rows, sortable=False)
+
+
+def _head(panel: Panel) -> str:
+    return ", ".join(f"{name} {level}" for name, level in list(panel.others.items())[:-1]) or "largest box"
+
+
+def _box(x: Factor, y: Factor, panel: Panel) -> Cell:
+    columns, rows = panel.box
+    lost = int((panel.lost > 0).sum())
+    gone = f"; {lost} of {panel.worst.size} cells lost" if lost else ""
+    if not columns:
+        return Cell(f"nowhere{gone}", 0.0, "bad")
+    whole = columns == len(x.levels) and rows == len(y.levels)
+    text = f"{x.levels[columns - 1].label} {x.unit} and {y.levels[rows - 1].label} {y.unit}"
+    held = panel.held
+    tip = (
+        ""
+        if held is None
+        else f"{held.support} drives; a next one keeps the limit with at least {100.0 * held.low:.0f} %"
+    )
+    return Cell(f"{text}{gone}", float(columns * rows), "good" if whole else "warn", tip)

@@ -1,0 +1,110 @@
+"""A study's numbers for other programs: every run, every effect, as rows of CSV and as JSON."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict
+from typing import Any
+
+from evalkit.metrics.statistics import Interval
+from evalkit.study.effects import Fit
+from evalkit.study.envelope import axes, panels
+from evalkit.study.outcome import Outcome
+from evalkit.study.plan import Design, Response
+
+Row = dict[str, Any]
+
+
+def runs(outcome: Outcome) -> list[Row]:
+    """A row for every run of every design: its levels, its scores, and why it is lost, if it is."""
+    study = outcome.study
+    names = [factor.name for factor in study.factors]
+    rows: list[Row] = []
+    for design in study.designs:
+        for point in design.points:
+            levels = {name: point.levels[name].label if name in point.levels else "" for name in names}
+            for seed in design.seeds:
+                found = outcome.result(point.key, seed)
+                head = {"key": point.key, "design": design.name, **levels, "seed": "" if seed is None else seed}
+                tail = {"status": found["status"], "reason": found["reason"], "lost": outcome.lost(point.key, seed)}
+                rows.append({**head, **tail, **found["scores"], "cpu_s": found["cpu_s"]})
+    return rows
+
+
+def effects(outcome: Outcome) -> list[Row]:
+    """A row for every level's distance from the mean, and for every interaction's largest corner; natural logarithms.
+
+    ``scale`` "log": exp(value) is a ratio.
+    """
+    rows: list[Row] = []
+    for design, response, fit in fits(outcome):
+        for number, factor in enumerate(design.factors):
+            found = fit.factor(number)
+            for level, interval in zip(factor.levels, found.levels, strict=True):
+                rows.append(_row(design, response, "main", factor.name, level.label, interval, found.share))
+        for pair in fit.interactions():
+            levels = [
+                design.factors[[f.name for f in design.factors].index(name)].levels[at].label
+                for name, both in ((pair.a, pair.a_levels), (pair.b, pair.b_levels))
+                for at in both
+            ]
+            told = "{} → {} | {} → {}".format(*levels)
+            rows.append(_row(design, response, "interaction", f"{pair.a} x {pair.b}", told, pair.value, pair.share))
+    return rows
+
+
+def fits(outcome: Outcome) -> Iterable[tuple[Design, Response, Fit]]:
+    """Every design and response that effects can be computed for."""
+    for design in outcome.study.designs:
+        for response in outcome.study.responses if design.kind in ("optimal", "fractional") else ():
+            fit = outcome.fit(design, response)
+            if isinstance(fit, Fit):
+                yield design, response, fit
+
+
+def record(outcome: Outcome) -> Row:
+    """The whole study as JSON values."""
+    study = outcome.study
+    return {
+        "title": study.title,
+        "command": study.command,
+        "backend": study.backend,
+        "dataset": study.dataset,
+        "runs": runs(outcome),
+        "effects": effects(outcome),
+        "envelopes": [
+            {
+                **dict(panel.others),
+                "limit": choice.limit,
+                "metric": choice.response.name,
+                **_box(outcome, choice, panel),
+            }
+            for choice in study.envelopes
+            for panel in panels(outcome, choice)
+        ],
+    }
+
+
+def as_csv(rows: list[Row]) -> str:
+    """Rows with the same names as CSV text."""
+    out = io.StringIO()
+    writer = csv.DictWriter(out, list(rows[0]) if rows else [], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return out.getvalue()
+
+
+def _box(outcome: Outcome, choice: Any, panel: Any) -> Mapping[str, float | None]:
+    x, y = axes(outcome.study.design(choice.design), choice)
+    columns, rows = panel.box
+    ends = {
+        factor.name: (factor.numbers or ())[count - 1] if count else None for factor, count in ((x, columns), (y, rows))
+    }
+    return {**ends, "lost_cells": int((panel.lost > 0).sum())}
+
+
+def _row(design: Design, response: Response, kind: str, factor: str, level: str, value: Interval, share: float) -> Row:
+    head = {"design": design.name, "metric": response.name, "scale": response.scale, "kind": kind, "factor": factor}
+    return {**head, "level": level, **asdict(value), "share": share}

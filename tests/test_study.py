@@ -1,0 +1,144 @@
+"""The study command: a page, the same numbers for programs, points that can be computed again, and a killed run."""
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+import tomllib
+
+import pytest
+from typer.testing import CliRunner
+
+from evalkit.cli import app
+from evalkit.study.outcome import Outcome
+from evalkit.study.point import evaluate
+from evalkit.study.reading import study
+
+STUDY = """
+title = "A small study"
+seeds = [0, 1]
+contestant.use = "wheel-odometry"
+sequence = { use = "lab", laps = 0.05, speed_mps = 0.5 }
+mapper.scans = 5
+response = [{ metric = "ate_rmse_m", scale = "log", lost = 0.5 }, { metric = "map_f1", lost = 0.0 }]
+envelope = [{ design = "driven", x = "speed", y = "rate", metric = "ate_rmse_m", limit = 0.05 }]
+
+[[factor]]
+name = "speed"
+sets = "sequence.speed_mps"
+levels = [0.5, 1.0]
+unit = "m/s"
+
+[[factor]]
+name = "rate"
+sets = "sequence.rate_hz"
+levels = [10.0, 15.0]
+unit = "Hz"
+
+[[factor]]
+name = "wheels"
+sets = "sequence.odometry_scale"
+levels = [0.01, 0.1]
+
+[[design]]
+name = "driven"
+kind = "grid"
+factors = ["speed", "rate"]
+
+[[design]]
+name = "array"
+kind = "fractional"
+factors = ["speed", "rate", "wheels"]
+resolution = 4
+"""
+
+
+@pytest.fixture
+def file(tmp_path):
+    path = tmp_path / "small.toml"
+    path.write_text(STUDY)
+    return path
+
+
+def run(*words):
+    return CliRunner().invoke(app, ["study", *map(str, words)])
+
+
+def test_a_study_leaves_a_page_and_its_numbers_and_every_point_comes_again(file, tmp_path):
+    done = run(file, "--out", tmp_path / "out", "--jobs", "1")
+    assert done.exit_code == 0, done.output
+    page = (tmp_path / "out" / "index.html").read_text()
+    assert "A small study" in page
+    assert "ATE RMSE depends most on wheels: 0.01 → 0.1" in page
+    assert "Operating envelope" in page
+    rows = list(csv.DictReader((tmp_path / "out" / "points.csv").open()))
+    whole = json.loads((tmp_path / "out" / "study.json").read_text())
+    assert len(rows) == len(whole["runs"]) == 2 * (4 + 8)
+    effects = list(csv.DictReader((tmp_path / "out" / "effects.csv").open()))
+    assert {row["factor"] for row in effects} == {"speed", "rate", "wheels"}
+
+    again = run(file, "--point", rows[0]["key"], "--json")
+    assert again.exit_code == 0, again.output
+    computed = json.loads(again.output)[f"{rows[0]['key']} seed 0"]["scores"]
+    assert repr(computed["ate_rmse_m"]) == rows[0]["ate_rmse_m"]
+    assert repr(computed["map_f1"]) == rows[0]["map_f1"]
+
+    told = run(file, "--point", rows[0]["key"]).output
+    experiment = tmp_path / "one.toml"
+    experiment.write_text(told[told.index("title = ") :])
+    report = CliRunner().invoke(app, ["run", str(experiment), "--out", str(tmp_path / "one"), "--json"])
+    assert report.exit_code == 0, report.output
+    scores = json.loads(report.output[report.output.index("{\n") :])["runs"][0]["scores"]
+    assert scores["ate_rmse_m"] == computed["ate_rmse_m"]
+    assert scores["map_f1"] == computed["map_f1"]
+
+
+def test_an_unknown_point_is_refused_and_the_known_ones_are_listed(file):
+    refused = run(file, "--point", "00000000")
+    assert refused.exit_code != 0
+    assert "no point named '00000000'" in str(refused.exception)
+
+
+def test_a_back_end_that_fails_is_a_result_with_its_reason(strangers):
+    made = study(tomllib.loads(STUDY), "s.toml", "")
+    found = evaluate(**{**made.jobs()[0].arguments, "backend": "faulty", "parameters": {"fault": "raise", "at": 3}})
+    assert found["status"] == "failed"
+    assert found["reason"].startswith("RuntimeError: lost the plot")
+    assert found["answered"] == 3
+    outcome = Outcome(made, {job.name: found for job in made.jobs()})
+    design, response = made.designs[0], made.responses[0]
+    assert outcome.counts(design) == (8, 8)
+    assert (outcome.table(design, response) == 0.5).all()
+
+
+@pytest.mark.slow
+def test_a_killed_study_goes_on_without_repeating_finished_points(file, tmp_path):
+    kept = tmp_path / "out" / "results"
+    command = [
+        sys.executable,
+        "-c",
+        "from evalkit.cli import main; main()",
+        "study",
+        str(file),
+        "--out",
+        str(tmp_path / "out"),
+        "--jobs",
+        "1",
+    ]
+    first = subprocess.Popen(command, start_new_session=True, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)
+    deadline = time.monotonic() + 120
+    while len(list(kept.glob("*.npz"))) < 3 and first.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.01)
+    os.killpg(first.pid, signal.SIGKILL)
+    first.wait()
+    before = {path: path.stat().st_mtime_ns for path in kept.glob("*.npz")}
+    assert len(before) >= 3
+    assert not (tmp_path / "out" / "index.html").exists()
+    subprocess.run(command, check=True, capture_output=True)
+    after = {path: path.stat().st_mtime_ns for path in kept.glob("*.npz")}
+    assert {path: after[path] for path in before} == before
+    assert len(after) == 16  # the four points of the grid are in the array too
+    assert (tmp_path / "out" / "index.html").exists()
