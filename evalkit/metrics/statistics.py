@@ -210,7 +210,8 @@ def friedman(errors: ArrayLike, alpha: float = 0.05) -> Friedman | str:
     table = np.asarray(errors, dtype=np.float64)
     sequences, contestants = table.shape
     if sequences < FEWEST_SEQUENCES:
-        return f"{sequences} sequences are too few for ranks with a critical difference: it takes {FEWEST_SEQUENCES}"
+        are = "sequence is" if sequences == 1 else "sequences are"
+        return f"{sequences} {are} too few for ranks with a critical difference: it takes {FEWEST_SEQUENCES}"
     if contestants < 3:
         return f"{contestants} contestants are too few for a test of ranks: it takes 3"
     ranks = stats.rankdata(table, axis=1)
