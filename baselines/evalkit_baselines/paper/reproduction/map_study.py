@@ -1,0 +1,122 @@
+"""The measurements of many kinds of map on many drives, held together by number."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from evalkit.se2 import Floats
+from evalkit.types import Ints
+from evalkit_baselines.paper.reproduction import mapping
+from evalkit_baselines.paper.reproduction.map_choice import Choice, recommended
+from evalkit_baselines.paper.reproduction.mapping import TOLD, Variant
+
+HERE = ("true", "estimated")
+"""The kinds of poses."""
+
+WORDS: Mapping[str, str] = {
+    "resolution_m": "cells {:g} m", "l_occ": "l_occ {:g}", "l_free": "l_free {:g}", "l_min": "l_min {:g}",
+    "l_max": "l_max {:g}", "scans": "{} scans", "traversal": "{}",
+}  # fmt: skip
+FLAGS: Mapping[str, str] = {
+    "once_per_scan": "every beam counts", "clear_no_returns": "no-returns clear", "deskewed": "motion in the scan kept",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """``results[u]`` holds what ``mapping.measured`` found for drive ``units[u]`` (world, seed, poses)."""
+
+    variants: tuple[Variant, ...]
+    units: tuple[tuple[str, int, str], ...]
+    results: Sequence[Mapping[str, Any]]
+
+    @cached_property
+    def _f1(self) -> Floats:
+        return np.asarray(np.stack([result["f1"] for result in self.results], axis=-1))  # (V, T, U)
+
+    @property
+    def mappers(self) -> list[str]:
+        """Which mapper drew each variant."""
+        return list(self.results[0]["mappers"])
+
+    def f1(self, number: int, threshold: int | None = None) -> Floats:
+        """F1 of a variant over the drives (U,), or at all thresholds (T, U)."""
+        return np.asarray(self._f1[number] if threshold is None else self._f1[number, threshold])
+
+    def mean(self, measure: str, number: int, threshold: int | None = None) -> float:
+        """A measure of a variant, mean over the drives; nan where no map had it."""
+        values = np.array([result[measure][number] for result in self.results], dtype=np.float64)
+        chosen = values if threshold is None else values[:, threshold]
+        return float(np.nanmean(chosen)) if np.isfinite(chosen).any() else float("nan")
+
+    def number(self, variant: Variant) -> int:
+        """Where a variant stands; KeyError where it was not measured."""
+        try:
+            return self.variants.index(mapping.departures(variant))
+        except ValueError:
+            raise KeyError(named(variant)) from None
+
+    def courses(self) -> list[tuple[str, str]]:
+        """Worlds and kinds of poses, each pair once."""
+        return list(dict.fromkeys((world, poses) for world, _, poses in self.units))
+
+    def which(self, world: str, poses: str) -> list[int]:
+        """The drives of a world with a kind of poses."""
+        return [u for u, (own, _, kind) in enumerate(self.units) if (own, kind) == (world, poses)]
+
+    def ate_m(self) -> dict[str, list[float]]:
+        """The errors of the estimated poses, by world."""
+        found: dict[str, list[float]] = {}
+        for (world, _, poses), result in zip(self.units, self.results, strict=True):
+            if poses == "estimated":
+                found.setdefault(world, []).append(float(result["ate_m"]))
+        return found
+
+    def mapper_settings(self) -> list[int]:
+        """The variants that differ in settings of the mapper alone."""
+        return [n for n, variant in enumerate(self.variants) if not {"scans", "deskewed"} & set(variant)]
+
+    def choice(self, own: Sequence[int], seeds: Sequence[int]) -> Choice:
+        """What the rule recommends among some variants, by the drives with some seeds."""
+        drives = [u for u, (_, seed, _) in enumerate(self.units) if seed in seeds]
+        loss = np.array([[self.results[u]["log_loss"][n] for u in drives] for n in own])
+        peers = [own.index(self._peer(n)) for n in own]
+        counts: Ints = np.array([_departures(self.variants[n]) for n in own])
+        return recommended(self._f1[np.ix_(own, range(self._f1.shape[1]), drives)], loss, np.array(peers), counts, TOLD)
+
+    def seed_means(self, number: int, threshold: int, held_out: int) -> tuple[float, float]:
+        """Mean F1 over the drives of the seeds chosen on, and over those of the seed held out (seed 0: the same)."""
+        last = np.array([seed == held_out for _, seed, _ in self.units])
+        values = self.f1(number, threshold)
+        seen = values[~last] if (~last).any() else values
+        return float(seen.mean()), float(values[last].mean())
+
+    def _peer(self, number: int) -> int:
+        return self.number({name: v for name, v in self.variants[number].items() if name == "resolution_m"})
+
+
+def of_factor(study: Study, factor: str) -> list[int]:
+    """The variants of one factor, in its order."""
+    return [study.number(variant) for variant in mapping.factors()[factor]]
+
+
+def named(variant: Variant) -> str:
+    """What differs from the paper's settings, in words."""
+    own = mapping.departures(variant)
+    words = [FLAGS[name] if name in FLAGS else WORDS[name].format(value) for name, value in own.items()]
+    return ", ".join(words) or "paper's settings"
+
+
+def percent(ratio: float) -> str:
+    """A ratio as a change in percent."""
+    return f"{100.0 * (ratio - 1.0):+.0f} %"
+
+
+def _departures(variant: Variant) -> int:
+    names = {"bounds" if name in ("l_min", "l_max") else name for name in mapping.departures(variant)}
+    return len(names)

@@ -1,0 +1,272 @@
+"""Draws maps by every variant of the log-odds grid in worlds that are known, and measures what they are worth."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import Any
+
+import numpy as np
+
+from evalkit import frontend, registry, se2
+from evalkit.metrics.consistency import entropy, hits, thicknesses
+from evalkit.metrics.maps import Walls, chamfer, f1, iou, nearest_m, precision, recall, walls
+from evalkit.metrics.occupancy import log_loss, wall_width_m
+from evalkit.metrics.table import Mapped
+from evalkit.metrics.trajectory import match, position_errors, rms
+from evalkit.protocols import Value, resolved
+from evalkit.se2 import Floats
+from evalkit.types import Frame, OccupancyGrid, Pose, Trajectory, Truth
+
+Variant = Mapping[str, Value]
+"""What differs from ``DEFAULT``: parameters of the mapper, "scans" and "deskewed"."""
+
+DEFAULT: Variant = {
+    "resolution_m": 0.05, "l_occ": 0.847, "l_free": -0.847, "l_min": -5.0, "l_max": 5.0, "once_per_scan": True,
+    "traversal": "exact", "clear_no_returns": False, "scans": 250, "deskewed": True,
+}  # fmt: skip
+THRESHOLDS = (0.5, 0.65, 0.8, 0.9, 0.97, 0.99)
+TOLD = THRESHOLDS.index(0.65)
+"""Where the common threshold stands among them."""
+
+FINE_M = 0.025
+"""Cells of the true map that log-loss asks: no coarser than any map drawn."""
+
+MEASURES = ("f1", "precision", "recall", "chamfer_m", "width_m", "log_loss", "entropy")
+DRIFT_MEASURES = ("F1 at 10 cm", "mean distance to wall", "95 % distance to wall", "IoU", "entropy", "wall thickness")
+COMPILED = ("embedded-log-odds", "log-odds")
+"""The compiled mapper, and its twin for what the compiled one does not do."""
+
+
+@dataclass(frozen=True, eq=False)
+class Drive:
+    """A sequence with the poses (N, 3) ``world_from_base`` its maps are drawn at."""
+
+    frames: tuple[Frame, ...]
+    truth: Truth
+    poses: Floats
+    ate_m: float
+
+    def placed(self, scans: int, deskewed: bool = True) -> Mapped:
+        """At most so many scans, evenly spaced, with where the sensor was; the motion within is undone by the poses."""
+        chosen = np.unique(np.linspace(0, len(self.frames) - 1, min(scans, len(self.frames))).astype(int))
+        return tuple(self._placed(int(index), deskewed) for index in chosen)
+
+    def _placed(self, index: int, deskewed: bool) -> tuple[Any, Floats]:
+        frame = self.frames[index]
+        scan = frame.scan.deskewed(frame.base_from_sensor, self._within(index)) if deskewed else frame.scan
+        return scan, se2.compose(self.poses[index], frame.base_from_sensor.row)
+
+    def _within(self, index: int) -> Pose:
+        first = min(index, len(self.frames) - 2)
+        took = self.frames[first + 1].scan.stamp_ns - self.frames[first].scan.stamp_ns
+        share = self.frames[index].scan.duration_ns / took
+        step = se2.between(self.poses[first], self.poses[first + 1])
+        return Pose.of(se2.fraction(step, np.array([share]))[0])
+
+    @cached_property
+    def true(self) -> OccupancyGrid:
+        """The true map at the world's own resolution."""
+        if self.truth.grid is None:
+            raise ValueError("truth: no map")
+        return self.truth.grid
+
+
+def drive(world: str, seed: int, laps: float, poses: str = "true", **sensor: Value) -> Drive:
+    """A drive through a world at 10 Hz; ``poses``: "true", or "estimated" by the paper's ICP iterated to the end."""
+    sequence = _made(world, seed=seed, laps=laps, **sensor)
+    frames, truth = tuple(sequence.frames()), sequence.truth()
+    if truth.trajectory is None:
+        raise ValueError(f"{world}: no true trajectory")
+    if poses == "true":
+        return Drive(frames, truth, truth.trajectory.poses, 0.0)
+    found = match(_estimated(frames), truth.trajectory)
+    if isinstance(found, str):
+        raise ValueError(f"{world}: {found}")
+    return Drive(frames, truth, found.estimate, rms(position_errors(found)))
+
+
+def measured(
+    world: str, seed: int, laps: float, poses: str, variants: Sequence[Variant], sensor: Variant | None = None
+) -> dict[str, Any]:
+    """What every variant's map is worth: ``MEASURES`` by name (V, T) or, without a threshold, (V,); also the ATE (m).
+
+    "mappers": which one drew each variant. ``sensor``: parameters of the sequence other than its defaults.
+    """
+    course = drive(world, seed, laps, poses, **(sensor or {}))
+    fine = _made(world, laps=laps, resolution_m=FINE_M).truth().grid
+    drawn: dict[tuple[int, bool], Mapped] = {}
+    rows: dict[str, list[Any]] = {name: [] for name in MEASURES}
+    mappers = []
+    for variant in variants:
+        full = complete(variant)
+        place = (int(full["scans"]), bool(full["deskewed"]))
+        if place not in drawn:
+            drawn[place] = course.placed(*place)
+        name, grid = _map(full, drawn[place])
+        mappers.append(name)
+        by_threshold = np.array([_against(grid, course.true, threshold) for threshold in THRESHOLDS]).T
+        for measure, values in zip(MEASURES[:5], by_threshold, strict=True):
+            rows[measure].append(values)
+        rows["log_loss"].append(log_loss(grid, fine)[0] if fine is not None else np.nan)
+        rows["entropy"].append(entropy(grid))
+    return {name: np.array(values) for name, values in rows.items()} | {"ate_m": course.ate_m, "mappers": mappers}
+
+
+def drifted(world: str, seed: int, laps: float, metres: Sequence[float], degrees: Sequence[float]) -> dict[str, Any]:
+    """``DRIFT_MEASURES`` (K, 6) of maps whose poses leave the truth evenly, by so much at the end; both as arrays."""
+    course = drive(world, seed, laps)
+    middle = np.append(course.poses[:, :2].mean(axis=0), 0.0)
+    moved = [np.array([metre, 0.0, 0.0]) for metre in metres]
+    turned = [se2.compose(se2.compose(middle, [0.0, 0.0, np.radians(d)]), se2.inverse(middle)) for d in degrees]
+    return {
+        "metres": np.array([_of_drift(course, motion) for motion in moved]),
+        "degrees": np.array([_of_drift(course, motion) for motion in turned]),
+    }
+
+
+def pictures(world: str, seed: int, laps: float, poses: str, variants: Sequence[Variant]) -> dict[str, Any]:
+    """Every variant's map as probabilities in 0..255 ("0", "1", ...), its "extents" (V, 4) in m, and true "walls"."""
+    course = drive(world, seed, laps, poses)
+    result: dict[str, Any] = {"walls": course.true.centres(course.true.occupied()), "ate_m": course.ate_m}
+    extents = []
+    for number, variant in enumerate(variants):
+        full = complete(variant)
+        _, grid = _map(full, course.placed(int(full["scans"])))
+        result[str(number)] = np.round(255.0 * np.where(grid.observed, grid.probability(), 0.5)).astype(np.uint8)
+        extents.append(_extent(grid))
+    return result | {"extents": np.array(extents)}
+
+
+def twins(world: str, seed: int, laps: float, variants: Sequence[Variant]) -> dict[str, Any]:
+    """The largest difference in log-odds of the compiled mapper's maps and its twin's, and how many cells were held."""
+    course = drive(world, seed, laps)
+    apart, cells, other = 0.0, 0, 0
+    for variant in variants:
+        full = complete(variant)
+        placed = course.placed(int(full["scans"]))
+        one, two = (_drawn(name, full, placed) for name in COMPILED)
+        if one.shape != two.shape:
+            raise ValueError(f"{variant}: maps of {one.shape} and {two.shape} cells")
+        apart = max(apart, float(np.abs(one.log_odds - two.log_odds).max()))
+        cells += int(two.observed.sum())
+        other += int((one.observed != two.observed).sum())
+    return {"log_odds": apart, "cells": cells, "observed by one only": other}
+
+
+def compiled(variant: Variant) -> bool:
+    """Whether the compiled mapper draws a variant: every cell once a scan, along the exact traversal."""
+    full = complete(variant)
+    return bool(full["once_per_scan"]) and full["traversal"] == "exact" and not registry.mapper(COMPILED[0]).missing()
+
+
+def _made(world: str, **parameters: Value) -> Any:
+    spec = registry.dataset(world)
+    return spec.make(**resolved(world, spec.parameters, {"rate_hz": 10.0, **parameters}))
+
+
+def _estimated(frames: Iterable[Frame]) -> Trajectory:
+    """The poses by ``paper-tight``: compiled, which answers the same, or itself where the core was not built."""
+    spec, parameters = registry.backend("embedded"), {"epsilon": 1e-6}
+    if spec.missing():
+        spec, parameters = registry.backend("paper-tight"), {}
+    odometry = frontend.odometry(spec, frontend.complete_parameters("paper-tight", spec, parameters))
+    stamps, poses = zip(*((frame.scan.stamp_ns, odometry.update(frame).row) for frame in frames), strict=True)
+    return Trajectory(np.array(stamps), np.array(poses))
+
+
+def _map(full: Variant, placed: Mapped) -> tuple[str, OccupancyGrid]:
+    name = COMPILED[0] if compiled(full) else COMPILED[1]
+    return name, _drawn(name, full, placed)
+
+
+def _drawn(name: str, full: Variant, placed: Mapped) -> OccupancyGrid:
+    spec = registry.mapper(name)
+    known = {parameter.name for parameter in spec.parameters}
+    mapper = spec.make(**resolved(name, spec.parameters, {k: v for k, v in full.items() if k in known}))
+    for scan, world_from_sensor in placed:
+        mapper.update(scan, Pose.of(world_from_sensor))
+    return mapper.grid()
+
+
+def _against(grid: OccupancyGrid, true: OccupancyGrid, threshold: float) -> tuple[float, ...]:
+    """The first five of ``MEASURES``; a map without walls finds none."""
+    mapped, theirs = grid.centres(grid.occupied(threshold)), true.centres(true.occupied())
+    if not len(mapped):
+        return 0.0, np.nan, 0.0, np.nan, np.nan
+    found = Walls(mapped, theirs, nearest_m(mapped, theirs), nearest_m(theirs, mapped))
+    return f1(found), precision(found), recall(found), chamfer(found), wall_width_m(grid, threshold)
+
+
+def _of_drift(course: Drive, motion: Floats) -> tuple[float, ...]:
+    share = np.linspace(0.0, 1.0, len(course.poses))
+    poses = se2.compose(se2.fraction(motion, share), course.poses)
+    placed = Drive(course.frames, course.truth, poses, 0.0).placed(int(DEFAULT["scans"]))
+    _, grid = _map(DEFAULT, placed)
+    found = walls(grid, course.true)
+    far = float(found.to_true.mean()), float(np.percentile(found.to_true, 95))
+    thick = float(thicknesses(hits(placed))[0].mean())
+    return f1(found), *far, iou(found, course.true), entropy(grid), thick
+
+
+def _extent(grid: OccupancyGrid) -> tuple[float, float, float, float]:
+    """Left, right, bottom, top (m)."""
+    rows, columns = grid.shape
+    left, bottom = grid.origin_x, grid.origin_y
+    return left, left + columns * grid.resolution_m, bottom, bottom + rows * grid.resolution_m
+
+
+def complete(variant: Variant) -> dict[str, Value]:
+    """A variant with what it leaves to the default."""
+    return {**DEFAULT, **variant}
+
+
+@cache
+def factors() -> dict[str, tuple[Variant, ...]]:
+    """One factor at a time: the variants of each, its default among them, in order."""
+    return {
+        "resolution": _along("resolution_m", (0.025, 0.05, 0.1, 0.2)),
+        "evidence": tuple({"l_occ": v, "l_free": -v} for v in (0.405, 0.847, 1.386, 2.197)),
+        "free": _along("l_free", (-0.2, -0.405, -0.847, -1.386)),
+        "bounds": tuple({"l_min": -v, "l_max": v} for v in (2.0, 3.5, 5.0, 7.0, 10.0, 15.0)),
+        "scans": _along("scans", (62, 125, 250, 500, 1000)),
+        "rule": _along("once_per_scan", (True, False)),
+        "traversal": _along("traversal", ("exact", "bresenham")),
+        "no return": _along("clear_no_returns", (False, True)),
+        "deskew": _along("deskewed", (True, False)),
+    }
+
+
+@cache
+def interactions() -> tuple[Variant, ...]:
+    """What is measured beyond one factor at a time: factors that are likely to depend on one another."""
+    rules = [
+        {"resolution_m": size, "once_per_scan": once, "traversal": how}
+        for size in (0.025, 0.05, 0.1, 0.2)
+        for once in (True, False)
+        for how in ("exact", "bresenham")
+    ]
+    weak = [{"resolution_m": size, "l_free": free} for size in (0.025, 0.1) for free in (-0.2, -0.405)]
+    many = [{"scans": 1000, "l_free": free} for free in (-0.2, -0.405, -1.386)]
+    wide = [{"l_min": -10.0, "l_max": 10.0, "l_free": -0.405}, {"l_occ": 0.405, "l_free": -0.2}]
+    return (*rules, *weak, *many, *wide)
+
+
+def variants(with_interactions: bool) -> tuple[Variant, ...]:
+    """Every map of the study once, the default first, each as what differs from it."""
+    every = [*(v for own in factors().values() for v in own), *(interactions() if with_interactions else ())]
+    found = [departures({})]
+    for variant in every:
+        if (own := departures(variant)) not in found:
+            found.append(own)
+    return tuple(found)
+
+
+def departures(variant: Variant) -> dict[str, Value]:
+    """What really differs from the default."""
+    return {name: value for name, value in variant.items() if value != DEFAULT[name]}
+
+
+def _along(name: str, values: Sequence[Value]) -> tuple[Variant, ...]:
+    return tuple({name: value} for value in values)
