@@ -13,7 +13,7 @@ from evalkit import environment, experiment, frontend, registry
 from evalkit.engine import Engine, Progress
 from evalkit.errors import NotInstalled
 from evalkit.experiment import Course, Limits, Plan
-from evalkit.protocols import Value
+from evalkit.protocols import BackendSpec, Value
 from evalkit.settings import from_text
 from evalkit.store import Store
 from evalkit.study.ledger import Job, Ledger, OnDone, Result
@@ -243,13 +243,13 @@ def examination(asked: Asked) -> Examination:
     """Everything checked before anything is computed; NotInstalled, UnknownName or BadParameter say what is wrong."""
     twin, why = (asked.twin, "named with --twin") if asked.twin else twins.twin()
     for name in (asked.backend, twin):
-        if missing := registry.backend(name).missing():
-            raise NotInstalled(name, "cannot be validated here", missing)
+        if why_not := _unfit(registry.backend(name)):
+            raise NotInstalled(name, "cannot be validated here", why_not)
     given = _typed(asked.backend, asked.given)
     shared = {name: word for name, word in asked.given.items() if name in _parameters(twin)}
     given_twin = _typed(twin, {**shared, **asked.given_twin})
     wanted = [name for name in dict.fromkeys(asked.against) if name not in (asked.backend, twin)]
-    absent = {name: missing for name in wanted if (missing := registry.entrant(name).missing())}
+    absent = {name: missing for name in wanted if (missing := _unfit(registry.entrant(name)))}
     here = [name for name in wanted if name not in absent]
     bars = [name for name in twins.bars() if name not in (asked.backend, twin, *here)]
     mapper = asked.mapper or twins.mapper_of(asked.backend)
@@ -276,6 +276,11 @@ def _plan(
         "limits": asdict(Limits()) | {"run_s": 3.0 * asked.effort.limit_s, "memory_mib": asked.effort.memory_mib},
     }
     return experiment.plan(content, "evalkit validate", "validate", f"validate {shlex.quote(asked.backend)}")
+
+
+def _unfit(spec: BackendSpec) -> str:
+    """Why a back end cannot run here, or does not work, or ""."""
+    return spec.missing() or spec.broken
 
 
 def _sequence(text: str, seeds: int) -> dict[str, Any]:

@@ -1,0 +1,61 @@
+"""The paper's ICP with a mistake in it, as back ends under development."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from evalkit.types import Cloud, Pose
+from evalkit_baselines import paper
+from evalkit_baselines.paper import icp
+from evalkit_baselines.paper.icp import Icp
+
+
+class Transposed(Icp):
+    """Every step turns the wrong way: R = U V^T taken as printed."""
+
+    def _step(self, source, target, normals):
+        theta = -super()._step(source, target, normals)[2]
+        return icp._about(icp._centroid(source), icp._centroid(target), theta)
+
+
+class Degrees(Icp):
+    """The answer's angle is in degrees."""
+
+    def register(self, target, source, guess):
+        """An answer in degrees."""
+        match = super().register(target, source, guess)
+        pose = match.target_from_source
+        return replace(match, target_from_source=Pose(pose.x, pose.y, math.degrees(pose.theta)))
+
+
+class Rounded(Icp):
+    """Works on numbers of single precision."""
+
+    def register(self, target, source, guess):
+        """An answer from rounded points."""
+        return super().register(*(Cloud(np.float32(cloud.points)) for cloud in (target, source)), guess)
+
+
+class Crashes(Icp):
+    """Ends its process when it is given as many points as a real scan has."""
+
+    def register(self, target, source, guess):
+        """An answer, or the end."""
+        if 600 < len(source) < 1200 and len(target) < 1200:
+            ctypes.string_at(0)
+        return super().register(target, source, guess)
+
+
+def _with(make, **fixed):
+    return replace(paper.SPEC, make=lambda **given: make(**{**given, **fixed}), role="")
+
+
+TRANSPOSED = _with(Transposed)
+DEGREES = _with(Degrees)
+MANY_TO_ONE = _with(Icp, one_to_one=False)
+ROUNDED_AND_FEWER = _with(Rounded, max_iterations=2)
+CRASHES_ON_SCANS = _with(Crashes)
