@@ -8,9 +8,9 @@ import signal
 import numpy as np
 import pytest
 
-from evalkit import cli, registry
+from evalkit import cli, mapserver, registry
 from evalkit.store import Store
-from evalkit_datasets import mapserver, tum
+from evalkit_datasets import tum
 
 pytestmark = pytest.mark.slow
 

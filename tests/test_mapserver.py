@@ -1,10 +1,13 @@
 """Maps as map_server saves them."""
 
+from io import BytesIO
+
 import numpy as np
 import pytest
+from PIL import Image
 
+from evalkit import mapserver
 from evalkit.errors import BadData
-from evalkit_datasets import mapserver
 
 YAML = "image: map.pgm\nmode: trinary\nresolution: 0.05\norigin: [-1.5, 2.0, 0]\nnegate: 0\noccupied_thresh: 0.65\n"
 
@@ -47,11 +50,23 @@ def test_sixteen_bit_images_are_big_endian(tmp_path):
     assert grid.free().tolist() == [[False, True]]
 
 
+@pytest.mark.parametrize("mode", ["L", "RGB", "P", "RGBA"])
+def test_a_png_reads_as_the_pgm_of_the_same_greys(tmp_path, mode):
+    greys = np.array([[0, 254, 205], [254, 254, 0]], dtype=np.uint8)
+    image = BytesIO()
+    Image.fromarray(greys).convert(mode).save(image, "PNG")
+    found = mapserver.read(written(tmp_path, image.getvalue()))
+    twin = mapserver.read(written(tmp_path, b"P5 3 2 255\n" + greys.tobytes()))
+    assert np.array_equal(found.log_odds, twin.log_odds)
+    assert np.array_equal(found.observed, twin.observed)
+
+
 @pytest.mark.parametrize(
     ("pgm", "yaml", "part"),
     [
         (b"P5 3 2 255\n\0\0", YAML, "2 pixels for 3 x 2"),
-        (b"\x89PNG\r\n", YAML, "no PGM"),
+        (b"\x89PNG\r\n", YAML, "damaged PNG image"),
+        (b"GIF89a", YAML, "no PGM or PNG image"),
         (b"P2 2 1 255\n0 x", YAML, "damaged pixels"),
         (b"", YAML, "empty"),
         (b"P5 1 1 255\n\0", "image: map.pgm\norigin: [0, 0, 0]\n", "missing key 'resolution'"),

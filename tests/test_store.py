@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from evalkit import mapserver
 from evalkit.errors import StoreError
 from evalkit.store import Store, read_steps, tum
 from evalkit.types import STEP, OccupancyGrid, Pose, Run, Score, Status, Trajectory
-from evalkit_datasets import mapserver
 from evalkit_datasets import tum as tum_files
 
 KEY = "room-s0-icp-0123456789"

@@ -1,17 +1,17 @@
-"""Occupancy grids as ROS map_server saves them: a PGM image and a YAML file that says what it means."""
+"""Occupancy grids as ROS map_server saves them: a PGM or PNG image and a YAML file that says what it means."""
 
 from __future__ import annotations
 
 import re
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from evalkit.errors import BadData
+from evalkit.errors import BadData, DataMissing
 from evalkit.se2 import Floats
 from evalkit.types import OccupancyGrid
-from evalkit_datasets.rows import bytes_of, text_of
 
 UNKNOWN = 205
 """The grey map_server itself writes for unknown."""
@@ -29,7 +29,7 @@ def read(path: Path) -> OccupancyGrid:
     where ``free_thresh`` would call it free: older savers wrote 0.25 while 205 stands for 0.196.
     """
     settings = _settings(path)
-    grey, maximum = _pgm(path.parent / str(settings["image"]))
+    grey, maximum = _grey(path.parent / str(settings["image"]))
     occupancy = grey / maximum if settings["negate"] else (maximum - grey) / maximum
     unknown = (grey == UNKNOWN) & (maximum == 255)
     occupied = (occupancy > settings["occupied_thresh"]) & ~unknown
@@ -39,12 +39,24 @@ def read(path: Path) -> OccupancyGrid:
     return OccupancyGrid(np.flipud(log_odds), np.flipud(occupied | free), settings["resolution"], x, y)
 
 
+def image_of(path: Path) -> Path | None:
+    """The image a map's YAML file names, None where it names none that can be read."""
+    try:
+        return path.parent / str(_settings(path)["image"])
+    except (BadData, DataMissing):
+        return None
+
+
 def _settings(path: Path) -> dict[str, Any]:
     """The checked keys of the YAML file."""
-    from ruamel.yaml import YAML  # noqa: PLC0415 - comes with rosbags; only maps need it
+    from ruamel.yaml import YAML  # noqa: PLC0415 - only maps need it
     from ruamel.yaml.error import YAMLError  # noqa: PLC0415
 
-    text = text_of(path, "the YAML file of a map")
+    content = _bytes(path, "the YAML file of a map")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise BadData(str(path), f"byte {error.start}", "no text", "give the YAML file of a map") from None
     try:
         found = YAML(typ="safe", pure=True).load(text)
     except YAMLError as error:
@@ -75,12 +87,29 @@ def _geometry(path: Path, known: dict[str, Any]) -> dict[str, Any]:
     return checked | {"origin": (x, y, yaw)}
 
 
-def _pgm(path: Path) -> tuple[Floats, int]:
-    """The grey values (H, W) of a P2 or P5 image, row 0 the top, and the value of white."""
-    content = bytes_of(path, "the PGM image of the map")
+def _grey(path: Path) -> tuple[Floats, int]:
+    """The grey values (H, W) of the image, row 0 the top, and the value of white."""
+    content = _bytes(path, "the image of the map")
+    return _png(path, content) if content.startswith(b"\x89PNG") else _pgm(path, content)
+
+
+def _png(path: Path, content: bytes) -> tuple[Floats, int]:
+    """Colours become their mean, as map_server takes them."""
+    from PIL import Image  # noqa: PLC0415 - only maps need it
+
+    try:
+        with Image.open(BytesIO(content)) as image:
+            deep = image.mode.startswith("I")  # 16 bits
+            grey = np.asarray(image if deep else image.convert("RGB"), dtype=np.float64)
+    except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
+        raise BadData(str(path), "", f"damaged PNG image ({error})", "save the map again") from None
+    return (grey, 65535) if deep else (np.round(grey.mean(axis=2)), 255)
+
+
+def _pgm(path: Path, content: bytes) -> tuple[Floats, int]:
     header = _HEADER.match(content)
     if header is None:
-        raise BadData(str(path), "", f"no PGM image: it begins {content[:8]!r}", "convert the image to PGM")
+        raise BadData(str(path), "", f"no PGM or PNG image: it begins {content[:8]!r}", "convert it")
     width, height, maximum = (int(number) for number in header.groups()[1:])
     body = content[header.end() :]
     try:
@@ -95,3 +124,17 @@ def _pgm(path: Path) -> tuple[Floats, int]:
             str(path), "", f"{len(grey)} pixels for {width} x {height}, white {maximum}", "save the map again"
         )
     return grey[: width * height].reshape(height, width), maximum
+
+
+def _bytes(path: Path, what: str) -> bytes:
+    """The whole file; DataMissing where there is none, BadData where it is empty or cannot be read."""
+    if not path.is_file():
+        found = "it is a folder" if path.is_dir() else "no such file"
+        raise DataMissing(str(path), found, f"give the path of {what}")
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise BadData(str(path), "", f"cannot be read ({error.strerror})", "check its permissions") from error
+    if not content:
+        raise BadData(str(path), "", "the file is empty", f"give {what}")
+    return content
