@@ -94,3 +94,19 @@ def test_a_map_without_walls_scores_nothing_and_without_truth_has_no_score() -> 
     assert found["map_precision"].reason == "the map has no wall"
     assert scores(empty, None)["map_f1"].reason == "no true map"
     assert scores(None, grid(wall(20)))["map_f1"].reason == "no map: the run answered no scan"
+
+
+def test_coverage_is_the_share_of_the_true_map_s_observed_cells_that_are_observed() -> None:
+    true = grid(wall(20))
+    half = grid(wall(20)[:, :30])
+    seen = np.ones((40, 60), np.bool_)
+    seen[:10] = False
+    holed = OccupancyGrid(true.log_odds, seen, 0.05, 0.0, 0.0)
+    away = grid(wall(20), origin_x=100.0)
+    found = [scores(mapped, true)["map_coverage_percent"] for mapped in (true, half, holed, away)]
+    assert found == [Score(100.0, 2400), Score(50.0, 2400), Score(75.0, 2400), Score(0.0, 2400)]
+    assert scores(true, holed)["map_coverage_percent"] == Score(100.0, 1800)
+    coarse = grid(wall(5, (10, 15)), 0.2)
+    assert scores(coarse, true)["map_coverage_percent"].value == 100.0
+    assert scores(true, None)["map_coverage_percent"].reason == "no true map"
+    assert scores(None, true)["map_coverage_percent"].reason.startswith("no map: ")

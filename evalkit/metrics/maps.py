@@ -93,6 +93,23 @@ def _scored(
     return compute
 
 
+def coverage(mapped: OccupancyGrid, true: OccupancyGrid) -> float:
+    """The share of the observed cells of the true map whose centre lies in an observed cell of the other."""
+    places = true.centres(true.observed)
+    cells = np.floor((places - [mapped.origin_x, mapped.origin_y]) / mapped.resolution_m).astype(np.int64)
+    inside = ((cells >= 0) & (cells < mapped.shape[::-1])).all(axis=1)
+    return float(mapped.observed[cells[inside, 1], cells[inside, 0]].sum() / len(places))
+
+
+def _coverage(evidence: Evidence) -> Score:
+    true, mapped = evidence.truth.grid, evidence.grid
+    if true is None or not true.observed.any():
+        return Score(None, 0, "no true map" if true is None else "nothing of the true map is observed")
+    if mapped is None:
+        return Score(None, 0, f"no map: {evidence.no_grid}")
+    return number(100.0 * coverage(mapped, true), int(true.observed.sum()))
+
+
 F1 = "precision and recall with a distance tolerance, as for boundaries in Martin et al., PAMI 26(5), 2004"
 ALIGNED = "errors within the tolerance; the map is drawn in the frame that fits the true trajectory best"
 CELLS = "Occupied cells (p > 0.65) of the map of the estimated trajectory"
@@ -122,4 +139,7 @@ METRICS = (
            "Cells with a wall in both maps, of cells with a wall in either, at the coarser resolution of the two, "
            "without tolerance.", "Jaccard, 1912", "how far off a wall is: one cell is as bad as ten",
            _scored(lambda found, mapped, true: iou(found, max(true, mapped, key=lambda grid: grid.resolution_m)))),
+    Metric("map_coverage_percent", "true map covered", "%", "higher", "map against truth",
+           "Cells that the true map has observed whose centre lies in a cell that the map has observed, of all.",
+           "evalkit", "whether what is there is right", _coverage, 1),
 )  # fmt: skip
