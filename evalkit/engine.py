@@ -18,10 +18,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from evalkit import environment, lifeline, registry, runner, scoring
+from evalkit import environment, lifeline, map_scoring, registry, runner, scoring
 from evalkit.errors import StoreError
 from evalkit.experiment import MapperChoice, Plan, Planned
-from evalkit.protocols import Value
 from evalkit.store import Store
 from evalkit.types import STEP, Run, Status, Trial, Truth
 from evalkit.worker import Request
@@ -115,7 +114,7 @@ class Engine:
     def _made(self, planned: Planned, core: int | None, scorers: ProcessPoolExecutor, stop: threading.Event) -> Trial:
         run = self._run(planned, core, stop)
         content: Mapping[str, Any] = {"scores": {}}
-        if len(run.steps) and not stop.is_set():
+        if (len(run.steps) or run.status == "complete") and not stop.is_set():
             try:
                 content = self._scored(planned, run, core, scorers)
             except StoreError:
@@ -174,9 +173,7 @@ class Engine:
         fingerprint = f"{registry.score_fingerprint(self.plan.mapper.name)} {self.plan.mapper}"
         known = self.store.load_scores(planned.key) if self.resume or self.collect else None
         if known is None or known["fingerprint"] != fingerprint:
-            course = planned.course
-            job = (course.dataset, course.seeded(planned.seed), self.plan.mapper, fingerprint, core)
-            _in_pool(scorers, score_stored, self.store.folder, planned.key, run, *job)
+            _in_pool(scorers, score_stored, self.store.folder, planned, run, self.plan.mapper, fingerprint, core)
             known = self.store.load_scores(planned.key)
         if known is None:
             raise ValueError(f"{self.store.run_folder(planned.key)}: scores were written but cannot be read back")
@@ -208,22 +205,24 @@ class Engine:
 
 
 def score_stored(
-    folder: Path, key: str, run: Run, dataset: str, parameters: dict[str, Value],
-    mapper: MapperChoice, fingerprint: str, core: int | None,
-) -> None:  # fmt: skip
+    folder: Path, planned: Planned, run: Run, mapper: MapperChoice, fingerprint: str, core: int | None
+) -> None:
     """Scores one run and keeps the result in the store; runs in a process of the scoring pool, on the run's core."""
     if core is not None:
         os.sched_setaffinity(0, {core})
-    spec = registry.mapper(mapper.name)
-    sequence = registry.dataset(dataset).make(**parameters)
-    scored = scoring.score(run, sequence, lambda: spec.make(**mapper.parameters), mapper.scans)
+    entrant, drawn_by = registry.backend(planned.contestant.backend), registry.mapper(mapper.name)
+    sequence = registry.dataset(planned.course.dataset).make(**planned.course.seeded(planned.seed))
+    if entrant.kind == "map":
+        scored = map_scoring.score(run, entrant.make(**planned.contestant.parameters), sequence)
+    else:
+        scored = scoring.score(run, sequence, lambda: drawn_by.make(**mapper.parameters), mapper.scans)
     content = {
         "fingerprint": fingerprint,
         "world_from_start": scored.world_from_start.row.tolist(),
         "alignment": scored.alignment,
         "scores": {name: asdict(score) for name, score in scored.scores.items()},
     }
-    Store(folder).save_scores(key, content, scored.grid, scored.errors_m)
+    Store(folder).save_scores(planned.key, content, scored.grid, scored.errors_m)
 
 
 def _scorers(jobs: int) -> ProcessPoolExecutor:

@@ -79,7 +79,7 @@ class Settings:
 
 def parameters_of(spec: BackendSpec) -> tuple[Parameter, ...]:
     """Everything that can be set on a back end: its own parameters and, for a registration, the front end's."""
-    if spec.kind == "odometry":
+    if spec.kind != "registration":
         return spec.parameters
     differing = (p for p in spec.parameters if p.name in spec.scan_to_scan)
     stage_one = (_prefixed(p, spec.scan_to_scan[p.name]) for p in differing)
@@ -103,6 +103,8 @@ def odometry(
     spec: BackendSpec, parameters: Mapping[str, Value], on_match: OnMatch = lambda _stage, _match, _believed: None
 ) -> Odometry:
     """A fresh odometry of a back end with complete parameters; ``on_match`` hears every stage's answer."""
+    if spec.kind == "map":
+        raise TypeError("a map answers no scan: it cannot be made an odometry")
     if spec.kind == "odometry":
         made: Odometry = spec.make(**parameters)
         return made

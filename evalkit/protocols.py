@@ -143,11 +143,12 @@ class Published:
 class BackendSpec:
     """A back end: how to make it, what it is, what it needs.
 
-    ``kind``: "registration" (``make(**parameters)`` gives a Registration; evalkit's front end makes it an odometry) or
-    "odometry" (``make`` gives an Odometry). ``frontend``: front-end settings this back end wants other than the
-    defaults. ``scan_to_scan``: its own parameters that differ in the first stage. ``guess``: what it starts from, for
-    the report (an odometry that does not say: "not told"). ``role``: "paper" for the method evalkit itself stands for,
-    "bar" for what all others have to beat.
+    ``kind``: "registration" (``make(**parameters)`` gives a Registration; evalkit's front end makes it an odometry),
+    "odometry" (``make`` gives an Odometry) or "map" (``make`` gives an OccupancyGrid in the world's frame, made
+    elsewhere; it answers no scan). ``recorded``: its answers were made elsewhere; nothing else can be asked.
+    ``frontend``: front-end settings this back end wants other than the defaults. ``scan_to_scan``: its own parameters
+    that differ in the first stage. ``guess``: what it starts from, for the report (an odometry that does not say: "not
+    told"). ``role``: "paper" for the method evalkit itself stands for, "bar" for what all others have to beat.
     ``missing()`` says why it cannot run here and how to mend it, or "". ``broken``: why what is here does not work
     (a program that does not introduce itself), or ""; then its runs have failed, and what could be set is unknown.
     ``digest``: changes with what it consists of beyond its Python sources (a shared library, a program, a file of
@@ -155,7 +156,7 @@ class BackendSpec:
     """
 
     make: Callable[..., Any]
-    kind: Literal["registration", "odometry"]
+    kind: Literal["registration", "odometry", "map"]
     summary: str
     citation: str
     licence: str
@@ -167,6 +168,7 @@ class BackendSpec:
     scan_to_scan: Mapping[str, Value] = field(default_factory=dict)
     missing: Callable[[], str] = nothing_missing
     broken: str = ""
+    recorded: bool = False
     digest: str = ""
 
     def __post_init__(self) -> None:

@@ -114,6 +114,9 @@ def perform(request: Request, folder: Path) -> Outcome:
             raise NotInstalled(request.backend, "not installed", why)
         dataset = registry.dataset(request.dataset)
         sequence: Sequence = dataset.make(**request.dataset_parameters)
+        if spec.kind == "map":
+            spec.make(**request.backend_parameters)  # one that cannot be read has failed
+            return Outcome(status, reason, expected, _peak_memory_bytes(), warm, notes)
         expected = len(sequence)
         begun = {"expected": expected, "every": _every(dataset, request)}
         _leave(folder / "begun.json", begun)  # for a back end that ends this process in its warm-up

@@ -1,4 +1,4 @@
-"""Poses computed elsewhere as a back end: ``file:poses.tum`` answers every scan from a trajectory in TUM format."""
+"""Results made elsewhere: ``file:poses.tum`` answers every scan from a trajectory, ``file:map.yaml`` is a map."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 
 from evalkit.clock import withhold
 from evalkit.errors import BadData
+from evalkit.external import maps
 from evalkit.external.declaration import UNTOLD, digest_of, settings, split
 from evalkit.protocols import BackendSpec, NoAnswer, Parameter
 from evalkit.types import Frame, Pose, Trajectory
@@ -25,10 +26,12 @@ PARAMETERS = (
 
 
 def scheme(rest: str) -> BackendSpec:
-    """The back end ``file:PATH [NAME=VALUE ...]``."""
+    """The contestant ``file:PATH [NAME=VALUE ...]``: a map (*.yaml), else a trajectory in TUM format."""
     name = f"file:{rest}"
     path, *words = split(name, rest)
     file = Path(path).resolve()
+    if file.suffix in maps.SUFFIXES:
+        return maps.spec(name, file, words)
     return BackendSpec(
         make=partial(PosesFromFile, file),
         kind="odometry",
@@ -38,6 +41,7 @@ def scheme(rest: str) -> BackendSpec:
         guess="unknown: it was computed elsewhere",
         parameters=settings(name, PARAMETERS, words),
         missing=lambda: "" if file.is_file() else f"no such file: {file.name}; mend its path",
+        recorded=True,
         digest=digest_of(file),
     )
 

@@ -97,7 +97,7 @@ def cleared_share(hits: Floats, other: OccupancyGrid) -> tuple[float, int]:
 
     Free space is where it has cleared the cell (log-odds < -1) and has no occupied cell's centre within 0.1 m.
     """
-    log_odds, observed = _looked_up(hits, other)
+    log_odds, observed = looked_up(hits, other)
     count = int(observed.sum())
     suspects = hits[observed & (log_odds < CLEARED)]
     walls = cKDTree(other.centres(other.occupied()))
@@ -110,7 +110,7 @@ def split_distances(first: OccupancyGrid, second: OccupancyGrid) -> Floats:
     cells = [grid.centres(grid.occupied()) for grid in (first, second)]
     if not all(map(len, cells)):
         return np.zeros(0)
-    shared = [cells[0][_looked_up(cells[0], second)[1]], cells[1][_looked_up(cells[1], first)[1]]]
+    shared = [cells[0][looked_up(cells[0], second)[1]], cells[1][looked_up(cells[1], first)[1]]]
     return np.concatenate([nearest_m(shared[0], cells[1]), nearest_m(shared[1], cells[0])])
 
 
@@ -138,7 +138,7 @@ def _cropped(mask: Bools) -> Bools:
     return mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] if len(rows) else mask[:1, :1]
 
 
-def _looked_up(points: Floats, grid: OccupancyGrid) -> tuple[Floats, Bools]:
+def looked_up(points: Floats, grid: OccupancyGrid) -> tuple[Floats, Bools]:
     """Log-odds (N,) at points (N, 2), and which (N,) lie in observed cells."""
     cells = np.floor((points - [grid.origin_x, grid.origin_y]) / grid.resolution_m).astype(np.int64)
     rows, columns = cells[:, 1], cells[:, 0]

@@ -111,6 +111,8 @@ def fairness(trials: Sequence[Trial], environment: Mapping[str, str]) -> tuple[s
     warm = sorted({trial.run.warm_up_scans for trial in trials if len(trial.run.steps)})
     warmed = f"the first {'/'.join(map(str, warm))} scans" if warm else "the first scans"
     at_once = environment.get("runs at a time", "")
+    given = any(trial.run.status == "complete" and not len(trial.run.steps) for trial in trials)
+    elsewhere = "; a map made elsewhere is held against the truth as it is" if given else ""
     shared = "; those at the same time share caches and memory, and slow each other" if at_once != "1" else ""
     return (
         *([f"Runs at a time: {at_once}{shared}."] if at_once else []),
@@ -121,7 +123,8 @@ def fairness(trials: Sequence[Trial], environment: Mapping[str, str]) -> tuple[s
         f"Imports and first allocations are paid by another instance that sees {warmed} before the timed one starts.",
         "What a contestant starts its registration from is on its card; all that start from wheel odometry get the "
         "same odometry.",
-        "All maps are drawn by one mapper from each contestant's trajectory, aligned to the truth where there is one.",
+        "All maps are drawn by one mapper from each contestant's trajectory, aligned to the truth where there is one"
+        f"{elsewhere}.",
         "Runs that did not complete are counted and shown, and enter no median; nobody who lost a run can win.",
     )
 

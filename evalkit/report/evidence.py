@@ -103,8 +103,14 @@ def _errors(comparison: Comparison, counted: Sequence[Standing], contestant: str
     return {
         (trial.sequence, trial.seed): _error(trial, metric[trial.sequence])
         for trial in comparison.trials
-        if trial.contestant == contestant and trial.sequence in metric and trial.run.status not in NOT_POSSIBLE
+        if trial.contestant == contestant and trial.sequence in metric and _could_err(trial)
     }
+
+
+def _could_err(trial: Trial) -> bool:
+    """Whether a run could have an error at all: it was possible here, and is more than a map without trajectory."""
+    a_map_alone = trial.run.status == "complete" and not len(trial.run.steps)
+    return trial.run.status not in NOT_POSSIBLE and not a_map_alone
 
 
 def _error(trial: Trial, metric: str) -> float:

@@ -1,0 +1,29 @@
+"""A map without a trajectory made numbers: held against the true map, and looked at for what it shows by itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from evalkit import metrics
+from evalkit.metrics.table import Evidence
+from evalkit.protocols import Sequence
+from evalkit.scoring import Scored
+from evalkit.types import OccupancyGrid, Pose, Run, Score
+
+OF_THE_MAP_ALONE = ("occupied_percent", "corners", "enclosed_areas", "enclosed_m2")
+"""Consistency metrics that need neither scans nor probabilities; all metrics against the true map need neither."""
+
+NO_TRAJECTORY = "no trajectory: a map alone was made elsewhere"
+NO_PROBABILITIES = "a map file tells occupied, free and unknown, not how probable"
+
+FRAME = "the map stands where its file and its settings say"
+
+
+def score(run: Run, grid: OccupancyGrid, sequence: Sequence) -> Scored:
+    """The scores of a map in the world's frame; what needs a trajectory says that there is none."""
+    evidence = Evidence(run, sequence.truth(), NO_TRAJECTORY, grid, (), no_grid=NO_TRAJECTORY)
+    table = metrics.all_metrics()
+    meaningful = [one for one in table if one.group == "map against truth" or one.name in OF_THE_MAP_ALONE]
+    scores = {one.name: Score(None, 0, NO_TRAJECTORY) for one in table} | metrics.score(evidence, meaningful)
+    scores["map_entropy"] = replace(scores["map_entropy"], reason=NO_PROBABILITIES)
+    return Scored(scores, Pose(), grid, None, FRAME)

@@ -1,0 +1,122 @@
+"""Maps made elsewhere as contestants: held against the true map as they are, and asked nothing else."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from evalkit import cli, registry
+from evalkit.errors import BadData
+from evalkit.external import maps
+from evalkit.protocols import resolved
+from evalkit.store import Store
+from evalkit.types import OccupancyGrid, Pose
+
+DRIVE = "laps = 0.02\n"
+COARSE = "[mapper]\nresolution_m = 0.25\n"
+
+
+@pytest.fixture
+def saved(tmp_path):
+    """Saves a map as map_server would; its name for evalkit."""
+
+    def save(grid):
+        Store(tmp_path / "elsewhere").write_map(tmp_path / "elsewhere" / "map", grid)
+        return f"file:{tmp_path / 'elsewhere' / 'map.yaml'}"
+
+    return save
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch, capsys):
+    """Runs an experiment of contestants named so; exit code and rows."""
+
+    def call(command, *uses):
+        path = tmp_path / "maps.toml"
+        entrants = "".join(f"[[contestant]]\nuse = {json.dumps(use)}\n" for use in uses)
+        path.write_text(entrants + COARSE + f'[[sequence]]\nuse = "room"\n{DRIVE}')
+        words = ["evalkit", command, str(path), "-o", str(tmp_path / "out"), "-j", "1", "--json"]
+        monkeypatch.setattr(sys, "argv", words)
+        with pytest.raises(SystemExit) as ended:
+            cli.main()
+        return ended.value.code, json.loads(capsys.readouterr().out)
+
+    return call
+
+
+def made(name, **given):
+    spec = registry.backend(name)
+    return spec.make(**resolved(name, spec.parameters, given))
+
+
+def wall(shape=(30, 40)):
+    log_odds = np.full(shape, -3.5, dtype=np.float32)
+    log_odds[:, 10] = 3.5
+    return OccupancyGrid(log_odds, np.ones(shape, dtype=bool), 0.1, -1.0, 2.0)
+
+
+def test_the_true_map_itself_scores_perfectly_and_says_nothing_that_needs_a_trajectory(saved, run):
+    drive = {p.name: p.default for p in registry.dataset("room").parameters} | {"laps": 0.02}
+    use = saved(registry.dataset("room").make(**drive).truth().grid)
+    code, answer = run("report", "wheel-odometry", use, f"{use} x_m=0.5")
+    _, theirs, shifted = answer["runs"]
+    assert (code, theirs["status"]) == (0, "complete")
+    found = theirs["scores"]
+    assert found["map_f1"] == found["map_iou"] == 1.0
+    assert found["map_coverage_percent"] == pytest.approx(100.0)
+    assert found["corners"] is not None
+    for name in ("ate_rmse_m", "rpe_trans_m", "map_entropy", "wall_thickness_m", "wall_median_ms", "answered_percent"):
+        assert found.get(name) is None
+    assert shifted["scores"]["map_f1"] < 0.5
+    page = Path(answer["page"]).read_text(encoding="utf-8")
+    assert "no trajectory: a map alone was made elsewhere" in page
+    assert "a map made elsewhere is held against the truth as it is" in page
+
+
+def test_settings_place_the_map_in_the_world_of_the_truth(saved):
+    grid = made(saved(wall()), x_m=3.0, y_m=-2.0)
+    assert (grid.origin_x, grid.origin_y) == (2.0, 0.0)
+    assert np.array_equal(grid.occupied(), wall().occupied())
+
+
+def test_a_quarter_turn_turns_every_cell():
+    grid = maps.placed(wall(), Pose(0.0, 0.0, np.pi / 2))
+    walls = grid.centres(grid.occupied())
+    assert len(walls) == 30
+    assert walls[:, 1] == pytest.approx(np.full(30, 0.05), abs=0.051)  # x = 0.05 has become y = 0.05
+    assert walls[:, 0].min() == pytest.approx(-4.95, abs=0.051)
+    assert grid.observed.sum() == 30 * 40
+
+
+def test_a_slanted_map_keeps_its_walls_within_a_cell():
+    world_from_map = Pose(1.0, -2.0, 0.3)
+    grid = maps.placed(wall(), world_from_map)
+    back = world_from_map.inverse().transform(grid.centres(grid.occupied()))
+    assert np.abs(back[:, 0] - 0.05).max() < 0.0501
+    assert len(back) == pytest.approx(30, abs=3)
+    assert grid.observed.sum() == pytest.approx(30 * 40, rel=0.01)
+
+
+def test_a_map_or_an_image_that_is_not_there_is_absent_and_one_that_is_damaged_has_failed(saved, run, tmp_path):
+    use = saved(wall())
+    image = tmp_path / "elsewhere" / "map.pgm"
+    image.write_bytes(b"P5 3 2 255\n\0")
+    code, answer = run("run", use, "file:nowhere.yaml")
+    damaged, absent = answer["runs"]
+    assert (code, damaged["status"], absent["status"]) == (1, "failed", "not-installed")
+    assert "1 pixels for 3 x 2" in damaged["reason"]
+    image.unlink()
+    assert registry.backend(use).missing() == "no such file: map.pgm; mend its path"
+    (tmp_path / "elsewhere" / "map.yaml").write_text("words")
+    with pytest.raises(BadData, match="no keys"):
+        made(use)
+
+
+def test_results_are_keyed_by_what_the_image_contains(saved):
+    use = saved(wall())
+    before = registry.run_fingerprint(use, "room")
+    assert before == registry.run_fingerprint(use, "room")
+    saved(wall((31, 40)))
+    assert registry.run_fingerprint(use, "room") != before
