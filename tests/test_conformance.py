@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from evalkit import cli, registry
-from evalkit.errors import BadParameter, NotInstalled, UnknownName
+from evalkit.errors import BackendFailed, BadParameter, NotInstalled, UnknownName
 from evalkit.validation import conformance, odometry_rules, registration_rules
 from evalkit.validation.rules import verdict
 
@@ -249,3 +249,10 @@ def evalkit(monkeypatch, capsys):
         return ended.value.code, said.out + said.err
 
     return call
+
+
+@pytest.mark.parametrize("name", ["poses.tum", "map.yaml"])
+def test_a_file_of_results_has_no_behaviour_to_check_and_is_told_what_can_be_done_instead(name, tmp_path):
+    (tmp_path / name).write_text("")
+    with pytest.raises(BackendFailed, match=r"no behaviour to check; hold it against the truth .*evalkit compare"):
+        conformance.check(f"file:{tmp_path / name}")

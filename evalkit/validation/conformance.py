@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from evalkit import child, registry
-from evalkit.errors import NotInstalled, UnknownName
+from evalkit.errors import BackendFailed, NotInstalled, UnknownName
 from evalkit.protocols import BackendSpec, Value, resolved
 from evalkit.validation.address import Address, address_of, spec_at
 from evalkit.validation.examiner import NOT_INSTALLED, REQUEST, RULES, STARTS, VERDICTS, Request
@@ -27,6 +27,12 @@ LOADING_S = 60.0
 
 OUTPUT = "output.txt"
 _NO_ANSWER = "no answer"
+
+RECORDED = (
+    "hold it against the truth and others (evalkit compare RECORDING --backends 'wheel-odometry,file:...'), or check "
+    "the program that made it (exec:..., lib:...)"
+)
+"""What can be done with a file of results instead."""
 
 Heard = Callable[[Verdict], None]
 
@@ -43,9 +49,12 @@ def check(
 
     ``limit_s``: what one rule may take (s, wall clock, the library's import included). ``memory_mib``: what the process
     may hold. ``only``: names of rules; () asks all. ``heard`` is told each verdict as it comes. Raises NotInstalled
-    where the back end cannot run here, BadParameter or UnknownName for parameters and rules.
+    where the back end cannot run here, BackendFailed where it is a file of results, BadParameter or UnknownName for
+    parameters and rules.
     """
     address, spec = address_of(backend), spec_of(backend)
+    if spec.recorded:
+        raise BackendFailed(address.label, "holds results made elsewhere: there is no behaviour to check", RECORDED)
     if why := spec.missing():
         raise NotInstalled(address.label, "cannot be checked here", why)
     complete = resolved(address.label, spec.parameters, parameters or {})
