@@ -316,8 +316,8 @@ def _assumption(ladders: Sequence[Ladder]) -> list[Block]:
             "2nd, 4th, 8th and 16th scan are measured too, and the clock takes a scan's own cost times the growth for "
             "its gap; beyond 16 it stays. As a check, cost = a + b x iterations x points is fitted to the full run "
             "where a back end tells its iterations: 'off' is the median relative difference, and 'model / clock' the "
-            "cost it predicts from the iterations really done with scans dropped, by what the clock assumed: median and "
-            "extremes over the rungs with more than 10 % dropped."
+            "cost it predicts from the iterations really done with scans dropped, by what the clock assumed: median "
+            "and extremes over the rungs with more than 10 % dropped."
         ),
         Table(columns, rows),
     ]
