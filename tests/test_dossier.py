@@ -8,14 +8,14 @@ import jsonschema
 import pytest
 
 import evalkit.validation
-from evalkit.validation.dossier import Dossier, Level, Line
+from evalkit.validation.dossier import Claim, Dossier, Level, Line
 
 SCHEMA = json.loads((Path(evalkit.validation.__file__).parent / "dossier.schema.json").read_text(encoding="utf-8"))
 EFFORT = {"pairs": 4, "scans": 8, "timed": 8}
 SETTINGS = {"backend": {}, "twin": {}, "on": ["room"], "seeds": 1, "share": 0.5, "effort": EFFORT, "mappers": ["", ""]}
 
 
-def dossier(*levels: Level, claim="equal") -> Dossier:
+def dossier(*levels: Level, claim: Claim = "equal") -> Dossier:
     return Dossier("mine", "paper", "named", ("other",), {}, claim, "exact", "within 1e-09 m", levels, SETTINGS, {})
 
 
@@ -39,14 +39,14 @@ def test_the_first_line_that_refutes_is_the_verdict():
     wrong = replace(SAME, outcome="failed", observed="pair 3: units")
     found = dossier(KEPT, level(1, "registration", SAME, wrong), level(2, "scan by scan", wrong))
     assert not found.passed
-    assert found.verdict == "mine first fails at level 1 (registration, room): equal to paper: pair 3: units"
+    assert found.verdict == "mine first differs from paper at level 1 (registration, room): pair 3: units"
 
 
 def test_broken_rules_do_not_hide_where_the_answers_first_differ():
     broken = level(0, "conformance", Line("rules kept", "", "failed", "always", "2 of 22 rules broken"))
     wrong = replace(SAME, outcome="failed", observed="pair 1: transposed")
     verdict = dossier(broken, level(1, "registration", wrong)).verdict
-    assert verdict.startswith("mine first fails at level 0 (conformance): rules kept: 2 of 22 rules broken. ")
+    assert verdict.startswith("mine fails at level 0 (conformance): rules kept: 2 of 22 rules broken. ")
     assert verdict.endswith("It first differs from paper at level 1 (registration, room): pair 1: transposed")
 
 
@@ -68,7 +68,7 @@ def test_what_was_only_told_speaks_for_nothing():
 
 
 @pytest.mark.parametrize("claim", ["equal", "as-good"])
-def test_the_json_form_is_what_the_schema_says(claim):
+def test_the_json_form_is_what_the_schema_says(claim: Claim):
     found = dossier(KEPT, level(1, "registration", SAME, GOOD), claim=claim).as_json()
     jsonschema.validate(json.loads(json.dumps(found)), SCHEMA)
     assert found["levels"][1]["lines"][0]["decides"] is (claim == "equal")

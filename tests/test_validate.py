@@ -181,5 +181,7 @@ def test_what_is_wrong_is_told_before_anything_is_computed():
         asked("lib:./nowhere.so")
     with pytest.raises(BadExperiment, match="lapse"):
         asked("paper", on=("room lapse=1",))
+    with pytest.raises(BadParameter, match="NAME=VALUE"):
+        asked("paper", on=("room 0.3",))
     with pytest.raises(BadParameter, match="laps"):
         asked("paper", on=("room laps=many",))

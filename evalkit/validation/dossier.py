@@ -92,14 +92,18 @@ class Dossier:
         failed = [(level, line) for level in self.levels for line in level.failed(self.claim)]
         if not failed:
             return f"nothing can be said of {self.backend}: no level could be asked"
-        level, line = failed[0]
-        where = f"level {level.number} ({level.name}{f', {line.on}' if line.on else ''})"
-        first = f"{self.backend} first fails at {where}: {line.name}: {line.observed}"
-        beyond = next(((lv, ln) for lv, ln in failed if lv.number > 0), None) if level.number == 0 else None
-        if beyond is None:
+        first = f"{self.backend} {self._where(*failed[0])}"
+        beyond = next((one for one in failed if one[1].ground == self.claim), None)
+        if failed[0][1].ground != "always" or beyond is None:
             return first
-        there = f"level {beyond[0].number} ({beyond[0].name}{f', {beyond[1].on}' if beyond[1].on else ''})"
-        return f"{first}. It first differs from {self.twin} at {there}: {beyond[1].observed}"
+        return f"{first}. It {self._where(*beyond)}"
+
+    def _where(self, level: Level, line: Line) -> str:
+        """A line that refutes the claim, as the rest of a sentence."""
+        place = f"level {level.number} ({level.name}{f', {line.on}' if line.on else ''})"
+        if line.ground == "equal":
+            return f"first differs from {self.twin} at {place}: {line.observed}"
+        return f"fails at {place}: {line.name}: {line.observed}"
 
     def as_json(self) -> dict[str, Any]:
         """All of it but the drawings, in numbers, texts, lists and dictionaries."""

@@ -11,7 +11,7 @@ from typing import Any
 
 from evalkit import environment, experiment, frontend, registry
 from evalkit.engine import Engine, Progress
-from evalkit.errors import NotInstalled
+from evalkit.errors import BadParameter, NotInstalled
 from evalkit.experiment import Course, Limits, Plan
 from evalkit.protocols import BackendSpec, Value
 from evalkit.settings import from_text
@@ -287,7 +287,11 @@ def _sequence(text: str, seeds: int) -> dict[str, Any]:
     """The table of "lab laps=0.3" for an experiment."""
     name, *words = shlex.split(text) or [""]
     spec = registry.dataset(name)
-    given = from_text(name, spec.parameters, dict(word.partition("=")[::2] for word in words))
+    for word in words:
+        if "=" not in word:
+            raise BadParameter(name, word, word, "NAME=VALUE behind the sequence's name")
+    texts = {key: value for key, _, value in (word.partition("=") for word in words)}
+    given = from_text(name, spec.parameters, texts)
     return {"use": name, **given, **({"seeds": list(range(seeds))} if spec.seeded else {})}
 
 
