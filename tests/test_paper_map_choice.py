@@ -30,5 +30,7 @@ def test_probabilities_are_held_against_the_same_cell_size():
     assert choose(f1, loss, [0, 1, 2], peers=[0, 0, 0]).variant == 0
 
 
-def test_of_equals_the_better_is_taken():
-    assert choose([[0.80], [0.900], [0.905]], [0.1, 0.1, 0.1], [0, 1, 1]).variant == 2
+def test_of_equals_the_one_with_the_better_probabilities_is_taken_and_then_the_better_threshold():
+    assert choose([[0.80], [0.900], [0.905]], [0.1, 0.08, 0.09], [0, 1, 1]).variant == 1
+    three = choose([[0.80, 0.80, 0.80], [0.85, 0.90, 0.904]], [0.1, 0.08], [0, 1])
+    assert (three.variant, three.threshold) == (1, 2)

@@ -14,7 +14,7 @@ RULE = (
     "Of all maps measured that differ in settings of the mapper, those count whose log-loss is not worse than that of "
     "the paper's settings at the same cell size: walls must not be bought with wrong probabilities. Of these, the one "
     f"with the fewest departures from the paper's settings whose mean F1 is within {MARGIN:g} of the best is "
-    "recommended; of equals the one with the higher F1."
+    "recommended; of equals the one that lowers the log-loss most, at the threshold with the highest F1."
 )
 
 
@@ -35,10 +35,12 @@ def recommended(f1: Floats, loss: Floats, peers: Ints, departures: Ints, default
     differ from the paper's; another threshold is one more.
     """
     means, losses = f1.mean(axis=2), loss.mean(axis=1)
-    means = np.where((losses <= losses[peers] + 1e-12)[:, None], means, -np.inf)
+    surprise = losses / losses[peers]
+    means = np.where((surprise <= 1.0 + 1e-12)[:, None], means, -np.inf)
     best_variant, best_threshold = np.unravel_index(int(np.argmax(means)), means.shape)
     count = departures[:, None] + (np.arange(means.shape[1]) != default_threshold)
     near = means >= means.max() - MARGIN
     least = near & (count == count[near].min())
-    variant, threshold = np.unravel_index(int(np.argmax(np.where(least, means, -np.inf))), means.shape)
-    return Choice(int(variant), int(threshold), int(best_variant), int(best_threshold))
+    variant = int(np.argmin(np.where(least.any(axis=1), surprise, np.inf)))
+    threshold = int(np.argmax(np.where(least[variant], means[variant], -np.inf)))
+    return Choice(variant, threshold, int(best_variant), int(best_threshold))

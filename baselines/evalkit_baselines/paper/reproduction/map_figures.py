@@ -110,7 +110,8 @@ def recommendation(study: Study, settings: Settings) -> list[Any]:
         Column("F1, held out", number=True), Column("Chamfer", "cm", number=True),
         Column("wall width", "cm", number=True), Column("log-loss", "nat", number=True),
     )  # fmt: skip
-    on = f"Chosen on seeds 0 to {held_out - 1}, held out: seed {held_out}." if held_out else "One seed: none held out."
+    seen_on = "seed 0" if held_out == 1 else f"seeds 0 to {held_out - 1}"
+    on = f"Chosen on {seen_on}, held out: seed {held_out}." if held_out else "One seed: none held out."
     return [Text(f"{map_choice.RULE} {on}"), Table(columns, rows, sortable=False)]
 
 

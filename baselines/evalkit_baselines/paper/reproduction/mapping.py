@@ -228,7 +228,7 @@ def factors() -> dict[str, tuple[Variant, ...]]:
     return {
         "resolution": _along("resolution_m", (0.025, 0.05, 0.1, 0.2)),
         "evidence": tuple({"l_occ": v, "l_free": -v} for v in (0.405, 0.847, 1.386, 2.197)),
-        "free": _along("l_free", (-0.2, -0.405, -0.847, -1.386)),
+        "free": _along("l_free", (-0.05, -0.1, -0.2, -0.405, -0.847, -1.386)),
         "bounds": tuple({"l_min": -v, "l_max": v} for v in (2.0, 3.5, 5.0, 7.0, 10.0, 15.0)),
         "scans": _along("scans", (62, 125, 250, 500, 1000)),
         "rule": _along("once_per_scan", (True, False)),
