@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evalkit.metrics import METRICS
-from evalkit.study.envelope import below, largest_box, panels, sentence
+from evalkit.study.envelope import below, largest_box, panels, sentences
 from evalkit.study.factors import Factor, Level
 from evalkit.study.outcome import Outcome
 from evalkit.study.plan import Design, EnvelopeChoice, Point, Response, Study, job_name
@@ -88,10 +88,10 @@ def test_the_worst_seed_decides_and_a_lost_one_is_never_inside():
 
 def test_the_sentence_tells_the_levels_and_the_drives():
     found, choice, design = outcome(lambda v, w, on, seed: 0.001 * v * w * (0.1 if on else 4.0))
-    off, on = panels(found, choice)
-    assert sentence(choice, design, off) == "deskew off: up to 1 m/s and 20 deg/s (8 of 8 drives)."
-    told = "deskew on: up to 2 m/s and 80 deg/s, the most that was driven (24 of 24 drives)."
-    assert sentence(choice, design, on) == told
+    assert sentences(choice, design, panels(found, choice)) == [
+        "deskew off: up to 1 m/s and 20 deg/s (8 of 8 drives).",
+        "deskew on: up to 2 m/s and 80 deg/s, the most that was driven (24 of 24 drives).",
+    ]
 
 
 def test_a_lost_run_is_in_the_numbers_at_its_bound():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,17 +80,42 @@ def within(choice: EnvelopeChoice, values: Floats) -> Bools:
     return np.asarray(values >= choice.limit if higher else values <= choice.limit)
 
 
-def sentence(choice: EnvelopeChoice, design: Design, panel: Panel) -> str:
-    """What a panel says: up to which levels, on how many drives it stands, and what ends it."""
+def sentences(choice: EnvelopeChoice, design: Design, found: Sequence[Panel]) -> list[str]:
+    """What the panels say, a sentence for each level of the last other factor: up to where, and on how many drives."""
+    told = []
+    for name in dict.fromkeys(_last(panel) for panel in found):
+        own = [panel for panel in found if _last(panel) == name]
+        reached = [reach(choice, design, panel) for panel in own]
+        drives = [panel.held.support if panel.held else 0 for panel in own]
+        if len(set(reached)) == 1:
+            words = reached[0] + ("" if len(own) == 1 else f" at every {' and '.join(list(own[0].others)[:-1])}")
+            parts = [_with_drives(words, sum(drives))]
+        else:
+            heads = (", ".join(f"{key} {value}" for key, value in list(panel.others.items())[:-1]) for panel in own)
+            parts = [
+                _with_drives(f"{words} at {head}", count)
+                for words, head, count in zip(reached, heads, drives, strict=True)
+            ]
+        told.append(f"{name}: {'; '.join(parts)}." if name else f"{parts[0]}.")
+    return told
+
+
+def reach(choice: EnvelopeChoice, design: Design, panel: Panel) -> str:
+    """The ends of a panel's box in words."""
     x, y = axes(design, choice)
     columns, rows = panel.box
     if not columns:
-        return f"{panel.label}: not even at {_level(x, 0)} and {_level(y, 0)}."
-    told = f"{panel.label}: up to {_level(x, columns - 1)} and {_level(y, rows - 1)}"
-    if columns == len(x.levels) and rows == len(y.levels):
-        told += ", the most that was driven"
-    held = panel.held
-    return told if held is None else f"{told} ({held.support} of {held.support} drives)."
+        return f"not even at {_level(x, 0)} and {_level(y, 0)}"
+    most = columns == len(x.levels) and rows == len(y.levels)
+    return f"up to {_level(x, columns - 1)} and {_level(y, rows - 1)}{', the most that was driven,' if most else ''}"
+
+
+def _last(panel: Panel) -> str:
+    return f"{list(panel.others)[-1]} {list(panel.others.values())[-1]}" if panel.others else ""
+
+
+def _with_drives(words: str, drives: int) -> str:
+    return f"{words.rstrip(',')} ({drives} of {drives} drives)" if drives else words.rstrip(",")
 
 
 def _panel(

@@ -12,7 +12,7 @@ from evalkit.report.study.curves import curve_blocks, envelope_blocks
 from evalkit.report.study.effects import effect_blocks
 from evalkit.report.study.wording import fitted, limit_words, lost_words, main_words, pair_words
 from evalkit.study.design import quality
-from evalkit.study.envelope import panels, sentence
+from evalkit.study.envelope import panels, sentences
 from evalkit.study.outcome import Outcome
 
 WHY = {
@@ -52,14 +52,12 @@ def sections(outcome: Outcome, prefix: str = "") -> tuple[Section, ...]:
 def summary(outcome: Outcome) -> tuple[Block, ...]:
     """The sentences that the numbers make: lost runs, largest effects, interactions, envelopes."""
     told = []
-    response = outcome.study.responses[0]
-    for design, fit in fitted(outcome, response):
-        lost, runs = outcome.counts(design)
-        told.append(f"{design.name}: {main_words(response, design, fit)} {lost} of {runs} runs are lost.")
-        told.append(f"{design.name}, together: {pair_words(response, fit)}")
+    for response in [response for response in outcome.study.responses if response.lost is not None]:
+        for design, fit in fitted(outcome, response):
+            told.append(f"{design.name}: {main_words(response, design, fit)} Together, {pair_words(response, fit)}")
     for choice in outcome.study.envelopes:
         design = outcome.study.design(choice.design)
-        told += [f"{limit_words(choice)}, {sentence(choice, design, panel)}" for panel in panels(outcome, choice)]
+        told += [f"{limit_words(choice)}, {words}" for words in sentences(choice, design, panels(outcome, choice))]
     return (Bullets(told),) if told else ()
 
 

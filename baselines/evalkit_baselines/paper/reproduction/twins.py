@@ -1,0 +1,44 @@
+"""How far the compiled core's answers are from its NumPy twin's over a drive: what lets a study run on the core."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+from evalkit import frontend, registry, se2
+from evalkit.protocols import Value
+from evalkit.se2 import Floats
+
+
+def apart(
+    backends: tuple[str, str],
+    parameters: Mapping[str, Value],
+    dataset: str,
+    sequence: Mapping[str, Value],
+    scans: int,
+) -> dict[str, Any]:
+    """The largest distance (m) and turn (rad) between two back ends' poses over the first scans, and their number.
+
+    Both get the same complete parameters; what only one of them has keeps its default.
+    """
+    one, other = (_poses(name, parameters, dataset, sequence, scans) for name in backends)
+    difference = se2.between(one, other)
+    return {
+        "apart_m": float(np.linalg.norm(difference[:, :2], axis=1).max()),
+        "apart_rad": float(np.abs(difference[:, 2]).max()),
+        "scans": len(one),
+    }
+
+
+def _poses(
+    name: str, parameters: Mapping[str, Value], dataset: str, sequence: Mapping[str, Value], scans: int
+) -> Floats:
+    spec = registry.backend(name)
+    known = {parameter.name for parameter in frontend.parameters_of(spec)}
+    own = {key: value for key, value in parameters.items() if key in known or key.startswith(frontend.STAGE_ONE)}
+    odometry = frontend.odometry(spec, frontend.complete_parameters(name, spec, own))
+    frames = islice(registry.dataset(dataset).make(**sequence).frames(), scans)
+    return np.array([odometry.update(frame).row for frame in frames])
