@@ -80,14 +80,16 @@ ANY_POINTS = st.integers(0, 30).flatmap(
     st.integers(-2, 2**40),
     st.integers(-2, 2**40),
     st.integers(-1, 4),
+    ANY_NUMBER | st.floats(0.0, 1e19),
 )
 def test_whatever_comes_in_a_registration_answers_soundly_or_refuses(
-    precision, target, source, guess, most, least, error
+    precision, target, source, guess, most, least, error, reach
 ):
     core = compiled.core(precision)
     with np.errstate(over="ignore"):
         target, source = target.astype(core.REAL), source.astype(core.REAL)
     parameters = PARAMETERS | {"max_iterations": min(most, 50), "min_pairs": least, "error": error}
+    parameters["max_correspondence"] = reach
     answer, refused = asked(lambda: core.Icp(**parameters).register(core.Index(target), source, guess, True))
     assert refused.partition(": ")[0] in ("", "parameters", "target", "registration")
     if answer is None:
@@ -130,8 +132,8 @@ def test_whatever_comes_in_a_map_draws_it_or_stays_as_it_was(precision, hits, mi
 @settings(max_examples=100, deadline=None)
 @given(
     arrays.arrays(np.float64, st.integers(0, 40), elements=ANY_NUMBER | st.floats(0.2, 10.0)),
-    st.integers(-(2**62), 2**62),
-    st.integers(-1, 2**62),
+    st.integers(-(2**63), 2**63 - 3),
+    st.integers(-1, 2**63 - 1),
     st.none() | st.tuples(ANY_NUMBER, ANY_NUMBER, ANY_NUMBER),
     st.none() | st.tuples(ANY_NUMBER, ANY_NUMBER, ANY_NUMBER),
     st.tuples(ANY_NUMBER, ANY_NUMBER),
@@ -226,3 +228,66 @@ def test_two_threads_may_ask_the_same_objects():
         thread.join()
     assert [len(set(told)) for told in answers] == [1, 1]
     assert [len(told) for told in answers] == [60, 60]
+
+
+CONSUMER = """
+#include <stdio.h>
+#include "ek/pipeline.h"
+static void tell(const ek_pipeline_parameters *parameters) {
+    size_t bytes;
+    if (ek_pipeline_bytes(parameters, &bytes) == EK_OK) printf("%zu\\n", bytes);
+}
+int main(void) {
+    ek_pipeline_parameters p = ek_pipeline_default();
+    tell(&p);
+    p.frontend.points = 1600;
+    p.grid.columns = p.grid.rows = 512;
+    tell(&p);
+    p.map = 0;
+    tell(&p);
+    p.map = 1;
+    p.frontend.points = 360;
+    p.frontend.keyframes = 5;
+    p.frontend.cells = 8192;
+    p.grid.columns = p.grid.rows = 256;
+    p.grid.resolution = EK_R(0.1);
+    p.scan.range_max = p.grid.range_max = EK_R(8.0);
+    tell(&p);
+    return 0;
+}
+"""
+PROJECT = """
+cmake_minimum_required(VERSION 3.18)
+project(robot C)
+find_package(evalkit_embedded REQUIRED)
+foreach(bits 64 32)
+  add_executable(robot${bits} robot.c)
+  target_link_libraries(robot${bits} PRIVATE evalkit::ek${bits})
+endforeach()
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(bool(TOOLS), reason=f"not found: {', '.join(TOOLS)}; the core's own tests need them")
+def test_another_project_finds_the_installed_core_and_takes_the_memory_the_readme_says(tmp_path):
+    (tmp_path / "robot.c").write_text(CONSUMER)
+    (tmp_path / "CMakeLists.txt").write_text(PROJECT)
+    core, there, robot = (str(tmp_path / name) for name in ("core", "installed", "robot"))
+    for command in (
+        ["cmake", "-S", str(FOLDER), "-B", core, "-DEK_BUILD_TESTS=OFF", "-DEK_BUILD_PROGRAMS=OFF"],
+        ["cmake", "--build", core],
+        ["cmake", "--install", core, "--prefix", there],
+        ["cmake", "-S", str(tmp_path), "-B", robot, f"-DCMAKE_PREFIX_PATH={there}"],
+        ["cmake", "--build", robot],
+    ):
+        answer = subprocess.run(command, capture_output=True, text=True, timeout=300, check=False)
+        assert answer.returncode == 0, f"{' '.join(command)}\n{answer.stdout[-4000:]}\n{answer.stderr[-4000:]}"
+    told = [subprocess.check_output([f"{robot}/robot{bits}"], text=True).split() for bits in (64, 32)]
+    table = (FOLDER / "README.md").read_text(encoding="utf-8").partition("## Memory")[2].splitlines()[4:8]
+    assert [row.split(" | ")[1:] for row in table] == [
+        [_bytes(int(double)), f"{_bytes(int(single))} |"] for double, single in zip(*told, strict=True)
+    ]
+
+
+def _bytes(count):
+    return f"{count / 1e6:.1f} MB" if count >= 1e6 else f"{count / 1e3:.0f} kB"
