@@ -74,7 +74,7 @@ def registrations(backend, twin="paper", given=None):
 
 
 PLANTED = {
-    "TRANSPOSED": "pair 1 (pair), iteration 1, pose: different: the rotation is transposed",
+    "TRANSPOSED": "pair 1, iteration 1, pose: different: the rotation is transposed",
     "MANY_TO_ONE": "pairs: outlier rule: one-to-one filter: planted_mistakes:MANY_TO_ONE gives a target to several",
     "DEGREES": "answer: units: the answer's angle is in degrees",
 }

@@ -14,12 +14,11 @@ from evalkit.report.document import Figure
 from evalkit.report.palette import TRUTH, strokes
 from evalkit.se2 import Floats
 from evalkit.types import OccupancyGrid, Trial
-from evalkit.validation.answers import errors
+from evalkit.validation.answers import errors, told_stage
 from evalkit.validation.cells import Layers
 from evalkit.validation.costs import milliseconds
 from evalkit.validation.dossier import Level
 from evalkit.validation.isolated import ENDED
-from evalkit.validation.lockstep import DISTURBED
 from evalkit.validation.paths import distances
 
 LEAST_M = 1e-17
@@ -65,8 +64,7 @@ def of_scans(level: Level, mine: str, twin: str, margin: str) -> Iterator[Figure
         curves = []
         for stage in dict.fromkeys(result["stage"]):
             among = np.array([one == stage for one in result["stage"]])
-            label = stage.replace(DISTURBED, ", guess far off")
-            curves.append(Curve(label, result["scan"][among], np.maximum(result["metres"][among], LEAST_M)))
+            curves.append(Curve(told_stage(stage), result["scan"][among], np.maximum(result["metres"][among], LEAST_M)))
         held = result[margin]["margin"]["metres"]
         drawn = charts.lines(curves, Axis("scan"), Axis(f"apart from {twin} [m]", "log"), levels={"margin": held})
         yield Figure(drawn, place, f"How far {mine}'s answer lies from {twin}'s to the same question; {above}.")

@@ -20,6 +20,8 @@ from evalkit.validation.isolated import ENDED
 from evalkit.validation.lockstep import DISTURBED
 from evalkit.validation.margins import Interval, interval
 
+STAGES = {"s2s": "scan to scan", "s2m": "scan to map"}
+
 Found = Mapping[str, Result]
 """Results by the place they were found at: "room, seed 0"."""
 
@@ -122,9 +124,15 @@ def words(found: Mapping[str, Any], names: Names, unit: str) -> str:
     what = first["what"]
     if "raises" not in what:  # somebody else's words stay as they are
         what = re.sub(r"\b[AB]\b", lambda one: names.twin if one.group() == "A" else names.mine, what)
-    stage = first["stage"].replace(DISTURBED, ", guess far off")
+    stage = f" ({told_stage(first['stage'])})" if first["stage"] != unit else ""
     at = f", iteration {first['iteration']}" if first["iteration"] is not None else ""
-    return f"{unit} {first['scan']} ({stage}){at}, {first['quantity']}: {first['kind']}: {what}"
+    return f"{unit} {first['scan']}{stage}{at}, {first['quantity']}: {first['kind']}: {what}"
+
+
+def told_stage(stage: str) -> str:
+    """A stage in words."""
+    name = stage.removesuffix(DISTURBED)
+    return STAGES.get(name, name) + (", guess far off" if name != stage else "")
 
 
 def _equal(place: str, result: Result, names: Names, unit: str) -> Line:

@@ -129,7 +129,7 @@ def maps_compared(a: str, b: str, on: Data, scans: int) -> Result:
 def margin(word: str) -> Known:
     """The margin of a word: "exact", "float32", or metres (and as many radians)."""
     if word == EXACT:
-        return Margin(origin="rounding in double precision leaves a thousandth of it")
+        return Margin(origin="a million times what rounding in double precision leaves")
     return FLOAT32 if word == FLOAT32 else Margin(float(word), float(word), origin="as given with --margin")
 
 

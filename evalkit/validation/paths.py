@@ -129,7 +129,7 @@ def _whole(runs: Mapping[str, Trial]) -> list[Line]:
             lines.append(Line("runs to the end", place, "failed", "always", told, detail=answered))
     if ended_well:
         scans = sum(len(runs[place].run.steps) for place in ended_well)
-        told = f"{len(ended_well)} runs, {scans} scans answered"
+        told = f"{len(ended_well)} of {len(runs)} runs complete, {scans} scans answered"
         lines.append(Line("runs to the end", "", "passed", "always", told, detail="; ".join(ended_well)))
     return lines
 
@@ -252,7 +252,7 @@ def _same_map(place: str, runs: Mapping[str, Trial], margin: tuple[float, float]
     layers = Layers.of(theirs, mine)
     seen = int(np.count_nonzero(layers.observed_a | layers.observed_b))
     values = int(np.count_nonzero(layers.differing(1e-5)))
-    turned = int(np.count_nonzero((layers.a > 0.0) != (layers.b > 0.0)))
+    turned = int(np.count_nonzero(layers.differing(1e-5) & ((layers.a > 0.0) != (layers.b > 0.0))))
     told = f"{turned} of {seen} cells are a wall in one and not in the other; {values} hold another value"
     name = f"the map of {names.twin}, drawn by the same mapper"
     if margin is None or names.margin == "float32":
@@ -260,7 +260,7 @@ def _same_map(place: str, runs: Mapping[str, Trial], margin: tuple[float, float]
     bound, _ = _bound(margin, len(runs[names.twin].run.steps), runs[names.twin].run.estimate.path_m)
     allowed = math.ceil(seen * bound / theirs.resolution_m)
     reason = (
-        f"{allowed} cells: a path {bound:.2g} m off moves that share of {theirs.resolution_m:g} m cells over a border"
+        f"{allowed} of them: a path {bound:.2g} m off moves that share of {theirs.resolution_m:g} m cells over a border"
     )
     return Line(name, place, "passed" if values <= allowed else "failed", "equal", told, reason)
 
