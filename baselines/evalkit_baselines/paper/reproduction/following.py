@@ -1,0 +1,132 @@
+"""Follows a sequence with a back end and keeps what both stages of the registration leave over, in every reading."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from evalkit import frontend, registry, se2
+from evalkit.metrics.trajectory import match
+from evalkit.protocols import Registration, Sequence, Value
+from evalkit.se2 import Floats, Stamps
+from evalkit.types import Cloud, Frame, Match, Pose, Trajectory
+from evalkit_baselines.paper.icp import Icp
+
+READINGS = (
+    "mean distance", "root mean square", "mean square",
+    "mean distance, every pair", "root mean square, every pair", "mean square, every pair",
+)  # fmt: skip
+"""Ways to read "error" (m; squares m^2): over the one-to-one pairs of the stop rule, and over every nearest pair."""
+
+STAGES = ("s2s", "s2m")
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """What came of a sequence: ``poses`` (N, 3) ``start_from_base``; per stage ``errors`` (N, 6) in the order of
+    ``READINGS`` and ``iterations`` (N,), nan where the stage did not run; ``cpu_s`` of all updates together.
+    """
+
+    frames: tuple[Frame, ...]
+    poses: Floats
+    errors: Mapping[str, Floats]
+    iterations: Mapping[str, Floats]
+    cpu_s: float
+
+    @property
+    def stamps_ns(self) -> Stamps:
+        """When the first beams were fired (N,)."""
+        return np.array([frame.scan.stamp_ns for frame in self.frames], dtype=np.int64)
+
+    @property
+    def estimate(self) -> Trajectory:
+        """The answers as a trajectory."""
+        return Trajectory(self.stamps_ns, self.poses, "start", "base")
+
+
+class Watched:
+    """A registration that notes the errors of its last answer in every reading."""
+
+    def __init__(self, inner: Icp, every_pair: bool) -> None:
+        self._inner, self._every_pair = inner, every_pair
+        self.errors = np.full(len(READINGS), np.nan)
+
+    def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
+        """The answer of the registration within."""
+        found = self._inner.register(target, source, guess)
+        self.errors = np.full(len(READINGS), np.nan)
+        pairs = found.history[-1].pairs if found.history else None
+        if pairs is not None and len(pairs):
+            moved = found.target_from_source.transform(source.points)
+            self.errors[:3] = readings(np.hypot(*(moved[pairs[:, 0]] - target.points[pairs[:, 1]]).T))
+            if self._every_pair:
+                nearest, _ = cKDTree(target.points).query(moved)
+                limit = self._inner.max_correspondence_m or np.inf
+                self.errors[3:] = readings(np.asarray(nearest)[np.asarray(nearest) <= limit])
+        return found
+
+
+def readings(distances: Floats) -> tuple[float, float, float]:
+    """Mean, root mean square and mean square of distances (K,), K > 0."""
+    square = float(np.mean(distances**2))
+    return float(distances.mean()), float(np.sqrt(square)), square
+
+
+def follow(
+    sequence: Sequence, backend: str, parameters: Mapping[str, Value], every_pair: bool = False
+) -> Followed:  # fmt: skip
+    """One of the paper's readings over a sequence behind evalkit's front end."""
+    spec = registry.backend(backend)
+    made: list[Watched] = []  # the front end makes its first stage first
+
+    def make(**own: Value) -> Registration:
+        made.append(Watched(spec.make(**{**own, "trace": True}), every_pair))
+        return made[-1]
+
+    heard: dict[str, Match] = {}
+    odometry = frontend.odometry(
+        replace(spec, make=make),
+        frontend.complete_parameters(backend, spec, parameters),
+        lambda stage, answer, _believed: heard.update({stage: answer}),
+    )
+    frames = tuple(sequence.frames())
+    poses = np.zeros((len(frames), 3))
+    errors = {stage: np.full((len(frames), len(READINGS)), np.nan) for stage in STAGES}
+    iterations = {stage: np.full(len(frames), np.nan) for stage in STAGES}
+    started = time.process_time()
+    for index, frame in enumerate(frames):
+        heard.clear()
+        poses[index] = odometry.update(frame).row
+        for stage, watched in zip(STAGES, made, strict=True):
+            if stage in heard:
+                errors[stage][index], iterations[stage][index] = watched.errors, heard[stage].iterations
+    return Followed(frames, poses, errors, iterations, time.process_time() - started)
+
+
+def position_errors_m(estimate: Trajectory, truth: Trajectory) -> Floats:
+    """Distances (N,) to the truth at the same stamps after the alignment of least squares (m)."""
+    return np.asarray(np.hypot(*(aligned(estimate, truth).poses - truth.poses)[:, :2].T))
+
+
+def aligned(estimate: Trajectory, truth: Trajectory) -> Trajectory:
+    """The estimate in the truth's frame, by least squares over all positions; ValueError says why it cannot be."""
+    matched = match(estimate, truth)
+    if isinstance(matched, str):
+        raise ValueError(matched)
+    return estimate.moved(matched.world_from_start, "world")
+
+
+def final_percent(estimate: Trajectory, truth: Trajectory) -> float:
+    """How far the last pose is off, both starting at the same pose, in percent of the path."""
+    ours, theirs = (se2.between(each.poses[0], each.poses[-1]) for each in (estimate, truth))
+    return float(100.0 * np.hypot(*(ours - theirs)[:2]) / truth.path_m)
+
+
+def yaw_rates_dps(stamps_ns: Stamps, poses: Floats) -> Floats:
+    """How fast (N,) a base turns about each stamp, in deg/s: the quicker of the steps before and after it."""
+    steps = np.abs(np.degrees(se2.between(poses[:-1], poses[1:])[:, 2])) / (np.diff(stamps_ns) * 1e-9)
+    return np.asarray(np.maximum(np.append(steps, 0.0), np.append(0.0, steps)), dtype=np.float64)

@@ -1,0 +1,175 @@
+"""The drives of Figure 9: the paper's vehicle through the laboratory, once for every cause of a spike."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from evalkit import registry
+from evalkit.protocols import Sequence, Value
+from evalkit.se2 import Floats
+from evalkit.study.ledger import Job
+from evalkit_baselines.paper.reproduction import following, spikes
+
+QUICK_DPS = 60.0
+"""A turn is quick from this yaw rate on."""
+
+TURNED = 0.5 * QUICK_DPS
+"""Scans were lost in a turn where this was the mean yaw rate meanwhile (deg/s)."""
+
+START_S = 5.0
+"""How long a drive begins: the submap is only a few scans then."""
+
+HIDDEN = 0.1
+"""A share of beams this large that meet people is an event."""
+
+
+@dataclass(frozen=True)
+class Cause:
+    """What may make a spike: the sequence's and the front end's parameters that differ, and what marks its events.
+
+    ``marked``: "turns", "slips", "gaps", "gaps in turns", "people" or "start".
+    """
+
+    name: str
+    marked: str
+    sequence: Mapping[str, Value] = field(default_factory=dict)
+    parameters: Mapping[str, Value] = field(default_factory=dict)
+
+
+def causes(settings: Mapping[str, Any]) -> tuple[Cause, ...]:
+    """Every drive of a rate; the first is the one in which nothing happens."""
+    slow: dict[str, Value] = {"turn_dps": settings["slow_dps"], "laps": settings["laps"]}
+    quick: dict[str, Value] = {"turn_dps": settings["turn_dps"], "laps": settings["turn_laps"]}
+    every, lasts = settings["every_s"], settings["lasts_s"]
+    slips: dict[str, Value] = {"slip_every_s": every, "slip_s": lasts, "slip_mps": settings["slip_mps"]}
+    lost: dict[str, Value] = {"drop_every_s": every, "drop_s": lasts}
+    lost_in_turn: dict[str, Value] = {"drop_every_s": settings["turn_drop_every_s"], "drop_s": lasts}
+    raw: dict[str, Value] = {"deskew": False}
+    blind: dict[str, Value] = {"deskew": False, "prior": "constant-velocity"}
+    return (
+        Cause("slow turns", "start", slow, raw),
+        Cause("quick turns", "turns", quick, raw),
+        Cause("quick turns, deskewed", "turns", quick, {"deskew": True}),
+        Cause("wheel slip", "slips", slow | slips, raw),
+        Cause("lost scans", "gaps", slow | lost, raw),
+        Cause("quick turns and lost scans", "gaps in turns", quick | lost_in_turn, raw),
+        Cause("quick turns and lost scans, no odometry", "gaps in turns", quick | lost_in_turn, blind),
+        Cause("people", "people", slow | {"people": settings["people"]}, raw),
+    )
+
+
+def job(settings: Mapping[str, Any], cause: Cause, rate_hz: float) -> Job:
+    """The computation of one drive."""
+    sequence = {"seed": settings["seed"], "speed_mps": settings["speed_mps"], "rate_hz": rate_hz, **cause.sequence}
+    arguments = {
+        "sequence": sequence,
+        "parameters": dict(cause.parameters),
+        "marked": cause.marked,
+        "every_pair": cause.marked == "start",
+    }
+    return Job(name(cause, rate_hz), f"{__name__}:drive", arguments, USES)
+
+
+def turn_job(settings: Mapping[str, Any], turn_dps: float, rate_hz: float) -> Job:
+    """The computation of a drive whose turns have one yaw rate."""
+    sequence = {
+        "seed": settings["seed"], "speed_mps": settings["speed_mps"], "rate_hz": rate_hz, "turn_dps": turn_dps,
+        "laps": settings["yaw_laps"],
+    }  # fmt: skip
+    return Job(turn_name(turn_dps, rate_hz), f"{__name__}:turn", {"sequence": sequence}, USES)
+
+
+def turn_name(turn_dps: float, rate_hz: float) -> str:
+    """What the result of a drive at one yaw rate is asked for by."""
+    return f"turns of {turn_dps:g} deg per s at {rate_hz:g} Hz"
+
+
+def name(cause: Cause, rate_hz: float) -> str:
+    """What the result of a drive is asked for by."""
+    return f"{cause.name} at {rate_hz:g} Hz"
+
+
+USES = ("evalkit_datasets.synthetic", "evalkit_baselines.paper")
+
+
+def drive(
+    *, sequence: Mapping[str, Any], parameters: Mapping[str, Any], marked: str, every_pair: bool
+) -> dict[str, Any]:  # fmt: skip
+    """One drive through the laboratory with ``paper``.
+
+    "times_s" (N,), "yaw_dps" (N,), "s2s" and "s2m" (N, 6) in ``following.READINGS``, "true" and "estimate" (N, 3),
+    "events" (E, 2) in s, "ate_m".
+    """
+    lab = registry.dataset("lab").make(**sequence)
+    found = following.follow(lab, "paper", parameters, every_pair)
+    truth = lab.truth().trajectory
+    if truth is None:
+        raise ValueError("lab: no true trajectory")
+    times = np.asarray(found.stamps_ns * 1e-9, dtype=np.float64)
+    yaw = following.yaw_rates_dps(truth.stamps_ns, truth.poses)
+    errors = following.position_errors_m(found.estimate, truth)
+    return {
+        "times_s": times,
+        "yaw_dps": yaw,
+        **{stage: found.errors[stage] for stage in following.STAGES},
+        "true": truth.poses,
+        "estimate": found.poses,
+        "events": np.reshape(_events(marked, times, yaw, lab, sequence), (-1, 2)),
+        "ate_m": float(np.sqrt(np.mean(errors**2))),
+    }
+
+
+def _events(
+    marked: str, times: Floats, yaw: Floats, lab: Sequence, sequence: Mapping[str, Any]
+) -> list[tuple[float, float]]:  # fmt: skip
+    """When something happened (s): known from the truth or from the schedule, never from the residuals."""
+    if marked == "turns":
+        return spikes.events(times, yaw >= QUICK_DPS)
+    if marked == "slips":
+        begins = np.arange(0.5 * sequence["slip_every_s"], times[-1], sequence["slip_every_s"])
+        return [(float(begin), float(begin) + sequence["slip_s"]) for begin in begins]
+    if marked in ("gaps", "gaps in turns"):
+        after = np.flatnonzero(np.diff(times) > 1.5 / sequence["rate_hz"]) + 1
+        gaps = [(float(times[index - 1]), float(times[index])) for index in after]
+        return (
+            gaps if marked == "gaps" else [gap for gap, turned in zip(gaps, yaw[after], strict=True) if turned > TURNED]
+        )
+    if marked == "people":
+        return spikes.events(times, hidden(lab, sequence) >= HIDDEN)
+    return [(0.0, START_S)]
+
+
+def hidden(busy: Sequence, sequence: Mapping[str, Any]) -> Floats:
+    """The share of beams (N,) of each scan that meet people: those that differ from the empty laboratory's."""
+    empty = registry.dataset("lab").make(**{**sequence, "people": 0})
+    return np.array(
+        [
+            float(np.mean(~np.isclose(one.scan.ranges, other.scan.ranges, equal_nan=True)))
+            for one, other in zip(busy.frames(), empty.frames(), strict=True)
+        ]
+    )
+
+
+def turn(*, sequence: Mapping[str, Any]) -> dict[str, Any]:
+    """How high the scan-to-scan residual rises in the quickest turns of a drive, and where it is on straight parts (m).
+
+    Without the second stage and without undoing the motion in the scan.
+    """
+    lab = registry.dataset("lab").make(**sequence)
+    found = following.follow(lab, "paper", {"scan_to_map": False, "deskew": False})
+    truth = lab.truth().trajectory
+    if truth is None:
+        raise ValueError("lab: no true trajectory")
+    yaw = following.yaw_rates_dps(truth.stamps_ns, truth.poses)
+    residual = found.errors["s2s"][:, 0]
+    steady = spikes.band(residual, yaw < 0.5 * sequence["turn_dps"])
+    turning = np.isfinite(residual) & (yaw > 0.5 * sequence["turn_dps"])
+    return {
+        "peak": float(residual[turning].max()) if turning.any() else None,
+        "median": steady.median,
+        "sigma": steady.sigma,
+    }
