@@ -91,14 +91,6 @@ QUICK = {
     "yaw_laps": 0.28,
     "people": 1,
 }
-    "speed_mps": 0.3,
-    "rates_hz": "10",
-    "yaw_dps": "20 90",
-    "laps": 0.3,
-    "turn_laps": 0.3,
-    "yaw_laps": 0.28,
-    "people": 1,
-}
 
 
 @pytest.mark.slow
