@@ -2,6 +2,13 @@
 
 from __future__ import annotations
 
+from evalkit_baselines.paper.reproduction import equations, maps, realtime, study, validation
 from evalkit_baselines.paper.reproduction.chapter import Chapter
 
-CHAPTERS: tuple[Chapter, ...] = ()
+CHAPTERS: tuple[Chapter, ...] = (
+    validation.CHAPTER,
+    equations.CHAPTER,
+    study.CHAPTER,
+    maps.CHAPTER,
+    realtime.CHAPTER,
+)
