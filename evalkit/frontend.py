@@ -162,7 +162,7 @@ class FrontEnd:
         scan = frame.scan.deskewed(frame.base_from_sensor, moved)
         points = frame.base_from_sensor.transform(scan.points())
         if self._settings.local_radius_m > 0.0:
-            points = points[np.hypot(points[:, 0], points[:, 1]) <= self._settings.local_radius_m]
+            points = near(points, self._settings.local_radius_m)
         if self._settings.source_voxel_m > 0.0:
             points = voxel_means(points, self._settings.source_voxel_m)
         return Cloud(points, "base")
@@ -185,6 +185,11 @@ class FrontEnd:
         moved = self._start_from_keyframe.inverse() @ start_from_base
         far = math.hypot(moved.x, moved.y) >= self._settings.keyframe_distance_m
         return far or abs(moved.theta) >= math.radians(self._settings.keyframe_angle_deg)
+
+
+def near(points: Floats, radius_m: float) -> Floats:
+    """The points (K, 2) within a radius of the origin."""
+    return np.asarray(points[np.hypot(points[:, 0], points[:, 1]) <= radius_m])
 
 
 def _submap(settings: Settings) -> Submap:
