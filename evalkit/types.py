@@ -284,12 +284,14 @@ class Truth:
     """What is known about a sequence beyond its scans; any part may be None.
 
     ``how`` says how it was made ("exact: simulated", "graph-optimised poses, ~3 cm"), for the reader of a report.
+    ``plan``: a map of the place in a frame of its own, to be looked at: nothing is scored against it.
     """
 
     how: str
     trajectory: Trajectory | None = None
     relations: Relations | None = None
     grid: OccupancyGrid | None = None
+    plan: OccupancyGrid | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

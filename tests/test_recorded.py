@@ -165,6 +165,17 @@ def test_turtlebot4_holds_what_its_card_says():
     assert sequence.truth().trajectory is None
 
 
+@needs("turtlebot4")
+def test_turtlebot4_shows_the_map_of_its_floor_and_scores_nothing_against_it():
+    truth = sequence_of("turtlebot4").truth()
+    assert truth.grid is None
+    if truth.plan is None:
+        pytest.skip("the map of the floor is not here")
+    assert truth.plan.shape == (1706, 903)
+    assert (truth.plan.resolution_m, truth.plan.origin_x, truth.plan.origin_y) == (0.03, -1.12, -39.4)
+    assert truth.plan.occupied().sum() > 5000
+
+
 @needs("wheelchair")
 @pytest.mark.parametrize(("topic", "count"), [("/left_scan", 435), ("/rear_scan", 435), ("/right_scan", 434)])
 def test_wheelchair_has_three_lidars(topic, count):

@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
+from evalkit import mapserver
 from evalkit.protocols import DatasetSpec, Parameter, Published
-from evalkit.types import Trajectory, Truth
+from evalkit.types import OccupancyGrid, Trajectory, Truth
 from evalkit_datasets import catalog, recording
 from evalkit_datasets.carmen import Carmen
 from evalkit_datasets.rosbag import RosBag
 
 TURTLEBOT4_FILES = ("macfirst_floor_take_2_0.db3", "macfirst_floor_take_2-metadata.yaml")
+
+FLOOR_FILES = ("mac_1st_floor_final.pgm", "mac_1st_floor_final.yaml")
+"""A map of the TurtleBot's floor; the bag can be read without."""
 
 FILES: Mapping[str, tuple[str, ...]] = {
     "fr079": ("fr079-fullrate.clf.gz", "fr079.relations", "fr079-reference-flirtlib.tum"),
@@ -51,9 +56,23 @@ def _intel(start: int = 0, every: int = 1, limit: int = 0) -> Carmen:
     )
 
 
-def _turtlebot4(start: int = 0, every: int = 1, limit: int = 0) -> RosBag:
+class OnKnownFloor(RosBag):
+    """A bag from a floor whose map is shipped with it, in a frame of its own."""
+
+    def truth(self) -> Truth:
+        """The map of the floor where its files are here; nothing else is known."""
+        return replace(super().truth(), plan=_floor())
+
+
+def _floor() -> OccupancyGrid | None:
+    if catalog.missing("turtlebot4", FLOOR_FILES):
+        return None
+    return mapserver.read(catalog.located(FLOOR_FILES[1]))
+
+
+def _turtlebot4(start: int = 0, every: int = 1, limit: int = 0) -> OnKnownFloor:
     bag, _ = _files("turtlebot4")
-    return RosBag(bag, "/scan", base_frame="base_link", start=start, every=every, limit=limit)
+    return OnKnownFloor(bag, "/scan", base_frame="base_link", start=start, every=every, limit=limit)
 
 
 def _wheelchair(topic: str = "/right_scan", start: int = 0, every: int = 1, limit: int = 0) -> RosBag:
