@@ -97,6 +97,11 @@ def test_every_run_is_a_job_once_and_those_on_one_sequence_are_neighbours():
     assert set(seeds) == {0, 1, 3}
 
 
+def test_seeds_dealt_out_give_every_point_one_in_turn():
+    grid = study(lambda content: content["design"][0].update(deal=True, seeds=[4, 5, 6])).designs[0]
+    assert [grid.runs(point) for point in grid.points[:4]] == [(4,), (5,), (6,), (4,)]
+
+
 def drop(key):
     return lambda content: content.pop(key)
 
@@ -137,6 +142,7 @@ def design(**entries):
         (design(factors=["epsilom"]), "design 1 \\(all\\): no factor named 'epsilom' \\(did you mean 'epsilon'\\?\\)"),
         (design(factors=[]), "'factors': found \\[\\], expected a list of factors' names"),
         (design(kind="full"), "no kind of design named 'full'"),
+        (design(deal="yes"), "'deal': found 'yes', expected true or false"),
         (design(points=3), "'points': found 3; a design 'grid' has none"),
         (design(kind="optimal"), "'points': found None, expected a whole number from 1"),
         (design(kind="optimal", points=5), "'points': found 5, expected more than 12, the columns of its model"),

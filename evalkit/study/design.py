@@ -221,7 +221,7 @@ class _Exchange:
     def __init__(self, model: Model, design: Ints) -> None:
         self.model, self.design = model, design
         self.columns, self.slopes = model.matrix(design), model.slopes(design)
-        self.inverse = np.zeros((0, 0))
+        self.inverse: Floats = np.zeros((0, 0))
         self.own = [np.array([term == (k,) for term in model.terms]) for k in range(len(model.axes))]
         self.sloped = [np.array([owner == k for owner in model.owner]) for k in range(len(model.axes))]
         self.paired = np.array([len(term) == 2 for term in model.terms])
@@ -229,7 +229,8 @@ class _Exchange:
     def renew(self) -> None:
         """Computes the inverse anew: sums of updates wander off."""
         size = self.columns.shape[1]
-        self.inverse = np.asarray(np.linalg.inv(self.columns.T @ self.columns + RIDGE * np.eye(size)))
+        information = self.columns.T @ self.columns + RIDGE * np.eye(size)
+        self.inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
 
     def improve(self, row: int, factor: int) -> bool:
         """Gives one coordinate the level that makes the determinant largest; whether that is another one.

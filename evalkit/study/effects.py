@@ -140,11 +140,12 @@ class Fit:
 
     @cached_property
     def _inverse(self) -> Floats:
-        return np.asarray(np.linalg.inv(self._columns.T @ self._columns))
+        return np.asarray(np.linalg.inv(self._columns.T @ self._columns), dtype=np.float64)
 
     @cached_property
     def _coefficients(self) -> Floats:
-        return np.asarray(np.linalg.lstsq(self._columns, np.asarray(self.response, dtype=np.float64), rcond=None)[0])
+        found = np.linalg.lstsq(self._columns, np.asarray(self.response, dtype=np.float64), rcond=None)[0]
+        return np.asarray(found, dtype=np.float64)
 
     @cached_property
     def _residuals(self) -> Floats:

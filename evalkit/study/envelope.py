@@ -129,12 +129,12 @@ def _panel(
     rows = [[points[b.label, a.label] for a in x.levels] for b in y.levels]
     response = choice.response
     values = np.array([[outcome.row(design, response, point) for point in row] for row in rows])
-    gone = np.array([[[bool(outcome.lost(p.key, seed)) for seed in design.seeds] for p in row] for row in rows])
+    gone = np.array([[[bool(outcome.lost(p.key, seed)) for seed in design.runs(p)] for p in row] for row in rows])
     pick = np.min if response.metric.better == "higher" else np.max
     worst = np.where(gone.any(axis=2), np.nan, pick(values, axis=2))
     inside = below(within(choice, worst))
     columns, height = largest_box(inside)
-    drives = columns * height * len(design.seeds)
+    drives = columns * height * values.shape[2]
     held = wilson(drives, drives) if drives else None
     return Panel(others, worst, gone.sum(axis=2).astype(np.float64), inside, (columns, height), held)
 

@@ -116,27 +116,24 @@ def factor(table: Mapping[str, Any], file: str, place: str, base: Settings) -> F
 
 def _sets(table: Mapping[str, Any], file: str, place: str) -> tuple[str, ...]:
     found = table.get("sets")
-    names = found if isinstance(found, list) else [found]
+    names: list[Any] = found if isinstance(found, list) else [found]
     for name in names or [None]:
         if not isinstance(name, str) or name.partition(".")[0] not in ROOMS or not name.partition(".")[2]:
             expected = "contestant.NAME, sequence.NAME or mapper.NAME, or a list of them"
             raise BadExperiment(file, place, f"'sets': found {found!r}, expected {expected}")
-    return tuple(names)
+    return tuple(map(str, names))
 
 
 def _plain(levels: list[Any], sets: tuple[str, ...], file: str, place: str) -> tuple[Level, ...]:
     for value in levels:
         if not isinstance(value, (bool, int, float, str)):
             raise BadExperiment(file, place, f"'levels': found {value!r}, expected numbers, texts, true or false")
-    kinds = {type(value) for value in levels}
+    kinds: set[type] = {type(value) for value in levels}
     numbers = kinds <= {int, float}
     if len(kinds) > 1 and not numbers:
         raise BadExperiment(file, place, f"'levels': found {levels!r}, expected values of one type")
-    if kinds == {int, float}:
-        levels = [float(value) for value in levels]
-    return tuple(
-        Level(_label(value), dict.fromkeys(sets, value), float(value) if numbers else None) for value in levels
-    )
+    same: list[Value] = [float(value) for value in levels] if kinds == {int, float} else levels
+    return tuple(Level(_label(value), dict.fromkeys(sets, value), float(value) if numbers else None) for value in same)
 
 
 def _named(levels: Mapping[str, Any], file: str, place: str) -> tuple[Level, ...]:

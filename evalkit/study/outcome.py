@@ -58,11 +58,11 @@ class Outcome:
 
     def row(self, design: Design, response: Response, point: Point) -> Floats:
         """The bounded metric (S,) of one point."""
-        return np.array([self.bounded(response, point.key, seed) for seed in design.seeds])
+        return np.array([self.bounded(response, point.key, seed) for seed in design.runs(point)])
 
     def counts(self, design: Design) -> tuple[int, int]:
         """How many of a design's runs are lost, and how many there are."""
-        lost = [self.lost(point.key, seed) for point in design.points for seed in design.seeds]
+        lost = [self.lost(point.key, seed) for point in design.points for seed in design.runs(point)]
         return sum(map(bool, lost)), len(lost)
 
     @cache  # noqa: B019 - an outcome lives as long as its page is made

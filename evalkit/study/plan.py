@@ -79,6 +79,15 @@ class Design:
     points: tuple[Point, ...]
     seeds: tuple[int | None, ...]
     resolution: int = 5
+    dealt: bool = False
+
+    def runs(self, point: Point) -> tuple[int | None, ...]:
+        """The seeds a point is run with: all, or one in turn where they are dealt out over the points."""
+        return (self.seeds[self._turns[point.key] % len(self.seeds)],) if self.dealt else self.seeds
+
+    @cached_property
+    def _turns(self) -> Mapping[str, int]:
+        return {point.key: number for number, point in enumerate(self.points)}
 
     @property
     def model(self) -> Model:
@@ -125,15 +134,19 @@ class Study:
 
     def seeds(self, key: str) -> tuple[int | None, ...]:
         """The seeds a point is run with: those of all designs that share it."""
-        found = (d.seeds for d in self.designs if key in {point.key for point in d.points})
-        return tuple(dict.fromkeys(seed for seeds in found for seed in seeds))
+        return self._seeds[key]
+
+    @cached_property
+    def _seeds(self) -> Mapping[str, tuple[int | None, ...]]:
+        found: dict[str, dict[int | None, None]] = {}
+        for design in self.designs:
+            for point in design.points:
+                found.setdefault(point.key, {}).update(dict.fromkeys(design.runs(point)))
+        return {key: tuple(seeds) for key, seeds in found.items()}
 
     def jobs(self) -> tuple[Job, ...]:
         """Every run of the study, those on one sequence next to each other: it is simulated once for them."""
-        asked = dict.fromkeys(
-            (point.key, seed) for design in self.designs for point in design.points for seed in design.seeds
-        )
-        made = [self.job(self.points[key], seed) for key, seed in asked]
+        made = [self.job(point, seed) for key, point in self.points.items() for seed in self.seeds(key)]
         return tuple(sorted(made, key=lambda job: json.dumps(job.arguments["sequence"], sort_keys=True)))
 
     def job(self, point: Point, seed: int | None) -> Job:

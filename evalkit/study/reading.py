@@ -17,7 +17,7 @@ from evalkit.study.placing import placed
 from evalkit.study.plan import Design, EnvelopeChoice, Kind, Point, Response, Study
 
 TOP = ("title", "description", "seeds", "contestant", "sequence", "mapper", "response", "factor", "design", "envelope")
-DESIGN = ("name", "kind", "factors", "points", "resolution", "seed", "seeds", "with")
+DESIGN = ("name", "kind", "factors", "points", "resolution", "seed", "seeds", "deal", "with")
 NEEDS = {"optimal": "points", "sobol": "points", "latin": "points", "fractional": "resolution"}
 """The key that a kind of design cannot do without."""
 
@@ -169,8 +169,11 @@ def _design(table: Mapping[str, Any], file: str, place: str, known: list[Factor]
         raise BadExperiment(file, place, str(error)) from error
     fixed = dict(_flat(fixed))
     points = tuple(base.point(row, fixed, place) for row in levels)
-    seeds = base.seeds(table, place)
-    return Design(str(table.get("name", kind)), kind, chosen, positions, points, seeds, numbers["resolution"])
+    deal = table.get("deal", False)
+    if not isinstance(deal, bool):
+        raise BadExperiment(file, place, f"'deal': found {deal!r}, expected true or false (one seed a point, in turn)")
+    seeds, name = base.seeds(table, place), str(table.get("name", kind))
+    return Design(name, kind, chosen, positions, points, seeds, numbers["resolution"], deal)
 
 
 def _whole(table: Mapping[str, Any], key: str, kind: str, file: str, place: str) -> int:

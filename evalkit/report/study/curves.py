@@ -50,7 +50,7 @@ def _values(outcome: Outcome, design: Design, point: Point) -> list[Cell]:
         digits = response.metric.digits
         text = f"{middle:.{digits}f} ({values.min():.{digits}f} to {values.max():.{digits}f})"
         cells.append(Cell(text, middle))
-    lost = [outcome.lost(point.key, seed) for seed in design.seeds]
+    lost = [outcome.lost(point.key, seed) for seed in design.runs(point)]
     count = sum(map(bool, lost))
     return [
         *cells,

@@ -94,7 +94,7 @@ def point_blocks(outcome: Outcome) -> tuple[Block, ...]:
     rows = []
     for design in outcome.study.designs:
         for point in design.points:
-            lost = sum(bool(outcome.lost(point.key, seed)) for seed in design.seeds)
+            lost = sum(bool(outcome.lost(point.key, seed)) for seed in design.runs(point))
             first = outcome.study.responses[0]
             worst = outcome.row(design, first, point)
             cells = (point.key, design.name, point.label, f"{np.mean(worst):.{first.metric.digits}f}")

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
 from evalkit.metrics.statistics import Interval
 from evalkit.study.effects import Fit
-from evalkit.study.envelope import axes, panels
+from evalkit.study.envelope import Panel, axes, panels
 from evalkit.study.outcome import Outcome
-from evalkit.study.plan import Design, Response
+from evalkit.study.plan import Design, EnvelopeChoice, Response
 
 Row = dict[str, Any]
 
@@ -25,7 +25,7 @@ def runs(outcome: Outcome) -> list[Row]:
     for design in study.designs:
         for point in design.points:
             levels = {name: point.levels[name].label if name in point.levels else "" for name in names}
-            for seed in design.seeds:
+            for seed in design.runs(point):
                 found = outcome.result(point.key, seed)
                 head = {"key": point.key, "design": design.name, **levels, "seed": "" if seed is None else seed}
                 tail = {"status": found["status"], "reason": found["reason"], "lost": outcome.lost(point.key, seed)}
@@ -96,13 +96,11 @@ def as_csv(rows: list[Row]) -> str:
     return out.getvalue()
 
 
-def _box(outcome: Outcome, choice: Any, panel: Any) -> Mapping[str, float | None]:
-    x, y = axes(outcome.study.design(choice.design), choice)
-    columns, rows = panel.box
-    ends = {
-        factor.name: (factor.numbers or ())[count - 1] if count else None for factor, count in ((x, columns), (y, rows))
-    }
-    return {**ends, "lost_cells": int((panel.lost > 0).sum())}
+def _box(outcome: Outcome, choice: EnvelopeChoice, panel: Panel) -> Row:
+    """The ends of a panel's box by factor, None where there is none, and how many cells are lost."""
+    ends = zip(axes(outcome.study.design(choice.design), choice), panel.box, strict=True)
+    reached = {factor.name: factor.numbers[count - 1] if factor.numbers and count else None for factor, count in ends}
+    return {**reached, "lost_cells": int((panel.lost > 0).sum())}
 
 
 def _row(design: Design, response: Response, kind: str, factor: str, level: str, value: Interval, share: float) -> Row:
