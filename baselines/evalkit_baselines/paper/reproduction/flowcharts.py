@@ -162,7 +162,7 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
         "laboratory called, in the order they ran. A stage that is switched off in this chapter's settings leaves its "
         "figure; a round that was repeated is drawn once, with how often it ran."
     )
-    return (Section("Figures 2 to 5: pipeline and flow charts", (Text(told), Figures(figures)), ANCHOR),)
+    return (Section("Figures 2 to 5: pipeline and flow charts", (Text(told), Figures(figures, small=True)), ANCHOR),)
 
 
 def _keys(root: Call) -> set[str]:
