@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
 from importlib.metadata import packages_distributions
 
@@ -11,6 +11,7 @@ from evalkit.experiment import Contestant, Course, MapperChoice, Plan
 from evalkit.frontend import parameters_of
 from evalkit.metrics import all_metrics
 from evalkit.protocols import GUESS_NOT_TOLD, Parameter, Value
+from evalkit.protocols import Sequence as Recording
 from evalkit.report.comparison import Comparison, ContestantCard, SequenceCard, Setting
 from evalkit.types import Trial
 
@@ -44,7 +45,14 @@ def comparison_of(
         finished=finished,
         mapper=mapper_text(plan.mapper),
         fairness=fairness(trials, where),
+        scans={course.label: scans_of(course) for course in plan.courses if not course.missing},
     )
+
+
+def scans_of(course: Course) -> Callable[[], Recording]:
+    """What makes the sequence of a course's lowest seed."""
+    seed = min((seed for seed in course.seeds if seed is not None), default=None)
+    return lambda: registry.dataset(course.dataset).make(**course.seeded(seed))
 
 
 def in_order(plan: Plan, trials: Sequence[Trial]) -> tuple[Trial, ...]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
 from evalkit.metrics.table import Metric
-from evalkit.protocols import Published, Value
+from evalkit.protocols import Published, Sequence, Value
 from evalkit.report.resampling import Resamples
 from evalkit.types import Trial
 
@@ -72,6 +72,7 @@ class Comparison:
     the labels in the trials; rows and sections keep the order of the cards. ``environment``: what it ran on (CPU,
     threads, versions, commit). ``command``: reproduces the whole report. ``mapper``: what drew every map, with its
     settings. ``fairness``: what was held equal and what was not (guess, threads, warm-up), one sentence each.
+    ``scans``: what makes a sequence again as its lowest seed met it, for the page's player.
     """
 
     title: str
@@ -86,6 +87,7 @@ class Comparison:
     finished: datetime
     mapper: str = ""
     fairness: tuple[str, ...] = field(default_factory=tuple)
+    scans: Mapping[str, Callable[[], Sequence]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for name in ("trials", "metrics", "fairness"):

@@ -66,9 +66,7 @@ def picture(grid: OccupancyGrid, shown: Window) -> bytes:
 def greys(grid: OccupancyGrid, shown: Window) -> Greys:
     """Levels 0 (p >= 0.9) to 15 (p <= 0.1), row 0 at the top; a pixel of many cells shows its most occupied one."""
     width, height = shown.size_m
-    longest = max(width, height)
-    per_pixel = int(np.clip(np.ceil(longest / grid.resolution_m / PIXELS), 1, 4))
-    step = max(longest / (PIXELS * per_pixel), grid.resolution_m / 4.0)
+    per_pixel, step = _sampling(grid, shown)
     columns, rows = (max(1, round(side / step / per_pixel)) * per_pixel for side in (width, height))
     x = shown.x_min + (np.arange(columns) + 0.5) * step
     y = shown.y_max - (np.arange(rows) + 0.5) * step
@@ -82,6 +80,12 @@ def greys(grid: OccupancyGrid, shown: Window) -> Greys:
     return np.round(15.0 * _darkest(white, per_pixel)).astype(np.uint8)
 
 
+def pixel_m(grid: OccupancyGrid, shown: Window) -> float:
+    """How many metres a pixel of the map's picture shows."""
+    per_pixel, step = _sampling(grid, shown)
+    return per_pixel * step
+
+
 def png(levels: Greys) -> bytes:
     """A PNG file of 16 grey levels (H, W), by the PNG specification (ISO/IEC 15948): 4 bits a pixel, no filter."""
     height, width = levels.shape
@@ -91,6 +95,13 @@ def png(levels: Greys) -> bytes:
     header = struct.pack(">IIBBBBB", width, height, 4, 0, 0, 0, 0)
     chunks = ((b"IHDR", header), (b"IDAT", zlib.compress(raw, 9)), (b"IEND", b""))
     return b"\x89PNG\r\n\x1a\n" + b"".join(_chunk(kind, body) for kind, body in chunks)
+
+
+def _sampling(grid: OccupancyGrid, shown: Window) -> tuple[int, float]:
+    """How many samples a pixel has along each side, and their distance (m)."""
+    longest = max(shown.size_m)
+    per_pixel = int(np.clip(np.ceil(longest / grid.resolution_m / PIXELS), 1, 4))
+    return per_pixel, max(longest / (PIXELS * per_pixel), grid.resolution_m / 4.0)
 
 
 def _chunk(kind: bytes, body: bytes) -> bytes:

@@ -16,6 +16,7 @@ from evalkit.report.evidence import evidence
 from evalkit.report.maps import Window, picture, window
 from evalkit.report.paired import Pairs, pairs
 from evalkit.report.palette import Stroke, strokes
+from evalkit.report.player import Player, budget, player
 from evalkit.report.standings import STATUS, contestant_of
 from evalkit.report.summary import Verdict
 from evalkit.report.wording import bounds, figure
@@ -45,6 +46,7 @@ class Section:
     pairs: Pairs | None
     drawn: str
     pictures: tuple[Picture, ...]
+    player: Player | None
     maps: tuple[Picture, ...]
     map_window: Window | None
     everything: Mapping[str, tuple[views.Line, ...]]
@@ -97,6 +99,7 @@ def section(comparison: Comparison, verdict: Verdict, number: int, lines: Mappin
     grids = [trial.grid for trial in first if trial.grid is not None]
     shown = window(grids, true_grid(first)) if grids else None
     seeds = sorted({trial.seed for trial in first if trial.seed is not None})
+    scans, paper = comparison.scans.get(verdict.sequence), next(iter(contestant_of(comparison, "paper")), "")
     return Section(
         label=verdict.sequence,
         anchor=f"sequence-{number}",
@@ -106,6 +109,7 @@ def section(comparison: Comparison, verdict: Verdict, number: int, lines: Mappin
         pairs=pairs(comparison, verdict.sequence),
         drawn=f"seed {seeds[0]} only" if seeds else "the one run of each",
         pictures=tuple(drawings(first, lines)),
+        player=player(first, scans, shown, lines, budget(len(comparison.sequences)), paper),
         maps=map_tiles(comparison, first, shown) if shown else (),
         map_window=shown,
         everything=views.everything(comparison, verdict.sequence),

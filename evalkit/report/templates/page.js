@@ -34,7 +34,9 @@ for (const button of document.querySelectorAll("button.enlarge")) {
 viewer.addEventListener("click", () => viewer.close());
 // A link to something folded away unfolds it.
 const unfold = () => {
-  const target = document.getElementById(decodeURIComponent(location.hash.slice(1)));
+  const target = document.getElementById(decodeURIComponent(location.hash.slice(1).split("?")[0]));
+  document.querySelector(".aimed")?.classList.remove("aimed");
+  target?.classList.add("aimed");
   for (let fold = target?.closest("details"); fold; fold = fold.parentElement.closest("details")) fold.open = true;
   target?.scrollIntoView();
 };

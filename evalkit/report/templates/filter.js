@@ -1,0 +1,85 @@
+// Shows only chosen contestants in all tables, lists and legends, and keeps the choice in the link: #place?only=a,b&find=c
+const chosen = { only: new Set(), find: "" };
+const finder = document.getElementById("find");
+const chips = [...document.querySelectorAll("button.pick")];
+
+function isShown(label) {
+  const words = chosen.find.toLowerCase().split(/[\s,]+/).filter(Boolean);
+  return (!chosen.only.size || chosen.only.has(label)) && (!words.length || words.some((word) => label.toLowerCase().includes(word)));
+}
+
+// What disappears with a contestant's name: its table row (or the body of its own), list item or card.
+function around(named) {
+  const row = named.closest("tr");
+  if (!row) return named.closest("li, article, figure") ?? named;
+  const body = row.parentElement;
+  return body.tagName === "TBODY" && body.rows[0] === row && body.querySelectorAll("[data-of]").length === 1 ? body : row;
+}
+
+function applyFilter() {
+  for (const named of document.querySelectorAll("[data-of]:not(.player [data-of], th.column)")) around(named).hidden = !isShown(named.dataset.of);
+  for (const heading of document.querySelectorAll("th.column[data-of]")) {
+    const place = heading.cellIndex;
+    for (const row of heading.closest("table").rows) {
+      if (row.cells.length > place) row.cells[place].hidden = !isShown(heading.dataset.of);
+    }
+  }
+  for (const row of document.querySelectorAll(".player tr[data-of]")) row.hidden = !isShown(row.dataset.of);
+  const count = chips.filter((chip) => isShown(chip.value)).length;
+  for (const chip of chips) {
+    chip.setAttribute("aria-pressed", String(chosen.only.has(chip.value)));
+    chip.classList.toggle("out", !isShown(chip.value));
+  }
+  const some = count < chips.length;
+  for (const told of document.querySelectorAll(".filtered")) told.textContent = some ? `${count} of ${chips.length} contestants` : told.dataset.all;
+  document.getElementById("everybody").hidden = !some && !chosen.find;
+  document.dispatchEvent(new Event("contestants"));
+}
+
+function writeLink() {
+  const words = [];
+  if (chosen.only.size) words.push(`only=${[...chosen.only].map(encodeURIComponent).join(",")}`);
+  if (chosen.find) words.push(`find=${encodeURIComponent(chosen.find)}`);
+  const place = location.hash.slice(1).split("?")[0];
+  const hash = place || words.length ? `#${place}${words.length ? `?${words.join("&")}` : ""}` : "";
+  if (hash !== location.hash) history.replaceState(null, "", hash || location.pathname + location.search);
+}
+
+function readLink() {
+  const given = location.hash.split("?")[1];
+  if (given === undefined) return;
+  const words = Object.fromEntries(given.split("&").map((word) => word.split("=")));
+  const known = new Set(chips.map((chip) => chip.value));
+  chosen.only = new Set((words.only ?? "").split(",").map(decodeURIComponent).filter((label) => known.has(label)));
+  chosen.find = decodeURIComponent(words.find ?? "");
+  finder.value = chosen.find;
+}
+
+function changed() {
+  writeLink();
+  applyFilter();
+}
+
+for (const chip of chips) {
+  chip.addEventListener("click", () => {
+    if (!chosen.only.delete(chip.value)) chosen.only.add(chip.value);
+    changed();
+  });
+}
+finder.addEventListener("input", () => {
+  chosen.find = finder.value.trim();
+  changed();
+});
+document.getElementById("everybody").addEventListener("click", () => {
+  chosen.only.clear();
+  chosen.find = finder.value = "";
+  changed();
+  finder.focus();
+});
+// A link within the page keeps the choice; one from outside brings its own.
+addEventListener("hashchange", () => {
+  readLink();
+  changed();
+});
+readLink();
+changed();

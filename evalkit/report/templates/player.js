@@ -1,0 +1,218 @@
+// The scan-by-scan player of each sequence: its controls, its keys, and what is shown at the scan it stands at.
+class Player {
+  constructor(root) {
+    this.root = root;
+    this.ready = false;
+    this.timer = 0;
+    this.find = (selector) => root.querySelector(selector);
+    this.all = (selector) => [...root.querySelectorAll(selector)];
+  }
+
+  async start() {
+    this.recording = await readRecording(this.find("template").content.textContent);
+    this.state = { scan: 0 };
+    const canvas = this.find("canvas.map");
+    this.view = new View(canvas, () => this.draw());
+    this.stage = new Stage(canvas, this.recording, await this.pictures());
+    this.traces = this.all("canvas.trace").map((own) => new Trace(own, this.recording, own.dataset.quantity, (at) => this.seek(at)));
+    this.find("input[type=range]").max = this.recording.count - 1;
+    this.listen();
+    this.ready = true;
+    this.root.classList.add("ready");
+    this.choose();
+    this.home();
+    new ResizeObserver(() => this.resize()).observe(canvas);
+  }
+
+  // The pictures of the maps, which stand further down the page.
+  async pictures() {
+    const figures = [...document.querySelectorAll(`#${this.root.dataset.anchor} .maps figure`)];
+    const loaded = await Promise.all(figures.map(async (figure) => {
+      const image = new Image();
+      image.src = figure.querySelector("img").src;
+      await image.decode().catch(() => undefined);
+      return [figure.dataset.of ?? "", image];
+    }));
+    return new Map(loaded);
+  }
+
+  listen() {
+    const does = {
+      play: () => this.toggle(),
+      first: () => this.go(0),
+      back: () => this.go(this.state.scan - 1),
+      on: () => this.go(this.state.scan + 1),
+      last: () => this.go(this.recording.count - 1),
+      in: () => this.view.zoom(1.5),
+      out: () => this.view.zoom(1 / 1.5),
+      home: () => this.home(),
+    };
+    for (const button of this.all("button[data-does]")) button.addEventListener("click", does[button.dataset.does]);
+    this.find("input[type=range]").addEventListener("input", (event) => this.go(Number(event.target.value)));
+    this.root.addEventListener("change", () => this.choose());
+    this.find(".stage").addEventListener("keydown", (event) => this.key(event, does));
+    for (const select of this.all(".worst select")) select.addEventListener("change", () => this.rank());
+    document.addEventListener("contestants", () => this.choose());
+  }
+
+  key(event, does) {
+    if (event.ctrlKey || event.metaKey || event.altKey || event.target.tagName === "BUTTON" && event.key === " ") return;
+    const far = event.shiftKey ? 10 : 1;
+    const keys = {
+      " ": does.play, "+": does.in, "=": does.in, "-": does.out, "0": does.home, Home: does.first, End: does.last,
+      ArrowLeft: () => this.go(this.state.scan - far), ArrowRight: () => this.go(this.state.scan + far),
+      ArrowUp: () => this.view.pan(0, 40), ArrowDown: () => this.view.pan(0, -40),
+    };
+    if (!keys[event.key]) return;
+    event.preventDefault();
+    keys[event.key]();
+  }
+
+  // Reads the controls: whom to show, on which map, who places the scan, which layers.
+  choose() {
+    if (!this.ready) return;
+    const ticked = new Set(this.all("input.shows").filter((box) => box.checked && isShown(box.value)).map((box) => box.value));
+    const layers = Object.fromEntries(this.all("input[data-layer]").map((box) => [box.dataset.layer, box.checked]));
+    const picked = Object.fromEntries(this.all("select[data-picks]").map((select) => [select.dataset.picks, select.value]));
+    const own = picked.map === "own" ? (picked.first === "truth" ? "" : picked.first) : "";
+    const runs = this.recording.runs.filter((run) => ticked.has(run.label));
+    Object.assign(this.state, { layers, runs, map: own, first: picked.first, second: picked.second, quantity: picked.quantity });
+    for (const trace of this.traces) trace.prepare(runs);
+    this.rank();
+    this.draw();
+  }
+
+  resize() {
+    if (!this.view.touched && this.canHome()) this.home();
+    for (const trace of this.traces) trace.prepare(this.state.runs);
+    this.draw();
+  }
+
+  canHome() { return this.view.size[0] > 0; }
+
+  home() {
+    const { window: shown, truth, runs } = this.recording;
+    if (shown) {
+      this.view.fit(...shown);
+      return;
+    }
+    const path = (truth ?? runs[0]).poses;
+    const of = (axis) => path.filter((value, i) => i % 3 === axis && !Number.isNaN(value));
+    const [xs, ys] = [of(0), of(1)];
+    this.view.fit(Math.min(...xs) - 1, Math.max(...xs) + 1, Math.min(...ys) - 1, Math.max(...ys) + 1);
+  }
+
+  seek(milliseconds) {
+    const { times } = this.recording;
+    const nearest = times.reduce((best, time, i) => (Math.abs(time - milliseconds) < Math.abs(times[best] - milliseconds) ? i : best), 0);
+    this.go(nearest);
+  }
+
+  go(scan) {
+    this.state.scan = Math.min(Math.max(scan, 0), this.recording.count - 1);
+    this.draw();
+  }
+
+  toggle() {
+    if (this.timer) {
+      this.stop();
+      return;
+    }
+    if (this.state.scan === this.recording.count - 1) this.go(0);
+    const { times } = this.recording;
+    let clock = times[this.state.scan];
+    let last = performance.now();
+    const tick = (now) => {
+      // whoever wants less motion gets single steps, four a second at most
+      const calm = matchMedia("(prefers-reduced-motion: reduce)").matches && now - last < 250;
+      if (!calm) {
+        clock += (now - last) * Number(this.find("select.speed").value);
+        last = now;
+        let scan = this.state.scan;
+        while (scan < this.recording.count - 1 && times[scan + 1] <= clock) scan += 1;
+        if (scan !== this.state.scan) this.go(scan);
+        if (scan === this.recording.count - 1) {
+          this.stop();
+          return;
+        }
+      }
+      this.timer = requestAnimationFrame(tick);
+    };
+    this.timer = requestAnimationFrame(tick);
+    this.playing(true);
+  }
+
+  stop() {
+    cancelAnimationFrame(this.timer);
+    this.timer = 0;
+    this.playing(false);
+  }
+
+  playing(now) {
+    const button = this.find("button[data-does=play]");
+    button.textContent = now ? "❚❚" : "▶";
+    button.setAttribute("aria-label", now ? "Pause" : "Play");
+  }
+
+  rank() {
+    const [a, b] = ["a", "b"].map((who) => this.recording.runs.find((run) => run.label === this.find(`select[data-worst=${who}]`)?.value));
+    const list = this.find(".worst ol");
+    if (!a || !b) return;
+    const by = this.find("select[data-worst=by]").value;
+    const found = a === b ? [] : worstScans(this.recording, a, b, by);
+    list.replaceChildren(...found.map(({ scan, value }) => {
+      const [item, button] = [document.createElement("li"), document.createElement("button")];
+      const what = { apart: "apart", error: "more error", step: "apart in one step" }[by];
+      button.type = "button";
+      button.textContent = `scan ${this.recording.numbers[scan]}, ${this.seconds(scan)}: ${metres(value)} ${what}`;
+      button.addEventListener("click", () => this.compare(a, b, scan));
+      item.append(button);
+      return item;
+    }));
+    this.find(".worst .nothing").hidden = found.length > 0;
+  }
+
+  // Both placements of one scan laid over each other, near enough to tell them apart.
+  compare(a, b, scan) {
+    this.find("select[data-picks=first]").value = a.label;
+    this.find("select[data-picks=second]").value = b.label;
+    this.choose();
+    this.go(scan);
+    this.find(".stage").focus({ preventScroll: true });
+    this.root.scrollIntoView({ block: "start" });
+  }
+
+  seconds(scan) { return `${(this.recording.times[scan] / 1000).toFixed(2)} s`; }
+
+  draw() {
+    if (!this.ready || !this.canHome()) return;
+    const { scan } = this.state;
+    this.stage.draw(this.view, this.state);
+    for (const trace of this.traces) trace.draw(scan);
+    const told = `scan ${this.recording.numbers[scan]} of ${this.recording.of}, ${this.seconds(scan)}`;
+    const slider = this.find("input[type=range]");
+    slider.value = scan;
+    slider.setAttribute("aria-valuetext", told);
+    this.find(".at").textContent = told;
+    for (const cell of this.all("td[data-quantity]")) {
+      const run = this.recording.runs.find((one) => one.label === cell.dataset.run);
+      const value = run?.[cell.dataset.quantity]?.[scan];
+      cell.textContent = value === undefined || Number.isNaN(value) ? "–" : (1000 * value).toFixed(1);
+    }
+  }
+}
+
+// Where the browser cannot unpack the recording the pictures above tell what they can.
+if (window.DecompressionStream && window.OffscreenCanvas) {
+  const near = new IntersectionObserver((seen) => {
+    for (const { target, isIntersecting } of seen) {
+      if (!isIntersecting) continue;
+      near.unobserve(target);
+      new Player(target).start();
+    }
+  }, { rootMargin: "1500px" });
+  for (const root of document.querySelectorAll(".player")) {
+    root.hidden = false;
+    near.observe(root);
+  }
+}

@@ -1,0 +1,159 @@
+"""What the player shows stands where the run has put it, within its budget, and is the same bytes twice."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evalkit import se2
+from evalkit.report import player as module
+from evalkit.report.maps import Window
+from evalkit.report.packing import unpacked
+from evalkit.report.palette import strokes
+from evalkit.report.player import beams_at, budget, chosen, disagreement, ghosts, placed, player, violations
+from evalkit.types import Frame, OccupancyGrid, Pose, Scan
+
+WINDOW = Window(0.0, 12.0, 0.0, 8.0)
+
+
+class Wall:
+    """60 scans of 9 beams that all see a wall 2 m ahead of the sensor, which sits 10 cm ahead of the base."""
+
+    def __len__(self):
+        return 60
+
+    def frames(self):
+        angles = np.linspace(-0.4, 0.4, 9)
+        for index in range(60):
+            yield Frame(Scan(index * 100_000_000, 2.0 / np.cos(angles), angles, 0.1, 8.0), Pose(0.1, 0.0, 0.0))
+
+
+class Broken(Wall):
+    def frames(self):
+        raise OSError("no such disk")
+
+
+def lines(trials):
+    return strokes([trial.contestant for trial in trials])
+
+
+@pytest.fixture
+def runs(trial):
+    return [trial(name, "room", {}, error_m=error) for name, error in (("a", 0.02), ("b", 0.3))]
+
+
+def content(made):
+    return json.loads(made.content)
+
+
+def test_a_wall_ahead_is_drawn_where_the_pose_puts_it():
+    stamps = np.array([0, 100_000_000])
+    beams = beams_at(Wall(), stamps, 10_000)
+    points = placed(beams, np.array([[1.0, 5.0, np.pi / 2], [4.0, 0.0, 0.0]]), stamps)
+    assert np.abs(points[0, :, 1] - 7.1).max() < 1e-3  # facing +y: 5 + 0.1 + 2
+    assert np.abs(points[1, :, 0] - 6.1).max() < 1e-3
+    assert points[1, 4] == pytest.approx([6.1, 0.0], abs=1e-3)
+
+
+def test_the_motion_within_a_scan_is_undone():
+    stamps = np.array([0, 100_000_000])
+    beams = replace(beams_at(Wall(), stamps, 10_000), sweep=np.array([100, 100], dtype=np.int32))
+    points = placed(beams, np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), stamps)
+    assert points[0, :, 0] == pytest.approx(2.1 + np.linspace(0.0, 1.0, 9), abs=1e-3)
+    assert points[1, :, 0] == pytest.approx(3.1 + np.linspace(0.0, 1.0, 9), abs=1e-3)
+
+
+def test_a_placed_point_is_less_than_two_millimetres_off(runs):
+    stamps = runs[0].run.steps["stamp_ns"]
+    made = content(player(runs, Wall, WINDOW, lines(runs)))
+    poses = unpacked(made["runs"][0]["poses"], (60, 3)) * [1e-3, 1e-3, 1e-5]
+    drawn = placed(beams_at(Wall(), stamps, 10**6), poses, stamps)
+    for row, frame in enumerate(Wall().frames()):
+        exact = module.world_poses(runs[0], stamps)[row]
+        points = se2.transform(se2.compose(exact, frame.base_from_sensor.row), frame.scan.points())
+        assert np.linalg.norm(drawn[row] - points, axis=1).max() < 2e-3
+
+
+def test_no_more_ranges_than_the_budget_and_no_gap_in_the_fan():
+    beams = beams_at(Wall(), np.arange(60) * 100_000_000, 60 * 3)
+    assert beams.ranges.shape == (60, 3)
+    assert beams.every == 3
+    assert beams.angles[0].tolist() == [-40000, -10000, 20000]
+
+
+def test_many_sequences_share_the_page():
+    assert budget(1) == budget(10) == module.MOST_RANGES
+    assert budget(20) * 20 == module.MOST_ON_PAGE
+
+
+def test_a_single_jump_survives_thinning():
+    poses = np.zeros((2, 10_000, 3))
+    poses[0, :, 0] = 0.01 * np.arange(10_000)
+    poses[1] = poses[0]
+    poses[1, 4321:, 1] += 0.5
+    apart = disagreement(poses)
+    rows = chosen(apart, 200)
+    assert apart[4321] == pytest.approx(0.5)
+    assert np.delete(apart, 4321).max() < 1e-9
+    assert len(rows) == 200
+    assert {0, 4321, 9999} <= set(rows.tolist())
+    assert (np.diff(rows) > 0).all()
+
+
+def test_few_scans_are_all_kept():
+    assert chosen(np.zeros(7), 10).tolist() == [0, 1, 2, 3, 4, 5, 6]
+
+
+def room():
+    """4 x 4 m at 10 cm: free inside, a wall along the lower edge."""
+    log_odds = np.full((40, 40), -3.0, dtype=np.float32)
+    log_odds[0] = 3.0
+    return log_odds
+
+
+def grid(log_odds):
+    return OccupancyGrid(log_odds, np.ones_like(log_odds, dtype=bool), 0.1, 0.0, 0.0)
+
+
+def test_a_ghost_is_a_wall_away_from_every_true_one():
+    mapped = room()
+    mapped[2, 5] = mapped[10, 7] = 3.0  # 0.2 m and 1 m above the wall
+    assert ghosts(grid(mapped), grid(room())) == pytest.approx(np.array([[0.75, 1.05]]))
+
+
+def test_a_hit_in_what_the_run_found_free_is_a_violation_but_not_one_beside_a_wall():
+    points = np.array([[1.02, 2.01], [1.03, 2.02], [2.0, 0.12], [9.0, 9.0]])  # twice one cell, at the wall, outside
+    assert violations(points, grid(room())) == pytest.approx(np.array([[1.05, 2.05]]))
+
+
+def test_the_same_runs_twice_are_the_same_bytes(runs):
+    made = [player(runs, Wall, WINDOW, lines(runs)) for _ in range(2)]
+    assert made[0] == made[1]
+
+
+def test_a_run_that_ended_early_has_no_pose_after_its_end(trial):
+    whole = trial("a", "room", {})
+    short = trial("b", "room", {}, status="crashed", reason="signal 11", answered=31)
+    made = content(player([whole, short], None, WINDOW, lines([whole, short])))
+    poses = unpacked(made["runs"][1]["poses"], (60, 3))
+    assert (poses[:31] > module.NONE).all()
+    assert (poses[31:] == module.NONE).all()
+    errors = unpacked(made["runs"][1]["error"], (60,)) * 1e-4
+    assert errors[:31] == pytest.approx(short.errors_m, abs=0.5e-4)
+
+
+def test_a_recording_that_cannot_be_read_leaves_the_paths_and_says_why(runs):
+    made = player(runs, Broken, WINDOW, lines(runs))
+    assert content(made)["beams"] is None
+    assert "no such disk" in made.told
+
+
+def test_who_answered_nothing_is_not_there(trial):
+    absent = trial("c", "room", {}, status="not-installed", reason="no module", answered=0)
+    assert player([absent], None, WINDOW, lines([absent])) is None
+    present = trial("a", "room", {}, truth=False)
+    made = player([present, absent], None, None, lines([present, absent]))
+    assert made.contestants == ("a",)
+    assert content(made)["truth"] is None
+    assert content(made)["runs"][0]["error"] is None
