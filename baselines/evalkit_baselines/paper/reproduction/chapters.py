@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from evalkit_baselines.paper.reproduction import equations, maps, realtime, study, validation
+from evalkit_baselines.paper.reproduction import claims, equations, maps, realtime, study, validation
 from evalkit_baselines.paper.reproduction.chapter import Chapter
 
 CHAPTERS: tuple[Chapter, ...] = (
@@ -11,4 +11,5 @@ CHAPTERS: tuple[Chapter, ...] = (
     study.CHAPTER,
     maps.CHAPTER,
     realtime.CHAPTER,
+    claims.CHAPTER,
 )

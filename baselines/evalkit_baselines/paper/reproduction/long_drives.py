@@ -1,0 +1,48 @@
+"""How far a back end is off as a drive grows longer, and as people walk through it; what its maps are worth then."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from evalkit import frontend, registry, se2
+from evalkit.protocols import Value
+from evalkit.study.point import evaluate
+
+
+def grown(
+    backend: str, parameters: Mapping[str, Value], world: str, seed: int, laps: float, marks: int
+) -> dict[str, Any]:
+    """The error of one long drive at ``marks`` even shares of its way, the first pose aligned.
+
+    ``path_m`` (K,): the way up to there; ``end_m`` (K,): the distance to the truth there; ``rmse_m`` (K,): over all up
+    to there.
+    """
+    sequence = registry.dataset(world).make(seed=seed, laps=laps)
+    spec = registry.backend(backend)
+    contestant = frontend.odometry(spec, frontend.complete_parameters(backend, spec, parameters))
+    poses = np.array([contestant.update(frame).row for frame in sequence.frames()])
+    trajectory = sequence.truth().trajectory
+    if trajectory is None:
+        raise ValueError(f"{world}: has no true trajectory")
+    off = np.linalg.norm(se2.compose(trajectory.poses[0], poses)[:, :2] - trajectory.poses[:, :2], axis=1)
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(trajectory.poses[:, :2], axis=0).T))])
+    shares = way[-1] * np.arange(1, marks + 1) / marks
+    ends = np.minimum(np.searchsorted(way, shares), len(way) - 1)
+    means = np.sqrt(np.cumsum(off**2) / np.arange(1, len(off) + 1))
+    return {"path_m": way[ends], "end_m": off[ends], "rmse_m": means[ends]}
+
+
+def crowded(
+    backend: str, parameters: Mapping[str, Value], world: str, seed: int, laps: float, people: int, scans: int,
+    wanted: Sequence[str],
+) -> dict[str, Any]:  # fmt: skip
+    """The wanted metrics of a drive among so many people who walk about."""
+    spec, course, mapper = registry.backend(backend), registry.dataset(world), registry.mapper("embedded-log-odds")
+    drive: dict[str, Value] = {p.name: p.default for p in course.parameters}
+    drive |= {"seed": seed, "laps": laps, "people": people}
+    drawn: dict[str, Value] = {p.name: p.default for p in mapper.parameters}
+    complete = frontend.complete_parameters(backend, spec, parameters)
+    return evaluate(backend, complete, world, drive, "embedded-log-odds", drawn, scans, wanted, "")
