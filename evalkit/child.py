@@ -17,7 +17,7 @@ from typing import IO
 import psutil
 
 from evalkit.environment import SINGLE_THREAD
-from evalkit.lifeline import MARK
+from evalkit.lifeline import MARK, PARENT
 
 POLL_S = 0.05
 """How often whoever waits for a child looks at it."""
@@ -48,10 +48,12 @@ def started(module: str, folder: Path, output: IO[bytes], threads: int = 1) -> s
     ended first.
     """
     _end_marked(folder)
+    environment = {**os.environ, **dict.fromkeys(SINGLE_THREAD, str(threads))}
+    environment |= {MARK: _mark(folder), PARENT: str(os.getpid())}
     return subprocess.Popen(  # -P: modules of the folder we happen to be in must not stand in for others
         [sys.executable, "-P", "-m", module, str(folder)],
         stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True,
-        env={**os.environ, **dict.fromkeys(SINGLE_THREAD, str(threads)), MARK: _mark(folder)},
+        env=environment,
     )  # fmt: skip
 
 

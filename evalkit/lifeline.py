@@ -12,6 +12,9 @@ import time
 MARK = "EVALKIT_CHILD"
 """Environment variable by which a child's descendants are known, wherever they have gone."""
 
+PARENT = "EVALKIT_PARENT"
+"""Environment variable that tells a child its parent's number: the parent may be gone before the child can look."""
+
 _PR_SET_PDEATHSIG = 1  # of Linux's prctl
 
 
@@ -24,6 +27,8 @@ def end_with_parent() -> None:
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
     else:
         watch_parent()
+    if os.environ.get(PARENT, str(os.getppid())) != str(os.getppid()):  # gone already
+        os._exit(1)
 
 
 def watch_parent() -> None:

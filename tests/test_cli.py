@@ -203,7 +203,7 @@ def test_an_interrupt_keeps_what_is_done_and_leaves_no_process(experiment, tmp_p
     folder = tmp_path / "out"
     process = started(experiment("none", "hang", "raise"), folder, "-j", "1")
     deadline = time.monotonic() + 60.0
-    while not list(folder.glob("runs/straight-hang-*/steps.bin")) and time.monotonic() < deadline:
+    while not answers(folder, "hang") and time.monotonic() < deadline:
         time.sleep(0.02)
     os.killpg(process.pid, ending)  # as a terminal does: to all in the foreground
     _, err = process.communicate(timeout=60.0)
@@ -230,21 +230,26 @@ def test_a_runner_that_is_killed_loses_nothing_and_leaves_nobody(experiment, tmp
     path, folder = experiment("none", "daemon", "raise"), tmp_path / "out"
     process = started(path, folder, "-j", "1")
     deadline = time.monotonic() + 60.0
-    while not list(folder.glob("runs/straight-daemon-*/steps.bin")) and time.monotonic() < deadline:
+    while not answers(folder, "daemon") and time.monotonic() < deadline:
         time.sleep(0.02)
     (done,) = folder.glob("runs/straight-none-*/steps.bin")
-    answers = done.read_bytes(), done.stat().st_mtime_ns
+    kept = done.read_bytes(), done.stat().st_mtime_ns
     process.kill()
     process.wait()
     again = started(path, folder, "-j", "1", "--resume", "--sequence", "straight", "--contestant", "none",
                     "--contestant", "raise")  # fmt: skip
     again.communicate(timeout=60.0)
-    assert (done.read_bytes(), done.stat().st_mtime_ns) == answers
+    assert (done.read_bytes(), done.stat().st_mtime_ns) == kept
     assert len(list(folder.glob("runs/*/run.json"))) == 2
     deadline = time.monotonic() + 10.0
     while workers(folder) and time.monotonic() < deadline:
         time.sleep(0.1)
     assert not workers(folder)
+
+
+def answers(folder, contestant):
+    """How many bytes of answers a contestant has left."""
+    return sum(path.stat().st_size for path in folder.glob(f"runs/straight-{contestant}-*/steps.bin"))
 
 
 def workers(folder):

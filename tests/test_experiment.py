@@ -307,7 +307,8 @@ def test_a_text_that_no_file_could_be_named_is_just_a_text(log):
 
 
 def test_the_shipped_experiments_can_be_planned():
-    files = sorted(Path(__file__).parent.parent.glob("reports/*.toml"))
+    shipped = sorted(Path(__file__).parent.parent.glob("reports/*.toml"))
+    files = [file for file in shipped if "[[contestant]]" in file.read_text()]  # others are studies and the paper's
     if not files:
         pytest.skip("no experiment beside the tests")
     assert all(list(experiment.read(file).runs()) for file in files)
