@@ -180,8 +180,8 @@ def _people(settings: Settings, results: Results) -> Section:
         "Dynamic objects",
         (
             Text(
-                f"The paper's ICP as Table 1 reads, in the lab among people: discs of 0.25 m radius that walk 1 m/s. Median over "
-                f"{settings['seeds']} seeds, least and greatest in brackets."
+                f"The paper's ICP as Table 1 reads, in the lab among people: discs of 0.25 m radius that walk 1 m/s. "
+                f"Median over {settings['seeds']} seeds, least and greatest in brackets."
             ),
             Table(columns, rows),
         ),
