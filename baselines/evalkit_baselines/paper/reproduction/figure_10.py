@@ -1,0 +1,166 @@
+"""Figure 10: maps beside the true plan, with what is wrong with them marked, and the same of a recording."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from evalkit.protocols import Parameter
+from evalkit.report import charts
+from evalkit.report.charts import Points
+from evalkit.report.document import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text
+from evalkit.study.ledger import Job, Result
+from evalkit.types import OccupancyGrid
+from evalkit_baselines.paper.reproduction import drawn, faults, recorded_drive
+from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings
+from evalkit_baselines.paper.reproduction.pictures import GHOST, PATH, SMEAR, TRUE, WIPED, extent, image
+
+ANCHOR = "figure-10"
+VARIANTS = (drawn.ODOMETRY, drawn.LITERAL, drawn.PAPER, drawn.TIGHT)
+
+PARAMETERS = (
+    Parameter("laps", 2.0, "", "of the laboratory", low=0.05, high=10.0),
+    Parameter("speed_mps", 0.2, "m/s", "the paper's cruise", low=0.05, high=3.0),
+    Parameter("turn_dps", 90.0, "deg/s", "yaw rate of quick turns", low=5.0, high=180.0),
+    Parameter("rate_hz", 5.0, "Hz", "revolutions a second", low=5.0, high=15.0),
+    Parameter("seed", 1, "", "of noise and odometry", low=0),
+    Parameter("scans", 300, "", "scans in a map, at most", low=10),
+    Parameter("recording", True, "", "show the recording, too"),
+)
+
+
+def jobs(settings: Settings) -> tuple[Job, ...]:
+    """The true plan, a map a variant, and the recording's where its files are here."""
+    where = drawn.__name__
+    sequence = {name: settings[name] for name in ("laps", "speed_mps", "turn_dps", "rate_hz", "seed")}
+    uses = ("evalkit_datasets.synthetic", "evalkit_baselines.paper")
+    maps = [
+        Job(each.name, f"{where}:lab",
+            {"backend": each.backend, "parameters": dict(each.parameters), "sequence": sequence,
+             "scans": settings["scans"]}, uses)
+        for each in VARIANTS
+    ]  # fmt: skip
+    made = [Job("plan", f"{where}:plan", {"sequence": sequence}, uses), *maps]
+    return (*made, *(recorded_drive.jobs() if settings["recording"] else ()))
+
+
+def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
+    """The laboratory's section and the recording's."""
+    lab = Section("Figure 10: the map beside the plan", [*_lab(settings, results)], ANCHOR)
+    if not settings["recording"]:
+        return (lab,)
+    return lab, Section(
+        "Figure 10: a recording with the paper's kind of lidar", [*recorded_drive.blocks(results)], "figure-10-b"
+    )
+
+
+def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
+    """The line of Figure 10."""
+    del settings
+    true = drawn.grid_of(results["plan"])
+    ghosts = {each.name: _ghosts(results[each.name], true) for each in VARIANTS}
+    told = ", ".join(f"{name} {count[0]} of {count[1]}" for name, count in ghosts.items())
+    share = {name: count[0] / max(count[1], 1) for name, count in ghosts.items()}
+    better = share["paper"] < share[drawn.ODOMETRY.name]
+    return (
+        Finding(
+            "Figure 10", "a map that agrees with the place, ghost walls and smear after turns",
+            f"cells more than {faults.GHOST_M:g} m off every true wall: {told}",
+            "reproduced" if better else "not determined by the text",
+            "the place itself is a photo: the simulated plan and a recording's floor map stand in for it",
+            ANCHOR,
+        ),
+    )  # fmt: skip
+
+
+def _ghosts(result: Result, true: OccupancyGrid) -> tuple[int, int]:
+    found = faults.faults(drawn.grid_of(result), true)
+    return int(found.ghosts.sum()), int(found.occupied.sum())
+
+
+# the laboratory
+
+
+def _lab(settings: Settings, results: Results) -> Iterator[Block]:
+    true = drawn.grid_of(results["plan"])
+    yield Text(
+        f"{settings['laps']:g} laps of the laboratory at {settings['speed_mps']:g} m/s and {settings['rate_hz']:g} Hz "
+        f"with turns of {settings['turn_dps']:g} deg/s; each map is drawn from the same {settings['scans']} scans "
+        "along what its back end answered, and laid on the plan by least squares over the trajectory. The paper shows "
+        "a photo of its place; this is the plan itself."
+    )
+    yield Figures([
+        Figure(_plan(true), "The plan: what a perfect lidar would draw on this drive"),
+        *(_map(results[each.name], true, each.name) for each in VARIANTS),
+    ])  # fmt: skip
+    yield Text(
+        f"Red: ghosts, occupied cells farther than {faults.GHOST_M:g} m (four sigma of the range noise) from every "
+        f"true wall. Orange: smear, {faults.SMEAR_M:g} to {faults.GHOST_M:g} m. Blue dots: true walls the map says are "
+        "free, with none drawn near. Light blue: the true walls.", "note",
+    )  # fmt: skip
+    yield _summary(results, true)
+    yield Heading("Where the ghosts are")
+    yield _places(results, true)
+
+
+def _summary(results: Results, true: OccupancyGrid) -> Table:
+    columns = (
+        "Map drawn along", Column("ATE", "m", number=True), Column("F1 at 10 cm", number=True),
+        Column("occupied cells", number=True), Column("ghosts", "cells", number=True),
+        Column("ghosts", "%", number=True), Column("smear", "%", number=True),
+        Column("walls wiped out", "cells", number=True),
+    )  # fmt: skip
+    rows: list[Sequence[Cell | str]] = []
+    for each in VARIANTS:
+        result = results[each.name]
+        found = faults.faults(drawn.grid_of(result), true)
+        occupied, ghosts, smeared = (int(mask.sum()) for mask in (found.occupied, found.ghosts, found.smeared))
+        numbers = (
+            (result["ate_m"], "{:.3f}"), (result["f1"], "{:.3f}"), (occupied, "{:,}"), (ghosts, "{:,}"),
+            (100.0 * ghosts / max(occupied, 1), "{:.1f}"), (100.0 * smeared / max(occupied, 1), "{:.1f}"),
+            (len(found.wiped), "{:,}"),
+        )  # fmt: skip
+        rows.append((each.name, *(Cell(form.format(value), float(value)) for value, form in numbers)))
+    return Table(columns, rows)
+
+
+def _places(results: Results, true: OccupancyGrid) -> Table:
+    """The largest ghosts of every map."""
+    walls = true.centres(true.occupied())
+    columns = (
+        "Map drawn along", Column("cells", number=True), Column("x", "m", number=True), Column("y", "m", number=True),
+        Column("reach", "m", number=True), Column("off the nearest wall", "m", number=True, tip="at most"),
+    )  # fmt: skip
+    rows: list[Sequence[Cell | str]] = []
+    for each in VARIANTS:
+        grid = drawn.grid_of(results[each.name])
+        found = faults.clusters(grid.centres(faults.faults(grid, true).ghosts), walls)
+        for cluster in found[:5]:
+            numbers = (cluster.x, cluster.y, cluster.reach_m, cluster.off_m)
+            rows.append((
+                each.name, Cell(str(cluster.cells), cluster.cells), *(Cell(f"{value:.2f}", value) for value in numbers)
+            ))  # fmt: skip
+        if not found:
+            rows.append((each.name, Cell("0", 0), "", "", "", ""))
+    return Table(columns, rows, "The five largest groups of ghosts of every map, in the plan's frame.")
+
+
+def _plan(true: OccupancyGrid) -> bytes:
+    return charts.picture(image(true), extent(true))
+
+
+def _map(result: Result, true: OccupancyGrid, name: str) -> Figure:
+    grid = drawn.grid_of(result)
+    found = faults.faults(grid, true)
+    layers = [
+        Points("true walls", true.centres(true.occupied()), TRUE, 1.3, alpha=0.7),
+        Points("path", result["path"], PATH, 0.8, joined=True),
+        Points("wall wiped out", found.wiped, WIPED, 2.0),
+    ]
+    marked = image(grid, {SMEAR: found.smeared, GHOST: found.ghosts})
+    return Figure(
+        charts.picture(marked, extent(grid), layers), f"Along {name}",
+        f"ATE {result['ate_m']:.3f} m; {found.ghosts.sum():,} ghost and {found.smeared.sum():,} smeared cells",
+    )  # fmt: skip
+
+
+CHAPTER = Chapter("figure-10", PARAMETERS, jobs, sections, findings)
