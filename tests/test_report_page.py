@@ -92,6 +92,15 @@ def test_every_run_has_its_command_and_its_files(tags, demo):
         assert (file in links) == (len(trial.run.steps) > 0)
 
 
+def test_every_number_leads_to_its_runs(tags, demo):
+    numbers = [a["href"] for tag, a in tags.found if tag == "a" and a.get("class") in ("run", "none")]
+    assert {"#sequence-1-runs-1", "#sequence-2-runs-1"} <= set(numbers)
+    rows = [a["id"] for tag, a in tags.found if tag == "tr" and "-runs-" in a.get("id", "")]
+    pairs = {(trial.contestant, trial.sequence) for trial in demo.trials}
+    assert len(rows) == len(pairs)
+    assert {href[1:] for href in numbers} <= set(rows)
+
+
 def test_runs_that_failed_are_counted_and_shown_with_their_reason(tags):
     text = " ".join(tags.text.split())
     assert "1 of 3" in text
@@ -115,7 +124,7 @@ def test_arrows_point_where_better_is(html):
 
 
 def test_a_number_that_means_nothing_is_a_dash_with_its_reason(tags):
-    reasons = [a["title"] for tag, a in tags.found if tag == "span" and a.get("class") == "none"]
+    reasons = [a["title"] for tag, a in tags.found if tag in ("a", "span") and a.get("class") == "none"]
     assert "failed: no odometry was recorded" in reasons
     assert "not installed: no module named 'absent'; pip install absent" in reasons
 

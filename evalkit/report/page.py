@@ -81,6 +81,7 @@ def render(comparison: Comparison, overview: Sequence[str], verdicts: Sequence[V
         evidence=evidence(comparison),
         metrics=_by_group(comparison.metrics),
         strokes=lines,
+        places={label: place for place, label in enumerate(comparison.contestants, start=1)},
         status=STATUS,
         finished=sum(trial.run.status == "complete" for trial in comparison.trials),
     )

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from evalkit import se2
-from evalkit.metrics.consistency import CLEARED, NOISE_M, looked_up
+from evalkit.metrics.consistency import CLEARED, looked_up
 from evalkit.metrics.maps import nearest_m
 from evalkit.protocols import Sequence
 from evalkit.report.maps import Window, pixel_m
@@ -31,7 +31,8 @@ MOST_ON_PAGE = 4_000_000
 MOST_CELLS = 8000
 QUANTITIES = (("error", "error"), ("s2s", "S2S residual"), ("s2m", "S2M residual"))
 GHOST_M = 0.2
-"""An occupied cell this far from every true wall is a ghost: four times the range noise (1 sigma)."""
+"""An occupied cell this far from every true wall is a ghost, and a hit this far from every wall of the map a violation
+where the map is free: four times the range noise (1 sigma) or more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -202,13 +203,13 @@ def ghosts(mapped: OccupancyGrid, true: OccupancyGrid) -> Floats:
 def violations(points: Floats, grid: OccupancyGrid) -> Floats:
     """Centres (K, 2) of the map's cells in which hits (N, 2) lie though the run as a whole has found them free.
 
-    Free is what consistency calls cleared: log-odds below -1 and no occupied cell within 0.1 m.
+    Free is what consistency calls cleared, log-odds below -1, without an occupied cell within ``GHOST_M``.
     """
     log_odds, observed = looked_up(points, grid)
     suspects = points[observed & (log_odds < CLEARED)]
     walls = grid.centres(grid.occupied())
     if len(walls) and len(suspects):
-        suspects = suspects[np.isinf(cKDTree(walls).query(suspects, distance_upper_bound=NOISE_M)[0])]
+        suspects = suspects[np.isinf(cKDTree(walls).query(suspects, distance_upper_bound=GHOST_M)[0])]
     origin, step = np.array([grid.origin_x, grid.origin_y]), grid.resolution_m
     return np.asarray(origin + (np.unique(np.floor((suspects - origin) / step), axis=0) + 0.5) * step)
 

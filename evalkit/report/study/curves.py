@@ -27,6 +27,8 @@ def curve_blocks(outcome: Outcome) -> tuple[Block, ...]:
         own = [design for design in designs if factor in design.factors]
         if own and factor.numbers is not None:
             blocks.append(Figures([charts.curve_chart(outcome, response, factor, own) for response in shown]))
+        elif own:
+            blocks.append(_by_name(outcome, shown[0], factor, own))
     rows: list[tuple[Cell | str, ...]] = [
         (design.name, factor, Cell(level.label, level.number), *_values(outcome, design, point))
         for design in designs
@@ -38,24 +40,41 @@ def curve_blocks(outcome: Outcome) -> tuple[Block, ...]:
     return (*blocks, Fold("All values", (Table(columns, rows),))) if rows else ()
 
 
+def _by_name(outcome: Outcome, response: Response, factor: Factor, designs: Sequence[Design]) -> Table:
+    """A factor without order: its levels against the designs that vary it."""
+    points = {(d.name, p.levels[factor.name].label): p for d in designs for p in d.points if factor.name in p.levels}
+    rows: list[tuple[Cell | str, ...]] = [
+        (level.label, *(_value(outcome, design, response, points[design.name, level.label]) for design in designs))
+        for level in factor.levels
+    ]
+    heads = (Column(design.name, response.metric.unit, number=True) for design in designs)
+    caption = f"{response.metric.label} over {factor.name}: mean of the seeds, lowest to highest"
+    return Table((factor.name, *heads), rows, caption, sortable=False)
+
+
 def _column(response: Response) -> Column:
     return Column(response.metric.label, response.metric.unit, number=True, tip="mean of the seeds, lowest to highest")
 
 
 def _values(outcome: Outcome, design: Design, point: Point) -> list[Cell]:
-    cells = []
-    for response in outcome.study.responses:
-        values = outcome.row(design, response, point)
-        middle = float(charts.off_scale(response, on_scale(response, values).mean()))
-        digits = response.metric.digits
-        text = f"{middle:.{digits}f} ({values.min():.{digits}f} to {values.max():.{digits}f})"
-        cells.append(Cell(text, middle))
+    cells = [_value(outcome, design, response, point) for response in outcome.study.responses]
     lost = [outcome.lost(point.key, seed) for seed in design.runs(point)]
     count = sum(map(bool, lost))
     return [
         *cells,
         Cell(f"{count} of {len(lost)}" if count else "", count, "bad" if count else "", "; ".join(filter(None, lost))),
     ]
+
+
+def _value(outcome: Outcome, design: Design, response: Response, point: Point) -> Cell:
+    values = outcome.row(design, response, point)
+    if not np.isfinite(values).any():
+        return Cell("no value")
+    middle = float(charts.off_scale(response, np.array(np.nanmean(on_scale(response, values)))))
+    digits = response.metric.digits
+    lost = any(outcome.lost(point.key, seed) for seed in design.runs(point))
+    text = f"{middle:.{digits}f} ({np.nanmin(values):.{digits}f} to {np.nanmax(values):.{digits}f})"
+    return Cell(text, middle, "bad" if lost else "")
 
 
 def envelope_blocks(outcome: Outcome) -> tuple[Block, ...]:

@@ -177,6 +177,7 @@ class Player {
     this.find("select[data-picks=first]").value = a.label;
     this.find("select[data-picks=second]").value = b.label;
     this.choose();
+    if (this.view.touched) Object.assign(this.view, { x: a.poses[3 * scan], y: a.poses[3 * scan + 1] });
     this.go(scan);
     this.find(".stage").focus({ preventScroll: true });
     this.root.scrollIntoView({ block: "start" });
@@ -208,7 +209,8 @@ if (window.DecompressionStream && window.OffscreenCanvas) {
     for (const { target, isIntersecting } of seen) {
       if (!isIntersecting) continue;
       near.unobserve(target);
-      new Player(target).start();
+      target.player = new Player(target);
+      target.player.start();
     }
   }, { rootMargin: "1500px" });
   for (const root of document.querySelectorAll(".player")) {

@@ -1,0 +1,315 @@
+"""The page in a real browser: offline, without an error, for keyboards and screen readers, and the player plays."""
+
+import json
+import re
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evalkit.report import SequenceCard, write
+from evalkit.report.packing import unpacked
+from evalkit.report.player import beams_at, placed
+from evalkit.types import Frame, Pose, Scan
+
+playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install playwright")
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+SCRIPT = "<script>alert(1)</script>"
+PLAYER = "#sequence-1 .player"
+
+
+class Room:
+    """60 scans of 90 beams within a circle of 3 m, as stamped as the demo's runs, 10 ms each."""
+
+    def __len__(self):
+        return 60
+
+    def frames(self):
+        angles = np.linspace(-2.0, 2.0, 90)
+        for index in range(60):
+            ranges = np.where(np.arange(90) % 10 == 3, np.inf, 3.0 + 0.01 * index)
+            yield Frame(Scan(index * 100_000_000, ranges, angles, 0.1, 8.0, 1_000_000), Pose(0.1, 0.02, 0.5))
+
+
+@pytest.fixture(scope="module")
+def page_file(demo, tmp_path_factory):
+    same = [replace(trial, sequence=SCRIPT, key=f"again-{trial.key}") for trial in demo.trials[:4]]
+    card = SequenceCard(f"A sequence called {SCRIPT}.", "360 beams", "exact", "Author", "MIT")
+    made = replace(demo, trials=(*demo.trials, *same), sequences={**demo.sequences, SCRIPT: card}, scans={"room": Room})
+    return write(made, tmp_path_factory.mktemp("browser"))
+
+
+@pytest.fixture(scope="module")
+def browser():
+    program = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if program is None:
+        pytest.skip(f"no browser found, none of: {', '.join(BROWSERS)}")
+    with playwright.sync_playwright() as running:
+        started = running.chromium.launch(executable_path=program, args=["--no-sandbox", "--disable-gpu"])
+        yield started
+        started.close()
+
+
+@pytest.fixture
+def opened(browser, page_file):
+    """``opened(hash, width=..., **options)``: a page that must neither say nor ask for anything."""
+    contexts, complaints = [], []
+
+    def open_(hash_="", width=1300, **options):
+        context = browser.new_context(viewport={"width": width, "height": 900}, **options)
+        contexts.append(context)
+        page = context.new_page()
+        page.on("console", lambda message: complaints.append(message.text))
+        page.on("pageerror", lambda error: complaints.append(str(error)))
+        page.on("dialog", lambda dialog: complaints.append(f"dialog {dialog.message}"))
+        page.on("request", lambda request: asked(request.url))
+        page.goto(page_file.as_uri() + hash_)
+        return page
+
+    def asked(url):
+        if not url.startswith(("data:", page_file.as_uri())):
+            complaints.append(f"request {url}")
+
+    yield open_
+    for context in contexts:
+        context.close()
+    assert complaints == []
+
+
+def played(page):
+    """The page with the first sequence's player ready."""
+    page.locator(PLAYER).scroll_into_view_if_needed()
+    page.wait_for_selector(f"{PLAYER}.ready")
+    return page
+
+
+def until(page, true):
+    """Waits for a condition without eval, which the page forbids."""
+    for _ in range(100):
+        if page.evaluate(true):
+            return
+        page.wait_for_timeout(50)
+    raise AssertionError(f"never came: {true}")
+
+
+def scan(page):
+    return page.evaluate(f"document.querySelector('{PLAYER}').player.state.scan")
+
+
+def rows(page, region):
+    names = page.locator(f"[aria-label='{region}'] tbody th .who > span:first-of-type")
+    return [name.inner_text() for name in names.all() if name.is_visible()]
+
+
+def test_the_page_says_nothing_asks_for_nothing_and_soon_answers(opened, record_property):
+    page = played(opened())
+    spent = page.evaluate("performance.now() - performance.timeOrigin * 0")
+    record_property("player ready after ms", spent)
+    assert page.title() == "Demo"
+
+
+def test_a_name_that_tries_to_be_a_script_is_text(opened):
+    page = opened()
+    assert SCRIPT in page.locator("h2").all_inner_texts()
+    assert page.locator(f"button.pick[value='{SCRIPT}']").inner_text() == SCRIPT
+
+
+def test_a_click_on_a_heading_sorts(opened):
+    page = opened()
+    heading = page.get_by_role("region", name="Results on room").get_by_role("button", name=re.compile("ATE RMSE"))
+    heading.click()
+    rising = rows(page, "Results on room")
+    heading.click()
+    falling = rows(page, "Results on room")
+    assert rising[:4] == ["plane", SCRIPT, "paper", "wheel"]
+    assert falling[:4] == ["lost", "wheel", "paper", SCRIPT]
+
+
+def test_the_filter_leaves_only_the_chosen_in_tables_and_legends_and_stands_in_the_link(opened):
+    page = opened()
+    page.fill("#find", "pa la")
+    assert rows(page, "Results on room") == ["paper", "plane"]
+    assert page.evaluate("location.hash") == "#?find=pa%20la"
+    page.fill("#find", "")
+    page.locator("button.pick[value=plane]").focus()
+    page.keyboard.press("Enter")
+    assert rows(page, "At a glance") == ["plane"]
+    page.click("nav a[href='#results']")
+    until(page, "location.hash === '#results?only=plane'")
+    again = played(opened(page.evaluate("location.hash")))
+    assert rows(again, "Results on fr079") == ["plane"]
+    assert again.locator(f"{PLAYER} .legend tbody tr:visible").count() == 1
+    assert again.locator("#sequence-1 .maps figure:visible").count() == 2  # the truth's too
+    assert [run["label"] for run in again.evaluate(f"document.querySelector('{PLAYER}').player.state.runs")] == [
+        "plane"
+    ]
+    again.click("#everybody")
+    assert len(rows(again, "Results on room")) == 6
+
+
+def test_columns_of_contestants_are_filtered_too(opened):
+    page = opened("#?only=paper,plane")
+    page.locator("#sequence-1 summary", has_text="All metrics").click()
+    table = page.locator("[aria-label='All metrics on room'] table")
+    assert table.locator("thead th:visible").all_inner_texts() == ["Metric", "paper", "plane"]
+    assert table.locator("tbody tr").nth(1).locator("td:visible").count() == 2
+
+
+def test_a_number_leads_to_the_run_that_made_it(opened):
+    page = opened()
+    page.locator("[aria-label='Results on room'] a.run").first.click()
+    row = page.locator("tr.aimed")
+    assert row.is_visible()
+    assert "--contestant 'paper' --seed 0" in row.inner_text()
+    row.get_by_role("link", name="2 of the contestant").click()
+    assert page.locator("#settings-1").get_attribute("open") is not None
+
+
+def test_keys_step_zoom_and_play(opened):
+    page = played(opened())
+    page.locator(f"{PLAYER} .stage").focus()
+    for key in ("ArrowRight", "ArrowRight", "ArrowRight", "ArrowLeft"):
+        page.keyboard.press(key)
+    assert scan(page) == 2
+    page.keyboard.press("Shift+ArrowRight")
+    assert scan(page) == 12
+    assert page.locator(f"{PLAYER} .at").inner_text() == "scan 13 of 60, 1.20 s"
+    assert page.locator(f"{PLAYER} input[type=range]").get_attribute("aria-valuetext") == "scan 13 of 60, 1.20 s"
+    scale = f"document.querySelector('{PLAYER}').player.view.scale"
+    before = page.evaluate(scale)
+    page.keyboard.press("+")
+    assert page.evaluate(scale) == pytest.approx(1.5 * before)
+    page.keyboard.press("0")
+    assert page.evaluate(scale) == pytest.approx(before)
+    page.keyboard.press(" ")
+    until(page, f"document.querySelector('{PLAYER}').player.state.scan > 14")
+    page.keyboard.press(" ")
+    stopped = scan(page)
+    page.wait_for_timeout(250)
+    assert scan(page) == stopped
+
+
+def test_whoever_wants_less_motion_still_plays(opened):
+    page = played(opened(reduced_motion="reduce"))
+    assert page.evaluate("getComputedStyle(document.documentElement).scrollBehavior") == "auto"
+    page.click(f"{PLAYER} [data-does=play]")
+    until(page, f"document.querySelector('{PLAYER}').player.state.scan > 1")
+
+
+def test_the_map_moves_by_wheel_and_drag_only_once_it_is_chosen(opened):
+    page = played(opened())
+    view = f"(({{x, y, scale}}) => [x, y, scale])(document.querySelector('{PLAYER}').player.view)"
+    page.locator(f"{PLAYER} .zoom").scroll_into_view_if_needed()
+    box = page.locator(f"{PLAYER} canvas.map").bounding_box()
+    before = page.evaluate(view)
+    page.mouse.move(box["x"] + 100, box["y"] + 100)
+    page.mouse.wheel(0, 10)
+    page.wait_for_timeout(200)
+    assert page.evaluate(view) == before
+    box = page.locator(f"{PLAYER} canvas.map").bounding_box()
+    page.mouse.move(box["x"] + 100, box["y"] + 100)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 150, box["y"] + 80)
+    page.mouse.up()
+    moved = page.evaluate(view)
+    assert moved[:2] == pytest.approx([before[0] - 50 / before[2], before[1] - 20 / before[2]])
+    page.mouse.wheel(0, -200)
+    until(page, f"{view}[2] > {moved[2]}")
+
+
+def test_a_click_on_a_curve_goes_to_its_time(opened):
+    page = played(opened())
+    trace = page.locator(f"{PLAYER} canvas.trace").first
+    box = trace.bounding_box()
+    trace.click(position={"x": 52 + 0.5 * (box["width"] - 60), "y": 20})
+    assert scan(page) in (29, 30)
+    error = page.locator(f"{PLAYER} td[data-run=paper][data-quantity=error]").inner_text()
+    trial_error = page.evaluate(f"document.querySelector('{PLAYER}').player.recording.runs[0].error[{scan(page)}]")
+    assert float(error) == pytest.approx(1000 * trial_error, abs=0.06)
+
+
+def test_the_page_places_scans_as_python_does(opened, page_file):
+    page = played(opened())
+    content = json.loads(page.evaluate(f"document.querySelector('{PLAYER} template').content.textContent"))
+    poses = unpacked(content["runs"][1]["poses"], (60, 3)) * [1e-3, 1e-3, 1e-5]
+    stamps = np.arange(60) * 100_000_000
+    expected = placed(beams_at(Room(), stamps, 10**6), poses, stamps)
+    for row in (0, 17, 59):
+        got = page.evaluate(
+            "([row, selector]) => { const { recording } = document.querySelector(selector).player;"
+            " return [...placeScan(recording, recording.runs[1].poses, row)].map((v) => Number.isNaN(v) ? null : v); }",
+            [row, PLAYER],
+        )
+        assert np.array(got, dtype=float).reshape(-1, 2) == pytest.approx(expected[row], abs=1e-9, nan_ok=True)
+
+
+def test_the_worst_scans_of_two_are_a_click_away(opened):
+    page = played(opened())
+    page.select_option(f"{PLAYER} [data-worst=a]", "lost")
+    page.select_option(f"{PLAYER} [data-worst=b]", "plane")
+    page.select_option(f"{PLAYER} [data-worst=by]", "apart")
+    buttons = page.locator(f"{PLAYER} .worst li button")
+    assert 1 <= buttons.count() <= 10
+    apart = page.evaluate(
+        "(selector) => { const { runs } = document.querySelector(selector).player.recording;"
+        " const [a, b] = ['lost', 'plane'].map((label) => runs.find((run) => run.label === label).poses);"
+        " return Array.from({ length: 60 }, (_, i) => Math.hypot(a[3*i] - b[3*i], a[3*i+1] - b[3*i+1])); }",
+        PLAYER,
+    )
+    buttons.first.click()
+    assert scan(page) == int(np.argmax(apart))
+    assert page.input_value(f"{PLAYER} [data-picks=first]") == "lost"
+    assert page.input_value(f"{PLAYER} [data-picks=second]") == "plane"
+    page.select_option(f"{PLAYER} [data-worst=by]", "error")
+    assert "more error" in buttons.first.inner_text()
+
+
+def test_something_is_drawn_on_every_canvas(opened):
+    page = played(opened())
+    for canvas in page.locator(f"{PLAYER} canvas").all():
+        colours = canvas.evaluate(
+            "(c) => new Set(new Uint32Array(c.getContext('2d').getImageData(0, 0, c.width, c.height).data.buffer)).size"
+        )
+        assert colours > 3
+
+
+def test_the_reader_may_have_it_dark_or_light(opened):
+    page = opened(color_scheme="light")
+    ground = "getComputedStyle(document.body).backgroundColor"
+    light = page.evaluate(ground)
+    page.click("#theme")
+    assert page.evaluate(ground) == light
+    page.click("#theme")
+    assert page.evaluate(ground) == "rgb(18, 22, 27)"
+    page.reload()
+    assert page.evaluate(ground) == "rgb(18, 22, 27)"
+    page.emulate_media(media="print")
+    assert page.evaluate(ground) == "rgb(255, 255, 255)"
+
+
+def test_paper_gets_a_still_picture_without_controls(opened):
+    page = played(opened())
+    page.emulate_media(media="print")
+    assert page.locator(f"{PLAYER} canvas.map").is_visible()
+    assert not page.locator(f"{PLAYER} .transport button").first.is_visible()
+    assert not page.locator("#filter").is_visible()
+    assert len(page.pdf()) > 50_000
+
+
+@pytest.mark.parametrize("width", [1400, 400])
+def test_nothing_is_wider_than_the_window(opened, width):
+    page = played(opened(width=width))
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_accessible_by_the_rules_of_axe(opened, scheme):
+    axe = pytest.importorskip(
+        "axe_playwright_python.sync_playwright", reason="axe is not installed: pip install axe-playwright-python"
+    )
+    page = played(opened(color_scheme=scheme))
+    found = axe.Axe().run(page, options={"runOnly": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]})
+    told = [(v["id"], v["nodes"][0]["target"], v["nodes"][0]["failureSummary"]) for v in found.response["violations"]]
+    assert not told, "\n".join(map(str, told))
