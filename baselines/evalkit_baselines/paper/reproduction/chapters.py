@@ -2,12 +2,27 @@
 
 from __future__ import annotations
 
-from evalkit_baselines.paper.reproduction import claims, equations, maps, realtime, study, validation
+from evalkit_baselines.paper.reproduction import (
+    claims,
+    configurations,
+    equations,
+    figure_10,
+    flowcharts,
+    maps,
+    realtime,
+    residuals,
+    study,
+    validation,
+)
 from evalkit_baselines.paper.reproduction.chapter import Chapter
 
 CHAPTERS: tuple[Chapter, ...] = (
+    flowcharts.CHAPTER,
     validation.CHAPTER,
     equations.CHAPTER,
+    configurations.CHAPTER,
+    residuals.CHAPTER,
+    figure_10.CHAPTER,
     study.CHAPTER,
     maps.CHAPTER,
     realtime.CHAPTER,

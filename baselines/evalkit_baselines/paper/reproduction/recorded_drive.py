@@ -23,6 +23,7 @@ TURNING_DPS = 20.0
 """A turn of the recording is marked from here on."""
 
 CALM_DPS = 5.0
+DRIVING_MPS = 0.05
 UNIQUE = 0.9
 """A second best place that fits this well makes the best one a guess."""
 
@@ -70,13 +71,15 @@ def blocks(results: Results) -> Iterator[Block]:
 
 
 def turns_told(result: Result) -> str:
-    """How many spikes of each stage fall into turns, by the rules of Figure 9."""
+    """How many spikes of each stage fall into turns, by the rules of Figure 9; calm is driving straight on."""
     times, yaw = result["times_s"], result["yaw_dps"]
+    speeds = np.hypot(*np.diff(result["path"], axis=0, prepend=result["path"][:1]).T) * len(times) / times[-1]
+    calm = (yaw < CALM_DPS) & (speeds > DRIVING_MPS)
     turns = spikes.events(times, yaw >= TURNING_DPS)
     told = []
     for stage in following.STAGES:
         residual = result[stage][:, 0]
-        found = spikes.spikes(residual, spikes.band(residual, yaw < CALM_DPS))
+        found = spikes.spikes(residual, spikes.band(residual, calm))
         inside = sum(any(spikes.within(spike, times, turn) for turn in turns) for spike in found)
         told.append(f"{inside} of {len(found)} {stage.upper()} spikes")
     return " and ".join(told)
