@@ -34,7 +34,12 @@ class Panel:
     @property
     def label(self) -> str:
         """The other factors' levels in words."""
-        return ", ".join(f"{name} {level}" for name, level in self.others.items())
+        return ", ".join(said(name, level) for name, level in self.others.items())
+
+
+def said(factor: str, level: str) -> str:
+    """A level in words: with its factor where it is a number or a switch, alone where it is a name."""
+    return level if level[:1].isalpha() and level not in ("on", "off") else f"{factor} {level}"
 
 
 def below(within: Bools) -> Bools:
@@ -111,7 +116,7 @@ def reach(choice: EnvelopeChoice, design: Design, panel: Panel) -> str:
 
 
 def _last(panel: Panel) -> str:
-    return f"{list(panel.others)[-1]} {list(panel.others.values())[-1]}" if panel.others else ""
+    return said(list(panel.others)[-1], list(panel.others.values())[-1]) if panel.others else ""
 
 
 def _with_drives(words: str, drives: int) -> str:

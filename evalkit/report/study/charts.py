@@ -64,7 +64,10 @@ def main_effects(response: Response, design: Design, effects: Sequence[FactorEff
     label = f"{response.metric.label}: most against least [{unit}]".replace(" []", "")
     axis = Axis(label, response.scale, ticks=ticks(response, low, high))
     title = f"{design.name}: how much each factor moves {response.metric.label}"
-    caption = "Averaged over all other factors. Line: 95 % interval; grey: the interval does not tell the sign."
+    caption = (
+        "From the level with the least to the one with the most, averaged over all other factors. Line: 95 % interval; "
+        "grey: it does not tell the sign."
+    )
     return Figure(bars(labels, values, axis, low, high, neutral, colours), title, caption)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from itertools import groupby
 
 import numpy as np
 
@@ -70,7 +69,7 @@ def _value(outcome: Outcome, design: Design, response: Response, point: Point) -
     values = outcome.row(design, response, point)
     if not np.isfinite(values).any():
         return Cell("no value")
-    middle = float(charts.off_scale(response, np.array(np.nanmean(on_scale(response, values)))))
+    middle = float(charts.off_scale(response, np.array(float(np.nanmean(on_scale(response, values))))))
     digits = response.metric.digits
     lost = any(outcome.lost(point.key, seed) for seed in design.runs(point))
     text = f"{middle:.{digits}f} ({np.nanmin(values):.{digits}f} to {np.nanmax(values):.{digits}f})"
@@ -90,10 +89,11 @@ def envelope_blocks(outcome: Outcome) -> tuple[Block, ...]:
                 f"{limit_words(choice)}, in every drive with every seed, for every combination of levels up to these:"
             ),
             glance(choice, design, found),
-            Text("Below, the worst seed in every cell; the white line is the limit, hatched cells are lost.", "note"),
+            Text("Below, the worst seed in every cell; the white line is the limit, empty cells are lost.", "note"),
         ]
-        for _, row in groupby(found, key=lambda panel: list(panel.others.values())[:-1]):
-            blocks.append(Figures([charts.envelope(choice, design, panel, limits) for panel in row], small=True))
+        for name in dict.fromkeys(_last(panel) for panel in found):
+            row = [charts.envelope(choice, design, panel, limits) for panel in found if _last(panel) == name]
+            blocks.append(Figures(row, small=True))
     return tuple(blocks)
 
 
@@ -101,12 +101,16 @@ def glance(choice: EnvelopeChoice, design: Design, found: Sequence[Panel]) -> Ta
     """The largest box of every panel: rows the last other factor's levels, columns the rest."""
     x, y = axes(design, choice)
     heads = list(dict.fromkeys(_head(panel) for panel in found))
-    names = list(dict.fromkeys(list(panel.others.values())[-1] for panel in found if panel.others))
-    by_place = {(list(panel.others.values())[-1] if panel.others else "", _head(panel)): panel for panel in found}
+    names = list(dict.fromkeys(_last(panel) for panel in found))
+    by_place = {(_last(panel), _head(panel)): panel for panel in found}
     rows: list[tuple[Cell | str, ...]] = [
-        (name, *(_box(x, y, by_place[name, head]) for head in heads)) for name in names or [""]
+        (name, *(_box(x, y, by_place[name, head]) for head in heads)) for name in names
     ]
     return Table(("", *heads), rows, sortable=False)
+
+
+def _last(panel: Panel) -> str:
+    return list(panel.others.values())[-1] if panel.others else ""
 
 
 def _head(panel: Panel) -> str:

@@ -16,6 +16,8 @@ from evalkit.study.plan import Design, Response
 MOST_SHOWN = 4
 """So many interactions are drawn."""
 
+FEWEST_LISTED = 5
+
 
 def effect_blocks(outcome: Outcome) -> tuple[Block, ...]:
     """Main effects and interactions of every design that tells them, and what they foretell elsewhere."""
@@ -50,7 +52,7 @@ def _effects(outcome: Outcome, response: Response, design: Design, fit: Fit) -> 
         Fold(f"{design.name}: levels of every factor", (Figures(ordered, small=True), _levels(response, design, fit)))
     )
     if pairs:
-        blocks.append(_pairs(response, design, pairs))
+        blocks += _pairs(response, design, pairs)
     if drawn:
         blocks.append(Figures([charts.crossing(response, design, fit, pair) for pair in drawn], small=True))
     return [*blocks, *_checks(outcome, response, design, fit)]
@@ -68,7 +70,7 @@ def _levels(response: Response, design: Design, fit: Fit) -> Table:
     return Table(columns, rows)
 
 
-def _pairs(response: Response, design: Design, pairs: Sequence[Interaction]) -> Block:
+def _pairs(response: Response, design: Design, pairs: Sequence[Interaction]) -> list[Block]:
     rows = [
         (
             f"{pair.a} x {pair.b}",
@@ -84,12 +86,10 @@ def _pairs(response: Response, design: Design, pairs: Sequence[Interaction]) -> 
         Column("Told from chance", tip="the interval, widened for all pairs together (Bonferroni), tells the sign"),
         Column("Share of variance", "%", number=True),
     )  # fmt: skip
-    mattering = sum(pair.matters for pair in pairs)
-    shown = max(mattering, 5)
-    table = Table(columns, rows[:shown], f"{design.name}: interactions, largest share of the variance first")
-    return table if len(rows) <= shown else Fold(
-        f"{design.name}: {mattering} of {len(pairs)} interactions told from chance", (Table(columns, rows),)
-    )  # fmt: skip
+    shown = max(sum(pair.matters for pair in pairs), FEWEST_LISTED)
+    caption = f"{design.name}: the interactions with the largest shares of the variance, of {len(pairs)}"
+    blocks: list[Block] = [Table(columns, rows[:shown], caption)]
+    return [*blocks, Fold("The other pairs", (Table(columns, rows[shown:]),))] if rows[shown:] else blocks
 
 
 def _checks(outcome: Outcome, response: Response, design: Design, fit: Fit) -> list[Block]:
