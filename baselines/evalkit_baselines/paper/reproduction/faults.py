@@ -64,7 +64,7 @@ def clusters(points: Floats, walls: Floats) -> tuple[Cluster, ...]:
     if not len(points):
         return ()
     near = cKDTree(points).query_pairs(TOGETHER_M, output_type="ndarray")
-    links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(points),) * 2)
+    links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(points), len(points)))
     count, labels = connected_components(links, directed=False)
     off = nearest_m(points, walls)
     found = [_cluster(points[labels == label], off[labels == label]) for label in range(count)]
