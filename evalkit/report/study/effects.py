@@ -106,7 +106,8 @@ def _checks(outcome: Outcome, response: Response, design: Design, fit: Fit) -> l
         verdict = "" if apart < around else ": the effects tell nothing of single points between the levels"
         words = (
             f"{other.name}: {int(told.sum())} points that no effect was computed from are foretold to within "
-            f"{left(response, apart)} (root mean square); they scatter by {left(response, around)} around their mean{verdict}."
+            f"{left(response, apart)} (root mean square); they scatter by {left(response, around)} around their mean"
+            f"{verdict}."
         )
         ends = (charts.off_scale(response, values) for values in (expected, measured[told]))
         blocks += [Text(words), Fold("Foretold and measured", (charts.check(response, *ends),))]
