@@ -4,6 +4,7 @@ import json
 import re
 import shutil
 from dataclasses import replace
+from urllib.parse import unquote
 
 import numpy as np
 import pytest
@@ -149,6 +150,13 @@ def test_the_filter_leaves_only_the_chosen_in_tables_and_legends_and_stands_in_t
     assert len(rows(again, "Results on room")) == 6
 
 
+def test_drawings_leave_out_whom_the_filter_leaves_out(opened):
+    page = opened("#?only=paper")
+    source = page.locator("#sequence-1 .pictures img").first.get_attribute("src")
+    left = [rest for _, rest in re.findall(r'id="of:([^"]*)"([^>]*)>', unquote(source)) if "display: none" not in rest]
+    assert len(left) == unquote(source).count('id="of:paper"') > 1
+
+
 def test_columns_of_contestants_are_filtered_too(opened):
     page = opened("#?only=paper,plane")
     page.locator("#sequence-1 summary", has_text="All metrics").click()
@@ -170,7 +178,7 @@ def test_a_number_leads_to_the_run_that_made_it(opened):
 def test_keys_step_zoom_and_play(opened):
     page = played(opened())
     page.locator(f"{PLAYER} .stage").focus()
-    for key in ("ArrowRight", "ArrowRight", "ArrowRight", "ArrowLeft"):
+    for key in ("Home", "ArrowRight", "ArrowRight", "ArrowRight", "ArrowLeft"):
         page.keyboard.press(key)
     assert scan(page) == 2
     page.keyboard.press("Shift+ArrowRight")
@@ -193,6 +201,7 @@ def test_keys_step_zoom_and_play(opened):
 
 def test_whoever_wants_less_motion_still_plays(opened):
     page = played(opened(reduced_motion="reduce"))
+    page.click(f"{PLAYER} [data-does=first]")
     assert page.evaluate("getComputedStyle(document.documentElement).scrollBehavior") == "auto"
     page.click(f"{PLAYER} [data-does=play]")
     until(page, f"document.querySelector('{PLAYER}').player.state.scan > 1")

@@ -30,3 +30,12 @@ def test_nothing_is_drawn_of_runs_that_never_answered(trial):
 
 def test_wheel_odometry_has_no_residuals(trial):
     assert residuals([trial("wheel", "room", {})], strokes(["wheel"])) is None
+
+
+def test_what_is_drawn_of_a_contestant_is_named_so_that_the_page_can_leave_it_out(trial):
+    runs = [trial(name, "room", {}) for name in ("a", "<b>")]
+    for draw in (trajectories, errors, residuals, runtimes):
+        svg = draw(runs, strokes(["a", "<b>"])).svg.decode()
+        assert svg.count('id="of:a"') >= 2  # a line and a place in the legend, or a box and its name
+        assert svg.count('id="of:a"') == svg.count('id="of:&lt;b&gt;"')
+        assert "of:truth" not in svg

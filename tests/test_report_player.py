@@ -157,3 +157,24 @@ def test_who_answered_nothing_is_not_there(trial):
     assert made.contestants == ("a",)
     assert content(made)["truth"] is None
     assert content(made)["runs"][0]["error"] is None
+
+
+class Noisy:
+    """3000 scans of 360 beams with 5 cm of noise: as hard to make short as any sensor is."""
+
+    def __len__(self):
+        return 3000
+
+    def frames(self):
+        rng, angles = np.random.default_rng(0), np.linspace(-np.pi, np.pi, 360, endpoint=False)
+        for index in range(3000):
+            ranges = 5.0 + 3.0 * np.sin(3.0 * angles + 0.01 * index) + rng.normal(0.0, 0.05, 360)
+            yield Frame(Scan(index * 100_000_000, ranges, angles, 0.1, 12.0))
+
+
+def test_twenty_runs_on_twenty_sequences_stay_within_fifteen_megabytes(trial):
+    run = trial("a", "room", {}, answered=3000, expected=3000)
+    made = player([run], Noisy, WINDOW, lines([run]), budget(20))
+    assert len(made.content) * 20 < 12e6  # the rest is for drawings, maps and tables
+    assert made.told.startswith("2,000 of 3,000 scans")
+    assert "One beam in 4 is shown." in made.told

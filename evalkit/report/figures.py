@@ -46,6 +46,9 @@ STYLE: Any = {
     "path.simplify_threshold": 0.5,
 }
 
+OF = "of:"
+"""What is drawn of a contestant has an identifier of this and its label, by which the page can leave it out."""
+
 Strokes = Mapping[str, Stroke]
 
 
@@ -70,7 +73,7 @@ def trajectories(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
         if true is not None:
             axes.plot(*_thinned(true).T, color=TRUTH, linewidth=2.2, label="truth", zorder=1.5)
         for label, path in paths.items():
-            axes.plot(*_thinned(path).T, label=label, **_line(strokes[label]))
+            axes.plot(*_thinned(path).T, **_line(strokes, label))
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
         axes.set_aspect("equal", adjustable="box")
 
@@ -90,7 +93,7 @@ def errors(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
 
     def draw(axes: Axes) -> None:
         for label, (seconds, values) in lines.items():
-            axes.plot(seconds, np.maximum(values, 1e-4) if wide else values, label=label, **_line(strokes[label]))
+            axes.plot(seconds, np.maximum(values, 1e-4) if wide else values, **_line(strokes, label))
         axes.set(xlabel="time [s]", ylabel="distance to the truth [m]")
         if wide:
             axes.set_yscale("log")
@@ -147,7 +150,7 @@ def residuals(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
     def draw(*panels: Axes) -> None:
         for axes, (stage, title) in zip(panels, told, strict=True):
             for label, (seconds, values) in lines[stage].items():
-                axes.plot(seconds, values, label=label, **_line(strokes[label]))
+                axes.plot(seconds, values, **_line(strokes, label))
             axes.set_ylim(bottom=0.0)
             axes.set_ylabel(title)
         panels[-1].set_xlabel("time [s]")
@@ -181,22 +184,32 @@ def _legend(figure: Figure, panels: Sequence[Axes]) -> None:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
             handles.setdefault(label, handle)
     columns = 5 if max(map(len, handles), default=0) < 14 else 4 if max(map(len, handles)) < 22 else 3
-    figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns, handlelength=2.4)
+    legend = figure.legend(
+        handles.values(), handles.keys(), loc="outside lower center", ncols=columns, handlelength=2.4
+    )
+    for shown, text in zip(legend.legend_handles, legend.get_texts(), strict=True):
+        named = handles[text.get_text()].get_gid()
+        text.set_gid(named)
+        if shown is not None:
+            shown.set_gid(named)
 
 
-def _line(stroke: Stroke) -> dict[str, Any]:
+def _line(strokes: Strokes, label: str) -> dict[str, Any]:
+    stroke = strokes[label]
     dashes = (0, stroke.dash) if stroke.dash else "-"
-    return {"color": stroke.colour, "linestyle": dashes, "linewidth": 1.3}
+    return {"color": stroke.colour, "linestyle": dashes, "linewidth": 1.3, "label": label, "gid": OF + label}
 
 
 def _boxes(axes: Axes, boxes: Sequence[tuple[str, float, float, float, float, float, float]], strokes: Strokes) -> None:
     for height, (label, low, q1, middle, q3, high, longest) in enumerate(reversed(boxes)):
         colour = strokes[label].colour
-        axes.hlines(height, low, high, color=colour, linewidth=1.4)
-        axes.barh(height, q3 - q1, left=q1, height=0.5, color=colour, alpha=0.35, edgecolor=colour, linewidth=1.2)
-        axes.vlines(middle, height - 0.25, height + 0.25, color=colour, linewidth=2.4)
-        axes.plot(longest, height, ".", color=colour, markersize=5)
-    axes.set_yticks(range(len(boxes)), [row[0] for row in reversed(boxes)])
+        drawn: dict[str, Any] = {"color": colour, "gid": OF + label}
+        axes.hlines(height, low, high, linewidth=1.4, **drawn)
+        axes.barh(height, q3 - q1, left=q1, height=0.5, alpha=0.35, edgecolor=colour, linewidth=1.2, **drawn)
+        axes.vlines(middle, height - 0.25, height + 0.25, linewidth=2.4, **drawn)
+        axes.plot(longest, height, ".", markersize=5, **drawn)
+    for written in axes.set_yticks(range(len(boxes)), [row[0] for row in reversed(boxes)]):
+        written.label1.set_gid(OF + written.label1.get_text())
     axes.grid(False, axis="y")
 
 

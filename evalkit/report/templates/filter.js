@@ -8,6 +8,8 @@ function isShown(label) {
   return (!chosen.only.size || chosen.only.has(label)) && (!words.length || words.some((word) => label.toLowerCase().includes(word)));
 }
 
+const allShown = () => chips.every((chip) => isShown(chip.value));
+
 // What disappears with a contestant's name: its table row (or the body of its own), list item or card.
 function around(named) {
   const row = named.closest("tr");
@@ -81,5 +83,7 @@ addEventListener("hashchange", () => {
   readLink();
   changed();
 });
-readLink();
-changed();
+addEventListener("DOMContentLoaded", () => {
+  readLink();
+  changed();
+});

@@ -3,6 +3,7 @@ class Player {
   constructor(root) {
     this.root = root;
     this.ready = false;
+    this.worst = [];
     this.timer = 0;
     this.find = (selector) => root.querySelector(selector);
     this.all = (selector) => [...root.querySelectorAll(selector)];
@@ -21,6 +22,7 @@ class Player {
     this.root.classList.add("ready");
     this.choose();
     this.home();
+    this.go(this.worst[0]?.scan ?? 0);
     new ResizeObserver(() => this.resize()).observe(canvas);
   }
 
@@ -71,6 +73,7 @@ class Player {
   // Reads the controls: whom to show, on which map, who places the scan, which layers.
   choose() {
     if (!this.ready) return;
+    this.offer();
     const ticked = new Set(this.all("input.shows").filter((box) => box.checked && isShown(box.value)).map((box) => box.value));
     const layers = Object.fromEntries(this.all("input[data-layer]").map((box) => [box.dataset.layer, box.checked]));
     const picked = Object.fromEntries(this.all("select[data-picks]").map((select) => [select.dataset.picks, select.value]));
@@ -80,6 +83,16 @@ class Player {
     for (const trace of this.traces) trace.prepare(runs);
     this.rank();
     this.draw();
+  }
+
+  // Whom the filter leaves out can neither place a scan nor be compared.
+  offer() {
+    for (const select of this.all("select[data-picks=first], select[data-picks=second], select[data-worst=a], select[data-worst=b]")) {
+      const named = [...select.options].filter((option) => this.recording.runs.some((run) => run.label === option.value));
+      for (const option of named) option.hidden = !isShown(option.value);
+      const left = named.filter((option) => !option.hidden);
+      if (select.selectedOptions[0]?.hidden && left.length) select.value = left[Math.min(select.dataset.worst === "b" ? 1 : 0, left.length - 1)].value;
+    }
   }
 
   resize() {
@@ -159,7 +172,7 @@ class Player {
     const list = this.find(".worst ol");
     if (!a || !b) return;
     const by = this.find("select[data-worst=by]").value;
-    const found = a === b ? [] : worstScans(this.recording, a, b, by);
+    const found = this.worst = a === b ? [] : worstScans(this.recording, a, b, by);
     list.replaceChildren(...found.map(({ scan, value }) => {
       const [item, button] = [document.createElement("li"), document.createElement("button")];
       const what = { apart: "apart", error: "more error", step: "apart in one step" }[by];

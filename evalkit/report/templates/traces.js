@@ -16,10 +16,10 @@ class Trace {
   // Called when the shown contestants or the size change; the cursor alone needs only draw().
   prepare(runs) {
     const told = runs.filter((run) => run[this.quantity]);
-    const most = told.map((run) => upper(run[this.quantity]));
-    this.wide = most.length > 0 && Math.max(...most) > 20 * Math.max(Math.min(...most), 1e-3);
-    this.most = 1.15 * Math.max(...most, 1e-3);
-    this.least = this.wide ? Math.max(Math.min(...most) / 10, 1e-4) : 0;
+    const usual = told.map((run) => upper(run[this.quantity]));
+    this.wide = usual.length > 0 && Math.max(...usual) > 20 * Math.max(Math.min(...usual), 1e-3);
+    this.most = 1.1 * told.reduce((most, run) => run[this.quantity].reduce((a, b) => (b > a ? b : a), most), 1e-3);
+    this.least = this.wide ? Math.max(Math.min(...usual) / 10, 1e-4) : 0;
     const brush = resized(this.canvas);
     this.axes(brush);
     for (const run of told) this.line(brush, run);
