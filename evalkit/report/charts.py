@@ -14,6 +14,7 @@ from typing import Any, Literal
 import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
@@ -118,7 +119,7 @@ def heat(
     values: Floats, x: Axis, y: Axis, columns: Sequence[float], rows: Sequence[float], of: Axis,
     printed: Callable[[float], str] | None = None, contours: Sequence[float] = (),
 ) -> bytes:  # fmt: skip
-    """A table (R, C) of values as colours, first row lowest; NaN is hatched. ``printed`` writes a value in its cell.
+    """A table (R, C) of values as colours, first row lowest; NaN is grey. ``printed`` writes a value in its cell.
 
     ``columns`` (C,) and ``rows`` (R,) are the values at the cells' middles, drawn at even spacing; ``of`` names the
     colours and limits them; ``contours`` are lines between the cells where the values pass through them.
@@ -126,7 +127,7 @@ def heat(
     table = np.asarray(values, dtype=np.float64)
 
     def draw(axes: Axes) -> None:
-        norm = mpl.colors.LogNorm if of.scale == "log" else mpl.colors.Normalize
+        norm = LogNorm if of.scale == "log" else Normalize
         scale = norm(of.low, of.high, clip=True)
         axes.set_facecolor("#e9edf2")
         image = axes.imshow(table, origin="lower", cmap="cividis", norm=scale, aspect="auto", interpolation="nearest")
@@ -218,12 +219,10 @@ def picture(
     def draw(axes: Axes) -> None:
         axes.imshow(image, extent=extent_m, cmap="gray", vmin=0.0, vmax=1.0, interpolation="nearest")
         for layer in layers:
-            style = (
-                {"linestyle": "-", "linewidth": layer.size} if layer.joined else {"linestyle": "none", "marker": "o"}
-            )
             axes.plot(
                 *np.asarray(layer.points, dtype=np.float64).reshape(-1, 2).T, color=layer.colour, alpha=layer.alpha,
-                markersize=layer.size, markeredgewidth=0.0, label=layer.label or "_unnamed", **style,
+                linestyle="-" if layer.joined else "none", linewidth=layer.size, marker="" if layer.joined else "o",
+                markersize=layer.size, markeredgewidth=0.0, label=layer.label or "_unnamed",
             )  # fmt: skip
         axes.set(xlabel="x [m]", ylabel="y [m]", xlim=extent_m[:2], ylim=extent_m[2:], title=title)
         axes.set_aspect("equal", adjustable="box")
