@@ -10,13 +10,14 @@ import numpy as np
 import pytest
 
 from evalkit.report import SequenceCard, write
+from evalkit.report.document import Document, Section, Table, Text, render
 from evalkit.report.packing import unpacked
 from evalkit.report.player import beams_at, placed
 from evalkit.types import Frame, Pose, Scan
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install playwright")
 
-BROWSERS = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable")
+BROWSERS = ("chromium", "google-chrome", "google-chrome-stable", "chromium-browser")
 SCRIPT = "<script>alert(1)</script>"
 PLAYER = "#sequence-1 .player"
 
@@ -305,6 +306,26 @@ def test_paper_gets_a_still_picture_without_controls(opened):
     assert not page.locator(f"{PLAYER} .transport button").first.is_visible()
     assert not page.locator("#filter").is_visible()
     assert len(page.pdf()) > 50_000
+
+
+def test_a_link_that_was_cut_short_still_opens(opened):
+    page = opened("#results?only=%3Cscript&find=%E2%8")
+    assert len(rows(page, "Results on room")) == 6
+
+
+def test_a_page_of_blocks_may_be_dark_too(browser, tmp_path):
+    file = tmp_path / "blocks.html"
+    sections = [Section("Found", [Text("Something."), Table(["who", "what"], [["a", "b"]])])]
+    file.write_text(render(Document("evalkit", "Blocks", "Of blocks.", sections)), encoding="utf-8")
+    page = browser.new_page(color_scheme="dark")
+    complaints = []
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.goto(file.as_uri())
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(18, 22, 27)"
+    page.click("#theme")
+    assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(246, 247, 249)"
+    page.close()
+    assert complaints == []
 
 
 @pytest.mark.parametrize("width", [1400, 400])

@@ -143,6 +143,15 @@ def test_a_run_that_ended_early_has_no_pose_after_its_end(trial):
     assert errors[:31] == pytest.approx(short.errors_m, abs=0.5e-4)
 
 
+def test_a_pose_that_ran_away_or_is_no_number_is_not_there(runs):
+    steps = runs[1].run.steps.copy()
+    steps["x"][7], steps["y"][8], steps["theta"][9] = np.inf, np.nan, 1e9
+    gone = replace(runs[1], run=replace(runs[1].run, steps=steps))
+    made = content(player([runs[0], gone], Wall, WINDOW, lines(runs)))
+    poses = unpacked(made["runs"][1]["poses"], (60, 3))
+    assert np.flatnonzero((poses == module.NONE).all(axis=1)).tolist() == [7, 8, 9]
+
+
 def test_a_recording_that_cannot_be_read_leaves_the_paths_and_says_why(runs):
     made = player(runs, Broken, WINDOW, lines(runs))
     assert content(made)["beams"] is None

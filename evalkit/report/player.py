@@ -30,6 +30,8 @@ MOST_ON_PAGE = 4_000_000
 """Ranges in a sequence and on the page: at about 1.5 bytes each the page stays below 15 MB."""
 MOST_CELLS = 8000
 QUANTITIES = (("error", "error"), ("s2s", "S2S residual"), ("s2m", "S2M residual"))
+FARTHEST_M = 1e6
+"""A pose beyond is no pose: whoever ran away so far cannot be drawn."""
 GHOST_M = 0.2
 """An occupied cell this far from every true wall is a ghost, and a hit this far from every wall of the map a violation
 where the map is free: four times the range noise (1 sigma) or more."""
@@ -120,6 +122,7 @@ def world_poses(trial: Trial, stamps: Stamps) -> Floats:
     """The poses ``world_from_base`` (N, 3) a run answered at those times, nan where it did not."""
     steps = trial.run.steps
     poses = np.stack([steps["x"], steps["y"], steps["theta"]], axis=-1).astype(np.float64)
+    poses[~(np.abs(poses) < FARTHEST_M).all(axis=1)] = np.nan
     found = np.full((len(stamps), 3), np.nan)
     found[np.searchsorted(stamps, steps["stamp_ns"])] = se2.compose(trial.world_from_start.row, poses)
     return found

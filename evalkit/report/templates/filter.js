@@ -3,6 +3,11 @@ const chosen = { only: new Set(), find: "" };
 const finder = document.getElementById("find");
 const chips = [...document.querySelectorAll("button.pick")];
 
+// A link cut short may end within a sign.
+function decoded(word) {
+  try { return decodeURIComponent(word); } catch { return ""; }
+}
+
 function isShown(label) {
   const words = chosen.find.toLowerCase().split(/[\s,]+/).filter(Boolean);
   return (!chosen.only.size || chosen.only.has(label)) && (!words.length || words.some((word) => label.toLowerCase().includes(word)));
@@ -52,8 +57,8 @@ function readLink() {
   if (given === undefined) return;
   const words = Object.fromEntries(given.split("&").map((word) => word.split("=")));
   const known = new Set(chips.map((chip) => chip.value));
-  chosen.only = new Set((words.only ?? "").split(",").map(decodeURIComponent).filter((label) => known.has(label)));
-  chosen.find = decodeURIComponent(words.find ?? "");
+  chosen.only = new Set((words.only ?? "").split(",").map(decoded).filter((label) => known.has(label)));
+  chosen.find = decoded(words.find ?? "");
   finder.value = chosen.find;
 }
 
@@ -84,6 +89,8 @@ addEventListener("hashchange", () => {
   changed();
 });
 addEventListener("DOMContentLoaded", () => {
+  document.getElementById("filter").hidden = false;
+  document.querySelector("a.filtered").closest("li").hidden = false;
   readLink();
   changed();
 });

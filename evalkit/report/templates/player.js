@@ -53,7 +53,6 @@ class Player {
     this.find("input[type=range]").addEventListener("input", (event) => this.go(Number(event.target.value)));
     this.root.addEventListener("change", () => this.choose());
     this.find(".stage").addEventListener("keydown", (event) => this.key(event, does));
-    for (const select of this.all(".worst select")) select.addEventListener("change", () => this.rank());
     document.addEventListener("contestants", () => this.choose());
   }
 
@@ -80,8 +79,12 @@ class Player {
     const own = picked.map === "own" ? (picked.first === "truth" ? "" : picked.first) : "";
     const runs = this.recording.runs.filter((run) => ticked.has(run.label));
     Object.assign(this.state, { layers, runs, map: own, first: picked.first, second: picked.second, quantity: picked.quantity });
-    for (const trace of this.traces) trace.prepare(runs);
-    this.rank();
+    const names = JSON.stringify([...runs.map((run) => run.label), ...this.all(".worst select").map((select) => select.value)]);
+    if (names !== this.names) {
+      for (const trace of this.traces) trace.prepare(runs);
+      this.rank();
+    }
+    this.names = names;
     this.draw();
   }
 
@@ -111,7 +114,7 @@ class Player {
     }
     const path = (truth ?? runs[0]).poses;
     const of = (axis) => path.filter((value, i) => i % 3 === axis && !Number.isNaN(value));
-    const [xs, ys] = [of(0), of(1)];
+    const [xs, ys] = [[0, ...of(0)], [0, ...of(1)]]; // the world's origin too, should nobody have a pose
     this.view.fit(Math.min(...xs) - 1, Math.max(...xs) + 1, Math.min(...ys) - 1, Math.max(...ys) + 1);
   }
 

@@ -209,7 +209,11 @@ function resized(canvas) {
 }
 
 // What 98 % of the values stay below.
+const uppers = new WeakMap();
 function upper(values) {
-  const finite = values.filter((value) => !Number.isNaN(value)).sort();
-  return finite[Math.floor(0.98 * (finite.length - 1))] || 1e-3;
+  if (!uppers.has(values)) {
+    const finite = values.filter((value) => !Number.isNaN(value)).sort();
+    uppers.set(values, finite[Math.floor(0.98 * (finite.length - 1))] || 1e-3);
+  }
+  return uppers.get(values);
 }

@@ -1,6 +1,7 @@
 // Light or dark as the system says, until the reader says otherwise; the choice is kept where the browser allows it.
 const THEMES = ["", "light", "dark"];
 const themeButton = document.getElementById("theme");
+themeButton.closest("li").hidden = false;
 const themeKept = {
   read: () => { try { return localStorage.getItem("evalkit-theme") ?? ""; } catch { return ""; } },
   write: (theme) => { try { localStorage.setItem("evalkit-theme", theme); } catch { /* a file may be denied a memory */ } },
