@@ -45,8 +45,8 @@ class Player {
       back: () => this.go(this.state.scan - 1),
       on: () => this.go(this.state.scan + 1),
       last: () => this.go(this.recording.count - 1),
-      in: () => this.view.zoom(1.5),
-      out: () => this.view.zoom(1 / 1.5),
+      in: () => this.view.zoom(1.5, ...this.spot()),
+      out: () => this.view.zoom(1 / 1.5, ...this.spot()),
       home: () => this.home(),
     };
     for (const button of this.all("button[data-does]")) button.addEventListener("click", does[button.dataset.does]);
@@ -116,6 +116,14 @@ class Player {
     const of = (axis) => path.filter((value, i) => i % 3 === axis && !Number.isNaN(value));
     const [xs, ys] = [[0, ...of(0)], [0, ...of(1)]]; // the world's origin too, should nobody have a pose
     this.view.fit(Math.min(...xs) - 1, Math.max(...xs) + 1, Math.min(...ys) - 1, Math.max(...ys) + 1);
+  }
+
+  // Where the robot is on the canvas, if it is: keys and buttons zoom there.
+  spot() {
+    const { truth, runs } = this.recording;
+    const { poses } = this.state.first === "truth" ? truth : runs.find((run) => run.label === this.state.first);
+    const at = this.view.toScreen(poses[3 * this.state.scan], poses[3 * this.state.scan + 1]);
+    return at.every((value, axis) => value >= 0 && value <= this.view.size[axis]) ? at : [];
   }
 
   seek(milliseconds) {

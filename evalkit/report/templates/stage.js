@@ -126,15 +126,17 @@ class Stage {
     const points = placeScan(this.recording, run.poses, state.scan);
     const radius = Math.min(Math.max(0.02 * view.scale, 1.8), 4);
     const field = state.layers.distances && this.distance(state.map);
-    brush.fillStyle = run.colour;
-    for (let i = 0; i < points.length; i += 2) {
-      if (Number.isNaN(points[i])) continue;
-      const [x, y] = view.toScreen(points[i], points[i + 1]);
-      if (field) brush.fillStyle = ramp(this.lookUp(field, state.map, points[i], points[i + 1]) / FAR_M);
-      brush.beginPath();
-      brush.arc(x, y, radius, 0, 7);
-      brush.fill();
-    }
+    const dots = (size, colour) => {
+      for (let i = 0; i < points.length; i += 2) {
+        if (Number.isNaN(points[i])) continue;
+        brush.fillStyle = colour(i);
+        brush.beginPath();
+        brush.arc(...view.toScreen(points[i], points[i + 1]), size, 0, 7);
+        brush.fill();
+      }
+    };
+    dots(radius + 1.2, () => "#fff"); // told apart from walls and from grey
+    dots(radius, (i) => (field ? ramp(this.lookUp(field, state.map, points[i], points[i + 1]) / FAR_M) : run.colour));
   }
 
   distance(label) {
