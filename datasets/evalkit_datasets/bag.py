@@ -60,7 +60,7 @@ def read(path: Path, topic: str) -> Contents:
 
     BadData names the known topics where the wanted one is absent, and says how a damaged bag can be mended.
     """
-    with _opened(path) as reader:
+    with opened(path) as reader:
         topics = {name: (str(about.msgtype), int(about.msgcount)) for name, about in reader.topics.items()}
         contents = Contents(topics)
         laser = _laser_topic(path, topics, topic)
@@ -79,7 +79,7 @@ def bag_of(path: Path) -> Path:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def opened(path: Path) -> Iterator[Any]:
     """The open reader; whatever goes wrong inside becomes BadData."""
     from rosbags.highlevel import AnyReader  # noqa: PLC0415 - only recordings pay for it
     from rosbags.typesys import Stores, get_typestore  # noqa: PLC0415
@@ -130,14 +130,15 @@ def _laser_topic(path: Path, topics: dict[str, tuple[str, int]], wanted: str) ->
 
 def _take(contents: Contents, topic: str, kind: str, message: Any, recorded_ns: int) -> None:
     if kind in LASER:
-        _take_sweep(contents, message, kind == LASER[1], recorded_ns)
+        take_sweep(contents, message, kind == LASER[1], recorded_ns)
     elif kind == ODOMETRY:
-        _take_odometry(contents, topic, message)
+        take_odometry(contents, topic, message)
     else:
-        _take_transforms(contents, message, topic.endswith("tf_static"))
+        take_transforms(contents, message, topic.endswith("tf_static"))
 
 
-def _take_sweep(contents: Contents, message: Any, echoes: bool, recorded_ns: int) -> None:
+def take_sweep(contents: Contents, message: Any, echoes: bool, recorded_ns: int) -> None:
+    """Adds a laser message to the sweeps, or counts it as damaged."""
     stamp = _stamp(message.header)
     contents.unstamped += stamp == 0
     with np.errstate(invalid="ignore"):  # some nan patterns complain when they are widened
@@ -166,14 +167,16 @@ def _first_echoes(beams: Any) -> Floats:
     return np.array([beam.echoes[0] if len(beam.echoes) else np.inf for beam in beams], dtype=np.float64)
 
 
-def _take_odometry(contents: Contents, topic: str, message: Any) -> None:
+def take_odometry(contents: Contents, topic: str, message: Any) -> None:
+    """Adds the pose of an odometry message, or counts it as damaged."""
     matrix = _matrix(contents, message.pose.pose.position, message.pose.pose.orientation)
     if matrix is not None:
         key = topic, _name(message.header.frame_id), _name(message.child_frame_id)
         contents.odometry.setdefault(key, []).append((_stamp(message.header), planar(matrix).row))
 
 
-def _take_transforms(contents: Contents, message: Any, static: bool) -> None:
+def take_transforms(contents: Contents, message: Any, static: bool) -> None:
+    """Adds the transforms of a message to the tree; counts those that are none."""
     for said in message.transforms:
         matrix = _matrix(contents, said.transform.translation, said.transform.rotation)
         if matrix is not None:

@@ -58,7 +58,7 @@ def read(path: Path, start_deg: float = -90.0, step_deg: float = 0.0) -> Log:
     """The log; ``start_deg`` and ``step_deg`` (0: by the number of beams) are the angles of FLASER lines."""
     log = Log((start_deg, step_deg))
     signs: set[bytes] = set()
-    for number, line in enumerate(_content(path).split(b"\n"), start=1):
+    for number, line in enumerate(content_of(path).split(b"\n"), start=1):
         words = line.split()
         if not words:
             continue
@@ -76,7 +76,7 @@ def read(path: Path, start_deg: float = -90.0, step_deg: float = 0.0) -> Log:
     return log
 
 
-def _content(path: Path) -> bytes:
+def content_of(path: Path) -> bytes:
     """The bytes of the log, unpacked where they are gzip."""
     content = bytes_of(path, "a CARMEN log")
     if not content.startswith(b"\x1f\x8b"):

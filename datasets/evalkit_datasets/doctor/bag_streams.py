@@ -1,0 +1,127 @@
+"""All lidars, odometry and transforms of a ROS 1 or ROS 2 bag in one pass."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evalkit.se2 import Floats, Stamps
+from evalkit_datasets import bag
+from evalkit_datasets.bag import Contents
+from evalkit_datasets.doctor.streams import Laser, Streams, Topic, Wheels
+from evalkit_datasets.transforms import Tree, planar
+
+WANTED = {*bag.LASER, bag.ODOMETRY, *bag.TRANSFORMS}
+TWO_FRAMES = 2  # from "odom" to a child that moves
+
+
+@dataclass(eq=False)
+class _Taken:
+    """One topic's messages with when each was recorded, and the twists of odometry."""
+
+    kind: str
+    contents: Contents
+    recorded_ns: list[int] = field(default_factory=list)
+    twists: list[tuple[float, float]] = field(default_factory=list)
+
+
+def read(path: Path) -> Streams:
+    """The streams of a bag; BadData as the reader of bags says it."""
+    taken: dict[str, _Taken] = {}
+    tree = Contents({})
+    with bag.opened(path) as reader:
+        seconds = max((reader.end_time - reader.start_time) * 1e-9, 0.0)
+        topics = [
+            Topic(name, str(about.msgtype), int(about.msgcount), _rate(int(about.msgcount), seconds))
+            for name, about in sorted(reader.topics.items())
+        ]
+        wanted = [connection for connection in reader.connections if connection.msgtype in WANTED]
+        for connection, recorded_ns, raw in reader.messages(connections=wanted):
+            message = reader.deserialize(raw, connection.msgtype)
+            if connection.msgtype in bag.TRANSFORMS:
+                bag.take_transforms(tree, message, connection.topic.endswith("tf_static"))
+                continue
+            own = taken.setdefault(connection.topic, _Taken(connection.msgtype, Contents({})))
+            _take(own, connection.topic, message, int(recorded_ns))
+    wheels = [_wheels(own) for own in taken.values() if own.kind == bag.ODOMETRY and own.contents.odometry]
+    return Streams(
+        path,
+        "ROS 1 bag" if path.suffix == ".bag" else "ROS 2 bag",
+        topics,
+        [_laser(name, own) for name, own in sorted(taken.items()) if own.contents.sweeps],
+        [*wheels, *_by_transforms(tree.tree)],
+        tree.tree,
+        damaged=tree.damaged + sum(own.contents.damaged for own in taken.values()),
+    )
+
+
+def _rate(count: int, seconds: float) -> float:
+    return (count - 1) / seconds if count > 1 and seconds > 0.0 else float("nan")
+
+
+def _take(own: _Taken, topic: str, message: Any, recorded_ns: int) -> None:
+    before = len(own.contents.sweeps), sum(map(len, own.contents.odometry.values()))
+    if own.kind == bag.ODOMETRY:
+        bag.take_odometry(own.contents, topic, message)
+    else:
+        bag.take_sweep(own.contents, message, own.kind == bag.LASER[1], recorded_ns)
+    if before == (len(own.contents.sweeps), sum(map(len, own.contents.odometry.values()))):
+        return  # damaged, and counted as such
+    own.recorded_ns.append(recorded_ns)
+    if own.kind == bag.ODOMETRY:
+        own.twists.append((float(message.twist.twist.linear.x), float(message.twist.twist.angular.z)))
+
+
+def _laser(topic: str, own: _Taken) -> Laser:
+    sweeps = own.contents.sweeps
+    first = sweeps[0]
+    return Laser(
+        topic,
+        own.kind.split("/")[-1],
+        first.frame,
+        _stamps([sweep.stamp_ns for sweep in sweeps]),
+        _stamps(own.recorded_ns),
+        [sweep.ranges for sweep in sweeps],
+        first.angles(),
+        first.range_min_m,
+        first.range_max_m,
+        first.time_increment_ns,
+        own.contents.damaged,
+        own.contents.unstamped,
+    )
+
+
+def _wheels(own: _Taken) -> Wheels:
+    """The odometry of a topic; where its messages change frames, those of the first frames only."""
+    (topic, parent, child), samples = next(iter(own.contents.odometry.items()))
+    whole = len(own.contents.odometry) == 1
+    return Wheels(
+        topic,
+        parent,
+        child,
+        _stamps([stamp for stamp, _ in samples]),
+        _rows([row for _, row in samples]),
+        np.array(own.twists) if whole else None,
+        _stamps(own.recorded_ns) if whole else None,
+    )
+
+
+def _by_transforms(tree: Tree) -> list[Wheels]:
+    """What tf says of a base that moves in "odom"."""
+    return [
+        Wheels("tf", parent, child, _stamps([edge.stamp_ns for edge in edges]),
+               _rows([planar(edge.parent_from_child).row for edge in edges]))
+        for (parent, child), edges in sorted(tree.moving.items())
+        if parent == "odom" and len(edges) >= TWO_FRAMES
+    ]  # fmt: skip
+
+
+def _stamps(values: list[int]) -> Stamps:
+    return np.array(values, dtype=np.int64)
+
+
+def _rows(values: list[Floats]) -> Floats:
+    return np.array(values, dtype=np.float64).reshape(-1, 3)

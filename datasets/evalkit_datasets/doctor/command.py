@@ -1,0 +1,125 @@
+"""``evalkit inspect``: the data doctor on the command line."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from evalkit import console
+from evalkit.commands.options import Json, out, print_json
+from evalkit.errors import BadData, StoreError
+from evalkit.store import REMEDY
+from evalkit_datasets.doctor.examination import Examination, examine
+from evalkit_datasets.doctor.prescription import Prescription, prescribe
+
+
+def inspect(
+    file: Annotated[Path, typer.Argument(help="A bag (ROS 1 or 2) or a CARMEN log.", show_default=False)],
+    folder: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Write a page with plots there.", show_default=False)
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Tell what a recording holds, what is wrong with it, and which lines would run it; 1 if nothing would."""
+    if not file.exists():
+        raise BadData(str(file), "", "no such file or folder", "give the path of a bag or a log")
+    found = examine(file)
+    advice = prescribe(found)
+    page = None if folder is None else _write(folder, found, advice)
+    if as_json:
+        print_json(content(found, advice) | {"page": str(page) if page else None})
+    else:
+        _show(found, advice)
+        if page is not None:
+            out.print(str(page.resolve()), highlight=False, markup=False)
+    if advice is None or advice.problem:
+        raise typer.Exit(1)
+
+
+def content(found: Examination, advice: Prescription | None) -> dict[str, Any]:
+    """All that was measured as dictionaries, lists, numbers and texts; what is not a number is null."""
+    whole: dict[str, Any] = _plain(
+        {
+            "file": str(found.path),
+            "kind": found.kind,
+            "bytes": found.bytes,
+            "topics": [asdict(topic) for topic in found.topics],
+            "lidars": [asdict(lidar) for lidar in found.lidars],
+            "odometry": [asdict(one) | {"like_wheels": one.like_wheels} for one in found.drivings],
+            "turns": {name: asdict(turn) for name, turn in found.turnings.items()},
+            "frames": asdict(found.frames),
+            "poses_from": found.poses_from,
+            "truth_inside": found.truth_inside,
+            "remarks": list(found.remarks),
+            "findings": [asdict(finding) for finding in found.findings],
+            "run": None if advice is None else asdict(advice),
+        }
+    )
+    return whole
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _write(folder: Path, found: Examination, advice: Prescription | None) -> Path:
+    """Writes ``index.html`` and ``inspection.json``; the page's path."""
+    from evalkit.report.document import render  # noqa: PLC0415 - loads jinja2: only who draws pays for it
+    from evalkit_datasets.doctor.page import document  # noqa: PLC0415 - loads matplotlib
+
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "inspection.json").write_text(json.dumps(content(found, advice), indent=1) + "\n", encoding="utf-8")
+        (folder / "index.html").write_text(render(document(found, advice)), encoding="utf-8")
+    except OSError as error:
+        raise StoreError(str(folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
+    return folder / "index.html"
+
+
+def _show(found: Examination, advice: Prescription | None) -> None:
+    out.print(f"{found.path.name}: {found.kind}, {found.bytes / 1e6:.1f} MB", markup=False, highlight=False)
+    console.show(out, _lidars(found))
+    for one in found.drivings:
+        out.print(
+            f"odometry {one.topic}, {one.parent} to {one.child}: {one.timing.count} poses, {one.path_m:.1f} m, "
+            f"{one.turned_deg:.0f} deg, standing {100 * one.standing:.0f} %", markup=False, highlight=False,
+        )  # fmt: skip
+    for seat in found.frames.mountings:
+        where = seat.problem or f"x {seat.x_m:.3f} m, y {seat.y_m:.3f} m, turned {seat.theta_deg:.1f} deg"
+        out.print(f"lidar '{seat.sensor}' on '{seat.base}': {where}", markup=False, highlight=False)
+    for finding in found.findings:
+        more = f"; {finding.advice}" if finding.advice else ""
+        out.print(f"{finding.level}: {finding.about}: {finding.what}{more}", markup=False, highlight=False)
+    if advice is None:
+        return
+    for reason in advice.reasons:
+        out.print(f"chosen: {reason}", markup=False, highlight=False)
+    for defect in advice.defects:
+        out.print(f"known of this recording: {defect}", markup=False, highlight=False)
+    told = f"does not run: {advice.problem}" if advice.problem else f"tried: {advice.scans} scans"
+    out.print(f"{told}\n\n{advice.table}\n{advice.command}", markup=False, highlight=False)
+
+
+def _lidars(found: Examination) -> Table:
+    table = Table("lidar", "frame", "scans", "duration [s]", "rate [Hz]", "jitter [ms]", "beams", "view [deg]",
+                  "limits [m]", "hits [%]", "invalid [%]", "gaps")  # fmt: skip
+    for one in found.lidars:
+        limits = " to ".join("?" if limit is None else f"{limit:g}" for limit in (one.range_min_m, one.range_max_m))
+        table.add_row(
+            escape(one.topic), escape(one.frame), str(one.timing.count), f"{one.timing.duration_s:.1f}",
+            f"{one.timing.rate_hz:.2f}", f"{1e3 * one.timing.jitter_s:.1f}", str(one.beams),
+            f"{one.field_of_view_deg:.0f}", limits, f"{100 * one.returns.hits:.1f}",
+            f"{100 * one.returns.invalid:.1f}", str(one.timing.gap_count),
+        )  # fmt: skip
+    return table

@@ -1,0 +1,105 @@
+"""A recording examined: every stream measured, and what is wrong or worth knowing said in sentences."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from evalkit_datasets import bag
+from evalkit_datasets.doctor import bag_streams, findings, log_streams
+from evalkit_datasets.doctor.driving import Driving, Turning, driving, turning
+from evalkit_datasets.doctor.findings import Finding, Lidar
+from evalkit_datasets.doctor.frames import Frames, frames
+from evalkit_datasets.doctor.returns import returns
+from evalkit_datasets.doctor.streams import Laser, Streams, Topic
+from evalkit_datasets.doctor.timing import clock, timing
+
+TRUTH_WORDS = ("ground_truth", "groundtruth", "gt", "mocap", "vicon", "optitrack", "reference")
+
+
+@dataclass(frozen=True, eq=False)
+class Examination:
+    """All that was measured. ``turnings``: by the topic of the odometry, against the best lidar."""
+
+    path: Path
+    kind: str
+    bytes: int
+    topics: tuple[Topic, ...]
+    lidars: tuple[Lidar, ...]
+    drivings: tuple[Driving, ...]
+    turnings: Mapping[str, Turning]
+    frames: Frames
+    poses_from: str
+    truth_inside: str
+    remarks: tuple[str, ...]
+    findings: tuple[Finding, ...]
+    streams: Streams
+
+
+def examine(path: Path) -> Examination:
+    """A bag (ROS 1 or 2) or a CARMEN log, examined; BadData or DataMissing as its reader says it."""
+    is_bag = path.is_dir() or path.suffix in bag.ENDINGS
+    streams = bag_streams.read(path) if is_bag else log_streams.read(path)
+    lidars = tuple(_lidar(laser) for laser in streams.lasers)
+    drivings = tuple(driving(wheels) for wheels in streams.wheels)
+    best = max(range(len(lidars)), key=lambda at: worth(lidars[at]), default=None)
+    turns = {}
+    for wheels in streams.wheels if best is not None else ():
+        found = turning(wheels, streams.lasers[best or 0])
+        if found is not None:
+            turns[f"{wheels.topic} {wheels.child}"] = found
+    tree = frames(streams.tree, streams.lasers)
+    inside = _truth_inside(streams)
+    return Examination(
+        path, streams.kind, _bytes(path), tuple(streams.topics), lidars, drivings, turns, tree, streams.poses_from,
+        inside, tuple(streams.remarks),
+        findings.of(streams, inside, lidars, drivings, turns, tree),
+        streams,
+    )  # fmt: skip
+
+
+def worth(lidar: Lidar) -> float:
+    """Directions (deg) a lidar really measures, times how often: what decides between several."""
+    return lidar.field_of_view_deg * lidar.returns.hits * min(lidar.timing.rate_hz, 10.0)
+
+
+def span_deg(angles: Sequence[float]) -> float:
+    """The field of view (deg) of the directions of a scan, a beam's width counted."""
+    return min(math.degrees(abs(angles[-1] - angles[0])) * len(angles) / max(len(angles) - 1, 1), 360.0)
+
+
+def _lidar(laser: Laser) -> Lidar:
+    angles = laser.angles.tolist()
+    return Lidar(
+        laser.topic,
+        laser.kind,
+        laser.frame,
+        len(angles),
+        span_deg(angles),
+        math.degrees(angles[0]),
+        math.degrees((angles[-1] - angles[0]) / (len(angles) - 1)),
+        laser.range_min_m if math.isfinite(laser.range_min_m) else None,
+        laser.range_max_m if math.isfinite(laser.range_max_m) else None,
+        laser.time_increment_ns * 1e-9 * (len(angles) - 1),
+        timing(laser.stamps_ns),
+        None if laser.recorded_ns is None else clock(laser.stamps_ns, laser.recorded_ns),
+        returns(laser),
+        laser.damaged,
+        laser.unstamped,
+    )
+
+
+def _bytes(path: Path) -> int:
+    files = [path] if path.is_file() else [file for file in path.iterdir() if file.is_file()]
+    return sum(file.stat().st_size for file in files)
+
+
+def _truth_inside(streams: Streams) -> str:
+    if streams.poses_from:
+        return {"gmapping": "GMapping's poses", "graph": "graph-optimised poses"}[streams.poses_from]
+    named = [t.name for t in streams.topics if any(word in t.name.lower().split("/") for word in TRUTH_WORDS)]
+    slam = [f"{parent} to {child}" for parent, child in streams.tree.moving if parent == "map"]
+    told = [f"by its name, topic {name}" for name in named]
+    return "; ".join(told + [f"a localisation's tf {pair} (no independent truth)" for pair in slam])

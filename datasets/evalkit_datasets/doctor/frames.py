@@ -1,0 +1,72 @@
+"""The tf tree of a recording: frames, who moves, who contradicts whom, and where the lidars sit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+from evalkit_datasets.doctor.streams import Laser
+from evalkit_datasets.rosbag import BASE_FRAMES
+from evalkit_datasets.transforms import Tree
+
+
+@dataclass(frozen=True, slots=True)
+class Link:
+    """One transform of the tree: static, or moving with so many messages."""
+
+    parent: str
+    child: str
+    static: bool
+    messages: int
+
+
+@dataclass(frozen=True, slots=True)
+class Seat:
+    """Where a lidar sits on a base, seen from above (m, m, deg). ``problem``: why it cannot be used, "" else."""
+
+    base: str
+    sensor: str
+    x_m: float = 0.0
+    y_m: float = 0.0
+    theta_deg: float = 0.0
+    mirrored: bool = False
+    problem: str = ""
+
+
+@dataclass(frozen=True)
+class Frames:
+    """``roots``: frames without a parent; ``contested``: frames with several, and these; ``mountings``: of lidars."""
+
+    names: tuple[str, ...] = ()
+    roots: tuple[str, ...] = ()
+    links: tuple[Link, ...] = ()
+    contested: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    mountings: tuple[Seat, ...] = ()
+
+
+def frames(tree: Tree, lasers: Sequence[Laser]) -> Frames:
+    """The tree as it is, and the place of each lidar on the first base frame that leads to it."""
+    static = [Link(parent, child, True, 1) for child, parents in tree.static.items() for parent in parents]
+    moving = [Link(parent, child, False, len(edges)) for (parent, child), edges in tree.moving.items()]
+    links = tuple(sorted([*static, *moving], key=lambda link: (link.static, link.parent, link.child)))
+    names = tuple(tree.frames())
+    parents: dict[str, list[str]] = {}
+    for link in links:
+        parents.setdefault(link.child, []).append(link.parent)
+    contested = {child: tuple(dict.fromkeys(own)) for child, own in parents.items() if len(set(own)) > 1}
+    seats = [seat for laser in lasers if (seat := _seat(tree, laser)) is not None]
+    return Frames(names, tuple(name for name in names if name not in parents), links, contested, tuple(seats))
+
+
+def _seat(tree: Tree, laser: Laser) -> Seat | None:
+    """None where no base frame leads to the lidar."""
+    for base in BASE_FRAMES:
+        try:
+            found = tree.mounting(base, laser.frame, int(laser.stamps_ns[0]))
+        except ValueError as error:
+            return Seat(base, laser.frame, problem=str(error))
+        if found is not None and base in tree.frames():
+            pose = found.base_from_sensor
+            return Seat(base, laser.frame, pose.x, pose.y, math.degrees(pose.theta), found.mirrored)
+    return None

@@ -1,0 +1,100 @@
+"""All scans, odometry and stamps of a CARMEN log, with what only its text tells: digits and the logger's clock."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from evalkit.se2 import Floats, Stamps
+from evalkit_datasets import carmen_lines
+from evalkit_datasets.carmen_lines import Log
+from evalkit_datasets.doctor.streams import Laser, Streams, Topic, Wheels
+from evalkit_datasets.stamps import stamp_ns
+
+LASER_LINES = (b"FLASER", b"ROBOTLASER1")
+REMARKS = 5
+BESIDE = "robot pose beside each scan"
+
+
+def read(path: Path) -> Streams:
+    """The streams of a log; BadData where it is no log or holds damaged gzip."""
+    log = carmen_lines.read(path)
+    kinds: Counter[str] = Counter()
+    remarks: list[str] = []
+    tails: list[tuple[bytes, bytes]] = []
+    for line in carmen_lines.content_of(path).split(b"\n"):
+        words = line.split()
+        if not words:
+            continue
+        if words[0].startswith(b"#"):
+            remarks.append(line.decode("latin-1").lstrip("# ").strip())
+            continue
+        kinds[words[0].decode("latin-1")] += 1
+        if words[0] in LASER_LINES and len(words) > 3:
+            tails.append((words[-3], words[-1]))
+    lasers = [_laser(log, tails)] if log.readings else []
+    seconds = (lasers[0].stamps_ns.max() - lasers[0].stamps_ns.min()) * 1e-9 if lasers else 0.0
+    rate = 1.0 / seconds if seconds > 0.0 else float("nan")
+    topics = [Topic(kind, _meaning(kind), count, count * rate) for kind, count in kinds.most_common(12)]
+    digits = max((_digits(ipc) for ipc, _ in tails), default=0)
+    told = [remark for remark in remarks if " " in remark][:REMARKS]
+    return Streams(
+        path, "CARMEN log", topics, lasers, _wheels(log), poses_from=log.poses_from, digits=digits,
+        damaged=len(log.damaged), remarks=told,
+    )  # fmt: skip
+
+
+def _laser(log: Log, tails: list[tuple[bytes, bytes]]) -> Laser:
+    stamps = np.array([reading.stamp_ns for reading in log.readings], dtype=np.int64)
+    return Laser(
+        "FLASER / ROBOTLASER1",
+        "laser lines",
+        "laser",
+        stamps,
+        _logger(tails, len(stamps)),
+        [reading.ranges for reading in log.readings],
+        log.readings[0].angles,
+        float("nan"),
+        float("nan"),
+    )
+
+
+def _logger(tails: list[tuple[bytes, bytes]], scans: int) -> Stamps | None:
+    """The logger's times (N,), None where they do not pair up with the scans."""
+    if len(tails) != scans:
+        return None
+    try:
+        return np.array([stamp_ns(logger.decode("latin-1")) for _, logger in tails], dtype=np.int64)
+    except ValueError:
+        return None
+
+
+def _wheels(log: Log) -> list[Wheels]:
+    found = []
+    if log.odometry:
+        stamps = np.array([stamp for stamp, _ in log.odometry], dtype=np.int64)
+        found.append(Wheels("ODOM lines", "odom", "base", stamps, _rows([row for _, row in log.odometry])))
+    poses = [reading.robot for reading in log.readings]
+    if len(set(poses)) > 1:
+        stamps = np.array([reading.stamp_ns for reading in log.readings], dtype=np.int64)
+        found.append(Wheels(BESIDE, "odom", "base", stamps, _rows(poses)))
+    return found
+
+
+def _rows(rows: list[tuple[float, float, float]]) -> Floats:
+    return np.array(rows, dtype=np.float64).reshape(-1, 3)
+
+
+def _digits(word: bytes) -> int:
+    mantissa = word.lower().split(b"e")[0]
+    return len(mantissa.replace(b".", b"").replace(b"-", b"").lstrip(b"0"))
+
+
+def _meaning(kind: str) -> str:
+    return {
+        "FLASER": "front laser, two poses", "ROBOTLASER1": "laser with its geometry", "ODOM": "wheel odometry or poses",
+        "RLASER": "rear laser, not read", "PARAM": "a setting of the robot", "NEFF": "left by GMapping",
+        "VERTEX2": "a pose of an optimised graph", "VERTEX_SE2": "a pose of an optimised graph",
+    }.get(kind, "not read")  # fmt: skip

@@ -1,0 +1,324 @@
+"""The data doctor, against recordings made with one known defect each, and against what is known of real ones."""
+
+import json
+import math
+import os
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from evalkit import experiment
+from evalkit.errors import BadData
+from evalkit_datasets.doctor import driving as driven
+from evalkit_datasets.doctor.command import inspect
+from evalkit_datasets.doctor.driving import driving, turning
+from evalkit_datasets.doctor.examination import examine
+from evalkit_datasets.doctor.page import document
+from evalkit_datasets.doctor.prescription import best_lidar, prescribe
+from evalkit_datasets.doctor.returns import no_return_codes, returns
+from evalkit_datasets.doctor.streams import Laser, Wheels
+from evalkit_datasets.doctor.timing import clock, timing
+
+DATA = Path(os.environ.get("EVALKIT_DATA") or "absent")
+S = 10**9
+
+
+def seconds(*values):
+    return (np.array(values) * S).astype(np.int64)
+
+
+def laser(ranges, stamps=None, high=np.nan, step=0.0174533):
+    rows = [np.asarray(row, dtype=float) for row in ranges]
+    times = np.arange(len(rows)) * S // 10 if stamps is None else stamps
+    angles = -math.pi / 2 + step * np.arange(len(rows[0]))
+    return Laser("/scan", "LaserScan", "laser", times, None, rows, angles, np.nan, high)
+
+
+def walls(count=60, beams=180, seed=0):
+    """Plain ranges between 1 and 8 m in centimetres, other ones in every scan."""
+    rng = np.random.default_rng(seed)
+    return np.round(rng.uniform(1.0, 8.0, (count, beams)), 2)
+
+
+# --- times
+
+
+def test_rate_jitter_gaps_and_disorder_of_stamps():
+    found = timing(seconds(0.0, 0.1, 0.2, 0.2, 0.9, 1.0, 0.3, 1.1))
+    assert (found.count, found.backwards, found.repeated) == (8, 1, 1)
+    assert found.period_s == pytest.approx(0.1)
+    assert found.rate_hz == pytest.approx(10.0)
+    assert found.duration_s == pytest.approx(1.1)
+    assert found.gap_count == 1
+    assert (found.gaps[0].at_s, found.gaps[0].length_s) == (pytest.approx(0.3), pytest.approx(0.6))
+
+
+def test_jitter_is_the_standard_deviation_of_normal_periods():
+    periods = 0.1 + 0.003 * np.random.default_rng(1).standard_normal(4000)
+    assert timing(seconds(*np.cumsum(periods))).jitter_s == pytest.approx(0.003, rel=0.05)
+
+
+def test_a_clock_that_is_ahead_and_runs_away():
+    recorded = seconds(*np.arange(0.0, 100.0, 0.1))
+    found = clock(recorded + np.int64(0.25 * S) + (recorded * 40e-6).astype(np.int64), recorded)
+    assert found.median_s == pytest.approx(0.252, abs=1e-4)
+    assert found.drift_ppm == pytest.approx(40.0, abs=0.1)
+
+
+# --- ranges
+
+
+@pytest.mark.parametrize("code", [81.83, 50.0, 8.19, 30.0])
+def test_a_no_return_code_above_all_ranges_is_found(code):
+    rows = walls()
+    rows[np.random.default_rng(2).random(rows.shape) < 0.03] = code
+    (found,) = no_return_codes(rows)
+    assert found.low_m == found.high_m == code
+    assert found.share == pytest.approx(0.03, abs=0.005)
+
+
+def test_a_cluster_of_codes_is_one_code():
+    rows = walls()
+    rows[:, ::20] = np.random.default_rng(3).choice([51.06, 51.12, 51.25], rows[:, ::20].shape)
+    (found,) = no_return_codes(rows)
+    assert (found.low_m, found.high_m) == (51.06, 51.25)
+
+
+def test_walls_even_far_ones_are_no_codes():
+    rows = walls()
+    assert no_return_codes(rows) == ()
+    rows[:, 90:94] = 20.0  # a door at the end of a corridor, seen in four directions
+    assert no_return_codes(rows) == ()
+
+
+def test_shares_of_what_is_no_hit():
+    row = [0.0, -1.0, np.nan, np.inf, 12.0, 13.0, 1.0, 2.0, 3.0, 4.0]
+    found = returns(laser([row, row], high=12.0))
+    assert (found.zero, found.negative, found.nan, found.infinite) == (0.1, 0.1, 0.1, 0.1)
+    assert (found.at_maximum, found.beyond_maximum, found.hits) == (0.1, 0.1, pytest.approx(0.4))
+    assert found.repeated == 1
+
+
+def test_ranges_tell_the_step_they_are_written_in_and_whether_the_robot_stands():
+    still = np.repeat(walls(1), 60, axis=0)
+    assert returns(laser(walls())).step_m == 0.01
+    assert returns(laser(still)).still == 1.0
+    assert returns(laser(walls())).still == 0.0
+
+
+# --- odometry
+
+
+def arc(count=200, speed=0.3, rate=0.4, noise=0.0, stop=20):
+    """A base that drives along an arc and stands for the last ``stop`` poses, ten poses a second."""
+    moving = np.arange(count) < count - stop
+    distance, heading = np.cumsum(speed * 0.1 * moving), np.cumsum(rate * 0.1 * moving)
+    radius = speed / rate
+    poses = np.stack([radius * np.sin(heading), radius * (1 - np.cos(heading)), heading], axis=-1)
+    poses += noise * np.random.default_rng(4).standard_normal(poses.shape)
+    assert distance[-1] > 0
+    return Wheels("/odom", "odom", "base_link", np.arange(count) * S // 10, poses,
+                  np.stack([speed * moving, rate * moving], axis=-1))  # fmt: skip
+
+
+def test_an_arc_driven_by_wheels_is_like_wheels():
+    found = driving(arc())
+    assert found.path_m == pytest.approx(179 * 0.03, rel=1e-3)
+    assert found.turned_deg == pytest.approx(math.degrees(179 * 0.04), rel=1e-6)
+    assert found.sideways < 1e-9
+    assert found.standing == pytest.approx(0.1, abs=0.04)
+    assert found.like_wheels
+    assert found.twist is not None
+    assert found.twist.scale == pytest.approx(1.0, abs=0.02)
+    assert found.twist.turn_scale == pytest.approx(1.0, abs=0.02)
+
+
+def test_noisy_poses_are_not_like_wheels():
+    assert not driving(arc(noise=0.002)).like_wheels
+
+
+def test_a_jump_is_told_with_its_time_and_size():
+    wheels = arc()
+    wheels.poses[100:, 0] += 2.0
+    found = driving(wheels)
+    assert found.jump_count == 1
+    assert found.jumps[0].at_s == pytest.approx(10.0)
+    assert found.jumps[0].step_m == pytest.approx(2.0, abs=0.05)
+
+
+@pytest.mark.parametrize("sign", [1.0, 0.5, -1.0])
+def test_the_scans_judge_the_turns_of_the_odometry(sign):
+    """A lidar that turns on the spot in an L-shaped room; the odometry tells ``sign`` times its turn."""
+    turns = np.radians(4.0) * np.arange(40)
+    directions = np.radians(np.arange(-90.0, 90.0))
+    rows = []
+    for turn in turns:
+        way = directions + turn
+        rows.append(3.0 + np.cos(2 * way) + 0.5 * np.sin(5 * way) + 0.3 * np.cos(11 * way + 1.0))
+    poses = np.stack([np.zeros(40), np.zeros(40), sign * turns], axis=-1)
+    wheels = Wheels("/odom", "odom", "base_link", np.arange(40) * S // 10, poses)
+    found = turning(wheels, laser(rows))
+    assert found is not None
+    assert found.scale == pytest.approx(1.0 / sign, rel=0.02)
+
+
+def test_turns_are_not_judged_by_too_few_pairs():
+    assert turning(arc(count=5, stop=0), laser(walls(5))) is None
+    assert driven.LEAST_PAIRS > 5
+
+
+# --- whole recordings
+
+
+def log(folder, *lines, name="made.log"):
+    path = folder / name
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def flaser(stamp, ranges, pose=(0.0, 0.0, 0.0), host="h", logger=None):
+    words = " ".join(f"{value:.2f}" for value in ranges)
+    place = " ".join(f"{value:.9f}" for value in pose)
+    return f"FLASER {len(ranges)} {words} {place} {place} {stamp} {host} {stamp if logger is None else logger}"
+
+
+def drive(count=60, code=None):
+    """A log of scans ten times a second and wheels that drive an arc."""
+    rows, poses = walls(count), arc(count=count).poses
+    if code is not None:
+        rows[np.random.default_rng(5).random(rows.shape) < 0.03] = code
+    return [flaser(f"{1000 + 0.1 * at:.6f}", rows[at], poses[at]) for at in range(count)]
+
+
+def said(found):
+    return " | ".join(f"{one.about}: {one.what}; {one.advice}" for one in found.findings)
+
+
+def test_a_prescription_is_an_experiment_that_reads_and_a_code_it_does_not_know_sets_range_max(tmp_path):
+    path = log(tmp_path, *drive(code=30.0))
+    found = examine(path)
+    advice = prescribe(found)
+    assert "30 m is no range but a no-return" in said(found)
+    assert (advice.parameters["range_max_m"], advice.scans, advice.problem) == (30.0, 60, "")
+    plan = experiment.plan(
+        tomllib.loads(advice.table + '[[contestant]]\nuse = "wheel-odometry"\n'), "made", "made", "x"
+    )
+    assert plan.courses[0].parameters["range_max_m"] == 30.0
+    assert advice.command == f"evalkit compare {path} --set range_max_m=30.0"
+
+
+def test_a_corrected_log_is_told_from_odometry_and_holds_its_reference(tmp_path):
+    rows = walls(30)
+    lines = [flaser(f"{1000 + at}", rows[at], (0.9 * at, 0.01 * at, 0.0), "pippo") for at in range(30)]
+    found = examine(log(tmp_path, *lines, "NEFF 0.5"))
+    assert found.truth_inside == "GMapping's poses"
+    assert "no odometry but GMapping's poses" in said(found)
+    assert "4 significant digits" in said(found)
+    assert "0.90 m apart" in said(found)
+    assert "GMapping" in prescribe(found).truth
+
+
+def test_relations_beside_a_log_are_used_if_they_share_its_time(tmp_path):
+    path = log(tmp_path, *drive())
+    (tmp_path / "other.relations").write_text("5.0 6.0 1 0 0 0 0 0\n", encoding="utf-8")
+    (tmp_path / "truth.relations").write_text("1000.5 1002.0 1 0 0 0 0 0\n", encoding="utf-8")
+    assert prescribe(examine(path)).parameters["relations"] == str(tmp_path / "truth.relations")
+
+
+def test_a_log_without_a_scan_is_a_problem_and_prescribes_nothing(tmp_path):
+    found = examine(log(tmp_path, "ODOM 0 0 0 0 0 0 1.0 h 1.0", "ODOM 1 0 0 0 0 0 2.0 h 2.0"))
+    assert found.findings[0].level == "problem"
+    assert prescribe(found) is None
+
+
+def test_bad_files_say_what_their_readers_say(tmp_path):
+    (tmp_path / "torn.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(40))
+    with pytest.raises(BadData, match="not a readable bag"):
+        examine(tmp_path / "torn.bag")
+    (tmp_path / "torn.log.gz").write_bytes(b"\x1f\x8b" + bytes(40))
+    with pytest.raises(BadData, match="gzip"):
+        examine(tmp_path / "torn.log.gz")
+
+
+def test_the_command_prints_json_and_writes_a_page(tmp_path):
+    app = typer.Typer()
+    app.command()(inspect)
+    path = log(tmp_path, *drive())
+    result = CliRunner().invoke(app, [str(path), "--json", "-o", str(tmp_path / "page")])
+    assert result.exit_code == 0
+    told = json.loads(result.stdout)
+    assert told["lidars"][0]["timing"]["count"] == 60
+    assert told["run"]["command"].startswith("evalkit compare")
+    assert "<svg" not in (tmp_path / "page" / "index.html").read_text(encoding="utf-8")  # drawings are data URIs
+    assert json.loads((tmp_path / "page" / "inspection.json").read_text(encoding="utf-8"))["kind"] == "CARMEN log"
+    told = CliRunner().invoke(app, [str(path)]).stdout
+    assert "[[sequence]]" in told
+
+
+# --- what is known of real recordings
+
+
+def recorded(*names):
+    path = DATA.joinpath(*names)
+    if not path.exists():
+        pytest.skip(f"{path} is not here: set EVALKIT_DATA")
+    return path
+
+
+def test_the_wheelchairs_clock_zeros_and_missing_frames_are_found():
+    found = examine(recorded("bags", "wheelchair-3xhokuyo.bag"))
+    assert [lidar.topic for lidar in found.lidars] == ["/left_scan", "/rear_scan", "/right_scan"]
+    assert all(lidar.beams == 768 and lidar.field_of_view_deg == pytest.approx(270, abs=1) for lidar in found.lidars)
+    assert all(lidar.clock.median_s == pytest.approx(0.24, abs=0.01) for lidar in found.lidars)
+    assert all(0.13 < lidar.returns.zero < 0.21 for lidar in found.lidars)
+    assert "no transforms" in said(found)
+    assert best_lidar(found)[0].topic == "/right_scan"
+
+
+def test_the_standing_robot_is_seen_to_stand():
+    found = examine(recorded("bags", "static-2xhokuyo.bag"))
+    assert all(lidar.returns.still > 0.99 for lidar in found.lidars)
+    assert "the robot stands still" in said(found)
+
+
+def test_the_turtlebots_lidar_is_turned_and_its_two_bases_are_told():
+    found = examine(recorded("turtlebot4-rplidar", "macfirst_floor_take_2"))
+    (seat,) = found.frames.mountings
+    assert (seat.x_m, seat.y_m, seat.theta_deg) == pytest.approx((0.004, 0.0, 90.0), abs=1e-3)
+    assert found.lidars[0].returns.infinite == pytest.approx(0.23, abs=0.005)
+    odometry = next(one for one in found.drivings if one.topic == "/odom")
+    assert odometry.path_m == pytest.approx(8.35, abs=0.01)
+    assert odometry.like_wheels
+    assert "base_footprint and base_link" in said(found)
+    assert "(6.54, -8.86)" in said(found)
+
+
+def test_pseudo_odometry_is_refused():
+    found = examine(recorded("fr079", "fr079-fullrate.clf.gz"))
+    advice = prescribe(found)
+    assert "slips sideways" in said(found)
+    assert "1211.00 to 1211.51 s" in said(found)
+    assert advice.parameters["odometry"] == "none"
+    assert advice.parameters["relations"].endswith("fr079.relations")
+    assert (advice.scans, advice.catalogued) == (4791, "fr079")
+    assert document(found, advice).title == "fr079-fullrate.clf.gz"
+
+
+def test_raw_odometry_of_wheels_is_told_from_pseudo_odometry():
+    found = examine(recorded("intel", "intel-merged.clf.gz"))
+    assert all(one.like_wheels for one in found.drivings)
+    assert found.lidars[0].returns.codes[0].low_m == 81.83
+    assert found.lidars[0].timing.gaps[0].length_s == pytest.approx(28.3, abs=0.1)
+
+
+@pytest.mark.parametrize(("name", "code"), [("aces", 50.0), ("freiburg-101", 81.91), ("intel", 81.83)])
+def test_corrected_logs_are_told_by_their_signs(name, code):
+    found = examine(recorded("radish-corrected", f"{name}-corrected.log.gz"))
+    assert found.truth_inside == "GMapping's poses"
+    assert found.lidars[0].returns.codes[0].high_m == code
+    for trap in ("6 significant digits", "m apart (median)", "stamps go backwards"):
+        assert trap in said(found)
