@@ -10,8 +10,11 @@ from evalkit.protocols import Sequence
 from evalkit.scoring import Scored
 from evalkit.types import OccupancyGrid, Pose, Run, Score
 
-OF_THE_MAP_ALONE = ("occupied_percent", "corners", "enclosed_areas", "enclosed_m2")
-"""Consistency metrics that need neither scans nor probabilities; all metrics against the true map need neither."""
+OF_THE_MAP_ALONE = ("occupied_percent", "corners", "enclosed_areas", "enclosed_m2", "wall_width_m")
+"""Consistency metrics that need neither scans nor probabilities; most metrics against the true map need neither."""
+
+OF_PROBABILITIES = ("map_entropy", "map_log_loss")
+"""Metrics of what a map file does not hold."""
 
 NO_TRAJECTORY = "no trajectory: a map alone was made elsewhere"
 NO_PROBABILITIES = "a map file tells occupied, free and unknown, not how probable"
@@ -23,7 +26,9 @@ def score(run: Run, grid: OccupancyGrid, sequence: Sequence) -> Scored:
     """The scores of a map in the world's frame; what needs a trajectory says that there is none."""
     evidence = Evidence(run, sequence.truth(), NO_TRAJECTORY, grid, (), no_grid=NO_TRAJECTORY)
     table = metrics.all_metrics()
-    meaningful = [one for one in table if one.group == "map against truth" or one.name in OF_THE_MAP_ALONE]
+    against_truth = [one for one in table if one.group == "map against truth" and one.name not in OF_PROBABILITIES]
+    meaningful = [*against_truth, *(one for one in table if one.name in OF_THE_MAP_ALONE)]
     scores = {one.name: Score(None, 0, NO_TRAJECTORY) for one in table} | metrics.score(evidence, meaningful)
-    scores["map_entropy"] = replace(scores["map_entropy"], reason=NO_PROBABILITIES)
+    for name in OF_PROBABILITIES:
+        scores[name] = replace(scores[name], reason=NO_PROBABILITIES)
     return Scored(scores, Pose(), grid, None, FRAME)

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from evalkit import se2
 from evalkit.se2 import Floats, Stamps
+from evalkit.tape import Span
 
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.int64]
@@ -284,7 +285,8 @@ class Truth:
     """What is known about a sequence beyond its scans; any part may be None.
 
     ``how`` says how it was made ("exact: simulated", "graph-optimised poses, ~3 cm"), for the reader of a report.
-    ``plan``: a map of the place in a frame of its own, to be looked at: nothing is scored against it.
+    ``plan``: a map of the place in a frame of its own, to be looked at: nothing is scored against it. ``spans``:
+    distances measured with a tape.
     """
 
     how: str
@@ -292,6 +294,7 @@ class Truth:
     relations: Relations | None = None
     grid: OccupancyGrid | None = None
     plan: OccupancyGrid | None = None
+    spans: tuple[Span, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

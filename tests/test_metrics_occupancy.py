@@ -5,8 +5,10 @@ import math
 import numpy as np
 import pytest
 
+from evalkit.metrics import occupancy
 from evalkit.metrics.occupancy import log_loss, true_states, wall_width_m
-from evalkit.types import OccupancyGrid
+from evalkit.metrics.table import Evidence
+from evalkit.types import STEP, OccupancyGrid, Run, Truth
 
 
 def grid(rows, resolution_m=0.1, x=0.0, y=0.0, observed=None):
@@ -63,3 +65,23 @@ def test_a_straight_wall_is_as_wide_as_its_cells(thick, resolution_m):
 
 def test_a_map_without_walls_has_no_width():
     assert math.isnan(wall_width_m(grid([[-5.0]])))
+
+
+def scores(mapped, true):
+    evidence = Evidence(Run("b", "s", "complete", "", np.zeros(0, STEP), 0), Truth("t", grid=true), None, mapped, ())
+    return {metric.name: metric.compute(evidence) for metric in occupancy.METRICS}
+
+
+def test_the_table_tells_log_loss_and_wall_width_or_why_not():
+    rows = np.full((60, 60), -5.0)
+    rows[20:23, :] = 5.0
+    found = scores(grid(rows), grid(rows))
+    assert found["map_log_loss"].value == pytest.approx(math.log1p(math.exp(-5.0)), rel=1e-6)
+    assert found["map_log_loss"].support == 3600
+    assert found["wall_width_m"].value == pytest.approx(0.3, rel=0.02)
+    assert scores(grid(rows), None)["map_log_loss"].reason == "no true map"
+    assert scores(None, grid(rows))["map_log_loss"].reason == "no map: the run answered no scan"
+    coarse = scores(grid(rows), grid(rows, 0.2))["map_log_loss"]
+    assert coarse.reason == "the true map's cells of 0.2 m are coarser than the map's"
+    lonely = scores(grid([[5.0, -5.0], [-5.0, -5.0]]), None)["wall_width_m"]
+    assert lonely.reason == "no occupied cells lie along a line"

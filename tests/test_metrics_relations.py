@@ -139,3 +139,12 @@ def test_gmapping_on_intel_scores_what_was_found_before() -> None:
     found = scores(Trajectory(ends, se2.compose(sparse.poses[nearest], moved)), measured)
     assert found["relations_all_mean_m"].value == pytest.approx(0.051, abs=0.002)
     assert found["relations_all_sd_m"].value == pytest.approx(0.052, abs=0.002)
+
+
+def test_both_published_evaluators_forms_stand_in_the_table_and_ours_is_their_mean() -> None:
+    rng = np.random.default_rng(3)
+    measured = related(*([k, k + 3, *(0.1 * rng.normal(size=3) + [3.0, 0.0, 0.0])] for k in range(20)))
+    found = scores(line(30), measured)
+    theirs = [found[f"relations_{form}_mean_m"].value for form in ("kuemmerle", "cartographer")]
+    assert found["relations_all_mean_m"].value == pytest.approx(np.mean(theirs))
+    assert theirs[0] != pytest.approx(theirs[1], rel=0.01)

@@ -58,6 +58,7 @@ class Carmen:
         every: int = 1,
         limit: int = 0,
         how: str = "",
+        spans: str = "",
     ) -> None:
         self._path = recording.existing("carmen", path)
         self._range_max_m = range_max_m
@@ -73,7 +74,7 @@ class Carmen:
         )
         self._codes = self._no_return_codes(whole)
         self._odometry = self._odometry_at_scans(log, odometry)
-        self._truth = self._known(log, whole, relations, reference, how)
+        self._truth = self._known(log, whole, relations, reference, spans, how)
         self._count_ranges()
 
     def __len__(self) -> int:
@@ -175,15 +176,15 @@ class Carmen:
         }
         return recording.odometry_at(odometry, self._taken.stamps_ns)
 
-    def _known(self, log: Log, whole: _Taken, relations: str, reference: str, how: str) -> Truth:
+    def _known(self, log: Log, whole: _Taken, relations: str, reference: str, spans: str, how: str) -> Truth:
         span = int(whole.stamps_ns[0]), int(whole.stamps_ns[-1])
-        how = how or _how(relations, reference, log.poses_from)
-        truth, counts = recording.truth_from_files(self._taken.stamps_ns, span, relations, reference, how)
+        how = how or _how(relations, reference, spans, log.poses_from)
+        truth, counts = recording.truth_from_files(self._taken.stamps_ns, span, relations, reference, how, spans)
         self._counts |= counts
         if truth.trajectory is not None or not log.poses_from:
             return truth
         poses = np.array([reading.robot for reading in self._taken.readings])
-        return Truth(how, Trajectory(self._taken.stamps_ns, poses), truth.relations)
+        return Truth(how, Trajectory(self._taken.stamps_ns, poses), truth.relations, spans=truth.spans)
 
 
 def _best_source(log: Log) -> str:
@@ -208,7 +209,7 @@ def _mounting(log: Log) -> Pose:
         return Pose()
 
 
-def _how(relations: str, reference: str, poses_from: str) -> str:
+def _how(relations: str, reference: str, spans: str, poses_from: str) -> str:
     """What the truth is made of, in words."""
     parts = []
     if relations:
@@ -217,12 +218,13 @@ def _how(relations: str, reference: str, poses_from: str) -> str:
         parts.append(f"reference trajectory {Path(reference).name}")
     elif poses_from:
         parts.append(POSES_FROM[poses_from])
+    if spans:
+        parts.append("distances measured with a tape")
     return "; ".join(parts) or "none"
 
 
-def _missing(path: str = "", relations: str = "", reference: str = "", **_: object) -> str:
-    optional = [(name, value) for name, value in (("relations", relations), ("reference", reference)) if value]
-    return recording.missing_files("carmen", [("path", path), *optional])
+def _missing(path: str = "", **given: object) -> str:
+    return recording.missing_files("carmen", [("path", path), *recording.truth_files(given)])
 
 
 SPEC = DatasetSpec(

@@ -11,8 +11,9 @@ from evalkit import se2
 from evalkit.errors import BadData, DataMissing
 from evalkit.protocols import Parameter
 from evalkit.se2 import Floats, Stamps
+from evalkit.tape import Span
 from evalkit.types import Bools, Pose, Relations, Trajectory, Truth
-from evalkit_datasets import relations, tum
+from evalkit_datasets import relations, spans, tum
 from evalkit_datasets.stamps import stamp_text
 
 HOLD_NS = 50_000_000
@@ -33,6 +34,7 @@ SELECTION: tuple[Parameter, ...] = (
 TRUTH: tuple[Parameter, ...] = (
     Parameter("relations", "", "", "path of Kuemmerle relations for this recording; empty: none"),
     Parameter("reference", "", "", "path of a reference trajectory in TUM format, same clock; empty: none"),
+    Parameter("spans", "", "", "path of distances measured with a tape (TOML), times by the same clock; empty: none"),
 )
 
 
@@ -84,7 +86,12 @@ def sensor_pose(owner: str, text: str) -> Pose:
 
 
 def truth_from_files(
-    taken_ns: Stamps, span_ns: tuple[int, int], relations_path: str, reference_path: str, how: str
+    taken_ns: Stamps,
+    span_ns: tuple[int, int],
+    relations_path: str,
+    reference_path: str,
+    how: str,
+    spans_path: str = "",
 ) -> tuple[Truth, dict[str, int]]:
     """The truth of the files, cut to the time of the scans taken, and what was cut off, counted by name.
 
@@ -108,7 +115,10 @@ def truth_from_files(
         counts |= {f"reference: {name}": count for name, count in file.notes.items()}
         counts["reference poses outside the scans"] = int((~inside).sum())
         trajectory = Trajectory(poses.stamps_ns[inside], poses.poses[inside]) if inside.any() else None
-    return Truth(how, trajectory, known), counted(counts)
+    taped: tuple[Span, ...] = ()
+    if spans_path:
+        taped, counts["distances by tape outside the scans"] = _taped(Path(spans_path), taken_ns, span_ns)
+    return Truth(how, trajectory, known, spans=taped), counted(counts)
 
 
 def missing_files(owner: str, paths: Iterable[tuple[str, str]]) -> str:
@@ -119,6 +129,11 @@ def missing_files(owner: str, paths: Iterable[tuple[str, str]]) -> str:
         if not Path(path).exists():
             return f"{owner}: parameter '{parameter}': no file {path}; check the path"
     return ""
+
+
+def truth_files(given: Mapping[str, object]) -> list[tuple[str, str]]:
+    """Name and path of the files of truth among a reader's parameters."""
+    return [(each.name, str(given[each.name])) for each in TRUTH if given.get(each.name)]
 
 
 def existing(owner: str, path: str) -> Path:
@@ -155,6 +170,16 @@ def _same_recording(path: Path, what: str, times_ns: Stamps, span_ns: tuple[int,
         f"its times, {begins} to {ends} s, have nothing in common with the recording: {scans}",
         f"is it the {what} of another data set? give the one of this recording or none",
     )
+
+
+def _taped(path: Path, taken_ns: Stamps, span_ns: tuple[int, int]) -> tuple[tuple[Span, ...], int]:
+    """The distances whose times lie within the scans taken, and how many do not."""
+    everything = spans.read(path)
+    times = [[end.stamp_ns for end in (span.first, span.second) if end.stamp_ns is not None] for span in everything]
+    if known := [time for each in times for time in each]:
+        _same_recording(path, "distances by tape", np.array([known]), span_ns)
+    inside = [bool(_within(np.array(each, dtype=np.int64), taken_ns).all()) for each in times]
+    return tuple(span for span, kept in zip(everything, inside, strict=True) if kept), inside.count(False)
 
 
 def _some_relations(everything: Relations, chosen: Bools) -> Relations | None:

@@ -46,6 +46,7 @@ class RosBag:
         every: int = 1,
         limit: int = 0,
         how: str = "",
+        spans: str = "",
     ) -> None:
         self._path = recording.existing("rosbag", path)
         contents = bag.read(self._path, topic)
@@ -64,9 +65,9 @@ class RosBag:
         if self._odometry is not None and child != base:
             self._odometry = self._moved_to_base(contents, self._odometry, child, base)
         self._poses, self._motions = self._at_scans()
-        how = how or ("files given by the user" if relations or reference else "none")
+        how = how or ("files given by the user" if relations or reference or spans else "none")
         span = sweeps[0].stamp_ns, sweeps[-1].stamp_ns
-        self._truth, cut = recording.truth_from_files(self._stamps, span, relations, reference, how)
+        self._truth, cut = recording.truth_from_files(self._stamps, span, relations, reference, how, spans)
         self._counts |= cut
         self._ranges = [self._clean(sweep) for sweep in self._sweeps]
 
@@ -222,9 +223,8 @@ def _samples(contents: Contents, parent: str, child: str) -> Samples:
     return [(edge.stamp_ns, planar(edge.parent_from_child).row) for edge in edges]
 
 
-def _missing(path: str = "", relations: str = "", reference: str = "", **_: object) -> str:
-    optional = [(name, value) for name, value in (("relations", relations), ("reference", reference)) if value]
-    return recording.missing_files("rosbag", [("path", path), *optional])
+def _missing(path: str = "", **given: object) -> str:
+    return recording.missing_files("rosbag", [("path", path), *recording.truth_files(given)])
 
 
 SPEC = DatasetSpec(

@@ -11,7 +11,20 @@ from collections.abc import Iterable
 import numpy as np
 
 from evalkit import registry
-from evalkit.metrics import consistency, drift, maps, registration, relations, runtime, trajectory
+from evalkit.metrics import (
+    clouds,
+    consistency,
+    drift,
+    gaussians,
+    maps,
+    occupancy,
+    registration,
+    relations,
+    revisits,
+    runtime,
+    spans,
+    trajectory,
+)
 from evalkit.metrics.table import Evidence, Metric
 from evalkit.types import Score
 
@@ -19,8 +32,13 @@ METRICS: tuple[Metric, ...] = (
     *trajectory.METRICS,
     *drift.METRICS,
     *relations.METRICS,
+    *revisits.METRICS,
+    *spans.METRICS,
     *maps.METRICS,
+    *gaussians.METRICS,
+    *occupancy.METRICS,
     *consistency.METRICS,
+    *clouds.METRICS,
     *registration.METRICS,
     *runtime.METRICS,
 )

@@ -10,13 +10,11 @@ from scipy.spatial import cKDTree
 
 from evalkit import se2
 from evalkit.metrics.maps import nearest_m
+from evalkit.metrics.patches import evenly, patches
 from evalkit.metrics.table import Evidence, Mapped, Metric, number
 from evalkit.se2 import Floats
 from evalkit.types import Bools, Ints, OccupancyGrid, Score
 
-PATCH_M = 0.5
-FLATNESS = 9.0
-MIN_HITS = 5
 MOST_HITS = 20_000
 MOST_PATCHES = 1000
 MIN_WALL_SHARE = 0.05
@@ -43,15 +41,9 @@ def thicknesses(hits: Floats) -> tuple[Floats, float]:
     A patch is all hits within 0.5 m of one; its thickness is sqrt(lambda_min) of their covariance, where lambda_max
     > 9 lambda_min. Hits and patches are at most 20,000 and 1,000, evenly spaced in the order of time.
     """
-    points = _evenly(hits, MOST_HITS)
-    middles = _evenly(points, MOST_PATCHES)
-    balls = cKDTree(points).query_ball_point(middles, PATCH_M, return_sorted=False)
-    neighbours = [np.asarray(ball, dtype=np.int64) for ball in balls]
-    counts = np.array([len(indices) for indices in neighbours])
-    offsets = points[np.concatenate(neighbours)] - np.repeat(middles, counts, axis=0)
-    small, large = _eigenvalues(offsets, counts)
-    flat = (counts >= MIN_HITS) & (large > FLATNESS * small)
-    return np.sqrt(small[flat]), float(flat.mean())
+    points = evenly(hits, MOST_HITS)
+    found = patches(points, evenly(points, MOST_PATCHES))
+    return np.sqrt(found.small[found.flat]), float(found.flat.mean())
 
 
 def occupied_share(grid: OccupancyGrid) -> float:
@@ -119,20 +111,6 @@ def hits(mapped: Mapped) -> Floats:
     return np.concatenate([np.zeros((0, 2)), *(se2.transform(pose, scan.points()) for scan, pose in mapped)])
 
 
-def _eigenvalues(offsets: Floats, counts: Ints) -> tuple[Floats, Floats]:
-    """Smaller and larger eigenvalue (K,) of the covariance of each run of ``counts`` (K,) offsets."""
-    starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    x, y = offsets[:, 0], offsets[:, 1]
-    mean_x, mean_y, xx, xy, yy = (np.add.reduceat(v, starts) / counts for v in (x, y, x * x, x * y, y * y))
-    xx, xy, yy = xx - mean_x**2, xy - mean_x * mean_y, yy - mean_y**2
-    half, root = 0.5 * (xx + yy), np.hypot(0.5 * (xx - yy), xy)
-    return np.maximum(half - root, 0.0), half + root
-
-
-def _evenly(points: Floats, most: int) -> Floats:
-    return np.asarray(points[np.unique(np.linspace(0, len(points) - 1, min(most, len(points))).astype(int))])
-
-
 def _cropped(mask: Bools) -> Bools:
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     return mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] if len(rows) else mask[:1, :1]
@@ -148,7 +126,9 @@ def looked_up(points: Floats, grid: OccupancyGrid) -> tuple[Floats, Bools]:
     return grid.log_odds[rows, columns].astype(np.float64), np.asarray(inside & grid.observed[rows, columns])
 
 
-def _of_grid(measure: Callable[[OccupancyGrid], Score]) -> Callable[[Evidence], Score]:
+def of_grid(measure: Callable[[OccupancyGrid], Score]) -> Callable[[Evidence], Score]:
+    """The same measure of evidence, which says why where there is no map or nothing in it."""
+
     def compute(evidence: Evidence) -> Score:
         grid = evidence.grid
         if grid is None:
@@ -221,7 +201,7 @@ METRICS = (
            "Mean entropy of the occupancy over the cells that a beam has touched.", "Blanco et al., RSS 2008 (map "
            "entropy); per observed cell: evalkit",
            f"scans scattered over fresh cells, which lower it; {WARP}",
-           _of_grid(lambda grid: number(entropy(grid), int(grid.observed.sum()))), 4, headline=True),
+           of_grid(lambda grid: number(entropy(grid), int(grid.observed.sum()))), 4, headline=True),
     Metric("wall_thickness_m", "wall thickness", "m", "lower", "map consistency",
            f"{WALL} (lambda_max > 9 lambda_min), all mapped scans laid together; mean over at most 1,000 places. A "
            "wall w wide gives w / sqrt(12).", "after Razlaw et al., ECMR 2015 (mean plane variance)",
@@ -247,15 +227,15 @@ METRICS = (
     Metric("occupied_percent", "occupied share", "%", "", "map consistency",
            "Occupied cells (p > 0.65), of occupied and free (p < 0.196) ones.", FILATOV,
            "most errors: smearing can raise or lower it",
-           _of_grid(lambda grid: number(100.0 * occupied_share(grid), _cells(grid))), 2),
+           of_grid(lambda grid: number(100.0 * occupied_share(grid), _cells(grid))), 2),
     Metric("corners", "corners", "", "lower", "map consistency",
            "Corners of the occupied cells: Harris peaks on their Laplacian of Gaussian, at most one within 0.2 m.",
            FILATOV, f"walls smeared until their corners vanish; {WARP}",
-           _of_grid(lambda grid: number(corners(grid), int(grid.occupied().sum()))), 0),
+           of_grid(lambda grid: number(corners(grid), int(grid.occupied().sum()))), 0),
     Metric("enclosed_areas", "enclosed areas", "", "lower", "map consistency",
            "Free areas of at least 4 cells shut in by occupied or unknown cells, without the largest and without those "
-           "at the grid's border.", FILATOV, f"copies that leave no gap between them; {WARP}", _of_grid(_enclosed), 0),
+           "at the grid's border.", FILATOV, f"copies that leave no gap between them; {WARP}", of_grid(_enclosed), 0),
     Metric("enclosed_m2", "enclosed area", "m2", "lower", "map consistency",
            "Total size of the enclosed areas.", FILATOV, f"copies that leave no gap between them; {WARP}",
-           _of_grid(_enclosed_m2), 2),
+           of_grid(_enclosed_m2), 2),
 )  # fmt: skip

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from evalkit.metrics.consistency import thicknesses
+from evalkit.metrics.consistency import WARP, of_grid, thicknesses
+from evalkit.metrics.table import Evidence, Metric, number
 from evalkit.se2 import Floats
-from evalkit.types import Bools, Ints, OccupancyGrid
+from evalkit.types import Bools, Ints, OccupancyGrid, Score
 
 _EDGE = 1e-6  # cells: a centre this near to an edge lies on it
 
@@ -63,3 +64,34 @@ def _touched(mapped: OccupancyGrid, points: Floats) -> Bools:
             inside = cells[((cells >= 0) & (cells < [width, height])).all(axis=1)]
             marked[inside[:, 1], inside[:, 0]] = True
     return marked
+
+
+def _log_loss(evidence: Evidence) -> Score:
+    true, mapped = evidence.truth.grid, evidence.grid
+    if true is None:
+        return Score(None, 0, "no true map")
+    if mapped is None:
+        return Score(None, 0, f"no map: {evidence.no_grid}")
+    if true.resolution_m > mapped.resolution_m * (1.0 + _EDGE):
+        return Score(None, 0, f"the true map's cells of {true.resolution_m:g} m are coarser than the map's")
+    value, cells = log_loss(mapped, true)
+    return number(value, cells) if cells else Score(None, 0, "nothing that the map has observed is known to be true")
+
+
+def _wall_width(grid: OccupancyGrid) -> Score:
+    width, cells = wall_width_m(grid), int(grid.occupied().sum())
+    return Score(None, cells, "no occupied cells lie along a line") if np.isnan(width) else number(width, cells)
+
+
+METRICS = (
+    Metric("map_log_loss", "map log-loss", "nat", "lower", "map against truth",
+           "Mean of -ln p of the true state over the observed cells whose true state is known: 0 if all are right and "
+           "certain, ln 2 for a map that knows nothing, more for one that is sure and wrong.",
+           "Good, JRSS B 14, 1952 (a proper score)",
+           "cells never observed; how far off a wall is; the mapper's clamping sets the least value", _log_loss),
+    Metric("wall_width_m", "wall width in the map", "m", "lower", "map consistency",
+           "How thick walls are drawn: where occupied cells lie along a line, the width of a band of cells that "
+           "spreads as they do; mean over at most 1,000 places.", "evalkit",
+           f"walls that smearing has washed out of the map; the cell size, which is the least value; {WARP}",
+           of_grid(_wall_width)),
+)  # fmt: skip

@@ -69,7 +69,21 @@ def in_part(relations: Relations, part: Part) -> Bools:
     return np.asarray({"short": short, "long": ~short, "all": np.ones_like(short)}[part])
 
 
-def _scored(part: Part, column: int, statistic: Callable[[Floats], np.floating]) -> Callable[[Evidence], Score]:
+Errors = Callable[[Floats, Floats], Floats]
+"""Metres and radians (M, 2) between estimated and measured motions (M, 3)."""
+
+
+def _norms(errors: Errors) -> Errors:
+    def sizes(estimated: Floats, measured: Floats) -> Floats:
+        found = errors(estimated, measured)
+        return np.stack([np.linalg.norm(found[:, :2], axis=1), np.abs(found[:, 2])], axis=1)
+
+    return sizes
+
+
+def _scored(
+    part: Part, column: int, statistic: Callable[[Floats], np.floating], form: Errors = symmetric_errors
+) -> Callable[[Evidence], Score]:
     def compute(evidence: Evidence) -> Score:
         relations = evidence.truth.relations
         if relations is None or len(relations) == 0:
@@ -77,7 +91,7 @@ def _scored(part: Part, column: int, statistic: Callable[[Floats], np.floating])
         wanted = in_part(relations, part)
         motions, answered = estimated_motions(evidence.run.estimate, relations)
         measured = relations.first_from_second[answered]
-        errors = symmetric_errors(motions, measured)[wanted[answered], column]
+        errors = form(motions, measured)[wanted[answered], column]
         if len(errors) == 0:
             kind = "" if part == "all" else f"{part} "
             return Score(None, 0, f"the estimate answers none of {wanted.sum()} {kind}relations")
@@ -109,6 +123,19 @@ _BLIND: dict[Part, str] = {
     "all": "whether few relations are very wrong or many a little; the mix of short and long is the recorder's",
 }
 
+_FORMS: dict[str, tuple[str, str, Errors]] = {
+    "kuemmerle": (
+        "the evaluator of Kuemmerle et al., in the order in which the pair was written down",
+        "Kuemmerle et al., Autonomous Robots 27, 2009 (its evaluator takes differences by component)",
+        _norms(componentwise_errors),
+    ),
+    "cartographer": (
+        "Cartographer's evaluator, estimated times measured inverse",
+        "Hess et al., ICRA 2016 (Cartographer, compute_relations_metrics)",
+        _norms(cartographer_errors),
+    ),
+}
+
 METRICS = (
     *(
         Metric(f"relations_{part}_{name}_{unit}", f"relations, {part}, {name} {what}", unit, "lower", "relations",
@@ -119,6 +146,15 @@ METRICS = (
         for part in _SPANS
         for name, (words, statistic) in _STATISTICS.items()
         for column, (unit, what, digits) in enumerate(_ERRORS)
+    ),
+    *(
+        Metric(f"relations_{form}_{name}_m", f"relations as {form.capitalize()}, {name}", "m", "lower", "relations",
+               f"{words} translation error between all pairs of times as taken by {whose}: for comparison with printed "
+               "tables; ours is the mean over both orders of the pair.", source,
+               f"the other order of the pair, which can give another error; {_BLIND['all']}",
+               _scored("all", 0, statistic, errors))
+        for form, (whose, source, errors) in _FORMS.items()
+        for name, (words, statistic) in _STATISTICS.items()
     ),
     Metric("relations_answered_percent", "relations answered", "%", "higher", "relations",
            "Relations both of whose times lie between answers at most 2 s apart, of all.", "evalkit",

@@ -1,0 +1,84 @@
+"""Holds an estimate against the truth where a robot comes back: the errors that double walls, made relations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from evalkit import se2
+from evalkit.metrics.relations import estimated_motions, symmetric_errors
+from evalkit.metrics.table import Evidence, Metric, number
+from evalkit.se2 import Floats
+from evalkit.types import Bools, Ints, Relations, Score, Trajectory
+
+NEAR_M = 1.0
+COVERED_M = 100.0
+COVERED_SHARE = 0.25
+EVERY_M = 0.2
+MOST = 2000
+
+
+def between_visits(reference: Trajectory, near_m: float = NEAR_M, covered_m: float | None = None) -> Relations:
+    """The reference's motions between two visits of a place: the nearest pose of each later pass within ``near_m``.
+
+    ``covered_m``: so much path lies between the visits at least; by default 100 m as in Cartographer's automatic
+    relations (Hess et al., ICRA 2016), or a quarter of a path that is shorter than 400 m. Every 0.2 m of path asks
+    once; of more than 2,000 pairs so many stay, evenly spaced.
+    """
+    steps = np.linalg.norm(np.diff(reference.poses[:, :2], axis=0), axis=1)
+    path = np.concatenate([[0.0], np.cumsum(steps)])[: len(reference)]
+    covered = min(COVERED_M, COVERED_SHARE * reference.path_m) if covered_m is None else covered_m
+    asked = np.unique(np.searchsorted(path, np.arange(0.0, reference.path_m, EVERY_M)))
+    pairs = [(first, second) for first in asked for second in _visits(reference.poses, path, first, covered, near_m)]
+    chosen = np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, min(MOST, len(chosen))).astype(int))]
+    first, second = chosen.T
+    motions = se2.between(reference.poses[first], reference.poses[second])
+    return Relations(reference.stamps_ns[first], reference.stamps_ns[second], motions)
+
+
+def _visits(poses: Floats, path: Floats, first: int, covered_m: float, near_m: float) -> list[int]:
+    """The nearest pose of each later stretch of path that passes within ``near_m`` of one pose."""
+    begin = int(np.searchsorted(path, path[first] + covered_m))
+    apart = np.linalg.norm(poses[begin:, :2] - poses[first, :2], axis=1)
+    return [begin + run[0] + int(np.argmin(apart[slice(*run)])) for run in _runs(apart <= near_m)]
+
+
+def _runs(marks: Bools) -> Ints:
+    """First index and the one behind the last (K, 2) of each stretch of marks (N,)."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], marks, [False]]).astype(np.int8)))
+    return np.asarray(edges.reshape(-1, 2), dtype=np.int64)
+
+
+def _scored(column: int, statistic: Callable[[Floats], np.floating]) -> Callable[[Evidence], Score]:
+    def compute(evidence: Evidence) -> Score:
+        reference = evidence.truth.trajectory
+        if reference is None or len(reference) < 2:
+            return Score(None, 0, "no true trajectory")
+        visits = between_visits(reference)
+        if len(visits) == 0:
+            return Score(None, 0, "the true path never comes back to where it was")
+        motions, answered = estimated_motions(evidence.run.estimate, visits)
+        if not answered.any():
+            return Score(None, 0, f"the estimate answers none of {len(visits)} returns")
+        errors = symmetric_errors(motions, visits.first_from_second[answered])[:, column]
+        return number(statistic(np.degrees(errors) if column else errors), len(errors))
+
+    return compute
+
+
+HOW = (
+    f"Relations are made of the true trajectory wherever it comes within {NEAR_M:g} m of where it was a quarter of the "
+    "path (at most 100 m) ago; both orders of the pair are averaged"
+)
+SOURCE = "after Cartographer's automatic relations, Hess et al., ICRA 2016; scaled to short logs: evalkit"
+
+METRICS = (
+    Metric("revisit_mean_m", "error on coming back, mean", "m", "lower", "relations",
+           f"Mean translation error of the estimated motions between two visits of a place. {HOW}.", SOURCE,
+           "places seen once; the true trajectory's own errors", _scored(0, np.mean)),
+    Metric("revisit_mean_deg", "heading error on coming back, mean", "deg", "lower", "relations",
+           f"Mean rotation error of the same motions. {HOW}.", SOURCE,
+           "places seen once; the true trajectory's own errors", _scored(1, np.mean), 2),
+)  # fmt: skip

@@ -1,0 +1,129 @@
+"""Holds an estimate against distances measured with a tape: they see a map that is stretched as a whole."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from evalkit import se2
+from evalkit.metrics.consistency import hits
+from evalkit.metrics.relations import MAX_GAP_S
+from evalkit.metrics.table import Evidence, Matched, Metric, number
+from evalkit.metrics.trajectory import bracketed, rms
+from evalkit.se2 import Floats
+from evalkit.tape import Place, Span
+from evalkit.types import Score, Trajectory
+
+REACH_M = 0.3
+ASIDE_M = 0.15
+MIN_HITS = 10
+"""A wall is where the median of at least ten hits within 0.3 m along the tape and 0.15 m beside it lies."""
+
+
+@dataclass(frozen=True, eq=False)
+class Taped:
+    """Distances in the estimate (K,), by tape (K,), and the tape's standard deviations (K,), all in metres."""
+
+    estimated_m: Floats
+    measured_m: Floats
+    sigma_m: Floats
+
+
+def taped(spans: tuple[Span, ...], world_from_base: Trajectory, points: Floats) -> Taped:
+    """The spans that the estimate answers; ``points`` (N, 2): the mapped hits, in which walls are looked for."""
+    found = [(_length(span, world_from_base, points), span.metres, span.sigma_m) for span in spans]
+    rows = np.array([row for row in found if row[0] is not None], dtype=np.float64).reshape(-1, 3)
+    return Taped(rows[:, 0], rows[:, 1], rows[:, 2])
+
+
+def stretch(found: Taped) -> float:
+    """By which share the estimate is longer than the tape says: the best scale in weighted least squares, minus 1."""
+    weights = found.sigma_m**-2.0
+    scale = np.sum(weights * found.measured_m * found.estimated_m) / np.sum(weights * found.measured_m**2)
+    return float(scale - 1.0)
+
+
+def _length(span: Span, world_from_base: Trajectory, points: Floats) -> float | None:
+    ends = [_point(place, world_from_base) for place in (span.first, span.second)]
+    if ends[0] is None or ends[1] is None:
+        return None
+    along = ends[1] - ends[0]
+    length = float(np.linalg.norm(along))
+    if length == 0.0:  # both ends fell together: the tape says otherwise
+        return 0.0
+    before = _to_wall(span.first, ends[0], along / length, points)
+    beyond = _to_wall(span.second, ends[1], along / length, points)
+    return None if before is None or beyond is None else length + beyond - before
+
+
+def _point(place: Place, world_from_base: Trajectory) -> Floats | None:
+    if place.stamp_ns is None:
+        return np.array([place.x, place.y])
+    if not bracketed(world_from_base.stamps_ns, [place.stamp_ns], MAX_GAP_S)[0]:
+        return None
+    return np.asarray(se2.transform(world_from_base.at([place.stamp_ns])[0], [[place.x, place.y]])[0])
+
+
+def _to_wall(place: Place, end: Floats, direction: Floats, points: Floats) -> float | None:
+    """How far beyond an end along the tape the wall stands (m); 0 for a place of the robot; None: no wall there."""
+    if place.stamp_ns is not None:
+        return 0.0
+    offsets = points - end
+    along = offsets @ direction
+    beside = offsets @ np.array([-direction[1], direction[0]])
+    near = along[(np.abs(along) <= REACH_M) & (np.abs(beside) <= ASIDE_M)]
+    return float(np.median(near)) if len(near) >= MIN_HITS else None
+
+
+def _of_tape(measure: Callable[[Taped], float]) -> Callable[[Evidence], Score]:
+    def compute(evidence: Evidence) -> Score:
+        spans = evidence.truth.spans
+        if not spans:
+            return Score(None, 0, "no distance was measured with a tape")
+        found = _found(evidence)
+        if len(found.measured_m) == 0:
+            return Score(None, 0, f"the estimate answers none of {len(spans)} measured distances")
+        return number(measure(found), len(found.measured_m))
+
+    return compute
+
+
+def _answered(evidence: Evidence) -> Score:
+    spans = evidence.truth.spans
+    if not spans:
+        return Score(None, 0, "no distance was measured with a tape")
+    return number(100.0 * len(_found(evidence).measured_m) / len(spans), len(spans))
+
+
+def _found(evidence: Evidence) -> Taped:
+    estimate = evidence.run.estimate
+    if isinstance(evidence.matched, Matched):
+        estimate = estimate.moved(evidence.matched.world_from_start, "world")
+    return taped(evidence.truth.spans, estimate, hits(evidence.mapped))
+
+
+TAPE = "tape measure, as for the Revo LDS in Hess et al., ICRA 2016"
+ENDS = (
+    "A tape ends at the robot at a given time, at a point seen from there, or at a wall of the map: the median of the "
+    f"hits within {REACH_M:g} m along the tape"
+)
+
+METRICS = (
+    Metric("span_rmse_m", "distances by tape, RMSE", "m", "lower", "relations",
+           f"Root mean square difference of distances in the estimate and by tape. {ENDS}.", TAPE,
+           "everything between and beside the ends of the tapes",
+           _of_tape(lambda found: rms(found.estimated_m - found.measured_m))),
+    Metric("span_stretch_percent", "stretch by tape", "%", "", "relations",
+           "By how much the estimate is longer than the tape says, in percent: the scale that fits all distances best, "
+           f"weighted by their standard deviations; 0 is right. {ENDS}.", TAPE,
+           "errors that stretch one distance and shorten another", _of_tape(lambda found: 100.0 * stretch(found)), 2),
+    Metric("span_worst_sigmas", "distances by tape, worst", "sigma", "lower", "relations",
+           f"Largest difference of a distance in the estimate and by tape, in standard deviations of the tape. {ENDS}.",
+           TAPE, "all but the worst distance",
+           _of_tape(lambda found: float(np.max(np.abs(found.estimated_m - found.measured_m) / found.sigma_m))), 1),
+    Metric("span_answered_percent", "distances by tape answered", "%", "higher", "relations",
+           "Distances both of whose ends the estimate has, of all that were measured.", "evalkit",
+           "whether they are right", _answered, 1),
+)  # fmt: skip

@@ -1,0 +1,40 @@
+"""Distances that somebody has measured with a tape: between places of the robot, or between walls."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """One end of a tape: a point (m) seen from the base at a time, or, without a time, a wall of the map near it.
+
+    With ``stamp_ns`` x and y are coordinates in the base's frame at that time: (0, 0) is the robot itself. Without it
+    they are coordinates in the map: the true world's frame where the truth is known, else the frame of the first pose.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    stamp_ns: int | None = None
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.x) and math.isfinite(self.y)):
+            raise ValueError(f"place: not finite: ({self.x}, {self.y})")
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A distance in metres between two places, with its standard deviation."""
+
+    name: str
+    first: Place
+    second: Place
+    metres: float
+    sigma_m: float = 0.01
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.metres) and self.metres > 0.0):
+            raise ValueError(f"metres: expected a positive number, got {self.metres}")
+        if not (math.isfinite(self.sigma_m) and self.sigma_m > 0.0):
+            raise ValueError(f"sigma_m: expected a positive number, got {self.sigma_m}")

@@ -1,0 +1,66 @@
+"""Relations made of a true trajectory, by hand on circles and lines."""
+
+import numpy as np
+import pytest
+
+from evalkit.metrics import revisits
+from evalkit.metrics.table import Evidence
+from evalkit.types import STEP, Run, Trajectory, Truth
+
+
+def trajectory(x, y, theta):
+    stamps = np.arange(len(x)) * 100_000_000
+    return Trajectory(stamps, np.stack([x, y, np.broadcast_to(theta, np.shape(x))], axis=1))
+
+
+def laps(count, radius_m=3.0, steps=400):
+    angle = np.linspace(0.0, 2.0 * np.pi * count, round(steps * count), endpoint=False)
+    return trajectory(radius_m * np.cos(angle), radius_m * np.sin(angle), angle + np.pi / 2.0)
+
+
+def scores(estimate, truth):
+    steps = np.zeros(len(estimate), STEP)
+    steps["stamp_ns"] = estimate.stamps_ns
+    steps["x"], steps["y"], steps["theta"] = estimate.poses.T
+    run = Run("b", "s", "complete", "", steps, len(steps))
+    evidence = Evidence(run, Truth("exact", truth), None, None, ())
+    return {metric.name: metric.compute(evidence) for metric in revisits.METRICS}
+
+
+def test_two_laps_of_a_circle_meet_once_at_every_place_of_the_first() -> None:
+    found = revisits.between_visits(laps(1.9), near_m=0.5)
+    assert len(found) == pytest.approx(0.9 * 2.0 * np.pi * 3.0 / 0.2, abs=4)
+    same_place = found.second_ns - found.first_ns == 40_000_000_000
+    assert same_place.mean() > 0.95  # but for the last half metre, which nears what it does not reach
+    assert np.allclose(found.first_from_second[same_place], 0.0, atol=1e-9)
+
+
+def test_each_later_pass_counts_once_and_the_near_past_not_at_all() -> None:
+    three = revisits.between_visits(laps(2.9), near_m=0.5, covered_m=10.0)
+    gaps = np.unique(np.round((three.second_ns - three.first_ns) / 4e10).astype(int), return_counts=True)
+    assert gaps[0].tolist() == [1, 2]
+    assert gaps[1].tolist() == pytest.approx([1.9 * 94.2, 0.9 * 94.2], abs=5)
+
+
+def test_a_straight_line_never_comes_back() -> None:
+    x = np.linspace(0.0, 30.0, 300)
+    found = scores(trajectory(x, 0.0 * x, 0.0), trajectory(x, 0.0 * x, 0.0))
+    assert found["revisit_mean_m"].reason == "the true path never comes back to where it was"
+
+
+def test_a_lap_that_is_drawn_a_little_aside_is_so_far_off_on_coming_back() -> None:
+    truth = laps(1.9)
+    shifted = np.array(truth.poses)
+    shifted[400:, 0] += 0.25
+    shifted[400:, 2] += np.radians(3.0)
+    found = scores(Trajectory(truth.stamps_ns, shifted), truth)
+    assert found["revisit_mean_m"].value == pytest.approx(0.25, abs=0.01)
+    assert found["revisit_mean_deg"].value == pytest.approx(3.0)
+    assert scores(truth, truth)["revisit_mean_m"].value == pytest.approx(0.0, abs=1e-9)
+
+
+def test_an_estimate_that_ends_before_it_comes_back_answers_nothing() -> None:
+    truth = laps(2)
+    found = scores(Trajectory(truth.stamps_ns[:50], truth.poses[:50]), truth)
+    assert found["revisit_mean_m"].reason.startswith("the estimate answers none of ")
+    assert scores(truth, None)["revisit_mean_m"].reason == "no true trajectory"

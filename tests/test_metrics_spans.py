@@ -1,0 +1,99 @@
+"""Distances by tape: known lengths, a map that is stretched as a whole, and walls that are looked for."""
+
+import numpy as np
+import pytest
+
+from evalkit.metrics import spans
+from evalkit.metrics.table import Evidence, Matched
+from evalkit.tape import Place, Span
+from evalkit.types import STEP, Pose, Run, Scan, Truth
+
+SECOND = 1_000_000_000
+
+
+def at(seconds, x=0.0, y=0.0):
+    return Place(x, y, round(seconds * SECOND))
+
+
+def run_of(x, scale=1.0):
+    steps = np.zeros(len(x), STEP)
+    steps["stamp_ns"] = np.arange(len(x)) * SECOND
+    steps["x"] = scale * np.asarray(x)
+    return Run("b", "s", "complete", "", steps, len(x))
+
+
+def scores(run, taped, mapped=(), matched=None):
+    evidence = Evidence(run, Truth("by tape", spans=tuple(taped)), matched, None, mapped)
+    return {metric.name: metric.compute(evidence) for metric in spans.METRICS}
+
+
+TAPES = (Span("door to door", at(0), at(4), 4.0), Span("to the end", at(1), at(9), 8.0, 0.02))
+
+
+def test_a_right_path_is_as_long_as_the_tape_says() -> None:
+    found = scores(run_of(np.arange(10.0)), TAPES)
+    assert found["span_rmse_m"].value == pytest.approx(0.0, abs=1e-12)
+    assert found["span_stretch_percent"].value == pytest.approx(0.0, abs=1e-9)
+    assert found["span_answered_percent"].value == 100.0
+
+
+def test_a_stretch_of_the_whole_map_is_seen_and_told() -> None:
+    found = scores(run_of(np.arange(10.0), 1.02), TAPES)
+    assert found["span_stretch_percent"].value == pytest.approx(2.0)
+    assert found["span_rmse_m"].value == pytest.approx(np.sqrt((0.08**2 + 0.16**2) / 2.0))
+    assert found["span_worst_sigmas"].value == pytest.approx(8.0)
+
+
+def test_the_scale_weighs_each_tape_by_its_variance() -> None:
+    found = spans.Taped(np.array([1.1, 2.0]), np.array([1.0, 2.0]), np.array([0.1, 0.2]))
+    # weights 100 and 25: (100 * 1.1 + 25 * 4) / (100 * 1 + 25 * 4) - 1
+    assert spans.stretch(found) == pytest.approx(0.05)
+
+
+def test_points_seen_from_the_robot_end_a_tape_as_well() -> None:
+    # 1 m ahead at 0 s, 0.5 m to the left at 3 s
+    tape = Span("corner to post", at(0, x=1.0), at(3, y=0.5), np.hypot(2.0, 0.5))
+    assert scores(run_of(np.arange(10.0)), [tape])["span_rmse_m"].value == pytest.approx(0.0, abs=1e-12)
+
+
+def room(width_m):
+    """A scan of two walls across x, from between them."""
+    y = np.linspace(-1.0, 1.0, 200)
+    x = np.concatenate([np.full(200, width_m - 2.0), np.full(200, -2.0)])
+    y = np.concatenate([y, y])
+    return Scan(0, np.hypot(x, y), np.arctan2(y, x), 0.0, 20.0), np.zeros(3)
+
+
+@pytest.mark.parametrize("width_m", [4.9, 5.0, 5.2])
+def test_walls_are_found_where_they_stand_not_where_they_were_looked_for(width_m) -> None:
+    tape = Span("wall to wall", Place(-2.1, 0.0), Place(3.1, 0.0), 5.0)
+    found = scores(run_of([0.0, 0.0]), [tape], (room(width_m),))
+    assert found["span_stretch_percent"].value == pytest.approx(100.0 * (width_m - 5.0) / 5.0, abs=1e-6)
+
+
+def test_a_wall_in_the_world_is_looked_for_where_the_alignment_puts_the_estimate() -> None:
+    tape = Span("robot to wall", at(0), Place(13.0, 5.0), 3.0)
+    scan, _ = room(5.0)
+    world = Pose(10.0, 5.0, 0.0)
+    matched = Matched(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)), "given", "", world)
+    found = scores(run_of([0.0, 0.0]), [tape], ((scan, world.row),), matched)
+    assert found["span_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_the_estimate_does_not_have_is_told() -> None:
+    nowhere = Span("no wall", Place(50.0, 50.0), Place(60.0, 50.0), 10.0)
+    late = Span("too late", at(2), at(100), 5.0)
+    found = scores(run_of(np.arange(10.0)), [TAPES[0], nowhere, late])
+    assert found["span_answered_percent"].value == pytest.approx(100.0 / 3.0)
+    assert found["span_rmse_m"].support == 1
+    assert scores(run_of([0.0]), [late])["span_rmse_m"].reason == "the estimate answers none of 1 measured distances"
+    assert scores(run_of([0.0]), [])["span_rmse_m"].reason == "no distance was measured with a tape"
+
+
+def test_a_tape_has_a_length_and_a_precision() -> None:
+    with pytest.raises(ValueError, match="metres"):
+        Span("none", at(0), at(1), 0.0)
+    with pytest.raises(ValueError, match="sigma_m"):
+        Span("sure", at(0), at(1), 1.0, 0.0)
+    with pytest.raises(ValueError, match="not finite"):
+        Place(float("nan"))
