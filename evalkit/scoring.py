@@ -52,7 +52,7 @@ def without_map(run: Run, sequence: Sequence) -> Evidence:
 def with_map(
     evidence: Evidence, sequence: Sequence, make_mapper: Callable[[], Mapper], scans: int, halves: bool = True
 ) -> Evidence:
-    """The same with its map; ``halves``: with the maps of its two halves too, which some consistency metrics compare."""
+    """The same with its map; ``halves``: with those of its two halves too, which some consistency metrics compare."""
     world_from_base = evidence.run.estimate.moved(_world_from_start(evidence), "world")
     mapped, successive = _placed(sequence, world_from_base, scans)
     grid, no_grid = draw(mapped, make_mapper)

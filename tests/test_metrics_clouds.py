@@ -67,7 +67,7 @@ def test_two_bundles_of_directions_have_the_entropy_of_their_widths(turn) -> Non
     width = np.radians(30.0)
     bundle = np.random.default_rng(0).uniform(0.0, width, 4000)
     both = np.concatenate([bundle, bundle + np.pi / 2.0]) + turn
-    assert clouds.spread_of_directions(both) == pytest.approx(np.log(2.0 * width), abs=0.08)  # the kernel rounds four edges
+    assert clouds.spread_of_directions(both) == pytest.approx(np.log(2.0 * width), abs=0.08)
 
 
 def test_scans_that_turn_smear_the_directions_of_their_walls() -> None:
