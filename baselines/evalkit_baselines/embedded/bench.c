@@ -135,6 +135,70 @@ static void bench_registration(size_t scans)
     free(r.source);
 }
 
+#define KEYFRAMES 10u
+#define ROUND 60u /* keyframes of a drive round the room */
+
+typedef struct {
+    ek_index built, updated;
+    ek_merge merge;
+    ek_real *drive, *cloud; /* the keyframes twice round the room; those of a submap */
+    size_t points, newest;  /* of a keyframe; how many keyframes have come */
+} submap;
+
+/* The submap of the keyframes that end before `newest`, built. */
+static void build_submap(void *context)
+{
+    submap *const s = (submap *)context;
+    const size_t from = s->newest - KEYFRAMES;
+    for (size_t k = 0; k < KEYFRAMES; k++) { /* as if each lay by itself */
+        memcpy(s->cloud + 2u * k * s->points, s->drive + 2u * (from + k) * s->points, 2u * s->points * sizeof(ek_real));
+    }
+    (void)ek_index_build(&s->built, s->cloud, KEYFRAMES * s->points);
+    s->newest = s->newest < 2u * ROUND ? s->newest + 1u : ROUND + 1u;
+}
+
+/* The same, brought up to date from the one before: the drive goes on where it began. */
+static void update_submap(void *context)
+{
+    submap *const s = (submap *)context;
+    (void)ek_merge_update(&s->merge, &s->updated, s->points, s->drive + 2u * (s->newest - 1u) * s->points, s->points);
+    s->newest = s->newest < 2u * ROUND ? s->newest + 1u : ROUND + 1u;
+}
+
+static void bench_keyframe(size_t points)
+{
+    static submap s;
+    const size_t all = KEYFRAMES * points;
+    s.points = points;
+    s.drive = (ek_real *)taken(2u * 2u * ROUND * points * sizeof(ek_real));
+    s.cloud = (ek_real *)taken(2u * all * sizeof(ek_real));
+    for (size_t k = 0; k < 2u * ROUND; k++) {
+        const double turn = 2.0 * (double)EK_PI * (double)k / ROUND;
+        const ek_pose from = {EK_R(4.2 + 2.8 * cos(turn)), EK_R(3.1 + 1.9 * sin(turn)), EK_R(turn)};
+        scan_points(from, from, s.drive + 2u * k * points, points);
+    }
+    void *memory = NULL;
+    ek_arena arena = ek_arena_over(NULL, 0u);
+    for (int pass = 0; pass < 2; pass++) {
+        (void)ek_index_lay_out(&s.built, &arena, all, 262144u);
+        (void)ek_index_lay_out(&s.updated, &arena, all, 262144u);
+        (void)ek_merge_lay_out(&s.merge, &arena, all);
+        memory = pass ? memory : taken(arena.used);
+        arena = pass ? arena : ek_arena_over(memory, arena.used);
+    }
+    s.newest = KEYFRAMES;
+    build_submap(&s);
+    (void)ek_index_build(&s.updated, s.cloud, all);
+    const double build_us = median_us(build_submap, &s, 3);
+    s.newest = KEYFRAMES + 1u;
+    const double update_us = median_us(update_submap, &s, 3);
+    printf("keyframe of %5zu in a submap of %6zu points: built %8.1f us, updated %8.1f us\n", points, all, build_us,
+           update_us);
+    free(memory);
+    free(s.drive);
+    free(s.cloud);
+}
+
 typedef struct {
     ek_grid grid;
     ek_real *points;
@@ -236,6 +300,9 @@ int main(void)
 {
     bench_registration(5u);
     bench_registration(50u);
+    bench_keyframe(500u);
+    bench_keyframe(1600u);
+    bench_keyframe(5000u);
     bench_map("of the room", 0.0);
     bench_map("of 12 m all round", 12.0);
     bench_pipeline(1e-4);

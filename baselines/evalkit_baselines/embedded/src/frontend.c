@@ -65,8 +65,10 @@ ek_status ek_frontend_lay_out(ek_frontend *frontend, ek_arena *arena, const ek_f
     if (status == EK_OK) {
         status = ek_index_lay_out(&frontend->submap, arena, all, parameters->cells ? parameters->cells : cells_for(all));
     }
-    frontend->keyframe_points = (ek_real *)ek_arena_take(arena, 2u * all, sizeof(ek_real));
-    frontend->cloud = (ek_real *)ek_arena_take(arena, 2u * all, sizeof(ek_real));
+    if (status == EK_OK) {
+        status = ek_merge_lay_out(&frontend->merge, arena, all);
+    }
+    frontend->keyframe = (ek_real *)ek_arena_take(arena, 2u * points, sizeof(ek_real));
     frontend->keyframe_counts = (size_t *)ek_arena_take(arena, parameters->keyframes, sizeof(size_t));
     return status;
 }
@@ -110,32 +112,21 @@ static ek_status within_reach(const ek_real *xy, size_t count, ek_pose pose, int
     return EK_OK;
 }
 
-/* Adds a scan to the ring of keyframes and builds the submap again, oldest keyframe first. */
+/* Adds a scan to the submap as its newest keyframe; the oldest leaves if there are as many as there may be. */
 static ek_status add_keyframe(ek_frontend *frontend, const ek_real *xy, size_t count, ek_pose start_from_base)
 {
-    const uint32_t keyframes = frontend->parameters.keyframes;
-    const size_t stride = 2u * frontend->parameters.points;
+    const uint32_t keyframes = frontend->parameters.keyframes, full = frontend->held == keyframes;
     const ek_real c = EK_COS(start_from_base.theta), s = EK_SIN(start_from_base.theta);
-    const uint32_t slot = (frontend->first + frontend->held) % keyframes;
-    ek_real *const into = frontend->keyframe_points + slot * stride;
+    ek_real *const into = frontend->keyframe;
     for (size_t i = 0; i < count; i++) {
         into[2u * i] = c * xy[2u * i] - s * xy[2u * i + 1u] + start_from_base.x;
         into[2u * i + 1u] = s * xy[2u * i] + c * xy[2u * i + 1u] + start_from_base.y;
     }
-    frontend->keyframe_counts[slot] = count;
-    if (frontend->held < keyframes) {
-        frontend->held++;
-    } else {
-        frontend->first = (frontend->first + 1u) % keyframes;
-    }
-    size_t total = 0u;
-    for (uint32_t k = 0; k < frontend->held; k++) {
-        const uint32_t from = (frontend->first + k) % keyframes;
-        const size_t size = frontend->keyframe_counts[from];
-        memcpy(frontend->cloud + 2u * total, frontend->keyframe_points + from * stride, 2u * size * sizeof(ek_real));
-        total += size;
-    }
-    return ek_index_build(&frontend->submap, frontend->cloud, total);
+    const size_t removed = full ? frontend->keyframe_counts[frontend->first] : 0u;
+    frontend->keyframe_counts[(frontend->first + frontend->held) % keyframes] = count;
+    frontend->first = (frontend->first + full) % keyframes;
+    frontend->held += 1u - full;
+    return ek_merge_update(&frontend->merge, &frontend->submap, removed, into, count);
 }
 
 /* One stage: its answer if it stands on enough pairs, else the guess; no points stand on none. */

@@ -117,13 +117,13 @@ static uint32_t refresh(ek_icp *icp, const ek_index *target, size_t count, ek_re
     uint32_t asked = 0u;
     for (uint32_t i = 0; i < count; i++) {
         icp->stale[asked] = i;
-        asked += icp->slack[i] > target->margin ? 0u : 1u;
+        asked += icp->slack[i] > target->frame.margin ? 0u : 1u;
     }
     for (uint32_t k = 0; k < asked; k++) {
         const uint32_t i = icp->stale[k];
         const ek_real x = icp->mx[i], y = icp->my[i];
-        const ek_real known = icp->distance[i] + BEYOND * target->cell;
-        const ek_real radius = icp->distance[i] < limit ? known : FIRST_LOOK * target->cell;
+        const ek_real known = icp->distance[i] + BEYOND * target->frame.cell;
+        const ek_real radius = icp->distance[i] < limit ? known : FIRST_LOOK * target->frame.cell;
         const ek_neighbour answer = ek_index_nearest(target, x, y, limit, radius);
         const int found = answer.slot != EK_NONE;
         icp->nearest[i] = found ? answer.slot : (uint32_t)icp->targets;

@@ -3,9 +3,9 @@
 #include <string.h>
 
 #define MOST ((size_t)1 << 30)
-#define MOST_ACROSS EK_R(1048576) /* cells: a float still tells them apart */
 #define DENSITY EK_R(3.0) /* points per occupied cell to aim at */
-#define LEAST_CELL EK_R(1e-3) /* m */
+#define SPARSE (EK_R(0.6) * DENSITY)
+#define DENSE (EK_R(1.7) * DENSITY)
 
 ek_status ek_index_lay_out(ek_index *index, ek_arena *arena, size_t capacity, size_t cells)
 {
@@ -18,82 +18,36 @@ ek_status ek_index_lay_out(ek_index *index, ek_arena *arena, size_t capacity, si
     memset(index, 0, sizeof *index);
     index->capacity = capacity;
     index->cell_capacity = cells;
-    index->xy = (ek_real *)ek_arena_take(arena, 2u * capacity, sizeof(ek_real));
-    index->id = (uint32_t *)ek_arena_take(arena, capacity, sizeof(uint32_t));
-    index->start = (uint32_t *)ek_arena_take(arena, cells + 2u, sizeof(uint32_t));
-    index->scratch = (uint32_t *)ek_arena_take(arena, capacity, sizeof(uint32_t));
+    index->xy = (ek_real *)ek_arena_take(arena, 2u * EK_INDEX_SLOTS(capacity), sizeof(ek_real));
+    index->id = (uint32_t *)ek_arena_take(arena, EK_INDEX_SLOTS(capacity), sizeof(uint32_t));
+    index->start = (uint32_t *)ek_arena_take(arena, cells + 2u + EK_INDEX_BLOCK, sizeof(uint32_t));
+    index->scratch = (uint32_t *)ek_arena_take(arena, EK_INDEX_SLOTS(capacity), sizeof(uint32_t));
     if (arena->memory && ek_arena_check(arena) == EK_OK) {
-        memset(index->start, 0, (cells + 2u) * sizeof(uint32_t));
+        memset(index->start, 0, (cells + 2u + EK_INDEX_BLOCK) * sizeof(uint32_t));
     }
     return EK_OK;
 }
 
-/* The corner and size (m) of the box around a cloud. */
-static ek_status bound(ek_index *index, const ek_real *xy, size_t count, ek_real *width, ek_real *height)
+/* Counts the points of each cell, one entry late, and the cells that hold any. */
+static void tally(ek_index *index, const ek_real *xy, size_t count)
 {
-    ek_real left = EK_LARGEST, right = -EK_LARGEST, bottom = EK_LARGEST, top = -EK_LARGEST;
-    for (size_t i = 0; i < count; i++) {
-        const ek_real x = xy[2u * i], y = xy[2u * i + 1u];
-        if (!(EK_FABS(x) <= EK_LARGEST && EK_FABS(y) <= EK_LARGEST)) {
-            return isfinite(x) && isfinite(y) ? EK_OUT_OF_RANGE : EK_NOT_FINITE;
-        }
-        left = x < left ? x : left;
-        right = x > right ? x : right;
-        bottom = y < bottom ? y : bottom;
-        top = y > top ? y : top;
-    }
-    const ek_real far_x = EK_FABS(left) > EK_FABS(right) ? EK_FABS(left) : EK_FABS(right);
-    const ek_real far_y = EK_FABS(bottom) > EK_FABS(top) ? EK_FABS(bottom) : EK_FABS(top);
-    index->left = left;
-    index->bottom = bottom;
-    index->margin = EK_R(16.0) * EK_EPSILON * (EK_R(1.0) + far_x + far_y);
-    *width = right - left;
-    *height = top - bottom;
-    return EK_OK;
-}
-
-/* Chooses the cells of a given width, or the next wider ones that fit the capacity. */
-static void divide(ek_index *index, ek_real cell, ek_real width, ek_real height)
-{
-    const ek_real most = (ek_real)index->cell_capacity;
-    for (;;) {
-        const ek_real columns = EK_FLOOR(width / cell) + EK_R(1.0), rows = EK_FLOOR(height / cell) + EK_R(1.0);
-        if (columns <= MOST_ACROSS && rows <= MOST_ACROSS && columns * rows <= most) {
-            index->columns = (uint32_t)columns;
-            index->rows = (uint32_t)rows;
-            index->cell = cell;
-            index->per_cell = EK_R(1.0) / cell;
-            return;
-        }
-        cell *= EK_R(1.1);
-    }
-}
-
-/* Counts the points of each cell, one entry late, and says how many cells hold any. */
-static size_t tally(ek_index *index, const ek_real *xy, size_t count)
-{
-    const ek_real left = index->left, bottom = index->bottom, per_cell = index->per_cell;
-    const uint32_t last_column = index->columns - 1u, last_row = index->rows - 1u, columns = index->columns;
+    const ek_frame frame = index->frame;
     uint32_t *const EK_RESTRICT counts = index->start + 2;
+    uint32_t *const EK_RESTRICT cells = index->scratch;
     size_t occupied = 0u;
-    memset(index->start, 0, ((size_t)index->rows * columns + 2u) * sizeof(uint32_t));
+    memset(index->start, 0, ((size_t)frame.rows * frame.columns + 2u) * sizeof(uint32_t));
     for (size_t i = 0; i < count; i++) {
-        /* bound() has shown all coordinates finite and inside the box: the casts are safe */
-        uint32_t column = (uint32_t)(int32_t)((xy[2u * i] - left) * per_cell);
-        uint32_t row = (uint32_t)(int32_t)((xy[2u * i + 1u] - bottom) * per_cell);
-        column = column > last_column ? last_column : column;
-        row = row > last_row ? last_row : row;
-        const uint32_t cell = row * columns + column;
-        index->scratch[i] = cell;
+        const uint32_t cell = ek_frame_cell(&frame, xy + 2u * i);
+        cells[i] = cell;
         occupied += counts[cell]++ == 0u;
     }
-    return occupied;
+    index->occupied = occupied;
 }
 
 /* Sorts the points by cell; within a cell they keep their order. */
 static void scatter(ek_index *index, const ek_real *xy, size_t count)
 {
-    const size_t cells = (size_t)index->rows * index->columns;
+    const size_t cells = (size_t)index->frame.rows * index->frame.columns;
     uint32_t *const EK_RESTRICT next = index->start + 1;
     for (size_t cell = 1; cell <= cells; cell++) {
         index->start[cell] += index->start[cell - 1u];
@@ -106,9 +60,22 @@ static void scatter(ek_index *index, const ek_real *xy, size_t count)
     }
 }
 
+/* Points per occupied cell. */
+static ek_real density(const ek_index *index, size_t count)
+{
+    return (ek_real)count / (ek_real)index->occupied;
+}
+
+/* Whether cells hold about as many points as they should, or more because there can be no finer ones. */
+static int filled(const ek_index *index, size_t count)
+{
+    const ek_real points = density(index, count);
+    return points >= SPARSE && (points <= DENSE || index->frame.finest);
+}
+
 ek_status ek_index_build(ek_index *index, const ek_real *xy, size_t count)
 {
-    ek_real width, height;
+    ek_span span;
     if (!index || (!xy && count)) {
         return EK_NULL_POINTER;
     }
@@ -116,29 +83,48 @@ ek_status ek_index_build(ek_index *index, const ek_real *xy, size_t count)
     if (count == 0u || count > index->capacity) {
         return count == 0u ? EK_OK : EK_TOO_MANY_POINTS;
     }
-    const ek_status status = bound(index, xy, count, &width, &height);
+    const ek_status status = ek_span_of(xy, count, &span);
     if (status != EK_OK) {
         return status;
     }
-    /* the last cloud's cell is a good first guess; without one: points along the outline of the box */
-    ek_real cell = index->cell > EK_R(0.0) ? index->cell : DENSITY * (width + height) / (ek_real)count;
+    /* the last cloud's cells are a good first guess; without: points along the outline of the box */
+    const ek_real width = span.right - span.left, height = span.top - span.bottom;
+    ek_real cell = index->frame.cell > EK_R(0.0) ? index->frame.cell : DENSITY * (width + height) / (ek_real)count;
     for (int attempt = 0; attempt < 4; attempt++) {
-        cell = cell > LEAST_CELL ? cell : LEAST_CELL;
-        divide(index, cell, width, height);
-        const ek_real density = (ek_real)count / (ek_real)tally(index, xy, count);
-        const int sparse = density < EK_R(0.6) * DENSITY, dense = density > EK_R(1.7) * DENSITY;
-        if (!sparse && !dense) {
-            break;
+        if (attempt || !ek_frame_suits(&index->frame, &span)) {
+            index->frame = ek_frame_over(&span, cell, index->cell_capacity);
         }
-        const ek_real wanted = index->cell * EK_SQRT(DENSITY / density);
-        if ((dense && index->cell > cell) || attempt == 3 || (sparse && wanted > width && wanted > height)) {
-            break; /* no room for finer cells, nothing to gain from wider ones, or no end */
+        tally(index, xy, count);
+        cell = index->frame.cell * EK_SQRT(DENSITY / density(index, count));
+        if (filled(index, count) || (cell > width && cell > height)) {
+            break; /* cells wider than the cloud gain nothing */
         }
-        cell = wanted;
     }
     scatter(index, xy, count);
     index->count = count;
     return EK_OK;
+}
+
+/* Whether the frame suits the points held, told by their cells: what ek_frame_suits tells by their coordinates. */
+static int suits(const ek_index *index)
+{
+    const uint32_t columns = index->frame.columns, rows = index->frame.rows;
+    const uint32_t across = ek_frame_spare(columns), up = ek_frame_spare(rows), *const start = index->start;
+    if (start[(size_t)up * columns] == 0u || start[(size_t)(rows - up) * columns] == index->count) {
+        return 0;
+    }
+    int left = 0, right = 0;
+    for (uint32_t row = 0; row < rows && !(left && right); row++) {
+        const uint32_t *const line = start + (size_t)row * columns;
+        left |= line[across] > line[0];
+        right |= line[columns] > line[columns - across];
+    }
+    return left && right;
+}
+
+int ek_index_settled(const ek_index *index)
+{
+    return filled(index, index->count) && suits(index);
 }
 
 /* Squared distances (m^2) of the best and the second best candidate so far. */
@@ -170,7 +156,7 @@ static uint32_t lowest(const ek_index *index, int32_t box[4], ek_real x, ek_real
 {
     uint32_t slot = EK_NONE;
     for (int32_t row = box[2]; row <= box[3]; row++) {
-        const uint32_t base = (uint32_t)row * index->columns;
+        const uint32_t base = (uint32_t)row * index->frame.columns;
         const uint32_t to = index->start[base + (uint32_t)box[1] + 1u];
         for (uint32_t k = index->start[base + (uint32_t)box[0]]; k < to; k++) {
             const ek_real dx = index->xy[2u * k] - x, dy = index->xy[2u * k + 1u] - y;
@@ -194,17 +180,18 @@ static inline int32_t cell_of(ek_real place, int32_t last)
 static inline ek_real search(const ek_index *index, ek_real x, ek_real y, ek_real radius, ek_real margin,
                              int32_t box[4], candidates *found)
 {
-    const ek_real column = (x - index->left) * index->per_cell, row = (y - index->bottom) * index->per_cell;
-    const ek_real reach = radius * index->per_cell;
-    const int32_t last_column = (int32_t)index->columns - 1, last_row = (int32_t)index->rows - 1;
+    const ek_frame *const frame = &index->frame;
+    const ek_real column = (x - frame->left) * frame->per_cell, row = (y - frame->bottom) * frame->per_cell;
+    const ek_real reach = radius * frame->per_cell;
+    const int32_t last_column = (int32_t)frame->columns - 1, last_row = (int32_t)frame->rows - 1;
     box[0] = cell_of(column - reach, last_column);
     box[1] = cell_of(column + reach, last_column);
     box[2] = cell_of(row - reach, last_row);
     box[3] = cell_of(row + reach, last_row);
     found->best = found->second = EK_FAR * EK_FAR;
     found->slot = EK_NONE;
-    const uint32_t *start = index->start + (size_t)box[2] * index->columns;
-    for (int32_t line = box[2]; line <= box[3]; line++, start += index->columns) {
+    const uint32_t *start = index->start + (size_t)box[2] * frame->columns;
+    for (int32_t line = box[2]; line <= box[3]; line++, start += frame->columns) {
         look(index, start[box[0]], start[box[1] + 1], x, y, found);
     }
     const int all = box[0] == 0 && box[2] == 0 && box[1] == last_column && box[3] == last_row;
@@ -220,7 +207,7 @@ ek_neighbour ek_index_nearest(const ek_index *index, ek_real x, ek_real y, ek_re
     candidates found;
     int32_t box[4];
     /* far from the points rounding does more than among them; without this the search would not end there */
-    const ek_real margin = index->margin + EK_R(16.0) * EK_EPSILON * (EK_FABS(x) + EK_FABS(y));
+    const ek_real margin = index->frame.margin + EK_R(16.0) * EK_EPSILON * (EK_FABS(x) + EK_FABS(y));
     ek_real border = search(index, x, y, radius, margin, box, &found), best = EK_SQRT(found.best);
     while (border <= best && border < limit) {
         const ek_real needed = (best < limit ? best : limit) + EK_R(4.0) * margin;

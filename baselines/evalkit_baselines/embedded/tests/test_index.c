@@ -38,7 +38,7 @@ static void answers_are_those_of_a_search_of_all(size_t count, double limit, uin
             CHECK(reference.id[found.slot] == at);
             CHECK_NEAR(found.distance, nearest, 0.0);
         }
-        CHECK((double)found.others <= (found.slot != EK_NONE ? second : nearest) + (double)reference.margin);
+        CHECK((double)found.others <= (found.slot != EK_NONE ? second : nearest) + (double)reference.frame.margin);
     }
 }
 

@@ -7,6 +7,7 @@
 #define EK_FRONTEND_H
 
 #include "ek/icp.h"
+#include "ek/merge.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -45,9 +46,9 @@ typedef struct {
     ek_frontend_parameters parameters;
     ek_icp icp;
     ek_index last, submap;
-    ek_real *keyframe_points; /* keyframes x points pairs x y, in the start frame */
-    ek_real *cloud;           /* the same, gathered oldest first */
-    size_t *keyframe_counts;
+    ek_merge merge;           /* of the submap */
+    ek_real *keyframe;        /* points of the newest, pairs x y in the start frame */
+    size_t *keyframe_counts;  /* points of each in the submap */
     uint32_t first, held;     /* ring of keyframes: the oldest, and how many */
     int32_t started, has_last_odometry;
     ek_pose start_from_base, start_from_keyframe, odom_from_base, step;
