@@ -22,6 +22,7 @@ from evalkit.commands.check import check
 from evalkit.commands.determinism import determinism
 from evalkit.commands.diff import diff
 from evalkit.commands.equiv import equiv
+from evalkit.commands.export import export
 from evalkit.commands.options import FAILED, Collect, Jobs, Json, Making, Out, Rerun, Resume, err, out
 from evalkit.commands.realtime import realtime
 from evalkit.commands.study import study
@@ -166,7 +167,7 @@ def compare(
     _report(plan, folder, Making.of(jobs, resume, rerun, collect), as_json)
 
 
-COMMANDS: tuple[Callable[..., None], ...] = (check, equiv, realtime, basin, determinism, diff, validate, study)
+COMMANDS: tuple[Callable[..., None], ...] = (check, equiv, realtime, basin, determinism, diff, validate, study, export)
 """The commands with a module of their own, in the order of the help."""
 
 for _command in COMMANDS:

@@ -44,6 +44,13 @@ class Store:
             probe.write_text("", encoding="utf-8")
             probe.unlink(missing_ok=True)
 
+    @classmethod
+    def existing(cls, folder: Path) -> Store:
+        """A folder that is only read: nothing is made in it, so it may be an archive."""
+        store = cls.__new__(cls)
+        store.folder = folder
+        return store
+
     @contextmanager
     def writer(self) -> Iterator[None]:
         """While it lasts nobody else makes runs in this folder; StoreError where somebody does already."""

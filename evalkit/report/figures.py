@@ -6,7 +6,8 @@ import io
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, Literal
 
 import matplotlib as mpl
 import numpy as np
@@ -42,6 +43,7 @@ STYLE: Any = {
     "legend.fontsize": 9.0,
     "text.parse_math": False,  # labels are names, not formulae
     "svg.fonttype": "path",
+    "pdf.fonttype": 42,  # TrueType as journals ask for
     "svg.hashsalt": "evalkit",  # the same report twice is the same bytes
     "path.simplify_threshold": 0.5,
 }
@@ -54,10 +56,11 @@ Strokes = Mapping[str, Stroke]
 
 @dataclass(frozen=True, slots=True)
 class Drawing:
-    """An SVG file and what its caption must admit ("" if nothing)."""
+    """An SVG file and what its caption must admit ("" if nothing). ``pdf()``: the same drawn again for a paper."""
 
     svg: bytes
     admits: str = ""
+    pdf: Callable[[], bytes] = bytes
 
 
 def trajectories(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
@@ -77,7 +80,7 @@ def trajectories(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
         axes.set_aspect("equal", adjustable="box")
 
-    return Drawing(_svg(draw), f"{', '.join(outside)} leaves the frame." if outside else "")
+    return _drawing(draw, f"{', '.join(outside)} leaves the frame." if outside else "")
 
 
 def errors(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
@@ -101,7 +104,7 @@ def errors(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
         else:
             axes.set_ylim(bottom=0.0)
 
-    return Drawing(_svg(draw), "Logarithmic axis." if wide else "")
+    return _drawing(draw, "Logarithmic axis." if wide else "")
 
 
 def runtimes(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
@@ -131,7 +134,7 @@ def runtimes(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
         _plain_log(axes, "x")
         axes.set_xlabel("CPU time per scan [ms]")
 
-    return Drawing(_svg(draw, legend=False))
+    return _drawing(draw, legend=False)
 
 
 def residuals(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
@@ -155,7 +158,7 @@ def residuals(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
             axes.set_ylabel(title)
         panels[-1].set_xlabel("time [s]")
 
-    return Drawing(_svg(draw, panels=len(told)))
+    return _drawing(draw, panels=len(told))
 
 
 def world_path(trial: Trial) -> Floats:
@@ -166,7 +169,12 @@ def world_path(trial: Trial) -> Floats:
     return se2.compose(trial.world_from_start.row, poses)[:, :2]
 
 
-def _svg(draw: Callable[..., None], panels: int = 1, legend: bool = True) -> bytes:
+def _drawing(draw: Callable[..., None], admits: str = "", panels: int = 1, legend: bool = True) -> Drawing:
+    return Drawing(_file(draw, panels, legend), admits, partial(_file, draw, panels, legend, "pdf"))
+
+
+def _file(draw: Callable[..., None], panels: int, legend: bool, form: Literal["svg", "pdf"] = "svg") -> bytes:
+    undated = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None, "Creator": None, "Producer": None}}
     with mpl.rc_context(STYLE):
         figure = Figure(figsize=SIZE, layout="constrained")
         axes = list(figure.subplots(panels, 1, sharex=True, squeeze=False)[:, 0])
@@ -174,7 +182,7 @@ def _svg(draw: Callable[..., None], panels: int = 1, legend: bool = True) -> byt
         if legend:
             _legend(figure, axes)
         out = io.BytesIO()
-        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+        figure.savefig(out, format=form, metadata=undated[form])
     return out.getvalue()
 
 

@@ -1,0 +1,118 @@
+"""``evalkit export``: a finished comparison in the formats of other programs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from evalkit.commands import options
+from evalkit.commands.options import Json, err, out
+from evalkit.errors import NotInstalled, StoreError, UnknownName
+from evalkit.store import REMEDY, Store
+
+if TYPE_CHECKING:
+    from evalkit.report.export.results import Results
+
+FORMATS = ("latex", "markdown", "pdf", "svg", "tum", "kitti", "g2o", "map", "mcap", "rerun")
+WITH_SCANS = {"pdf", "svg", "tum", "kitti", "mcap", "rerun"}
+"""Formats that show the truth or the scans: for these the sequences are made again."""
+
+
+def export(
+    results: Annotated[Path, typer.Argument(help="A results folder.", show_default=False)],
+    forms: Annotated[
+        list[str], typer.Option("--format", "-f", help=f"all, {', '.join(FORMATS)} (repeatable).", show_default=False)
+    ],
+    folder: Annotated[Path, typer.Option("--out", "-o", help="Where to write.")] = Path("export"),
+    sequence: Annotated[list[str] | None, typer.Option(help="Only this sequence (repeatable).")] = None,
+    contestant: Annotated[list[str] | None, typer.Option(help="Only this contestant (repeatable).")] = None,
+    metric: Annotated[
+        list[str] | None, typer.Option(help="A column of the tables (repeatable).", show_default="the headline ones")
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """Write a finished comparison for papers (LaTeX, PDF), other evaluators (TUM, KITTI, g2o), ROS, rerun."""
+    from evalkit.report.export import results as finished  # noqa: PLC0415 - only who exports pays for it
+
+    wanted = _wanted(forms)
+    scans = bool(WITH_SCANS & set(wanted))
+    found = finished.read(results, sequence or [], contestant or [], metric or [], scans)
+    for remark in found.remarks:
+        err.print(remark, markup=False, highlight=False)
+    written = [path for form in wanted for path in _written(form, found, folder, "all" in forms)]
+    if as_json:
+        options.print_json({"written": [str(path) for path in written], "remarks": list(found.remarks)})
+    else:
+        out.print(f"{len(written)} files in {folder.resolve()}", markup=False, highlight=False)
+
+
+def _wanted(forms: list[str]) -> list[str]:
+    for form in forms:
+        if form not in (*FORMATS, "all"):
+            raise UnknownName("format", form, (*FORMATS, "all"))
+    return list(FORMATS) if "all" in forms else list(dict.fromkeys(forms))
+
+
+def _written(form: str, found: Results, folder: Path, everything: bool) -> list[Path]:
+    try:
+        return list(_writers()[form](found, folder / form))
+    except NotInstalled as error:
+        if not everything:
+            raise
+        err.print(f"{form} left out: {error}", markup=False, highlight=False)
+        return []
+    except OSError as error:
+        raise StoreError(str(folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
+
+
+def _writers() -> dict[str, Callable[[Results, Path], Iterator[Path]]]:
+    from evalkit.report.export import papers, poses  # noqa: PLC0415 - loads matplotlib
+
+    return {
+        "latex": lambda found, folder: _files(papers.latex(found), folder),
+        "markdown": lambda found, folder: _files(papers.markdown(found), folder),
+        "pdf": lambda found, folder: _files(papers.drawings(found, "pdf"), folder),
+        "svg": lambda found, folder: _files(papers.drawings(found, "svg"), folder),
+        "tum": lambda found, folder: _files(poses.as_tum(found), folder),
+        "kitti": lambda found, folder: _files(poses.as_kitti(found), folder),
+        "g2o": lambda found, folder: _files(poses.as_g2o(found), folder),
+        "map": _maps,
+        "mcap": _bags,
+        "rerun": _recordings,
+    }
+
+
+def _files(files: Iterator[tuple[str, bytes]], folder: Path) -> Iterator[Path]:
+    for name, content in files:
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+        yield folder / name
+
+
+def _maps(found: Results, folder: Path) -> Iterator[Path]:
+    for trial in found.trials:
+        if trial.grid is not None:
+            Store.existing(folder).write_map(folder / trial.key, trial.grid)
+            yield from (folder / f"{trial.key}.yaml", folder / f"{trial.key}.pgm")
+
+
+def _bags(found: Results, folder: Path) -> Iterator[Path]:
+    from evalkit.report.export import rosfile  # noqa: PLC0415 - only who exports bags pays for it
+
+    for trial in found.trials:
+        recording = found.recordings.get((trial.sequence, trial.seed))
+        if recording is not None:
+            yield rosfile.write(folder, trial, recording)
+
+
+def _recordings(found: Results, folder: Path) -> Iterator[Path]:
+    from evalkit.report.export import poses, rerunfile  # noqa: PLC0415 - rerun is big
+
+    rerunfile.installed()
+    for place in dict.fromkeys((trial.sequence, trial.seed) for trial in found.trials):
+        own = [trial for trial in found.trials if (trial.sequence, trial.seed) == place]
+        path = folder / f"{poses.run_name(*place)}.rrd"
+        yield rerunfile.write(path, own, found.recordings.get(place), found.strokes)
