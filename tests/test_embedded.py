@@ -196,6 +196,21 @@ def test_the_map_is_the_twins_cell_by_cell(clear):
 
 
 @needs_core
+@pytest.mark.parametrize("clear", [False, True])
+def test_the_map_grows_with_the_twins_wherever_the_robot_creeps_over_its_edge(clear):
+    ours, theirs = made(embedded.MAPPER, clear_no_returns=clear), LogOddsGrid(clear_no_returns=clear)
+    angles = np.arange(36) * 0.1737
+    for step in range(60):
+        ranges = np.where(np.arange(36) % 9 == step % 9, np.inf, 0.71 + 0.013 * step + 0.2 * np.cos(5.0 * angles))
+        scan = Scan(step, ranges, angles, 0.1, 2.0)
+        pose = Pose(11.0317 - 0.37 * step, 9.0131 + 0.11 * step, 0.0377 * step)
+        ours.update(scan, pose)
+        theirs.update(scan, pose)
+        assert np.array_equal(ours.grid().observed, theirs.grid().observed)
+    assert np.abs(ours.grid().log_odds - theirs.grid().log_odds).max() < 1e-5
+
+
+@needs_core
 def test_a_map_of_nothing_is_empty_and_one_that_runs_away_says_so():
     mapper = made(embedded.MAPPER)
     assert mapper.grid().shape == (0, 0)

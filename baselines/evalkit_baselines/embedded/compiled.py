@@ -41,6 +41,8 @@ def core(precision: Precision) -> ModuleType:
 
 def real(values: Floats, module: ModuleType) -> Reals:
     """The same numbers in the core's precision, as it reads them; no copy where they are so already."""
+    if values.dtype == module.REAL and values.flags.c_contiguous:
+        return values
     with np.errstate(over="ignore"):  # too large for a float: the core refuses infinity
         return np.ascontiguousarray(values, dtype=module.REAL)
 

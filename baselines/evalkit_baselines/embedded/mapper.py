@@ -44,6 +44,7 @@ class CompiledGrid:
         self._log_odds = log_odds
         self._grid: Any = None
         self._low, self._high = np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.int64)  # cells: from, to behind
+        self._edges = (0, 0, 0, 0)  # the same: left, bottom, right, top
         self._range_max_m = 0.0
 
     def update(self, scan: Scan, world_from_sensor: Pose) -> None:
@@ -51,7 +52,8 @@ class CompiledGrid:
         hits = scan.points()
         misses = self._misses(scan) if self._clear_no_returns else NO_POINTS
         if len(hits) or len(misses):
-            self._make_room(np.concatenate([hits, misses, np.zeros((1, 2))]), world_from_sensor, scan.range_max_m)
+            if not self._has_room(scan, world_from_sensor):
+                self._make_room(np.concatenate([hits, misses, np.zeros((1, 2))]), world_from_sensor, scan.range_max_m)
             self._grid.add(
                 (world_from_sensor.x, world_from_sensor.y, world_from_sensor.theta),
                 real(hits, self._core),
@@ -71,6 +73,21 @@ class CompiledGrid:
     def _misses(self, scan: Scan) -> Floats:
         angles = scan.angles[scan.no_returns]
         return scan.range_max_m * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+
+    def _has_room(self, scan: Scan, world_from_sensor: Pose) -> bool:
+        """Whether the map reaches as far around the sensor as the longest beam, told without looking at every end."""
+        if self._grid is None or scan.range_max_m > self._range_max_m:
+            return False
+        if self._reaches(world_from_sensor, scan.range_max_m):
+            return True
+        hits_m = float(np.max(scan.ranges, where=scan.hits, initial=0.0))
+        return not self._clear_no_returns and self._reaches(world_from_sensor, hits_m)
+
+    def _reaches(self, world_from_sensor: Pose, range_m: float) -> bool:
+        x, y = world_from_sensor.x / self._resolution_m, world_from_sensor.y / self._resolution_m
+        left, bottom, right, top = self._edges
+        cells = range_m / self._resolution_m + 1.0  # one for rounding
+        return left <= x - cells and x + cells <= right and bottom <= y - cells and y + cells <= top
 
     def _make_room(self, points: Floats, world_from_sensor: Pose, range_max_m: float) -> None:
         """Grows the map where the scan leaves it, and the longest beam where the scan's is longer."""
@@ -92,6 +109,7 @@ class CompiledGrid:
             raise self._too_large(f"beams of {range_max_m:.0f} m")
         self._place((*low.tolist(), columns, rows), range_max_m)
         self._low, self._high, self._range_max_m = low, high, range_max_m
+        self._edges = (*low.tolist(), *high.tolist())
 
     def _place(self, place: tuple[int, int, int, int], range_max_m: float) -> None:
         if self._grid is None:
