@@ -297,6 +297,7 @@ def test_the_turtlebots_lidar_is_turned_and_its_two_bases_are_told():
     assert "(6.54, -8.86)" in said(found)
 
 
+@pytest.mark.slow
 def test_pseudo_odometry_is_refused():
     found = examine(recorded("fr079", "fr079-fullrate.clf.gz"))
     advice = prescribe(found)
@@ -305,6 +306,8 @@ def test_pseudo_odometry_is_refused():
     assert advice.parameters["odometry"] == "none"
     assert advice.parameters["relations"].endswith("fr079.relations")
     assert (advice.scans, advice.catalogued) == (4791, "fr079")
+    assert any("x -0.040 m" in reason for reason in advice.reasons)
+    assert "360 beams are taken to begin at -90 deg" in said(found)
     assert document(found, advice).title == "fr079-fullrate.clf.gz"
 
 

@@ -224,6 +224,22 @@ def test_a_bag_is_the_recording_again_for_evalkits_own_reader(finished):
         assert frame.odom_from_base.row == pytest.approx(made.odom_from_base.row)
 
 
+def test_the_doctor_finds_in_a_bag_what_was_put_there(finished):
+    from evalkit_datasets.doctor.examination import examine
+    from evalkit_datasets.doctor.prescription import prescribe
+
+    found = examine(exported(finished, "mcap", "--contestant", "wheel")[0])
+    (lidar,), (seat,), (driven,) = found.lidars, found.frames.mountings, found.drivings
+    assert (lidar.timing.count, lidar.beams, lidar.returns.nan) == (N, 61, pytest.approx(1 / 61))
+    assert lidar.timing.rate_hz == pytest.approx(10.0)
+    assert lidar.sweep_s == pytest.approx(0.06)
+    assert (seat.base, seat.x_m, seat.theta_deg) == ("base_link", pytest.approx(0.1), pytest.approx(90.0))
+    assert driven.path_m == pytest.approx(29 * 4.0 * np.sin(0.025))
+    assert driven.twist.constant
+    advice = prescribe(found)
+    assert (advice.parameters["topic"], advice.scans, advice.problem) == ("/scan", N, "")
+
+
 def test_an_mcap_file_read_by_the_mcap_library_holds_the_answer_the_truth_and_the_map(finished):
     reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
     typesys = pytest.importorskip("rosbags.typesys")

@@ -84,6 +84,12 @@ def _of_file(streams: Streams, inside: str) -> Iterator[Finding]:
     for remark in streams.remarks:
         if "derived" in remark.lower() or "pseudo" in remark.lower():
             yield Finding("warning", "file", f"it says of itself: {remark}")
+    if any(topic.name == "FLASER" for topic in streams.topics) and streams.lasers:
+        beams = len(streams.lasers[0].angles)
+        what = f"FLASER lines do not tell their angles: {beams} beams are taken to begin at -90 deg"
+        yield Finding("note", "lidar", what, "half a beam more or less turns every scan alike: start_deg, step_deg")
+    if any(topic.name == "RLASER" for topic in streams.topics):
+        yield Finding("note", "lidar", "it holds a rear laser, too (RLASER), which is not read")
     if 0 < streams.digits <= 6:
         what = f"stamps are written with {streams.digits} significant digits: times are coarse"
         yield Finding("warning", "file", what, "judge nothing by its times; take the original log where there is one")

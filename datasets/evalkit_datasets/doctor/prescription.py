@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,6 +11,7 @@ from pathlib import Path
 
 from evalkit.errors import BadData, DataMissing, EvalkitError
 from evalkit.protocols import Value
+from evalkit.types import Pose
 from evalkit_datasets import catalog, recorded
 from evalkit_datasets.carmen import Carmen
 from evalkit_datasets.doctor.examination import Examination, worth
@@ -52,13 +54,16 @@ def prescribe(found: Examination) -> Prescription | None:
         parameters |= own
         reasons += why
     reader = "carmen" if is_log else "rosbag"
-    scans, truth, notes, problem = _tried(reader, parameters)
+    tried = _tried(reader, parameters)
+    if tried.seat != Pose():
+        x, y, turn = tried.seat.x, tried.seat.y, math.degrees(tried.seat.theta)
+        reasons.append(f"the lidar sits on the base at x {x:.3f} m, y {y:.3f} m, turned by {turn:.1f} deg: as recorded")
     dataset, defects = _catalogued(found.path)
     if dataset:
         reasons.append(f'it is the catalogued recording: use = "{dataset}" runs it with its own settings and truth')
     return Prescription(
         reader, parameters, _table(reader, found.path, parameters), _command(parameters), tuple(reasons),
-        scans, truth, notes, problem, dataset, defects,
+        tried.scans, tried.truth, tried.notes, tried.problem, dataset, defects,
     )  # fmt: skip
 
 
@@ -120,14 +125,14 @@ def _log_choices(found: Examination) -> tuple[dict[str, Value], list[str]]:
 def _truth_beside(found: Examination) -> tuple[dict[str, Value], list[str]]:
     """Relations and reference trajectories in the same folder that share the recording's time, the best-named first."""
     folder, stem = found.path.parent, found.path.name.split(".")[0].split("-")[0]
+    reader = "carmen" if found.kind == "CARMEN log" else "rosbag"
     parameters: dict[str, Value] = {}
     reasons = []
     for name, ending in (("relations", "*.relations"), ("reference", "*.tum")):
         files = sorted(folder.glob(ending), key=lambda file: (not file.name.startswith(stem), "gmapping" in file.name))
         for file in files:
-            _, truth, _, problem = _tried("carmen" if found.kind == "CARMEN log" else "rosbag",
-                                          _least(found) | {name: str(file)})  # fmt: skip
-            if not problem and truth:
+            tried = _tried(reader, _least(found) | {name: str(file)})
+            if not tried.problem and tried.truth:
                 parameters[name] = str(file)
                 reasons.append(f"{name} {file.name}: lies beside it and shares its time")
                 break
@@ -139,17 +144,27 @@ def _least(found: Examination) -> dict[str, Value]:
     return parameters if found.kind == "CARMEN log" else parameters | {"topic": found.lidars[0].topic}
 
 
-def _tried(reader: str, parameters: Mapping[str, Value]) -> tuple[int, str, Mapping[str, int], str]:
-    """Scans, truth, notes and problem of a reader that is really made."""
+@dataclass(frozen=True)
+class _Tried:
+    """What a reader said when it was really made; ``problem``: why it was not."""
+
+    scans: int = 0
+    truth: str = ""
+    notes: Mapping[str, int] = field(default_factory=dict)
+    seat: Pose = field(default_factory=Pose)
+    problem: str = ""
+
+
+def _tried(reader: str, parameters: Mapping[str, Value]) -> _Tried:
     make = Carmen if reader == "carmen" else RosBag
     try:
         sequence = make(**parameters)  # type: ignore[arg-type]  # names and types as the reader's own spec has them
-        next(iter(sequence.frames()))
+        first = next(iter(sequence.frames()))
     except EvalkitError as error:
-        return 0, "", {}, str(error)
+        return _Tried(problem=str(error))
     truth = sequence.truth()
     known = truth.how if truth.trajectory is not None or truth.relations is not None else ""
-    return len(sequence), known, sequence.notes(), ""
+    return _Tried(len(sequence), known, sequence.notes(), first.base_from_sensor)
 
 
 def _catalogued(path: Path) -> tuple[str, tuple[str, ...]]:
