@@ -242,6 +242,12 @@ def test_bad_files_say_what_their_readers_say(tmp_path):
     (tmp_path / "torn.log.gz").write_bytes(b"\x1f\x8b" + bytes(40))
     with pytest.raises(BadData, match="gzip"):
         examine(tmp_path / "torn.log.gz")
+    (tmp_path / "picture.png").write_bytes(bytes(range(256)) * 20)
+    with pytest.raises(BadData, match="give a bag"):
+        examine(tmp_path / "picture.png")
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(BadData, match=r"without metadata\.yaml"):
+        examine(tmp_path / "empty")
 
 
 def test_the_command_prints_json_and_writes_a_page(tmp_path):

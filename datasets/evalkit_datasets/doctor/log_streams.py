@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from evalkit.errors import BadData
 from evalkit.se2 import Floats, Stamps
 from evalkit_datasets import carmen_lines
 from evalkit_datasets.carmen_lines import Log
@@ -21,6 +22,9 @@ BESIDE = "robot pose beside each scan"
 def read(path: Path) -> Streams:
     """The streams of a log; BadData where it is no log or holds damaged gzip."""
     log = carmen_lines.read(path)
+    if not (log.readings or log.odometry or log.damaged):
+        what = "no line begins with FLASER, ROBOTLASER1, LASER_READING or ODOM"
+        raise BadData(str(path), "", what, "give a bag (.bag, .db3, .mcap, or the folder of one) or a CARMEN log")
     kinds: Counter[str] = Counter()
     remarks: list[str] = []
     tails: list[tuple[bytes, bytes]] = []
