@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from evalkit.metrics.consistency import WARP, hits
+from evalkit.metrics.consistency import NO_HIT, WARP, hits
 from evalkit.metrics.patches import MIN_HITS, PATCH_M, Patches, evenly, patches
-from evalkit.metrics.table import Evidence, Mapped, Metric, number
+from evalkit.metrics.table import Evidence, Mapped, Metric, number, standing_on
 from evalkit.se2 import Floats
 from evalkit.types import Bools, Score
 
@@ -87,7 +87,7 @@ def spread_of_directions(directions: Floats) -> float:
 def _mean_map_entropy(evidence: Evidence) -> Score:
     points = hits(evidence.mapped)
     if len(points) == 0:
-        return Score(None, 0, "no mapped scan has a hit")
+        return Score(None, 0, NO_HIT)
     value, places, share = mean_map_entropy(points)
     if share < MIN_SHARE:
         return Score(
@@ -100,7 +100,7 @@ def _joint(evidence: Evidence) -> Score:
     middle = len(evidence.mapped) // 2
     first, second = hits(evidence.mapped[:middle]), hits(evidence.mapped[middle:])
     if len(first) == 0 or len(second) == 0:
-        return Score(None, 0, "no mapped scan has a hit")
+        return Score(None, 0, NO_HIT)
     value, places = joint_minus_separate(first, second)
     if places < MIN_SHARED:
         return Score(None, places, "both halves of the run hardly see the same places")
@@ -114,7 +114,7 @@ def _directions(evidence: Evidence) -> Score:
     return number(spread_of_directions(found), len(found))
 
 
-METRICS = (
+_ROWS = (
     Metric("mme_nat", "mean map entropy of points", "nat", "lower", "map consistency",
            f"Entropy 1/2 ln |2 pi e Sigma| of the hits within {PATCH_M:g} m of one, all mapped scans laid together; "
            f"mean over those of at most 1,000 places that have {MIN_HITS} of them.",
@@ -131,3 +131,18 @@ METRICS = (
            "evalkit",
            "every error of position; places whose walls run all ways anyway", _directions),
 )  # fmt: skip
+
+METRICS = standing_on(
+    _ROWS,
+    {
+        "mme_nat": ("places with five hits around", (NO_HIT, "only ... % of the hits have ... others within ... m")),
+        "coral_nat": (
+            "places that both halves of the run see",
+            (NO_HIT, "both halves of the run hardly see the same places"),
+        ),
+        "direction_spread_nat": (
+            "pieces of wall in single scans",
+            ("the scans show only ... pieces of wall, ... are needed",),
+        ),
+    },
+)

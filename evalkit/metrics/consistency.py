@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from evalkit import se2
 from evalkit.metrics.maps import nearest_m
 from evalkit.metrics.patches import evenly, patches
-from evalkit.metrics.table import Evidence, Mapped, Metric, number
+from evalkit.metrics.table import DIVERGED, Evidence, Mapped, Metric, number, standing_on
 from evalkit.se2 import Floats
 from evalkit.types import Bools, Ints, OccupancyGrid, Score
 
@@ -26,6 +26,7 @@ CLEARED = -1.0
 NOISE_M = 0.1
 """A hit this near to a wall of the other map is noise of the ranges: cells beside a wall are cleared all the same."""
 MIN_SHARED = 100
+NO_HIT = "no mapped scan has a hit"
 
 
 def entropy(grid: OccupancyGrid) -> float:
@@ -144,7 +145,7 @@ def _of_thicknesses(statistic: Callable[[Floats], np.floating | float]) -> Calla
     def compute(evidence: Evidence) -> Score:
         points = hits(evidence.mapped)
         if len(points) == 0:
-            return Score(None, 0, "no mapped scan has a hit")
+            return Score(None, 0, NO_HIT)
         found, share = thicknesses(points)
         if share < MIN_WALL_SHARE:
             return Score(None, len(found), f"only {100.0 * share:.0f} % of the hits lie along a wall")
@@ -156,7 +157,7 @@ def _of_thicknesses(statistic: Callable[[Floats], np.floating | float]) -> Calla
 def _wall_share(evidence: Evidence) -> Score:
     points = hits(evidence.mapped)
     if len(points) == 0:
-        return Score(None, 0, "no mapped scan has a hit")
+        return Score(None, 0, NO_HIT)
     return number(100.0 * thicknesses(points)[1], min(len(points), MOST_PATCHES))
 
 
@@ -196,7 +197,7 @@ FILATOV = "after Filatov et al., arXiv 1708.02354, 2017; thresholds and units fr
 WARP = "a smooth warp of the whole map; it compares maps of the same scans by the same mapper only"
 WALL = "Spread across the wall of the hits within 0.5 m of one, sqrt(lambda_min), where they lie along a line"
 
-METRICS = (
+_ROWS = (
     Metric("map_entropy", "map entropy", "nat", "lower", "map consistency",
            "Mean entropy of the occupancy over the cells that a beam has touched.", "Blanco et al., RSS 2008 (map "
            "entropy); per observed cell: evalkit",
@@ -239,3 +240,25 @@ METRICS = (
            "Total size of the enclosed areas.", FILATOV, f"copies that leave no gap between them; {WARP}",
            of_grid(_enclosed_m2), 2),
 )  # fmt: skip
+
+NOTHING_DRAWN = ("no map: ...", "the map has no occupied or no free cell")
+"""Why a metric of the map may have no value."""
+
+_APART = ("no maps of both halves of the run", "both halves of the run hardly see the same places")
+
+METRICS = standing_on(
+    _ROWS,
+    {
+        "map_entropy": ("observed cells", NOTHING_DRAWN),
+        "wall_thickness*": (
+            "places where hits lie along a line",
+            (NO_HIT, "only ... % of the hits lie along a wall", DIVERGED),
+        ),
+        "wall_share_percent": ("places looked at", (NO_HIT, DIVERGED)),
+        "split_distance_m": ("occupied cells where the other half has looked", _APART),
+        "cleared_percent": ("hits in cells the other half has observed", _APART),
+        "occupied_percent": ("occupied and free cells", NOTHING_DRAWN),
+        "corners": ("occupied cells", NOTHING_DRAWN),
+        "enclosed_*": ("free cells", NOTHING_DRAWN),
+    },
+)

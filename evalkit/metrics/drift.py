@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 
 from evalkit import se2
-from evalkit.metrics.table import Matched, Metric, number
-from evalkit.metrics.trajectory import of_matched, rms
+from evalkit.metrics.table import Matched, Metric, number, standing_on
+from evalkit.metrics.trajectory import UNMATCHED, of_matched, rms
 from evalkit.se2 import Floats
 from evalkit.types import Ints, Score
 
@@ -126,7 +126,7 @@ KITTI = "Geiger et al., CVPR 2012 (KITTI odometry benchmark), with shorter lengt
 RPE = "Sturm et al., IROS 2012 (relative pose error)"
 START = f"segments start every {START_EVERY_M:g} m of true path and are divided by what the truth really went"
 
-METRICS = (
+_ROWS = (
     Metric("drift_percent", "drift per metre", "%", "lower", "drift",
            "Translation error over segments of 1, 2, 5, 10 and 20 m of true path (those that fit), in percent of the "
            f"segment, mean over all of them; {START}.", KITTI,
@@ -158,3 +158,21 @@ METRICS = (
            f"Root mean square translation error over segments of 1 m of true path; {START}.", RPE,
            "drift much slower than a metre; scans that were not answered", of_matched(_metre_rms)),
 )  # fmt: skip
+
+_TOO_SHORT = (*UNMATCHED, "a path of ... m is too short for segments of ... m")
+
+METRICS = standing_on(
+    _ROWS,
+    {
+        "drift_deg_per_turn": (
+            "segments of 360 deg",
+            (*UNMATCHED, "a path that turns ... deg has no segment of 360 deg"),
+        ),
+        "end_error_percent": (
+            "poses matched with the truth",
+            (*UNMATCHED, "a path of ... m is too short (1 m needed)"),
+        ),
+        "rpe_step_*": ("steps from one matched pose to the next", UNMATCHED),
+        "*": ("segments of the true path", _TOO_SHORT),
+    },
+)

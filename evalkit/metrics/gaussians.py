@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evalkit.metrics.table import Evidence, Metric, number
+from evalkit.metrics.table import Evidence, Metric, number, standing_on
 from evalkit.se2 import Floats
 from evalkit.types import Ints, OccupancyGrid, Score
 
@@ -102,7 +102,7 @@ def _walls(grid: OccupancyGrid) -> Floats:
 MAPEVAL = "Hu et al., MapEval, RA-L 2025; there with Cholesky factors in place of the matrix root: not comparable"
 SQUARES = f"squares of {VOXEL_M:g} m in which both maps have {MIN_CELLS} wall cells"
 
-METRICS = (
+_ROWS = (
     Metric("map_awd_m", "Wasserstein distance of the walls", "m", "lower", "map against truth",
            f"Wasserstein-2 distance between the Gaussians of the wall cells of both maps, mean over {SQUARES}.",
            MAPEVAL, "walls in squares where one map has none; which cell is wrong within a square",
@@ -112,3 +112,18 @@ METRICS = (
            "uneven the error is from place to place.", MAPEVAL, "how large the error is: an even one scores 0",
            _scored(spatial_consistency)),
 )  # fmt: skip
+
+METRICS = standing_on(
+    _ROWS,
+    {
+        "*": (
+            "squares with walls in both maps",
+            (
+                "no true map",
+                "no map: ...",
+                "the maps share ... squares with walls, ... are needed",
+                "no square with walls has two neighbours with walls",
+            ),
+        )
+    },
+)

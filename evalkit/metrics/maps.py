@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from evalkit.metrics.table import Evidence, Metric, number
+from evalkit.metrics.table import Evidence, Metric, number, standing_on
 from evalkit.se2 import Floats
 from evalkit.types import Ints, OccupancyGrid, Score
 
@@ -114,7 +114,7 @@ F1 = "precision and recall with a distance tolerance, as for boundaries in Marti
 ALIGNED = "errors within the tolerance; the map is drawn in the frame that fits the true trajectory best"
 CELLS = "Occupied cells (p > 0.65) of the map of the estimated trajectory"
 
-METRICS = (
+_ROWS = (
     Metric("map_f1", "map F1 at 10 cm", "", "higher", "map against truth",
            "Harmonic mean of wall precision and wall recall at 10 cm.", F1, ALIGNED,
            _scored(lambda found, *_: f1(found), 0.0), headline=True),
@@ -143,3 +143,17 @@ METRICS = (
            "Cells that the true map has observed whose centre lies in a cell that the map has observed, of all.",
            "evalkit", "whether what is there is right", _coverage, 1),
 )  # fmt: skip
+
+METRICS = standing_on(
+    _ROWS,
+    {
+        "map_coverage_percent": (
+            "observed cells of the true map",
+            ("no true map", "nothing of the true map is observed", "no map: ..."),
+        ),
+        "*": (
+            "occupied cells of both maps",
+            ("no true map", "the true map has no wall", "no map: ...", "the map has no wall"),
+        ),
+    },
+)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from evalkit.metrics.consistency import WARP, of_grid, thicknesses
-from evalkit.metrics.table import Evidence, Metric, number
+from evalkit.metrics.consistency import NOTHING_DRAWN, WARP, of_grid, thicknesses
+from evalkit.metrics.table import Evidence, Metric, number, standing_on
 from evalkit.se2 import Floats
 from evalkit.types import Bools, Ints, OccupancyGrid, Score
 
@@ -83,7 +83,7 @@ def _wall_width(grid: OccupancyGrid) -> Score:
     return Score(None, cells, "no occupied cells lie along a line") if np.isnan(width) else number(width, cells)
 
 
-METRICS = (
+_ROWS = (
     Metric("map_log_loss", "map log-loss", "nat", "lower", "map against truth",
            "Mean of -ln p of the true state over the observed cells whose true state is known: 0 if all are right and "
            "certain, ln 2 for a map that knows nothing, more for one that is sure and wrong.",
@@ -95,3 +95,19 @@ METRICS = (
            f"walls that smearing has washed out of the map; the cell size, which is the least value; {WARP}",
            of_grid(_wall_width)),
 )  # fmt: skip
+
+METRICS = standing_on(
+    _ROWS,
+    {
+        "map_log_loss": (
+            "observed cells whose true state is known",
+            (
+                "no true map",
+                "no map: ...",
+                "the true map's cells of ... m are coarser than the map's",
+                "nothing that the map has observed is known to be true",
+            ),
+        ),
+        "wall_width_m": ("occupied cells", (*NOTHING_DRAWN, "no occupied cells lie along a line")),
+    },
+)

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from evalkit import se2
-from evalkit.metrics.table import Evidence, Mapped, Metric, Placed, number
+from evalkit.metrics.table import Evidence, Mapped, Metric, Placed, number, standing_on
 from evalkit.se2 import Floats
 from evalkit.types import Ints, Score
 
@@ -153,7 +153,7 @@ def _share(field: Literal["believed", "converged"], evidence: Evidence) -> Score
 PAPER = "the paper, eq. 5 and figure 9; the same pairs for every back end: evalkit"
 LOOKS_GOOD = "a match that is smoothly wrong, as along a corridor; points farther off than 0.5 m; rest at one place"
 
-METRICS = (
+_ROWS = (
     Metric("s2s_m", "S2S residual", "m", "lower", "residuals",
            "Mean distance over the one-to-one nearest pairs within 0.5 m between a scan and the next one of the "
            "sequence under the estimated trajectory; median over at most 100 such steps, the same for every back end.",
@@ -184,3 +184,18 @@ METRICS = (
              partial(_own, stage, "iterations"), 1)
       for stage, words in (("s2s", "scan-to-scan"), ("s2m", "scan-to-map"))),
 )  # fmt: skip
+
+_FAR = "... scans are ... m apart: too far to lie on each other"
+_FEW = "no scan has ... pairs within ... m"
+
+METRICS = standing_on(
+    _ROWS,
+    {
+        "s2s_m": ("pairs of successive scans", ("no two scans in a row were answered", _FAR, _FEW)),
+        "s2m_m": ("mapped scans", ("fewer than two mapped scans", _FAR, _FEW)),
+        "s2m_paired_percent": ("mapped scans", ("fewer than two mapped scans", _FAR, _FEW)),
+        "guess_kept_percent": ("scans of which the back end tells it", ("not told by the back end",)),
+        "not_converged_percent": ("scans of which the back end tells it", ("not told by the back end",)),
+        "*": ("scans of which the back end tells it", ("the back end tells none",)),
+    },
+)

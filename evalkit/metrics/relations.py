@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from evalkit import se2
-from evalkit.metrics.table import Evidence, Metric, number
+from evalkit.metrics.table import DIVERGED, Evidence, Metric, number, standing_on
 from evalkit.metrics.trajectory import bracketed
 from evalkit.se2 import Floats
 from evalkit.types import Bools, Relations, Score, Trajectory
@@ -136,7 +136,7 @@ _FORMS: dict[str, tuple[str, str, Errors]] = {
     ),
 }
 
-METRICS = (
+_ROWS = (
     *(
         Metric(f"relations_{part}_{name}_{unit}", f"relations, {part}, {name} {what}", unit, "lower", "relations",
                f"{words} {what} error of the estimated motions between {_SPANS[part]}; the translation error is "
@@ -160,3 +160,14 @@ METRICS = (
            "Relations both of whose times lie between answers at most 2 s apart, of all.", "evalkit",
            "whether the answers are right", _answered, 1),
 )  # fmt: skip
+
+METRICS = standing_on(
+    _ROWS,
+    {
+        "relations_answered_percent": ("relations", ("no measured relations",)),
+        "*": (
+            "relations answered",
+            ("no measured relations", "the estimate answers none of ... relations", DIVERGED),
+        ),
+    },
+)

@@ -8,7 +8,7 @@ import numpy as np
 
 from evalkit import se2
 from evalkit.metrics.relations import estimated_motions, symmetric_errors
-from evalkit.metrics.table import Evidence, Metric, number
+from evalkit.metrics.table import DIVERGED, Evidence, Metric, number, standing_on
 from evalkit.se2 import Floats
 from evalkit.types import Bools, Ints, Relations, Score, Trajectory
 
@@ -74,7 +74,7 @@ HOW = (
 )
 SOURCE = "after Cartographer's automatic relations, Hess et al., ICRA 2016; scaled to short logs: evalkit"
 
-METRICS = (
+_ROWS = (
     Metric("revisit_mean_m", "error on coming back, mean", "m", "lower", "relations",
            f"Mean translation error of the estimated motions between two visits of a place. {HOW}.", SOURCE,
            "places seen once; the true trajectory's own errors", _scored(0, np.mean)),
@@ -82,3 +82,18 @@ METRICS = (
            f"Mean rotation error of the same motions. {HOW}.", SOURCE,
            "places seen once; the true trajectory's own errors", _scored(1, np.mean), 2),
 )  # fmt: skip
+
+METRICS = standing_on(
+    _ROWS,
+    {
+        "*": (
+            "returns answered",
+            (
+                "no true trajectory",
+                "the true path never comes back to where it was",
+                "the estimate answers none of ... returns",
+                DIVERGED,
+            ),
+        )
+    },
+)

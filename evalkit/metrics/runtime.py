@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from evalkit.metrics.table import Evidence, Metric, number
+from evalkit.metrics.table import Evidence, Metric, number, standing_on
 from evalkit.se2 import Floats
 from evalkit.types import Run, Score
 
@@ -81,7 +81,7 @@ _CLOCKS = {
     "wall": ("wall", "passing on the wall clock", "what else ran on the machine, which it includes"),
 }
 
-METRICS = (
+_ROWS = (
     *(
         Metric(f"{clock}_{name}_ms", f"{title} time per scan, {name}", "ms", "lower", "runtime",
                f"{words} over all scans of the time {whose} during the back end's call, conversion of values included; "
@@ -115,3 +115,19 @@ METRICS = (
            "evalkit", "the back end: it describes the harness",
            partial(_milliseconds, "harness_ns", np.median), 3),
 )  # fmt: skip
+
+_NONE = "the run answered no scan"
+
+METRICS = standing_on(
+    _ROWS,
+    {
+        "cpu_*": ("scans answered", (_NONE, UNTOLD["cpu_ns"])),
+        "wall_*": ("scans answered", (_NONE, UNTOLD["wall_ns"])),
+        "device_*": ("scans answered", (_NONE, UNTOLD["device_ns"])),
+        "conversion_percent": ("scans answered", (UNTOLD["cpu_ns"],)),
+        "real_time_factor": ("scans answered", ("fewer than two scans were answered", UNTOLD["cpu_ns"])),
+        "late_percent": ("scans answered", ("fewer than two scans were answered", UNTOLD["wall_ns"])),
+        "peak_memory_mib": ("the run", ("memory was not measured",)),
+        "harness_*": ("scans answered", (_NONE,)),
+    },
+)

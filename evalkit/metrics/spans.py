@@ -10,7 +10,7 @@ import numpy as np
 from evalkit import se2
 from evalkit.metrics.consistency import hits
 from evalkit.metrics.relations import MAX_GAP_S
-from evalkit.metrics.table import Evidence, Matched, Metric, number
+from evalkit.metrics.table import DIVERGED, Evidence, Matched, Metric, number, standing_on
 from evalkit.metrics.trajectory import bracketed, rms
 from evalkit.se2 import Floats
 from evalkit.tape import Place, Span
@@ -20,6 +20,8 @@ REACH_M = 0.3
 ASIDE_M = 0.15
 MIN_HITS = 10
 """A wall is where the median of at least ten hits within 0.3 m along the tape and 0.15 m beside it lies."""
+
+_NO_TAPE = "no distance was measured with a tape"
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,7 +83,7 @@ def _of_tape(measure: Callable[[Taped], float]) -> Callable[[Evidence], Score]:
     def compute(evidence: Evidence) -> Score:
         spans = evidence.truth.spans
         if not spans:
-            return Score(None, 0, "no distance was measured with a tape")
+            return Score(None, 0, _NO_TAPE)
         found = _found(evidence)
         if len(found.measured_m) == 0:
             return Score(None, 0, f"the estimate answers none of {len(spans)} measured distances")
@@ -93,7 +95,7 @@ def _of_tape(measure: Callable[[Taped], float]) -> Callable[[Evidence], Score]:
 def _answered(evidence: Evidence) -> Score:
     spans = evidence.truth.spans
     if not spans:
-        return Score(None, 0, "no distance was measured with a tape")
+        return Score(None, 0, _NO_TAPE)
     return number(100.0 * len(_found(evidence).measured_m) / len(spans), len(spans))
 
 
@@ -110,7 +112,7 @@ ENDS = (
     f"hits within {REACH_M:g} m along the tape"
 )
 
-METRICS = (
+_ROWS = (
     Metric("span_rmse_m", "distances by tape, RMSE", "m", "lower", "relations",
            f"Root mean square difference of distances in the estimate and by tape. {ENDS}.", TAPE,
            "everything between and beside the ends of the tapes",
@@ -127,3 +129,14 @@ METRICS = (
            "Distances both of whose ends the estimate has, of all that were measured.", "evalkit",
            "whether they are right", _answered, 1),
 )  # fmt: skip
+
+METRICS = standing_on(
+    _ROWS,
+    {
+        "span_answered_percent": ("distances measured", (_NO_TAPE,)),
+        "*": (
+            "distances answered",
+            (_NO_TAPE, "the estimate answers none of ... measured distances", DIVERGED),
+        ),
+    },
+)

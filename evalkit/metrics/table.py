@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
 from typing import Literal
 
 import numpy as np
@@ -61,7 +62,8 @@ class Metric:
 
     ``better`` is "" where neither direction is better. ``blind_to`` completes "it is blind to ...". ``digits``:
     decimals in tables. ``headline``: shown in the first table of a report. ``compute`` answers a Score and never raises
-    for lack of evidence: it says why instead.
+    for lack of evidence: it says why instead. ``support``: what the number stands on; the score tells how many.
+    ``no_value``: the reasons it gives for having none; "..." stands for what differs from case to case.
     """
 
     name: str
@@ -75,10 +77,28 @@ class Metric:
     compute: Callable[[Evidence], Score]
     digits: int = 3
     headline: bool = False
+    support: str = ""
+    no_value: tuple[str, ...] = ()
+
+
+DIVERGED = "not finite: the estimate has diverged"
+
+Standing = Mapping[str, tuple[str, tuple[str, ...]]]
+"""What metrics stand on and why they may have no value, by pattern of their names ("ate_*")."""
+
+
+def standing_on(metrics: Iterable[Metric], told: Standing) -> tuple[Metric, ...]:
+    """The metrics with ``support`` and ``no_value`` of the first pattern that their name fits, if one does."""
+
+    def one(metric: Metric) -> Metric:
+        found = next((told[pattern] for pattern in told if fnmatchcase(metric.name, pattern)), None)
+        return metric if found is None else replace(metric, support=found[0], no_value=found[1])
+
+    return tuple(map(one, metrics))
 
 
 def number(value: float | np.floating, support: int) -> Score:
     """The score of a computed number; without value where the estimate is so far off that it is not finite."""
     if not np.isfinite(value):
-        return Score(None, support, "not finite: the estimate has diverged")
+        return Score(None, support, DIVERGED)
     return Score(float(value), support)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from evalkit import se2
-from evalkit.metrics.table import Evidence, Matched, Metric, number
+from evalkit.metrics.table import DIVERGED, Evidence, Matched, Metric, number, standing_on
 from evalkit.se2 import Floats, Stamps
 from evalkit.types import Bools, Pose, Score, Trajectory
 
@@ -158,7 +158,7 @@ def _covered(evidence: Evidence) -> Score:
 
 ATE = "Sturm et al., IROS 2012 (absolute trajectory error); Umeyama, PAMI 13(4), 1991"
 
-METRICS = (
+_ROWS = (
     Metric("ate_rmse_m", "ATE RMSE", "m", "lower", "drift",
            "Root mean square distance between estimated and true positions at the same times, after the rigid "
            "alignment without scale that makes it smallest.", ATE,
@@ -181,3 +181,24 @@ METRICS = (
            f"Share of the true trajectory's time span between answers at most {MAX_GAP_S:g} s apart.", "evalkit",
            "whether the answers are right", _covered, 1),
 )  # fmt: skip
+
+UNMATCHED = (
+    "no true trajectory",
+    "the run answered no scan",
+    "the true trajectory is empty",
+    "estimate and truth meet at ... times, at least 2 are needed",
+    DIVERGED,
+)
+"""Why a metric of matched poses may have no value."""
+
+METRICS = standing_on(
+    _ROWS,
+    {
+        "answered_percent": ("scans in the sequence", ("how many scans there are is not known",)),
+        "covered_percent": (
+            "scans answered",
+            ("no true trajectory", "the true trajectory has no duration"),
+        ),
+        "*": ("poses matched with the truth", UNMATCHED),
+    },
+)
