@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from functools import cache
 from multiprocessing.queues import Queue
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 from zipfile import BadZipFile
 
@@ -59,16 +60,16 @@ class Job:
 
 
 class JobsFailed(EvalkitError):
-    """Some jobs raised; all the others are kept: ``JobsFailed(folder, reasons by name)``."""
+    """Some jobs raised; all the others are kept: ``JobsFailed(folder, which and why)``; ``reasons`` by their names."""
 
-    def __init__(self, folder: str, reasons: Mapping[str, str]) -> None:
-        super().__init__(folder, dict(reasons))
+    reasons: Mapping[str, str] = MappingProxyType({})
+
+    def __init__(self, folder: str, what: str) -> None:
+        super().__init__(folder, what)
 
     def __str__(self) -> str:
-        folder, reasons = self.args
-        name, reason = next(iter(reasons.items()))
-        others = f" and {len(reasons) - 1} more" if len(reasons) > 1 else ""
-        return f"{folder}: {name}{others} failed: {reason}; the finished ones are kept, the same command goes on"
+        folder, what = self.args
+        return f"{folder}: {what}; the finished ones are kept, the same command goes on"
 
 
 @dataclass(frozen=True)
@@ -91,7 +92,11 @@ class Ledger:
             done(name, 0.0)
         made, reasons = self._made([job for job in known if job.name not in kept], workers, done)
         if reasons:
-            raise JobsFailed(str(self.folder), reasons)
+            name, reason = next(iter(reasons.items()))
+            others = f" and {len(reasons) - 1} more" if len(reasons) > 1 else ""
+            failed = JobsFailed(str(self.folder), f"{name}{others} failed: {reason}")
+            failed.reasons = reasons
+            raise failed
         found = kept | made
         return {job.name: found[job.name] for job in known}
 

@@ -90,7 +90,7 @@ def computed(jobs: Sequence[Job], folder: Path, workers: int, done: OnDone) -> d
     try:
         return ledger.run(jobs, workers, done)
     except JobsFailed as failed:
-        reasons: Mapping[str, str] = failed.args[1]
+        reasons: Mapping[str, str] = failed.reasons
         return {job.name: ledger.kept(job) or _crashed(job, reasons.get(job.name, "")) for job in jobs}
 
 

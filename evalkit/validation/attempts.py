@@ -162,7 +162,7 @@ def ask(
     try:
         ledger.run(every, workers, done)
     except JobsFailed as failed:
-        reasons = failed.args[1]
+        reasons = failed.reasons
     return [
         _outcome(each, one, planned.get((number, one.place), ()), ledger, reasons)
         for one in trials
