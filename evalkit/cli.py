@@ -23,6 +23,7 @@ from evalkit.commands.determinism import determinism
 from evalkit.commands.diff import diff
 from evalkit.commands.equiv import equiv
 from evalkit.commands.export import export
+from evalkit.commands.metrics import metrics
 from evalkit.commands.options import FAILED, Collect, Jobs, Json, Making, Out, Rerun, Resume, err, out
 from evalkit.commands.realtime import realtime
 from evalkit.commands.study import study
@@ -172,6 +173,7 @@ COMMANDS: tuple[Callable[..., None], ...] = (check, equiv, realtime, basin, dete
 
 for _command in COMMANDS:
     app.command()(_command)
+app.add_typer(metrics, name="metrics")
 
 
 def _report(plan: Plan, folder: Path | None, how: Making, as_json: bool) -> None:

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from evalkit.metrics.validated import shipped
 from evalkit.report import write
 from evalkit.report.maps import Window, greys, picture, window
 from evalkit.report.palette import strokes
 from evalkit.report.views import headline
+from evalkit.report.wording import figure
 from evalkit.types import OccupancyGrid
 
 
@@ -209,3 +211,13 @@ def test_a_map_that_has_spread_does_not_shrink_the_others():
 def test_nine_contestants_have_nine_strokes():
     chosen = strokes([f"c{i}" for i in range(9)], ["c0"])
     assert len(set(chosen.values())) == 9
+
+
+def test_how_far_map_metrics_can_be_trusted_stands_beside_them(html):
+    shown = html[html.index('id="trust"') : html.index('id="metric-map_entropy"')]
+    assert "evalkit metrics validate" in shown
+    of = shipped()
+    for name in ("map_entropy", "wall_thickness_m", "split_distance_m", "corners"):
+        assert f'href="#metric-{name}"' in shown
+        assert figure(of.of(name).overall.value, 2) in shown
+    assert all(world in shown for world in of.worlds)

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from evalkit.metrics.table import Metric
+from evalkit.metrics.validated import shipped
 from evalkit.report import figures, views
 from evalkit.report.comparison import Comparison, SequenceCard
 from evalkit.report.driven import alignments, driven
@@ -80,6 +81,7 @@ def render(comparison: Comparison, overview: Sequence[str], verdicts: Sequence[V
         glance=views.glance(comparison),
         evidence=evidence(comparison),
         metrics=_by_group(comparison.metrics),
+        trust=shipped(),
         strokes=lines,
         places={label: place for place, label in enumerate(comparison.contestants, start=1)},
         status=STATUS,

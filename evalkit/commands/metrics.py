@@ -1,0 +1,240 @@
+"""``evalkit metrics``: the card of every metric, and how far those without a truth can be trusted."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from evalkit import console, environment
+from evalkit.commands import options
+from evalkit.commands.options import Json, Out, err, out
+from evalkit.errors import StoreError, UnknownName
+from evalkit.store import REMEDY
+
+if TYPE_CHECKING:
+    from evalkit.metrics.table import Metric
+    from evalkit.metrics.validated import Trust
+    from evalkit.study.ledger import Job, Result
+
+metrics = typer.Typer(help="What each number means, what it is blind to, and how far it can be trusted.")
+
+ARROWS = {"lower": "lower is better", "higher": "higher is better", "": "neither direction is better"}
+
+Mapper = Annotated[str, typer.Option(help="What draws the maps.")]
+Workers = Annotated[
+    int | None, typer.Option("--jobs", "-j", min=1, help="At a time.", show_default="physical cores")
+]  # fmt: skip
+Seed = Annotated[int, typer.Option(min=0, help="Draws the worlds' noise and the random ways to go wrong.")]
+
+
+@metrics.command("list")
+def list_(
+    group: Annotated[str, typer.Option(help="Only this group.", show_default="all")] = "", as_json: Json = False
+) -> None:
+    """Every metric: its name, unit, direction and group."""
+    from rich.markup import escape  # noqa: PLC0415 - only where a table is printed
+    from rich.table import Table  # noqa: PLC0415 - as above
+
+    every = _metrics()
+    groups = dict.fromkeys(metric.group for metric in every)
+    if group and group not in groups:
+        raise UnknownName("group of metrics", group, groups)
+    chosen = [metric for metric in every if group in ("", metric.group)]
+    if as_json:
+        options.print_json([_card(metric) for metric in chosen])
+        return
+    table = Table("name", "label", "unit", "better", "group", expand=out.is_terminal)
+    for metric in chosen:
+        table.add_row(*map(escape, (metric.name, metric.label, metric.unit or "-", metric.better or "-", metric.group)))
+    console.show(out, table)
+
+
+@metrics.command()
+def show(name: Annotated[str, typer.Argument(help="A metric.", show_default=False)], as_json: Json = False) -> None:
+    """The card of a metric: definition, source, what it is blind to, what it stands on, when it has no value."""
+    known = {metric.name: metric for metric in _metrics()}
+    if name not in known:
+        raise UnknownName("metric", name, known)
+    card = _card(known[name])
+    if as_json:
+        options.print_json(card)
+        return
+    for line in _lines(known[name]):
+        out.print(line, markup=False, highlight=False)
+
+
+@metrics.command()
+def validate(
+    world: Annotated[
+        list[str] | None, typer.Option(help="A data set (repeatable).", show_default="lab, office, room")
+    ] = None,
+    mapper: Mapper = "log-odds",
+    scans: Annotated[int, typer.Option(min=20, help="Scans drawn into a map.")] = 150,
+    sizes: Annotated[int, typer.Option(min=2, max=5, help="Sizes of every way to go wrong.")] = 5,
+    seed: Seed = 0,
+    quick: Annotated[bool, typer.Option("--quick", help="One world, two sizes, few scans: seconds.")] = False,
+    folder: Out = None,
+    jobs: Workers = None,
+    as_json: Json = False,
+) -> None:
+    """Measure how metrics without a truth follow the true error of maps that are spoiled in known ways."""
+    from evalkit.commands import metrics_page  # noqa: PLC0415 - loads matplotlib
+    from evalkit.report.document import render  # noqa: PLC0415 - as above
+    from evalkit.validation import trust  # noqa: PLC0415 - loads scipy.stats
+
+    worlds = tuple(dict.fromkeys(world or (("lab",) if quick else trust.WORLDS)))
+    asked = trust.Asked(worlds, 2 if quick else sizes, seed, mapper, min(scans, 40) if quick else scans)
+    folder = folder or Path("reports") / "build" / "metrics"
+    results = _made(trust.jobs(asked), folder, jobs)
+    content = trust.record(asked, results, _how())
+    texts = {
+        "validated.json": json.dumps(content, indent=1) + "\n",
+        "validated.csv": trust.as_csv(trust.rows(asked, results)),
+        "index.html": render(metrics_page.document(content)),
+    }
+    _write(folder, texts)
+    if as_json:
+        options.print_json(content | {"page": str(folder / "index.html")})
+    else:
+        _print(content)
+        out.print(str((folder / "index.html").resolve()), markup=False, highlight=False)
+    _judge(content["planted"])
+
+
+@metrics.command()
+def selftest(
+    world: Annotated[str, typer.Option(help="A data set with a true trajectory.")] = "lab",
+    mapper: Mapper = "log-odds",
+    seed: Seed = 0,
+    folder: Out = None,
+    jobs: Workers = None,
+    as_json: Json = False,
+) -> None:
+    """Plant mistakes between a sequence and its scores; exit code 1 if one of them is not plain in the numbers."""
+    from evalkit.validation import trust  # noqa: PLC0415 - loads scipy.stats
+
+    asked = trust.Asked(seed=seed, mapper=mapper, plants_in=world)
+    results = _made(trust.planting(asked), folder or Path("reports") / "build" / "metrics", jobs)
+    found = [trust.told(name, seen) for name, seen in trust.sightings(results).items()]
+    if as_json:
+        options.print_json(found)
+    else:
+        console.show(out, _planted(found))
+    _judge(found)
+
+
+def _metrics() -> tuple[Metric, ...]:
+    from evalkit.metrics import all_metrics  # noqa: PLC0415 - loads scipy
+
+    return all_metrics()
+
+
+def _card(metric: Metric) -> dict[str, Any]:
+    from evalkit.validation.trust import interval  # noqa: PLC0415 - loads scipy.stats
+
+    trust = _trust(metric)
+    return {
+        "name": metric.name, "label": metric.label, "unit": metric.unit, "better": metric.better,
+        "group": metric.group, "definition": metric.definition, "source": metric.source,
+        "blind_to": metric.blind_to, "support": metric.support, "no_value": list(metric.no_value),
+        "follows_the_true_error": None if trust is None else interval(trust.overall),
+    }  # fmt: skip
+
+
+def _trust(metric: Metric) -> Trust | None:
+    from evalkit.metrics.validated import shipped  # noqa: PLC0415 - only where a card is shown
+
+    return shipped().of(metric.name)
+
+
+def _lines(metric: Metric) -> list[str]:
+    lines = [
+        f"{metric.name}: {metric.label} [{metric.unit or '-'}], {ARROWS[metric.better]}",
+        f"  group       {metric.group}",
+        f"  definition  {metric.definition}",
+        f"  source      {metric.source}",
+        f"  blind to    {metric.blind_to}",
+        f"  stands on   {metric.support or 'not told by its package'}",
+        *(f"  no value    {reason}" for reason in metric.no_value),
+    ]
+    trust = _trust(metric)
+    if trust is not None:
+        ways = ", ".join(f"{way} {_number(one)}" for way, one in trust.by_way.items())
+        worlds = ", ".join(f"{world} {_number(one)}" for world, one in trust.by_world.items())
+        lines.append(f"  follows the true error (Spearman)  {_number(trust.overall)}: {ways}; {worlds}")
+    return lines
+
+
+def _number(found: Any) -> str:
+    return "-" if found is None else f"{found.value:.2f}"
+
+
+def _made(jobs: list[Job], folder: Path, workers: int | None) -> dict[str, Result]:
+    from evalkit.study.ledger import Ledger  # noqa: PLC0415 - only who asks pays for it
+
+    at_once = workers or environment.physical_cores()
+    try:
+        with console.jobs(err, len(jobs), at_once) as done:
+            return Ledger(folder / "results").run(jobs, at_once, done)
+    except KeyboardInterrupt:
+        err.print("interrupted; what is done is kept: the same command goes on from here")
+        raise
+
+
+def _how() -> dict[str, Any]:
+    return {
+        "command": shlex.join(["evalkit", *sys.argv[1:]]),
+        "made": datetime.now(UTC).strftime("%Y-%m-%d"),
+        "versions": environment.versions(("evalkit", "numpy", "scipy")),
+    }
+
+
+def _write(folder: Path, texts: dict[str, str]) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            (folder / name).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise StoreError(str(folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
+
+
+def _print(content: dict[str, Any]) -> None:
+    from rich.table import Table  # noqa: PLC0415 - only where a table is printed
+
+    ways = list(content["ways"])
+    table = Table("metric", "Spearman", "95 %", *ways)
+    for row in content["trust"]:
+        table.add_row(row["metric"], *_overall(row["overall"]), *(_told(row["by_way"][way]) for way in ways))
+    console.show(out, table)
+    console.show(out, _planted(content["planted"]))
+
+
+def _overall(found: dict[str, float] | None) -> tuple[str, str]:
+    return ("-", "-") if found is None else (_told(found), f"{found['low']:.2f} to {found['high']:.2f}")
+
+
+def _told(found: dict[str, float] | None) -> str:
+    return "-" if found is None else f"{found['value']:.2f}"
+
+
+def _planted(found: list[dict[str, Any]]) -> Any:
+    from rich.table import Table  # noqa: PLC0415 - only where a table is printed
+
+    from evalkit.commands.metrics_page import times  # noqa: PLC0415 - loads matplotlib
+
+    table = Table("planted mistake", "what it is", "shown by (times as bad)")
+    for row in found:
+        shown = ", ".join(f"{seen['metric']} {times(seen['factor'])}" for seen in row["seen"][:3])
+        table.add_row(row["plant"], row["what"], shown or "nothing")
+    return table
+
+
+def _judge(found: list[dict[str, Any]]) -> None:
+    if any(not row["caught"] for row in found):
+        raise typer.Exit(1)
