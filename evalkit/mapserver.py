@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from evalkit.content import bytes_of
 from evalkit.errors import BadData, DataMissing
 from evalkit.se2 import Floats
 from evalkit.types import OccupancyGrid
@@ -52,7 +53,7 @@ def _settings(path: Path) -> dict[str, Any]:
     from ruamel.yaml import YAML  # noqa: PLC0415 - only maps need it
     from ruamel.yaml.error import YAMLError  # noqa: PLC0415
 
-    content = _bytes(path, "the YAML file of a map")
+    content = bytes_of(path, "the YAML file of a map")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -89,7 +90,7 @@ def _geometry(path: Path, known: dict[str, Any]) -> dict[str, Any]:
 
 def _grey(path: Path) -> tuple[Floats, int]:
     """The grey values (H, W) of the image, row 0 the top, and the value of white."""
-    content = _bytes(path, "the image of the map")
+    content = bytes_of(path, "the image of the map")
     return _png(path, content) if content.startswith(b"\x89PNG") else _pgm(path, content)
 
 
@@ -124,17 +125,3 @@ def _pgm(path: Path, content: bytes) -> tuple[Floats, int]:
             str(path), "", f"{len(grey)} pixels for {width} x {height}, white {maximum}", "save the map again"
         )
     return grey[: width * height].reshape(height, width), maximum
-
-
-def _bytes(path: Path, what: str) -> bytes:
-    """The whole file; DataMissing where there is none, BadData where it is empty or cannot be read."""
-    if not path.is_file():
-        found = "it is a folder" if path.is_dir() else "no such file"
-        raise DataMissing(str(path), found, f"give the path of {what}")
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise BadData(str(path), "", f"cannot be read ({error.strerror})", "check its permissions") from error
-    if not content:
-        raise BadData(str(path), "", "the file is empty", f"give {what}")
-    return content

@@ -15,9 +15,9 @@ from pathlib import Path
 
 import numpy as np
 
+from evalkit.content import bytes_of
 from evalkit.errors import BadData
 from evalkit.se2 import Floats
-from evalkit_datasets.rows import bytes_of
 from evalkit_datasets.stamps import stamp_ns
 
 STEP_DEG = {180: 1.0, 181: 1.0, 360: 0.5, 361: 0.5}

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from evalkit.errors import BadData, DataMissing
+from evalkit.content import bytes_of
+from evalkit.errors import BadData
 
 
 def lines_of(path: Path, what: str) -> Iterator[tuple[int, str]]:
@@ -26,20 +27,6 @@ def text_of(path: Path, what: str) -> str:
     if "\0" in text:
         raise BadData(str(path), f"character {text.index(chr(0))}", "a zero byte, so no text", f"give {what}")
     return text
-
-
-def bytes_of(path: Path, what: str) -> bytes:
-    """The whole file; DataMissing where there is none, BadData where it is empty or cannot be read."""
-    if not path.is_file():
-        found = "it is a folder" if path.is_dir() else "no such file"
-        raise DataMissing(str(path), found, f"give the path of {what}")
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise BadData(str(path), "", f"cannot be read ({error.strerror})", "check its permissions") from error
-    if not content:
-        raise BadData(str(path), "", "the file is empty", f"give {what}")
-    return content
 
 
 def numbers(path: Path, line: int, words: list[str], layout: str) -> list[float]:
