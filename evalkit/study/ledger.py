@@ -59,6 +59,10 @@ class Job:
         return f"{word}-{hashlib.sha256(identity.encode()).hexdigest()[:12]}"
 
 
+Computed = tuple[Job, Future[tuple[Result, float]]]
+"""A job, and what comes of it: its result and the seconds it took."""
+
+
 class JobsFailed(EvalkitError):
     """Some jobs raised; all the others are kept: ``JobsFailed(folder, which and why)``; ``reasons`` by their names."""
 
@@ -133,27 +137,26 @@ class Ledger:
         """Results and reasons of failure by name. A job that ends its process is asked again in one of its own."""
         made: dict[str, Result] = {}
         reasons: dict[str, str] = {}
-        alone: list[Job] = []
-        for job, future in _computed(jobs, workers):
+        for job in self._gathered(_computed(jobs, workers), made, reasons, done):
+            if self._gathered(_computed([job], 1), made, reasons, done):
+                reasons[job.name] = "it ended its process"
+        return made, reasons
+
+    def _gathered(
+        self, computed: Iterator[Computed], made: dict[str, Result], reasons: dict[str, str], done: OnDone
+    ) -> list[Job]:
+        """Takes in what is computed, results into ``made`` and reasons of failure; the jobs whose process has ended."""
+        ended = []
+        for job, future in computed:
             try:
                 result, seconds = future.result()
             except BrokenProcessPool:
-                alone.append(job)
+                ended.append(job)
             except Exception as error:  # noqa: BLE001 - whatever a job raises must not take the others along
                 reasons[job.name] = f"{type(error).__name__}: {error}"
             else:
                 self._take(job, result, seconds, made, done)
-        for job in alone:
-            for _, future in _computed([job], 1):
-                try:
-                    result, seconds = future.result()
-                except BrokenProcessPool:
-                    reasons[job.name] = "it ended its process"
-                except Exception as error:  # noqa: BLE001 - as above
-                    reasons[job.name] = f"{type(error).__name__}: {error}"
-                else:
-                    self._take(job, result, seconds, made, done)
-        return made, reasons
+        return ended
 
     def _take(self, job: Job, result: Result, seconds: float, made: dict[str, Result], done: OnDone) -> None:
         self.keep(job, result)
@@ -176,7 +179,7 @@ def call(function: str, arguments: Mapping[str, Any]) -> tuple[Result, float]:
     return result, time.perf_counter() - started
 
 
-def _computed(jobs: list[Job], workers: int) -> Iterator[tuple[Job, Future[tuple[Result, float]]]]:
+def _computed(jobs: list[Job], workers: int) -> Iterator[Computed]:
     """The jobs as they are done, computed by processes with one thread and one core each."""
     if not jobs:
         return
