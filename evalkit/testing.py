@@ -9,9 +9,10 @@ def test_my_icp_keeps_the_rules():
 from __future__ import annotations
 
 from evalkit.protocols import BackendSpec, DatasetSpec
-from evalkit.validation import conformance, dataset_rules
-from evalkit.validation.equivalence import NotEquivalent, assert_equivalent
-from evalkit.validation.rules import Conformance, Verdict
+from evalkit.validation.conformance import dataset_rules
+from evalkit.validation.conformance import kit as conformance
+from evalkit.validation.conformance.rules import Conformance, Verdict
+from evalkit.validation.equivalence.comparison import NotEquivalent, assert_equivalent
 
 __all__ = ["ConformanceError", "NotEquivalent", "assert_equivalent", "check_backend", "check_dataset"]
 

@@ -7,8 +7,8 @@ import pytest
 
 from evalkit.protocols import BackendSpec
 from evalkit.types import Match, Pose
-from evalkit.validation import attempts
-from evalkit.validation.attempts import Trials
+from evalkit.validation.basins import attempts
+from evalkit.validation.basins.attempts import Trials
 
 TRIALS = Trials("corridor", 40, 4, 90, 0.02, 1.0, 0.5, seed=3)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from evalkit.metrics.statistics import wilson
-from evalkit.validation.basin import Basin, Criterion, Shares, guesses, off, offsets, on_axes
-from evalkit.validation.observability import observability
+from evalkit.validation.basins.basin import Basin, Criterion, Shares, guesses, off, offsets, on_axes
+from evalkit.validation.basins.observability import observability
 
 CRITERION = Criterion(0.1, np.radians(2.0))
 

@@ -10,9 +10,9 @@ from evalkit import registry
 from evalkit.errors import BackendFailed
 from evalkit.protocols import DatasetSpec
 from evalkit.types import Frame, Truth
-from evalkit.validation.equivalence import mapper_equivalence
-from evalkit.validation.margins import Margin
-from evalkit.validation.scenes import drive
+from evalkit.validation.conformance.scenes import drive
+from evalkit.validation.equivalence.comparison import mapper_equivalence
+from evalkit.validation.equivalence.margins import Margin
 from evalkit_baselines import paper
 from evalkit_baselines.paper.grid import LogOddsGrid
 

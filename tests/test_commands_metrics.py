@@ -15,9 +15,10 @@ from evalkit.metrics.table import Evidence
 from evalkit.metrics.trajectory import match
 from evalkit.report.document import render
 from evalkit.types import STEP, OccupancyGrid, Run, Trajectory, Truth
-from evalkit.validation import rebuilding, trust
-from evalkit.validation.planted import NO_MISTAKE, PLANTS
-from evalkit.validation.ranking import reference_free
+from evalkit.validation.trust import measured as trust
+from evalkit.validation.trust import rebuilding
+from evalkit.validation.trust.planted import NO_MISTAKE, PLANTS
+from evalkit.validation.trust.ranking import reference_free
 
 
 def told(*words):

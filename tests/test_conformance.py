@@ -11,8 +11,9 @@ import pytest
 
 from evalkit import cli, registry
 from evalkit.errors import BackendFailed, BadParameter, NotInstalled, UnknownName
-from evalkit.validation import conformance, odometry_rules, registration_rules
-from evalkit.validation.rules import verdict
+from evalkit.validation.conformance import kit as conformance
+from evalkit.validation.conformance import odometry_rules, registration_rules
+from evalkit.validation.conformance.rules import verdict
 
 sys.path.append(str(Path(__file__).parent / "misfits"))  # as a package under development would be
 faulty = importlib.import_module("faulty_backends")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evalkit import se2
-from evalkit.validation.corruption import WAYS
+from evalkit.validation.trust.corruption import WAYS
 
 
 def line(count=101):

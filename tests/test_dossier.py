@@ -7,10 +7,10 @@ from pathlib import Path
 import jsonschema
 import pytest
 
-import evalkit.validation
-from evalkit.validation.dossier import Claim, Dossier, Level, Line
+import evalkit.validation.dossier as package
+from evalkit.validation.dossier.dossier import Claim, Dossier, Level, Line
 
-SCHEMA = json.loads((Path(evalkit.validation.__file__).parent / "dossier.schema.json").read_text(encoding="utf-8"))
+SCHEMA = json.loads((Path(package.__file__).parent / "dossier.schema.json").read_text(encoding="utf-8"))
 EFFORT = {"pairs": 4, "scans": 8, "timed": 8}
 SETTINGS = {"backend": {}, "twin": {}, "on": ["room"], "seeds": 1, "share": 0.5, "effort": EFFORT, "mappers": ["", ""]}
 

@@ -13,11 +13,11 @@ from evalkit.cli import app
 from evalkit.errors import BackendFailed, EvalkitError, UnknownName
 from evalkit.protocols import BackendSpec, DatasetSpec, NoAnswer
 from evalkit.types import Cloud, Frame, Match, Pose, Truth
-from evalkit.validation.divergence import first_divergence
-from evalkit.validation.equivalence import NotEquivalent, assert_equivalent, equivalence
-from evalkit.validation.lockstep import Question, asked
-from evalkit.validation.margins import Margin
-from evalkit.validation.scenes import drive
+from evalkit.validation.conformance.scenes import drive
+from evalkit.validation.equivalence.comparison import NotEquivalent, assert_equivalent, equivalence
+from evalkit.validation.equivalence.divergence import first_divergence
+from evalkit.validation.equivalence.lockstep import Question, asked
+from evalkit.validation.equivalence.margins import Margin
 from evalkit_baselines import open3d_icp, paper
 from evalkit_baselines.paper import icp
 from evalkit_baselines.paper.icp import Icp

@@ -18,7 +18,7 @@ from evalkit.protocols import resolved
 from evalkit.types import Cloud, Pose
 from evalkit.worker import Request
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
+EXAMPLES = INCLUDE / "examples"
 STRICT = ["-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
 LIGHT = {"keyframes": 3, "submap_voxel_m": 0.02}
 

@@ -67,6 +67,7 @@ def test_word_is_left_only_in_such_a_process(tmp_path, monkeypatch):
 
 
 def test_a_job_changes_with_what_it_calls_and_with_its_limits():
-    one = isolated.job("x", "evalkit.validation.asking:rules", {"name": "paper"}, LIMITS, ())
-    assert one.key != isolated.job("x", "evalkit.validation.asking:rules", {"name": "lib"}, LIMITS, ()).key
-    assert one.key != isolated.job("x", "evalkit.validation.asking:rules", {"name": "paper"}, {"limit_s": 1.0}, ()).key
+    one = isolated.job("x", "evalkit.validation.dossier.asking:rules", {"name": "paper"}, LIMITS, ())
+    assert one.key != isolated.job("x", "evalkit.validation.dossier.asking:rules", {"name": "lib"}, LIMITS, ()).key
+    limits = {"limit_s": 1.0}
+    assert one.key != isolated.job("x", "evalkit.validation.dossier.asking:rules", {"name": "paper"}, limits, ()).key

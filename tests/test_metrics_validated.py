@@ -6,10 +6,10 @@ from importlib.resources import files
 import pytest
 
 from evalkit.metrics.validated import shipped
-from evalkit.validation import rebuilding
-from evalkit.validation.corruption import WAYS
-from evalkit.validation.planted import PLANTS
-from evalkit.validation.ranking import reference_free
+from evalkit.validation.trust import rebuilding
+from evalkit.validation.trust.corruption import WAYS
+from evalkit.validation.trust.planted import PLANTS
+from evalkit.validation.trust.ranking import reference_free
 
 
 @pytest.fixture(scope="module")

@@ -2,8 +2,8 @@
 
 import pytest
 
-from evalkit.validation import planted
-from evalkit.validation.planted import NO_MISTAKE, PLANTS
+from evalkit.validation.trust import planted
+from evalkit.validation.trust.planted import NO_MISTAKE, PLANTS
 
 WORLD = {"world": "lab", "seed": 0, "mapper": "log-odds", "scans": 40}
 

@@ -5,8 +5,8 @@ import pytest
 
 from evalkit.errors import UnknownName
 from evalkit.types import Pose
-from evalkit.validation import surroundings
-from evalkit.validation.surroundings import Place, cast
+from evalkit.validation.basins import surroundings
+from evalkit.validation.basins.surroundings import Place, cast
 
 
 def test_a_beam_meets_the_nearest_wall_or_disc_and_its_normal():

@@ -12,8 +12,8 @@ from evalkit.errors import BadParameter, DataMissing, NotInstalled
 from evalkit.protocols import BackendSpec, resolved
 from evalkit.testing import ConformanceError, check_backend, check_dataset
 from evalkit.types import Match
-from evalkit.validation import dataset_rules
-from evalkit.validation.rules import Verdict, verdict
+from evalkit.validation.conformance import dataset_rules
+from evalkit.validation.conformance.rules import Verdict, verdict
 
 sys.path.append(str(Path(__file__).parent / "misfits"))  # as a package under development would be
 backends = importlib.import_module("faulty_backends")

@@ -14,13 +14,14 @@ from evalkit import registry
 from evalkit.cli import app
 from evalkit.errors import BadExperiment, BadParameter, NotInstalled, UnknownName
 from evalkit.external import INCLUDE
-from evalkit.validation import answers, asking, examination, isolated, twins
-from evalkit.validation.answers import Names
-from evalkit.validation.asking import EXACT
-from evalkit.validation.equivalence import FLOAT32
+from evalkit.validation import isolated
+from evalkit.validation.dossier import answers, asking, examination, twins
+from evalkit.validation.dossier.answers import Names
+from evalkit.validation.dossier.asking import EXACT
+from evalkit.validation.equivalence.comparison import FLOAT32
 
 HERE = Path(__file__).parent
-EXAMPLES = HERE.parent / "examples"
+EXAMPLES = INCLUDE / "examples"
 SCHEMA = json.loads((Path(twins.__file__).parent / "dossier.schema.json").read_text(encoding="utf-8"))
 MARGINS = [EXACT, FLOAT32]
 ROOM = {"label": "room, seed 0", "dataset": "room", "parameters": {"laps": 0.04, "seed": 0}}
@@ -156,7 +157,7 @@ def test_a_library_goes_through_the_whole_dossier(somebodys, tmp_path):
 def test_a_crash_on_the_way_is_a_line_and_not_the_end(misfits):
     a, b = ({"name": name, "given": {}} for name in ("paper", "planted_mistakes:CRASHES_ON_SCANS"))
     given = {"a": a, "b": b, "on": ROOM, "count": 3, "exact": True, "margins": MARGINS}
-    found = {"room, seed 0": isolated.run("evalkit.validation.asking:pairs_compared", given, 60.0, 2000)}
+    found = {"room, seed 0": isolated.run("evalkit.validation.dossier.asking:pairs_compared", given, 60.0, 2000)}
     names = Names("mine", "paper", answers.margin_of(found, MARGINS), 0.5)
     (line,) = answers.pairs(found, {}, names).failed("as-good")
     assert "SIGSEGV; it was at room, seed 0, pair 1 (pair)" in line.observed

@@ -44,8 +44,8 @@ def basin(
     from evalkit.commands import basin_page  # noqa: PLC0415 - loads matplotlib and scipy.stats
     from evalkit.commands.basin_result import result  # noqa: PLC0415 - as above
     from evalkit.report.document import render  # noqa: PLC0415 - as above
-    from evalkit.validation import attempts, surroundings  # noqa: PLC0415 - as above
-    from evalkit.validation.basin import Criterion  # noqa: PLC0415 - as above
+    from evalkit.validation.basins import attempts, surroundings  # noqa: PLC0415 - as above
+    from evalkit.validation.basins.basin import Criterion  # noqa: PLC0415 - as above
 
     options.modules_from_here()
     names = list(dict.fromkeys(backend or _registrations()))
@@ -71,7 +71,7 @@ def _registrations() -> list[str]:
 
 def _asked(entrants: list[Any], trials: list[Any], folder: Path, workers: int) -> list[Any]:
     from evalkit.study.ledger import Ledger  # noqa: PLC0415 - only who asks pays for it
-    from evalkit.validation import attempts  # noqa: PLC0415 - as above
+    from evalkit.validation.basins import attempts  # noqa: PLC0415 - as above
 
     count = sum(not each.reason for each in entrants) * sum(-(-one.offsets // attempts.AT_ONCE) for one in trials)
     try:

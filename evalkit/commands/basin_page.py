@@ -30,7 +30,7 @@ from evalkit.report.document import (
 )
 from evalkit.se2 import Floats
 from evalkit.types import Pose
-from evalkit.validation.basin import Shares
+from evalkit.validation.basins.basin import Shares
 
 DRAWN = 150
 """Points of a cloud in an overlay: more cannot be seen."""

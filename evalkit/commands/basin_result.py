@@ -11,11 +11,11 @@ import numpy as np
 
 from evalkit.se2 import Floats
 from evalkit.types import Pose
-from evalkit.validation import surroundings
-from evalkit.validation.attempts import Entrant, Outcome, Trials
-from evalkit.validation.basin import QUANTILES, Basin, Criterion, Shares, guesses, off
-from evalkit.validation.observability import Observability, observability
-from evalkit.validation.surroundings import Seen
+from evalkit.validation.basins import surroundings
+from evalkit.validation.basins.attempts import Entrant, Outcome, Trials
+from evalkit.validation.basins.basin import QUANTILES, Basin, Criterion, Shares, guesses, off
+from evalkit.validation.basins.observability import Observability, observability
+from evalkit.validation.basins.surroundings import Seen
 
 CELLS = 5
 """Cells along each axis of a map."""

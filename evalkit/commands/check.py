@@ -13,7 +13,7 @@ from evalkit import console
 from evalkit.commands import options
 from evalkit.commands.options import Json, out
 from evalkit.settings import from_text
-from evalkit.validation import conformance
+from evalkit.validation.conformance import kit as conformance
 
 
 def check(

@@ -86,7 +86,7 @@ def validate(
     """Measure how metrics without a truth follow the true error of maps that are spoiled in known ways."""
     from evalkit.commands import metrics_page  # noqa: PLC0415 - loads matplotlib
     from evalkit.report.document import render  # noqa: PLC0415 - as above
-    from evalkit.validation import trust  # noqa: PLC0415 - loads scipy.stats
+    from evalkit.validation.trust import measured as trust  # noqa: PLC0415 - loads scipy.stats
 
     worlds = tuple(dict.fromkeys(world or (("lab",) if quick else trust.WORLDS)))
     asked = trust.Asked(worlds, 2 if quick else sizes, seed, mapper, min(scans, 40) if quick else scans)
@@ -117,7 +117,7 @@ def selftest(
     as_json: Json = False,
 ) -> None:
     """Plant mistakes between a sequence and its scores; exit code 1 if one of them is not plain in the numbers."""
-    from evalkit.validation import trust  # noqa: PLC0415 - loads scipy.stats
+    from evalkit.validation.trust import measured as trust  # noqa: PLC0415 - loads scipy.stats
 
     asked = trust.Asked(seed=seed, mapper=mapper, plants_in=world)
     results = _made(trust.planting(asked), folder or Path("reports") / "build" / "metrics", jobs)
@@ -136,7 +136,7 @@ def _metrics() -> tuple[Metric, ...]:
 
 
 def _card(metric: Metric) -> dict[str, Any]:
-    from evalkit.validation.trust import interval  # noqa: PLC0415 - loads scipy.stats
+    from evalkit.validation.trust.measured import interval  # noqa: PLC0415 - loads scipy.stats
 
     trust = _trust(metric)
     return {

@@ -13,8 +13,8 @@ from evalkit.report import charts
 from evalkit.report.charts import Axis, Points
 from evalkit.report.document import Bullets, Cell, Column, Command, Document, Figure, Figures, Section, Table, Text
 from evalkit.report.palette import HUES
-from evalkit.validation.planted import CAUGHT, GOOD_M, MOST
-from evalkit.validation.trust import PILOT
+from evalkit.validation.trust.measured import PILOT
+from evalkit.validation.trust.planted import CAUGHT, GOOD_M, MOST
 
 KNOWN = {metric.name: metric for metric in METRICS}
 SHOWN = 5

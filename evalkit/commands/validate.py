@@ -23,7 +23,7 @@ from evalkit.engine import Progress
 from evalkit.errors import BadParameter
 from evalkit.experiment import Plan
 from evalkit.store import Store
-from evalkit.validation.dossier import Claim, Dossier
+from evalkit.validation.dossier.dossier import Claim, Dossier
 
 FULL_ON = ("room laps=0.6", "lab laps=0.6", "fr079 limit=600")
 QUICK_ON = ("room laps=0.15", "lab laps=0.15", "fr079 limit=90")
@@ -65,7 +65,7 @@ def validate(
     as_json: Json = False,
 ) -> None:
     """Validate an implementation: is it right, how fast, and where does it first differ from its twin? 0 yes, 1 no."""
-    from evalkit.validation import examination  # noqa: PLC0415 - loads scipy.stats: only who validates pays for it
+    from evalkit.validation.dossier import examination  # noqa: PLC0415 - loads scipy.stats: only who validates pays for it
 
     _modules_from_here(backend, twin, *(against or []))
     asked = examination.Asked(

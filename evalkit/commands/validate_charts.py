@@ -14,12 +14,12 @@ from evalkit.report.document import Figure
 from evalkit.report.palette import TRUTH, strokes
 from evalkit.se2 import Floats
 from evalkit.types import OccupancyGrid, Trial
-from evalkit.validation.answers import errors, told_stage
-from evalkit.validation.cells import Layers
-from evalkit.validation.costs import milliseconds
-from evalkit.validation.dossier import Level
+from evalkit.validation.dossier.answers import errors, told_stage
+from evalkit.validation.dossier.costs import milliseconds
+from evalkit.validation.dossier.dossier import Level
+from evalkit.validation.dossier.paths import distances
+from evalkit.validation.equivalence.cells import Layers
 from evalkit.validation.isolated import ENDED
-from evalkit.validation.paths import distances
 
 LEAST_M = 1e-17
 """Nothing nearer is drawn farther to the left: there are no numbers between 0 and this that mean a difference."""

@@ -22,14 +22,14 @@ from evalkit.report.document import (
     Tone,
     render,
 )
-from evalkit.validation.answers import GROUNDS
-from evalkit.validation.dossier import Dossier, Level, Line, Outcome
+from evalkit.validation.dossier.answers import GROUNDS
+from evalkit.validation.dossier.dossier import Dossier, Level, Line, Outcome
 
 TONES: Mapping[Outcome, Tone] = {"passed": "good", "failed": "bad", "told": "", "not applicable": ""}
 
 
 def json_text(found: Dossier) -> str:
-    """The JSON form (``evalkit/validation/dossier.schema.json``)."""
+    """The JSON form (``evalkit/validation/dossier/dossier.schema.json``)."""
     return json.dumps(found.as_json(), indent=1) + "\n"
 
 

@@ -15,7 +15,7 @@ from evalkit.protocols import Sequence as Recording
 from evalkit.se2 import Floats
 from evalkit.study.ledger import Job
 from evalkit.types import STEP, Run
-from evalkit.validation.corruption import WAYS
+from evalkit.validation.trust.corruption import WAYS
 
 SWIFT: dict[str, Value] = {"rate_hz": 5.0, "speed_mps": 0.6}
 """A drive that takes half as many scans and half the time, where a world has these settings."""
@@ -29,7 +29,7 @@ def job(world: str, way: str, sizes: Sequence[float], seed: int, mapper: str, sc
     arguments = {
         "world": world, "way": way, "sizes": list(sizes), "seed": seed, "mapper": mapper, "scans": scans,
     }  # fmt: skip
-    return Job(f"{world} {way}", "evalkit.validation.rebuilding:spoiled", arguments, plug_ins)
+    return Job(f"{world} {way}", "evalkit.validation.trust.rebuilding:spoiled", arguments, plug_ins)
 
 
 def spoiled(world: str, way: str, sizes: list[float], seed: int, mapper: str, scans: int) -> dict[str, Any]:

@@ -15,10 +15,10 @@ from evalkit.se2 import Floats
 from evalkit.settings import from_text
 from evalkit.study.ledger import Job, JobsFailed, Ledger, OnDone
 from evalkit.types import Bools, Pose
-from evalkit.validation import basin, surroundings
 from evalkit.validation.address import address_of, spec_at
-from evalkit.validation.rules import raised
-from evalkit.validation.surroundings import Seen
+from evalkit.validation.basins import basin, surroundings
+from evalkit.validation.basins.surroundings import Seen
+from evalkit.validation.conformance.rules import raised
 
 AT_ONCE = 512
 """Attempts in one job: a few seconds of a compiled back end."""

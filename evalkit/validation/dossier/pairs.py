@@ -13,7 +13,7 @@ from evalkit.metrics.trajectory import MAX_GAP_S, bracketed
 from evalkit.protocols import Odometry, Sequence
 from evalkit.se2 import Floats
 from evalkit.types import Cloud, Frame, Match, Pose, Scan, Trajectory
-from evalkit.validation.lockstep import DISTURBED, DISTURBED_M, DISTURBED_RAD, Question, Side
+from evalkit.validation.equivalence.lockstep import DISTURBED, DISTURBED_M, DISTURBED_RAD, Question, Side
 
 STAGE = "pair"
 CALM_M, CALM_RAD = 0.05, 0.035

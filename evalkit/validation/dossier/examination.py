@@ -18,13 +18,14 @@ from evalkit.settings import from_text
 from evalkit.store import Store
 from evalkit.study.ledger import Job, Ledger, OnDone, Result
 from evalkit.types import Trial
-from evalkit.validation import answers, costs, isolated, paths, twins
-from evalkit.validation.answers import Names
-from evalkit.validation.asking import EXACT
-from evalkit.validation.dossier import Claim, Dossier, Level
-from evalkit.validation.equivalence import FLOAT32
+from evalkit.validation import isolated
+from evalkit.validation.dossier import answers, costs, paths, twins
+from evalkit.validation.dossier.answers import Names
+from evalkit.validation.dossier.asking import EXACT
+from evalkit.validation.dossier.dossier import Claim, Dossier, Level
+from evalkit.validation.equivalence.comparison import FLOAT32
 
-ASKING, PACE = "evalkit.validation.asking", "evalkit.validation.pace"
+ASKING, PACE = "evalkit.validation.dossier.asking", "evalkit.validation.dossier.pace"
 AUTO = "auto"
 COPIES = 5
 """Copies of a sequence that tell how far rounding alone leads."""

@@ -13,10 +13,10 @@ from evalkit.errors import EvalkitError
 from evalkit.protocols import NoAnswer, Odometry
 from evalkit.se2 import Floats
 from evalkit.types import Frame, Pose
-from evalkit.validation.growth import grown_bytes
-from evalkit.validation.registration_rules import NEAR_ENOUGH, turn_in_radians
-from evalkit.validation.rules import Broken, NotApplicable, Rule, raised, table
-from evalkit.validation.scenes import Drive, away, drive, told, without_hits
+from evalkit.validation.conformance.growth import grown_bytes
+from evalkit.validation.conformance.registration_rules import NEAR_ENOUGH, turn_in_radians
+from evalkit.validation.conformance.rules import Broken, NotApplicable, Rule, raised, table
+from evalkit.validation.conformance.scenes import Drive, away, drive, told, without_hits
 
 ON_TRACK_M = 0.25
 """At the end of 0.6 m and 0.6 rad: two voxels of a usual map, its turn felt half a room away."""

@@ -9,8 +9,8 @@ import numpy as np
 from evalkit.se2 import Floats
 from evalkit.study.ledger import Result
 from evalkit.types import Trial
-from evalkit.validation.answers import Names
-from evalkit.validation.dossier import Level, Line, Outcome
+from evalkit.validation.dossier.answers import Names
+from evalkit.validation.dossier.dossier import Level, Line, Outcome
 from evalkit.validation.isolated import ENDED
 
 MS = 1e-6

@@ -14,11 +14,11 @@ from evalkit.clock import Timing, timed
 from evalkit.protocols import NoAnswer, Odometry
 from evalkit.study.ledger import Result
 from evalkit.types import Frame, Match
-from evalkit.validation import equivalence
-from evalkit.validation.asking import Data, Named
+from evalkit.validation.dossier.asking import Data, Named
+from evalkit.validation.dossier.pairs import pairs
+from evalkit.validation.equivalence import comparison as equivalence
+from evalkit.validation.equivalence.lockstep import Side
 from evalkit.validation.isolated import at
-from evalkit.validation.lockstep import Side
-from evalkit.validation.pairs import pairs
 
 WARM_UP = 5
 """Scans, or pairs of scans, shown before the clock starts."""

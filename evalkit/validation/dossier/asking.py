@@ -13,13 +13,16 @@ from evalkit.protocols import NoAnswer, Odometry, Sequence, Value
 from evalkit.se2 import Floats
 from evalkit.study.ledger import Result
 from evalkit.types import Frame, Pose, Truth
-from evalkit.validation import conformance, equivalence, lockstep, pairs
-from evalkit.validation.divergence import first_divergence
-from evalkit.validation.equivalence import FLOAT32, ROUNDING, Known
+from evalkit.validation.conformance import kit as conformance
+from evalkit.validation.dossier import pairs
+from evalkit.validation.dossier.pairs import Pair, TwoScans
+from evalkit.validation.equivalence import comparison as equivalence
+from evalkit.validation.equivalence import lockstep
+from evalkit.validation.equivalence.comparison import FLOAT32, ROUNDING, Known
+from evalkit.validation.equivalence.divergence import first_divergence
+from evalkit.validation.equivalence.lockstep import Exchange, Side
+from evalkit.validation.equivalence.margins import FLOAT32_ROUNDOFF, TIE_ROUNDINGS, Margin, difference
 from evalkit.validation.isolated import at
-from evalkit.validation.lockstep import Exchange, Side
-from evalkit.validation.margins import FLOAT32_ROUNDOFF, TIE_ROUNDINGS, Margin, difference
-from evalkit.validation.pairs import Pair, TwoScans
 
 Named = Mapping[str, Any]
 """A back end: its "name", and what is "given" to it."""

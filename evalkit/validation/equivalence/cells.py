@@ -13,10 +13,10 @@ from evalkit.errors import BackendFailed
 from evalkit.protocols import Mapper
 from evalkit.se2 import Floats
 from evalkit.types import Bools, Ints, OccupancyGrid, Pose, Scan
-from evalkit.validation.divergence import Divergence
-from evalkit.validation.lockstep import REMEDY
-from evalkit.validation.mistakes import Kind
-from evalkit.validation.rules import raised
+from evalkit.validation.conformance.rules import raised
+from evalkit.validation.equivalence.divergence import Divergence
+from evalkit.validation.equivalence.lockstep import REMEDY
+from evalkit.validation.equivalence.mistakes import Kind
 
 Drawn = tuple[Scan, Pose]
 """A scan and its ``world_from_sensor``."""

@@ -14,8 +14,8 @@ from evalkit.metrics.table import Metric
 from evalkit.protocols import Sequence
 from evalkit.study.ledger import Job
 from evalkit.types import Frame, Pose, Run, Scan, Truth
-from evalkit.validation import corruption
-from evalkit.validation.rebuilding import recording, run_of, scored, true_poses
+from evalkit.validation.trust import corruption
+from evalkit.validation.trust.rebuilding import recording, run_of, scored, true_poses
 
 Steps = NDArray[np.void]
 
@@ -130,7 +130,7 @@ def job(plant: str, world: str, seed: int, mapper: str, scans: int) -> Job:
     """The job of one mistake, or of none."""
     plug_ins = (registry.plug_in_of("datasets", world).module, registry.plug_in_of("mappers", mapper).module)
     arguments = {"plant": plant, "world": world, "seed": seed, "mapper": mapper, "scans": scans}
-    return Job(f"planted {plant}", "evalkit.validation.planted:planted", arguments, plug_ins)
+    return Job(f"planted {plant}", "evalkit.validation.trust.planted:planted", arguments, plug_ins)
 
 
 def planted(plant: str, world: str, seed: int, mapper: str, scans: int) -> dict[str, Any]:

@@ -16,9 +16,9 @@ from evalkit.metrics.trajectory import MAX_GAP_S, bracketed, rms
 from evalkit.se2 import Floats
 from evalkit.study.ledger import Result
 from evalkit.types import Trial
-from evalkit.validation.answers import Names, ended, words
-from evalkit.validation.cells import Layers
-from evalkit.validation.dossier import Level, Line
+from evalkit.validation.dossier.answers import Names, ended, words
+from evalkit.validation.dossier.dossier import Level, Line
+from evalkit.validation.equivalence.cells import Layers
 from evalkit.validation.isolated import ENDED
 
 CONFIDENCE = 0.90

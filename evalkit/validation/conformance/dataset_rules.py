@@ -13,7 +13,7 @@ from evalkit.errors import DataMissing, EvalkitError
 from evalkit.protocols import DatasetSpec, Sequence, Value, resolved
 from evalkit.types import Frame, Pose, Truth
 from evalkit.validation.address import address_of, spec_at
-from evalkit.validation.rules import Broken, Conformance, NotApplicable, Rule, table, verdict
+from evalkit.validation.conformance.rules import Broken, Conformance, NotApplicable, Rule, table, verdict
 
 COVERED = 0.5
 """Share of the frames that the truth must reach: recordings may begin before their reference does."""

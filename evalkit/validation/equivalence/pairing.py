@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 from evalkit import se2
 from evalkit.se2 import Floats
 from evalkit.types import Bools, Ints, Pose
-from evalkit.validation.lockstep import Question
-from evalkit.validation.mistakes import Kind, in_start
+from evalkit.validation.equivalence.lockstep import Question
+from evalkit.validation.equivalence.mistakes import Kind, in_start
 
 NEARLY_ALL = 0.98
 """Another start explains pairs if this share of them are nearest neighbours from there."""

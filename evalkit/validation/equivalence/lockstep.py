@@ -16,7 +16,7 @@ from evalkit import frontend
 from evalkit.errors import BackendFailed
 from evalkit.protocols import BackendSpec, NoAnswer, Odometry, Registration, Sequence, Value
 from evalkit.types import Cloud, Frame, Match, Pose
-from evalkit.validation.rules import raised
+from evalkit.validation.conformance.rules import raised
 
 DISTURBED = "-disturbed"
 """Ending of the stage of a question whose guess is off."""

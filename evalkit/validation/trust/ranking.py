@@ -13,7 +13,7 @@ from evalkit import metrics
 from evalkit.metrics.statistics import CONFIDENCE, Interval
 from evalkit.metrics.table import Metric
 from evalkit.se2 import Floats
-from evalkit.validation.rebuilding import CLEAN
+from evalkit.validation.trust.rebuilding import CLEAN
 
 ERROR = "ate_rmse_m"
 DRAWS = 1000

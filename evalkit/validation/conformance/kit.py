@@ -16,8 +16,8 @@ from evalkit import child, registry
 from evalkit.errors import BackendFailed, NotInstalled, UnknownName
 from evalkit.protocols import BackendSpec, Value, resolved
 from evalkit.validation.address import Address, address_of, spec_at
-from evalkit.validation.examiner import NOT_INSTALLED, REQUEST, RULES, STARTS, VERDICTS, Request
-from evalkit.validation.rules import Conformance, Rule, Verdict, not_asked
+from evalkit.validation.conformance.examiner import NOT_INSTALLED, REQUEST, RULES, STARTS, VERDICTS, Request
+from evalkit.validation.conformance.rules import Conformance, Rule, Verdict, not_asked
 
 PATIENCE = 3
 """After so many ends of the process the rest is not asked any more."""
@@ -123,7 +123,7 @@ class _Examination:
             request = Request(asdict(self._address), self._parameters, names, path)
             (folder / REQUEST).write_text(json.dumps(asdict(request)), encoding="utf-8")
             with (folder / OUTPUT).open("ab") as output:
-                process = child.started("evalkit.validation.examiner", folder, output)
+                process = child.started("evalkit.validation.conformance.examiner", folder, output)
                 try:
                     limit = self._watched(process, folder)
                 finally:

@@ -14,13 +14,21 @@ from evalkit.errors import BadData, BadParameter, DataMissing, NotInstalled
 from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter, Sequence, Value, resolved
 from evalkit.settings import from_text
 from evalkit.types import Pose
-from evalkit.validation import cells, lockstep
 from evalkit.validation.address import address_of, spec_at
-from evalkit.validation.agreement import Equivalence, Level
-from evalkit.validation.divergence import Divergence, first_divergence
-from evalkit.validation.lockstep import Exchange, Side, Step
-from evalkit.validation.margins import Interval, Margin, Scale, difference, float32, interval, pose_intervals
-from evalkit.validation.mistakes import explanation, in_answer
+from evalkit.validation.equivalence import cells, lockstep
+from evalkit.validation.equivalence.agreement import Equivalence, Level
+from evalkit.validation.equivalence.divergence import Divergence, first_divergence
+from evalkit.validation.equivalence.lockstep import Exchange, Side, Step
+from evalkit.validation.equivalence.margins import (
+    Interval,
+    Margin,
+    Scale,
+    difference,
+    float32,
+    interval,
+    pose_intervals,
+)
+from evalkit.validation.equivalence.mistakes import explanation, in_answer
 
 Known = Margin | Literal["float32"]
 Given = Mapping[str, object]

@@ -12,11 +12,11 @@ import numpy as np
 
 from evalkit.metrics.statistics import Interval
 from evalkit.study.ledger import Job, Result
-from evalkit.validation import planted, ranking, rebuilding
-from evalkit.validation.corruption import WAYS
-from evalkit.validation.planted import NO_MISTAKE, PLANTS, Sighting
-from evalkit.validation.ranking import Row
-from evalkit.validation.rebuilding import CLEAN
+from evalkit.validation.trust import planted, ranking, rebuilding
+from evalkit.validation.trust.corruption import WAYS
+from evalkit.validation.trust.planted import NO_MISTAKE, PLANTS, Sighting
+from evalkit.validation.trust.ranking import Row
+from evalkit.validation.trust.rebuilding import CLEAN
 
 WORLDS = ("lab", "office", "room")
 SCANS = 150

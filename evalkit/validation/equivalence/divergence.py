@@ -9,10 +9,10 @@ import numpy as np
 
 from evalkit.se2 import Floats
 from evalkit.types import Ints, Iteration, Match, Pose
-from evalkit.validation import pairing
-from evalkit.validation.lockstep import Exchange, Question
-from evalkit.validation.margins import FLOAT32_ROUNDOFF, TIE_ROUNDINGS, Margin, Scale, float32
-from evalkit.validation.mistakes import (
+from evalkit.validation.equivalence import pairing
+from evalkit.validation.equivalence.lockstep import Exchange, Question
+from evalkit.validation.equivalence.margins import FLOAT32_ROUNDOFF, TIE_ROUNDINGS, Margin, Scale, float32
+from evalkit.validation.equivalence.mistakes import (
     Kind,
     Mistake,
     apart,

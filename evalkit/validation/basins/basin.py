@@ -12,7 +12,7 @@ from evalkit import se2
 from evalkit.metrics.statistics import Interval, wilson
 from evalkit.se2 import Floats
 from evalkit.types import Bools, Ints
-from evalkit.validation.observability import Observability
+from evalkit.validation.basins.observability import Observability
 
 PLASTIC = 1.2207440846057596
 """The real root above 1 of x^4 = x + 1: its powers fill a cube evenly (Roberts 2018, after the golden ratio)."""

@@ -1,4 +1,4 @@
-"""Rules asked in this process: ``python -m evalkit.validation.examiner FOLDER`` reads the request there.
+"""Rules asked in this process: ``python -m evalkit.validation.conformance.examiner FOLDER`` reads the request there.
 
 Each rule's beginning and verdict are on disk before the next one begins, so that whatever ends this process, it is
 known which question did.
@@ -17,9 +17,9 @@ from typing import Any, TextIO
 from evalkit import lifeline, registry
 from evalkit.errors import NotInstalled
 from evalkit.protocols import BackendSpec, Value
-from evalkit.validation import odometry_rules, registration_rules
 from evalkit.validation.address import Address, spec_at
-from evalkit.validation.rules import Rule, verdict
+from evalkit.validation.conformance import odometry_rules, registration_rules
+from evalkit.validation.conformance.rules import Rule, verdict
 
 REQUEST = "request.json"
 VERDICTS = "verdicts.jsonl"

@@ -14,11 +14,11 @@ from evalkit import se2
 from evalkit.se2 import Floats
 from evalkit.study.ledger import Result
 from evalkit.types import Bools
-from evalkit.validation.dossier import Ground, Level, Line
-from evalkit.validation.equivalence import FLOAT32, ROUNDING
+from evalkit.validation.dossier.dossier import Ground, Level, Line
+from evalkit.validation.equivalence.comparison import FLOAT32, ROUNDING
+from evalkit.validation.equivalence.lockstep import DISTURBED
+from evalkit.validation.equivalence.margins import Interval, interval
 from evalkit.validation.isolated import ENDED
-from evalkit.validation.lockstep import DISTURBED
-from evalkit.validation.margins import Interval, interval
 
 STAGES = {"s2s": "scan to scan", "s2m": "scan to map"}
 

@@ -11,9 +11,9 @@ import numpy as np
 
 from evalkit.protocols import Registration
 from evalkit.types import Cloud, Match, Pose
-from evalkit.validation.growth import grown_bytes
-from evalkit.validation.rules import Broken, Rule, raised, table
-from evalkit.validation.scenes import Pair, away, clear_pair, noisy_pair, told, wall_pair
+from evalkit.validation.conformance.growth import grown_bytes
+from evalkit.validation.conformance.rules import Broken, Rule, raised, table
+from evalkit.validation.conformance.scenes import Pair, away, clear_pair, noisy_pair, told, wall_pair
 
 EXACT_M = 0.02
 """Without noise and with a good guess: 1 cm and 0.15 degrees. Voxels and stop rules may blur that much."""

@@ -1,0 +1,1 @@
+"""From how far off a guess does a registration still find the truth?"""

@@ -1,0 +1,1 @@
+"""What is known of an implementation, level by level, up to one verdict."""

@@ -1,0 +1,1 @@
+"""How far can metrics, and the harness itself, be trusted?"""
