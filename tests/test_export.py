@@ -266,7 +266,7 @@ def test_a_recording_that_begins_at_zero_is_moved_to_where_ros_knows_times(finis
     early = Run("paper", AWKWARD, "complete", "", trial.run.steps.copy(), N)
     early.steps.flags.writeable = True
     early.steps["stamp_ns"] -= T0
-    sent = list(rosfile._sent(rosfile._Maker(), replace(trial, run=early, truth=Truth("none")), Nothing()))
+    sent = list(rosfile._sent(rosfile.Messages(), replace(trial, run=early, truth=Truth("none")), Nothing()))
     assert min(stamp for stamp, _, _ in sent) == 10**9
 
 

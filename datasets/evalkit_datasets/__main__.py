@@ -1,9 +1,11 @@
-"""The command line of the recorded data: ``evalkit datasets list | fetch NAME...``."""
+"""The command line of the recorded data: ``evalkit datasets list | fetch NAME... | example BAG``."""
 
 from __future__ import annotations
 
 import json
 import sys
+from dataclasses import asdict
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -13,7 +15,9 @@ from rich.progress import Progress
 from rich.table import Table
 
 from evalkit import console
-from evalkit.errors import EvalkitError
+from evalkit.commands import options
+from evalkit.errors import EvalkitError, UnknownName
+from evalkit.settings import from_text
 from evalkit_datasets import catalog, recorded
 from evalkit_datasets.fetch import fetch
 
@@ -56,6 +60,28 @@ def fetch_(names: Annotated[list[str], typer.Argument(help="Files or data sets."
             failed = True
     if failed:
         raise typer.Exit(2)
+
+
+@app.command("example")
+def example_(
+    bag: Annotated[Path, typer.Argument(help="The bag's folder, to be made.", show_default=False)],
+    world: Annotated[str, typer.Option(help="A synthetic world: room, lab, loop, corridor or office.")] = "lab",
+    setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE for the world.")] = None,
+    as_json: options.Json = False,
+) -> None:
+    """Write a simulated drive as a ROS 2 bag, its true trajectory beside it: for who has no recording at hand."""
+    from evalkit_datasets import example  # noqa: PLC0415 - only who wants one pays for it
+
+    if world not in example.WORLDS:
+        raise UnknownName("world", world, example.WORLDS)
+    given = from_text(world, example.WORLDS[world].parameters, options.settings(setting or []))
+    made = example.write(bag, world, given)
+    if as_json:
+        options.print_json(asdict(made) | {"bag": str(made.bag), "truth": str(made.truth)})
+        return
+    told = f"{made.bag}: {made.scans} scans in {made.duration_s:.1f} s over {made.path_m:.1f} m, simulated"
+    out.print(told, markup=False, highlight=False)
+    out.print(f"{made.truth}: the true poses", markup=False, highlight=False)
 
 
 def _fetched(name: str) -> str:

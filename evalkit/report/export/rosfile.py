@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -41,22 +41,27 @@ def write(folder: Path, trial: Trial, recording: Recording) -> Path:
 
     Frames: world_from_base_link is the answer, world_from_truth the truth; /scan is in the lidar's frame.
     """
-    from rosbags.rosbag2 import StoragePlugin, Writer  # noqa: PLC0415 - only who exports pays for it
-
-    maker = _Maker()
+    maker = Messages()
     path = folder / trial.key
     shutil.rmtree(path, ignore_errors=True)
     path.parent.mkdir(parents=True, exist_ok=True)
-    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-        connections: dict[str, Any] = {}
-        for stamp, topic, message in sorted(_sent(maker, trial, recording), key=lambda sent: sent[0]):
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, TYPES[topic], typestore=maker.store)
-            writer.write(connections[topic], stamp, maker.store.serialize_cdr(message, TYPES[topic]))
+    write_bag(path, maker, _sent(maker, trial, recording))
     return path
 
 
-def _sent(maker: _Maker, trial: Trial, recording: Recording) -> Iterator[Sent]:
+def write_bag(path: Path, maker: Messages, messages: Iterable[Sent]) -> None:
+    """The folder of a ROS 2 bag, which must not exist yet, with the messages in the order of time."""
+    from rosbags.rosbag2 import StoragePlugin, Writer  # noqa: PLC0415 - only who exports pays for it
+
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections: dict[str, Any] = {}
+        for stamp, topic, message in sorted(messages, key=lambda sent: sent[0]):
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, TYPES[topic], typestore=maker.store)
+            writer.write(connections[topic], stamp, maker.store.serialize_cdr(message, TYPES[topic]))
+
+
+def _sent(maker: Messages, trial: Trial, recording: Recording) -> Iterator[Sent]:
     stamps, poses = world_poses(trial)
     shift = max(EARLIEST_NS - int(stamps[0]), 0)
     begin = int(stamps[0]) + shift
@@ -71,10 +76,11 @@ def _sent(maker: _Maker, trial: Trial, recording: Recording) -> Iterator[Sent]:
             yield stamp + shift, "/tf", maker.transform(stamp + shift, WORLD, TRUTH, Pose.of(row))
     for stamp, row in zip(stamps.tolist(), poses, strict=True):
         yield stamp + shift, "/tf", maker.transform(stamp + shift, WORLD, BASE, Pose.of(row))
-    yield from _recorded(maker, recording, shift, begin)
+    yield from recorded(maker, recording, shift, begin)
 
 
-def _recorded(maker: _Maker, recording: Recording, shift: int, begin: int) -> Iterator[Sent]:
+def recorded(maker: Messages, recording: Recording, shift: int, begin: int) -> Iterator[Sent]:
+    """What was recorded: scans, wheel odometry and the lidar's place, ``shift`` ns later, the place by ``begin``."""
     seat = None
     for frame in recording.frames():
         stamp = frame.scan.stamp_ns + shift
@@ -86,7 +92,7 @@ def _recorded(maker: _Maker, recording: Recording, shift: int, begin: int) -> It
             yield stamp, "/odom", maker.odometry(stamp, frame)
 
 
-class _Maker:
+class Messages:
     """Makes ROS 2 messages."""
 
     def __init__(self) -> None:

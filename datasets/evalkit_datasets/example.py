@@ -1,0 +1,71 @@
+"""A simulated drive written as a ROS 2 bag with its true trajectory beside it: a recording for who has none at hand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import cast
+
+import numpy as np
+
+from evalkit.errors import StoreError, UnknownName
+from evalkit.protocols import Value, resolved
+from evalkit.store import REMEDY
+from evalkit.types import Trajectory
+from evalkit_datasets import synthetic, tum
+from evalkit_datasets.synthetic import Synthetic
+
+WORLDS = {
+    "room": synthetic.ROOM,
+    "lab": synthetic.LAB,
+    "loop": synthetic.LOOP,
+    "corridor": synthetic.CORRIDOR,
+    "office": synthetic.OFFICE,
+}
+SHORT: Mapping[str, Value] = {"laps": 0.25}
+"""What an example sets unless told otherwise: long enough to show a turn, short enough to compare in seconds."""
+
+
+@dataclass(frozen=True)
+class Example:
+    """What was written: the bag's folder, the true trajectory, and how much there is of it."""
+
+    bag: Path
+    truth: Path
+    scans: int
+    duration_s: float
+    path_m: float
+
+
+def write(bag: Path, world: str, given: Mapping[str, object]) -> Example:
+    """The bag (/scan, /odom, /tf_static) of a drive through a synthetic world, and ``<bag>.tum``.
+
+    Nothing that exists is replaced: StoreError. UnknownName and BadParameter where world or settings do not exist.
+    """
+    if world not in WORLDS:
+        raise UnknownName("world", world, WORLDS)
+    true = bag.with_name(f"{bag.name}.tum")
+    for path in (bag, true):
+        if path.exists():
+            raise StoreError(str(path), "exists already", "remove it, or give another name")
+    spec = WORLDS[world]
+    drive = cast(Synthetic, spec.make(**resolved(world, spec.parameters, {**SHORT, **given})))  # as all WORLDS make
+    try:
+        return _written(bag, true, drive)
+    except OSError as error:
+        raise StoreError(str(bag), f"cannot be written ({error.strerror or error})", REMEDY) from error
+
+
+def _written(bag: Path, true: Path, drive: Synthetic) -> Example:
+    from evalkit.report.export import rosfile  # noqa: PLC0415 - only who writes a bag pays for it
+
+    begin = rosfile.EARLIEST_NS
+    shift = begin - int(drive.stamps_ns[0])
+    bag.parent.mkdir(parents=True, exist_ok=True)
+    maker = rosfile.Messages()
+    rosfile.write_bag(bag, maker, rosfile.recorded(maker, drive, shift, begin))
+    poses = drive.drive.pose(drive.stamps_ns)
+    true.write_text(tum.text(Trajectory(drive.stamps_ns + shift, poses), ("exact: simulated",)), encoding="utf-8")
+    path_m = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
+    return Example(bag, true, len(drive), 1e-9 * float(drive.stamps_ns[-1] - drive.stamps_ns[0]), path_m)

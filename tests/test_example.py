@@ -1,0 +1,62 @@
+"""A drive that was simulated and written as a bag is the drive that is read back."""
+
+import json
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from evalkit.errors import BadParameter, StoreError, UnknownName
+from evalkit_datasets import __main__ as command
+from evalkit_datasets import example, tum
+from evalkit_datasets.rosbag import RosBag
+
+SHORT = {"laps": 0.03, "rate_hz": 5.0}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    return example.write(tmp_path_factory.mktemp("bags") / "new" / "drive", "lab", SHORT)
+
+
+def test_the_bag_reads_back_as_the_scans_wheels_and_mounting_that_were_simulated(made):
+    simulated = list(example.WORLDS["lab"].make(**SHORT).frames())
+    read = list(RosBag(str(made.bag)).frames())
+    assert len(read) == len(simulated) == made.scans
+    for one, other in zip(read, simulated, strict=True):
+        assert one.scan.stamp_ns - other.scan.stamp_ns == 10**9
+        assert np.allclose(one.scan.ranges, other.scan.ranges, atol=1e-6, equal_nan=True)
+        assert np.allclose(one.scan.angles, other.scan.angles, atol=1e-4)
+        assert one.base_from_sensor.row == pytest.approx(other.base_from_sensor.row, abs=1e-9)
+        assert one.odom_from_base.row == pytest.approx(other.odom_from_base.row, abs=1e-9)
+
+
+def test_the_truth_beside_it_is_the_simulations_at_the_bags_own_stamps(made):
+    true = example.WORLDS["lab"].make(**SHORT).truth().trajectory
+    written = tum.read(made.truth).trajectory
+    assert made.truth.name == "drive.tum"
+    assert np.array_equal(written.stamps_ns, true.stamps_ns + 10**9)
+    assert np.allclose(written.poses, true.poses, atol=1e-9)
+
+
+def test_nothing_that_exists_is_replaced(made):
+    with pytest.raises(StoreError, match="drive: exists already; remove it"):
+        example.write(made.bag, "lab", {})
+    made.bag.with_name("other.tum").touch()
+    with pytest.raises(StoreError, match="exists already; remove it"):
+        example.write(made.bag.with_name("other"), "lab", {})
+
+
+def test_a_world_or_setting_that_does_not_exist_is_answered_with_those_that_do(tmp_path):
+    with pytest.raises(UnknownName, match="known: corridor, lab, loop, office, room"):
+        example.write(tmp_path / "drive", "moon", {})
+    with pytest.raises(BadParameter, match="laps"):
+        example.write(tmp_path / "drive", "room", {"laps": 0.0})
+    assert not list(tmp_path.iterdir())
+
+
+def test_the_command_says_what_it_wrote(tmp_path):
+    words = ["example", str(tmp_path / "drive"), "--world", "room", "--set", "laps=0.03", "--set", "rate_hz=5"]
+    told = json.loads(CliRunner().invoke(command.app, [*words, "--json"]).output)
+    assert (told["bag"], told["truth"]) == (str(tmp_path / "drive"), str(tmp_path / "drive.tum"))
+    assert told["scans"] == pytest.approx(5 * told["duration_s"], abs=1.5)
