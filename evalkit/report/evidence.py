@@ -90,6 +90,16 @@ def evidence(comparison: Comparison) -> Evidence:
     )
 
 
+def duels(comparison: Comparison, pairs: Sequence[tuple[str, str]]) -> tuple[Duel, ...]:
+    """Every first contestant held against its second, over the runs both made; those without a common run are left out.
+
+    Holm's adjustment is over these pairs.
+    """
+    counted = [found for label in comparison.sequence_labels if (found := _counted(comparison, label))]
+    errors = {who: _errors(comparison, counted, who) for pair in pairs for who in pair}
+    return _held(errors, pairs)
+
+
 def _counted(comparison: Comparison, sequence: str) -> Standing | None:
     """What decides a sequence, if that is an error against a truth."""
     found = deciding(comparison, sequence)
@@ -151,12 +161,19 @@ def _record(comparison: Comparison, who: str, errors: Runs, rank: float | None, 
 
 
 def _duels(errors: Mapping[str, Runs], references: Sequence[str]) -> tuple[Duel, ...]:
-    pairs = {
-        (who, reference): _paired(errors[who], errors[reference])
-        for reference in references
-        for who in errors
-        if who != reference and who not in references[: references.index(reference)]
-    }
+    return _held(
+        errors,
+        [
+            (who, reference)
+            for reference in references
+            for who in errors
+            if who != reference and who not in references[: references.index(reference)]
+        ],
+    )
+
+
+def _held(errors: Mapping[str, Runs], named: Sequence[tuple[str, str]]) -> tuple[Duel, ...]:
+    pairs = {(who, reference): _paired(errors[who], errors[reference]) for who, reference in named}
     pairs = {names: both for names, both in pairs.items() if len(both[0])}
     tests = statistics.wilcoxon_holm({" ".join(names): both for names, both in pairs.items()})
     return tuple(_duel(*names, *both, tests[" ".join(names)]) for names, both in pairs.items())

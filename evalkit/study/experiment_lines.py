@@ -20,19 +20,20 @@ def experiment_lines(study: Study, key: str) -> str:
             "[mapper]",
             f"use = {json.dumps(study.mapper)}",
             f"scans = {study.scans}",
-            *_lines(point.mapper),
+            *setting_lines(point.mapper),
             "",
             "[[contestant]]",
             f"use = {json.dumps(study.backend)}",
-            *_lines(point.contestant),
+            *setting_lines(point.contestant),
             "",
             "[[sequence]]",
             f"use = {json.dumps(study.dataset)}",
             *([f"seeds = {seeds}"] if seeds else []),
-            *_lines(point.sequence),
+            *setting_lines(point.sequence),
         ]
     )
 
 
-def _lines(settings: Mapping[str, Value]) -> list[str]:
+def setting_lines(settings: Mapping[str, Value]) -> list[str]:
+    """A line of TOML for every setting."""
     return [f"{name} = {json.dumps(value)}" for name, value in settings.items()]

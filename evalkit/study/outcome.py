@@ -33,24 +33,11 @@ class Outcome:
 
     def lost(self, key: str, seed: int | None) -> str:
         """Why a run counts as lost, "" if it does not: it failed, or a response is beyond its bound."""
-        result = self.result(key, seed)
-        if result["status"] != "complete":
-            return f"{result['status']}: {result['reason']}"
-        for response in self.study.responses:
-            value = result["scores"][response.name]
-            if response.lost is not None and value is None:
-                return f"no {response.metric.label}: {result['why'][response.name]}"
-            if value is not None and response.worse(value):
-                return f"{response.metric.label} {value:.3g} {response.metric.unit}".rstrip()
-        return ""
+        return why_lost(self.result(key, seed), self.study.responses)
 
     def bounded(self, response: Response, key: str, seed: int | None) -> float:
         """A metric with the response's bound for runs beyond it, without an answer or failed; nan without a bound."""
-        value = self.value(response, key, seed)
-        failed = self.result(key, seed)["status"] != "complete"
-        if value is None or failed or response.worse(value):
-            return np.nan if response.lost is None else response.lost
-        return value
+        return bounded(self.result(key, seed), response)
 
     def table(self, design: Design, response: Response) -> Floats:
         """The bounded metric (N, S) of a design's points and seeds."""
@@ -75,6 +62,27 @@ class Outcome:
             return Fit(design.model, design.positions[told], means)
         except ValueError as error:
             return str(error)
+
+
+def why_lost(result: Result, responses: Sequence[Response]) -> str:
+    """Why a result counts as lost, "" if it does not: it failed, or a response is beyond its bound."""
+    if result["status"] != "complete":
+        return f"{result['status']}: {result['reason']}"
+    for response in responses:
+        value = result["scores"][response.name]
+        if response.lost is not None and value is None:
+            return f"no {response.metric.label}: {result['why'][response.name]}"
+        if value is not None and response.worse(value):
+            return f"{response.metric.label} {value:.3g} {response.metric.unit}".rstrip()
+    return ""
+
+
+def bounded(result: Result, response: Response) -> float:
+    """A response with its bound where the result is beyond it, without an answer or failed; nan without a bound."""
+    value: float | None = result["scores"][response.name]
+    if value is None or result["status"] != "complete" or response.worse(value):
+        return np.nan if response.lost is None else response.lost
+    return value
 
 
 def on_scale(response: Response, values: Floats) -> Floats:
