@@ -368,3 +368,37 @@ def test_other_endings_and_absent_files_are_refused(tmp_path):
     with pytest.raises(DataMissing, match="no file"):
         RosBag(str(tmp_path / "absent.bag"))
     assert SPEC.missing(path=str(tmp_path / "absent.bag")).endswith("check the path")
+
+
+# --- never all scans at once
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_frames_follow_a_clock_that_was_set_back_by_hundreds_of_scans(tmp_path, kind):
+    bag = Bag(kind)
+    stamps = [*range(700, 1400), *range(700)]
+    for recorded, stamp in enumerate(stamps):
+        bag.scan(T0 + stamp * 10**8, [1.0 + stamp / 1000, 2.0], recorded=T0 + recorded * 10**8)
+    sequence = RosBag(str(bag.write(tmp_path)), every=7)
+    frames = list(sequence.frames())
+    assert [frame.scan.stamp_ns for frame in frames] == [T0 + stamp * 10**8 for stamp in range(0, 1400, 7)]
+    assert [frame.scan.ranges[0] for frame in frames] == pytest.approx([1.0 + s / 1000 for s in range(0, 1400, 7)])
+    assert sequence.notes() == {"scans out of order": 1}
+
+
+def test_a_bag_that_changes_while_it_is_read_is_no_recording(tmp_path):
+    path = Bag("ros1").scan(T0, [1.0, 2.0]).scan(T0 + 10**8, [1.0, 2.0]).write(tmp_path)
+    sequence = RosBag(str(path))
+    path.unlink()
+    Bag("ros1").scan(T0, [1.0, 2.0]).scan(T0 + 2 * 10**8, [1.0, 2.0]).write(tmp_path)
+    with pytest.raises(BadData, match="has changed since it was first read"):
+        list(sequence.frames())
+
+
+def test_of_transforms_that_move_the_nearest_to_the_first_scan_taken_counts(tmp_path):
+    bag = Bag("sqlite3").scan(T0, [1.0, 2.0]).scan(T0 + 10 * 10**9, [1.0, 2.0])
+    for second, x in ((1, 0.1), (9, 0.9), (14, 1.4)):
+        bag.tf(T0 + second * 10**9, "base_link", "laser", x=x, static=False)
+    path = str(bag.write(tmp_path))
+    assert next(RosBag(path).frames()).base_from_sensor.x == pytest.approx(0.1)
+    assert next(RosBag(path, start=1).frames()).base_from_sensor.x == pytest.approx(0.9)

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from evalkit.errors import BadData, EvalkitError
-from evalkit.se2 import Floats
+from evalkit.se2 import Floats, Stamps
+from evalkit.types import Bools, Ints
+from evalkit_datasets.samples import Samples
+from evalkit_datasets.stamps import ordered
 from evalkit_datasets.transforms import Edge, Tree, matrix_of, planar
 
 LASER = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan")
@@ -20,6 +24,8 @@ TRANSFORMS = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 FETCH_AGAIN = "record or fetch the bag again"
 
 ENDINGS = (".bag", ".db3", ".mcap")
+
+ODOMETRY_FRAME = "odom"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,36 +45,142 @@ class Sweep:
         """The angles (B,) in the order the beams were fired (rad)."""
         return np.asarray(self.angle_min + self.angle_increment * np.arange(len(self.ranges)), dtype=np.float64)
 
+    @property
+    def duration_ns(self) -> int:
+        """From the first beam to the last."""
+        return self.time_increment_ns * (len(self.ranges) - 1)
+
+    @property
+    def near(self) -> Bools:
+        """Which ranges (B,) are invalid: nan, zero, negative or under the minimum."""
+        return np.asarray(~(self.ranges >= max(self.range_min_m, 1e-9)))
+
 
 @dataclass(eq=False)
 class Contents:
-    """What was read. ``odometry``: stamp, x, y, theta by (topic, parent, child). ``unstamped``: headers without a time.
+    """What was read of a bag's messages. ``odometry``: poses by (topic, parent, child).
 
-    ``damaged``: laser messages whose geometry makes no sense, and transforms that are none.
+    ``unstamped``: headers without a time. ``damaged``: laser messages whose geometry makes no sense, and transforms
+    that are none.
     """
 
-    topics: dict[str, tuple[str, int]]
-    sweeps: list[Sweep] = field(default_factory=list)
-    odometry: dict[tuple[str, str, str], list[tuple[int, Floats]]] = field(default_factory=dict)
+    odometry: dict[tuple[str, str, str], Samples] = field(default_factory=dict)
     tree: Tree = field(default_factory=Tree)
     unstamped: int = 0
     damaged: int = 0
 
 
-def read(path: Path, topic: str) -> Contents:
-    """All sweeps of one laser topic ("": the only one), all odometry and all transforms.
+@dataclass(frozen=True, eq=False)
+class Scans:
+    """The scans of one topic in order of time, the first of equal times kept: what is known of each without its ranges.
 
-    BadData names the known topics where the wanted one is absent, and says how a damaged bag can be mended.
+    ``messages`` (N,): which of the topic's messages each is. ``invalid`` (N,): how many of its ranges are. ``frames``
+    (N,): its frame's place among ``names``. ``backwards``, ``repeated``: how often the time went back or stood still.
+    """
+
+    topic: str
+    stamps_ns: Stamps
+    durations_ns: Ints
+    messages: Ints
+    invalid: Ints
+    frames: Ints
+    names: tuple[str, ...]
+    backwards: int
+    repeated: int
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    def chosen(self, which: slice) -> Scans:
+        """Some of them."""
+        return replace(
+            self,
+            stamps_ns=self.stamps_ns[which],
+            durations_ns=self.durations_ns[which],
+            messages=self.messages[which],
+            invalid=self.invalid[which],
+            frames=self.frames[which],
+        )
+
+    @property
+    def first_frame(self) -> str:
+        """The frame of the first scan."""
+        return self.names[int(self.frames[0])]
+
+
+def read(path: Path, topic: str, which: slice) -> tuple[Scans, Contents]:
+    """All scans of one laser topic ("": the only one), all odometry, and the transforms.
+
+    Of transforms that move, those nearest to the first scan taken (``which``), and the whole way of what may be
+    odometry. BadData names the known topics where the wanted one is absent, and says how a damaged bag can be mended.
     """
     with opened(path) as reader:
         topics = {name: (str(about.msgtype), int(about.msgcount)) for name, about in reader.topics.items()}
-        contents = Contents(topics)
-        laser = _laser_topic(path, topics, topic)
-        wanted = [c for c in reader.connections if c.topic == laser or c.msgtype in {ODOMETRY, *TRANSFORMS}]
+        contents = Contents()
+        scans = _scans(reader, _laser_topic(path, topics, topic), contents)
+        for connection, message, _ in _messages(reader, (ODOMETRY,)):
+            take_odometry(contents, connection.topic, message)
+        taken = scans.stamps_ns[which]
+        contents.tree.near_ns = int(taken[0]) if len(taken) else 0
+        contents.tree.followed = frozenset({ODOMETRY_FRAME, *(parent for _, parent, _ in contents.odometry)})
+        for connection, message, _ in _messages(reader, TRANSFORMS):
+            take_transforms(contents, message, connection.topic.endswith("tf_static"))
+    return scans, contents
+
+
+def sweeps(path: Path, scans: Scans) -> Iterator[tuple[int, Sweep]]:
+    """The scans in the order of the file, each with its rank among ``scans``."""
+    if not len(scans):
+        return
+    ranks = np.full(int(scans.messages.max()) + 1, -1, dtype=np.int64)
+    ranks[scans.messages] = np.arange(len(scans))
+    with opened(path) as reader:
+        messages = _laser_messages(reader, scans.topic)
+        for rank in ranks.tolist():
+            message = next(messages, None)
+            if rank >= 0:
+                yield rank, _known(reader, message, int(scans.stamps_ns[rank]), path)
+
+
+def _known(reader: Any, message: tuple[Any, int, bytes] | None, stamp_ns: int, path: Path) -> Sweep:
+    """The sweep of a message that was a scan of this time when the bag was first read; BadData where it is none now."""
+    if message is not None:
+        connection, recorded_ns, raw = message
+        sweep = _sweep(reader.deserialize(raw, connection.msgtype), connection.msgtype == LASER[1], int(recorded_ns))
+        if sweep is not None and sweep.stamp_ns == stamp_ns:
+            return sweep
+    raise BadData(str(path), "", "the bag has changed since it was first read", "leave it alone while it is in use")
+
+
+def _scans(reader: Any, topic: str, contents: Contents) -> Scans:
+    """What is known of a topic's scans, its damaged messages counted in the contents."""
+    columns = {name: array("q") for name in ("stamps_ns", "durations_ns", "messages", "invalid", "frames")}
+    names: dict[str, int] = {}
+    for number, (connection, recorded_ns, raw) in enumerate(_laser_messages(reader, topic)):
+        message = reader.deserialize(raw, connection.msgtype)
+        sweep = take_sweep(contents, message, connection.msgtype == LASER[1], int(recorded_ns))
+        if sweep is not None:
+            frame = names.setdefault(sweep.frame, len(names))
+            row = sweep.stamp_ns, sweep.duration_ns, number, int(sweep.near.sum()), frame
+            for column, value in zip(columns.values(), row, strict=True):
+                column.append(value)
+    found = {name: np.array(column, dtype=np.int64) for name, column in columns.items()}
+    keep, backwards, repeated = ordered(found["stamps_ns"])
+    kept = {name: column[keep] for name, column in found.items()}
+    return Scans(topic, **kept, names=tuple(names), backwards=backwards, repeated=repeated)
+
+
+def _laser_messages(reader: Any, topic: str) -> Iterator[tuple[Any, int, bytes]]:
+    wanted = [one for one in reader.connections if one.topic == topic and one.msgtype in LASER]
+    yield from reader.messages(connections=wanted)
+
+
+def _messages(reader: Any, kinds: tuple[str, ...]) -> Iterator[tuple[Any, Any, int]]:
+    """Connection, message and time of recording of all messages of some types."""
+    wanted = [connection for connection in reader.connections if connection.msgtype in kinds]
+    if wanted:  # the reader takes none for all
         for connection, recorded_ns, raw in reader.messages(connections=wanted):
-            message = reader.deserialize(raw, connection.msgtype)
-            _take(contents, connection.topic, connection.msgtype, message, int(recorded_ns))
-    return contents
+            yield connection, reader.deserialize(raw, connection.msgtype), int(recorded_ns)
 
 
 def bag_of(path: Path) -> Path:
@@ -128,38 +240,31 @@ def _laser_topic(path: Path, topics: dict[str, tuple[str, int]], wanted: str) ->
     raise BadData(str(path), "", f"{problem}; topics: {known or 'none'}", remedy)
 
 
-def _take(contents: Contents, topic: str, kind: str, message: Any, recorded_ns: int) -> None:
-    if kind in LASER:
-        take_sweep(contents, message, kind == LASER[1], recorded_ns)
-    elif kind == ODOMETRY:
-        take_odometry(contents, topic, message)
-    else:
-        take_transforms(contents, message, topic.endswith("tf_static"))
+def take_sweep(contents: Contents, message: Any, echoes: bool, recorded_ns: int) -> Sweep | None:
+    """A laser message as a sweep, or None, and counted as damaged."""
+    contents.unstamped += _stamp(message.header) == 0
+    sweep = _sweep(message, echoes, recorded_ns)
+    contents.damaged += sweep is None
+    return sweep
 
 
-def take_sweep(contents: Contents, message: Any, echoes: bool, recorded_ns: int) -> None:
-    """Adds a laser message to the sweeps, or counts it as damaged."""
-    stamp = _stamp(message.header)
-    contents.unstamped += stamp == 0
+def _sweep(message: Any, echoes: bool, recorded_ns: int) -> Sweep | None:
     with np.errstate(invalid="ignore"):  # some nan patterns complain when they are widened
         ranges = _first_echoes(message.ranges) if echoes else np.asarray(message.ranges, dtype=np.float64)
     geometry = [message.angle_min, message.angle_increment, message.range_min, message.range_max]
     plausible = np.isfinite(geometry).all() and 0.0 <= geometry[2] < geometry[3] and geometry[1] != 0.0
     if len(ranges) < 2 or not plausible:
-        contents.damaged += 1
-        return
+        return None
     increment = float(message.time_increment)
-    contents.sweeps.append(
-        Sweep(
-            stamp or recorded_ns,
-            _name(message.header.frame_id),
-            ranges,
-            float(geometry[0]),
-            float(geometry[1]),
-            float(geometry[2]),
-            float(geometry[3]),
-            round(increment * 1e9) if np.isfinite(increment) and increment > 0.0 else 0,
-        )
+    return Sweep(
+        _stamp(message.header) or int(recorded_ns),
+        _name(message.header.frame_id),
+        ranges,
+        float(geometry[0]),
+        float(geometry[1]),
+        float(geometry[2]),
+        float(geometry[3]),
+        round(increment * 1e9) if np.isfinite(increment) and increment > 0.0 else 0,
     )
 
 
@@ -172,7 +277,7 @@ def take_odometry(contents: Contents, topic: str, message: Any) -> None:
     matrix = _matrix(contents, message.pose.pose.position, message.pose.pose.orientation)
     if matrix is not None:
         key = topic, _name(message.header.frame_id), _name(message.child_frame_id)
-        contents.odometry.setdefault(key, []).append((_stamp(message.header), planar(matrix).row))
+        contents.odometry.setdefault(key, Samples()).append(_stamp(message.header), planar(matrix).row)
 
 
 def take_transforms(contents: Contents, message: Any, static: bool) -> None:

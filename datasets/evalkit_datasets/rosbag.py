@@ -17,13 +17,13 @@ from evalkit.protocols import DatasetSpec, Parameter
 from evalkit.se2 import Floats, Stamps, between, compose
 from evalkit.types import Bools, Frame, Pose, Scan, Trajectory, Truth
 from evalkit_datasets import bag, recording
-from evalkit_datasets.bag import Contents, Sweep
+from evalkit_datasets.bag import Contents, Scans, Sweep
+from evalkit_datasets.samples import Samples
+from evalkit_datasets.sorting import by_rank
 from evalkit_datasets.stamps import ordered
-from evalkit_datasets.transforms import Mounting, planar
+from evalkit_datasets.transforms import Mounting
 
 BASE_FRAMES = ("base_link", "base_footprint", "base")
-
-Samples = list[tuple[int, Floats]]
 
 
 class RosBag:
@@ -49,12 +49,12 @@ class RosBag:
         spans: str = "",
     ) -> None:
         self._path = recording.existing("rosbag", path)
-        contents = bag.read(self._path, topic)
-        sweeps = self._in_order(contents)
-        self._sweeps = sweeps[recording.selection(start, every, limit)]
-        if not self._sweeps:
-            raise BadData(str(path), "", f"start {start} lies beyond its {len(sweeps)} scans", "start earlier")
-        self._stamps = np.array([sweep.stamp_ns for sweep in self._sweeps], dtype=np.int64)
+        which = recording.selection(start, every, limit)
+        whole, contents = bag.read(self._path, topic, which)
+        self._counts = self._counted(whole, contents)
+        self._scans = whole.chosen(which)
+        if not len(self._scans):
+            raise BadData(str(path), "", f"start {start} lies beyond its {len(whole)} scans", "start earlier")
         self._odometry, child = self._odometry_of(contents, odometry, base_frame)
         base = base_frame or child or self._likely_base(contents)
         self._mounting = (
@@ -66,22 +66,28 @@ class RosBag:
             self._odometry = self._moved_to_base(contents, self._odometry, child, base)
         self._poses, self._motions = self._at_scans()
         how = how or ("files given by the user" if relations or reference or spans else "none")
-        span = sweeps[0].stamp_ns, sweeps[-1].stamp_ns
-        self._truth, cut = recording.truth_from_files(self._stamps, span, relations, reference, how, spans)
+        span = int(whole.stamps_ns[0]), int(whole.stamps_ns[-1])
+        self._truth, cut = recording.truth_from_files(self.stamps_ns, span, relations, reference, how, spans)
         self._counts |= cut
-        self._ranges = [self._clean(sweep) for sweep in self._sweeps]
+        self._counts["invalid ranges (nan, zero, negative or under the minimum)"] = int(self._scans.invalid.sum())
 
     def __len__(self) -> int:
-        return len(self._sweeps)
+        return len(self._scans)
+
+    @property
+    def stamps_ns(self) -> Stamps:
+        """The times (N,) of the scans taken."""
+        return self._scans.stamps_ns
 
     def frames(self) -> Iterator[Frame]:
-        """The scans in order of time."""
-        for sweep, ranges, pose, motion in zip(self._sweeps, self._ranges, self._poses, self._motions, strict=True):
+        """The scans in order of time, read from the file as they are asked for."""
+        sweeps = by_rank(bag.sweeps(self._path, self._scans))
+        for sweep, pose, motion in zip(sweeps, self._poses, self._motions, strict=True):
             angles = sweep.angles()
             if self._mounting.mirrored:
                 angles = -angles
             limits = sweep.range_min_m, sweep.range_max_m
-            scan = Scan(sweep.stamp_ns, ranges, angles, *limits, sweep.time_increment_ns)
+            scan = Scan(sweep.stamp_ns, _clean(sweep), angles, *limits, sweep.time_increment_ns)
             yield Frame(
                 scan, self._mounting.base_from_sensor, recording.pose_or_none(pose), recording.pose_or_none(motion)
             )
@@ -94,22 +100,20 @@ class RosBag:
         """Defects met and handled, counted by name."""
         return recording.counted(self._counts)
 
-    def _in_order(self, contents: Contents) -> list[Sweep]:
-        if not contents.sweeps:
+    def _counted(self, whole: Scans, contents: Contents) -> dict[str, int]:
+        if not len(whole):
             raise BadData(
                 str(self._path),
                 "",
                 f"none of its {contents.damaged} laser messages makes sense (angles, limits or number of beams)",
                 bag.FETCH_AGAIN,
             )
-        keep, backwards, repeated = ordered(np.array([s.stamp_ns for s in contents.sweeps], dtype=np.int64))
-        self._counts = {
-            "scans out of order": backwards,
-            "scans with a repeated stamp left out": repeated,
+        return {
+            "scans out of order": whole.backwards,
+            "scans with a repeated stamp left out": whole.repeated,
             "scans without a stamp, given the time of recording": contents.unstamped,
             "damaged messages left out": contents.damaged,
         }
-        return [contents.sweeps[index] for index in keep]
 
     def _odometry_of(self, contents: Contents, wanted: str, base_frame: str) -> tuple[Trajectory | None, str]:
         """The odometry ``odom_from_child`` and the name of the child frame; (None, "") where there is none."""
@@ -118,16 +122,16 @@ class RosBag:
         key = None if wanted == "tf" else self._odometry_topic(contents, wanted)
         if key is None:
             parent, child = _odometry_frames(contents, base_frame)
-            samples = _samples(contents, parent, child)
+            parts = _samples(contents, parent, child)
         else:
             _, parent, child = key
-            samples = contents.odometry[key] + (_samples(contents, parent, child) if wanted == "auto" else [])
-        if not samples and wanted == "tf":
+            parts = [contents.odometry[key], *(_samples(contents, parent, child) if wanted == "auto" else [])]
+        if not parts and wanted == "tf":
             known = ", ".join(contents.tree.frames()) or "none"
             raise BadData(
                 str(self._path), "odometry 'tf'", f"no moving transform from 'odom'; frames: {known}", "use 'none'"
             )
-        return (self._sorted(samples), child) if samples else (None, "")
+        return (_joined(parts), child) if parts else (None, "")
 
     def _odometry_topic(self, contents: Contents, wanted: str) -> tuple[str, str, str] | None:
         """The (topic, parent, child) of the odometry messages to use, None where "auto" finds none."""
@@ -143,20 +147,15 @@ class RosBag:
             "choose with odometry: one of them, tf or none",
         )
 
-    def _sorted(self, samples: Samples) -> Trajectory:
-        stamps = np.array([stamp for stamp, _ in samples], dtype=np.int64)
-        keep, _, _ = ordered(stamps)
-        return Trajectory(stamps[keep], np.array([row for _, row in samples])[keep], "odom", "base")
-
     def _likely_base(self, contents: Contents) -> str:
         """A base frame by its usual name, the lidar itself where there is none."""
         frames = contents.tree.frames()
-        return next((name for name in BASE_FRAMES if name in frames), self._sweeps[0].frame)
+        return next((name for name in BASE_FRAMES if name in frames), self._scans.first_frame)
 
     def _mounting_on(self, contents: Contents, base: str, asked_for: bool) -> Mounting:
-        sensor = self._sweeps[0].frame
+        sensor = self._scans.first_frame
         try:
-            mounting = contents.tree.mounting(base, sensor, int(self._stamps[0]))
+            mounting = contents.tree.mounting(base, sensor, int(self.stamps_ns[0]))
         except ValueError as error:
             raise BadData(str(self._path), "", str(error), "choose a laser that scans level") from None
         if mounting is not None:
@@ -173,7 +172,7 @@ class RosBag:
         return Mounting(Pose())
 
     def _moved_to_base(self, contents: Contents, odometry: Trajectory, child: str, base: str) -> Trajectory:
-        mounting = contents.tree.mounting(child, base, int(self._stamps[0]))
+        mounting = contents.tree.mounting(child, base, int(self.stamps_ns[0]))
         if mounting is None:
             raise BadData(
                 str(self._path),
@@ -185,23 +184,20 @@ class RosBag:
 
     def _at_scans(self) -> tuple[Floats, Floats]:
         """The odometry's pose at the first beam (N, 3) and its motion to the last (N, 3), nan where unknown."""
-        nothing = np.full((len(self._sweeps), 3), np.nan)
+        nothing = np.full((len(self), 3), np.nan)
         if self._odometry is None:
             return nothing, nothing
-        self._counts |= recording.odometry_counts(self._odometry, self._stamps)
-        durations = [sweep.time_increment_ns * (len(sweep.ranges) - 1) for sweep in self._sweeps]
-        ends = self._stamps + np.array(durations, dtype=np.int64)
-        poses = recording.odometry_at(self._odometry, self._stamps)
+        self._counts |= recording.odometry_counts(self._odometry, self.stamps_ns)
+        ends = self.stamps_ns + self._scans.durations_ns
+        poses = recording.odometry_at(self._odometry, self.stamps_ns)
         motions = between(poses, recording.odometry_at(self._odometry, ends))
-        motions[~_covered(self._odometry, self._stamps, ends)] = np.nan
+        motions[~_covered(self._odometry, self.stamps_ns, ends)] = np.nan
         return poses, motions
 
-    def _clean(self, sweep: Sweep) -> Floats:
-        """The ranges with inf for no return and nan for invalid, counted."""
-        near = ~(sweep.ranges >= max(sweep.range_min_m, 1e-9))
-        name = "invalid ranges (nan, zero, negative or under the minimum)"
-        self._counts[name] = self._counts.get(name, 0) + int(near.sum())
-        return np.where(near, np.nan, np.where(sweep.ranges >= sweep.range_max_m, np.inf, sweep.ranges))
+
+def _clean(sweep: Sweep) -> Floats:
+    """The ranges with inf for no return and nan for invalid."""
+    return np.where(sweep.near, np.nan, np.where(sweep.ranges >= sweep.range_max_m, np.inf, sweep.ranges))
 
 
 def _covered(odometry: Trajectory, begins: Stamps, ends: Stamps) -> Bools:
@@ -211,16 +207,24 @@ def _covered(odometry: Trajectory, begins: Stamps, ends: Stamps) -> Bools:
 
 def _odometry_frames(contents: Contents, base_frame: str) -> tuple[str, str]:
     """The two frames of the transform that is odometry: from "odom" to the base asked for, or the likeliest one."""
-    children = [child for parent, child in contents.tree.moving if parent == "odom"]
+    children = [child for parent, child in contents.tree.moving if parent == bag.ODOMETRY_FRAME]
     for name in (base_frame, *BASE_FRAMES, *sorted(children)):
         if name in children:
-            return "odom", name
-    return "odom", ""
+            return bag.ODOMETRY_FRAME, name
+    return bag.ODOMETRY_FRAME, ""
 
 
-def _samples(contents: Contents, parent: str, child: str) -> Samples:
-    edges = contents.tree.moving.get((parent, child), [])
-    return [(edge.stamp_ns, planar(edge.parent_from_child).row) for edge in edges]
+def _samples(contents: Contents, parent: str, child: str) -> list[Samples]:
+    """What tf tells of two frames; nothing where it is silent."""
+    path = contents.tree.paths.get((parent, child))
+    return [] if path is None else [path]
+
+
+def _joined(parts: list[Samples]) -> Trajectory:
+    """All poses in order of time, of equal times the first."""
+    stamps = np.concatenate([part.stamps_ns for part in parts])
+    keep, _, _ = ordered(stamps)
+    return Trajectory(stamps[keep], np.concatenate([part.poses for part in parts])[keep], "odom", "base")
 
 
 def _missing(path: str = "", **given: object) -> str:

@@ -10,6 +10,7 @@ import numpy as np
 
 from evalkit.se2 import Floats
 from evalkit.types import Pose
+from evalkit_datasets.samples import Samples
 
 MAX_TILT_RAD = math.radians(30.0)
 
@@ -34,17 +35,31 @@ class Edge:
 
 @dataclass(eq=False)
 class Tree:
-    """Transforms by child frame, static ones before moving ones; a frame may be published under several parents."""
+    """Transforms by child frame, static ones before moving ones; a frame may be published under several parents.
+
+    ``near_ns``: of those that move only the one nearest to this time is kept, None: all are. ``followed``: parents
+    whose moving children keep their planar poses, too, in ``paths``.
+    """
 
     static: dict[str, dict[str, Edge]] = field(default_factory=dict)
     moving: dict[tuple[str, str], list[Edge]] = field(default_factory=dict)
+    near_ns: int | None = None
+    followed: frozenset[str] = frozenset()
+    paths: dict[tuple[str, str], Samples] = field(default_factory=dict)
 
     def add(self, edge: Edge, static: bool) -> None:
         """Takes in one transform; of static ones the last said counts, as in tf2."""
         if static:
             self.static.setdefault(edge.child, {})[edge.parent] = edge
-        else:
-            self.moving.setdefault((edge.parent, edge.child), []).append(edge)
+            return
+        pair = edge.parent, edge.child
+        if edge.parent in self.followed:
+            self.paths.setdefault(pair, Samples()).append(edge.stamp_ns, planar(edge.parent_from_child).row)
+        kept = self.moving.setdefault(pair, [])
+        if self.near_ns is None or not kept:
+            kept.append(edge)
+        elif abs(edge.stamp_ns - self.near_ns) < abs(kept[0].stamp_ns - self.near_ns):
+            kept[0] = edge
 
     def frames(self) -> list[str]:
         """All frames by name."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from evalkit.se2 import Floats, Stamps
 from evalkit_datasets import bag
-from evalkit_datasets.bag import Contents
+from evalkit_datasets.bag import Contents, Sweep
 from evalkit_datasets.doctor.streams import Laser, Streams, Topic, Wheels
 from evalkit_datasets.transforms import Tree, planar
 
@@ -23,7 +23,8 @@ class _Taken:
     """One topic's messages with when each was recorded, and the twists of odometry."""
 
     kind: str
-    contents: Contents
+    contents: Contents = field(default_factory=Contents)
+    sweeps: list[Sweep] = field(default_factory=list)
     recorded_ns: list[int] = field(default_factory=list)
     twists: list[tuple[float, float]] = field(default_factory=list)
 
@@ -31,7 +32,7 @@ class _Taken:
 def read(path: Path) -> Streams:
     """The streams of a bag; BadData as the reader of bags says it."""
     taken: dict[str, _Taken] = {}
-    tree = Contents({})
+    tree = Contents()
     with bag.opened(path) as reader:
         seconds = max((reader.end_time - reader.start_time) * 1e-9, 0.0)
         topics = [
@@ -44,14 +45,14 @@ def read(path: Path) -> Streams:
             if connection.msgtype in bag.TRANSFORMS:
                 bag.take_transforms(tree, message, connection.topic.endswith("tf_static"))
                 continue
-            own = taken.setdefault(connection.topic, _Taken(connection.msgtype, Contents({})))
+            own = taken.setdefault(connection.topic, _Taken(connection.msgtype))
             _take(own, connection.topic, message, int(recorded_ns))
     wheels = [_wheels(own) for own in taken.values() if own.kind == bag.ODOMETRY and own.contents.odometry]
     return Streams(
         path,
         "ROS 1 bag" if path.suffix == ".bag" else "ROS 2 bag",
         topics,
-        [_laser(name, own) for name, own in sorted(taken.items()) if own.contents.sweeps],
+        [_laser(name, own) for name, own in sorted(taken.items()) if own.sweeps],
         [*wheels, *_by_transforms(tree.tree)],
         tree.tree,
         damaged=tree.damaged + sum(own.contents.damaged for own in taken.values()),
@@ -63,20 +64,21 @@ def _rate(count: int, seconds: float) -> float:
 
 
 def _take(own: _Taken, topic: str, message: Any, recorded_ns: int) -> None:
-    before = len(own.contents.sweeps), sum(map(len, own.contents.odometry.values()))
-    if own.kind == bag.ODOMETRY:
-        bag.take_odometry(own.contents, topic, message)
-    else:
-        bag.take_sweep(own.contents, message, own.kind == bag.LASER[1], recorded_ns)
-    if before == (len(own.contents.sweeps), sum(map(len, own.contents.odometry.values()))):
-        return  # damaged, and counted as such
-    own.recorded_ns.append(recorded_ns)
-    if own.kind == bag.ODOMETRY:
+    before = sum(map(len, own.contents.odometry.values()))
+    if own.kind != bag.ODOMETRY:
+        sweep = bag.take_sweep(own.contents, message, own.kind == bag.LASER[1], recorded_ns)
+        if sweep is not None:
+            own.sweeps.append(sweep)
+            own.recorded_ns.append(recorded_ns)
+        return
+    bag.take_odometry(own.contents, topic, message)
+    if sum(map(len, own.contents.odometry.values())) > before:  # else damaged, and counted as such
+        own.recorded_ns.append(recorded_ns)
         own.twists.append((float(message.twist.twist.linear.x), float(message.twist.twist.angular.z)))
 
 
 def _laser(topic: str, own: _Taken) -> Laser:
-    sweeps = own.contents.sweeps
+    sweeps = own.sweeps
     first = sweeps[0]
     return Laser(
         topic,
@@ -102,8 +104,8 @@ def _wheels(own: _Taken) -> Wheels:
         topic,
         parent,
         child,
-        _stamps([stamp for stamp, _ in samples]),
-        _rows([row for _, row in samples]),
+        samples.stamps_ns,
+        samples.poses,
         np.array(own.twists) if whole else None,
         _stamps(own.recorded_ns) if whole else None,
     )
