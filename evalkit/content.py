@@ -1,21 +1,42 @@
-"""A file a user names, read whole, or an error that says what to do."""
+"""A file a user names, read whole or block by block, or an error that says what to do."""
 
 from __future__ import annotations
 
+import tomllib
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 from evalkit.errors import BadData, DataMissing
+
+BLOCK = 2**16
 
 
 def bytes_of(path: Path, what: str) -> bytes:
     """The whole file; DataMissing where there is none, BadData where it is empty or cannot be read."""
+    return b"".join(blocks_of(path, what))
+
+
+def blocks_of(path: Path, what: str) -> Iterator[bytes]:
+    """The file in blocks of ``BLOCK`` bytes; the same errors when the first is asked for."""
     if not path.is_file():
         found = "it is a folder" if path.is_dir() else "no such file"
         raise DataMissing(str(path), found, f"give the path of {what}")
     try:
-        content = path.read_bytes()
+        with path.open("rb") as file:
+            block = file.read(BLOCK)
+            if not block:
+                raise BadData(str(path), "", "the file is empty", f"give {what}")
+            while block:
+                yield block
+                block = file.read(BLOCK)
     except OSError as error:
         raise BadData(str(path), "", f"cannot be read ({error.strerror})", "check its permissions") from error
-    if not content:
-        raise BadData(str(path), "", "the file is empty", f"give {what}")
-    return content
+
+
+def tables_of(text: str, number: Callable[[str], Any] = float) -> dict[str, Any]:
+    """The tables of a TOML text, numbers with a point made by ``number``; ValueError where it is no TOML."""
+    try:
+        return tomllib.loads(text, parse_float=number)
+    except RecursionError:
+        raise ValueError("tables or lists nested too deeply") from None

@@ -347,3 +347,10 @@ def test_the_radish_logs_read_as_corrected_ones(name, scans, count, offset, back
     assert first.odom_from_base is None
     assert len(sequence.truth().trajectory) == scans
     assert sequence.notes() == backwards
+
+
+def test_a_log_that_changes_while_it_is_read_is_no_recording(tmp_path):
+    sequence = Carmen(log(tmp_path, flaser(1.0), flaser(2.0)))
+    log(tmp_path, flaser(1.0))
+    with pytest.raises(BadData, match="has changed since it was first read"):
+        list(sequence.frames())

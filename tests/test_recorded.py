@@ -130,8 +130,8 @@ def test_intel_gmapping_on_the_relations_depends_on_how_poses_are_carried(beyond
     """
     relations = sequence_of("intel").truth().relations
     gmapping = tum.read(catalog.located("intel-gmapping.tum")).trajectory
-    rows = carmen_lines.read(catalog.located("intel-merged.clf.gz")).odometry
-    stamps, odometry = np.array([stamp for stamp, _ in rows]), np.array([row for _, row in rows])
+    log, _ = carmen_lines.read(catalog.located("intel-merged.clf.gz"))
+    stamps, odometry = log.odometry.stamps_ns, log.odometry.poses
 
     def carried(times):
         index, away = nearest(gmapping, times)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from array import array
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,9 +12,10 @@ import numpy as np
 from evalkit.errors import BadData
 from evalkit.protocols import DatasetSpec, Parameter
 from evalkit.se2 import Floats, Stamps, between
-from evalkit.types import Frame, Pose, Scan, Trajectory, Truth
+from evalkit.types import Frame, Ints, Pose, Scan, Trajectory, Truth
 from evalkit_datasets import carmen_lines, recording
 from evalkit_datasets.carmen_lines import Log, Reading
+from evalkit_datasets.sorting import by_rank
 from evalkit_datasets.stamps import ordered
 
 CODES_M = (32.767,)
@@ -29,11 +31,24 @@ POSES_FROM = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Taken:
-    """The scans taken, in order of time, with their stamps (N,)."""
+class _Scans:
+    """What is known of scans without their ranges: time, line, and the laser's and the robot's pose (N, 3) beside each.
+
+    ``longest_m`` (N,): the longest range that is certainly one. ``invalid`` (N,): how many are zero, negative or nan.
+    """
 
     stamps_ns: Stamps
-    readings: list[Reading]
+    lines: Ints
+    laser: Floats
+    robot: Floats
+    longest_m: Floats
+    invalid: Ints
+
+    def __len__(self) -> int:
+        return len(self.stamps_ns)
+
+    def __getitem__(self, which: slice | Ints) -> _Scans:
+        return _Scans(*(getattr(self, name)[which] for name in self.__slots__))
 
 
 class Carmen:
@@ -62,27 +77,31 @@ class Carmen:
     ) -> None:
         self._path = recording.existing("carmen", path)
         self._range_max_m = range_max_m
-        log = carmen_lines.read(self._path, start_deg, step_deg)
-        self._counts = {"damaged lines left out": len(log.damaged), "rear-laser lines left out": log.rear}
-        whole = self._in_order(log)
-        chosen = recording.selection(start, every, limit)
-        self._taken = _Taken(whole.stamps_ns[chosen], whole.readings[chosen])
-        if not self._taken.readings:
-            raise BadData(str(path), "", f"start {start} lies beyond its {len(whole.readings)} scans", "start earlier")
+        self._layout = start_deg, step_deg
+        log = Log(self._layout)
+        found = self._found(log)
+        self._counts = {"damaged lines left out": log.damaged, "rear-laser lines left out": log.rear}
+        whole = self._in_order(log, found)
+        self._taken = whole[recording.selection(start, every, limit)]
+        if not len(self._taken):
+            raise BadData(str(path), "", f"start {start} lies beyond its {len(whole)} scans", "start earlier")
         self._base_from_sensor = (
-            _mounting(log) if base_from_sensor == "auto" else recording.sensor_pose("carmen", base_from_sensor)
+            _mounting(log, found) if base_from_sensor == "auto" else recording.sensor_pose("carmen", base_from_sensor)
         )
-        self._codes = self._no_return_codes(whole)
-        self._odometry = self._odometry_at_scans(log, odometry)
+        self._codes = _no_return_codes(whole)
+        self._odometry = self._odometry_at_scans(log, found, odometry)
         self._truth = self._known(log, whole, relations, reference, spans, how)
-        self._count_ranges()
+        self._counts["invalid ranges"] = int(self._taken.invalid.sum())
 
     def __len__(self) -> int:
-        return len(self._taken.readings)
+        return len(self._taken)
 
     def frames(self) -> Iterator[Frame]:
-        """The scans in order of time."""
-        for stamp, reading, row in zip(self._taken.stamps_ns, self._taken.readings, self._odometry, strict=True):
+        """The scans in order of time, read from the log as they are asked for."""
+        ranks = np.argsort(self._taken.lines)
+        lines = carmen_lines.readings_at(self._path, self._layout, self._taken.lines[ranks])
+        readings = by_rank(zip(ranks.tolist(), lines, strict=True))
+        for stamp, reading, row in zip(self._taken.stamps_ns, readings, self._odometry, strict=True):
             scan = Scan(int(stamp), self._clean(reading.ranges), reading.angles, 0.0, self._range_max_m)
             yield Frame(scan, self._base_from_sensor, recording.pose_or_none(row))
 
@@ -94,33 +113,56 @@ class Carmen:
         """Defects met and handled, counted by name."""
         return recording.counted(self._counts)
 
-    def _in_order(self, log: Log) -> _Taken:
-        """All scans sorted by time, the first of equal times kept."""
-        if not log.readings:
-            raise self._no_scan(log)
-        stamps = np.array([reading.stamp_ns for reading in log.readings], dtype=np.int64)
-        keep, backwards, repeated = ordered(stamps)
-        if len(keep) < 0.5 * len(stamps):
-            return self._by_order_of_lines(log, len(keep))
-        self._counts |= {"scans out of order": backwards, "scans with a repeated stamp left out": repeated}
-        return _Taken(stamps[keep], [log.readings[index] for index in keep])
+    def _found(self, log: Log) -> _Scans:
+        """All scans in the order of the file; the other lines go into the log."""
+        stamps, lines, invalid = array("q"), array("q"), array("q")
+        laser, robot, longest = array("d"), array("d"), array("d")
+        for number, reading in carmen_lines.readings(self._path, log):
+            stamps.append(reading.stamp_ns)
+            lines.append(number)
+            laser.extend(reading.laser)
+            robot.extend(reading.robot)
+            longest.append(self._longest_m(reading))
+            invalid.append(int(np.count_nonzero(~(reading.ranges > 0.0))))
+        return _Scans(
+            np.array(stamps, dtype=np.int64),
+            np.array(lines, dtype=np.int64),
+            np.array(laser, dtype=np.float64).reshape(-1, 3),
+            np.array(robot, dtype=np.float64).reshape(-1, 3),
+            np.array(longest, dtype=np.float64),
+            np.array(invalid, dtype=np.int64),
+        )
 
-    def _by_order_of_lines(self, log: Log, distinct: int) -> _Taken:
+    def _longest_m(self, reading: Reading) -> float:
+        plain = reading.ranges[(reading.ranges < self._range_max_m) & ~np.isin(reading.ranges, CODES_M)]
+        return float(plain.max(initial=0.0))
+
+    def _in_order(self, log: Log, found: _Scans) -> _Scans:
+        """All scans sorted by time, the first of equal times kept."""
+        if not len(found):
+            raise self._no_scan(log)
+        keep, backwards, repeated = ordered(found.stamps_ns)
+        if len(keep) < 0.5 * len(found):
+            return self._by_order_of_lines(log, found, len(keep))
+        self._counts |= {"scans out of order": backwards, "scans with a repeated stamp left out": repeated}
+        return found[keep]
+
+    def _by_order_of_lines(self, log: Log, found: _Scans, distinct: int) -> _Scans:
         """Scans one second apart, for corrected logs: they print six digits of their stamps, some nothing usable."""
         if not log.poses_from:
             raise BadData(
                 str(self._path),
                 "",
-                f"{len(log.readings)} scans share {distinct} stamps",
+                f"{len(found)} scans share {distinct} stamps",
                 "the ipc_timestamp (third word from the end) must tell the scans apart; take the original log",
             )
-        self._counts["scans with unusable stamps, put one second apart in the order of the lines"] = len(log.readings)
-        return _Taken(np.arange(len(log.readings), dtype=np.int64) * 10**9, log.readings)
+        self._counts["scans with unusable stamps, put one second apart in the order of the lines"] = len(found)
+        return replace(found, stamps_ns=np.arange(len(found), dtype=np.int64) * 10**9)
 
     def _no_scan(self, log: Log) -> BadData:
         if log.damaged:
-            line, what = log.damaged[0]
-            more = f" (and {len(log.damaged) - 1} more damaged lines)" if len(log.damaged) > 1 else ""
+            line, what = log.damage
+            more = f" (and {log.damaged - 1} more damaged lines)" if log.damaged > 1 else ""
             return BadData(str(self._path), f"line {line}", f"{what}{more}; no scan is left", "take another copy")
         return BadData(
             str(self._path),
@@ -129,24 +171,12 @@ class Carmen:
             "give a CARMEN log (plain or gzip)",
         )
 
-    def _no_return_codes(self, whole: _Taken) -> Floats:
-        """The ranges that mean no return in this log, below ``range_max_m``."""
-        longest = 0.0
-        for reading in whole.readings:
-            plain = reading.ranges[(reading.ranges < self._range_max_m) & ~np.isin(reading.ranges, CODES_M)]
-            longest = max(longest, float(plain.max(initial=0.0)))
-        return np.array([*CODES_M, *(MILLIMETRE_CODES_M if longest in MILLIMETRE_CODES_M else ())])
-
     def _clean(self, ranges: Floats) -> Floats:
         """The ranges with inf for no return and nan for invalid."""
         beyond = (ranges >= self._range_max_m) | np.isin(ranges, self._codes)
         return np.where(beyond, np.inf, np.where(ranges > 0.0, ranges, np.nan))
 
-    def _count_ranges(self) -> None:
-        ranges = [reading.ranges for reading in self._taken.readings]
-        self._counts["invalid ranges"] = sum(int(np.count_nonzero(~(row > 0.0))) for row in ranges)
-
-    def _odometry_at_scans(self, log: Log, wanted: str) -> Floats:
+    def _odometry_at_scans(self, log: Log, found: _Scans, wanted: str) -> Floats:
         """The odometry's pose at each scan taken (N, 3), nan where there is none."""
         if log.poses_from and wanted not in {"auto", "none"}:
             raise BadData(
@@ -155,20 +185,19 @@ class Carmen:
                 f"the poses in this log are no odometry: {POSES_FROM[log.poses_from]}",
                 "use odometry 'none' (or 'auto')",
             )
-        if wanted == "odom-lines" and not log.odometry:
+        if wanted == "odom-lines" and not len(log.odometry):
             raise BadData(str(self._path), "odometry 'odom-lines'", "no ODOM line", "use 'scan-poses' or 'none'")
-        source = _best_source(log) if wanted == "auto" else wanted
+        source = _best_source(log, found) if wanted == "auto" else wanted
         if source == "odom-lines":
             return self._from_lines(log)
         if source == "scan-poses":
-            return np.array([reading.robot for reading in self._taken.readings])
+            return self._taken.robot
         return np.full((len(self), 3), np.nan)
 
     def _from_lines(self, log: Log) -> Floats:
-        stamps = np.array([stamp for stamp, _ in log.odometry], dtype=np.int64)
+        stamps = log.odometry.stamps_ns
         keep, backwards, repeated = ordered(stamps)
-        rows = np.array([row for _, row in log.odometry])[keep]
-        odometry = Trajectory(stamps[keep], rows, "odom", "base")
+        odometry = Trajectory(stamps[keep], log.odometry.poses[keep], "odom", "base")
         self._counts |= {
             "odometry out of order": backwards,
             "odometry with a repeated stamp left out": repeated,
@@ -176,31 +205,35 @@ class Carmen:
         }
         return recording.odometry_at(odometry, self._taken.stamps_ns)
 
-    def _known(self, log: Log, whole: _Taken, relations: str, reference: str, spans: str, how: str) -> Truth:
+    def _known(self, log: Log, whole: _Scans, relations: str, reference: str, spans: str, how: str) -> Truth:
         span = int(whole.stamps_ns[0]), int(whole.stamps_ns[-1])
         how = how or _how(relations, reference, spans, log.poses_from)
         truth, counts = recording.truth_from_files(self._taken.stamps_ns, span, relations, reference, how, spans)
         self._counts |= counts
         if truth.trajectory is not None or not log.poses_from:
             return truth
-        poses = np.array([reading.robot for reading in self._taken.readings])
-        return Truth(how, Trajectory(self._taken.stamps_ns, poses), truth.relations, spans=truth.spans)
+        poses = Trajectory(self._taken.stamps_ns, self._taken.robot)
+        return Truth(how, poses, truth.relations, spans=truth.spans)
 
 
-def _best_source(log: Log) -> str:
+def _no_return_codes(scans: _Scans) -> Floats:
+    """The ranges that mean no return in this log, below ``range_max_m``."""
+    longest = float(scans.longest_m.max(initial=0.0))
+    return np.array([*CODES_M, *(MILLIMETRE_CODES_M if longest in MILLIMETRE_CODES_M else ())])
+
+
+def _best_source(log: Log, found: _Scans) -> str:
     """Where odometry comes from if nobody says."""
     if log.poses_from:
         return "none"
-    if log.odometry:
+    if len(log.odometry):
         return "odom-lines"
-    return "scan-poses" if len({reading.robot for reading in log.readings}) > 1 else "none"
+    return "scan-poses" if (found.robot != found.robot[0]).any() else "none"
 
 
-def _mounting(log: Log) -> Pose:
+def _mounting(log: Log, found: _Scans) -> Pose:
     """Where the laser sits on the robot: by the two poses of each scan, else by PARAM robot_frontlaser_offset."""
-    robot = np.array([reading.robot for reading in log.readings])
-    laser = np.array([reading.laser for reading in log.readings])
-    mounting = np.median(between(robot, laser), axis=0)
+    mounting = np.median(between(found.robot, found.laser), axis=0)
     if np.abs(mounting).max() > 1e-4:
         return Pose.of(mounting.round(5))  # six decimals in the log, turned by the heading
     try:

@@ -1,4 +1,4 @@
-"""The lines of a CARMEN log (plain or gzip, told by content) as scans, odometry poses and parameters.
+"""The lines of a CARMEN log (plain or gzip) as scans, odometry poses and parameters, one at a time.
 
 FLASER, ROBOTLASER1, ODOM and PARAM of CARMEN; LASER_READING of GMapping's .gfs; NEFF and VERTEX only as signs of where
 the poses in the file come from. Lines that cannot be read are set aside with a reason, never guessed at.
@@ -7,23 +7,26 @@ the poses in the file come from. Lines that cannot be read are set aside with a 
 from __future__ import annotations
 
 import math
-import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from evalkit.content import bytes_of
 from evalkit.errors import BadData
 from evalkit.se2 import Floats
+from evalkit_datasets import unpacking
+from evalkit_datasets.samples import Samples
 from evalkit_datasets.stamps import stamp_ns
 
 STEP_DEG = {180: 1.0, 181: 1.0, 360: 0.5, 361: 0.5}
 """Degrees between beams by how many there are: a SICK LMS starting at -90 deg. A FLASER line does not say."""
 
 Row = tuple[float, float, float]
+
+Layout = tuple[float, float]
+"""Start of FLASER angles and step between them (deg; 0: by the number of beams)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,59 +42,74 @@ class Reading:
 
 @dataclass(eq=False)
 class Log:
-    """A log in the order of its lines. ``poses_from``: "gmapping" or "graph" where the poses in it are
-    corrected ones, "" where they are the wheels'. ``layout``: start and step of FLASER angles (deg).
+    """What a log holds beside its scans. ``poses_from``: "gmapping" or "graph" where the poses in it are
+    corrected ones, "" where they are the wheels'; known when the last line is read.
 
-    ``damaged``: line number and reason of each line set aside.
+    ``damaged``: how many lines were set aside; ``damage``: number of the first one and the reason.
     """
 
-    layout: tuple[float, float]
-    readings: list[Reading] = field(default_factory=list)
-    odometry: list[tuple[int, Row]] = field(default_factory=list)
+    layout: Layout = (-90.0, 0.0)
+    odometry: Samples = field(default_factory=Samples)
     parameters: dict[str, str] = field(default_factory=dict)
-    damaged: list[tuple[int, str]] = field(default_factory=list)
+    damaged: int = 0
+    damage: tuple[int, str] = (0, "")
     rear: int = 0
     poses_from: str = ""
 
 
-def read(path: Path, start_deg: float = -90.0, step_deg: float = 0.0) -> Log:
-    """The log; ``start_deg`` and ``step_deg`` (0: by the number of beams) are the angles of FLASER lines."""
-    log = Log((start_deg, step_deg))
+def readings(path: Path, log: Log) -> Iterator[tuple[int, Reading]]:
+    """Number and scan of every laser line in the order of the file; all other lines go into the log meanwhile."""
     signs: set[bytes] = set()
-    for number, line in enumerate(content_of(path).split(b"\n"), start=1):
+    for number, line in enumerate(lines_of(path), start=1):
         words = line.split()
         if not words:
             continue
         if words[0] in _SIGNS:
             signs.add(words[0])
-        if (reader := _LINES.get(words[0])) is None:
-            continue
         try:
-            reader(log, words)
+            if words[0] in _LASERS:
+                yield number, _LASERS[words[0]](log.layout, words)
+            elif words[0] in _LINES:
+                _LINES[words[0]](log, words)
         except (ValueError, IndexError) as error:
-            log.damaged.append((number, str(error) or "too short"))
+            log.damage = log.damage if log.damaged else (number, str(error) or "too short")
+            log.damaged += 1
         if words[0] == b"FLASER":
-            signs |= {b"FLASER", *words[-2:-1]}
+            signs |= {b"FLASER", *words[-2:-1]} & _SIGNED
     log.poses_from = _origin(signs)
-    return log
 
 
-def content_of(path: Path) -> bytes:
-    """The bytes of the log, unpacked where they are gzip."""
-    content = bytes_of(path, "a CARMEN log")
-    if not content.startswith(b"\x1f\x8b"):
-        return content
-    plain = b""
-    while content.startswith(b"\x1f\x8b"):  # gzip files may be joined end to end
-        unpacker = zlib.decompressobj(wbits=31)
-        try:
-            plain += unpacker.decompress(content)
-        except zlib.error as error:
-            raise BadData(str(path), "", f"damaged gzip ({error})", "fetch or copy the file again") from None
-        if not unpacker.eof:
-            raise BadData(str(path), "", "the gzip file is cut short", "fetch or copy the file again")
-        content = unpacker.unused_data
-    return plain
+def read(path: Path, layout: Layout = (-90.0, 0.0)) -> tuple[Log, list[Reading]]:
+    """The log and all its scans at once."""
+    log = Log(layout)
+    return log, [reading for _, reading in readings(path, log)]
+
+
+def readings_at(path: Path, layout: Layout, numbers: Iterable[int]) -> Iterator[Reading]:
+    """The scans of lines that are known to hold one, by their numbers, which must rise."""
+    wanted = iter(numbers)
+    number = next(wanted, None)
+    for at, line in enumerate(lines_of(path), start=1):
+        if number is None:
+            return
+        if at == number:
+            words = line.split()
+            try:
+                yield _LASERS[words[0]](layout, words)
+            except (ValueError, IndexError, KeyError):
+                raise _changed(path) from None
+            number = next(wanted, None)
+    if number is not None:
+        raise _changed(path)
+
+
+def lines_of(path: Path) -> Iterator[bytes]:
+    """The lines of a log."""
+    return unpacking.lines_of(path, "a CARMEN log")
+
+
+def _changed(path: Path) -> BadData:
+    return BadData(str(path), "", "the log has changed since it was first read", "leave it alone while it is in use")
 
 
 def _origin(signs: set[bytes]) -> str:
@@ -101,17 +119,15 @@ def _origin(signs: set[bytes]) -> str:
     return "gmapping" if b"FLASER" in signs and signs & {b"NEFF", b"pippo"} else ""
 
 
-def _flaser(log: Log, words: list[bytes]) -> None:
+def _flaser(layout: Layout, words: list[bytes]) -> Reading:
     """``FLASER n r1..rn x y theta odom_x odom_y odom_theta ipc_t host logger_t``."""
     beams = _beams(words, 1, 11)
     tail = words[2 + beams :]
-    angles = _angles(beams, *_by_beams(beams, log.layout))
-    log.readings.append(
-        Reading(_stamp(tail[6]), _floats(words[2 : 2 + beams]), angles, _row(tail[0:3]), _row(tail[3:6]))
-    )
+    angles = _angles(beams, *_by_beams(beams, layout))
+    return Reading(_stamp(tail[6]), _floats(words[2 : 2 + beams]), angles, _row(tail[0:3]), _row(tail[3:6]))
 
 
-def _robotlaser(log: Log, words: list[bytes]) -> None:
+def _robotlaser(_layout: Layout, words: list[bytes]) -> Reading:
     """``ROBOTLASER1 type start fov res max acc mode n r.. m [rem..] laser(3) robot(3) tv rv .. ipc_t host log_t``."""
     if len(words) < 10:
         raise ValueError(f"{len(words)} words, too few for a ROBOTLASER1 line")
@@ -124,17 +140,16 @@ def _robotlaser(log: Log, words: list[bytes]) -> None:
     if not (math.isfinite(start) and math.isfinite(step) and 0.0 < step * (beams - 1) < 2.0 * math.pi + 0.1):
         raise ValueError(f"start {start} and resolution {step} rad are no angles of a scan")
     angles = _angles(beams, start, step)
-    log.readings.append(
-        Reading(_stamp(words[-3]), _floats(words[9 : 9 + beams]), angles, _row(words[-14:-11]), _row(words[-11:-8]))
-    )
+    poses = _row(words[-14:-11]), _row(words[-11:-8])
+    return Reading(_stamp(words[-3]), _floats(words[9 : 9 + beams]), angles, *poses)
 
 
-def _laser_reading(log: Log, words: list[bytes]) -> None:
+def _laser_reading(layout: Layout, words: list[bytes]) -> Reading:
     """``LASER_READING n r1..rn x y theta t`` of a .gfs file: its pose is raw odometry at the scan."""
     beams = _beams(words, 1, 6)
-    angles = _angles(beams, *_by_beams(beams, log.layout))
+    angles = _angles(beams, *_by_beams(beams, layout))
     pose = _row(words[-4:-1])
-    log.readings.append(Reading(_stamp(words[-1]), _floats(words[2 : 2 + beams]), angles, pose, pose))
+    return Reading(_stamp(words[-1]), _floats(words[2 : 2 + beams]), angles, pose, pose)
 
 
 def _odom(log: Log, words: list[bytes]) -> None:
@@ -146,7 +161,7 @@ def _odom(log: Log, words: list[bytes]) -> None:
         return
     if len(words) != 10:
         raise ValueError(f"{len(words)} words, an ODOM line has 10")
-    log.odometry.append((_stamp(words[7]), _row(words[1:4])))
+    log.odometry.append(_stamp(words[7]), _row(words[1:4]))
 
 
 def _param(log: Log, words: list[bytes]) -> None:
@@ -159,11 +174,15 @@ def _rear(log: Log, _words: list[bytes]) -> None:
 
 
 _SIGNS = frozenset({b"NEFF", b"VERTEX2", b"VERTEX_SE2"})
+_SIGNED = frozenset({b"FLASER", b"pippo"})  # a kind of line, and the host that GMapping writes into it
 
-_LINES: dict[bytes, Callable[[Log, list[bytes]], None]] = {
+_LASERS: dict[bytes, Callable[[Layout, list[bytes]], Reading]] = {
     b"FLASER": _flaser,
     b"ROBOTLASER1": _robotlaser,
     b"LASER_READING": _laser_reading,
+}
+
+_LINES: dict[bytes, Callable[[Log, list[bytes]], None]] = {
     b"ODOM": _odom,
     b"PARAM": _param,
     b"RLASER": _rear,
@@ -178,7 +197,7 @@ def _beams(words: list[bytes], at: int, others: int) -> int:
     return beams
 
 
-def _by_beams(beams: int, layout: tuple[float, float]) -> tuple[float, float]:
+def _by_beams(beams: int, layout: Layout) -> tuple[float, float]:
     """First angle and step (rad) of a line that does not say."""
     start_deg, step_deg = layout
     step = step_deg or STEP_DEG.get(beams, 0.0)

@@ -10,7 +10,7 @@ import numpy as np
 from evalkit.errors import BadData
 from evalkit.se2 import Floats, Stamps
 from evalkit_datasets import carmen_lines
-from evalkit_datasets.carmen_lines import Log
+from evalkit_datasets.carmen_lines import Log, Reading
 from evalkit_datasets.doctor.streams import Laser, Streams, Topic, Wheels
 from evalkit_datasets.stamps import stamp_ns
 
@@ -21,14 +21,14 @@ BESIDE = "robot pose beside each scan"
 
 def read(path: Path) -> Streams:
     """The streams of a log; BadData where it is no log or holds damaged gzip."""
-    log = carmen_lines.read(path)
-    if not (log.readings or log.odometry or log.damaged):
+    log, readings = carmen_lines.read(path)
+    if not (readings or len(log.odometry) or log.damaged):
         what = "no line begins with FLASER, ROBOTLASER1, LASER_READING or ODOM"
         raise BadData(str(path), "", what, "give a bag (.bag, .db3, .mcap, or the folder of one) or a CARMEN log")
     kinds: Counter[str] = Counter()
     remarks: list[str] = []
     tails: list[tuple[bytes, bytes]] = []
-    for line in carmen_lines.content_of(path).split(b"\n"):
+    for line in carmen_lines.lines_of(path):
         words = line.split()
         if not words:
             continue
@@ -38,28 +38,28 @@ def read(path: Path) -> Streams:
         kinds[words[0].decode("latin-1")] += 1
         if words[0] in LASER_LINES and len(words) > 3:
             tails.append((words[-3], words[-1]))
-    lasers = [_laser(log, tails)] if log.readings else []
+    lasers = [_laser(readings, tails)] if readings else []
     seconds = (lasers[0].stamps_ns.max() - lasers[0].stamps_ns.min()) * 1e-9 if lasers else 0.0
     rate = 1.0 / seconds if seconds > 0.0 else float("nan")
     topics = [Topic(kind, _meaning(kind), count, count * rate) for kind, count in kinds.most_common(12)]
     digits = max((_digits(ipc) for ipc, _ in tails), default=0)
     told = [remark for remark in remarks if " " in remark][:REMARKS]
     return Streams(
-        path, "CARMEN log", topics, lasers, _wheels(log), poses_from=log.poses_from, digits=digits,
-        damaged=len(log.damaged), remarks=told,
+        path, "CARMEN log", topics, lasers, _wheels(log, readings), poses_from=log.poses_from, digits=digits,
+        damaged=log.damaged, remarks=told,
     )  # fmt: skip
 
 
-def _laser(log: Log, tails: list[tuple[bytes, bytes]]) -> Laser:
-    stamps = np.array([reading.stamp_ns for reading in log.readings], dtype=np.int64)
+def _laser(readings: list[Reading], tails: list[tuple[bytes, bytes]]) -> Laser:
+    stamps = np.array([reading.stamp_ns for reading in readings], dtype=np.int64)
     return Laser(
         "FLASER / ROBOTLASER1",
         "laser lines",
         "laser",
         stamps,
         _logger(tails, len(stamps)),
-        [reading.ranges for reading in log.readings],
-        log.readings[0].angles,
+        [reading.ranges for reading in readings],
+        readings[0].angles,
         float("nan"),
         float("nan"),
     )
@@ -75,14 +75,13 @@ def _logger(tails: list[tuple[bytes, bytes]], scans: int) -> Stamps | None:
         return None
 
 
-def _wheels(log: Log) -> list[Wheels]:
+def _wheels(log: Log, readings: list[Reading]) -> list[Wheels]:
     found = []
-    if log.odometry:
-        stamps = np.array([stamp for stamp, _ in log.odometry], dtype=np.int64)
-        found.append(Wheels("ODOM lines", "odom", "base", stamps, _rows([row for _, row in log.odometry])))
-    poses = [reading.robot for reading in log.readings]
+    if len(log.odometry):
+        found.append(Wheels("ODOM lines", "odom", "base", log.odometry.stamps_ns, log.odometry.poses))
+    poses = [reading.robot for reading in readings]
     if len(set(poses)) > 1:
-        stamps = np.array([reading.stamp_ns for reading in log.readings], dtype=np.int64)
+        stamps = np.array([reading.stamp_ns for reading in readings], dtype=np.int64)
         found.append(Wheels(BESIDE, "odom", "base", stamps, _rows(poses)))
     return found
 

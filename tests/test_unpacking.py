@@ -1,0 +1,76 @@
+"""Lines of plain and packed text, without the whole of it ever in memory."""
+
+import gzip
+import os
+import tracemalloc
+import zlib
+from itertools import pairwise
+
+import pytest
+
+from evalkit.content import BLOCK
+from evalkit.errors import BadData
+from evalkit_datasets.unpacking import LONGEST_LINE, lines_of
+
+
+def written(folder, content):
+    path = folder / "lines.txt"
+    path.write_bytes(content)
+    return path
+
+
+def lines(folder, content):
+    return list(lines_of(written(folder, content), "text"))
+
+
+TEXT = b"first\n\n" + os.urandom(3 * BLOCK).replace(b"\n", b" ") + b"\nlast but one\r\nlast"
+
+
+@pytest.mark.parametrize("end", [b"", b"\n"])
+@pytest.mark.parametrize("cuts", [(), (3,), (BLOCK, BLOCK + 1)])
+def test_lines_are_those_of_the_whole_text_however_it_is_packed(tmp_path, end, cuts):
+    content = TEXT + end
+    edges = [0, *cuts, len(content)]
+    packed = b"".join(gzip.compress(content[a:b]) for a, b in pairwise(edges))
+    assert lines(tmp_path, content) == content.split(b"\n")
+    assert lines(tmp_path, packed) == content.split(b"\n")
+
+
+def test_what_follows_a_gzip_file_and_is_none_is_left_alone(tmp_path):
+    assert lines(tmp_path, gzip.compress(b"one\ntwo") + b"\0" * 100) == [b"one", b"two"]
+
+
+@pytest.mark.parametrize("left", [1, 5, BLOCK])
+def test_gzip_cut_short_is_told_wherever_it_ends(tmp_path, left):
+    packed = gzip.compress(TEXT)
+    with pytest.raises(BadData, match="cut short"):
+        lines(tmp_path, packed[:-left])
+
+
+def test_damaged_gzip_is_told(tmp_path):
+    packed = bytearray(gzip.compress(TEXT))
+    packed[len(packed) // 2] ^= 0xFF
+    with pytest.raises(BadData, match=r"damaged gzip|cut short"):
+        lines(tmp_path, bytes(packed))
+
+
+def test_a_packed_line_without_end_is_refused_before_it_fills_the_memory(tmp_path):
+    packer = zlib.compressobj(9, wbits=31)
+    path = tmp_path / "bomb.gz"
+    with path.open("wb") as file:
+        for _ in range(100):
+            file.write(packer.compress(b"0" * 2**20))
+        file.write(packer.flush())
+    tracemalloc.start()
+    with pytest.raises(BadData, match="line 1: longer than 4 MiB"):
+        list(lines_of(path, "text"))
+    assert tracemalloc.get_traced_memory()[1] < 4 * LONGEST_LINE
+    tracemalloc.stop()
+
+
+def test_a_long_packed_text_is_never_in_memory_as_a_whole(tmp_path):
+    path = written(tmp_path, gzip.compress(b"0123456789abcdef" * 64 + b"\n") * 10_000)
+    tracemalloc.start()
+    assert sum(len(line) for line in lines_of(path, "text")) == 10_000 * 1024
+    assert tracemalloc.get_traced_memory()[1] < 2**20
+    tracemalloc.stop()
