@@ -8,6 +8,31 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
+LONGEST = 2000
+"""Characters of a message: what is longer quotes a file, and loses its middle."""
+
+
+def plain(text: str) -> str:
+    """The text as one line of a message: what cannot be printed escaped, the middle of a long one left out.
+
+    What a file says may hold anything, codes that command a terminal among it.
+    """
+    if len(text) > LONGEST:
+        text = f"{text[: LONGEST // 2]} [...] {text[-LONGEST // 4 :]}"
+    if text.isprintable():
+        return text
+    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
+
+
+def brief(value: object) -> str:
+    """What was found, at the length of a few words.
+
+    >>> brief([1, "x" * 200])
+    "[1, 'xxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxx[...]xxxxxxxxxxxxxxx']"
+    """
+    said = repr(value)
+    return said if len(said) <= 80 else f"{said[:52]}[...]{said[-17:]}"
+
 
 class EvalkitError(Exception):
     """Any error a user of evalkit can mend; the command line turns it into one line and exit code 2."""
@@ -24,7 +49,7 @@ class UnknownName(EvalkitError):
         close = difflib.get_close_matches(name, known, n=1)
         hint = f" (did you mean '{close[0]}'?)" if close else ""
         place = f"{where}: " if where else ""
-        return f"{place}no {kind} named '{name}'{hint}; known: {', '.join(known) or 'none'}"
+        return plain(f"{place}no {kind} named '{name}'{hint}; known: {', '.join(known) or 'none'}")
 
 
 class BadParameter(EvalkitError):
@@ -35,7 +60,7 @@ class BadParameter(EvalkitError):
 
     def __str__(self) -> str:
         owner, name, found, expected = self.args
-        return f"{owner}: parameter '{name}': found {found!r}, expected {expected}"
+        return plain(f"{owner}: parameter '{name}': found {brief(found)}, expected {expected}")
 
 
 class BadExperiment(EvalkitError):
@@ -46,7 +71,7 @@ class BadExperiment(EvalkitError):
 
     def __str__(self) -> str:
         file, place, what = self.args
-        return f"{file}: {place}: {what}" if place else f"{file}: {what}"
+        return plain(f"{file}: {place}: {what}" if place else f"{file}: {what}")
 
 
 class BadData(EvalkitError):
@@ -57,7 +82,7 @@ class BadData(EvalkitError):
 
     def __str__(self) -> str:
         file, place, found, remedy = self.args
-        return f"{file}: {place}: {found}; {remedy}" if place else f"{file}: {found}; {remedy}"
+        return plain(f"{file}: {place}: {found}; {remedy}" if place else f"{file}: {found}; {remedy}")
 
 
 class DataMissing(EvalkitError):
@@ -68,7 +93,7 @@ class DataMissing(EvalkitError):
 
     def __str__(self) -> str:
         dataset, what, remedy = self.args
-        return f"{dataset}: {what}; {remedy}"
+        return plain(f"{dataset}: {what}; {remedy}")
 
 
 class NotInstalled(EvalkitError):
@@ -79,7 +104,7 @@ class NotInstalled(EvalkitError):
 
     def __str__(self) -> str:
         name, why, remedy = self.args
-        return f"{name}: {why}; {remedy}"
+        return plain(f"{name}: {why}; {remedy}")
 
 
 class BackendFailed(EvalkitError):
@@ -90,7 +115,7 @@ class BackendFailed(EvalkitError):
 
     def __str__(self) -> str:
         name, what, remedy = self.args
-        return f"{name}: {what}; {remedy}"
+        return plain(f"{name}: {what}; {remedy}")
 
 
 class StoreError(EvalkitError):
@@ -101,4 +126,4 @@ class StoreError(EvalkitError):
 
     def __str__(self) -> str:
         path, what, remedy = self.args
-        return f"{path}: {what}; {remedy}"
+        return plain(f"{path}: {what}; {remedy}")

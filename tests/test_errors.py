@@ -49,3 +49,16 @@ def test_every_error_survives_pickling_and_says_all_it_was_told(kind):
 
 def test_a_name_far_from_all_known_ones_gets_no_suggestion():
     assert str(UnknownName("mapper", "zzz", ["log-odds"])) == "no mapper named 'zzz'; known: log-odds"
+
+
+def test_a_message_is_one_line_that_commands_no_terminal():
+    told = str(BadData("a\x1b[2J.log", "line 3", "'\x07\n\u2028\u202e\udc80'", "take it out"))
+    assert told == r"a\x1b[2J.log: line 3: '\x07\n\u2028\u202e\udc80'; take it out"
+
+
+def test_a_message_quotes_no_megabyte():
+    told = str(BadExperiment("x.toml", "sequence 2", "x" * 1_000_000 + ": remove it"))
+    assert told.startswith("x.toml: sequence 2: xxx")
+    assert told.endswith("xxx: remove it")
+    assert len(told) < 2000
+    assert str(BadParameter("icp", "radius", ["wide"] * 999, "a number")).endswith("'wide', 'wide'], expected a number")

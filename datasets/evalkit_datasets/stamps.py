@@ -6,6 +6,7 @@ from decimal import Decimal, DecimalException
 
 import numpy as np
 
+from evalkit.errors import brief
 from evalkit.se2 import Stamps
 from evalkit.types import Ints
 
@@ -23,9 +24,9 @@ def stamp_ns(text: str) -> int:
     try:
         nanoseconds = Decimal(text).scaleb(9)
     except DecimalException:
-        raise ValueError(f"'{text}' is no time in seconds") from None
+        raise ValueError(f"{brief(text)} is no time in seconds") from None
     if not nanoseconds.is_finite() or abs(nanoseconds) > _LIMIT:
-        raise ValueError(f"'{text}' is no time in seconds")
+        raise ValueError(f"{brief(text)} is no time in seconds")
     return int(nanoseconds.to_integral_value())
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal
 
-from evalkit.errors import BadExperiment
+from evalkit.errors import BadExperiment, brief
 from evalkit.protocols import Value
 from evalkit.study.design import Axis
 
@@ -93,21 +93,21 @@ def factor(table: Mapping[str, Any], file: str, place: str, base: Settings) -> F
             raise BadExperiment(file, place, f"no key '{key}'; known: {', '.join(KEYS)}")
     levels = table.get("levels")
     if not levels or not isinstance(levels, (list, Mapping)):
-        raise BadExperiment(file, place, f"'levels': found {levels!r}, expected a list of at least two values, or a "
+        raise BadExperiment(file, place, f"'levels': found {brief(levels)}, expected a list of at least two values, or a "
                             "table of named settings")  # fmt: skip
     sets = _sets(table, file, place) if isinstance(levels, list) else ()
     made = _plain(levels, sets, file, place) if isinstance(levels, list) else _named(levels, file, place)
     if len(made) < 2 or len({level.label for level in made}) < len(made):
-        raise BadExperiment(file, place, f"'levels': found {levels!r}, expected at least two that differ")
+        raise BadExperiment(file, place, f"'levels': found {brief(levels)}, expected at least two that differ")
     name, scale, unit = (
         table.get(key, other) for key, other in (("name", "".join(sets[:1])), ("scale", "linear"), ("unit", ""))
     )
     if not name or not isinstance(name, str) or not isinstance(unit, str):
         raise BadExperiment(
-            file, place, f"'name': found {name!r}, expected a text (a factor of named levels needs one)"
+            file, place, f"'name': found {brief(name)}, expected a text (a factor of named levels needs one)"
         )
     if scale not in ("linear", "log"):
-        raise BadExperiment(file, place, f"'scale': found {scale!r}, expected linear or log")
+        raise BadExperiment(file, place, f"'scale': found {brief(scale)}, expected linear or log")
     default = next((i for i, level in enumerate(made) if level.sets.items() <= base.items()), None)
     found = Factor(name, made, default, scale, unit, sets)
     _ordered(found, file, place)
@@ -120,18 +120,18 @@ def _sets(table: Mapping[str, Any], file: str, place: str) -> tuple[str, ...]:
     for name in names or [None]:
         if not isinstance(name, str) or name.partition(".")[0] not in ROOMS or not name.partition(".")[2]:
             expected = "contestant.NAME, sequence.NAME or mapper.NAME, or a list of them"
-            raise BadExperiment(file, place, f"'sets': found {found!r}, expected {expected}")
+            raise BadExperiment(file, place, f"'sets': found {brief(found)}, expected {expected}")
     return tuple(map(str, names))
 
 
 def _plain(levels: list[Any], sets: tuple[str, ...], file: str, place: str) -> tuple[Level, ...]:
     for value in levels:
         if not isinstance(value, (bool, int, float, str)):
-            raise BadExperiment(file, place, f"'levels': found {value!r}, expected numbers, texts, true or false")
+            raise BadExperiment(file, place, f"'levels': found {brief(value)}, expected numbers, texts, true or false")
     kinds: set[type] = {type(value) for value in levels}
     numbers = kinds <= {int, float}
     if len(kinds) > 1 and not numbers:
-        raise BadExperiment(file, place, f"'levels': found {levels!r}, expected values of one type")
+        raise BadExperiment(file, place, f"'levels': found {brief(levels)}, expected values of one type")
     same: list[Value] = [float(value) for value in levels] if kinds == {int, float} else levels
     return tuple(Level(_label(value), dict.fromkeys(sets, value), float(value) if numbers else None) for value in same)
 
@@ -140,7 +140,9 @@ def _named(levels: Mapping[str, Any], file: str, place: str) -> tuple[Level, ...
     made = []
     for label, table in levels.items():
         if not isinstance(table, Mapping) or not table:
-            raise BadExperiment(file, place, f"'levels.{label}': found {table!r}, expected {{ NAME = VALUE, ... }}")
+            raise BadExperiment(
+                file, place, f"'levels.{label}': found {brief(table)}, expected {{ NAME = VALUE, ... }}"
+            )
         for name, value in table.items():
             if name.partition(".")[0] not in ROOMS or not isinstance(value, (bool, int, float, str)):
                 raise BadExperiment(file, place, f"'levels.{label}': found {name} = {value!r}, expected values for "

@@ -26,7 +26,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from evalkit import environment, lifeline
-from evalkit.errors import EvalkitError, StoreError
+from evalkit.errors import EvalkitError, StoreError, plain
 from evalkit.fingerprint import fingerprint
 from evalkit.store import REMEDY
 
@@ -73,7 +73,7 @@ class JobsFailed(EvalkitError):
 
     def __str__(self) -> str:
         folder, what = self.args
-        return f"{folder}: {what}; the finished ones are kept, the same command goes on"
+        return plain(f"{folder}: {what}; the finished ones are kept, the same command goes on")
 
 
 @dataclass(frozen=True)
