@@ -6,14 +6,14 @@ import hashlib
 import json
 import math
 import shlex
-import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from evalkit import frontend, registry
-from evalkit.errors import BadExperiment, BadParameter, EvalkitError, UnknownName
+from evalkit.content import tables_of
+from evalkit.errors import BadExperiment, BadParameter, EvalkitError, UnknownName, brief
 from evalkit.protocols import Value, resolved
 
 Item = TypeVar("Item")
@@ -126,12 +126,12 @@ class Plan:
 def read(path: Path) -> Plan:
     """The plan of an experiment file (TOML); BadExperiment names the file, the key and what was found."""
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = tables_of(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise BadExperiment(str(path), "", "no such file; give the path of an experiment (*.toml)") from None
     except (OSError, UnicodeDecodeError) as error:
         raise BadExperiment(str(path), "", f"cannot be read ({error})") from error
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:
         raise BadExperiment(str(path), "", f"not valid TOML: {error}") from error
     return plan(content, str(path), path.stem, f"report {shlex.quote(str(path))}")
 
@@ -193,11 +193,11 @@ def _course(table: Mapping[str, Any], file: str, place: str) -> Course:
 
 def _mapper(table: object, file: str) -> MapperChoice:
     if not isinstance(table, Mapping):
-        raise BadExperiment(file, "mapper", f"found {table!r}, expected a table [mapper] with use = NAME")
+        raise BadExperiment(file, "mapper", f"found {brief(table)}, expected a table [mapper] with use = NAME")
     name = _text(table, "use", "log-odds", file, "mapper")
     scans = table.get("scans", MapperChoice.scans)
     if not isinstance(scans, int) or isinstance(scans, bool) or scans < 2:
-        raise BadExperiment(file, "mapper", f"'scans': found {scans!r}, expected a whole number of at least 2")
+        raise BadExperiment(file, "mapper", f"'scans': found {brief(scans)}, expected a whole number of at least 2")
     given = {key: value for key, value in table.items() if key not in ("use", "scans")}
     spec = _registered(registry.mapper, name, file, "mapper")
     return MapperChoice(name, resolved("mapper", spec.parameters, given), scans)
@@ -206,11 +206,11 @@ def _mapper(table: object, file: str) -> MapperChoice:
 def _limits(table: object, file: str) -> Limits:
     known = asdict(Limits())
     if not isinstance(table, Mapping):
-        raise BadExperiment(file, "limits", f"found {table!r}, expected a table [limits]")
+        raise BadExperiment(file, "limits", f"found {brief(table)}, expected a table [limits]")
     _known_keys(table, known, file, "limits")
     for key, value in table.items():
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < math.inf:
-            raise BadExperiment(file, "limits", f"'{key}': found {value!r}, expected a positive number")
+            raise BadExperiment(file, "limits", f"'{key}': found {brief(value)}, expected a positive number")
     return Limits(**{**known, **table})
 
 
@@ -232,7 +232,7 @@ def _registered(find: Callable[[str], Item], name: str, file: str, place: str) -
 
 def _seeds(seeds: object, file: str, place: str) -> tuple[int, ...]:
     if not isinstance(seeds, list) or not seeds or not all(type(seed) is int and seed >= 0 for seed in seeds):
-        raise BadExperiment(file, place, f"'seeds': found {seeds!r}, expected a list of whole numbers from 0")
+        raise BadExperiment(file, place, f"'seeds': found {brief(seeds)}, expected a list of whole numbers from 0")
     return tuple(dict.fromkeys(seeds))
 
 
@@ -245,7 +245,7 @@ def _required(table: Mapping[str, Any], key: str, file: str, place: str) -> str:
 def _text(table: Mapping[str, Any], key: str, default: str, file: str, place: str = "") -> str:
     value = table.get(key, default)
     if not isinstance(value, str):
-        raise BadExperiment(file, place, f"'{key}': found {value!r}, expected a text")
+        raise BadExperiment(file, place, f"'{key}': found {brief(value)}, expected a text")
     return value
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-from evalkit.errors import BadData
+from evalkit.content import tables_of
+from evalkit.errors import BadData, brief
 from evalkit.tape import Place, Span
 from evalkit_datasets.rows import text_of
 from evalkit_datasets.stamps import stamp_ns
@@ -26,8 +26,8 @@ def read(path: Path) -> tuple[Span, ...]:
     frame then) or ``{ wall = [x, y] }`` (the wall of the map near that point). ``sigma_m`` is 0.01 where not given.
     """
     try:  # a float would lose the nanoseconds of a present-day time
-        content = tomllib.loads(text_of(path, WHAT), parse_float=Decimal)
-    except tomllib.TOMLDecodeError as error:
+        content = tables_of(text_of(path, WHAT), Decimal)
+    except ValueError as error:
         raise BadData(str(path), "", f"no TOML ({error})", f"give {WHAT}") from None
     rows = content.get("span")
     if not isinstance(rows, list) or not rows or set(content) != {"span"}:
@@ -38,7 +38,7 @@ def read(path: Path) -> tuple[Span, ...]:
 def _span(path: Path, number: int, row: object) -> Span:
     where = f"span {number}"
     if not isinstance(row, dict):
-        raise BadData(str(path), where, f"'{row}' is no table", f"give {WHAT}")
+        raise BadData(str(path), where, f"{brief(row)} is no table", f"give {WHAT}")
     _known(path, where, row, KEYS)
     for key in ("from", "to", "metres"):
         if key not in row:
@@ -66,7 +66,7 @@ def _place(path: Path, where: str, value: object) -> Place:
 def _time(path: Path, where: str, value: object) -> int:
     try:
         if isinstance(value, bool) or not isinstance(value, (int, str, Decimal)):
-            raise ValueError(f"'{value}' is no time in seconds")
+            raise ValueError(f"{brief(value)} is no time in seconds")
         return stamp_ns(str(value))
     except ValueError as error:
         raise BadData(str(path), where, str(error), SEEN) from None
@@ -74,18 +74,18 @@ def _time(path: Path, where: str, value: object) -> int:
 
 def _point(path: Path, where: str, value: object) -> tuple[float, float]:
     if not isinstance(value, list) or len(value) != 2:
-        raise BadData(str(path), where, f"'{value}' is no point", SEEN)
+        raise BadData(str(path), where, f"'{brief(str(value))[1:-1]}' is no point", SEEN)
     x, y = (_number(path, where, each) for each in value)
     return x, y
 
 
 def _number(path: Path, where: str, value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float, Decimal)) or not Decimal(value).is_finite():
-        raise BadData(str(path), where, f"'{value}' is no number", "give metres as a number")
+        raise BadData(str(path), where, f"'{brief(str(value))[1:-1]}' is no number", "give metres as a number")
     return float(value)
 
 
 def _known(path: Path, where: str, row: Mapping[str, Any], keys: tuple[str, ...]) -> None:
     for key in row:
         if key not in keys:
-            raise BadData(str(path), where, f"unknown key '{key}'", f"known: {', '.join(keys)}")
+            raise BadData(str(path), where, f"unknown key {brief(key)}", f"known: {', '.join(keys)}")

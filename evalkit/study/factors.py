@@ -93,8 +93,8 @@ def factor(table: Mapping[str, Any], file: str, place: str, base: Settings) -> F
             raise BadExperiment(file, place, f"no key '{key}'; known: {', '.join(KEYS)}")
     levels = table.get("levels")
     if not levels or not isinstance(levels, (list, Mapping)):
-        raise BadExperiment(file, place, f"'levels': found {brief(levels)}, expected a list of at least two values, or a "
-                            "table of named settings")  # fmt: skip
+        expected = "a list of at least two values, or a table of named settings"
+        raise BadExperiment(file, place, f"'levels': found {brief(levels)}, expected {expected}")
     sets = _sets(table, file, place) if isinstance(levels, list) else ()
     made = _plain(levels, sets, file, place) if isinstance(levels, list) else _named(levels, file, place)
     if len(made) < 2 or len({level.label for level in made}) < len(made):

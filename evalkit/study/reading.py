@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
 
 from evalkit import experiment, frontend, registry
-from evalkit.errors import BadExperiment, BadParameter, EvalkitError, UnknownName
+from evalkit.content import tables_of
+from evalkit.errors import BadExperiment, BadParameter, EvalkitError, UnknownName, brief
 from evalkit.metrics import all_metrics
 from evalkit.protocols import Value, resolved
 from evalkit.study.factors import Factor, Level, Scale, Settings, factor
@@ -25,12 +25,12 @@ NEEDS = {"optimal": "points", "sobol": "points", "latin": "points", "fractional"
 def read(path: Path, command: str) -> Study:
     """The study of a file (TOML); BadExperiment names the file, the key and what was found."""
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = tables_of(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise BadExperiment(str(path), "", "no such file; give the path of a study (*.toml)") from None
     except (OSError, UnicodeDecodeError) as error:
         raise BadExperiment(str(path), "", f"cannot be read ({error})") from error
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:
         raise BadExperiment(str(path), "", f"not valid TOML: {error}") from error
     return study(content, str(path), command)
 
@@ -146,10 +146,10 @@ def _response(table: Mapping[str, Any], file: str, place: str) -> Response:
     if name not in metrics:
         raise BadExperiment(file, place, str(UnknownName("metric", str(name), metrics)))
     if scale not in get_args(Scale):
-        raise BadExperiment(file, place, f"'scale': found {scale!r}, expected linear or log")
+        raise BadExperiment(file, place, f"'scale': found {brief(scale)}, expected linear or log")
     number = isinstance(lost, (int, float)) and not isinstance(lost, bool)
     if lost is not None and (not number or (scale == "log" and lost <= 0)):
-        raise BadExperiment(file, place, f"'lost': found {lost!r}, expected a number (positive on a log scale)")
+        raise BadExperiment(file, place, f"'lost': found {brief(lost)}, expected a number (positive on a log scale)")
     return Response(metrics[name], scale, lost)
 
 
@@ -162,7 +162,7 @@ def _design(table: Mapping[str, Any], file: str, place: str, known: list[Factor]
     chosen = _chosen(table.get("factors"), known, file, place)
     fixed = table.get("with", {})
     if not isinstance(fixed, Mapping):
-        raise BadExperiment(file, place, f"'with': found {fixed!r}, expected a table of settings")
+        raise BadExperiment(file, place, f"'with': found {brief(fixed)}, expected a table of settings")
     try:
         positions, levels = placed(kind, chosen, **numbers, seed=int(table.get("seed", 0)))
     except BadParameter as error:
@@ -171,7 +171,9 @@ def _design(table: Mapping[str, Any], file: str, place: str, known: list[Factor]
     points = tuple(base.point(row, fixed, place) for row in levels)
     deal = table.get("deal", False)
     if not isinstance(deal, bool):
-        raise BadExperiment(file, place, f"'deal': found {deal!r}, expected true or false (one seed a point, in turn)")
+        raise BadExperiment(
+            file, place, f"'deal': found {brief(deal)}, expected true or false (one seed a point, in turn)"
+        )
     seeds, name = base.seeds(table, place), str(table.get("name", kind))
     return Design(name, kind, chosen, positions, points, seeds, numbers["resolution"], deal)
 
@@ -180,9 +182,9 @@ def _whole(table: Mapping[str, Any], key: str, kind: str, file: str, place: str)
     """The number of a key that this kind of design needs, 0 where it has none."""
     found = table.get(key)
     if NEEDS.get(kind) == key and (type(found) is not int or found < 1):
-        raise BadExperiment(file, place, f"'{key}': found {found!r}, expected a whole number from 1")
+        raise BadExperiment(file, place, f"'{key}': found {brief(found)}, expected a whole number from 1")
     if NEEDS.get(kind) != key and key in table:
-        raise BadExperiment(file, place, f"'{key}': found {found!r}; a design '{kind}' has none, remove the key")
+        raise BadExperiment(file, place, f"'{key}': found {brief(found)}; a design '{kind}' has none, remove the key")
     return int(found or 0)
 
 
@@ -190,7 +192,7 @@ def _chosen(names: object, known: list[Factor], file: str, place: str) -> tuple[
     """The factors of these names, no two of which set the same."""
     by_name = {found.name: found for found in known}
     if not isinstance(names, list) or not names:
-        raise BadExperiment(file, place, f"'factors': found {names!r}, expected a list of factors' names")
+        raise BadExperiment(file, place, f"'factors': found {brief(names)}, expected a list of factors' names")
     owners: dict[str, str] = {}
     for name in names:
         if name not in by_name:
@@ -215,13 +217,13 @@ def _envelope(
             told = UnknownName("factor with numbers", str(table.get(key)), ordered, f"'{key}'")
             raise BadExperiment(file, place, str(told))
     if table["x"] == table["y"]:
-        raise BadExperiment(file, place, f"'y': found {table['y']!r}, expected another factor than 'x'")
+        raise BadExperiment(file, place, f"'y': found {brief(table['y'])}, expected another factor than 'x'")
     known = {response.name: response for response in responses}
     if table.get("metric") not in known:
         raise BadExperiment(file, place, str(UnknownName("response", str(table.get("metric")), known)))
     limit = table.get("limit")
     if isinstance(limit, bool) or not isinstance(limit, (int, float)):
-        raise BadExperiment(file, place, f"'limit': found {limit!r}, expected a number")
+        raise BadExperiment(file, place, f"'limit': found {brief(limit)}, expected a number")
     return EnvelopeChoice(table["design"], table["x"], table["y"], known[table["metric"]], float(limit))
 
 
