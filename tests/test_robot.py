@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from evalkit import se2
+from evalkit_datasets import robot
 from evalkit_datasets.episodes import Episodes
 from evalkit_datasets.robot import Drive, Route, WheelOdometry
 
@@ -177,3 +178,14 @@ def test_a_drive_that_slows_down_does_so_steadily():
     assert np.abs(np.diff(speed)).max() < 0.5 * 0.01 * 1.01
     assert speed.max() == pytest.approx(np.sqrt(0.5**2 + 2.0 * 0.5 * 1.0), abs=0.01)  # 1 m on from an arc, 1 m to go
     np.testing.assert_allclose(drive.distance([0, drive.duration_ns]), [0.0, drive.path_m], atol=1e-8)
+
+
+def test_odometry_is_the_same_however_many_readings_are_integrated_at_once(monkeypatch):
+    drive = Drive(SQUARE, 0.5)
+    stamps = np.array([0, 3, 10_000_000, 999_999_999, 1_000_000_000, 1_000_000_001, drive.duration_ns])
+    errors = WheelOdometry(slips=Episodes(2.0, 0.5))
+    whole = errors.poses(drive, stamps, np.random.default_rng(1))
+    for ticks in (13, 100):
+        monkeypatch.setattr(robot, "_TICKS_AT_ONCE", ticks)
+        np.testing.assert_array_equal(errors.poses(drive, stamps, np.random.default_rng(1)), whole)
+    np.testing.assert_array_equal(errors.poses(drive, stamps[::-1], np.random.default_rng(1)), whole[::-1])

@@ -266,3 +266,26 @@ def test_unknown_and_impossible_parameters_are_refused():
         SPECS["lab"].make(speed=1.0)
     with pytest.raises(BadParameter, match="rate_hz"):
         SPECS["lab"].make(rate_hz=20.0)
+
+
+def test_a_drive_too_long_to_be_kept_gives_the_same_scans_and_counts(monkeypatch):
+    settings = {"laps": 0.05, "drop_every_s": 3.0, "seed": 4}
+    kept = SPECS["lab"].make(**settings)
+    known = ranges(kept), odometry(kept), kept.notes()
+    assert next(kept.frames()) is next(kept.frames())
+    monkeypatch.setattr(synthetic, "_MOST_KEPT_BYTES", 0)
+    simulated = SPECS["lab"].make(**settings)
+    assert simulated.notes() == known[2]
+    for _ in range(2):
+        np.testing.assert_array_equal(ranges(simulated), known[0])
+        np.testing.assert_array_equal(odometry(simulated), known[1])
+    assert next(simulated.frames()) is not next(simulated.frames())
+
+
+def test_a_day_at_ten_scans_a_second_can_be_asked_for_and_begins_at_once():
+    day = SPECS["lab"].make(laps=1110.0, rate_hz=10.0)
+    assert len(day) > 864_000
+    assert day.stamps_ns[-1] > 24 * 3600 * 10**9
+    poses = day.truth().trajectory.poses
+    assert len(poses) == len(day)
+    np.testing.assert_array_equal(day.truth().grid.occupied(), SPECS["lab"].make(laps=2.0).truth().grid.occupied())

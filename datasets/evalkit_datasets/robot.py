@@ -13,6 +13,7 @@ from evalkit.se2 import Floats, Stamps
 from evalkit_datasets.episodes import NEVER, Episodes
 
 _TICK_NS = 10_000_000  # wheel encoders and gyroscope are read at 100 Hz
+_TICKS_AT_ONCE = 6_000  # a minute of readings integrated together: a long drive takes no more memory for it
 _GENTLE_M = 1.0  # a curve this round is no turn
 _STEP_M = 0.005  # between two places at which a drive that slows down for its curves has a speed of its own
 
@@ -216,29 +217,46 @@ class WheelOdometry:
 
         A reading holds until the next one; its velocities are integrated exactly on SE(2), also between readings.
         """
-        asked = np.asarray(stamps_ns, dtype=np.int64)
-        ticks = np.arange(0, int(asked.max(initial=0)) + _TICK_NS, _TICK_NS)
-        times: Stamps = np.union1d(ticks, asked)
+        asked, places = np.unique(np.asarray(stamps_ns, dtype=np.int64), return_inverse=True)
+        ticks = int(asked.max(initial=0)) // _TICK_NS + 1
         scale, bias = generator.standard_normal(2) * [self.scale, self.gyro_bias]
-        noise = generator.standard_normal((len(ticks), 2)) * [self.velocity_noise_mps, self.gyro_noise]
+        poses = np.zeros((len(asked), 3))
+        odom_from_base = np.zeros(3)
+        for begin in range(0, ticks, _TICKS_AT_ONCE):
+            end = min(begin + _TICKS_AT_ONCE, ticks)
+            noise = generator.standard_normal((end - begin, 2)) * [self.velocity_noise_mps, self.gyro_noise]
+            some = slice(*np.searchsorted(asked, [begin * _TICK_NS, end * _TICK_NS]))
+            times: Stamps = np.union1d(np.arange(begin, end + 1) * _TICK_NS, asked[some])
+            travelled = self._travelled(drive, times, noise, scale, bias, odom_from_base)
+            poses[some] = travelled[np.searchsorted(times, asked[some])]
+            odom_from_base = travelled[-1]
+        return np.column_stack([poses[:, :2], se2.wrap(poses[:, 2])])[places]
+
+    def _travelled(
+        self, drive: Drive, times: Stamps, noise: Floats, scale: float, bias: float, start: Floats
+    ) -> Floats:
+        """``odom_from_base`` (N, 3) at times (N,) from its value at the first on, headings not wrapped.
+
+        ``noise`` (T, 2): of the readings from the one at the first time on.
+        """
         true = drive.pose(times)
         travelled = _twist(se2.between(true[:-1], true[1:]))
         lasted = np.diff(times) * 1e-9
-        reading = noise[times[:-1] // _TICK_NS] * lasted[:, None]
+        reading = noise[(times[:-1] - times[0]) // _TICK_NS] * lasted[:, None]
         travelled[:, :2] *= 1.0 + scale
         travelled[:, 0] += reading[:, 0]
         travelled[:, 0] += np.where(self.slips.at(times[:-1]), self.slip_mps * lasted, 0.0)
         travelled[:, 2] += reading[:, 1] + bias * lasted
-        return _chained(_motion(travelled))[np.searchsorted(times, asked)]
+        return _chained(start, _motion(travelled))
 
 
-def _chained(steps: Floats) -> Floats:
-    """The poses (N + 1, 3) from the identity on, one motion (N, 3) after the other, each in the frame before it."""
-    headings = np.concatenate([[0.0], np.cumsum(steps[:, 2])])
+def _chained(start: Floats, steps: Floats) -> Floats:
+    """The poses (N + 1, 3) from one on, one motion (N, 3) after the other; headings are not wrapped."""
+    headings = np.cumsum(np.append(start[2], steps[:, 2]))
     cos, sin = np.cos(headings[:-1]), np.sin(headings[:-1])
-    x = np.cumsum(cos * steps[:, 0] - sin * steps[:, 1])
-    y = np.cumsum(sin * steps[:, 0] + cos * steps[:, 1])
-    return np.column_stack([np.append(0.0, x), np.append(0.0, y), se2.wrap(headings)])
+    x = np.cumsum(np.append(start[0], cos * steps[:, 0] - sin * steps[:, 1]))
+    y = np.cumsum(np.append(start[1], sin * steps[:, 0] + cos * steps[:, 1]))
+    return np.column_stack([x, y, headings])
 
 
 def _motion(twists: Floats) -> Floats:

@@ -20,14 +20,17 @@ from evalkit_datasets.robot import Drive, Route, WheelOdometry
 from evalkit_datasets.worlds import truth_grid
 
 _SCANS_AT_ONCE = 32  # simulated together: keeps the memory of a run small beside the back end's own
+_MOST_KEPT_BYTES = 32 * 2**20  # a drive of more scans than this is simulated anew whenever they are asked for
 _LOOK_EVERY_M = 0.2  # how far apart on the path the true map looks around
+_LOOK_LAPS = 2.0  # whoever has gone round twice has seen it all
 
 
 class Synthetic:
     """A drive through a floor plan: the same parameters give the same bits, on every pass and in every process.
 
     Range noise, drop-outs, odometry and people draw from streams of their own, so that changing one leaves the others
-    alone. ``lost``: scans that begin meanwhile never arrive.
+    alone. ``lost``: scans that begin meanwhile never arrive. Scans are simulated as they are asked for; those of a
+    short drive are kept.
     """
 
     def __init__(
@@ -49,6 +52,7 @@ class Synthetic:
         self._swept_ns = lidar.stamps(drive.duration_ns)  # of the scans lost, too
         self._arrived = ~lost.at(self._swept_ns)
         self.stamps_ns = self._swept_ns[self._arrived]
+        self._counted: tuple[int, int] | None = None
         if len(self.stamps_ns) == 0:
             raise ValueError(f"laps: {drive.laps:g} laps at {drive.speed_mps:g} m/s end before the first scan does")
 
@@ -57,7 +61,8 @@ class Synthetic:
 
     def frames(self) -> Iterator[Frame]:
         """The frames in the order of time."""
-        return iter(self._frames)
+        short = len(self) * 2 * 8 * self.lidar.beams <= _MOST_KEPT_BYTES  # ranges and angles
+        return iter(self._kept) if short else self._simulated()
 
     def truth(self) -> Truth:
         """The exact poses ``world_from_base`` at the scans' stamps, and the map of what can be seen from the path."""
@@ -65,11 +70,19 @@ class Synthetic:
 
     def notes(self) -> Mapping[str, int]:
         """How many beams met nothing within range, and how many gave no valid answer."""
-        scans = [frame.scan for frame in self._frames]
-        return {
-            "beams without return": sum(int(scan.no_returns.sum()) for scan in scans),
-            "invalid ranges": sum(int(np.isnan(scan.ranges).sum()) for scan in scans),
-        } | ({"scans lost": lost} if (lost := int((~self._arrived).sum())) else {})
+        return {"beams without return": self._met[0], "invalid ranges": self._met[1]} | (
+            {"scans lost": lost} if (lost := int((~self._arrived).sum())) else {}
+        )
+
+    @property
+    def _met(self) -> tuple[int, int]:
+        """How many beams met nothing and how many are invalid: known once all frames have been simulated."""
+        if self._counted is None:
+            for _ in self.frames():
+                pass
+        if self._counted is None:
+            raise RuntimeError("the frames have been simulated and not counted")
+        return self._counted
 
     def _streams(self) -> list[np.random.Generator]:
         """Independent generators for range noise, drop-outs, odometry and people."""
@@ -82,17 +95,27 @@ class Synthetic:
         return walks(self.people, self.plan.world, self.drive, self.walk_mps, generator)
 
     @cached_property
-    def _frames(self) -> tuple[Frame, ...]:
-        noise, dropouts, errors, _ = self._streams()
+    def _kept(self) -> tuple[Frame, ...]:
+        return tuple(self._simulated())
+
+    @cached_property
+    def _wheels(self) -> tuple[Floats, Floats]:
+        """The odometry's pose (N, 3) at the first beam of every sweep, and its motion to the last."""
+        *_, errors, _ = self._streams()
         last_ns = self._swept_ns + (self.lidar.beams - 1) * self.lidar.time_increment_ns
         odometry = self.odometry.poses(self.drive, np.stack([self._swept_ns, last_ns], axis=1).ravel(), errors)
-        first, last = odometry[0::2], odometry[1::2]
-        turned = se2.between(first, last)
-        return tuple(
-            Frame(self._scan(index, ranges), self.base_from_sensor, Pose.of(first[index]), Pose.of(turned[index]))
-            for index, ranges in enumerate(self._ranges(noise, dropouts))
-            if self._arrived[index]
-        )
+        return odometry[0::2], se2.between(odometry[0::2], odometry[1::2])
+
+    def _simulated(self) -> Iterator[Frame]:
+        noise, dropouts, *_ = self._streams()
+        first, turned = self._wheels
+        nothing = invalid = 0
+        for index, ranges in enumerate(self._ranges(noise, dropouts)):
+            if self._arrived[index]:
+                scan = self._scan(index, ranges)
+                nothing, invalid = nothing + int(scan.no_returns.sum()), invalid + int(np.isnan(scan.ranges).sum())
+                yield Frame(scan, self.base_from_sensor, Pose.of(first[index]), Pose.of(turned[index]))
+        self._counted = nothing, invalid
 
     def _ranges(self, noise: np.random.Generator, dropouts: np.random.Generator) -> Iterator[Floats]:
         """What the lidar reports (B,), scan by scan, every beam fired from where the sensor is at that moment."""
@@ -122,7 +145,8 @@ class Synthetic:
     @cached_property
     def _truth(self) -> Truth:
         poses = self.drive.pose(self.stamps_ns)
-        path = self.drive.route.at(np.arange(0.0, self.drive.path_m, _LOOK_EVERY_M))
+        seen_m = min(self.drive.path_m, _LOOK_LAPS * self.drive.route.length_m)
+        path = self.drive.route.at(np.arange(0.0, seen_m, _LOOK_EVERY_M))
         sensor = se2.compose(path, self.base_from_sensor.row)
         grid = truth_grid(self.plan.world, self.resolution_m, sensor[:, :2], self.lidar.range_max_m)
         return Truth("exact: simulated", trajectory=Trajectory(self.stamps_ns, poses, "world", "base"), grid=grid)
@@ -134,7 +158,7 @@ PARAMETERS = (
     Parameter("speed_mps", 0.3, "m/s", "speed between the ramps", low=0.05, high=3.0),
     Parameter("turn_dps", 0.0, "deg/s", "yaw rate of every turn: tightened, then slowed down to it; 0: as drawn",
               low=0.0, high=360.0),
-    Parameter("laps", 1.0, "", "laps driven, may be a share of one", low=0.02, high=100.0),
+    Parameter("laps", 1.0, "", "laps driven, may be a share of one", low=0.02, high=1e5),
     Parameter("noise_m", 0.0483, "m", "standard deviation of a range", low=0.0, high=1.0),
     Parameter("dropout", 0.01, "", "share of beams without an answer", low=0.0, high=1.0),
     Parameter("odometry_scale", 0.01, "", "1 sigma of the wheels' scale error, drawn once a run", low=0.0, high=0.5),
