@@ -102,17 +102,22 @@ def _placed(
     expected = len(sequence)
     chosen, earlier = _evenly(expected, most), _evenly(expected - 1, MOST_PAIRS)
     wanted = {*chosen, *earlier, *(index + 1 for index in earlier)}
-    rows = {stamp_ns: row for row, stamp_ns in enumerate(world_from_base.stamps_ns.tolist())}
     placed: dict[int, Placed] = {}
     for index, frame in enumerate(sequence.frames()):
         if index > max(wanted, default=-1):
             break
-        row = rows.get(frame.scan.stamp_ns)
-        if index in wanted and row is not None:
+        row = _row_at(world_from_base, frame.scan.stamp_ns) if index in wanted else None
+        if row is not None:
             scan = frame.scan.deskewed(frame.base_from_sensor, _within(frame, world_from_base, row))
             placed[index] = scan, se2.compose(world_from_base.poses[row], frame.base_from_sensor.row)
     pairs = ((index, index + 1) for index in earlier if index in placed and index + 1 in placed)
     return tuple(placed[i] for i in chosen if i in placed), tuple((placed[i], placed[j]) for i, j in pairs)
+
+
+def _row_at(trajectory: Trajectory, stamp_ns: int) -> int | None:
+    """Which pose is of that very time; None where there is none."""
+    row = int(np.searchsorted(trajectory.stamps_ns, stamp_ns))
+    return row if row < len(trajectory) and trajectory.stamps_ns[row] == stamp_ns else None
 
 
 def _evenly(count: int, most: int) -> list[int]:

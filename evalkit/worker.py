@@ -170,8 +170,8 @@ def follow(contestant: Odometry, sequence: Sequence, request: Request, residuals
 
     A record's ``harness_ns`` is what the harness took around the scan before.
     """
-    around = asked = 0
-    unanswered: list[str] = []
+    around = asked = unanswered = 0
+    why = ""
     for frame in _in_order(sequence, request.dataset):
         begun = time.perf_counter_ns()
         asked += 1
@@ -179,14 +179,14 @@ def follow(contestant: Odometry, sequence: Sequence, request: Request, residuals
         try:
             pose, timing = timed(lambda frame=frame: contestant.update(frame))  # type: ignore[misc]
         except NoAnswer as reason:
-            unanswered.append(str(reason))
+            unanswered, why = unanswered + 1, str(reason)
             continue
         residuals.ask()
         steps.write(_record(frame, pose, timing, residuals, around))
         around = time.perf_counter_ns() - begun - timing.wall_ns
-    if len(unanswered) > (1.0 - LEAST_ANSWERED) * asked:
-        what = f"no answer for {len(unanswered)} of {asked} scans"
-        raise BackendFailed(request.backend, what, f"why the last time: {unanswered[-1]}")
+    if unanswered > (1.0 - LEAST_ANSWERED) * asked:
+        what = f"no answer for {unanswered} of {asked} scans"
+        raise BackendFailed(request.backend, what, f"why the last time: {why}")
 
 
 def _in_order(sequence: Sequence, dataset: str) -> Iterator[Frame]:
