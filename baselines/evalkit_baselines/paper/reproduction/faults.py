@@ -63,7 +63,7 @@ def clusters(points: Floats, walls: Floats) -> tuple[Cluster, ...]:
     """Points (N, 2) that lie together, most first; ``walls`` (M, 2), M > 0, are what they stand off from."""
     if not len(points):
         return ()
-    near = cKDTree(points).query_pairs(TOGETHER_M, output_type="ndarray")
+    near = cKDTree(points).query_pairs(TOGETHER_M, output_type="ndarray").astype(np.int32)  # old SciPy takes no other
     links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(points), len(points)))
     count, labels = connected_components(links, directed=False)
     off = nearest_m(points, walls)
