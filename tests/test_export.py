@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 from collections import Counter
@@ -87,6 +88,25 @@ def exported(folder, form, *more):
     result = CliRunner().invoke(app, ["export", str(folder), "--format", form, "-o", str(target), "--json", *more])
     assert result.exit_code == 0, result.output
     return [Path(path) for path in json.loads(result.stdout)["written"]]
+
+
+# --- tables
+
+
+def test_csv_and_json_hold_the_wanted_rows_of_what_the_report_wrote_and_keep_the_schema(finished):
+    jsonschema = pytest.importorskip("jsonschema")
+    whole = {path.name: path.read_bytes() for form in ("csv", "json") for path in exported(finished, form)}
+    assert set(whole) == {"trials.csv", "scores.csv", "summary.csv", "results.json", "results.schema.json"}
+    for name in ("trials.csv", "scores.csv", "summary.csv"):
+        assert whole[name] == (finished / name).read_bytes()
+    assert json.loads(whole["results.json"]) == json.loads((finished / "results.json").read_bytes())
+    part = {path.name: path for form in ("csv", "json") for path in exported(finished, form, "--contestant", "wheel")}
+    heading, row = part["trials.csv"].read_text(encoding="utf-8").splitlines()
+    assert (heading.split(",")[1], row.split(",")[1]) == ("contestant", "wheel")
+    content = json.loads(part["results.json"].read_text(encoding="utf-8"))
+    jsonschema.validate(content, json.loads(part["results.schema.json"].read_text(encoding="utf-8")))
+    assert [trial["contestant"] for trial in content["trials"]] == list(content["contestants"]) == ["wheel"]
+    assert content["verdicts"] == content["overview"] == []  # they compare it with who is left out
 
 
 # --- trajectories
@@ -175,6 +195,21 @@ def test_a_latex_table_has_as_many_cells_in_a_row_as_columns_and_no_bare_special
     assert [text.count(rule) for rule in (r"\toprule", r"\midrule", r"\bottomrule")] == [1, 1, 1]
 
 
+def test_latex_takes_the_tables_and_the_figures(finished):
+    if shutil.which("pdflatex") is None:
+        pytest.skip("pdflatex is not installed")
+    tables, figures = (exported(finished, form)[0].parent for form in ("latex", "pdf"))
+    (tables / "paper.tex").write_text(
+        r"\documentclass{article}\usepackage{booktabs,graphicx}\begin{document}\input{tables}"
+        rf"\includegraphics[width=\textwidth]{{{figures / '50-more-x-trajectories.pdf'}}}\end{{document}}",
+        encoding="utf-8",
+    )
+    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "paper.tex"]
+    done = subprocess.run(command, cwd=tables, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stdout[-2000:]
+    assert "Missing character" not in (tables / "paper.log").read_text(encoding="latin-1")
+
+
 def test_tables_show_the_intervals_of_results_json_and_only_these(finished):
     intervals = json.loads((finished / "results.json").read_text(encoding="utf-8"))["intervals"]
     wheel = next(one for one in intervals if (one["contestant"], one["metric"]) == ("wheel", "ate_rmse_m"))
@@ -252,6 +287,9 @@ def test_an_mcap_file_read_by_the_mcap_library_holds_the_answer_the_truth_and_th
     assert counts == {"/scan": N, "/odom": N, "/tf": 2 * N, "/tf_static": 1, "/estimate": 1, "/truth": 1, "/map": 1}
     assert {schema.encoding for schema, _, _ in messages} == {"ros2msg"}
     assert [message.log_time for _, _, message in messages] == sorted(m.log_time for _, _, m in messages)
+    offered = (path.parent / "metadata.yaml").read_text(encoding="utf-8").split("message_count")
+    kept = {topic for topic in counts for part in offered if f"name: {topic}\n" in part and "transient_local" in part}
+    assert kept == {"/tf_static", "/estimate", "/truth", "/map"}  # RViz asks for these after they were sent
     estimate = next(store.deserialize_cdr(m.data, s.name) for s, topic, m in messages if topic == "/estimate")
     assert [pose.pose.position.x for pose in estimate.poses] == pytest.approx(TRUE[:, 0] + 0.01 * np.arange(N))
     grid = next(store.deserialize_cdr(m.data, s.name) for s, topic, m in messages if topic == "/map")

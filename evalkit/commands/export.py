@@ -16,7 +16,7 @@ from evalkit.store import REMEDY, Store
 if TYPE_CHECKING:
     from evalkit.report.export.results import Results
 
-FORMATS = ("latex", "markdown", "pdf", "svg", "tum", "kitti", "g2o", "map", "mcap", "rerun")
+FORMATS = ("csv", "json", "latex", "markdown", "pdf", "svg", "tum", "kitti", "g2o", "map", "mcap", "rerun")
 WITH_SCANS = {"pdf", "svg", "tum", "kitti", "mcap", "rerun"}
 """Formats that show the truth or the scans: for these the sequences are made again."""
 
@@ -34,7 +34,7 @@ def export(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Write a finished comparison for papers (LaTeX, PDF), other evaluators (TUM, KITTI, g2o), ROS, rerun."""
+    """Write a finished comparison for programs, papers, other evaluators (TUM, KITTI, g2o), ROS, rerun."""
     from evalkit.report.export import results as finished  # noqa: PLC0415 - only who exports pays for it
 
     wanted = _wanted(forms)
@@ -69,9 +69,11 @@ def _written(form: str, found: Results, folder: Path, everything: bool) -> list[
 
 
 def _writers() -> dict[str, Callable[[Results, Path], Iterator[Path]]]:
-    from evalkit.report.export import papers, poses  # noqa: PLC0415 - loads matplotlib
+    from evalkit.report.export import numbers, papers, poses  # noqa: PLC0415 - loads matplotlib
 
     return {
+        "csv": lambda found, folder: _files(numbers.as_csv(found), folder),
+        "json": lambda found, folder: _files(numbers.as_json(found), folder),
         "latex": lambda found, folder: _files(papers.latex(found), folder),
         "markdown": lambda found, folder: _files(papers.markdown(found), folder),
         "pdf": lambda found, folder: _files(papers.drawings(found, "pdf"), folder),

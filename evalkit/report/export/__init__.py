@@ -1,1 +1,1 @@
-"""A finished comparison in the formats of other programs: papers, spreadsheets of text, trajectories, maps, viewers."""
+"""A finished comparison in the formats of other programs: tables, papers, trajectories, maps, viewers."""

@@ -32,6 +32,9 @@ TYPES = {
     "/map": "nav_msgs/msg/OccupancyGrid",
 }
 
+KEPT = {"/tf_static", "/estimate", "/truth", "/map"}
+"""Sent once: `ros2 bag play` offers these to late comers too, as RViz asks of the static transform and the map."""
+
 Sent = tuple[int, str, Any]
 """When (ns), on which topic, what."""
 
@@ -57,8 +60,22 @@ def write_bag(path: Path, maker: Messages, messages: Iterable[Sent]) -> None:
         connections: dict[str, Any] = {}
         for stamp, topic, message in sorted(messages, key=lambda sent: sent[0]):
             if topic not in connections:
-                connections[topic] = writer.add_connection(topic, TYPES[topic], typestore=maker.store)
+                connections[topic] = writer.add_connection(
+                    topic, TYPES[topic], typestore=maker.store, offered_qos_profiles=_offered(topic)
+                )
             writer.write(connections[topic], stamp, maker.store.serialize_cdr(message, TYPES[topic]))
+
+
+def _offered(topic: str) -> list[Any]:
+    """The quality of service of a topic: reliable, and kept for late comers where it is sent once."""
+    from rosbags import interfaces as ros  # noqa: PLC0415 - as above
+
+    forever = ros.QosTime(9223372036, 854775807)  # as rosbag2 writes it
+    durability = ros.QosDurability.TRANSIENT_LOCAL if topic in KEPT else ros.QosDurability.VOLATILE
+    return [
+        ros.Qos(ros.QosHistory.KEEP_LAST, 10, ros.QosReliability.RELIABLE, durability, forever, forever,
+                ros.QosLiveliness.AUTOMATIC, forever, False)
+    ]  # fmt: skip
 
 
 def _sent(maker: Messages, trial: Trial, recording: Recording) -> Iterator[Sent]:
