@@ -1,0 +1,160 @@
+"""``evalkit tune``: every back end gets the same search on training worlds, and is judged on others."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from evalkit import console, environment
+from evalkit.commands import options
+from evalkit.commands.options import Collect, Jobs, Json, err, out
+from evalkit.errors import StoreError
+from evalkit.store import REMEDY, Store
+
+if TYPE_CHECKING:
+    from evalkit.experiment import Plan
+    from evalkit.report.tuning.outcome import Tuned
+    from evalkit.study.tuning.campaign import Searched
+    from evalkit.study.tuning.plan import Tuning
+    from evalkit.types import Trial
+
+BUDGET = 24
+FILE = ".toml"
+
+
+def tune(
+    what: Annotated[list[str], typer.Argument(help="A tuning file (*.toml), or back ends.", show_default=False)],
+    on: Annotated[
+        list[str] | None, typer.Option(help="Train on this data set (repeatable).", show_default=False)
+    ] = None,
+    held_out: Annotated[
+        list[str] | None, typer.Option(help="Judge on this data set (repeatable).", show_default="fresh seeds of --on")
+    ] = None,
+    budget: Annotated[int | None, typer.Option(min=2, help="Points a back end.", show_default=str(BUDGET))] = None,
+    setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE for every data set.")] = None,
+    folder: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder.", show_default="reports/build/tune-NAME")
+    ] = None,
+    jobs: Jobs = None,
+    collect: Collect = False,
+    as_json: Json = False,
+) -> None:
+    """Tune back ends fairly: the same budget on training worlds, judged on others; killed, the same command goes on."""
+    from evalkit.report import comparison_of  # noqa: PLC0415 - as below
+    from evalkit.report.tuning.outcome import Tuned  # noqa: PLC0415 - loads matplotlib and scipy.stats
+    from evalkit.study.tuning.tuned import experiment_text, held_out_plan  # noqa: PLC0415 - as above
+
+    options.modules_from_here()
+    tuning = _tuning(what, on or [], held_out or [], budget, setting or [])
+    folder = folder or Path("reports") / "build" / tuning.name
+    workers = jobs or environment.physical_cores()
+    ran_on = environment.describe(jobs=workers)
+    started = datetime.now(UTC)
+    found = _searched(tuning, folder, workers, collect)
+    experiment = folder / "tuned.toml"
+    text = experiment_text(tuning, found)
+    plan = held_out_plan(text, shlex.quote(str(experiment)))
+    _write(folder, {experiment.name: text})
+    trials = _judged(plan, Store(folder / "report"), workers, ran_on, collect)
+    comparison = comparison_of(plan, trials, started, datetime.now(UTC), ran_on)
+    report = f"evalkit report {shlex.quote(str(experiment))} --resume --out {shlex.quote(str(folder / 'report'))}"
+    _end(Tuned(tuning, found, comparison, ran_on, report), folder, as_json)
+
+
+def _tuning(what: list[str], on: list[str], held_out: list[str], budget: int | None, setting: list[str]) -> Tuning:
+    """The tuning of a file, or of back ends and data sets named on the command line."""
+    from evalkit.study.tuning import reading  # noqa: PLC0415 - loads scipy.stats
+
+    if what[0].endswith(FILE):
+        if len(what) > 1 or on or held_out or budget is not None or setting:
+            raise typer.BadParameter("a tuning file stands alone: its points, data sets and settings are in it")
+        stem = Path(what[0]).stem
+        name = stem if stem.startswith("tune") else f"tune-{stem}"
+        return reading.read(Path(what[0]), name, f"evalkit tune {shlex.quote(what[0])}")
+    if not on:
+        raise typer.BadParameter(f"give a tuning file (*{FILE}), or back ends and --on DATASET to train on")
+    options_said = [("--on", name) for name in on] + [("--held-out", name) for name in held_out]
+    options_said += [("--budget", str(budget or BUDGET)), *(("--set", item) for item in setting)]
+    command = shlex.join(["evalkit", "tune", *what, *(word for pair in options_said for word in pair)])
+    content = reading.named(what, on, held_out, budget or BUDGET, options.settings(setting))
+    return reading.tuning(content, "evalkit tune", f"tune-{'-'.join(on)}", command)
+
+
+def _searched(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tuple[Searched, ...]:
+    """What the search found; exit code 3 where it may make nothing and something is missing."""
+    from evalkit.study.tuning import campaign  # noqa: PLC0415 - loads scipy.stats
+
+    for entrant in tuning.entrants:
+        if entrant.missing:
+            err.print(f"missing here: {entrant.label}: {entrant.missing}", markup=False, highlight=False)
+    results = folder / "results"
+    if collect:
+        try:
+            return campaign.searched(tuning, campaign.collecting(results))
+        except campaign.Unmade as unmade:
+            told = f"the search is not done: {unmade.missing} runs of the next points are missing; the same command"
+            out.print(f"{told} without --collect goes on", markup=False, highlight=False)
+            raise typer.Exit(3) from None
+    try:
+        with console.jobs(err, campaign.expected_runs(tuning), workers) as done:
+            return campaign.searched(tuning, campaign.making(results, workers, done))
+    except KeyboardInterrupt:
+        err.print("interrupted; finished runs are kept: the same command goes on from here")
+        raise
+
+
+def _judged(plan: Plan, store: Store, workers: int, ran_on: dict[str, str], collect: bool) -> tuple[Trial, ...]:
+    """Default and tuned rows on the held-out sequences, each run in a process of its own; what is done is kept."""
+    from evalkit.engine import Engine  # noqa: PLC0415 - with the search's modules
+
+    for line in console.missing(plan):
+        err.print(line, markup=False, highlight=False)
+    try:
+        with console.progress(err, list(plan.runs()), workers) as shown:
+            return Engine(plan, store, shown, workers, True, ran_on, collect=collect).trials()
+    except KeyboardInterrupt:
+        err.print("interrupted; finished runs are kept: the same command goes on from here")
+        raise
+
+
+def _end(told: Tuned, folder: Path, as_json: bool) -> None:
+    """Writes and prints what was found; exit code 1 if a contestant failed wholly, 3 if a run is not made yet."""
+    from evalkit.report.document import render  # noqa: PLC0415 - as above
+    from evalkit.report.tuning import page as pages  # noqa: PLC0415 - loads matplotlib
+    from evalkit.report.tuning.record import record  # noqa: PLC0415 - as above
+
+    content = record(told)
+    _write(folder, {
+        "tuned.json": json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
+        "index.html": render(pages.document(told)),
+    })  # fmt: skip
+    page = folder / "index.html"
+    skipped = sum(trial.run.status == "skipped" for trial in told.comparison.trials)
+    if as_json:
+        options.print_json(content | {"page": str(page)})
+    else:
+        for one in told.searched:
+            out.print(told.sentence(one), markup=False, highlight=False)
+        if skipped:
+            out.print(f"{skipped} held-out runs not made yet", markup=False, highlight=False)
+        for text in (told.report, str(page.resolve())):
+            out.print(text, markup=False, highlight=False)
+    if told.failed:
+        err.print(f"no run completed: {', '.join(told.failed)}", markup=False, highlight=False)
+        raise typer.Exit(1)
+    if skipped:
+        raise typer.Exit(3)
+
+
+def _write(folder: Path, texts: dict[str, str]) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            (folder / name).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise StoreError(str(folder), f"cannot be written ({error.strerror or error})", REMEDY) from error

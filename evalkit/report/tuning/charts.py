@@ -1,0 +1,110 @@
+"""Accuracy against compute as drawings: one a back end with every point, and one of all frontiers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from evalkit.report import charts
+from evalkit.report.charts import Axis, Points
+from evalkit.report.document import Figure
+from evalkit.se2 import Floats
+from evalkit.study.plan import Response
+from evalkit.study.tuning.campaign import Searched
+from evalkit.study.tuning.frontier import frontier
+from evalkit.study.tuning.objective import Tried
+from evalkit.types import Bools
+
+GREY, INK, WHITE, ORANGE, GREEN = "#9aa3ad", "#1c2128", "#ffffff", "#d55e00", "#009e73"
+STEPS = (1.0, 2.0, 5.0)
+FINE_STEPS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0)
+FEWEST_TICKS = 3
+LEAST_MS = 1e-3
+"""What costs less is drawn here: a logarithmic axis has no zero."""
+
+
+def on_frontier(tried: Sequence[Tried]) -> Bools:
+    """Which points no other beats in both training error and CPU time; one that loses a run is on no frontier."""
+    errors = np.array([math.inf if one.losses else one.error for one in tried])
+    return frontier(np.array([one.cpu_ms for one in tried]), errors)
+
+
+def everyone(found: Sequence[Searched], objective: Response) -> Figure:
+    """The frontiers of all back ends over the same axes, with default and tuned."""
+    x, y = _axes([_places(one.tried) for one in found], objective)
+    layers: list[Points] = []
+    for number, one in enumerate(found):
+        colour = charts.stroke(number).colour
+        best = _places([each for each, on in zip(one.tried, on_frontier(one.tried), strict=True) if on])
+        label = one.entrant.label
+        layers += [Points(label, _stairs(best), colour, 1.4, joined=True), Points("", best, colour, 5.0)]
+    for number, one in enumerate(found):
+        colour = charts.stroke(number).colour
+        marks = [(one.default, INK), *([(one.chosen, WHITE)] if one.tuned else [])]
+        for each, core in marks:
+            layers += [Points("", _places([each]), colour, 11.0), Points("", _places([each]), core, 5.0)]
+    caption = (
+        "Each line is one back end's frontier: of its tried points those that no other beats in both error and time. "
+        "Black core: the default; white core: tuned. Lower and further left is better."
+    )
+    return Figure(charts.scatter(layers, x, y, equal=False), "Accuracy against compute, all back ends", caption)
+
+
+def alone(one: Searched, objective: Response) -> Figure:
+    """Every point of one back end."""
+    x, y = _axes([_places(one.tried)], objective)
+    on = on_frontier(one.tried)
+    plain = [each for each in one.tried if not each.losses]
+    losing = [each for each in one.tried if each.losses]
+    best = _places([each for each, chosen in zip(one.tried, on, strict=True) if chosen])
+    layers = [
+        Points("tried", _places(plain), GREY, 6.0),
+        *([Points("loses runs", _places(losing), ORANGE, 6.0)] if losing else []),
+        Points("frontier", _stairs(best), "#0072b2", 1.4, joined=True),
+        Points("", best, "#0072b2", 6.0),
+        Points("default", _places([one.default]), INK, 11.0),
+        *([Points("tuned", _places([one.chosen]), GREEN, 11.0)] if one.tuned else []),
+    ]
+    caption = f"{len(one.tried)} points, {int(on.sum())} on the frontier" + ("" if one.tuned else "; default kept")
+    return Figure(charts.scatter(layers, x, y, equal=False), one.entrant.label, f"{caption}.")
+
+
+def _places(tried: Sequence[Tried]) -> Floats:
+    """CPU time and error (N, 2) of the points that have both."""
+    both = np.array([[max(one.cpu_ms, LEAST_MS), one.error] for one in tried]).reshape(-1, 2)
+    return np.asarray(both[np.isfinite(both).all(axis=1)])
+
+
+def _stairs(places: Floats) -> Floats:
+    """The border of what is dominated: right to the next point's time, then down to its error."""
+    ordered = places[np.lexsort((places[:, 1], places[:, 0]))]
+    corners = np.column_stack([ordered[1:, 0], ordered[:-1, 1]]) if len(ordered) > 1 else np.zeros((0, 2))
+    stairs = np.zeros((2 * len(ordered) - 1 if len(ordered) else 0, 2))
+    stairs[0::2], stairs[1::2] = ordered, corners
+    return stairs
+
+
+def _axes(places: Sequence[Floats], objective: Response) -> tuple[Axis, Axis]:
+    every = np.concatenate(places)
+    unit = f" [{objective.metric.unit}]" if objective.metric.unit else ""
+    if not len(every):
+        every = np.ones((1, 2))
+    return (
+        _log_axis("CPU time a scan, median [ms]", every[:, 0]),
+        _log_axis(f"{objective.metric.label} in training{unit}", every[:, 1]),
+    )
+
+
+def _log_axis(label: str, values: Floats) -> Axis:
+    """A logarithmic axis with 1, 2 and 5 of every decade marked, more where those are too few."""
+    low, high = float(values.min()) / 1.25, float(values.max()) * 1.25
+    ticks = _ticks(low, high, STEPS)
+    return Axis(label, "log", low, high, ticks if len(ticks) >= FEWEST_TICKS else _ticks(low, high, FINE_STEPS))
+
+
+def _ticks(low: float, high: float, steps: Sequence[float]) -> list[float]:
+    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    every = [float(f"{step * 10.0**decade:.3g}") for decade in decades for step in steps]
+    return [tick for tick in every if low <= tick <= high]

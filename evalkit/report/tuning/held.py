@@ -1,0 +1,89 @@
+"""Default and tuned rows on the held-out sequences: better, level, or overfitted."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from evalkit.report.cells import Apart, Cell, apart
+from evalkit.report.comparison import Comparison
+from evalkit.report.evidence import Duel, duels
+from evalkit.report.standings import NOT_POSSIBLE, Standing, deciding, difference
+from evalkit.study.tuning.campaign import Searched
+from evalkit.study.tuning.tuned import TUNED
+
+
+@dataclass(frozen=True)
+class OnSequence:
+    """Default and tuned in the metric that decides one sequence; ``apart`` above zero: tuned is worse."""
+
+    standing: Standing
+    default: Cell
+    tuned: Cell
+    apart: Apart | None
+    shown: bool
+
+    @property
+    def worse(self) -> bool:
+        """Whether tuned is shown to be worse here."""
+        return self.shown and self.apart is not None and self.apart.interval.value > 0.0
+
+
+@dataclass(frozen=True)
+class Held:
+    """One back end held out. ``duel``: tuned against default over all runs with a truth, None where there is none."""
+
+    label: str
+    duel: Duel | None
+    sequences: tuple[OnSequence, ...]
+    lost: tuple[int, int]
+    overfitted: bool
+    verdict: str
+
+
+def held(comparison: Comparison, found: Sequence[Searched]) -> tuple[Held, ...]:
+    """The verdict on every back end for which something better was found; Holm's adjustment is over these."""
+    labels = [one.entrant.label for one in found if one.tuned]
+    told = {duel.reference: duel for duel in duels(comparison, [(label + TUNED, label) for label in labels])}
+    return tuple(_held(comparison, label, told.get(label)) for label in labels)
+
+
+def _held(comparison: Comparison, label: str, duel: Duel | None) -> Held:
+    sequences = tuple(
+        one for name in comparison.sequence_labels if (one := _on_sequence(comparison, name, label)) is not None
+    )
+    lost = _lost(comparison, label), _lost(comparison, label + TUNED)
+    worse = [one.standing.sequence for one in sequences if one.worse]
+    better = [one.standing.sequence for one in sequences if one.shown and not one.worse]
+    overfitted = lost[1] > lost[0] or bool(worse) or (duel is not None and duel.said == "worse")
+    return Held(label, duel, sequences, lost, overfitted, _verdict(duel, lost, worse, better))
+
+
+def _verdict(duel: Duel | None, lost: tuple[int, int], worse: Sequence[str], better: Sequence[str]) -> str:
+    if lost[1] > lost[0]:
+        return f"overfitted: it loses {lost[1]} held-out runs, the default {lost[0]}"
+    if duel is not None and duel.said == "worse":
+        return "overfitted: worse than the default on held-out runs"
+    where = f"; overfitted on {', '.join(worse)}, where it is worse than the default" if worse else ""
+    if duel is None:
+        return f"nothing to compare over all runs: none has a truth and a geometry that fixes the pose{where}"
+    if duel.said == "better":
+        return f"better on held-out runs too{where}"
+    alone = f", but shown to be better on {', '.join(better)}" if better else ""
+    return f"{duel.said} over all held-out runs{alone}{where}"
+
+
+def _on_sequence(comparison: Comparison, sequence: str, label: str) -> OnSequence | None:
+    standing = deciding(comparison, sequence)
+    if standing is None or standing.metric.better != "lower":
+        return None
+    default, tuned = standing.of(label), standing.of(label + TUNED)
+    if default is None or tuned is None or not default.values or not tuned.values:
+        return None
+    shown = difference(standing.metric, tuned, default) == "clear"
+    return OnSequence(standing, default, tuned, apart(tuned, default), shown)
+
+
+def _lost(comparison: Comparison, label: str) -> int:
+    own = [trial.run.status for trial in comparison.trials if trial.contestant == label]
+    return sum(status != "complete" and status not in NOT_POSSIBLE for status in own)

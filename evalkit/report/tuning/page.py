@@ -1,0 +1,271 @@
+"""The page of a tuning: what was gained, whether it holds, what accuracy costs, and what was spent on each."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Sequence
+
+from evalkit.report.document import (
+    Block,
+    Bullets,
+    Cell,
+    Column,
+    Command,
+    Document,
+    Figures,
+    Fold,
+    Section,
+    Table,
+    Text,
+    Tone,
+    slug,
+)
+from evalkit.report.tuning import charts
+from evalkit.report.tuning.outcome import Tuned
+from evalkit.report.tuning.rows import held_blocks, number
+from evalkit.study.tuning.campaign import Searched
+from evalkit.study.tuning.space import is_continuous
+from evalkit.study.tuning.tuned import TUNED
+
+
+def document(told: Tuned) -> Document:
+    """The whole page."""
+    tuning = told.tuning
+    lost = tuning.objective
+    facts = (
+        ("Budget", f"{tuning.points} points for every back end, the default among them"),
+        ("A point", f"{len(tuning.search_runs)} training runs"),
+        ("Made small", f"geometric mean of {lost.metric.label}; lost runs first"),
+        ("CPU time", f"{sum(one.cpu_s for one in told.found) / 60.0:.1f} min of search"),
+    )
+    sections = (
+        _summary(told),
+        Section("Held out", held_blocks(told), "held-out"),
+        _frontiers(told),
+        Section("Budget", _budget(told), "budget"),
+        Section("Search space", _spaces(told), "space"),
+        Section("Points", [_points(told, one) for one in told.searched], "points"),
+        _how(told),
+    )
+    return Document("evalkit tune", tuning.title, tuning.description, sections, facts)
+
+
+def _summary(told: Tuned) -> Section:
+    unit = told.tuning.objective.metric.unit
+    columns = (
+        Column("Back end"),
+        Column("What is taken", tip="own parameters that differ from the default"),
+        Column("Search", unit, number=True, tip="geometric mean error: default → best point"),
+        Column("Fresh seeds", "x", number=True, tip="error of the best point by the default's, with 95 % interval"),
+        Column("Held out", "x", number=True, tip="median error of tuned by the default's, over all held-out runs"),
+        Column("CPU a scan", "ms", number=True, tip="median in training: default → what is taken"),
+        Column("Verdict"),
+    )
+    blocks: list[Block] = [
+        Bullets([f"{told.sentence(one)}." for one in told.searched]),
+        Table(columns, [_line(told, one) for one in told.searched]),
+        Text(
+            "The best of many points looks better than it is: it was chosen by the runs it is judged on. Therefore it "
+            "is held against the default once more on fresh seeds of the training worlds, and taken only where it "
+            "loses no more runs, is at least 5 % better and the whole interval says so. What is taken is then judged "
+            "on held-out sequences.",
+            "note",
+        ),
+    ]
+    if absent := [(each.label, each.missing) for each in told.tuning.entrants if each.missing]:
+        blocks.append(Table(("Not here", "Why"), absent))
+    return Section("Summary", blocks, "summary")
+
+
+def _line(told: Tuned, one: Searched) -> Sequence[Cell | str]:
+    label = one.entrant.label
+    if one.failed:
+        why = next(iter(filter(None, one.default.lost)), "")
+        nothing = [Cell("-", sort=math.inf)] * 4
+        return (label, "the default", *nothing, Cell(told.verdict(one), tone="bad", tip=why))
+    held = told.held.get(label)
+    duel = held.duel if held is not None else None
+    tone: Tone = "bad" if held is not None and held.overfitted else "good" if duel and duel.said == "better" else ""
+    return (
+        Cell(label, link=f"#{slug(f'points of {label}')}"),
+        _changes(one),
+        Cell(f"{number(one.default.error)} → {number(one.best.error)}", sort=one.best.error),
+        _fresh(one),
+        Cell("-", sort=1.0) if duel is None or duel.ratio is None else Cell(f"{duel.ratio:.2f}", sort=duel.ratio),
+        Cell(f"{one.default.cpu_ms:.2f} → {one.chosen.cpu_ms:.2f}", sort=one.chosen.cpu_ms),
+        Cell(told.verdict(one), tone=tone),
+    )  # fmt: skip
+
+
+def _fresh(one: Searched) -> Cell:
+    """How the best point did against the default on fresh seeds."""
+    found = one.ratio
+    if found is None:
+        return Cell("-", sort=1.0, tip=one.why)
+    return Cell(f"{found.value:.2f} ({found.low:.2f} to {found.high:.2f})", found.value, tip=f"{found.support} runs")
+
+
+def _changes(one: Searched) -> str:
+    values, default = one.chosen.candidate.values, one.default.candidate.values
+    changed = [
+        f"{name} {_told(default[name])} → {_told(values[name])}" for name in values if values[name] != default[name]
+    ]
+    return ", ".join(changed) or "the default"
+
+
+def _frontiers(told: Tuned) -> Section:
+    drawn = [one for one in told.searched if not one.failed]
+    if not drawn:
+        return Section("Accuracy against compute", [Text("No point has an answer.")], "frontier")
+    return Section(
+        "Accuracy against compute",
+        (
+            charts.everyone(drawn, told.tuning.objective),
+            Figures([charts.alone(one, told.tuning.objective) for one in drawn]),
+            Text(
+                "Every tried point as it did in training: the median over runs of the median CPU time a scan, and the "
+                "geometric mean error, lost runs at their bound. CPU times are taken while other runs go on beside, "
+                "without a warm-up: read them as ratios.",
+                "note",
+            ),
+        ),
+        "frontier",
+    )
+
+
+def _budget(told: Tuned) -> list[Block]:
+    columns = (
+        Column("Back end"),
+        Column("Points", number=True),
+        Column("Search runs", number=True),
+        Column("Fresh runs", number=True, tip="default and best point on fresh seeds"),
+        Column("Lost runs", number=True, tip="failed, or beyond the bound; they count as the bound"),
+        Column("CPU time", "s", number=True, tip="spent on all of them"),
+        Column("Remark"),
+    )
+    return [Table(columns, [_spent(told, one) for one in told.found]), *_sequences(told)]
+
+
+def _spent(told: Tuned, one: Searched) -> Sequence[Cell | str]:
+    fresh = one.confirmed or ()
+    points, size = len(one.tried), one.entrant.space.size
+    remark = ""
+    if not one.entrant.space.factors:
+        remark = "nothing to search: a row to compare with"
+    elif points < told.tuning.points:
+        remark = f"all {size} combinations were tried" if size else "no other point was found"
+    lost = sum(each.losses for each in (*one.tried, *fresh))
+    return (
+        one.entrant.label,
+        _count(points),
+        _count(sum(len(each.errors) for each in one.tried)),
+        _count(sum(len(each.errors) for each in fresh)),
+        Cell(str(lost), sort=lost, tone="warn" if lost else ""),
+        Cell(f"{one.cpu_s:.1f}", sort=one.cpu_s),
+        remark,
+    )
+
+
+def _sequences(told: Tuned) -> list[Block]:
+    rows: list[Sequence[Cell | str]] = [
+        (kind, one.course.label, _seeds(seeds), "")
+        for one in told.tuning.training
+        for kind, seeds in (("search", one.course.seeds), ("fresh seeds", one.confirm))
+        if seeds
+    ]
+    trained = {one.course.dataset for one in told.tuning.training}
+    for course in told.tuning.held_out:
+        known = "same world, other seeds" if course.dataset in trained else "never seen in training"
+        rows.append(("held out", course.label, _seeds(course.seeds), known))
+    return [
+        Table(
+            ("Used for", "Sequence", "Seeds", ""),
+            rows,
+            "No world and seed, and no recording, stands on both sides",
+            False,
+        )
+    ]
+
+
+def _spaces(told: Tuned) -> list[Block]:
+    columns = ("Back end", "Parameter", Column("Searched"), "Scale", Column("Default"), Column("Taken"))
+    rows: list[Sequence[Cell | str]] = []
+    for one in told.searched:
+        for factor in one.entrant.space.factors:
+            name = factor.sets[0].partition(".")[2]
+            listed = [level.label if level.number is None else f"{level.number:g}" for level in factor.levels]
+            searched = f"{listed[0]} to {listed[-1]} {factor.unit}" if is_continuous(factor) else ", ".join(listed)
+            taken = one.chosen.candidate.values[name]
+            rows.append((one.entrant.label, name, searched, factor.scale if factor.numbers else "-",
+                         _told(one.default.candidate.values[name]), _told(taken)))  # fmt: skip
+    left = [
+        (one.entrant.label, name, why) for one in told.searched for name, why in one.entrant.left.items()
+    ]  # fmt: skip
+    blocks: list[Block] = [Table(columns, rows)]
+    if left:
+        blocks.append(Fold("Own parameters that were not searched", (Table(("Back end", "Parameter", "Why"), left),)))
+    return blocks
+
+
+def _points(told: Tuned, one: Searched) -> Block:
+    names = [factor.sets[0].partition(".")[2] for factor in one.entrant.space.factors]
+    columns: tuple[Column | str, ...] = (
+        Column("#", number=True), "found by", *names,
+        Column("error", told.tuning.objective.metric.unit, number=True),
+        Column("lost runs", number=True), Column("CPU", "ms", number=True), "",
+    )  # fmt: skip
+    marks = charts.on_frontier(one.tried).tolist()
+    rows: list[Sequence[Cell | str]] = []
+    for position, (each, on) in enumerate(zip(one.tried, marks, strict=True)):
+        said = ["best"] * (each is one.best) + ["taken"] * (each is one.chosen) + ["frontier"] * on
+        values = [_value(each.candidate.values[name]) for name in names]
+        why = next(iter(filter(None, each.lost)), "")
+        rows.append((
+            _count(position), each.candidate.found, *values, Cell(number(each.error), sort=each.error),
+            Cell(str(each.losses), sort=each.losses, tone="warn" if each.losses else "", tip=why),
+            Cell("-" if math.isnan(each.cpu_ms) else f"{each.cpu_ms:.2f}", sort=each.cpu_ms), ", ".join(said),
+        ))  # fmt: skip
+    return Fold(f"Points of {one.entrant.label}", (Table(columns, rows),))
+
+
+def _how(told: Tuned) -> Section:
+    tuning = told.tuning
+    bound = f"{tuning.objective.lost:g} {tuning.objective.metric.unit}".rstrip()
+    items = (
+        f"Point 0 is the default. Half of the {tuning.points} points are spread evenly (scrambled Sobol, seed "
+        f"{tuning.seed}), the other half are steps from the best so far that change fewer and fewer parameters at once "
+        "(dynamically dimensioned search, Tolson and Shoemaker 2007). No point is tried twice.",
+        f"A run that fails, takes more than {tuning.run_cpu_s:g} s of CPU time or errs by {bound} or more is lost and "
+        f"counts as {bound}. Fewer lost runs are better, whatever the errors; then the smaller geometric mean; of "
+        "equals the earliest, and so the default.",
+        "Searched are a back end's own parameters. The settings of the front end (guess, keyframes, submap, deskew), "
+        "the mapper, the scans and the metrics stay as they are for all.",
+        f"Held out, the rows end in '{TUNED.strip()}' where something better was found. Their runs have a process of "
+        "their own each and are scored like any report's: Wilcoxon's test over runs with Holm's adjustment over back "
+        "ends; paired differences on one sequence with block-bootstrap intervals. Overfitted: shown to be worse than "
+        "the default over all or on one sequence, or losing more runs.",
+    )
+    alone = shlex.split(told.report)[2]
+    machine = Fold("This machine", (Table(("What", "Value"), list(told.ran_on.items())),))
+    full = Text(f"The full comparison of default and tuned rows, from {alone}:")
+    return Section("How", (Bullets(items), Command(tuning.command), full, Command(told.report), machine), "how")
+
+
+def _seeds(seeds: Sequence[int | None]) -> str:
+    return ", ".join("recording" if seed is None else str(seed) for seed in seeds)
+
+
+def _count(value: int) -> Cell:
+    return Cell(f"{value:,}", sort=value)
+
+
+def _value(value: object) -> Cell:
+    numeric = isinstance(value, (int, float)) and not isinstance(value, bool)
+    return Cell(_told(value), sort=float(value) if numeric else None)  # type: ignore[arg-type]  # checked by numeric
+
+
+def _told(value: object) -> str:
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    return f"{value:g}" if isinstance(value, float) else str(value)

@@ -1,0 +1,143 @@
+"""A tuning for other programs: ``tuned.json``.
+
+Keys, schema version 1. Errors are in ``objective.unit``, CPU times in what their names end in.
+
+``schema_version``, ``title``, ``command``, ``report`` (the command of the full held-out report), ``environment``;
+``objective``: metric, unit, what a lost run counts as; ``budget``: points a back end (the default among them), seed of
+the search, search and confirming runs a point, CPU limit of a run; ``training`` and ``held_out``: sequences with seeds;
+``backends``, one each: ``label``, ``backend``, ``missing`` (why it could not run), ``space`` (parameter: levels, scale,
+continuous), ``not_searched`` (parameter: why), ``spent`` (points, runs, lost_runs, cpu_s), ``points`` (found: default,
+spread, step or all; parameters that are searched, error, lost_runs, reasons, cpu_median_ms, frontier), ``best`` (index
+of the best point), ``confirmed`` (errors of default and best on fresh seeds, ratio with low and high; null where the
+default was the best), ``tuned`` (whether the best is taken), ``why``, ``parameters`` (all that are taken), ``held_out``
+(verdict, overfitted, lost runs of both, runs, ratio, p by Holm, smallest ratio that could have been shown; null where
+the default is kept).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from evalkit.experiment import Course
+from evalkit.report.tuning.charts import on_frontier
+from evalkit.report.tuning.held import Held
+from evalkit.report.tuning.outcome import Tuned
+from evalkit.study.tuning.campaign import Searched
+from evalkit.study.tuning.objective import Tried
+from evalkit.study.tuning.plan import Entrant
+from evalkit.study.tuning.space import is_continuous
+
+SCHEMA_VERSION = 1
+
+
+def record(told: Tuned) -> dict[str, Any]:
+    """All of it in numbers, texts, lists and dictionaries."""
+    tuning = told.tuning
+    by_label = {one.entrant.label: one for one in told.found}
+    return {
+        "schema_version": SCHEMA_VERSION,
+        "title": tuning.title,
+        "command": tuning.command,
+        "report": told.report,
+        "environment": dict(told.ran_on),
+        "objective": {
+            "metric": tuning.objective.name,
+            "unit": tuning.objective.metric.unit,
+            "lost": tuning.objective.lost,
+        },
+        "budget": {
+            "points": tuning.points,
+            "seed": tuning.seed,
+            "search_runs": len(tuning.search_runs),
+            "confirming_runs": len(tuning.confirm_runs),
+            "run_cpu_s": tuning.run_cpu_s,
+        },
+        "training": [_course(one.course) | {"confirm": list(one.confirm)} for one in tuning.training],
+        "held_out": [_course(course) for course in tuning.held_out],
+        "backends": [_backend(told, entrant, by_label.get(entrant.label)) for entrant in tuning.entrants],
+    }
+
+
+def _course(course: Course) -> dict[str, Any]:
+    seeds = [seed for seed in course.seeds if seed is not None]
+    parameters = dict(course.parameters)
+    return {"label": course.label, "dataset": course.dataset, "seeds": seeds, "parameters": parameters}
+
+
+def _backend(told: Tuned, entrant: Entrant, one: Searched | None) -> dict[str, Any]:
+    space = {
+        factor.name: {
+            "levels": [level.label if level.number is None else level.number for level in factor.levels],
+            "scale": factor.scale,
+            "continuous": is_continuous(factor),
+        }
+        for factor in entrant.space.factors
+    }
+    head = {
+        "label": entrant.label,
+        "backend": entrant.contestant.backend,
+        "missing": entrant.missing,
+        "space": space,
+        "not_searched": dict(entrant.left),
+    }
+    return head if one is None else head | _searched(told, one)
+
+
+def _searched(told: Tuned, one: Searched) -> dict[str, Any]:
+    on = on_frontier(one.tried).tolist()
+    pair = (*one.tried, *(one.confirmed or ()))
+    runs = sum(len(each.errors) for each in pair)
+    held = told.held.get(one.entrant.label)
+    return {
+        "spent": {
+            "points": len(one.tried),
+            "runs": runs,
+            "lost_runs": sum(each.losses for each in pair),
+            "cpu_s": one.cpu_s,
+        },
+        "points": [_point(one, each, chosen) for each, chosen in zip(one.tried, on, strict=True)],
+        "best": one.tried.index(one.best),
+        "confirmed": _confirmed(one),
+        "tuned": one.tuned,
+        "why": one.why,
+        "parameters": dict(one.chosen.candidate.values),
+        "held_out": None if held is None else _held(held),
+    }
+
+
+def _point(one: Searched, each: Tried, on: bool) -> dict[str, Any]:
+    names = [name for factor in one.entrant.space.factors for name in factor.sets]
+    return {
+        "found": each.candidate.found,
+        "parameters": {name.partition(".")[2]: each.candidate.values[name.partition(".")[2]] for name in names},
+        "error": each.error,
+        "lost_runs": each.losses,
+        "reasons": list(dict.fromkeys(filter(None, each.lost))),
+        "cpu_median_ms": _finite(each.cpu_ms),
+        "frontier": on,
+    }
+
+
+def _confirmed(one: Searched) -> dict[str, Any] | None:
+    if one.confirmed is None or one.ratio is None:
+        return None
+    default, best = one.confirmed
+    ratio = {"value": one.ratio.value, "low": one.ratio.low, "high": one.ratio.high, "runs": one.ratio.support}
+    return {"default": default.errors.tolist(), "best": best.errors.tolist(), "ratio": ratio}
+
+
+def _held(held: Held) -> dict[str, Any]:
+    duel = held.duel
+    tested = {} if duel is None else {
+        "runs": duel.runs,
+        "ratio": duel.ratio,
+        "p_holm": duel.p,
+        "detectable_ratio": _finite(duel.detectable),
+    }  # fmt: skip
+    lost = {"default": held.lost[0], "tuned": held.lost[1]}
+    return {"verdict": held.verdict, "overfitted": held.overfitted, "lost_runs": lost} | tested
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

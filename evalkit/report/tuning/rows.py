@@ -1,0 +1,117 @@
+"""Tables of the held-out rows: every contestant on every sequence, and tuned against default."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from evalkit.report.cells import Cell as Score
+from evalkit.report.cells import interval
+from evalkit.report.document import Block, Cell, Column, Table, Text
+from evalkit.report.standings import STATUS, Standing, deciding
+from evalkit.report.tuning.held import Held, OnSequence
+from evalkit.report.tuning.outcome import Tuned
+
+
+def held_blocks(told: Tuned) -> list[Block]:
+    """The rows with their intervals, the tests over all runs, and the differences on each sequence."""
+    comparison = told.comparison
+    standings = {name: deciding(comparison, name) for name in comparison.sequence_labels}
+    columns = [Column("Row"), *(_heading(name, found) for name, found in standings.items())]
+    rows = [
+        [Cell(label), *(_score(told, label, name, found) for name, found in standings.items())]
+        for label in comparison.contestant_labels
+    ]
+    caption = "Median over the runs with its 95 % interval, in the metric that decides the sequence"
+    blocks: list[Block] = [Table(columns, rows, caption)]
+    held = list(told.held.values())
+    if not held:
+        return [*blocks, Text("No back end was tuned: all keep their default.")]
+    blocks.append(_tests(held))
+    if pairs := [(one.label, each) for one in held for each in one.sequences]:
+        blocks.append(_differences(pairs))
+    return blocks
+
+
+def number(value: float) -> str:
+    """Three digits, and "none" for what is not finite."""
+    return f"{value:.3g}" if math.isfinite(value) else "none"
+
+
+def _heading(name: str, found: Standing | None) -> Column:
+    if found is None:
+        return Column(name, number=True)
+    return Column(f"{name}: {found.metric.label}", found.metric.unit, number=True)
+
+
+def _score(told: Tuned, label: str, sequence: str, found: Standing | None) -> Cell:
+    score: Score | None = None if found is None else found.of(label)
+    own = [trial for trial in told.comparison.trials if (trial.contestant, trial.sequence) == (label, sequence)]
+    if score is None or not score.values:
+        statuses = dict.fromkeys(STATUS[trial.run.status] for trial in own if trial.run.status != "complete")
+        why = score.reason if score is not None else "; ".join(trial.run.reason for trial in own[:1])
+        return Cell(", ".join(statuses) or "no value", sort=math.inf, tone="warn", tip=why)
+    middle, between = score.median or 0.0, interval(score)
+    shown = number(middle) if between is None else f"{number(middle)} ({number(between.low)} to {number(between.high)})"
+    lost = score.expected - score.complete
+    text = f"{shown}, {lost} of {score.expected} lost" if lost else shown
+    return Cell(text, sort=middle, tone="warn" if lost else "", tip=f"{len(score.values)} runs")
+
+
+def _tests(held: Sequence[Held]) -> Table:
+    columns = (
+        Column("Back end"),
+        Column("Runs", number=True, tip="runs both made on sequences with a truth and a geometry that fixes the pose"),
+        Column("Better / worse", number=True, tip="runs in which tuned has the smaller / larger error"),
+        Column("Ratio", "x", number=True, tip="median error of tuned by the default's"),
+        Column("p", number=True, tip="Wilcoxon's signed-rank test, Holm over the back ends"),
+        Column("Detectable", "x", number=True, tip="the ratio these runs would have shown with 80 % power at 5 %"),
+        Column("Lost", number=True, tip="runs lost: default → tuned"),
+        Column("Verdict"),
+    )  # fmt: skip
+    return Table(columns, [_test(one) for one in held], "Tuned against default, over all held-out runs")
+
+
+def _test(one: Held) -> Sequence[Cell | str]:
+    duel = one.duel
+    lost = Cell(f"{one.lost[0]} → {one.lost[1]}", sort=one.lost[1] - one.lost[0])
+    verdict = Cell(one.verdict, tone="bad" if one.overfitted else "")
+    if duel is None:
+        return (one.label, *[Cell("-", sort=math.inf)] * 5, lost, verdict)
+    detectable = f"{1.0 / duel.detectable:.2f}" if math.isfinite(duel.detectable) else "none"
+    return (
+        one.label,
+        Cell(str(duel.runs), sort=duel.runs),
+        Cell(f"{duel.better} / {duel.worse}", sort=duel.better),
+        Cell("-", sort=math.inf) if duel.ratio is None else Cell(f"{duel.ratio:.2f}", sort=duel.ratio),
+        Cell(f"{duel.p:.3f}", sort=duel.p),
+        Cell(detectable, sort=duel.detectable),
+        lost,
+        verdict,
+    )
+
+
+def _differences(pairs: Sequence[tuple[str, OnSequence]]) -> Table:
+    columns = (
+        Column("Back end"), Column("Sequence"), Column("Metric"), Column("Default", number=True),
+        Column("Tuned", number=True), Column("Tuned - default", number=True, tip="paired, with 95 % interval"),
+        Column("Detectable", number=True, tip="the difference these runs would have shown with 80 % power at 5 %"),
+        Column("Shown"),
+    )  # fmt: skip
+    return Table(columns, [_difference(*pair) for pair in pairs], "Tuned against default, sequence by sequence")
+
+
+def _difference(label: str, one: OnSequence) -> Sequence[Cell | str]:
+    metric = one.standing.metric
+    unit = f" {metric.unit}" if metric.unit else ""
+    head = (label, one.standing.sequence, metric.label)
+    medians = [Cell(f"{number(cell.median or 0.0)}{unit}", sort=cell.median) for cell in (one.default, one.tuned)]
+    if one.apart is None:
+        return (*head, *medians, Cell("-"), Cell("-"), "one run, no interval")
+    found, said = one.apart.interval, "no difference shown"
+    if one.shown:
+        said = "worse" if one.worse else "better"
+    told = f"{found.value:+.3g} ({found.low:+.3g} to {found.high:+.3g}){unit}"
+    detectable = one.apart.detectable
+    return (*head, *medians, Cell(told, sort=found.value), Cell(f"{number(detectable)}{unit}", sort=detectable),
+            Cell(said, tone="bad" if one.worse else "good" if one.shown else ""))  # fmt: skip

@@ -1,0 +1,113 @@
+"""A tuning: who is searched with how much, on which training sequences, and what it is judged on afterwards."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+from evalkit import registry
+from evalkit.experiment import Contestant, Course, Limits, MapperChoice
+from evalkit.study.ledger import Job
+from evalkit.study.plan import Response
+from evalkit.study.tuning.space import Candidate, Space
+
+TRIAL = "evalkit.study.tuning.trial:tried"
+COST = "cpu_median_ms"
+"""What accuracy is held against: CPU time a scan."""
+
+
+@dataclass(frozen=True)
+class Entrant:
+    """A back end to be tuned: its own settings, its space, and why other parameters are not searched, by name."""
+
+    contestant: Contestant
+    space: Space
+    left: Mapping[str, str]
+
+    @property
+    def label(self) -> str:
+        """The label of its contestant."""
+        return self.contestant.label
+
+    @property
+    def missing(self) -> str:
+        """Why it cannot run here, or ""."""
+        return self.contestant.missing
+
+
+@dataclass(frozen=True)
+class Training:
+    """A sequence to be tuned on: the seeds of its course are searched with, ``confirm`` are for the best alone."""
+
+    course: Course
+    confirm: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One repetition of a sequence."""
+
+    course: Course
+    seed: int | None
+
+    @property
+    def label(self) -> str:
+        """The sequence and the seed in words."""
+        return self.course.label if self.seed is None else f"{self.course.label} seed {self.seed}"
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """A whole tuning, ready to run. ``command``: what runs it; ``points``: the budget of every back end.
+
+    ``objective``: what is made small on the training runs. ``run_cpu_s``: a training run that takes more CPU time is
+    lost. ``limits`` are those of the held-out runs. ``backends``: named on the command line, not in a file.
+    """
+
+    name: str
+    title: str
+    description: str
+    command: str
+    points: int
+    seed: int
+    objective: Response
+    run_cpu_s: float
+    entrants: tuple[Entrant, ...]
+    training: tuple[Training, ...]
+    held_out: tuple[Course, ...]
+    mapper: MapperChoice
+    limits: Limits
+
+    @cached_property
+    def search_runs(self) -> tuple[Run, ...]:
+        """The runs every point is scored on."""
+        return tuple(Run(one.course, seed) for one in self.training for seed in one.course.seeds)
+
+    @cached_property
+    def confirm_runs(self) -> tuple[Run, ...]:
+        """The runs that default and best point are compared on: nothing was chosen by them."""
+        return tuple(Run(one.course, seed) for one in self.training for seed in one.confirm)
+
+    def job(self, entrant: Entrant, candidate: Candidate, run: Run) -> Job:
+        """One run of one point."""
+        arguments = {
+            "cpu_s": self.run_cpu_s,
+            "backend": entrant.contestant.backend,
+            "parameters": dict(candidate.values),
+            "dataset": run.course.dataset,
+            "sequence": run.course.seeded(run.seed),
+            "metrics": [self.objective.name, COST],
+            "code": self._code(entrant.contestant.backend, run.course.dataset),
+        }
+        return Job(f"{entrant.label} | {run.label} | {candidate.name}", TRIAL, arguments)
+
+    def _code(self, backend: str, dataset: str) -> str:
+        known = (backend, dataset)
+        if known not in self._codes:
+            self._codes[known] = registry.run_fingerprint(backend, dataset)
+        return self._codes[known]
+
+    @cached_property
+    def _codes(self) -> dict[tuple[str, str], str]:
+        return {}

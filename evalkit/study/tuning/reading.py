@@ -1,0 +1,235 @@
+"""A tuning file made a plan: names, bounds, seeds and disjoint worlds are checked before the first run."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from evalkit import experiment, registry
+from evalkit.errors import BadExperiment, BadParameter, UnknownName
+from evalkit.experiment import Contestant, Course, Plan
+from evalkit.metrics import all_metrics
+from evalkit.protocols import Parameter, Value
+from evalkit.settings import from_text
+from evalkit.study.factors import Factor, factor
+from evalkit.study.plan import Response
+from evalkit.study.tuning.plan import Entrant, Training, Tuning
+from evalkit.study.tuning.space import CONTESTANT, SHARED, Space, derived, own, settings
+
+TOP = ("title", "description", "points", "seed", "run_cpu_s", "objective", "mapper", "limits", "contestant",
+       "training", "held-out")  # fmt: skip
+POINTS = 24
+FEWEST_CONFIRMING = 4
+"""Runs on fresh seeds that a decision takes: fewer have no interval worth the name."""
+
+METRIC, LOST_M, RUN_CPU_S = "ate_rmse_m", 1.0, 60.0
+
+
+def read(path: Path, name: str, command: str) -> Tuning:
+    """The tuning of a file (TOML); BadExperiment names the file, the key and what was found."""
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise BadExperiment(str(path), "", "no such file; give the path of a tuning (*.toml), or back ends and --on "
+                            "DATASET") from None  # fmt: skip
+    except (OSError, UnicodeDecodeError) as error:
+        raise BadExperiment(str(path), "", f"cannot be read ({error})") from error
+    except tomllib.TOMLDecodeError as error:
+        raise BadExperiment(str(path), "", f"not valid TOML: {error}") from error
+    return tuning(content, str(path), name, command)
+
+
+def tuning(content: Mapping[str, Any], file: str, name: str, command: str) -> Tuning:
+    """The tuning of a file's tables; ``file`` is named in errors, ``command`` runs it."""
+    for key in content:
+        if key not in TOP:
+            raise BadExperiment(file, "", str(UnknownName("key", key, TOP)))
+    contestants = _tables(content, "contestant", file)
+    held_out = _plan(content, contestants, _tables(content, "held-out", file), file, "held-out")
+    training = _training(content, contestants, file)
+    _disjoint(training, held_out.courses, file)
+    entrants = [
+        _entrant(table, contestant, file, f"contestant {number + 1} ({contestant.label})")
+        for number, (table, contestant) in enumerate(zip(contestants, held_out.contestants, strict=True))
+    ]
+    return Tuning(
+        name,
+        str(content.get("title", name)),
+        str(content.get("description", "")),
+        command,
+        int(_number(content, "points", POINTS, file, whole=True, least=2)),
+        int(_number(content, "seed", 0, file, whole=True, least=0)),
+        _objective(content.get("objective", {}), file),
+        _number(content, "run_cpu_s", RUN_CPU_S, file, least=1e-3),
+        tuple(entrants),
+        training,
+        held_out.courses,
+        held_out.mapper,
+        held_out.limits,
+    )
+
+
+def named(
+    backends: Sequence[str], on: Sequence[str], held_out: Sequence[str], budget: int, given: Mapping[str, str]
+) -> dict[str, Any]:
+    """The tables of a tuning of back ends named on the command line, on data sets named there.
+
+    Two seeds of each training world to search with, four to confirm, six fresh ones of it (or of the worlds held out)
+    to judge on; ``given`` are settings of every data set.
+    """
+
+    def course(dataset: str, **seeds: list[int]) -> dict[str, Any]:
+        spec = registry.dataset(dataset)
+        parameters = from_text(dataset, spec.parameters, given)
+        return {"use": dataset, **parameters, **(seeds if spec.seeded else {})}
+
+    return {
+        "title": f"Fair tuning on {', '.join(on)}",
+        "points": budget,
+        "contestant": [{"use": name} for name in backends],
+        "training": [course(name, seeds=[0, 1], confirm=[10, 11, 12, 13]) for name in on],
+        "held-out": [course(name, seeds=[20, 21, 22, 23, 24, 25]) for name in held_out or on],
+    }
+
+
+def _plan(content: Mapping[str, Any], contestants: Sequence[Any], courses: Sequence[Any], file: str, kind: str) -> Plan:
+    """The experiment of the contestants on some sequences; ``kind`` names these in errors."""
+    bare = [{key: value for key, value in table.items() if key != "search"} for table in contestants]
+    rest = {key: content[key] for key in ("mapper", "limits") if key in content}
+    try:
+        return experiment.plan({**rest, "contestant": bare, "sequence": courses}, file, "tuning", "tuning")
+    except BadExperiment as error:
+        where, place, what = error.args
+        raise BadExperiment(where, place.replace("sequence", kind), what.replace("sequences", kind)) from error
+
+
+def _training(content: Mapping[str, Any], contestants: Sequence[Any], file: str) -> tuple[Training, ...]:
+    tables = _tables(content, "training", file)
+    bare = [{key: value for key, value in table.items() if key != "confirm"} for table in tables]
+    courses = _plan(content, contestants, bare, file, "training").courses
+    found = []
+    for number, (table, course) in enumerate(zip(tables, courses, strict=True)):
+        place = f"training {number + 1} ({course.label})"
+        if course.missing:
+            raise BadExperiment(file, place, f"cannot be trained on here: {course.missing}")
+        found.append(Training(course, _confirm(table, course, file, place)))
+    if sum(len(one.confirm) for one in found) < FEWEST_CONFIRMING:
+        told = f"it takes {FEWEST_CONFIRMING} runs in all, e.g. confirm = [100, 101, 102, 103]"
+        why = "'confirm': the best point is compared with the default on fresh seeds"
+        raise BadExperiment(file, "training", f"{why}, and {told}")
+    return tuple(found)
+
+
+def _confirm(table: Mapping[str, Any], course: Course, file: str, place: str) -> tuple[int, ...]:
+    seeds = table.get("confirm", [])
+    if not isinstance(seeds, list) or not all(type(seed) is int and seed >= 0 for seed in seeds):
+        raise BadExperiment(file, place, f"'confirm': found {seeds!r}, expected a list of whole numbers from 0")
+    if seeds and course.seeds == (None,):
+        raise BadExperiment(file, place, f"'confirm': {course.dataset} is a recording and has no seeds; remove the key")
+    if both := sorted(set(seeds) & set(course.seeds)):
+        raise BadExperiment(file, place, f"'confirm': seed {both[0]} is searched with too; take fresh ones")
+    return tuple(dict.fromkeys(seeds))
+
+
+def _disjoint(training: Sequence[Training], held_out: Sequence[Course], file: str) -> None:
+    """Refuses a world and seed, or a recording, that is trained on and judged on, however it is driven or read."""
+    trained = {one: each.course.label for each in training for one in _identities(each.course, each.confirm)}
+    for course in held_out:
+        for identity in _identities(course, ()):
+            if identity in trained:
+                what, seed = identity
+                found = f"{what} is" if seed is None else f"{what} with seed {seed} is"
+                told = f"{found} in training too ({trained[identity]}); judge on another world, seed or recording"
+                raise BadExperiment(file, f"held-out ({course.label})", told)
+
+
+def _identities(course: Course, more: Sequence[int]) -> set[tuple[str, int | None]]:
+    """What a course shows: its world with each seed, or its recording by name and by the file it reads."""
+    seeded = registry.dataset(course.dataset).seeded
+    if seeded:
+        return {(course.dataset, seed) for seed in (*course.seeds, *more)}
+    path = course.parameters.get("path")
+    return {(str(Path(path).resolve()) if isinstance(path, str) and path else course.dataset, None)}
+
+
+def _entrant(table: Mapping[str, Any], contestant: Contestant, file: str, place: str) -> Entrant:
+    spec = registry.entrant(contestant.backend)
+    default = contestant.parameters
+    parameters = () if contestant.missing else own(spec)
+    search = table.get("search")
+    if search is None or contestant.missing:
+        factors, left = derived([p for p in parameters if p.name in default], default)
+        return Entrant(contestant, Space(factors, default), left)
+    if not isinstance(search, Mapping):
+        raise BadExperiment(file, place, f"'search': found {search!r}, expected a table of parameters and their levels")
+    known = {parameter.name: parameter for parameter in parameters}
+    chosen = tuple(_factor(name, told, known, default, file, place) for name, told in search.items())
+    left = {name: "not named in 'search'" for name in known if name not in search}
+    return Entrant(contestant, Space(chosen, default), left)
+
+
+def _factor(
+    name: str, table: object, known: Mapping[str, Parameter], default: Mapping[str, Value], file: str, place: str
+) -> Factor:
+    where = f"{place}: search.{name}"
+    if name in SHARED:
+        raise BadExperiment(file, where, "a setting of the front end, which belongs to all contestants alike; set it "
+                            "as a fixed value of the contestant if it must differ")  # fmt: skip
+    if name not in known:
+        raise BadExperiment(file, where, str(UnknownName("parameter", name, known)))
+    levels = table.get("levels") if isinstance(table, Mapping) else table
+    rest = {key: value for key, value in table.items() if key != "levels"} if isinstance(table, Mapping) else {}
+    if isinstance(known[name].default, float) and isinstance(levels, list):
+        levels = [float(value) if type(value) is int else value for value in levels]
+    base = {f"{CONTESTANT}{each}": value for each, value in default.items()}
+    told = {"sets": f"{CONTESTANT}{name}", "name": name, "unit": known[name].unit, "levels": levels, **rest}
+    made = factor(told, file, where, base)
+    for level in made.levels:
+        for value in settings(level).values():
+            _checked(known[name], value, file, where)
+    return made
+
+
+def _checked(parameter: Parameter, value: Value, file: str, where: str) -> None:
+    try:
+        parameter.checked("levels", value)
+    except BadParameter as error:
+        raise BadExperiment(file, where, str(error)) from error
+
+
+def _objective(table: object, file: str) -> Response:
+    if not isinstance(table, Mapping):
+        raise BadExperiment(file, "objective", f"found {table!r}, expected a table [objective] with metric and lost")
+    for key in table:
+        if key not in ("metric", "lost"):
+            raise BadExperiment(file, "objective", str(UnknownName("key", key, ("metric", "lost"))))
+    known = {m.name: m for m in all_metrics() if m.better == "lower" and m.group in ("drift", "relations")}
+    name = table.get("metric", METRIC)
+    if name not in known:
+        told = UnknownName("error of a trajectory whose lower values are better", str(name), known)
+        raise BadExperiment(file, "objective", str(told))
+    return Response(known[name], "log", _number(table, "lost", LOST_M, file, least=1e-9, place="objective"))
+
+
+def _number(
+    table: Mapping[str, Any], key: str, default: float, file: str, whole: bool = False, least: float = 0.0,
+    place: str = "",
+) -> float:  # fmt: skip
+    value = table.get(key, default)
+    right = type(value) is int or (isinstance(value, float) and not whole)
+    if not right or not least <= value < float("inf"):
+        raise BadExperiment(
+            file, place, f"'{key}': found {value!r}, expected a {'whole ' * whole}number from {least:g}"
+        )
+    return float(value)
+
+
+def _tables(content: Mapping[str, Any], key: str, file: str) -> list[Mapping[str, Any]]:
+    tables = content.get(key, [])
+    if not isinstance(tables, list) or not all(isinstance(table, Mapping) for table in tables):
+        raise BadExperiment(file, key, f"expected tables [[{key}]]")
+    if not tables:
+        raise BadExperiment(file, "", f"no [[{key}]]: a tuning needs at least one")
+    return list(tables)

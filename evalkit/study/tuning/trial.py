@@ -1,0 +1,60 @@
+"""One training run of one point, in this process and within a limit of CPU time."""
+
+from __future__ import annotations
+
+import signal
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from evalkit.protocols import Value
+from evalkit.study.point import evaluate
+
+NO_MAP = "log-odds"
+"""The mapper a point is asked to name; no map is drawn for errors of a trajectory and for CPU time."""
+
+LOOK_EVERY_S = 0.5
+
+
+class TookTooLong(Exception):
+    """A run that has used up its CPU time; told as the reason why it failed."""
+
+
+def tried(
+    cpu_s: float,
+    backend: str,
+    parameters: Mapping[str, Value],
+    dataset: str,
+    sequence: Mapping[str, Value],
+    metrics: Sequence[str],
+    code: str,
+) -> dict[str, Any]:
+    """The scores of a run, as of a study's point; one that takes more than ``cpu_s`` seconds of CPU time has failed."""
+    with _limited(cpu_s):
+        return evaluate(backend, parameters, dataset, sequence, NO_MAP, {}, 2, metrics, code)
+
+
+@contextmanager
+def _limited(cpu_s: float) -> Iterator[None]:
+    """Raises TookTooLong in the main thread once this process has used so much CPU time, between two calls of C code.
+
+    The clock is looked at now and then: a timer of CPU time would make some systems count it in ticks of milliseconds,
+    and the time a scan takes is one of the results. Where the system has no such timer there is no limit.
+    """
+    if not hasattr(signal, "setitimer"):
+        yield
+        return
+    begun = time.process_time()
+
+    def look(_signal: int, _frame: object) -> None:
+        if time.process_time() - begun > cpu_s:
+            raise TookTooLong(f"more than {cpu_s:g} s of CPU time")
+
+    before = signal.signal(signal.SIGALRM, look)
+    signal.setitimer(signal.ITIMER_REAL, LOOK_EVERY_S, LOOK_EVERY_S)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
