@@ -22,10 +22,10 @@ def bytes_of(path: Path, what: str) -> bytes:
 
 def blocks_of(path: Path, what: str) -> Iterator[bytes]:
     """The file in blocks of ``BLOCK`` bytes; the same errors when the first is asked for."""
-    if not path.is_file():
-        found = "it is a folder" if path.is_dir() else "no such file"
-        raise DataMissing(str(path), found, f"give the path of {what}")
     try:
+        if not path.is_file():
+            found = "it is a folder" if path.is_dir() else "no such file"
+            raise DataMissing(str(path), found, f"give the path of {what}")
         with path.open("rb") as file:
             block = file.read(BLOCK)
             if not block:

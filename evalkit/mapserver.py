@@ -8,11 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evalkit.content import bytes_of
-from evalkit.errors import BadData, DataMissing
-from evalkit.se2 import Floats
+from evalkit.errors import BadData, DataMissing, brief
 from evalkit.types import OccupancyGrid
+
+Shades = NDArray[np.uint8] | NDArray[np.uint16]
 
 UNKNOWN = 205
 """The grey map_server itself writes for unknown."""
@@ -20,7 +22,13 @@ UNKNOWN = 205
 LOG_ODDS = 3.5
 """What "occupied" and "free" become: p = 0.97 and 0.03, clear of every threshold."""
 
-_HEADER = re.compile(rb"P([25])(?:\s|#[^\n]*\n)+(\d+)(?:\s|#[^\n]*\n)+(\d+)(?:\s|#[^\n]*\n)+(\d+)(?:#[^\n]*\n)?\s")
+MOST_PIXELS = 2**26
+"""Of an image: a square of 400 m in cells of 5 cm. A few bytes may claim, and a small PNG hold, any number."""
+
+MOST_YAML_BYTES = 4096
+
+_GAP = rb"(?:\s|#[^\n]*\n)+"
+_HEADER = re.compile(rb"P([25])" + 3 * (_GAP + rb"(\d{1,10})") + rb"(?:#[^\n]*\n)?\s")
 
 
 def read(path: Path) -> OccupancyGrid:
@@ -30,22 +38,25 @@ def read(path: Path) -> OccupancyGrid:
     where ``free_thresh`` would call it free: older savers wrote 0.25 while 205 stands for 0.196.
     """
     settings = _settings(path)
-    grey, maximum = _grey(path.parent / str(settings["image"]))
-    occupancy = grey / maximum if settings["negate"] else (maximum - grey) / maximum
-    unknown = (grey == UNKNOWN) & (maximum == 255)
+    grey, maximum = _grey(path.parent / settings["image"])
+    shades = np.arange(maximum + 1)  # each is judged once, however many pixels have it
+    occupancy = shades / maximum if settings["negate"] else (maximum - shades) / maximum
+    unknown = (shades == UNKNOWN) & (maximum == 255)
     occupied = (occupancy > settings["occupied_thresh"]) & ~unknown
     free = (occupancy < settings["free_thresh"]) & ~unknown
     log_odds = np.where(occupied, LOG_ODDS, np.where(free, -LOG_ODDS, 0.0)).astype(np.float32)
     x, y, _ = settings["origin"]
-    return OccupancyGrid(np.flipud(log_odds), np.flipud(occupied | free), settings["resolution"], x, y)
+    below = np.flipud(grey)
+    return OccupancyGrid(log_odds[below], (occupied | free)[below], settings["resolution"], x, y)
 
 
 def image_of(path: Path) -> Path | None:
     """The image a map's YAML file names, None where it names none that can be read."""
     try:
-        return path.parent / str(_settings(path)["image"])
+        image: str = _settings(path)["image"]
     except (BadData, DataMissing):
         return None
+    return path.parent / image
 
 
 def _settings(path: Path) -> dict[str, Any]:
@@ -54,13 +65,15 @@ def _settings(path: Path) -> dict[str, Any]:
     from ruamel.yaml.error import YAMLError  # noqa: PLC0415
 
     content = bytes_of(path, "the YAML file of a map")
+    if len(content) > MOST_YAML_BYTES:
+        raise BadData(str(path), "", f"{len(content)} bytes, far too many", "give the YAML file of a map")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise BadData(str(path), f"byte {error.start}", "no text", "give the YAML file of a map") from None
     try:
         found = YAML(typ="safe", pure=True).load(text)
-    except YAMLError as error:
+    except (YAMLError, ValueError, RecursionError) as error:
         raise BadData(str(path), "", f"no YAML ({' '.join(str(error).split())[:100]})", "save the map again") from None
     if not isinstance(found, dict):
         raise BadData(str(path), "", "no keys in it", "give the YAML file of a map")
@@ -68,8 +81,11 @@ def _settings(path: Path) -> dict[str, Any]:
     for key in ("image", "resolution", "origin"):
         if key not in known:
             raise BadData(str(path), "", f"missing key '{key}'", "give the YAML file of a map")
+    for key in ("image", "mode"):
+        if not isinstance(known[key], str):  # not shown: an alias of aliases is longer than any memory
+            raise BadData(str(path), key, "no text", "give the YAML file of a map")
     if known["mode"] != "trinary":
-        raise BadData(str(path), "mode", f"'{known['mode']}' is not read", "save the map in mode trinary")
+        raise BadData(str(path), "mode", f"{brief(known['mode'])} is not read", "save the map in mode trinary")
     return known | _geometry(path, known)
 
 
@@ -88,40 +104,54 @@ def _geometry(path: Path, known: dict[str, Any]) -> dict[str, Any]:
     return checked | {"origin": (x, y, yaw)}
 
 
-def _grey(path: Path) -> tuple[Floats, int]:
-    """The grey values (H, W) of the image, row 0 the top, and the value of white."""
+def _grey(path: Path) -> tuple[Shades, int]:
+    """The grey values (H, W) of the image, row 0 the top, and the value of white, which none exceeds."""
     content = bytes_of(path, "the image of the map")
     return _png(path, content) if content.startswith(b"\x89PNG") else _pgm(path, content)
 
 
-def _png(path: Path, content: bytes) -> tuple[Floats, int]:
+def _png(path: Path, content: bytes) -> tuple[Shades, int]:
     """Colours become their mean, as map_server takes them."""
     from PIL import Image  # noqa: PLC0415 - only maps need it
 
     try:
         with Image.open(BytesIO(content)) as image:
-            deep = image.mode.startswith("I")  # 16 bits
-            grey = np.asarray(image if deep else image.convert("RGB"), dtype=np.float64)
+            _bounded(path, *image.size)
+            if image.mode.startswith("I"):  # 16 bits
+                return np.clip(np.asarray(image), 0, 65535).astype(np.uint16), 65535
+            if image.mode in ("1", "L"):
+                return np.asarray(image.convert("L")), 255
+            total = np.asarray(image.convert("RGB")).sum(axis=2, dtype=np.uint16)
     except (OSError, SyntaxError, ValueError, Image.DecompressionBombError) as error:
         raise BadData(str(path), "", f"damaged PNG image ({error})", "save the map again") from None
-    return (grey, 65535) if deep else (np.round(grey.mean(axis=2)), 255)
+    return ((total + 1) // 3).astype(np.uint8), 255
 
 
-def _pgm(path: Path, content: bytes) -> tuple[Floats, int]:
+def _pgm(path: Path, content: bytes) -> tuple[Shades, int]:
     header = _HEADER.match(content)
     if header is None:
         raise BadData(str(path), "", f"no PGM or PNG image: it begins {content[:8]!r}", "convert it")
     width, height, maximum = (int(number) for number in header.groups()[1:])
+    _bounded(path, width, height)
     body = content[header.end() :]
+    grey: NDArray[Any]
     try:
         if header[1] == b"2":
-            grey = np.array([int(word) for word in re.sub(rb"#[^\n]*", b"", body).split()], dtype=np.float64)
+            grey = np.array([int(word) for word in re.sub(rb"#[^\n]*", b"", body).split()], dtype=np.int64)
         else:
-            grey = np.frombuffer(body, dtype=np.uint8 if maximum < 256 else ">u2").astype(np.float64)
-    except ValueError as error:
+            grey = np.frombuffer(body, dtype=np.uint8 if maximum < 256 else ">u2")
+    except (ValueError, OverflowError) as error:
         raise BadData(str(path), "", f"damaged pixels ({error})", "save the map again") from None
-    if maximum == 0 or width * height == 0 or len(grey) < width * height:
+    if not 0 < maximum < 2**16 or len(grey) < width * height:
         raise BadData(
             str(path), "", f"{len(grey)} pixels for {width} x {height}, white {maximum}", "save the map again"
         )
-    return grey[: width * height].reshape(height, width), maximum
+    shades = np.clip(grey[: width * height], 0, maximum).astype(np.uint16)
+    return shades.reshape(height, width), maximum
+
+
+def _bounded(path: Path, width: int, height: int) -> None:
+    """Refuses an image that would fill the memory, or has no pixel at all, before it is unpacked."""
+    if not 0 < width * height <= MOST_PIXELS:
+        what = f"{width} x {height} pixels, and at most {MOST_PIXELS} are read"
+        raise BadData(str(path), "", what, "save the map in larger cells")

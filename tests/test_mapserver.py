@@ -61,6 +61,10 @@ def test_a_png_reads_as_the_pgm_of_the_same_greys(tmp_path, mode):
     assert np.array_equal(found.observed, twin.observed)
 
 
+LAUGHS = "a0: &a0 [ha, ha]\n" + "".join(f"a{k}: &a{k} [*a{k - 1}, *a{k - 1}]\n" for k in range(1, 41))
+"""Two words, doubled forty times: a terabyte for who writes it out."""
+
+
 @pytest.mark.parametrize(
     ("pgm", "yaml", "part"),
     [
@@ -76,9 +80,27 @@ def test_a_png_reads_as_the_pgm_of_the_same_greys(tmp_path, mode):
         (b"P5 1 1 255\n\0", YAML.replace("[-1.5, 2.0, 0]", "nowhere"), "no number"),
         (b"P5 1 1 255\n\0", "image: [", "no YAML"),
         (b"P5 1 1 255\n\0", "just words", "no keys"),
+        (b"P5 1000000000 1000000000 255\n\0", YAML, "1000000000 x 1000000000 pixels, and at most 67108864"),
+        (b"P5 " + b"9" * 5000 + b" 1 255\n\0", YAML, "no PGM or PNG image"),
+        (b"P2 1 1 255\n" + b"9" * 400, YAML, "damaged pixels"),
+        (b"P5 1 1 99999\n\0\0", YAML, "white 99999"),
+        (b"", YAML.replace("map.pgm", "x" * 300), "cannot be read"),
+        (b"P5 1 1 255\n\0", "image: " + "[" * 3000, "no YAML"),
+        (b"P5 1 1 255\n\0", "#" * 5000 + YAML, "bytes, far too many"),
+        (b"P5 1 1 255\n\0", LAUGHS + YAML.replace("map.pgm", "*a40"), "image: no text"),
+        (b"P5 1 1 255\n\0", LAUGHS + YAML.replace("trinary", "*a40"), "mode: no text"),
+        (b"P5 1 1 255\n\0", LAUGHS + YAML.replace("0.05", "*a40"), "no number"),
     ],
 )
 def test_a_bad_map_says_what_is_wrong(tmp_path, pgm, yaml, part):
     with pytest.raises(BadData) as caught:
         mapserver.read(written(tmp_path, pgm, yaml))
     assert part in str(caught.value)
+
+
+def test_a_small_png_of_very_many_pixels_is_not_unpacked(tmp_path):
+    image = BytesIO()
+    Image.new("1", (9000, 9000)).save(image, "PNG")
+    assert len(image.getvalue()) < 12_000
+    with pytest.raises(BadData, match="9000 x 9000 pixels"):
+        mapserver.read(written(tmp_path, image.getvalue()))
