@@ -13,7 +13,7 @@ from evalkit.types import OccupancyGrid, Pose, Run, Score
 OF_THE_MAP_ALONE = ("occupied_percent", "corners", "enclosed_areas", "enclosed_m2", "wall_width_m")
 """Consistency metrics that need neither scans nor probabilities; most metrics against the true map need neither."""
 
-OF_PROBABILITIES = ("map_entropy", "map_log_loss")
+OF_PROBABILITIES = ("map_entropy", "map_log_loss", "map_ssim")
 """Metrics of what a map file does not hold."""
 
 NO_TRAJECTORY = "no trajectory: a map alone was made elsewhere"

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import gc
 import math
+import weakref
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from evalkit import metrics
-from evalkit.metrics.table import Evidence, Metric, number
+from evalkit.metrics.table import Evidence, Metric, number, once
 from evalkit.metrics.trajectory import match
 from evalkit.types import STEP, Run, Score, Trajectory, Truth
 
@@ -89,3 +91,19 @@ def test_a_strangers_metric_is_scored_like_our_own() -> None:
 def test_a_number_that_is_not_finite_is_no_score() -> None:
     assert number(math.nan, 7).value is None
     assert number(np.float64(2.0), 7) == Score(2.0, 7)
+
+
+def test_a_look_that_metrics_share_is_taken_once_and_forgotten_with_its_evidence() -> None:
+    looks = []
+
+    @once
+    def look(seen: Evidence) -> int:
+        looks.append(seen.run.expected)
+        return len(looks)
+
+    one, other = evidence(run([]), Truth("none")), evidence(run([]), Truth("none"))
+    assert [look(one), look(one), look(other), look(one)] == [1, 1, 2, 1]
+    gone = weakref.ref(one)
+    del one
+    gc.collect()
+    assert gone() is None

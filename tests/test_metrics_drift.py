@@ -112,7 +112,7 @@ def test_segments_are_those_of_a_literal_kitti_loop() -> None:
     assert answer.value == pytest.approx(np.mean(errors))
 
 
-def test_steps_are_those_of_evo() -> None:
+def test_steps_and_seconds_are_those_of_evo() -> None:
     pytest.importorskip("evo")
     from evo.core import metrics
     from evo.core.trajectory import PosePath3D
@@ -127,11 +127,13 @@ def test_steps_are_those_of_evo() -> None:
             orientations_quat_wxyz=np.column_stack([np.cos(half), zero, zero, np.sin(half)]),
         )
 
-    for relation, name in (
-        (metrics.PoseRelation.translation_part, "rpe_step_m"),
-        (metrics.PoseRelation.rotation_angle_deg, "rpe_step_deg"),
+    for relation, name, frames in (
+        (metrics.PoseRelation.translation_part, "rpe_step_m", 1),
+        (metrics.PoseRelation.rotation_angle_deg, "rpe_step_deg", 1),
+        (metrics.PoseRelation.translation_part, "rpe_1s_m", 10),
+        (metrics.PoseRelation.rotation_angle_deg, "rpe_1s_deg", 10),
     ):
-        rpe = metrics.RPE(relation, delta=1, delta_unit=metrics.Unit.frames, all_pairs=True)
+        rpe = metrics.RPE(relation, delta=frames, delta_unit=metrics.Unit.frames, all_pairs=True)
         rpe.process_data((as_evo(truth), as_evo(estimate)))
         expected = rpe.get_statistic(metrics.StatisticsType.rmse)
         assert value(name, matched(estimate, truth)) == pytest.approx(expected)
@@ -152,3 +154,11 @@ def test_a_path_that_is_too_short_says_so() -> None:
     assert score("drift_deg_per_turn", still).reason == "a path that turns 0 deg has no segment of 360 deg"
     short = matched(path(STRAIGHT[:200]), path(STRAIGHT[:200]))
     assert score("drift_20m_percent", short).reason == "a path of 10.0 m is too short for segments of 20 m"
+
+
+def test_pairs_a_second_apart_are_found_by_time_and_not_by_count() -> None:
+    stamps = np.array([0, 400, 800, 1210, 1400, 5000, 6010]) * 1_000_000
+    first, last = drift.pairs_in_time(stamps, 1.0)
+    assert list(zip(first.tolist(), last.tolist(), strict=True)) == [(0, 2), (1, 4), (5, 6)]
+    still = matched(np.zeros((5, 3)), np.zeros((5, 3)))
+    assert score("rpe_1s_m", still).reason == "no two matched poses are 1 s apart"

@@ -67,6 +67,11 @@ def test_random_maps_score_as_by_brute_force() -> None:
         (distances.min(axis=1).mean() + distances.min(axis=0).mean()) / 2
     )
     assert found["map_wall_p95_m"].value == pytest.approx(np.percentile(distances.min(axis=1), 95))
+    assert found["map_knn_m"].value == pytest.approx(distances.min(axis=0).mean())
+    inliers = distances.min(axis=1)[distances.min(axis=1) <= 0.2]
+    assert 0 < len(inliers) < len(ours)
+    assert found["map_ac_m"].value == pytest.approx(np.sqrt(np.mean(inliers**2)))
+    assert found["map_com"].value == pytest.approx((distances.min(axis=0) <= 0.2).mean())
 
 
 def test_moving_both_grids_or_padding_one_changes_nothing() -> None:
@@ -85,6 +90,22 @@ def test_iou_compares_at_the_coarser_resolution() -> None:
     fine = grid(np.kron(coarse.occupied(), np.ones((4, 4))) > 0, 0.05)
     assert scores(fine, coarse)["map_iou"].value == 1.0
     assert scores(coarse, fine)["map_iou"].value == 1.0
+
+
+def test_iou_with_a_tolerance_forgives_two_cells_and_counts_each_cell_once() -> None:
+    two, three = (scores(grid(wall(20 + cells)), grid(wall(20)))["map_iou_10cm"].value for cells in (2, 3))
+    assert (two, three) == (1.0, 0.0)
+    assert scores(grid(wall(20) | wall(40)), grid(wall(20)))["map_iou_10cm"].value == 0.5
+
+
+def test_accuracy_looks_at_near_walls_and_completeness_at_true_ones() -> None:
+    found = scores(grid(wall(22) | wall(50)), grid(wall(20) | wall(5)))
+    assert found["map_ac_m"].value == pytest.approx(0.10)
+    assert found["map_com"].value == 0.5
+    assert found["map_knn_m"].value == pytest.approx((0.10 + 0.85) / 2)
+    far = scores(grid(wall(50)), grid(wall(20)))
+    assert far["map_ac_m"].reason == "no wall of the map is within 0.2 m of a true one"
+    assert far["map_com"].value == 0.0
 
 
 def test_a_map_without_walls_scores_nothing_and_without_truth_has_no_score() -> None:

@@ -148,3 +148,12 @@ def test_both_published_evaluators_forms_stand_in_the_table_and_ours_is_their_me
     theirs = [found[f"relations_{form}_mean_m"].value for form in ("kuemmerle", "cartographer")]
     assert found["relations_all_mean_m"].value == pytest.approx(np.mean(theirs))
     assert theirs[0] != pytest.approx(theirs[1], rel=0.01)
+
+
+def test_squared_errors_are_those_of_a_hand_calculation() -> None:
+    found = scores(line(30), related((0, 2, 2.1, 0, 0), (0, 10, 10.3, 0, np.radians(2)), (3, 4, 1, 0, 0)))
+    squares = np.array([0.01, 0.09, 0.0])
+    assert found["relations_square_mean_m2"].value == pytest.approx(squares.mean())
+    assert found["relations_square_sd_m2"].value == pytest.approx(squares.std())
+    assert found["relations_square_mean_deg2"].value == pytest.approx(4 / 3)
+    assert found["relations_square_mean_m2"].support == 3

@@ -64,3 +64,19 @@ def test_an_estimate_that_ends_before_it_comes_back_answers_nothing() -> None:
     found = scores(Trajectory(truth.stamps_ns[:50], truth.poses[:50]), truth)
     assert found["revisit_mean_m"].reason.startswith("the estimate answers none of ")
     assert scores(truth, None)["revisit_mean_m"].reason == "no true trajectory"
+
+
+def test_returns_beyond_either_limit_are_outliers() -> None:
+    errors = np.array([[0.15, 0.02], [0.16, 0.0], [0.0, 0.021], [0.0, 0.0]])
+    assert revisits.within_limits(errors).tolist() == [True, False, False, True]
+    truth = laps(1.9)
+    assert scores(truth, truth)["revisit_within_percent"].value == 100.0
+    for off, share in (
+        (np.array([0.1, 0.0, 0.0]), 100.0),
+        (np.array([0.3, 0.0, 0.0]), 0.0),
+        (np.array([0, 0, 0.03]), 0.0),
+    ):
+        drawn = np.array(truth.poses)
+        drawn[400:] += off
+        found = scores(Trajectory(truth.stamps_ns, drawn), truth)["revisit_within_percent"]
+        assert found.value == pytest.approx(share, abs=6.0)  # the first lap meets itself where the second begins

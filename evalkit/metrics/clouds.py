@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from evalkit.metrics.consistency import NO_HIT, WARP, hits
+from evalkit.metrics.consistency import NO_HIT, WARP, all_hits, hits
 from evalkit.metrics.patches import MIN_HITS, PATCH_M, Patches, evenly, patches
-from evalkit.metrics.table import Evidence, Mapped, Metric, number, standing_on
+from evalkit.metrics.surfaces import pieces
+from evalkit.metrics.table import Evidence, Metric, number, standing_on
 from evalkit.se2 import Floats
 from evalkit.types import Bools, Score
 
@@ -15,8 +16,6 @@ MOST_PLACES = 1000
 LEAST_M = 1e-3
 """A neighbourhood is at least so thick: exact lines would be infinitely sharp."""
 
-MOST_SCANS = 100
-PLACES_A_SCAN = 40
 BINS = 1800
 KERNEL_RAD = np.radians(1.0)
 MIN_SHARED = 100
@@ -59,17 +58,6 @@ def joint_minus_separate(first: Floats, second: Floats, radius_m: float = PATCH_
     return (added / places if places else 0.0), places
 
 
-def wall_directions(mapped: Mapped) -> Floats:
-    """The directions (K,) of the pieces of wall in single scans, in the world, in radians within [0, pi)."""
-    found = [np.zeros(0)]
-    for index in np.unique(np.linspace(0, len(mapped) - 1, min(MOST_SCANS, len(mapped))).astype(int)):
-        points = hits((mapped[int(index)],))
-        if len(points):
-            seen = patches(points, evenly(points, PLACES_A_SCAN))
-            found.append(seen.direction[seen.flat])
-    return np.concatenate(found)
-
-
 def spread_of_directions(directions: Floats) -> float:
     """The differential entropy (nat) of directions (K,) that repeat every half turn: ln pi if all are as frequent.
 
@@ -85,7 +73,7 @@ def spread_of_directions(directions: Floats) -> float:
 
 
 def _mean_map_entropy(evidence: Evidence) -> Score:
-    points = hits(evidence.mapped)
+    points = all_hits(evidence)
     if len(points) == 0:
         return Score(None, 0, NO_HIT)
     value, places, share = mean_map_entropy(points)
@@ -108,7 +96,7 @@ def _joint(evidence: Evidence) -> Score:
 
 
 def _directions(evidence: Evidence) -> Score:
-    found = wall_directions(evidence.mapped)
+    found = pieces(evidence).direction
     if len(found) < MIN_SHARED:
         return Score(None, len(found), f"the scans show only {len(found)} pieces of wall, {MIN_SHARED} are needed")
     return number(spread_of_directions(found), len(found))

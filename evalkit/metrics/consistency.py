@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from evalkit import se2
 from evalkit.metrics.maps import nearest_m
 from evalkit.metrics.patches import evenly, patches
-from evalkit.metrics.table import DIVERGED, Evidence, Mapped, Metric, number, standing_on
+from evalkit.metrics.table import DIVERGED, Evidence, Mapped, Metric, number, once, standing_on
 from evalkit.se2 import Floats
 from evalkit.types import Bools, Ints, OccupancyGrid, Score
 
@@ -21,6 +21,8 @@ MIN_WALL_SHARE = 0.05
 CORNER_APART_M = 0.2
 CORNER_RESPONSE = 1.8e-5
 """In units of (occupied - free)^4: right angles of walls 2 to 5 cells thick give 2e-5 to 1e-4, slanted walls less."""
+_RIM = 8
+"""Empty cells around the picture in which corners are looked for."""
 MIN_AREA_CELLS = 4
 CLEARED = -1.0
 NOISE_M = 0.1
@@ -53,20 +55,37 @@ def occupied_share(grid: OccupancyGrid) -> float:
     return float(occupied / (occupied + free))
 
 
-def corners(grid: OccupancyGrid) -> int:
-    """How many corners the occupied cells show.
+def corners(grid: OccupancyGrid) -> Floats:
+    """Where (K, 2) in the world (m) the occupied cells show a corner.
 
     Laplacian of Gaussian (1 cell) of the 0/1 image, Harris response (window 1.5 cells, k = 0.05), peaks over an
     absolute threshold, at most one within 0.2 m.
     """
-    image = np.pad(_cropped(grid.occupied()), 8).astype(np.float32)
+    occupied = grid.occupied()
+    if not occupied.any():
+        return np.zeros((0, 2))
+    rows, columns = (np.flatnonzero(occupied.any(axis=axis)) for axis in (1, 0))
+    image = np.pad(occupied[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1], _RIM).astype(np.float32)
     edges = -ndimage.gaussian_laplace(image, 1.0)
     x, y = (ndimage.gaussian_filter(edges, 1.0, order=order) for order in ((0, 1), (1, 0)))
     xx, xy, yy = (ndimage.gaussian_filter(product, 1.5) for product in (x * x, x * y, y * y))
     response = xx * yy - xy * xy - 0.05 * (xx + yy) ** 2
     reach = max(int(np.ceil(CORNER_APART_M / grid.resolution_m)), 1)
     peaks = (response > CORNER_RESPONSE) & (response == ndimage.maximum_filter(response, 2 * reach + 1))
-    return int(ndimage.label(peaks, np.ones((3, 3)))[1])
+    labels, count = ndimage.label(peaks, np.ones((3, 3)))
+    at = np.array(ndimage.center_of_mass(peaks, labels, np.arange(1, count + 1))).reshape(-1, 2)
+    cells = at[:, ::-1] - _RIM + [columns[0], rows[0]]
+    return np.asarray([grid.origin_x, grid.origin_y] + (cells + 0.5) * grid.resolution_m)
+
+
+@once
+def mapped_corners(evidence: Evidence) -> Floats:
+    """The corners of the map; none without a map."""
+    return np.zeros((0, 2)) if evidence.grid is None else corners(evidence.grid)
+
+
+def _corners(evidence: Evidence) -> Score:
+    return of_grid(lambda grid: number(len(mapped_corners(evidence)), int(grid.occupied().sum())))(evidence)
 
 
 def enclosed_areas(grid: OccupancyGrid) -> Ints:
@@ -112,9 +131,10 @@ def hits(mapped: Mapped) -> Floats:
     return np.concatenate([np.zeros((0, 2)), *(se2.transform(pose, scan.points()) for scan, pose in mapped)])
 
 
-def _cropped(mask: Bools) -> Bools:
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    return mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] if len(rows) else mask[:1, :1]
+@once
+def all_hits(evidence: Evidence) -> Floats:
+    """The hits (N, 2) of all mapped scans, in the world (m)."""
+    return hits(evidence.mapped)
 
 
 def looked_up(points: Floats, grid: OccupancyGrid) -> tuple[Floats, Bools]:
@@ -143,10 +163,9 @@ def of_grid(measure: Callable[[OccupancyGrid], Score]) -> Callable[[Evidence], S
 
 def _of_thicknesses(statistic: Callable[[Floats], np.floating | float]) -> Callable[[Evidence], Score]:
     def compute(evidence: Evidence) -> Score:
-        points = hits(evidence.mapped)
-        if len(points) == 0:
+        if len(all_hits(evidence)) == 0:
             return Score(None, 0, NO_HIT)
-        found, share = thicknesses(points)
+        found, share = _thicknesses(evidence)
         if share < MIN_WALL_SHARE:
             return Score(None, len(found), f"only {100.0 * share:.0f} % of the hits lie along a wall")
         return number(statistic(found), len(found))
@@ -155,10 +174,15 @@ def _of_thicknesses(statistic: Callable[[Floats], np.floating | float]) -> Calla
 
 
 def _wall_share(evidence: Evidence) -> Score:
-    points = hits(evidence.mapped)
+    points = all_hits(evidence)
     if len(points) == 0:
         return Score(None, 0, NO_HIT)
-    return number(100.0 * thicknesses(points)[1], min(len(points), MOST_PATCHES))
+    return number(100.0 * _thicknesses(evidence)[1], min(len(points), MOST_PATCHES))
+
+
+@once
+def _thicknesses(evidence: Evidence) -> tuple[Floats, float]:
+    return thicknesses(all_hits(evidence))
 
 
 def _enclosed(grid: OccupancyGrid) -> Score:
@@ -232,7 +256,7 @@ _ROWS = (
     Metric("corners", "corners", "", "lower", "map consistency",
            "Corners of the occupied cells: Harris peaks on their Laplacian of Gaussian, at most one within 0.2 m.",
            FILATOV, f"walls smeared until their corners vanish; {WARP}",
-           of_grid(lambda grid: number(corners(grid), int(grid.occupied().sum()))), 0),
+           _corners, 0),
     Metric("enclosed_areas", "enclosed areas", "", "lower", "map consistency",
            "Free areas of at least 4 cells shut in by occupied or unknown cells, without the largest and without those "
            "at the grid's border.", FILATOV, f"copies that leave no gap between them; {WARP}", of_grid(_enclosed), 0),

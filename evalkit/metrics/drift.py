@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Literal
 
 import numpy as np
 
 from evalkit import se2
 from evalkit.metrics.table import Matched, Metric, number, standing_on
 from evalkit.metrics.trajectory import UNMATCHED, of_matched, rms
-from evalkit.se2 import Floats
+from evalkit.se2 import Floats, Stamps
 from evalkit.types import Ints, Score
 
 LENGTHS_M = (1.0, 2.0, 5.0, 10.0, 20.0)
 START_EVERY_M = 0.1
+STEP_S = 1.0
 TURN = 2.0 * np.pi
 START_EVERY_TURN = np.radians(10.0)
 
@@ -41,6 +43,20 @@ def segments(progress: Floats, length: float, start_every: float) -> tuple[Ints,
     last = np.searchsorted(progress, progress[first] + length - slack)
     reached = last < len(progress)
     return first[reached], last[reached]
+
+
+def pairs_in_time(stamps_ns: Stamps, apart_s: float) -> tuple[Ints, Ints]:
+    """First and last indices (K,) of all pairs of stamps (N,) so far apart in time, to half a typical step.
+
+    All pairs, overlapping ones too: each stamp with the one nearest to ``apart_s`` later, where that is near enough.
+    """
+    wanted = stamps_ns + round(apart_s * 1e9)
+    after = np.searchsorted(stamps_ns, wanted).clip(1, max(len(stamps_ns) - 1, 1))
+    last = np.where(wanted - stamps_ns[after - 1] < stamps_ns[after] - wanted, after - 1, after)
+    near = np.abs(stamps_ns[last] - wanted) <= 0.5 * np.median(np.diff(stamps_ns))
+    first = np.arange(len(stamps_ns))
+    kept = near & (last > first)
+    return first[kept], last[kept]
 
 
 def relative_errors(matched: Matched, first: Ints, last: Ints) -> Floats:
@@ -79,6 +95,14 @@ def _step_m(matched: Matched) -> Score:
 
 def _step_deg(matched: Matched) -> Score:
     return number(np.degrees(rms(_steps(matched)[:, 2])), len(matched.stamps_ns) - 1)
+
+
+def _second(matched: Matched, column: Literal["m", "deg"]) -> Score:
+    first, last = pairs_in_time(matched.stamps_ns, STEP_S)
+    if len(first) == 0:
+        return Score(None, 0, f"no two matched poses are {STEP_S:g} s apart")
+    errors = relative_errors(matched, first, last)
+    return number(rms(_norms(errors)) if column == "m" else np.degrees(rms(errors[:, 2])), len(first))
 
 
 def _too_short(matched: Matched, length_m: float) -> Score:
@@ -126,6 +150,11 @@ KITTI = "Geiger et al., CVPR 2012 (KITTI odometry benchmark), with shorter lengt
 RPE = "Sturm et al., IROS 2012 (relative pose error)"
 START = f"segments start every {START_EVERY_M:g} m of true path and are divided by what the truth really went"
 
+_SECONDS: tuple[tuple[Literal["m", "deg"], str, str, int], ...] = (
+    ("m", "translation", "", 4),
+    ("deg", "rotation", ", heading", 3),
+)
+
 _ROWS = (
     Metric("drift_percent", "drift per metre", "%", "lower", "drift",
            "Translation error over segments of 1, 2, 5, 10 and 20 m of true path (those that fit), in percent of the "
@@ -149,11 +178,16 @@ _ROWS = (
            "common practice for loops; Sturm et al., IROS 2012 (relative pose error)",
            "everything between start and end; errors that cancel, as on a closed loop", of_matched(_end_percent), 2),
     Metric("rpe_step_m", "RPE, step", "m", "lower", "drift",
-           "Root mean square translation error from each matched pose to the next.", RPE,
+           "Root mean square translation error from each matched pose to the next (consecutive pairs).", RPE,
            "slow drift, which hides below the noise of one step", of_matched(_step_m), 4),
     Metric("rpe_step_deg", "RPE, step, heading", "deg", "lower", "drift",
-           "Root mean square rotation error from each matched pose to the next.", RPE,
+           "Root mean square rotation error from each matched pose to the next (consecutive pairs).", RPE,
            "slow drift, which hides below the noise of one step", of_matched(_step_deg)),
+    *(Metric(f"rpe_1s_{unit}", f"RPE, 1 s{heading}", unit, "lower", "drift",
+             f"Root mean square {what} error between all matched poses 1 s apart (to half a step), overlapping pairs "
+             "too.", RPE, "drift much slower than a second; a faster robot has more of it",
+             of_matched(partial(_second, column=unit)), digits)
+      for unit, what, heading, digits in _SECONDS),
     Metric("rpe_1m_m", "RPE, 1 m", "m", "lower", "drift",
            f"Root mean square translation error over segments of 1 m of true path; {START}.", RPE,
            "drift much slower than a metre; scans that were not answered", of_matched(_metre_rms)),
@@ -172,6 +206,7 @@ METRICS = standing_on(
             "poses matched with the truth",
             (*UNMATCHED, "a path of ... m is too short (1 m needed)"),
         ),
+        "rpe_1s_*": ("pairs of matched poses 1 s apart", (*UNMATCHED, "no two matched poses are ... s apart")),
         "rpe_step_*": ("steps from one matched pose to the next", UNMATCHED),
         "*": ("segments of the true path", _TOO_SHORT),
     },

@@ -7,13 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evalkit.metrics.table import Evidence, Metric, number, standing_on
+from evalkit.metrics.table import Evidence, Metric, number, once, standing_on
 from evalkit.se2 import Floats
-from evalkit.types import Ints, OccupancyGrid, Score
+from evalkit.types import Ints, Score
 
 VOXEL_M = 1.0
 MIN_CELLS = 5
 MIN_VOXELS = 3
+_FAR = 1 << 32
+"""More rows than any map has: column and row in one number."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,15 +29,17 @@ class Voxels:
 
 def voxels(points: Floats, size_m: float = VOXEL_M, at_least: int = MIN_CELLS) -> Voxels:
     """The Gaussians of points (N, 2) in squares of that size, one corner of one at the origin."""
-    keys, which, counts = np.unique(
-        np.floor(points / size_m).astype(np.int64), axis=0, return_inverse=True, return_counts=True
-    )
-    sums = np.zeros((len(keys), 2))
-    np.add.at(sums, which.ravel(), points)
-    means = sums / counts[:, None]
-    offsets = points - means[which.ravel()]
-    squares = np.zeros((len(keys), 2, 2))
-    np.add.at(squares, which.ravel(), offsets[:, :, None] * offsets[:, None, :])
+    squares_of = np.floor(points / size_m).astype(np.int64)
+    flat = squares_of[:, 0] * _FAR + squares_of[:, 1]
+    found, which, counts = np.unique(flat, return_inverse=True, return_counts=True)
+    count = len(found)
+    x, y = points.T
+    means = np.stack([np.bincount(which, x, count), np.bincount(which, y, count)], axis=1) / counts[:, None]
+    dx, dy = (points - means[which]).T
+    xx, xy, yy = (np.bincount(which, one * other, count) for one, other in ((dx, dx), (dx, dy), (dy, dy)))
+    squares = np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
+    rows = (found + _FAR // 2) % _FAR - _FAR // 2
+    keys = np.stack([(found - rows) // _FAR, rows], axis=1)
     kept = counts >= at_least
     return Voxels(keys[kept], means[kept], squares[kept] / counts[kept][:, None, None])
 
@@ -79,12 +83,11 @@ def spatial_consistency(at: Ints, apart: Floats) -> float:
 
 def _scored(measure: Callable[[Ints, Floats], float]) -> Callable[[Evidence], Score]:
     def compute(evidence: Evidence) -> Score:
-        true, mapped = evidence.truth.grid, evidence.grid
-        if true is None:
+        if evidence.truth.grid is None:
             return Score(None, 0, "no true map")
-        if mapped is None:
+        if evidence.grid is None:
             return Score(None, 0, f"no map: {evidence.no_grid}")
-        at, apart = distances(_walls(mapped), _walls(true))
+        at, apart = _distances(evidence)
         if len(apart) < MIN_VOXELS:
             return Score(None, len(apart), f"the maps share {len(apart)} squares with walls, {MIN_VOXELS} are needed")
         value = measure(at, apart)
@@ -95,8 +98,13 @@ def _scored(measure: Callable[[Ints, Floats], float]) -> Callable[[Evidence], Sc
     return compute
 
 
-def _walls(grid: OccupancyGrid) -> Floats:
-    return grid.centres(grid.occupied())
+@once
+def _distances(evidence: Evidence) -> tuple[Ints, Floats]:
+    ours, theirs = (
+        np.zeros((0, 2)) if grid is None else grid.centres(grid.occupied())
+        for grid in (evidence.grid, evidence.truth.grid)
+    )
+    return distances(ours, theirs)
 
 
 MAPEVAL = "Hu et al., MapEval, RA-L 2025; there with Cholesky factors in place of the matrix root: not comparable"

@@ -6,7 +6,6 @@ import numpy as np
 
 from evalkit.metrics.consistency import NOTHING_DRAWN, WARP, of_grid, thicknesses
 from evalkit.metrics.table import Evidence, Metric, number, standing_on
-from evalkit.se2 import Floats
 from evalkit.types import Bools, Ints, OccupancyGrid, Score
 
 _EDGE = 1e-6  # cells: a centre this near to an edge lies on it
@@ -21,8 +20,8 @@ def true_states(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[Bools, Bool
     """
     if true.resolution_m > mapped.resolution_m * (1.0 + _EDGE):
         raise ValueError(f"true: its cells of {true.resolution_m} m are coarser than the map's {mapped.resolution_m} m")
-    occupied = _touched(mapped, true.centres(true.occupied()))
-    return occupied, _touched(mapped, true.centres(true.free())) & ~occupied
+    occupied = _touched(mapped, true, true.occupied())
+    return occupied, _touched(mapped, true, true.free()) & ~occupied
 
 
 def log_loss(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[float, int]:
@@ -53,17 +52,24 @@ def wall_width_m(mapped: OccupancyGrid, threshold: float = 0.65) -> float:
     return float(np.sqrt(12.0 * spread**2 + mapped.resolution_m**2).mean()) if len(spread) else float("nan")
 
 
-def _touched(mapped: OccupancyGrid, points: Floats) -> Bools:
-    """The cells (H, W) that hold one of the points (N, 2), or have one on their edge."""
+def _touched(mapped: OccupancyGrid, true: OccupancyGrid, cells: Bools) -> Bools:
+    """The cells (H, W) of a map that hold the centre of one of the cells of the true map, or have one on their edge."""
     height, width = mapped.shape
     marked = np.zeros((height, width), dtype=np.bool_)
-    places = (points - [mapped.origin_x, mapped.origin_y]) / mapped.resolution_m
-    for side_x in (-_EDGE, _EDGE):
-        for side_y in (-_EDGE, _EDGE):
-            cells: Ints = np.floor(places + np.array([side_x, side_y])).astype(np.int64)
-            inside = cells[((cells >= 0) & (cells < [width, height])).all(axis=1)]
-            marked[inside[:, 1], inside[:, 0]] = True
+    rows, columns = np.nonzero(cells)
+    for at_y in _reached(true.origin_y, true, mapped.origin_y, mapped, len(cells)):
+        for at_x in _reached(true.origin_x, true, mapped.origin_x, mapped, cells.shape[1]):
+            y, x = at_y[rows], at_x[columns]
+            inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
+            marked[y[inside], x[inside]] = True
     return marked
+
+
+def _reached(own_m: float, grid: OccupancyGrid, other_m: float, other: OccupancyGrid, count: int) -> tuple[Ints, ...]:
+    """Along one axis: the other grid's cell (N,) of each centre, and a second answer where one lies on an edge."""
+    places = (own_m + (np.arange(count) + 0.5) * grid.resolution_m - other_m) / other.resolution_m
+    low, high = (np.floor(places + side).astype(np.int64) for side in (-_EDGE, _EDGE))
+    return (low,) if (low == high).all() else (low, high)
 
 
 def _log_loss(evidence: Evidence) -> Score:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from evalkit import se2
-from evalkit.metrics.table import Evidence, Mapped, Metric, Placed, number, standing_on
+from evalkit.metrics.table import Evidence, Mapped, Metric, Placed, number, once, standing_on
 from evalkit.se2 import Floats
 from evalkit.types import Ints, Score
 
@@ -121,7 +121,12 @@ def _mapped(column: int, evidence: Evidence) -> Score:
     step = step_m(pairwise(evidence.mapped))
     if step > MAX_STEP_M:
         return Score(None, 0, f"mapped scans are {step:.1f} m apart: too far to lie on each other")
-    return _median(scan_to_map(evidence.mapped), column)
+    return _median(_to_map(evidence), column)
+
+
+@once
+def _to_map(evidence: Evidence) -> Floats:
+    return scan_to_map(evidence.mapped)
 
 
 def _median(residuals: Floats, column: int) -> Score:

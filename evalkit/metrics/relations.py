@@ -82,7 +82,11 @@ def _norms(errors: Errors) -> Errors:
 
 
 def _scored(
-    part: Part, column: int, statistic: Callable[[Floats], np.floating], form: Errors = symmetric_errors
+    part: Part,
+    column: int,
+    statistic: Callable[[Floats], np.floating],
+    form: Errors = symmetric_errors,
+    squared: bool = False,
 ) -> Callable[[Evidence], Score]:
     def compute(evidence: Evidence) -> Score:
         relations = evidence.truth.relations
@@ -95,7 +99,8 @@ def _scored(
         if len(errors) == 0:
             kind = "" if part == "all" else f"{part} "
             return Score(None, 0, f"the estimate answers none of {wanted.sum()} {kind}relations")
-        return number(statistic(np.degrees(errors) if column else errors), len(errors))
+        errors = np.degrees(errors) if column else errors
+        return number(statistic(errors**2 if squared else errors), len(errors))
 
     return compute
 
@@ -117,6 +122,7 @@ _STATISTICS: dict[str, tuple[str, Callable[[Floats], np.floating]]] = {
     "sd": ("Standard deviation of the", np.std),
 }
 _ERRORS = (("m", "translation", 3), ("deg", "rotation", 2))
+_SQUARES = (("m", "translation", 4), ("deg", "rotation", 2))
 _BLIND: dict[Part, str] = {
     "short": "drift over the whole path, and differences below the relations' own noise of about 0.03 m",
     "long": "where on the way the error arose, and differences below the relations' own noise of about 0.03 m",
@@ -155,6 +161,15 @@ _ROWS = (
                _scored("all", 0, statistic, errors))
         for form, (whose, source, errors) in _FORMS.items()
         for name, (words, statistic) in _STATISTICS.items()
+    ),
+    *(
+        Metric(f"relations_square_{name}_{unit}2", f"relations, squared, {name} {what}", f"{unit}2", "lower",
+               "relations",
+               f"{words} squared {what} error between all pairs of times, for comparison with printed tables: a few "
+               "large errors decide it.", "Kuemmerle et al., Autonomous Robots 27, 2009", _BLIND["all"],
+               _scored("all", column, statistic, _norms(componentwise_errors), squared=True), digits)
+        for name, (words, statistic) in _STATISTICS.items()
+        for column, (unit, what, digits) in enumerate(_SQUARES)
     ),
     Metric("relations_answered_percent", "relations answered", "%", "higher", "relations",
            "Relations both of whose times lie between answers at most 2 s apart, of all.", "evalkit",

@@ -18,6 +18,10 @@ COVERED_SHARE = 0.25
 EVERY_M = 0.2
 MOST = 2000
 
+MOST_OFF_M = 0.15
+MOST_OFF_RAD = 0.02
+"""An automatic relation farther off than either is an outlier (Cartographer's defaults)."""
+
 
 def between_visits(reference: Trajectory, near_m: float = NEAR_M, covered_m: float | None = None) -> Relations:
     """The reference's motions between two visits of a place: the nearest pose of each later pass within ``near_m``.
@@ -51,7 +55,19 @@ def _runs(marks: Bools) -> Ints:
     return np.asarray(edges.reshape(-1, 2), dtype=np.int64)
 
 
-def _scored(column: int, statistic: Callable[[Floats], np.floating]) -> Callable[[Evidence], Score]:
+def within_limits(errors: Floats, metres: float = MOST_OFF_M, radians: float = MOST_OFF_RAD) -> Bools:
+    """Which errors (M, 2) in metres and radians are no outliers: both at most their limit."""
+    return np.asarray((errors[:, 0] <= metres) & (errors[:, 1] <= radians))
+
+
+def _mean(column: int) -> Callable[[Floats], float]:
+    def mean(errors: Floats) -> float:
+        return float(np.mean(np.degrees(errors[:, column]) if column else errors[:, column]))
+
+    return mean
+
+
+def _scored(measure: Callable[[Floats], float]) -> Callable[[Evidence], Score]:
     def compute(evidence: Evidence) -> Score:
         reference = evidence.truth.trajectory
         if reference is None or len(reference) < 2:
@@ -62,8 +78,8 @@ def _scored(column: int, statistic: Callable[[Floats], np.floating]) -> Callable
         motions, answered = estimated_motions(evidence.run.estimate, visits)
         if not answered.any():
             return Score(None, 0, f"the estimate answers none of {len(visits)} returns")
-        errors = symmetric_errors(motions, visits.first_from_second[answered])[:, column]
-        return number(statistic(np.degrees(errors) if column else errors), len(errors))
+        errors = symmetric_errors(motions, visits.first_from_second[answered])
+        return number(measure(errors), len(errors))
 
     return compute
 
@@ -77,10 +93,15 @@ SOURCE = "after Cartographer's automatic relations, Hess et al., ICRA 2016; scal
 _ROWS = (
     Metric("revisit_mean_m", "error on coming back, mean", "m", "lower", "relations",
            f"Mean translation error of the estimated motions between two visits of a place. {HOW}.", SOURCE,
-           "places seen once; the true trajectory's own errors", _scored(0, np.mean)),
+           "places seen once; the true trajectory's own errors", _scored(_mean(0))),
     Metric("revisit_mean_deg", "heading error on coming back, mean", "deg", "lower", "relations",
            f"Mean rotation error of the same motions. {HOW}.", SOURCE,
-           "places seen once; the true trajectory's own errors", _scored(1, np.mean), 2),
+           "places seen once; the true trajectory's own errors", _scored(_mean(1)), 2),
+    Metric("revisit_within_percent", "returns within limits", "%", "higher", "relations",
+           f"Motions between two visits of a place that are at most {MOST_OFF_M:g} m and {MOST_OFF_RAD:g} rad off, of "
+           f"those answered. {HOW}.", "the limits: Cartographer's outlier thresholds of automatic relations; as a "
+           "score: evalkit", "how far off the others are; places seen once; the true trajectory's own errors",
+           _scored(lambda errors: 100.0 * float(within_limits(errors).mean())), 1),
 )  # fmt: skip
 
 METRICS = standing_on(

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from typing import Literal
+from functools import wraps
+from typing import Literal, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -95,6 +97,22 @@ def standing_on(metrics: Iterable[Metric], told: Standing) -> tuple[Metric, ...]
         return metric if found is None else replace(metric, support=found[0], no_value=found[1])
 
     return tuple(map(one, metrics))
+
+
+Found = TypeVar("Found")
+
+
+def once(look: Callable[[Evidence], Found]) -> Callable[[Evidence], Found]:
+    """The same look at evidence, taken once however many metrics share it, and forgotten with the evidence."""
+    taken: WeakKeyDictionary[Evidence, Found] = WeakKeyDictionary()
+
+    @wraps(look)
+    def looked(evidence: Evidence) -> Found:
+        if evidence not in taken:
+            taken[evidence] = look(evidence)
+        return taken[evidence]
+
+    return looked
 
 
 def number(value: float | np.floating, support: int) -> Score:

@@ -1,0 +1,82 @@
+"""CPU time of every metric that looks at a map or its scans: a floor of 50 m x 50 m in 1,000 x 1,000 cells.
+
+The limit is one second for all of them together.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import time
+
+import numpy as np
+
+from evalkit import metrics
+from evalkit.metrics.table import Evidence, Placed
+from evalkit.types import STEP, OccupancyGrid, Run, Scan, Truth
+
+CELLS, SIZE_M, ROOM_M = 1000, 0.05, 5.0
+BEAMS, SCANS = 720, 300
+GROUPS = ("map against truth", "map consistency")
+
+
+def floor(noise_cells: float, seed: int) -> OccupancyGrid:
+    """Rooms of 5 m x 5 m, their walls two cells thick and so far off."""
+    rng = np.random.default_rng(seed)
+    places = np.arange(CELLS)
+    walls = np.zeros((CELLS, CELLS), np.bool_)
+    for line in np.arange(0, CELLS, round(ROOM_M / SIZE_M)):
+        for thick in (0, 1):
+            off = np.clip(line + thick + np.round(rng.normal(0.0, noise_cells, CELLS)).astype(int), 0, CELLS - 1)
+            walls[off, places] = walls[places, off] = True
+    log_odds = np.where(walls, 3.0, -3.0) + rng.normal(0.0, 0.5, walls.shape)
+    return OccupancyGrid(log_odds.astype(np.float32), np.ones_like(walls), SIZE_M, 0.0, 0.0)
+
+
+def scans(sigma_m: float) -> tuple[Placed, ...]:
+    """A scan of its own room from each of so many places, room by room."""
+    rng = np.random.default_rng(1)
+    angles = np.linspace(-np.pi, np.pi, BEAMS, endpoint=False)
+    placed = []
+    for index in range(SCANS):
+        room, away = divmod(index % 100, 10), rng.uniform(1.0, 4.0, 2)
+        x = np.where(np.cos(angles) > 0.0, ROOM_M - away[0], away[0]) / np.maximum(np.abs(np.cos(angles)), 1e-9)
+        y = np.where(np.sin(angles) > 0.0, ROOM_M - away[1], away[1]) / np.maximum(np.abs(np.sin(angles)), 1e-9)
+        ranges = np.minimum(x, y) + rng.normal(0.0, sigma_m, BEAMS)
+        placed.append((Scan(index, ranges, angles, 0.05, 12.0), np.array([*(ROOM_M * np.array(room) + away), 0.0])))
+    return tuple(placed)
+
+
+def timed() -> dict[str, dict[str, float]]:
+    """CPU milliseconds of each metric by group, in the order of the table; who shares a look pays for the first."""
+    mapped, steps = scans(0.02), np.zeros(0, STEP)
+    true = Truth("exact", grid=floor(0.0, 0))
+    halves = floor(1.0, 3), floor(1.0, 4)
+    evidence = Evidence(Run("b", "s", "complete", "", steps, 0), true, None, floor(1.0, 2), mapped, *halves)
+    found: dict[str, dict[str, float]] = {group: {} for group in GROUPS}
+    for metric in metrics.METRICS:
+        if metric.group in GROUPS:
+            begin = time.process_time()
+            metric.compute(evidence)
+            found[metric.group][metric.name] = 1e3 * (time.process_time() - begin)
+    return found
+
+
+def main() -> None:
+    """The slowest ten and the sums, or everything as JSON."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", action="store_true")
+    found = timed()
+    if parser.parse_args().json:
+        print(json.dumps(found, indent=1))
+        return
+    for group, own in found.items():
+        print(f"{group}: {sum(own.values()):.0f} ms")
+    every = {name: ms for own in found.values() for name, ms in own.items()}
+    for name, ms in sorted(every.items(), key=lambda item: -item[1])[:12]:
+        print(f"  {name:24} {ms:6.0f} ms")
+    print(f"together: {sum(every.values()):.0f} ms of 1,000")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,77 @@
+"""The pair error: closed forms for turns and shifts, and the scale of the scene."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from evalkit import se2
+from evalkit.metrics import pairs
+from evalkit.metrics.table import Evidence, Matched
+from evalkit.metrics.trajectory import match
+from evalkit.types import STEP, Run, Scan, Trajectory, Truth
+
+ANGLES = np.linspace(0.0, 2.0 * np.pi, 90, endpoint=False)
+CIRCLE = 4.0 * np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
+
+
+@given(st.floats(-3.0, 3.0), st.floats(0.01, 100.0))
+def test_a_pure_turn_about_the_centroid_costs_its_chord_at_any_scale(turn: float, scale: float) -> None:
+    assert pairs.pair_error(scale * CIRCLE, np.zeros(3), np.array([0.0, 0.0, turn])) == pytest.approx(
+        2.0 * abs(np.sin(turn / 2.0)), abs=1e-9
+    )
+
+
+@given(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0))
+def test_a_pure_shift_of_a_circle_costs_its_length_over_the_radius(x: float, y: float) -> None:
+    assert pairs.pair_error(CIRCLE, np.zeros(3), np.array([x, y, 0.0])) == pytest.approx(np.hypot(x, y) / 4.0)
+
+
+def test_the_error_is_the_same_wherever_the_target_stands() -> None:
+    points = np.random.default_rng(0).normal(0.0, [3.0, 1.0], (200, 2))
+    true, off, away = np.array([0.3, -0.1, 0.2]), np.array([0.32, -0.12, 0.23]), np.array([5.0, 7.0, 2.0])
+    here = pairs.pair_error(points, true, off)
+    assert pairs.pair_error(points, se2.compose(away, true), se2.compose(away, off)) == pytest.approx(here)
+    by_hand = se2.transform(true, points), se2.transform(off, points)
+    reach = np.linalg.norm(by_hand[0] - by_hand[0].mean(axis=0), axis=1)
+    assert here == pytest.approx(np.mean(np.linalg.norm(by_hand[1] - by_hand[0], axis=1) / reach))
+
+
+def test_points_that_are_one_have_no_error() -> None:
+    assert np.isnan(pairs.pair_error(np.ones((5, 2)), np.zeros(3), np.array([1.0, 0.0, 0.0])))
+
+
+def scored(estimated_step, sensor=(0.1, 0.0, 0.5)):
+    """The score of ten steps, each estimated as given where the truth goes 0.2 m ahead; the lidar sits aside."""
+    stamps = np.arange(11) * 100_000_000
+    base_from_sensor = np.array(sensor)
+    estimate, true = ([np.zeros(3)], [np.array([5.0, 2.0, 1.0])])
+    for _ in range(10):
+        estimate.append(se2.compose(estimate[-1], estimated_step))
+        true.append(se2.compose(true[-1], [0.2, 0.0, 0.0]))
+    steps = np.zeros(11, STEP)
+    steps["stamp_ns"] = stamps
+    steps["x"], steps["y"], steps["theta"] = np.array(estimate).T
+    run, truth = Run("b", "s", "complete", "", steps, 11), Truth("exact", Trajectory(stamps, np.array(true)))
+    matched = match(run.estimate, truth.trajectory)
+    assert isinstance(matched, Matched)
+    start = matched.world_from_start.row
+    scan = [Scan(int(stamp), np.full(90, 4.0), ANGLES, 0.0, 10.0) for stamp in stamps]
+    placed = [(s, se2.compose(se2.compose(start, e), base_from_sensor)) for s, e in zip(scan, estimate, strict=True)]
+    evidence = Evidence(run, truth, matched, None, (), successive=tuple(pairwise(placed)))
+    (metric,) = pairs.METRICS
+    return metric.compute(evidence)
+
+
+def test_steps_are_held_against_the_truth_of_the_sensor_that_made_the_scans() -> None:
+    assert scored([0.2, 0.0, 0.0]).value == pytest.approx(0.0, abs=1e-9)
+    found = scored([0.24, 0.0, 0.0])
+    assert (found.value, found.support) == (pytest.approx(0.01), 10)  # 4 cm on a circle of 4 m
+
+
+def test_without_a_truth_there_is_a_reason() -> None:
+    (metric,) = pairs.METRICS
+    bare = Evidence(Run("b", "s", "complete", "", np.zeros(0, STEP), 0), Truth("none"), None, None, ())
+    assert metric.compute(bare).reason == "no true trajectory"

@@ -1,0 +1,101 @@
+"""Pieces of wall under all scans: closed forms for two faces, second copies and walls at right angles."""
+
+import numpy as np
+import pytest
+
+from evalkit.metrics import surfaces
+from evalkit.metrics.patches import patches
+from evalkit.metrics.surfaces import Pieces
+from evalkit.metrics.table import Evidence
+from evalkit.types import STEP, Run, Scan, Truth
+
+
+def scores(mapped):
+    evidence = Evidence(Run("b", "s", "complete", "", np.zeros(0, STEP), 0), Truth("none"), None, None, mapped)
+    return {metric.name: metric.compute(evidence) for metric in surfaces.METRICS}
+
+
+def seen(points, sensor=(0.0, 0.0)):
+    """A scan that hits these points of the world, and where its sensor was."""
+    offsets = points - np.asarray(sensor)
+    ranges, angles = np.hypot(*offsets.T), np.arctan2(offsets[:, 1], offsets[:, 0])
+    return Scan(0, ranges, angles, 0.0, 100.0), np.array([*sensor, 0.0])
+
+
+def along_x(length_m, y, sigma_m=0.005, seed=0, count_a_metre=100):
+    rng = np.random.default_rng(seed)
+    count = round(length_m * count_a_metre)
+    return np.column_stack([np.sort(rng.uniform(0.0, length_m, count)), rng.normal(y, sigma_m, count)])
+
+
+def test_a_wall_seen_twice_over_half_its_length_is_half_a_ghost_that_far_off() -> None:
+    once = [seen(along_x(20.0, 3.0, seed=seed), (10.0, 0.0)) for seed in range(20)]
+    again = [seen(along_x(10.0, 3.2, seed=seed), (10.0, 0.0)) for seed in range(20, 40)]
+    found = scores((*once, *again))
+    assert found["ghost_wall_percent"].value == pytest.approx(50.0, abs=5.0)
+    assert found["ghost_wall_m"].value == pytest.approx(0.20, abs=0.011)
+    alone = scores(tuple(once))
+    assert alone["ghost_wall_percent"].value == 0.0
+    assert alone["ghost_wall_m"].reason == "no wall has a second copy"
+
+
+def test_the_other_face_of_a_wall_is_no_copy_of_it() -> None:
+    faces = seen(along_x(20.0, 3.0), (10.0, 0.0)), seen(along_x(20.0, 3.2), (10.0, 6.0))
+    assert scores(faces)["ghost_wall_percent"].value == 0.0
+
+
+@pytest.mark.parametrize(("apart_m", "copied"), [(0.04, 0.0), (0.15, 100.0), (0.45, 100.0), (0.7, 0.0)])
+def test_copies_too_near_are_noise_and_copies_too_far_other_walls(apart_m: float, copied: float) -> None:
+    both = [seen(along_x(20.0, y, seed=round(100 * y)), (10.0, 0.0)) for y in (3.0, 3.0 + apart_m)]
+    assert scores(tuple(both))["ghost_wall_percent"].value == pytest.approx(copied, abs=3.0)
+
+
+def test_smearing_alone_makes_no_ghost() -> None:
+    rng = np.random.default_rng(3)
+    smeared = [seen(along_x(20.0, 3.0 + shift, seed=i), (10.0, 0.0)) for i, shift in enumerate(rng.normal(0, 0.05, 40))]
+    assert scores(tuple(smeared))["ghost_wall_percent"].value == pytest.approx(0.0, abs=5.0)
+
+
+def test_orthogonal_walls_add_their_variances_and_a_wall_between_them_does_not_count() -> None:
+    level = along_x(20.0, 5.0, 0.03, count_a_metre=200)
+    upright = along_x(20.0, -5.0, 0.01, 1, count_a_metre=200)[:, ::-1]
+    turn = np.radians(45.0)
+    slanted = along_x(5.0, 0.0, 0.05, 2) @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
+    found = scores(tuple(seen(points + np.full(2, 30.0), (20.0, 32.0)) for points in (level, upright, slanted)))
+    assert found["mom_cm2"].value == pytest.approx(9.0 + 1.0, rel=0.1)
+    assert found["mpv_cm2"].value == pytest.approx(np.average([9.0, 1.0, 25.0], weights=[4000, 4000, 500]), rel=0.15)
+
+
+def test_families_are_those_at_right_angles_with_most_pieces_each() -> None:
+    directions = np.radians([0.0] * 50 + [30.0] * 8 + [120.0] * 9 + [93.0] * 3)
+    level, upright = surfaces.orthogonal(directions)
+    assert {len(level), len(upright)} == {8, 9}
+
+
+def test_mean_variance_is_that_of_brute_force() -> None:
+    points = np.random.default_rng(0).normal(0.0, [1.0, 0.3], (60, 2))
+    middles = points
+    small = []
+    for middle in middles:
+        near = points[np.linalg.norm(points - middle, axis=1) <= 0.5]
+        if len(near) >= 5:
+            small.append(np.linalg.eigvalsh(np.cov(near.T, bias=True))[0])
+    value, places = surfaces.mean_variance(points, middles)
+    assert (places, value) == (len(small), pytest.approx(np.mean(small)))
+    assert patches(points, middles).counts.min() < 5 < patches(points, middles).counts.max()
+
+
+def test_what_shows_no_wall_says_so() -> None:
+    nothing = scores((seen(np.zeros((0, 2))),))
+    assert {score.reason for score in nothing.values()} == {"no mapped scan has a hit"}
+    dots = scores((seen(np.random.default_rng(0).uniform(-3.0, 3.0, (50, 2))),))
+    assert dots["mom_cm2"].reason == "single scans hardly show walls at right angles to each other"
+    assert dots["ghost_wall_percent"].reason.startswith("single scans show only")
+    assert (
+        len(
+            surfaces.second_copies(
+                np.zeros((0, 2)), np.zeros((0, 2)), Pieces(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 2)))
+            )
+        )
+        == 0
+    )
