@@ -251,11 +251,11 @@ class OccupancyGrid:
 
     def occupied(self, threshold: float = 0.65) -> Bools:
         """Observed cells (H, W) with a probability above the threshold (map_server's default)."""
-        return np.asarray(self.observed & (self.probability() > threshold))
+        return np.asarray(self.observed & (self.log_odds > _log_odds(threshold)))
 
     def free(self, threshold: float = 0.196) -> Bools:
         """Observed cells (H, W) with a probability below the threshold (map_server's default)."""
-        return np.asarray(self.observed & (self.probability() < threshold))
+        return np.asarray(self.observed & (self.log_odds < _log_odds(threshold)))
 
     def centres(self, cells: Bools) -> Floats:
         """The centres (N, 2) in the world (m) of the cells marked in a mask (H, W)."""
@@ -423,6 +423,12 @@ class Trial:
 def _polar(ranges: Floats, angles: Floats) -> Floats:
     """The points (N, 2) of ranges (N,) and angles (N,): equation 1 of the paper, x forward."""
     return np.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=-1)
+
+
+def _log_odds(probability: float) -> np.float64:
+    """Of a probability from 0 to 1; a float64, so that what is as probable in float32 is not rounded over it."""
+    with np.errstate(divide="ignore"):
+        return np.float64(np.log(probability) - np.log1p(-probability))
 
 
 def _freeze(
