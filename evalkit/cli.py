@@ -27,6 +27,7 @@ from evalkit.commands.metrics import metrics
 from evalkit.commands.options import FAILED, Collect, Jobs, Json, Making, Out, Rerun, Resume, err, out
 from evalkit.commands.realtime import realtime
 from evalkit.commands.study import study
+from evalkit.commands.tune import tune
 from evalkit.commands.validate import validate
 from evalkit.engine import Engine
 from evalkit.errors import EvalkitError, NotInstalled, StoreError
@@ -168,7 +169,9 @@ def compare(
     _report(plan, folder, Making.of(jobs, resume, rerun, collect), as_json)
 
 
-COMMANDS: tuple[Callable[..., None], ...] = (check, equiv, realtime, basin, determinism, diff, validate, study, export)
+COMMANDS: tuple[Callable[..., None], ...] = (
+    check, equiv, realtime, basin, determinism, diff, validate, study, tune, export,
+)  # fmt: skip
 """The commands with a module of their own, in the order of the help."""
 
 for _command in COMMANDS:

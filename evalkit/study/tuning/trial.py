@@ -45,10 +45,12 @@ def _limited(cpu_s: float) -> Iterator[None]:
     if not hasattr(signal, "setitimer"):
         yield
         return
-    begun = time.process_time()
+    end_s = time.process_time() + cpu_s
 
     def look(_signal: int, _frame: object) -> None:
-        if time.process_time() - begun > cpu_s:
+        nonlocal end_s
+        if time.process_time() > end_s:
+            end_s += cpu_s  # for the scores, and for a back end that goes on whatever is raised
             raise TookTooLong(f"more than {cpu_s:g} s of CPU time")
 
     before = signal.signal(signal.SIGALRM, look)

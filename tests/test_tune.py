@@ -1,0 +1,131 @@
+"""The tune command: a page, its numbers, an experiment with default and tuned rows, a killed search that goes on."""
+
+import json
+import tomllib
+
+import pytest
+from typer.testing import CliRunner
+
+from evalkit.cli import app
+from evalkit.report.tuning.record import SCHEMA_VERSION
+from evalkit.study.tuning import campaign
+from evalkit.study.tuning.reading import read
+
+FILE = """
+title = "A stranger tuned"
+points = 6
+
+[mapper]
+scans = 5
+
+[[contestant]]
+use = "evalkit_tunable:MISSET"
+label = "misset"
+
+[[contestant]]
+use = "evalkit_tunable:PERFECT"
+label = "perfect"
+
+[[contestant]]
+use = "evalkit_tunable:HOPELESS"
+label = "hopeless"
+
+[[training]]
+use = "lab"
+laps = 0.04
+seeds = [0]
+confirm = [2, 3, 4, 5]
+
+[[held-out]]
+use = "room"
+laps = 0.04
+seeds = [0, 1]
+"""
+
+
+@pytest.fixture
+def file(tmp_path, strangers):
+    path = tmp_path / "own.toml"
+    path.write_text(FILE)
+    return path
+
+
+def tune(*words):
+    return CliRunner().invoke(app, ["tune", *map(str, words)])
+
+
+@pytest.mark.slow
+def test_the_misset_is_tuned_the_perfect_keeps_its_default_and_the_hopeless_is_a_row_and_exit_code_1(file, tmp_path):
+    out = tmp_path / "out"
+    done = tune(file, "--out", out, "--jobs", "2")
+    assert done.exit_code == 1, done.output
+    assert "no run completed: hopeless" in done.output
+    told = json.loads((out / "tuned.json").read_text())
+    misset, perfect, hopeless = told["backends"]
+    assert told["schema_version"] == SCHEMA_VERSION
+    assert [misset["tuned"], perfect["tuned"]] == [True, False]
+    assert abs(misset["parameters"]["gain"] - 1.0) < abs(4.0 - 1.0)
+    assert misset["confirmed"]["ratio"]["high"] < 1.0
+    assert [each["spent"]["points"] for each in told["backends"]] == [6, 6, 6]
+    assert [each["error"] for each in hopeless["points"]] == [1.0] * 6
+    assert not misset["held_out"]["overfitted"]
+    assert perfect["held_out"] is None
+    rows = tomllib.loads((out / "tuned.toml").read_text())["contestant"]
+    assert [row["label"] for row in rows] == ["misset", "misset tuned", "perfect", "hopeless"]
+    page = (out / "index.html").read_text()
+    assert "default kept: no point was better in the search" in page
+    assert "failed: no run of no point was completed" in page
+    assert "RuntimeError: hopeless" in page
+    again = CliRunner().invoke(app, ["report", str(out / "tuned.toml"), "--collect", "--out", str(out / "report")])
+    assert "6 runs complete, 2 failed" in again.output  # the held-out runs are the report's own
+
+
+@pytest.mark.slow
+def test_a_killed_search_goes_on_and_computes_nothing_twice(file, tmp_path):
+    made = []
+    tuning = read(file, "own", "evalkit tune own.toml")
+
+    class Killed(Exception):
+        pass
+
+    def killed_after(runs):
+        def done(_name, seconds):
+            made.append(seconds > 0.0)
+            if sum(made) == runs:
+                raise Killed
+
+        return done
+
+    folder = tmp_path / "results"
+    with pytest.raises(Killed):
+        campaign.searched(tuning, campaign.making(folder, 1, killed_after(3)))
+    with pytest.raises(campaign.Unmade):
+        campaign.searched(tuning, campaign.collecting(folder))
+    made.clear()
+    found = campaign.searched(tuning, campaign.making(folder, 1, lambda _name, seconds: made.append(seconds > 0.0)))
+    runs = sum(len(each.errors) for one in found for each in (*one.tried, *(one.confirmed or ())))
+    assert sum(made) == runs - 3
+    made.clear()
+    campaign.searched(tuning, campaign.making(folder, 1, lambda _name, seconds: made.append(seconds > 0.0)))
+    assert not any(made)
+    assert len(list(folder.glob("*.npz"))) == runs
+
+
+def test_what_is_not_made_yet_is_told_by_exit_code_3(file, tmp_path):
+    done = tune(file, "--out", tmp_path / "out", "--collect")
+    assert done.exit_code == 3
+    assert "the search is not done: 9 runs" in done.output
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["paper"], "--on DATASET"),
+        (["x.toml", "--budget", "9"], "stands alone"),
+        (["paper", "--on", "lab", "--set", "laps"], "NAME=VALUE"),
+    ],
+)
+def test_words_that_make_no_tuning_are_a_usage_error(words, told):
+    done = tune(*words)
+    assert done.exit_code == 2
+    assert told in " ".join(done.output.replace("│", " ").split())

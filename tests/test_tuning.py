@@ -1,0 +1,263 @@
+"""The search of a tuning: spaces, points, equal budgets, what counts as better, and worlds kept apart."""
+
+import json
+import math
+import time
+import tomllib
+
+import numpy as np
+import pytest
+
+from evalkit import frontend, registry
+from evalkit.errors import BadExperiment
+from evalkit.protocols import Parameter
+from evalkit.study.tuning import campaign, trial
+from evalkit.study.tuning.frontier import frontier
+from evalkit.study.tuning.objective import best, judged
+from evalkit.study.tuning.reading import named, read, tuning
+from evalkit.study.tuning.search import Search
+from evalkit.study.tuning.space import Space, derived, own
+from evalkit.study.tuning.tuned import experiment_text, held_out_plan
+
+FILE = """
+points = 16
+objective = { metric = "ate_rmse_m", lost = 1.0 }
+
+[[contestant]]
+use = "embedded"
+search.epsilon = { levels = [1e-7, 1e-1], scale = "log" }
+search.max_iterations = [10, 20, 40, 80]
+search.one_to_one = [true, false]
+
+[[contestant]]
+use = "paper"
+search.max_correspondence_m = [0.1, 1]
+
+[[training]]
+use = "lab"
+laps = 0.05
+seeds = [0, 1]
+confirm = [2, 3, 4, 5]
+
+[[held-out]]
+use = "lab"
+laps = 0.05
+seeds = [6, 7]
+
+[[held-out]]
+use = "room"
+laps = 0.05
+"""
+
+
+def plan(text=FILE, **changed):
+    return tuning({**tomllib.loads(text), **changed}, "some.toml", "some", "evalkit tune some.toml")
+
+
+def result(error, cpu_ms=1.0, status="complete"):
+    scores = {"ate_rmse_m": error, "cpu_median_ms": cpu_ms}
+    return {"status": status, "reason": "why", "cpu_s": 0.5, "scores": scores, "why": dict.fromkeys(scores, "none")}
+
+
+class Known:
+    """Computes jobs by a known function of parameters and seed, and counts them."""
+
+    def __init__(self, error):
+        self.error, self.asked = error, []
+
+    def __call__(self, jobs):
+        self.asked += jobs
+        return {job.name: result(self.error(job.arguments)) for job in jobs}
+
+
+def off(arguments):
+    """A made-up error: least at epsilon 1e-4 and at a largest distance of 0.3 m, doubled by every decade."""
+    parameters = arguments["parameters"]
+    decades = math.log10(parameters["epsilon"] / 1e-3), 10.0 * (parameters["max_correspondence_m"] - 0.3)
+    return 0.01 * 2.0 ** (abs(decades[0]) + abs(decades[1])) * (1.0 + 0.01 * (arguments["sequence"]["seed"] % 3))
+
+
+def test_the_search_finds_the_minimum_of_a_known_function_and_takes_it():
+    embedded, paper = campaign.searched(plan(), Known(off))
+    assert embedded.tuned
+    assert embedded.default.error == pytest.approx(0.02 * math.sqrt(1.01))
+    assert abs(math.log10(embedded.best.candidate.values["epsilon"] / 1e-3)) < 0.35
+    assert embedded.ratio.high < 0.7
+    assert paper.best is paper.default
+    assert not paper.tuned  # its default is the minimum already
+    assert paper.why == "default kept: no point was better in the search"
+
+
+def test_every_back_end_gets_the_same_budget_and_the_default_first():
+    asked = Known(off)
+    found = campaign.searched(plan(), asked)
+    for one in found:
+        assert [len(one.tried), one.tried[0].candidate.found] == [16, "default"]
+        assert len({each.candidate.key for each in one.tried}) == 16
+    runs = [job.arguments["backend"] for job in asked.asked if job.arguments["sequence"]["seed"] < 2]
+    assert runs.count("embedded") == runs.count("paper") == 32
+    seeds = {job.arguments["sequence"]["seed"] for job in asked.asked}
+    assert seeds == {0, 1, 2, 3, 4, 5}  # never a held-out one
+    assert campaign.expected_runs(plan()) == 2 * (32 + 8)
+
+
+def test_the_same_tuning_asks_for_the_same_points():
+    names = []
+    for _ in range(2):
+        asked = Known(off)
+        campaign.searched(plan(), asked)
+        names.append([job.name for job in asked.asked])
+    assert names[0] == names[1]
+
+
+def test_a_lucky_point_does_not_survive_fresh_seeds():
+    def luck(arguments):
+        spread = np.random.default_rng([int(1e9 * arguments["parameters"]["epsilon"]), arguments["sequence"]["seed"]])
+        return 0.02 * math.exp(0.5 * spread.standard_normal())
+
+    one = campaign.searched(plan(), Known(luck))[0]
+    assert one.best.error < 0.8 * one.default.error
+    assert not one.tuned
+    assert one.why == "default kept: what the best of the search gains is not more than noise on fresh seeds"
+
+
+def test_a_back_end_that_always_fails_keeps_its_default_and_is_told():
+    one = campaign.searched(plan(), lambda jobs: {job.name: result(None, None, "failed") for job in jobs})[0]
+    assert one.failed
+    assert one.default.error == 1.0  # the worst that counts
+    assert one.default.lost == ("failed: why", "failed: why")
+    assert not one.tuned
+
+
+def test_fewer_lost_runs_come_before_a_smaller_error():
+    space = plan().entrants[0].space
+    start, objective = space.start(), plan().objective
+    sure = judged(start, [result(0.3), result(0.3)], objective)
+    bold = judged(start, [result(0.001), result(1.5)], objective)
+    assert bold.error == pytest.approx(math.sqrt(0.001))
+    assert bold.lost == ("", "ATE RMSE 1.5 m")
+    assert best([bold, sure]) is sure
+    assert best([sure, judged(start, [result(0.3), result(0.3)], objective)]) is sure  # a tie goes to the first
+
+
+def test_a_space_smaller_than_the_budget_is_tried_in_full_and_once():
+    backend = registry.backend("embedded")
+    default = frontend.complete_parameters("embedded", backend, {})
+    parameters = [p for p in backend.parameters if p.name in ("error", "one_to_one")]
+    factors, left = derived(parameters, default)
+    search = Search(Space(factors, default), 20)
+    first = search.next([], None)
+    assert left == {}
+    assert len({candidate.key for candidate in first}) == len(first) == 6
+    assert search.next(first, first[0]) == ()
+
+
+def test_steps_stay_within_the_bounds_and_repeat_no_point():
+    space, tried = plan().entrants[0].space, []
+    search = Search(space, 40, seed=3)
+    while candidates := search.next(tried, tried[-1] if tried else None):
+        tried += candidates
+    assert len({candidate.key for candidate in tried}) == 40
+    for candidate in tried:
+        assert 1e-7 <= candidate.values["epsilon"] <= 1e-1
+        assert candidate.values["max_iterations"] in (10, 20, 40, 80)
+
+
+def test_settings_of_the_front_end_are_nobodys_own():
+    names = {parameter.name for name in ("paper", "kiss-icp") for parameter in own(registry.entrant(name))}
+    assert not names & {"prior", "deskew", "submap", "keyframes", "min_inliers"}
+    with pytest.raises(BadExperiment, match=r"contestant 1 \(embedded\): search.keyframes: .*all contestants alike"):
+        plan(FILE.replace("search.max_iterations", "search.keyframes"))
+
+
+def test_a_space_follows_from_declared_bounds_or_a_decade_around_the_default():
+    parameters = (
+        Parameter("share", 0.5, "", "bounded", low=0.0, high=1.0),
+        Parameter("radius_m", 0.2, "m", "open", low=0.05),
+        Parameter("points", 8, "", "open", low=4),
+        Parameter("off", 0.0, "", "open"),
+        Parameter("kernel", "none", "", "choices", choices=("none", "tukey")),
+    )
+    factors, left = derived(parameters, {parameter.name: parameter.default for parameter in parameters})
+    assert {factor.name: factor.numbers for factor in factors} == {
+        "share": (0.0, 1.0), "radius_m": (0.05, 2.0), "points": (4.0, 8.0, 16.0, 32.0), "kernel": None,
+    }  # fmt: skip
+    assert left == {"off": "its default is 0 and it has no bounds: name its levels"}
+    assert [factor.scale for factor in factors] == ["linear", "log", "linear", "linear"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "told"),
+    [
+        ("seeds = [6, 7]", "seeds = [1]", r"held-out \(lab\): lab with seed 1 is in training too \(lab\)"),
+        ("seeds = [6, 7]", "seeds = [5]", r"lab with seed 5 is in training too"),
+        ("confirm = [2, 3, 4, 5]", "confirm = [1, 2, 3, 4]", "seed 1 is searched with too"),
+        ("confirm = [2, 3, 4, 5]", "confirm = [2]", "it takes 4 runs in all"),
+        ('metric = "ate_rmse_m"', 'metric = "map_f1"', "objective: no error of a trajectory"),
+        ("points = 16", "points = 1", "'points': found 1, expected a whole number from 2"),
+        ("search.max_correspondence_m = [0.1, 1]", "search.max_correspondence_m = [-1, 1]", "found -1.0, expected"),
+        ("search.max_correspondence_m", "search.no_such", "no parameter named 'no_such'"),
+        ('use = "room"', 'use = "roam"', r"held-out 2: no dataset named 'roam'"),
+    ],
+)
+def test_a_file_that_is_not_fair_is_refused(old, new, told):
+    with pytest.raises(BadExperiment, match=told):
+        plan(FILE.replace(old, new))
+
+
+def test_a_recording_trained_on_is_not_judged_on_whatever_its_name(tmp_path):
+    log = tmp_path / "own.log"
+    log.write_text("FLASER 3 1.0 1.0 1.0 0 0 0 0 0 0 0.0 host 0.0\n")
+    same = [{"use": "carmen", "path": str(log)}]
+    other = [{"use": "carmen", "label": "other", "path": str(tmp_path / "x" / ".." / "own.log")}]
+    (tmp_path / "x").mkdir()
+    content = tomllib.loads(FILE)
+    with pytest.raises(BadExperiment, match=r"own\.log is in training too"):
+        plan(training=[*content["training"], *same], **{"held-out": other})
+
+
+def test_a_missing_file_says_what_to_give(tmp_path):
+    with pytest.raises(BadExperiment, match="no such file; give the path of a tuning"):
+        read(tmp_path / "none.toml", "none", "evalkit tune none.toml")
+
+
+def test_names_on_the_command_line_make_a_fair_tuning():
+    made = tuning(named(["embedded", "paper"], ["lab"], ["room"], 8, {"laps": "0.05"}), "evalkit tune", "x", "y")
+    assert [one.label for one in made.entrants] == ["embedded", "paper"]
+    assert made.training[0].course.parameters["laps"] == 0.05
+    assert [course.label for course in made.held_out] == ["room"]
+
+
+def test_a_tuned_row_stands_beside_its_default_in_an_experiment_that_reads_back():
+    made = plan()
+    found = campaign.searched(made, Known(off))
+    back = held_out_plan(experiment_text(made, found), "tuned.toml")
+    assert [entrant.label for entrant in back.contestants] == ["embedded", "embedded tuned", "paper"]
+    assert dict(back.contestants[1].parameters) == dict(found[0].best.candidate.values)
+    assert back.courses == made.held_out
+    assert (back.mapper, back.limits) == (made.mapper, made.limits)
+
+
+def test_the_frontier_is_what_no_other_point_beats():
+    costs = np.array([1.0, 2.0, 3.0, 2.0, 4.0, 1.0, 0.5])
+    errors = np.array([5.0, 3.0, 3.0, 4.0, 1.0, 5.0, np.inf])
+    assert frontier(costs, errors).tolist() == [True, True, False, False, True, True, False]
+
+
+def test_a_run_that_takes_too_long_has_failed_with_its_reason(strangers, monkeypatch):
+    monkeypatch.setattr(trial, "LOOK_EVERY_S", 0.05)
+    parameters = {"fault": "spin", "at": 1}
+    sequence = {p.name: p.default for p in registry.dataset("straight").parameters}
+    begun = time.monotonic()
+    told = trial.tried(0.2, "faulty", parameters, "straight", sequence, ["ate_rmse_m"], "")
+    assert told["status"] == "failed"
+    assert "more than 0.2 s of CPU time" in told["reason"]
+    assert time.monotonic() - begun < 60.0  # it would have spun for ever
+
+
+def test_keys_of_jobs_change_with_what_they_stand_on():
+    made = plan()
+    entrant, run = made.entrants[0], made.search_runs[0]
+    keys = {made.job(entrant, one, run).key for one in Search(entrant.space, 4).next([], None)}
+    assert len(keys) == 2
+    assert json.dumps(dict(made.job(entrant, entrant.space.start(), run).arguments))
