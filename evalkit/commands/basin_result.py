@@ -117,6 +117,7 @@ class Result:
     def as_json(self) -> dict[str, Any]:
         """All of it in numbers, texts, lists and dictionaries."""
         return {
+            "schema": {"name": "evalkit-basin", "version": 1},
             "success": {"within_m": self.criterion.within_m, "within_deg": math.degrees(self.criterion.within_rad)},
             "scenes": {scene.trials.place: _scene(scene) for scene in self.scenes},
             "parameters": {each.label: dict(each.values) for each in self.entrants},

@@ -68,6 +68,7 @@ def record(outcome: Outcome) -> Row:
     """The whole study as JSON values."""
     study = outcome.study
     return {
+        "schema": {"name": "evalkit-study", "version": 1},
         "title": study.title,
         "command": study.command,
         "backend": study.backend,

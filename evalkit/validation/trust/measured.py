@@ -96,6 +96,7 @@ def record(asked: Asked, results: Mapping[str, Result], made: Mapping[str, Any])
     every = rows(asked, results)
     found = ranking.ranks(every, np.random.default_rng(asked.seed))
     return {
+        "schema": {"name": "evalkit-metrics-validated", "version": 1},
         **made,
         **asdict(asked),
         "swift": rebuilding.SWIFT,
