@@ -17,12 +17,12 @@ from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
+from evalkit import saved
 from evalkit.errors import StoreError
 from evalkit.types import STEP, OccupancyGrid, Pose, Run, Score, Trajectory
 
@@ -99,7 +99,7 @@ class Store:
         """A finished run, or None."""
         folder = self.run_folder(key)
         try:
-            record = json.loads((folder / "run.json").read_text(encoding="utf-8"))
+            record = saved.values((folder / "run.json").read_bytes())
             return Run(steps=read_steps(folder / STEPS), **record)
         except (OSError, ValueError, TypeError):  # absent or half-written: the run is simply made again
             return None
@@ -107,7 +107,7 @@ class Store:
     def load_made(self, key: str) -> dict[str, Any]:
         """When a run was made ("made", ISO 8601), on what, and under which limits; empty where nobody knows."""
         try:
-            content = json.loads((self.run_folder(key) / "made.json").read_text(encoding="utf-8"))
+            content = saved.values((self.run_folder(key) / "made.json").read_bytes())
         except (OSError, ValueError):  # made before this was kept, or half-written
             return {}
         return content if isinstance(content, dict) else {}
@@ -130,12 +130,12 @@ class Store:
         """What scoring made of a run ("scores" as Score values), or None."""
         folder = self.run_folder(key)
         try:
-            content: dict[str, Any] = json.loads((folder / "scores.json").read_text(encoding="utf-8"))
+            content: dict[str, Any] = saved.values((folder / "scores.json").read_bytes())
             content["scores"] = {name: Score(**score) for name, score in content["scores"].items()}
             content["world_from_start"] = Pose.of(content["world_from_start"])
             content["grid"] = _load_grid(folder / "grid.npz")
-            content["errors_m"] = np.load(folder / "errors.npy") if (folder / "errors.npy").exists() else None
-        except (OSError, ValueError, TypeError, KeyError, EOFError, BadZipFile):  # absent or damaged: scored again
+            content["errors_m"] = saved.array(folder / "errors.npy") if (folder / "errors.npy").exists() else None
+        except (OSError, ValueError, TypeError, KeyError, AttributeError, OverflowError):  # absent or damaged
             return None
         return content
 
@@ -191,9 +191,9 @@ def tum(trajectory: Trajectory, sequence: str, backend: str) -> str:
 def _load_grid(path: Path) -> OccupancyGrid | None:
     if not path.exists():
         return None
-    with np.load(path) as saved:
-        resolution_m, origin_x, origin_y = saved["frame"].tolist()
-        return OccupancyGrid(saved["log_odds"], saved["observed"], resolution_m, origin_x, origin_y)
+    kept = saved.arrays(path)
+    resolution_m, origin_x, origin_y = kept["frame"].tolist()
+    return OccupancyGrid(kept["log_odds"], kept["observed"], resolution_m, origin_x, origin_y)
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from evalkit import saved
 from evalkit.errors import StoreError
 from evalkit.report.record import NAME, VERSION
 from evalkit.report.resampling import Series
@@ -84,7 +84,7 @@ def _of_report(folder: Path, content: dict[str, Any]) -> Snapshot:
 def _finished(folder: Path, trial: Mapping[str, Any]) -> Finished:
     scores = {name: score["value"] for name, score in trial["scores"].items() if score["value"] is not None}
     parameters = {name: value for name, value in trial["dataset_parameters"].items() if name != "seed"}
-    own = folder / "runs" / str(trial["key"])
+    own = folder / "runs" / Path(str(trial["key"])).name  # a folder there, whatever the file says
     return Finished(trial["status"], trial["reason"], parameters, scores, _series(own))
 
 
@@ -96,16 +96,25 @@ def _of_runs(folder: Path) -> Snapshot:
         if not (own / "run.json").exists() or not (own / "request.json").exists():
             unfinished += 1
             continue
-        run, request = _content(own / "run.json"), _content(own / "request.json")
         made = _content(own / "made.json") if (own / "made.json").exists() else {}
-        scored = _content(own / "scores.json")["scores"] if (own / "scores.json").exists() else {}
-        parameters = dict(request.get("dataset_parameters", {}))
-        place = (run["backend"], run["sequence"], parameters.pop("seed", None))
-        scores = {name: score["value"] for name, score in scored.items() if score["value"] is not None}
         when, processor = str(made.get("made", "")), str(made.get("processor", processor))
-        if place not in runs or runs[place][0] <= when:
-            runs[place] = when, Finished(run["status"], run["reason"], parameters, scores, _series(own))
+        try:
+            place, finished = _stored(own)
+            if place not in runs or runs[place][0] <= when:
+                runs[place] = when, finished
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise StoreError(str(own), f"is not whole ({error!r})", "make the run again") from error
     return Snapshot(str(folder), {place: run for place, (_, run) in runs.items()}, processor, unfinished)
+
+
+def _stored(own: Path) -> tuple[Place, Finished]:
+    """Where a stored run belongs, and how it ended."""
+    run, request = _content(own / "run.json"), _content(own / "request.json")
+    scored = _content(own / "scores.json")["scores"] if (own / "scores.json").exists() else {}
+    parameters = dict(request.get("dataset_parameters", {}))
+    place = (run["backend"], run["sequence"], parameters.pop("seed", None))
+    scores = {name: score["value"] for name, score in scored.items() if score["value"] is not None}
+    return place, Finished(run["status"], run["reason"], parameters, scores, _series(own))
 
 
 def _series(own: Path) -> dict[str, Series]:
@@ -114,7 +123,7 @@ def _series(own: Path) -> dict[str, Series]:
         return {}
     steps = read_steps(own / "steps.bin")
     try:
-        errors = np.load(own / "errors.npy")
+        errors = saved.array(own / "errors.npy")
     except (OSError, ValueError):  # half-written: the score still stands, only without its interval
         return {}
     if len(steps) != len(errors) or len(steps) < 2:
@@ -127,7 +136,7 @@ def _series(own: Path) -> dict[str, Series]:
 
 def _content(path: Path) -> dict[str, Any]:
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = saved.values(path.read_bytes())
     except (OSError, ValueError) as error:
         raise StoreError(str(path), f"cannot be read, perhaps half-written ({error})", "make it again") from error
     if not isinstance(content, dict):

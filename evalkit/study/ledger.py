@@ -21,11 +21,10 @@ from multiprocessing.queues import Queue
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 
-from evalkit import environment, lifeline
+from evalkit import environment, lifeline, saved
 from evalkit.errors import EvalkitError, StoreError, plain
 from evalkit.fingerprint import fingerprint
 from evalkit.store import REMEDY
@@ -108,11 +107,11 @@ class Ledger:
         """The stored result of a job, None if there is none that can be read."""
         path = self.path(job)
         try:
-            with np.load(path, allow_pickle=False) as file:
-                content: dict[str, Any] = json.loads(str(file["json"]))
-                return content | {name: file[name] for name in file.files if name != "json"}
-        except (OSError, ValueError, KeyError, BadZipFile):
+            file = saved.arrays(path)
+            content = saved.values(str(file.pop("json")))
+        except (OSError, ValueError, KeyError):
             return None
+        return content | file if isinstance(content, dict) else None
 
     def path(self, job: Job) -> Path:
         """Where the result of a job stands."""
