@@ -17,7 +17,7 @@ from typing import IO
 import psutil
 
 from evalkit.environment import SINGLE_THREAD
-from evalkit.lifeline import MARK, PARENT
+from evalkit.lifeline import MARK, PARENT, signal_name
 
 POLL_S = 0.05
 """How often whoever waits for a child looks at it."""
@@ -126,15 +126,8 @@ def last_words(code: int, output: Path) -> str:
     last = _last_line(output)
     if code < 0:
         hint = " (by the system, where memory ran out)" if -code == signal.SIGKILL else ""
-        return f"the process was ended by {_signal(-code)}{hint}{last}"
+        return f"the process was ended by {signal_name(-code)}{hint}{last}"
     return f"the process ended itself with code {code}{last}"
-
-
-def _signal(number: int) -> str:
-    try:
-        return signal.Signals(number).name
-    except ValueError:  # most real-time signals have no name
-        return f"signal {number}"
 
 
 def _last_line(output: Path) -> str:

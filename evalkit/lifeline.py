@@ -18,6 +18,14 @@ PARENT = "EVALKIT_PARENT"
 _PR_SET_PDEATHSIG = 1  # of Linux's prctl
 
 
+def signal_name(number: int) -> str:
+    """What a signal is called, in words where the system has no name for it."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:  # most real-time signals have none
+        return f"signal {number}"
+
+
 def end_with_parent() -> None:
     """From now on this process ends when the one that started it does, however that comes about.
 

@@ -95,8 +95,8 @@ def load(name: str, file: Path) -> ctypes.CDLL:
 
 
 def main() -> int:
-    """Prints as JSON what the library named on the command line says of itself, or why it cannot be used."""
-    name, file = sys.argv[1:]
+    """Leaves in a file what the library named on the command line says of itself (JSON), or why it cannot be used."""
+    name, file, answer = sys.argv[1:]
     try:
         library = load(name, Path(file))
         said: dict[str, object] = {
@@ -106,7 +106,7 @@ def main() -> int:
         }
     except BackendFailed as error:
         said = {"failed": error.args[1:]}
-    sys.stdout.write("\n" + json.dumps(said) + "\n")
+    Path(answer).write_text(json.dumps(said), encoding="utf-8")
     return 0
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from evalkit import frontend
-from evalkit.errors import BackendFailed, BadParameter
+from evalkit.errors import BackendFailed, BadParameter, brief
 from evalkit.protocols import BackendSpec, Odometry, Parameter, Registration, Value, with_defaults
 
 UNTOLD = "not told: it is somebody else's"
@@ -158,4 +158,5 @@ def _text(name: str, content: Mapping[str, Any], key: str) -> str:
 
 
 def _malformed(name: str, key: str, found: object, expected: str) -> BackendFailed:
-    return BackendFailed(name, f"describes itself wrongly: '{key}': found {found!r}, expected {expected}", "mend it")
+    what = f"describes itself wrongly: '{key}': found {brief(found)}, expected {expected}"
+    return BackendFailed(name, what, "mend it")

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import ctypes
 import json
-import signal
 import subprocess
 import sys
+import tempfile
 import weakref
 from functools import cache, partial
 from pathlib import Path
@@ -21,6 +21,7 @@ from evalkit.clock import conversion
 from evalkit.errors import BackendFailed
 from evalkit.external import abi, elf
 from evalkit.external.declaration import absent, broken, declaration, digest_of, listed, settings, spec, split, text
+from evalkit.lifeline import signal_name
 from evalkit.protocols import BackendSpec, Parameter, Value
 from evalkit.se2 import Floats
 from evalkit.types import Cloud, Frame, Iteration, Match, Pose
@@ -136,18 +137,20 @@ class Instance:
 @cache
 def _asked(name: str, file: Path, _digest: str) -> dict[str, Any]:
     """What ``abi.main`` says of a library in a process of its own; the digest tells one build from the next."""
-    command = [sys.executable, "-P", "-m", abi.__name__, name, str(file)]
-    try:
-        done = subprocess.run(
-            command, stdin=subprocess.DEVNULL, capture_output=True, timeout=LOOK_S, check=False, text=True,
-            errors="replace",
-        )  # fmt: skip
-    except subprocess.TimeoutExpired:
-        return {"failed": (f"was not loaded within {LOOK_S:g} s", "see what it does when loaded")}
-    if done.returncode:
-        how = f"code {done.returncode}" if done.returncode > 0 else signal.Signals(-done.returncode).name
-        return {"failed": (f"loading it ended the process with {how}", "mend what it does when loaded")}
-    said: dict[str, Any] = json.loads(done.stdout.splitlines()[-1])  # before it, whatever the library printed
+    nowhere = subprocess.DEVNULL  # a library may print without end
+    with tempfile.TemporaryDirectory(prefix="evalkit-look-") as place:
+        answer = Path(place) / "answer.json"
+        command = [sys.executable, "-P", "-m", abi.__name__, name, str(file), str(answer)]
+        try:
+            code = subprocess.run(
+                command, stdin=nowhere, stdout=nowhere, stderr=nowhere, timeout=LOOK_S, check=False
+            ).returncode
+        except subprocess.TimeoutExpired:
+            return {"failed": (f"was not loaded within {LOOK_S:g} s", "see what it does when loaded")}
+        if code or not answer.exists():
+            how = signal_name(-code) if code < 0 else f"code {code}"
+            return {"failed": (f"loading it ended the process with {how}", "mend what it does when loaded")}
+        said: dict[str, Any] = json.loads(answer.read_bytes())
     return said if "failed" in said else said | {"parameters": listed(said["parameters"])}
 
 

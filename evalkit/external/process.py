@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shlex
 import shutil
+import sys
 from collections.abc import Mapping
 from functools import cache, partial
 from pathlib import Path
@@ -21,6 +22,9 @@ from evalkit.se2 import Floats
 from evalkit.types import Cloud, Frame, Match, Pose
 
 VERSION = 1
+MOST_COUNTED = 2.0**31
+"""Iterations and pairs are kept in 32 bits."""
+
 HELLO_S = 10.0
 """How long starting a program and its first answer may take."""
 
@@ -67,14 +71,7 @@ class ProgramRegistration:
             )
         line = self._talk.timed(question)
         with clock.conversion():
-            answer = self._talk.heard(line)
-            return Match(
-                self._talk.pose(answer),
-                bool(self._talk.number(answer, "converged")),
-                int(self._talk.number(answer, "iterations")),
-                self._talk.number(answer, "error_m", optional=True),
-                int(self._talk.number(answer, "inliers")),
-            )
+            return self._talk.match(self._talk.heard(line))
 
 
 class ProgramOdometry:
@@ -140,21 +137,31 @@ class Talk:
             clock.device(int(self.number(answer, "elapsed_ns")))
         return answer
 
-    def number(self, answer: dict[str, Any], key: str, *, optional: bool = False) -> float:
-        """A number (or true, false) of an answer; nan where it is optional and not told."""
+    def number(self, answer: dict[str, Any], key: str, *, optional: bool = False, most: float = 2.0**63) -> float:
+        """A number (or true, false) of an answer, less than ``most``; nan where it is optional and not told."""
         found = answer.get(key)
         if found is None and optional:
             return float("nan")
-        if not isinstance(found, (int, float)) or not 0.0 <= found < np.inf:
-            raise self.program.malformed(key, found, "a number from 0")
+        if not isinstance(found, (int, float)) or not 0.0 <= found < most:
+            raise self.program.malformed(key, found, f"a number from 0, less than {most:g}")
         return found
+
+    def match(self, answer: dict[str, Any]) -> Match:
+        """The match of an answer."""
+        return Match(
+            self.pose(answer),
+            bool(self.number(answer, "converged")),
+            int(self.number(answer, "iterations", most=MOST_COUNTED)),
+            self.number(answer, "error_m", optional=True),
+            int(self.number(answer, "inliers", most=MOST_COUNTED)),
+        )
 
     def pose(self, answer: dict[str, Any]) -> Pose:
         """The pose of an answer."""
         found = answer.get("pose")
         if not isinstance(found, list) or len(found) != 3 or not all(type(value) in (int, float) for value in found):
             raise self.program.malformed("pose", found, "three numbers: x, y, theta")
-        if not np.isfinite(found).all():
+        if not all(abs(value) <= sys.float_info.max for value in found):  # JSON's whole numbers have no end
             raise self.program.malformed("pose", found, "finite numbers; where there is none better, the guess")
         return Pose.of(found)
 

@@ -6,7 +6,6 @@ import contextlib
 import json
 import os
 import selectors
-import signal
 import subprocess
 import sys
 import threading
@@ -17,7 +16,9 @@ from typing import IO, Any
 
 import psutil
 
-from evalkit.errors import BackendFailed
+from evalkit import saved
+from evalkit.errors import BackendFailed, brief
+from evalkit.lifeline import signal_name
 
 LONGEST_ANSWER = 1 << 20
 """Bytes of one answer; a program that writes more without end of line writes something else."""
@@ -78,19 +79,19 @@ class Program:
     def read(self, line: bytes) -> dict[str, Any]:
         """The object in an answer's line; BackendFailed with the program's own words where it says it failed."""
         try:
-            answer = json.loads(line)
+            answer = saved.values(line)
         except ValueError:
             what = f"answered what is not one line of JSON: {_shown(line)}"
             raise self._failed(what, "print messages to stderr") from None
         if not isinstance(answer, dict):
             raise self._failed(f"answered {_shown(line)}", "expected a JSON object")
         if "failed" in answer:
-            raise self._failed(f"says it failed: {answer['failed']}", "see what it needs")
+            raise self._failed(f"says it failed: {str(answer['failed'])[:300]}", "see what it needs")
         return answer
 
     def malformed(self, key: str, found: object, expected: str) -> BackendFailed:
         """The error of an answer with a value that cannot be."""
-        return self._failed(f"answered '{key}': {str(found)[:100]}, expected {expected}", "mend the answer")
+        return self._failed(f"answered '{key}': {brief(found)}, expected {expected}", "mend the answer")
 
     def cpu_ns(self) -> int:
         """The CPU time of the program so far, all its threads; not that of programs it started."""
@@ -124,7 +125,7 @@ class Program:
             code = self._process.wait(FAREWELL_S)
         except subprocess.TimeoutExpired:
             return self._failed("closed its output without an answer", "answer every line with a line")
-        how = f"code {code}" if code >= 0 else f"{signal.Signals(-code).name}"
+        how = f"code {code}" if code >= 0 else signal_name(-code)
         self._listener.join(FAREWELL_S)  # its last words may still be on their way
         return self._failed(f"ended with {how} instead of answering", "see what it says")
 
