@@ -95,10 +95,15 @@ class Family:
 
 
 def cut(output: Path) -> None:
-    """Empties a file of output that has grown too long; the child goes on at its new end."""
+    """Leaves of a file of output that has grown too long its last words; the child goes on at its new end."""
     with contextlib.suppress(OSError):  # the child has removed it
         if output.stat().st_size > MOST_OUTPUT:
-            os.truncate(output, 0)
+            with output.open("r+b") as file:
+                file.seek(-LAST_WORDS, os.SEEK_END)
+                last = file.read()
+                file.truncate(0)
+            with output.open("ab") as file:
+                file.write(last)
 
 
 def _mark(folder: Path) -> str:

@@ -5,26 +5,40 @@ from __future__ import annotations
 import shlex
 import signal
 import sys
-from collections.abc import Callable
-from dataclasses import asdict
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 from rich.markup import escape
 from rich.table import Table
 
 from evalkit import __version__, console, environment, experiment, listing, recording, registry
-from evalkit.commands import options
+from evalkit.commands import ending, options
 from evalkit.commands.basin import basin
 from evalkit.commands.check import check
 from evalkit.commands.determinism import determinism
 from evalkit.commands.diff import diff
+from evalkit.commands.ending import ABSENT, Row
 from evalkit.commands.equiv import equiv
 from evalkit.commands.export import export
 from evalkit.commands.metrics import metrics
-from evalkit.commands.options import FAILED, Collect, Jobs, Json, Making, Out, Rerun, Resume, err, out
+from evalkit.commands.options import (
+    AccuracyOnly,
+    Collect,
+    Jobs,
+    Json,
+    Making,
+    Out,
+    Rerun,
+    Resume,
+    Scheduler,
+    err,
+    out,
+)
 from evalkit.commands.realtime import realtime
 from evalkit.commands.study import study
 from evalkit.commands.tune import tune
@@ -32,8 +46,8 @@ from evalkit.commands.validate import validate
 from evalkit.engine import Engine
 from evalkit.errors import EvalkitError, NotInstalled, StoreError
 from evalkit.experiment import Plan
+from evalkit.places import There
 from evalkit.store import REMEDY, Store
-from evalkit.types import Status, Trial
 
 app = typer.Typer(
     help="Which scan matcher, on my robot, and is my own one right? Compare 2D lidar registration back ends.",
@@ -45,10 +59,6 @@ Experiment = Annotated[Path, typer.Argument(help="An experiment file (*.toml).",
 Sequences = Annotated[list[str] | None, typer.Option(help="Only this sequence (repeatable).", show_default="all")]
 Contestants = Annotated[list[str] | None, typer.Option(help="Only this contestant (repeatable).", show_default="all")]
 Seeds = Annotated[list[int] | None, typer.Option(help="Only this seed (repeatable).", show_default="all")]
-
-
-ABSENT: tuple[Status, ...] = ("not-installed", "data-missing", "skipped")
-"""The statuses of runs that were never begun."""
 
 
 def main() -> None:
@@ -111,12 +121,18 @@ def run(
     sequence: Sequences = None,
     contestant: Contestants = None,
     seed: Seeds = None,
+    engine: options.Engine = "local",
+    scheduler: Scheduler = "",
+    accuracy_only: AccuracyOnly = False,
     as_json: Json = False,
 ) -> None:
     """Run an experiment and score it; results land in the folder as they come."""
-    plan = experiment.read(file).only(sequence or [], contestant or [], seed or [])
-    trials, _ = _trials(plan, Store(folder or _folder(plan)), Making.of(jobs, resume, rerun, collect))
-    _end(trials, plan, None, as_json)
+    plan = _plan(experiment.read(file), accuracy_only).only(sequence or [], contestant or [], seed or [])
+    store = Store(folder or _folder(plan))
+    how = Making.of(jobs, resume, rerun, collect, engine, scheduler)
+    with _engine(plan, store, how) as asked, closing(asked.ended()) as all_ended:
+        rows = {ended.planned.key: Row.of(ended) for ended in all_ended}
+    ending.tell([rows[item.key] for item in asked.planned], plan.title, store, None, as_json)
 
 
 @app.command()
@@ -130,11 +146,14 @@ def report(
     sequence: Sequences = None,
     contestant: Contestants = None,
     seed: Seeds = None,
+    engine: options.Engine = "local",
+    scheduler: Scheduler = "",
+    accuracy_only: AccuracyOnly = False,
     as_json: Json = False,
 ) -> None:
     """Run an experiment and write its report: one HTML page, CSV and JSON tables, trajectories and maps."""
-    plan = experiment.read(file).only(sequence or [], contestant or [], seed or [])
-    _report(plan, folder, Making.of(jobs, resume, rerun, collect), as_json)
+    plan = _plan(experiment.read(file), accuracy_only).only(sequence or [], contestant or [], seed or [])
+    _report(plan, folder, Making.of(jobs, resume, rerun, collect, engine, scheduler), as_json)
 
 
 @app.command()
@@ -152,6 +171,9 @@ def compare(
     collect: Collect = False,
     sequence: Sequences = None,
     contestant: Contestants = None,
+    engine: options.Engine = "local",
+    scheduler: Scheduler = "",
+    accuracy_only: AccuracyOnly = False,
     as_json: Json = False,
 ) -> None:
     """Compare back ends on your own recording, in one line."""
@@ -165,8 +187,8 @@ def compare(
     names = [name for word in backends.split(",") if (name := word.strip())]
     plan = recording.plan(file, own, options.settings(setting or []), names, source)
     recording.first_frame(plan)
-    plan = plan.only(sequence or [], contestant or [], [])
-    _report(plan, folder, Making.of(jobs, resume, rerun, collect), as_json)
+    plan = _plan(plan, accuracy_only).only(sequence or [], contestant or [], [])
+    _report(plan, folder, Making.of(jobs, resume, rerun, collect, engine, scheduler), as_json)
 
 
 COMMANDS: tuple[Callable[..., None], ...] = (
@@ -184,83 +206,35 @@ def _report(plan: Plan, folder: Path | None, how: Making, as_json: bool) -> None
 
     started = datetime.now(UTC)
     store = Store(folder or _folder(plan))
-    trials, ran_on = _trials(plan, store, how)
+    with _engine(plan, store, how) as asked:
+        trials = asked.trials()
     made = [store.load_made(trial.key) for trial in trials if trial.run.status not in ABSENT]
-    ran_on |= environment.kept(made, started)
+    ran_on = {**asked.ran_on, **environment.kept(made, started), **environment.machines(made)}
     comparison = pages.comparison_of(plan, trials, started, datetime.now(UTC), ran_on)
     try:
         page = pages.write(comparison, store.folder)
     except OSError as error:
         raise StoreError(str(store.folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
-    _end(trials, plan, page, as_json)
+    ending.tell([Row.of_trial(trial) for trial in trials], plan.title, store, page, as_json)
 
 
-def _trials(plan: Plan, store: Store, how: Making) -> tuple[tuple[Trial, ...], dict[str, str]]:
-    """Every run of the plan, and what they ran on as it was before the first."""
+@contextmanager
+def _engine(plan: Plan, store: Store, how: Making) -> Iterator[Engine]:
+    """What makes the runs of a plan, told of while it does; it knows the machine as it was before the first."""
     for line in console.missing(plan):
         err.print(line, markup=False, highlight=False)
+    place = There(replace(how.cluster, timed=plan.timed)) if how.cluster else None
     ran_on = environment.describe(jobs=how.jobs)
     try:
-        with console.progress(err, list(plan.runs()), how.jobs) as shown:
-            engine = Engine(plan, store, shown, how.jobs, how.resume, ran_on, how.rerun, how.collect)
-            return engine.trials(), ran_on
+        with console.progress(err, list(plan.runs()), how.jobs, quiet=how.collect) as shown:
+            yield Engine(plan, store, shown, how.jobs, how.resume, ran_on, how.rerun, how.collect, place)
     except KeyboardInterrupt:
         err.print("interrupted; finished runs are kept: the same command with --resume goes on from here")
         raise
 
 
-def _end(trials: tuple[Trial, ...], plan: Plan, page: Path | None, as_json: bool) -> None:
-    """Prints where the result is; exit code 1 if a run that could have completed did not, 3 if one is not made yet."""
-    complete = sum(trial.run.status == "complete" for trial in trials)
-    broken = [trial for trial in trials if trial.run.status in FAILED]
-    skipped = [trial for trial in trials if trial.run.status == "skipped"]
-    if as_json:
-        options.print_json(
-            {"title": plan.title, "page": str(page) if page else None, "runs": [_row(trial) for trial in trials]}
-        )
-    else:
-        absent = len(trials) - complete - len(broken) - len(skipped)
-        names = ", ".join(_absent(trials))
-        told = f"{complete} runs complete, {len(broken)} failed, {absent} not possible here"
-        out.print(f"{told}: {names}" if names else told, markup=False, highlight=False)
-        if skipped:
-            missing = ", ".join(f"{trial.contestant} on {_with_seed(trial)}" for trial in skipped)
-            out.print(f"{len(skipped)} not made yet: {missing}", markup=False, highlight=False)
-        if page is not None:
-            out.print(str(page.resolve()), highlight=False, markup=False)
-    if broken:
-        raise typer.Exit(1)
-    if skipped:
-        raise typer.Exit(3)
-
-
-def _with_seed(trial: Trial) -> str:
-    return trial.sequence if trial.seed is None else f"{trial.sequence} seed {trial.seed}"
-
-
-def _absent(trials: tuple[Trial, ...]) -> list[str]:
-    """The contestants and sequences that could not run here, each once; "who on what" where it was the pair alone."""
-    absent = [trial for trial in trials if trial.run.status in ABSENT and trial.run.status != "skipped"]
-    missing = {trial.sequence for trial in absent if trial.run.status == "data-missing" and trial.run.expected == 0}
-    return list(dict.fromkeys(_what_is_absent(trial, trial.sequence not in missing) for trial in absent))
-
-
-def _what_is_absent(trial: Trial, sequence_is_here: bool) -> str:
-    if trial.run.status == "not-installed":
-        return trial.contestant
-    return f"{trial.contestant} on {trial.sequence}" if sequence_is_here else trial.sequence
-
-
-def _row(trial: Trial) -> dict[str, Any]:
-    return {
-        "contestant": trial.contestant,
-        "sequence": trial.sequence,
-        "seed": trial.seed,
-        "status": trial.run.status,
-        "reason": trial.run.reason,
-        "key": trial.key,
-        "scores": {name: score.value for name, score in trial.scores.items()},
-    }
+def _plan(plan: Plan, accuracy_only: bool) -> Plan:
+    return plan.untimed() if accuracy_only else plan
 
 
 def _folder(plan: Plan) -> Path:

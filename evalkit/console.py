@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import threading
+import io
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
 from statistics import fmean
@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from evalkit.experiment import Plan, Planned
-from evalkit.types import Trial
+from evalkit.making import Ended
 
 WIDE = 10_000
 """Columns of a table that is piped: one line a row, whatever it holds."""
@@ -25,25 +25,27 @@ class TimeLeft:
     """An estimate from what finished runs took: a sequence's mean times a contestant's share of the mean."""
 
     def __init__(self, planned: list[Planned], jobs: int) -> None:
-        self._open = [(item.course.label, item.contestant.label, item.seed) for item in planned]
+        self._open = Counter((item.course.label, item.contestant.label) for item in planned)
         self._jobs = jobs
-        self._took: dict[str, list[float]] = defaultdict(list)
+        self._took: dict[str, float] = defaultdict(float)
+        self._runs: dict[str, int] = defaultdict(int)
 
-    def finished(self, course: str, contestant: str, seed: int | None, seconds: float) -> None:
-        """One run less; ``seconds`` is what it took with its scoring."""
-        self._open.remove((course, contestant, seed))
-        for name in ("", f"course {course}", f"contestant {contestant}"):
-            self._took[name].append(seconds)
+    def finished(self, course: str, contestant: str, seconds: float) -> None:
+        """One run less; ``seconds``: what it took with its scoring, 0 for one that was kept and tells nothing."""
+        self._open[course, contestant] -= 1
+        for name in ("", f"course {course}", f"contestant {contestant}") if seconds > 0.0 else ():
+            self._took[name] += seconds
+            self._runs[name] += 1
 
     def seconds(self) -> float | None:
         """Seconds until all is done; None before anything is known."""
         if not self._took:
             return None
-        mean = max(fmean(self._took[""]), 1e-9)
-        of = {name: fmean(took) for name, took in self._took.items()}
+        of = {name: took / self._runs[name] for name, took in self._took.items()}
+        mean = of[""]
         expected = (
-            of.get(f"course {course}", mean) * of.get(f"contestant {contestant}", mean) / mean
-            for course, contestant, _ in self._open
+            count * of.get(f"course {course}", mean) * of.get(f"contestant {contestant}", mean) / mean
+            for (course, contestant), count in self._open.items()
         )
         return sum(expected) / self._jobs
 
@@ -54,27 +56,21 @@ class RunLines:
     def __init__(self, console: Console, planned: list[Planned], jobs: int) -> None:
         self._console, self._total, self._done = console, len(planned), 0
         self._left = TimeLeft(planned, jobs)
-        self._begun: dict[str, float] = {}
-        self._lock = threading.Lock()
 
     def begun(self, planned: Planned) -> None:
-        """A run starts now."""
-        self._begun[planned.key] = time.monotonic()
+        """A run starts; its line comes when it has ended."""
 
     def answered(self, planned: Planned, scans: int) -> None:
         """A run has answered so many scans; a line each would be too many."""
 
-    def finished(self, trial: Trial) -> None:
+    def finished(self, ended: Ended) -> None:
         """A run is done: its line, and the time left."""
-        with self._lock:  # runs end in several threads
-            self._done += 1
-            now = time.monotonic()
-            seconds = now - self._begun.get(trial.key, now)
-            self._left.finished(trial.sequence, trial.contestant, trial.seed, seconds)
-            self._tell(trial, seconds)
+        self._done += 1
+        self._left.finished(ended.planned.course.label, ended.planned.contestant.label, ended.seconds)
+        self._tell(ended)
 
-    def _tell(self, trial: Trial, seconds: float) -> None:
-        self._console.print(f"[{self._done}/{self._total}] {_line(trial, seconds)}, {self._time_left()}", markup=False)
+    def _tell(self, ended: Ended) -> None:
+        self._console.print(f"[{self._done}/{self._total}] {_line(ended)}, {self._time_left()}", markup=False)
 
     def _time_left(self) -> str:
         left = self._left.seconds()
@@ -95,15 +91,18 @@ class RunBar(RunLines):
         at = escape(f"{planned.course.label} / {planned.contestant.label}: scan {scans:,}")
         self.bar.update(self._task, description=f"{self._time_left()}  {at}")
 
-    def _tell(self, trial: Trial, seconds: float) -> None:
+    def _tell(self, ended: Ended) -> None:
         self.bar.update(self._task, completed=self._done, description=self._time_left())
-        if trial.run.status != "complete":
-            self._console.print(_line(trial, seconds), markup=False)
+        if ended.status != "complete":
+            self._console.print(_line(ended), markup=False)
 
 
 @contextmanager
-def progress(console: Console, planned: list[Planned], jobs: int) -> Iterator[RunLines]:
-    """A bar on a terminal, lines elsewhere."""
+def progress(console: Console, planned: list[Planned], jobs: int, quiet: bool = False) -> Iterator[RunLines]:
+    """A bar on a terminal, lines elsewhere; ``quiet``: lines for nobody."""
+    if quiet:
+        yield RunLines(Console(file=io.StringIO(), quiet=True), planned, jobs)
+        return
     if not console.is_terminal:
         yield RunLines(console, planned, jobs)
         return
@@ -186,10 +185,11 @@ def missing(plan: Plan) -> list[str]:
     return [f"missing here: {', '.join(lacking[reason])}: {reason}" for reason in by_system]
 
 
-def _line(trial: Trial, seconds: float) -> str:
-    seed = "" if trial.seed is None else f" seed {trial.seed}"
-    reason = f" ({trial.run.reason})" if trial.run.reason else ""
-    return f"{trial.sequence}{seed} / {trial.contestant}: {trial.run.status}{reason}, {seconds:.1f} s"
+def _line(ended: Ended) -> str:
+    planned = ended.planned
+    seed = "" if planned.seed is None else f" seed {planned.seed}"
+    reason = f" ({ended.reason})" if ended.reason else ""
+    return f"{planned.course.label}{seed} / {planned.contestant.label}: {ended.status}{reason}, {ended.seconds:.1f} s"
 
 
 def _clock(seconds: float) -> str:

@@ -6,8 +6,10 @@ import os
 import platform
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from datetime import datetime
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -21,7 +23,9 @@ SINGLE_THREAD: dict[str, str] = dict.fromkeys(
 )
 """Environment of every timed process."""
 
-KEPT_WITH_RUNS = ("evalkit", "commit", "processor", "load before", "runs at a time")
+KEPT_WITH_RUNS = (
+    "evalkit", "commit", "python", "system", "host", "processor", "governor", "load before", "runs at a time",
+)  # fmt: skip
 """What of a description is kept with every run: a later report may show the run beside others."""
 
 
@@ -30,16 +34,40 @@ def describe(distributions: Iterable[str] = (), *, jobs: int | None = None) -> d
     return {
         "evalkit": __version__,
         "commit": _commit(),
-        "python": f"{platform.python_implementation()} {platform.python_version()}",
-        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
-        "processor": _processor(),
+        **machine(),
         "cores": f"{psutil.cpu_count(logical=False) or '?'} physical, {psutil.cpu_count()} logical",
         "memory": f"{psutil.virtual_memory().total / 2**30:.1f} GiB",
         "threads per run": "1 (pinned to one core)" if hasattr(os, "sched_setaffinity") else "1 (not pinned)",
-        "load before": f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown",
         **({"runs at a time": str(jobs)} if jobs else {}),
         **versions(distributions),
     }
+
+
+def machine() -> dict[str, str]:
+    """The part of it that is another on every machine of a cluster."""
+    return {
+        "python": f"{platform.python_implementation()} {platform.python_version()}",
+        "system": f"{platform.system()} {platform.release()} {platform.machine()}",
+        "processor": _processor(),
+        "host": platform.node() or "unknown",
+        "governor": _governor(),
+        "load before": f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown",
+    }
+
+
+def machines(made: Iterable[Mapping[str, Any]]) -> dict[str, str]:
+    """The line on the machines that runs were made on, where there was more than one; empty where there was not.
+
+    ``made``: a record for every run, as the store keeps it.
+    """
+    found = Counter(tuple(str(one.get(name, "unknown")) for name in ("host", "processor", "governor")) for one in made)
+    if len(found) < 2:
+        return {}
+    told = [
+        f"{count} {'run' if count == 1 else 'runs'} on {host} ({processor}, governor {governor})"
+        for (host, processor, governor), count in sorted(found.items())
+    ]
+    return {"made on": "; ".join(told)}
 
 
 def versions(distributions: Iterable[str]) -> dict[str, str]:
@@ -108,6 +136,15 @@ def _version(distribution: str) -> str:
         return "not installed"
 
 
+def _governor() -> str:
+    """How the system sets the clock of the first core; Linux only."""
+    try:
+        return Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor").read_text(encoding="ascii").strip()
+    except OSError:
+        return "unknown"
+
+
+@cache
 def _processor() -> str:
     if sys.platform == "linux":
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines():

@@ -6,8 +6,10 @@ import hashlib
 import json
 import math
 import shlex
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -79,7 +81,10 @@ class Planned:
 
 @dataclass(frozen=True)
 class Plan:
-    """A whole comparison, ready to run. ``source``: the words of the command line that name it ("reports/x.toml")."""
+    """A whole comparison, ready to run. ``source``: the words of the command line that name it ("reports/x.toml").
+
+    ``timed``: whether the runs' times count; where they do not, runs may be made beside others.
+    """
 
     name: str
     title: str
@@ -89,16 +94,19 @@ class Plan:
     courses: tuple[Course, ...]
     mapper: MapperChoice
     limits: Limits
+    timed: bool = True
 
     def runs(self) -> Iterator[Planned]:
         """Every run, contestants interleaved within each repetition, every second one in reverse: A B, B A, A B.
 
         A slow hour hits all alike, and nobody always runs first or always after the same one.
         """
+        code = cache(registry.run_fingerprint)  # both read files, and a plan may have thousands of runs
+        files = cache(_file_state)
         repetitions = [(course, seed) for course in self.courses for seed in course.seeds]
         for turn, (course, seed) in enumerate(repetitions):
             for contestant in self.contestants[:: -1 if turn % 2 else 1]:
-                yield Planned(_key(contestant, course, seed), contestant, course, seed)
+                yield Planned(_key(contestant, course, seed, code, files), contestant, course, seed)
 
     def command(self, planned: Planned) -> str:
         """What reproduces one run alone, in a folder of its own: this plan's results and page stay."""
@@ -107,6 +115,10 @@ class Plan:
         source = f"run {rest}" if (rest := self.source.removeprefix("report ")) != self.source else self.source
         folder = shlex.quote(f"reports/build/{self.name}-one")
         return f"evalkit {source} --sequence {sequence} --contestant {contestant}{seed} --out {folder}"
+
+    def untimed(self) -> Plan:
+        """The plan of the same runs whose times do not count."""
+        return replace(self, timed=False, source=f"{self.source} --accuracy-only") if self.timed else self
 
     def only(self, sequences: list[str], contestants: list[str], seeds: list[int]) -> Plan:
         """The part of the plan with these labels and seeds; an empty list keeps all."""
@@ -138,7 +150,9 @@ def read(path: Path) -> Plan:
 
 def plan(content: Mapping[str, Any], file: str, name: str, source: str) -> Plan:
     """The plan of an experiment's tables; ``file`` is named in errors, ``source`` in commands."""
-    _known_keys(content, ("title", "description", "mapper", "limits", "contestant", "sequence"), file, "")
+    _known_keys(content, ("title", "description", "timed", "mapper", "limits", "contestant", "sequence"), file, "")
+    if not isinstance(timed := content.get("timed", True), bool):
+        raise BadExperiment(file, "", f"'timed': found {brief(timed)}, expected true or false")
     try:
         contestants = tuple(
             _contestant(t, file, f"contestant {i + 1}") for i, t in _tables(content, "contestant", file)
@@ -158,6 +172,7 @@ def plan(content: Mapping[str, Any], file: str, name: str, source: str) -> Plan:
         courses,
         mapper,
         _limits(content.get("limits", {}), file),
+        timed,
     )
 
 
@@ -264,8 +279,8 @@ def _known_keys(table: Mapping[str, Any], known: Mapping[str, Any] | tuple[str, 
 
 
 def _distinct(kind: str, labels: list[str], file: str) -> None:
-    for label in labels:
-        if labels.count(label) > 1:
+    for label, count in Counter(labels).items():
+        if count > 1:
             raise BadExperiment(file, "", f"two {kind}s are labelled '{label}'; give one a label = \"...\" of its own")
 
 
@@ -278,13 +293,19 @@ def _chosen(
     return tuple(item for item in known if not wanted or label(item) in wanted)
 
 
-def _key(contestant: Contestant, course: Course, seed: int | None) -> str:
+def _key(
+    contestant: Contestant,
+    course: Course,
+    seed: int | None,
+    code: Callable[[str, str], str],
+    files: Callable[[str], list[object]],
+) -> str:
     identity = {
         "labels": [contestant.label, course.label],  # two that read alike as file names must not share a folder
         "backend": [contestant.backend, dict(contestant.parameters)],
         "dataset": [course.dataset, course.seeded(seed)],
-        "code": "" if contestant.missing else registry.run_fingerprint(contestant.backend, course.dataset),
-        "files": [_file_state(value) for value in course.parameters.values() if isinstance(value, str) and value],
+        "code": "" if contestant.missing else code(contestant.backend, course.dataset),
+        "files": [files(value) for value in course.parameters.values() if isinstance(value, str) and value],
     }
     digest = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:10]
     words = [course.label, *([] if seed is None else [f"s{seed}"]), contestant.label]

@@ -49,6 +49,7 @@ def run(
             ended = watch.until_the_end(heard, stop)
         finally:
             child.end_group(process, folder)
+            child.cut(folder / OUTPUT)  # it may have said much since the last look
         return watch.result(labels, ended)
 
 

@@ -4,6 +4,7 @@ runs/<key>/  request.json  steps.bin  outcome.json  output.txt     what the run 
              made.json  run.json                                   when, on what and under which limits; how it ended
              scores.json  grid.npz  errors.npy                     what the scoring made of it
 trajectories/<key>.tum   maps/<key>.pgm  maps/<key>.yaml           for other tools
+tries/<key>.json             who was lost while the run was made, until it has ended
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -24,12 +25,21 @@ from numpy.typing import NDArray
 
 from evalkit import saved
 from evalkit.errors import StoreError
-from evalkit.types import STEP, OccupancyGrid, Pose, Run, Score, Trajectory
+from evalkit.types import STEP, OccupancyGrid, Pose, Run, Score, Status, Trajectory
 
 LOCK = ".writer.lock"
 STEPS = "steps.bin"
 
 REMEDY = "free some space or name another folder with --out"
+
+
+class HowItEnded(NamedTuple):
+    """A stored run in short: scans answered, and how many there are."""
+
+    status: Status
+    reason: str
+    answered: int
+    expected: int
 
 
 class Store:
@@ -88,8 +98,9 @@ class Store:
 
     def save_run(self, key: str, run: Run, made: Mapping[str, Any]) -> None:
         """Keeps how a run ended and how it was ``made``: when, on what, which limits. Its steps should be there."""
-        if not (self.run_folder(key) / STEPS).exists():  # the back end has removed them
-            self.write_bytes(self.run_folder(key) / STEPS, run.steps.tobytes())
+        steps = self.run_folder(key) / STEPS
+        if not steps.exists() or read_steps(steps).tobytes() != run.steps.tobytes():  # removed, or times left out
+            self.write_bytes(steps, run.steps.tobytes())
         self.write_text(self.run_folder(key) / "made.json", json.dumps(made, indent=1))
         record = {name: value for name, value in asdict(run).items() if name != "steps"}
         self.write_text(self.run_folder(key) / "run.json", json.dumps(record, indent=1))
@@ -103,6 +114,42 @@ class Store:
             return Run(steps=read_steps(folder / STEPS), **record)
         except (OSError, ValueError, TypeError):  # absent or half-written: the run is simply made again
             return None
+
+    def how_it_ended(self, key: str) -> HowItEnded | None:
+        """The same in short, without reading its answers: a plan may have thousands of runs."""
+        folder = self.run_folder(key)
+        try:
+            record = saved.values((folder / "run.json").read_bytes())
+            size = (folder / STEPS).stat().st_size
+            return HowItEnded(record["status"], record["reason"], size // STEP.itemsize, record["expected"])
+        except (OSError, ValueError, TypeError, KeyError):
+            return None
+
+    def forget(self, key: str, *names: str) -> None:
+        """Removes files of a run ("run.json", "scores.json"): it is made or scored again."""
+        with _reported(self.run_folder(key)):
+            for name in names:
+                (self.run_folder(key) / name).unlink(missing_ok=True)
+
+    def tries(self, key: str) -> list[str]:
+        """Who was lost while the run was made, and has not told how it ended."""
+        try:
+            content = saved.values(self._tries(key).read_bytes())
+        except (OSError, ValueError):
+            return []
+        return [str(who) for who in content] if isinstance(content, list) else []
+
+    def note_tries(self, key: str, who: list[str]) -> None:
+        """Keeps who has tried a run, up to the one that does now."""
+        self.write_text(self._tries(key), json.dumps(who))
+
+    def forget_tries(self, key: str) -> None:
+        """The run has ended by itself, or is given up."""
+        with _reported(self._tries(key)):
+            self._tries(key).unlink(missing_ok=True)
+
+    def _tries(self, key: str) -> Path:
+        return self.folder / "tries" / f"{key}.json"
 
     def load_made(self, key: str) -> dict[str, Any]:
         """When a run was made ("made", ISO 8601), on what, and under which limits; empty where nobody knows."""
@@ -125,6 +172,21 @@ class Store:
             if errors_m is not None:
                 np.save(folder / "errors.npy", errors_m)
         self.write_text(folder / "scores.json", json.dumps(content, indent=1))
+
+    def scored_by(self, key: str) -> str | None:
+        """What the stored scores of a run stand on, None where there are none."""
+        return self._scores(key).get("fingerprint")
+
+    def score_values(self, key: str) -> dict[str, float | None]:
+        """The values of a run's scores; empty where there are none."""
+        return {name: score["value"] for name, score in self._scores(key).get("scores", {}).items()}
+
+    def _scores(self, key: str) -> dict[str, Any]:
+        try:
+            content = saved.values((self.run_folder(key) / "scores.json").read_bytes())
+        except (OSError, ValueError):
+            return {}
+        return content if isinstance(content, dict) else {}
 
     def load_scores(self, key: str) -> dict[str, Any] | None:
         """What scoring made of a run ("scores" as Score values), or None."""

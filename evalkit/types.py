@@ -400,6 +400,7 @@ class Trial:
     for the map. ``grid``: the map of the estimated trajectory, None where there is none. ``errors_m`` (N,): distance to
     the truth at each of ``run.steps`` after alignment, nan where unmatched; None without a true trajectory.
     ``alignment``: in words how estimate and truth were matched, or why not; "" without a true trajectory.
+    ``processor``: of the machine the run was made on; "" where nobody knows.
     """
 
     key: str
@@ -418,6 +419,7 @@ class Trial:
     grid: OccupancyGrid | None = None
     errors_m: Floats | None = None
     alignment: str = ""
+    processor: str = ""
 
 
 def _polar(ranges: Floats, angles: Floats) -> Floats:

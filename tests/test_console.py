@@ -9,6 +9,7 @@ from rich.console import Console
 from evalkit import experiment
 from evalkit.console import JobLines, TimeLeft, jobs, missing, progress
 from evalkit.experiment import Contestant, Course
+from evalkit.making import Ended
 
 
 @pytest.fixture
@@ -27,40 +28,40 @@ def test_nothing_is_known_before_the_first_run_ends(planned):
 
 def test_after_one_run_all_others_are_like_it(planned):
     left = TimeLeft(planned, 1)
-    left.finished("room", "fast", 0, 4.0)
+    left.finished("room", "fast", 4.0)
     assert left.seconds() == pytest.approx(5 * 4.0)
 
 
 def test_an_open_run_takes_its_sequences_mean_times_its_contestants_share(planned):
     """Room: fast 1 s, slow 3 s, so mean 2 s: shares 1/2 and 3/2. Open: room 1 and lab 0, both unlike any other yet."""
     left = TimeLeft(planned, 1)
-    left.finished("room", "fast", 0, 1.0)
-    left.finished("room", "slow", 0, 3.0)
+    left.finished("room", "fast", 1.0)
+    left.finished("room", "slow", 3.0)
     assert left.seconds() == pytest.approx(1.0 + 3.0 + 1.0 + 3.0)
-    left.finished("lab", "fast", 0, 5.0)  # mean 3; fast 3, slow 3; room 2, lab 5
+    left.finished("lab", "fast", 5.0)  # mean 3; fast 3, slow 3; room 2, lab 5
     assert left.seconds() == pytest.approx(2.0 * 3.0 / 3.0 + 2.0 * 3.0 / 3.0 + 5.0 * 3.0 / 3.0)
 
 
 def test_two_at_a_time_take_half_as_long_and_all_done_is_nothing_left(planned):
     left = TimeLeft(planned, 2)
-    left.finished("room", "fast", 0, 4.0)
+    left.finished("room", "fast", 4.0)
     assert left.seconds() == pytest.approx(5 * 4.0 / 2)
     for item in planned[1:]:
-        left.finished(item.course.label, item.contestant.label, item.seed, 4.0)
+        left.finished(item.course.label, item.contestant.label, 4.0)
     assert left.seconds() == 0.0
 
 
-def test_a_pipe_gets_one_plain_line_a_run_with_its_reason(planned, trial):
+def test_a_pipe_gets_one_plain_line_a_run_with_its_reason(planned):
     told = io.StringIO()
-    ends = [trial("fast", "room", {}), trial("slow", "room", {}, status="crashed", reason="signal [bold]11[/bold]")]
+    ends = [Ended(planned[0], "complete", "", 2.0), Ended(planned[1], "crashed", "signal [bold]11[/bold]", 2.0)]
     with progress(Console(file=told, soft_wrap=True), planned, 1) as shown:
         for item, ended in zip(planned, ends, strict=False):
             shown.begun(item)
             shown.answered(item, 7)
             shown.finished(ended)
     first, second = told.getvalue().splitlines()
-    assert first.startswith("[1/6] room seed 0 / fast: complete, 0.0 s, 0:00 left")
-    assert second.startswith("[2/6] room seed 0 / slow: crashed (signal [bold]11[/bold]), 0.0 s")
+    assert first.startswith("[1/6] room seed 0 / fast: complete, 2.0 s, 0:10 left")
+    assert second.startswith("[2/6] room seed 0 / slow: crashed (signal [bold]11[/bold]), 2.0 s")
 
 
 def test_what_is_missing_is_one_line_a_reason_and_what_the_system_lacks_comes_first(planned):
@@ -77,13 +78,13 @@ def test_what_is_missing_is_one_line_a_reason_and_what_the_system_lacks_comes_fi
     ]
 
 
-def test_a_terminal_gets_a_line_only_for_what_did_not_complete(planned, trial):
+def test_a_terminal_gets_a_line_only_for_what_did_not_complete(planned):
     told = io.StringIO()
     screen = Console(file=told, force_terminal=True, width=100, color_system=None)
     with progress(screen, planned, 1) as shown:
-        shown.finished(trial("fast", "room", {}))
+        shown.finished(Ended(planned[0], "complete", ""))
         shown.answered(planned[1], 1234)
-        shown.finished(trial("slow", "room", {}, status="timeout", reason="[late]"))
+        shown.finished(Ended(planned[1], "timeout", "[late]"))
     assert "room seed 0 / slow: timeout ([late]), 0.0 s" in told.getvalue()
     assert "room seed 0 / fast: complete" not in told.getvalue()
 

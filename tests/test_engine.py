@@ -12,7 +12,7 @@ from queue import SimpleQueue
 import numpy as np
 import pytest
 
-from evalkit import engine, environment, experiment, registry
+from evalkit import environment, experiment, making, places, registry
 from evalkit.engine import Engine
 from evalkit.errors import StoreError
 from evalkit.experiment import Limits
@@ -33,14 +33,14 @@ class Heard:
     def answered(self, planned, scans):
         self.scans = max(scans, self.scans)
 
-    def finished(self, trial):
-        self.ends.append(trial.contestant)
+    def finished(self, ended):
+        self.ends.append(ended.planned.contestant.label)
 
 
 @pytest.fixture
 def quick(monkeypatch):
     """Scores are made in threads: this test is not about the processes for it."""
-    monkeypatch.setattr(engine, "_scorers", ThreadPoolExecutor)
+    monkeypatch.setattr(making, "pool", ThreadPoolExecutor)
 
 
 def plan(*faults, sequence=None, mapper=None, **limits):
@@ -81,7 +81,7 @@ def test_every_run_is_a_row_whatever_becomes_of_it(tmp_path):
         "none": "complete", "raise": "failed", "remove-folder": "failed", "segfault": "crashed", "far": "complete",
         "absent": "not-installed",
     }  # fmt: skip
-    assert list(made) == ["none", "raise", "remove-folder", "segfault", "far", "absent"] == heard.begins
+    assert list(made) == ["none", "raise", "remove-folder", "segfault", "far", "absent"] == [*heard.begins, "absent"]
     assert sorted(heard.ends) == sorted(made)
     assert heard.scans == 12
     good, broken, far = made["none"], made["raise"], made["far"]
@@ -171,10 +171,11 @@ def test_every_run_keeps_when_on_what_and_under_which_limits_it_was_made(tmp_pat
     made = Store(tmp_path).load_made(trial.key)
     assert before <= datetime.fromisoformat(made.pop("made")) <= datetime.now(UTC)
     assert made.pop("limits") == asdict(Limits(run_s=60.0, scan_s=30.0))
-    assert made == {
-        "evalkit": "unknown", "commit": "abc", "processor": "slow", "load before": "unknown",
-        "runs at a time": "unknown",
-    }  # fmt: skip
+    assert made.pop("core") == next(iter(environment.cores()), None)
+    assert made.pop("versions") == environment.versions(("numpy", "scipy"))
+    assert made.pop("timed") is True
+    assert made.keys() == set(environment.KEPT_WITH_RUNS)
+    assert {name: text for name, text in made.items() if text != "unknown"} == {"commit": "abc", "processor": "slow"}
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system cannot pin")
@@ -190,12 +191,12 @@ def test_a_run_is_scored_on_its_own_core_which_is_given_back_afterwards(tmp_path
         told.append(f"scored on {arguments[-1]}")
         raise RuntimeError("enough")
 
-    monkeypatch.setattr(engine, "_scorers", ThreadPoolExecutor)
-    monkeypatch.setattr(engine, "score_stored", score)
+    monkeypatch.setattr(making, "pool", ThreadPoolExecutor)
+    monkeypatch.setattr(making, "score_stored", score)
     only = environment.cores()[0]
     one = SimpleQueue()
     one.put(only)
-    monkeypatch.setattr(engine, "_cores", lambda jobs: one)
+    monkeypatch.setattr(places, "_cores", lambda jobs: one)
     Engine(plan("none", "far"), Store(tmp_path), Told(), jobs=2).trials()
     assert told == ["begun none", f"scored on {only}", "begun far", f"scored on {only}"]
 
@@ -251,8 +252,8 @@ def test_a_run_that_cannot_be_scored_is_a_failed_row_with_its_answers(tmp_path, 
 def test_a_mapper_that_ends_its_process_costs_the_run_it_draws_and_no_other(tmp_path):
     mapper = {"use": "faulty-mapper", "fault": "sigkill", "only_past_m": 1e3}
     made = trials(plan("far", "none", mapper=mapper), tmp_path, jobs=1)
-    assert [trial.run.status for trial in made.values()] == ["failed", "complete"]
-    assert made["far"].run.reason.startswith("scoring failed: BrokenProcessPool: ")
+    assert [trial.run.status for trial in made.values()] == ["crashed", "complete"]
+    assert made["far"].run.reason.startswith("quarantined: it ended the process that scored it twice (")
     assert made["none"].scores["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
 
 

@@ -12,10 +12,13 @@ import typer
 from rich.console import Console
 
 from evalkit import environment
+from evalkit.cluster import Cluster
 from evalkit.types import Status
 
 out = Console(soft_wrap=True)
 err = Console(stderr=True, soft_wrap=True)
+
+ENGINES = ("local", "dask")
 
 Out = Annotated[Path | None, typer.Option("--out", "-o", help="Results folder.", show_default="reports/build/NAME")]
 Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="Runs at a time.", show_default="physical cores")]
@@ -28,6 +31,15 @@ Rerun = Annotated[
     ),
 ]
 Collect = Annotated[bool, typer.Option("--collect", help="Make no run: what is done, and what is missing.")]
+Engine = Annotated[
+    str, typer.Option(help=f"Where runs are made: {', '.join(ENGINES)}: on this machine, or by workers of a cluster.")
+]
+Scheduler = Annotated[
+    str, typer.Option(help="A Dask scheduler, tcp://HOST:PORT.", show_default="a cluster of processes here")
+]
+AccuracyOnly = Annotated[
+    bool, typer.Option("--accuracy-only", help="Times do not count: runs may be made beside others.")
+]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
@@ -43,17 +55,36 @@ class Making:
     resume: bool
     rerun: frozenset[Status]
     collect: bool
+    cluster: Cluster | None = None
 
     @classmethod
-    def of(cls, jobs: int | None, resume: bool, rerun: list[str] | None, collect: bool) -> Making:
-        """What the command line says; a status that is none is a usage error."""
+    def of(
+        cls,
+        jobs: int | None,
+        resume: bool,
+        rerun: list[str] | None,
+        collect: bool,
+        engine: str = "local",
+        scheduler: str = "",
+    ) -> Making:
+        """What the command line says; a status or an engine that is none is a usage error."""
         again: set[Status] = set()
         for name in rerun or []:
             found = [status for status in get_args(Status) if status == name]
             if not found:
                 raise typer.BadParameter(f"--rerun: found '{name}', expected one of: {', '.join(get_args(Status))}")
             again.update(FAILED if name == "failed" else found)
-        return cls(jobs or environment.physical_cores(), resume or bool(rerun), frozenset(again), collect)
+        at_once = jobs or environment.physical_cores()
+        return cls(at_once, resume or bool(rerun), frozenset(again), collect, cluster(engine, scheduler, at_once))
+
+
+def cluster(engine: str, scheduler: str, jobs: int) -> Cluster | None:
+    """The cluster that is asked for, None for this machine; what contradicts itself is a usage error."""
+    if engine not in ENGINES:
+        raise typer.BadParameter(f"--engine: found '{engine}', expected one of: {', '.join(ENGINES)}")
+    if engine == "local" and scheduler:
+        raise typer.BadParameter("--scheduler: needs --engine dask")
+    return Cluster(scheduler, jobs) if engine == "dask" else None
 
 
 def settings(items: list[str], option: str = "--set") -> dict[str, str]:

@@ -119,6 +119,8 @@ FAULTS: dict[str, Callable[[], object]] = {
     "segfault": lambda: ctypes.string_at(0),
     "sigkill": lambda: os.kill(os.getpid(), signal.SIGKILL),
     "unnamed-signal": lambda: os.kill(os.getpid(), signal.SIGRTMIN + 5),
+    "kill-parent": lambda: os.kill(os.getppid(), signal.SIGKILL),
+    "wait": lambda: time.sleep(0.3),
     "abort": os.abort,
     "exit": lambda: os._exit(3),
     "sys-exit": lambda: sys.exit(0),

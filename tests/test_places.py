@@ -1,0 +1,228 @@
+"""Runs made by a cluster's workers: the same numbers as here, whoever is lost on the way."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import psutil
+import pytest
+
+from evalkit import cluster, environment, experiment
+from evalkit.cluster import Cluster, NoCluster
+from evalkit.engine import Engine
+from evalkit.errors import NotInstalled
+from evalkit.places import There
+from evalkit.store import Store
+from evalkit.types import STEP
+
+COSTS = ("wall_ns", "cpu_ns", "conversion_ns", "harness_ns", "device_ns")
+
+
+class Heard:
+    """A progress that remembers how many runs were begun and not ended at once."""
+
+    def __init__(self, begun=lambda planned: None):
+        self._told, self.open, self.most = begun, 0, 0
+
+    def begun(self, planned):
+        self.open += 1
+        self.most = max(self.most, self.open)
+        self._told(planned)
+
+    def answered(self, planned, scans): ...
+
+    def finished(self, ended):
+        self.open -= 1
+
+
+def plan(*faults, timed=True, **sequence):
+    """A contestant for every fault."""
+    content = {
+        "timed": timed,
+        "contestant": [{"use": "faulty", "label": f"{k} {fault}", "fault": fault} for k, fault in enumerate(faults)],
+        "sequence": [{"use": "straight", **sequence}],
+        "mapper": {"resolution_m": 0.25},
+        "limits": {"run_s": 60.0, "scan_s": 30.0},
+    }
+    return experiment.plan(content, "t.toml", "t", "report t.toml")
+
+
+@pytest.fixture(scope="module")
+def workers(strangers):
+    """A cluster of two processes that offer to measure times."""
+    distributed = pytest.importorskip("distributed")
+    with cluster._local(2) as local:
+        yield local
+    assert distributed
+
+
+def there(workers):
+    return There(Cluster(workers.scheduler_address, timed=True))
+
+
+def rows(plan, folder, place=None, resume=False, heard=None, rerun=frozenset()):
+    made = Engine(plan, Store(folder), heard or Heard(), 2, resume, rerun=rerun, place=place).trials()
+    return {trial.contestant: trial for trial in made}
+
+
+def reasons(made):
+    """Why runs ended as they did."""
+    return [trial.run.reason for trial in made.values()]
+
+
+def pids(workers):
+    """The worker processes that are alive."""
+    return {nanny.pid for nanny in workers.workers.values() if nanny.pid}
+
+
+def test_a_cluster_gives_the_rows_the_scores_and_the_bits_of_this_machine(workers, tmp_path):
+    faults = ("none", "raise", "segfault", "far", "nan")
+    here = rows(plan(*faults), tmp_path / "here")
+    away = rows(plan(*faults), tmp_path / "away", there(workers))
+    assert list(here) == list(away)
+    timeless = [name for name in STEP.names if name not in COSTS]
+    for one, other in zip(here.values(), away.values(), strict=True):
+        assert one.key == other.key
+        assert (one.run.status, one.run.reason, one.run.expected) == (
+            other.run.status, other.run.reason, other.run.expected,
+        )  # fmt: skip
+        for name in timeless:
+            assert one.run.steps[name].tobytes() == other.run.steps[name].tobytes(), name
+        assert (other.run.steps["cpu_ns"] > 0).all()
+        assert one.alignment == other.alignment
+        assert one.scores.keys() == other.scores.keys()
+        timed = {name for name in one.scores if name.startswith(("cpu_", "wall_", "harness_", "device_"))}
+        for name in one.scores.keys() - timed - {"conversion_percent", "real_time_factor", "peak_memory_mib"}:
+            assert one.scores[name] == other.scores[name], name
+        assert (one.grid is None) == (other.grid is None)
+        if one.grid is not None:
+            assert one.grid.log_odds.tobytes() == other.grid.log_odds.tobytes()
+        assert np.array_equal(one.errors_m, other.errors_m, equal_nan=True) or one.errors_m is other.errors_m is None
+    files = {path.relative_to(tmp_path / "here") for path in (tmp_path / "here").rglob("*.*") if path.is_file()}
+    assert files == {path.relative_to(tmp_path / "away") for path in (tmp_path / "away").rglob("*.*") if path.is_file()}
+    made = Store(tmp_path / "away").load_made(away["0 none"].key)
+    assert made["runs at a time"] == "2"
+    assert made["processor"] == environment.machine()["processor"] == away["0 none"].processor
+    assert made["core"] in (*environment.cores(), None)
+
+
+def test_a_worker_killed_while_it_runs_costs_no_row_and_no_more_than_two_runs_are_under_way(workers, tmp_path):
+    before = pids(workers)
+    waits = plan("wait", "none", "none", "none", "none", "raise")
+    killed = []
+
+    def kill(planned):
+        if not killed:
+            killed.append(min(before))
+            threading.Timer(1.5, os.kill, (killed[0], signal.SIGKILL)).start()
+
+    heard = Heard(kill)
+    made = rows(waits, tmp_path, there(workers), heard=heard)
+    assert [trial.run.status for trial in made.values()] == [*["complete"] * 5, "failed"], reasons(made)
+    assert killed[0] not in pids(workers)
+    assert heard.most <= 3  # two threads, and one run that was lost
+
+
+def test_a_run_that_ends_its_workers_is_quarantined_after_two_and_the_others_stand(workers, tmp_path):
+    deadly = plan("none", "kill-parent", "none", "none")
+    made = rows(deadly, tmp_path, there(workers))
+    assert [trial.run.status for trial in made.values()] == ["complete", "crashed", "complete", "complete"], reasons(
+        made
+    )
+    reason = made["1 kill-parent"].run.reason
+    assert reason.startswith("quarantined: lost its worker twice (tcp://127.0.0.1:")
+    assert reason.endswith("); --rerun crashed tries again")
+    assert reason.count("tcp://") == 2
+    alive = pids(workers)
+    again = rows(deadly, tmp_path, there(workers), resume=True)
+    assert again["1 kill-parent"].run.reason == reason
+    assert pids(workers) == alive
+    only = deadly.only([], ["1 kill-parent"], [])
+    last = rows(only, tmp_path, there(workers), resume=True, rerun=frozenset({"crashed"}))
+    assert last["1 kill-parent"].run.reason != reason  # other workers, the same end
+
+
+def test_where_times_do_not_count_there_are_none(workers, tmp_path):
+    untimed = rows(plan("none", timed=False), tmp_path, there(workers))["0 none"]
+    assert untimed.scores["cpu_median_ms"].reason == "not timed: made where times do not count"
+    assert untimed.scores["peak_memory_mib"].value > 0
+    assert not untimed.run.steps["wall_ns"].any()
+    timed = rows(plan("none"), tmp_path, there(workers), resume=True)["0 none"]
+    assert timed.scores["cpu_median_ms"].value > 0
+
+
+def test_times_are_measured_only_by_workers_that_are_offered_for_it(strangers, tmp_path):
+    distributed = pytest.importorskip("distributed")
+    with distributed.LocalCluster(
+        n_workers=1,
+        threads_per_worker=2,
+        processes=False,
+        dashboard_address=None,
+        memory_limit=0,
+        silence_logs=50,
+        worker_dashboard_address=None,
+    ) as local:
+        place = There(Cluster(local.scheduler_address, timed=True))
+        with pytest.raises(NoCluster, match="is not offered for measuring times: start workers with --nthreads 1"):
+            rows(plan("none"), tmp_path, place)
+
+
+def test_without_dask_the_extra_is_named(monkeypatch, tmp_path):
+    def absent(name):
+        raise ImportError(f"No module named '{name}'")
+
+    monkeypatch.setattr(cluster, "import_module", absent)
+    with pytest.raises(NotInstalled, match=r"pip install 'evalkit\[dask\]'"):
+        list(Cluster().answers([]))
+
+
+def test_a_scheduler_that_is_not_there_is_named(monkeypatch):
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
+    with pytest.raises(NoCluster, match=r"tcp://127\.0\.0\.1:9: no scheduler answers"):
+        list(Cluster("tcp://127.0.0.1:9").answers([]))
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_whatever_ends_evalkit_no_worker_is_left_behind(strangers, tmp_path, number):
+    pytest.importorskip("distributed")
+    (tmp_path / "small.toml").write_text(
+        '[[contestant]]\nuse = "faulty"\nfault = "hang"\n[mapper]\nresolution_m = 0.25\n'
+        '[[sequence]]\nuse = "straight"\n'
+    )
+    words = ["run", str(tmp_path / "small.toml"), "--out", str(tmp_path / "out"), "--engine", "dask", "-j", "1"]
+    mine = subprocess.Popen(
+        [sys.executable, "-c", "from evalkit.cli import main; main()", *words],
+        env={**os.environ, "EVALKIT_TEST": str(tmp_path)}, stderr=subprocess.PIPE, start_new_session=True,
+    )  # fmt: skip
+    assert soon(lambda: any("evalkit.worker" in line for line in lines(tmp_path)))
+    if number == signal.SIGINT:
+        os.killpg(mine.pid, number)  # as a terminal does
+    else:
+        mine.send_signal(number)
+    mine.communicate(timeout=30.0)
+    assert soon(lambda: not lines(tmp_path)), lines(tmp_path)
+
+
+def lines(folder):
+    """The command lines of all that was started with a mark."""
+    found = []
+    for process in psutil.process_iter():
+        try:
+            if process.environ().get("EVALKIT_TEST") == str(folder) and process.status() != psutil.STATUS_ZOMBIE:
+                found.append(" ".join(process.cmdline()))
+        except psutil.Error:
+            continue
+    return found
+
+
+def soon(true, seconds=30.0):
+    """Whether something comes true before long."""
+    end = time.monotonic() + seconds
+    while not true() and time.monotonic() < end:
+        time.sleep(0.1)
+    return true()
