@@ -38,7 +38,7 @@ def test_scans_seconds_rate_and_the_true_path_are_measured(trial, build):
 
 def test_without_truth_the_path_is_an_estimate_that_is_named_and_never_the_odometry(trial, build):
     values = {"a": 0.1, "b": 0.2, "wheel": 0.3}
-    names = ("map_entropy", "wall_thickness_m", "split_distance_m", "s2m_m")
+    names = ("split_distance_m", "mom_cm2", "cleared_percent", "s2m_m")
     runs = [trial(n, "room", dict.fromkeys(names, v), seed=None, truth=False, error_m=0.0) for n, v in values.items()]
     path = dict(driven(build(runs), "room"))["Path"]
     metres, unit, whose = path.partition(" m ")
@@ -48,7 +48,7 @@ def test_without_truth_the_path_is_an_estimate_that_is_named_and_never_the_odome
 
 def test_where_nobody_knows_the_best_estimate_the_path_is_the_median_of_all(trial, build):
     runs = [
-        trial(n, "room", {"map_entropy": v}, seed=None, truth=False)
+        trial(n, "room", {"split_distance_m": v}, seed=None, truth=False)
         for n, v in (("wheel", 0.1), ("a", 0.2), ("b", 0.3))
     ]
     assert "(median of 2 estimates, " in dict(driven(build(runs), "room"))["Path"]

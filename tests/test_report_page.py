@@ -152,11 +152,11 @@ def test_what_decides_and_what_it_costs_stand_first(demo):
 
 def test_where_a_true_map_is_known_consistency_leaves_the_first_table(trial, build):
     def shown(truth):
-        runs = [trial(who, "room", {"map_f1": 0.9, "map_entropy": 0.1}, truth=truth) for who in "ab"]
+        runs = [trial(who, "room", {"map_f1": 0.9, "split_distance_m": 0.1}, truth=truth) for who in "ab"]
         return {metric.name for metric in headline(build(runs), "room").metrics}
 
     assert shown(True) == {"map_f1"}
-    assert shown(False) == {"map_f1", "map_entropy"}
+    assert shown(False) == {"map_f1", "split_distance_m"}
 
 
 def test_what_was_driven_stands_beside_what_the_data_set_says_of_itself(tags):

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from evalkit.metrics.validated import shipped
 from evalkit.report.overview import overview
 from evalkit.report.summary import verdict
 from evalkit.report.wording import gap, joined
@@ -148,26 +149,31 @@ def test_a_degenerate_sequence_is_named_and_not_counted(trial, build):
 
 
 def _maps(trial, build, **measures):
-    """One run each without truth; per contestant entropy, wall thickness, halves apart and S2M residual."""
-    names = ("map_entropy", "wall_thickness_m", "split_distance_m", "s2m_m")
-    runs = measures.items()
-    return build([trial(n, "room", dict(zip(names, v, strict=True)), seed=None, truth=False) for n, v in runs])
+    """One run each without truth; per contestant halves apart (m), variance across walls (1000 cm2), cleared share and
+    S2M residual (m)."""
+    names = ("split_distance_m", "mom_cm2", "cleared_percent", "s2m_m")
+
+    def scaled(values):
+        pairs = zip(names, values, (1.0, 1000.0, 100.0, 1.0), strict=True)
+        return {name: None if value is None else value * scale for name, value, scale in pairs}
+
+    return build([trial(n, "room", scaled(v), seed=None, truth=False) for n, v in measures.items()])
 
 
-def test_the_lowest_entropy_alone_leads_nothing(trial, build):
+def test_halves_close_together_alone_lead_nothing(trial, build):
     comparison = _maps(
         trial, build, lost=(0.10, 0.09, 0.30, 0.08), a=(0.12, 0.02, 0.05, 0.03), b=(0.2, 0.03, 0.04, 0.04)
     )
     found = verdict(comparison, "room")
     assert (found.outcome, found.leaders, found.counts) == ("disagreement", (), False)
     assert (
-        "The map measures disagree: lost has the lowest entropy, a the thinnest walls and the lowest S2M residual, "
-        "b the halves of the run closest together."
+        "The map measures disagree: lost has the halves of the run closest together, a the least scatter across "
+        "orthogonal walls and the lowest S2M residual, b the fewest hits in cleared space."
     ) in _said(comparison)
 
 
 def test_a_map_best_in_every_measure_is_ahead(trial, build):
-    names, values = ("map_entropy", "wall_thickness_m", "split_distance_m", "s2m_m"), {"a": 0.02, "b": 0.04}
+    names, values = ("split_distance_m", "mom_cm2", "cleared_percent", "s2m_m"), {"a": 0.02, "b": 0.04}
     comparison = build([
         trial(who, "room", dict.fromkeys(names, value), seed=seed, truth=False)
         for who, value in values.items() for seed in (0, 1)
@@ -183,12 +189,14 @@ def test_a_map_best_in_every_measure_of_one_run_is_told_but_shown_to_be_nothing(
     assert (found.outcome, found.leaders, found.counts) == ("level", ("a",), False)
     assert "one run each gives no interval. By every measure of the map a is best or level." in _said(comparison)
     assert "compares maps only, and is blind to global warp." in _said(comparison)
+    trust = shipped().of("split_distance_m")
+    assert f"ranked with a Spearman correlation of {trust.overall.value:.2f}" in _said(comparison)
 
 
 def test_a_measure_nobody_has_leaves_the_map_undecided(trial, build):
     comparison = _maps(trial, build, a=(0.10, 0.02, None, 0.03), b=(0.20, 0.03, None, 0.04))
     assert verdict(comparison, "room").outcome == "disagreement"
-    assert "Nobody is named without truth: there is no value for halves of the run apart." in _said(comparison)
+    assert "Nobody is named without truth: there is no value for free-space violation." in _said(comparison)
 
 
 def test_without_truth_worse_than_odometry_takes_every_measure(trial, build):

@@ -225,13 +225,13 @@ _ROWS = (
     Metric("map_entropy", "map entropy", "nat", "lower", "map consistency",
            "Mean entropy of the occupancy over the cells that a beam has touched.", "Blanco et al., RSS 2008 (map "
            "entropy); per observed cell: evalkit",
-           f"scans scattered over fresh cells, which lower it; {WARP}",
-           of_grid(lambda grid: number(entropy(grid), int(grid.observed.sum()))), 4, headline=True),
+           f"scans scattered over fresh cells, which lower it, so that in a bare room it tells nothing; {WARP}",
+           of_grid(lambda grid: number(entropy(grid), int(grid.observed.sum()))), 4),
     Metric("wall_thickness_m", "wall thickness", "m", "lower", "map consistency",
            f"{WALL} (lambda_max > 9 lambda_min), all mapped scans laid together; mean over at most 1,000 places. A "
            "wall w wide gives w / sqrt(12).", "after Razlaw et al., ECMR 2015 (mean plane variance)",
            f"walls doubled so far apart that they no longer count as a line; {WARP}",
-           _of_thicknesses(np.mean), headline=True),
+           _of_thicknesses(np.mean)),
     Metric("wall_thickness_p95_m", "wall thickness, 95 %", "m", "lower", "map consistency",
            f"{WALL}; 95th percentile.", "as wall thickness",
            f"walls doubled so far apart that they no longer count as a line; {WARP}",

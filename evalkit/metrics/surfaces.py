@@ -251,7 +251,8 @@ _ROWS = (
     Metric("mom_cm2", "orthogonal walls' variance", "cm2", "lower", "map consistency",
            f"{SCATTER} of a piece of wall, which lies along a line in a single scan; mean over the walls within 10 deg "
            "of one direction, plus that of the walls at right angles to them (the two that most pieces have).",
-           KORNILOVA, f"walls that run neither way; slips in places seen once; {WARP}", _orthogonal, 1),
+           KORNILOVA, f"walls that run neither way; slips in places seen once; {WARP}", _orthogonal, 1,
+           headline=True),
     Metric("ghost_wall_percent", "ghost walls", "%", "lower", "map consistency",
            f"Stretches of wall with a second copy, of all. {COPY}.", "evalkit",
            "copies nearer or farther than that, so that a large slip can count for less than a small one; smearing "

@@ -5,11 +5,13 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
+from evalkit.metrics.table import Metric
+from evalkit.metrics.validated import shipped
 from evalkit.report.cells import MOST_GUESSED
 from evalkit.report.comparison import Comparison
 from evalkit.report.consensus import by_maps
 from evalkit.report.standings import Standing, guessed_percent
-from evalkit.report.wording import joined, plain
+from evalkit.report.wording import bounds, joined, plain
 from evalkit.types import Trial
 
 # Notes that tell of scans that never reached anybody; readers name them by these words.
@@ -26,9 +28,22 @@ def of_evidence(found: Standing) -> list[str]:
     if by_maps(found):
         blind = plain(found.metric.blind_to)
         caveats.append(f"There is no truth here: {found.metric.label} compares maps only, and is blind to {blind}.")
+        caveats += _trust(found.metric)
     if found.ranked and not found.repeated:
         caveats.append("One run each: how much repetitions would differ is not known.")
     return caveats
+
+
+def _trust(metric: Metric) -> list[str]:
+    """A sentence on how far a metric without a truth followed the true error where that was known."""
+    trust = shipped().of(metric.name)
+    if trust is None or trust.overall is None:
+        return []
+    found = trust.overall
+    return [
+        f"Of {found.support} maps with a known error it ranked with a Spearman correlation of {found.value:.2f} "
+        f"(95\u00a0% interval {bounds(found, 2)})."
+    ]
 
 
 def of_data(trials: Sequence[Trial]) -> str:
