@@ -162,6 +162,7 @@ def compare(
     topic: Annotated[str, typer.Option(help="Laser topic of a bag.", show_default="the only one")] = "",
     relations: Annotated[Path | None, typer.Option(help="Relations file (Kuemmerle).", show_default=False)] = None,
     reference: Annotated[Path | None, typer.Option(help="True trajectory (TUM).", show_default=False)] = None,
+    spans: Annotated[Path | None, typer.Option(help="Distances by tape (TOML).", show_default=False)] = None,
     backends: Annotated[str, typer.Option(help="Back ends, a,b,c.", show_default="all")] = "",
     setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE for the reader.")] = None,
     folder: Out = None,
@@ -177,7 +178,7 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Compare back ends on your own recording, in one line."""
-    given = {"topic": topic, "relations": relations, "reference": reference}
+    given = {"topic": topic, "relations": relations, "reference": reference, "spans": spans}
     source = f"compare {shlex.quote(str(file))}" + "".join(
         f" --{name} {shlex.quote(str(value))}" for name, value in given.items() if value
     )

@@ -18,8 +18,8 @@ from evalkit.types import Frame
 def plan(path: Path, options: Mapping[str, str], settings: Mapping[str, str], backends: list[str], source: str) -> Plan:
     """All back ends (or those named) over one file, by the reader whose suffix fits.
 
-    ``options``: the reader's parameters that have an option of their own (topic, relations, reference), where given.
-    ``settings``: its other parameters, as text. ``source``: the command line, for the commands in the report.
+    ``options``: the reader's parameters that have an option of their own (topic, relations, reference, spans), where
+    given. ``settings``: its other parameters, as text. ``source``: the command line, for the commands in the report.
     """
     found, reader, spec = _found(path)
     values = from_text(reader, spec.parameters, {**settings, **options})

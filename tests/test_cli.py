@@ -329,6 +329,7 @@ def carmen(tmp_path):
     (tmp_path / "drive.log").write_text("\n".join(lines) + "\n")
     (tmp_path / "true.tum").write_text("\n".join(poses) + "\n")
     (tmp_path / "true.relations").write_text("100.0 101.0 1.0 0 0 0 0 0\n101.0 102.0 1.0 0 0 0 0 0\n")
+    (tmp_path / "tape.toml").write_text("[[span]]\nfrom = 100.0\nto = 101.0\nmetres = 1.0\n")
     return tmp_path / "drive.log"
 
 
@@ -337,7 +338,7 @@ def test_a_carmen_log_is_compared_in_one_line(evalkit, carmen, tmp_path):
     folder = tmp_path / "out"
     code, out, _ = evalkit(
         "compare", carmen, "--reference", tmp_path / "true.tum", "--relations", tmp_path / "true.relations",
-        "--backends", "wheel-odometry, paper", "--out", folder, "--json",
+        "--spans", tmp_path / "tape.toml", "--backends", "wheel-odometry, paper", "--out", folder, "--json",
     )  # fmt: skip
     assert code == 0
     result = json.loads(out)
@@ -346,6 +347,8 @@ def test_a_carmen_log_is_compared_in_one_line(evalkit, carmen, tmp_path):
     wheels, paper = (row["scores"] for row in result["runs"])
     assert wheels["relations_all_mean_m"] == pytest.approx(0.1, abs=1e-6)
     assert paper["relations_all_mean_m"] < 0.05
+    assert (wheels["span_rmse_m"], wheels["span_stretch_percent"]) == pytest.approx((0.1, 10.0), abs=1e-5)
+    assert paper["span_rmse_m"] < 0.05
     assert paper["ate_rmse_m"] < 0.5 * wheels["ate_rmse_m"]
     assert "--backends 'wheel-odometry, paper'" in (folder / "results.json").read_text()
 
@@ -410,6 +413,9 @@ def test_a_ros_bag_is_compared_in_one_line(evalkit, carmen, tmp_path):
             ("drive.log", "--reference", "other.tum"),
             "have nothing in common with the recording: the scans are from 100",
         ),
+        (("drive.log", "--spans", "no.toml"), "carmen: parameter 'spans': no file no.toml; check the path"),
+        (("drive.log", "--spans", "drive.log"), "drive.log: no TOML ("),
+        (("drive.log", "--spans", "negative.toml"), "span 1: metres: expected a positive number, got -1.0"),
         (("cut.bag",), "cut.bag: not a readable bag ("),
         (("drive.log", "--set", "every"), "--set: found 'every', expected NAME=VALUE"),
         (
@@ -425,6 +431,7 @@ def test_a_comparison_that_cannot_be_is_refused_before_anything_runs(
 ):
     monkeypatch.chdir(tmp_path)
     Path("other.tum").write_text("9000.0 0 0 0 0 0 0 1\n9001.0 1 0 0 0 0 0 1\n")
+    Path("negative.toml").write_text("[[span]]\nfrom = 100.0\nto = 101.0\nmetres = -1.0\n")
     Path("cut.bag").write_bytes(b"#ROSBAG V2.0\n\x45\x00\x00\x00")
     code, _, err = evalkit("compare", *words)
     assert code == 2
