@@ -16,6 +16,7 @@ from typing import IO
 
 import psutil
 
+from evalkit import lifeline
 from evalkit.environment import SINGLE_THREAD
 from evalkit.lifeline import MARK, PARENT, signal_name
 
@@ -47,6 +48,7 @@ def started(module: str, folder: Path, output: IO[bytes], threads: int = 1) -> s
     ``output`` must be open for appending: see ``cut``. Whoever an evalkit that was killed left behind in this folder is
     ended first.
     """
+    lifeline.required()
     _end_marked(folder)
     environment = {**os.environ, **dict.fromkeys(SINGLE_THREAD, str(threads))}
     environment |= {MARK: _mark(folder), PARENT: str(os.getpid())}

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import ctypes
 import os
+import platform
 import signal
 import sys
 import threading
 import time
+
+from evalkit.errors import NotInstalled
 
 MARK = "EVALKIT_CHILD"
 """Environment variable by which a child's descendants are known, wherever they have gone."""
@@ -24,6 +27,16 @@ def signal_name(number: int) -> str:
         return signal.Signals(number).name
     except ValueError:  # most real-time signals have none
         return f"signal {number}"
+
+
+def required() -> None:
+    """Refuses to start foreign code where nothing can be ended with all it has started: NotInstalled says what to do.
+
+    Half of an isolation would be none: a run that hangs, or leaves others behind, would spoil the numbers of the next.
+    """
+    if os.name != "posix":
+        what = f"runs are not supported on {platform.system()}: it has no process groups to end a back end with"
+        raise NotInstalled("evalkit", what, "use Linux, macOS, or Linux within Windows (WSL)")
 
 
 def end_with_parent() -> None:

@@ -1,6 +1,6 @@
 """A plan becomes the cards of a report."""
 
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 
 import pytest
@@ -86,3 +86,10 @@ def test_trials_are_told_in_the_plans_order_though_every_second_repetition_ran_b
     run = [trial(who, course.label, {}, seed=seed) for seed in course.seeds for who in reversed(labels)]
     told = in_order(plan, run)
     assert [(t.seed, t.contestant) for t in told] == [(seed, who) for seed in course.seeds for who in labels]
+
+
+def test_the_limits_that_were_in_force_are_told(plan):
+    noon = datetime(2024, 5, 1, 12, tzinfo=UTC)
+    told = comparison_of(plan, [], noon, noon).fairness[-1]
+    for name, value in asdict(plan.limits).items():
+        assert f"{value:g} {'MiB' if name == 'memory_mib' else 's'}" in told

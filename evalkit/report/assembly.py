@@ -7,7 +7,7 @@ from datetime import datetime
 from importlib.metadata import packages_distributions
 
 from evalkit import environment, registry
-from evalkit.experiment import Contestant, Course, MapperChoice, Plan
+from evalkit.experiment import Contestant, Course, Limits, MapperChoice, Plan
 from evalkit.frontend import parameters_of
 from evalkit.metrics import all_metrics
 from evalkit.protocols import GUESS_NOT_TOLD, Parameter, Value
@@ -44,7 +44,7 @@ def comparison_of(
         started=started,
         finished=finished,
         mapper=mapper_text(plan.mapper),
-        fairness=fairness(trials, where),
+        fairness=(*fairness(trials, where), limits_text(plan.limits)),
         scans={course.label: scans_of(course) for course in plan.courses if not course.missing},
     )
 
@@ -134,6 +134,15 @@ def fairness(trials: Sequence[Trial], environment: Mapping[str, str]) -> tuple[s
         "All maps are drawn by one mapper from each contestant's trajectory, aligned to the truth where there is one"
         f"{elsewhere}.",
         "Runs that did not complete are counted and shown, and enter no median; nobody who lost a run can win.",
+    )
+
+
+def limits_text(limits: Limits) -> str:
+    """The limits every run was under."""
+    return (
+        f"Every run, with all it started, had {limits.run_s:g} s in all and {limits.scan_s:g} s for an answer by the "
+        f"wall clock, {limits.run_cpu_s:g} s and {limits.scan_cpu_s:g} s of CPU time, and {limits.memory_mib} MiB of "
+        "memory; what breaks a limit is ended, and its answers up to then count as partial."
     )
 
 
