@@ -46,6 +46,7 @@ class UnknownName(EvalkitError):
 
     def __str__(self) -> str:
         kind, name, known, where = self.args
+        name = name if len(name) <= 100 else f"{name[:100]}[...]"
         close = difflib.get_close_matches(name, known, n=1)
         hint = f" (did you mean '{close[0]}'?)" if close else ""
         place = f"{where}: " if where else ""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from evalkit import experiment, registry
-from evalkit.errors import BadExperiment, BadParameter, UnknownName
+from evalkit.content import tables_of
+from evalkit.errors import BadExperiment, BadParameter, UnknownName, brief
 from evalkit.experiment import Contestant, Course, Plan
 from evalkit.metrics import all_metrics
 from evalkit.protocols import Parameter, Value
@@ -30,13 +30,13 @@ METRIC, LOST_M, RUN_CPU_S = "ate_rmse_m", 1.0, 60.0
 def read(path: Path, name: str, command: str) -> Tuning:
     """The tuning of a file (TOML); BadExperiment names the file, the key and what was found."""
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = tables_of(path.read_text(encoding="utf-8"))
     except FileNotFoundError:
         raise BadExperiment(str(path), "", "no such file; give the path of a tuning (*.toml), or back ends and --on "
                             "DATASET") from None  # fmt: skip
     except (OSError, UnicodeDecodeError) as error:
         raise BadExperiment(str(path), "", f"cannot be read ({error})") from error
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:
         raise BadExperiment(str(path), "", f"not valid TOML: {error}") from error
     return tuning(content, str(path), name, command)
 
@@ -125,7 +125,7 @@ def _training(content: Mapping[str, Any], contestants: Sequence[Any], file: str)
 def _confirm(table: Mapping[str, Any], course: Course, file: str, place: str) -> tuple[int, ...]:
     seeds = table.get("confirm", [])
     if not isinstance(seeds, list) or not all(type(seed) is int and seed >= 0 for seed in seeds):
-        raise BadExperiment(file, place, f"'confirm': found {seeds!r}, expected a list of whole numbers from 0")
+        raise BadExperiment(file, place, f"'confirm': found {brief(seeds)}, expected a list of whole numbers from 0")
     if seeds and course.seeds == (None,):
         raise BadExperiment(file, place, f"'confirm': {course.dataset} is a recording and has no seeds; remove the key")
     if both := sorted(set(seeds) & set(course.seeds)):
@@ -163,7 +163,9 @@ def _entrant(table: Mapping[str, Any], contestant: Contestant, file: str, place:
         factors, left = derived([p for p in parameters if p.name in default], default)
         return Entrant(contestant, Space(factors, default), left)
     if not isinstance(search, Mapping):
-        raise BadExperiment(file, place, f"'search': found {search!r}, expected a table of parameters and their levels")
+        raise BadExperiment(
+            file, place, f"'search': found {brief(search)}, expected a table of parameters and their levels"
+        )
     known = {parameter.name: parameter for parameter in parameters}
     chosen = tuple(_factor(name, told, known, default, file, place) for name, told in search.items())
     left = {name: "not named in 'search'" for name in known if name not in search}
@@ -201,7 +203,9 @@ def _checked(parameter: Parameter, value: Value, file: str, where: str) -> None:
 
 def _objective(table: object, file: str) -> Response:
     if not isinstance(table, Mapping):
-        raise BadExperiment(file, "objective", f"found {table!r}, expected a table [objective] with metric and lost")
+        raise BadExperiment(
+            file, "objective", f"found {brief(table)}, expected a table [objective] with metric and lost"
+        )
     for key in table:
         if key not in ("metric", "lost"):
             raise BadExperiment(file, "objective", str(UnknownName("key", key, ("metric", "lost"))))
@@ -221,7 +225,7 @@ def _number(
     right = type(value) is int or (isinstance(value, float) and not whole)
     if not right or not least <= value < float("inf"):
         raise BadExperiment(
-            file, place, f"'{key}': found {value!r}, expected a {'whole ' * whole}number from {least:g}"
+            file, place, f"'{key}': found {brief(value)}, expected a {'whole ' * whole}number from {least:g}"
         )
     return float(value)
 
