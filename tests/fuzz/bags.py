@@ -1,0 +1,79 @@
+"""Small bags for the fuzz targets: sound ones, and sound ones with one message of foreign bytes."""
+
+from __future__ import annotations
+
+import importlib.util
+import tempfile
+from functools import cache
+from pathlib import Path
+
+from evalkit_datasets.rosbag import RosBag
+
+SUFFIXES = {"ros1": ".bag", "sqlite3": ".db3", "mcap": ".mcap"}
+KINDS = tuple(SUFFIXES)
+
+
+@cache
+def _tests():
+    """The module that tests the bag reader, for the bags it makes."""
+    path = Path(__file__).resolve().parent.parent / "test_rosbag.py"
+    spec = importlib.util.spec_from_file_location("bag_tests", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@cache
+def _bag(kind: str):
+    bag = _tests().Bag(kind)
+    begin = _tests().T0
+    for k in range(3):
+        bag.scan(begin + k * 10**8, [1.0, 2.0, 3.0, 4.0, 5.0]).odom(begin + k * 10**8, 0.1 * k)
+        bag.tf(begin + k * 10**8, "odom", "base_link", 0.1 * k, static=False)
+    return bag.tf(begin, "base_link", "laser", 0.2)
+
+
+@cache
+def _with_echoes(kind: str):
+    bag = _tests().Bag(kind)
+    bag.store, bag.messages = _bag(kind).store, list(_bag(kind).messages)
+    return bag.echoes(_tests().T0, [1.0, 2.0], [], [3.0])
+
+
+@cache
+def made(kind: str) -> bytes:
+    """The file of a sound bag."""
+    with tempfile.TemporaryDirectory() as place:
+        path = _bag(kind).write(Path(place))
+        return (path if path.is_file() else next(path.glob(f"*{SUFFIXES[kind]}"))).read_bytes()
+
+
+@cache
+def messages(kind: str) -> list[bytes]:
+    """A message each of LaserScan, Odometry, TFMessage twice, and MultiEchoLaserScan, as it stands in a bag."""
+    bag = _with_echoes(kind)
+    serialize = bag.store.serialize_ros1 if kind == "ros1" else bag.store.serialize_cdr
+    found = {topic: bytes(serialize(message, name)) for topic, name, message, _ in bag.messages}
+    return [found[topic] for topic in ("/scan", "/odom", "/tf", "/tf_static", "/echoes")]
+
+
+def written(path: Path, part: tuple[str, str], content: bytes) -> None:
+    """A ROS 1 bag of a sound scan, odometry and transforms, and one message of that topic and type of any bytes."""
+    bag = _with_echoes("ros1")
+    with _tests().rosbag1.Writer(path) as writer:
+        connections = {}
+        for topic, kind, message, recorded in bag.messages:
+            if topic == "/echoes" and part[0] != topic:
+                continue
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=bag.store)
+            raw = content if (topic, kind) == part else bag.store.serialize_ros1(message, kind)
+            writer.write(connections[topic], recorded, raw)
+
+
+def frames_of(path: Path) -> None:
+    """Reads a bag to its last frame."""
+    sequence = RosBag(str(path))
+    for _ in sequence.frames():
+        pass
+    sequence.truth(), sequence.notes()

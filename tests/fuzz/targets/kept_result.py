@@ -1,0 +1,39 @@
+"""A job's result in the folder of a study."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import stored_run
+from bounds import Finding, folder, held
+
+from evalkit import saved
+from evalkit.study.ledger import Job, Ledger
+
+JOB = Job("fuzz", "math:sqrt")
+
+
+def seeds() -> list[bytes]:
+    """A result with a number and an array."""
+    with tempfile.TemporaryDirectory() as place:
+        ledger = Ledger(Path(place))
+        ledger.keep(JOB, {"value": 1.5, "array": np.arange(3.0)})
+        return [ledger.path(JOB).read_bytes()]
+
+
+def swollen() -> list[bytes]:
+    """The archives of a stored run."""
+    return [content[1:] for content in stored_run.swollen() if content[0] == 3]
+
+
+def one(data: bytes) -> None:
+    """Asks for a result; what is damaged counts as absent."""
+    saved.MOST_BYTES = 2**24  # as for a stored run
+    ledger = Ledger(folder())
+    ledger.path(JOB).write_bytes(data)
+    found: list[object] = []
+    held(lambda: found.append(ledger.kept(JOB)), len(data), "")
+    if not isinstance(found[0], (dict, type(None))):
+        raise Finding(f"a result that is a {type(found[0]).__name__}")

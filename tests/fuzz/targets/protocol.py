@@ -1,0 +1,80 @@
+"""The lines of a program that speaks evalkit's protocol: what it says of itself, and what it answers."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from bounds import held
+
+from evalkit.external.declaration import declaration, settings
+from evalkit.external.process import Talk
+from evalkit.external.program import Program
+
+
+class _Nobody:
+    """A process that is not there."""
+
+    def kill(self) -> None:
+        """Nothing to end."""
+
+
+def seeds() -> list[bytes]:
+    """Declarations and answers, and words with which settings are chosen after a line."""
+    return [
+        b'{"protocol": 1, "kind": "registration", "summary": "s", "device": "board", "parameters": '
+        b'[{"name": "radius", "default": 0.5, "unit": "m", "meaning": "how far"}, {"name": "n", "default": 3}]}',
+        b'{"pose": [1.0, 2.0, 0.5], "converged": true, "iterations": 12, "error_m": 0.01, "inliers": 300}',
+        b'{"failed": "no licence"}',
+        b'{"kind": "odometry", "failed": ["a", "b"]}',
+    ]
+
+
+def swollen() -> list[bytes]:
+    """Nesting, digits and texts without end."""
+    return [
+        b"[" * 1_000_000,
+        b'{"pose": ' + b"[" * 100_000 + b"]" * 100_000 + b"}",
+        b'{"a":' * 200_000,
+        b'{"pose": [1' + b"0" * 400 + b', 0, 0], "inliers": 1' + b"0" * 4_000 + b"}",
+        b'{"pose": [' + b"9" * 900_000 + b", 0, 0]}",
+        b'{"pose": [NaN, Infinity, 0], "inliers": NaN, "iterations": -Infinity}',
+        b'{"failed": "' + b"\\u001b[2J" * 100_000 + b'"}',
+        b'{"failed": ' + b"[1, " * 900 + b"]" * 900 + b"}",
+        b'{"kind": "' + b"x" * 1_000_000 + b'"}',
+        b'{"kind": "odometry", "parameters": [' + b'{"name": "a", "default": 1},' * 20_000 + b'{"name": "b"}]}',
+        b'{"kind": "odometry", "parameters": [{"name": "a", "default": 1' + b"0" * 400 + b"}]}",
+        b'{"iterations": 1e308, "inliers": 100000000000000000000, "pose": [1e308, -1e308, 1e308]}',
+        b"\x1b[2J\x1b[31m" * 100_000,
+    ]
+
+
+def one(data: bytes) -> None:
+    """Hears a line as every kind of answer."""
+    program = Program.__new__(Program)
+    program._name, program._process, program._last_words = "exec:fuzz", _Nobody(), deque([data[-200:]])
+    for hear in (_introduced, _matched, _posed):
+        held(lambda hear=hear: hear(program, data), len(data), "exec:fuzz")
+
+
+def _introduced(program: Program, line: bytes) -> None:
+    declared = declaration("exec:fuzz", program.read(line))
+    settings("exec:fuzz", declared.parameters, [])
+    for parameter in declared.parameters:
+        parameter.checked("exec:fuzz", parameter.default)
+
+
+def _matched(program: Program, line: bytes) -> None:
+    _talk(program).match(program.read(line))
+
+
+def _posed(program: Program, line: bytes) -> None:
+    talk = _talk(program)
+    answer = program.read(line)
+    talk.pose(answer)
+    talk.number(answer, "elapsed_ns", optional=True)
+
+
+def _talk(program: Program) -> Talk:
+    talk = Talk.__new__(Talk)
+    talk.program = program
+    return talk

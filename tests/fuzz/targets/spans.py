@@ -1,0 +1,37 @@
+"""The reader of distances measured with a tape."""
+
+from __future__ import annotations
+
+from bounds import held_file
+
+from evalkit_datasets import spans
+
+
+def seeds() -> list[bytes]:
+    """Distances of every kind of place."""
+    return [
+        b'[[span]]\nname = "door"\nfrom = 1.5\nto = { at = "976052857.337284001", point = [0.1, 0] }\nmetres = 2.5\n',
+        b"[[span]]\nfrom = { wall = [1.0, 2.0] }\nto = 3\nmetres = 4\nsigma_m = 0.02\n",
+    ]
+
+
+def swollen() -> list[bytes]:
+    """Numbers and texts that are long."""
+    one = b"[[span]]\nfrom = 1\nto = 2\nmetres = "
+    return [
+        one + b"1e" + b"9" * 100,
+        one + b"1e999999999999999999",
+        one + b"1e-999999999999999999",
+        one + b"9" * 4_000,
+        one + b"1." + b"9" * 500_000,
+        one + b'"' + b"x" * 1_000_000 + b'"',
+        one + b"1\n" + b"x" * 100_000 + b" = 1\n",
+        one.replace(b"from = 1", b"from = [" + b"1," * 200_000 + b"]") + b"1\n",
+        b"span = " + b"[" * 5_000,
+        one + b"1\n" + b"[" + b"a." * 20_000 + b"a]\n",
+    ]
+
+
+def one(data: bytes) -> None:
+    """Reads distances."""
+    held_file(spans.read, data, "fuzz.toml")

@@ -1,0 +1,84 @@
+"""A run's folder in a results folder: JSON, records and arrays that another version, or anybody, has left there."""
+
+from __future__ import annotations
+
+import io
+import json
+import zipfile
+
+import numpy as np
+from bounds import Finding, folder, held
+
+from evalkit import saved
+from evalkit.store import STEPS, Store
+from evalkit.types import STEP
+
+FILES = ("run.json", STEPS, "scores.json", "grid.npz", "errors.npy", "made.json")
+"""Which of them an input stands for is told by its first byte; the others are sound."""
+
+
+def _sound() -> dict[str, bytes]:
+    run = {"backend": "b", "sequence": "s", "status": "complete", "reason": "", "expected": 2, "notes": {}}
+    steps = np.zeros(2, dtype=STEP)
+    steps["stamp_ns"] = [0, 1]
+    scores = {"scores": {"ate": {"value": 1.0, "support": 2, "reason": ""}}, "world_from_start": [0, 0, 0]}
+    grid, errors = io.BytesIO(), io.BytesIO()
+    cells = np.zeros((3, 2), dtype=np.float32)
+    np.savez_compressed(grid, log_odds=cells, observed=cells > 0, frame=[0.05, 0.0, 0.0])
+    np.save(errors, np.zeros(2))
+    texts = [json.dumps(run).encode(), steps.tobytes(), json.dumps(scores).encode()]
+    return dict(zip(FILES, [*texts, grid.getvalue(), errors.getvalue(), b'{"made": "2024"}'], strict=True))
+
+
+def seeds() -> list[bytes]:
+    """Sound files."""
+    return [bytes([number]) + content for number, content in enumerate(_sound().values())]
+
+
+def _npy(header: str) -> bytes:
+    text = header.encode() + b" " * 20 + b"\n"
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
+
+
+def swollen() -> list[bytes]:
+    """Arrays that claim more than there is, objects to be unpickled, archives that hold gigabytes, deep nesting."""
+    huge = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }"
+    objects = "{'descr': '|O', 'fortran_order': False, 'shape': (1,), }"
+    zipped = []
+    for content in (_npy(huge), _npy(objects) + b"\x80\x04N.", b"\0" * 30_000_000):
+        body = io.BytesIO()
+        with zipfile.ZipFile(body, "w", zipfile.ZIP_DEFLATED) as file:
+            for name in ("log_odds", "observed", "frame"):
+                file.writestr(f"{name}.npy", content)
+        zipped.append(b"\x03" + body.getvalue())
+    return [
+        *zipped,
+        b"\x04" + _npy(huge),
+        b"\x04" + _npy(objects) + b"\x80\x04N.",
+        b"\x04" + _npy("{" * 5_000),
+        *(bytes([number]) + b"[" * 100_000 for number in (0, 2, 5)),
+        *(bytes([number]) + b'{"a":' * 100_000 for number in (0, 2, 5)),
+        b"\x00" + b"9" * 100_000,
+        b'\x02{"scores": {"a": {"value": 1e999}}, "world_from_start": [NaN, 0, 0]}',
+        b'\x02{"scores": {}, "world_from_start": [1' + b"0" * 400 + b", 0, 0]}",
+        b'\x02{"scores": [], "world_from_start": [0, 0, 0]}',
+        b"\x02[]",
+        b"\x00[]",
+        b'\x00{"steps": 1}',
+    ]
+
+
+def one(data: bytes) -> None:
+    """Loads a run and its scores; what is damaged counts as absent."""
+    place = folder() / "runs" / "key"
+    place.mkdir(parents=True, exist_ok=True)
+    for name, content in _sound().items():
+        (place / name).write_bytes(content)
+    name = FILES[data[0] % len(FILES)] if data else FILES[0]
+    (place / name).write_bytes(data[1:])
+    saved.MOST_BYTES = 2**24  # what a sound archive of that size takes is no finding
+    store = Store.existing(folder())
+    held(lambda: (store.load_run("key"), store.load_scores("key")), len(data), "")
+    made = store.load_made("key")
+    if not isinstance(made, dict):
+        raise Finding(f"made.json gave {made!r}")
