@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import io
 import time
 from collections import Counter, defaultdict
 from collections.abc import Iterator
 from contextlib import contextmanager
 from statistics import fmean
+from typing import TYPE_CHECKING
 
 from rich.console import Console
 from rich.markup import escape
@@ -15,7 +15,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from evalkit.experiment import Plan, Planned
-from evalkit.making import Ended
+
+if TYPE_CHECKING:
+    from evalkit.making import Ended  # loads every metric
 
 WIDE = 10_000
 """Columns of a table that is piped: one line a row, whatever it holds."""
@@ -77,6 +79,13 @@ class RunLines:
         return "time left unknown" if left is None else f"{_clock(left)} left"
 
 
+class Silence(RunLines):
+    """Nothing."""
+
+    def finished(self, ended: Ended) -> None:
+        """Tells nobody."""
+
+
 class RunBar(RunLines):
     """A bar with the time left, and above it a line for every run that did not complete."""
 
@@ -99,9 +108,9 @@ class RunBar(RunLines):
 
 @contextmanager
 def progress(console: Console, planned: list[Planned], jobs: int, quiet: bool = False) -> Iterator[RunLines]:
-    """A bar on a terminal, lines elsewhere; ``quiet``: lines for nobody."""
+    """A bar on a terminal, lines elsewhere; nothing where that is ``quiet``."""
     if quiet:
-        yield RunLines(Console(file=io.StringIO(), quiet=True), planned, jobs)
+        yield Silence(console, [], 1)
         return
     if not console.is_terminal:
         yield RunLines(console, planned, jobs)

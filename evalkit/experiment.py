@@ -9,7 +9,7 @@ import shlex
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -101,12 +101,18 @@ class Plan:
 
         A slow hour hits all alike, and nobody always runs first or always after the same one.
         """
+        yield from self._runs
+
+    @cached_property
+    def _runs(self) -> tuple[Planned, ...]:
         code = cache(registry.run_fingerprint)  # both read files, and a plan may have thousands of runs
         files = cache(_file_state)
         repetitions = [(course, seed) for course in self.courses for seed in course.seeds]
-        for turn, (course, seed) in enumerate(repetitions):
-            for contestant in self.contestants[:: -1 if turn % 2 else 1]:
-                yield Planned(_key(contestant, course, seed, code, files), contestant, course, seed)
+        return tuple(
+            Planned(_key(contestant, course, seed, code, files), contestant, course, seed)
+            for turn, (course, seed) in enumerate(repetitions)
+            for contestant in self.contestants[:: -1 if turn % 2 else 1]
+        )
 
     def command(self, planned: Planned) -> str:
         """What reproduces one run alone, in a folder of its own: this plan's results and page stay."""

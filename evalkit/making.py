@@ -118,6 +118,8 @@ class Scorers:
         except BrokenProcessPool:
             self._replace(shared)
             with pool(1) as own:
+                if _breaks(own):
+                    raise RuntimeError("no process to score in can be started here") from None
                 own.submit(job, *arguments).result()
 
     def _replace(self, broken: Executor) -> None:
@@ -130,6 +132,15 @@ class Scorers:
 def pool(jobs: int) -> Executor:
     """So many processes."""
     return ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_settle)
+
+
+def _breaks(processes: Executor) -> bool:
+    """Whether even nothing cannot be done: it is not the run's fault then."""
+    try:
+        processes.submit(os.getpid).result()
+    except BrokenProcessPool:
+        return True
+    return False
 
 
 def _settle() -> None:

@@ -1,0 +1,159 @@
+"""What scale costs: planning, a store's run, a cluster's task, and two workers beside one. Prints a table.
+
+python tests/bench/scale.py [planning store tasks workers]
+"""
+
+from __future__ import annotations
+
+import os
+import resource
+import shutil
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from evalkit import experiment, parcel
+from evalkit.cluster import Call, Cluster, Slot, _local
+from evalkit.engine import Engine
+from evalkit.experiment import Plan
+from evalkit.making import Ended
+from evalkit.places import There
+from evalkit.store import Store
+
+
+class Unheard:
+    """A progress nobody listens to."""
+
+    def begun(self, planned: object) -> None:
+        """Nothing."""
+
+    def answered(self, planned: object, scans: int) -> None:
+        """Nothing."""
+
+    def finished(self, ended: Ended) -> None:
+        """Nothing."""
+
+
+def plan(contestants: int, courses: int, seeds: int, laps: float = 0.3) -> Plan:
+    """The paper's method under so many labels on so many drives through a room."""
+    content = {
+        "timed": False,
+        "contestant": [{"use": "paper", "label": f"paper {k}", "keyframes": 10 + k} for k in range(contestants)],
+        "sequence": [
+            {"use": "room", "label": f"room {k}", "laps": laps + 1e-3 * k, "seeds": list(range(seeds))}
+            for k in range(courses)
+        ],
+    }
+    return experiment.plan(content, "scale.toml", "scale", "report scale.toml")
+
+
+@contextmanager
+def taken(what: str, count: int, unit: str = "run") -> Iterator[None]:
+    """Prints the CPU and the wall time of what is done meanwhile."""
+    wall, cpu = time.perf_counter(), time.process_time()
+    yield
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    print(f"{what}: {cpu:.2f} s CPU, {wall:.2f} s wall; {1e3 * cpu / count:.3f} ms CPU a {unit}", flush=True)
+
+
+def planning(folder: Path) -> None:
+    """10,000 runs: reading, checking, keys, and what is done, with none made and with all made."""
+    store = Store(folder / "empty")
+    with taken("plan 10,000 runs", 10_000):
+        big = plan(10, 10, 100)
+        runs = list(big.runs())
+    with taken("what is done of 10,000, none made", 10_000):
+        assert len(list(Engine(big, store, Unheard(), collect=True).ended())) == 10_000
+    full = Store(folder / "full")
+    one = big.only(["room 0"], ["paper 0"], [0])
+    list(Engine(one, full, Unheard()).ended())
+    made = full.run_folder(next(one.runs()).key)
+    with taken("copy a run 10,000 times", 10_000):
+        for run in runs:
+            if not full.run_folder(run.key).exists():
+                shutil.copytree(made, full.run_folder(run.key), copy_function=os.link)
+    with taken("what is done of 10,000, all made", 10_000):
+        ended = list(Engine(big, full, Unheard(), collect=True).ended())
+    print("  statuses:", {one.status for one in ended})
+    print(f"  peak of this process: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
+
+
+def store(folder: Path) -> None:
+    """Bytes and files of a run, and what it takes to pack and unpack one."""
+    kept = Store(folder / "one")
+    one = plan(1, 1, 1, laps=1.0)
+    list(Engine(one, kept, Unheard()).ended())
+    key = next(one.runs()).key
+    files = [path for path in (folder / "one").rglob("*") if path.is_file() and not path.name.startswith(".")]
+    scans = kept.how_it_ended(key).answered
+    print(f"a run of {scans} scans: {len(files)} files, {sum(path.stat().st_size for path in files):,} bytes")
+    body = parcel.packed(kept, key)
+    print(f"  packed for the way: {len(body):,} bytes")
+    other = Store(folder / "other")
+    with taken("pack", 100):
+        for _ in range(100):
+            parcel.packed(kept, key)
+    with taken("unpack", 100):
+        for _ in range(100):
+            parcel.unpacked(other, key, body)
+
+
+def nothing(size: int, _slot: Slot) -> bytes:
+    """So many bytes."""
+    return bytes(size)
+
+
+def tasks(_folder: Path) -> None:
+    """What a task costs that computes nothing: client, scheduler and worker together on this machine."""
+    with _local(2) as local:
+        cluster = Cluster(local.scheduler_address)
+        for size in (0, 100_000):
+            count = 500
+            before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+            with taken(f"{count} empty tasks that answer {size:,} bytes", count, "task"):
+                found = sum(1 for _ in cluster.answers(Call(f"n{k}", nothing, (size,)) for k in range(count)))
+            after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+            print(f"  {found} answered; client and scheduler grew by {(after - before) / 1024:.1f} MiB")
+
+
+def workers(folder: Path) -> None:
+    """The same plan by one and by two workers, in turns; the share of a second worker that is really had."""
+    walls: dict[int, list[float]] = {1: [], 2: []}
+    many = plan(2, 2, 2)
+    for turn in range(2):
+        for count in (1, 2) if turn % 2 == 0 else (2, 1):
+            with _local(count) as local:
+                place = There(Cluster(local.scheduler_address))
+                warm = plan(1, 1, count, laps=0.05)
+                list(Engine(warm, Store(folder / f"warm {turn} {count}"), Unheard(), place=place).ended())
+                begun, idle = time.perf_counter(), _idle_s()
+                ended = list(Engine(many, Store(folder / f"{turn} {count}"), Unheard(), place=place).ended())
+                wall, spare = time.perf_counter() - begun, _idle_s() - idle
+            assert {one.status for one in ended} == {"complete"}, {one.reason for one in ended}
+            walls[count].append(wall)
+            inside = sum(one.seconds for one in ended)
+            print(
+                f"{count} workers: {len(ended)} runs in {wall:.1f} s wall, {len(ended) / wall:.2f} runs/s; "
+                f"busy {inside / (wall * count):.0%}; machine idle {spare:.1f} CPU s",
+                flush=True,
+            )
+    one, two = (min(walls[count]) for count in (1, 2))
+    print(f"efficiency of two workers: {one / (2.0 * two):.0%} (best of two turns each)")
+
+
+def _idle_s() -> float:
+    import psutil
+
+    return psutil.cpu_times().idle
+
+
+PARTS: dict[str, Callable[[Path], None]] = {"planning": planning, "store": store, "tasks": tasks, "workers": workers}
+
+if __name__ == "__main__":
+    for name in sys.argv[1:] or PARTS:
+        print(f"-- {name}; load {os.getloadavg()[0]:.1f}", flush=True)
+        with tempfile.TemporaryDirectory() as scratch:
+            PARTS[name](Path(scratch))
