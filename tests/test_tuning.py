@@ -197,6 +197,7 @@ def test_a_space_follows_from_declared_bounds_or_a_decade_around_the_default():
         ("points = 16", "points = 1", "'points': found 1, expected a whole number from 2"),
         ("search.max_correspondence_m = [0.1, 1]", "search.max_correspondence_m = [-1, 1]", "found -1.0, expected"),
         ("search.max_correspondence_m", "search.no_such", "no parameter named 'no_such'"),
+        ('use = "paper"', 'use = "paper"\nlabel = "embedded tuned"', "tuned rows are to end in ' tuned'"),
         ('use = "room"', 'use = "roam"', r"held-out 2: no dataset named 'roam'"),
     ],
 )

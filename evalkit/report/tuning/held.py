@@ -10,7 +10,7 @@ from evalkit.report.comparison import Comparison
 from evalkit.report.evidence import Duel, duels
 from evalkit.report.standings import NOT_POSSIBLE, Standing, deciding, difference
 from evalkit.study.tuning.campaign import Searched
-from evalkit.study.tuning.tuned import TUNED
+from evalkit.study.tuning.plan import TUNED
 
 
 @dataclass(frozen=True)

@@ -25,8 +25,8 @@ from evalkit.report.tuning import charts
 from evalkit.report.tuning.outcome import Tuned
 from evalkit.report.tuning.rows import held_blocks, number
 from evalkit.study.tuning.campaign import Searched
+from evalkit.study.tuning.plan import TUNED
 from evalkit.study.tuning.space import is_continuous
-from evalkit.study.tuning.tuned import TUNED
 
 
 def document(told: Tuned) -> Document:

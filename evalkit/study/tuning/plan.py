@@ -16,6 +16,9 @@ TRIAL = "evalkit.study.tuning.trial:tried"
 COST = "cpu_median_ms"
 """What accuracy is held against: CPU time a scan."""
 
+TUNED = " tuned"
+"""What the label of a tuned row ends in."""
+
 
 @dataclass(frozen=True)
 class Entrant:

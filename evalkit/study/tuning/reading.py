@@ -15,7 +15,7 @@ from evalkit.protocols import Parameter, Value
 from evalkit.settings import from_text
 from evalkit.study.factors import Factor, factor
 from evalkit.study.plan import Response
-from evalkit.study.tuning.plan import Entrant, Training, Tuning
+from evalkit.study.tuning.plan import TUNED, Entrant, Training, Tuning
 from evalkit.study.tuning.space import CONTESTANT, SHARED, Space, derived, own, settings
 
 TOP = ("title", "description", "points", "seed", "run_cpu_s", "objective", "mapper", "limits", "contestant",
@@ -48,6 +48,10 @@ def tuning(content: Mapping[str, Any], file: str, name: str, command: str) -> Tu
             raise BadExperiment(file, "", str(UnknownName("key", key, TOP)))
     contestants = _tables(content, "contestant", file)
     held_out = _plan(content, contestants, _tables(content, "held-out", file), file, "held-out")
+    for contestant in held_out.contestants:
+        if contestant.label.endswith(TUNED):
+            told = f"'label': found {contestant.label!r}, but tuned rows are to end in '{TUNED}'; take another"
+            raise BadExperiment(file, "contestant", told)
     training = _training(content, contestants, file)
     _disjoint(training, held_out.courses, file)
     entrants = [
@@ -116,9 +120,12 @@ def _training(content: Mapping[str, Any], contestants: Sequence[Any], file: str)
             raise BadExperiment(file, place, f"cannot be trained on here: {course.missing}")
         found.append(Training(course, _confirm(table, course, file, place)))
     if sum(len(one.confirm) for one in found) < FEWEST_CONFIRMING:
-        told = f"it takes {FEWEST_CONFIRMING} runs in all, e.g. confirm = [100, 101, 102, 103]"
-        why = "'confirm': the best point is compared with the default on fresh seeds"
-        raise BadExperiment(file, "training", f"{why}, and {told}")
+        told = (
+            "'confirm': the best point is compared with the default on fresh seeds, and it takes "
+            f"{FEWEST_CONFIRMING} runs in all, e.g. confirm = [100, 101, 102, 103]; recordings have no seeds, so train "
+            "on a simulated world too"
+        )
+        raise BadExperiment(file, "training", told)
     return tuple(found)
 
 

@@ -12,10 +12,7 @@ from evalkit.experiment import Contestant, Course, Plan
 from evalkit.protocols import Value
 from evalkit.study.experiment_lines import setting_lines
 from evalkit.study.tuning.campaign import Searched
-from evalkit.study.tuning.plan import Tuning
-
-TUNED = " tuned"
-"""What the label of a tuned row ends in."""
+from evalkit.study.tuning.plan import TUNED, Tuning
 
 
 def experiment_text(tuning: Tuning, found: Sequence[Searched]) -> str:
