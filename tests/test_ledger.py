@@ -1,15 +1,19 @@
 """The ledger of a study: what is done stays done."""
 
+import ctypes
+import itertools
 import os
 import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from evalkit.cluster import Cluster
 from evalkit.study.ledger import Job, JobsFailed, Ledger
 
 
@@ -26,6 +30,11 @@ def refuse(why):
 
 def die():
     os.kill(os.getpid(), signal.SIGKILL)
+
+
+def hang(how):
+    {"sleeps": lambda: time.sleep(600), "spins": lambda: sum(itertools.repeat(0)),
+     "holds": lambda: ctypes.PyDLL(None).sleep(600)}[how]()  # fmt: skip
 
 
 def doze(number, log):
@@ -86,6 +95,23 @@ def test_a_job_that_ends_its_process_is_named_and_costs_no_other(squares, tmp_pa
     assert all(Ledger(tmp_path).kept(job) for job in jobs[1:])
 
 
+@pytest.mark.parametrize("how", ["sleeps", "spins", "holds"])
+def test_a_job_that_hangs_is_ended_once_named_and_costs_no_other(squares, tmp_path, how):
+    hanging = replace(squares("hanging", "hang", how=how), limit_s=1.0)
+    jobs = [hanging, *(squares(f"n{n}", "square", number=n) for n in range(3))]
+    begun = time.monotonic()
+    with pytest.raises(JobsFailed, match=r"hanging failed: not finished after 1 s; it was in .*\(test_ledger.py, line"):
+        Ledger(tmp_path).run(jobs)
+    assert time.monotonic() - begun < 300  # and not 600
+    assert all(Ledger(tmp_path).kept(job) for job in jobs[1:])
+    assert not list(tmp_path.glob("*.running"))
+
+
+def test_a_limit_changes_no_result(squares):
+    job = squares("n", "square", number=1)
+    assert replace(job, limit_s=5.0).key == job.key
+
+
 def test_two_jobs_of_one_name_are_refused(squares, tmp_path):
     with pytest.raises(ValueError, match="two are named 'n'"):
         Ledger(tmp_path).run([squares("n", "square", number=1), squares("n", "square", number=2)])
@@ -110,3 +136,15 @@ def test_a_killed_study_goes_on_without_repeating(squares, tmp_path):
     assert 2 <= kept < 6
     subprocess.run([sys.executable, script], check=True)
     assert len((tmp_path / "log").read_text().split()) - computed == 6 - kept
+
+
+def test_a_clusters_workers_compute_the_same_and_who_ends_them_twice_is_named(squares, tmp_path):
+    pytest.importorskip("distributed")
+    jobs = [squares("three", "square", number=3), squares("deadly", "die"), squares("bad", "refuse", why="no")]
+    with pytest.raises(JobsFailed) as failed:
+        Ledger(tmp_path).run(jobs, cluster=Cluster(workers=1))
+    assert failed.value.reasons["deadly"].startswith("WorkerLost: lost its worker twice (tcp://")
+    assert failed.value.reasons["bad"] == "ValueError: no"
+    kept = Ledger(tmp_path).kept(jobs[0])
+    assert kept["square"] == 9
+    assert kept["row"].tolist() == [0, 1, 2]

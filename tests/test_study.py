@@ -8,12 +8,14 @@ import subprocess
 import sys
 import time
 import tomllib
+from pathlib import Path
 
 import pytest
 from typer.testing import CliRunner
 
 from evalkit.cli import app
-from evalkit.study.outcome import Outcome
+from evalkit.study.ledger import Job
+from evalkit.study.outcome import Outcome, computed
 from evalkit.study.point import evaluate
 from evalkit.study.reading import study
 
@@ -142,3 +144,15 @@ def test_a_killed_study_goes_on_without_repeating_finished_points(file, tmp_path
     assert {path: after[path] for path in before} == before
     assert len(after) == 16  # the four points of the grid are in the array too
     assert (tmp_path / "out" / "index.html").exists()
+
+
+def hang(metrics):
+    time.sleep(600)
+
+
+def test_a_run_that_hangs_is_a_lost_run_with_its_reason(tmp_path, monkeypatch):
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
+    job = Job("p seed 0", "test_study:hang", {"metrics": ["ate_rmse_m"]}, limit_s=1.0)
+    (result,) = computed([job], tmp_path, 1, lambda _name, _seconds: None).values()
+    assert (result["status"], result["scores"]) == ("timeout", {"ate_rmse_m": None})
+    assert result["reason"].startswith("not finished after 1 s; it was in hang (test_study.py, line")

@@ -15,6 +15,7 @@ import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import cache
 from multiprocessing.queues import Queue
@@ -25,9 +26,11 @@ from typing import Any
 import numpy as np
 
 from evalkit import environment, lifeline, saved
+from evalkit.cluster import Call, Cluster, Slot
 from evalkit.errors import EvalkitError, StoreError, plain
 from evalkit.fingerprint import fingerprint
 from evalkit.store import REMEDY
+from evalkit.study import deadline
 
 Result = Mapping[str, Any]
 """What a job gives: JSON values, and NumPy arrays at the top level."""
@@ -41,13 +44,15 @@ class Job:
     """One computation: ``function`` is "module:name" of a plain function, ``arguments`` are its keywords (JSON values).
 
     ``name`` is what results are asked for by; ``uses`` names modules the result stands on beyond what the function's
-    module imports: plug-ins that are found by name.
+    module imports: plug-ins that are found by name. ``limit_s``: the wall clock it may take, 0 for any; its process is
+    ended then, whatever it does.
     """
 
     name: str
     function: str
     arguments: Mapping[str, Any] = field(default_factory=dict)
     uses: tuple[str, ...] = ()
+    limit_s: float = 0.0
 
     @property
     def key(self) -> str:
@@ -82,9 +87,15 @@ class Ledger:
     folder: Path
 
     def run(
-        self, jobs: Iterable[Job], workers: int = 1, done: OnDone = lambda _name, _seconds: None
+        self,
+        jobs: Iterable[Job],
+        workers: int = 1,
+        done: OnDone = lambda _name, _seconds: None,
+        cluster: Cluster | None = None,
     ) -> dict[str, Result]:
         """The result of every job by name: what is here is taken, the rest computed by so many processes.
+
+        ``cluster``: whose workers compute it instead.
 
         Raises JobsFailed when all others are done and kept; StoreError where the folder cannot be written.
         """
@@ -93,7 +104,8 @@ class Ledger:
         kept = {job.name: found for job in known if (found := self.kept(job)) is not None}
         for name in kept:
             done(name, 0.0)
-        made, reasons = self._made([job for job in known if job.name not in kept], workers, done)
+        missing = [job for job in known if job.name not in kept]
+        made, reasons = self._made_there(missing, cluster, done) if cluster else self._made(missing, workers, done)
         if reasons:
             name, reason = next(iter(reasons.items()))
             others = f" and {len(reasons) - 1} more" if len(reasons) > 1 else ""
@@ -133,12 +145,49 @@ class Ledger:
             raise StoreError(str(self.folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
 
     def _made(self, jobs: list[Job], workers: int, done: OnDone) -> tuple[dict[str, Result], dict[str, str]]:
-        """Results and reasons of failure by name. A job that ends its process is asked again in one of its own."""
+        """Results and reasons of failure by name. A job that ends its process is asked again in one of its own.
+
+        Not so one that was ended for its time. Those that had not begun when a process ended begin anew with the rest.
+        """
         made: dict[str, Result] = {}
         reasons: dict[str, str] = {}
-        for job in self._gathered(_computed(jobs, workers), made, reasons, done):
-            if self._gathered(_computed([job], 1), made, reasons, done):
-                reasons[job.name] = "it ended its process"
+        waiting = jobs
+        while waiting:
+            ended = self._gathered(self._computed(waiting, workers), made, reasons, done)
+            told = {job.name: deadline.taken(self._note(job), job.limit_s) for job in ended}
+            begun = [job for job in ended if told[job.name] is not None] or ended  # or no process came so far
+            for job in begun:
+                late = told[job.name] or self._alone(job, made, reasons, done)
+                reasons.update({job.name: late} if late else {})
+            names = {job.name for job in begun}
+            waiting = [job for job in ended if job.name not in names]
+        return made, reasons
+
+    def _alone(self, job: Job, made: dict[str, Result], reasons: dict[str, str], done: OnDone) -> str:
+        """Computes a job in a process of its own; why that ended, or ""."""
+        if not self._gathered(self._computed([job], 1), made, reasons, done):
+            return ""
+        return deadline.taken(self._note(job), job.limit_s) or "it ended its process"
+
+    def _computed(self, jobs: list[Job], workers: int) -> Iterator[Computed]:
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StoreError(str(self.folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
+        yield from _computed([(job, self._note(job)) for job in jobs], workers)
+
+    def _note(self, job: Job) -> Path:
+        """The file that is there while we have a job computed."""
+        return self.folder / f"{job.key}.{os.getpid()}.running"
+
+    def _made_there(self, jobs: list[Job], cluster: Cluster, done: OnDone) -> tuple[dict[str, Result], dict[str, str]]:
+        """The same by the workers of a cluster, which has asked again already who ended its worker."""
+        made: dict[str, Result] = {}
+        reasons: dict[str, str] = {}
+        by_key = {job.key: job for job in jobs}
+        calls = (Call(key, on_worker, (job, key)) for key, job in by_key.items())
+        with closing(cluster.answers(calls)) as answers:
+            self._gathered(((by_key[call.name], future) for call, future in answers), made, reasons, done)
         return made, reasons
 
     def _gathered(
@@ -166,6 +215,12 @@ class Ledger:
         done(job.name, seconds)
 
 
+def call_noted(function: str, arguments: Mapping[str, Any], note: str, limit_s: float) -> tuple[Result, float]:
+    """The same as ``call`` under a limit of time, with a note of it while it lasts."""
+    with deadline.noted(Path(note), limit_s):
+        return call(function, arguments)
+
+
 def call(function: str, arguments: Mapping[str, Any]) -> tuple[Result, float]:
     """What "module:name" gives for the keywords, and the seconds it took."""
     module, _, name = function.partition(":")
@@ -178,7 +233,14 @@ def call(function: str, arguments: Mapping[str, Any]) -> tuple[Result, float]:
     return result, time.perf_counter() - started
 
 
-def _computed(jobs: list[Job], workers: int) -> Iterator[Computed]:
+def on_worker(job: Job, key: str, _slot: Slot) -> tuple[Result, float]:
+    """The same on a cluster's worker, where the code is that of the job's ``key``."""
+    if job.key != key:
+        raise RuntimeError("the code on this worker is another one: install the same versions, and restart the workers")
+    return call(job.function, job.arguments)
+
+
+def _computed(jobs: list[tuple[Job, Path]], workers: int) -> Iterator[Computed]:
     """The jobs as they are done, computed by processes with one thread and one core each."""
     if not jobs:
         return
@@ -190,16 +252,16 @@ def _computed(jobs: list[Job], workers: int) -> Iterator[Computed]:
         cores.put(known[worker % len(known)])
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_settle, initargs=(cores,))
     try:
-        futures = {_submitted(pool, job): job for job in jobs}
+        futures = {_submitted(pool, job, note): job for job, note in jobs}
         for future in as_completed(futures):
             yield futures[future], future
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _submitted(pool: ProcessPoolExecutor, job: Job) -> Future[tuple[Result, float]]:
+def _submitted(pool: ProcessPoolExecutor, job: Job, note: Path) -> Future[tuple[Result, float]]:
     try:
-        return pool.submit(call, job.function, dict(job.arguments))
+        return pool.submit(call_noted, job.function, dict(job.arguments), str(note), job.limit_s)
     except BrokenProcessPool as error:  # an earlier job has ended its process already
         future: Future[tuple[Result, float]] = Future()
         future.set_exception(error)

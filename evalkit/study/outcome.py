@@ -9,7 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
+from evalkit.cluster import Cluster
 from evalkit.se2 import Floats
+from evalkit.study.deadline import LATE
 from evalkit.study.effects import Fit
 from evalkit.study.ledger import Job, JobsFailed, Ledger, OnDone, Result
 from evalkit.study.plan import Design, Point, Response, Study, job_name
@@ -92,11 +94,13 @@ def on_scale(response: Response, values: Floats) -> Floats:
     return np.log(values, out=np.full_like(values, np.nan), where=values > 0.0)
 
 
-def computed(jobs: Sequence[Job], folder: Path, workers: int, done: OnDone) -> dict[str, Result]:
-    """The results of a study's jobs, kept in a folder; a job that ended its process is a crashed run."""
+def computed(
+    jobs: Sequence[Job], folder: Path, workers: int, done: OnDone, cluster: Cluster | None = None
+) -> dict[str, Result]:
+    """The results of a study's jobs, kept in a folder; a job that ended its process is a crashed run, or a late one."""
     ledger = Ledger(folder)
     try:
-        return ledger.run(jobs, workers, done)
+        return ledger.run(jobs, workers, done, cluster)
     except JobsFailed as failed:
         reasons: Mapping[str, str] = failed.reasons
         return {job.name: ledger.kept(job) or _crashed(job, reasons.get(job.name, "")) for job in jobs}
@@ -106,7 +110,7 @@ def _crashed(job: Job, reason: str) -> Result:
     names = job.arguments["metrics"]
     nothing = {"answered": 0, "expected": 0, "cpu_s": 0.0}
     return {
-        "status": "crashed",
+        "status": "timeout" if reason.startswith(LATE) else "crashed",
         "reason": reason,
         **nothing,
         "scores": dict.fromkeys(names),

@@ -10,6 +10,7 @@ from functools import cached_property
 from typing import Literal
 
 from evalkit import registry
+from evalkit.experiment import Limits
 from evalkit.metrics.table import Metric
 from evalkit.protocols import Value
 from evalkit.se2 import Floats
@@ -108,7 +109,7 @@ class EnvelopeChoice:
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """A whole study, ready to run. ``command``: what runs it."""
+    """A whole study, ready to run. ``command``: what runs it; ``limit_s``: seconds that one run may take."""
 
     title: str
     description: str
@@ -122,6 +123,7 @@ class Study:
     factors: tuple[Factor, ...]
     designs: tuple[Design, ...]
     envelopes: tuple[EnvelopeChoice, ...]
+    limit_s: float = Limits.run_s
 
     @cached_property
     def points(self) -> Mapping[str, Point]:
@@ -163,7 +165,7 @@ class Study:
             "metrics": [response.name for response in self.responses],
             "code": self.code,
         }
-        return Job(job_name(point.key, seed), POINT, arguments)
+        return Job(job_name(point.key, seed), POINT, arguments, limit_s=self.limit_s)
 
     @cached_property
     def code(self) -> str:

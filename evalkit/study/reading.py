@@ -16,7 +16,8 @@ from evalkit.study.factors import Factor, Level, Scale, Settings, factor
 from evalkit.study.placing import placed
 from evalkit.study.plan import Design, EnvelopeChoice, Kind, Point, Response, Study
 
-TOP = ("title", "description", "seeds", "contestant", "sequence", "mapper", "response", "factor", "design", "envelope")
+ROOMS = ("contestant", "sequence", "mapper", "limits")
+TOP = ("title", "description", "seeds", *ROOMS, "response", "factor", "design", "envelope")
 DESIGN = ("name", "kind", "factors", "points", "resolution", "seed", "seeds", "deal", "with")
 NEEDS = {"optimal": "points", "sobol": "points", "latin": "points", "fractional": "resolution"}
 """The key that a kind of design cannot do without."""
@@ -61,6 +62,7 @@ def study(content: Mapping[str, Any], file: str, command: str) -> Study:
         tuple(known),
         tuple(designs),
         tuple(_envelope(t, file, f"envelope {i + 1}", designs, responses) for i, t in envelopes),
+        base.limit_s,
     )
 
 
@@ -74,8 +76,12 @@ class _Base:
                 raise BadExperiment(file, "", f"no table [{room}]: a study needs one, with use = NAME")
         course = dict(rooms["sequence"] or {}) | ({"seeds": content["seeds"]} if "seeds" in content else {})
         tables = {"contestant": [rooms["contestant"]], "sequence": [course], "mapper": content.get("mapper", {})}
+        if isinstance(limits := content.get("limits", {}), Mapping):
+            _known(limits, ("run_s",), file, "limits")
+        tables |= {"limits": limits}
         plan = experiment.plan(tables, file, "study", "study")
         self.file, self.contestant, self.course, self.mapper = file, plan.contestants[0], plan.courses[0], plan.mapper
+        self.limit_s = plan.limits.run_s
         self._spec = registry.entrant(self.contestant.backend)
         self._made: set[str] = set()
         self.settings: Settings = {

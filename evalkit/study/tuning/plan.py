@@ -103,7 +103,7 @@ class Tuning:
             "metrics": [self.objective.name, COST],
             "code": self._code(entrant.contestant.backend, run.course.dataset),
         }
-        return Job(f"{entrant.label} | {run.label} | {candidate.name}", TRIAL, arguments)
+        return Job(f"{entrant.label} | {run.label} | {candidate.name}", TRIAL, arguments, limit_s=self.limits.run_s)
 
     def _code(self, backend: str, dataset: str) -> str:
         known = (backend, dataset)
