@@ -117,11 +117,12 @@ def dask() -> Any:
 def _local(workers: int) -> Iterator[Any]:
     """Processes of this machine, one thread each, restarted when they die; gone afterwards."""
     steadfast = {"distributed.deploy.lost-worker-timeout": "1 day"}  # else who dies twice in 15 s is not restarted
+    distributed = dask()  # first: it brings the settings
     with (
         import_module("dask").config.set(steadfast),
         tempfile.TemporaryDirectory(prefix="evalkit-workers-", ignore_cleanup_errors=True) as folder,
-        dask().LocalCluster(
-            n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address=None,
+        distributed.LocalCluster(
+            n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address="127.0.0.1:0",
             resources={TIMED: 1}, memory_limit=0, local_directory=folder, silence_logs=50,
         ) as cluster,
     ):  # fmt: skip

@@ -1,10 +1,14 @@
 """A plan's runs on this machine: rows for whatever happens, resumed where they stopped, stopped where they must."""
 
 import itertools
+import json
 import multiprocessing
 import os
+import subprocess
+import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
 from datetime import UTC, datetime
 from queue import SimpleQueue
@@ -253,8 +257,51 @@ def test_a_mapper_that_ends_its_process_costs_the_run_it_draws_and_no_other(tmp_
     mapper = {"use": "faulty-mapper", "fault": "sigkill", "only_past_m": 1e3}
     made = trials(plan("far", "none", mapper=mapper), tmp_path, jobs=1)
     assert [trial.run.status for trial in made.values()] == ["crashed", "complete"]
-    assert made["far"].run.reason.startswith("quarantined: it ended the process that scored it twice (")
+    reason = made["far"].run.reason
+    assert reason.startswith("quarantined: it ended the process that scored it twice (")
+    assert len(made["far"].run.steps) == 12
     assert made["none"].scores["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_run_quarantined_for_its_scoring_is_tried_again_only_when_that_is_asked_for(tmp_path, quick, monkeypatch):
+    def deadly(*_arguments):
+        asked.append(1)
+        raise BrokenProcessPool("ended")
+
+    asked = []
+    monkeypatch.setattr(making, "score_stored", deadly)
+    again = frozenset({"crashed"})
+    for how, count in ({}, 2), ({"resume": True}, 2), ({"resume": True, "rerun": again}, 4):
+        (trial,) = Engine(plan("none"), Store(tmp_path), Heard(), **how).trials()
+        assert trial.run.reason.startswith("quarantined: it ended the process that scored it twice (")
+        assert len(asked) == count
+
+
+def test_where_no_process_to_score_in_can_be_started_nothing_is_quarantined(tmp_path, monkeypatch):
+    class Broken(ThreadPoolExecutor):
+        def submit(self, *_arguments):
+            raise BrokenProcessPool("no memory")
+
+    monkeypatch.setattr(making, "pool", Broken)
+    trial = trials(plan("none"), tmp_path)["none"]
+    assert trial.run.reason == "scoring failed: RuntimeError: no process to score in can be started here"
+    monkeypatch.setattr(making, "pool", ThreadPoolExecutor)
+    assert trials(plan("none"), tmp_path, resume=True)["none"].run.status == "complete"
+
+
+def test_a_run_that_ends_evalkit_twice_is_quarantined_and_the_others_are_made(tmp_path, quick):
+    """A back end that kills its parent, in evalkits of their own: the third leaves it alone, and tells their names."""
+    (tmp_path / "t.toml").write_text(
+        '[[contestant]]\nuse = "faulty"\nfault = "kill-parent"\n[[contestant]]\nuse = "faulty"\nlabel = "none"\n'
+        '[mapper]\nresolution_m = 0.25\n[[sequence]]\nuse = "straight"\n'
+    )
+    words = [str(tmp_path / "t.toml"), "--out", str(tmp_path / "out"), "-j", "1", "--resume", "--json"]
+    command = [sys.executable, "-c", "from evalkit.cli import main; main()", "run", *words]
+    first, second, third = (subprocess.run(command, capture_output=True, text=True, check=False) for _ in range(3))
+    assert (first.returncode, second.returncode, third.returncode) == (-9, -9, 1)
+    deadly, other = json.loads(third.stdout)["runs"]
+    assert deadly["reason"].startswith("quarantined: evalkit was ended twice while it ran (process ")
+    assert (deadly["status"], other["status"]) == ("crashed", "complete")
 
 
 @pytest.mark.parametrize("full", ["save_run", "save_scores", "fresh"])

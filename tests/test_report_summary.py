@@ -275,3 +275,14 @@ def test_a_gap_across_zero_is_told_as_a_difference(demo):
 
 def test_lists_read_like_sentences():
     assert [joined(words) for words in ("", "a", "ab", "abc")] == ["none", "a", "a and b", "a, b and c"]
+
+
+def test_times_of_different_processors_are_not_put_in_one_order_unsaid(trial, build):
+    scores = {"ate_rmse_m": 0.01, "cpu_median_ms": 1.0}
+    on = [replace(trial(name, "room", scores), processor=cpu) for name, cpu in (("a", "X1"), ("b", "X2"), ("c", "X1"))]
+    said = "Times were not all measured on one kind of processor, and no order by time holds: "
+    assert f"{said}those of a and c on X1 and those of b on X2." in _said(build(on))
+    assert said not in _said(build([replace(one, processor="X1") for one in on]))
+    untimed = on[1].run.steps.copy()
+    untimed["wall_ns"] = 0
+    assert said not in _said(build([on[0], replace(on[1], run=replace(on[1].run, steps=untimed)), on[2]]))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +12,7 @@ import typer
 
 from evalkit import console, environment
 from evalkit.commands import options
-from evalkit.commands.options import Json, Out, err, out
+from evalkit.commands.options import Json, Out, Scheduler, err, out
 from evalkit.errors import NotInstalled, StoreError, UnknownName
 from evalkit.store import REMEDY
 
@@ -27,6 +28,8 @@ def study(
     jobs: Annotated[
         int | None, typer.Option("--jobs", "-j", min=1, help="At a time.", show_default="physical cores")
     ] = None,
+    engine: options.Engine = "local",
+    scheduler: Scheduler = "",
     as_json: Json = False,
 ) -> None:
     """Study the factors of a file: effects, interactions, operating envelope; killed, the same command goes on."""
@@ -42,11 +45,14 @@ def study(
         return
     folder = folder or Path("reports") / "build" / file.stem
     workers = jobs or environment.physical_cores()
+    cluster = options.cluster(engine, scheduler, workers)
+    if cluster:
+        cluster = replace(cluster, timed=any(response.metric.group == "runtime" for response in plan.responses))
     ran_on = environment.describe(jobs=workers)
     asked = plan.jobs()
     try:
         with console.jobs(err, len(asked), workers) as done:
-            outcome = Outcome(plan, computed(asked, folder / "results", workers, done))
+            outcome = Outcome(plan, computed(asked, folder / "results", workers, done, cluster))
     except KeyboardInterrupt:
         err.print("interrupted; finished points are kept: the same command goes on from here")
         raise

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections import defaultdict
 from collections.abc import Sequence
 
 from evalkit.metrics.table import Metric
@@ -58,6 +59,18 @@ def of_data(trials: Sequence[Trial]) -> str:
         return ""
     listed = joined(f"{count:,} {name} ({percent:.0f} % of the scans)" for name, (count, percent) in worst.items())
     return f"The data are damaged: {listed}."
+
+
+def of_times(trials: Sequence[Trial]) -> str:
+    """A sentence on times that were measured on different processors, which no ranking can compare; else ""."""
+    timed = [trial for trial in trials if len(trial.run.steps) and trial.run.steps["wall_ns"].any()]
+    by_processor: dict[str, list[str]] = defaultdict(list)
+    for trial in timed:
+        by_processor[trial.processor or "a processor nobody noted"].append(trial.contestant)
+    if len(by_processor) < 2:
+        return ""
+    who = joined(f"those of {joined(dict.fromkeys(them))} on {where}" for where, them in sorted(by_processor.items()))
+    return f"Times were not all measured on one kind of processor, and no order by time holds: {who}."
 
 
 def of_guesses(comparison: Comparison, sequence: str) -> str:

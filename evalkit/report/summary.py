@@ -64,7 +64,7 @@ def verdict(comparison: Comparison, sequence: str) -> Verdict:
         sentences += [_told(comparison, found, outcome), caveats.of_guesses(comparison, sequence)]
         sentences += [_paper(comparison, found) if outcome not in ("degenerate", "disagreement") else ""]
         sentences += [_bar(comparison, found), *caveats.of_evidence(found)]
-    sentences.append(_cost(comparison, sequence))
+    sentences += [_cost(comparison, sequence), caveats.of_times(trials)]
     counts = outcome in LED and found is not None and found.metric.group in WITH_TRUTH
     leaders = _leading(comparison, found) if found and outcome in LED else ()
     repeated = found is not None and found.repeated
