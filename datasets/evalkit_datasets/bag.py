@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from evalkit.errors import BadData, EvalkitError
 from evalkit.se2 import Floats, Stamps
@@ -26,6 +27,9 @@ FETCH_AGAIN = "record or fetch the bag again"
 ENDINGS = (".bag", ".db3", ".mcap")
 
 ODOMETRY_FRAME = "odom"
+
+COLUMNS = {"stamps_ns": "q", "durations_ns": "q", "messages": "i", "invalid": "i", "frames": "i"}
+"""What is kept of every scan, and as which type: 28 bytes."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,9 +85,9 @@ class Scans:
     topic: str
     stamps_ns: Stamps
     durations_ns: Ints
-    messages: Ints
-    invalid: Ints
-    frames: Ints
+    messages: NDArray[np.int32]
+    invalid: NDArray[np.int32]
+    frames: NDArray[np.int32]
     names: tuple[str, ...]
     backwards: int
     repeated: int
@@ -154,7 +158,7 @@ def _known(reader: Any, message: tuple[Any, int, bytes] | None, stamp_ns: int, p
 
 def _scans(reader: Any, topic: str, contents: Contents) -> Scans:
     """What is known of a topic's scans, its damaged messages counted in the contents."""
-    columns = {name: array("q") for name in ("stamps_ns", "durations_ns", "messages", "invalid", "frames")}
+    columns = {name: array(kind) for name, kind in COLUMNS.items()}
     names: dict[str, int] = {}
     for number, (connection, recorded_ns, raw) in enumerate(_laser_messages(reader, topic)):
         message = reader.deserialize(raw, connection.msgtype)
@@ -164,9 +168,9 @@ def _scans(reader: Any, topic: str, contents: Contents) -> Scans:
             row = sweep.stamp_ns, sweep.duration_ns, number, int(sweep.near.sum()), frame
             for column, value in zip(columns.values(), row, strict=True):
                 column.append(value)
-    found = {name: np.array(column, dtype=np.int64) for name, column in columns.items()}
+    found = {name: np.asarray(column) for name, column in columns.items()}
     keep, backwards, repeated = ordered(found["stamps_ns"])
-    kept = {name: column[keep] for name, column in found.items()}
+    kept = found if not (backwards or repeated) else {name: column[keep] for name, column in found.items()}
     return Scans(topic, **kept, names=tuple(names), backwards=backwards, repeated=repeated)
 
 

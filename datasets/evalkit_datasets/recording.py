@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -52,9 +52,15 @@ def odometry_at(odometry: Trajectory, stamps_ns: Stamps) -> Floats:
     """The poses (K, 3) interpolated at times (K,); nan where the odometry says nothing."""
     poses = np.full((len(stamps_ns), 3), np.nan)
     first, last = odometry.stamps_ns[0], odometry.stamps_ns[-1]
-    near = (stamps_ns >= first - HOLD_NS) & (stamps_ns <= last + HOLD_NS)
-    poses[near] = odometry.at(np.clip(stamps_ns[near], first, last))
+    for some in blocks(len(stamps_ns)):
+        near = (stamps_ns[some] >= first - HOLD_NS) & (stamps_ns[some] <= last + HOLD_NS)
+        poses[some][near] = odometry.at(np.clip(stamps_ns[some][near], first, last))
     return poses
+
+
+def blocks(count: int, size: int = 4096) -> Iterator[slice]:
+    """Slices that together are so many rows: what is computed for some at a time takes little memory on the way."""
+    return (slice(begin, min(begin + size, count)) for begin in range(0, count, size))
 
 
 def odometry_counts(odometry: Trajectory, stamps_ns: Stamps) -> dict[str, int]:
@@ -149,8 +155,9 @@ def _in_gap(odometry: Trajectory, stamps_ns: Stamps) -> Bools:
     exact = odometry.stamps_ns[np.minimum(right, len(odometry) - 1)] == stamps_ns
     gap = np.diff(odometry.stamps_ns, prepend=odometry.stamps_ns[0], append=odometry.stamps_ns[-1]) > GAP_NS
     moved = np.zeros(len(gap), dtype=bool)
-    steps = se2.between(odometry.poses[:-1], odometry.poses[1:])
-    moved[1:-1] = np.abs(steps).max(axis=1, initial=0.0) > 1e-6
+    ends = np.flatnonzero(gap[1:-1]) + 1
+    steps = se2.between(odometry.poses[ends - 1], odometry.poses[ends])
+    moved[ends] = np.abs(steps).max(axis=1, initial=0.0) > 1e-6
     return np.asarray(gap[right] & moved[right] & ~exact)
 
 

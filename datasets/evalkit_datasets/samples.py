@@ -11,7 +11,7 @@ from evalkit.se2 import Floats, Stamps
 
 
 class Samples:
-    """Poses with their times in the order of the file."""
+    """Poses with their times in the order of the file; complete once they are looked at."""
 
     def __init__(self) -> None:
         self._stamps, self._rows = array("q"), array("d")
@@ -27,9 +27,9 @@ class Samples:
     @property
     def stamps_ns(self) -> Stamps:
         """The times (N,)."""
-        return np.array(self._stamps, dtype=np.int64)
+        return np.asarray(self._stamps)
 
     @property
     def poses(self) -> Floats:
         """The poses (N, 3)."""
-        return np.array(self._rows, dtype=np.float64).reshape(-1, 3)
+        return np.asarray(self._rows).reshape(-1, 3)
