@@ -1,0 +1,104 @@
+"""The page of a tuning: better, level and overfitted told apart on held-out runs, and the numbers it stands on."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+from evalkit.report.document import render
+from evalkit.report.tuning import page
+from evalkit.report.tuning.charts import on_frontier
+from evalkit.report.tuning.outcome import Tuned
+from evalkit.report.tuning.record import record
+from evalkit.study.tuning import campaign
+from evalkit.study.tuning.reading import tuning
+
+ATE = "ate_rmse_m"
+SEEDS = range(10)
+
+
+def plan():
+    course = {"use": "lab", "laps": 0.05}
+    return tuning(
+        {
+            "title": "<script>alert(1)</script>",
+            "points": 8,
+            "contestant": [{"use": "embedded", "label": "a", "search": {"epsilon": {"levels": [1e-6, 1e-2]}}}],
+            "training": [course | {"seeds": [0, 1], "confirm": [2, 3, 4, 5]}],
+            "held-out": [{"use": "room", "laps": 0.05}],
+        },
+        "some.toml", "some", "evalkit tune some.toml",
+    )  # fmt: skip
+
+
+def found():
+    """Searched by a known function: less error and more time with a larger epsilon; a small one loses its runs."""
+
+    def computed(job):
+        epsilon, seed = job.arguments["parameters"]["epsilon"], job.arguments["sequence"]["seed"]
+        lost = epsilon < 1e-5
+        scores = {ATE: None if lost else (1.0 + 0.01 * seed) * 1e-5 / epsilon, "cpu_median_ms": 100.0 * epsilon}
+        why = {ATE: "nothing answered", "cpu_median_ms": ""}
+        status = "failed" if lost else "complete"
+        return {"status": status, "reason": "too small", "cpu_s": 1.0, "scores": scores, "why": why}
+
+    return campaign.searched(plan(), lambda jobs: {job.name: computed(job) for job in jobs})
+
+
+def told(build, trial, tuned_ate, lost=0):
+    trials = []
+    for seed in SEEDS:
+        trials.append(trial("a", "room", {ATE: 0.10 + 0.001 * seed}, seed=seed, error_m=0.1))
+        ended = {"status": "failed", "reason": "lost the plot"} if seed < lost else {}
+        trials.append(trial("a tuned", "room", {ATE: tuned_ate + 0.001 * seed}, seed=seed, error_m=tuned_ate, **ended))
+    return Tuned(plan(), found(), build(trials), {"processor": "some"}, "evalkit report tuned.toml --resume")
+
+
+@pytest.mark.parametrize(
+    ("tuned_ate", "lost", "verdict", "overfitted"),
+    [
+        (0.05, 0, "better on held-out runs too", False),
+        (0.10, 0, "no difference shown over all held-out runs", False),
+        (0.20, 0, "overfitted: worse than the default on held-out runs", True),
+        (0.05, 3, "overfitted: it loses 3 held-out runs, the default 0", True),
+    ],
+)
+def test_what_is_worse_or_lost_on_held_out_runs_is_overfitted(build, trial, tuned_ate, lost, verdict, overfitted):
+    result = told(build, trial, tuned_ate, lost)
+    held = result.held["a"]
+    assert (held.verdict, held.overfitted) == (verdict, overfitted)
+    assert verdict in render(page.document(result))
+
+
+def test_the_test_over_runs_is_wilcoxons(build, trial):
+    duel = told(build, trial, 0.05).held["a"].duel
+    assert duel is not None
+    assert (duel.runs, duel.better, duel.worse) == (10, 10, 0)
+    assert duel.p == pytest.approx(2.0**-9)  # all ten runs in one direction
+    assert duel.ratio == pytest.approx(0.0545 / 0.1045, rel=0.02)
+
+
+def test_the_record_holds_every_point_and_what_was_spent(build, trial):
+    whole = json.loads(json.dumps(record(told(build, trial, 0.05)), allow_nan=False))
+    (backend,) = whole["backends"]
+    assert whole["budget"] == {"points": 8, "seed": 0, "search_runs": 2, "confirming_runs": 4, "run_cpu_s": 60.0}
+    assert len(backend["points"]) == backend["spent"]["points"] == 8
+    assert backend["spent"]["runs"] == 8 * 2 + 2 * 4
+    assert backend["spent"]["cpu_s"] == 24.0
+    assert backend["tuned"]
+    assert backend["parameters"]["epsilon"] == max(each["parameters"]["epsilon"] for each in backend["points"])
+    assert backend["space"] == {"epsilon": {"levels": [1e-6, 1e-2], "scale": "linear", "continuous": True}}
+
+
+def test_a_point_that_loses_runs_is_on_no_frontier():
+    (one,) = found()
+    on = on_frontier(one.tried)
+    assert on[[not each.losses for each in one.tried]].all()  # more time, less error: nobody beats another
+    assert not on[[bool(each.losses) for each in one.tried]].any()
+    assert np.isfinite([each.error for each in one.tried]).all()
+    assert math.isclose(one.default.error, 0.1 * math.sqrt(1.01))
+
+
+def test_a_name_that_is_a_script_stays_a_name(build, trial):
+    assert "<script>alert(1)" not in render(page.document(told(build, trial, 0.05)))
