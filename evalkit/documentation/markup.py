@@ -20,7 +20,7 @@ def code(value: str) -> str:
 
 def facts(rows: Iterable[tuple[str, str]]) -> str:
     """A list of names and what is said of each (HTML); what is empty is left out."""
-    lines = [f"<dt>{text(name)}</dt><dd>{told}</dd>" for name, told in rows if told]
+    lines = [f"<dt>{text(name)}</dt> <dd> {told} </dd>" for name, told in rows if told]
     return "\n".join(('<dl class="facts">', *lines, "</dl>"))
 
 
