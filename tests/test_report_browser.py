@@ -151,6 +151,70 @@ def test_the_filter_leaves_only_the_chosen_in_tables_and_legends_and_stands_in_t
     assert len(rows(again, "Results on room")) == 6
 
 
+def test_a_copied_link_shows_the_same_scan_again(opened):
+    page = played(opened())
+    page.select_option(f"{PLAYER} [data-picks=first]", "plane")
+    page.select_option(f"{PLAYER} [data-picks=second]", "truth")
+    page.select_option(f"{PLAYER} [data-picks=map]", "own")
+    page.check(f"{PLAYER} [data-layer=violations]")
+    page.uncheck(f"{PLAYER} [data-layer=estimates]")
+    page.uncheck(f"{PLAYER} input.shows[value=lost]")
+    page.locator(f"{PLAYER} .stage").focus()
+    for key in ("Home", "Shift+ArrowRight", "Shift+ArrowRight", "+", "ArrowUp"):
+        page.keyboard.press(key)
+    page.click(f"{PLAYER} [data-does=copy]")
+    link = page.evaluate("location.hash")
+    assert link.startswith("#sequence-1-player?scan=21&by=plane&and=truth&on=own&layers=truth,ghosts,violations&shown=")
+    looks = (
+        f"(({{ state, view }}) => [state.scan, state.first, state.second, state.map, state.layers,"
+        f" state.runs.map((run) => run.label), view.x, view.y, view.scale])(document.querySelector('{PLAYER}').player)"
+    )
+    again = played(opened(link))
+    until(again, f"document.querySelector('{PLAYER}').player.state.scan === 20")
+    *exact, x, y, scale = page.evaluate(looks)
+    assert again.evaluate(looks) == [
+        *exact,
+        pytest.approx(x, abs=1e-3),
+        pytest.approx(y, abs=1e-3),
+        pytest.approx(scale, rel=1e-3),
+    ]
+    assert again.evaluate("location.hash") == link
+
+
+def test_a_link_by_hand_needs_a_scan_and_a_name_alone(opened):
+    page = played(opened("#sequence-1-player?scan=31&by=wheel&and=nobody&layers="))
+    until(page, f"document.querySelector('{PLAYER}').player.state.scan === 30")
+    assert page.input_value(f"{PLAYER} [data-picks=first]") == "wheel"
+    assert page.input_value(f"{PLAYER} [data-picks=second]") == ""
+    assert page.locator(f"{PLAYER} [data-layer]:checked").count() == 0
+    assert page.locator("#sequence-1-player").is_visible()
+    page.evaluate("location.hash = '#sequence-1-player?scan=5000'")
+    until(page, f"document.querySelector('{PLAYER}').player.state.scan === 59")
+    assert page.input_value(f"{PLAYER} [data-picks=first]") == "paper"
+    assert page.locator(f"{PLAYER} [data-layer]:checked").count() > 1
+
+
+def test_what_is_unfolded_stands_in_the_link(opened):
+    page = opened()
+    page.locator("#sequence-1-everything > summary").click()
+    page.locator("#sequence-1-runs > summary").click()
+    until(page, "location.hash === '#?open=sequence-1-everything,sequence-1-runs'")
+    page.fill("#find", "plane")
+    again = opened(page.evaluate("location.hash"))
+    assert again.locator("details[open]:not([id$=failures])").evaluate_all("all => all.map((one) => one.id)") == [
+        "sequence-1-everything",
+        "sequence-1-runs",
+    ]
+    assert rows(again, "At a glance") == ["plane"]
+    again.evaluate("location.hash = '#results'")
+    until(again, "location.hash === '#results?open=sequence-1-everything,sequence-1-runs&find=plane'")
+    again.evaluate("dispatchEvent(new Event('beforeprint'))")
+    assert again.locator("details:not([open])").count() == 0
+    again.evaluate("dispatchEvent(new Event('afterprint'))")
+    assert again.locator("#sequence-1-settings[open], #metrics-more-1[open]").count() == 0
+    assert again.locator("#sequence-1-everything[open]").count() == 1
+
+
 def test_drawings_leave_out_whom_the_filter_leaves_out(opened):
     page = opened("#?only=paper")
     source = page.locator("#sequence-1 .pictures img").first.get_attribute("src")

@@ -1,12 +1,7 @@
-// Shows only chosen contestants in all tables, lists and legends, and keeps the choice in the link: #place?only=a,b&find=c
+// Shows only chosen contestants in all tables, lists and legends, and keeps the choice in the link: only=a,b&find=c
 const chosen = { only: new Set(), find: "" };
 const finder = document.getElementById("find");
 const chips = [...document.querySelectorAll("button.pick")];
-
-// A link cut short may end within a sign.
-function decoded(word) {
-  try { return decodeURIComponent(word); } catch { return ""; }
-}
 
 function isShown(label) {
   const words = chosen.find.toLowerCase().split(/[\s,]+/).filter(Boolean);
@@ -43,27 +38,15 @@ function applyFilter() {
   document.dispatchEvent(new Event("contestants"));
 }
 
-function writeLink() {
-  const words = [];
-  if (chosen.only.size) words.push(`only=${[...chosen.only].map(encodeURIComponent).join(",")}`);
-  if (chosen.find) words.push(`find=${encodeURIComponent(chosen.find)}`);
-  const place = location.hash.slice(1).split("?")[0];
-  const hash = place || words.length ? `#${place}${words.length ? `?${words.join("&")}` : ""}` : "";
-  if (hash !== location.hash) history.replaceState(null, "", hash || location.pathname + location.search);
-}
-
 function readLink() {
-  const given = location.hash.split("?")[1];
-  if (given === undefined) return;
-  const words = Object.fromEntries(given.split("&").map((word) => word.split("=")));
   const known = new Set(chips.map((chip) => chip.value));
-  chosen.only = new Set((words.only ?? "").split(",").map(decoded).filter((label) => known.has(label)));
-  chosen.find = decoded(words.find ?? "");
+  chosen.only = new Set((link.words.get("only") ?? []).filter((label) => known.has(label)));
+  chosen.find = link.words.get("find")?.[0] ?? "";
   finder.value = chosen.find;
 }
 
 function changed() {
-  writeLink();
+  link.write({ only: chosen.only.size ? [...chosen.only] : undefined, find: chosen.find ? [chosen.find] : undefined });
   applyFilter();
 }
 
@@ -83,14 +66,9 @@ document.getElementById("everybody").addEventListener("click", () => {
   changed();
   finder.focus();
 });
-// A link within the page keeps the choice; one from outside brings its own.
-addEventListener("hashchange", () => {
+document.addEventListener("linked", () => {
   readLink();
   changed();
 });
-addEventListener("DOMContentLoaded", () => {
-  document.getElementById("filter").hidden = false;
-  document.querySelector("a.filtered").closest("li").hidden = false;
-  readLink();
-  changed();
-});
+document.getElementById("filter").hidden = false;
+document.querySelector("a.filtered").closest("li").hidden = false;

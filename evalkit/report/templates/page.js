@@ -32,9 +32,13 @@ for (const button of document.querySelectorAll("button.enlarge")) {
   });
 }
 viewer.addEventListener("click", () => viewer.close());
+// A link cut short may end within a sign.
+function decoded(word) {
+  try { return decodeURIComponent(word); } catch { return ""; }
+}
 // A link to something folded away unfolds it.
 const unfold = () => {
-  const target = document.getElementById(decodeURIComponent(location.hash.slice(1).split("?")[0]));
+  const target = document.getElementById(decoded(location.hash.slice(1).split("?")[0]));
   document.querySelector(".aimed")?.classList.remove("aimed");
   target?.classList.add("aimed");
   for (let fold = target?.closest("details"); fold; fold = fold.parentElement.closest("details")) fold.open = true;
@@ -42,9 +46,17 @@ const unfold = () => {
 };
 addEventListener("hashchange", unfold);
 if (location.hash) unfold();
-// Paper shows everything.
+// Paper shows everything; afterwards all is as it was.
+let printing = false;
+let folded = [];
 addEventListener("beforeprint", () => {
-  for (const details of document.querySelectorAll("details")) details.open = true;
+  printing = true;
+  folded = [...document.querySelectorAll("details:not([open])")];
+  for (const details of folded) details.open = true;
+});
+addEventListener("afterprint", () => {
+  for (const details of folded) details.open = false;
+  setTimeout(() => { printing = false; }); // what was toggled is told later
 });
 // A click on a command selects it whole.
 for (const command of document.querySelectorAll("code.command")) {

@@ -23,6 +23,8 @@ class Player {
     this.choose();
     this.home();
     this.go(this.worst[0]?.scan ?? 0);
+    this.first = said(this);
+    this.kept = JSON.stringify(this.first);
     new ResizeObserver(() => this.resize()).observe(canvas);
   }
 
@@ -48,12 +50,40 @@ class Player {
       in: () => this.view.zoom(1.5, ...this.spot()),
       out: () => this.view.zoom(1 / 1.5, ...this.spot()),
       home: () => this.home(),
+      copy: () => this.copy(),
     };
     for (const button of this.all("button[data-does]")) button.addEventListener("click", does[button.dataset.does]);
     this.find("input[type=range]").addEventListener("input", (event) => this.go(Number(event.target.value)));
     this.root.addEventListener("change", () => this.choose());
     this.find(".stage").addEventListener("keydown", (event) => this.key(event, does));
     document.addEventListener("contestants", () => this.choose());
+    for (const kind of ["change", "input", "click", "keyup", "pointerup", "wheel"]) {
+      this.root.addEventListener(kind, () => this.rememberSoon(), { passive: true });
+    }
+  }
+
+  // Browsers forbid a page to change its address at every turn of a wheel.
+  rememberSoon() {
+    clearTimeout(this.soon);
+    this.soon = setTimeout(() => this.remember(), 250);
+  }
+
+  remember() {
+    const now = said(this);
+    if (this.timer || JSON.stringify(now) === this.kept) return;
+    this.kept = JSON.stringify(now);
+    link.write(different(now, this.first), this.place);
+  }
+
+  get place() { return `${this.root.dataset.anchor}-player`; }
+
+  async copy() {
+    this.stop();
+    link.write(different(said(this), this.first), this.place);
+    const told = this.find(".copied");
+    const done = navigator.clipboard?.writeText(location.href) ?? Promise.reject(new Error("no clipboard"));
+    told.textContent = await done.then(() => "copied", () => "the address bar holds it");
+    setTimeout(() => { told.textContent = ""; }, 4000);
   }
 
   key(event, does) {
@@ -170,6 +200,7 @@ class Player {
     cancelAnimationFrame(this.timer);
     this.timer = 0;
     this.playing(false);
+    this.rememberSoon();
   }
 
   playing(now) {
@@ -229,16 +260,28 @@ class Player {
 
 // Where the browser cannot unpack the recording the pictures above tell what they can.
 if (window.DecompressionStream && window.OffscreenCanvas) {
+  const started = (root) => {
+    root.player ??= new Player(root);
+    root.started ??= root.player.start();
+    return root.started;
+  };
   const near = new IntersectionObserver((seen) => {
     for (const { target, isIntersecting } of seen) {
       if (!isIntersecting) continue;
       near.unobserve(target);
-      target.player = new Player(target);
-      target.player.start();
+      started(target);
     }
   }, { rootMargin: "1500px" });
-  for (const root of document.querySelectorAll(".player")) {
+  const roots = [...document.querySelectorAll(".player")];
+  for (const root of roots) {
     root.hidden = false;
     near.observe(root);
   }
+  document.addEventListener("linked", async () => {
+    const root = roots.find((one) => `${one.dataset.anchor}-player` === link.place);
+    if (!root) return;
+    const words = new Map(link.words);
+    await started(root);
+    restore(root.player, words);
+  });
 }

@@ -1,0 +1,47 @@
+// What the address keeps, so that a copied link shows the same again: #place?word=text,text&word=text
+const KEPT = ["only", "find", "open"]; // words of the whole page; all others belong to the player at the place
+
+const link = {
+  place: "",
+  words: new Map(),
+
+  // A link within the page keeps what is chosen; one from outside brings its own.
+  read() {
+    const [place, given] = location.hash.slice(1).split("?");
+    link.place = decoded(place);
+    const pairs = given ? given.split("&").map((word) => word.split("=")) : [];
+    const brought = new Map(pairs.map(([word, texts = ""]) => [word, texts.split(",").map(decoded).filter(Boolean)]));
+    const kept = given === undefined ? [...link.words].filter(([word]) => KEPT.includes(word)) : [];
+    link.words = new Map([...kept, ...brought]);
+    if (given !== undefined) refold(brought.get("open") ?? []);
+    if (location.hash) unfold(); // what stands at the place, and once more where it came to stand
+    document.dispatchEvent(new Event("linked"));
+  },
+
+  // ``words``: lists of texts by name, undefined for what need not be said.
+  write(words, place = link.place) {
+    if (place !== link.place) link.words = new Map([...link.words].filter(([word]) => KEPT.includes(word)));
+    link.place = place;
+    for (const [word, texts] of Object.entries(words)) {
+      if (texts === undefined) link.words.delete(word);
+      else link.words.set(word, texts);
+    }
+    const said = [...link.words].map(([word, texts]) => `${word}=${texts.map(encodeURIComponent).join(",")}`);
+    const hash = place || said.length ? `#${encodeURIComponent(place)}${said.length ? `?${said.join("&")}` : ""}` : "";
+    if (hash !== location.hash) history.replaceState(null, "", hash || location.pathname + location.search);
+  },
+};
+
+// What is unfolded otherwise than the page does at first.
+const folds = [...document.querySelectorAll("details[id]")].map((fold) => ({ fold, first: fold.open }));
+
+function refold(named) {
+  for (const { fold, first } of folds) fold.open = named.includes(fold.id) !== first;
+}
+
+document.addEventListener("toggle", () => {
+  if (printing) return;
+  const turned = folds.filter(({ fold, first }) => fold.open !== first).map(({ fold }) => fold.id);
+  link.write({ open: turned.length ? turned : undefined });
+}, true);
+addEventListener("hashchange", link.read);
