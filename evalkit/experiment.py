@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+import re
 import shlex
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
@@ -19,6 +20,8 @@ from evalkit.errors import BadExperiment, BadParameter, EvalkitError, UnknownNam
 from evalkit.protocols import Value, resolved
 
 Item = TypeVar("Item")
+
+_DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)\.", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -184,7 +187,7 @@ def plan(content: Mapping[str, Any], file: str, name: str, source: str) -> Plan:
 
 def _contestant(table: Mapping[str, Any], file: str, place: str) -> Contestant:
     use = _required(table, "use", file, place)
-    label = _text(table, "label", use, file, place)
+    label = _label(table, use, file, place)
     given = _flat({key: value for key, value in table.items() if key not in ("use", "label")})
     spec = _registered(registry.entrant, use, file, place)
     return Contestant(label, use, frontend.complete_parameters(f"{place} ({label})", spec, given), spec.missing())
@@ -192,7 +195,7 @@ def _contestant(table: Mapping[str, Any], file: str, place: str) -> Contestant:
 
 def _course(table: Mapping[str, Any], file: str, place: str) -> Course:
     use = _required(table, "use", file, place)
-    label = _text(table, "label", use, file, place)
+    label = _label(table, use, file, place)
     given = _flat({key: value for key, value in table.items() if key not in ("use", "label", "seeds")})
     spec = _registered(registry.dataset, use, file, place)
     if "seeds" in table and not spec.seeded:
@@ -263,6 +266,15 @@ def _required(table: Mapping[str, Any], key: str, file: str, place: str) -> str:
     return _text(table, key, "", file, place)
 
 
+def _label(table: Mapping[str, Any], use: str, file: str, place: str) -> str:
+    """The name in tables, on the terminal and in files: nothing that a reader of one of them takes for a command."""
+    label = _text(table, "label", use, file, place)
+    if not label or not label.isprintable() or label[0] in "=+-@":
+        expected = "printable text; a spreadsheet takes what begins with one of = + - @ for a formula"
+        raise BadExperiment(file, place, f"'label': found {brief(label)}, expected {expected}")
+    return label
+
+
 def _text(table: Mapping[str, Any], key: str, default: str, file: str, place: str = "") -> str:
     value = table.get(key, default)
     if not isinstance(value, str):
@@ -330,4 +342,7 @@ def _file_state(value: str) -> list[object]:
 
 
 def _filename(word: str) -> str:
-    return "".join(char if char.isalnum() or char in "._" else "-" for char in word).strip("-.")[:60] or "x"
+    """A word as part of a file's name on any system: short in bytes, and no name of a device ("nul.txt")."""
+    plain = "".join(char if char.isalnum() or char in "._" else "-" for char in word).strip("-.")
+    short = plain.encode()[:60].decode(errors="ignore") or "x"
+    return f"x-{short}" if _DEVICE.match(short) else short

@@ -312,3 +312,24 @@ def test_the_shipped_experiments_can_be_planned():
     if not files:
         pytest.skip("no experiment beside the tests")
     assert all(list(experiment.read(file).runs()) for file in files)
+
+
+@pytest.mark.parametrize(
+    "label", ["=cmd|' /C calc'!A0", "+1", "-x", "@a", "", "a\x1b[2J", "a\u2028b", "a\u202eb", "a\nb"]
+)
+def test_a_label_is_no_command_to_whoever_shows_it(label):
+    with pytest.raises(BadExperiment, match=r"contestant 1: 'label': found .*, expected printable text"):
+        planned(contestants=({"use": "wheel-odometry", "label": label},))
+
+
+@pytest.mark.parametrize(
+    "label", ["../../etc/x", "/etc/x", "..", "x" * 300, "\u8def" * 300, "NUL", "nul.txt", "a\\b", "C:x"]
+)
+def test_a_run_keeps_to_its_folder_whatever_it_is_called(label):
+    plan = planned(
+        contestants=({"use": "wheel-odometry", "label": label},), sequences=({"use": "room", "label": label},)
+    )
+    (run,) = plan.runs()
+    assert re.fullmatch(r"\w[\w.-]*", run.key)
+    assert len(f"{run.key}.yaml.part".encode()) < 200
+    assert not run.key.lower().startswith(("nul.", "con."))

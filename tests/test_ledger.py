@@ -100,7 +100,7 @@ def test_a_job_that_hangs_is_ended_once_named_and_costs_no_other(squares, tmp_pa
     hanging = replace(squares("hanging", "hang", how=how), limit_s=1.0)
     jobs = [hanging, *(squares(f"n{n}", "square", number=n) for n in range(3))]
     begun = time.monotonic()
-    with pytest.raises(JobsFailed, match=r"hanging failed: not finished after 1 s; it was in .*\(test_ledger.py, line"):
+    with pytest.raises(JobsFailed, match="hanging failed: not finished after 1 s; it was in "):
         Ledger(tmp_path).run(jobs)
     assert time.monotonic() - begun < 300  # and not 600
     assert all(Ledger(tmp_path).kept(job) for job in jobs[1:])

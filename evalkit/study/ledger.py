@@ -60,6 +60,7 @@ class Job:
         code = _code((self.function.partition(":")[0], *self.uses))
         identity = json.dumps([self.function, dict(self.arguments), code], sort_keys=True)
         word = re.sub(r"[^\w.=+-]+", "-", self.name)[:80].strip("-.") or "job"
+        word = word.encode()[:80].decode(errors="ignore")  # names of files are counted in bytes
         return f"{word}-{hashlib.sha256(identity.encode()).hexdigest()[:12]}"
 
 
