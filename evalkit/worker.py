@@ -20,7 +20,7 @@ import numpy as np
 
 from evalkit import belief, frontend, lifeline, registry
 from evalkit.clock import Timing, timed
-from evalkit.errors import BackendFailed, BadData, DataMissing, EvalkitError, NotInstalled
+from evalkit.errors import BackendFailed, BadData, DataMissing, EvalkitError, NotInstalled, plain
 from evalkit.protocols import DatasetSpec, NoAnswer, Odometry, Sequence, Value
 from evalkit.types import STEP, Frame, Match, Pose, Status
 
@@ -116,7 +116,7 @@ def perform(request: Request, folder: Path) -> Outcome:
         sequence: Sequence = dataset.make(**request.dataset_parameters)
         if spec.kind == "map":
             spec.make(**request.backend_parameters)  # one that cannot be read has failed
-            return Outcome(status, reason, expected, _peak_memory_bytes(), warm, notes)
+            return Outcome(status, plain(reason), expected, _peak_memory_bytes(), warm, notes)
         expected = len(sequence)
         begun = {"expected": expected, "every": _every(dataset, request)}
         _leave(folder / "begun.json", begun)  # for a back end that ends this process in its warm-up
@@ -139,7 +139,7 @@ def perform(request: Request, folder: Path) -> Outcome:
     except Exception as error:  # noqa: BLE001 - whatever a third party's code raises is a result to report
         traceback.print_exc()
         status, reason = "failed", f"{type(error).__name__}: {error}"
-    return Outcome(status, reason, expected, _peak_memory_bytes(), warm, notes)
+    return Outcome(status, plain(reason), expected, _peak_memory_bytes(), warm, notes)
 
 
 def _every(dataset: DatasetSpec, request: Request) -> int:

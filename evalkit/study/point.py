@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from evalkit import frontend, metrics, protocols, registry, scoring
-from evalkit.errors import EvalkitError
+from evalkit.errors import EvalkitError, plain
 from evalkit.metrics.table import Metric
 from evalkit.protocols import Value
 from evalkit.types import STEP, Run, Score, Status
@@ -77,7 +77,7 @@ def _run(request: Request, sequence: protocols.Sequence) -> Run:
         told = traceback.extract_tb(error.__traceback__)[-1]
         status, reason = "failed", f"{type(error).__name__}: {error} ({told.name})"
     answered = np.frombuffer(steps.getvalue(), dtype=STEP)
-    return Run(request.backend, request.dataset, status, reason, answered, len(sequence))
+    return Run(request.backend, request.dataset, status, plain(reason), answered, len(sequence))
 
 
 def _scored(
