@@ -27,6 +27,7 @@ class Server(http.server.BaseHTTPRequestHandler):
             self.send_error(404 if self.path == "/absent" else 416)
             return
         body = (b"x" * len(CONTENT) if self.path == "/lie" else CONTENT)[begin:]
+        body = body * 5 if self.path == "/endless" else body
         self.send_response(206 if begin else 200)
         self.send_header("Content-Length", str(len(body)))
         self.end_headers()
@@ -156,3 +157,21 @@ def test_a_derived_file_cannot_be_fetched_and_says_what_can(known):
     known("", derived="joined from b and c", instead=("b", "c"))
     with pytest.raises(DataMissing, match=r"no public address \(joined from b and c\).*in its place: .* fetch b c"):
         fetch("a.log")
+
+
+@pytest.mark.parametrize("size", [0, len(CONTENT)])
+def test_a_server_that_sends_more_than_the_file_has_does_not_fill_the_disk(known, size, monkeypatch):
+    monkeypatch.setattr("evalkit_datasets.fetch.MOST_BYTES", len(CONTENT))
+    target = known("/endless", bytes=size)
+    with pytest.raises(BadData, match=f"sends more than the {len(CONTENT)} bytes .* what arrived was deleted"):
+        fetch("a.log")
+    assert not list(target.parent.iterdir())
+
+
+@pytest.mark.parametrize(
+    "path", ["../a.log", "set/../../a.log", "/etc/a.log", "C:/a.log", "set\\..\\a.log", "a/./b", ".."]
+)
+def test_a_file_of_the_catalogue_lies_below_the_data_folder(path):
+    with pytest.raises(ValueError, match="path: expected one below the data folder"):
+        Entry("a.log", path, "", "", "")
+    assert {entry.path for entry in catalog.entries().values()}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -43,6 +44,10 @@ class Entry:
     defects: tuple[str, ...] = ()
     derived: str = ""
     instead: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        if Path(self.path).is_absolute() or not re.fullmatch(r"[\w-][\w.-]*(/[\w-][\w.-]*)*", self.path):
+            raise ValueError(f"path: expected one below the data folder, got {self.path!r}")
 
 
 @cache

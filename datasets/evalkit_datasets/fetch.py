@@ -10,6 +10,9 @@ from evalkit.errors import BadData, DataMissing
 from evalkit_datasets import catalog
 from evalkit_datasets.catalog import Entry
 
+MOST_BYTES = 2**32
+"""Of a file whose size the catalogue does not know."""
+
 Progress = Callable[[int, int], None]
 """Hears the bytes so far and the bytes in all (0: not known)."""
 
@@ -68,6 +71,10 @@ def _download(card: Entry, part: Path, progress: Progress) -> None:
     try:
         with part.open("ab") as file:
             _request(card, file, begun, progress)
+    except _TooMuch:
+        part.unlink()
+        what = f"sends more than the {card.bytes or MOST_BYTES} bytes the file may have; what arrived was deleted"
+        raise BadData(card.url, "", what, "fetch it again later, or from somebody else") from None
     except OSError as error:  # requests' errors are OSErrors, too
         status = getattr(getattr(error, "response", None), "status_code", None)
         if begun and status == 416:  # nothing beyond: the part is whole, or not a part of this file
@@ -90,6 +97,10 @@ def _request(card: Entry, file: BinaryIO, begun: int, progress: Progress) -> Non
     pooch.HTTPDownloader(progressbar=False, chunk_size=1 << 16, headers=headers, hooks=hooks)(card.url, sink, None)
 
 
+class _TooMuch(Exception):
+    """A server sends more than the file has."""
+
+
 class _Counted:
     """A file that reports how far it is, and starts over where the server sends the whole instead of the rest."""
 
@@ -102,7 +113,9 @@ class _Counted:
             self._file.truncate(0)
 
     def write(self, chunk: bytes) -> int:
-        """Appends and reports."""
+        """Appends and reports; _TooMuch before the disk is filled."""
+        if self._file.tell() + len(chunk) > (self._in_all or MOST_BYTES):
+            raise _TooMuch
         written = self._file.write(chunk)
         self._progress(self._file.tell(), self._in_all)
         return written
