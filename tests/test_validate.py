@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-import jsonschema
 import pytest
 
 from evalkit import registry
@@ -122,6 +121,7 @@ def test_the_dossier_of_the_compiled_core_is_whole(tmp_path, monkeypatch, capsys
     assert [level["outcome"] for level in found["levels"]] == [*["passed"] * 5, "told"]
     assert (found["twin"], found["against"]) == ("paper", ["wheel-odometry"])
     assert any(line["name"].startswith("its mapper embedded-log-odds") for line in found["levels"][4]["lines"])
+    jsonschema = pytest.importorskip("jsonschema")
     jsonschema.validate(found, SCHEMA)
     assert json.loads((tmp_path / "dossier.json").read_text(encoding="utf-8")) == found
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
