@@ -19,6 +19,7 @@ from rich.table import Table
 from evalkit import __version__, console, environment, experiment, listing, recording, registry
 from evalkit.commands import ending, options
 from evalkit.commands.basin import basin
+from evalkit.commands.bench import bench
 from evalkit.commands.check import check
 from evalkit.commands.determinism import determinism
 from evalkit.commands.diff import diff
@@ -200,6 +201,7 @@ COMMANDS: tuple[Callable[..., None], ...] = (
 for _command in COMMANDS:
     app.command()(_command)
 app.add_typer(metrics, name="metrics")
+app.add_typer(bench, name="bench")
 
 
 def _report(plan: Plan, folder: Path | None, how: Making, as_json: bool) -> None:
