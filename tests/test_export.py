@@ -19,6 +19,7 @@ from evalkit.errors import DataMissing, NotInstalled, StoreError, UnknownName
 from evalkit.protocols import DatasetSpec
 from evalkit.report.export import papers, rerunfile, rosfile
 from evalkit.report.export.results import read
+from evalkit.report.wording import as_markdown
 from evalkit.store import Store
 from evalkit.types import STEP, Frame, OccupancyGrid, Pose, Run, Scan, Score, Trajectory, Trial, Truth
 
@@ -228,6 +229,16 @@ def test_every_letter_that_means_something_to_latex_is_escaped():
     assert papers.escaped(r"a_b & 5% {x} #1 ~^ $\n") == (
         r"a\_b \& 5\% \{x\} \#1 \textasciitilde{}\textasciicircum{} \$\textbackslash{}n"
     )
+
+
+def test_a_name_is_no_mark_up_in_markdown():
+    assert as_markdown("a|b `c` [x](javascript:alert) <script> \\") == (
+        r"a\|b \`c\` [x]\(javascript:alert) &lt;script> \\"
+    )
+
+
+def test_a_name_reads_no_file_into_latex():
+    assert papers.escaped(r"\input{/etc/passwd}") == r"\textbackslash{}input\{/etc/passwd\}"
 
 
 def test_figures_are_vectors_with_true_fonts_and_the_same_bytes_twice(finished):

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from evalkit.metrics.table import Metric
 from evalkit.report.change import Change, Difference, Ended, Said
-from evalkit.report.wording import figure
+from evalkit.report.wording import as_markdown, figure
 
 COLUMNS = ("contestant", "sequence", "what", "old", "new", "change", "95 % interval", "that is")
 MARKS: Mapping[Said, str] = {"regression": "❌ ", "improvement": "✅ "}
@@ -51,7 +51,7 @@ def markdown(found: Difference, metrics: Mapping[str, Metric]) -> str:
     lines = [f"**{verdict(found)}**", ""]
     if table:
         lines += [_line(COLUMNS), _line(["---"] * len(COLUMNS)), *(_line(row) for row in table), ""]
-    lines += [f"- {remark}" for remark in remarks(found)]
+    lines += [f"- {as_markdown(remark)}" for remark in remarks(found)]
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -73,4 +73,4 @@ def _changed(one: Change, metric: Metric) -> tuple[str, ...]:
 
 
 def _line(cells: list[str] | tuple[str, ...]) -> str:
-    return f"| {' | '.join(cell.replace('|', '/') for cell in cells)} |"
+    return f"| {' | '.join(as_markdown(cell.replace('|', '/')) for cell in cells)} |"

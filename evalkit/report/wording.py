@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from statistics import median
 
 from evalkit.metrics.statistics import Interval
 from evalkit.metrics.table import Metric
 from evalkit.report.cells import Apart, Cell, interval
+
+
+def as_markdown(text: str) -> str:
+    r"""A text that is no mark-up in Markdown, nor in the HTML made of it: ``[a](b)`` becomes ``[a]\(b)``."""
+    return re.sub(r"([\\`|]|(?<=\])\()", r"\\\1", text).replace("&", "&amp;").replace("<", "&lt;")
 
 
 def amount(metric: Metric, value: float) -> str:

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from evalkit.report import figures
 from evalkit.report.export.results import Cell, Heading, Results
+from evalkit.report.wording import as_markdown
 
 WIDE = 4
 """A table with more metrics than this is shrunk to the width of the text."""
@@ -145,7 +146,7 @@ def _row(cells: Sequence[str]) -> str:
 
 
 def _pipes(text: str) -> str:
-    return _one_line(text).replace("|", "\\|").replace("<", "&lt;")
+    return as_markdown(_one_line(text))
 
 
 def _one_line(text: str) -> str:
