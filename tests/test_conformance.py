@@ -72,6 +72,7 @@ def test_every_shipped_back_end_keeps_every_rule(name):
         (faulty.Wheels, "moves", "is the scan looked at"),
         (faulty.LastBeam, "first-beam", "are .1.00 of a scan's duration away"),
         (faulty.OfTheSensor, "mounting", "with the lidar turned by 90 degrees"),
+        (faulty.OfOtherScans, "first-beam", "of a scan's duration away"),
         (faulty.TurnsRight, "radians", "it has the wrong sign"),
         (faulty.DegreesOdometry, "radians", "taken for radians"),
         (faulty.MillimetresOdometry, "metres", "came back as 600: the answer is in millimetres"),
