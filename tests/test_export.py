@@ -363,6 +363,27 @@ def test_a_sequence_whose_files_are_not_here_is_a_remark_and_the_rest_is_written
     assert "50-more-x-trajectories.pdf" in dict(papers.drawings(found, "pdf"))
 
 
+@pytest.mark.parametrize(
+    ("name", "left", "said"),
+    [
+        ("steps.bin", 500, "of its 30 answers are in"),
+        ("steps.bin", 0, "0 of its 30 answers are in"),
+        ("run.json", 20, "0 of its 30 answers are in"),
+        ("scores.json", 20, "its alignment and map are not in"),
+        ("grid.npz", 30, "its alignment and map are not in"),
+    ],
+)
+def test_a_run_cut_short_is_left_out_and_said_and_the_others_are_written(finished, name, left, said):
+    path = finished / "runs" / "paper-s0" / name
+    path.write_bytes(path.read_bytes()[:left])
+    found = read(finished)
+    assert [trial.contestant for trial in found.trials] == ["wheel"]
+    (remark,) = found.remarks
+    assert remark.startswith(f"paper over {AWKWARD}")
+    assert said in remark
+    assert [path.name for path in exported(finished, "tum")] != []
+
+
 def test_what_is_no_results_folder_or_no_label_is_said(finished, tmp_path):
     with pytest.raises(StoreError, match="no such file"):
         read(tmp_path)

@@ -15,7 +15,7 @@ from evalkit.protocols import Sequence as Recording
 from evalkit.report.palette import Stroke, strokes
 from evalkit.report.record import NAME, VERSION
 from evalkit.store import Store
-from evalkit.types import Pose, Trial, Truth
+from evalkit.types import Trial, Truth
 
 AGAIN = "name a folder that `evalkit report` or `evalkit compare` has written, or make the report again"
 
@@ -53,7 +53,7 @@ class Heading:
 class Results:
     """A comparison. ``headings``: the metrics in tables; ``trials``: every run that answered a scan, with truth.
 
-    ``remarks``: what could not be had (a sequence whose files are not here), a sentence each.
+    ``remarks``: what could not be had (a sequence whose files are not here, a run cut short), a sentence each.
     """
 
     folder: Path
@@ -108,7 +108,9 @@ def read(
     _known("sequence", sequences, content["sequences"])
     _known("contestant", contestants, content["contestants"])
     recordings, remarks = _recordings(wanted) if scans else ({}, [])
-    trials = [made for one in wanted if (made := _trial(folder, one, recordings)) is not None]
+    found = [_trial(folder, one, recordings) for one in wanted if one["scans_answered"]]
+    trials = [one for one in found if isinstance(one, Trial)]
+    remarks += [one for one in found if isinstance(one, str)]
     shown = {(one["sequence"], one["contestant"]) for one in wanted}
     cells = tuple(cell for cell in _cells(folder / "summary.csv") if (cell.sequence, cell.contestant) in shown)
     valued = {cell.metric for cell in cells if cell.median is not None}
@@ -173,14 +175,17 @@ def _recordings(wanted: Sequence[Mapping[str, Any]]) -> tuple[dict[tuple[str, in
     return made, list(remarks)
 
 
-def _trial(folder: Path, one: Mapping[str, Any], recordings: Mapping[Any, Recording]) -> Trial | None:
-    """A run that answered at least one scan, as it was left; None else."""
+def _trial(folder: Path, one: Mapping[str, Any], recordings: Mapping[Any, Recording]) -> Trial | str:
+    """A run as it was left; or a text, where its files hold less than the report tells of it."""
     store = Store.existing(folder)
     run, scored = store.load_run(one["key"]), store.load_scores(one["key"])
-    if run is None or not len(run.steps):
-        return None
+    answered = 0 if run is None else len(run.steps)
+    if run is None or scored is None or answered != one["scans_answered"]:
+        whole = answered == one["scans_answered"]
+        what = "its alignment and map are not" if whole else f"{answered} of its {one['scans_answered']} answers are"
+        who = f"{one['contestant']} over {one['sequence']}" + ("" if one["seed"] is None else f", seed {one['seed']}")
+        return f"{who}: {what} in {folder / 'runs' / one['key']}, so it is left out; make the report again"
     recording = recordings.get((one["sequence"], one["seed"]))
-    scored = scored or {"scores": {}, "world_from_start": Pose(), "grid": None, "errors_m": None}
     return Trial(
         key=one["key"],
         contestant=one["contestant"],
