@@ -39,6 +39,9 @@ class Room:
 def page_file(demo, tmp_path_factory):
     same = [replace(trial, sequence=SCRIPT, key=f"again-{trial.key}") for trial in demo.trials[:4]]
     card = SequenceCard(f"A sequence called {SCRIPT}.", "360 beams", "exact", "Author", "MIT")
+    same[3] = replace(
+        same[3], errors_m=None, run=replace(same[3].run, steps=same[3].run.steps[:0])
+    )  # "lost" is a map alone there
     made = replace(demo, trials=(*demo.trials, *same), sequences={**demo.sequences, SCRIPT: card}, scans={"room": Room})
     return write(made, tmp_path_factory.mktemp("browser"))
 
@@ -338,6 +341,18 @@ def test_the_worst_scans_of_two_are_a_click_away(opened):
     assert page.input_value(f"{PLAYER} [data-picks=second]") == "plane"
     page.select_option(f"{PLAYER} [data-worst=by]", "error")
     assert "more error" in buttons.first.inner_text()
+
+
+def test_a_map_alone_can_lie_beneath_and_the_page_says_why_it_has_no_path(opened):
+    alone = "#sequence-4 .player"
+    page = opened("#sequence-4-player?on=of%20lost")
+    page.wait_for_selector(f"{alone}.ready")
+    assert page.input_value(f"{alone} [data-picks=map]") == "of lost"
+    until(page, f"document.querySelector('{alone}').player.state.map === 'lost'")
+    assert "a map alone was given: lost." in page.locator(f"{alone} > .note").inner_text()
+    assert page.locator(f"{alone} .legend tbody tr").count() == 3
+    page.fill("#find", "pa")
+    until(page, f"document.querySelector('{alone}').player.state.map === 'paper'")
 
 
 def test_something_is_drawn_on_every_canvas(opened):

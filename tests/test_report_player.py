@@ -158,6 +158,24 @@ def test_a_recording_that_cannot_be_read_leaves_the_paths_and_says_why(runs):
     assert "no such disk" in made.told
 
 
+def test_a_map_alone_is_shown_with_its_ghosts_and_has_no_path(runs):
+    log_odds = np.full((40, 40), -3.5, dtype=np.float32)
+    log_odds[:, 10] = 3.5
+    true = OccupancyGrid(log_odds, np.ones((40, 40), dtype=bool), 0.1, 0.0, 0.0)
+    there = [replace(run, truth=replace(run.truth, grid=true)) for run in runs]
+    shifted = OccupancyGrid(log_odds, np.ones((40, 40), dtype=bool), 0.1, 1.0, 0.0)
+    alone = replace(
+        there[0], contestant="theirs", grid=shifted, run=replace(there[0].run, steps=there[0].run.steps[:0])
+    )
+    made = player([*there, alone], None, WINDOW, lines([*there, alone]))
+    (theirs,) = content(made)["maps"]
+    cells = unpacked(theirs["ghosts"], (40, 2)) * 1e-3
+    assert (made.contestants, made.maps) == (("a", "b"), ("theirs",))
+    assert "a map alone was given: theirs." in made.told
+    assert cells[:, 0] == pytest.approx(2.05)  # the wall of the column at 1.0 to 1.1 m, a metre off
+    assert player([alone], None, WINDOW, lines([alone])) is None
+
+
 def test_who_answered_nothing_is_not_there(trial):
     absent = trial("c", "room", {}, status="not-installed", reason="no module", answered=0)
     assert player([absent], None, WINDOW, lines([absent])) is None

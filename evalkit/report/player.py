@@ -56,6 +56,7 @@ class Player:
     """A sequence as the page's player reads it: JSON, whom and what it can show, and what its caption must tell.
 
     ``quantities``: pairs of name in the JSON and name for the reader. ``preferred``, ``rival``: whom it begins with.
+    ``maps``: contestants that are a map alone.
     """
 
     content: str
@@ -66,6 +67,7 @@ class Player:
     told: str
     preferred: str
     rival: str
+    maps: tuple[str, ...]
 
 
 def player(
@@ -88,6 +90,7 @@ def player(
     rows = chosen(disagreement(np.stack([world_poses(trial, stamps) for trial in answered])), MOST_SCANS)
     kept = stamps[rows]
     beams, why = _beams_of(scans, kept, most_ranges)
+    alone = [trial for trial in trials if not len(trial.run.steps) and trial.grid is not None]
     true = next((t.truth.trajectory for t in answered if t.truth.trajectory is not None), None)
     content: dict[str, Any] = {
         "times": packed(quantised((kept - kept[0]) / MILLISECOND, 1.0)),
@@ -96,6 +99,7 @@ def player(
         "beams": None if beams is None else _packed_beams(beams),
         "truth": None if true is None else packed(pose_steps(_at(true, kept))),
         "runs": [_run(trial, kept, beams, lines) for trial in answered],
+        "maps": [{"label": trial.contestant} | _map(trial) for trial in alone],
         "window": None if shown is None else [shown.x_min, shown.x_max, shown.y_min, shown.y_max],
         "pixels": _pixels(trials, shown),
     }
@@ -107,9 +111,10 @@ def player(
         quantities=tuple((key, name) for key, name in QUANTITIES if any(run[key] for run in content["runs"])),
         has_truth=true is not None,
         has_true_map="" in content["pixels"],
-        told=_told(len(stamps), len(kept), beams, why),
+        told=_told(len(stamps), len(kept), beams, why, [trial.contestant for trial in alone]),
         preferred=first,
         rival=second,
+        maps=tuple(trial.contestant for trial in alone),
     )
 
 
@@ -268,10 +273,15 @@ def _run(trial: Trial, stamps: Stamps, beams: Beams | None, lines: Mapping[str, 
         "s2s": series(trial.run.steps["s2s_error"]),
         "s2m": series(trial.run.steps["s2m_error"]),
         "error": series(trial.errors_m),
-        "cell": METRE if trial.grid is None else trial.grid.resolution_m,
-        "ghosts": _cells(_ghosts_of(trial)),
+        **_map(trial),
         "violations": _cells(_violations_of(trial, _poses(steps), stamps, beams)),
     }
+
+
+def _map(trial: Trial) -> dict[str, Any]:
+    """The side of the map's cells (m) and its ghost walls."""
+    side = METRE if trial.grid is None else trial.grid.resolution_m
+    return {"cell": side, "ghosts": _cells(_ghosts_of(trial))}
 
 
 def _ghosts_of(trial: Trial) -> Floats | None:
@@ -319,7 +329,7 @@ def _two(runs: Several[Mapping[str, Any]], preferred: str) -> tuple[str, str]:
     return first, next((label for label in labels if label != first), first)
 
 
-def _told(answered: int, kept: int, beams: Beams | None, why: str) -> str:
+def _told(answered: int, kept: int, beams: Beams | None, why: str, alone: Several[str]) -> str:
     """What the reader must know of what was left out."""
     sentences = []
     if kept < answered:
@@ -328,4 +338,6 @@ def _told(answered: int, kept: int, beams: Beams | None, why: str) -> str:
         sentences.append(f"Without the scans themselves: {why}.")
     elif beams.every > 1:
         sentences.append(f"One beam in {beams.every} is shown.")
+    if alone:
+        sentences.append(f"Without a path to play, because a map alone was given: {', '.join(alone)}.")
     return " ".join(sentences)

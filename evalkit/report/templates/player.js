@@ -106,7 +106,8 @@ class Player {
     const ticked = new Set(this.all("input.shows").filter((box) => box.checked && isShown(box.value)).map((box) => box.value));
     const layers = Object.fromEntries(this.all("input[data-layer]").map((box) => [box.dataset.layer, box.checked]));
     const picked = Object.fromEntries(this.all("select[data-picks]").map((select) => [select.dataset.picks, select.value]));
-    const own = picked.map === "own" ? (picked.first === "truth" ? "" : picked.first) : "";
+    const placer = picked.first === "truth" ? "" : picked.first;
+    const own = { own: placer, true: "" }[picked.map] ?? this.find("select[data-picks=map]").selectedOptions[0].dataset.map;
     const runs = this.recording.runs.filter((run) => ticked.has(run.label));
     Object.assign(this.state, { layers, runs, map: own, first: picked.first, second: picked.second, quantity: picked.quantity });
     const names = JSON.stringify([...runs.map((run) => run.label), ...this.all(".worst select").map((select) => select.value)]);
@@ -118,8 +119,12 @@ class Player {
     this.draw();
   }
 
-  // Whom the filter leaves out can neither place a scan nor be compared.
+  // Whom the filter leaves out can neither place a scan nor be compared, nor lie beneath.
   offer() {
+    for (const option of this.all("option[data-map]")) {
+      option.hidden = !isShown(option.dataset.map);
+      if (option.hidden && option.selected) option.parentElement.value = "own";
+    }
     for (const select of this.all("select[data-picks=first], select[data-picks=second], select[data-worst=a], select[data-worst=b]")) {
       const named = [...select.options].filter((option) => this.recording.runs.some((run) => run.label === option.value));
       for (const option of named) option.hidden = !isShown(option.value);

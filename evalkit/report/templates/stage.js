@@ -39,14 +39,15 @@ class Stage {
     const brush = resized(this.canvas);
     this.map(brush, view, state.map);
     const chosen = state.runs.find((run) => run.label === state.first);
-    if (state.layers.ghosts && chosen) this.squares(brush, view, chosen);
+    const alone = this.recording.maps.find((one) => one.label === state.map);
+    if (state.layers.ghosts && (alone ?? chosen)) this.squares(brush, view, alone ?? chosen);
     if (state.layers.violations && chosen) this.crosses(brush, view, chosen);
     const { truth } = this.recording;
     if (state.layers.truth && truth) this.path(brush, view, truth, state.scan, 2.6);
     if (state.layers.estimates) for (const run of state.runs) this.path(brush, view, run, state.scan, 1.5);
     if (state.layers.residuals && chosen) this.residuals(brush, view, chosen, state.quantity);
     const placers = [state.second, state.first].map((label) => (label === "truth" ? truth : this.recording.runs.find((run) => run.label === label)));
-    for (const run of placers) if (run) this.scan(brush, view, run, state);
+    placers.forEach((run, i) => run && this.scan(brush, view, run, state, placers[1] && i === 0));
     for (const run of state.runs) this.robot(brush, view, run, state.scan);
     this.scaleBar(brush, view);
     if (state.layers.distances) this.key(brush, view, "to the nearest wall", FAR_M);
@@ -121,7 +122,8 @@ class Stage {
     this.key(brush, view, { s2s: "S2S residual", s2m: "S2M residual", error: "error" }[quantity], most, 26);
   }
 
-  scan(brush, view, run, state) {
+  // Hollow is who is laid over another: colour alone tells them apart for too few.
+  scan(brush, view, run, state, hollow) {
     if (!this.recording.beams) return;
     const points = placeScan(this.recording, run.poses, state.scan);
     const radius = Math.min(Math.max(0.02 * view.scale, 1.8), 4);
@@ -135,8 +137,11 @@ class Stage {
         brush.fill();
       }
     };
-    dots(radius + 1.2, () => "#fff"); // told apart from walls and from grey
-    dots(radius, (i) => (field ? ramp(this.lookUp(field, state.map, points[i], points[i + 1]) / FAR_M) : run.colour));
+    const colour = (i) => (field ? ramp(this.lookUp(field, state.map, points[i], points[i + 1]) / FAR_M) : run.colour);
+    const wide = hollow ? radius + 1.4 : radius;
+    dots(wide + 1.2, () => "#fff"); // told apart from walls and from grey
+    dots(wide, colour);
+    if (hollow) dots(wide - 1.5, () => "#fff");
   }
 
   distance(label) {
