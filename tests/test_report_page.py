@@ -2,6 +2,7 @@
 
 import io
 import re
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from PIL import Image
 
 from evalkit.metrics.validated import shipped
-from evalkit.report import write
+from evalkit.report import ContestantCard, SequenceCard, write
 from evalkit.report.maps import Window, greys, picture, window
 from evalkit.report.palette import strokes
 from evalkit.report.views import headline
@@ -62,6 +63,35 @@ def test_names_that_try_to_be_scripts_stay_text(tags, html):
     assert "<script>alert" not in html
     assert "<script>alert(1)</script>" in tags.text
     assert sum(tag == "script" for tag, _ in tags.found) == 1
+
+
+EVIL = "</script><!--<script>alert(1)//--></style>\u2028\"'><img src=x onerror=alert(1)>{{7*7}}javascript:alert(1)"
+
+
+def test_whatever_comes_from_data_stays_text_wherever_it_stands(build, trial, tmp_path):
+    made = trial(EVIL, EVIL, {"ate_rmse_m": 0.1, "cpu_median_ms": 1.0}, status="failed", reason=EVIL, answered=30)
+    made = replace(
+        made, run=replace(made.run, notes={EVIL: 3}), truth=replace(made.truth, how=EVIL), alignment=EVIL, command=EVIL,
+        backend_parameters={EVIL: EVIL}, dataset_parameters={EVIL: EVIL}, key="key",
+    )  # fmt: skip
+    card = ContestantCard(EVIL, EVIL, EVIL, (), EVIL, missing=EVIL)
+    course = SequenceCard(EVIL, EVIL, EVIL, EVIL, EVIL, defects=(EVIL,))
+    comparison = build(
+        [made], title=EVIL, description=EVIL, environment={EVIL: EVIL}, contestants={EVIL: card},
+        sequences={EVIL: course}, command=EVIL, mapper=EVIL, fairness=(EVIL,),
+    )  # fmt: skip
+    html = write(comparison, tmp_path).read_text(encoding="utf-8")
+    parser = Tags()
+    parser.feed(html)
+    parser.close()
+    assert parser.open == []
+    assert sum(tag == "script" for tag, _ in parser.found) == 1
+    assert not [tag for tag, attributes in parser.found if "onerror" in attributes or attributes.get("src") == "x"]
+    assert not [tag for tag, attributes in parser.found if attributes.get("href", "").startswith("javascript:")]
+    script = html[html.index("<script") : html.rindex("</script>")]
+    assert "</script" not in script
+    assert "<!--" not in script
+    assert "49javascript" not in html
 
 
 def test_nothing_is_loaded_from_anywhere(tags):
