@@ -84,3 +84,9 @@ def test_what_comes_from_data_is_no_markup():
 def test_a_row_of_another_length_is_refused():
     with pytest.raises(ValueError, match="row 1: expected 2 cells, got 3"):
         Table(("a", "b"), (("1", "2"), ("1", "2", "3")))
+
+
+@pytest.mark.parametrize("link", ["javascript:alert(1)", "data:text/html,x", " javascript:x", "//evil"])
+def test_a_link_runs_nothing(link):
+    with pytest.raises(ValueError, match="link: expected a place on the page"):
+        Cell("here", link=link)

@@ -50,6 +50,10 @@ class Cell:
     tip: str = ""
     link: str = ""
 
+    def __post_init__(self) -> None:
+        if self.link and not self.link.startswith(("#", "https://", "http://")):
+            raise ValueError(f"link: expected a place on the page or a web address, got {self.link!r}")
+
 
 @dataclass(frozen=True, slots=True)
 class Table:
