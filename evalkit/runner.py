@@ -10,9 +10,9 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, get_args
 
-from evalkit import child
+from evalkit import child, saved
 from evalkit.errors import StoreError
 from evalkit.experiment import Limits
 from evalkit.store import REMEDY, STEPS, whole_records
@@ -20,6 +20,10 @@ from evalkit.types import STEP, Run, Status
 from evalkit.worker import Request
 
 OUTCOME = "outcome.json"
+KNOWN = {"status": str, "reason": str, "expected": int, "peak_memory_bytes": int, "warm_up_scans": int, "notes": dict,
+         "every": int}  # fmt: skip
+"""What a run may tell of itself, and of what type: its folder is open to the back end."""
+
 OUTPUT = "output.txt"
 BEGUN = "begun.json"
 
@@ -96,7 +100,8 @@ class _Watch:
         nothing: dict[str, Any] = {"expected": 0, "warm_up_scans": 0, "notes": {}, "peak_memory_bytes": 0}
         outcome = nothing | self._begun | _read(self._folder / BEGUN) | _read(self._folder / OUTCOME)
         outcome["peak_memory_bytes"] = max(outcome["peak_memory_bytes"], self._peak)
-        if "status" not in outcome:
+        told = outcome.get("status") in get_args(Status) and "reason" in outcome
+        if not told or (outcome["status"] != "complete" and not outcome["reason"]):
             ended = ended or _how_it_died(self._process.returncode, self._folder)
         if ended is not None:
             outcome["status"], outcome["reason"] = ended
@@ -131,13 +136,16 @@ def _broken(limits: Limits, spent: Spent, answered: int) -> tuple[Status, str] |
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:  # it did not come so far, or the back end removed it
+        content = saved.values(path.read_bytes())
+    except (OSError, ValueError):  # it did not come so far, or the back end removed it or wrote into it
         return {}
-    return content
+    known = content if isinstance(content, dict) else {}
+    return {name: value for name, value in known.items() if type(value) is KNOWN.get(name)}
 
 
 def _how_it_died(code: int, folder: Path) -> tuple[Status, str]:
     if not (folder / "request.json").exists():
         return "failed", "the run's folder was removed while it ran"
+    if (folder / OUTCOME).exists():
+        return "failed", f"what it left in {OUTCOME} tells no outcome"
     return "crashed" if code < 0 else "failed", child.last_words(code, folder / OUTPUT)

@@ -61,6 +61,7 @@ EXPECTED = (
     ("garbage", "failed", "code 9; it said last: [2J the wheel is off"),
     ("chdir", "complete", ""),
     ("remove-folder", "failed", "folder was removed"),
+    ("forge", "failed", "what it left in outcome.json tells no outcome"),
     ("linger", "complete", ""),
     ("hold", "timeout", f"no answer for 2.5 s after scan {AT}"),
     ("daemon", "timeout", "no answer for 2.5 s"),

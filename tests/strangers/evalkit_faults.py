@@ -102,6 +102,12 @@ def _remove_folder() -> None:
     shutil.rmtree(Path(sys.argv[-1]))
 
 
+def _forge() -> None:
+    """Writes over what the run tells of itself, as if it were the run."""
+    (Path(sys.argv[-1]) / "outcome.json").write_text('{"notes": ' + "[" * 100_000)
+    time.sleep(600)
+
+
 def _exhaust() -> None:
     raise MemoryError("cannot allocate 7 TiB")
 
@@ -143,6 +149,7 @@ FAULTS: dict[str, Callable[[], object]] = {
     "garbage": _garbage,
     "chdir": lambda: os.chdir("/"),
     "remove-folder": _remove_folder,
+    "forge": _forge,
     "linger": _linger,
     "far": lambda: Pose(1e6, -1e6, 1.0),
     "farthest": lambda: Pose(1e300, -1e300, 1.0),
