@@ -22,12 +22,19 @@ EDGE = 12
 """Cells left around what was seen."""
 
 
-def made() -> Path:
-    """The results folder of the tutorial, made in a new folder.
+def shown(results: Path | None) -> dict[str, bytes]:
+    """What the site shows of a comparison, by the file's name: of the tutorial's own where no results are given."""
+    if results is not None:
+        return pictures(results) | report(results)
+    with tempfile.TemporaryDirectory(prefix="evalkit-example-") as folder:
+        return shown(made(Path(folder)))
+
+
+def made(folder: Path) -> Path:
+    """The results folder of the tutorial, made in an empty folder.
 
     RuntimeError with the program's own words where a command fails.
     """
-    folder = Path(tempfile.mkdtemp(prefix="evalkit-example-"))
     for words in COMMANDS:
         command = [sys.executable, "-c", "from evalkit.cli import main; main()", *words]
         ended = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)

@@ -18,8 +18,8 @@ def on_files(files: Any, config: Any) -> Any:
 
     for name, markdown in site.added().items():
         files.append(File.generated(config, name, content=markdown))
-    made = Path(config["extra"].get("example") or example.made())
-    for name, content in (example.pictures(made) | example.report(made)).items():
+    given = config["extra"].get("example")
+    for name, content in example.shown(Path(given) if given else None).items():
         files.append(File.generated(config, f"example/{name}", content=content))
     return files
 
