@@ -286,3 +286,11 @@ def test_times_of_different_processors_are_not_put_in_one_order_unsaid(trial, bu
     untimed = on[1].run.steps.copy()
     untimed["wall_ns"] = 0
     assert said not in _said(build([on[0], replace(on[1], run=replace(on[1].run, steps=untimed)), on[2]]))
+
+
+def test_a_leader_picked_after_the_fact_needs_a_lead_over_everybody(trial, build):
+    runs = {"a": [0.010, 0.011, 0.012], "b": [0.0101, 0.0111, 0.0121], "c": [0.5, 0.51, 0.52]}
+    comparison = build([one for name, values in runs.items() for one in _seeds(trial, name, values)])
+    found = verdict(comparison, "room")
+    assert (found.outcome, found.leaders) == ("level", ("a", "b"))  # far ahead of c alone is no lead
+    assert any("against every other contestant" in sentence for sentence in _overview(comparison))

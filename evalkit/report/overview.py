@@ -145,5 +145,8 @@ def _evidence(comparison: Comparison) -> str:
     return (
         f"{seeds}A 95 % interval says between which bounds the number would lie had the robot met other stretches of "
         "the same kind; it is drawn from stretches of up to 10 s. Somebody leads only where the interval of the "
-        "difference on the same scans excludes zero and the difference matters: at least 5 % and, of positions, 2 mm."
+        "difference on the same scans excludes zero and the difference matters: at least 5 % and, of positions, 2 mm. "
+        "It must do so against every other contestant: picking the leader after the fact then adds no false leads. "
+        "That somebody is worse than the leader is said for each alone: of many, one may be so by chance, and a "
+        "lead that was picked is rather too large than too small."
     )
