@@ -26,7 +26,7 @@ def experiment_text(tuning: Tuning, found: Sequence[Searched]) -> str:
             contestants += _contestant(entrant.contestant, entrant.label + TUNED, one.chosen.candidate.values)
     lines = [
         f"# Written by: {tuning.command}",
-        f"title = {_text(f'{tuning.title}: default and tuned on held-out sequences')}",
+        f"title = {_text(f'{tuning.title} (default and tuned rows)')}",
         f"description = {_text(tuning.description)}",
         "",
         "[mapper]",
