@@ -8,7 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from evalkit import Cloud, Pose, frontend, registry
+from evalkit import Cloud, Pose, benchmark, frontend, registry
+from evalkit.benchmark import Series
 from evalkit.clock import timed
 from evalkit.environment import SINGLE_THREAD
 from evalkit.protocols import Registration
@@ -43,6 +44,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=40)
     parser.add_argument("--targets", type=int, default=5000)
     arguments = parser.parse_args()
+    ran_on = benchmark.before()
     os.environ.update(SINGLE_THREAD)
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
@@ -61,6 +63,8 @@ def main() -> None:
     for name, ns in times.items():
         ratio = np.median(np.array(ns) / np.array(times[REFERENCE]))
         print(f"{name:18} {np.median(ns) / 1e6:8.2f} {ratio:16.2f}")
+    series = [Series(name, "ms", tuple((np.array(ns) / 1e6).tolist())) for name, ns in times.items()]
+    print(benchmark.keep("backends", series, ran_on))
 
 
 def _defaults(dataset: str) -> dict[str, object]:

@@ -13,7 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import Pose, Scan
+from evalkit import Pose, Scan, benchmark
+from evalkit.benchmark import Series
 from evalkit.environment import SINGLE_THREAD
 from evalkit.protocols import MapperSpec, resolved
 from evalkit_baselines import embedded, paper
@@ -63,6 +64,8 @@ def main() -> None:
     arguments = parser.parse_args()
     if why := compiled_missing():
         parser.error(why)
+    ran_on = benchmark.before()
+    series = []
     os.environ.update(SINGLE_THREAD)
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
@@ -79,6 +82,11 @@ def main() -> None:
         for what in calls:
             cold, warm = (float(np.median(taken[what][3:])) / 1e3 for taken in (first, again))
             print(f"{what:24} {cold:8.1f} {warm:14.1f} {touched / warm:21.0f}")
+            series += [
+                Series(f"{what}, {name}, {when}", "us", tuple(ns / 1e3 for ns in taken[what][3:]))
+                for when, taken in (("after the others", first), ("at once again", again))
+            ]
+    print(benchmark.keep("mapper", series, ran_on))
 
 
 def cpu_ns(call: Callable[[], Any]) -> int:

@@ -1,7 +1,14 @@
-"""What the harness costs around a back end's call: microseconds per scan of a run in a process of its own."""
+"""What the harness costs: seconds of CPU for a run's process beyond the back end's import, and its share of each scan.
+
+The limits: 0.3 s per run, 1 % of a scan of the paper's method.
+"""
 
 from __future__ import annotations
 
+import argparse
+import os
+import resource
+import subprocess
 import sys
 import tempfile
 import threading
@@ -9,30 +16,100 @@ from pathlib import Path
 
 import numpy as np
 
-from evalkit import frontend, registry, runner
+from evalkit import benchmark, frontend, registry, runner
+from evalkit.benchmark import Series
+from evalkit.environment import SINGLE_THREAD
 from evalkit.experiment import Limits
+from evalkit.types import Run
 from evalkit.worker import Request
 
-SCANS = 700
+START_LIMIT_S = 0.3
+SHARE_LIMIT = 0.01
+METHOD = "paper"
+
+LIBRARIES = "import numpy, scipy.spatial"
+"""What the paper's method imports by itself: not the isolation's cost."""
+
+SHORTEST = {"laps": 0.02}
 
 
-def main() -> None:
-    """Runs wheel odometry, which costs nothing itself, and the paper's ICP, and prints what is around their calls."""
-    print(f"harness around the timed call, us per scan (synthetic lab, about {SCANS} scans)")
-    print(f"{'back end':16} {'median':>8} {'p99':>8} {'its own call':>14}")
-    for name in ("wheel-odometry", "paper"):
-        spec = registry.backend(name)
-        lab = registry.dataset("lab")
-        parameters = {p.name: p.default for p in lab.parameters}
-        request = Request(name, frontend.complete_parameters(name, spec, {}), "lab", parameters)
-        with tempfile.TemporaryDirectory() as folder:
-            run = runner.run(request, (name, "lab"), Path(folder), Limits(), lambda _: None, threading.Event())
-        if run.status != "complete":
-            sys.exit(f"{name}: {run.status}: {run.reason}")
-        around = run.steps["harness_ns"][1:] / 1e3
-        own = np.median(run.steps["wall_ns"]) / 1e3
-        print(f"{name:16} {np.median(around):8.1f} {np.percentile(around, 99):8.1f} {own:14.1f}")
+def made(backend: str, **changes: object) -> Run:
+    """A complete run over the synthetic lab, in a process of its own."""
+    spec, lab = registry.backend(backend), registry.dataset("lab")
+    parameters = {p.name: p.default for p in lab.parameters} | changes
+    request = Request(backend, frontend.complete_parameters(backend, spec, {}), "lab", parameters)
+    with tempfile.TemporaryDirectory() as folder:
+        run = runner.run(request, (backend, "lab"), Path(folder), Limits(), lambda _: None, threading.Event())
+    if run.status != "complete":
+        sys.exit(f"{backend}: {run.status}: {run.reason}")
+    return run
+
+
+def children_s() -> float:
+    """CPU seconds of all children that have ended."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def cpu_s(statement: str) -> float:
+    """CPU seconds of a fresh interpreter that runs a statement."""
+    before = children_s()
+    subprocess.run([sys.executable, "-P", "-c", statement], check=True)
+    return children_s() - before
+
+
+def starts(rounds: int) -> dict[str, list[float]]:
+    """CPU seconds, in turns, of an interpreter with a back end's libraries, and with the worker beside them."""
+    bare = LIBRARIES
+    worker = (
+        f"{LIBRARIES}; import evalkit.worker as w; from evalkit import registry as r; "
+        f"r.backend('wheel-odometry'); r.dataset('lab')"
+    )
+    taken: dict[str, list[float]] = {"libraries": [], "worker": []}
+    for _ in range(rounds):
+        taken["libraries"].append(cpu_s(bare))
+        taken["worker"].append(cpu_s(worker))
+    return taken
+
+
+def main() -> int:
+    """Prints both figures against their limits and keeps them; 1 where one is beyond."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else "")
+    parser.add_argument("--rounds", type=int, default=20)
+    rounds = parser.parse_args().rounds
+    ran_on = benchmark.before()
+    os.environ.update(SINGLE_THREAD)
+    taken = starts(rounds)
+    extra = np.array(taken["worker"]) - np.array(taken["libraries"])
+    watching = []
+    for _ in range(rounds):
+        before = resource.getrusage(resource.RUSAGE_SELF)
+        made("wheel-odometry", **SHORTEST)
+        after = resource.getrusage(resource.RUSAGE_SELF)
+        watching.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
+    start = float(np.median(extra) + np.median(watching))
+    print(
+        f"a run's process beyond its libraries: {np.median(extra):.3f} s CPU; its watching: {np.median(watching):.3f} s"
+    )
+    print(f"together {start:.3f} s a run, limit {START_LIMIT_S} s")
+    series = [
+        Series("start of the worker beyond its libraries", "s", tuple(extra.tolist())),
+        Series("watching of a short run", "s", tuple(watching)),
+        Series("interpreter with numpy and scipy", "s", tuple(taken["libraries"])),
+    ]
+    print(f"{'back end':16} {'around [us]':>12} {'p99':>8} {'own call [us]':>14} {'share':>8}")
+    share = 0.0
+    for name in ("wheel-odometry", METHOD):
+        steps = made(name).steps
+        around, own = steps["harness_ns"][1:] / 1e3, float(np.median(steps["wall_ns"])) / 1e3
+        share = float(np.median(around)) / own
+        row = f"{np.median(around):12.1f} {np.percentile(around, 99):8.1f} {own:14.1f} {100 * share:7.2f}%"
+        print(f"{name:16} {row}")
+        series.append(Series(f"around a scan of {name}", "us", tuple(around.tolist())))
+    print(f"of a scan of {METHOD}: {100 * share:.2f} %, limit {100 * SHARE_LIMIT:g} %")
+    print(benchmark.keep("overhead", series, ran_on))
+    return int(start > START_LIMIT_S or share > SHARE_LIMIT)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

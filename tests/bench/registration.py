@@ -18,7 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import Cloud, Pose, lift, registry
+from evalkit import Cloud, Pose, benchmark, lift, registry
+from evalkit.benchmark import Series
 from evalkit.environment import SINGLE_THREAD
 from evalkit.se2 import Floats
 from evalkit_baselines.embedded.compiled import Precision, compiled_missing, core, real
@@ -179,6 +180,8 @@ def main() -> None:
     arguments = parser.parse_args()
     if why := compiled_missing():
         parser.error(why)
+    ran_on = benchmark.before()
+    series = []
     os.environ.update(SINGLE_THREAD)
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
@@ -190,6 +193,8 @@ def main() -> None:
         for name, taken in times.items():
             low, ratio, high = np.percentile(taken / times[REFERENCE], [25, 50, 75])
             print(f"{name:22} {np.median(taken) / 1e6:8.2f} {ratio:12.2f} {low:7.2f}-{high:.2f}")
+            series.append(Series(f"{name}, {targets} points", "ms", tuple((taken / 1e6).tolist())))
+    print(benchmark.keep("registration", series, ran_on))
 
 
 if __name__ == "__main__":
