@@ -6,7 +6,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help install report report-quick test check bench faults paper paper-quick clean distclean
+.PHONY: help install report report-quick test check bench faults paper paper-quick tune docs clean distclean
 
 help:  ## this list
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -44,6 +44,12 @@ paper: $(VENV)/evalkit  ## the paper reproduced, and its study: reports/build/pa
 paper-quick: $(VENV)/evalkit  ## the small one, under 2 minutes: reports/build/paper-quick/index.html
 	$(BIN)/evalkit paper reports/paper-quick.toml
 
+tune: $(VENV)/evalkit  ## back ends tuned with one budget, judged elsewhere: reports/build/tune/index.html
+	$(BIN)/evalkit tune reports/tune.toml
+
+docs: $(VENV)/docs  ## the documentation: reports/build/site/index.html
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --config-file evalkit/documentation/mkdocs.yml
+
 clean:  ## removes all results
 	rm -rf reports/build
 
@@ -65,6 +71,10 @@ $(VENV)/test: pyproject.toml | $(VENV)/python
 	$(BIN)/python -m pip install --quiet --editable '.[test$(if $(EXTRAS),$(comma)$(EXTRAS))]'
 	@touch $(VENV)/evalkit $@
 
+$(VENV)/docs: pyproject.toml | $(VENV)/python
+	$(BIN)/python -m pip install --quiet --editable '.[docs$(if $(EXTRAS),$(comma)$(EXTRAS))]'
+	@touch $(VENV)/evalkit $@
+
 $(VENV)/dev: pyproject.toml | $(VENV)/python
 	$(BIN)/python -m pip install --quiet --editable '.[dev$(if $(EXTRAS),$(comma)$(EXTRAS))]'
-	@touch $(VENV)/evalkit $(VENV)/test $@
+	@touch $(VENV)/evalkit $(VENV)/test $(VENV)/docs $@
