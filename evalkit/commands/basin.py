@@ -26,6 +26,9 @@ def basin(
         list[str] | None, typer.Argument(help="Registered names, or module:SPEC.", show_default="all")
     ] = None,
     scene: Annotated[list[str] | None, typer.Option(help="Only this scene (repeatable).", show_default="all")] = None,
+    on: Annotated[
+        list[str] | None, typer.Option(help="Scans of a data set, 'fr079 limit=600' (repeatable).", show_default=False)
+    ] = None,
     setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE for every back end.")] = None,
     offsets: Annotated[int, typer.Option(min=10, help="Wrong guesses a back end and scene.")] = 1024,
     distance: Annotated[float, typer.Option(min=0.01, help="The farthest guess (m).")] = 1.0,
@@ -44,17 +47,21 @@ def basin(
     from evalkit.commands import basin_page  # noqa: PLC0415 - loads matplotlib and scipy.stats
     from evalkit.commands.basin_result import result  # noqa: PLC0415 - as above
     from evalkit.report.document import render  # noqa: PLC0415 - as above
-    from evalkit.validation.basins import attempts, surroundings  # noqa: PLC0415 - as above
+    from evalkit.validation.basins import attempts, sequences, surroundings  # noqa: PLC0415 - as above
     from evalkit.validation.basins.basin import Criterion  # noqa: PLC0415 - as above
 
     options.modules_from_here()
-    names = list(dict.fromkeys(backend or _registrations()))
     given = options.settings(setting or [])
-    entrants = [attempts.entrant(name, given) for name in names]
+    entrants = [attempts.entrant(name, given) for name in dict.fromkeys(backend or _registrations())]
+    names = scene or ([] if on else list(surroundings.PLACES))
+    places: dict[str, dict[str, Any]] = {surroundings.place(name).name: {} for name in names}
+    places |= {each.label: each.data for each in map(sequences.Recorded.of, on or ())}
     trials = [
-        attempts.Trials(surroundings.place(name).name, offsets, pairs, beams, noise, distance, math.radians(turn), seed)
-        for name in dict.fromkeys(scene or surroundings.PLACES)
+        attempts.Trials(name, offsets, pairs, beams, noise, distance, math.radians(turn), seed, data)
+        for name, data in places.items()
     ]
+    for one in trials:
+        one.seen()  # what has no pair is refused before anybody is asked
     folder = folder or Path("reports") / "build" / "basin"
     outcomes = _asked(entrants, trials, folder / "results", jobs or environment.physical_cores())
     found = result(trials, entrants, outcomes, Criterion(within_m, math.radians(within_deg)))

@@ -31,11 +31,12 @@ from evalkit.report.document import (
 from evalkit.se2 import Floats
 from evalkit.types import Pose
 from evalkit.validation.basins.basin import Shares
+from evalkit.validation.basins.sequences import APART_M, APART_RAD
 
 DRAWN = 150
 """Points of a cloud in an overlay: more cannot be seen."""
 
-WORST = 1
+WORST = 3
 """Overlays of failures a back end and scene."""
 
 GREY, START, END = "#9aa3ad", "#e69f00", "#0072b2"
@@ -62,7 +63,7 @@ def document(found: Result, command: str) -> Document:
     )
     lead = (
         "From how far off a guess each registration still finds the truth: every back end, with its own settings, is "
-        "asked about the same pairs of simulated scans from the same wrong guesses."
+        "asked about the same pairs of scans from the same wrong guesses."
     )
     scenes = [_scene(found, scene) for scene in found.scenes]
     return Document(
@@ -97,10 +98,10 @@ def _summary(found: Result) -> Section:
 def _share_at(found: Result, scene: Scene, label: str) -> Cell:
     row = next(row for row in found.at(scene) if row.backend == label)
     if row.basin is None:
-        return Cell("no answer", sort=-1.0, tone="bad", tip=row.reason, link=f"#{row.scene}")
+        return Cell("no answer", sort=-1.0, tone="bad", tip=row.reason, link=f"#{slug(row.scene)}")
     share = row.basin.overall()
     return Cell(
-        _interval(share), sort=share.value, tone="bad" if row.reason else "", tip=row.reason, link=f"#{row.scene}"
+        _interval(share), sort=share.value, tone="bad" if row.reason else "", tip=row.reason, link=f"#{slug(row.scene)}"
     )
 
 
@@ -125,14 +126,14 @@ def _line(row: Row) -> Sequence[Cell | str]:
     errors, claimed, share = row.basin.accuracy(), row.basin.falsely_claimed(), row.basin.overall()
     return (
         row.backend,
-        Cell(_interval(share), sort=share.value, tip=row.reason),
+        Cell(_interval(share), sort=share.value, tip=row.reason or "to its worst failures", link=_anchor(row)),
         *(Cell(f"{row.reach_m(level):.2f}", sort=row.reach_m(level)) for level in LEVELS),
         Cell(f"{row.reach_deg(0.95):.0f}", sort=row.reach_deg(0.95)),
         *(_number(value, 3) for value in errors[:, 0]),
         *(_number(math.degrees(value), 1) for value in errors[:, 1]),
         Cell("-", sort=-1.0)
         if claimed is None
-        else Cell(f"{100 * claimed.value:.0f}", sort=claimed.value, link=_anchor(row), tip="to its worst failure"),
+        else Cell(f"{100 * claimed.value:.0f}", sort=claimed.value, link=_anchor(row), tip="to its worst failures"),
     )
 
 
@@ -151,7 +152,7 @@ def _scene(found: Result, scene: Scene) -> Section:
             Fold("Counts and intervals", [_counts(row) for row in rows]),
             Fold("Failures with the best guesses", _failures(rows, scene)),
         ]
-    return Section(name.capitalize(), blocks, name)
+    return Section(f"{name[0].upper()}{name[1:]}", blocks, slug(name))
 
 
 def _directions(scene: Scene) -> str:
@@ -250,7 +251,7 @@ def _failures(rows: Sequence[Row], scene: Scene) -> list[Block]:
 
 
 def _overlay(row: Row, scene: Scene, attempt: int) -> Figure:
-    number = attempt % scene.trials.pairs
+    number = attempt % len(scene.seen)
     pair, guess, end = scene.seen[number], Pose.of(scene.guesses()[attempt]), answer(row, attempt)
     layers = [
         Points("target", _thinned(pair.target.points), GREY, 3.0),
@@ -273,8 +274,7 @@ def _overlay(row: Row, scene: Scene, attempt: int) -> Figure:
 def _how(found: Result, command: str) -> Section:
     trials = found.scenes[0].trials
     items = (
-        f"A scene gives {trials.pairs} pairs of scans of {trials.beams} beams with {100 * trials.noise_m:.3g} cm of "
-        "noise on every range, from two poses close together; the true motion is exact.",
+        *_pairs(found),
         f"The guess is the truth put off: {trials.offsets} offsets, even in distance, bearing and turn (an additive "
         "low-discrepancy sequence from a seeded start), the same for all; a quarter is only shifted and a quarter "
         "only turned, for the curves.",
@@ -289,6 +289,28 @@ def _how(found: Result, command: str) -> Section:
     owners = [each.label for each in found.entrants for _ in each.values]
     table = Table(("Back end", "Setting", "Value"), [(who, *row) for who, row in zip(owners, rows, strict=True)])
     return Section("How", (Bullets(items), Command(command), Fold("Settings of the back ends", (table,))), "how")
+
+
+def _pairs(found: Result) -> list[str]:
+    """Where the pairs of scans come from."""
+    told = []
+    if made := [scene.trials for scene in found.scenes if not scene.trials.data]:
+        told.append(
+            f"A simulated scene gives {made[0].pairs} pairs of scans of {made[0].beams} beams with "
+            f"{100 * made[0].noise_m:.3g} cm of noise on every range, from two poses close together; the true motion "
+            "is exact."
+        )
+    if taken := [scene for scene in found.scenes if scene.trials.data]:
+        counts = ", ".join(f"{len(scene.seen)} of {scene.trials.place}" for scene in taken)
+        told.append(
+            f"A data set gives pairs of its scans, spread evenly ({counts}), as points of the robot's base with the "
+            "motion within a scan undone: near each other as in a simulated scene where its truth is a trajectory, "
+            f"within {APART_M:g} m and {math.degrees(APART_RAD):.1f} deg where it is measured relations: in a turn "
+            "their times are not the scans' closely enough, and they are no more exact than they were measured. "
+            "Directions are told from the walls of its scans, along the axes of the world, or of each first scan where "
+            "only relations are known."
+        )
+    return told
 
 
 def _apart(pose: Pose, truth: Pose) -> tuple[float, float]:
@@ -309,7 +331,7 @@ def _told(values: Floats) -> list[float]:
 
 
 def _title(row: Row) -> str:
-    return f"{row.backend} in the {row.scene}"
+    return f"{row.backend} {'on' if row.trials.data else 'in the'} {row.scene}"
 
 
 def _anchor(row: Row) -> str:

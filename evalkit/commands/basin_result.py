@@ -11,7 +11,6 @@ import numpy as np
 
 from evalkit.se2 import Floats
 from evalkit.types import Pose
-from evalkit.validation.basins import surroundings
 from evalkit.validation.basins.attempts import Entrant, Outcome, Trials
 from evalkit.validation.basins.basin import QUANTILES, Basin, Criterion, Shares, guesses, off
 from evalkit.validation.basins.observability import Observability, observability
@@ -44,7 +43,7 @@ class Scene:
     @property
     def what(self) -> str:
         """The place in words."""
-        return surroundings.place(self.trials.place).what
+        return self.trials.what
 
     def guesses(self) -> Floats:
         """Where every attempt (N, 3) starts: ``target_from_source``."""
@@ -154,6 +153,7 @@ def _scene(scene: Scene) -> dict[str, Any]:
     known = scene.known
     return vars(scene.trials) | {
         "what": scene.what,
+        "pairs": len(scene.seen),
         "open_directions": list(known.names()),
         "lever_m": known.lever_m,
         "information_shares": known.shares.tolist(),

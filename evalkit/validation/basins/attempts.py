@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -16,7 +16,8 @@ from evalkit.settings import from_text
 from evalkit.study.ledger import Job, JobsFailed, Ledger, OnDone
 from evalkit.types import Bools, Pose
 from evalkit.validation.address import address_of, spec_at
-from evalkit.validation.basins import basin, surroundings
+from evalkit.validation.basins import basin, sequences, surroundings
+from evalkit.validation.basins.sequences import Recorded
 from evalkit.validation.basins.surroundings import Seen
 from evalkit.validation.conformance.rules import raised
 
@@ -29,6 +30,8 @@ class Trials:
     """What all back ends are asked alike at one place; metres and radians.
 
     ``offsets``: how many guesses, spread over ``pairs`` pairs of scans with ``beams`` beams and ``noise_m`` of noise.
+    ``data``: name and parameters of the data set whose scans these are (beams and noise are then its own, and
+    ``noise_m`` what they are taken to be off), empty where the scans are simulated.
     """
 
     place: str
@@ -39,6 +42,17 @@ class Trials:
     reach_m: float
     reach_rad: float
     seed: int
+    data: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def recorded(self) -> Recorded | None:
+        """The data set the scans are of, None where they are simulated."""
+        return Recorded(self.place, **self.data) if self.data else None
+
+    @property
+    def what(self) -> str:
+        """The place in words."""
+        return self.recorded.what if self.recorded else surroundings.place(self.place).what
 
     def rng(self) -> np.random.Generator:
         """A generator that starts the same for the same trials."""
@@ -46,7 +60,9 @@ class Trials:
         return np.random.default_rng([self.seed, number])
 
     def seen(self) -> tuple[Seen, ...]:
-        """The pairs of scans; attempt i is about pair i modulo their number."""
+        """The pairs of scans, of a data set perhaps fewer; attempt i is about pair i modulo their number."""
+        if self.recorded:
+            return sequences.seen(self.recorded, self.pairs)
         where, rng = surroundings.place(self.place), self.rng()
         return tuple(surroundings.seen(where, rng, self.beams, self.noise_m) for _ in range(self.pairs))
 
@@ -57,14 +73,15 @@ class Trials:
 
     def truths(self, seen: tuple[Seen, ...]) -> tuple[Floats, Floats]:
         """For each attempt the true ``target_from_source`` and the ``world_from_target`` (both (N, 3))."""
-        of = np.arange(self.offsets) % self.pairs
+        of = np.arange(self.offsets) % len(seen)
         rows = np.array([pair.target_from_source.row for pair in seen])
         return rows[of], np.array([pair.world_from_target.row for pair in seen])[of]
 
 
 def jobs(label: str, spec: BackendSpec, values: Mapping[str, Value], trials: Trials) -> tuple[Job, ...]:
     """The jobs that ask one back end; together their answers are those of all attempts."""
-    code = fingerprint((spec.make.__module__,), ("numpy", "scipy", *spec.requires)) + spec.digest
+    modules = (spec.make.__module__, *([trials.recorded.module] if trials.recorded else []))
+    code = fingerprint(modules, ("numpy", "scipy", *spec.requires)) + spec.digest
     return tuple(
         Job(
             f"{label} {trials.place} {begin}",
@@ -97,7 +114,7 @@ def answers(
     guesses = basin.guesses(asked.drawn(), *asked.truths(seen))
     rows, claimed, reason = np.full((end - begin, 3), np.nan), np.zeros(end - begin, dtype=np.bool_), ""
     for number in range(begin, end):
-        pair = seen[number % asked.pairs]
+        pair = seen[number % len(seen)]
         try:
             match = registration.register(pair.target, pair.source, Pose.of(guesses[number]))
             rows[number - begin] = match.target_from_source.row

@@ -1,0 +1,100 @@
+"""Pairs of scans of a data set are near each other, and stand as truth or relations say."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evalkit.errors import BadData, BadParameter, UnknownName
+from evalkit.protocols import DatasetSpec, Parameter
+from evalkit.types import Frame, Pose, Relations, Scan, Trajectory, Truth
+from evalkit.validation.basins import sequences
+from evalkit.validation.basins.attempts import Trials
+from evalkit.validation.basins.sequences import Recorded, seen
+
+STEP_M = 0.08
+STAMPS = np.arange(60) * 100_000_000
+
+
+class Drive:
+    """A robot that drives 8 cm a scan towards a wall 8 m ahead of its start, in a corridor 3 m wide."""
+
+    def __init__(self, knows="truth", still=False):
+        self._knows, self._step = knows, 0.0 if still else STEP_M
+
+    def notes(self):
+        return {}
+
+    def __len__(self):
+        return len(STAMPS)
+
+    def frames(self):
+        angles = np.linspace(-1.5, 1.5, 121)
+        for index, stamp in enumerate(STAMPS.tolist()):
+            ahead = (8.0 - self._step * index) / np.cos(angles)
+            aside = 1.5 / np.maximum(np.abs(np.sin(angles)), 1e-9)
+            yield Frame(Scan(stamp, np.minimum(ahead, aside), angles, 0.1, 20.0))
+
+    def truth(self):
+        path = np.stack([self._step * np.arange(60.0), np.zeros(60), np.zeros(60)], axis=1)
+        if self._knows == "truth":
+            return Truth("exact", Trajectory(STAMPS, path))
+        if self._knows == "nothing":
+            return Truth("none")
+        rows = np.array([[2 * STEP_M, 0.0, 0.0], [40 * STEP_M, 0.0, 0.0], [STEP_M, 0.0, 0.0]])
+        return Truth("measured", None, Relations(STAMPS[[3, 3, 10]], STAMPS[[5, 43, 11]] + [0, 0, 50_000_000], rows))
+
+
+@pytest.fixture
+def recorded(monkeypatch):
+    parameters = (Parameter("knows", "truth", "", ""), Parameter("still", False, "", ""))
+    spec = DatasetSpec(Drive, "a drive", "", "exact", "", "", parameters=parameters)
+    monkeypatch.setattr(sequences.registry, "dataset", lambda name: spec if name == "drive" else _unknown(name))
+    sequences._seen.cache_clear()
+    yield Recorded.of
+    sequences._seen.cache_clear()
+
+
+def _unknown(name):
+    raise UnknownName("dataset", name, ["drive"])
+
+
+def test_both_scans_lie_on_the_same_walls_through_the_true_motion(recorded):
+    pairs = seen(recorded("drive"), 6)
+    assert len(pairs) == 6
+    for pair in pairs[:-1]:  # the last one begins where the drive ends
+        assert pair.target_from_source.row == pytest.approx([3 * STEP_M, 0.0, 0.0])  # the next would be beyond 0.3 m
+        in_target = pair.target_from_source.transform(pair.source.points)
+        wall = np.abs(in_target[:, 1]) < 1.4
+        assert np.ptp(in_target[wall, 0]) < 1e-9
+        assert in_target[wall, 0][0] == pytest.approx(pair.target.points[np.abs(pair.target.points[:, 1]) < 1.4][0, 0])
+        assert np.abs(np.abs(pair.normals).max(axis=1) - 1.0).max() < 0.3  # along x or along y, but in a corner
+
+
+def test_relations_that_are_far_or_between_scans_make_no_pair(recorded):
+    (pair,) = seen(recorded("drive knows=relations"), 6)
+    assert pair.target_from_source == Pose(2 * STEP_M, 0.0, 0.0)
+    assert pair.world_from_target == Pose()
+
+
+def test_attempts_go_round_the_pairs_there_are(recorded):
+    asked = recorded("drive knows=relations")
+    trials = Trials(asked.label, 10, 6, 0, 0.02, 1.0, 0.5, 0, asked.data)
+    true, _ = trials.truths(trials.seen())
+    assert true == pytest.approx(np.tile([2 * STEP_M, 0.0, 0.0], (10, 1)))
+    assert "a drive" in trials.what
+    assert (replace(trials, seed=1).seen()[0].source.points == trials.seen()[0].source.points).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "message"),
+    [
+        ("drive knows=nothing", BadData, "no truth and no relation says how two of its scans close together stand"),
+        ("drive still=true", BadData, "no truth and no relation"),
+        ("drive fast", BadParameter, "expected NAME=VALUE behind the data set's name"),
+        ("drove", UnknownName, "no dataset named 'drove'"),
+    ],
+)
+def test_what_cannot_be_a_place_is_refused(recorded, text, error, message):
+    with pytest.raises(error, match=message):
+        seen(recorded(text), 6)
