@@ -17,7 +17,10 @@ from evalkit.protocols import Published
 from evalkit.report import overview, record, summary
 from evalkit.types import STEP
 
-PAGE = (Path(validated.__file__).parents[1] / "documentation" / "pages" / "results.md").read_text(encoding="utf-8")
+FILE = Path(validated.__file__).parents[1] / "documentation" / "pages" / "results.md"
+if not FILE.exists():
+    pytest.skip("the documentation is not part of a wheel", allow_module_level=True)
+PAGE = FILE.read_text(encoding="utf-8")
 WRITES, READS = re.findall(r"^```python\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
 SCHEMA = json.loads(record.schema())
 
