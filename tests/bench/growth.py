@@ -33,7 +33,7 @@ PATIENT = Limits(run_s=7200.0, scan_s=3600.0, run_cpu_s=7200.0, scan_cpu_s=3600.
 
 @dataclass(frozen=True)
 class Run:
-    """What one run took: scans, the resident set of its process at its highest, CPU time in all."""
+    """One run: scans answered, the resident set of its process at its highest, the size of its bag."""
 
     scans: int
     peak_bytes: int
