@@ -10,6 +10,7 @@ import multiprocessing
 import os
 import re
 import signal
+import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -235,10 +236,11 @@ def call(function: str, arguments: Mapping[str, Any]) -> tuple[Result, float]:
 
 
 def on_worker(job: Job, key: str, _slot: Slot) -> tuple[Result, float]:
-    """The same on a cluster's worker, where the code is that of the job's ``key``."""
+    """The same on a cluster's worker, where the code is that of the job's ``key``; whoever is late is lost with it."""
     if job.key != key:
         raise RuntimeError("the code on this worker is another one: install the same versions, and restart the workers")
-    return call(job.function, job.arguments)
+    with tempfile.TemporaryDirectory(prefix="evalkit-") as folder:
+        return call_noted(job.function, job.arguments, str(Path(folder) / "note"), job.limit_s)
 
 
 def _computed(jobs: list[tuple[Job, Path]], workers: int) -> Iterator[Computed]:

@@ -1,0 +1,59 @@
+"""A run sent from one store to another is the same, and can put nothing beside its own files."""
+
+import io
+from zipfile import ZipFile
+
+import numpy as np
+import pytest
+
+from evalkit import parcel
+from evalkit.errors import StoreError
+from evalkit.store import Store
+from evalkit.types import STEP, OccupancyGrid, Run
+
+KEY = "room-s0-icp-0123456789"
+
+
+@pytest.fixture
+def kept(tmp_path):
+    store = Store(tmp_path / "one")
+    steps = np.zeros(3, dtype=STEP)
+    steps["stamp_ns"] = [0, 1, 2]
+    (store.fresh(KEY) / "output.txt").write_bytes(b"x" * (parcel.MOST_OUTPUT + 5) + b"last words")
+    store.save_run(KEY, Run("icp", "room", "complete", "", steps, 3), {"made": "2024-05-01T12:00:00+00:00"})
+    grid = OccupancyGrid(np.ones((4, 5), dtype=np.float32), np.ones((4, 5), dtype=bool), 0.05, 0.0, 0.0)
+    content = {"fingerprint": "f", "world_from_start": [0.0, 0.0, 0.0], "scores": {}}
+    store.save_scores(KEY, content, grid, np.arange(3.0))
+    store.write_text(store.run_folder("room-s0-icp-01234567890") / "run.json", "another's")
+    return store
+
+
+def files(store):
+    return {p.relative_to(store.folder): p.read_bytes() for p in store.folder.rglob(f"*{KEY}*/*") if p.is_file()} | {
+        p.relative_to(store.folder): p.read_bytes() for p in store.folder.rglob(f"{KEY}.*")
+    }
+
+
+def test_a_run_arrives_as_it_was_but_for_what_it_said_long_ago(kept, tmp_path):
+    other = Store(tmp_path / "other")
+    (other.fresh(KEY) / "stale").touch()
+    parcel.unpacked(other, KEY, parcel.packed(kept, KEY))
+    sent = {path: content for path, content in files(kept).items() if KEY + "0" not in str(path)}
+    arrived = files(other)
+    assert sent.keys() == arrived.keys()
+    output = next(path for path in sent if path.name == "output.txt")
+    assert len(arrived[output]) == parcel.MOST_OUTPUT
+    assert arrived.pop(output).endswith(b"last words")
+    assert {path: content for path, content in sent.items() if path != output} == arrived
+
+
+def test_a_parcel_writes_nothing_outside_its_run(tmp_path):
+    body = io.BytesIO()
+    with ZipFile(body, "w") as archive:
+        for name in ("run/../../../evil", "/evil", "../evil", "elsewhere/evil", "run/fine"):
+            archive.writestr(name, b"")
+    store = Store(tmp_path / "out")
+    parcel.unpacked(store, KEY, body.getvalue())
+    assert {path.parent for path in tmp_path.rglob("*") if path.is_file()} == {store.run_folder(KEY)}
+    with pytest.raises(StoreError, match="what came for it is damaged"):
+        parcel.unpacked(store, KEY, b"no zip")
