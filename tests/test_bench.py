@@ -85,6 +85,7 @@ def test_too_few_samples_tell_nothing_however_large_the_change():
     """Of six and six complete separation has p = 2 / 924, of seven and six 2 / 1716."""
     assert not enough(6, 6)
     assert enough(7, 6)
+    assert enough(5000, 5000)
     assert said((1.0,) * 3, (9.0,) * 3) == "too few samples"
 
 

@@ -105,7 +105,7 @@ def ratio(old: Series, new: Series) -> Interval:
 
 def enough(old: int, new: int) -> bool:
     """Whether so many samples could show any difference at all: complete separation is less probable than the limit."""
-    return 2.0 / math.comb(old + new, old) < LARGEST_P
+    return math.comb(old + new, old) > 2.0 / LARGEST_P
 
 
 def rows(found: Comparison) -> list[tuple[str, ...]]:
