@@ -47,10 +47,13 @@ def _file(name: str) -> Path | None:
     return Path(spec.origin) if spec is not None and spec.origin and spec.origin != "built-in" else None
 
 
-def _imported(name: str, file: Path) -> Iterator[str]:
+@cache
+def _imported(name: str, file: Path) -> tuple[str, ...]:
     """The modules a source file imports anywhere, "package.name" for every name it takes from a package."""
-    if file.suffix != ".py":
-        return
+    return tuple(_imports(name, file)) if file.suffix == ".py" else ()
+
+
+def _imports(name: str, file: Path) -> Iterator[str]:
     package = name if file.name == "__init__.py" else name.rpartition(".")[0]
     for node in ast.walk(ast.parse(file.read_bytes())):
         if isinstance(node, ast.Import):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -100,6 +101,13 @@ def truth_grid(world: World, resolution_m: float, seen_from: ArrayLike, range_m:
     a cell. ValueError if a position stands on a boundary.
     """
     positions = np.asarray(seen_from, dtype=np.float64)
+    return _grid(world.segments.tobytes(), world.circles.tobytes(), resolution_m, positions.tobytes(), range_m)
+
+
+@lru_cache(maxsize=8)  # seeds of one drive share it, and it takes half a second
+def _grid(segments: bytes, circles: bytes, resolution_m: float, seen_from: bytes, range_m: float) -> OccupancyGrid:
+    world = World(np.frombuffer(segments).reshape(-1, 4), np.frombuffer(circles).reshape(-1, 3))
+    positions = np.frombuffer(seen_from).reshape(-1, 2)
     corner = np.floor(positions.min(axis=0) / resolution_m - range_m / resolution_m - 2.0)
     origin = (corner + 0.5) * resolution_m
     shape = (np.ceil((positions.max(axis=0) + range_m - origin) / resolution_m) + 2.0).astype(np.int64)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
-from importlib.metadata import packages_distributions
+from functools import cache
+from importlib.metadata import PackageNotFoundError, metadata, packages_distributions
 
 from evalkit import environment, registry
 from evalkit.experiment import Contestant, Course, Limits, MapperChoice, Plan
@@ -69,8 +70,16 @@ def in_order(plan: Plan, trials: Sequence[Trial]) -> tuple[Trial, ...]:
 
 def distribution(requirement: str) -> str:
     """The installed distribution that answers a requirement: open3d also comes as open3d-cpu."""
-    known = packages_distributions()
+    try:
+        return str(metadata(requirement)["Name"])
+    except PackageNotFoundError:
+        known = _distributions()
     return known.get(requirement.replace("-", "_"), [requirement])[0]
+
+
+@cache
+def _distributions() -> Mapping[str, Sequence[str]]:
+    return packages_distributions()  # reads the records of everything installed: a second
 
 
 def contestant_card(contestant: Contestant) -> ContestantCard:
