@@ -195,7 +195,8 @@ def _against(grid: OccupancyGrid, true: OccupancyGrid, threshold: float) -> tupl
     mapped, theirs = grid.centres(grid.occupied(threshold)), true.centres(true.occupied())
     if not len(mapped):
         return 0.0, np.nan, 0.0, np.nan, np.nan
-    found = Walls(mapped, theirs, nearest_m(mapped, theirs), nearest_m(theirs, mapped))
+    coarser = max(true, grid, key=lambda each: each.resolution_m)
+    found = Walls(mapped, theirs, nearest_m(mapped, theirs), nearest_m(theirs, mapped), coarser)
     return f1(found), precision(found), recall(found), chamfer(found), wall_width_m(grid, threshold)
 
 
@@ -207,7 +208,7 @@ def _of_drift(course: Drive, motion: Floats) -> tuple[float, ...]:
     found = walls(grid, course.true)
     far = float(found.to_true.mean()), float(np.percentile(found.to_true, 95))
     thick = float(thicknesses(hits(placed))[0].mean())
-    return f1(found), *far, iou(found, course.true), entropy(grid), thick
+    return f1(found), *far, iou(found), entropy(grid), thick
 
 
 def _extent(grid: OccupancyGrid) -> tuple[float, float, float, float]:
