@@ -6,7 +6,7 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help install report report-quick test check bench faults paper paper-quick tune docs clean distclean
+.PHONY: help install report report-quick test check bench faults paper paper-quick tune docs fuzz clean distclean
 
 help:  ## this list
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -37,6 +37,9 @@ bench: $(VENV)/evalkit  ## what the harness costs, and the back ends side by sid
 
 faults: $(VENV)/test  ## what back ends can do wrong, and what becomes of the run
 	$(BIN)/python tests/bench/faults.py
+
+fuzz: $(VENV)/test  ## every reader of foreign bytes, a minute each (longer words: tests/fuzz/run.py --help)
+	$(BIN)/python tests/fuzz/run.py --seconds 60
 
 paper: $(VENV)/evalkit  ## the paper reproduced, and its study: reports/build/paper/index.html
 	$(BIN)/evalkit paper reports/paper.toml
