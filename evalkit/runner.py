@@ -21,7 +21,7 @@ from evalkit.worker import Request
 
 OUTCOME = "outcome.json"
 KNOWN = {"status": str, "reason": str, "expected": int, "peak_memory_bytes": int, "warm_up_scans": int, "notes": dict,
-         "every": int}  # fmt: skip
+         "every": int, "reading": bool}  # fmt: skip
 """What a run may tell of itself, and of what type: its folder is open to the back end."""
 
 OUTPUT = "output.txt"
@@ -83,8 +83,10 @@ class _Watch:
             self._begun = _read(self._folder / BEGUN) or self._begun
             now, size, used = time.monotonic(), os.fstat(self._answers.fileno()).st_size, family.usage()
             self._peak, cpu_s = max(self._peak, used.resident_bytes), max(cpu_s, used.cpu_s)
+            if size > answered or self._begun.get("reading"):  # a day's recording may take minutes to look through
+                last_answer, cpu_at_answer_s = now, cpu_s
             if size > answered:
-                answered, last_answer, cpu_at_answer_s = size, now, cpu_s
+                answered = size
                 heard(size // STEP.itemsize)
             if stop.is_set():
                 return "failed", "interrupted"
@@ -99,6 +101,7 @@ class _Watch:
         steps = whole_records(self._answers.read())
         nothing: dict[str, Any] = {"expected": 0, "warm_up_scans": 0, "notes": {}, "peak_memory_bytes": 0}
         outcome = nothing | self._begun | _read(self._folder / BEGUN) | _read(self._folder / OUTCOME)
+        outcome.pop("reading", None)
         outcome["peak_memory_bytes"] = max(outcome["peak_memory_bytes"], self._peak)
         told = outcome.get("status") in get_args(Status) and "reason" in outcome
         if not told or (outcome["status"] != "complete" and not outcome["reason"]):

@@ -102,7 +102,7 @@ class Store:
         if not steps.exists() or read_steps(steps).tobytes() != run.steps.tobytes():  # removed, or times left out
             self.write_bytes(steps, run.steps.tobytes())
         self.write_text(self.run_folder(key) / "made.json", json.dumps(made, indent=1))
-        record = {name: value for name, value in asdict(run).items() if name != "steps"}
+        record = {name: value for name, value in asdict(run).items() if name != "steps"} | {"answers": len(run.steps)}
         self.write_text(self.run_folder(key) / "run.json", json.dumps(record, indent=1))
         self.write_text(self.folder / "trajectories" / f"{key}.tum", tum(run.estimate, run.sequence, run.backend))
 
@@ -111,8 +111,9 @@ class Store:
         folder = self.run_folder(key)
         try:
             record = saved.values((folder / "run.json").read_bytes())
-            return Run(steps=read_steps(folder / STEPS), **record)
-        except (OSError, ValueError, TypeError):  # absent or half-written: the run is simply made again
+            steps = read_steps(folder / STEPS)
+            return Run(steps=steps, **record) if record.pop("answers") == len(steps) else None
+        except (OSError, ValueError, TypeError, KeyError, AttributeError):  # absent or half-written: it is made again
             return None
 
     def how_it_ended(self, key: str) -> HowItEnded | None:
@@ -120,8 +121,10 @@ class Store:
         folder = self.run_folder(key)
         try:
             record = saved.values((folder / "run.json").read_bytes())
-            size = (folder / STEPS).stat().st_size
-            return HowItEnded(record["status"], record["reason"], size // STEP.itemsize, record["expected"])
+            answered = (folder / STEPS).stat().st_size // STEP.itemsize
+            if record["answers"] != answered:
+                return None
+            return HowItEnded(record["status"], record["reason"], answered, record["expected"])
         except (OSError, ValueError, TypeError, KeyError):
             return None
 

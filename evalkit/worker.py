@@ -112,6 +112,7 @@ def perform(request: Request, folder: Path) -> Outcome:
         spec = registry.backend(request.backend)
         if why := spec.missing():
             raise NotInstalled(request.backend, "not installed", why)
+        _leave(folder / "begun.json", {"reading": True})
         dataset = registry.dataset(request.dataset)
         sequence: Sequence = dataset.make(**request.dataset_parameters)
         if spec.kind == "map":

@@ -31,7 +31,7 @@ LIMITS = {
 
 
 def request(fault="none", at=AT, **dataset):
-    course = {"scans": SCANS, "backwards": 0, "file": "", "breaks": False, **dataset}
+    course = {"scans": SCANS, "backwards": 0, "file": "", "breaks": False, "reads_s": 0.0, **dataset}
     return Request("faulty", {"fault": fault, "at": at}, "straight", course)
 
 
@@ -193,3 +193,8 @@ def test_the_request_stays_beside_the_answers(strangers, tmp_path):
 def test_a_folder_that_cannot_be_written_is_the_users_to_mend(tmp_path):
     with pytest.raises(StoreError, match=r"absent: cannot be written \(No such file or directory\); free some space"):
         runner.run(request(), ("f", "s"), tmp_path / "absent", HASTE, lambda _: None, threading.Event())
+
+
+def test_looking_through_a_long_recording_is_no_scan_without_an_answer(tmp_path):
+    run = made(tmp_path / "run", request(reads_s=5.0), replace(HASTE, scan_s=2.5))
+    assert (run.status, run.reason) == ("complete", "")

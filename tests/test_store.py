@@ -91,6 +91,14 @@ def test_a_half_written_run_is_no_run(store, keep):
     assert store.load_run(KEY) is None
 
 
+def test_a_run_whose_answers_were_cut_later_is_no_run(store):
+    saved_run(store)
+    path = store.run_folder(KEY) / "steps.bin"
+    path.write_bytes(path.read_bytes()[: -STEP.itemsize])
+    assert store.load_run(KEY) is None
+    assert store.how_it_ended(KEY) is None
+
+
 @pytest.mark.parametrize("record", [[], {"backend": "icp"}, {"unheard": 1}])
 def test_a_record_of_something_else_is_no_run(store, record):
     saved_run(store)

@@ -19,7 +19,7 @@ ROOM = {"laps": 0.02, "seed": 3}
 
 def perform(folder, backend="wheel-odometry", parameters=None, dataset="straight", course=None):
     if dataset == "straight":
-        course = {"scans": 12, "backwards": 0, "file": "", "breaks": False, **(course or {})}
+        course = {"scans": 12, "backwards": 0, "file": "", "breaks": False, "reads_s": 0.0, **(course or {})}
     request = Request(backend, parameters or {}, dataset, course or {})
     return worker.perform(request, folder), read_steps(folder / "steps.bin")
 

@@ -187,9 +187,11 @@ class Straight:
     """Scans of a box of 8 x 4 m from a base that moves 0.1 m a scan along x.
 
     ``backwards``: the number of a scan whose stamp lies before the one before; 0: none. ``file``: must exist.
+    ``reads_s``: how long it takes to look through.
     """
 
-    def __init__(self, scans: int, backwards: int, file: str, breaks: bool) -> None:
+    def __init__(self, scans: int, backwards: int, file: str, breaks: bool, reads_s: float) -> None:
+        time.sleep(reads_s)
         if gone := _gone(file):
             raise DataMissing("straight", gone, "bring it back")
         self._stamps = np.arange(scans) * STEP_NS
@@ -293,6 +295,7 @@ STRAIGHT = DatasetSpec(
         Parameter("backwards", 0, "", "which scan has a stamp before the others; 0: none", low=0),
         Parameter("file", "", "", "a file that must be there"),
         Parameter("breaks", False, "", "whether the truth cannot be read"),
+        Parameter("reads_s", 0.0, "s", "how long it takes to look through"),
     ),
     missing=_gone,
 )
