@@ -245,6 +245,9 @@ def test_bad_files_say_what_their_readers_say(tmp_path):
     (tmp_path / "picture.png").write_bytes(bytes(range(256)) * 20)
     with pytest.raises(BadData, match="give a bag"):
         examine(tmp_path / "picture.png")
+    (tmp_path / "true.tum").write_text("1.0 0 0 0 0 0 0 1\n")
+    with pytest.raises(BadData, match="goes beside a recording: evalkit compare RECORDING --reference FILE"):
+        examine(tmp_path / "true.tum")
     (tmp_path / "empty").mkdir()
     with pytest.raises(BadData, match=r"without metadata\.yaml"):
         examine(tmp_path / "empty")

@@ -80,7 +80,7 @@ def _of_file(streams: Streams, inside: str) -> Iterator[Finding]:
         known = ", ".join(f"{topic.name} ({topic.kind})" for topic in streams.topics) or "none"
         yield Finding("problem", "file", f"no laser scans in it; it holds: {known}", "give a recording with a 2D lidar")
     if streams.damaged:
-        yield Finding("warning", "file", f"{streams.damaged} damaged messages or lines are left out")
+        yield Finding("warning", "file", f"damaged, and left out: {streams.damaged} of its messages or lines")
     for remark in streams.remarks:
         if "derived" in remark.lower() or "pseudo" in remark.lower():
             yield Finding("warning", "file", f"it says of itself: {remark}")
@@ -90,14 +90,14 @@ def _of_file(streams: Streams, inside: str) -> Iterator[Finding]:
         yield Finding("note", "lidar", what, "half a beam more or less turns every scan alike: start_deg, step_deg")
     if any(topic.name == "RLASER" for topic in streams.topics):
         yield Finding("note", "lidar", "it holds a rear laser, too (RLASER), which is not read")
-    if 0 < streams.digits <= 6:
+    if streams.lasers and 0 < streams.digits <= 6:
         what = f"stamps are written with {streams.digits} significant digits: times are coarse"
         yield Finding("warning", "file", what, "judge nothing by its times; take the original log where there is one")
     if streams.poses_from:
         what = f"the poses in it are no odometry but {inside}: scans and ODOM lines carry corrected poses"
         yield Finding("warning", "odometry", what, "they serve as reference; odometry is none")
     elif not inside:
-        yield Finding("note", "truth", "no ground truth inside", "give relations or a reference trajectory beside it")
+        yield Finding("note", "truth", "no ground truth inside", "relations or a true trajectory in a file beside it serve")
 
 
 def _of_lidars(lidars: Sequence[Lidar]) -> Iterator[Finding]:

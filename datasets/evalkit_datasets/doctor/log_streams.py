@@ -14,6 +14,15 @@ from evalkit_datasets.carmen_lines import Log, Reading
 from evalkit_datasets.doctor.streams import Laser, Streams, Topic, Wheels
 from evalkit_datasets.stamps import stamp_ns
 
+NO_RECORDING = {
+    ".tum": "a trajectory (.tum) goes beside a recording: evalkit compare RECORDING --reference FILE",
+    ".relations": "relations go beside a recording: evalkit compare RECORDING --relations FILE",
+    ".toml": "an experiment is run with evalkit report FILE, distances by tape go beside a recording: --spans FILE",
+    ".yaml": "a map is compared as the contestant file:MAP.yaml",
+    ".pgm": "a map is compared as the contestant file:MAP.yaml",
+}
+"""What to do with files that people hold a recording for, by their endings."""
+
 LASER_LINES = (b"FLASER", b"ROBOTLASER1")
 REMARKS = 5
 BESIDE = "robot pose beside each scan"
@@ -24,7 +33,8 @@ def read(path: Path) -> Streams:
     log, readings = carmen_lines.read(path)
     if not (readings or len(log.odometry) or log.damaged):
         what = "no line begins with FLASER, ROBOTLASER1, LASER_READING or ODOM"
-        raise BadData(str(path), "", what, "give a bag (.bag, .db3, .mcap, or the folder of one) or a CARMEN log")
+        remedy = NO_RECORDING.get(path.suffix, "give a bag (.bag, .db3, .mcap, or the folder of one) or a CARMEN log")
+        raise BadData(str(path), "", what, remedy)
     kinds: Counter[str] = Counter()
     remarks: list[str] = []
     tails: list[tuple[bytes, bytes]] = []
