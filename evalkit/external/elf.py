@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import struct
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 
 MACHINES = {
     0x02: "SPARC", 0x03: "x86", 0x08: "MIPS", 0x14: "PowerPC", 0x15: "PowerPC 64", 0x16: "S390", 0x28: "ARM",
     0x3E: "x86-64", 0x5E: "Xtensa", 0xB7: "AArch64", 0xF3: "RISC-V", 0x102: "LoongArch",
 }  # fmt: skip
+
+WRITTEN, ALLOCATED, NO_BITS = 1, 2, 8
+"""Of a section: it is written to, it is in memory (flags); it takes no room in the file (type)."""
 
 SHARED = 3
 """The file type of a shared library (and of a position-independent program)."""
@@ -40,6 +44,40 @@ def unfit(path: Path, *, library: bool) -> str:
     if library and struct.unpack_from(_order(theirs) + "H", theirs, 16)[0] != SHARED:
         return "is not a shared library but an object file or a program"
     return ""
+
+
+@dataclass(frozen=True, slots=True)
+class Sizes:
+    """What a compiled file takes in memory before it runs, as ``size`` counts (bytes).
+
+    ``text``: code and constants; ``data``: variables with a value, ``bss``: those that begin as zero.
+    """
+
+    text: int
+    data: int
+    bss: int
+
+
+def sizes(path: Path) -> Sizes | None:
+    """The sizes of an ELF file by its section headers (System V ABI, chapter 4); None where it is none or damaged."""
+    content = path.read_bytes()
+    if not machine(content):
+        return None
+    order, wide = _order(content), content[4] == 2
+    header = order + ("16x2HI3QI6H" if wide else "16x2HI3II6H")
+    section = order + ("2I4Q2I2Q" if wide else "10I")
+    try:
+        fields = struct.unpack_from(header, content)
+        at, step, count = fields[5], fields[10], fields[11]
+        rows = [struct.unpack_from(section, content, at + step * number) for number in range(count)]
+    except struct.error:
+        return None
+    kept = [(kind, flags, size) for _, kind, flags, _, _, size, *_ in rows if flags & ALLOCATED]
+    return Sizes(
+        text=sum(size for _, flags, size in kept if not flags & WRITTEN),
+        data=sum(size for kind, flags, size in kept if flags & WRITTEN and kind != NO_BITS),
+        bss=sum(size for kind, flags, size in kept if flags & WRITTEN and kind == NO_BITS),
+    )
 
 
 def _header(path: Path) -> bytes:

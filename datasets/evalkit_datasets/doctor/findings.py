@@ -97,7 +97,7 @@ def _of_file(streams: Streams, inside: str) -> Iterator[Finding]:
         what = f"the poses in it are no odometry but {inside}: scans and ODOM lines carry corrected poses"
         yield Finding("warning", "odometry", what, "they serve as reference; odometry is none")
     elif not inside:
-        yield Finding("note", "truth", "no ground truth inside", "relations or a true trajectory in a file beside it serve")
+        yield Finding("note", "truth", "no ground truth inside", "relations or a true trajectory beside it serve")
 
 
 def _of_lidars(lidars: Sequence[Lidar]) -> Iterator[Finding]:
