@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 import evalkit.validation.dossier as package
+from evalkit.validation.dossier import examination
 from evalkit.validation.dossier.dossier import Claim, Dossier, Level, Line
 
 SCHEMA = json.loads((Path(package.__file__).parent / "dossier.schema.json").read_text(encoding="utf-8"))
@@ -72,3 +73,9 @@ def test_the_json_form_is_what_the_schema_says(claim: Claim):
     jsonschema = pytest.importorskip("jsonschema")
     jsonschema.validate(json.loads(json.dumps(found)), SCHEMA)
     assert found["levels"][1]["lines"][0]["decides"] is (claim == "equal")
+
+
+def test_machine_code_is_the_library_named_or_what_the_plug_in_reaches(tmp_path):
+    assert examination.compiled(f"lib:{tmp_path / 'libmine.so'}") == [(tmp_path / "libmine.so").resolve()]
+    assert examination.compiled("paper") == []
+    assert {file.suffix for file in examination.compiled("embedded")} <= {".so"}

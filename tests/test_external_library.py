@@ -241,6 +241,26 @@ def test_a_file_that_is_no_library_of_this_machine_is_said_to_be_none(tmp_path, 
     assert "an object file or a program" in registry.backend(f"lib:{path}").broken
 
 
+def test_the_static_memory_of_a_library_is_what_its_sections_take(tmp_path):
+    compiler, size = shutil.which("cc"), shutil.which("size")
+    if sys.platform != "linux" or compiler is None:
+        pytest.skip("no compiler that makes ELF files")
+    path = tmp_path / "libsized.so"
+    (tmp_path / "sized.c").write_text("int filled[2500] = {1}; int empty[250000]; int f(void) { return filled[0]; }\n")
+    subprocess.run([compiler, "-shared", "-fPIC", "-o", path, tmp_path / "sized.c"], check=True)
+    found = elf.sizes(path)
+    assert 10_000 <= found.data < 12_000
+    assert 1_000_000 <= found.bss < 1_001_000
+    assert 0 < found.text < 10_000
+    if size is not None:
+        told = subprocess.run([size, path], check=True, capture_output=True, text=True).stdout.splitlines()[1].split()
+        assert [found.text, found.data, found.bss] == [int(word) for word in told[:3]]
+    path.write_bytes(path.read_bytes()[:200])
+    assert elf.sizes(path) is None
+    path.write_text("#!/bin/sh\n")
+    assert elf.sizes(path) is None
+
+
 def test_machines_are_read_in_both_byte_orders():
     assert elf.machine(b"\x7fELF\x01\x02\x01" + bytes(9) + b"\x00\x03\x00\x08") == "32-bit MIPS"
     assert elf.machine(b"\x7fELF\x02\x01\x01" + bytes(9) + b"\x03\x00\xb7\x00") == "64-bit AArch64"

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
+from evalkit.external import elf
 from evalkit.se2 import Floats
 from evalkit.study.ledger import Result
 from evalkit.types import Trial
@@ -18,9 +20,12 @@ MS = 1e-6
 
 def costs(
     paced: Mapping[str, Result], alone: Mapping[str, Result], labels: Sequence[str], registrations: Sequence[str],
-    trials: Mapping[str, Mapping[str, Trial]], names: Names,
+    trials: Mapping[str, Mapping[str, Trial]], names: Names, compiled: Sequence[Path] = (),
 ) -> Level:  # fmt: skip
-    """Level 5; ``paced`` and ``alone``: whole scans, and single registrations, by place; ``labels``: their rows."""
+    """Level 5; ``paced`` and ``alone``: whole scans, and single registrations, by place; ``labels``: their rows.
+
+    ``compiled``: the files of machine code it consists of.
+    """
     lines = []
     for place, result in paced.items():
         if ENDED in result:
@@ -36,6 +41,7 @@ def costs(
                 if other != names.mine
             ]
     lines += _memory(trials, names)
+    lines += [line for file in compiled for line in _static(file)]
     question = "What does a scan cost, beside the others in one process, and does it keep up with the sensor?"
     shown = {"paced": dict(paced), "alone": dict(alone), "labels": list(labels), "registrations": list(registrations)}
     return Level(5, "time and memory", question, tuple(lines), shown)
@@ -96,6 +102,19 @@ def _memory(trials: Mapping[str, Mapping[str, Trial]], names: Names) -> list[Lin
             told = f"{sizes[names.mine]:.0f} MiB with interpreter and data ({rest} MiB)"
             lines.append(Line("peak memory of a run", place, "told", "", told))
     return lines[:1]
+
+
+def _static(file: Path) -> list[Line]:
+    """What a compiled file takes before it runs; nothing where this system has another format."""
+    found = elf.sizes(file)
+    if found is None:
+        return []
+    told = (
+        f"{file.name.partition('.')[0]}: text {found.text:,}, data {found.data:,}, bss {found.bss:,} bytes, built for "
+        f"{elf.machine(file.read_bytes()[:20])}, with whatever binds it to this program; memory that it is handed "
+        "or asks for comes on top"
+    )
+    return [Line("static memory", "", "told", "", told)]
 
 
 def _spread(taken: Floats) -> str:

@@ -9,10 +9,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from evalkit import environment, experiment, frontend, registry
+from evalkit import environment, experiment, fingerprint, frontend, registry
 from evalkit.engine import Engine, Progress
 from evalkit.errors import BadParameter, NotInstalled
 from evalkit.experiment import Course, Limits, Plan
+from evalkit.external.declaration import split
 from evalkit.protocols import BackendSpec, Value
 from evalkit.settings import from_text
 from evalkit.store import Store
@@ -131,7 +132,7 @@ class Examination:
             paths.paths(trials, allowed, _of("copies", found), names),
             paths.maps(trials, allowed, _of("mapper", found), self.mappers, names),
             costs.costs(_of("time", taken), _of("time of a pair", taken), self._labels(), self._registrations(),
-                        trials, names),
+                        trials, names, compiled(self.asked.backend)),
         )  # fmt: skip
         return self._made(margin, answers.within(both, margin), levels, where)
 
@@ -277,6 +278,16 @@ def _plan(
         "limits": asdict(Limits()) | {"run_s": 3.0 * asked.effort.limit_s, "memory_mib": asked.effort.memory_mib},
     }
     return experiment.plan(content, "evalkit validate", "validate", f"validate {shlex.quote(asked.backend)}")
+
+
+def compiled(backend: str) -> list[Path]:
+    """The files of machine code a back end consists of: its library, or what its plug-in's package brings."""
+    scheme, colon, rest = backend.partition(":")
+    if colon and scheme == "lib":
+        return [Path(split(backend, rest)[0]).resolve()]
+    module = registry.plug_in_of("backends", backend).module
+    reached = fingerprint.sources(module, frozenset({module.partition(".")[0]}))
+    return sorted(file for file in reached if file.suffix == ".so")
 
 
 def _unfit(spec: BackendSpec) -> str:
