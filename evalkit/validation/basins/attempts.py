@@ -80,7 +80,7 @@ class Trials:
 
 def jobs(label: str, spec: BackendSpec, values: Mapping[str, Value], trials: Trials) -> tuple[Job, ...]:
     """The jobs that ask one back end; together their answers are those of all attempts."""
-    modules = (spec.make.__module__, *([trials.recorded.module] if trials.recorded else []))
+    modules = (registry.plug_in_of("backends", label).module, *([trials.recorded.module] if trials.recorded else []))
     code = fingerprint(modules, ("numpy", "scipy", *spec.requires)) + spec.digest
     return tuple(
         Job(
