@@ -34,6 +34,8 @@ bench: $(VENV)/evalkit  ## what the harness costs, and the back ends side by sid
 	$(BIN)/python tests/bench/backends.py
 	$(BIN)/python tests/bench/registration.py
 	$(BIN)/python tests/bench/mapper.py
+	$(BIN)/python tests/bench/metrics.py
+	$(BIN)/python tests/bench/growth.py
 
 faults: $(VENV)/test  ## what back ends can do wrong, and what becomes of the run
 	$(BIN)/python tests/bench/faults.py

@@ -73,7 +73,9 @@ def corners(grid: OccupancyGrid) -> Floats:
     reach = max(int(np.ceil(CORNER_APART_M / grid.resolution_m)), 1)
     peaks = (response > CORNER_RESPONSE) & (response == ndimage.maximum_filter(response, 2 * reach + 1))
     labels, count = ndimage.label(peaks, np.ones((3, 3)))
-    at = np.array(ndimage.center_of_mass(peaks, labels, np.arange(1, count + 1))).reshape(-1, 2)
+    cluster, places = labels[peaks] - 1, np.argwhere(peaks)
+    sizes = np.bincount(cluster, minlength=count)
+    at = np.stack([np.bincount(cluster, along, minlength=count) / sizes for along in places.T], axis=-1)
     cells = at[:, ::-1] - _RIM + [columns[0], rows[0]]
     return np.asarray([grid.origin_x, grid.origin_y] + (cells + 0.5) * grid.resolution_m)
 

@@ -5,18 +5,19 @@ The limit is one second for all of them together.
 
 from __future__ import annotations
 
-import argparse
-import json
 import time
+from statistics import median
 
 import numpy as np
 
-from evalkit import metrics
+from evalkit import benchmark, metrics
+from evalkit.benchmark import Series
 from evalkit.metrics.table import Evidence, Placed
 from evalkit.types import STEP, OccupancyGrid, Run, Scan, Truth
 
 CELLS, SIZE_M, ROOM_M = 1000, 0.05, 5.0
 BEAMS, SCANS = 720, 300
+REPEATS = 9
 GROUPS = ("map against truth", "map consistency")
 
 
@@ -63,19 +64,21 @@ def timed() -> dict[str, dict[str, float]]:
 
 
 def main() -> None:
-    """The slowest ten and the sums, or everything as JSON."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", action="store_true")
-    found = timed()
-    if parser.parse_args().json:
-        print(json.dumps(found, indent=1))
-        return
-    for group, own in found.items():
-        print(f"{group}: {sum(own.values()):.0f} ms")
-    every = {name: ms for own in found.values() for name, ms in own.items()}
-    for name, ms in sorted(every.items(), key=lambda item: -item[1])[:12]:
-        print(f"  {name:24} {ms:6.0f} ms")
-    print(f"together: {sum(every.values()):.0f} ms of 1,000")
+    """Prints the slowest twelve and the sums, medians of the repeats, and keeps every sample."""
+    ran_on = benchmark.before()
+    repeats = [timed() for _ in range(REPEATS)]
+    series = [
+        Series(name, "ms", tuple(found[group][name] for found in repeats))
+        for group in GROUPS
+        for name in repeats[0][group]
+    ]
+    for group in GROUPS:
+        print(f"{group}: {median(sum(found[group].values()) for found in repeats):.0f} ms")
+    for one in sorted(series, key=lambda one: -one.median)[:12]:
+        print(f"  {one.name:24} {one.median:6.0f} ms")
+    together = Series("together", "ms", tuple(sum(sum(own.values()) for own in found.values()) for found in repeats))
+    print(f"together: {together.median:.0f} ms of 1,000")
+    print(benchmark.keep("metrics", [*series, together], ran_on))
 
 
 if __name__ == "__main__":
