@@ -45,10 +45,10 @@ from evalkit.commands.study import study
 from evalkit.commands.tune import tune
 from evalkit.commands.validate import validate
 from evalkit.engine import Engine
-from evalkit.errors import EvalkitError, NotInstalled, StoreError
+from evalkit.errors import EvalkitError, NotInstalled
 from evalkit.experiment import Plan
 from evalkit.places import There
-from evalkit.store import REMEDY, Store
+from evalkit.store import Store, reported
 
 app = typer.Typer(
     help="Which scan matcher, on my robot, and is my own one right? Compare 2D lidar registration back ends.",
@@ -214,10 +214,8 @@ def _report(plan: Plan, folder: Path | None, how: Making, as_json: bool) -> None
     made = [store.load_made(trial.key) for trial in trials if trial.run.status not in ABSENT]
     ran_on = {**asked.ran_on, **environment.kept(made, started), **environment.machines(made)}
     comparison = pages.comparison_of(plan, trials, started, datetime.now(UTC), ran_on)
-    try:
+    with reported(store.folder):
         page = pages.write(comparison, store.folder)
-    except OSError as error:
-        raise StoreError(str(store.folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
     ending.tell([Row.of_trial(trial) for trial in trials], plan.title, store, page, as_json)
 
 

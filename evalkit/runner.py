@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Any, BinaryIO, get_args
 
 from evalkit import child, saved
-from evalkit.errors import StoreError
 from evalkit.experiment import Limits
-from evalkit.store import REMEDY, STEPS, whole_records
+from evalkit.store import STEPS, reported, whole_records
 from evalkit.types import STEP, Run, Status
 from evalkit.worker import Request
 
@@ -41,11 +40,9 @@ def run(
 
     ``heard`` is told how many scans are answered; ``stop`` ends the run early; ``threads`` may be started by libraries.
     """
-    try:
+    with reported(folder):
         (folder / "request.json").write_text(json.dumps(asdict(request), indent=1), encoding="utf-8")
         output, answers = (folder / OUTPUT).open("ab"), (folder / STEPS).open("w+b")
-    except OSError as error:
-        raise StoreError(str(folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
     with output, answers:
         process = child.started("evalkit.worker", folder, output, threads)
         watch = _Watch(process, folder, limits, answers)

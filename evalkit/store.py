@@ -47,7 +47,7 @@ class Store:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        with _reported(folder):
+        with reported(folder):
             for name in ("runs", "trajectories", "maps"):
                 (folder / name).mkdir(parents=True, exist_ok=True)
             probe = folder / "runs" / f".writable-{os.getpid()}"
@@ -79,7 +79,7 @@ class Store:
     def fresh(self, key: str) -> Path:
         """An empty folder for a run about to start."""
         folder = self.run_folder(key)
-        with _reported(folder):
+        with reported(folder):
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)
         return folder
@@ -91,7 +91,7 @@ class Store:
     def write_bytes(self, path: Path, content: bytes) -> None:
         """Writes a file whole or not at all."""
         partial = path.with_name(path.name + ".part")
-        with _reported(path):
+        with reported(path):
             path.parent.mkdir(parents=True, exist_ok=True)  # a back end may have removed it
             partial.write_bytes(content)
             partial.replace(path)
@@ -130,7 +130,7 @@ class Store:
 
     def forget(self, key: str, *names: str) -> None:
         """Removes files of a run ("run.json", "scores.json"): it is made or scored again."""
-        with _reported(self.run_folder(key)):
+        with reported(self.run_folder(key)):
             for name in names:
                 (self.run_folder(key) / name).unlink(missing_ok=True)
 
@@ -148,7 +148,7 @@ class Store:
 
     def forget_tries(self, key: str) -> None:
         """The run has ended by itself, or is given up."""
-        with _reported(self._tries(key)):
+        with reported(self._tries(key)):
             self._tries(key).unlink(missing_ok=True)
 
     def _tries(self, key: str) -> Path:
@@ -165,7 +165,7 @@ class Store:
     def save_scores(self, key: str, content: Mapping[str, Any], grid: OccupancyGrid | None, errors_m: Any) -> None:
         """Keeps what scoring made of a run, its map also for map_server."""
         folder = self.run_folder(key)
-        with _reported(folder):
+        with reported(folder):
             for name in ("scores.json", "grid.npz", "errors.npy"):  # scores.json first and written last: it vouches
                 (folder / name).unlink(missing_ok=True)
             if grid is not None:
@@ -261,8 +261,17 @@ def _load_grid(path: Path) -> OccupancyGrid | None:
     return OccupancyGrid(kept["log_odds"], kept["observed"], resolution_m, origin_x, origin_y)
 
 
+def write_texts(folder: Path, texts: Mapping[str, str]) -> None:
+    """Writes files by name into a folder, which is made; StoreError where that is not possible."""
+    with reported(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            (folder / name).write_text(text, encoding="utf-8")
+
+
 @contextmanager
-def _reported(path: Path) -> Iterator[None]:
+def reported(path: Path) -> Iterator[None]:
+    """StoreError naming the path where the system cannot write there."""
     try:
         yield
     except OSError as error:

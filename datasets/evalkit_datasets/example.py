@@ -11,7 +11,7 @@ import numpy as np
 
 from evalkit.errors import StoreError, UnknownName
 from evalkit.protocols import Value, resolved
-from evalkit.store import REMEDY
+from evalkit.store import reported
 from evalkit.types import Trajectory
 from evalkit_datasets import synthetic, tum
 from evalkit_datasets.synthetic import Synthetic
@@ -51,10 +51,8 @@ def write(bag: Path, world: str, given: Mapping[str, object]) -> Example:
             raise StoreError(str(path), "exists already", "remove it, or give another name")
     spec = WORLDS[world]
     drive = cast(Synthetic, spec.make(**resolved(world, spec.parameters, {**SHORT, **given})))  # as all WORLDS make
-    try:
+    with reported(bag):
         return _written(bag, true, drive)
-    except OSError as error:
-        raise StoreError(str(bag), f"cannot be written ({error.strerror or error})", REMEDY) from error
 
 
 def _written(bag: Path, true: Path, drive: Synthetic) -> Example:

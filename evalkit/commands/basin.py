@@ -14,8 +14,7 @@ import typer
 from evalkit import console, environment, registry
 from evalkit.commands import options
 from evalkit.commands.options import Jobs, Json, Out, err, out
-from evalkit.errors import StoreError
-from evalkit.store import REMEDY
+from evalkit.store import write_texts
 
 if TYPE_CHECKING:
     from evalkit.commands.basin_result import Result
@@ -91,12 +90,7 @@ def _asked(entrants: list[Any], trials: list[Any], folder: Path, workers: int) -
 
 def _write(folder: Path, content: dict[str, Any], page: str) -> Path:
     """Writes ``basin.json`` and ``index.html``; the page's path."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        (folder / "basin.json").write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        (folder / "index.html").write_text(page, encoding="utf-8")
-    except OSError as error:
-        raise StoreError(str(folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
+    write_texts(folder, {"basin.json": json.dumps(content, indent=1) + "\n", "index.html": page})
     return folder / "index.html"
 
 

@@ -14,8 +14,8 @@ import typer
 from evalkit import console, environment
 from evalkit.commands import options
 from evalkit.commands.options import Json, Out, err, out
-from evalkit.errors import StoreError, UnknownName
-from evalkit.store import REMEDY
+from evalkit.errors import UnknownName
+from evalkit.store import write_texts
 
 if TYPE_CHECKING:
     from evalkit.metrics.table import Metric
@@ -98,7 +98,7 @@ def validate(
         "validated.csv": trust.as_csv(trust.rows(asked, results)),
         "index.html": render(metrics_page.document(content)),
     }
-    _write(folder, texts)
+    write_texts(folder, texts)
     if as_json:
         options.print_json(content | {"page": str(folder / "index.html")})
     else:
@@ -193,15 +193,6 @@ def _how() -> dict[str, Any]:
         "made": datetime.now(UTC).strftime("%Y-%m-%d"),
         "versions": environment.versions(("evalkit", "numpy", "scipy")),
     }
-
-
-def _write(folder: Path, texts: dict[str, str]) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
-            (folder / name).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise StoreError(str(folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
 
 
 def _print(content: dict[str, Any]) -> None:

@@ -13,8 +13,8 @@ import typer
 from evalkit import console, environment
 from evalkit.commands import options
 from evalkit.commands.options import Json, Out, Scheduler, err, out
-from evalkit.errors import NotInstalled, StoreError, UnknownName
-from evalkit.store import REMEDY
+from evalkit.errors import NotInstalled, UnknownName
+from evalkit.store import write_texts
 
 if TYPE_CHECKING:
     from evalkit.study.outcome import Outcome
@@ -101,10 +101,5 @@ def _written(outcome: Outcome, folder: Path, ran_on: dict[str, str]) -> Path:
         "study.json": json.dumps(record.record(outcome), indent=1) + "\n",
         "index.html": render(page.document(outcome, ran_on)),
     }
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
-            (folder / name).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise StoreError(str(folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
+    write_texts(folder, texts)
     return folder / "index.html"

@@ -13,8 +13,7 @@ import typer
 from evalkit import console, environment
 from evalkit.commands import options
 from evalkit.commands.options import Collect, Jobs, Json, err, out
-from evalkit.errors import StoreError
-from evalkit.store import REMEDY, Store
+from evalkit.store import Store, write_texts
 
 if TYPE_CHECKING:
     from evalkit.experiment import Plan
@@ -59,7 +58,7 @@ def tune(
     experiment = folder / "tuned.toml"
     text = experiment_text(tuning, found)
     plan = held_out_plan(text, shlex.quote(str(experiment)))
-    _write(folder, {experiment.name: text})
+    write_texts(folder, {experiment.name: text})
     trials = _judged(plan, Store(folder / "report"), workers, ran_on, collect)
     comparison = comparison_of(plan, trials, started, datetime.now(UTC), ran_on)
     report = f"evalkit report {shlex.quote(str(experiment))} --resume --out {shlex.quote(str(folder / 'report'))}"
@@ -129,7 +128,7 @@ def _end(told: Tuned, folder: Path, as_json: bool) -> None:
     from evalkit.report.tuning.record import record  # noqa: PLC0415 - as above
 
     content = record(told)
-    _write(folder, {
+    write_texts(folder, {
         "tuned.json": json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
         "index.html": render(pages.document(told)),
     })  # fmt: skip
@@ -149,12 +148,3 @@ def _end(told: Tuned, folder: Path, as_json: bool) -> None:
         raise typer.Exit(1)
     if skipped:
         raise typer.Exit(3)
-
-
-def _write(folder: Path, texts: dict[str, str]) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
-            (folder / name).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise StoreError(str(folder), f"cannot be written ({error.strerror or error})", REMEDY) from error

@@ -30,7 +30,7 @@ from evalkit import environment, lifeline, saved
 from evalkit.cluster import Call, Cluster, Slot
 from evalkit.errors import EvalkitError, StoreError, plain
 from evalkit.fingerprint import fingerprint
-from evalkit.store import REMEDY
+from evalkit.store import REMEDY, reported
 from evalkit.study import deadline
 
 Result = Mapping[str, Any]
@@ -139,12 +139,10 @@ class Ledger:
         np.savez_compressed(body, **members, json=np.array(json.dumps(rest)))
         path = self.path(job)
         part = path.with_name(f"{path.name}.{os.getpid()}.part")
-        try:
+        with reported(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
             part.write_bytes(body.getvalue())
             part.replace(path)
-        except OSError as error:
-            raise StoreError(str(self.folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
 
     def _made(self, jobs: list[Job], workers: int, done: OnDone) -> tuple[dict[str, Result], dict[str, str]]:
         """Results and reasons of failure by name. A job that ends its process is asked again in one of its own.
@@ -172,10 +170,8 @@ class Ledger:
         return deadline.taken(self._note(job), job.limit_s) or "it ended its process"
 
     def _computed(self, jobs: list[Job], workers: int) -> Iterator[Computed]:
-        try:
+        with reported(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise StoreError(str(self.folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
         yield from _computed([(job, self._note(job)) for job in jobs], workers)
 
     def _note(self, job: Job) -> Path:

@@ -14,8 +14,8 @@ from rich.table import Table
 
 from evalkit import console
 from evalkit.commands.options import Json, out, print_json
-from evalkit.errors import BadData, StoreError
-from evalkit.store import REMEDY
+from evalkit.errors import BadData
+from evalkit.store import reported
 from evalkit_datasets.doctor.examination import Examination, examine
 from evalkit_datasets.doctor.prescription import Prescription, prescribe
 
@@ -78,12 +78,10 @@ def _write(folder: Path, found: Examination, advice: Prescription | None) -> Pat
     from evalkit.report.document import render  # noqa: PLC0415 - loads jinja2: only who draws pays for it
     from evalkit_datasets.doctor.page import document  # noqa: PLC0415 - loads matplotlib
 
-    try:
+    with reported(folder):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "inspection.json").write_text(json.dumps(content(found, advice), indent=1) + "\n", encoding="utf-8")
         (folder / "index.html").write_text(render(document(found, advice)), encoding="utf-8")
-    except OSError as error:
-        raise StoreError(str(folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
     return folder / "index.html"
 
 

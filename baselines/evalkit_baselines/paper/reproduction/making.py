@@ -11,9 +11,8 @@ from typing import Any
 
 from evalkit import console, environment
 from evalkit.commands.options import err
-from evalkit.errors import StoreError
 from evalkit.report.document import Cell, Column, Command, Fold, Section, Table, Text, render
-from evalkit.store import REMEDY
+from evalkit.store import reported
 from evalkit.study.ledger import Job, Ledger
 from evalkit_baselines.paper.reproduction import page
 from evalkit_baselines.paper.reproduction.chapters import CHAPTERS
@@ -50,11 +49,9 @@ def _within(chapter: str, job: Job) -> Job:
 
 
 def _written(path: Path, body: str) -> Path:
-    try:
+    with reported(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(body, encoding="utf-8")
-    except OSError as error:
-        raise StoreError(str(path), f"cannot be written ({error.strerror or error})", REMEDY) from error
     return path.resolve()
 
 
