@@ -190,7 +190,7 @@ class Straight:
     ``reads_s``: how long it takes to look through.
     """
 
-    def __init__(self, scans: int, backwards: int, file: str, breaks: bool, reads_s: float) -> None:
+    def __init__(self, scans: int, backwards: int, file: str, breaks: bool, reads_s: float = 0.0) -> None:
         time.sleep(reads_s)
         if gone := _gone(file):
             raise DataMissing("straight", gone, "bring it back")
