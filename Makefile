@@ -20,7 +20,7 @@ report-quick: $(VENV)/evalkit  ## the small one, under 90 seconds: reports/build
 	$(BIN)/evalkit report reports/quick.toml --resume
 
 test: $(VENV)/test  ## the tests
-	$(BIN)/pytest
+	$(BIN)/pytest -n auto --maxprocesses 4 --dist loadfile
 
 check: $(VENV)/dev  ## lint, formatting, types, layers
 	$(BIN)/ruff check
