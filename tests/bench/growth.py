@@ -76,7 +76,7 @@ def drawn(found: dict[str, list[Run]], path: Path) -> None:
     curves.append(
         charts.Curve("the bag on disk", scans, np.array([one.bag_bytes / 2**20 for one in first]), marks=True)
     )
-    x, y = charts.Axis("scans", "log"), charts.Axis("peak memory of the run [MiB]", "log")
+    x, y = charts.Axis("scans", "log"), charts.Axis("peak of the run, size of the bag [MiB]", "log")
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(charts.lines(curves, x, y))
 
