@@ -118,7 +118,7 @@ def _training(content: Mapping[str, Any], contestants: Sequence[Any], file: str)
         place = f"training {number + 1} ({course.label})"
         if course.missing:
             raise BadExperiment(file, place, f"cannot be trained on here: {course.missing}")
-        found.append(Training(course, _confirm(table, course, file, place)))
+        found.append(Training(course, _confirm(table, courses, course, file, place)))
     if sum(len(one.confirm) for one in found) < FEWEST_CONFIRMING:
         told = (
             "'confirm': the best point is compared with the default on fresh seeds, and it takes "
@@ -129,13 +129,17 @@ def _training(content: Mapping[str, Any], contestants: Sequence[Any], file: str)
     return tuple(found)
 
 
-def _confirm(table: Mapping[str, Any], course: Course, file: str, place: str) -> tuple[int, ...]:
+def _confirm(
+    table: Mapping[str, Any], courses: Sequence[Course], course: Course, file: str, place: str
+) -> tuple[int, ...]:
+    """The fresh seeds of a course: its world is searched with none of them, in no other training table either."""
     seeds = table.get("confirm", [])
     if not isinstance(seeds, list) or not all(type(seed) is int and seed >= 0 for seed in seeds):
         raise BadExperiment(file, place, f"'confirm': found {brief(seeds)}, expected a list of whole numbers from 0")
     if seeds and course.seeds == (None,):
         raise BadExperiment(file, place, f"'confirm': {course.dataset} is a recording and has no seeds; remove the key")
-    if both := sorted(set(seeds) & set(course.seeds)):
+    searched = {seed for each in courses if each.dataset == course.dataset for seed in each.seeds}
+    if both := sorted(set(seeds) & searched):
         raise BadExperiment(file, place, f"'confirm': seed {both[0]} is searched with too; take fresh ones")
     return tuple(dict.fromkeys(seeds))
 
