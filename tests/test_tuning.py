@@ -11,6 +11,7 @@ import pytest
 from evalkit import frontend, registry
 from evalkit.errors import BadExperiment
 from evalkit.protocols import Parameter
+from evalkit.study import point
 from evalkit.study.tuning import campaign, trial
 from evalkit.study.tuning.frontier import frontier
 from evalkit.study.tuning.objective import best, judged
@@ -193,6 +194,11 @@ def test_a_space_follows_from_declared_bounds_or_a_decade_around_the_default():
         ("seeds = [6, 7]", "seeds = [1]", r"held-out \(lab\): lab with seed 1 is in training too \(lab\)"),
         ("seeds = [6, 7]", "seeds = [5]", r"lab with seed 5 is in training too"),
         ("confirm = [2, 3, 4, 5]", "confirm = [1, 2, 3, 4]", "seed 1 is searched with too"),
+        (
+            "confirm = [2, 3, 4, 5]",
+            'confirm = [2, 3, 4, 5]\n[[training]]\nuse = "lab"\nlabel = "lab again"\nlaps = 0.1\nseeds = [4]',
+            "seed 4 is searched with too",
+        ),
         ("confirm = [2, 3, 4, 5]", "confirm = [2]", "it takes 4 runs in all"),
         ('metric = "ate_rmse_m"', 'metric = "map_f1"', "objective: no error of a trajectory"),
         ("points = 16", "points = 1", "'points': found 1, expected a whole number from 2"),
@@ -257,6 +263,34 @@ def test_a_run_that_takes_too_long_has_failed_with_its_reason(strangers, monkeyp
     assert told["status"] == "failed"
     assert "more than 0.2 s of CPU time" in told["reason"]
     assert time.monotonic() - begun < 60.0  # it would have spun for ever
+
+
+def test_who_is_first_on_a_sequence_does_not_pay_for_its_simulation(strangers, monkeypatch):
+    class SlowAtFirst:
+        def __init__(self, sequence):
+            self.sequence, self.begun = sequence, False
+
+        def __len__(self):
+            return len(self.sequence)
+
+        def __getattr__(self, name):
+            return getattr(self.sequence, name)
+
+        def frames(self):
+            end_s = time.process_time() + (0.0 if self.begun else 1.5)
+            self.begun = True
+            while time.process_time() < end_s:
+                pass
+            return self.sequence.frames()
+
+    monkeypatch.setattr(trial, "LOOK_EVERY_S", 0.05)
+    sequence = {p.name: p.default for p in registry.dataset("straight").parameters}
+    slow = SlowAtFirst(registry.dataset("straight").make(**sequence))
+    monkeypatch.setattr(point, "_sequence", lambda *_: slow)
+    parameters = {p.name: p.default for p in registry.backend("wheel-odometry").parameters}
+    told = trial.tried(1.0, "wheel-odometry", parameters, "straight", sequence, ["ate_rmse_m", "pair_error"], "")
+    assert told["status"] == "complete", told["reason"]
+    assert told["scores"]["pair_error"] is not None, told["why"]
 
 
 def test_keys_of_jobs_change_with_what_they_stand_on():

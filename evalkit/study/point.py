@@ -7,6 +7,7 @@ import json
 import time
 import traceback
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import lru_cache, partial
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from evalkit import frontend, metrics, protocols, registry, scoring
 from evalkit.errors import EvalkitError, plain
+from evalkit.metrics import pairs, spans
 from evalkit.metrics.table import Metric
 from evalkit.protocols import Value
 from evalkit.types import STEP, Run, Score, Status
@@ -21,6 +23,9 @@ from evalkit.worker import Request, Residuals, follow
 
 DRAWN = ("map against truth", "map consistency")
 """Groups of metrics that look at a map."""
+
+OF_SCANS = frozenset(metric.name for metric in (*pairs.METRICS, *spans.METRICS))
+"""Metrics of other groups that look at scans as they were placed."""
 
 KEPT_SEQUENCES = 2
 """So many sequences stay in memory: points of one sequence follow each other."""
@@ -57,6 +62,13 @@ def evaluate(
     }
 
 
+def prepared(dataset: str, sequence: Mapping[str, Value]) -> None:
+    """Makes what a sequence makes only once, so that the first run on it does not pay for all."""
+    driven = _sequence(dataset, json.dumps(dict(sequence), sort_keys=True))
+    with suppress(Exception):  # raised again where the run asks for it, and told there
+        next(iter(driven.frames()), None)
+
+
 @lru_cache(maxsize=KEPT_SEQUENCES)
 def _sequence(dataset: str, parameters: str) -> protocols.Sequence:
     return registry.dataset(dataset).make(**json.loads(parameters))
@@ -86,7 +98,7 @@ def _scored(
     """The named scores; the map is drawn only where a metric looks at it, or has no answer without."""
     table = {metric.name: metric for metric in metrics.all_metrics() if metric.name in names}
     evidence = scoring.without_map(run, sequence)
-    plain = [metric for metric in table.values() if metric.group not in DRAWN]
+    plain = [metric for metric in table.values() if metric.group not in DRAWN and metric.name not in OF_SCANS]
     found = metrics.score(evidence, plain)
     drawn = [metric for metric in table.values() if metric not in plain or _lacks_scans(metric, found)]
     if drawn:

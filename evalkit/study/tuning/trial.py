@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import Any
 
 from evalkit.protocols import Value
-from evalkit.study.point import evaluate
+from evalkit.study.point import evaluate, prepared
 
 NO_MAP = "log-odds"
 """The mapper a point is asked to name; no map is drawn for errors of a trajectory and for CPU time."""
@@ -30,7 +30,11 @@ def tried(
     metrics: Sequence[str],
     code: str,
 ) -> dict[str, Any]:
-    """The scores of a run, as of a study's point; one that takes more than ``cpu_s`` seconds of CPU time has failed."""
+    """The scores of a run, as of a study's point; one that takes more than ``cpu_s`` seconds of CPU time has failed.
+
+    The simulation of the sequence is on nobody's account: of all who are tried on it, the first would pay for it.
+    """
+    prepared(dataset, sequence)
     with _limited(cpu_s):
         return evaluate(backend, parameters, dataset, sequence, NO_MAP, {}, 2, metrics, code)
 
