@@ -176,7 +176,8 @@ def _sequences(told: Tuned) -> list[Block]:
     ]
     trained = {one.course.dataset for one in told.tuning.training}
     for course in told.tuning.held_out:
-        known = "same world, other seeds" if course.dataset in trained else "never seen in training"
+        again = course.dataset in trained and course.seeds != (None,)
+        known = "same world, other seeds" if again else "never seen in training"
         rows.append(("held out", course.label, _seeds(course.seeds), known))
     return [
         Table(
@@ -243,8 +244,9 @@ def _how(told: Tuned) -> Section:
         "the mapper, the scans and the metrics stay as they are for all.",
         f"Held out, the rows end in '{TUNED.strip()}' where something better was found. Their runs have a process of "
         "their own each and are scored like any report's: Wilcoxon's test over runs with Holm's adjustment over back "
-        "ends; paired differences on one sequence with block-bootstrap intervals. Overfitted: shown to be worse than "
-        "the default over all or on one sequence, or losing more runs.",
+        "ends: seeds of one world are alike, so p is rather too small. Paired differences on one sequence have "
+        "block-bootstrap intervals, not adjusted for how many sequences there are: of twenty, one may differ by "
+        "chance. Overfitted: shown to be worse than the default over all or on one sequence, or losing more runs.",
     )
     alone = shlex.split(told.report)[2]
     machine = Fold("This machine", (Table(("What", "Value"), list(told.ran_on.items())),))

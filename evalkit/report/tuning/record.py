@@ -10,8 +10,8 @@ continuous), ``not_searched`` (parameter: why), ``spent`` (points, runs, lost_ru
 spread, step or all; parameters that are searched, error, lost_runs, reasons, cpu_median_ms, frontier), ``best`` (index
 of the best point), ``confirmed`` (errors of default and best on fresh seeds, ratio with low and high; null where the
 default was the best), ``tuned`` (whether the best is taken), ``why``, ``parameters`` (all that are taken), ``held_out``
-(verdict, overfitted, lost runs of both, runs, ratio, p by Holm, smallest ratio that could have been shown; null where
-the default is kept).
+(verdict, overfitted, lost runs of both, runs, ratio, p by Holm, ``detectable_ratio``: the least factor above 1 between
+both that could have been shown; null where the default is kept).
 """
 
 from __future__ import annotations
