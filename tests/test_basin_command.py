@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from evalkit.cli import app
 from evalkit.commands import basin as command
+from evalkit.errors import EvalkitError
 from evalkit.protocols import BackendSpec
 from evalkit.types import Match
 
@@ -72,10 +73,12 @@ def test_whoever_raises_or_ends_its_process_is_a_row_with_the_reason(run):
     assert "it is out of tune" in page
 
 
-@pytest.mark.parametrize("arguments", [["paper", "--scene", "roof"], ["papr"], ["paper", "--set", "epsilon=big"]])
+@pytest.mark.parametrize("arguments", [["paper", "--scene", "roof"], ["papr"], ["paper", "--set", "epsilon=big"],
+    ["paper", "--scene", "room", "--on", "room"], ["paper", "--on", "room 'laps=1"]])  # fmt: skip
 def test_what_cannot_be_asked_is_refused_before_anything_is(arguments, tmp_path):
     if command.basin not in [one.callback for one in app.registered_commands]:
         app.command()(command.basin)
     found = CliRunner().invoke(app, ["basin", *arguments, "-o", str(tmp_path)])
     assert found.exit_code != 0
+    assert isinstance(found.exception, (EvalkitError, SystemExit))
     assert not list(tmp_path.iterdir())

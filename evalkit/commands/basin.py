@@ -54,7 +54,10 @@ def basin(
     entrants = [attempts.entrant(name, given) for name in dict.fromkeys(backend or _registrations())]
     names = scene or ([] if on else list(surroundings.PLACES))
     places: dict[str, dict[str, Any]] = {surroundings.place(name).name: {} for name in names}
-    places |= {each.label: each.data for each in map(sequences.Recorded.of, on or ())}
+    for each in map(sequences.Recorded.of, dict.fromkeys(on or ())):
+        if each.label in places:
+            raise typer.BadParameter(f"--on {each.label}: a scene is called so too; ask for one of them at a time")
+        places[each.label] = each.data
     trials = [
         attempts.Trials(name, offsets, pairs, beams, noise, distance, math.radians(turn), seed, data)
         for name, data in places.items()

@@ -44,7 +44,10 @@ class Recorded:
     @classmethod
     def of(cls, text: str) -> Recorded:
         """The data set of "fr079 limit=600"; UnknownName, BadParameter and DataMissing as usual."""
-        name, *words = shlex.split(text) or [""]
+        try:
+            name, *words = shlex.split(text) or [""]
+        except ValueError as error:
+            raise BadParameter("evalkit basin", "on", text, f"a data set's name and NAME=VALUE ({error})") from error
         spec = registry.dataset(name)
         for word in words:
             if "=" not in word:
@@ -77,8 +80,7 @@ def seen(where: Recorded, pairs: int) -> tuple[Seen, ...]:
     """Pairs of scans spread evenly over a data set, as points of the base frame, the motion within a scan undone.
 
     The motion between two scans is a measured relation or, without any, what the truth says: where there are both,
-    the trajectory was made from a log and interpolated. BadData where neither
-    knows of two scans close together.
+    the trajectory was made from a log and interpolated. BadData where neither knows of two scans close together.
     """
     return _seen(where.label, where.dataset, json.dumps(dict(where.parameters), sort_keys=True), pairs)
 
