@@ -195,9 +195,11 @@ class _Hall:
         outcome: Future[Any] = Future()
         try:
             outcome.set_result(future.result(timeout=PATIENCE_S))
-        except (dask().KilledWorker, TimeoutError):  # its result was lost with its worker
+        except dask().KilledWorker:
             return call, _strike(call, slot)
         except Exception as error:
+            if isinstance(error, TimeoutError) and future.status != "error":  # its result was lost with its worker
+                return call, _strike(call, slot)
             if future.cancelled():
                 raise NoCluster(self._name, "the scheduler has gone", GO_ON) from error
             outcome.set_exception(error)

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -14,6 +15,7 @@ import numpy as np
 import pytest
 
 from evalkit.cluster import Cluster
+from evalkit.study import deadline
 from evalkit.study.ledger import Job, JobsFailed, Ledger
 
 
@@ -35,6 +37,10 @@ def die():
 def hang(how):
     {"sleeps": lambda: time.sleep(600), "spins": lambda: sum(itertools.repeat(0)),
      "holds": lambda: ctypes.PyDLL(None).sleep(600)}[how]()  # fmt: skip
+
+
+def give_up():
+    raise TimeoutError("no answer")
 
 
 def doze(number, log):
@@ -86,6 +92,7 @@ def test_a_job_that_raises_is_named_and_costs_no_other(squares, tmp_path):
     with pytest.raises(JobsFailed, match="bad failed: ValueError: no such wall"):
         Ledger(tmp_path).run(jobs)
     assert Ledger(tmp_path).kept(jobs[1])["square"] == 4
+    assert not list(tmp_path.glob("*.running"))
 
 
 def test_a_job_that_ends_its_process_is_named_and_costs_no_other(squares, tmp_path):
@@ -105,6 +112,25 @@ def test_a_job_that_hangs_is_ended_once_named_and_costs_no_other(squares, tmp_pa
     assert time.monotonic() - begun < 300  # and not 600
     assert all(Ledger(tmp_path).kept(job) for job in jobs[1:])
     assert not list(tmp_path.glob("*.running"))
+
+
+def test_of_two_calls_in_one_process_the_second_waits_for_the_watch(tmp_path):
+    inside, order = threading.Event(), []
+
+    def second():
+        inside.wait()
+        with deadline.noted(tmp_path / "second", 60.0):
+            order.append("second")
+
+    thread = threading.Thread(target=second)
+    thread.start()
+    with deadline.noted(tmp_path / "first", 60.0):
+        inside.set()
+        thread.join(0.2)
+        order.append("first")
+    thread.join()
+    assert order == ["first", "second"]
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_limit_changes_no_result(squares):
@@ -141,10 +167,12 @@ def test_a_killed_study_goes_on_without_repeating(squares, tmp_path):
 def test_a_clusters_workers_compute_the_same_and_who_ends_them_twice_is_named(squares, tmp_path):
     pytest.importorskip("distributed")
     jobs = [squares("three", "square", number=3), squares("deadly", "die"), squares("bad", "refuse", why="no")]
+    jobs.append(squares("slow", "give_up"))
     with pytest.raises(JobsFailed) as failed:
         Ledger(tmp_path).run(jobs, cluster=Cluster(workers=1))
     assert failed.value.reasons["deadly"].startswith("WorkerLost: lost its worker twice (tcp://")
     assert failed.value.reasons["bad"] == "ValueError: no"
+    assert failed.value.reasons["slow"] == "TimeoutError: no answer"  # its own, and not the cluster's
     kept = Ledger(tmp_path).kept(jobs[0])
     assert kept["square"] == 9
     assert kept["row"].tolist() == [0, 1, 2]
