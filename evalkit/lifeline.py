@@ -9,6 +9,7 @@ import signal
 import sys
 import threading
 import time
+from multiprocessing import parent_process
 
 from evalkit.errors import NotInstalled
 
@@ -54,7 +55,8 @@ def end_with_parent() -> None:
 
 def watch_parent() -> None:
     """The same by looking now and then: for processes that run no foreign code."""
-    parent = os.getppid()
+    started_by = parent_process()  # whose number is known even if it is gone already
+    parent = started_by.pid if started_by else os.getppid()
 
     def watch() -> None:
         while os.getppid() == parent:
