@@ -204,6 +204,7 @@ def quarantined(store: Store, recipe: Recipe, planned: Planned, why: str, run: R
     """A run that nobody shall try again unasked, kept in the store; ``run``: what it answered before."""
     reason = f"{QUARANTINED}{why}; --rerun crashed tries again"
     kept = replace(run or unmade(planned, "crashed", reason), status="crashed", reason=reason)
+    store.forget(planned.key, "scores.json")
     store.save_run(planned.key, kept, _how_made(recipe, planned, None))
     store.forget_tries(planned.key)
     return kept
@@ -258,6 +259,7 @@ def _scored(store: Store, recipe: Recipe, planned: Planned, run: Run, bench: Ben
     """Scores a run in a process of its own; its status and reason after that."""
     if store.scored_by(planned.key) == recipe.scored_by:
         return run.status, run.reason
+    store.forget(planned.key, "scores.json")  # of other code: nobody may take them for this run's where scoring fails
     try:
         bench.scorers.do(score_stored, store.folder, planned, run, recipe, bench.core)
     except StoreError:

@@ -87,7 +87,7 @@ class Here:
                     error = future.exception()
                     if error is None:
                         yield future.result()
-                    elif error is not None and not isinstance(error, CancelledError):
+                    elif not isinstance(error, CancelledError):
                         raise error
             except BaseException:  # an interrupt or an unwritable folder: end what runs, start nothing more
                 stop.set()
@@ -126,6 +126,7 @@ class There:
                     yield Ended(planned, "failed", why, stored=False)
                 else:
                     parcel.unpacked(store, planned.key, content)
+                    store.forget_tries(planned.key)  # of who was lost here before
                     yield ended
 
 

@@ -319,3 +319,19 @@ def test_a_results_folder_that_fills_up_stops_all_and_keeps_what_is_done(tmp_pat
         trials(plan("none", "raise", "nan", "far"), tmp_path, jobs=1, heard=heard)
     assert heard.ends == ["none"]
     assert written(tmp_path).keys() == {"none"}
+
+
+def test_a_run_that_cannot_be_scored_anew_keeps_no_scores_of_other_code(tmp_path, quick, monkeypatch):
+    key = trials(plan("none"), tmp_path)["none"].key
+    store, path = Store(tmp_path), tmp_path / "runs" / key / "scores.json"
+    path.write_text(json.dumps({**json.loads(path.read_text()), "fingerprint": "other code"}))
+    assert store.score_values(key)
+
+    def refuse(*_arguments):
+        raise ValueError("no such metric")
+
+    monkeypatch.setattr(making, "score_stored", refuse)
+    assert (
+        trials(plan("none"), tmp_path, resume=True)["none"].run.reason == "scoring failed: ValueError: no such metric"
+    )
+    assert store.score_values(key) == {}

@@ -146,6 +146,14 @@ def test_a_run_that_ends_its_workers_is_quarantined_after_two_and_the_others_sta
     assert last["1 kill-parent"].run.reason != reason  # other workers, the same end
 
 
+def test_who_was_lost_here_is_forgotten_once_a_worker_has_made_the_run(workers, tmp_path):
+    store, asked = Store(tmp_path), plan("none", timed=False)
+    key = next(iter(asked.runs())).key
+    store.note_tries(key, ["process 1 on a", "process 2 on a"])
+    assert rows(asked, tmp_path, there(workers), resume=True)["0 none"].run.status == "complete"
+    assert store.tries(key) == []
+
+
 def test_where_times_do_not_count_there_are_none(workers, tmp_path):
     untimed = rows(plan("none", timed=False), tmp_path, there(workers))["0 none"]
     assert untimed.scores["cpu_median_ms"].reason == "not timed: made where times do not count"
