@@ -76,7 +76,13 @@ def read(path: Path) -> dict[str, Benchmark]:
     if not files:
         raise BadData(str(path), "", "no benchmark (*.json) in it", "make one with 'make bench'")
     found = [_read(file) for file in files]
-    return {one.name: one for one in found}
+    by_name = {one.name: one for one in found}
+    if len(by_name) < len(found):
+        names = ", ".join(sorted(name for name in by_name if [one.name for one in found].count(name) > 1))
+        raise BadData(
+            str(path), "", f"several files in it hold the benchmark {names}", "keep one of them, or give a file"
+        )
+    return by_name
 
 
 def _read(path: Path) -> Benchmark:
@@ -95,5 +101,5 @@ def _read(path: Path) -> Benchmark:
         )
         ran_on = {str(name): str(value) for name, value in content["environment"].items()}
         return Benchmark(str(content["name"]), series, ran_on, str(content["made"]))
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
+    except (ArithmeticError, AttributeError, KeyError, TypeError, ValueError) as error:
         raise BadData(str(path), "", f"no benchmark ({error!r})", "give a file of 'make bench'") from None

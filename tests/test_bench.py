@@ -50,11 +50,23 @@ def test_what_is_kept_is_read_back(tmp_path):
             '"series": [{"name": "b", "unit": "s", "samples": [NaN]}]}',
             "not finite",
         ),
+        (
+            '{"schema": 1, "name": "a", "made": "", "environment": {}, '
+            f'"series": [{{"name": "b", "unit": "s", "samples": [1{"0" * 400}]}}]}}',
+            "no benchmark",
+        ),
     ],
 )
 def test_what_is_no_benchmark_says_so(tmp_path, content, told):
     (tmp_path / "bad.json").write_text(content)
     with pytest.raises(BadData, match=told):
+        benchmark.read(tmp_path)
+
+
+def test_one_benchmark_in_two_files_of_a_folder_is_refused(tmp_path):
+    path = benchmark.keep("speed", [Series("call", "ms", (1.0,))], RAN_ON, tmp_path)
+    path.with_name("before.json").write_text(path.read_text())
+    with pytest.raises(BadData, match="several files in it hold the benchmark speed"):
         benchmark.read(tmp_path)
 
 
