@@ -57,5 +57,5 @@ class Tuned:
         duel = held.duel if held is not None else None
         if one.failed or duel is None or duel.ratio is None:
             return f"{one.entrant.label}: {self.verdict(one)}"
-        numbers = f"median error {duel.ratio:.2f} times the default's, {duel.runs} runs, p = {duel.p:.2g}"
+        numbers = f"error {duel.ratio:.2f} times the default's in the median of {duel.runs} runs, p = {duel.p:.2g}"
         return f"{one.entrant.label}: {self.verdict(one)} ({numbers})"

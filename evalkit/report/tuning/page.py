@@ -58,7 +58,7 @@ def _summary(told: Tuned) -> Section:
         Column("What is taken", tip="own parameters that differ from the default"),
         Column("Search", unit, number=True, tip="geometric mean error: default → best point"),
         Column("Fresh seeds", "x", number=True, tip="error of the best point by the default's, with 95 % interval"),
-        Column("Held out", "x", number=True, tip="median error of tuned by the default's, over all held-out runs"),
+        Column("Held out", "x", number=True, tip="error of tuned by the default's, median over all held-out runs"),
         Column("CPU a scan", "ms", number=True, tip="median in training: default → what is taken"),
         Column("Verdict"),
     )

@@ -63,7 +63,7 @@ def _tests(held: Sequence[Held]) -> Table:
         Column("Back end"),
         Column("Runs", number=True, tip="runs both made on sequences with a truth and a geometry that fixes the pose"),
         Column("Better / worse", number=True, tip="runs in which tuned has the smaller / larger error"),
-        Column("Ratio", "x", number=True, tip="median error of tuned by the default's"),
+        Column("Ratio", "x", number=True, tip="error of tuned by the default's, median over runs"),
         Column("p", number=True, tip="Wilcoxon's signed-rank test, Holm over the back ends"),
         Column("Detectable", "x", number=True, tip="the ratio these runs would have shown with 80 % power at 5 %"),
         Column("Lost", number=True, tip="runs lost: default → tuned"),
