@@ -201,6 +201,7 @@ def test_a_space_follows_from_declared_bounds_or_a_decade_around_the_default():
         ),
         ("confirm = [2, 3, 4, 5]", "confirm = [2]", "it takes 4 runs in all"),
         ('metric = "ate_rmse_m"', 'metric = "map_f1"', "objective: no error of a trajectory"),
+        ('metric = "ate_rmse_m"', 'metric = "span_rmse_m"', "objective: no error of a trajectory"),
         ("points = 16", "points = 1", "'points': found 1, expected a whole number from 2"),
         ("search.max_correspondence_m = [0.1, 1]", "search.max_correspondence_m = [-1, 1]", "found -1.0, expected"),
         ("search.max_correspondence_m", "search.no_such", "no parameter named 'no_such'"),

@@ -10,7 +10,7 @@ from evalkit import experiment, registry
 from evalkit.content import tables_of
 from evalkit.errors import BadExperiment, BadParameter, UnknownName, brief
 from evalkit.experiment import Contestant, Course, Plan
-from evalkit.metrics import all_metrics
+from evalkit.metrics import all_metrics, spans
 from evalkit.protocols import Parameter, Value
 from evalkit.settings import from_text
 from evalkit.study.factors import Factor, factor
@@ -220,7 +220,9 @@ def _objective(table: object, file: str) -> Response:
     for key in table:
         if key not in ("metric", "lost"):
             raise BadExperiment(file, "objective", str(UnknownName("key", key, ("metric", "lost"))))
+    taped = {metric.name for metric in spans.METRICS}  # their tapes end at walls, which no training run draws
     known = {m.name: m for m in all_metrics() if m.better == "lower" and m.group in ("drift", "relations")}
+    known = {name: metric for name, metric in known.items() if name not in taped}
     name = table.get("metric", METRIC)
     if name not in known:
         told = UnknownName("error of a trajectory whose lower values are better", str(name), known)
