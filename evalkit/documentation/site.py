@@ -29,7 +29,7 @@ ELSEWHERE: Mapping[str, str] = {
 BLOCK = re.compile(
     r"^<!-- block: (?P<file>\S+) (?P<language>\w+) (?P<index>\d+)(?: as (?P<title>\S+))? -->$", re.MULTILINE
 )
-LINK = re.compile(r"\]\((?P<target>[^)#:\s]+)(?P<anchor>#[^)\s]*)?\)")
+LINK = re.compile(r"\[(?P<text>[^][]+)\]\((?P<target>[^)#:\s]+)(?P<anchor>#[^)\s]*)?\)")
 
 
 def added() -> dict[str, str]:
@@ -67,5 +67,5 @@ def _linked(found: re.Match[str], name: str, folder: Path) -> str:
     for page, file in ELSEWHERE.items():
         if target == ROOT / file:
             up = "../" * name.count("/")
-            return f"]({up}{page}{found['anchor'] or ''})"
-    return "]"
+            return f"[{found['text']}]({up}{page}{found['anchor'] or ''})"
+    return found["text"]
