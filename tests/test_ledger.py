@@ -8,14 +8,15 @@ import subprocess
 import sys
 import threading
 import time
+from concurrent.futures import Future
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from evalkit.cluster import Cluster
-from evalkit.study import deadline
+from evalkit.cluster import Cluster, NoCluster
+from evalkit.study import deadline, ledger
 from evalkit.study.ledger import Job, JobsFailed, Ledger
 
 
@@ -162,6 +163,23 @@ def test_a_killed_study_goes_on_without_repeating(squares, tmp_path):
     assert 2 <= kept < 6
     subprocess.run([sys.executable, script], check=True)
     assert len((tmp_path / "log").read_text().split()) - computed == 6 - kept
+
+
+def test_a_worker_with_other_code_is_no_failure_of_its_jobs(squares, tmp_path):
+    job = squares("three", "square", number=3)
+
+    class Stale:
+        def answers(self, calls):
+            for call in calls:
+                outcome = Future()
+                try:
+                    ledger.on_worker(job, "three-of-other-code", None)
+                except NoCluster as error:
+                    outcome.set_exception(error)
+                yield call, outcome
+
+    with pytest.raises(NoCluster, match="the code on this worker is another one; install the same versions"):
+        Ledger(tmp_path).run([job], cluster=Stale())
 
 
 def test_a_clusters_workers_compute_the_same_and_who_ends_them_twice_is_named(squares, tmp_path):

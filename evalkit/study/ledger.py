@@ -8,6 +8,7 @@ import io
 import json
 import multiprocessing
 import os
+import platform
 import re
 import signal
 import tempfile
@@ -27,7 +28,7 @@ from typing import Any
 import numpy as np
 
 from evalkit import environment, lifeline, saved
-from evalkit.cluster import Call, Cluster, Slot
+from evalkit.cluster import Call, Cluster, NoCluster, Slot
 from evalkit.errors import EvalkitError, StoreError, plain
 from evalkit.fingerprint import fingerprint
 from evalkit.store import REMEDY, reported
@@ -99,7 +100,8 @@ class Ledger:
 
         ``cluster``: whose workers compute it instead.
 
-        Raises JobsFailed when all others are done and kept; StoreError where the folder cannot be written.
+        Raises JobsFailed when all others are done and kept; StoreError where the folder cannot be written; NoCluster
+        where a worker's code is not ours.
         """
         known = list(jobs)
         _refuse_doubles(known)
@@ -198,6 +200,8 @@ class Ledger:
                 result, seconds = future.result()
             except BrokenProcessPool:
                 ended.append(job)
+            except NoCluster:  # a worker's fault is no result of a job
+                raise
             except Exception as error:  # noqa: BLE001 - whatever a job raises must not take the others along
                 reasons[job.name] = f"{type(error).__name__}: {error}"
             else:
@@ -232,9 +236,10 @@ def call(function: str, arguments: Mapping[str, Any]) -> tuple[Result, float]:
 
 
 def on_worker(job: Job, key: str, _slot: Slot) -> tuple[Result, float]:
-    """The same on a cluster's worker, where the code is that of the job's ``key``; whoever is late is lost with it."""
+    """The same on a cluster's worker; whoever is late is lost with it. NoCluster where its ``key`` is another."""
     if job.key != key:
-        raise RuntimeError("the code on this worker is another one: install the same versions, and restart the workers")
+        what = "the code on this worker is another one"
+        raise NoCluster(platform.node(), what, "install the same versions on every worker, and restart them")
     with tempfile.TemporaryDirectory(prefix="evalkit-") as folder:
         return call_noted(job.function, job.arguments, str(Path(folder) / "note"), job.limit_s)
 
