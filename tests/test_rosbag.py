@@ -178,9 +178,10 @@ def test_the_first_of_several_echoes_counts_and_none_is_no_return(tmp_path, kind
 
 def test_messages_whose_geometry_makes_no_sense_are_left_out_and_counted(tmp_path):
     bag = Bag("sqlite3").scan(T0, [1, 2]).scan(T0 + 1, [1, 2], angle_increment=0.0).scan(T0 + 2, [1, 2], range_max=0.1)
-    sequence = RosBag(str(bag.scan(T0 + 3, []).write(tmp_path)))
+    bag.scan(T0 + 3, []).scan(T0 + 4, [1, 2], time_increment=1e30)
+    sequence = RosBag(str(bag.write(tmp_path)))
     assert len(sequence) == 1
-    assert sequence.notes()["damaged messages left out"] == 3
+    assert sequence.notes()["damaged messages left out"] == 4
 
 
 # --- time

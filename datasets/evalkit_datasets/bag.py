@@ -28,6 +28,9 @@ ENDINGS = (".bag", ".db3", ".mcap")
 
 ODOMETRY_FRAME = "odom"
 
+LONGEST_S = 3600.0
+"""No sweep takes longer: a message that says so is damaged."""
+
 COLUMNS = {"stamps_ns": "q", "durations_ns": "q", "messages": "i", "invalid": "i", "frames": "i"}
 """What is kept of every scan, and as which type: 28 bytes."""
 
@@ -257,9 +260,10 @@ def _sweep(message: Any, echoes: bool, recorded_ns: int) -> Sweep | None:
         ranges = _first_echoes(message.ranges) if echoes else np.asarray(message.ranges, dtype=np.float64)
     geometry = [message.angle_min, message.angle_increment, message.range_min, message.range_max]
     plausible = np.isfinite(geometry).all() and 0.0 <= geometry[2] < geometry[3] and geometry[1] != 0.0
-    if len(ranges) < 2 or not plausible:
-        return None
     increment = float(message.time_increment)
+    increment = increment if np.isfinite(increment) and increment > 0.0 else 0.0
+    if len(ranges) < 2 or not plausible or increment * len(ranges) > LONGEST_S:
+        return None
     return Sweep(
         _stamp(message.header) or int(recorded_ns),
         _name(message.header.frame_id),
@@ -268,7 +272,7 @@ def _sweep(message: Any, echoes: bool, recorded_ns: int) -> Sweep | None:
         float(geometry[1]),
         float(geometry[2]),
         float(geometry[3]),
-        round(increment * 1e9) if np.isfinite(increment) and increment > 0.0 else 0,
+        round(increment * 1e9),
     )
 
 
