@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evalkit.cluster import Cluster, NoCluster
+from evalkit.cluster import Cluster, NoCluster, Slot
 from evalkit.study import deadline, ledger
 from evalkit.study.ledger import Job, JobsFailed, Ledger
 
@@ -168,12 +168,12 @@ def test_a_killed_study_goes_on_without_repeating(squares, tmp_path):
 def test_a_worker_with_other_code_is_no_failure_of_its_jobs(squares, tmp_path):
     job = squares("three", "square", number=3)
 
-    class Stale:
+    class Stale(Cluster):
         def answers(self, calls):
             for call in calls:
                 outcome = Future()
                 try:
-                    ledger.on_worker(job, "three-of-other-code", None)
+                    ledger.on_worker(job, "three-of-other-code", Slot("", "", 1))
                 except NoCluster as error:
                     outcome.set_exception(error)
                 yield call, outcome
