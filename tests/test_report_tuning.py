@@ -46,11 +46,11 @@ def found():
     return campaign.searched(plan(), lambda jobs: {job.name: computed(job) for job in jobs})
 
 
-def told(build, trial, tuned_ate, lost=0):
+def told(build, trial, tuned_ate, lost=0, status="failed"):
     trials = []
     for seed in SEEDS:
         trials.append(trial("a", "room", {ATE: 0.10 + 0.001 * seed}, seed=seed, error_m=0.1))
-        ended = {"status": "failed", "reason": "lost the plot"} if seed < lost else {}
+        ended = {"status": status, "reason": "lost the plot"} if seed < lost else {}
         trials.append(trial("a tuned", "room", {ATE: tuned_ate + 0.001 * seed}, seed=seed, error_m=tuned_ate, **ended))
     return Tuned(plan(), found(), build(trials), {"processor": "some"}, "evalkit report tuned.toml --resume")
 
@@ -69,6 +69,11 @@ def test_what_is_worse_or_lost_on_held_out_runs_is_overfitted(build, trial, tune
     held = result.held["a"]
     assert (held.verdict, held.overfitted) == (verdict, overfitted)
     assert verdict in render(page.document(result))
+
+
+@pytest.mark.parametrize(("status", "said"), [("failed", True), ("skipped", False)])
+def test_a_run_that_is_not_made_yet_is_not_told_as_lost(build, trial, status, said):
+    assert ("3 of 10 lost" in render(page.document(told(build, trial, 0.05, 3, status)))) is said
 
 
 def test_the_test_over_runs_is_wilcoxons(build, trial):

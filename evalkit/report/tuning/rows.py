@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from evalkit.report.cells import Cell as Score
 from evalkit.report.cells import interval
 from evalkit.report.document import Block, Cell, Column, Table, Text
-from evalkit.report.standings import STATUS, Standing, deciding
+from evalkit.report.standings import NOT_POSSIBLE, STATUS, Standing, deciding
 from evalkit.report.tuning.held import Held, OnSequence
 from evalkit.report.tuning.outcome import Tuned
 
@@ -53,8 +53,9 @@ def _score(told: Tuned, label: str, sequence: str, found: Standing | None) -> Ce
         return Cell(", ".join(statuses) or "no value", sort=math.inf, tone="warn", tip=why)
     middle, between = score.median or 0.0, interval(score)
     shown = number(middle) if between is None else f"{number(middle)} ({number(between.low)} to {number(between.high)})"
-    lost = score.expected - score.complete
-    text = f"{shown}, {lost} of {score.expected} lost" if lost else shown
+    made = [trial.run.status for trial in own if trial.run.status not in NOT_POSSIBLE]
+    lost = sum(status != "complete" for status in made)
+    text = f"{shown}, {lost} of {len(made)} lost" if lost else shown
     return Cell(text, sort=middle, tone="warn" if lost else "", tip=f"{len(score.values)} runs")
 
 
