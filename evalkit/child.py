@@ -65,7 +65,7 @@ def end_group(process: subprocess.Popen[bytes], folder: Path) -> None:
         with contextlib.suppress(psutil.Error):  # ended meanwhile
             for child in psutil.Process(process.pid).children(recursive=True):
                 child.kill()
-    with contextlib.suppress(ProcessLookupError):  # nobody is left, as it should be
+    with contextlib.suppress(ProcessLookupError, PermissionError):  # nobody is left, which macOS calls not permitted
         os.killpg(process.pid, signal.SIGKILL)
     process.wait()
     _end_marked(folder)

@@ -14,7 +14,7 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
-from evalkit import frontend, registry
+from evalkit import fingerprint, frontend, registry
 from evalkit.content import tables_of
 from evalkit.errors import BadExperiment, BadParameter, EvalkitError, UnknownName, brief
 from evalkit.protocols import Value, resolved
@@ -109,7 +109,7 @@ class Plan:
     @cached_property
     def _runs(self) -> tuple[Planned, ...]:
         code = cache(registry.run_fingerprint)  # both read files, and a plan may have thousands of runs
-        files = cache(_file_state)
+        files = cache(fingerprint.file_state)
         repetitions = [(course, seed) for course in self.courses for seed in course.seeds]
         return tuple(
             Planned(_key(contestant, course, seed, code, files), contestant, course, seed)
@@ -328,17 +328,6 @@ def _key(
     digest = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:10]
     words = [course.label, *([] if seed is None else [f"s{seed}"]), contestant.label]
     return "-".join(_filename(word) for word in words) + f"-{digest}"
-
-
-def _file_state(value: str) -> list[object]:
-    """The text, and size and time of what it names: of a folder (a ROS 2 bag), those of the files in it too."""
-    path = Path(value)
-    try:
-        inside = sorted(path.iterdir()) if path.is_dir() else []
-        states = [(file.name, file.stat()) for file in (path, *inside)]
-    except (OSError, ValueError):  # a text that names no file, or could not
-        return [value]
-    return [value, *([name, state.st_size, state.st_mtime_ns] for name, state in states)]
 
 
 def _filename(word: str) -> str:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import ast
 import hashlib
-from collections.abc import Iterator
+import json
+from collections.abc import Iterator, Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
@@ -21,6 +22,24 @@ def fingerprint(modules: tuple[str, ...], libraries: tuple[str, ...]) -> str:
     for library in libraries:
         digest.update(f"{library} {_version(library)}".encode())
     return digest.hexdigest()
+
+
+def file_state(value: str) -> list[object]:
+    """The text, and size and time of what it names: of a folder (a ROS 2 bag), those of the files in it too."""
+    path = Path(value)
+    try:
+        inside = sorted(path.iterdir()) if path.is_dir() else []
+        states = [(file.name, file.stat()) for file in (path, *inside)]
+    except (OSError, ValueError):  # a text that names no file, or could not
+        return [value]
+    return [value, *([name, state.st_size, state.st_mtime_ns] for name, state in states)]
+
+
+def of_files(parameters: Mapping[str, object]) -> str:
+    """A digest of size and time of the files that parameters name, "" where they name none."""
+    named = [file_state(value) for value in parameters.values() if isinstance(value, str) and value]
+    known = [state for state in named if len(state) > 1]
+    return hashlib.sha256(json.dumps(known).encode()).hexdigest() if known else ""
 
 
 @cache

@@ -172,6 +172,9 @@ class Store:
                 np.savez_compressed(folder / "grid.npz", log_odds=grid.log_odds, observed=grid.observed,
                                     frame=[grid.resolution_m, grid.origin_x, grid.origin_y])  # fmt: skip
                 self.write_map(self.folder / "maps" / key, grid)
+            else:  # an earlier run's would stand beside a page that shows none
+                for ending in (".pgm", ".yaml"):
+                    (self.folder / "maps" / f"{key}{ending}").unlink(missing_ok=True)
             if errors_m is not None:
                 np.save(folder / "errors.npy", errors_m)
         self.write_text(folder / "scores.json", json.dumps(content, indent=1))

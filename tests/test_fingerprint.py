@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from evalkit import fingerprint as module
-from evalkit.fingerprint import fingerprint, sources
+from evalkit.fingerprint import fingerprint, of_files, sources
 
 
 @pytest.fixture
@@ -72,3 +72,16 @@ def test_the_harness_counts_through_what_the_worker_reaches():
     reached = {file.name for file in sources("evalkit.worker", frozenset({"evalkit"}))}
     assert {"worker.py", "frontend.py", "submap.py", "types.py", "se2.py", "clock.py"} <= reached
     assert not {"cli.py", "console.py", "figures.py"} & reached
+
+
+def test_a_recording_replaced_under_its_name_is_another_one(tmp_path):
+    log, bag = tmp_path / "run.log", tmp_path / "bag"
+    log.write_text("FLASER")
+    bag.mkdir()
+    (bag / "bag.db3").write_bytes(b"1")
+    before = [of_files({"path": str(path), "every": 2}) for path in (log, bag)]
+    log.write_text("FLASER 1")
+    (bag / "bag.db3").write_bytes(b"12")
+    after = [of_files({"path": str(path), "every": 2}) for path in (log, bag)]
+    assert len({*before, *after}) == 4
+    assert of_files({"world": "room", "path": "", "every": 2}) == ""

@@ -134,6 +134,7 @@ def test_new_scores_without_a_map_forget_the_old_one(store):
     store.save_scores(KEY, CONTENT, None, None)
     again = store.load_scores(KEY)
     assert (again["grid"], again["errors_m"]) == (None, None)
+    assert not list((store.folder / "maps").glob(f"{KEY}.*"))
 
 
 @pytest.mark.parametrize("name", ["scores.json", "grid.npz", "errors.npy"])

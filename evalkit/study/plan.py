@@ -11,6 +11,7 @@ from typing import Literal
 
 from evalkit import registry
 from evalkit.experiment import Limits
+from evalkit.fingerprint import of_files
 from evalkit.metrics.table import Metric
 from evalkit.protocols import Value
 from evalkit.se2 import Floats
@@ -163,7 +164,7 @@ class Study:
             "mapper_parameters": dict(point.mapper),
             "scans": self.scans,
             "metrics": [response.name for response in self.responses],
-            "code": self.code,
+            "code": self.code + of_files(sequence),
         }
         return Job(job_name(point.key, seed), POINT, arguments, limit_s=self.limit_s)
 

@@ -8,6 +8,7 @@ from functools import cached_property
 
 from evalkit import registry
 from evalkit.experiment import Contestant, Course, Limits, MapperChoice
+from evalkit.fingerprint import of_files
 from evalkit.study.ledger import Job
 from evalkit.study.plan import Response
 from evalkit.study.tuning.space import Candidate, Space
@@ -101,7 +102,7 @@ class Tuning:
             "dataset": run.course.dataset,
             "sequence": run.course.seeded(run.seed),
             "metrics": [self.objective.name, COST],
-            "code": self._code(entrant.contestant.backend, run.course.dataset),
+            "code": self._code(entrant.contestant.backend, run.course.dataset) + of_files(run.course.parameters),
         }
         return Job(f"{entrant.label} | {run.label} | {candidate.name}", TRIAL, arguments, limit_s=self.limits.run_s)
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from evalkit import registry
-from evalkit.fingerprint import fingerprint
+from evalkit.fingerprint import fingerprint, of_files
 from evalkit.protocols import BackendSpec, Registration, Value, resolved
 from evalkit.se2 import Floats
 from evalkit.settings import from_text
@@ -81,7 +81,8 @@ class Trials:
 def jobs(label: str, spec: BackendSpec, values: Mapping[str, Value], trials: Trials) -> tuple[Job, ...]:
     """The jobs that ask one back end; together their answers are those of all attempts."""
     modules = (registry.plug_in_of("backends", label).module, *([trials.recorded.module] if trials.recorded else []))
-    code = fingerprint(modules, ("numpy", "scipy", *spec.requires)) + spec.digest
+    files = of_files(trials.recorded.parameters) if trials.recorded else ""
+    code = fingerprint(modules, ("numpy", "scipy", *spec.requires)) + spec.digest + files
     return tuple(
         Job(
             f"{label} {trials.place} {begin}",
