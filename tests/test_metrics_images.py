@@ -71,3 +71,9 @@ def test_maps_that_do_not_meet_are_not_compared() -> None:
     assert scored(grid(room(), observed=half), grid(room())).reason == "both maps have observed only 60 common cells"
     assert scored(None, grid(room())).reason.startswith("no map:")
     assert scored(grid(room()), None).reason == "no true map"
+
+
+def test_what_leaves_a_moved_picture_does_not_come_back_on_the_other_side() -> None:
+    picture = np.arange(6.0).reshape(2, 3)
+    assert images.laid(picture, (1, -1), fill=0.5).tolist() == [[0.5, 0.5, 0.5], [1.0, 2.0, 0.5]]
+    assert images.laid(picture, (0, 0), fill=0.5).tolist() == picture.tolist()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -11,7 +13,7 @@ from evalkit.metrics.table import Evidence, Metric, number, standing_on
 from evalkit.se2 import Floats
 from evalkit.types import Bools, Ints, OccupancyGrid, Score
 
-Shown = NDArray[np.float32]
+Cell = TypeVar("Cell", bound=np.generic)
 
 WINDOW_CELLS = 1.5
 """Standard deviation of the Gaussian window; it ends 5 cells from its middle, which makes it 11 x 11."""
@@ -82,7 +84,7 @@ def best_shift(one: Floats, other: Floats, reach: int = REACH_CELLS) -> tuple[in
     return steps[int(np.argmax(np.round(sums, 1)))]
 
 
-def _moved(picture: Shown, step: tuple[int, int]) -> Shown:
+def _moved(picture: NDArray[Cell], step: tuple[int, int]) -> NDArray[Cell]:
     """What of a picture moved by that many rows and columns still lies on one that was not."""
     rows, columns = (
         slice(max(-by, 0), max(size - max(by, 0), 0)) for by, size in zip(step, picture.shape, strict=True)
@@ -99,10 +101,17 @@ def similarity(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[float, int]:
     if not p.size:
         return float("nan"), 0
     step = best_shift(p, q)
-    both = np.roll(seen, step, (0, 1)) & known
+    both = laid(seen, step, fill=False) & known
     if not both.any():
         return float("nan"), 0
-    return float(ssim(np.roll(p, step, (0, 1)), q)[both].mean()), int(both.sum())
+    return float(ssim(laid(p, step, fill=0.5), q)[both].mean()), int(both.sum())
+
+
+def laid(picture: NDArray[Cell], step: tuple[int, int], fill: float | bool) -> NDArray[Cell]:
+    """A picture (H, W) moved by that many rows and columns; what leaves it is lost, what comes in is ``fill``."""
+    moved = np.full_like(picture, fill)
+    _moved(moved, (-step[0], -step[1]))[...] = _moved(picture, step)
+    return moved
 
 
 def _similarity(evidence: Evidence) -> Score:
