@@ -73,7 +73,10 @@ def test_maps_that_do_not_meet_are_not_compared() -> None:
     assert scored(grid(room()), None).reason == "no true map"
 
 
-def test_what_leaves_a_moved_picture_does_not_come_back_on_the_other_side() -> None:
-    picture = np.arange(6.0).reshape(2, 3)
-    assert images.laid(picture, (1, -1), fill=0.5).tolist() == [[0.5, 0.5, 0.5], [1.0, 2.0, 0.5]]
-    assert images.laid(picture, (0, 0), fill=0.5).tolist() == picture.tolist()
+def test_what_one_map_shows_beyond_the_other_is_not_compared() -> None:
+    """Both fill their grids, 2 cells apart: what they share is the same, and nothing stands beyond a border."""
+    world = np.random.default_rng(3).random((40, 44))
+    value, cells = images.similarity(grid(world[:, 2:42], origin=(0.1, 0.0)), grid(world[:, :40]))
+    assert (round(value, 9), cells) == (1.0, 38 * 40)
+    value, cells = images.similarity(grid(world[:, 2:42]), grid(world[:, :40]))  # the same, said to stand elsewhere
+    assert (round(value, 9), cells) == (1.0, 38 * 40)

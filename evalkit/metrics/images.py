@@ -101,17 +101,11 @@ def similarity(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[float, int]:
     if not p.size:
         return float("nan"), 0
     step = best_shift(p, q)
-    both = laid(seen, step, fill=False) & known
+    back = -step[0], -step[1]
+    both = _moved(seen, step) & _moved(known, back)
     if not both.any():
         return float("nan"), 0
-    return float(ssim(laid(p, step, fill=0.5), q)[both].mean()), int(both.sum())
-
-
-def laid(picture: NDArray[Cell], step: tuple[int, int], fill: float | bool) -> NDArray[Cell]:
-    """A picture (H, W) moved by that many rows and columns; what leaves it is lost, what comes in is ``fill``."""
-    moved = np.full_like(picture, fill)
-    _moved(moved, (-step[0], -step[1]))[...] = _moved(picture, step)
-    return moved
+    return float(ssim(_moved(p, step), _moved(q, back))[both].mean()), int(both.sum())
 
 
 def _similarity(evidence: Evidence) -> Score:

@@ -237,7 +237,9 @@ def _ghost_distance(evidence: Evidence) -> Score:
 
 
 KORNILOVA = "Kornilova and Ferrer, 2021, arXiv 2106.11351 (mutually orthogonal metric), in the plane"
-SCATTER = f"Smaller variance lambda_min of all hits ({MOST_HITS:,} of them, evenly, where there are more) within {PATCH_M:g} m"
+SCATTER = (
+    f"Smaller variance lambda_min of the hits ({MOST_HITS:,} of them, evenly, if there are more) within {PATCH_M:g} m"
+)
 COPY = (
     f"A stretch of wall, known from a single scan, has a second copy where the hits from the same side, {ALONG_M:g} m "
     f"to either side along it, have a second mode {NEAREST_M:g} to {FARTHEST_M:g} m off across it; "
