@@ -62,7 +62,7 @@ def test_a_tree_of_calls_survives_the_way_through_json():
         (TWO_STAGES, {"local_radius_m": 0.0}, {"near"}),
         (REGISTRATION, {"one_to_one": False}, {"closest_only"}),
     ],
-    ids=str,
+    ids=["scan to scan", "scan to map", "scan to map of two", "deskew", "local radius", "one to one"],
 )
 def test_a_stage_switched_off_leaves_its_figure_and_nothing_else(words, settings, gone):
     assert ran(words) - ran(words, **settings) == gone
