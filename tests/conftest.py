@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import signal
 import struct
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -24,6 +25,9 @@ from evalkit.types import STEP, Frame, OccupancyGrid, Pose, Run, Scan, Score, St
 from evalkit.worker import Outcome, Request, perform
 
 Build = Callable[..., Comparison]
+
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as a background job does: what tests start would too
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 UNITS: tuple[tuple[str, str, str, str, Group, int, bool], ...] = (
     ("ate_rmse_m", "ATE RMSE", "m", "lower", "drift", 3, True),

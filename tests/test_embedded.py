@@ -263,7 +263,8 @@ def test_the_pipeline_tells_of_both_stages_what_the_front_end_hears_of_the_twin(
     )
     pipeline = made(embedded.PIPELINE, min_inliers=60)
     nothing = np.full(50, np.inf)
-    belief.heard_of_stages()  # what other tests left
+    belief.heard()  # what other tests left, as below
+    belief.heard_of_stages()
     for index, frame in enumerate(lab(12)):
         if index in (5, 6):  # a scan of which nothing, and one of which not enough came back
             ranges = nothing if index == 5 else np.concatenate([nothing, frame.scan.ranges[:40]])
