@@ -25,6 +25,8 @@ TIMED = "timed"
 """The resource of workers on which times are measured: they have one thread, and nothing else of ours runs there."""
 
 TRIES = 2
+"""Whoever ends those that make it so often is not tried again unasked."""
+
 LOOK_S = 1.0
 """How often the workers are counted."""
 
@@ -262,4 +264,4 @@ def _strike(call: Call, slot: Slot) -> Future[Any] | None:
 
 def _about(dask_worker: Any) -> tuple[str, float]:
     """A worker's host and how much of ``TIMED`` it offers."""
-    return platform.node(), float(dask_worker.state.total_resources.get("timed", 0))
+    return platform.node(), float(dask_worker.state.total_resources.get(TIMED, 0))

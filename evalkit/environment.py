@@ -106,6 +106,12 @@ def cores() -> list[int | None]:
     return [cpu for _, cpu in sorted(order)]
 
 
+def core_of_each(processes: int) -> list[int | None]:
+    """One core for each of so many processes to pin to, in turns; None where the system cannot pin."""
+    known = cores() or [None]
+    return [known[process % len(known)] for process in range(processes)]
+
+
 def physical_cores() -> int:
     """How many physical cores this process may use: that many runs do not disturb one another."""
     usable = cores()

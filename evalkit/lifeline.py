@@ -53,6 +53,12 @@ def end_with_parent() -> None:
         os._exit(1)
 
 
+def serve_parent() -> None:
+    """A pool's process at its start: an interrupt at the keyboard is its parent's business, its parent's end its own."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    watch_parent()
+
+
 def watch_parent() -> None:
     """The same by looking now and then: for processes that run no foreign code."""
     started_by = parent_process()  # whose number is known even if it is gone already

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import platform
-import signal
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -21,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit import environment, lifeline, map_scoring, metrics, registry, runner, scoring
+from evalkit.cluster import TRIES
 from evalkit.errors import StoreError
 from evalkit.experiment import Limits, MapperChoice, Plan, Planned
 from evalkit.store import HowItEnded, Store
@@ -32,9 +32,6 @@ DONE: tuple[Status, ...] = ("complete", "failed", "crashed")
 
 LIMITED: tuple[Status, ...] = ("timeout", "out-of-memory")
 """Statuses that ``resume`` accepts as done under the limits they were made with, and no others."""
-
-TRIES = 2
-"""A run that has ended whoever makes or scores it so often is quarantined: nobody tries it again unasked."""
 
 QUARANTINED = "quarantined: "
 """How the reason of such a run begins; its status is "crashed"."""
@@ -131,7 +128,7 @@ class Scorers:
 
 def pool(jobs: int) -> Executor:
     """So many processes."""
-    return ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=_settle)
+    return ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=lifeline.serve_parent)
 
 
 def _breaks(processes: Executor) -> bool:
@@ -141,12 +138,6 @@ def _breaks(processes: Executor) -> bool:
     except BrokenProcessPool:
         return True
     return False
-
-
-def _settle() -> None:
-    """A scoring process's start: an interrupt at the keyboard is its parent's business, its parent's end its own."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    lifeline.watch_parent()
 
 
 def settled(store: Store, recipe: Recipe, planned: Planned) -> Ended | None:

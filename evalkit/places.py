@@ -11,7 +11,7 @@ from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import CancelledError, ThreadPoolExecutor, as_completed
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 from multiprocessing import current_process, util
 from pathlib import Path
 from queue import SimpleQueue
@@ -105,13 +105,14 @@ class There:
         """As Place says."""
         folder = uuid.uuid5(uuid.NAMESPACE_URL, store.folder.absolute().as_uri()).hex
         by_name = {planned.key: planned for planned in todo}
+        code = cache(registry.run_fingerprint)  # it reads files, and a plan may have thousands of runs
 
         def calls() -> Iterator[Call]:
             for planned in todo:
                 progress.begun(planned)
                 given = parcel.packed(store, planned.key) if recipe.resume or recipe.collect else b""
-                code = registry.run_fingerprint(planned.contestant.backend, planned.course.dataset)
-                yield Call(planned.key, on_worker, (planned, recipe, code, given, folder))
+                stands_on = code(planned.contestant.backend, planned.course.dataset)
+                yield Call(planned.key, on_worker, (planned, recipe, stands_on, given, folder))
 
         with closing(self.workers.answers(calls())) as answers:
             for call, outcome in answers:
@@ -142,9 +143,8 @@ def on_worker(
     _same_code(planned, recipe, code)
     worker = cluster.dask().get_worker()
     place = Path(worker.local_directory).parent / f"evalkit-{folder}-{planned.key}"
-    shutil.rmtree(
-        place, ignore_errors=True
-    )  # of one that was lost; whoever it left behind is ended with the next start
+    # Of one that was lost; whoever it left behind is ended with the next start.
+    shutil.rmtree(place, ignore_errors=True)
     store = Store(place)
     try:
         if given:
@@ -210,7 +210,6 @@ def _own_core() -> Iterator[int | None]:
 def _cores(jobs: int) -> SimpleQueue[int | None]:
     """One core per job to pin to; None where the system cannot pin."""
     cores: SimpleQueue[int | None] = SimpleQueue()
-    known = environment.cores() or [None]
-    for job in range(jobs):
-        cores.put(known[job % len(known)])
+    for core in environment.core_of_each(jobs):
+        cores.put(core)
     return cores

@@ -10,8 +10,8 @@ import typer
 
 from evalkit.commands import options
 from evalkit.commands.options import Json, err, out
-from evalkit.errors import NotInstalled, StoreError, UnknownName
-from evalkit.store import REMEDY, Store
+from evalkit.errors import NotInstalled, UnknownName
+from evalkit.store import Store, reported
 
 if TYPE_CHECKING:
     from evalkit.report.export.results import Results
@@ -58,14 +58,13 @@ def _wanted(forms: list[str]) -> list[str]:
 
 def _written(form: str, found: Results, folder: Path, everything: bool) -> list[Path]:
     try:
-        return list(_writers()[form](found, folder / form))
+        with reported(folder):
+            return list(_writers()[form](found, folder / form))
     except NotInstalled as error:
         if not everything:
             raise
         err.print(f"{form} left out: {error}", markup=False, highlight=False)
         return []
-    except OSError as error:
-        raise StoreError(str(folder), f"cannot be written ({error.strerror or error})", REMEDY) from error
 
 
 def _writers() -> dict[str, Callable[[Results, Path], Iterator[Path]]]:

@@ -10,7 +10,6 @@ import multiprocessing
 import os
 import platform
 import re
-import signal
 import tempfile
 import time
 import traceback
@@ -251,9 +250,8 @@ def _computed(jobs: list[tuple[Job, Path]], workers: int) -> Iterator[Computed]:
     os.environ.update(environment.SINGLE_THREAD)  # inherited by the processes
     context = multiprocessing.get_context("spawn")
     cores: Queue[int | None] = context.Queue()
-    known = environment.cores() or [None]
-    for worker in range(workers):
-        cores.put(known[worker % len(known)])
+    for core in environment.core_of_each(workers):
+        cores.put(core)
     pool = ProcessPoolExecutor(workers, mp_context=context, initializer=_settle, initargs=(cores,))
     try:
         futures = {_submitted(pool, job, note): job for job, note in jobs}
@@ -273,9 +271,8 @@ def _submitted(pool: ProcessPoolExecutor, job: Job, note: Path) -> Future[tuple[
 
 
 def _settle(cores: Queue[int | None]) -> None:
-    """A worker's start: an interrupt at the keyboard is its parent's business, its parent's end its own; a core."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    lifeline.watch_parent()
+    """A worker's start: with its parent, on a core."""
+    lifeline.serve_parent()
     core = cores.get()
     if core is not None:
         os.sched_setaffinity(0, {core})
