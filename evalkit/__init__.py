@@ -1,6 +1,10 @@
 """Comparative evaluation of 2D lidar registration: one harness for many back ends, one report."""
 
-from evalkit.types import Cloud, Frame, Iteration, Match, OccupancyGrid, Pose, Scan, Trajectory
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.match import Iteration, Match
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud, Frame, Scan
+from evalkit.core.trajectory import Trajectory
 
 __all__ = ["Cloud", "Frame", "Iteration", "Match", "OccupancyGrid", "Pose", "Scan", "Trajectory", "__version__"]
 

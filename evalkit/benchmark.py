@@ -12,7 +12,7 @@ from statistics import median
 from typing import Any
 
 from evalkit import environment
-from evalkit.errors import BadData
+from evalkit.core.errors import BadData
 
 FOLDER = Path("reports") / "build" / "bench"
 SCHEMA = 1

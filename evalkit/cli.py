@@ -44,8 +44,8 @@ from evalkit.commands.realtime import realtime
 from evalkit.commands.study import study
 from evalkit.commands.tune import tune
 from evalkit.commands.validate import validate
+from evalkit.core.errors import EvalkitError, NotInstalled
 from evalkit.engine import Engine
-from evalkit.errors import EvalkitError, NotInstalled
 from evalkit.experiment import Plan
 from evalkit.places import There
 from evalkit.store import Store, reported

@@ -19,7 +19,7 @@ from importlib import import_module
 from queue import Empty, SimpleQueue
 from typing import Any
 
-from evalkit.errors import EvalkitError, NotInstalled
+from evalkit.core.errors import EvalkitError, NotInstalled
 
 TIMED = "timed"
 """The resource of workers on which times are measured: they have one thread, and nothing else of ours runs there."""

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from evalkit.errors import BadData, DataMissing
+from evalkit.core.errors import BadData, DataMissing
 
 BLOCK = 2**16
 

@@ -9,12 +9,13 @@ from functools import cached_property
 from typing import Any
 
 from evalkit import making, registry
-from evalkit.errors import StoreError
+from evalkit.core.errors import StoreError
+from evalkit.core.ground_truth import Truth
+from evalkit.core.run_result import Status, Trial
 from evalkit.experiment import Plan, Planned
 from evalkit.making import Ended, Recipe
 from evalkit.places import Here, Place, Progress
 from evalkit.store import REMEDY, Store
-from evalkit.types import Status, Trial, Truth
 
 __all__ = ["Engine", "Progress"]
 

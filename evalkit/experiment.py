@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 from evalkit import fingerprint, frontend, registry
 from evalkit.content import tables_of
-from evalkit.errors import BadExperiment, BadParameter, EvalkitError, UnknownName, brief
+from evalkit.core.errors import BadExperiment, BadParameter, EvalkitError, UnknownName, brief
 from evalkit.protocols import Value, resolved
 
 Item = TypeVar("Item")

@@ -11,7 +11,7 @@ import threading
 import time
 from multiprocessing import parent_process
 
-from evalkit.errors import NotInstalled
+from evalkit.core.errors import NotInstalled
 
 MARK = "EVALKIT_CHILD"
 """Environment variable by which a child's descendants are known, wherever they have gone."""
@@ -54,7 +54,7 @@ def end_with_parent() -> None:
 
 
 def serve_parent() -> None:
-    """A pool's process at its start: an interrupt at the keyboard is its parent's business, its parent's end its own."""
+    """Start a pool process: leave keyboard interrupts to the parent, and terminate when the parent dies."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     watch_parent()
 

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
-from evalkit import se2
-from evalkit.se2 import Floats
-from evalkit.types import Pose
+from evalkit.core import se2
+from evalkit.core.pose import Pose
+from evalkit.core.se2 import Floats
 
 LEAST_FOR_A_LINE = 3  # two points always lie on a line: they say nothing about the wall
 

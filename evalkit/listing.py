@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from evalkit import frontend, registry
-from evalkit.errors import NotInstalled
+from evalkit.core.errors import NotInstalled
 from evalkit.metrics import all_metrics
 from evalkit.protocols import Parameter, Value
 

@@ -21,10 +21,10 @@ from numpy.typing import NDArray
 
 from evalkit import environment, lifeline, map_scoring, metrics, registry, runner, scoring
 from evalkit.cluster import TRIES
-from evalkit.errors import StoreError
+from evalkit.core.errors import StoreError
+from evalkit.core.run_result import STEP, Run, Score, Status
 from evalkit.experiment import Limits, MapperChoice, Plan, Planned
 from evalkit.store import HowItEnded, Store
-from evalkit.types import STEP, Run, Score, Status
 from evalkit.worker import Request
 
 DONE: tuple[Status, ...] = ("complete", "failed", "crashed")

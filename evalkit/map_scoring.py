@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 from evalkit import metrics
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import Run, Score
 from evalkit.metrics.table import Evidence
 from evalkit.protocols import Sequence
 from evalkit.scoring import Scored
-from evalkit.types import OccupancyGrid, Pose, Run, Score
 
 OF_THE_MAP_ALONE = ("occupied_percent", "corners", "enclosed_areas", "enclosed_m2", "wall_width_m")
 """Consistency metrics that need neither scans nor probabilities; most metrics against the true map need neither."""

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.content import bytes_of
-from evalkit.errors import BadData, DataMissing, brief
-from evalkit.types import OccupancyGrid
+from evalkit.core.errors import BadData, DataMissing, brief
+from evalkit.core.grid import OccupancyGrid
 
 Shades = NDArray[np.uint8] | NDArray[np.uint16]
 

@@ -8,16 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import belief, frontend, metrics, realtime, registry
-from evalkit.belief import Stage
-from evalkit.clock import timed
-from evalkit.errors import BackendFailed, NotInstalled
+from evalkit import frontend, metrics, realtime, registry
+from evalkit.core import belief
+from evalkit.core.arrays import Ints
+from evalkit.core.belief import Stage
+from evalkit.core.errors import BackendFailed, NotInstalled
+from evalkit.core.ground_truth import Truth
+from evalkit.core.match import Match
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import STEP, Run
+from evalkit.core.scan import Frame
+from evalkit.core.se2 import Floats
+from evalkit.core.timing import timed
 from evalkit.metrics.table import Evidence
 from evalkit.metrics.trajectory import match
 from evalkit.protocols import NoAnswer, Odometry, Value, resolved
 from evalkit.realtime import CostProfile, LinearCost, Policy, Schedule, headroom, linear_cost, schedule
-from evalkit.se2 import Floats
-from evalkit.types import STEP, Frame, Ints, Match, Pose, Run, Truth
 
 WARM_UP_SCANS = 5
 GAPS = (1, 2, 4, 8, 16)

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile
 
-from evalkit.errors import StoreError
+from evalkit.core.errors import StoreError
 from evalkit.store import REMEDY, Store
 
 LATER = ("scores.json", "run.json")

@@ -21,7 +21,7 @@ from filelock import FileLock, Timeout
 
 from evalkit import cluster, environment, making, parcel, registry
 from evalkit.cluster import Call, Cluster, Slot, WorkerLost
-from evalkit.errors import StoreError
+from evalkit.core.errors import StoreError
 from evalkit.experiment import Planned
 from evalkit.making import Bench, Ended, Recipe, Scorers
 from evalkit.store import Store

@@ -10,8 +10,12 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, Protocol
 
-from evalkit.errors import BadParameter, UnknownName
-from evalkit.types import Cloud, Frame, Match, OccupancyGrid, Pose, Scan, Truth
+from evalkit.core.errors import BadParameter, UnknownName
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.ground_truth import Truth
+from evalkit.core.match import Match
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud, Frame, Scan
 
 Value = bool | int | float | str
 

@@ -13,9 +13,9 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from evalkit import se2
-from evalkit.se2 import Floats, Stamps
-from evalkit.types import Bools, Ints
+from evalkit.core import se2
+from evalkit.core.arrays import Bools, Ints
+from evalkit.core.se2 import Floats, Stamps
 
 Policy = Literal["drop", "queue-of-one"]
 """What becomes of a scan that arrives while the robot is busy.

@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from evalkit import experiment, registry
-from evalkit.errors import BadData, EvalkitError, NotInstalled
+from evalkit.core.errors import BadData, EvalkitError, NotInstalled
+from evalkit.core.scan import Frame
 from evalkit.experiment import Plan
 from evalkit.protocols import DatasetSpec
 from evalkit.settings import from_text
-from evalkit.types import Frame
 
 
 def plan(path: Path, options: Mapping[str, str], settings: Mapping[str, str], backends: list[str], source: str) -> Plan:

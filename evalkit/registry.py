@@ -15,7 +15,7 @@ from importlib.util import find_spec
 from types import FunctionType
 from typing import TypeVar
 
-from evalkit.errors import EvalkitError, NotInstalled, UnknownName
+from evalkit.core.errors import EvalkitError, NotInstalled, UnknownName
 from evalkit.fingerprint import fingerprint
 from evalkit.lifeline import MARK
 from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec, Odometry, Value

@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any, BinaryIO, get_args
 
 from evalkit import child, saved
+from evalkit.core.run_result import STEP, Run, Status
 from evalkit.experiment import Limits
 from evalkit.store import STEPS, reported, whole_records
-from evalkit.types import STEP, Run, Status
 from evalkit.worker import Request
 
 OUTCOME = "outcome.json"

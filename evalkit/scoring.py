@@ -7,12 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from evalkit import metrics, se2
+from evalkit import metrics
+from evalkit.core import se2
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import Run, Score
+from evalkit.core.scan import Frame
+from evalkit.core.se2 import Floats
+from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.table import Evidence, Mapped, Matched, Placed
 from evalkit.metrics.trajectory import errors_m, match
 from evalkit.protocols import Mapper, Sequence
-from evalkit.se2 import Floats
-from evalkit.types import Frame, OccupancyGrid, Pose, Run, Score, Trajectory
 
 MOST_PAIRS = 100
 """So many pairs of successive scans are kept for the metrics that look from one scan to the next."""

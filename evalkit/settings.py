@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-from evalkit.errors import BadParameter
+from evalkit.core.errors import BadParameter
 from evalkit.protocols import Parameter, Value
 
 WORDS: dict[type, str] = {int: "a whole number", float: "a number"}

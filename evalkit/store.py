@@ -24,8 +24,11 @@ from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
 from evalkit import saved
-from evalkit.errors import StoreError
-from evalkit.types import STEP, OccupancyGrid, Pose, Run, Score, Status, Trajectory
+from evalkit.core.errors import StoreError
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import STEP, Run, Score, Status
+from evalkit.core.trajectory import Trajectory
 
 LOCK = ".writer.lock"
 STEPS = "steps.bin"

@@ -6,10 +6,12 @@ from collections import deque
 
 import numpy as np
 
-from evalkit.errors import BadParameter
+from evalkit.core.arrays import Ints
+from evalkit.core.errors import BadParameter
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud, Scan
+from evalkit.core.se2 import Floats
 from evalkit.protocols import Mapper
-from evalkit.se2 import Floats
-from evalkit.types import Cloud, Ints, Pose, Scan
 
 ORIGIN = Pose()
 

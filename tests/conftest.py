@@ -17,11 +17,16 @@ import numpy as np
 import pytest
 
 from evalkit import frontend, registry
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.ground_truth import Truth
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import STEP, Run, Score, Status, Trial
+from evalkit.core.scan import Frame, Scan
+from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.table import Group, Metric
 from evalkit.protocols import DatasetSpec, Published
 from evalkit.report import Comparison, ContestantCard, SequenceCard, Setting
 from evalkit.store import read_steps
-from evalkit.types import STEP, Frame, OccupancyGrid, Pose, Run, Scan, Score, Status, Trajectory, Trial, Truth
 from evalkit.worker import Outcome, Request, perform
 
 Build = Callable[..., Comparison]

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from evalkit.core.match import Match
+from evalkit.core.pose import Pose
 from evalkit.protocols import BackendSpec
-from evalkit.types import Match, Pose
 from evalkit.validation.basins import attempts
 from evalkit.validation.basins.attempts import Trials
 

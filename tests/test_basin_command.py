@@ -8,9 +8,9 @@ from typer.testing import CliRunner
 
 from evalkit.cli import app
 from evalkit.commands import basin as command
-from evalkit.errors import EvalkitError
+from evalkit.core.errors import EvalkitError
+from evalkit.core.match import Match
 from evalkit.protocols import BackendSpec
-from evalkit.types import Match
 
 QUICK = ["--offsets", "48", "--beams", "120", "--pairs", "4", "--jobs", "1", "--scene", "corridor"]
 

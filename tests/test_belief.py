@@ -1,6 +1,6 @@
 """What an odometry tells of its answer is heard once."""
 
-from evalkit import belief
+from evalkit.core import belief
 
 
 def test_what_was_told_is_heard_once_and_the_last_word_counts():

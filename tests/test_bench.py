@@ -10,7 +10,7 @@ from evalkit import benchmark
 from evalkit.benchmark import Benchmark, Series
 from evalkit.commands.bench import bench
 from evalkit.commands.bench_comparison import compared, enough
-from evalkit.errors import BadData
+from evalkit.core.errors import BadData
 
 RAN_ON = {"processor": "one", "governor": "performance"}
 

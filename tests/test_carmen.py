@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evalkit.errors import BadData, DataMissing
-from evalkit.types import Pose
+from evalkit.core.errors import BadData, DataMissing
+from evalkit.core.pose import Pose
 from evalkit_datasets.carmen import SPEC, Carmen
 
 DATA = Path(os.environ.get("EVALKIT_DATA") or "absent")

@@ -6,7 +6,7 @@ from dataclasses import fields
 
 import pytest
 
-from evalkit.errors import BadData, DataMissing, UnknownName
+from evalkit.core.errors import BadData, DataMissing, UnknownName
 from evalkit_datasets import catalog, recorded
 from evalkit_datasets.catalog import Entry
 

@@ -2,8 +2,8 @@
 
 import pytest
 
-from evalkit import clock
-from evalkit.clock import Timing, conversion, timed
+from evalkit.core import timing
+from evalkit.core.timing import Timing, conversion, timed
 
 
 class Hands:
@@ -26,7 +26,7 @@ class Hands:
 @pytest.fixture
 def hands(monkeypatch):
     made = Hands()
-    monkeypatch.setattr(clock, "time", made)
+    monkeypatch.setattr(timing, "time", made)
     return made
 
 

@@ -10,11 +10,14 @@ from typer.testing import CliRunner
 from evalkit import metrics, scoring
 from evalkit.cli import app
 from evalkit.commands import metrics as commands
-from evalkit.errors import UnknownName
+from evalkit.core.errors import UnknownName
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.ground_truth import Truth
+from evalkit.core.run_result import STEP, Run
+from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.table import Evidence
 from evalkit.metrics.trajectory import match
 from evalkit.report.document import render
-from evalkit.types import STEP, OccupancyGrid, Run, Trajectory, Truth
 from evalkit.validation.trust import measured as trust
 from evalkit.validation.trust import rebuilding
 from evalkit.validation.trust.planted import NO_MISTAKE, PLANTS

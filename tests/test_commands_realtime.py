@@ -7,7 +7,7 @@ import typer
 from typer.testing import CliRunner
 
 from evalkit.commands.realtime import realtime
-from evalkit.errors import UnknownName
+from evalkit.core.errors import UnknownName
 
 ASKED = ["wheel-odometry", "--set-on", "laps=0.05", "--factors", "1,1e6", "--repetitions", "1"]
 

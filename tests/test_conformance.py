@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from evalkit import cli, registry
-from evalkit.errors import BackendFailed, BadParameter, NotInstalled, UnknownName
+from evalkit.core.errors import BackendFailed, BadParameter, NotInstalled, UnknownName
 from evalkit.validation.conformance import kit as conformance
 from evalkit.validation.conformance import odometry_rules, registration_rules
 from evalkit.validation.conformance.rules import verdict

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evalkit import se2
+from evalkit.core import se2
 from evalkit.validation.trust.corruption import WAYS
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evalkit.types import STEP, Run
+from evalkit.core.run_result import STEP, Run
 from evalkit.validation.determinism import determinism, judged
 
 

@@ -12,7 +12,7 @@ import typer
 from typer.testing import CliRunner
 
 from evalkit import experiment
-from evalkit.errors import BadData
+from evalkit.core.errors import BadData
 from evalkit_datasets.doctor import driving as driven
 from evalkit_datasets.doctor.command import inspect
 from evalkit_datasets.doctor.driving import driving, turning

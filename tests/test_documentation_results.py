@@ -12,10 +12,10 @@ import pytest
 from typer.testing import CliRunner
 
 from evalkit.cli import app
+from evalkit.core.run_result import STEP
 from evalkit.metrics import validated
 from evalkit.protocols import Published
 from evalkit.report import overview, record, summary
-from evalkit.types import STEP
 
 FILE = Path(validated.__file__).parents[1] / "documentation" / "pages" / "results.md"
 if not FILE.exists():

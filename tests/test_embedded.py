@@ -8,10 +8,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evalkit import belief, frontend, registry
-from evalkit.errors import BadParameter, NotInstalled
+from evalkit import frontend, registry
+from evalkit.core import belief
+from evalkit.core.errors import BadParameter, NotInstalled
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud, Frame, Scan
 from evalkit.protocols import resolved
-from evalkit.types import Cloud, Frame, Pose, Scan
 from evalkit_baselines import embedded, paper
 from evalkit_baselines.embedded import compiled
 from evalkit_baselines.paper.grid import LogOddsGrid

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 
 from evalkit import environment, experiment, making, places, registry
+from evalkit.core.errors import StoreError
 from evalkit.engine import Engine
-from evalkit.errors import StoreError
 from evalkit.experiment import Limits
 from evalkit.store import Store
 

@@ -8,11 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evalkit import registry, se2
+from evalkit import registry
 from evalkit.cli import app
-from evalkit.errors import BackendFailed, EvalkitError, UnknownName
+from evalkit.core import se2
+from evalkit.core.errors import BackendFailed, EvalkitError, UnknownName
+from evalkit.core.ground_truth import Truth
+from evalkit.core.match import Match
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud, Frame
 from evalkit.protocols import BackendSpec, DatasetSpec, NoAnswer
-from evalkit.types import Cloud, Frame, Match, Pose, Truth
 from evalkit.validation.conformance.scenes import drive
 from evalkit.validation.equivalence.comparison import NotEquivalent, assert_equivalent, equivalence
 from evalkit.validation.equivalence.divergence import first_divergence

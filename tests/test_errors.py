@@ -5,7 +5,7 @@ import pickle
 
 import pytest
 
-from evalkit.errors import (
+from evalkit.core.errors import (
     BadData,
     BadExperiment,
     BadParameter,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from evalkit.errors import BadParameter, StoreError, UnknownName
+from evalkit.core.errors import BadParameter, StoreError, UnknownName
 from evalkit_datasets import __main__ as command
 from evalkit_datasets import example, tum
 from evalkit_datasets.rosbag import RosBag

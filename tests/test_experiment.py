@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from evalkit import experiment, registry
-from evalkit.errors import BadExperiment, UnknownName
+from evalkit.core.errors import BadExperiment, UnknownName
 from evalkit.experiment import Limits
 
 WHEELS = '[[contestant]]\nuse = "wheel-odometry"\n'

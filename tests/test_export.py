@@ -15,13 +15,18 @@ from typer.testing import CliRunner
 
 from evalkit import registry, report
 from evalkit.cli import app
-from evalkit.errors import DataMissing, NotInstalled, StoreError, UnknownName
+from evalkit.core.errors import DataMissing, NotInstalled, StoreError, UnknownName
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.ground_truth import Truth
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import STEP, Run, Score, Trial
+from evalkit.core.scan import Frame, Scan
+from evalkit.core.trajectory import Trajectory
 from evalkit.protocols import DatasetSpec
 from evalkit.report.export import papers, rerunfile, rosfile
 from evalkit.report.export.results import read
 from evalkit.report.wording import as_markdown
 from evalkit.store import Store
-from evalkit.types import STEP, Frame, OccupancyGrid, Pose, Run, Scan, Score, Trajectory, Trial, Truth
 
 N = 30
 T0 = 1663967375_000000001  # no float of seconds can hold it

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 
 from evalkit import registry, runner
-from evalkit.errors import BackendFailed, BadParameter, UnknownName
+from evalkit.core.errors import BackendFailed, BadParameter, UnknownName
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud
 from evalkit.experiment import Limits
 from evalkit.external import INCLUDE, elf, library
 from evalkit.protocols import resolved
-from evalkit.types import Cloud, Pose
 from evalkit.worker import Request
 
 EXAMPLES = INCLUDE / "examples"

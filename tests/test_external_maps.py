@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from evalkit import cli, registry
-from evalkit.errors import BadData
+from evalkit.core.errors import BadData
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.pose import Pose
 from evalkit.external import maps
 from evalkit.protocols import resolved
 from evalkit.store import Store
-from evalkit.types import OccupancyGrid, Pose
 
 DRIVE = "laps = 0.02\n"
 COARSE = "[mapper]\nresolution_m = 0.25\n"

@@ -9,11 +9,14 @@ import numpy as np
 import pytest
 
 from evalkit import experiment, registry
-from evalkit.errors import BadParameter, UnknownName
+from evalkit.core.errors import BadParameter, UnknownName
+from evalkit.core.ground_truth import Truth
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import Run
+from evalkit.core.scan import Frame, Scan
 from evalkit.external import process
 from evalkit.metrics import runtime
 from evalkit.metrics.table import Evidence
-from evalkit.types import Frame, Pose, Run, Scan, Truth
 
 FOLLOWS = """
 import json, sys, time

@@ -4,13 +4,17 @@ import numpy as np
 import pytest
 
 from evalkit import registry
-from evalkit.errors import BadData, BadParameter
+from evalkit.core.errors import BadData, BadParameter
+from evalkit.core.ground_truth import Truth
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import Run
+from evalkit.core.scan import Frame, Scan
+from evalkit.core.trajectory import Trajectory
 from evalkit.external import results
 from evalkit.metrics import runtime
 from evalkit.metrics.table import Evidence
 from evalkit.protocols import NoAnswer, resolved
 from evalkit.store import tum
-from evalkit.types import Frame, Pose, Run, Scan, Trajectory, Truth
 
 STAMPS = np.arange(40) * 100_000_000
 

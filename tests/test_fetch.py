@@ -8,7 +8,7 @@ from types import MappingProxyType
 
 import pytest
 
-from evalkit.errors import BadData, DataMissing
+from evalkit.core.errors import BadData, DataMissing
 from evalkit_datasets import catalog
 from evalkit_datasets.catalog import Entry
 from evalkit_datasets.fetch import fetch

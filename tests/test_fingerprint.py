@@ -63,9 +63,9 @@ def test_a_change_beside_the_reached_code_changes_nothing(package):
 def test_the_versions_of_libraries_count(monkeypatch):
     found = {"numpy": "1.0"}
     monkeypatch.setattr(module, "_version", lambda name: found.get(name, "absent"))
-    before = fingerprint(("evalkit.se2",), ("numpy", "open3d"))
+    before = fingerprint(("evalkit.core.se2",), ("numpy", "open3d"))
     found["open3d"] = "0.19"
-    assert fingerprint(("evalkit.se2",), ("numpy", "open3d")) != before
+    assert fingerprint(("evalkit.core.se2",), ("numpy", "open3d")) != before
 
 
 def test_the_harness_counts_through_what_the_worker_reaches():

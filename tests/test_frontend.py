@@ -5,11 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from evalkit import frontend, se2
-from evalkit.errors import BadParameter, UnknownName
+from evalkit import frontend
+from evalkit.core import se2
+from evalkit.core.errors import BadParameter, UnknownName
+from evalkit.core.match import Match
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame, Scan
 from evalkit.frontend import complete_parameters, odometry, parameters_of
 from evalkit.protocols import BackendSpec, Parameter
-from evalkit.types import Frame, Match, Pose, Scan
 
 LANDMARKS = np.random.default_rng(5).uniform(-4.0, 4.0, (60, 2))
 BASE_FROM_SENSOR = Pose(0.2, -0.1, math.radians(40.0))

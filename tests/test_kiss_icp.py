@@ -6,10 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evalkit import belief, se2
-from evalkit.errors import NotInstalled
+from evalkit.core import belief, se2
+from evalkit.core.errors import NotInstalled
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame, Scan
 from evalkit.protocols import resolved
-from evalkit.types import Frame, Pose, Scan
 from evalkit_baselines import kiss_icp
 
 needs_kiss_icp = pytest.mark.skipif(bool(why := kiss_icp.kiss_icp_missing()), reason=why or "kiss-icp is here")

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from evalkit.types import Scan
+from evalkit.core.scan import Scan
 from evalkit_datasets.lidar import Lidar
 
 

@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 from evalkit import child, lifeline
-from evalkit.errors import NotInstalled
+from evalkit.core.errors import NotInstalled
 
 
 def test_where_nothing_can_be_ended_with_all_it_started_nothing_is_started(tmp_path, monkeypatch):

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from evalkit import lift
-from evalkit.types import Pose
+from evalkit.core.pose import Pose
 
 METRES = st.floats(-1e3, 1e3)
 RADIANS = st.floats(-np.pi, np.pi, exclude_max=True)

@@ -7,7 +7,7 @@ import pytest
 from PIL import Image
 
 from evalkit import mapserver
-from evalkit.errors import BadData
+from evalkit.core.errors import BadData
 
 YAML = "image: map.pgm\nmode: trinary\nresolution: 0.05\norigin: [-1.5, 2.0, 0]\nnegate: 0\noccupied_thresh: 0.65\n"
 

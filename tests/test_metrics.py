@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 from evalkit import metrics
+from evalkit.core.ground_truth import Truth
+from evalkit.core.run_result import STEP, Run, Score
+from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.table import Evidence, Metric, number, once
 from evalkit.metrics.trajectory import match
-from evalkit.types import STEP, Run, Score, Trajectory, Truth
 
 
 def run(poses: list[tuple[float, float, float]]) -> Run:

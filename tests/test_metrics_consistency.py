@@ -5,11 +5,15 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.arrays import Bools
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.ground_truth import Truth
+from evalkit.core.run_result import STEP, Run, Score
+from evalkit.core.scan import Scan
+from evalkit.core.se2 import Floats
 from evalkit.metrics import consistency
 from evalkit.metrics.table import Evidence, Mapped
-from evalkit.se2 import Floats
-from evalkit.types import STEP, Bools, OccupancyGrid, Run, Scan, Score, Truth
 
 
 def grid(occupied: Bools, free: Bools | None = None, resolution_m: float = 0.05) -> OccupancyGrid:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.ground_truth import Truth
+from evalkit.core.run_result import STEP, Run, Score
+from evalkit.core.se2 import Floats
 from evalkit.metrics import drift
 from evalkit.metrics.table import Evidence, Matched
-from evalkit.se2 import Floats
-from evalkit.types import STEP, Run, Score, Truth
 
 
 def path(steps: Floats, start: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Floats:

@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 from scipy.linalg import sqrtm
 
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.ground_truth import Truth
+from evalkit.core.run_result import STEP, Run
 from evalkit.metrics import gaussians
 from evalkit.metrics.table import Evidence
-from evalkit.types import STEP, OccupancyGrid, Run, Truth
 
 
 def covariance(short, long, degrees):

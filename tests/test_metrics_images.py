@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.ground_truth import Truth
+from evalkit.core.run_result import STEP, Run
 from evalkit.metrics import images
 from evalkit.metrics.table import Evidence
-from evalkit.types import STEP, OccupancyGrid, Run, Truth
 
 
 def grid(p, resolution_m=0.05, origin=(0.0, 0.0), observed=None):

@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from evalkit.core.arrays import Bools
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.ground_truth import Truth
+from evalkit.core.run_result import STEP, Run, Score
 from evalkit.metrics import maps
 from evalkit.metrics.table import Evidence
-from evalkit.types import STEP, Bools, OccupancyGrid, Run, Score, Truth
 
 
 def grid(occupied: Bools, resolution_m: float = 0.05, origin_x: float = 0.0, origin_y: float = 0.0) -> OccupancyGrid:

@@ -5,10 +5,12 @@ import math
 import numpy as np
 import pytest
 
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.ground_truth import Truth
+from evalkit.core.run_result import STEP, Run
 from evalkit.metrics import occupancy
 from evalkit.metrics.occupancy import log_loss, true_states, wall_width_m
 from evalkit.metrics.table import Evidence
-from evalkit.types import STEP, OccupancyGrid, Run, Truth
 
 
 def grid(rows, resolution_m=0.1, x=0.0, y=0.0, observed=None):

@@ -7,11 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.ground_truth import Truth
+from evalkit.core.run_result import STEP, Run
+from evalkit.core.scan import Scan
+from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import pairs
 from evalkit.metrics.table import Evidence, Matched
 from evalkit.metrics.trajectory import match
-from evalkit.types import STEP, Run, Scan, Trajectory, Truth
 
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 90, endpoint=False)
 CIRCLE = 4.0 * np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)

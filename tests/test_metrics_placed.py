@@ -7,9 +7,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.ground_truth import Truth
+from evalkit.core.run_result import STEP, Run
+from evalkit.core.scan import Scan
 from evalkit.metrics import placed
 from evalkit.metrics.table import Evidence
-from evalkit.types import STEP, OccupancyGrid, Run, Scan, Truth
 
 SETS = st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)), max_size=4).map(
     lambda points: np.array(points).reshape(-1, 2)

@@ -9,11 +9,13 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.ground_truth import Truth
+from evalkit.core.run_result import STEP, Run, Score
+from evalkit.core.scan import Scan
+from evalkit.core.se2 import Floats
 from evalkit.metrics import registration
 from evalkit.metrics.table import Evidence, Mapped
-from evalkit.se2 import Floats
-from evalkit.types import STEP, Run, Scan, Score, Truth
 
 ANGLES = np.linspace(-np.pi, np.pi, 400, endpoint=False)
 

@@ -9,11 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.ground_truth import Relations, Truth
+from evalkit.core.run_result import STEP, Run, Score
+from evalkit.core.se2 import Floats, Stamps
+from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import relations
 from evalkit.metrics.table import Evidence
-from evalkit.se2 import Floats, Stamps
-from evalkit.types import STEP, Relations, Run, Score, Trajectory, Truth
 
 SECOND = 1_000_000_000
 

@@ -3,9 +3,11 @@
 import numpy as np
 import pytest
 
+from evalkit.core.ground_truth import Truth
+from evalkit.core.run_result import STEP, Run
+from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import revisits
 from evalkit.metrics.table import Evidence
-from evalkit.types import STEP, Run, Trajectory, Truth
 
 
 def trajectory(x, y, theta):

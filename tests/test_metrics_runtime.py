@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from evalkit.core.ground_truth import Truth
+from evalkit.core.run_result import STEP, Run, Score
 from evalkit.metrics import runtime
 from evalkit.metrics.table import Evidence
-from evalkit.types import STEP, Run, Score, Truth
 
 
 def scores(cpu_ms: list[float], wall_ms: list[float], memory_bytes: int = 0, shift_ns: int = 0) -> dict[str, Score]:

@@ -3,10 +3,13 @@
 import numpy as np
 import pytest
 
+from evalkit.core.ground_truth import Truth
+from evalkit.core.measured_distances import Place, Span
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import STEP, Run
+from evalkit.core.scan import Scan
 from evalkit.metrics import spans
 from evalkit.metrics.table import Evidence, Matched
-from evalkit.tape import Place, Span
-from evalkit.types import STEP, Pose, Run, Scan, Truth
 
 SECOND = 1_000_000_000
 

@@ -3,11 +3,13 @@
 import numpy as np
 import pytest
 
+from evalkit.core.ground_truth import Truth
+from evalkit.core.run_result import STEP, Run
+from evalkit.core.scan import Scan
 from evalkit.metrics import surfaces
 from evalkit.metrics.patches import patches
 from evalkit.metrics.surfaces import Pieces
 from evalkit.metrics.table import Evidence
-from evalkit.types import STEP, Run, Scan, Truth
 
 
 def scores(mapped):

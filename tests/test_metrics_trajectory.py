@@ -5,11 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.ground_truth import Truth
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import STEP, Run
+from evalkit.core.se2 import Floats
+from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import trajectory
 from evalkit.metrics.table import Evidence, Matched
-from evalkit.se2 import Floats
-from evalkit.types import STEP, Pose, Run, Trajectory, Truth
 
 SECOND = 1_000_000_000
 

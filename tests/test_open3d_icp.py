@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from evalkit import lift
-from evalkit.errors import NotInstalled
+from evalkit.core.errors import NotInstalled
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud
 from evalkit.protocols import resolved
-from evalkit.types import Cloud, Pose
 from evalkit_baselines import open3d_icp
 
 METHODS = {

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from evalkit import pacing, registry
-from evalkit.clock import Timing
-from evalkit.errors import BackendFailed
+from evalkit.core.errors import BackendFailed
+from evalkit.core.pose import Pose
+from evalkit.core.timing import Timing
 from evalkit.pacing import Contestant, Course, Measured, ladder, paced, profile
 from evalkit.protocols import NoAnswer
 from evalkit.realtime import CostProfile
-from evalkit.types import Pose
 
 
 @pytest.fixture(scope="module")

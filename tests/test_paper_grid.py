@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evalkit.errors import BadParameter
+from evalkit.core.errors import BadParameter
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Scan
 from evalkit.protocols import resolved
-from evalkit.types import Pose, Scan
 from evalkit_baselines import paper
 from evalkit_baselines.paper import grid as paper_grid
 from evalkit_baselines.paper.grid import LogOddsGrid, bresenham, exact

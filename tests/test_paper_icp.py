@@ -8,10 +8,11 @@ import pytest
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from evalkit import se2
-from evalkit.errors import BadParameter
+from evalkit.core import se2
+from evalkit.core.errors import BadParameter
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud
 from evalkit.protocols import resolved
-from evalkit.types import Cloud, Pose
 from evalkit_baselines import paper
 from evalkit_baselines.paper import icp
 from evalkit_baselines.paper.association import Association, Recent

@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 
 from evalkit import parcel
-from evalkit.errors import StoreError
+from evalkit.core.errors import StoreError
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.run_result import STEP, Run
 from evalkit.store import Store
-from evalkit.types import STEP, OccupancyGrid, Run
 
 KEY = "room-s0-icp-0123456789"
 

@@ -13,11 +13,11 @@ import pytest
 
 from evalkit import cluster, environment, experiment
 from evalkit.cluster import Cluster, NoCluster
+from evalkit.core.errors import NotInstalled
+from evalkit.core.run_result import STEP
 from evalkit.engine import Engine
-from evalkit.errors import NotInstalled
 from evalkit.places import There
 from evalkit.store import Store
-from evalkit.types import STEP
 
 COSTS = ("wall_ns", "cpu_ns", "conversion_ns", "harness_ns", "device_ns")
 

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from evalkit import frontend, registry
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Scan
 from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter, resolved
-from evalkit.types import Pose, Scan
 
 SHIPPED = ("evalkit_baselines", "evalkit_datasets")
 

@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from evalkit.errors import BadParameter, UnknownName
+from evalkit.core.errors import BadParameter, UnknownName
 from evalkit.protocols import Parameter, nothing_missing, resolved, with_defaults
 
 FLAG = Parameter("flag", True, "", "on or off")

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evalkit import se2
+from evalkit.core import se2
 from evalkit.realtime import (
     POLICIES,
     CostProfile,

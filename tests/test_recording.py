@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import pytest
 
 from evalkit import recording, registry
-from evalkit.errors import BadData, BadExperiment, BadParameter, NotInstalled
+from evalkit.core.errors import BadData, BadExperiment, BadParameter, NotInstalled
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ import pytest
 
 import evalkit
 from evalkit import registry
-from evalkit.errors import NotInstalled, UnknownName
+from evalkit.core.errors import NotInstalled, UnknownName
 from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec
 
 HEAVY = (

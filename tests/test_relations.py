@@ -2,7 +2,7 @@
 
 import pytest
 
-from evalkit.errors import BadData
+from evalkit.core.errors import BadData
 from evalkit_datasets import relations
 
 

@@ -6,10 +6,10 @@ from datetime import UTC, datetime
 import pytest
 
 from evalkit import experiment
+from evalkit.core.ground_truth import Truth
 from evalkit.protocols import BackendSpec
 from evalkit.report import comparison_of
 from evalkit.report.assembly import distribution, fairness, in_order, sequence_card
-from evalkit.types import Truth
 
 
 @pytest.fixture

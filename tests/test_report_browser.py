@@ -9,11 +9,12 @@ from urllib.parse import unquote
 import numpy as np
 import pytest
 
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame, Scan
 from evalkit.report import SequenceCard, write
 from evalkit.report.document import Document, Section, Table, Text, render
 from evalkit.report.packing import unpacked
 from evalkit.report.player import beams_at, placed
-from evalkit.types import Frame, Pose, Scan
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install playwright")
 

@@ -10,7 +10,7 @@ import pytest
 from typer.testing import CliRunner
 
 from evalkit import cli
-from evalkit.errors import StoreError
+from evalkit.core.errors import StoreError
 from evalkit.metrics import all_metrics
 from evalkit.report import write
 from evalkit.report.change import Limits, difference

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from evalkit.core.trajectory import Trajectory
 from evalkit.report.driven import alignments, driven, path_m
-from evalkit.types import Trajectory
 
 
 def _line(metres):

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from evalkit.core.grid import OccupancyGrid
 from evalkit.metrics.validated import shipped
 from evalkit.report import ContestantCard, SequenceCard, write
 from evalkit.report.maps import Window, greys, picture, window
 from evalkit.report.palette import strokes
 from evalkit.report.views import headline
 from evalkit.report.wording import figure
-from evalkit.types import OccupancyGrid
 
 
 class Tags(HTMLParser):

@@ -6,13 +6,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame, Scan
 from evalkit.report import player as module
 from evalkit.report.maps import Window
 from evalkit.report.packing import unpacked
 from evalkit.report.palette import strokes
 from evalkit.report.player import beams_at, budget, chosen, disagreement, ghosts, placed, player, violations
-from evalkit.types import Frame, OccupancyGrid, Pose, Scan
 
 WINDOW = Window(0.0, 12.0, 0.0, 8.0)
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from evalkit import se2
+from evalkit.core import se2
 from evalkit_datasets import robot
 from evalkit_datasets.episodes import Episodes
 from evalkit_datasets.robot import Drive, Route, WheelOdometry

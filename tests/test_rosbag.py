@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evalkit.errors import BadData, DataMissing
-from evalkit.types import Pose
+from evalkit.core.errors import BadData, DataMissing
+from evalkit.core.pose import Pose
 from evalkit_datasets.rosbag import SPEC, RosBag
 
 rosbag1 = pytest.importorskip("rosbags.rosbag1")

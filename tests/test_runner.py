@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 from evalkit import child, runner
-from evalkit.errors import StoreError
+from evalkit.core.errors import StoreError
 from evalkit.experiment import Limits
 from evalkit.metrics import runtime
 from evalkit.worker import Request

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm, logm
 from scipy.spatial.transform import Rotation
 
-from evalkit import se2
+from evalkit.core import se2
 
 METRES = st.floats(-1e3, 1e3)
 ROWS = st.tuples(METRES, METRES, st.floats(-math.pi, math.pi))

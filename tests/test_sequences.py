@@ -5,9 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evalkit.errors import BadData, BadParameter, UnknownName
+from evalkit.core.errors import BadData, BadParameter, UnknownName
+from evalkit.core.ground_truth import Relations, Truth
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame, Scan
+from evalkit.core.trajectory import Trajectory
 from evalkit.protocols import DatasetSpec, Parameter
-from evalkit.types import Frame, Pose, Relations, Scan, Trajectory, Truth
 from evalkit.validation.basins import sequences
 from evalkit.validation.basins.attempts import Trials
 from evalkit.validation.basins.sequences import Recorded, seen

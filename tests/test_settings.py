@@ -2,7 +2,7 @@
 
 import pytest
 
-from evalkit.errors import BadParameter
+from evalkit.core.errors import BadParameter
 from evalkit.protocols import Parameter
 from evalkit.settings import from_text
 

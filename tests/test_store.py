@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 
 from evalkit import mapserver
-from evalkit.errors import StoreError
+from evalkit.core.errors import StoreError
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import STEP, Run, Score, Status
+from evalkit.core.trajectory import Trajectory
 from evalkit.store import Store, read_steps, tum
-from evalkit.types import STEP, OccupancyGrid, Pose, Run, Score, Status, Trajectory
 from evalkit_datasets import tum as tum_files
 
 KEY = "room-s0-icp-0123456789"

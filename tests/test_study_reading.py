@@ -5,7 +5,7 @@ import tomllib
 
 import pytest
 
-from evalkit.errors import BadExperiment
+from evalkit.core.errors import BadExperiment
 from evalkit.study import reading
 
 GOOD = """

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from evalkit import registry
+from evalkit.core.pose import Pose
 from evalkit.submap import GridSubmap, KeyframeSubmap, VoxelMap, voxel_means
-from evalkit.types import Pose
 
 
 def ordered(points):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from evalkit.errors import UnknownName
-from evalkit.types import Pose
+from evalkit.core.errors import UnknownName
+from evalkit.core.pose import Pose
 from evalkit.validation.basins import surroundings
 from evalkit.validation.basins.surroundings import Place, cast
 

@@ -4,8 +4,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from evalkit import se2
-from evalkit.errors import BadParameter, UnknownName
+from evalkit.core import se2
+from evalkit.core.errors import BadParameter, UnknownName
 from evalkit.protocols import DatasetSpec, resolved
 from evalkit_datasets import synthetic
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from evalkit.errors import BadParameter, DataMissing, NotInstalled
+from evalkit.core.errors import BadParameter, DataMissing, NotInstalled
+from evalkit.core.match import Match
 from evalkit.protocols import BackendSpec, resolved
 from evalkit.testing import ConformanceError, check_backend, check_dataset
-from evalkit.types import Match
 from evalkit.validation.conformance import dataset_rules
 from evalkit.validation.conformance.rules import Verdict, verdict
 

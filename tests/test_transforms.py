@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from evalkit.types import Pose
+from evalkit.core.pose import Pose
 from evalkit_datasets.transforms import Edge, Mounting, Tree, matrix_of
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)

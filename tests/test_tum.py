@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from evalkit.errors import BadData, DataMissing
-from evalkit.types import Trajectory
+from evalkit.core.errors import BadData, DataMissing
+from evalkit.core.trajectory import Trajectory
 from evalkit_datasets import tum
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from evalkit import frontend, registry
-from evalkit.errors import BadExperiment
+from evalkit.core.errors import BadExperiment
 from evalkit.protocols import Parameter
 from evalkit.study import point
 from evalkit.study.tuning import campaign, trial

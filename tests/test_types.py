@@ -6,8 +6,13 @@ import math
 import numpy as np
 import pytest
 
-from evalkit import se2
-from evalkit.types import STEP, Cloud, Frame, OccupancyGrid, Pose, Relations, Run, Scan, Score, Trajectory
+from evalkit.core import se2
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.ground_truth import Relations
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import STEP, Run, Score
+from evalkit.core.scan import Cloud, Frame, Scan
+from evalkit.core.trajectory import Trajectory
 
 NOTHING = np.zeros(0, dtype=STEP)
 

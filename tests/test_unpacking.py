@@ -9,7 +9,7 @@ from itertools import pairwise
 import pytest
 
 from evalkit.content import BLOCK
-from evalkit.errors import BadData
+from evalkit.core.errors import BadData
 from evalkit_datasets.unpacking import LONGEST_LINE, lines_of
 
 

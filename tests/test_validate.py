@@ -11,7 +11,7 @@ import pytest
 
 from evalkit import registry
 from evalkit.cli import app
-from evalkit.errors import BadExperiment, BadParameter, NotInstalled, UnknownName
+from evalkit.core.errors import BadExperiment, BadParameter, NotInstalled, UnknownName
 from evalkit.external import INCLUDE
 from evalkit.validation import isolated
 from evalkit.validation.dossier import answers, asking, examination, twins

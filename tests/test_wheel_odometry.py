@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from evalkit.errors import DataMissing
-from evalkit.types import Frame, Pose, Scan
+from evalkit.core.errors import DataMissing
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame, Scan
 from evalkit_baselines.wheel_odometry import SPEC
 
 

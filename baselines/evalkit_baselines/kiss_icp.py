@@ -32,12 +32,14 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import belief, lift, se2
-from evalkit.clock import conversion
-from evalkit.errors import NotInstalled
+from evalkit import lift
+from evalkit.core import belief, se2
+from evalkit.core.errors import NotInstalled
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame
+from evalkit.core.se2 import Floats
+from evalkit.core.timing import conversion
 from evalkit.protocols import BackendSpec, Parameter
-from evalkit.se2 import Floats
-from evalkit.types import Frame, Pose
 
 INSTALL = "pip install 'evalkit[kiss-icp]'"
 UNMOVED = 1e-12  # metres and radians: what writing a pose as a matrix and back may change

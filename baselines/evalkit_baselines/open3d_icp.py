@@ -29,10 +29,12 @@ from typing import Any
 from weakref import WeakKeyDictionary
 
 from evalkit import lift
-from evalkit.clock import conversion
-from evalkit.errors import NotInstalled
+from evalkit.core.errors import NotInstalled
+from evalkit.core.match import Match
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud
+from evalkit.core.timing import conversion
 from evalkit.protocols import BackendSpec, Parameter
-from evalkit.types import Cloud, Match, Pose
 
 INSTALL = "pip install 'evalkit[open3d]'"
 SYSTEM_LIBRARIES = ("libGL.so.1", "libEGL.so.1", "libX11.so.6", "libusb-1.0.so.0")

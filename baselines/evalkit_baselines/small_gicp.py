@@ -30,11 +30,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from evalkit import lift
-from evalkit.clock import conversion
-from evalkit.errors import NotInstalled
+from evalkit.core.errors import NotInstalled
+from evalkit.core.match import Match
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud
+from evalkit.core.se2 import Floats
+from evalkit.core.timing import conversion
 from evalkit.protocols import BackendSpec, Parameter
-from evalkit.se2 import Floats
-from evalkit.types import Cloud, Match, Pose
 
 INSTALL = "pip install 'evalkit[small-gicp]'"
 FEWEST_PAIRS = 3  # two pairs fix a planar pose exactly, so they fit whatever they are

@@ -6,9 +6,10 @@ standing still until the wheels are heard again.
 
 from __future__ import annotations
 
-from evalkit.errors import DataMissing
+from evalkit.core.errors import DataMissing
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame
 from evalkit.protocols import BackendSpec
-from evalkit.types import Frame, Pose
 
 
 class WheelOdometry:

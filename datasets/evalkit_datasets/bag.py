@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.errors import BadData, EvalkitError
-from evalkit.se2 import Floats, Stamps
-from evalkit.types import Bools, Ints
+from evalkit.core.arrays import Bools, Ints
+from evalkit.core.errors import BadData, EvalkitError
+from evalkit.core.se2 import Floats, Stamps
 from evalkit_datasets.samples import Samples
 from evalkit_datasets.stamps import ordered
 from evalkit_datasets.transforms import Edge, Tree, matrix_of, planar

@@ -9,10 +9,14 @@ from pathlib import Path
 
 import numpy as np
 
-from evalkit.errors import BadData
+from evalkit.core.arrays import Ints
+from evalkit.core.errors import BadData
+from evalkit.core.ground_truth import Truth
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame, Scan
+from evalkit.core.se2 import Floats, Stamps, between
+from evalkit.core.trajectory import Trajectory
 from evalkit.protocols import DatasetSpec, Parameter
-from evalkit.se2 import Floats, Stamps, between
-from evalkit.types import Frame, Ints, Pose, Scan, Trajectory, Truth
 from evalkit_datasets import carmen_lines, recording
 from evalkit_datasets.carmen_lines import Log, Reading
 from evalkit_datasets.sorting import by_rank

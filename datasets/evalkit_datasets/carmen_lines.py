@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from evalkit.errors import BadData
-from evalkit.se2 import Floats
+from evalkit.core.errors import BadData
+from evalkit.core.se2 import Floats
 from evalkit_datasets import unpacking
 from evalkit_datasets.samples import Samples
 from evalkit_datasets.stamps import stamp_ns

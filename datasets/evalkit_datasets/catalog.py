@@ -13,7 +13,7 @@ from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
 
-from evalkit.errors import BadData, DataMissing, UnknownName
+from evalkit.core.errors import BadData, DataMissing, UnknownName
 
 VARIABLE = "EVALKIT_DATA"
 """The environment variable that names the folder of recorded data."""

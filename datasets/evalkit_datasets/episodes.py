@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from evalkit.types import Bools
+from evalkit.core.arrays import Bools
 
 
 @dataclass(frozen=True)

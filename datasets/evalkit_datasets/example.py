@@ -9,10 +9,10 @@ from typing import cast
 
 import numpy as np
 
-from evalkit.errors import StoreError, UnknownName
+from evalkit.core.errors import StoreError, UnknownName
+from evalkit.core.trajectory import Trajectory
 from evalkit.protocols import Value, resolved
 from evalkit.store import reported
-from evalkit.types import Trajectory
 from evalkit_datasets import synthetic, tum
 from evalkit_datasets.synthetic import Synthetic
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from evalkit.errors import BadData, DataMissing
+from evalkit.core.errors import BadData, DataMissing
 from evalkit_datasets import catalog
 from evalkit_datasets.catalog import Entry
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evalkit.se2 import Floats
+from evalkit.core.se2 import Floats
 from evalkit_datasets.robot import Route
 from evalkit_datasets.worlds import World
 

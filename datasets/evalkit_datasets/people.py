@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from evalkit.se2 import Floats
+from evalkit.core.se2 import Floats
 from evalkit_datasets.robot import Drive
 from evalkit_datasets.worlds import World
 

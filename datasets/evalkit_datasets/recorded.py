@@ -9,8 +9,10 @@ from functools import partial
 import numpy as np
 
 from evalkit import mapserver
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.ground_truth import Truth
+from evalkit.core.trajectory import Trajectory
 from evalkit.protocols import DatasetSpec, Parameter, Published
-from evalkit.types import OccupancyGrid, Trajectory, Truth
 from evalkit_datasets import catalog, recording
 from evalkit_datasets.carmen import Carmen
 from evalkit_datasets.rosbag import RosBag

@@ -7,12 +7,15 @@ from pathlib import Path
 
 import numpy as np
 
-from evalkit import se2
-from evalkit.errors import BadData, DataMissing
+from evalkit.core import se2
+from evalkit.core.arrays import Bools
+from evalkit.core.errors import BadData, DataMissing
+from evalkit.core.ground_truth import Relations, Truth
+from evalkit.core.measured_distances import Span
+from evalkit.core.pose import Pose
+from evalkit.core.se2 import Floats, Stamps
+from evalkit.core.trajectory import Trajectory
 from evalkit.protocols import Parameter
-from evalkit.se2 import Floats, Stamps
-from evalkit.tape import Span
-from evalkit.types import Bools, Pose, Relations, Trajectory, Truth
 from evalkit_datasets import relations, spans, tum
 from evalkit_datasets.stamps import stamp_text
 

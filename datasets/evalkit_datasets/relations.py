@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from evalkit.errors import BadData
-from evalkit.types import Relations
+from evalkit.core.errors import BadData
+from evalkit.core.ground_truth import Relations
 from evalkit_datasets.rows import columns, lines_of, numbers
 from evalkit_datasets.stamps import stamp_ns
 

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from evalkit import se2
-from evalkit.se2 import Floats, Stamps
+from evalkit.core import se2
+from evalkit.core.se2 import Floats, Stamps
 from evalkit_datasets.episodes import NEVER, Episodes
 
 _TICK_NS = 10_000_000  # wheel encoders and gyroscope are read at 100 Hz

@@ -12,10 +12,14 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from evalkit.errors import BadData
+from evalkit.core.arrays import Bools
+from evalkit.core.errors import BadData
+from evalkit.core.ground_truth import Truth
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame, Scan
+from evalkit.core.se2 import Floats, Stamps, between, compose
+from evalkit.core.trajectory import Trajectory
 from evalkit.protocols import DatasetSpec, Parameter
-from evalkit.se2 import Floats, Stamps, between, compose
-from evalkit.types import Bools, Frame, Pose, Scan, Trajectory, Truth
 from evalkit_datasets import bag, recording
 from evalkit_datasets.bag import Contents, Scans, Sweep
 from evalkit_datasets.samples import Samples

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from evalkit.content import bytes_of
-from evalkit.errors import BadData
+from evalkit.core.errors import BadData
 
 
 def lines_of(path: Path, what: str) -> Iterator[tuple[int, str]]:

@@ -7,7 +7,7 @@ from array import array
 import numpy as np
 from numpy.typing import ArrayLike
 
-from evalkit.se2 import Floats, Stamps
+from evalkit.core.se2 import Floats, Stamps
 
 
 class Samples:

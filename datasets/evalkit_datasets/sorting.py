@@ -9,7 +9,7 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from evalkit.se2 import Floats
+from evalkit.core.se2 import Floats
 
 MOST_AHEAD = 256
 """So many scans that came before their turn are kept in memory; the ranges of further ones wait in a temporary file."""

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from evalkit.content import tables_of
-from evalkit.errors import BadData, brief
-from evalkit.tape import Place, Span
+from evalkit.core.errors import BadData, brief
+from evalkit.core.measured_distances import Place, Span
 from evalkit_datasets.rows import text_of
 from evalkit_datasets.stamps import stamp_ns
 

@@ -6,9 +6,9 @@ from decimal import Decimal, DecimalException
 
 import numpy as np
 
-from evalkit.errors import brief
-from evalkit.se2 import Stamps
-from evalkit.types import Ints
+from evalkit.core.arrays import Ints
+from evalkit.core.errors import brief
+from evalkit.core.se2 import Stamps
 
 _LIMIT = Decimal(2**63 - 1)
 

@@ -7,10 +7,13 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.ground_truth import Truth
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame, Scan
+from evalkit.core.se2 import Floats
+from evalkit.core.trajectory import Trajectory
 from evalkit.protocols import DatasetSpec, Parameter, Value, resolved, with_defaults
-from evalkit.se2 import Floats
-from evalkit.types import Frame, Pose, Scan, Trajectory, Truth
 from evalkit_datasets import floorplans
 from evalkit_datasets.episodes import NEVER, Episodes
 from evalkit_datasets.floorplans import FloorPlan

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from evalkit.se2 import Floats
-from evalkit.types import Pose
+from evalkit.core.pose import Pose
+from evalkit.core.se2 import Floats
 from evalkit_datasets.samples import Samples
 
 MAX_TILT_RAD = math.radians(30.0)

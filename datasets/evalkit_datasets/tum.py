@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from evalkit.errors import BadData
-from evalkit.se2 import Floats
-from evalkit.types import Trajectory
+from evalkit.core.errors import BadData
+from evalkit.core.se2 import Floats
+from evalkit.core.trajectory import Trajectory
 from evalkit_datasets.rows import columns, lines_of, numbers
 from evalkit_datasets.stamps import ordered, stamp_ns, stamp_text
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from evalkit.content import BLOCK, blocks_of
-from evalkit.errors import BadData
+from evalkit.core.errors import BadData
 
 MAGIC = b"\x1f\x8b"
 

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import ndimage
 
-from evalkit.se2 import Floats
-from evalkit.types import Bools, Ints, OccupancyGrid
+from evalkit.core.arrays import Bools, Ints
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.se2 import Floats
 
 _BLOCK = 192  # beams cast together: small enough for the cache, and a sector narrow enough to leave most walls out
 _OVERLAP = 1e-9  # share by which walls are longer than drawn, so that no beam slips through a corner by rounding

@@ -9,6 +9,8 @@ from itertools import pairwise
 import numpy as np
 
 from evalkit.commands.basin_result import LEVELS, Result, Row, Scene, answer
+from evalkit.core.pose import Pose
+from evalkit.core.se2 import Floats
 from evalkit.metrics.statistics import Interval
 from evalkit.report import charts
 from evalkit.report.charts import Axis, Curve, Points
@@ -28,8 +30,6 @@ from evalkit.report.document import (
     Text,
     slug,
 )
-from evalkit.se2 import Floats
-from evalkit.types import Pose
 from evalkit.validation.basins.basin import Shares
 from evalkit.validation.basins.sequences import APART_M, APART_RAD
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.se2 import Floats
-from evalkit.types import Pose
+from evalkit.core.pose import Pose
+from evalkit.core.se2 import Floats
 from evalkit.validation.basins.attempts import Entrant, Outcome, Trials
 from evalkit.validation.basins.basin import QUANTILES, Basin, Criterion, Shares, guesses, off
 from evalkit.validation.basins.observability import Observability, observability

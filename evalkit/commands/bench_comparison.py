@@ -11,7 +11,7 @@ import numpy as np
 from scipy import stats
 
 from evalkit.benchmark import Benchmark, Series
-from evalkit.errors import BadData
+from evalkit.core.errors import BadData
 from evalkit.metrics.statistics import CONFIDENCE, DRAWS, Interval
 
 Said = Literal["regression", "improvement", "within the limit", "no difference shown", "too few samples"]

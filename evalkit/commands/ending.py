@@ -11,9 +11,9 @@ import typer
 
 from evalkit.commands import options
 from evalkit.commands.options import FAILED, out
+from evalkit.core.run_result import Status, Trial
 from evalkit.making import Ended
 from evalkit.store import Store
-from evalkit.types import Status, Trial
 
 ABSENT: tuple[Status, ...] = ("not-installed", "data-missing", "skipped")
 """The statuses of runs that were never begun."""

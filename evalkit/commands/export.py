@@ -10,7 +10,7 @@ import typer
 
 from evalkit.commands import options
 from evalkit.commands.options import Json, err, out
-from evalkit.errors import NotInstalled, UnknownName
+from evalkit.core.errors import NotInstalled, UnknownName
 from evalkit.store import Store, reported
 
 if TYPE_CHECKING:

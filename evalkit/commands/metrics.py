@@ -14,7 +14,7 @@ import typer
 from evalkit import console, environment
 from evalkit.commands import options
 from evalkit.commands.options import Json, Out, err, out
-from evalkit.errors import UnknownName
+from evalkit.core.errors import UnknownName
 from evalkit.store import write_texts
 
 if TYPE_CHECKING:

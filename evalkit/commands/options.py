@@ -13,7 +13,7 @@ from rich.console import Console
 
 from evalkit import environment
 from evalkit.cluster import Cluster
-from evalkit.types import Status
+from evalkit.core.run_result import Status
 
 out = Console(soft_wrap=True)
 err = Console(stderr=True, soft_wrap=True)

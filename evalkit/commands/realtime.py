@@ -12,7 +12,7 @@ from rich.table import Table
 from evalkit import console, frontend, registry
 from evalkit.commands import options
 from evalkit.commands.options import Json, err, out
-from evalkit.errors import DataMissing
+from evalkit.core.errors import DataMissing
 from evalkit.protocols import Value, resolved
 from evalkit.realtime import POLICIES, Policy, Rule, first_broken
 from evalkit.settings import from_text

@@ -13,7 +13,7 @@ import typer
 from evalkit import console, environment
 from evalkit.commands import options
 from evalkit.commands.options import Json, Out, Scheduler, err, out
-from evalkit.errors import NotInstalled, UnknownName
+from evalkit.core.errors import NotInstalled, UnknownName
 from evalkit.store import write_texts
 
 if TYPE_CHECKING:

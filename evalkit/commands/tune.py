@@ -16,11 +16,11 @@ from evalkit.commands.options import Collect, Jobs, Json, err, out
 from evalkit.store import Store, write_texts
 
 if TYPE_CHECKING:
+    from evalkit.core.run_result import Trial
     from evalkit.experiment import Plan
     from evalkit.report.tuning.outcome import Tuned
     from evalkit.study.tuning.campaign import Searched
     from evalkit.study.tuning.plan import Tuning
-    from evalkit.types import Trial
 
 BUDGET = 24
 FILE = ".toml"

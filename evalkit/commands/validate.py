@@ -19,8 +19,8 @@ from rich.text import Text
 from evalkit import console, environment, registry
 from evalkit.commands import options
 from evalkit.commands.options import Jobs, Json, err, out
+from evalkit.core.errors import BadParameter
 from evalkit.engine import Progress
-from evalkit.errors import BadParameter
 from evalkit.experiment import Plan
 from evalkit.store import Store
 from evalkit.validation.dossier.dossier import Claim, Dossier

@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.run_result import Trial
+from evalkit.core.se2 import Floats
 from evalkit.report import charts
 from evalkit.report.charts import Axis, Curve, Points
 from evalkit.report.document import Figure
 from evalkit.report.palette import TRUTH, strokes
-from evalkit.se2 import Floats
-from evalkit.types import OccupancyGrid, Trial
 from evalkit.validation.dossier.answers import errors, told_stage
 from evalkit.validation.dossier.costs import milliseconds
 from evalkit.validation.dossier.dossier import Level

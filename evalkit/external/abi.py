@@ -9,7 +9,7 @@ from ctypes import CFUNCTYPE, POINTER, c_char_p, c_double, c_int32, c_int64, c_s
 from pathlib import Path
 from typing import ClassVar, Literal
 
-from evalkit.errors import BackendFailed
+from evalkit.core.errors import BackendFailed
 
 VERSION = 1
 

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from evalkit import frontend
-from evalkit.errors import BackendFailed, BadParameter, brief
+from evalkit.core.errors import BackendFailed, BadParameter, brief
 from evalkit.protocols import BackendSpec, Odometry, Parameter, Registration, Value, with_defaults
 
 UNTOLD = "not told: it is somebody else's"

@@ -17,14 +17,16 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.clock import conversion
-from evalkit.errors import BackendFailed
+from evalkit.core.errors import BackendFailed
+from evalkit.core.match import Iteration, Match
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud, Frame
+from evalkit.core.se2 import Floats
+from evalkit.core.timing import conversion
 from evalkit.external import abi, elf
 from evalkit.external.declaration import absent, broken, declaration, digest_of, listed, settings, spec, split, text
 from evalkit.lifeline import signal_name
 from evalkit.protocols import BackendSpec, Parameter, Value
-from evalkit.se2 import Floats
-from evalkit.types import Cloud, Frame, Iteration, Match, Pose
 
 LOOK_S = 20.0
 """How long loading a library and asking what it is may take."""

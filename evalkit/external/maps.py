@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from evalkit import mapserver
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.pose import Pose
 from evalkit.external.declaration import UNTOLD, digest_of, settings
 from evalkit.metrics.consistency import looked_up
 from evalkit.protocols import BackendSpec, Parameter
-from evalkit.types import OccupancyGrid, Pose
 
 SUFFIXES = (".yaml", ".yml")
 

@@ -12,14 +12,16 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import clock
-from evalkit.errors import BackendFailed, BadParameter
+from evalkit.core import timing
+from evalkit.core.errors import BackendFailed, BadParameter
+from evalkit.core.match import Match
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud, Frame
+from evalkit.core.se2 import Floats
 from evalkit.external import elf
 from evalkit.external.declaration import Declaration, absent, broken, declaration, digest_of, spec
 from evalkit.external.program import Program
 from evalkit.protocols import BackendSpec, Parameter, Value
-from evalkit.se2 import Floats
-from evalkit.types import Cloud, Frame, Match, Pose
 
 VERSION = 1
 MOST_COUNTED = 2.0**31
@@ -60,7 +62,7 @@ class ProgramRegistration:
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """The program's answer; BackendFailed where there is none or it is no match."""
-        with clock.conversion():
+        with timing.conversion():
             question = self._talk.program.line(
                 {
                     "ask": "register",
@@ -70,7 +72,7 @@ class ProgramRegistration:
                 }
             )
         line = self._talk.timed(question)
-        with clock.conversion():
+        with timing.conversion():
             return self._talk.match(self._talk.heard(line))
 
 
@@ -82,7 +84,7 @@ class ProgramOdometry:
 
     def update(self, frame: Frame) -> Pose:
         """The program's answer; BackendFailed where there is none or it is no pose."""
-        with clock.conversion():
+        with timing.conversion():
             scan = frame.scan
             question = self._talk.program.line(
                 {
@@ -99,7 +101,7 @@ class ProgramOdometry:
                 }
             )
         line = self._talk.timed(question)
-        with clock.conversion():
+        with timing.conversion():
             return self._talk.pose(self._talk.heard(line))
 
 
@@ -125,16 +127,16 @@ class Talk:
         before = self.program.cpu_ns()
         line = self.program.told(question)
         if self._elsewhere:
-            clock.withhold("cpu")
+            timing.withhold("cpu")
         else:
-            clock.program(self.program.cpu_ns() - before)
+            timing.program(self.program.cpu_ns() - before)
         return line
 
     def heard(self, line: bytes) -> dict[str, Any]:
         """The answer in a line, and the time the program says it took told to the clock."""
         answer = self.program.read(line)
         if "elapsed_ns" in answer:
-            clock.device(int(self.number(answer, "elapsed_ns")))
+            timing.device(int(self.number(answer, "elapsed_ns")))
         return answer
 
     def number(self, answer: dict[str, Any], key: str, *, optional: bool = False, most: float = 2.0**63) -> float:

@@ -17,7 +17,7 @@ from typing import IO, Any
 import psutil
 
 from evalkit import saved
-from evalkit.errors import BackendFailed, brief
+from evalkit.core.errors import BackendFailed, brief
 from evalkit.lifeline import signal_name
 
 LONGEST_ANSWER = 1 << 20

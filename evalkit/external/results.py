@@ -8,12 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from evalkit.clock import withhold
-from evalkit.errors import BadData
+from evalkit.core.errors import BadData
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame
+from evalkit.core.timing import withhold
+from evalkit.core.trajectory import Trajectory
 from evalkit.external import maps
 from evalkit.external.declaration import UNTOLD, digest_of, settings, split
 from evalkit.protocols import BackendSpec, NoAnswer, Parameter
-from evalkit.types import Frame, Pose, Trajectory
 
 LAYOUT = "t x y z qx qy qz qw"
 

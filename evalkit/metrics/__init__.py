@@ -11,6 +11,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from evalkit import registry
+from evalkit.core.run_result import Score
 from evalkit.metrics import (
     clouds,
     consistency,
@@ -30,7 +31,6 @@ from evalkit.metrics import (
     trajectory,
 )
 from evalkit.metrics.table import Evidence, Metric
-from evalkit.types import Score
 
 METRICS: tuple[Metric, ...] = (
     *trajectory.METRICS,

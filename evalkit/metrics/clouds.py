@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from evalkit.core.arrays import Bools
+from evalkit.core.run_result import Score
+from evalkit.core.se2 import Floats
 from evalkit.metrics.consistency import NO_HIT, WARP, all_hits, hits
 from evalkit.metrics.patches import MIN_HITS, PATCH_M, Patches, evenly, patches
 from evalkit.metrics.surfaces import pieces
 from evalkit.metrics.table import Evidence, Metric, number, standing_on
-from evalkit.se2 import Floats
-from evalkit.types import Bools, Score
 
 MOST_HITS = 20_000
 MOST_PLACES = 1000

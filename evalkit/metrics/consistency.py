@@ -8,12 +8,14 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.arrays import Bools, Ints
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.run_result import Score
+from evalkit.core.se2 import Floats
 from evalkit.metrics.maps import nearest_m
 from evalkit.metrics.patches import evenly, patches
 from evalkit.metrics.table import DIVERGED, Evidence, Mapped, Metric, number, once, standing_on
-from evalkit.se2 import Floats
-from evalkit.types import Bools, Ints, OccupancyGrid, Score
 
 MOST_HITS = 20_000
 MOST_PATCHES = 1000

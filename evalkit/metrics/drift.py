@@ -7,11 +7,12 @@ from typing import Literal
 
 import numpy as np
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.arrays import Ints
+from evalkit.core.run_result import Score
+from evalkit.core.se2 import Floats, Stamps
 from evalkit.metrics.table import Matched, Metric, number, standing_on
 from evalkit.metrics.trajectory import UNMATCHED, of_matched, rms
-from evalkit.se2 import Floats, Stamps
-from evalkit.types import Ints, Score
 
 LENGTHS_M = (1.0, 2.0, 5.0, 10.0, 20.0)
 START_EVERY_M = 0.1

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from evalkit.core.arrays import Ints
+from evalkit.core.run_result import Score
+from evalkit.core.se2 import Floats
 from evalkit.metrics.table import Evidence, Metric, number, once, standing_on
-from evalkit.se2 import Floats
-from evalkit.types import Ints, Score
 
 VOXEL_M = 1.0
 MIN_CELLS = 5

@@ -8,10 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from evalkit.core.arrays import Bools, Ints
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.run_result import Score
+from evalkit.core.se2 import Floats
 from evalkit.metrics.maps import cells_of
 from evalkit.metrics.table import Evidence, Metric, number, standing_on
-from evalkit.se2 import Floats
-from evalkit.types import Bools, Ints, OccupancyGrid, Score
 
 Cell = TypeVar("Cell", bound=np.generic)
 

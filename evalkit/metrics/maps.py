@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial import cKDTree
 
+from evalkit.core.arrays import Ints
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.run_result import Score
+from evalkit.core.se2 import Floats
 from evalkit.metrics.table import DIVERGED, Evidence, Metric, number, once, standing_on
-from evalkit.se2 import Floats
-from evalkit.types import Ints, OccupancyGrid, Score
 
 TOLERANCE_M = 0.1
 INLIER_M = 0.2

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from evalkit.core.arrays import Bools, Ints
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.run_result import Score
 from evalkit.metrics.consistency import NOTHING_DRAWN, WARP, of_grid, thicknesses
 from evalkit.metrics.table import Evidence, Metric, number, standing_on
-from evalkit.types import Bools, Ints, OccupancyGrid, Score
 
 _EDGE = 1e-6  # cells: a centre this near to an edge lies on it
 

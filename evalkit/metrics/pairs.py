@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.run_result import Score
+from evalkit.core.se2 import Floats
+from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.table import Evidence, Metric, number, standing_on
 from evalkit.metrics.trajectory import MAX_GAP_S, UNMATCHED, bracketed
-from evalkit.se2 import Floats
-from evalkit.types import Score, Trajectory
 
 _NEAREST = 1e-6
 """A point so near to the centroid, as a share of the cloud's reach, has no direction to be turned away from."""

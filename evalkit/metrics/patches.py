@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from evalkit.se2 import Floats
-from evalkit.types import Bools, Ints
+from evalkit.core.arrays import Bools, Ints
+from evalkit.core.se2 import Floats
 
 PATCH_M = 0.5
 FLATNESS = 9.0

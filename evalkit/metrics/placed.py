@@ -8,11 +8,12 @@ from scipy.optimize import linear_sum_assignment
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.run_result import Score
+from evalkit.core.se2 import Floats
 from evalkit.metrics.consistency import NO_HIT, corners, mapped_corners
 from evalkit.metrics.table import DIVERGED, Evidence, Mapped, Metric, number, standing_on
-from evalkit.se2 import Floats
-from evalkit.types import OccupancyGrid, Score
 
 CUTOFF_M = 0.5
 ORDER = 1.0

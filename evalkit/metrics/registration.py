@@ -10,10 +10,11 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.arrays import Ints
+from evalkit.core.run_result import Score
+from evalkit.core.se2 import Floats
 from evalkit.metrics.table import Evidence, Mapped, Metric, Placed, number, once, standing_on
-from evalkit.se2 import Floats
-from evalkit.types import Ints, Score
 
 MAX_PAIR_M = 0.5
 KEYFRAMES = 10

@@ -8,11 +8,14 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.arrays import Bools
+from evalkit.core.ground_truth import Relations
+from evalkit.core.run_result import Score
+from evalkit.core.se2 import Floats
+from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.table import DIVERGED, Evidence, Metric, number, standing_on
 from evalkit.metrics.trajectory import bracketed
-from evalkit.se2 import Floats
-from evalkit.types import Bools, Relations, Score, Trajectory
 
 Part = Literal["short", "long", "all"]
 

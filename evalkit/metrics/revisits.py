@@ -6,11 +6,14 @@ from collections.abc import Callable
 
 import numpy as np
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.arrays import Bools, Ints
+from evalkit.core.ground_truth import Relations
+from evalkit.core.run_result import Score
+from evalkit.core.se2 import Floats
+from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.relations import estimated_motions, symmetric_errors
 from evalkit.metrics.table import DIVERGED, Evidence, Metric, number, standing_on
-from evalkit.se2 import Floats
-from evalkit.types import Bools, Ints, Relations, Score, Trajectory
 
 NEAR_M = 1.0
 COVERED_M = 100.0

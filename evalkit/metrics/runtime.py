@@ -7,9 +7,9 @@ from functools import partial
 
 import numpy as np
 
+from evalkit.core.run_result import Run, Score
+from evalkit.core.se2 import Floats
 from evalkit.metrics.table import Evidence, Metric, number, standing_on
-from evalkit.se2 import Floats
-from evalkit.types import Run, Score
 
 UNTOLD = {
     "cpu_ns": "no CPU time was measured",

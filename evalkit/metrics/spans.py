@@ -7,14 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.measured_distances import Place, Span
+from evalkit.core.run_result import Score
+from evalkit.core.se2 import Floats
+from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.consistency import hits
 from evalkit.metrics.relations import MAX_GAP_S
 from evalkit.metrics.table import DIVERGED, Evidence, Matched, Metric, number, standing_on
 from evalkit.metrics.trajectory import bracketed, rms
-from evalkit.se2 import Floats
-from evalkit.tape import Place, Span
-from evalkit.types import Score, Trajectory
 
 REACH_M = 0.3
 ASIDE_M = 0.15

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import optimize, stats
 
-from evalkit.se2 import Floats
-from evalkit.types import Ints
+from evalkit.core.arrays import Ints
+from evalkit.core.se2 import Floats
 
 CONFIDENCE = 0.95
 DRAWS = 2000

@@ -8,12 +8,13 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.arrays import Ints
+from evalkit.core.run_result import Score
+from evalkit.core.se2 import Floats
 from evalkit.metrics.consistency import NO_HIT, WARP, all_hits
 from evalkit.metrics.patches import MIN_HITS, PATCH_M, evenly, patches
 from evalkit.metrics.table import DIVERGED, Evidence, Mapped, Metric, number, once, standing_on
-from evalkit.se2 import Floats
-from evalkit.types import Ints, Score
 
 MOST_SCANS = 100
 PLACES_A_SCAN = 40

@@ -11,8 +11,12 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from evalkit.se2 import Floats, Stamps
-from evalkit.types import OccupancyGrid, Pose, Run, Scan, Score, Truth
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.ground_truth import Truth
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import Run, Score
+from evalkit.core.scan import Scan
+from evalkit.core.se2 import Floats, Stamps
 
 Group = Literal["drift", "relations", "residuals", "runtime", "map against truth", "map consistency"]
 Placed = tuple[Scan, Floats]

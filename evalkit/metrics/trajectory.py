@@ -8,10 +8,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.arrays import Bools
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import Score
+from evalkit.core.se2 import Floats, Stamps
+from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.table import DIVERGED, Evidence, Matched, Metric, number, standing_on
-from evalkit.se2 import Floats, Stamps
-from evalkit.types import Bools, Pose, Score, Trajectory
 
 Alignment = Literal["least squares", "first pose", "none"]
 

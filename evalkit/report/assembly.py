@@ -8,13 +8,13 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, metadata, packages_distributions
 
 from evalkit import environment, registry
+from evalkit.core.run_result import Trial
 from evalkit.experiment import Contestant, Course, Limits, MapperChoice, Plan
 from evalkit.frontend import parameters_of
 from evalkit.metrics import all_metrics
 from evalkit.protocols import GUESS_NOT_TOLD, Parameter, Value
 from evalkit.protocols import Sequence as Recording
 from evalkit.report.comparison import Comparison, ContestantCard, SequenceCard, Setting
-from evalkit.types import Trial
 
 LIBRARIES = ("numpy", "scipy")
 

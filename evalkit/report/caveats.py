@@ -6,6 +6,7 @@ import re
 from collections import defaultdict
 from collections.abc import Sequence
 
+from evalkit.core.run_result import Trial
 from evalkit.metrics.table import Metric
 from evalkit.metrics.validated import shipped
 from evalkit.report.cells import MOST_GUESSED
@@ -13,7 +14,6 @@ from evalkit.report.comparison import Comparison
 from evalkit.report.consensus import by_maps
 from evalkit.report.standings import Standing, guessed_percent
 from evalkit.report.wording import bounds, joined, plain
-from evalkit.types import Trial
 
 # Notes that tell of scans that never reached anybody; readers name them by these words.
 LOST_SCANS = re.compile(r"^(?!reference).*\b(damaged|skipped|dropped)\b|^scans .*left out")

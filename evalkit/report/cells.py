@@ -11,10 +11,10 @@ from typing import Literal
 import numpy as np
 from scipy import stats
 
+from evalkit.core.se2 import Floats
 from evalkit.metrics import statistics
 from evalkit.metrics.statistics import CONFIDENCE, DRAWS, Interval
 from evalkit.report.resampling import Drawn
-from evalkit.se2 import Floats
 
 # Of more scans left to the guess than this (%), it is the guess that would be ranked.
 MOST_GUESSED = 50.0

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from evalkit.errors import StoreError
+from evalkit.core.errors import StoreError
 from evalkit.metrics.table import Metric
 from evalkit.report.cells import Apart, Cell, apart
 from evalkit.report.resampling import Drawn, Series, drawn

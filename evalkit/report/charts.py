@@ -18,9 +18,9 @@ from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
+from evalkit.core.se2 import Floats
 from evalkit.report.figures import STYLE
 from evalkit.report.palette import DASHES, HUES, Stroke
-from evalkit.se2 import Floats
 
 WIDE = (7.6, 4.4)  # inches
 SQUARE = (6.2, 5.4)

@@ -8,10 +8,10 @@ from datetime import datetime
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal
 
+from evalkit.core.run_result import Trial
 from evalkit.metrics.table import Metric
 from evalkit.protocols import Published, Sequence, Value
 from evalkit.report.resampling import Resamples
-from evalkit.types import Trial
 
 if TYPE_CHECKING:
     from evalkit.report.standings import Standing

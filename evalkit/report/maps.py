@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.types import OccupancyGrid
+from evalkit.core.grid import OccupancyGrid
 
 PIXELS = 640  # longest side of a picture
 UNKNOWN = 205 / 255  # map_server's grey

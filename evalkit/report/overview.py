@@ -7,13 +7,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from evalkit.core.run_result import Trial
 from evalkit.metrics.runtime import period_ns
 from evalkit.report.comparison import Comparison
 from evalkit.report.consensus import behind_bar
 from evalkit.report.standings import contestant_of, deciding, unfinished
 from evalkit.report.summary import Verdict, success
 from evalkit.report.wording import joined
-from evalkit.types import Trial
 
 
 def overview(comparison: Comparison, verdicts: Sequence[Verdict]) -> tuple[str, ...]:

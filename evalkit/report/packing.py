@@ -8,7 +8,7 @@ from base64 import b64decode, b64encode
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from evalkit.se2 import Floats
+from evalkit.core.se2 import Floats
 
 Steps = NDArray[np.int32]
 

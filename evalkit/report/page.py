@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.run_result import Trial
 from evalkit.metrics.table import Metric
 from evalkit.metrics.validated import shipped
 from evalkit.report import figures, views
@@ -21,7 +23,6 @@ from evalkit.report.player import Player, budget, player
 from evalkit.report.standings import STATUS, contestant_of
 from evalkit.report.summary import Verdict
 from evalkit.report.wording import bounds, figure
-from evalkit.types import OccupancyGrid, Trial
 
 MAP_CAPTION_GROUPS = ("map against truth", "map consistency")
 

@@ -13,15 +13,18 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.arrays import Ints
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.run_result import Trial
+from evalkit.core.se2 import Floats, Stamps
+from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.consistency import CLEARED, looked_up
 from evalkit.metrics.maps import nearest_m
 from evalkit.protocols import Sequence
 from evalkit.report.maps import Window, pixel_m
 from evalkit.report.packing import NONE, Steps, packed, quantised, restored
 from evalkit.report.palette import Stroke
-from evalkit.se2 import Floats, Stamps
-from evalkit.types import Ints, OccupancyGrid, Trajectory, Trial
 
 METRE, RADIAN, RESIDUAL, MILLISECOND = 1e-3, 1e-5, 1e-4, 1_000_000
 """Steps of positions and ranges (m), of angles (rad), of residuals and errors (m), of times (ns)."""

@@ -12,6 +12,7 @@ from dataclasses import asdict
 from importlib.resources import files
 from typing import Any
 
+from evalkit.core.run_result import Trial
 from evalkit.metrics.table import Metric
 from evalkit.report.cells import interval
 from evalkit.report.comparison import Comparison
@@ -19,7 +20,6 @@ from evalkit.report.paired import pairs
 from evalkit.report.standings import standing
 from evalkit.report.summary import Verdict
 from evalkit.store import digest
-from evalkit.types import Trial
 
 NAME, VERSION = "evalkit-results", 1
 

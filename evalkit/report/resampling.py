@@ -10,10 +10,11 @@ from typing import Literal
 
 import numpy as np
 
+from evalkit.core.arrays import Ints
+from evalkit.core.run_result import Trial
+from evalkit.core.se2 import Floats
 from evalkit.metrics import drift, relations, statistics
 from evalkit.metrics.trajectory import match
-from evalkit.se2 import Floats
-from evalkit.types import Ints, Trial
 
 Statistic = Literal["mean", "rms", "median", "inverse"]
 

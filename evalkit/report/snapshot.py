@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from evalkit import saved
-from evalkit.errors import StoreError
+from evalkit.core.errors import StoreError
 from evalkit.report.record import NAME, VERSION
 from evalkit.report.resampling import Series
 from evalkit.store import read_steps

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Literal
 
+from evalkit.core.run_result import Trial
 from evalkit.metrics.table import Metric
 from evalkit.report import caveats
 from evalkit.report.cells import Cell, apart
@@ -26,7 +27,6 @@ from evalkit.report.standings import (
     unfinished,
 )
 from evalkit.report.wording import amount, difference, figure, gap, joined, plain, told
-from evalkit.types import Trial
 
 Outcome = Literal["winner", "ahead", "level", "unrivalled", "disagreement", "degenerate", "nothing"]
 SAME = {"stretches": "on the same scans", "runs": "run by run"}

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 
+from evalkit.core.run_result import Status, Trial
 from evalkit.metrics.statistics import wilson
 from evalkit.metrics.table import Metric
 from evalkit.protocols import Published
@@ -13,7 +14,6 @@ from evalkit.report.cells import Cell, interval
 from evalkit.report.comparison import Comparison
 from evalkit.report.consensus import disagrees, is_behind_bar
 from evalkit.report.standings import NOT_POSSIBLE, STATUS, Standing, deciding, standing, unfinished
-from evalkit.types import Status, Trial
 
 
 @dataclass(frozen=True, slots=True)

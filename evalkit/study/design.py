@@ -14,8 +14,8 @@ from operator import xor
 import numpy as np
 from scipy.stats import qmc
 
-from evalkit.se2 import Floats
-from evalkit.types import Ints
+from evalkit.core.arrays import Ints
+from evalkit.core.se2 import Floats
 
 MOST_PASSES = 12
 RIDGE = 1e-6

@@ -10,10 +10,10 @@ from itertools import combinations
 import numpy as np
 from scipy import stats
 
+from evalkit.core.arrays import Bools
+from evalkit.core.se2 import Floats
 from evalkit.metrics.statistics import CONFIDENCE, Interval
-from evalkit.se2 import Floats
 from evalkit.study.design import Model
-from evalkit.types import Bools
 
 
 @dataclass(frozen=True)

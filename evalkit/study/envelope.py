@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from evalkit.core.arrays import Bools
+from evalkit.core.se2 import Floats
 from evalkit.metrics.statistics import Interval, wilson
-from evalkit.se2 import Floats
 from evalkit.study.factors import Factor
 from evalkit.study.outcome import Outcome
 from evalkit.study.plan import Design, EnvelopeChoice, Point
-from evalkit.types import Bools
 
 
 @dataclass(frozen=True, eq=False)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal
 
-from evalkit.errors import BadExperiment, brief
+from evalkit.core.errors import BadExperiment, brief
 from evalkit.protocols import Value
 from evalkit.study.design import Axis
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from evalkit.cluster import Cluster
-from evalkit.se2 import Floats
+from evalkit.core.se2 import Floats
 from evalkit.study.deadline import LATE
 from evalkit.study.effects import Fit
 from evalkit.study.ledger import Job, JobsFailed, Ledger, OnDone, Result

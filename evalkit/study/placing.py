@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from evalkit.errors import BadParameter
-from evalkit.se2 import Floats
+from evalkit.core.errors import BadParameter
+from evalkit.core.se2 import Floats
 from evalkit.study.design import Model, fractional, grid, optimal, space_filling
 from evalkit.study.factors import Factor, Level
 

@@ -10,11 +10,11 @@ from functools import cached_property
 from typing import Literal
 
 from evalkit import registry
+from evalkit.core.se2 import Floats
 from evalkit.experiment import Limits
 from evalkit.fingerprint import of_files
 from evalkit.metrics.table import Metric
 from evalkit.protocols import Value
-from evalkit.se2 import Floats
 from evalkit.study.design import Model
 from evalkit.study.factors import Factor, Level, Scale
 from evalkit.study.ledger import Job

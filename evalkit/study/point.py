@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from evalkit import frontend, metrics, protocols, registry, scoring
-from evalkit.errors import EvalkitError, plain
+from evalkit.core.errors import EvalkitError, plain
+from evalkit.core.run_result import STEP, Run, Score, Status
 from evalkit.metrics import pairs, spans
 from evalkit.metrics.table import Metric
 from evalkit.protocols import Value
-from evalkit.types import STEP, Run, Score, Status
 from evalkit.worker import Request, Residuals, follow
 
 DRAWN = ("map against truth", "map consistency")

@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 from evalkit import experiment, frontend, registry
 from evalkit.content import tables_of
-from evalkit.errors import BadExperiment, BadParameter, EvalkitError, UnknownName, brief
+from evalkit.core.errors import BadExperiment, BadParameter, EvalkitError, UnknownName, brief
 from evalkit.metrics import all_metrics
 from evalkit.protocols import Value, resolved
 from evalkit.study.factors import Factor, Level, Scale, Settings, factor

@@ -12,7 +12,7 @@ from types import ModuleType
 from typing import TypeVar
 
 from evalkit import registry
-from evalkit.errors import NotInstalled
+from evalkit.core.errors import NotInstalled
 from evalkit.protocols import BackendSpec, DatasetSpec
 
 Spec = TypeVar("Spec", BackendSpec, DatasetSpec)

@@ -12,10 +12,10 @@ from typing import Literal
 import numpy as np
 
 from evalkit import frontend, registry, runner
+from evalkit.core.run_result import Run
 from evalkit.experiment import Limits
 from evalkit.protocols import Value, resolved
 from evalkit.store import digest
-from evalkit.types import Run
 from evalkit.worker import Request
 
 Verdict = Literal["bit-equal", "thread-dependent", "not deterministic", "no answer"]

@@ -10,7 +10,7 @@ import numpy as np
 
 from evalkit import Cloud, Pose, benchmark, frontend, registry
 from evalkit.benchmark import Series
-from evalkit.clock import timed
+from evalkit.core.timing import timed
 from evalkit.environment import SINGLE_THREAD
 from evalkit.protocols import Registration
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.se2 import Floats
-from evalkit.types import Scan
+from evalkit.core.scan import Scan
+from evalkit.core.se2 import Floats
 from evalkit_datasets import floorplans
 from evalkit_datasets.lidar import Lidar
 from evalkit_datasets.robot import Drive, WheelOdometry

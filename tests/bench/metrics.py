@@ -12,8 +12,11 @@ import numpy as np
 
 from evalkit import benchmark, metrics
 from evalkit.benchmark import Series
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.ground_truth import Truth
+from evalkit.core.run_result import STEP, Run
+from evalkit.core.scan import Scan
 from evalkit.metrics.table import Evidence, Placed
-from evalkit.types import STEP, OccupancyGrid, Run, Scan, Truth
 
 CELLS, SIZE_M, ROOM_M = 1000, 0.05, 5.0
 BEAMS, SCANS = 720, 300

@@ -18,9 +18,9 @@ import numpy as np
 
 from evalkit import benchmark, frontend, registry, runner
 from evalkit.benchmark import Series
+from evalkit.core.run_result import Run
 from evalkit.environment import SINGLE_THREAD
 from evalkit.experiment import Limits
-from evalkit.types import Run
 from evalkit.worker import Request
 
 START_LIMIT_S = 0.3

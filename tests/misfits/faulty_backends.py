@@ -13,9 +13,11 @@ from dataclasses import replace
 import numpy as np
 
 from evalkit import lift
-from evalkit.errors import NotInstalled
+from evalkit.core.errors import NotInstalled
+from evalkit.core.match import Match
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud, Frame
 from evalkit.protocols import BackendSpec, NoAnswer, Parameter
-from evalkit.types import Cloud, Frame, Match, Pose
 from evalkit_baselines.paper.icp import Icp
 
 

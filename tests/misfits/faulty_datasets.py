@@ -6,8 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from evalkit.core.ground_truth import Truth
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame, Scan
+from evalkit.core.trajectory import Trajectory
 from evalkit.protocols import DatasetSpec, Parameter
-from evalkit.types import Frame, Pose, Scan, Trajectory, Truth
 
 STEP_NS = 100_000_000
 

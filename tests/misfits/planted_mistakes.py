@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from evalkit.types import Cloud, Pose
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud
 from evalkit_baselines import paper
 from evalkit_baselines.paper import icp
 from evalkit_baselines.paper.icp import Icp

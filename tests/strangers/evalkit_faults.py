@@ -16,9 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from evalkit.errors import DataMissing
+from evalkit.core.errors import DataMissing
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.ground_truth import Truth
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame, Scan
+from evalkit.core.trajectory import Trajectory
 from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter
-from evalkit.types import Frame, OccupancyGrid, Pose, Scan, Trajectory, Truth
 
 STEP_M = 0.1
 STEP_NS = 100_000_000

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame
 from evalkit.protocols import BackendSpec, Parameter
-from evalkit.types import Frame, Pose
 
 
 class Stretched:

@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.errors import NotInstalled
-from evalkit.se2 import Floats
+from evalkit.core.errors import NotInstalled
+from evalkit.core.se2 import Floats
 
 Precision = Literal["double", "float"]
 Reals = NDArray[np.floating]

@@ -7,10 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.errors import BadParameter
+from evalkit.core.arrays import Bools
+from evalkit.core.errors import BadParameter
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Scan
+from evalkit.core.se2 import Floats
 from evalkit.protocols import Parameter
-from evalkit.se2 import Floats
-from evalkit.types import Bools, OccupancyGrid, Pose, Scan
 from evalkit_baselines.embedded.compiled import core, real
 from evalkit_baselines.paper import grid
 from evalkit_baselines.paper.grid import CHUNK, MOST_CELLS

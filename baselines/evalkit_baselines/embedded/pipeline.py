@@ -7,10 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import belief, frontend
-from evalkit.clock import conversion
+from evalkit import frontend
+from evalkit.core import belief
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame, Scan
+from evalkit.core.timing import conversion
 from evalkit.protocols import Parameter
-from evalkit.types import Frame, Pose, Scan
 from evalkit_baselines.embedded import registration
 from evalkit_baselines.embedded.compiled import core, real
 

@@ -6,9 +6,11 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from evalkit.clock import conversion
+from evalkit.core.match import Iteration, Match
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud
+from evalkit.core.timing import conversion
 from evalkit.protocols import Parameter
-from evalkit.types import Cloud, Iteration, Match, Pose
 from evalkit_baselines.embedded.compiled import Precision, core, real
 from evalkit_baselines.paper import icp
 from evalkit_baselines.paper.association import Recent

@@ -11,8 +11,9 @@ from weakref import ref
 import numpy as np
 from scipy.spatial import cKDTree
 
-from evalkit.se2 import Floats
-from evalkit.types import Cloud, Ints
+from evalkit.core.arrays import Ints
+from evalkit.core.scan import Cloud
+from evalkit.core.se2 import Floats
 
 Built = TypeVar("Built")
 

@@ -9,10 +9,13 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.errors import BadParameter
+from evalkit.core.arrays import Bools, Ints
+from evalkit.core.errors import BadParameter
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Scan
+from evalkit.core.se2 import Floats
 from evalkit.protocols import Parameter, resolved
-from evalkit.se2 import Floats
-from evalkit.types import Bools, Ints, OccupancyGrid, Pose, Scan
 
 CHUNK = 256  # cells: the array grows in steps of this, so that copying stays rare
 MOST_CELLS = 64_000_000  # 400 m x 400 m at 5 cm, 320 MB: a trajectory that ran away must not take the machine along

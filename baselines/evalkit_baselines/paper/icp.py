@@ -27,10 +27,13 @@ from typing import Literal
 import numpy as np
 from scipy.spatial import cKDTree
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.arrays import Ints
+from evalkit.core.match import Iteration, Match
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud
+from evalkit.core.se2 import Floats
 from evalkit.protocols import Parameter, resolved
-from evalkit.se2 import Floats
-from evalkit.types import Cloud, Ints, Iteration, Match, Pose
 from evalkit_baselines.paper.association import Association, Recent
 
 Target = tuple[cKDTree, Floats | None]  # with the normals (M, 2) of metric "line"

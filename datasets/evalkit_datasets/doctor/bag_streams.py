@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.se2 import Floats, Stamps
+from evalkit.core.se2 import Floats, Stamps
 from evalkit_datasets import bag
 from evalkit_datasets.bag import Contents, Sweep
 from evalkit_datasets.doctor.streams import Laser, Streams, Topic, Wheels

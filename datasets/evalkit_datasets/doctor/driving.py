@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evalkit import se2
-from evalkit.se2 import Floats, Stamps
-from evalkit.types import Bools
+from evalkit.core import se2
+from evalkit.core.arrays import Bools
+from evalkit.core.se2 import Floats, Stamps
 from evalkit_datasets.doctor.streams import Laser, Wheels
 from evalkit_datasets.doctor.timing import Clock, Timing, clock, timing
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from evalkit.errors import BadData
-from evalkit.se2 import Floats, Stamps
+from evalkit.core.errors import BadData
+from evalkit.core.se2 import Floats, Stamps
 from evalkit_datasets import carmen_lines
 from evalkit_datasets.carmen_lines import Log, Reading
 from evalkit_datasets.doctor.streams import Laser, Streams, Topic, Wheels

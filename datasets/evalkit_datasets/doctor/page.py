@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from evalkit.core.se2 import Floats
 from evalkit.report import charts
 from evalkit.report.charts import Axis, Curve, Points
 from evalkit.report.document import (
@@ -24,7 +25,6 @@ from evalkit.report.document import (
     Tone,
 )
 from evalkit.report.palette import HUES
-from evalkit.se2 import Floats
 from evalkit_datasets.doctor.driving import Driving
 from evalkit_datasets.doctor.examination import Examination
 from evalkit_datasets.doctor.findings import Level, Lidar, times

@@ -9,9 +9,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from evalkit.errors import BadData, DataMissing, EvalkitError
+from evalkit.core.errors import BadData, DataMissing, EvalkitError
+from evalkit.core.pose import Pose
 from evalkit.protocols import Value
-from evalkit.types import Pose
 from evalkit_datasets import catalog, recorded
 from evalkit_datasets.carmen import Carmen
 from evalkit_datasets.doctor.examination import Examination, worth

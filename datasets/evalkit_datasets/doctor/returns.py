@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evalkit.se2 import Floats, Stamps
-from evalkit.types import Bools, Ints
+from evalkit.core.arrays import Bools, Ints
+from evalkit.core.se2 import Floats, Stamps
 from evalkit_datasets.doctor.streams import Laser
 
 KNOWN_CODES: tuple[tuple[float, float, str], ...] = (

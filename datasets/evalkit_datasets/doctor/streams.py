@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from evalkit.se2 import Floats, Stamps
+from evalkit.core.se2 import Floats, Stamps
 from evalkit_datasets.transforms import Tree
 
 

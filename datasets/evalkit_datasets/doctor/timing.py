@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evalkit.se2 import Stamps
+from evalkit.core.se2 import Stamps
 
 GAP_PERIODS = 3.0
 """A silence of more than so many usual periods is a gap: two scans in a row are missing."""

@@ -6,7 +6,7 @@ import csv
 import io
 import json
 
-from evalkit.errors import StoreError
+from evalkit.core.errors import StoreError
 from evalkit.report.export.papers import Files
 from evalkit.report.export.results import AGAIN, Results
 from evalkit.report.record import schema

@@ -6,12 +6,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.run_result import Trial
+from evalkit.core.se2 import Floats, Stamps
+from evalkit.core.trajectory import Trajectory
 from evalkit.report.export.papers import Files, file_name
 from evalkit.report.export.results import Results
-from evalkit.se2 import Floats, Stamps
 from evalkit.store import tum
-from evalkit.types import Trajectory, Trial
 
 
 def as_tum(results: Results) -> Files:

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import se2
-from evalkit.errors import NotInstalled
+from evalkit.core import se2
+from evalkit.core.errors import NotInstalled
+from evalkit.core.run_result import Trial
+from evalkit.core.se2 import Floats
 from evalkit.protocols import Sequence as Recording
 from evalkit.report.export.poses import world_poses
 from evalkit.report.figures import Strokes
-from evalkit.se2 import Floats
-from evalkit.types import Trial
 
 TIMELINE = "recording"
 MOST_SCANS = 500

@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from evalkit import registry
-from evalkit.errors import EvalkitError, StoreError, UnknownName
+from evalkit.core.errors import EvalkitError, StoreError, UnknownName
+from evalkit.core.ground_truth import Truth
+from evalkit.core.run_result import Trial
 from evalkit.protocols import Sequence as Recording
 from evalkit.report.palette import Stroke, strokes
 from evalkit.report.record import NAME, VERSION
 from evalkit.store import Store
-from evalkit.types import Trial, Truth
 
 AGAIN = "name a folder that `evalkit report` or `evalkit compare` has written, or make the report again"
 

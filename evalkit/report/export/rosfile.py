@@ -10,11 +10,14 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.errors import BadData
+from evalkit.core.errors import BadData
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import Trial
+from evalkit.core.scan import Frame, Scan
+from evalkit.core.se2 import Floats, Stamps
 from evalkit.protocols import Sequence as Recording
 from evalkit.report.export.poses import world_poses
-from evalkit.se2 import Floats, Stamps
-from evalkit.types import Frame, OccupancyGrid, Pose, Scan, Trial
 
 WORLD, BASE, TRUTH, LASER = "world", "base_link", "truth", "laser"
 EARLIEST_NS = 10**9

@@ -7,15 +7,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from evalkit.core.arrays import Bools
+from evalkit.core.se2 import Floats
 from evalkit.report import charts
 from evalkit.report.charts import Axis, Points
 from evalkit.report.document import Figure
-from evalkit.se2 import Floats
 from evalkit.study.plan import Response
 from evalkit.study.tuning.campaign import Searched
 from evalkit.study.tuning.frontier import frontier
 from evalkit.study.tuning.objective import Tried
-from evalkit.types import Bools
 
 GREY, INK, WHITE, ORANGE, GREEN = "#9aa3ad", "#1c2128", "#ffffff", "#d55e00", "#009e73"
 STEPS = (1.0, 2.0, 5.0)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from evalkit.se2 import Floats
-from evalkit.types import Bools
+from evalkit.core.arrays import Bools
+from evalkit.core.se2 import Floats
 
 
 def frontier(costs: Floats, errors: Floats) -> Bools:

@@ -8,7 +8,7 @@ from typing import Any
 
 from evalkit import experiment, registry
 from evalkit.content import tables_of
-from evalkit.errors import BadExperiment, BadParameter, UnknownName, brief
+from evalkit.core.errors import BadExperiment, BadParameter, UnknownName, brief
 from evalkit.experiment import Contestant, Course, Plan
 from evalkit.metrics import all_metrics, spans
 from evalkit.protocols import Parameter, Value

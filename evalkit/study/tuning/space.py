@@ -11,9 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from evalkit import frontend
+from evalkit.core.se2 import Floats
 from evalkit.external.library import TRACE
 from evalkit.protocols import BackendSpec, Parameter, Value
-from evalkit.se2 import Floats
 from evalkit.study.factors import Factor, Level
 
 CONTESTANT = "contestant."

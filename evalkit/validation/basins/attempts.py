@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from evalkit import registry
+from evalkit.core.arrays import Bools
+from evalkit.core.pose import Pose
+from evalkit.core.se2 import Floats
 from evalkit.fingerprint import fingerprint, of_files
 from evalkit.protocols import BackendSpec, Registration, Value, resolved
-from evalkit.se2 import Floats
 from evalkit.settings import from_text
 from evalkit.study.ledger import Job, JobsFailed, Ledger, OnDone
-from evalkit.types import Bools, Pose
 from evalkit.validation.address import address_of, spec_at
 from evalkit.validation.basins import basin, sequences, surroundings
 from evalkit.validation.basins.sequences import Recorded

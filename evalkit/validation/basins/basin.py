@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.arrays import Bools, Ints
+from evalkit.core.se2 import Floats
 from evalkit.metrics.statistics import Interval, wilson
-from evalkit.se2 import Floats
-from evalkit.types import Bools, Ints
 from evalkit.validation.basins.observability import Observability
 
 PLASTIC = 1.2207440846057596

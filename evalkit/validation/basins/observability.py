@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evalkit.se2 import Floats
-from evalkit.types import Bools
+from evalkit.core.arrays import Bools
+from evalkit.core.se2 import Floats
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,13 +12,18 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import lift, registry, se2
-from evalkit.errors import BadData, BadParameter, DataMissing
+from evalkit import lift, registry
+from evalkit.core import se2
+from evalkit.core.arrays import Ints
+from evalkit.core.errors import BadData, BadParameter, DataMissing
+from evalkit.core.ground_truth import Relations
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud, Frame
+from evalkit.core.se2 import Floats, Stamps
+from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.trajectory import MAX_GAP_S, bracketed
 from evalkit.protocols import resolved
-from evalkit.se2 import Floats, Stamps
 from evalkit.settings import from_text
-from evalkit.types import Cloud, Frame, Ints, Pose, Relations, Trajectory
 from evalkit.validation.basins.surroundings import NEAR, Seen
 
 LEAST_M, LEAST_RAD = 0.05, math.radians(2.0)

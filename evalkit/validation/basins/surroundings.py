@@ -6,10 +6,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from evalkit import se2
-from evalkit.errors import UnknownName
-from evalkit.se2 import Floats
-from evalkit.types import Cloud, Pose
+from evalkit.core import se2
+from evalkit.core.errors import UnknownName
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud
+from evalkit.core.se2 import Floats
 
 RANGE_M = (0.15, 12.0)
 """What the lidar can see: nearer and farther there is no point."""

@@ -9,9 +9,11 @@ from itertools import islice, pairwise
 import numpy as np
 
 from evalkit import registry
-from evalkit.errors import DataMissing, EvalkitError
+from evalkit.core.errors import DataMissing, EvalkitError
+from evalkit.core.ground_truth import Truth
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame
 from evalkit.protocols import DatasetSpec, Sequence, Value, resolved
-from evalkit.types import Frame, Pose, Truth
 from evalkit.validation.address import address_of, spec_at
 from evalkit.validation.conformance.rules import Broken, Conformance, NotApplicable, Rule, table, verdict
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from evalkit import lifeline, registry
-from evalkit.errors import NotInstalled
+from evalkit.core.errors import NotInstalled
 from evalkit.protocols import BackendSpec, Value
 from evalkit.validation.address import Address, spec_at
 from evalkit.validation.conformance import odometry_rules, registration_rules

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from evalkit import child, registry
-from evalkit.errors import BackendFailed, NotInstalled, UnknownName
+from evalkit.core.errors import BackendFailed, NotInstalled, UnknownName
 from evalkit.protocols import BackendSpec, Value, resolved
 from evalkit.validation.address import Address, address_of, spec_at
 from evalkit.validation.conformance.examiner import NOT_INSTALLED, REQUEST, RULES, STARTS, VERDICTS, Request

@@ -9,10 +9,11 @@ from typing import Literal
 
 import numpy as np
 
-from evalkit.errors import EvalkitError
+from evalkit.core.errors import EvalkitError
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame
+from evalkit.core.se2 import Floats
 from evalkit.protocols import NoAnswer, Odometry
-from evalkit.se2 import Floats
-from evalkit.types import Frame, Pose
 from evalkit.validation.conformance.growth import grown_bytes
 from evalkit.validation.conformance.registration_rules import NEAR_ENOUGH, turn_in_radians
 from evalkit.validation.conformance.rules import Broken, NotApplicable, Rule, raised, table

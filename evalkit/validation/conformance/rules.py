@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from evalkit.errors import NotInstalled
+from evalkit.core.errors import NotInstalled
 
 Outcome = Literal["passed", "failed", "not applicable"]
 

@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from evalkit import se2
-from evalkit.se2 import Floats
-from evalkit.types import Cloud, Frame, Pose, Scan
+from evalkit.core import se2
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud, Frame, Scan
+from evalkit.core.se2 import Floats
 
 CORNERS = np.array([[-4.0, -3.0], [4.0, -3.0], [4.0, 1.0], [0.5, 1.0], [0.5, 4.0], [-4.0, 4.0]])
 """An L-shaped room (m): no motion brings it onto itself."""

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import se2
-from evalkit.se2 import Floats
+from evalkit.core import se2
+from evalkit.core.arrays import Bools
+from evalkit.core.se2 import Floats
 from evalkit.study.ledger import Result
-from evalkit.types import Bools
 from evalkit.validation.dossier.dossier import Ground, Level, Line
 from evalkit.validation.equivalence.comparison import FLOAT32, ROUNDING
 from evalkit.validation.equivalence.lockstep import DISTURBED

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from evalkit.core.run_result import Trial
+from evalkit.core.se2 import Floats
 from evalkit.external import elf
-from evalkit.se2 import Floats
 from evalkit.study.ledger import Result
-from evalkit.types import Trial
 from evalkit.validation.dossier.answers import Names
 from evalkit.validation.dossier.dossier import Level, Line, Outcome
 from evalkit.validation.isolated import ENDED

@@ -10,15 +10,15 @@ from pathlib import Path
 from typing import Any
 
 from evalkit import environment, experiment, fingerprint, frontend, registry
+from evalkit.core.errors import BadParameter, NotInstalled
+from evalkit.core.run_result import Trial
 from evalkit.engine import Engine, Progress
-from evalkit.errors import BadParameter, NotInstalled
 from evalkit.experiment import Course, Limits, Plan
 from evalkit.external.declaration import split
 from evalkit.protocols import BackendSpec, Value
 from evalkit.settings import from_text
 from evalkit.store import Store
 from evalkit.study.ledger import Job, Ledger, OnDone, Result
-from evalkit.types import Trial
 from evalkit.validation import isolated
 from evalkit.validation.dossier import answers, costs, paths, twins
 from evalkit.validation.dossier.answers import Names

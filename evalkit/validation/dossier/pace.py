@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 
 from evalkit import frontend, registry
-from evalkit.clock import Timing, timed
+from evalkit.core.match import Match
+from evalkit.core.scan import Frame
+from evalkit.core.timing import Timing, timed
 from evalkit.protocols import NoAnswer, Odometry
 from evalkit.study.ledger import Result
-from evalkit.types import Frame, Match
 from evalkit.validation.dossier.asking import Data, Named
 from evalkit.validation.dossier.pairs import pairs
 from evalkit.validation.equivalence import comparison as equivalence

@@ -9,13 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.run_result import Trial
+from evalkit.core.se2 import Floats
 from evalkit.metrics.runtime import period_ns
 from evalkit.metrics.statistics import Interval, block_bootstrap, block_length, paired_difference
 from evalkit.metrics.trajectory import MAX_GAP_S, bracketed, rms
-from evalkit.se2 import Floats
 from evalkit.study.ledger import Result
-from evalkit.types import Trial
 from evalkit.validation.dossier.answers import Names, ended, words
 from evalkit.validation.dossier.dossier import Level, Line
 from evalkit.validation.equivalence.cells import Layers

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from evalkit import registry
-from evalkit.errors import NotInstalled
+from evalkit.core.errors import NotInstalled
 
 ROLE = "paper"
 

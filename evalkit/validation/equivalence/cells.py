@@ -8,11 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from evalkit import se2
-from evalkit.errors import BackendFailed
+from evalkit.core import se2
+from evalkit.core.arrays import Bools, Ints
+from evalkit.core.errors import BackendFailed
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Scan
+from evalkit.core.se2 import Floats
 from evalkit.protocols import Mapper
-from evalkit.se2 import Floats
-from evalkit.types import Bools, Ints, OccupancyGrid, Pose, Scan
 from evalkit.validation.conformance.rules import raised
 from evalkit.validation.equivalence.divergence import Divergence
 from evalkit.validation.equivalence.lockstep import REMEDY

@@ -10,10 +10,10 @@ from typing import Literal
 import numpy as np
 
 from evalkit import frontend, registry
-from evalkit.errors import BadData, BadParameter, DataMissing, NotInstalled
+from evalkit.core.errors import BadData, BadParameter, DataMissing, NotInstalled
+from evalkit.core.pose import Pose
 from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter, Sequence, Value, resolved
 from evalkit.settings import from_text
-from evalkit.types import Pose
 from evalkit.validation.address import address_of, spec_at
 from evalkit.validation.equivalence import cells, lockstep
 from evalkit.validation.equivalence.agreement import Equivalence, Level

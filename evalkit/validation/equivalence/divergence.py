@@ -7,8 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evalkit.se2 import Floats
-from evalkit.types import Ints, Iteration, Match, Pose
+from evalkit.core.arrays import Ints
+from evalkit.core.match import Iteration, Match
+from evalkit.core.pose import Pose
+from evalkit.core.se2 import Floats
 from evalkit.validation.equivalence import pairing
 from evalkit.validation.equivalence.lockstep import Exchange, Question
 from evalkit.validation.equivalence.margins import FLOAT32_ROUNDOFF, TIE_ROUNDINGS, Margin, Scale, float32

@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 
 from evalkit import frontend
-from evalkit.errors import BackendFailed
+from evalkit.core.errors import BackendFailed
+from evalkit.core.match import Match
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud, Frame
 from evalkit.protocols import BackendSpec, NoAnswer, Odometry, Registration, Sequence, Value
-from evalkit.types import Cloud, Frame, Match, Pose
 from evalkit.validation.conformance.rules import raised
 
 DISTURBED = "-disturbed"

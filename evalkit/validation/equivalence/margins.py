@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy import stats
 
-from evalkit import se2
-from evalkit.se2 import Floats
-from evalkit.types import Cloud, Pose
+from evalkit.core import se2
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud
+from evalkit.core.se2 import Floats
 
 FLOAT32_ROUNDOFF = 2.0**-24
 """Relative error of rounding once to single precision."""

@@ -9,8 +9,8 @@ from typing import Literal
 
 import numpy as np
 
-from evalkit import se2
-from evalkit.se2 import Floats
+from evalkit.core import se2
+from evalkit.core.se2 import Floats
 
 Kind = Literal[
     "nearest-neighbour tie",

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from evalkit import se2
-from evalkit.se2 import Floats
-from evalkit.types import Bools, Ints, Pose
+from evalkit.core import se2
+from evalkit.core.arrays import Bools, Ints
+from evalkit.core.pose import Pose
+from evalkit.core.se2 import Floats
 from evalkit.validation.equivalence.lockstep import Question
 from evalkit.validation.equivalence.mistakes import Kind, in_start
 

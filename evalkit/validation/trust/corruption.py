@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evalkit import se2
-from evalkit.se2 import Floats
-from evalkit.types import Bools
+from evalkit.core import se2
+from evalkit.core.arrays import Bools
+from evalkit.core.se2 import Floats
 
 TURN_PER_M = np.radians(20.0)
 """Jitter of a centimetre comes with a fifth of a degree."""

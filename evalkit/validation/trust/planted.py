@@ -9,11 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit import metrics, registry, se2
+from evalkit import metrics, registry
+from evalkit.core import se2
+from evalkit.core.ground_truth import Truth
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import Run
+from evalkit.core.scan import Frame, Scan
 from evalkit.metrics.table import Metric
 from evalkit.protocols import Sequence
 from evalkit.study.ledger import Job
-from evalkit.types import Frame, Pose, Run, Scan, Truth
 from evalkit.validation.trust import corruption
 from evalkit.validation.trust.rebuilding import recording, run_of, scored, true_poses
 

@@ -10,9 +10,9 @@ import numpy as np
 from scipy import stats
 
 from evalkit import metrics
+from evalkit.core.se2 import Floats
 from evalkit.metrics.statistics import CONFIDENCE, Interval
 from evalkit.metrics.table import Metric
-from evalkit.se2 import Floats
 from evalkit.validation.trust.rebuilding import CLEAN
 
 ERROR = "ate_rmse_m"

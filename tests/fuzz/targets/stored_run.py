@@ -10,8 +10,8 @@ import numpy as np
 from bounds import Finding, folder, held
 
 from evalkit import saved
+from evalkit.core.run_result import STEP
 from evalkit.store import STEPS, Store
-from evalkit.types import STEP
 
 FILES = ("run.json", STEPS, "scores.json", "grid.npz", "errors.npy", "made.json")
 """Which of them an input stands for is told by its first byte; the others are sound."""

@@ -6,9 +6,9 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from evalkit import se2
+from evalkit.core import se2
+from evalkit.core.se2 import Floats
 from evalkit.report.document import Cell, Column, Table
-from evalkit.se2 import Floats
 from evalkit.study.ledger import Result
 from evalkit_baselines.paper.reproduction import following, lab_drives, spikes, steady
 from evalkit_baselines.paper.reproduction.chapter import Results, Settings

@@ -8,15 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import registry, se2
+from evalkit import registry
+from evalkit.core import se2
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.pose import Pose
+from evalkit.core.se2 import Floats
+from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.consistency import hits
 from evalkit.metrics.maps import f1, walls
 from evalkit.metrics.table import Mapped
 from evalkit.metrics.trajectory import rms
 from evalkit.protocols import Value
 from evalkit.scoring import draw
-from evalkit.se2 import Floats
-from evalkit.types import OccupancyGrid, Pose, Trajectory
 from evalkit_baselines.paper.reproduction import faults, following, places
 
 

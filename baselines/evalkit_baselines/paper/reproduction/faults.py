@@ -9,10 +9,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
+from evalkit.core.arrays import Bools
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.se2 import Floats
 from evalkit.metrics.consistency import CLEARED, NOISE_M
 from evalkit.metrics.maps import nearest_m
-from evalkit.se2 import Floats
-from evalkit.types import Bools, OccupancyGrid
 
 GHOST_M = 0.2
 """An occupied cell this far from every true wall is a ghost: four times the range noise (1 sigma)."""

@@ -9,11 +9,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from evalkit import frontend, registry, se2
+from evalkit import frontend, registry
+from evalkit.core import se2
+from evalkit.core.match import Match
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud, Frame
+from evalkit.core.se2 import Floats, Stamps
+from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.trajectory import match
 from evalkit.protocols import Registration, Sequence, Value
-from evalkit.se2 import Floats, Stamps
-from evalkit.types import Cloud, Frame, Match, Pose, Trajectory
 from evalkit_baselines.paper.icp import Icp
 
 READINGS = (

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from evalkit.core.se2 import Floats
 from evalkit.realtime import Rule, first_broken
-from evalkit.se2 import Floats
 from evalkit.study.ledger import Result
 
 RULE = Rule()

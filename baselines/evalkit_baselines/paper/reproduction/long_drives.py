@@ -7,7 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import frontend, registry, se2
+from evalkit import frontend, registry
+from evalkit.core import se2
 from evalkit.protocols import Value
 from evalkit.study.point import evaluate
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evalkit.se2 import Floats
-from evalkit.types import Ints
+from evalkit.core.arrays import Ints
+from evalkit.core.se2 import Floats
 
 MARGIN = 0.01
 RULE = (

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.se2 import Floats
-from evalkit.types import Ints
+from evalkit.core.arrays import Ints
+from evalkit.core.se2 import Floats
 from evalkit_baselines.paper.reproduction import mapping
 from evalkit_baselines.paper.reproduction.map_choice import Choice, recommended
 from evalkit_baselines.paper.reproduction.mapping import TOLD, Variant

@@ -9,15 +9,20 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import frontend, registry, se2
+from evalkit import frontend, registry
+from evalkit.core import se2
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.ground_truth import Truth
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame
+from evalkit.core.se2 import Floats
+from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.consistency import entropy, hits, thicknesses
 from evalkit.metrics.maps import Walls, chamfer, f1, iou, nearest_m, precision, recall, walls
 from evalkit.metrics.occupancy import log_loss, wall_width_m
 from evalkit.metrics.table import Mapped
 from evalkit.metrics.trajectory import match, position_errors, rms
 from evalkit.protocols import Value, resolved
-from evalkit.se2 import Floats
-from evalkit.types import Frame, OccupancyGrid, Pose, Trajectory, Truth
 
 Variant = Mapping[str, Value]
 """What differs from ``DEFAULT``: parameters of the mapper, "scans" and "deskewed"."""

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from evalkit.errors import BadExperiment, UnknownName
+from evalkit.core.errors import BadExperiment, UnknownName
 from evalkit.report.document import Cell, Column, Document, Section, Table, Text, Tone
 from evalkit.study.ledger import Job, Result
 from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Settings, Verdict

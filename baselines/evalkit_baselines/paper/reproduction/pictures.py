@@ -6,8 +6,9 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from evalkit.se2 import Floats
-from evalkit.types import Bools, OccupancyGrid
+from evalkit.core.arrays import Bools
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.se2 import Floats
 
 Extent = tuple[float, float, float, float]
 """Left, right, bottom, top (m)."""

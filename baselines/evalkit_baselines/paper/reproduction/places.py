@@ -9,9 +9,11 @@ import numpy as np
 from scipy import ndimage
 from scipy.signal import fftconvolve
 
+from evalkit.core.arrays import Ints
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud
+from evalkit.core.se2 import Floats
 from evalkit.metrics.maps import nearest_m
-from evalkit.se2 import Floats
-from evalkit.types import Cloud, Ints, Pose
 from evalkit_baselines.paper.icp import Icp
 
 CELL_M = 0.1

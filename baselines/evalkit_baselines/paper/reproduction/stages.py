@@ -9,7 +9,8 @@ from types import FrameType
 from typing import Any
 
 from evalkit import frontend, registry
-from evalkit.types import Frame, Pose
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame
 
 RECORDED = frozenset(
     {

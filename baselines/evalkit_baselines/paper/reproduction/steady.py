@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from evalkit.se2 import Floats
+from evalkit.core.arrays import Bools
+from evalkit.core.se2 import Floats
 from evalkit.study.ledger import Result
-from evalkit.types import Bools
 from evalkit_baselines.paper.reproduction import lab_drives, spikes
 from evalkit_baselines.paper.reproduction.chapter import Results, Settings
 from evalkit_baselines.paper.reproduction.spikes import Band

@@ -9,8 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.se2 import Floats
-from evalkit.types import Cloud, Match, Pose
+from evalkit.core.match import Match
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Cloud
+from evalkit.core.se2 import Floats
 from evalkit_baselines.paper.icp import Icp
 
 SIGMA_M = 0.0483

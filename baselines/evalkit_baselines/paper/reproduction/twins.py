@@ -8,9 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import frontend, registry, se2
+from evalkit import frontend, registry
+from evalkit.core import se2
+from evalkit.core.se2 import Floats
 from evalkit.protocols import Value
-from evalkit.se2 import Floats
 
 
 def apart(

@@ -1,0 +1,27 @@
+"""Shared array types and the check every frozen value runs on its arrays."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+Bools = NDArray[np.bool_]
+
+
+Ints = NDArray[np.int64]
+
+
+def freeze(
+    owner: object,
+    name: str,
+    value: ArrayLike,
+    shape: tuple[int | None, ...],
+    dtype: type | np.dtype[np.void] = np.float64,
+) -> None:
+    """Sets the field to a read-only array of that type, or says which field has the wrong shape."""
+    array = np.array(value, dtype=dtype)
+    if array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape, strict=True)):
+        wanted = ", ".join("N" if size is None else str(size) for size in shape)
+        raise ValueError(f"{name}: expected shape ({wanted}{',' if len(shape) == 1 else ''}), got {array.shape}")
+    array.flags.writeable = False
+    object.__setattr__(owner, name, array)

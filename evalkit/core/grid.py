@@ -1,0 +1,62 @@
+"""An occupancy grid in log-odds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from evalkit.core.arrays import Bools, freeze
+from evalkit.core.se2 import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class OccupancyGrid:
+    """Log-odds (H, W) of occupancy, and which cells were ever touched by a beam.
+
+    Row 0 is the lowest y, column 0 the lowest x; ``(origin_x, origin_y)`` is the lower left *corner* of cell (0, 0) in
+    the world frame (m). 0 is as likely occupied as free: p = 1 / (1 + exp(-l)) (paper, eq. 10).
+    """
+
+    log_odds: NDArray[np.float32]
+    observed: Bools
+    resolution_m: float
+    origin_x: float
+    origin_y: float
+
+    def __post_init__(self) -> None:
+        freeze(self, "log_odds", self.log_odds, (None, None), np.float32)
+        freeze(self, "observed", self.observed, self.log_odds.shape, np.bool_)
+        if not self.resolution_m > 0.0:
+            raise ValueError(f"resolution_m: expected a positive number, got {self.resolution_m}")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        rows, columns = self.log_odds.shape
+        return rows, columns
+
+    def probability(self) -> Floats:
+        """The probability of occupancy (H, W); 0.5 where nothing was seen."""
+        with np.errstate(over="ignore"):  # a mapper without bounds: exp is inf where the probability is 0
+            return np.asarray(1.0 / (1.0 + np.exp(-self.log_odds.astype(np.float64))))
+
+    def occupied(self, threshold: float = 0.65) -> Bools:
+        """Observed cells (H, W) with a probability above the threshold (map_server's default)."""
+        return np.asarray(self.observed & (self.log_odds > _log_odds(threshold)))
+
+    def free(self, threshold: float = 0.196) -> Bools:
+        """Observed cells (H, W) with a probability below the threshold (map_server's default)."""
+        return np.asarray(self.observed & (self.log_odds < _log_odds(threshold)))
+
+    def centres(self, cells: Bools) -> Floats:
+        """The centres (N, 2) in the world (m) of the cells marked in a mask (H, W)."""
+        cell = np.argwhere(cells)[:, ::-1].astype(np.float64)  # column and row: x and y
+        return np.asarray([self.origin_x, self.origin_y] + (cell + 0.5) * self.resolution_m)
+
+
+def _log_odds(probability: float) -> np.float64:
+    """Of a probability from 0 to 1; a float64, so that what is as probable in float32 is not rounded over it."""
+    with np.errstate(divide="ignore"):
+        return np.float64(np.log(probability) - np.log1p(-probability))

@@ -1,0 +1,48 @@
+"""A rigid motion of the plane."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from evalkit.core import se2
+from evalkit.core.se2 import Floats
+
+
+@dataclass(frozen=True, slots=True)
+class Pose:
+    """A rigid motion of the plane, ``a_from_b``: x, y in metres, theta in radians within [-pi, pi)."""
+
+    x: float = 0.0
+    y: float = 0.0
+    theta: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not np.isfinite([self.x, self.y, self.theta]).all():
+            raise ValueError(f"pose: not finite: ({self.x}, {self.y}, {self.theta})")
+        object.__setattr__(self, "theta", float(se2.wrap(self.theta)))
+
+    @classmethod
+    def of(cls, row: ArrayLike) -> Pose:
+        """The pose of a row (3,) of x, y, theta."""
+        x, y, theta = np.asarray(row, dtype=np.float64)
+        return cls(float(x), float(y), float(theta))
+
+    @property
+    def row(self) -> Floats:
+        """x, y, theta as an array (3,)."""
+        return np.array([self.x, self.y, self.theta])
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """``a_from_c`` for ``a_from_b @ b_from_c``."""
+        return Pose.of(se2.compose(self.row, other.row))
+
+    def inverse(self) -> Pose:
+        """``b_from_a``."""
+        return Pose.of(se2.inverse(self.row))
+
+    def transform(self, points: ArrayLike) -> Floats:
+        """Points (N, 2) of frame b in frame a."""
+        return se2.transform(self.row, points)

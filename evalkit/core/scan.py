@@ -1,0 +1,126 @@
+"""One lidar scan, its points, and the frame an odometry receives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from evalkit.core import se2
+from evalkit.core.arrays import Bools, freeze
+from evalkit.core.pose import Pose
+from evalkit.core.se2 import Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """One revolution or sweep of a planar lidar, in the sensor's frame.
+
+    ``stamp_ns``: time of the first beam. ``ranges`` (B,) in metres: finite within the limits, ``inf`` for no return,
+    ``nan`` for invalid. ``angles`` (B,) in radians, counter-clockwise from the sensor's x axis, in the order the beams
+    were fired. ``time_increment_ns``: time between two beams (0: all at once).
+    """
+
+    stamp_ns: int
+    ranges: Floats
+    angles: Floats
+    range_min_m: float
+    range_max_m: float
+    time_increment_ns: int = 0
+
+    def __post_init__(self) -> None:
+        freeze(self, "ranges", self.ranges, (None,))
+        freeze(self, "angles", self.angles, (len(self.ranges),))
+        if not np.isfinite(self.angles).all():
+            raise ValueError("angles: not finite")
+        if not 0.0 <= self.range_min_m < self.range_max_m:
+            raise ValueError(f"range limits: expected 0 <= min < max, got {self.range_min_m} and {self.range_max_m} m")
+        if self.time_increment_ns < 0:
+            raise ValueError(f"time_increment_ns: negative: {self.time_increment_ns}")
+        finite = np.isfinite(self.ranges)
+        outside = finite & ((self.ranges < self.range_min_m) | (self.ranges > self.range_max_m))
+        if outside.any() or np.isneginf(self.ranges).any():
+            beam = int(np.argmax(outside | np.isneginf(self.ranges)))
+            raise ValueError(
+                f"ranges: {self.ranges[beam]} m at beam {beam} lies outside "
+                f"[{self.range_min_m}, {self.range_max_m}] m; mark no return as inf and invalid as nan"
+            )
+
+    @property
+    def hits(self) -> Bools:
+        """Which beams (B,) met something."""
+        return np.isfinite(self.ranges)
+
+    @property
+    def no_returns(self) -> Bools:
+        """Which beams (B,) met nothing within range."""
+        return np.isposinf(self.ranges)
+
+    @property
+    def duration_ns(self) -> int:
+        """Time from the first beam to the last."""
+        return self.time_increment_ns * max(len(self.ranges) - 1, 0)
+
+    def points(self) -> Floats:
+        """The hits (N, 2) in the sensor frame, in firing order."""
+        hits = self.hits
+        return _polar(self.ranges[hits], self.angles[hits])
+
+    def deskewed(self, base_from_sensor: Pose, start_from_end: Pose | None) -> Scan:
+        """The same scan as if every beam had been fired at ``stamp_ns``, for a base that moves steadily meanwhile.
+
+        ``start_from_end`` is the motion of the *base* from the first beam to the last; None: unknown, nothing changes.
+        Hits move, no-returns turn, and the range limits widen where a moved hit needs it.
+        """
+        if start_from_end is None or len(self.ranges) < 2 or self.time_increment_ns == 0:
+            return self
+        share = np.arange(len(self.ranges)) / (len(self.ranges) - 1)
+        start_from_beam = se2.fraction(start_from_end.row, share)
+        sensor_from_moved = se2.compose(
+            base_from_sensor.inverse().row, se2.compose(start_from_beam, base_from_sensor.row)
+        )
+        hits = self.hits
+        moved = se2.transform_each(sensor_from_moved[hits], self.points())
+        ranges, angles = self.ranges.copy(), self.angles + sensor_from_moved[:, 2]
+        ranges[hits] = np.hypot(moved[:, 0], moved[:, 1])
+        angles[hits] = np.arctan2(moved[:, 1], moved[:, 0])
+        low = min(self.range_min_m, float(ranges[hits].min(initial=self.range_min_m)))
+        high = max(self.range_max_m, float(ranges[hits].max(initial=self.range_max_m)))
+        return Scan(self.stamp_ns, ranges, angles, low, high, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class Cloud:
+    """Points (N, 2) in metres in a named frame; never nan or inf; may be empty."""
+
+    points: Floats
+    frame: str = "base"
+
+    def __post_init__(self) -> None:
+        freeze(self, "points", np.reshape(self.points, (0, 2)) if np.size(self.points) == 0 else self.points, (None, 2))
+        if not np.isfinite(self.points).all():
+            row = int(np.argmax(~np.isfinite(self.points).all(axis=1)))
+            raise ValueError(f"points: not finite at row {row}: {self.points[row].tolist()}")
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One scan with all a back end may know about it.
+
+    ``base_from_sensor``: where the lidar sits. ``odom_from_base``: the wheel odometry's pose of the base when the first
+    beam was fired, None where a recording has none. ``start_from_end``: what the odometry says the base moved from
+    the first beam to the last, None where unknown.
+    """
+
+    scan: Scan
+    base_from_sensor: Pose = field(default_factory=Pose)
+    odom_from_base: Pose | None = None
+    start_from_end: Pose | None = None
+
+
+def _polar(ranges: Floats, angles: Floats) -> Floats:
+    """The points (N, 2) of ranges (N,) and angles (N,): equation 1 of the paper, x forward."""
+    return np.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=-1)
