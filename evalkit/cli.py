@@ -16,7 +16,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from evalkit import __version__, console, environment, experiment, listing, recording, registry
+from evalkit import __version__, console, environment, experiment, listing, recording
 from evalkit.commands import ending, options
 from evalkit.commands.basin import basin
 from evalkit.commands.bench import bench
@@ -48,6 +48,7 @@ from evalkit.core.errors import EvalkitError, NotInstalled
 from evalkit.engine import Engine
 from evalkit.experiment import Plan
 from evalkit.places import There
+from evalkit.plugins import registry
 from evalkit.store import Store, reported
 
 app = typer.Typer(

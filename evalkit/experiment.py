@@ -14,10 +14,11 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
-from evalkit import fingerprint, frontend, registry
+from evalkit import frontend
 from evalkit.content import tables_of
 from evalkit.core.errors import BadExperiment, BadParameter, EvalkitError, UnknownName, brief
-from evalkit.protocols import Value, resolved
+from evalkit.plugins import code_hash, registry
+from evalkit.plugins.protocols import Value, resolved
 
 Item = TypeVar("Item")
 
@@ -109,7 +110,7 @@ class Plan:
     @cached_property
     def _runs(self) -> tuple[Planned, ...]:
         code = cache(registry.run_fingerprint)  # both read files, and a plan may have thousands of runs
-        files = cache(fingerprint.file_state)
+        files = cache(code_hash.file_state)
         repetitions = [(course, seed) for course in self.courses for seed in course.seeds]
         return tuple(
             Planned(_key(contestant, course, seed, code, files), contestant, course, seed)

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from evalkit import frontend, registry
+from evalkit import frontend
 from evalkit.core.errors import NotInstalled
 from evalkit.metrics import all_metrics
-from evalkit.protocols import Parameter, Value
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import Parameter, Value
 
 
 @dataclass(frozen=True)

@@ -9,7 +9,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import Run, Score
 from evalkit.metrics.table import Evidence
-from evalkit.protocols import Sequence
+from evalkit.plugins.protocols import Sequence
 from evalkit.scoring import Scored
 
 OF_THE_MAP_ALONE = ("occupied_percent", "corners", "enclosed_areas", "enclosed_m2", "wall_width_m")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import frontend, metrics, realtime, registry
+from evalkit import frontend, metrics, realtime
 from evalkit.core import belief
 from evalkit.core.arrays import Ints
 from evalkit.core.belief import Stage
@@ -22,7 +22,8 @@ from evalkit.core.se2 import Floats
 from evalkit.core.timing import timed
 from evalkit.metrics.table import Evidence
 from evalkit.metrics.trajectory import match
-from evalkit.protocols import NoAnswer, Odometry, Value, resolved
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import NoAnswer, Odometry, Value, resolved
 from evalkit.realtime import CostProfile, LinearCost, Policy, Schedule, headroom, linear_cost, schedule
 
 WARM_UP_SCANS = 5

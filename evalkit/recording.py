@@ -7,12 +7,13 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-from evalkit import experiment, registry
+from evalkit import experiment
 from evalkit.core.errors import BadData, EvalkitError, NotInstalled
 from evalkit.core.scan import Frame
 from evalkit.experiment import Plan
-from evalkit.protocols import DatasetSpec
-from evalkit.settings import from_text
+from evalkit.plugins import registry
+from evalkit.plugins.parameter_parsing import from_text
+from evalkit.plugins.protocols import DatasetSpec
 
 
 def plan(path: Path, options: Mapping[str, str], settings: Mapping[str, str], backends: list[str], source: str) -> Plan:

@@ -17,7 +17,7 @@ from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.table import Evidence, Mapped, Matched, Placed
 from evalkit.metrics.trajectory import errors_m, match
-from evalkit.protocols import Mapper, Sequence
+from evalkit.plugins.protocols import Mapper, Sequence
 
 MOST_PAIRS = 100
 """So many pairs of successive scans are kept for the metrics that look from one scan to the next."""

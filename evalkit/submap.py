@@ -11,7 +11,7 @@ from evalkit.core.errors import BadParameter
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Scan
 from evalkit.core.se2 import Floats
-from evalkit.protocols import Mapper
+from evalkit.plugins.protocols import Mapper
 
 ORIGIN = Pose()
 

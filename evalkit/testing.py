@@ -8,7 +8,7 @@ def test_my_icp_keeps_the_rules():
 
 from __future__ import annotations
 
-from evalkit.protocols import BackendSpec, DatasetSpec
+from evalkit.plugins.protocols import BackendSpec, DatasetSpec
 from evalkit.validation.conformance import dataset_rules
 from evalkit.validation.conformance import kit as conformance
 from evalkit.validation.conformance.rules import Conformance, Verdict

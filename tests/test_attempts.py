@@ -7,7 +7,7 @@ import pytest
 
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
-from evalkit.protocols import BackendSpec
+from evalkit.plugins.protocols import BackendSpec
 from evalkit.validation.basins import attempts
 from evalkit.validation.basins.attempts import Trials
 

@@ -10,7 +10,7 @@ from evalkit.cli import app
 from evalkit.commands import basin as command
 from evalkit.core.errors import EvalkitError
 from evalkit.core.match import Match
-from evalkit.protocols import BackendSpec
+from evalkit.plugins.protocols import BackendSpec
 
 QUICK = ["--offsets", "48", "--beams", "120", "--pairs", "4", "--jobs", "1", "--scene", "corridor"]
 

@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evalkit import registry
 from evalkit.core.errors import BackendFailed
 from evalkit.core.ground_truth import Truth
 from evalkit.core.scan import Frame
-from evalkit.protocols import DatasetSpec
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import DatasetSpec
 from evalkit.validation.conformance.scenes import drive
 from evalkit.validation.equivalence.comparison import mapper_equivalence
 from evalkit.validation.equivalence.margins import Margin

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from evalkit import cli, registry
+from evalkit import cli
 from evalkit.core.errors import BackendFailed, BadParameter, NotInstalled, UnknownName
+from evalkit.plugins import registry
 from evalkit.validation.conformance import kit as conformance
 from evalkit.validation.conformance import odometry_rules, registration_rules
 from evalkit.validation.conformance.rules import verdict

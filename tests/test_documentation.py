@@ -14,10 +14,10 @@ import pytest
 
 site = pytest.importorskip("evalkit.documentation.site", reason="the documentation is not part of a wheel")
 
-from evalkit import registry  # noqa: E402 - only where there is a documentation
 from evalkit.documentation import blocks as code  # noqa: E402 - as above
 from evalkit.documentation import command_reference, example  # noqa: E402 - as above
 from evalkit.metrics import all_metrics  # noqa: E402 - as above
+from evalkit.plugins import registry  # noqa: E402 - only where there is a documentation
 
 if not (site.ROOT / "pyproject.toml").exists():
     pytest.skip("not in a checkout", allow_module_level=True)

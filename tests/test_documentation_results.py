@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from evalkit.cli import app
 from evalkit.core.run_result import STEP
 from evalkit.metrics import validated
-from evalkit.protocols import Published
+from evalkit.plugins.protocols import Published
 from evalkit.report import overview, record, summary
 
 FILE = Path(validated.__file__).parents[1] / "documentation" / "pages" / "results.md"

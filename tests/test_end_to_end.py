@@ -8,7 +8,8 @@ import signal
 import numpy as np
 import pytest
 
-from evalkit import cli, mapserver, registry
+from evalkit import cli, mapserver
+from evalkit.plugins import registry
 from evalkit.store import Store
 from evalkit_datasets import tum
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evalkit import registry
 from evalkit.cli import app
 from evalkit.core import se2
 from evalkit.core.errors import BackendFailed, EvalkitError, UnknownName
@@ -16,7 +15,8 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
-from evalkit.protocols import BackendSpec, DatasetSpec, NoAnswer
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import BackendSpec, DatasetSpec, NoAnswer
 from evalkit.validation.conformance.scenes import drive
 from evalkit.validation.equivalence.comparison import NotEquivalent, assert_equivalent, equivalence
 from evalkit.validation.equivalence.divergence import first_divergence

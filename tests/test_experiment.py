@@ -8,9 +8,10 @@ from pathlib import Path
 
 import pytest
 
-from evalkit import experiment, registry
+from evalkit import experiment
 from evalkit.core.errors import BadExperiment, UnknownName
 from evalkit.experiment import Limits
+from evalkit.plugins import registry
 
 WHEELS = '[[contestant]]\nuse = "wheel-odometry"\n'
 ROOM = '[[sequence]]\nuse = "room"\n'

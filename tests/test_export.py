@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from evalkit import registry, report
+from evalkit import report
 from evalkit.cli import app
 from evalkit.core.errors import DataMissing, NotInstalled, StoreError, UnknownName
 from evalkit.core.grid import OccupancyGrid
@@ -22,7 +22,8 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, Run, Score, Trial
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
-from evalkit.protocols import DatasetSpec
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import DatasetSpec
 from evalkit.report.export import papers, rerunfile, rosfile
 from evalkit.report.export.results import read
 from evalkit.report.wording import as_markdown

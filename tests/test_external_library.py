@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evalkit import registry, runner
+from evalkit import runner
 from evalkit.core.errors import BackendFailed, BadParameter, UnknownName
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.experiment import Limits
 from evalkit.external import INCLUDE, elf, library
-from evalkit.protocols import resolved
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import resolved
 from evalkit.worker import Request
 
 EXAMPLES = INCLUDE / "examples"

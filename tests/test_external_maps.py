@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evalkit import cli, registry
+from evalkit import cli
 from evalkit.core.errors import BadData
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.external import maps
-from evalkit.protocols import resolved
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import resolved
 from evalkit.store import Store
 
 DRIVE = "laps = 0.02\n"

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evalkit import experiment, registry
+from evalkit import experiment
 from evalkit.core.errors import BadParameter, UnknownName
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
@@ -17,6 +17,7 @@ from evalkit.core.scan import Frame, Scan
 from evalkit.external import process
 from evalkit.metrics import runtime
 from evalkit.metrics.table import Evidence
+from evalkit.plugins import registry
 
 FOLLOWS = """
 import json, sys, time

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from evalkit import registry
 from evalkit.core.errors import BadData, BadParameter
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
@@ -13,7 +12,8 @@ from evalkit.core.trajectory import Trajectory
 from evalkit.external import results
 from evalkit.metrics import runtime
 from evalkit.metrics.table import Evidence
-from evalkit.protocols import NoAnswer, resolved
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import NoAnswer, resolved
 from evalkit.store import tum
 
 STAMPS = np.arange(40) * 100_000_000

@@ -5,8 +5,8 @@ import sys
 
 import pytest
 
-from evalkit import fingerprint as module
-from evalkit.fingerprint import fingerprint, of_files, sources
+from evalkit.plugins import code_hash as module
+from evalkit.plugins.code_hash import fingerprint, of_files, sources
 
 
 @pytest.fixture

@@ -12,7 +12,7 @@ from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.frontend import complete_parameters, odometry, parameters_of
-from evalkit.protocols import BackendSpec, Parameter
+from evalkit.plugins.protocols import BackendSpec, Parameter
 
 LANDMARKS = np.random.default_rng(5).uniform(-4.0, 4.0, (60, 2))
 BASE_FROM_SENSOR = Pose(0.2, -0.1, math.radians(40.0))

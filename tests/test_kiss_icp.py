@@ -10,7 +10,7 @@ from evalkit.core import belief, se2
 from evalkit.core.errors import NotInstalled
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
-from evalkit.protocols import resolved
+from evalkit.plugins.protocols import resolved
 from evalkit_baselines import kiss_icp
 
 needs_kiss_icp = pytest.mark.skipif(bool(why := kiss_icp.kiss_icp_missing()), reason=why or "kiss-icp is here")

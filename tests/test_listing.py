@@ -2,8 +2,9 @@
 
 import pytest
 
-from evalkit import listing, registry
+from evalkit import listing
 from evalkit.metrics import METRICS
+from evalkit.plugins import registry
 
 pytestmark = pytest.mark.usefixtures("strangers")
 

@@ -9,7 +9,7 @@ from evalkit import lift
 from evalkit.core.errors import NotInstalled
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
-from evalkit.protocols import resolved
+from evalkit.plugins.protocols import resolved
 from evalkit_baselines import open3d_icp
 
 METHODS = {

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from evalkit import pacing, registry
+from evalkit import pacing
 from evalkit.core.errors import BackendFailed
 from evalkit.core.pose import Pose
 from evalkit.core.timing import Timing
 from evalkit.pacing import Contestant, Course, Measured, ladder, paced, profile
-from evalkit.protocols import NoAnswer
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import NoAnswer
 from evalkit.realtime import CostProfile
 
 

@@ -2,7 +2,8 @@
 
 import pytest
 
-from evalkit import frontend, registry
+from evalkit import frontend
+from evalkit.plugins import registry
 from evalkit.study.ledger import call
 from evalkit_baselines.paper.reproduction import configurations
 from evalkit_baselines.paper.reproduction.configurations import CHAPTER, CONFIGURATIONS

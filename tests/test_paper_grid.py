@@ -10,7 +10,7 @@ import pytest
 from evalkit.core.errors import BadParameter
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Scan
-from evalkit.protocols import resolved
+from evalkit.plugins.protocols import resolved
 from evalkit_baselines import paper
 from evalkit_baselines.paper import grid as paper_grid
 from evalkit_baselines.paper.grid import LogOddsGrid, bresenham, exact

@@ -12,7 +12,7 @@ from evalkit.core import se2
 from evalkit.core.errors import BadParameter
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
-from evalkit.protocols import resolved
+from evalkit.plugins.protocols import resolved
 from evalkit_baselines import paper
 from evalkit_baselines.paper import icp
 from evalkit_baselines.paper.association import Association, Recent

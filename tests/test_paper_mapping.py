@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evalkit import registry
+from evalkit.plugins import registry
 from evalkit.report.document import Document, render
 from evalkit_baselines.paper.reproduction import mapping, maps
 from evalkit_baselines.paper.reproduction.map_study import named

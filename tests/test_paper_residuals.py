@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evalkit import registry
+from evalkit.plugins import registry
 from evalkit.study.ledger import call
 from evalkit_baselines.paper.reproduction import causes, following, lab_drives, residuals, spikes
 from evalkit_baselines.paper.reproduction.spikes import Band

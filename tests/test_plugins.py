@@ -7,10 +7,11 @@ from importlib.metadata import entry_points
 import numpy as np
 import pytest
 
-from evalkit import frontend, registry
+from evalkit import frontend
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Scan
-from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter, resolved
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter, resolved
 
 SHIPPED = ("evalkit_baselines", "evalkit_datasets")
 

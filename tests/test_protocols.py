@@ -5,7 +5,7 @@ import math
 import pytest
 
 from evalkit.core.errors import BadParameter, UnknownName
-from evalkit.protocols import Parameter, nothing_missing, resolved, with_defaults
+from evalkit.plugins.protocols import Parameter, nothing_missing, resolved, with_defaults
 
 FLAG = Parameter("flag", True, "", "on or off")
 COUNT = Parameter("count", 3, "", "how many", low=1, high=9)

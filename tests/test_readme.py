@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from evalkit import experiment, registry
+from evalkit import experiment
 from evalkit.cli import app
+from evalkit.plugins import registry
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from evalkit import registry
 from evalkit.core import se2
 from evalkit.core.pose import Pose
+from evalkit.plugins import registry
 from evalkit_datasets import carmen_lines, catalog, recorded, tum
 
 NAMES = list(recorded.FILES)

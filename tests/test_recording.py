@@ -5,8 +5,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from evalkit import recording, registry
+from evalkit import recording
 from evalkit.core.errors import BadData, BadExperiment, BadParameter, NotInstalled
+from evalkit.plugins import registry
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ from importlib.metadata import EntryPoint
 import pytest
 
 import evalkit
-from evalkit import registry
 from evalkit.core.errors import NotInstalled, UnknownName
-from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import BackendSpec, DatasetSpec, MapperSpec
 
 HEAVY = (
     "pandas",

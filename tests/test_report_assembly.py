@@ -7,7 +7,7 @@ import pytest
 
 from evalkit import experiment
 from evalkit.core.ground_truth import Truth
-from evalkit.protocols import BackendSpec
+from evalkit.plugins.protocols import BackendSpec
 from evalkit.report import comparison_of
 from evalkit.report.assembly import distribution, fairness, in_order, sequence_card
 

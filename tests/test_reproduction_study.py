@@ -2,7 +2,7 @@
 
 import pytest
 
-from evalkit import registry
+from evalkit.plugins import registry
 from evalkit_baselines.paper.reproduction.study import CHAPTER
 from evalkit_baselines.paper.reproduction.twins import apart
 

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from evalkit import registry, scoring
+from evalkit import scoring
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, Run
 from evalkit.core.scan import Scan
-from evalkit.protocols import resolved
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import resolved
 
 SCANS = 12
 

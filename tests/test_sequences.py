@@ -10,7 +10,7 @@ from evalkit.core.ground_truth import Relations, Truth
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
-from evalkit.protocols import DatasetSpec, Parameter
+from evalkit.plugins.protocols import DatasetSpec, Parameter
 from evalkit.validation.basins import sequences
 from evalkit.validation.basins.attempts import Trials
 from evalkit.validation.basins.sequences import Recorded, seen

@@ -3,8 +3,8 @@
 import pytest
 
 from evalkit.core.errors import BadParameter
-from evalkit.protocols import Parameter
-from evalkit.settings import from_text
+from evalkit.plugins.parameter_parsing import from_text
+from evalkit.plugins.protocols import Parameter
 
 FLAG = Parameter("flag", False, "", "on or off")
 PARAMETERS = (FLAG, Parameter("count", 1, "", "how many"), Parameter("far", 1.0, "m", "how far"),

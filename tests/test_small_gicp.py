@@ -9,7 +9,7 @@ from evalkit import lift
 from evalkit.core.errors import NotInstalled
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
-from evalkit.protocols import resolved
+from evalkit.plugins.protocols import resolved
 from evalkit_baselines import small_gicp
 
 METHODS = {"point-to-point": small_gicp.POINT_TO_POINT, "point-to-plane": small_gicp.POINT_TO_PLANE}

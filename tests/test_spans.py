@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from evalkit import metrics, registry
+from evalkit import metrics
 from evalkit.core.errors import BadData, DataMissing
 from evalkit.core.ground_truth import Truth
 from evalkit.core.measured_distances import Place, Span
 from evalkit.core.run_result import STEP, Run
 from evalkit.metrics.table import Evidence
+from evalkit.plugins import registry
 from evalkit_datasets import spans
 from evalkit_datasets.carmen import Carmen
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from evalkit import registry
 from evalkit.core.pose import Pose
+from evalkit.plugins import registry
 from evalkit.submap import GridSubmap, KeyframeSubmap, VoxelMap, voxel_means
 
 

@@ -6,7 +6,7 @@ import pytest
 
 from evalkit.core import se2
 from evalkit.core.errors import BadParameter, UnknownName
-from evalkit.protocols import DatasetSpec, resolved
+from evalkit.plugins.protocols import DatasetSpec, resolved
 from evalkit_datasets import synthetic
 
 SPECS = {name: getattr(synthetic, name.upper()) for name in ("room", "lab", "loop", "corridor", "office")}

@@ -10,7 +10,7 @@ import pytest
 
 from evalkit.core.errors import BadParameter, DataMissing, NotInstalled
 from evalkit.core.match import Match
-from evalkit.protocols import BackendSpec, resolved
+from evalkit.plugins.protocols import BackendSpec, resolved
 from evalkit.testing import ConformanceError, check_backend, check_dataset
 from evalkit.validation.conformance import dataset_rules
 from evalkit.validation.conformance.rules import Verdict, verdict

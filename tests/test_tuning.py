@@ -8,9 +8,10 @@ import tomllib
 import numpy as np
 import pytest
 
-from evalkit import frontend, registry
+from evalkit import frontend
 from evalkit.core.errors import BadExperiment
-from evalkit.protocols import Parameter
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import Parameter
 from evalkit.study import point
 from evalkit.study.tuning import campaign, trial
 from evalkit.study.tuning.frontier import frontier

@@ -9,10 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from evalkit import registry
 from evalkit.cli import app
 from evalkit.core.errors import BadExperiment, BadParameter, NotInstalled, UnknownName
 from evalkit.external import INCLUDE
+from evalkit.plugins import registry
 from evalkit.validation import isolated
 from evalkit.validation.dossier import answers, asking, examination, twins
 from evalkit.validation.dossier.answers import Names

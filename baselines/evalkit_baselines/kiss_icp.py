@@ -39,7 +39,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import conversion
-from evalkit.protocols import BackendSpec, Parameter
+from evalkit.plugins.protocols import BackendSpec, Parameter
 
 INSTALL = "pip install 'evalkit[kiss-icp]'"
 UNMOVED = 1e-12  # metres and radians: what writing a pose as a matrix and back may change

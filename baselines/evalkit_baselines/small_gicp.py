@@ -36,7 +36,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import conversion
-from evalkit.protocols import BackendSpec, Parameter
+from evalkit.plugins.protocols import BackendSpec, Parameter
 
 INSTALL = "pip install 'evalkit[small-gicp]'"
 FEWEST_PAIRS = 3  # two pairs fix a planar pose exactly, so they fit whatever they are

@@ -9,7 +9,7 @@ from __future__ import annotations
 from evalkit.core.errors import DataMissing
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
-from evalkit.protocols import BackendSpec
+from evalkit.plugins.protocols import BackendSpec
 
 
 class WheelOdometry:

@@ -17,7 +17,7 @@ from rich.table import Table
 from evalkit import console
 from evalkit.commands import options
 from evalkit.core.errors import EvalkitError, UnknownName
-from evalkit.settings import from_text
+from evalkit.plugins.parameter_parsing import from_text
 from evalkit_datasets import catalog, recorded
 from evalkit_datasets.fetch import fetch
 

@@ -16,7 +16,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.se2 import Floats, Stamps, between
 from evalkit.core.trajectory import Trajectory
-from evalkit.protocols import DatasetSpec, Parameter
+from evalkit.plugins.protocols import DatasetSpec, Parameter
 from evalkit_datasets import carmen_lines, recording
 from evalkit_datasets.carmen_lines import Log, Reading
 from evalkit_datasets.sorting import by_rank

@@ -11,7 +11,7 @@ import numpy as np
 
 from evalkit.core.errors import StoreError, UnknownName
 from evalkit.core.trajectory import Trajectory
-from evalkit.protocols import Value, resolved
+from evalkit.plugins.protocols import Value, resolved
 from evalkit.store import reported
 from evalkit_datasets import synthetic, tum
 from evalkit_datasets.synthetic import Synthetic

@@ -12,7 +12,7 @@ from evalkit import mapserver
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.trajectory import Trajectory
-from evalkit.protocols import DatasetSpec, Parameter, Published
+from evalkit.plugins.protocols import DatasetSpec, Parameter, Published
 from evalkit_datasets import catalog, recording
 from evalkit_datasets.carmen import Carmen
 from evalkit_datasets.rosbag import RosBag

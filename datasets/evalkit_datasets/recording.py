@@ -15,7 +15,7 @@ from evalkit.core.measured_distances import Span
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
-from evalkit.protocols import Parameter
+from evalkit.plugins.protocols import Parameter
 from evalkit_datasets import relations, spans, tum
 from evalkit_datasets.stamps import stamp_text
 

@@ -19,7 +19,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.se2 import Floats, Stamps, between, compose
 from evalkit.core.trajectory import Trajectory
-from evalkit.protocols import DatasetSpec, Parameter
+from evalkit.plugins.protocols import DatasetSpec, Parameter
 from evalkit_datasets import bag, recording
 from evalkit_datasets.bag import Contents, Scans, Sweep
 from evalkit_datasets.samples import Samples

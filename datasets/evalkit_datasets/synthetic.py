@@ -13,7 +13,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
-from evalkit.protocols import DatasetSpec, Parameter, Value, resolved, with_defaults
+from evalkit.plugins.protocols import DatasetSpec, Parameter, Value, resolved, with_defaults
 from evalkit_datasets import floorplans
 from evalkit_datasets.episodes import NEVER, Episodes
 from evalkit_datasets.floorplans import FloorPlan

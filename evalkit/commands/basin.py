@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from evalkit import console, environment, registry
+from evalkit import console, environment
 from evalkit.commands import options
 from evalkit.commands.options import Jobs, Json, Out, err, out
+from evalkit.plugins import registry
 from evalkit.store import write_texts
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from rich.text import Text
 from evalkit import console
 from evalkit.commands import options
 from evalkit.commands.options import Json, out
-from evalkit.settings import from_text
+from evalkit.plugins.parameter_parsing import from_text
 from evalkit.validation.conformance import kit as conformance
 
 

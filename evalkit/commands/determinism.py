@@ -9,10 +9,11 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from evalkit import console, registry
+from evalkit import console
 from evalkit.commands import options
 from evalkit.commands.options import Json, err, out
-from evalkit.settings import from_text
+from evalkit.plugins import registry
+from evalkit.plugins.parameter_parsing import from_text
 
 
 def determinism(

@@ -9,13 +9,14 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from evalkit import console, frontend, registry
+from evalkit import console, frontend
 from evalkit.commands import options
 from evalkit.commands.options import Json, err, out
 from evalkit.core.errors import DataMissing
-from evalkit.protocols import Value, resolved
+from evalkit.plugins import registry
+from evalkit.plugins.parameter_parsing import from_text
+from evalkit.plugins.protocols import Value, resolved
 from evalkit.realtime import POLICIES, Policy, Rule, first_broken
-from evalkit.settings import from_text
 from evalkit.study.ledger import Job, Ledger
 
 RULE = Rule()

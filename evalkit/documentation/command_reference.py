@@ -13,8 +13,9 @@ from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 import typer
 from typer.models import ArgumentInfo, OptionInfo
 
-from evalkit import cli, registry
+from evalkit import cli
 from evalkit.documentation.markup import code, heading, page, table, text
+from evalkit.plugins import registry
 
 Function = Callable[..., Any]
 COLUMNS = ("", "takes", "default", "what it is")

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from evalkit import frontend, registry
+from evalkit import frontend
 from evalkit.documentation.markup import code, facts, fold, heading, page, table, text
-from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter
 
 COLUMNS = ("name", "default", "unit", "limits", "meaning")
 

@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from evalkit import frontend
 from evalkit.core.errors import BackendFailed, BadParameter, brief
-from evalkit.protocols import BackendSpec, Odometry, Parameter, Registration, Value, with_defaults
+from evalkit.plugins.protocols import BackendSpec, Odometry, Parameter, Registration, Value, with_defaults
 
 UNTOLD = "not told: it is somebody else's"
 

@@ -26,7 +26,7 @@ from evalkit.core.timing import conversion
 from evalkit.external import abi, elf
 from evalkit.external.declaration import absent, broken, declaration, digest_of, listed, settings, spec, split, text
 from evalkit.lifeline import signal_name
-from evalkit.protocols import BackendSpec, Parameter, Value
+from evalkit.plugins.protocols import BackendSpec, Parameter, Value
 
 LOOK_S = 20.0
 """How long loading a library and asking what it is may take."""

@@ -13,7 +13,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.external.declaration import UNTOLD, digest_of, settings
 from evalkit.metrics.consistency import looked_up
-from evalkit.protocols import BackendSpec, Parameter
+from evalkit.plugins.protocols import BackendSpec, Parameter
 
 SUFFIXES = (".yaml", ".yml")
 

@@ -21,7 +21,7 @@ from evalkit.core.se2 import Floats
 from evalkit.external import elf
 from evalkit.external.declaration import Declaration, absent, broken, declaration, digest_of, spec
 from evalkit.external.program import Program
-from evalkit.protocols import BackendSpec, Parameter, Value
+from evalkit.plugins.protocols import BackendSpec, Parameter, Value
 
 VERSION = 1
 MOST_COUNTED = 2.0**31

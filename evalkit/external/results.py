@@ -15,7 +15,7 @@ from evalkit.core.timing import withhold
 from evalkit.core.trajectory import Trajectory
 from evalkit.external import maps
 from evalkit.external.declaration import UNTOLD, digest_of, settings, split
-from evalkit.protocols import BackendSpec, NoAnswer, Parameter
+from evalkit.plugins.protocols import BackendSpec, NoAnswer, Parameter
 
 LAYOUT = "t x y z qx qy qz qw"
 

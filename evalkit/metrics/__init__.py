@@ -10,7 +10,6 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from evalkit import registry
 from evalkit.core.run_result import Score
 from evalkit.metrics import (
     clouds,
@@ -31,6 +30,7 @@ from evalkit.metrics import (
     trajectory,
 )
 from evalkit.metrics.table import Evidence, Metric
+from evalkit.plugins import registry
 
 METRICS: tuple[Metric, ...] = (
     *trajectory.METRICS,

@@ -7,13 +7,14 @@ from datetime import datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, metadata, packages_distributions
 
-from evalkit import environment, registry
+from evalkit import environment
 from evalkit.core.run_result import Trial
 from evalkit.experiment import Contestant, Course, Limits, MapperChoice, Plan
 from evalkit.frontend import parameters_of
 from evalkit.metrics import all_metrics
-from evalkit.protocols import GUESS_NOT_TOLD, Parameter, Value
-from evalkit.protocols import Sequence as Recording
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import GUESS_NOT_TOLD, Parameter, Value
+from evalkit.plugins.protocols import Sequence as Recording
 from evalkit.report.comparison import Comparison, ContestantCard, SequenceCard, Setting
 
 LIBRARIES = ("numpy", "scipy")

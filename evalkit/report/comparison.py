@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal
 
 from evalkit.core.run_result import Trial
 from evalkit.metrics.table import Metric
-from evalkit.protocols import Published, Sequence, Value
+from evalkit.plugins.protocols import Published, Sequence, Value
 from evalkit.report.resampling import Resamples
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.consistency import CLEARED, looked_up
 from evalkit.metrics.maps import nearest_m
-from evalkit.protocols import Sequence
+from evalkit.plugins.protocols import Sequence
 from evalkit.report.maps import Window, pixel_m
 from evalkit.report.packing import NONE, Steps, packed, quantised, restored
 from evalkit.report.palette import Stroke

@@ -9,7 +9,7 @@ from statistics import median
 from evalkit.core.run_result import Status, Trial
 from evalkit.metrics.statistics import wilson
 from evalkit.metrics.table import Metric
-from evalkit.protocols import Published
+from evalkit.plugins.protocols import Published
 from evalkit.report.cells import Cell, interval
 from evalkit.report.comparison import Comparison
 from evalkit.report.consensus import disagrees, is_behind_bar

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 
-from evalkit.protocols import Value
+from evalkit.plugins.protocols import Value
 from evalkit.study.plan import Study
 
 

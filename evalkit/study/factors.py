@@ -9,7 +9,7 @@ from itertools import pairwise
 from typing import Any, Literal
 
 from evalkit.core.errors import BadExperiment, brief
-from evalkit.protocols import Value
+from evalkit.plugins.protocols import Value
 from evalkit.study.design import Axis
 
 Scale = Literal["linear", "log"]

@@ -29,7 +29,7 @@ import numpy as np
 from evalkit import environment, lifeline, saved
 from evalkit.cluster import Call, Cluster, NoCluster, Slot
 from evalkit.core.errors import EvalkitError, StoreError, plain
-from evalkit.fingerprint import fingerprint
+from evalkit.plugins.code_hash import fingerprint
 from evalkit.store import REMEDY, reported
 from evalkit.study import deadline
 

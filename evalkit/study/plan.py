@@ -9,12 +9,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
-from evalkit import registry
 from evalkit.core.se2 import Floats
 from evalkit.experiment import Limits
-from evalkit.fingerprint import of_files
 from evalkit.metrics.table import Metric
-from evalkit.protocols import Value
+from evalkit.plugins import registry
+from evalkit.plugins.code_hash import of_files
+from evalkit.plugins.protocols import Value
 from evalkit.study.design import Model
 from evalkit.study.factors import Factor, Level, Scale
 from evalkit.study.ledger import Job

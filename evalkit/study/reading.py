@@ -7,11 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
 
-from evalkit import experiment, frontend, registry
+from evalkit import experiment, frontend
 from evalkit.content import tables_of
 from evalkit.core.errors import BadExperiment, BadParameter, EvalkitError, UnknownName, brief
 from evalkit.metrics import all_metrics
-from evalkit.protocols import Value, resolved
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import Value, resolved
 from evalkit.study.factors import Factor, Level, Scale, Settings, factor
 from evalkit.study.placing import placed
 from evalkit.study.plan import Design, EnvelopeChoice, Kind, Point, Response, Study

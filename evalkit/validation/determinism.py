@@ -11,10 +11,11 @@ from typing import Literal
 
 import numpy as np
 
-from evalkit import frontend, registry, runner
+from evalkit import frontend, runner
 from evalkit.core.run_result import Run
 from evalkit.experiment import Limits
-from evalkit.protocols import Value, resolved
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import Value, resolved
 from evalkit.store import digest
 from evalkit.worker import Request
 

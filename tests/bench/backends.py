@@ -8,11 +8,12 @@ from functools import partial
 
 import numpy as np
 
-from evalkit import Cloud, Pose, benchmark, frontend, registry
+from evalkit import Cloud, Pose, benchmark, frontend
 from evalkit.benchmark import Series
 from evalkit.core.timing import timed
 from evalkit.environment import SINGLE_THREAD
-from evalkit.protocols import Registration
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import Registration
 
 REFERENCE = "paper-tight"
 

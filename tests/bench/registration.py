@@ -18,10 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import Cloud, Pose, benchmark, lift, registry
+from evalkit import Cloud, Pose, benchmark, lift
 from evalkit.benchmark import Series
 from evalkit.core.se2 import Floats
 from evalkit.environment import SINGLE_THREAD
+from evalkit.plugins import registry
 from evalkit_baselines.embedded.compiled import Precision, compiled_missing, core, real
 from evalkit_baselines.open3d_icp import open3d_missing
 from evalkit_baselines.paper.icp import Icp

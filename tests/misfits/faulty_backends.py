@@ -17,7 +17,7 @@ from evalkit.core.errors import NotInstalled
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
-from evalkit.protocols import BackendSpec, NoAnswer, Parameter
+from evalkit.plugins.protocols import BackendSpec, NoAnswer, Parameter
 from evalkit_baselines.paper.icp import Icp
 
 

@@ -22,7 +22,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
-from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter
+from evalkit.plugins.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter
 
 STEP_M = 0.1
 STEP_NS = 100_000_000

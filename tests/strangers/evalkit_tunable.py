@@ -6,7 +6,7 @@ import math
 
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
-from evalkit.protocols import BackendSpec, Parameter
+from evalkit.plugins.protocols import BackendSpec, Parameter
 
 
 class Stretched:

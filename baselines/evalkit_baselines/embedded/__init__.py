@@ -6,7 +6,7 @@ the core is made of and what made it fast stands in the README beside this file.
 
 from functools import partial
 
-from evalkit.protocols import BackendSpec, MapperSpec
+from evalkit.plugins.protocols import BackendSpec, MapperSpec
 from evalkit_baselines.embedded import mapper, pipeline, registration
 from evalkit_baselines.embedded.compiled import compiled_missing
 from evalkit_baselines.embedded.mapper import CompiledGrid

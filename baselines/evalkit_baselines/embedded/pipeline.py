@@ -12,7 +12,7 @@ from evalkit.core import belief
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.timing import conversion
-from evalkit.protocols import Parameter
+from evalkit.plugins.protocols import Parameter
 from evalkit_baselines.embedded import registration
 from evalkit_baselines.embedded.compiled import core, real
 

@@ -16,7 +16,7 @@ chosen on the recordings fr079 and intel, the same for both; how the largest dis
 
 from collections.abc import Mapping
 
-from evalkit.protocols import BackendSpec, MapperSpec, Value, with_defaults
+from evalkit.plugins.protocols import BackendSpec, MapperSpec, Value, with_defaults
 from evalkit_baselines.paper import grid, icp
 from evalkit_baselines.paper.grid import LogOddsGrid
 from evalkit_baselines.paper.icp import Icp

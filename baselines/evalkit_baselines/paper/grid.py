@@ -15,7 +15,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats
-from evalkit.protocols import Parameter, resolved
+from evalkit.plugins.protocols import Parameter, resolved
 
 CHUNK = 256  # cells: the array grows in steps of this, so that copying stays rare
 MOST_CELLS = 64_000_000  # 400 m x 400 m at 5 cm, 320 MB: a trajectory that ran away must not take the machine along

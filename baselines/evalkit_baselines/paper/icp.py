@@ -33,7 +33,7 @@ from evalkit.core.match import Iteration, Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
-from evalkit.protocols import Parameter, resolved
+from evalkit.plugins.protocols import Parameter, resolved
 from evalkit_baselines.paper.association import Association, Recent
 
 Target = tuple[cKDTree, Floats | None]  # with the normals (M, 2) of metric "line"

@@ -14,7 +14,7 @@ from evalkit.core import se2
 from evalkit.core.errors import NotInstalled
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
-from evalkit.protocols import Sequence as Recording
+from evalkit.plugins.protocols import Sequence as Recording
 from evalkit.report.export.poses import world_poses
 from evalkit.report.figures import Strokes
 

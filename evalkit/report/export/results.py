@@ -9,11 +9,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from evalkit import registry
 from evalkit.core.errors import EvalkitError, StoreError, UnknownName
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import Trial
-from evalkit.protocols import Sequence as Recording
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import Sequence as Recording
 from evalkit.report.palette import Stroke, strokes
 from evalkit.report.record import NAME, VERSION
 from evalkit.store import Store

@@ -16,7 +16,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import Trial
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.se2 import Floats, Stamps
-from evalkit.protocols import Sequence as Recording
+from evalkit.plugins.protocols import Sequence as Recording
 from evalkit.report.export.poses import world_poses
 
 WORLD, BASE, TRUTH, LASER = "world", "base_link", "truth", "laser"

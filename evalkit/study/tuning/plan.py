@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from evalkit import registry
 from evalkit.experiment import Contestant, Course, Limits, MapperChoice
-from evalkit.fingerprint import of_files
+from evalkit.plugins import registry
+from evalkit.plugins.code_hash import of_files
 from evalkit.study.ledger import Job
 from evalkit.study.plan import Response
 from evalkit.study.tuning.space import Candidate, Space

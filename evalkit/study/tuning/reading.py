@@ -6,13 +6,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from evalkit import experiment, registry
+from evalkit import experiment
 from evalkit.content import tables_of
 from evalkit.core.errors import BadExperiment, BadParameter, UnknownName, brief
 from evalkit.experiment import Contestant, Course, Plan
 from evalkit.metrics import all_metrics, spans
-from evalkit.protocols import Parameter, Value
-from evalkit.settings import from_text
+from evalkit.plugins import registry
+from evalkit.plugins.parameter_parsing import from_text
+from evalkit.plugins.protocols import Parameter, Value
 from evalkit.study.factors import Factor, factor
 from evalkit.study.plan import Response
 from evalkit.study.tuning.plan import TUNED, Entrant, Training, Tuning

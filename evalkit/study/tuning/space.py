@@ -13,7 +13,7 @@ import numpy as np
 from evalkit import frontend
 from evalkit.core.se2 import Floats
 from evalkit.external.library import TRACE
-from evalkit.protocols import BackendSpec, Parameter, Value
+from evalkit.plugins.protocols import BackendSpec, Parameter, Value
 from evalkit.study.factors import Factor, Level
 
 CONTESTANT = "contestant."

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
-from evalkit.protocols import Value
+from evalkit.plugins.protocols import Value
 from evalkit.study.point import evaluate, prepared
 
 NO_MAP = "log-odds"

@@ -9,7 +9,7 @@ from dataclasses import asdict
 
 from evalkit import experiment
 from evalkit.experiment import Contestant, Course, Plan
-from evalkit.protocols import Value
+from evalkit.plugins.protocols import Value
 from evalkit.study.experiment_lines import setting_lines
 from evalkit.study.tuning.campaign import Searched
 from evalkit.study.tuning.plan import TUNED, Tuning

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import lift, registry
+from evalkit import lift
 from evalkit.core import se2
 from evalkit.core.arrays import Ints
 from evalkit.core.errors import BadData, BadParameter, DataMissing
@@ -22,8 +22,9 @@ from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.trajectory import MAX_GAP_S, bracketed
-from evalkit.protocols import resolved
-from evalkit.settings import from_text
+from evalkit.plugins import registry
+from evalkit.plugins.parameter_parsing import from_text
+from evalkit.plugins.protocols import resolved
 from evalkit.validation.basins.surroundings import NEAR, Seen
 
 LEAST_M, LEAST_RAD = 0.05, math.radians(2.0)

@@ -8,13 +8,13 @@ from itertools import islice, pairwise
 
 import numpy as np
 
-from evalkit import registry
 from evalkit.core.errors import DataMissing, EvalkitError
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
-from evalkit.protocols import DatasetSpec, Sequence, Value, resolved
-from evalkit.validation.address import address_of, spec_at
+from evalkit.plugins import registry
+from evalkit.plugins.address import address_of, spec_at
+from evalkit.plugins.protocols import DatasetSpec, Sequence, Value, resolved
 from evalkit.validation.conformance.rules import Broken, Conformance, NotApplicable, Rule, table, verdict
 
 COVERED = 0.5

@@ -14,10 +14,11 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
-from evalkit import lifeline, registry
+from evalkit import lifeline
 from evalkit.core.errors import NotInstalled
-from evalkit.protocols import BackendSpec, Value
-from evalkit.validation.address import Address, spec_at
+from evalkit.plugins import registry
+from evalkit.plugins.address import Address, spec_at
+from evalkit.plugins.protocols import BackendSpec, Value
 from evalkit.validation.conformance import odometry_rules, registration_rules
 from evalkit.validation.conformance.rules import Rule, verdict
 

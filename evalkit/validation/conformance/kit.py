@@ -12,10 +12,11 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from evalkit import child, registry
+from evalkit import child
 from evalkit.core.errors import BackendFailed, NotInstalled, UnknownName
-from evalkit.protocols import BackendSpec, Value, resolved
-from evalkit.validation.address import Address, address_of, spec_at
+from evalkit.plugins import registry
+from evalkit.plugins.address import Address, address_of, spec_at
+from evalkit.plugins.protocols import BackendSpec, Value, resolved
 from evalkit.validation.conformance.examiner import NOT_INSTALLED, REQUEST, RULES, STARTS, VERDICTS, Request
 from evalkit.validation.conformance.rules import Conformance, Rule, Verdict, not_asked
 

@@ -13,7 +13,7 @@ from evalkit.core.errors import EvalkitError
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
-from evalkit.protocols import NoAnswer, Odometry
+from evalkit.plugins.protocols import NoAnswer, Odometry
 from evalkit.validation.conformance.growth import grown_bytes
 from evalkit.validation.conformance.registration_rules import NEAR_ENOUGH, turn_in_radians
 from evalkit.validation.conformance.rules import Broken, NotApplicable, Rule, raised, table

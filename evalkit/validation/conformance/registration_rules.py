@@ -12,7 +12,7 @@ import numpy as np
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
-from evalkit.protocols import Registration
+from evalkit.plugins.protocols import Registration
 from evalkit.validation.conformance.growth import grown_bytes
 from evalkit.validation.conformance.rules import Broken, Rule, raised, table
 from evalkit.validation.conformance.scenes import Pair, away, clear_pair, noisy_pair, told, wall_pair

@@ -9,14 +9,15 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from evalkit import environment, experiment, fingerprint, frontend, registry
+from evalkit import environment, experiment, frontend
 from evalkit.core.errors import BadParameter, NotInstalled
 from evalkit.core.run_result import Trial
 from evalkit.engine import Engine, Progress
 from evalkit.experiment import Course, Limits, Plan
 from evalkit.external.declaration import split
-from evalkit.protocols import BackendSpec, Value
-from evalkit.settings import from_text
+from evalkit.plugins import code_hash, registry
+from evalkit.plugins.parameter_parsing import from_text
+from evalkit.plugins.protocols import BackendSpec, Value
 from evalkit.store import Store
 from evalkit.study.ledger import Job, Ledger, OnDone, Result
 from evalkit.validation import isolated
@@ -286,7 +287,7 @@ def compiled(backend: str) -> list[Path]:
     if colon and scheme == "lib":
         return [Path(split(backend, rest)[0]).resolve()]
     module = registry.plug_in_of("backends", backend).module
-    reached = fingerprint.sources(module, frozenset({module.partition(".")[0]}))
+    reached = code_hash.sources(module, frozenset({module.partition(".")[0]}))
     return sorted(file for file in reached if file.suffix == ".so")
 
 

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import frontend, registry
+from evalkit import frontend
 from evalkit.core.match import Match
 from evalkit.core.scan import Frame
 from evalkit.core.timing import Timing, timed
-from evalkit.protocols import NoAnswer, Odometry
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import NoAnswer, Odometry
 from evalkit.study.ledger import Result
 from evalkit.validation.dossier.asking import Data, Named
 from evalkit.validation.dossier.pairs import pairs

@@ -16,7 +16,7 @@ from evalkit.core.scan import Cloud, Frame, Scan
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.trajectory import MAX_GAP_S, bracketed
-from evalkit.protocols import Odometry, Sequence
+from evalkit.plugins.protocols import Odometry, Sequence
 from evalkit.validation.equivalence.lockstep import DISTURBED, DISTURBED_M, DISTURBED_RAD, Question, Side
 
 STAGE = "pair"

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from evalkit import registry
 from evalkit.core.errors import NotInstalled
+from evalkit.plugins import registry
 
 ROLE = "paper"
 

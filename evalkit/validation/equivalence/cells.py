@@ -15,7 +15,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats
-from evalkit.protocols import Mapper
+from evalkit.plugins.protocols import Mapper
 from evalkit.validation.conformance.rules import raised
 from evalkit.validation.equivalence.divergence import Divergence
 from evalkit.validation.equivalence.lockstep import REMEDY

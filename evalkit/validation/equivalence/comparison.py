@@ -9,12 +9,13 @@ from typing import Literal
 
 import numpy as np
 
-from evalkit import frontend, registry
+from evalkit import frontend
 from evalkit.core.errors import BadData, BadParameter, DataMissing, NotInstalled
 from evalkit.core.pose import Pose
-from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter, Sequence, Value, resolved
-from evalkit.settings import from_text
-from evalkit.validation.address import address_of, spec_at
+from evalkit.plugins import registry
+from evalkit.plugins.address import address_of, spec_at
+from evalkit.plugins.parameter_parsing import from_text
+from evalkit.plugins.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter, Sequence, Value, resolved
 from evalkit.validation.equivalence import cells, lockstep
 from evalkit.validation.equivalence.agreement import Equivalence, Level
 from evalkit.validation.equivalence.divergence import Divergence, first_divergence

@@ -17,7 +17,7 @@ from evalkit.core.errors import BackendFailed
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
-from evalkit.protocols import BackendSpec, NoAnswer, Odometry, Registration, Sequence, Value
+from evalkit.plugins.protocols import BackendSpec, NoAnswer, Odometry, Registration, Sequence, Value
 from evalkit.validation.conformance.rules import raised
 
 DISTURBED = "-disturbed"

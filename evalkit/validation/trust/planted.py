@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit import metrics, registry
+from evalkit import metrics
 from evalkit.core import se2
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import Run
 from evalkit.core.scan import Frame, Scan
 from evalkit.metrics.table import Metric
-from evalkit.protocols import Sequence
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import Sequence
 from evalkit.study.ledger import Job
 from evalkit.validation.trust import corruption
 from evalkit.validation.trust.rebuilding import recording, run_of, scored, true_poses

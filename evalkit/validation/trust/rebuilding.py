@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import metrics, registry, scoring
+from evalkit import metrics, scoring
 from evalkit.core import se2
 from evalkit.core.run_result import STEP, Run
 from evalkit.core.se2 import Floats
-from evalkit.protocols import Mapper, Value, resolved
-from evalkit.protocols import Sequence as Recording
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import Mapper, Value, resolved
+from evalkit.plugins.protocols import Sequence as Recording
 from evalkit.study.ledger import Job
 from evalkit.validation.trust.corruption import WAYS
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from evalkit.protocols import Parameter, resolved
+from evalkit.plugins.protocols import Parameter, resolved
 from evalkit.report.document import Section
 from evalkit.study.ledger import Job, Result
 

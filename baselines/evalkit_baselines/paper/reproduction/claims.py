@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from evalkit.core.se2 import Floats
-from evalkit.protocols import Parameter, Value
+from evalkit.plugins.protocols import Parameter, Value
 from evalkit.report import charts
 from evalkit.report.charts import Axis, Curve
 from evalkit.report.document import Cell, Column, Figure, Figures, Section, Table, Text

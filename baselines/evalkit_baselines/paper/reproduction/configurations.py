@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import registry
 from evalkit.metrics.trajectory import rms
-from evalkit.protocols import Parameter, Value
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import Parameter, Value
 from evalkit.report.document import Cell, Column, Section, Table, Text, Tone
 from evalkit.study.ledger import Job
 from evalkit_baselines.paper.reproduction import following

@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import registry
 from evalkit.core import se2
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
@@ -18,7 +17,8 @@ from evalkit.metrics.consistency import hits
 from evalkit.metrics.maps import f1, walls
 from evalkit.metrics.table import Mapped
 from evalkit.metrics.trajectory import rms
-from evalkit.protocols import Value
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import Value
 from evalkit.scoring import draw
 from evalkit_baselines.paper.reproduction import faults, following, places
 

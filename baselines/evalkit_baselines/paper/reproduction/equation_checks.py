@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from evalkit import registry
 from evalkit.core import se2
 from evalkit.core.arrays import Bools
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats
-from evalkit.protocols import Sequence
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import Sequence
 from evalkit_baselines.paper import icp
 from evalkit_baselines.paper.grid import LogOddsGrid
 from evalkit_baselines.paper.icp import Icp

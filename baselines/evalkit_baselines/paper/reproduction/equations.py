@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from evalkit.core.se2 import Floats
-from evalkit.protocols import Parameter
+from evalkit.plugins.protocols import Parameter
 from evalkit.report import charts
 from evalkit.report.charts import Axis, Curve, Points
 from evalkit.report.document import Block, Cell, Figure, Figures, Section, Table, Text

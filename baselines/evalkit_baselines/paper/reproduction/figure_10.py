@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from evalkit.core.grid import OccupancyGrid
-from evalkit.protocols import Parameter
+from evalkit.plugins.protocols import Parameter
 from evalkit.report import charts
 from evalkit.report.charts import Points
 from evalkit.report.document import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import registry
 from evalkit.core.se2 import Floats
-from evalkit.protocols import Sequence, Value
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import Sequence, Value
 from evalkit.study.ledger import Job
 from evalkit_baselines.paper.reproduction import following, spikes
 

@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import frontend, registry
+from evalkit import frontend
 from evalkit.core import se2
-from evalkit.protocols import Value
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import Value
 from evalkit.study.point import evaluate
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import frontend, registry
+from evalkit import frontend
 from evalkit.core import se2
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
@@ -22,7 +22,8 @@ from evalkit.metrics.maps import Walls, chamfer, f1, iou, nearest_m, precision, 
 from evalkit.metrics.occupancy import log_loss, wall_width_m
 from evalkit.metrics.table import Mapped
 from evalkit.metrics.trajectory import match, position_errors, rms
-from evalkit.protocols import Value, resolved
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import Value, resolved
 
 Variant = Mapping[str, Value]
 """What differs from ``DEFAULT``: parameters of the mapper, "scans" and "deskewed"."""

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.protocols import Parameter
+from evalkit.plugins.protocols import Parameter
 from evalkit.report import charts
 from evalkit.report.charts import Axis, Curve
 from evalkit.report.document import Cell, Column, Figure, Figures, Section, Table, Text, Tone

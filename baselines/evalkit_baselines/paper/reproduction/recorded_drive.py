@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import registry
 from evalkit.core.pose import Pose
+from evalkit.plugins import registry
 from evalkit.report import charts
 from evalkit.report.charts import Axis, Curve, Points, Span
 from evalkit.report.document import Block, Cell, Column, Figure, Figures, Heading, Table, Text

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from evalkit.protocols import Parameter
+from evalkit.plugins.protocols import Parameter
 from evalkit.report import charts
 from evalkit.report.charts import Axis, Curve, Span
 from evalkit.report.document import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text

@@ -8,9 +8,10 @@ from dataclasses import dataclass, field
 from types import FrameType
 from typing import Any
 
-from evalkit import frontend, registry
+from evalkit import frontend
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
+from evalkit.plugins import registry
 
 RECORDED = frozenset(
     {

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 from pathlib import Path
 
-from evalkit.protocols import Parameter
+from evalkit.plugins.protocols import Parameter
 from evalkit.report.document import Block, Fold, Section, Text
 from evalkit.report.study.curves import curve_blocks, envelope_blocks
 from evalkit.report.study.effects import effect_blocks

@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import frontend, registry
+from evalkit import frontend
 from evalkit.core import se2
 from evalkit.core.se2 import Floats
-from evalkit.protocols import Value
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import Value
 
 
 def apart(

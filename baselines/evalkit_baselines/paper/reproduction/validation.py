@@ -10,7 +10,7 @@ import numpy as np
 from evalkit.core.arrays import Bools
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
-from evalkit.protocols import Parameter
+from evalkit.plugins.protocols import Parameter
 from evalkit.report import charts
 from evalkit.report.charts import Axis, Curve, Points
 from evalkit.report.document import Block, Cell, Column, Figure, Figures, Section, Table, Text, Tone

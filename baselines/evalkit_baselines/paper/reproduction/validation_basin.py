@@ -9,7 +9,7 @@ import numpy as np
 
 from evalkit.core.arrays import Ints
 from evalkit.metrics.statistics import wilson
-from evalkit.protocols import Parameter
+from evalkit.plugins.protocols import Parameter
 from evalkit.report import charts
 from evalkit.report.charts import Axis
 from evalkit.report.document import Block, Cell, Column, Figure, Figures, Fold, Table, Text

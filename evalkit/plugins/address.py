@@ -11,9 +11,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import TypeVar
 
-from evalkit import registry
 from evalkit.core.errors import NotInstalled
-from evalkit.protocols import BackendSpec, DatasetSpec
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import BackendSpec, DatasetSpec
 
 Spec = TypeVar("Spec", BackendSpec, DatasetSpec)
 

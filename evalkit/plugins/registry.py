@@ -16,9 +16,9 @@ from types import FunctionType
 from typing import TypeVar
 
 from evalkit.core.errors import EvalkitError, NotInstalled, UnknownName
-from evalkit.fingerprint import fingerprint
 from evalkit.lifeline import MARK
-from evalkit.protocols import BackendSpec, DatasetSpec, MapperSpec, Odometry, Value
+from evalkit.plugins.code_hash import fingerprint
+from evalkit.plugins.protocols import BackendSpec, DatasetSpec, MapperSpec, Odometry, Value
 
 Spec = TypeVar("Spec")
 
