@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from evalkit import frontend
-from evalkit.content import tables_of
 from evalkit.core.errors import BadExperiment, BadParameter, EvalkitError, UnknownName, brief
+from evalkit.io.input_files import tables_of
 from evalkit.plugins import code_hash, registry
 from evalkit.plugins.protocols import Value, resolved
 

@@ -12,9 +12,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, get_args
 
-from evalkit import child, saved
+from evalkit import child
 from evalkit.core.run_result import STEP, Run, Status
 from evalkit.experiment import Limits
+from evalkit.io import untrusted_io
 from evalkit.store import STEPS, reported, whole_records
 from evalkit.worker import Request
 
@@ -136,7 +137,7 @@ def _broken(limits: Limits, spent: Spent, answered: int) -> tuple[Status, str] |
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        content = saved.values(path.read_bytes())
+        content = untrusted_io.values(path.read_bytes())
     except (OSError, ValueError):  # it did not come so far, or the back end removed it or wrote into it
         return {}
     known = content if isinstance(content, dict) else {}

@@ -23,12 +23,12 @@ import numpy as np
 from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
-from evalkit import saved
 from evalkit.core.errors import StoreError
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, Run, Score, Status
 from evalkit.core.trajectory import Trajectory
+from evalkit.io import untrusted_io
 
 LOCK = ".writer.lock"
 STEPS = "steps.bin"
@@ -113,7 +113,7 @@ class Store:
         """A finished run, or None."""
         folder = self.run_folder(key)
         try:
-            record = saved.values((folder / "run.json").read_bytes())
+            record = untrusted_io.values((folder / "run.json").read_bytes())
             steps = read_steps(folder / STEPS)
             return Run(steps=steps, **record) if record.pop("answers") == len(steps) else None
         except (OSError, ValueError, TypeError, KeyError, AttributeError):  # absent or half-written: it is made again
@@ -123,7 +123,7 @@ class Store:
         """The same in short, without reading its answers: a plan may have thousands of runs."""
         folder = self.run_folder(key)
         try:
-            record = saved.values((folder / "run.json").read_bytes())
+            record = untrusted_io.values((folder / "run.json").read_bytes())
             answered = (folder / STEPS).stat().st_size // STEP.itemsize
             if record["answers"] != answered:
                 return None
@@ -140,7 +140,7 @@ class Store:
     def tries(self, key: str) -> list[str]:
         """Who was lost while the run was made, and has not told how it ended."""
         try:
-            content = saved.values(self._tries(key).read_bytes())
+            content = untrusted_io.values(self._tries(key).read_bytes())
         except (OSError, ValueError):
             return []
         return [str(who) for who in content] if isinstance(content, list) else []
@@ -160,7 +160,7 @@ class Store:
     def load_made(self, key: str) -> dict[str, Any]:
         """When a run was made ("made", ISO 8601), on what, and under which limits; empty where nobody knows."""
         try:
-            content = saved.values((self.run_folder(key) / "made.json").read_bytes())
+            content = untrusted_io.values((self.run_folder(key) / "made.json").read_bytes())
         except (OSError, ValueError):  # made before this was kept, or half-written
             return {}
         return content if isinstance(content, dict) else {}
@@ -192,7 +192,7 @@ class Store:
 
     def _scores(self, key: str) -> dict[str, Any]:
         try:
-            content = saved.values((self.run_folder(key) / "scores.json").read_bytes())
+            content = untrusted_io.values((self.run_folder(key) / "scores.json").read_bytes())
         except (OSError, ValueError):
             return {}
         return content if isinstance(content, dict) else {}
@@ -201,11 +201,13 @@ class Store:
         """What scoring made of a run ("scores" as Score values), or None."""
         folder = self.run_folder(key)
         try:
-            content: dict[str, Any] = saved.values((folder / "scores.json").read_bytes())
+            content: dict[str, Any] = untrusted_io.values((folder / "scores.json").read_bytes())
             content["scores"] = {name: Score(**score) for name, score in content["scores"].items()}
             content["world_from_start"] = Pose.of(content["world_from_start"])
             content["grid"] = _load_grid(folder / "grid.npz")
-            content["errors_m"] = saved.array(folder / "errors.npy") if (folder / "errors.npy").exists() else None
+            content["errors_m"] = (
+                untrusted_io.array(folder / "errors.npy") if (folder / "errors.npy").exists() else None
+            )
         except (OSError, ValueError, TypeError, KeyError, AttributeError, OverflowError):  # absent or damaged
             return None
         return content
@@ -262,7 +264,7 @@ def tum(trajectory: Trajectory, sequence: str, backend: str) -> str:
 def _load_grid(path: Path) -> OccupancyGrid | None:
     if not path.exists():
         return None
-    kept = saved.arrays(path)
+    kept = untrusted_io.arrays(path)
     resolution_m, origin_x, origin_y = kept["frame"].tolist()
     return OccupancyGrid(kept["log_odds"], kept["observed"], resolution_m, origin_x, origin_y)
 

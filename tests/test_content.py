@@ -2,7 +2,7 @@
 
 import pytest
 
-from evalkit.content import tables_of
+from evalkit.io.input_files import tables_of
 
 
 @pytest.mark.parametrize(

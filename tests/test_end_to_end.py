@@ -8,7 +8,8 @@ import signal
 import numpy as np
 import pytest
 
-from evalkit import cli, mapserver
+from evalkit import cli
+from evalkit.io import map_server
 from evalkit.plugins import registry
 from evalkit.store import Store
 from evalkit_datasets import tum
@@ -119,7 +120,7 @@ def test_the_trajectory_for_other_tools_is_the_runs_own(folder, trials, name):
 def test_the_map_for_other_tools_has_the_runs_walls(folder, trials):
     key = trials["paper"]["key"]
     grid = Store(folder).load_scores(key)["grid"]
-    read = mapserver.read(folder / "maps" / f"{key}.yaml")
+    read = map_server.read(folder / "maps" / f"{key}.yaml")
     assert read.shape == grid.shape
     assert (read.resolution_m, read.origin_x, read.origin_y) == (grid.resolution_m, grid.origin_x, grid.origin_y)
     assert np.array_equal(read.occupied(), grid.occupied())

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from evalkit import mapserver, saved
+from evalkit.io import map_server, untrusted_io
 
 ROOT = Path(__file__).resolve().parent.parent
 FUZZ = Path(__file__).parent / "fuzz"
@@ -33,8 +33,8 @@ def load():
 @pytest.fixture
 def caps(monkeypatch):
     """The product's own caps again afterwards: some targets lower them."""
-    monkeypatch.setattr(mapserver, "MOST_PIXELS", mapserver.MOST_PIXELS)
-    monkeypatch.setattr(saved, "MOST_BYTES", saved.MOST_BYTES)
+    monkeypatch.setattr(map_server, "MOST_PIXELS", map_server.MOST_PIXELS)
+    monkeypatch.setattr(untrusted_io, "MOST_BYTES", untrusted_io.MOST_BYTES)
 
 
 @pytest.mark.usefixtures("caps")
@@ -66,7 +66,10 @@ FORBIDDEN = {
 
 ALLOWED = {
     ("evalkit/parcel.py", "zipfile"): "results of its own workers; of a member's name only the last part counts",
-    ("evalkit/saved.py", "zipfile"): "reads arrays member by member, bounded, into memory and never into files",
+    (
+        "evalkit/io/untrusted_io.py",
+        "zipfile",
+    ): "reads arrays member by member, bounded, into memory and never into files",
 }
 
 

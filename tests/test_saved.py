@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from evalkit import saved
+from evalkit.io import untrusted_io
 
 ARRAYS = {
     "numbers": np.arange(6.0).reshape(2, 3),
@@ -21,7 +21,7 @@ ARRAYS = {
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
 def test_arrays_come_back_as_they_were(tmp_path, save):
     save(tmp_path / "a.npz", **ARRAYS)
-    found = saved.arrays(tmp_path / "a.npz")
+    found = untrusted_io.arrays(tmp_path / "a.npz")
     assert found.keys() == ARRAYS.keys()
     for name, array in ARRAYS.items():
         np.testing.assert_array_equal(found[name], array)
@@ -30,7 +30,7 @@ def test_arrays_come_back_as_they_were(tmp_path, save):
 
 def test_an_array_comes_back_as_it_was(tmp_path):
     np.save(tmp_path / "a.npy", ARRAYS["columns"])
-    np.testing.assert_array_equal(saved.array(tmp_path / "a.npy"), ARRAYS["columns"])
+    np.testing.assert_array_equal(untrusted_io.array(tmp_path / "a.npy"), ARRAYS["columns"])
 
 
 def npy(header, body=b""):
@@ -57,18 +57,18 @@ OBJECTS = npy("{'descr': '|O', 'fortran_order': False, 'shape': (1,), }", b"\x80
 def test_a_header_is_neither_evaluated_nor_believed(tmp_path, content, told):
     (tmp_path / "a.npy").write_bytes(content)
     with pytest.raises(ValueError, match=told):
-        saved.array(tmp_path / "a.npy")
+        untrusted_io.array(tmp_path / "a.npy")
     with zipfile.ZipFile(tmp_path / "a.npz", "w") as archive:
         archive.writestr("a.npy", content)
     with pytest.raises(ValueError, match=told):
-        saved.arrays(tmp_path / "a.npz")
+        untrusted_io.arrays(tmp_path / "a.npz")
 
 
 def test_an_archive_that_would_fill_the_memory_is_not_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr(saved, "MOST_BYTES", 1000)
+    monkeypatch.setattr(untrusted_io, "MOST_BYTES", 1000)
     np.savez_compressed(tmp_path / "a.npz", zeros=np.zeros(1000))
     with pytest.raises(ValueError, match="holds more than 1000 bytes"):
-        saved.arrays(tmp_path / "a.npz")
+        untrusted_io.arrays(tmp_path / "a.npz")
 
 
 @pytest.mark.parametrize("way", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
@@ -78,17 +78,17 @@ def test_an_archive_packed_as_numpy_packs_none_is_refused(tmp_path, way):
     with zipfile.ZipFile(tmp_path / "a.npz", "w", way) as archive:
         archive.writestr("a.npy", body.getvalue())
     with pytest.raises(ValueError, match="packed in way"):
-        saved.arrays(tmp_path / "a.npz")
+        untrusted_io.arrays(tmp_path / "a.npz")
 
 
 @pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"words", b"PK\x05\x06" + b"\xff" * 18])
 def test_what_is_no_archive_is_told_as_such(tmp_path, content):
     (tmp_path / "a.npz").write_bytes(content)
     with pytest.raises(ValueError, match="damaged archive"):
-        saved.arrays(tmp_path / "a.npz")
+        untrusted_io.arrays(tmp_path / "a.npz")
 
 
 def test_json_that_nests_without_end_is_no_json():
-    assert saved.values(b'{"a": [1]}') == {"a": [1]}
+    assert untrusted_io.values(b'{"a": [1]}') == {"a": [1]}
     with pytest.raises(ValueError, match="nested too deeply"):
-        saved.values("[" * 100_000)
+        untrusted_io.values("[" * 100_000)

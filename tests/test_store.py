@@ -7,12 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evalkit import mapserver
 from evalkit.core.errors import StoreError
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, Run, Score, Status
 from evalkit.core.trajectory import Trajectory
+from evalkit.io import map_server
 from evalkit.store import Store, read_steps, tum
 from evalkit_datasets import tum as tum_files
 
@@ -228,7 +228,7 @@ def test_a_map_read_again_has_the_same_cells_in_the_same_place(store, number):
     pytest.importorskip("ruamel.yaml")
     kept = grid(resolution_m=number(0.1 / 3.0), origin_x=number(-1e-7 / 3.0), origin_y=number(12345.678901234567))
     store.write_map(store.folder / "maps" / KEY, kept)
-    again = mapserver.read(store.folder / "maps" / f"{KEY}.yaml")
+    again = map_server.read(store.folder / "maps" / f"{KEY}.yaml")
     assert again.occupied().tolist() == kept.occupied().tolist()
     assert again.free().tolist() == kept.free().tolist()
     assert (again.resolution_m, again.origin_x, again.origin_y) == (kept.resolution_m, kept.origin_x, kept.origin_y)

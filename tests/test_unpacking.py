@@ -8,8 +8,8 @@ from itertools import pairwise
 
 import pytest
 
-from evalkit.content import BLOCK
 from evalkit.core.errors import BadData
+from evalkit.io.input_files import BLOCK
 from evalkit_datasets.unpacking import LONGEST_LINE, lines_of
 
 

@@ -8,10 +8,10 @@ from functools import partial
 
 import numpy as np
 
-from evalkit import mapserver
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.trajectory import Trajectory
+from evalkit.io import map_server
 from evalkit.plugins.protocols import DatasetSpec, Parameter, Published
 from evalkit_datasets import catalog, recording
 from evalkit_datasets.carmen import Carmen
@@ -69,7 +69,7 @@ class OnKnownFloor(RosBag):
 def _floor() -> OccupancyGrid | None:
     if catalog.missing("turtlebot4", FLOOR_FILES):
         return None
-    return mapserver.read(catalog.located(FLOOR_FILES[1]))
+    return map_server.read(catalog.located(FLOOR_FILES[1]))
 
 
 def _turtlebot4(start: int = 0, every: int = 1, limit: int = 0) -> OnKnownFloor:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from pathlib import Path
 
-from evalkit.content import bytes_of
 from evalkit.core.errors import BadData
+from evalkit.io.input_files import bytes_of
 
 
 def lines_of(path: Path, what: str) -> Iterator[tuple[int, str]]:

@@ -7,9 +7,9 @@ from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
-from evalkit.content import tables_of
 from evalkit.core.errors import BadData, brief
 from evalkit.core.measured_distances import Place, Span
+from evalkit.io.input_files import tables_of
 from evalkit_datasets.rows import text_of
 from evalkit_datasets.stamps import stamp_ns
 

@@ -6,8 +6,8 @@ import zlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from evalkit.content import BLOCK, blocks_of
 from evalkit.core.errors import BadData
+from evalkit.io.input_files import BLOCK, blocks_of
 
 MAGIC = b"\x1f\x8b"
 

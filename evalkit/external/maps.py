@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from evalkit import mapserver
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.external.declaration import UNTOLD, digest_of, settings
+from evalkit.io import map_server
 from evalkit.metrics.consistency import looked_up
 from evalkit.plugins.protocols import BackendSpec, Parameter
 
@@ -26,7 +26,7 @@ PARAMETERS = (
 
 def spec(name: str, file: Path, words: list[str]) -> BackendSpec:
     """The contestant of a map_server file and its ``NAME=VALUE`` words."""
-    image = mapserver.image_of(file)
+    image = map_server.image_of(file)
     return BackendSpec(
         make=partial(made, file),
         kind="map",
@@ -43,7 +43,7 @@ def spec(name: str, file: Path, words: list[str]) -> BackendSpec:
 
 def made(file: Path, *, x_m: float, y_m: float, yaw_deg: float) -> OccupancyGrid:
     """The map of a file in the world's frame; BadData where it cannot be read."""
-    return placed(mapserver.read(file), Pose(x_m, y_m, math.radians(yaw_deg)))
+    return placed(map_server.read(file), Pose(x_m, y_m, math.radians(yaw_deg)))
 
 
 def placed(grid: OccupancyGrid, world_from_map: Pose) -> OccupancyGrid:

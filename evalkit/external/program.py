@@ -16,8 +16,8 @@ from typing import IO, Any
 
 import psutil
 
-from evalkit import saved
 from evalkit.core.errors import BackendFailed, brief
+from evalkit.io import untrusted_io
 from evalkit.lifeline import signal_name
 
 LONGEST_ANSWER = 1 << 20
@@ -79,7 +79,7 @@ class Program:
     def read(self, line: bytes) -> dict[str, Any]:
         """The object in an answer's line; BackendFailed with the program's own words where it says it failed."""
         try:
-            answer = saved.values(line)
+            answer = untrusted_io.values(line)
         except ValueError:
             what = f"answered what is not one line of JSON: {_shown(line)}"
             raise self._failed(what, "print messages to stderr") from None

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any, get_args
 
 from evalkit import experiment, frontend
-from evalkit.content import tables_of
 from evalkit.core.errors import BadExperiment, BadParameter, EvalkitError, UnknownName, brief
+from evalkit.io.input_files import tables_of
 from evalkit.metrics import all_metrics
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Value, resolved

@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from evalkit import experiment
-from evalkit.content import tables_of
 from evalkit.core.errors import BadExperiment, BadParameter, UnknownName, brief
 from evalkit.experiment import Contestant, Course, Plan
+from evalkit.io.input_files import tables_of
 from evalkit.metrics import all_metrics, spans
 from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text

@@ -9,7 +9,7 @@ import numpy as np
 import stored_run
 from bounds import Finding, folder, held
 
-from evalkit import saved
+from evalkit.io import untrusted_io
 from evalkit.study.ledger import Job, Ledger
 
 JOB = Job("fuzz", "math:sqrt")
@@ -30,7 +30,7 @@ def swollen() -> list[bytes]:
 
 def one(data: bytes) -> None:
     """Asks for a result; what is damaged counts as absent."""
-    saved.MOST_BYTES = 2**24  # as for a stored run
+    untrusted_io.MOST_BYTES = 2**24  # as for a stored run
     ledger = Ledger(folder())
     ledger.path(JOB).write_bytes(data)
     found: list[object] = []

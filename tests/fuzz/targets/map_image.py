@@ -8,7 +8,7 @@ import numpy as np
 from bounds import folder, held_file
 from PIL import Image
 
-from evalkit import mapserver
+from evalkit.io import map_server
 
 SETTINGS = "image: fuzz.image\nresolution: 0.05\norigin: [0, 0, 0]\n"
 
@@ -48,7 +48,7 @@ def swollen() -> list[bytes]:
 
 def one(data: bytes) -> None:
     """Reads a map by its image."""
-    mapserver.MOST_PIXELS = 2**20  # what a sound image of that size takes is no finding
+    map_server.MOST_PIXELS = 2**20  # what a sound image of that size takes is no finding
     settings = folder() / "image.yaml"
     settings.write_text(SETTINGS, encoding="utf-8")
-    held_file(lambda _path: mapserver.read(settings), data, "fuzz.image")
+    held_file(lambda _path: map_server.read(settings), data, "fuzz.image")

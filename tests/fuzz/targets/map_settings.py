@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bounds import folder, held_file
 
-from evalkit import mapserver
+from evalkit.io import map_server
 
 
 def seeds() -> list[bytes]:
@@ -41,5 +41,5 @@ def swollen() -> list[bytes]:
 def one(data: bytes) -> None:
     """Reads a map by its settings."""
     (folder() / "fuzz.pgm").write_bytes(b"P5\n2 2\n255\n\x00\xcd\xfe\xfe")
-    held_file(mapserver.read, data, "fuzz.yaml", named="")  # it may name an image that is not there
-    mapserver.image_of(folder() / "fuzz.yaml")
+    held_file(map_server.read, data, "fuzz.yaml", named="")  # it may name an image that is not there
+    map_server.image_of(folder() / "fuzz.yaml")

@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit.content import bytes_of
 from evalkit.core.errors import BadData, DataMissing, brief
 from evalkit.core.grid import OccupancyGrid
+from evalkit.io.input_files import bytes_of
 
 Shades = NDArray[np.uint8] | NDArray[np.uint16]
 
