@@ -14,9 +14,9 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
-from evalkit import frontend
 from evalkit.core.errors import BadExperiment, BadParameter, EvalkitError, UnknownName, brief
 from evalkit.io.input_files import tables_of
+from evalkit.odometry import frontend
 from evalkit.plugins import code_hash, registry
 from evalkit.plugins.protocols import Value, resolved
 

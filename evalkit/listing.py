@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from evalkit import frontend
 from evalkit.core.errors import NotInstalled
 from evalkit.metrics import all_metrics
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Parameter, Value
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import frontend, metrics, realtime
+from evalkit import metrics, realtime
 from evalkit.core import belief
 from evalkit.core.arrays import Ints
 from evalkit.core.belief import Stage
@@ -22,6 +22,7 @@ from evalkit.core.se2 import Floats
 from evalkit.core.timing import timed
 from evalkit.metrics.table import Evidence
 from evalkit.metrics.trajectory import match
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import NoAnswer, Odometry, Value, resolved
 from evalkit.realtime import CostProfile, LinearCost, Policy, Schedule, headroom, linear_cost, schedule

@@ -18,7 +18,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from evalkit import frontend, lifeline
+from evalkit import lifeline
 from evalkit.core import belief
 from evalkit.core.errors import BackendFailed, BadData, DataMissing, EvalkitError, NotInstalled, plain
 from evalkit.core.match import Match
@@ -26,6 +26,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, Status
 from evalkit.core.scan import Frame
 from evalkit.core.timing import Timing, timed
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import DatasetSpec, NoAnswer, Odometry, Sequence, Value
 

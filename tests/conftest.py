@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from evalkit import frontend
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
@@ -24,6 +23,7 @@ from evalkit.core.run_result import STEP, Run, Score, Status, Trial
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.table import Group, Metric
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import DatasetSpec, Published
 from evalkit.report import Comparison, ContestantCard, SequenceCard, Setting

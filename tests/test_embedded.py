@@ -8,11 +8,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evalkit import frontend
 from evalkit.core import belief
 from evalkit.core.errors import BadParameter, NotInstalled
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame, Scan
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import resolved
 from evalkit_baselines import embedded, paper

@@ -5,13 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from evalkit import frontend
 from evalkit.core import se2
 from evalkit.core.errors import BadParameter, UnknownName
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
-from evalkit.frontend import complete_parameters, odometry, parameters_of
+from evalkit.odometry import frontend
+from evalkit.odometry.frontend import complete_parameters, odometry, parameters_of
 from evalkit.plugins.protocols import BackendSpec, Parameter
 
 LANDMARKS = np.random.default_rng(5).uniform(-4.0, 4.0, (60, 2))

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evalkit import lift
 from evalkit.core.pose import Pose
+from evalkit.odometry import planar3d
 
 METRES = st.floats(-1e3, 1e3)
 RADIANS = st.floats(-np.pi, np.pi, exclude_max=True)
@@ -19,32 +19,32 @@ def wall(angle: float, n: int = 30) -> np.ndarray:
 
 def test_points_keep_x_and_y_and_get_z_zero_in_memory_of_their_own():
     flat = np.array([[1.0, 2.0], [3.0, 4.0]])
-    space = lift.points_3d(flat)
+    space = planar3d.points_3d(flat)
     assert space.tolist() == [[1.0, 2.0, 0.0], [3.0, 4.0, 0.0]]
     space[:] = 9.0
     assert flat.tolist() == [[1.0, 2.0], [3.0, 4.0]]
-    assert lift.points_3d(np.zeros((0, 2))).shape == (0, 3)
+    assert planar3d.points_3d(np.zeros((0, 2))).shape == (0, 3)
 
 
 @given(METRES, METRES, RADIANS)
 def test_a_pose_survives_the_way_to_a_matrix_and_back(x, y, theta):
     pose = Pose(x, y, theta)
-    back = lift.pose_2d(lift.matrix_4x4(pose))
+    back = planar3d.pose_2d(planar3d.matrix_4x4(pose))
     assert (back.x, back.y) == (pose.x, pose.y)
     assert abs((back.inverse() @ pose).theta) < 1e-14
 
 
 @given(RADIANS)
 def test_a_matrix_is_orthogonal_to_the_last_bits(theta):
-    rotation = lift.matrix_4x4(Pose(1.0, 2.0, theta))[:3, :3]
+    rotation = planar3d.matrix_4x4(Pose(1.0, 2.0, theta))[:3, :3]
     assert np.abs(rotation @ rotation.T - np.eye(3)).max() < 4e-16
 
 
 def test_a_matrix_moves_points_as_its_pose_does():
     pose = Pose(0.3, -0.7, 2.0)
     points = wall(0.4)
-    homogeneous = np.column_stack([lift.points_3d(points), np.ones(len(points))])
-    assert np.allclose((homogeneous @ lift.matrix_4x4(pose).T)[:, :2], pose.transform(points), atol=1e-14)
+    homogeneous = np.column_stack([planar3d.points_3d(points), np.ones(len(points))])
+    assert np.allclose((homogeneous @ planar3d.matrix_4x4(pose).T)[:, :2], pose.transform(points), atol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -59,34 +59,34 @@ def test_a_matrix_moves_points_as_its_pose_does():
     ids=["lifted", "tilted", "scaled", "mirrored", "nan"],
 )
 def test_what_left_the_plane_is_refused(spoil, says):
-    matrix = lift.matrix_4x4(Pose(1.0, 2.0, 0.5))
+    matrix = planar3d.matrix_4x4(Pose(1.0, 2.0, 0.5))
     spoil(matrix)
     with pytest.raises(ValueError, match=says):
-        lift.pose_2d(matrix)
+        planar3d.pose_2d(matrix)
 
 
 def test_a_matrix_of_another_shape_is_refused():
     with pytest.raises(ValueError, match=r"expected shape \(4, 4\), got \(3, 3\)"):
-        lift.pose_2d(np.eye(3))
+        planar3d.pose_2d(np.eye(3))
 
 
 @pytest.mark.parametrize("degrees", [0.0, 30.0, 90.0, 135.0, -20.0])
 def test_the_normals_of_a_straight_wall_stand_upright_on_it(degrees):
     angle = np.radians(degrees)
-    normals = lift.normals(wall(angle), neighbours=5, radius_m=1.0)
+    normals = planar3d.normals(wall(angle), neighbours=5, radius_m=1.0)
     assert np.allclose(np.abs(normals @ [-np.sin(angle), np.cos(angle)]), 1.0, atol=1e-12)
 
 
 def test_the_normals_of_a_circle_point_to_its_centre():
     angles = np.linspace(0.0, 2.0 * np.pi, 90, endpoint=False)
     directions = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    normals = lift.normals(2.0 * directions + [1.0, 5.0], neighbours=5, radius_m=1.0)
+    normals = planar3d.normals(2.0 * directions + [1.0, 5.0], neighbours=5, radius_m=1.0)
     assert np.allclose(np.abs((normals * directions).sum(axis=1)), 1.0, atol=1e-9)
 
 
 def test_normals_agree_with_eigenvectors_of_neighbours_found_by_brute_force():
     points = np.random.default_rng(1).uniform(-1.0, 1.0, (60, 2))
-    normals = lift.normals(points, neighbours=8, radius_m=0.3)
+    normals = planar3d.normals(points, neighbours=8, radius_m=0.3)
     for point, normal in zip(points, normals, strict=True):
         distance = np.linalg.norm(points - point, axis=1)
         near = points[np.argsort(distance)[:8]]
@@ -99,15 +99,15 @@ def test_normals_agree_with_eigenvectors_of_neighbours_found_by_brute_force():
 
 
 def test_no_wall_gives_no_normal():
-    assert lift.normals(np.zeros((0, 2)), 5, 1.0).shape == (0, 2)
-    assert not lift.normals([[0.0, 0.0], [0.1, 0.0]], 5, 1.0).any()  # two points
-    assert not lift.normals(np.ones((6, 2)), 5, 1.0).any()  # six times the same
+    assert planar3d.normals(np.zeros((0, 2)), 5, 1.0).shape == (0, 2)
+    assert not planar3d.normals([[0.0, 0.0], [0.1, 0.0]], 5, 1.0).any()  # two points
+    assert not planar3d.normals(np.ones((6, 2)), 5, 1.0).any()  # six times the same
     far = np.vstack([wall(0.0), [[30.0, 30.0]]])
-    assert lift.normals(far, 5, 1.0).any(axis=1).tolist() == [True] * 30 + [False]  # one alone
+    assert planar3d.normals(far, 5, 1.0).any(axis=1).tolist() == [True] * 30 + [False]  # one alone
 
 
 def test_covariances_are_thin_across_the_wall_and_round_where_there_is_none():
-    covariances = lift.covariances_3d([[0.0, 1.0], [0.6, 0.8], [0.0, 0.0]], epsilon=0.01)
+    covariances = planar3d.covariances_3d([[0.0, 1.0], [0.6, 0.8], [0.0, 0.0]], epsilon=0.01)
     assert np.allclose(covariances[0], np.diag([1.0, 0.01, 1.0]))
     assert np.allclose(np.linalg.eigvalsh(covariances[1]), [0.01, 1.0, 1.0])
     assert np.allclose(covariances[1] @ [0.6, 0.8, 0.0], [0.006, 0.008, 0.0])

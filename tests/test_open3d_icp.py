@@ -5,10 +5,10 @@ import sys
 import numpy as np
 import pytest
 
-from evalkit import lift
 from evalkit.core.errors import NotInstalled
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
+from evalkit.odometry import planar3d
 from evalkit.plugins.protocols import resolved
 from evalkit_baselines import open3d_icp
 
@@ -69,7 +69,7 @@ def test_open3ds_own_normals_return_the_guess_with_a_perfect_fitness_and_ours_do
 
     target, source = room(3000, 0.01), TRUTH.inverse().transform(room(800, 0.01, seed=1))
     fixed, moving = (
-        o3d.geometry.PointCloud(o3d.utility.Vector3dVector(lift.points_3d(points))) for points in (target, source)
+        o3d.geometry.PointCloud(o3d.utility.Vector3dVector(planar3d.points_3d(points))) for points in (target, source)
     )
     fixed.estimate_normals()
     methods = o3d.pipelines.registration
@@ -116,8 +116,8 @@ def test_the_same_question_has_the_same_answer_to_the_bit_whatever_came_before(m
 @needs_open3d
 def test_a_targets_normals_are_made_once_and_forgotten_with_it(monkeypatch):
     made = []
-    normals = lift.normals
-    monkeypatch.setattr(lift, "normals", lambda *a: made.append(len(a[0])) or normals(*a))
+    normals = planar3d.normals
+    monkeypatch.setattr(planar3d, "normals", lambda *a: made.append(len(a[0])) or normals(*a))
     used, source = backend("point-to-plane"), Cloud(room(200))
     target = Cloud(room(700))
     used.register(target, source, Pose())

@@ -2,7 +2,7 @@
 
 import pytest
 
-from evalkit import frontend
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.study.ledger import call
 from evalkit_baselines.paper.reproduction import configurations

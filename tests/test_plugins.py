@@ -7,9 +7,9 @@ from importlib.metadata import entry_points
 import numpy as np
 import pytest
 
-from evalkit import frontend
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Scan
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter, resolved
 

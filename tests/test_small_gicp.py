@@ -5,10 +5,10 @@ import sys
 import numpy as np
 import pytest
 
-from evalkit import lift
 from evalkit.core.errors import NotInstalled
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
+from evalkit.odometry import planar3d
 from evalkit.plugins.protocols import resolved
 from evalkit_baselines import small_gicp
 
@@ -65,10 +65,10 @@ def test_its_own_normals_of_a_flat_target_hold_nothing_and_those_of_three_layers
     import small_gicp as library
 
     target, source = room(3000, 0.01), TRUTH.inverse().transform(room(800, 0.01, seed=1))
-    cloud = library.PointCloud(lift.points_3d(target))
+    cloud = library.PointCloud(planar3d.points_3d(target))
     tree = library.KdTree(cloud)
     library.estimate_normals_covariances(cloud, tree)
-    flat = library.align(cloud, library.PointCloud(lift.points_3d(source)), tree, registration_type="PLANE_ICP")
+    flat = library.align(cloud, library.PointCloud(planar3d.points_3d(source)), tree, registration_type="PLANE_ICP")
     assert np.allclose(flat.T_target_source, np.eye(4), atol=1e-9)
     assert away_from_truth_m(backend("point-to-plane").register(Cloud(target), Cloud(source), Pose())) < 0.01
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from evalkit.core.pose import Pose
+from evalkit.odometry.local_map import GridSubmap, KeyframeSubmap, VoxelMap, voxel_means
 from evalkit.plugins import registry
-from evalkit.submap import GridSubmap, KeyframeSubmap, VoxelMap, voxel_means
 
 
 def ordered(points):

@@ -8,8 +8,8 @@ import tomllib
 import numpy as np
 import pytest
 
-from evalkit import frontend
 from evalkit.core.errors import BadExperiment
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Parameter
 from evalkit.study import point

@@ -5,12 +5,13 @@ import json
 import numpy as np
 import pytest
 
-from evalkit import frontend, metrics, worker
+from evalkit import metrics, worker
 from evalkit.core import belief
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import Run, Score
 from evalkit.metrics.table import Evidence
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import BackendSpec
 from evalkit.store import read_steps

@@ -32,13 +32,13 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import lift
 from evalkit.core import belief, se2
 from evalkit.core.errors import NotInstalled
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import conversion
+from evalkit.odometry import planar3d
 from evalkit.plugins.protocols import BackendSpec, Parameter
 
 INSTALL = "pip install 'evalkit[kiss-icp]'"
@@ -148,7 +148,7 @@ class KissIcpOdometry:
         used = scan.ranges[scan.hits]
         near = (used >= self._settings.min_range_m) & (used <= limit)
         beams = np.flatnonzero(scan.hits)[near].astype(np.float64)
-        return lift.points_3d(frame.base_from_sensor.transform(scan.points()[near])), beams
+        return planar3d.points_3d(frame.base_from_sensor.transform(scan.points()[near])), beams
 
     def _times(self, frame: Frame, beams: Floats, first_from_end: Pose) -> Floats:
         """Times (N,) as shares of the scan, or none where nothing moved or nothing is known.
@@ -165,11 +165,11 @@ class KissIcpOdometry:
                 times = np.concatenate([times, [0.0, 1.0]])
                 points = np.concatenate([points, np.full((2, 3), BEYOND_M)])
             # it deskews with last_delta and starts from last_pose @ last_delta
-            self._kiss.last_pose = lift.matrix_4x4(first)
-            self._kiss.last_delta = lift.matrix_4x4(first_from_end)
+            self._kiss.last_pose = planar3d.matrix_4x4(first)
+            self._kiss.last_delta = planar3d.matrix_4x4(first_from_end)
         self._kiss.register_frame(points, times)
         with conversion():
-            return lift.pose_2d(self._kiss.last_pose)
+            return planar3d.pose_2d(self._kiss.last_pose)
 
     def _remember(self, frame: Frame, answer: Pose, end: Pose) -> None:
         if self._last is not None:

@@ -5,7 +5,7 @@ What the adapters change, and why (Open3D is a 3D library, and z = 0 breaks part
 * Points get z = 0. Point-to-point then stays exactly in the plane by itself.
 * Open3D's own ``estimate_normals`` makes every normal of such a cloud the z axis: the point-to-plane residual vanishes
   and the guess comes back with a fitness that looks perfect. Its generalised ICP, left to make its own covariances,
-  is point-to-point in disguise. Normals and covariances are therefore made in the plane by ``evalkit.lift``.
+  is point-to-point in disguise. Normals and covariances are therefore made in the plane by ``evalkit.odometry.planar3d``.
 * The legacy pipeline, not the tensor one: the tensor point-to-plane refuses planar input as a singular system.
 * In space, half a turn about a wall mirrors it: near single walls the point-to-point answer may be turned over (Open3D
   does so for half of all rough, short walls). Such an answer is none: the guess is kept, not converged.
@@ -28,12 +28,12 @@ from collections.abc import Callable
 from typing import Any
 from weakref import WeakKeyDictionary
 
-from evalkit import lift
 from evalkit.core.errors import NotInstalled
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.timing import conversion
+from evalkit.odometry import planar3d
 from evalkit.plugins.protocols import BackendSpec, Parameter
 
 INSTALL = "pip install 'evalkit[open3d]'"
@@ -86,7 +86,7 @@ class Open3DRegistration:
             fixed = self._targets[target] = self._lifted(target, self._describe_target)
         moving = self._lifted(source, self._describe_source)
         with conversion():
-            initial = lift.matrix_4x4(guess)
+            initial = planar3d.matrix_4x4(guess)
         result = self._method(moving, fixed, self._max_correspondence_m, initial, self._estimation, self._criteria)
         with conversion():
             pairs = len(result.correspondence_set)
@@ -94,14 +94,16 @@ class Open3DRegistration:
             return _unmatched(guess, pairs)
         try:
             with conversion():
-                answer = lift.pose_2d(result.transformation)
+                answer = planar3d.pose_2d(result.transformation)
         except ValueError:  # turned over
             return _unmatched(guess, 0)
         return Match(answer, converged=True, iterations=0, error=float(result.inlier_rmse), inliers=pairs)
 
     def _lifted(self, cloud: Cloud, describe: Describe) -> Any:
         with conversion():
-            space = self._open3d.geometry.PointCloud(self._open3d.utility.Vector3dVector(lift.points_3d(cloud.points)))
+            space = self._open3d.geometry.PointCloud(
+                self._open3d.utility.Vector3dVector(planar3d.points_3d(cloud.points))
+            )
         describe(self._open3d, space, cloud)
         return space
 
@@ -122,9 +124,9 @@ def point_to_plane(
     methods = open3d.pipelines.registration
 
     def with_normals(library: Any, space: Any, cloud: Cloud) -> None:
-        normals = lift.normals(cloud.points, normal_neighbours, normal_radius_m)
+        normals = planar3d.normals(cloud.points, normal_neighbours, normal_radius_m)
         with conversion():
-            space.normals = library.utility.Vector3dVector(lift.points_3d(normals))
+            space.normals = library.utility.Vector3dVector(planar3d.points_3d(normals))
 
     estimation = methods.TransformationEstimationPointToPlane(_loss(methods, kernel, kernel_width_m))
     return Open3DRegistration(open3d, methods.registration_icp, estimation, with_normals, _bare, **stop)
@@ -138,7 +140,9 @@ def generalized(
     methods = open3d.pipelines.registration
 
     def with_covariances(library: Any, space: Any, cloud: Cloud) -> None:
-        covariances = lift.covariances_3d(lift.normals(cloud.points, normal_neighbours, normal_radius_m), epsilon)
+        covariances = planar3d.covariances_3d(
+            planar3d.normals(cloud.points, normal_neighbours, normal_radius_m), epsilon
+        )
         with conversion():
             space.covariances = library.utility.Matrix3dVector(covariances)
 

@@ -29,13 +29,13 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from evalkit import lift
 from evalkit.core.errors import NotInstalled
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import conversion
+from evalkit.odometry import planar3d
 from evalkit.plugins.protocols import BackendSpec, Parameter
 
 INSTALL = "pip install 'evalkit[small-gicp]'"
@@ -78,15 +78,15 @@ class SmallGicpRegistration:
             self._targets[target] = self._prepare(self._library, target)
         cloud, tree = self._targets[target]
         with conversion():
-            moving = self._library.PointCloud(lift.points_3d(source.points))
-            initial = lift.matrix_4x4(guess)
+            moving = self._library.PointCloud(planar3d.points_3d(source.points))
+            initial = planar3d.matrix_4x4(guess)
         result = self._library.align(cloud, moving, tree, init_T_target_source=initial, **self._settings)
         pairs = int(result.num_inliers)
         if pairs < FEWEST_PAIRS:
             return _unmatched(guess, pairs)
         try:
             with conversion():
-                answer = lift.pose_2d(result.T_target_source)
+                answer = planar3d.pose_2d(result.T_target_source)
         except ValueError:  # left the plane
             return _unmatched(guess, 0)
         error = math.sqrt(2.0 * max(float(result.error), 0.0) / pairs)
@@ -113,7 +113,7 @@ def point_to_plane(normal_neighbours: int, layer_m: float, **stop: Any) -> Small
 
 def layers(points: Floats, height_m: float) -> Floats:
     """The points (3 N, 3) of a planar cloud (N, 2), ``height_m`` below, at and above z = 0."""
-    space = np.tile(lift.points_3d(points), (3, 1))
+    space = np.tile(planar3d.points_3d(points), (3, 1))
     space[:, 2] = np.repeat([-height_m, 0.0, height_m], len(points))
     return space
 
@@ -125,7 +125,7 @@ def small_gicp_missing() -> str:
 
 def _flat(library: Any, target: Cloud) -> tuple[Any, Any]:
     with conversion():
-        cloud = library.PointCloud(lift.points_3d(target.points))
+        cloud = library.PointCloud(planar3d.points_3d(target.points))
     return cloud, library.KdTree(cloud, num_threads=1)
 
 

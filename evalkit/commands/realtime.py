@@ -9,10 +9,11 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from evalkit import console, frontend
+from evalkit import console
 from evalkit.commands import options
 from evalkit.commands.options import Json, err, out
 from evalkit.core.errors import DataMissing
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import Value, resolved

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from evalkit import frontend
 from evalkit.documentation.markup import code, facts, fold, heading, page, table, text
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter
 

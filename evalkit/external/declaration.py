@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from evalkit import frontend
 from evalkit.core.errors import BackendFailed, BadParameter, brief
+from evalkit.odometry import frontend
 from evalkit.plugins.protocols import BackendSpec, Odometry, Parameter, Registration, Value, with_defaults
 
 UNTOLD = "not told: it is somebody else's"

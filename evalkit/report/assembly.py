@@ -10,8 +10,8 @@ from importlib.metadata import PackageNotFoundError, metadata, packages_distribu
 from evalkit import environment
 from evalkit.core.run_result import Trial
 from evalkit.experiment import Contestant, Course, Limits, MapperChoice, Plan
-from evalkit.frontend import parameters_of
 from evalkit.metrics import all_metrics
+from evalkit.odometry.frontend import parameters_of
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import GUESS_NOT_TOLD, Parameter, Value
 from evalkit.plugins.protocols import Sequence as Recording

@@ -13,11 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import frontend, metrics, scoring
+from evalkit import metrics, scoring
 from evalkit.core.errors import EvalkitError, plain
 from evalkit.core.run_result import STEP, Run, Score, Status
 from evalkit.metrics import pairs, spans
 from evalkit.metrics.table import Metric
+from evalkit.odometry import frontend
 from evalkit.plugins import protocols, registry
 from evalkit.plugins.protocols import Value
 from evalkit.worker import Request, Residuals, follow

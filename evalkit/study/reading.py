@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
 
-from evalkit import experiment, frontend
+from evalkit import experiment
 from evalkit.core.errors import BadExperiment, BadParameter, EvalkitError, UnknownName, brief
 from evalkit.io.input_files import tables_of
 from evalkit.metrics import all_metrics
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Value, resolved
 from evalkit.study.factors import Factor, Level, Scale, Settings, factor

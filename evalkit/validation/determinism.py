@@ -11,9 +11,10 @@ from typing import Literal
 
 import numpy as np
 
-from evalkit import frontend, runner
+from evalkit import runner
 from evalkit.core.run_result import Run
 from evalkit.experiment import Limits
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Value, resolved
 from evalkit.store import digest

@@ -8,10 +8,11 @@ from functools import partial
 
 import numpy as np
 
-from evalkit import Cloud, Pose, benchmark, frontend
+from evalkit import Cloud, Pose, benchmark
 from evalkit.benchmark import Series
 from evalkit.core.timing import timed
 from evalkit.environment import SINGLE_THREAD
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Registration
 

@@ -18,10 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import Cloud, Pose, benchmark, lift
+from evalkit import Cloud, Pose, benchmark
 from evalkit.benchmark import Series
 from evalkit.core.se2 import Floats
 from evalkit.environment import SINGLE_THREAD
+from evalkit.odometry import planar3d
 from evalkit.plugins import registry
 from evalkit_baselines.embedded.compiled import Precision, compiled_missing, core, real
 from evalkit_baselines.open3d_icp import open3d_missing
@@ -83,13 +84,13 @@ def of_small_gicp(target: Floats, source: Floats, guess: Pose) -> Calls:
     """small_gicp's point-to-point, its tree kept (it makes 19 iterations of 20), and with building it."""
     import small_gicp
 
-    space = lift.points_3d(target)
-    fixed, moving = small_gicp.PointCloud(space), small_gicp.PointCloud(lift.points_3d(source))
+    space = planar3d.points_3d(target)
+    fixed, moving = small_gicp.PointCloud(space), small_gicp.PointCloud(planar3d.points_3d(source))
     tree = small_gicp.KdTree(fixed, num_threads=1)
 
     def align(cloud: Any, index: Any) -> Any:
         return small_gicp.align(
-            cloud, moving, index, init_T_target_source=lift.matrix_4x4(guess), registration_type="ICP",
+            cloud, moving, index, init_T_target_source=planar3d.matrix_4x4(guess), registration_type="ICP",
             max_correspondence_distance=LARGEST_M, num_threads=1, max_iterations=ITERATIONS, rotation_epsilon=0.0,
             translation_epsilon=0.0,
         )  # fmt: skip
@@ -108,9 +109,10 @@ def of_open3d(target: Floats, source: Floats, guess: Pose) -> Calls:
     open3d.utility.set_max_threads(1)
     methods = open3d.pipelines.registration
     fixed, moving = (
-        open3d.geometry.PointCloud(open3d.utility.Vector3dVector(lift.points_3d(points))) for points in (target, source)
+        open3d.geometry.PointCloud(open3d.utility.Vector3dVector(planar3d.points_3d(points)))
+        for points in (target, source)
     )
-    estimation, initial = methods.TransformationEstimationPointToPoint(), lift.matrix_4x4(guess)
+    estimation, initial = methods.TransformationEstimationPointToPoint(), planar3d.matrix_4x4(guess)
     stop = methods.ICPConvergenceCriteria(0.0, 0.0, ITERATIONS)
     return {
         "Open3D + index": lambda: methods.registration_icp(moving, fixed, LARGEST_M, initial, estimation, stop),
@@ -122,7 +124,7 @@ def of_kiss_icp(target: Floats, source: Floats, guess: Pose) -> Calls:
     from kiss_icp.mapping import VoxelHashMap
     from kiss_icp.pybind import kiss_icp_pybind
 
-    space = lift.points_3d(target)
+    space = planar3d.points_3d(target)
 
     def mapped() -> Any:
         made = VoxelHashMap(KISS_CELL_M, 1e3, KISS_POINTS_PER_CELL)
@@ -133,8 +135,8 @@ def of_kiss_icp(target: Floats, source: Floats, guess: Pose) -> Calls:
     registration = kiss_icp_pybind._Registration(
         max_num_iterations=ITERATIONS, convergence_criterion=0.0, max_num_threads=1
     )
-    points = kiss_icp_pybind._Vector3dVector(lift.points_3d(source))
-    initial = lift.matrix_4x4(guess)
+    points = kiss_icp_pybind._Vector3dVector(planar3d.points_3d(source))
+    initial = planar3d.matrix_4x4(guess)
 
     def align(over: Any) -> Any:
         return registration._align_points_to_map(

@@ -12,11 +12,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from evalkit import lift
 from evalkit.core.errors import NotInstalled
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
+from evalkit.odometry import planar3d
 from evalkit.plugins.protocols import BackendSpec, NoAnswer, Parameter
 from evalkit_baselines.paper.icp import Icp
 
@@ -238,16 +238,16 @@ class RawOpen3DPlane:
         if min(len(target), len(source)) < 3:
             return Match(guess, False, 0, math.nan, 0)
         fixed, moving = (
-            o3d.geometry.PointCloud(o3d.utility.Vector3dVector(lift.points_3d(cloud.points)))
+            o3d.geometry.PointCloud(o3d.utility.Vector3dVector(planar3d.points_3d(cloud.points)))
             for cloud in (target, source)
         )
         fixed.estimate_normals()
         icp = o3d.pipelines.registration
         found = icp.registration_icp(
-            moving, fixed, 0.5, lift.matrix_4x4(guess), icp.TransformationEstimationPointToPlane()
+            moving, fixed, 0.5, planar3d.matrix_4x4(guess), icp.TransformationEstimationPointToPlane()
         )
         pairs = len(found.correspondence_set)
-        return Match(lift.pose_2d(found.transformation), found.fitness > 0.5, 0, found.inlier_rmse, pairs)
+        return Match(planar3d.pose_2d(found.transformation), found.fitness > 0.5, 0, found.inlier_rmse, pairs)
 
 
 class RawSmallGicpPlane:
@@ -259,11 +259,11 @@ class RawSmallGicpPlane:
         if min(len(target), len(source)) < 3:
             return Match(guess, False, 0, math.nan, 0)
         found = small_gicp.align(
-            lift.points_3d(target.points), lift.points_3d(source.points), lift.matrix_4x4(guess),
+            planar3d.points_3d(target.points), planar3d.points_3d(source.points), planar3d.matrix_4x4(guess),
             registration_type="PLANE_ICP", downsampling_resolution=0.01, max_correspondence_distance=0.5,
         )  # fmt: skip
         return Match(
-            lift.pose_2d(found.T_target_source, 1e-3), found.converged, found.iterations, 0.0, found.num_inliers
+            planar3d.pose_2d(found.T_target_source, 1e-3), found.converged, found.iterations, 0.0, found.num_inliers
         )
 
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import frontend
 from evalkit.core import belief
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.timing import conversion
+from evalkit.odometry import frontend
 from evalkit.plugins.protocols import Parameter
 from evalkit_baselines.embedded import registration
 from evalkit_baselines.embedded.compiled import core, real

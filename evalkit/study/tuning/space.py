@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evalkit import frontend
 from evalkit.core.se2 import Floats
 from evalkit.external.library import TRACE
+from evalkit.odometry import frontend
 from evalkit.plugins.protocols import BackendSpec, Parameter, Value
 from evalkit.study.factors import Factor, Level
 

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import lift
 from evalkit.core import se2
 from evalkit.core.arrays import Ints
 from evalkit.core.errors import BadData, BadParameter, DataMissing
@@ -22,6 +21,7 @@ from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.trajectory import MAX_GAP_S, bracketed
+from evalkit.odometry import planar3d
 from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import resolved
@@ -142,7 +142,7 @@ def _related(frames: list[Frame], relations: Relations, pairs: int) -> tuple[See
 def _pair(target: Frame, source: Frame, world_from_target: Pose, target_from_source: Pose) -> Seen:
     points = _cloud(source)
     heading = Pose(0.0, 0.0, (world_from_target @ target_from_source).theta)
-    normals = lift.normals(points.points, NEIGHBOURS, RADIUS_M)
+    normals = planar3d.normals(points.points, NEIGHBOURS, RADIUS_M)
     walls = normals.any(axis=1)
     return Seen(
         _cloud(target),

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import frontend
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import NoAnswer, Odometry, Sequence, Value
 from evalkit.study.ledger import Result

@@ -9,12 +9,13 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from evalkit import environment, experiment, frontend
+from evalkit import environment, experiment
 from evalkit.core.errors import BadParameter, NotInstalled
 from evalkit.core.run_result import Trial
 from evalkit.engine import Engine, Progress
 from evalkit.experiment import Course, Limits, Plan
 from evalkit.external.declaration import split
+from evalkit.odometry import frontend
 from evalkit.plugins import code_hash, registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import BackendSpec, Value

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import frontend
 from evalkit.core.match import Match
 from evalkit.core.scan import Frame
 from evalkit.core.timing import Timing, timed
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import NoAnswer, Odometry
 from evalkit.study.ledger import Result

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from evalkit import frontend
 from evalkit.core import se2
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
@@ -16,6 +15,7 @@ from evalkit.core.scan import Cloud, Frame, Scan
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.trajectory import MAX_GAP_S, bracketed
+from evalkit.odometry import frontend
 from evalkit.plugins.protocols import Odometry, Sequence
 from evalkit.validation.equivalence.lockstep import DISTURBED, DISTURBED_M, DISTURBED_RAD, Question, Side
 

@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from evalkit import frontend
 from evalkit.core.errors import BadData, BadParameter, DataMissing, NotInstalled
 from evalkit.core.pose import Pose
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.address import address_of, spec_at
 from evalkit.plugins.parameter_parsing import from_text

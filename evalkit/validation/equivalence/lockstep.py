@@ -12,11 +12,11 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import frontend
 from evalkit.core.errors import BackendFailed
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
+from evalkit.odometry import frontend
 from evalkit.plugins.protocols import BackendSpec, NoAnswer, Odometry, Registration, Sequence, Value
 from evalkit.validation.conformance.rules import raised
 

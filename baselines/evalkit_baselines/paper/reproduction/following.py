@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial import cKDTree
 
-from evalkit import frontend
 from evalkit.core import se2
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
@@ -17,6 +16,7 @@ from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.trajectory import match
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Registration, Sequence, Value
 from evalkit_baselines.paper.icp import Icp

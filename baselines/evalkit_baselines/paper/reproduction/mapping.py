@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import frontend
 from evalkit.core import se2
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
@@ -22,6 +21,7 @@ from evalkit.metrics.maps import Walls, chamfer, f1, iou, nearest_m, precision, 
 from evalkit.metrics.occupancy import log_loss, wall_width_m
 from evalkit.metrics.table import Mapped
 from evalkit.metrics.trajectory import match, position_errors, rms
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Value, resolved
 

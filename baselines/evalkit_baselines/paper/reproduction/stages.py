@@ -8,14 +8,14 @@ from dataclasses import dataclass, field
 from types import FrameType
 from typing import Any
 
-from evalkit import frontend
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 
 RECORDED = frozenset(
     {
-        "evalkit.frontend", "evalkit.submap", "evalkit_baselines.paper.association", "evalkit_baselines.paper.grid",
+        "evalkit.odometry.frontend", "evalkit.odometry.local_map", "evalkit_baselines.paper.association", "evalkit_baselines.paper.grid",
         "evalkit_baselines.paper.icp",
     }
 )  # fmt: skip

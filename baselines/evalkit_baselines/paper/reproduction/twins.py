@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import frontend
 from evalkit.core import se2
 from evalkit.core.se2 import Floats
+from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Value
 

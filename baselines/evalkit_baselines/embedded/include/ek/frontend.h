@@ -1,6 +1,6 @@
 /* frontend.h - where the robot is: scan-to-scan, then scan-to-map against the last keyframes (the paper, figures 2, 4).
  *
- * The same meaning as evalkit/frontend.py with a keyframe submap. Poses are start_from_base: the first answer is the
+ * The same meaning as evalkit/odometry/frontend.py with a keyframe submap. Poses are start_from_base: the first answer is the
  * identity.
  */
 #ifndef EK_FRONTEND_H

@@ -18,9 +18,9 @@ from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats
+from evalkit.odometry.local_map import GridSubmap, KeyframeSubmap, VoxelMap, voxel_means
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import BackendSpec, Odometry, Parameter, Registration, Value, resolved, with_defaults
-from evalkit.submap import GridSubmap, KeyframeSubmap, VoxelMap, voxel_means
 
 Stage = Literal["s2s", "s2m"]
 OnMatch = Callable[[Stage, Match, bool], None]
