@@ -16,7 +16,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from evalkit import __version__, console, environment, experiment, listing, recording
+from evalkit import __version__, console, environment, listing
 from evalkit.commands import ending, options
 from evalkit.commands.basin import basin
 from evalkit.commands.bench import bench
@@ -44,9 +44,10 @@ from evalkit.commands.realtime import realtime
 from evalkit.commands.study import study
 from evalkit.commands.tune import tune
 from evalkit.commands.validate import validate
+from evalkit.config import adhoc_experiment, experiment
+from evalkit.config.experiment import Plan
 from evalkit.core.errors import EvalkitError, NotInstalled
 from evalkit.engine import Engine
-from evalkit.experiment import Plan
 from evalkit.places import There
 from evalkit.plugins import registry
 from evalkit.store import Store, reported
@@ -188,8 +189,8 @@ def compare(
     source += "".join(f" --set {shlex.quote(item)}" for item in setting or [])
     own = {name: str(value) for name, value in given.items() if value}
     names = [name for word in backends.split(",") if (name := word.strip())]
-    plan = recording.plan(file, own, options.settings(setting or []), names, source)
-    recording.first_frame(plan)
+    plan = adhoc_experiment.plan(file, own, options.settings(setting or []), names, source)
+    adhoc_experiment.first_frame(plan)
     plan = _plan(plan, accuracy_only).only(sequence or [], contestant or [], [])
     _report(plan, folder, Making.of(jobs, resume, rerun, collect, engine, scheduler), as_json)
 

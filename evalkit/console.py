@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from evalkit.experiment import Plan, Planned
+from evalkit.config.experiment import Plan, Planned
 
 if TYPE_CHECKING:
     from evalkit.making import Ended  # loads every metric

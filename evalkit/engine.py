@@ -9,10 +9,10 @@ from functools import cached_property
 from typing import Any
 
 from evalkit import making
+from evalkit.config.experiment import Plan, Planned
 from evalkit.core.errors import StoreError
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import Status, Trial
-from evalkit.experiment import Plan, Planned
 from evalkit.making import Ended, Recipe
 from evalkit.places import Here, Place, Progress
 from evalkit.plugins import registry

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from evalkit import environment, lifeline, map_scoring, metrics, runner, scoring
 from evalkit.cluster import TRIES
+from evalkit.config.experiment import Limits, MapperChoice, Plan, Planned
 from evalkit.core.errors import StoreError
 from evalkit.core.run_result import STEP, Run, Score, Status
-from evalkit.experiment import Limits, MapperChoice, Plan, Planned
 from evalkit.plugins import registry
 from evalkit.store import HowItEnded, Store
 from evalkit.worker import Request

@@ -21,8 +21,8 @@ from filelock import FileLock, Timeout
 
 from evalkit import cluster, environment, making, parcel
 from evalkit.cluster import Call, Cluster, Slot, WorkerLost
+from evalkit.config.experiment import Planned
 from evalkit.core.errors import StoreError
-from evalkit.experiment import Planned
 from evalkit.making import Bench, Ended, Recipe, Scorers
 from evalkit.plugins import registry
 from evalkit.store import Store

@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any, BinaryIO, get_args
 
 from evalkit import child
+from evalkit.config.experiment import Limits
 from evalkit.core.run_result import STEP, Run, Status
-from evalkit.experiment import Limits
 from evalkit.io import untrusted_io
 from evalkit.store import STEPS, reported, whole_records
 from evalkit.worker import Request

@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 from rich.console import Console
 
-from evalkit import experiment
+from evalkit.config import experiment
+from evalkit.config.experiment import Contestant, Course
 from evalkit.console import JobLines, TimeLeft, jobs, missing, progress
-from evalkit.experiment import Contestant, Course
 from evalkit.making import Ended
 
 

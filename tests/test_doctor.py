@@ -11,7 +11,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from evalkit import experiment
+from evalkit.config import experiment
 from evalkit.core.errors import BadData
 from evalkit_datasets.doctor import driving as driven
 from evalkit_datasets.doctor.command import inspect

@@ -16,10 +16,11 @@ from queue import SimpleQueue
 import numpy as np
 import pytest
 
-from evalkit import environment, experiment, making, places
+from evalkit import environment, making, places
+from evalkit.config import experiment
+from evalkit.config.experiment import Limits
 from evalkit.core.errors import StoreError
 from evalkit.engine import Engine
-from evalkit.experiment import Limits
 from evalkit.plugins import registry
 from evalkit.store import Store
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from evalkit import experiment
+from evalkit.config import experiment
+from evalkit.config.experiment import Limits
 from evalkit.core.errors import BadExperiment, UnknownName
-from evalkit.experiment import Limits
 from evalkit.plugins import registry
 
 WHEELS = '[[contestant]]\nuse = "wheel-odometry"\n'

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from evalkit import runner
+from evalkit.config.experiment import Limits
 from evalkit.core.errors import BackendFailed, BadParameter, UnknownName
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
-from evalkit.experiment import Limits
 from evalkit.external import INCLUDE, elf, library
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import resolved

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evalkit import experiment
+from evalkit.config import experiment
 from evalkit.core.errors import BadParameter, UnknownName
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose

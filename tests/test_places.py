@@ -11,8 +11,9 @@ import numpy as np
 import psutil
 import pytest
 
-from evalkit import cluster, environment, experiment
+from evalkit import cluster, environment
 from evalkit.cluster import Cluster, NoCluster
+from evalkit.config import experiment
 from evalkit.core.errors import NotInstalled
 from evalkit.core.run_result import STEP
 from evalkit.engine import Engine

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from evalkit import experiment
 from evalkit.cli import app
+from evalkit.config import experiment
 from evalkit.plugins import registry
 
 ROOT = Path(__file__).parent.parent

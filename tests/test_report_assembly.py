@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from evalkit import experiment
+from evalkit.config import experiment
 from evalkit.core.ground_truth import Truth
 from evalkit.plugins.protocols import BackendSpec
 from evalkit.report import comparison_of

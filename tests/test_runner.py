@@ -11,8 +11,8 @@ import psutil
 import pytest
 
 from evalkit import child, runner
+from evalkit.config.experiment import Limits
 from evalkit.core.errors import StoreError
-from evalkit.experiment import Limits
 from evalkit.metrics import runtime
 from evalkit.worker import Request
 

@@ -16,8 +16,8 @@ from evalkit.commands.options import Collect, Jobs, Json, err, out
 from evalkit.store import Store, write_texts
 
 if TYPE_CHECKING:
+    from evalkit.config.experiment import Plan
     from evalkit.core.run_result import Trial
-    from evalkit.experiment import Plan
     from evalkit.report.tuning.outcome import Tuned
     from evalkit.study.tuning.campaign import Searched
     from evalkit.study.tuning.plan import Tuning

@@ -19,9 +19,9 @@ from rich.text import Text
 from evalkit import console, environment
 from evalkit.commands import options
 from evalkit.commands.options import Jobs, Json, err, out
+from evalkit.config.experiment import Plan
 from evalkit.core.errors import BadParameter
 from evalkit.engine import Progress
-from evalkit.experiment import Plan
 from evalkit.plugins import registry
 from evalkit.store import Store
 from evalkit.validation.dossier.dossier import Claim, Dossier

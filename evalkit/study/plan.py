@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
+from evalkit.config.experiment import Limits
 from evalkit.core.se2 import Floats
-from evalkit.experiment import Limits
 from evalkit.metrics.table import Metric
 from evalkit.plugins import registry
 from evalkit.plugins.code_hash import of_files

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
 
-from evalkit import experiment
+from evalkit.config import experiment
 from evalkit.core.errors import BadExperiment, BadParameter, EvalkitError, UnknownName, brief
 from evalkit.io.input_files import tables_of
 from evalkit.metrics import all_metrics

@@ -12,8 +12,8 @@ from typing import Literal
 import numpy as np
 
 from evalkit import runner
+from evalkit.config.experiment import Limits
 from evalkit.core.run_result import Run
-from evalkit.experiment import Limits
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Value, resolved

@@ -19,7 +19,7 @@ import numpy as np
 
 from evalkit import benchmark, runner
 from evalkit.benchmark import FOLDER, Series
-from evalkit.experiment import Limits
+from evalkit.config.experiment import Limits
 from evalkit.worker import Request
 
 FACTORS = (1, 10, 100)

@@ -18,9 +18,9 @@ import numpy as np
 
 from evalkit import benchmark, runner
 from evalkit.benchmark import Series
+from evalkit.config.experiment import Limits
 from evalkit.core.run_result import Run
 from evalkit.environment import SINGLE_THREAD
-from evalkit.experiment import Limits
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.worker import Request

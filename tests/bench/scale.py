@@ -18,10 +18,11 @@ from statistics import median
 
 import psutil
 
-from evalkit import experiment, parcel
+from evalkit import parcel
 from evalkit.cluster import Call, Cluster, Slot, _local
+from evalkit.config import experiment
+from evalkit.config.experiment import Plan
 from evalkit.engine import Engine
-from evalkit.experiment import Plan
 from evalkit.making import Ended
 from evalkit.places import There
 from evalkit.store import Store

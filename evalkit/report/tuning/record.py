@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from evalkit.experiment import Course
+from evalkit.config.experiment import Course
 from evalkit.report.tuning.charts import on_frontier
 from evalkit.report.tuning.held import Held
 from evalkit.report.tuning.outcome import Tuned

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
-from evalkit.experiment import Contestant, Course, Limits, MapperChoice
+from evalkit.config.experiment import Contestant, Course, Limits, MapperChoice
 from evalkit.plugins import registry
 from evalkit.plugins.code_hash import of_files
 from evalkit.study.ledger import Job

@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from evalkit import experiment
+from evalkit.config import experiment
+from evalkit.config.experiment import Contestant, Course, Plan
 from evalkit.core.errors import BadExperiment, BadParameter, UnknownName, brief
-from evalkit.experiment import Contestant, Course, Plan
 from evalkit.io.input_files import tables_of
 from evalkit.metrics import all_metrics, spans
 from evalkit.plugins import registry

@@ -7,8 +7,8 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
-from evalkit import experiment
-from evalkit.experiment import Contestant, Course, Plan
+from evalkit.config import experiment
+from evalkit.config.experiment import Contestant, Course, Plan
 from evalkit.plugins.protocols import Value
 from evalkit.study.experiment_lines import setting_lines
 from evalkit.study.tuning.campaign import Searched

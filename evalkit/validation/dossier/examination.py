@@ -9,11 +9,12 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from evalkit import environment, experiment
+from evalkit import environment
+from evalkit.config import experiment
+from evalkit.config.experiment import Course, Limits, Plan
 from evalkit.core.errors import BadParameter, NotInstalled
 from evalkit.core.run_result import Trial
 from evalkit.engine import Engine, Progress
-from evalkit.experiment import Course, Limits, Plan
 from evalkit.external.declaration import split
 from evalkit.odometry import frontend
 from evalkit.plugins import code_hash, registry

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bounds import held_file
 
-from evalkit import experiment
+from evalkit.config import experiment
 
 SEED = b"""title = "Fuzz"
 description = "a plan"

@@ -7,10 +7,10 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-from evalkit import experiment
+from evalkit.config import experiment
+from evalkit.config.experiment import Plan
 from evalkit.core.errors import BadData, EvalkitError, NotInstalled
 from evalkit.core.scan import Frame
-from evalkit.experiment import Plan
 from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import DatasetSpec

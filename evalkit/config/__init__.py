@@ -1,0 +1,1 @@
+"""Read experiment files into frozen, checked plans."""
