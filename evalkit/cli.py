@@ -50,7 +50,7 @@ from evalkit.core.errors import EvalkitError, NotInstalled
 from evalkit.engine import Engine
 from evalkit.places import There
 from evalkit.plugins import registry
-from evalkit.store import Store, reported
+from evalkit.results.store import Store, reported
 
 app = typer.Typer(
     help="Which scan matcher, on my robot, and is my own one right? Compare 2D lidar registration back ends.",

@@ -16,7 +16,7 @@ from evalkit.core.run_result import Status, Trial
 from evalkit.making import Ended, Recipe
 from evalkit.places import Here, Place, Progress
 from evalkit.plugins import registry
-from evalkit.store import REMEDY, Store
+from evalkit.results.store import REMEDY, Store
 
 __all__ = ["Engine", "Progress"]
 

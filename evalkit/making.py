@@ -25,7 +25,7 @@ from evalkit.config.experiment import Limits, MapperChoice, Plan, Planned
 from evalkit.core.errors import StoreError
 from evalkit.core.run_result import STEP, Run, Score, Status
 from evalkit.plugins import registry
-from evalkit.store import HowItEnded, Store
+from evalkit.results.store import HowItEnded, Store
 from evalkit.worker import Request
 
 DONE: tuple[Status, ...] = ("complete", "failed", "crashed")

@@ -8,7 +8,7 @@ from pathlib import Path
 from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile
 
 from evalkit.core.errors import StoreError
-from evalkit.store import REMEDY, Store
+from evalkit.results.store import REMEDY, Store
 
 LATER = ("scores.json", "run.json")
 """Written after all others, in this order: they vouch for them."""

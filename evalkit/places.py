@@ -25,7 +25,7 @@ from evalkit.config.experiment import Planned
 from evalkit.core.errors import StoreError
 from evalkit.making import Bench, Ended, Recipe, Scorers
 from evalkit.plugins import registry
-from evalkit.store import Store
+from evalkit.results.store import Store
 
 
 class Progress(Protocol):

@@ -16,7 +16,7 @@ from evalkit import child
 from evalkit.config.experiment import Limits
 from evalkit.core.run_result import STEP, Run, Status
 from evalkit.io import untrusted_io
-from evalkit.store import STEPS, reported, whole_records
+from evalkit.results.store import STEPS, reported, whole_records
 from evalkit.worker import Request
 
 OUTCOME = "outcome.json"

@@ -27,7 +27,7 @@ from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import DatasetSpec, Published
 from evalkit.report import Comparison, ContestantCard, SequenceCard, Setting
-from evalkit.store import read_steps
+from evalkit.results.store import read_steps
 from evalkit.worker import Outcome, Request, perform
 
 Build = Callable[..., Comparison]

@@ -11,7 +11,7 @@ import pytest
 from evalkit import cli
 from evalkit.io import map_server
 from evalkit.plugins import registry
-from evalkit.store import Store
+from evalkit.results.store import Store
 from evalkit_datasets import tum
 
 pytestmark = pytest.mark.slow

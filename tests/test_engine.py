@@ -22,7 +22,7 @@ from evalkit.config.experiment import Limits
 from evalkit.core.errors import StoreError
 from evalkit.engine import Engine
 from evalkit.plugins import registry
-from evalkit.store import Store
+from evalkit.results.store import Store
 
 pytestmark = pytest.mark.usefixtures("strangers")
 

@@ -24,10 +24,10 @@ from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import DatasetSpec
-from evalkit.report.export import papers, rerunfile, rosfile
-from evalkit.report.export.results import read
 from evalkit.report.wording import as_markdown
-from evalkit.store import Store
+from evalkit.results import latex, mcap, rerun_file
+from evalkit.results.exported import read
+from evalkit.results.store import Store
 
 N = 30
 T0 = 1663967375_000000001  # no float of seconds can hold it
@@ -232,7 +232,7 @@ def test_tables_show_the_intervals_of_results_json_and_only_these(finished):
 
 
 def test_every_letter_that_means_something_to_latex_is_escaped():
-    assert papers.escaped(r"a_b & 5% {x} #1 ~^ $\n") == (
+    assert latex.escaped(r"a_b & 5% {x} #1 ~^ $\n") == (
         r"a\_b \& 5\% \{x\} \#1 \textasciitilde{}\textasciicircum{} \$\textbackslash{}n"
     )
 
@@ -244,19 +244,19 @@ def test_a_name_is_no_mark_up_in_markdown():
 
 
 def test_a_name_reads_no_file_into_latex():
-    assert papers.escaped(r"\input{/etc/passwd}") == r"\textbackslash{}input\{/etc/passwd\}"
+    assert latex.escaped(r"\input{/etc/passwd}") == r"\textbackslash{}input\{/etc/passwd\}"
 
 
 def test_figures_are_vectors_with_true_fonts_and_the_same_bytes_twice(finished):
     found = read(finished)
-    drawn = dict(papers.drawings(found, "pdf"))
+    drawn = dict(latex.drawings(found, "pdf"))
     assert set(drawn) == {f"50-more-x-{kind}.pdf" for kind in ("trajectories", "errors", "runtimes")}
     for content in drawn.values():
         assert content.startswith(b"%PDF-")
         assert b"/FontFile2" in content
         assert b"/Subtype /Image" not in content
-    assert drawn == dict(papers.drawings(found, "pdf"))
-    assert all(content.startswith(b"<?xml") for _, content in papers.drawings(found, "svg"))
+    assert drawn == dict(latex.drawings(found, "pdf"))
+    assert all(content.startswith(b"<?xml") for _, content in latex.drawings(found, "svg"))
 
 
 # --- viewers
@@ -321,7 +321,7 @@ def test_a_recording_that_begins_at_zero_is_moved_to_where_ros_knows_times(finis
     early = Run("paper", AWKWARD, "complete", "", trial.run.steps.copy(), N)
     early.steps.flags.writeable = True
     early.steps["stamp_ns"] -= T0
-    sent = list(rosfile._sent(rosfile.Messages(), replace(trial, run=early, truth=Truth("none")), Nothing()))
+    sent = list(mcap._sent(mcap.Messages(), replace(trial, run=early, truth=Truth("none")), Nothing()))
     assert min(stamp for stamp, _, _ in sent) == 10**9
 
 
@@ -347,7 +347,7 @@ def test_a_rerun_recording_is_whole_by_reruns_own_check(finished):
 def test_without_rerun_the_message_says_how_to_get_it_and_all_goes_on(finished, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(NotInstalled, match=r"pip install 'evalkit\[rerun\]'"):
-        rerunfile.installed()
+        rerun_file.installed()
     result = CliRunner().invoke(app, ["export", str(finished), "-f", "all", "-o", str(finished.parent / "everything")])
     assert result.exit_code == 0
     assert "rerun left out" in result.output
@@ -366,7 +366,7 @@ def test_a_sequence_whose_files_are_not_here_is_a_remark_and_the_rest_is_written
     assert len(found.remarks) == 1
     assert "fetch it" in found.remarks[0]
     assert [trial.truth.trajectory for trial in found.trials] == [None, None]
-    assert "50-more-x-trajectories.pdf" in dict(papers.drawings(found, "pdf"))
+    assert "50-more-x-trajectories.pdf" in dict(latex.drawings(found, "pdf"))
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from evalkit.core.pose import Pose
 from evalkit.external import maps
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import resolved
-from evalkit.store import Store
+from evalkit.results.store import Store
 
 DRIVE = "laps = 0.02\n"
 COARSE = "[mapper]\nresolution_m = 0.25\n"

@@ -14,7 +14,7 @@ from evalkit.metrics import runtime
 from evalkit.metrics.table import Evidence
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import NoAnswer, resolved
-from evalkit.store import tum
+from evalkit.results.store import tum
 
 STAMPS = np.arange(40) * 100_000_000
 

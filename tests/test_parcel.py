@@ -10,7 +10,7 @@ from evalkit import parcel
 from evalkit.core.errors import StoreError
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import STEP, Run
-from evalkit.store import Store
+from evalkit.results.store import Store
 
 KEY = "room-s0-icp-0123456789"
 

@@ -18,7 +18,7 @@ from evalkit.core.errors import NotInstalled
 from evalkit.core.run_result import STEP
 from evalkit.engine import Engine
 from evalkit.places import There
-from evalkit.store import Store
+from evalkit.results.store import Store
 
 COSTS = ("wall_ns", "cpu_ns", "conversion_ns", "harness_ns", "device_ns")
 

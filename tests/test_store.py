@@ -13,7 +13,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, Run, Score, Status
 from evalkit.core.trajectory import Trajectory
 from evalkit.io import map_server
-from evalkit.store import Store, read_steps, tum
+from evalkit.results.store import Store, read_steps, tum
 from evalkit_datasets import tum as tum_files
 
 KEY = "room-s0-icp-0123456789"

@@ -14,7 +14,7 @@ from evalkit.metrics.table import Evidence
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import BackendSpec
-from evalkit.store import read_steps
+from evalkit.results.store import read_steps
 from evalkit.worker import Request
 
 pytestmark = pytest.mark.usefixtures("strangers")

@@ -12,7 +12,7 @@ import numpy as np
 from evalkit.core.errors import StoreError, UnknownName
 from evalkit.core.trajectory import Trajectory
 from evalkit.plugins.protocols import Value, resolved
-from evalkit.store import reported
+from evalkit.results.store import reported
 from evalkit_datasets import synthetic, tum
 from evalkit_datasets.synthetic import Synthetic
 
@@ -56,13 +56,13 @@ def write(bag: Path, world: str, given: Mapping[str, object]) -> Example:
 
 
 def _written(bag: Path, true: Path, drive: Synthetic) -> Example:
-    from evalkit.report.export import rosfile  # noqa: PLC0415 - only who writes a bag pays for it
+    from evalkit.results import mcap  # noqa: PLC0415 - only who writes a bag pays for it
 
-    begin = rosfile.EARLIEST_NS
+    begin = mcap.EARLIEST_NS
     shift = begin - int(drive.stamps_ns[0])
     bag.parent.mkdir(parents=True, exist_ok=True)
-    maker = rosfile.Messages()
-    rosfile.write_bag(bag, maker, rosfile.recorded(maker, drive, shift, begin))
+    maker = mcap.Messages()
+    mcap.write_bag(bag, maker, mcap.recorded(maker, drive, shift, begin))
     poses = drive.drive.pose(drive.stamps_ns)
     true.write_text(tum.text(Trajectory(drive.stamps_ns + shift, poses), ("exact: simulated",)), encoding="utf-8")
     path_m = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())

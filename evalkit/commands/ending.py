@@ -13,7 +13,7 @@ from evalkit.commands import options
 from evalkit.commands.options import FAILED, out
 from evalkit.core.run_result import Status, Trial
 from evalkit.making import Ended
-from evalkit.store import Store
+from evalkit.results.store import Store
 
 ABSENT: tuple[Status, ...] = ("not-installed", "data-missing", "skipped")
 """The statuses of runs that were never begun."""

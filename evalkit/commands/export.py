@@ -11,10 +11,10 @@ import typer
 from evalkit.commands import options
 from evalkit.commands.options import Json, err, out
 from evalkit.core.errors import NotInstalled, UnknownName
-from evalkit.store import Store, reported
+from evalkit.results.store import Store, reported
 
 if TYPE_CHECKING:
-    from evalkit.report.export.results import Results
+    from evalkit.results.exported import Results
 
 FORMATS = ("csv", "json", "latex", "markdown", "pdf", "svg", "tum", "kitti", "g2o", "map", "mcap", "rerun")
 WITH_SCANS = {"pdf", "svg", "tum", "kitti", "mcap", "rerun"}
@@ -35,7 +35,7 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Write a finished comparison for programs, papers, other evaluators (TUM, KITTI, g2o), ROS, rerun."""
-    from evalkit.report.export import results as finished  # noqa: PLC0415 - only who exports pays for it
+    from evalkit.results import exported as finished  # noqa: PLC0415 - only who exports pays for it
 
     wanted = _wanted(forms)
     scans = bool(WITH_SCANS & set(wanted))
@@ -68,15 +68,15 @@ def _written(form: str, found: Results, folder: Path, everything: bool) -> list[
 
 
 def _writers() -> dict[str, Callable[[Results, Path], Iterator[Path]]]:
-    from evalkit.report.export import numbers, papers, poses  # noqa: PLC0415 - loads matplotlib
+    from evalkit.results import latex, numbers, poses  # noqa: PLC0415 - loads matplotlib
 
     return {
         "csv": lambda found, folder: _files(numbers.as_csv(found), folder),
         "json": lambda found, folder: _files(numbers.as_json(found), folder),
-        "latex": lambda found, folder: _files(papers.latex(found), folder),
-        "markdown": lambda found, folder: _files(papers.markdown(found), folder),
-        "pdf": lambda found, folder: _files(papers.drawings(found, "pdf"), folder),
-        "svg": lambda found, folder: _files(papers.drawings(found, "svg"), folder),
+        "latex": lambda found, folder: _files(latex.latex(found), folder),
+        "markdown": lambda found, folder: _files(latex.markdown(found), folder),
+        "pdf": lambda found, folder: _files(latex.drawings(found, "pdf"), folder),
+        "svg": lambda found, folder: _files(latex.drawings(found, "svg"), folder),
         "tum": lambda found, folder: _files(poses.as_tum(found), folder),
         "kitti": lambda found, folder: _files(poses.as_kitti(found), folder),
         "g2o": lambda found, folder: _files(poses.as_g2o(found), folder),
@@ -101,19 +101,19 @@ def _maps(found: Results, folder: Path) -> Iterator[Path]:
 
 
 def _bags(found: Results, folder: Path) -> Iterator[Path]:
-    from evalkit.report.export import rosfile  # noqa: PLC0415 - only who exports bags pays for it
+    from evalkit.results import mcap  # noqa: PLC0415 - only who exports bags pays for it
 
     for trial in found.trials:
         recording = found.recordings.get((trial.sequence, trial.seed))
         if recording is not None:
-            yield rosfile.write(folder, trial, recording)
+            yield mcap.write(folder, trial, recording)
 
 
 def _recordings(found: Results, folder: Path) -> Iterator[Path]:
-    from evalkit.report.export import poses, rerunfile  # noqa: PLC0415 - rerun is big
+    from evalkit.results import poses, rerun_file  # noqa: PLC0415 - rerun is big
 
-    rerunfile.installed()
+    rerun_file.installed()
     for place in dict.fromkeys((trial.sequence, trial.seed) for trial in found.trials):
         own = [trial for trial in found.trials if (trial.sequence, trial.seed) == place]
         path = folder / f"{poses.run_name(*place)}.rrd"
-        yield rerunfile.write(path, own, found.recordings.get(place), found.strokes)
+        yield rerun_file.write(path, own, found.recordings.get(place), found.strokes)

@@ -15,7 +15,7 @@ from evalkit import console, environment
 from evalkit.commands import options
 from evalkit.commands.options import Json, Out, err, out
 from evalkit.core.errors import UnknownName
-from evalkit.store import write_texts
+from evalkit.results.store import write_texts
 
 if TYPE_CHECKING:
     from evalkit.metrics.table import Metric

@@ -14,7 +14,7 @@ from evalkit import console, environment
 from evalkit.commands import options
 from evalkit.commands.options import Json, Out, Scheduler, err, out
 from evalkit.core.errors import NotInstalled, UnknownName
-from evalkit.store import write_texts
+from evalkit.results.store import write_texts
 
 if TYPE_CHECKING:
     from evalkit.study.outcome import Outcome

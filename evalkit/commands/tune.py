@@ -13,7 +13,7 @@ import typer
 from evalkit import console, environment
 from evalkit.commands import options
 from evalkit.commands.options import Collect, Jobs, Json, err, out
-from evalkit.store import Store, write_texts
+from evalkit.results.store import Store, write_texts
 
 if TYPE_CHECKING:
     from evalkit.config.experiment import Plan

@@ -23,7 +23,7 @@ from evalkit.config.experiment import Plan
 from evalkit.core.errors import BadParameter
 from evalkit.engine import Progress
 from evalkit.plugins import registry
-from evalkit.store import Store
+from evalkit.results.store import Store
 from evalkit.validation.dossier.dossier import Claim, Dossier
 
 FULL_ON = ("room laps=0.6", "lab laps=0.6", "fr079 limit=600")

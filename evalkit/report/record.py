@@ -19,7 +19,7 @@ from evalkit.report.comparison import Comparison
 from evalkit.report.paired import pairs
 from evalkit.report.standings import standing
 from evalkit.report.summary import Verdict
-from evalkit.store import digest
+from evalkit.results.store import digest
 
 NAME, VERSION = "evalkit-results", 1
 

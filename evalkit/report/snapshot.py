@@ -13,7 +13,7 @@ from evalkit.core.errors import StoreError
 from evalkit.io import untrusted_io
 from evalkit.report.record import NAME, VERSION
 from evalkit.report.resampling import Series
-from evalkit.store import read_steps
+from evalkit.results.store import read_steps
 
 AGAIN = "name a folder that `evalkit run` or `evalkit report` has written"
 

@@ -31,7 +31,7 @@ from evalkit.cluster import Call, Cluster, NoCluster, Slot
 from evalkit.core.errors import EvalkitError, StoreError, plain
 from evalkit.io import untrusted_io
 from evalkit.plugins.code_hash import fingerprint
-from evalkit.store import REMEDY, reported
+from evalkit.results.store import REMEDY, reported
 from evalkit.study import deadline
 
 Result = Mapping[str, Any]

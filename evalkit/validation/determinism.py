@@ -17,7 +17,7 @@ from evalkit.core.run_result import Run
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Value, resolved
-from evalkit.store import digest
+from evalkit.results.store import digest
 from evalkit.worker import Request
 
 Verdict = Literal["bit-equal", "thread-dependent", "not deterministic", "no answer"]

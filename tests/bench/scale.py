@@ -25,7 +25,7 @@ from evalkit.config.experiment import Plan
 from evalkit.engine import Engine
 from evalkit.making import Ended
 from evalkit.places import There
-from evalkit.store import Store
+from evalkit.results.store import Store
 
 
 class Unheard:

@@ -15,7 +15,7 @@ from rich.table import Table
 from evalkit import console
 from evalkit.commands.options import Json, out, print_json
 from evalkit.core.errors import BadData
-from evalkit.store import reported
+from evalkit.results.store import reported
 from evalkit_datasets.doctor.examination import Examination, examine
 from evalkit_datasets.doctor.prescription import Prescription, prescribe
 

@@ -20,7 +20,7 @@ from evalkit.odometry import frontend
 from evalkit.plugins import code_hash, registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import BackendSpec, Value
-from evalkit.store import Store
+from evalkit.results.store import Store
 from evalkit.study.ledger import Job, Ledger, OnDone, Result
 from evalkit.validation import isolated
 from evalkit.validation.dossier import answers, costs, paths, twins

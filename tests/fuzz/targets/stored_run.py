@@ -11,7 +11,7 @@ from bounds import Finding, folder, held
 
 from evalkit.core.run_result import STEP
 from evalkit.io import untrusted_io
-from evalkit.store import STEPS, Store
+from evalkit.results.store import STEPS, Store
 
 FILES = ("run.json", STEPS, "scores.json", "grid.npz", "errors.npy", "made.json")
 """Which of them an input stands for is told by its first byte; the others are sound."""

@@ -12,7 +12,7 @@ from typing import Any
 from evalkit import console, environment
 from evalkit.commands.options import err
 from evalkit.report.document import Cell, Column, Command, Fold, Section, Table, Text, render
-from evalkit.store import reported
+from evalkit.results.store import reported
 from evalkit.study.ledger import Job, Ledger
 from evalkit_baselines.paper.reproduction import page
 from evalkit_baselines.paper.reproduction.chapters import CHAPTERS

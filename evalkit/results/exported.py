@@ -16,7 +16,7 @@ from evalkit.plugins import registry
 from evalkit.plugins.protocols import Sequence as Recording
 from evalkit.report.palette import Stroke, strokes
 from evalkit.report.record import NAME, VERSION
-from evalkit.store import Store
+from evalkit.results.store import Store
 
 AGAIN = "name a folder that `evalkit report` or `evalkit compare` has written, or make the report again"
 

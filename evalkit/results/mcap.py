@@ -17,7 +17,7 @@ from evalkit.core.run_result import Trial
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.plugins.protocols import Sequence as Recording
-from evalkit.report.export.poses import world_poses
+from evalkit.results.poses import world_poses
 
 WORLD, BASE, TRUTH, LASER = "world", "base_link", "truth", "laser"
 EARLIEST_NS = 10**9

@@ -7,9 +7,9 @@ import io
 import json
 
 from evalkit.core.errors import StoreError
-from evalkit.report.export.papers import Files
-from evalkit.report.export.results import AGAIN, Results
 from evalkit.report.record import schema
+from evalkit.results.exported import AGAIN, Results
+from evalkit.results.latex import Files
 
 TABLES = ("trials.csv", "scores.csv", "summary.csv")
 

@@ -15,8 +15,8 @@ from evalkit.core.errors import NotInstalled
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
 from evalkit.plugins.protocols import Sequence as Recording
-from evalkit.report.export.poses import world_poses
 from evalkit.report.figures import Strokes
+from evalkit.results.poses import world_poses
 
 TIMELINE = "recording"
 MOST_SCANS = 500

@@ -6,8 +6,8 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 
 from evalkit.report import figures
-from evalkit.report.export.results import Cell, Heading, Results
 from evalkit.report.wording import as_markdown
+from evalkit.results.exported import Cell, Heading, Results
 
 WIDE = 4
 """A table with more metrics than this is shrunk to the width of the text."""

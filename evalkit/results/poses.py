@@ -10,9 +10,9 @@ from evalkit.core import se2
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
-from evalkit.report.export.papers import Files, file_name
-from evalkit.report.export.results import Results
-from evalkit.store import tum
+from evalkit.results.exported import Results
+from evalkit.results.latex import Files, file_name
+from evalkit.results.store import tum
 
 
 def as_tum(results: Results) -> Files:

@@ -1,0 +1,1 @@
+"""Results on disk: the store, its reader, and the export formats."""
