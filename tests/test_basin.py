@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evalkit.metrics.statistics import wilson
+from evalkit.stats.statistics import wilson
 from evalkit.validation.basins.basin import Basin, Criterion, Shares, guesses, off, offsets, on_axes
 from evalkit.validation.basins.observability import observability
 

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from evalkit.metrics import statistics
-from evalkit.metrics.statistics import Interval
+from evalkit.stats import statistics
+from evalkit.stats.statistics import Interval
 
 # Demsar, JMLR 7, 2006, table 6: AUC of C4.5, C4.5+m, C4.5+cf, C4.5+m+cf over 14 data sets. In the last but one line
 # he prints 0.975 twice and ranks the first before the second: they are equal only as printed.

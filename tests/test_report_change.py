@@ -15,8 +15,8 @@ from evalkit.metrics import all_metrics
 from evalkit.report import write
 from evalkit.report.change import Limits, difference
 from evalkit.report.change_text import markdown, rows, verdict
-from evalkit.report.resampling import Series
 from evalkit.report.snapshot import Finished, Snapshot, read
+from evalkit.stats.bootstrap import Series
 
 METRICS = {metric.name: metric for metric in all_metrics()}
 ATE, TIME = "ate_rmse_m", "cpu_median_ms"

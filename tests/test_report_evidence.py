@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evalkit.metrics.statistics import Friedman
 from evalkit.report import record
 from evalkit.report.cells import apart, interval
 from evalkit.report.evidence import evidence
 from evalkit.report.paired import pairs
-from evalkit.report.resampling import Resamples, Series, drawn
 from evalkit.report.standings import standing
+from evalkit.stats.bootstrap import Resamples, Series, drawn
+from evalkit.stats.statistics import Friedman
 
 ATE = "ate_rmse_m"
 

@@ -11,7 +11,6 @@ import numpy as np
 from evalkit.commands.basin_result import LEVELS, Result, Row, Scene, answer
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
-from evalkit.metrics.statistics import Interval
 from evalkit.report import charts
 from evalkit.report.charts import Axis, Curve, Points
 from evalkit.report.document import (
@@ -30,6 +29,7 @@ from evalkit.report.document import (
     Text,
     slug,
 )
+from evalkit.stats.statistics import Interval
 from evalkit.validation.basins.basin import Shares
 from evalkit.validation.basins.sequences import APART_M, APART_RAD
 

@@ -12,7 +12,7 @@ from scipy import stats
 
 from evalkit.benchmark import Benchmark, Series
 from evalkit.core.errors import BadData
-from evalkit.metrics.statistics import CONFIDENCE, DRAWS, Interval
+from evalkit.stats.statistics import CONFIDENCE, DRAWS, Interval
 
 Said = Literal["regression", "improvement", "within the limit", "no difference shown", "too few samples"]
 

@@ -12,9 +12,9 @@ import numpy as np
 from scipy import stats
 
 from evalkit.core.se2 import Floats
-from evalkit.metrics import statistics
-from evalkit.metrics.statistics import CONFIDENCE, DRAWS, Interval
-from evalkit.report.resampling import Drawn
+from evalkit.stats import statistics
+from evalkit.stats.bootstrap import Drawn
+from evalkit.stats.statistics import CONFIDENCE, DRAWS, Interval
 
 # Of more scans left to the guess than this (%), it is the guess that would be ranked.
 MOST_GUESSED = 50.0

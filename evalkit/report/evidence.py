@@ -11,10 +11,10 @@ import numpy as np
 
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
-from evalkit.metrics import statistics
-from evalkit.metrics.statistics import Friedman, Interval, PairTest
 from evalkit.report.comparison import Comparison
 from evalkit.report.standings import MARGIN_SHARE, NOT_POSSIBLE, WITH_TRUTH, Standing, contestant_of, deciding
+from evalkit.stats import statistics
+from evalkit.stats.statistics import Friedman, Interval, PairTest
 
 Runs = Mapping[tuple[str, int | None], float]
 """The deciding error of every run by sequence and seed; infinite where it failed."""

@@ -12,8 +12,8 @@ import numpy as np
 from evalkit.core.errors import StoreError
 from evalkit.io import untrusted_io
 from evalkit.report.record import NAME, VERSION
-from evalkit.report.resampling import Series
 from evalkit.results.store import read_steps
+from evalkit.stats.bootstrap import Series
 
 AGAIN = "name a folder that `evalkit run` or `evalkit report` has written"
 

@@ -11,7 +11,7 @@ from evalkit.core.run_result import Status, Trial
 from evalkit.metrics.table import Group, Metric
 from evalkit.report.cells import Cell, apart
 from evalkit.report.comparison import Comparison
-from evalkit.report.resampling import Resamples
+from evalkit.stats.bootstrap import Resamples
 
 # The published relations are only good to this much themselves, whatever two contestants differ by.
 RELATIONS_FLOOR = {"m": 0.03, "deg": 0.4, "°": 0.4}

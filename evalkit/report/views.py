@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from statistics import median
 
 from evalkit.core.run_result import Status, Trial
-from evalkit.metrics.statistics import wilson
 from evalkit.metrics.table import Metric
 from evalkit.plugins.protocols import Published
 from evalkit.report.cells import Cell, interval
 from evalkit.report.comparison import Comparison
 from evalkit.report.consensus import disagrees, is_behind_bar
 from evalkit.report.standings import NOT_POSSIBLE, STATUS, Standing, deciding, standing, unfinished
+from evalkit.stats.statistics import wilson
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,9 +6,9 @@ import re
 from collections.abc import Iterable
 from statistics import median
 
-from evalkit.metrics.statistics import Interval
 from evalkit.metrics.table import Metric
 from evalkit.report.cells import Apart, Cell, interval
+from evalkit.stats.statistics import Interval
 
 
 def as_markdown(text: str) -> str:

@@ -12,7 +12,7 @@ from scipy import stats
 
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
-from evalkit.metrics.statistics import CONFIDENCE, Interval
+from evalkit.stats.statistics import CONFIDENCE, Interval
 from evalkit.study.design import Model
 
 

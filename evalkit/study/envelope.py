@@ -9,7 +9,7 @@ import numpy as np
 
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
-from evalkit.metrics.statistics import Interval, wilson
+from evalkit.stats.statistics import Interval, wilson
 from evalkit.study.factors import Factor
 from evalkit.study.outcome import Outcome
 from evalkit.study.plan import Design, EnvelopeChoice, Point

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from evalkit.core.se2 import Floats
-from evalkit.metrics.statistics import Interval
 from evalkit.report.charts import Axis, Curve, Points, bars, heat, lines, scatter
 from evalkit.report.document import Figure
 from evalkit.report.palette import HUES
+from evalkit.stats.statistics import Interval
 from evalkit.study.effects import FactorEffect, Fit, Interaction
 from evalkit.study.envelope import Panel, axes
 from evalkit.study.factors import Factor

@@ -8,7 +8,7 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
-from evalkit.metrics.statistics import Interval
+from evalkit.stats.statistics import Interval
 from evalkit.study.effects import Fit
 from evalkit.study.envelope import Panel, axes, panels
 from evalkit.study.outcome import Outcome

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from evalkit.metrics.statistics import Interval
 from evalkit.report.study.charts import steps
 from evalkit.report.wording import joined
+from evalkit.stats.statistics import Interval
 from evalkit.study.effects import FactorEffect, Fit
 from evalkit.study.outcome import Outcome
 from evalkit.study.plan import Design, EnvelopeChoice, Response, Study

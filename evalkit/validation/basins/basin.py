@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from evalkit.core import se2
 from evalkit.core.arrays import Bools, Ints
 from evalkit.core.se2 import Floats
-from evalkit.metrics.statistics import Interval, wilson
+from evalkit.stats.statistics import Interval, wilson
 from evalkit.validation.basins.observability import Observability
 
 PLASTIC = 1.2207440846057596

@@ -13,8 +13,8 @@ from evalkit.core import se2
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
 from evalkit.metrics.runtime import period_ns
-from evalkit.metrics.statistics import Interval, block_bootstrap, block_length, paired_difference
 from evalkit.metrics.trajectory import MAX_GAP_S, bracketed, rms
+from evalkit.stats.statistics import Interval, block_bootstrap, block_length, paired_difference
 from evalkit.study.ledger import Result
 from evalkit.validation.dossier.answers import Names, ended, words
 from evalkit.validation.dossier.dossier import Level, Line

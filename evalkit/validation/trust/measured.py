@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.metrics.statistics import Interval
+from evalkit.stats.statistics import Interval
 from evalkit.study.ledger import Job, Result
 from evalkit.validation.trust import planted, ranking, rebuilding
 from evalkit.validation.trust.corruption import WAYS

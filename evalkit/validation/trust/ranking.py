@@ -11,8 +11,8 @@ from scipy import stats
 
 from evalkit import metrics
 from evalkit.core.se2 import Floats
-from evalkit.metrics.statistics import CONFIDENCE, Interval
 from evalkit.metrics.table import Metric
+from evalkit.stats.statistics import CONFIDENCE, Interval
 from evalkit.validation.trust.rebuilding import CLEAN
 
 ERROR = "ate_rmse_m"

@@ -13,8 +13,9 @@ import numpy as np
 from evalkit.core.arrays import Ints
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
-from evalkit.metrics import drift, relations, statistics
+from evalkit.metrics import drift, relations
 from evalkit.metrics.trajectory import match
+from evalkit.stats import statistics
 
 Statistic = Literal["mean", "rms", "median", "inverse"]
 

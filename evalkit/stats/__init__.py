@@ -1,0 +1,1 @@
+"""Statistics over runs: bootstrap, intervals, paired tests."""
