@@ -19,11 +19,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit import environment, lifeline, map_scoring, metrics, runner, scoring
+from evalkit import environment, lifeline, metrics, runner
 from evalkit.cluster import TRIES
 from evalkit.config.experiment import Limits, MapperChoice, Plan, Planned
 from evalkit.core.errors import StoreError
 from evalkit.core.run_result import STEP, Run, Score, Status
+from evalkit.metrics import evaluate, evaluate_map
 from evalkit.plugins import registry
 from evalkit.results.store import HowItEnded, Store
 from evalkit.worker import Request
@@ -274,9 +275,9 @@ def score_stored(folder: Path, planned: Planned, run: Run, recipe: Recipe, core:
     entrant, drawn_by = registry.backend(planned.contestant.backend), registry.mapper(mapper.name)
     sequence = registry.dataset(planned.course.dataset).make(**planned.course.seeded(planned.seed))
     if entrant.kind == "map":
-        scored = map_scoring.score(run, entrant.make(**planned.contestant.parameters), sequence)
+        scored = evaluate_map.score(run, entrant.make(**planned.contestant.parameters), sequence)
     else:
-        scored = scoring.score(run, sequence, lambda: drawn_by.make(**mapper.parameters), mapper.scans)
+        scored = evaluate.score(run, sequence, lambda: drawn_by.make(**mapper.parameters), mapper.scans)
     scores = scored.scores
     if not recipe.timed and not run.steps["wall_ns"].any():
         scores = {name: _untimed(name, score) for name, score in scores.items()}

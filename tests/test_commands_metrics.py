@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from evalkit import metrics, scoring
+from evalkit import metrics
 from evalkit.cli import app
 from evalkit.commands import metrics as commands
 from evalkit.core.errors import UnknownName
@@ -15,6 +15,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, Run
 from evalkit.core.trajectory import Trajectory
+from evalkit.metrics import evaluate
 from evalkit.metrics.table import Evidence
 from evalkit.metrics.trajectory import match
 from evalkit.report.document import render
@@ -130,7 +131,7 @@ def test_sizes_reach_from_the_smallest_to_the_largest():
 def test_a_clean_run_of_given_poses_has_no_error():
     sequence = rebuilding.recording("room", 0)
     run = rebuilding.run_of(sequence, rebuilding.true_poses(sequence))
-    evidence = scoring.without_map(run, sequence)
+    evidence = evaluate.without_map(run, sequence)
     assert metrics.score(evidence)["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
 
 

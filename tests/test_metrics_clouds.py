@@ -8,7 +8,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, Run
 from evalkit.core.scan import Scan
 from evalkit.metrics import clouds
-from evalkit.metrics.patches import patches
+from evalkit.metrics.neighbourhoods import patches
 from evalkit.metrics.table import Evidence
 
 

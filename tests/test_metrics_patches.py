@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evalkit.metrics.patches import evenly, patches
+from evalkit.metrics.neighbourhoods import evenly, patches
 
 
 def test_the_ellipse_of_each_patch_is_that_of_numpys_covariance() -> None:

@@ -11,7 +11,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, Run
 from evalkit.core.scan import Scan
-from evalkit.metrics import placed
+from evalkit.metrics import landmarks
 from evalkit.metrics.table import Evidence
 
 SETS = st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)), max_size=4).map(
@@ -21,30 +21,30 @@ SETS = st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)), max_size=
 
 def test_ospa_of_sets_by_hand() -> None:
     corners = [[0.0, 0.0], [4.0, 0.0], [4.0, 3.0]]
-    assert placed.ospa(corners, corners[::-1]) == 0.0
-    assert placed.ospa(corners, corners[:2]) == pytest.approx(0.5 / 3)  # one is missing
+    assert landmarks.ospa(corners, corners[::-1]) == 0.0
+    assert landmarks.ospa(corners, corners[:2]) == pytest.approx(0.5 / 3)  # one is missing
     moved = [[0.3, 0.0], [4.0, 0.0], [9.0, 3.0]]
-    assert placed.ospa(corners, moved) == pytest.approx((0.3 + 0.0 + 0.5) / 3)  # far off is no worse than missing
-    assert placed.ospa(corners, moved, 1.0, 2.0) == pytest.approx(np.sqrt((0.09 + 1.0) / 3))
-    assert placed.ospa([], corners) == 0.5
-    assert placed.ospa([], []) == 0.0
+    assert landmarks.ospa(corners, moved) == pytest.approx((0.3 + 0.0 + 0.5) / 3)  # far off is no worse than missing
+    assert landmarks.ospa(corners, moved, 1.0, 2.0) == pytest.approx(np.sqrt((0.09 + 1.0) / 3))
+    assert landmarks.ospa([], corners) == 0.5
+    assert landmarks.ospa([], []) == 0.0
 
 
 @given(SETS, SETS)
 def test_ospa_is_the_best_of_all_assignments_and_a_distance(one, other) -> None:
-    found = placed.ospa(one, other)
+    found = landmarks.ospa(one, other)
     short, long = sorted((one, other), key=len)
     if len(long):
         costs = np.minimum(np.linalg.norm(short[:, None] - long[None], axis=2), 0.5).reshape(len(short), len(long))
         best = min(sum(costs[i, j] for i, j in enumerate(p)) for p in permutations(range(len(long)), len(short)))
         assert found == pytest.approx((best + 0.5 * (len(long) - len(short))) / len(long))
-    assert found == pytest.approx(placed.ospa(other, one))
+    assert found == pytest.approx(landmarks.ospa(other, one))
     assert 0.0 <= found <= 0.5
 
 
 @given(SETS, SETS, SETS)
 def test_ospa_obeys_the_triangle(one, two, three) -> None:
-    assert placed.ospa(one, three) <= placed.ospa(one, two) + placed.ospa(two, three) + 1e-9
+    assert landmarks.ospa(one, three) <= landmarks.ospa(one, two) + landmarks.ospa(two, three) + 1e-9
 
 
 def square(side_m=4.0, resolution_m=0.01):
@@ -67,7 +67,7 @@ def scan(side_m):
 def scores(mapped, true, grid=None):
     run = Run("b", "s", "complete", "", np.zeros(0, STEP), 0)
     evidence = Evidence(run, Truth("exact", grid=true), None, grid, mapped)
-    return {metric.name: metric.compute(evidence) for metric in placed.METRICS}
+    return {metric.name: metric.compute(evidence) for metric in landmarks.METRICS}
 
 
 @pytest.mark.parametrize("off_m", [-0.1, -0.03, 0.03, 0.1])
@@ -90,4 +90,4 @@ def test_the_corners_of_the_true_map_are_where_they_are() -> None:
     assert scores((), grid, grid)["map_corner_ospa_m"].value == 0.0
     assert scores((), grid, moved)["map_corner_ospa_m"].value == pytest.approx(0.1)
     inner = np.array([(x, y) for x in (0.15, 3.85) for y in (3.15, 6.85)])
-    assert placed.ospa(placed.corners(grid), inner) < 0.05
+    assert landmarks.ospa(landmarks.corners(grid), inner) < 0.05

@@ -8,7 +8,7 @@ from evalkit.core.arrays import Bools
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.consistency import NO_HIT, WARP, all_hits, hits
-from evalkit.metrics.patches import MIN_HITS, PATCH_M, Patches, evenly, patches
+from evalkit.metrics.neighbourhoods import MIN_HITS, PATCH_M, Patches, evenly, patches
 from evalkit.metrics.surfaces import pieces
 from evalkit.metrics.table import Evidence, Metric, number, standing_on
 

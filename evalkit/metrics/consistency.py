@@ -14,7 +14,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.maps import nearest_m
-from evalkit.metrics.patches import evenly, patches
+from evalkit.metrics.neighbourhoods import evenly, patches
 from evalkit.metrics.table import DIVERGED, Evidence, Mapped, Metric, number, once, standing_on
 
 MOST_HITS = 20_000

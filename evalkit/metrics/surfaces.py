@@ -13,7 +13,7 @@ from evalkit.core.arrays import Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.consistency import NO_HIT, WARP, all_hits
-from evalkit.metrics.patches import MIN_HITS, PATCH_M, evenly, patches
+from evalkit.metrics.neighbourhoods import MIN_HITS, PATCH_M, evenly, patches
 from evalkit.metrics.table import DIVERGED, Evidence, Mapped, Metric, number, once, standing_on
 
 MOST_SCANS = 100

@@ -94,7 +94,10 @@ def plug_in_of(kind: str, name: str) -> EntryPoint:
 
 def score_fingerprint(mapper: str) -> str:
     """A digest of the code the scores and the map of a run stand on."""
-    return fingerprint(("evalkit.scoring", "evalkit.map_scoring", _found("mappers")[mapper].module), ("numpy", "scipy"))
+    return fingerprint(
+        ("evalkit.metrics.evaluate", "evalkit.metrics.evaluate_map", _found("mappers")[mapper].module),
+        ("numpy", "scipy"),
+    )
 
 
 def _found(kind: str) -> dict[str, EntryPoint]:

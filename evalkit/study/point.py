@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import metrics, scoring
+from evalkit import metrics
 from evalkit.core.errors import EvalkitError, plain
 from evalkit.core.run_result import STEP, Run, Score, Status
+from evalkit.metrics import evaluate as scoring
 from evalkit.metrics import pairs, spans
 from evalkit.metrics.table import Metric
 from evalkit.odometry import frontend

@@ -9,10 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import metrics, scoring
+from evalkit import metrics
 from evalkit.core import se2
 from evalkit.core.run_result import STEP, Run
 from evalkit.core.se2 import Floats
+from evalkit.metrics import evaluate
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Mapper, Value, resolved
 from evalkit.plugins.protocols import Sequence as Recording
@@ -51,7 +52,7 @@ def spoiled(world: str, way: str, sizes: list[float], seed: int, mapper: str, sc
 
 def scored(run: Run, sequence: Recording, mapper: str, scans: int) -> dict[str, float | None]:
     """The values of every own metric; None where it is not meaningful."""
-    evidence = scoring.with_map(scoring.without_map(run, sequence), sequence, maker(mapper), scans)
+    evidence = evaluate.with_map(evaluate.without_map(run, sequence), sequence, maker(mapper), scans)
     return {name: score.value for name, score in metrics.score(evidence).items()}
 
 

@@ -14,12 +14,12 @@ from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.consistency import hits
+from evalkit.metrics.evaluate import draw
 from evalkit.metrics.maps import f1, walls
 from evalkit.metrics.table import Mapped
 from evalkit.metrics.trajectory import rms
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Value
-from evalkit.scoring import draw
 from evalkit_baselines.paper.reproduction import faults, following, places
 
 

@@ -8,9 +8,9 @@ from evalkit import metrics
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import Run, Score
+from evalkit.metrics.evaluate import Scored
 from evalkit.metrics.table import Evidence
 from evalkit.plugins.protocols import Sequence
-from evalkit.scoring import Scored
 
 OF_THE_MAP_ALONE = ("occupied_percent", "corners", "enclosed_areas", "enclosed_m2", "wall_width_m")
 """Consistency metrics that need neither scans nor probabilities; most metrics against the true map need neither."""
