@@ -11,8 +11,8 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
-from evalkit import environment
 from evalkit.core.errors import BadData
+from evalkit.execution import environment
 
 FOLDER = Path("reports") / "build" / "bench"
 SCHEMA = 1

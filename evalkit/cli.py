@@ -16,7 +16,7 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from evalkit import __version__, console, environment, listing
+from evalkit import __version__, console, listing
 from evalkit.commands import ending, options
 from evalkit.commands.basin import basin
 from evalkit.commands.bench import bench
@@ -47,8 +47,9 @@ from evalkit.commands.validate import validate
 from evalkit.config import adhoc_experiment, experiment
 from evalkit.config.experiment import Plan
 from evalkit.core.errors import EvalkitError, NotInstalled
-from evalkit.engine import Engine
-from evalkit.places import There
+from evalkit.execution import environment
+from evalkit.execution.executors import There
+from evalkit.execution.scheduler import Engine
 from evalkit.plugins import registry
 from evalkit.results.store import Store, reported
 

@@ -17,7 +17,7 @@ from rich.table import Table
 from evalkit.config.experiment import Plan, Planned
 
 if TYPE_CHECKING:
-    from evalkit.making import Ended  # loads every metric
+    from evalkit.execution.run_task import Ended  # loads every metric
 
 WIDE = 10_000
 """Columns of a table that is piped: one line a row, whatever it holds."""

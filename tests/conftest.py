@@ -22,13 +22,13 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, Run, Score, Status, Trial
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
+from evalkit.execution.worker import Outcome, Request, perform
 from evalkit.metrics.table import Group, Metric
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import DatasetSpec, Published
 from evalkit.report import Comparison, ContestantCard, SequenceCard, Setting
 from evalkit.results.store import read_steps
-from evalkit.worker import Outcome, Request, perform
 
 Build = Callable[..., Comparison]
 

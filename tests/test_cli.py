@@ -256,7 +256,7 @@ def answers(folder, contestant):
 def workers(folder):
     """The processes that run a back end in a results folder."""
     lines = (other.info["cmdline"] or [] for other in psutil.process_iter(["cmdline"]))
-    return [line for line in lines if "evalkit.worker" in line and str(folder) in line[-1]]
+    return [line for line in lines if "evalkit.execution.worker" in line and str(folder) in line[-1]]
 
 
 @pytest.fixture

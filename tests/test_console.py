@@ -9,7 +9,7 @@ from rich.console import Console
 from evalkit.config import experiment
 from evalkit.config.experiment import Contestant, Course
 from evalkit.console import JobLines, TimeLeft, jobs, missing, progress
-from evalkit.making import Ended
+from evalkit.execution.run_task import Ended
 
 
 @pytest.fixture

@@ -16,11 +16,11 @@ from queue import SimpleQueue
 import numpy as np
 import pytest
 
-from evalkit import environment, making, places
 from evalkit.config import experiment
 from evalkit.config.experiment import Limits
 from evalkit.core.errors import StoreError
-from evalkit.engine import Engine
+from evalkit.execution import environment, executors, run_task
+from evalkit.execution.scheduler import Engine
 from evalkit.plugins import registry
 from evalkit.results.store import Store
 
@@ -46,7 +46,7 @@ class Heard:
 @pytest.fixture
 def quick(monkeypatch):
     """Scores are made in threads: this test is not about the processes for it."""
-    monkeypatch.setattr(making, "pool", ThreadPoolExecutor)
+    monkeypatch.setattr(run_task, "pool", ThreadPoolExecutor)
 
 
 def plan(*faults, sequence=None, mapper=None, **limits):
@@ -197,12 +197,12 @@ def test_a_run_is_scored_on_its_own_core_which_is_given_back_afterwards(tmp_path
         told.append(f"scored on {arguments[-1]}")
         raise RuntimeError("enough")
 
-    monkeypatch.setattr(making, "pool", ThreadPoolExecutor)
-    monkeypatch.setattr(making, "score_stored", score)
+    monkeypatch.setattr(run_task, "pool", ThreadPoolExecutor)
+    monkeypatch.setattr(run_task, "score_stored", score)
     only = environment.cores()[0]
     one = SimpleQueue()
     one.put(only)
-    monkeypatch.setattr(places, "_cores", lambda jobs: one)
+    monkeypatch.setattr(executors, "_cores", lambda jobs: one)
     Engine(plan("none", "far"), Store(tmp_path), Told(), jobs=2).trials()
     assert told == ["begun none", f"scored on {only}", "begun far", f"scored on {only}"]
 
@@ -271,7 +271,7 @@ def test_a_run_quarantined_for_its_scoring_is_tried_again_only_when_that_is_aske
         raise BrokenProcessPool("ended")
 
     asked = []
-    monkeypatch.setattr(making, "score_stored", deadly)
+    monkeypatch.setattr(run_task, "score_stored", deadly)
     again = frozenset({"crashed"})
     for how, count in ({}, 2), ({"resume": True}, 2), ({"resume": True, "rerun": again}, 4):
         (trial,) = Engine(plan("none"), Store(tmp_path), Heard(), **how).trials()
@@ -284,10 +284,10 @@ def test_where_no_process_to_score_in_can_be_started_nothing_is_quarantined(tmp_
         def submit(self, *_arguments):
             raise BrokenProcessPool("no memory")
 
-    monkeypatch.setattr(making, "pool", Broken)
+    monkeypatch.setattr(run_task, "pool", Broken)
     trial = trials(plan("none"), tmp_path)["none"]
     assert trial.run.reason == "scoring failed: RuntimeError: no process to score in can be started here"
-    monkeypatch.setattr(making, "pool", ThreadPoolExecutor)
+    monkeypatch.setattr(run_task, "pool", ThreadPoolExecutor)
     assert trials(plan("none"), tmp_path, resume=True)["none"].run.status == "complete"
 
 
@@ -332,7 +332,7 @@ def test_a_run_that_cannot_be_scored_anew_keeps_no_scores_of_other_code(tmp_path
     def refuse(*_arguments):
         raise ValueError("no such metric")
 
-    monkeypatch.setattr(making, "score_stored", refuse)
+    monkeypatch.setattr(run_task, "score_stored", refuse)
     assert (
         trials(plan("none"), tmp_path, resume=True)["none"].run.reason == "scoring failed: ValueError: no such metric"
     )

@@ -11,7 +11,7 @@ import psutil
 import pytest
 
 import evalkit
-from evalkit import environment
+from evalkit.execution import environment
 
 CHECKOUT = Path(evalkit.__file__).parent.parent
 

@@ -10,15 +10,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evalkit import runner
 from evalkit.config.experiment import Limits
 from evalkit.core.errors import BackendFailed, BadParameter, UnknownName
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
+from evalkit.execution import run_process
+from evalkit.execution.worker import Request
 from evalkit.external import INCLUDE, elf, library
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import resolved
-from evalkit.worker import Request
 
 EXAMPLES = INCLUDE / "examples"
 STRICT = ["-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
@@ -212,7 +212,7 @@ def test_a_library_that_fails_is_a_reason_in_its_own_words(small, followed, old,
 def test_a_library_that_crashes_takes_its_own_run_along_and_nothing_else(small, tmp_path):
     name = small("*answer = *frame->odom_from_base;", "(void)frame; *(volatile int *)answer = 0; __builtin_trap();")
     request = Request(name, {}, "room", {**defaults("room"), "laps": 0.02})
-    run = runner.run(request, ("mine", "room"), tmp_path, Limits(60, 30, 2048), lambda _: None, threading.Event())
+    run = run_process.run(request, ("mine", "room"), tmp_path, Limits(60, 30, 2048), lambda _: None, threading.Event())
     assert run.status == "crashed"
     assert "SIGILL" in run.reason or "SIGTRAP" in run.reason
 

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evalkit.validation import isolated
-from evalkit.validation.isolated import ENDED
+from evalkit.execution import sandbox
+from evalkit.execution.sandbox import ENDED
 
 LIMITS = {"limit_s": 20.0, "memory_mib": 500}
 
@@ -25,7 +25,7 @@ def doubled(row):
 
 
 def die(how):
-    isolated.at("the seventh question")
+    sandbox.at("the seventh question")
     os.kill(os.getpid(), getattr(signal, how))
 
 
@@ -34,12 +34,12 @@ def refuse():
 
 
 def sleep():
-    isolated.at("a long one")
+    sandbox.at("a long one")
     time.sleep(60.0)
 
 
 def run(function, limit_s=20.0, **arguments):
-    return isolated.run(f"test_isolated:{function}", arguments, limit_s, 500)
+    return sandbox.run(f"test_isolated:{function}", arguments, limit_s, 500)
 
 
 def test_a_result_comes_back_with_its_arrays():
@@ -62,12 +62,12 @@ def test_a_hang_is_ended():
 
 def test_word_is_left_only_in_such_a_process(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    isolated.at("nowhere")
+    sandbox.at("nowhere")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_job_changes_with_what_it_calls_and_with_its_limits():
-    one = isolated.job("x", "evalkit.validation.dossier.asking:rules", {"name": "paper"}, LIMITS, ())
-    assert one.key != isolated.job("x", "evalkit.validation.dossier.asking:rules", {"name": "lib"}, LIMITS, ()).key
+    one = sandbox.job("x", "evalkit.validation.dossier.asking:rules", {"name": "paper"}, LIMITS, ())
+    assert one.key != sandbox.job("x", "evalkit.validation.dossier.asking:rules", {"name": "lib"}, LIMITS, ()).key
     limits = {"limit_s": 1.0}
-    assert one.key != isolated.job("x", "evalkit.validation.dossier.asking:rules", {"name": "paper"}, limits, ()).key
+    assert one.key != sandbox.job("x", "evalkit.validation.dossier.asking:rules", {"name": "paper"}, limits, ()).key

@@ -15,9 +15,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evalkit.cluster import Cluster, NoCluster, Slot
-from evalkit.study import deadline, ledger
-from evalkit.study.ledger import Job, JobsFailed, Ledger
+from evalkit.execution import deadline
+from evalkit.execution import job_store as ledger
+from evalkit.execution.dask_cluster import Cluster, NoCluster, Slot
+from evalkit.execution.job_store import Job, JobsFailed, Ledger
 
 
 def square(number, log=""):
@@ -147,7 +148,7 @@ def test_two_jobs_of_one_name_are_refused(squares, tmp_path):
 def test_a_killed_study_goes_on_without_repeating(squares, tmp_path):
     script = tmp_path / "study.py"
     script.write_text(
-        "from pathlib import Path\nfrom evalkit.study.ledger import Job, Ledger\n"
+        "from pathlib import Path\nfrom evalkit.execution.job_store import Job, Ledger\n"
         f"log, folder = {str(tmp_path / 'log')!r}, Path({str(tmp_path / 'kept')!r})\n"
         "jobs = [Job(f'n{n}', 'test_ledger:doze', {'number': n, 'log': log}) for n in range(6)]\n"
         "if __name__ == '__main__':\n    Ledger(folder).run(jobs)\n"

@@ -2,9 +2,9 @@
 
 import pytest
 
+from evalkit.execution.job_store import call
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
-from evalkit.study.ledger import call
 from evalkit_baselines.paper.reproduction import configurations
 from evalkit_baselines.paper.reproduction.configurations import CHAPTER, CONFIGURATIONS
 

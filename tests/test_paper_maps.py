@@ -5,7 +5,7 @@ import pytest
 
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
-from evalkit.study.ledger import call
+from evalkit.execution.job_store import call
 from evalkit_baselines.paper.reproduction import faults, figure_10, places, recorded_drive
 
 SIZE = 40  # cells of 0.1 m

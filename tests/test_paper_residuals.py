@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from evalkit.execution.job_store import call
 from evalkit.plugins import registry
-from evalkit.study.ledger import call
 from evalkit_baselines.paper.reproduction import causes, following, lab_drives, residuals, spikes
 from evalkit_baselines.paper.reproduction.spikes import Band
 

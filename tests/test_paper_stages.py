@@ -2,7 +2,7 @@
 
 import pytest
 
-from evalkit.study.ledger import call
+from evalkit.execution.job_store import call
 from evalkit_baselines.paper.reproduction import flowcharts, stages
 from evalkit_baselines.paper.reproduction.flowcharts import MAPPING, PIPELINE, REGISTRATION, TWO_STAGES, path
 from evalkit_baselines.paper.reproduction.stages import Call

@@ -6,10 +6,10 @@ from zipfile import ZipFile
 import numpy as np
 import pytest
 
-from evalkit import parcel
 from evalkit.core.errors import StoreError
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import STEP, Run
+from evalkit.execution import run_archive
 from evalkit.results.store import Store
 
 KEY = "room-s0-icp-0123456789"
@@ -20,7 +20,7 @@ def kept(tmp_path):
     store = Store(tmp_path / "one")
     steps = np.zeros(3, dtype=STEP)
     steps["stamp_ns"] = [0, 1, 2]
-    (store.fresh(KEY) / "output.txt").write_bytes(b"x" * (parcel.MOST_OUTPUT + 5) + b"last words")
+    (store.fresh(KEY) / "output.txt").write_bytes(b"x" * (run_archive.MOST_OUTPUT + 5) + b"last words")
     store.save_run(KEY, Run("icp", "room", "complete", "", steps, 3), {"made": "2024-05-01T12:00:00+00:00"})
     grid = OccupancyGrid(np.ones((4, 5), dtype=np.float32), np.ones((4, 5), dtype=bool), 0.05, 0.0, 0.0)
     content = {"fingerprint": "f", "world_from_start": [0.0, 0.0, 0.0], "scores": {}}
@@ -38,12 +38,12 @@ def files(store):
 def test_a_run_arrives_as_it_was_but_for_what_it_said_long_ago(kept, tmp_path):
     other = Store(tmp_path / "other")
     (other.fresh(KEY) / "stale").touch()
-    parcel.unpacked(other, KEY, parcel.packed(kept, KEY))
+    run_archive.unpacked(other, KEY, run_archive.packed(kept, KEY))
     sent = {path: content for path, content in files(kept).items() if KEY + "0" not in str(path)}
     arrived = files(other)
     assert sent.keys() == arrived.keys()
     output = next(path for path in sent if path.name == "output.txt")
-    assert len(arrived[output]) == parcel.MOST_OUTPUT
+    assert len(arrived[output]) == run_archive.MOST_OUTPUT
     assert arrived.pop(output).endswith(b"last words")
     assert {path: content for path, content in sent.items() if path != output} == arrived
 
@@ -54,7 +54,7 @@ def test_a_parcel_writes_nothing_outside_its_run(tmp_path):
         for name in ("run/../../../evil", "/evil", "../evil", "elsewhere/evil", "run/fine"):
             archive.writestr(name, b"")
     store = Store(tmp_path / "out")
-    parcel.unpacked(store, KEY, body.getvalue())
+    run_archive.unpacked(store, KEY, body.getvalue())
     assert {path.parent for path in tmp_path.rglob("*") if path.is_file()} == {store.run_folder(KEY)}
     with pytest.raises(StoreError, match="what came for it is damaged"):
-        parcel.unpacked(store, KEY, b"no zip")
+        run_archive.unpacked(store, KEY, b"no zip")

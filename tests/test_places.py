@@ -11,13 +11,13 @@ import numpy as np
 import psutil
 import pytest
 
-from evalkit import cluster, environment
-from evalkit.cluster import Cluster, NoCluster
 from evalkit.config import experiment
 from evalkit.core.errors import NotInstalled
 from evalkit.core.run_result import STEP
-from evalkit.engine import Engine
-from evalkit.places import There
+from evalkit.execution import dask_cluster, environment
+from evalkit.execution.dask_cluster import Cluster, NoCluster
+from evalkit.execution.executors import There
+from evalkit.execution.scheduler import Engine
 from evalkit.results.store import Store
 
 COSTS = ("wall_ns", "cpu_ns", "conversion_ns", "harness_ns", "device_ns")
@@ -56,7 +56,7 @@ def plan(*faults, timed=True, **sequence):
 def workers(strangers):
     """A cluster of two processes that offer to measure times."""
     distributed = pytest.importorskip("distributed")
-    with cluster._local(2) as local:
+    with dask_cluster._local(2) as local:
         yield local
     assert distributed
 
@@ -184,14 +184,14 @@ def test_without_dask_the_extra_is_named(monkeypatch, tmp_path):
     def absent(name):
         raise ImportError(f"No module named '{name}'")
 
-    monkeypatch.setattr(cluster, "import_module", absent)
+    monkeypatch.setattr(dask_cluster, "import_module", absent)
     with pytest.raises(NotInstalled, match=r"pip install 'evalkit\[dask\]'"):
         list(Cluster().answers([]))
 
 
 def test_a_scheduler_that_is_not_there_is_named(monkeypatch):
     pytest.importorskip("distributed")
-    monkeypatch.setattr(cluster, "CONNECT_S", 0.5)
+    monkeypatch.setattr(dask_cluster, "CONNECT_S", 0.5)
     with pytest.raises(NoCluster, match=r"tcp://127\.0\.0\.1:9: no scheduler answers"):
         list(Cluster("tcp://127.0.0.1:9").answers([]))
 
@@ -208,7 +208,7 @@ def test_whatever_ends_evalkit_no_worker_is_left_behind(strangers, tmp_path, num
         [sys.executable, "-c", "from evalkit.cli import main; main()", *words],
         env={**os.environ, "EVALKIT_TEST": str(tmp_path)}, stderr=subprocess.PIPE, start_new_session=True,
     )  # fmt: skip
-    assert soon(lambda: any("evalkit.worker" in line for line in lines(tmp_path)))
+    assert soon(lambda: any("evalkit.execution.worker" in line for line in lines(tmp_path)))
     if number == signal.SIGINT:
         os.killpg(mine.pid, number)  # as a terminal does
     else:

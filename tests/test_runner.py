@@ -10,11 +10,11 @@ from pathlib import Path
 import psutil
 import pytest
 
-from evalkit import child, runner
 from evalkit.config.experiment import Limits
 from evalkit.core.errors import StoreError
+from evalkit.execution import run_process, subprocesses
+from evalkit.execution.worker import Request
 from evalkit.metrics import runtime
-from evalkit.worker import Request
 
 AT, SCANS = 8, 12
 HASTE = Limits(run_s=60.0, scan_s=30.0, memory_mib=1024)
@@ -37,7 +37,7 @@ def request(fault="none", at=AT, **dataset):
 
 def made(folder, wanted, limits=HASTE, heard=lambda _: None, stop=None):
     folder.mkdir()
-    return runner.run(wanted, ("f", "s"), folder, limits, heard, stop or threading.Event())
+    return run_process.run(wanted, ("f", "s"), folder, limits, heard, stop or threading.Event())
 
 
 EXPECTED = (
@@ -145,7 +145,7 @@ def left(folder):
 
 
 def test_who_never_stops_talking_does_not_fill_the_disk(runs, root):
-    assert (root / "flood" / runner.OUTPUT).stat().st_size < 2 * child.MOST_OUTPUT
+    assert (root / "flood" / run_process.OUTPUT).stat().st_size < 2 * subprocesses.MOST_OUTPUT
 
 
 def test_the_memory_of_a_run_is_its_own_and_not_that_of_the_process_that_started_it(strangers, tmp_path):
@@ -192,7 +192,7 @@ def test_the_request_stays_beside_the_answers(strangers, tmp_path):
 
 def test_a_folder_that_cannot_be_written_is_the_users_to_mend(tmp_path):
     with pytest.raises(StoreError, match=r"absent: cannot be written \(No such file or directory\); free some space"):
-        runner.run(request(), ("f", "s"), tmp_path / "absent", HASTE, lambda _: None, threading.Event())
+        run_process.run(request(), ("f", "s"), tmp_path / "absent", HASTE, lambda _: None, threading.Event())
 
 
 def test_looking_through_a_long_recording_is_no_scan_without_an_answer(tmp_path):

@@ -14,7 +14,7 @@ import pytest
 from typer.testing import CliRunner
 
 from evalkit.cli import app
-from evalkit.study.ledger import Job
+from evalkit.execution.job_store import Job
 from evalkit.study.outcome import Outcome, computed
 from evalkit.study.point import evaluate
 from evalkit.study.reading import study

@@ -11,9 +11,9 @@ import pytest
 
 from evalkit.cli import app
 from evalkit.core.errors import BadExperiment, BadParameter, NotInstalled, UnknownName
+from evalkit.execution import sandbox
 from evalkit.external import INCLUDE
 from evalkit.plugins import registry
-from evalkit.validation import isolated
 from evalkit.validation.dossier import answers, asking, examination, twins
 from evalkit.validation.dossier.answers import Names
 from evalkit.validation.dossier.asking import EXACT
@@ -157,7 +157,7 @@ def test_a_library_goes_through_the_whole_dossier(somebodys, tmp_path):
 def test_a_crash_on_the_way_is_a_line_and_not_the_end(misfits):
     a, b = ({"name": name, "given": {}} for name in ("paper", "planted_mistakes:CRASHES_ON_SCANS"))
     given = {"a": a, "b": b, "on": ROOM, "count": 3, "exact": True, "margins": MARGINS}
-    found = {"room, seed 0": isolated.run("evalkit.validation.dossier.asking:pairs_compared", given, 60.0, 2000)}
+    found = {"room, seed 0": sandbox.run("evalkit.validation.dossier.asking:pairs_compared", given, 60.0, 2000)}
     names = Names("mine", "paper", answers.margin_of(found, MARGINS), 0.5)
     (line,) = answers.pairs(found, {}, names).failed("as-good")
     assert "SIGSEGV; it was at room, seed 0, pair 1 (pair)" in line.observed

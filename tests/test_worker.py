@@ -5,17 +5,18 @@ import json
 import numpy as np
 import pytest
 
-from evalkit import metrics, worker
+from evalkit import metrics
 from evalkit.core import belief
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import Run, Score
+from evalkit.execution import worker
+from evalkit.execution.worker import Request
 from evalkit.metrics.table import Evidence
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import BackendSpec
 from evalkit.results.store import read_steps
-from evalkit.worker import Request
 
 pytestmark = pytest.mark.usefixtures("strangers")
 

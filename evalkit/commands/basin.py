@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from evalkit import console, environment
+from evalkit import console
 from evalkit.commands import options
 from evalkit.commands.options import Jobs, Json, Out, err, out
+from evalkit.execution import environment
 from evalkit.plugins import registry
 from evalkit.results.store import write_texts
 
@@ -80,7 +81,7 @@ def _registrations() -> list[str]:
 
 
 def _asked(entrants: list[Any], trials: list[Any], folder: Path, workers: int) -> list[Any]:
-    from evalkit.study.ledger import Ledger  # noqa: PLC0415 - only who asks pays for it
+    from evalkit.execution.job_store import Ledger  # noqa: PLC0415 - only who asks pays for it
     from evalkit.validation.basins import attempts  # noqa: PLC0415 - as above
 
     count = sum(not each.reason for each in entrants) * sum(-(-one.offsets // attempts.AT_ONCE) for one in trials)

@@ -12,7 +12,7 @@ import typer
 from evalkit.commands import options
 from evalkit.commands.options import FAILED, out
 from evalkit.core.run_result import Status, Trial
-from evalkit.making import Ended
+from evalkit.execution.run_task import Ended
 from evalkit.results.store import Store
 
 ABSENT: tuple[Status, ...] = ("not-installed", "data-missing", "skipped")

@@ -11,16 +11,17 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from evalkit import console, environment
+from evalkit import console
 from evalkit.commands import options
 from evalkit.commands.options import Json, Out, err, out
 from evalkit.core.errors import UnknownName
+from evalkit.execution import environment
 from evalkit.results.store import write_texts
 
 if TYPE_CHECKING:
+    from evalkit.execution.job_store import Job, Result
     from evalkit.metrics.table import Metric
     from evalkit.metrics.validated import Trust
-    from evalkit.study.ledger import Job, Result
 
 metrics = typer.Typer(help="What each number means, what it is blind to, and how far it can be trusted.")
 
@@ -176,7 +177,7 @@ def _number(found: Any) -> str:
 
 
 def _made(jobs: list[Job], folder: Path, workers: int | None) -> dict[str, Result]:
-    from evalkit.study.ledger import Ledger  # noqa: PLC0415 - only who asks pays for it
+    from evalkit.execution.job_store import Ledger  # noqa: PLC0415 - only who asks pays for it
 
     at_once = workers or environment.physical_cores()
     try:

@@ -11,9 +11,9 @@ from typing import Annotated, get_args
 import typer
 from rich.console import Console
 
-from evalkit import environment
-from evalkit.cluster import Cluster
 from evalkit.core.run_result import Status
+from evalkit.execution import environment
+from evalkit.execution.dask_cluster import Cluster
 
 out = Console(soft_wrap=True)
 err = Console(stderr=True, soft_wrap=True)

@@ -13,12 +13,12 @@ from evalkit import console
 from evalkit.commands import options
 from evalkit.commands.options import Json, err, out
 from evalkit.core.errors import DataMissing
+from evalkit.execution.job_store import Job, Ledger
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import Value, resolved
 from evalkit.realtime import POLICIES, Policy, Rule, first_broken
-from evalkit.study.ledger import Job, Ledger
 
 RULE = Rule()
 

@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from evalkit import console, environment
+from evalkit import console
 from evalkit.commands import options
 from evalkit.commands.options import Json, Out, Scheduler, err, out
 from evalkit.core.errors import NotInstalled, UnknownName
+from evalkit.execution import environment
 from evalkit.results.store import write_texts
 
 if TYPE_CHECKING:

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from evalkit import console, environment
+from evalkit import console
 from evalkit.commands import options
 from evalkit.commands.options import Collect, Jobs, Json, err, out
+from evalkit.execution import environment
 from evalkit.results.store import Store, write_texts
 
 if TYPE_CHECKING:
@@ -109,7 +110,7 @@ def _searched(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tupl
 
 def _judged(plan: Plan, store: Store, workers: int, ran_on: dict[str, str], collect: bool) -> tuple[Trial, ...]:
     """Default and tuned rows on the held-out sequences, each run in a process of its own; what is done is kept."""
-    from evalkit.engine import Engine  # noqa: PLC0415 - with the search's modules
+    from evalkit.execution.scheduler import Engine  # noqa: PLC0415 - with the search's modules
 
     for line in console.missing(plan):
         err.print(line, markup=False, highlight=False)

@@ -16,12 +16,13 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from evalkit import console, environment
+from evalkit import console
 from evalkit.commands import options
 from evalkit.commands.options import Jobs, Json, err, out
 from evalkit.config.experiment import Plan
 from evalkit.core.errors import BadParameter
-from evalkit.engine import Progress
+from evalkit.execution import environment
+from evalkit.execution.scheduler import Progress
 from evalkit.plugins import registry
 from evalkit.results.store import Store
 from evalkit.validation.dossier.dossier import Claim, Dossier

@@ -11,6 +11,7 @@ from evalkit.core import se2
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
+from evalkit.execution.sandbox import ENDED
 from evalkit.report import charts
 from evalkit.report.charts import Axis, Curve, Points
 from evalkit.report.document import Figure
@@ -20,7 +21,6 @@ from evalkit.validation.dossier.costs import milliseconds
 from evalkit.validation.dossier.dossier import Level
 from evalkit.validation.dossier.paths import distances
 from evalkit.validation.equivalence.cells import Layers
-from evalkit.validation.isolated import ENDED
 
 LEAST_M = 1e-17
 """Nothing nearer is drawn farther to the left: there are no numbers between 0 and this that mean a difference."""

@@ -23,9 +23,9 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import conversion
+from evalkit.execution.parent_watch import signal_name
 from evalkit.external import abi, elf
 from evalkit.external.declaration import absent, broken, declaration, digest_of, listed, settings, spec, split, text
-from evalkit.lifeline import signal_name
 from evalkit.plugins.protocols import BackendSpec, Parameter, Value
 
 LOOK_S = 20.0

@@ -17,8 +17,8 @@ from typing import IO, Any
 import psutil
 
 from evalkit.core.errors import BackendFailed, brief
+from evalkit.execution.parent_watch import signal_name
 from evalkit.io import untrusted_io
-from evalkit.lifeline import signal_name
 
 LONGEST_ANSWER = 1 << 20
 """Bytes of one answer; a program that writes more without end of line writes something else."""

@@ -16,7 +16,7 @@ from types import FunctionType
 from typing import TypeVar
 
 from evalkit.core.errors import EvalkitError, NotInstalled, UnknownName
-from evalkit.lifeline import MARK
+from evalkit.execution.parent_watch import MARK
 from evalkit.plugins.code_hash import fingerprint
 from evalkit.plugins.protocols import BackendSpec, DatasetSpec, MapperSpec, Odometry, Value
 
@@ -80,7 +80,7 @@ def run_fingerprint(contestant: str, dataset: str) -> str:
     """A digest of the code a run stands on: evalkit's part in it, the two plug-ins and the libraries they require."""
     spec = backend(contestant)
     plug_in = plug_in_of("backends", contestant)
-    modules = ("evalkit.worker", plug_in.module, _found("datasets")[dataset].module)
+    modules = ("evalkit.execution.worker", plug_in.module, _found("datasets")[dataset].module)
     return fingerprint(modules, ("numpy", "scipy", *spec.requires)) + spec.digest
 
 

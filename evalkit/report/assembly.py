@@ -7,9 +7,9 @@ from datetime import datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, metadata, packages_distributions
 
-from evalkit import environment
 from evalkit.config.experiment import Contestant, Course, Limits, MapperChoice, Plan
 from evalkit.core.run_result import Trial
+from evalkit.execution import environment
 from evalkit.metrics import all_metrics
 from evalkit.odometry.frontend import parameters_of
 from evalkit.plugins import registry

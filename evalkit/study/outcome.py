@@ -9,11 +9,11 @@ from pathlib import Path
 
 import numpy as np
 
-from evalkit.cluster import Cluster
 from evalkit.core.se2 import Floats
-from evalkit.study.deadline import LATE
+from evalkit.execution.dask_cluster import Cluster
+from evalkit.execution.deadline import LATE
+from evalkit.execution.job_store import Job, JobsFailed, Ledger, OnDone, Result
 from evalkit.study.effects import Fit
-from evalkit.study.ledger import Job, JobsFailed, Ledger, OnDone, Result
 from evalkit.study.plan import Design, Point, Response, Study, job_name
 
 

@@ -11,13 +11,13 @@ from typing import Literal
 
 from evalkit.config.experiment import Limits
 from evalkit.core.se2 import Floats
+from evalkit.execution.job_store import Job
 from evalkit.metrics.table import Metric
 from evalkit.plugins import registry
 from evalkit.plugins.code_hash import of_files
 from evalkit.plugins.protocols import Value
 from evalkit.study.design import Model
 from evalkit.study.factors import Factor, Level, Scale
-from evalkit.study.ledger import Job
 
 Kind = Literal["optimal", "fractional", "sobol", "latin", "curves", "grid"]
 POINT = "evalkit.study.point:evaluate"

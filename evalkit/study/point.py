@@ -16,13 +16,13 @@ import numpy as np
 from evalkit import metrics
 from evalkit.core.errors import EvalkitError, plain
 from evalkit.core.run_result import STEP, Run, Score, Status
+from evalkit.execution.worker import Request, Residuals, follow
 from evalkit.metrics import evaluate as scoring
 from evalkit.metrics import pairs, spans
 from evalkit.metrics.table import Metric
 from evalkit.odometry import frontend
 from evalkit.plugins import protocols, registry
 from evalkit.plugins.protocols import Value
-from evalkit.worker import Request, Residuals, follow
 
 DRAWN = ("map against truth", "map consistency")
 """Groups of metrics that look at a map."""

@@ -11,14 +11,14 @@ from typing import Literal
 
 import numpy as np
 
-from evalkit import runner
 from evalkit.config.experiment import Limits
 from evalkit.core.run_result import Run
+from evalkit.execution import run_process
+from evalkit.execution.worker import Request
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Value, resolved
 from evalkit.results.store import digest
-from evalkit.worker import Request
 
 Verdict = Literal["bit-equal", "thread-dependent", "not deterministic", "no answer"]
 
@@ -63,7 +63,7 @@ def determinism(
             for repetition in range(repetitions):
                 folder = Path(place) / f"{number}-{repetition}"
                 folder.mkdir()
-                run = runner.run(
+                run = run_process.run(
                     request, (backend, dataset), folder, limits or Limits(), lambda _: None, threading.Event(), number
                 )
                 if run.status != "complete":

@@ -11,7 +11,7 @@ import numpy as np
 from evalkit import Cloud, Pose, benchmark
 from evalkit.benchmark import Series
 from evalkit.core.timing import timed
-from evalkit.environment import SINGLE_THREAD
+from evalkit.execution.environment import SINGLE_THREAD
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Registration

@@ -17,10 +17,11 @@ from pathlib import Path
 import long_bags
 import numpy as np
 
-from evalkit import benchmark, runner
+from evalkit import benchmark
 from evalkit.benchmark import FOLDER, Series
 from evalkit.config.experiment import Limits
-from evalkit.worker import Request
+from evalkit.execution import run_process
+from evalkit.execution.worker import Request
 
 FACTORS = (1, 10, 100)
 DAY_S = 24 * 3600
@@ -44,7 +45,7 @@ def run(bag: Path) -> Run:
     """Wheel odometry over a bag, in a process of its own."""
     request = Request("wheel-odometry", {}, "rosbag", {"path": str(bag)})
     with tempfile.TemporaryDirectory() as folder:
-        made = runner.run(
+        made = run_process.run(
             request, ("wheel-odometry", bag.name), Path(folder), PATIENT, lambda _: None, threading.Event()
         )
     if made.status != "complete":

@@ -15,7 +15,7 @@ import numpy as np
 
 from evalkit import Pose, Scan, benchmark
 from evalkit.benchmark import Series
-from evalkit.environment import SINGLE_THREAD
+from evalkit.execution.environment import SINGLE_THREAD
 from evalkit.plugins.protocols import MapperSpec, resolved
 from evalkit_baselines import embedded, paper
 from evalkit_baselines.embedded.compiled import compiled_missing, core

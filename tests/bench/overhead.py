@@ -16,14 +16,15 @@ from pathlib import Path
 
 import numpy as np
 
-from evalkit import benchmark, runner
+from evalkit import benchmark
 from evalkit.benchmark import Series
 from evalkit.config.experiment import Limits
 from evalkit.core.run_result import Run
-from evalkit.environment import SINGLE_THREAD
+from evalkit.execution import run_process
+from evalkit.execution.environment import SINGLE_THREAD
+from evalkit.execution.worker import Request
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
-from evalkit.worker import Request
 
 START_LIMIT_S = 0.3
 SHARE_LIMIT = 0.01
@@ -41,7 +42,7 @@ def made(backend: str, **changes: object) -> Run:
     parameters = {p.name: p.default for p in lab.parameters} | changes
     request = Request(backend, frontend.complete_parameters(backend, spec, {}), "lab", parameters)
     with tempfile.TemporaryDirectory() as folder:
-        run = runner.run(request, (backend, "lab"), Path(folder), Limits(), lambda _: None, threading.Event())
+        run = run_process.run(request, (backend, "lab"), Path(folder), Limits(), lambda _: None, threading.Event())
     if run.status != "complete":
         sys.exit(f"{backend}: {run.status}: {run.reason}")
     return run
@@ -64,7 +65,7 @@ def starts(rounds: int) -> dict[str, list[float]]:
     """CPU seconds, in turns, of an interpreter with a back end's libraries, and with the worker beside them."""
     bare = LIBRARIES
     worker = (
-        f"{LIBRARIES}; import evalkit.worker as w; from evalkit import registry as r; "
+        f"{LIBRARIES}; import evalkit.execution.worker as w; from evalkit import registry as r; "
         f"r.backend('wheel-odometry'); r.dataset('lab')"
     )
     taken: dict[str, list[float]] = {"libraries": [], "worker": []}

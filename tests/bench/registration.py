@@ -21,7 +21,7 @@ import numpy as np
 from evalkit import Cloud, Pose, benchmark
 from evalkit.benchmark import Series
 from evalkit.core.se2 import Floats
-from evalkit.environment import SINGLE_THREAD
+from evalkit.execution.environment import SINGLE_THREAD
 from evalkit.odometry import planar3d
 from evalkit.plugins import registry
 from evalkit_baselines.embedded.compiled import Precision, compiled_missing, core, real

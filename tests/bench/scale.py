@@ -18,13 +18,13 @@ from statistics import median
 
 import psutil
 
-from evalkit import parcel
-from evalkit.cluster import Call, Cluster, Slot, _local
 from evalkit.config import experiment
 from evalkit.config.experiment import Plan
-from evalkit.engine import Engine
-from evalkit.making import Ended
-from evalkit.places import There
+from evalkit.execution import run_archive
+from evalkit.execution.dask_cluster import Call, Cluster, Slot, _local
+from evalkit.execution.executors import There
+from evalkit.execution.run_task import Ended
+from evalkit.execution.scheduler import Engine
 from evalkit.results.store import Store
 
 
@@ -94,15 +94,15 @@ def store(folder: Path) -> None:
     files = [path for path in (folder / "one").rglob("*") if path.is_file() and not path.name.startswith(".")]
     scans = kept.how_it_ended(key).answered
     print(f"a run of {scans} scans: {len(files)} files, {sum(path.stat().st_size for path in files):,} bytes")
-    body = parcel.packed(kept, key)
+    body = run_archive.packed(kept, key)
     print(f"  packed for the way: {len(body):,} bytes")
     other = Store(folder / "other")
     with taken("pack", 100):
         for _ in range(100):
-            parcel.packed(kept, key)
+            run_archive.packed(kept, key)
     with taken("unpack", 100):
         for _ in range(100):
-            parcel.unpacked(other, key, body)
+            run_archive.unpacked(other, key, body)
 
 
 def nothing(size: int, _slot: Slot) -> bytes:

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from evalkit.execution.job_store import Job, Ledger, OnDone, Result
 from evalkit.stats.statistics import Interval
-from evalkit.study.ledger import Job, Ledger, OnDone, Result
 from evalkit.study.outcome import computed
 from evalkit.study.tuning.objective import Tried, best, better, judged, ratio
 from evalkit.study.tuning.plan import Entrant, Run, Tuning

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from evalkit.core.se2 import Floats
+from evalkit.execution.job_store import Result
 from evalkit.stats.statistics import Interval, block_bootstrap
-from evalkit.study.ledger import Result
 from evalkit.study.outcome import bounded, why_lost
 from evalkit.study.plan import Response
 from evalkit.study.tuning.plan import COST

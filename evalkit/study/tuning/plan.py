@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from evalkit.config.experiment import Contestant, Course, Limits, MapperChoice
+from evalkit.execution.job_store import Job
 from evalkit.plugins import registry
 from evalkit.plugins.code_hash import of_files
-from evalkit.study.ledger import Job
 from evalkit.study.plan import Response
 from evalkit.study.tuning.space import Candidate, Space
 

@@ -11,12 +11,12 @@ import numpy as np
 from evalkit.core.arrays import Bools
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
+from evalkit.execution.job_store import Job, JobsFailed, Ledger, OnDone
 from evalkit.plugins import registry
 from evalkit.plugins.address import address_of, spec_at
 from evalkit.plugins.code_hash import fingerprint, of_files
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import BackendSpec, Registration, Value, resolved
-from evalkit.study.ledger import Job, JobsFailed, Ledger, OnDone
 from evalkit.validation.basins import basin, sequences, surroundings
 from evalkit.validation.basins.sequences import Recorded
 from evalkit.validation.basins.surroundings import Seen

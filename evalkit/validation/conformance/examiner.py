@@ -14,8 +14,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
-from evalkit import lifeline
 from evalkit.core.errors import NotInstalled
+from evalkit.execution import parent_watch
 from evalkit.plugins import registry
 from evalkit.plugins.address import Address, spec_at
 from evalkit.plugins.protocols import BackendSpec, Value
@@ -48,7 +48,7 @@ class Request:
 
 def main() -> int:
     """Asks the rules of the request in the folder named on the command line, one line each to ``verdicts.jsonl``."""
-    lifeline.end_with_parent()
+    parent_watch.end_with_parent()
     folder = Path(sys.argv[1]).resolve()  # a back end may change the working directory
     request = Request(**json.loads((folder / REQUEST).read_text(encoding="utf-8")))
     sys.path.extend(entry for entry in request.path if entry not in sys.path)

@@ -12,8 +12,8 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from evalkit import child
 from evalkit.core.errors import BackendFailed, NotInstalled, UnknownName
+from evalkit.execution import subprocesses
 from evalkit.plugins import registry
 from evalkit.plugins.address import Address, address_of, spec_at
 from evalkit.plugins.protocols import BackendSpec, Value, resolved
@@ -124,30 +124,30 @@ class _Examination:
             request = Request(asdict(self._address), self._parameters, names, path)
             (folder / REQUEST).write_text(json.dumps(asdict(request)), encoding="utf-8")
             with (folder / OUTPUT).open("ab") as output:
-                process = child.started("evalkit.validation.conformance.examiner", folder, output)
+                process = subprocesses.started("evalkit.validation.conformance.examiner", folder, output)
                 try:
                     limit = self._watched(process, folder)
                 finally:
-                    child.end_group(process, folder)
+                    subprocesses.end_group(process, folder)
             self._told(folder)
             lines = _lines(folder)
             at = lines[-1].get("begun", "") if lines else names[0]
             if at:
-                self._ended(self._rules[at], limit or child.last_words(process.returncode, folder / OUTPUT))
+                self._ended(self._rules[at], limit or subprocesses.last_words(process.returncode, folder / OUTPUT))
 
     def _watched(self, process: subprocess.Popen[bytes], folder: Path) -> str:
         """Waits for the process's end, telling each verdict as it comes; which limit it broke, or ""."""
         told, since = 0, time.monotonic()
-        family = child.Family(process.pid)
+        family = subprocesses.Family(process.pid)
         while process.poll() is None:
-            time.sleep(child.POLL_S)
+            time.sleep(subprocesses.POLL_S)
             if (size := len(_lines(folder))) > told:
                 told, since = size, time.monotonic()
                 self._told(folder)
             limit_s = self._limit_s if told else LOADING_S
             if time.monotonic() - since > limit_s:
                 return f"{_NO_ANSWER} for {limit_s:g} s"
-            child.cut(folder / OUTPUT)
+            subprocesses.cut(folder / OUTPUT)
             if family.usage().resident_bytes > self._memory_mib * 2**20:
                 return f"used more than {self._memory_mib} MiB"
         return ""

@@ -12,10 +12,11 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
+from evalkit.execution.job_store import Result
+from evalkit.execution.sandbox import at
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import NoAnswer, Odometry, Sequence, Value
-from evalkit.study.ledger import Result
 from evalkit.validation.conformance import kit as conformance
 from evalkit.validation.dossier import pairs
 from evalkit.validation.dossier.pairs import Pair, TwoScans
@@ -25,7 +26,6 @@ from evalkit.validation.equivalence.comparison import FLOAT32, ROUNDING, Known
 from evalkit.validation.equivalence.divergence import first_divergence
 from evalkit.validation.equivalence.lockstep import Exchange, Side
 from evalkit.validation.equivalence.margins import FLOAT32_ROUNDOFF, TIE_ROUNDINGS, Margin, difference
-from evalkit.validation.isolated import at
 
 Named = Mapping[str, Any]
 """A back end: its "name", and what is "given" to it."""

@@ -9,11 +9,11 @@ import numpy as np
 
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
+from evalkit.execution.job_store import Result
+from evalkit.execution.sandbox import ENDED
 from evalkit.external import elf
-from evalkit.study.ledger import Result
 from evalkit.validation.dossier.answers import Names
 from evalkit.validation.dossier.dossier import Level, Line, Outcome
-from evalkit.validation.isolated import ENDED
 
 MS = 1e-6
 

@@ -9,20 +9,19 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from evalkit import environment
 from evalkit.config import experiment
 from evalkit.config.experiment import Course, Limits, Plan
 from evalkit.core.errors import BadParameter, NotInstalled
 from evalkit.core.run_result import Trial
-from evalkit.engine import Engine, Progress
+from evalkit.execution import environment, sandbox
+from evalkit.execution.job_store import Job, Ledger, OnDone, Result
+from evalkit.execution.scheduler import Engine, Progress
 from evalkit.external.declaration import split
 from evalkit.odometry import frontend
 from evalkit.plugins import code_hash, registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import BackendSpec, Value
 from evalkit.results.store import Store
-from evalkit.study.ledger import Job, Ledger, OnDone, Result
-from evalkit.validation import isolated
 from evalkit.validation.dossier import answers, costs, paths, twins
 from evalkit.validation.dossier.answers import Names
 from evalkit.validation.dossier.asking import EXACT
@@ -126,7 +125,7 @@ class Examination:
         allowed = {
             place: (one[margin]["margin"]["metres"], one[margin]["margin"]["radians"])
             for place, one in scans.items()
-            if isolated.ENDED not in one
+            if sandbox.ENDED not in one
         }
         levels = (
             level0,
@@ -220,7 +219,7 @@ class Examination:
     def _apart(self, name: str, function: str, arguments: Mapping[str, Any], course: Course) -> Job:
         limits = {"limit_s": self.asked.effort.limit_s, "memory_mib": self.asked.effort.memory_mib}
         uses = (*self._uses(*self._everybody()), registry.plug_in_of("datasets", course.dataset).module)
-        return isolated.job(name, function, arguments, limits, uses)
+        return sandbox.job(name, function, arguments, limits, uses)
 
     def _named(self, name: str) -> dict[str, Any]:
         """A back end with what is given to it; the digest tells one build of a library from the next."""

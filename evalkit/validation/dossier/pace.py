@@ -12,15 +12,15 @@ import numpy as np
 from evalkit.core.match import Match
 from evalkit.core.scan import Frame
 from evalkit.core.timing import Timing, timed
+from evalkit.execution.job_store import Result
+from evalkit.execution.sandbox import at
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import NoAnswer, Odometry
-from evalkit.study.ledger import Result
 from evalkit.validation.dossier.asking import Data, Named
 from evalkit.validation.dossier.pairs import pairs
 from evalkit.validation.equivalence import comparison as equivalence
 from evalkit.validation.equivalence.lockstep import Side
-from evalkit.validation.isolated import at
 
 WARM_UP = 5
 """Scans, or pairs of scans, shown before the clock starts."""

@@ -12,14 +12,14 @@ from scipy import stats
 from evalkit.core import se2
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
+from evalkit.execution.job_store import Result
+from evalkit.execution.sandbox import ENDED
 from evalkit.metrics.runtime import period_ns
 from evalkit.metrics.trajectory import MAX_GAP_S, bracketed, rms
 from evalkit.stats.statistics import Interval, block_bootstrap, block_length, paired_difference
-from evalkit.study.ledger import Result
 from evalkit.validation.dossier.answers import Names, ended, words
 from evalkit.validation.dossier.dossier import Level, Line
 from evalkit.validation.equivalence.cells import Layers
-from evalkit.validation.isolated import ENDED
 
 CONFIDENCE = 0.90
 """Of all intervals: two one-sided tests at 5 %."""

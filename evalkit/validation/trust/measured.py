@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from evalkit.execution.job_store import Job, Result
 from evalkit.stats.statistics import Interval
-from evalkit.study.ledger import Job, Result
 from evalkit.validation.trust import planted, ranking, rebuilding
 from evalkit.validation.trust.corruption import WAYS
 from evalkit.validation.trust.planted import NO_MISTAKE, PLANTS, Sighting

@@ -15,10 +15,10 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import Run
 from evalkit.core.scan import Frame, Scan
+from evalkit.execution.job_store import Job
 from evalkit.metrics.table import Metric
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Sequence
-from evalkit.study.ledger import Job
 from evalkit.validation.trust import corruption
 from evalkit.validation.trust.rebuilding import recording, run_of, scored, true_poses
 

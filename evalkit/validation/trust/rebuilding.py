@@ -13,11 +13,11 @@ from evalkit import metrics
 from evalkit.core import se2
 from evalkit.core.run_result import STEP, Run
 from evalkit.core.se2 import Floats
+from evalkit.execution.job_store import Job
 from evalkit.metrics import evaluate
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Mapper, Value, resolved
 from evalkit.plugins.protocols import Sequence as Recording
-from evalkit.study.ledger import Job
 from evalkit.validation.trust.corruption import WAYS
 
 SWIFT: dict[str, Value] = {"rate_hz": 5.0, "speed_mps": 0.6}

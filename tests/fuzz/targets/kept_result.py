@@ -9,8 +9,8 @@ import numpy as np
 import stored_run
 from bounds import Finding, folder, held
 
+from evalkit.execution.job_store import Job, Ledger
 from evalkit.io import untrusted_io
-from evalkit.study.ledger import Job, Ledger
 
 JOB = Job("fuzz", "math:sqrt")
 

@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from evalkit.execution.job_store import Job, Result
 from evalkit.plugins.protocols import Parameter, resolved
 from evalkit.report.document import Section
-from evalkit.study.ledger import Job, Result
 
 Verdict = Literal[
     "reproduced", "reproduced with a correction", "not determined by the text", "not reproducible in software"

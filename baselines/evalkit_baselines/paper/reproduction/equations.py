@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from evalkit.core.se2 import Floats
+from evalkit.execution.job_store import Job, Result
 from evalkit.plugins.protocols import Parameter
 from evalkit.report import charts
 from evalkit.report.charts import Axis, Curve, Points
 from evalkit.report.document import Block, Cell, Figure, Figures, Section, Table, Text
-from evalkit.study.ledger import Job, Result
 from evalkit_baselines.paper.reproduction import equation_checks
 from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings, Verdict
 

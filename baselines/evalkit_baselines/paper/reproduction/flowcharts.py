@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+from evalkit.execution.job_store import Job
 from evalkit.plugins.protocols import Parameter
 from evalkit.report import charts
 from evalkit.report.charts import Box
 from evalkit.report.document import Figure, Figures, Section, Text
-from evalkit.study.ledger import Job
 from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings
 from evalkit_baselines.paper.reproduction.stages import Call
 

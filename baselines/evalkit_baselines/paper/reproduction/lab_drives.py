@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 
 from evalkit.core.se2 import Floats
+from evalkit.execution.job_store import Job
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Sequence, Value
-from evalkit.study.ledger import Job
 from evalkit_baselines.paper.reproduction import following, spikes
 
 QUICK_DPS = 60.0

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from evalkit.core.se2 import Floats
+from evalkit.execution.job_store import Result
 from evalkit.realtime import Rule, first_broken
-from evalkit.study.ledger import Result
 
 RULE = Rule()
 

@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from evalkit.core.errors import BadExperiment, UnknownName
+from evalkit.execution.job_store import Job, Result
 from evalkit.report.document import Cell, Column, Document, Section, Table, Text, Tone
-from evalkit.study.ledger import Job, Result
 from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Settings, Verdict
 
 TITLE = "The paper, reproduced"

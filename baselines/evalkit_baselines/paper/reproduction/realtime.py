@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from evalkit.core.se2 import Floats
+from evalkit.execution.job_store import Job
 from evalkit.plugins.protocols import Parameter, Value
 from evalkit.realtime import first_broken
 from evalkit.report import charts
 from evalkit.report.charts import Axis, Curve
 from evalkit.report.document import Block, Cell, Column, Figure, Figures, Fold, Section, Table, Text
 from evalkit.report.palette import BAR, Stroke
-from evalkit.study.ledger import Job
 from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings
 from evalkit_baselines.paper.reproduction.ladders import RULE, Ladder
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
-from evalkit.study.ledger import Result
+from evalkit.execution.job_store import Result
 from evalkit_baselines.paper.reproduction import lab_drives, spikes
 from evalkit_baselines.paper.reproduction.chapter import Results, Settings
 from evalkit_baselines.paper.reproduction.spikes import Band

@@ -5,6 +5,7 @@ from __future__ import annotations
 from functools import lru_cache
 from pathlib import Path
 
+from evalkit.execution.job_store import Job
 from evalkit.plugins.protocols import Parameter
 from evalkit.report.document import Block, Fold, Section, Text
 from evalkit.report.study.curves import curve_blocks, envelope_blocks
@@ -12,7 +13,6 @@ from evalkit.report.study.effects import effect_blocks
 from evalkit.report.study.page import cpu_minutes, design_blocks, point_blocks, summary
 from evalkit.report.study.wording import fitted, limit_words, main_words, pair_words
 from evalkit.study.envelope import panels, sentences
-from evalkit.study.ledger import Job
 from evalkit.study.outcome import Outcome
 from evalkit.study.plan import Study
 from evalkit.study.reading import read

@@ -10,12 +10,12 @@ import numpy as np
 from evalkit.core.arrays import Bools
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
+from evalkit.execution.job_store import Job, Result
 from evalkit.plugins.protocols import Parameter
 from evalkit.report import charts
 from evalkit.report.charts import Axis, Curve, Points
 from evalkit.report.document import Block, Cell, Column, Figure, Figures, Section, Table, Text, Tone
 from evalkit.report.palette import Stroke
-from evalkit.study.ledger import Job, Result
 from evalkit_baselines.paper.reproduction import table_1, validation_basin
 from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings
 from evalkit_baselines.paper.reproduction.table_1 import (

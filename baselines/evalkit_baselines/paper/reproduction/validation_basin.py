@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from evalkit.core.arrays import Ints
+from evalkit.execution.job_store import Job
 from evalkit.plugins.protocols import Parameter
 from evalkit.report import charts
 from evalkit.report.charts import Axis
 from evalkit.report.document import Block, Cell, Column, Figure, Figures, Fold, Table, Text
 from evalkit.stats.statistics import wilson
-from evalkit.study.ledger import Job
 from evalkit_baselines.paper.reproduction import table_1
 from evalkit_baselines.paper.reproduction.chapter import Results, Settings
 from evalkit_baselines.paper.reproduction.table_1 import MOST_ITERATIONS, ROOMS

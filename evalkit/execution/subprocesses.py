@@ -16,9 +16,9 @@ from typing import IO
 
 import psutil
 
-from evalkit import lifeline
-from evalkit.environment import SINGLE_THREAD
-from evalkit.lifeline import MARK, PARENT, signal_name
+from evalkit.execution import parent_watch
+from evalkit.execution.environment import SINGLE_THREAD
+from evalkit.execution.parent_watch import MARK, PARENT, signal_name
 
 POLL_S = 0.05
 """How often whoever waits for a child looks at it."""
@@ -48,7 +48,7 @@ def started(module: str, folder: Path, output: IO[bytes], threads: int = 1) -> s
     ``output`` must be open for appending: see ``cut``. Whoever an evalkit that was killed left behind in this folder is
     ended first.
     """
-    lifeline.required()
+    parent_watch.required()
     _end_marked(folder)
     environment = {**os.environ, **dict.fromkeys(SINGLE_THREAD, str(threads))}
     environment |= {MARK: _mark(folder), PARENT: str(os.getpid())}

@@ -1,4 +1,4 @@
-"""One run in this process: ``python -m evalkit.worker FOLDER`` reads the request there and leaves its answer there.
+"""One run in this process: ``python -m evalkit.execution.worker FOLDER`` reads the request there and leaves its answer there.
 
 Every scan's answer is on disk before the next scan begins, so whatever ends this process, nothing computed is lost.
 """
@@ -18,7 +18,6 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from evalkit import lifeline
 from evalkit.core import belief
 from evalkit.core.errors import BackendFailed, BadData, DataMissing, EvalkitError, NotInstalled, plain
 from evalkit.core.match import Match
@@ -26,6 +25,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, Status
 from evalkit.core.scan import Frame
 from evalkit.core.timing import Timing, timed
+from evalkit.execution import parent_watch
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import DatasetSpec, NoAnswer, Odometry, Sequence, Value
@@ -99,7 +99,7 @@ class Residuals:
 
 def main() -> int:
     """Runs the request of the folder named on the command line; the outcome is in ``outcome.json``."""
-    lifeline.end_with_parent()
+    parent_watch.end_with_parent()
     folder = Path(sys.argv[1]).resolve()  # a back end may change the working directory
     request = Request(**json.loads((folder / "request.json").read_text(encoding="utf-8")))
     if request.core is not None and hasattr(os, "sched_setaffinity"):

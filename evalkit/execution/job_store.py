@@ -26,13 +26,12 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import environment, lifeline
-from evalkit.cluster import Call, Cluster, NoCluster, Slot
 from evalkit.core.errors import EvalkitError, StoreError, plain
+from evalkit.execution import deadline, environment, parent_watch
+from evalkit.execution.dask_cluster import Call, Cluster, NoCluster, Slot
 from evalkit.io import untrusted_io
 from evalkit.plugins.code_hash import fingerprint
 from evalkit.results.store import REMEDY, reported
-from evalkit.study import deadline
 
 Result = Mapping[str, Any]
 """What a job gives: JSON values, and NumPy arrays at the top level."""
@@ -273,7 +272,7 @@ def _submitted(pool: ProcessPoolExecutor, job: Job, note: Path) -> Future[tuple[
 
 def _settle(cores: Queue[int | None]) -> None:
     """A worker's start: with its parent, on a core."""
-    lifeline.serve_parent()
+    parent_watch.serve_parent()
     core = cores.get()
     if core is not None:
         os.sched_setaffinity(0, {core})

@@ -1,6 +1,6 @@
 """A function that calls somebody else's code, in a process apart with limits: how that ended is its result.
 
-``python -m evalkit.validation.isolated FOLDER`` reads what to call in the folder, and leaves what it gave there.
+``python -m evalkit.execution.sandbox FOLDER`` reads what to call in the folder, and leaves what it gave there.
 """
 
 from __future__ import annotations
@@ -15,9 +15,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from evalkit import child
-from evalkit.study import ledger
-from evalkit.study.ledger import Job, Ledger, Result
+from evalkit.execution import job_store, subprocesses
+from evalkit.execution.job_store import Job, Ledger, Result
 
 REQUEST, OUTPUT = "request.json", "output.txt"
 PLACE = "place.txt"
@@ -27,7 +26,7 @@ WORD = "EVALKIT_PLACE"
 ENDED = "ended"
 """Key of a result that tells how the process ended instead."""
 
-MODULE = "evalkit.validation.isolated"
+MODULE = "evalkit.execution.sandbox"
 FUNCTION = f"{MODULE}:run"
 GIVEN = Job("result", FUNCTION)  # the name under which the child leaves what it has
 
@@ -51,15 +50,15 @@ def run(function: str, arguments: Mapping[str, Any], limit_s: float, memory_mib:
         request = {"function": function, "arguments": dict(arguments), "path": path}
         (folder / REQUEST).write_text(json.dumps(request), encoding="utf-8")
         with (folder / OUTPUT).open("ab") as output:
-            process = child.started(MODULE, folder, output)
+            process = subprocesses.started(MODULE, folder, output)
             try:
                 limit = _watched(process, limit_s, memory_mib)
             finally:
-                child.end_group(process, folder)
+                subprocesses.end_group(process, folder)
         made = Ledger(folder).kept(GIVEN) if not limit else None
         if made is not None:
             return made
-        how = limit or child.last_words(process.returncode, folder / OUTPUT)
+        how = limit or subprocesses.last_words(process.returncode, folder / OUTPUT)
         at = (folder / PLACE).read_text(encoding="utf-8") if (folder / PLACE).exists() else ""
         return {ENDED: f"{how}; it was at {at}" if at else how}
 
@@ -76,16 +75,16 @@ def main() -> int:
     os.environ[WORD] = str(folder / PLACE)
     request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
     sys.path.extend(entry for entry in request["path"] if entry not in sys.path)
-    result, _ = ledger.call(request["function"], request["arguments"])
+    result, _ = job_store.call(request["function"], request["arguments"])
     Ledger(folder).keep(GIVEN, result)
     return 0
 
 
 def _watched(process: subprocess.Popen[bytes], limit_s: float, memory_mib: int) -> str:
     """Waits for the process's end; which limit it broke, or ""."""
-    begun, family = time.monotonic(), child.Family(process.pid)
+    begun, family = time.monotonic(), subprocesses.Family(process.pid)
     while process.poll() is None:
-        time.sleep(child.POLL_S)
+        time.sleep(subprocesses.POLL_S)
         if time.monotonic() - begun > limit_s:
             return f"not finished after {limit_s:g} s"
         if family.usage().resident_bytes > memory_mib * 2**20:

@@ -19,11 +19,11 @@ from typing import Any, Protocol
 
 from filelock import FileLock, Timeout
 
-from evalkit import cluster, environment, making, parcel
-from evalkit.cluster import Call, Cluster, Slot, WorkerLost
 from evalkit.config.experiment import Planned
 from evalkit.core.errors import StoreError
-from evalkit.making import Bench, Ended, Recipe, Scorers
+from evalkit.execution import dask_cluster, environment, run_archive, run_task
+from evalkit.execution.dask_cluster import Call, Cluster, Slot, WorkerLost
+from evalkit.execution.run_task import Bench, Ended, Recipe, Scorers
 from evalkit.plugins import registry
 from evalkit.results.store import Store
 
@@ -74,7 +74,7 @@ class Here:
             try:
                 progress.begun(planned)
                 bench = Bench(core, scorers, lambda scans: progress.answered(planned, scans), stop)
-                return making.made(store, recipe, planned, bench)
+                return run_task.made(store, recipe, planned, bench)
             except BaseException:
                 stop.set()
                 raise
@@ -111,7 +111,7 @@ class There:
         def calls() -> Iterator[Call]:
             for planned in todo:
                 progress.begun(planned)
-                given = parcel.packed(store, planned.key) if recipe.resume or recipe.collect else b""
+                given = run_archive.packed(store, planned.key) if recipe.resume or recipe.collect else b""
                 stands_on = code(planned.contestant.backend, planned.course.dataset)
                 yield Call(planned.key, on_worker, (planned, recipe, stands_on, given, folder))
 
@@ -121,13 +121,13 @@ class There:
                 try:
                     ended, content = outcome.result()
                 except WorkerLost as error:
-                    kept = making.quarantined(store, recipe, planned, str(error))
+                    kept = run_task.quarantined(store, recipe, planned, str(error))
                     yield Ended(planned, kept.status, kept.reason)
                 except Exception as error:  # noqa: BLE001 - one worker's fault must not stop the others
                     why = f"the worker could not make it: {type(error).__name__}: {error}"
                     yield Ended(planned, "failed", why, stored=False)
                 else:
-                    parcel.unpacked(store, planned.key, content)
+                    run_archive.unpacked(store, planned.key, content)
                     store.forget_tries(planned.key)  # of who was lost here before
                     yield ended
 
@@ -142,19 +142,19 @@ def on_worker(
     current_process().daemon = False  # a nanny's worker may not start processes otherwise
     os.environ.update(environment.SINGLE_THREAD)
     _same_code(planned, recipe, code)
-    worker = cluster.dask().get_worker()
+    worker = dask_cluster.dask().get_worker()
     place = Path(worker.local_directory).parent / f"evalkit-{folder}-{planned.key}"
     # Of one that was lost; whoever it left behind is ended with the next start.
     shutil.rmtree(place, ignore_errors=True)
     store = Store(place)
     try:
         if given:
-            parcel.unpacked(store, planned.key, given)
+            run_archive.unpacked(store, planned.key, given)
         with _own_core() as core:
             bench = Bench(core, _scorers(recipe.scored_by), lambda _scans: None, _Cancelled(worker))
             told = {**recipe.ran_on, **environment.machine(), "runs at a time": str(slot.beside)}
-            ended = making.made(store, replace(recipe, ran_on=told), planned, bench)
-        return ended, parcel.packed(store, planned.key)
+            ended = run_task.made(store, replace(recipe, ran_on=told), planned, bench)
+        return ended, run_archive.packed(store, planned.key)
     finally:
         shutil.rmtree(store.folder, ignore_errors=True)
 

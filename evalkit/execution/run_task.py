@@ -19,15 +19,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from evalkit import environment, lifeline, metrics, runner
-from evalkit.cluster import TRIES
+from evalkit import metrics
 from evalkit.config.experiment import Limits, MapperChoice, Plan, Planned
 from evalkit.core.errors import StoreError
 from evalkit.core.run_result import STEP, Run, Score, Status
+from evalkit.execution import environment, parent_watch, run_process
+from evalkit.execution.dask_cluster import TRIES
+from evalkit.execution.worker import Request
 from evalkit.metrics import evaluate, evaluate_map
 from evalkit.plugins import registry
 from evalkit.results.store import HowItEnded, Store
-from evalkit.worker import Request
 
 DONE: tuple[Status, ...] = ("complete", "failed", "crashed")
 """Statuses that ``resume`` accepts as done: the same would come of it again."""
@@ -130,7 +131,7 @@ class Scorers:
 
 def pool(jobs: int) -> Executor:
     """So many processes."""
-    return ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=lifeline.serve_parent)
+    return ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=parent_watch.serve_parent)
 
 
 def _breaks(processes: Executor) -> bool:
@@ -237,7 +238,7 @@ def _run(store: Store, recipe: Recipe, planned: Planned, bench: Bench) -> Run:
     folder = store.fresh(planned.key)
     store.note_tries(planned.key, [*lost, f"process {os.getpid()} on {platform.node()}"])
     try:
-        run = runner.run(request, labels, folder, recipe.limits, bench.heard, bench.stop)
+        run = run_process.run(request, labels, folder, recipe.limits, bench.heard, bench.stop)
     finally:
         store.forget_tries(planned.key)  # whoever comes here has not been ended by it
     if not recipe.timed:

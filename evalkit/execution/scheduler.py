@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-from evalkit import making
 from evalkit.config.experiment import Plan, Planned
 from evalkit.core.errors import StoreError
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import Status, Trial
-from evalkit.making import Ended, Recipe
-from evalkit.places import Here, Place, Progress
+from evalkit.execution import run_task
+from evalkit.execution.executors import Here, Place, Progress
+from evalkit.execution.run_task import Ended, Recipe
 from evalkit.plugins import registry
 from evalkit.results.store import REMEDY, Store
 
@@ -71,7 +71,7 @@ class Engine:
         recipe = Recipe.of(self.plan, self.resume, self.rerun, self.collect, self.ran_on)
         todo = []
         for item in planned:
-            if (ended := making.settled(self.store, recipe, item)) is None:
+            if (ended := run_task.settled(self.store, recipe, item)) is None:
                 todo.append(item)
                 continue
             progress.finished(ended)
@@ -108,7 +108,7 @@ class Engine:
         """What the store keeps of a run."""
         key = ended.planned.key
         if not ended.stored:
-            return {"scores": {}, "run": making.unmade(ended.planned, ended.status, ended.reason)}
+            return {"scores": {}, "run": run_task.unmade(ended.planned, ended.status, ended.reason)}
         run = self.store.load_run(key)
         if run is None:
             self.store.forget(key, "run.json", "scores.json")
@@ -116,7 +116,7 @@ class Engine:
         scores: Mapping[str, Any] | None = {"scores": {}}
         if (run.status, run.reason) != (ended.status, ended.reason):  # it could not be scored
             run = replace(run, status=ended.status, reason=ended.reason)
-        elif making.scorable(run.status, run.reason, len(run.steps)):
+        elif run_task.scorable(run.status, run.reason, len(run.steps)):
             scores = self.store.load_scores(key)
         if scores is None:
             self.store.forget(key, "scores.json")

@@ -12,12 +12,12 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, BinaryIO, get_args
 
-from evalkit import child
 from evalkit.config.experiment import Limits
 from evalkit.core.run_result import STEP, Run, Status
+from evalkit.execution import subprocesses
+from evalkit.execution.worker import Request
 from evalkit.io import untrusted_io
 from evalkit.results.store import STEPS, reported, whole_records
-from evalkit.worker import Request
 
 OUTCOME = "outcome.json"
 KNOWN = {"status": str, "reason": str, "expected": int, "peak_memory_bytes": int, "warm_up_scans": int, "notes": dict,
@@ -45,13 +45,13 @@ def run(
         (folder / "request.json").write_text(json.dumps(asdict(request), indent=1), encoding="utf-8")
         output, answers = (folder / OUTPUT).open("ab"), (folder / STEPS).open("w+b")
     with output, answers:
-        process = child.started("evalkit.worker", folder, output, threads)
+        process = subprocesses.started("evalkit.execution.worker", folder, output, threads)
         watch = _Watch(process, folder, limits, answers)
         try:
             ended = watch.until_the_end(heard, stop)
         finally:
-            child.end_group(process, folder)
-            child.cut(folder / OUTPUT)  # it may have said much since the last look
+            subprocesses.end_group(process, folder)
+            subprocesses.cut(folder / OUTPUT)  # it may have said much since the last look
         return watch.result(labels, ended)
 
 
@@ -71,13 +71,13 @@ class _Watch:
 
         A process that has left its outcome has nothing to do any more, whatever still keeps it from ending.
         """
-        family = child.Family(self._process.pid)
+        family = subprocesses.Family(self._process.pid)
         begun = last_answer = time.monotonic()
         answered = 0
         cpu_s = cpu_at_answer_s = 0.0
         while self._process.poll() is None and not (self._folder / OUTCOME).exists():
-            time.sleep(child.POLL_S)
-            child.cut(self._folder / OUTPUT)
+            time.sleep(subprocesses.POLL_S)
+            subprocesses.cut(self._folder / OUTPUT)
             self._begun = _read(self._folder / BEGUN) or self._begun
             now, size, used = time.monotonic(), os.fstat(self._answers.fileno()).st_size, family.usage()
             self._peak, cpu_s = max(self._peak, used.resident_bytes), max(cpu_s, used.cpu_s)
@@ -149,4 +149,4 @@ def _how_it_died(code: int, folder: Path) -> tuple[Status, str]:
         return "failed", "the run's folder was removed while it ran"
     if (folder / OUTCOME).exists():
         return "failed", f"what it left in {OUTCOME} tells no outcome"
-    return "crashed" if code < 0 else "failed", child.last_words(code, folder / OUTPUT)
+    return "crashed" if code < 0 else "failed", subprocesses.last_words(code, folder / OUTPUT)

@@ -1,0 +1,1 @@
+"""Run experiments: scheduler, executors, one subprocess per run, job store, timing, environment."""
