@@ -18,7 +18,7 @@ from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import evaluate
 from evalkit.metrics.table import Evidence
 from evalkit.metrics.trajectory import match
-from evalkit.report.document import render
+from evalkit.report.html.document import render
 from evalkit.validation.trust import measured as trust
 from evalkit.validation.trust import rebuilding
 from evalkit.validation.trust.planted import NO_MISTAKE, PLANTS

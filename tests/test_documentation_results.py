@@ -15,14 +15,15 @@ from evalkit.cli import app
 from evalkit.core.run_result import STEP
 from evalkit.metrics import validated
 from evalkit.plugins.protocols import Published
-from evalkit.report import overview, record, summary
+from evalkit.report import results_json
+from evalkit.report.analysis import overview, verdict
 
 FILE = Path(validated.__file__).parents[1] / "documentation" / "pages" / "results.md"
 if not FILE.exists():
     pytest.skip("the documentation is not part of a wheel", allow_module_level=True)
 PAGE = FILE.read_text(encoding="utf-8")
 WRITES, READS = re.findall(r"^```python\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
-SCHEMA = json.loads(record.schema())
+SCHEMA = json.loads(results_json.schema())
 
 
 def documented(heading):
@@ -104,8 +105,8 @@ def test_the_page_the_schema_and_a_report_with_everything_in_it_have_the_same_ke
     figure = Published("theirs", 0.1, 0.2, "a paper", "ate_rmse_m", "ate_rmse_m")
     card = replace(demo.sequences[label], published=(figure,), defects=("one",))
     everything = replace(demo, sequences={**demo.sequences, label: card})
-    verdicts = [summary.verdict(everything, one) for one in everything.sequence_labels]
-    told = record.results(everything, overview.overview(everything, verdicts), verdicts)
+    verdicts = [verdict.verdict(everything, one) for one in everything.sequence_labels]
+    told = results_json.results(everything, overview.overview(everything, verdicts), verdicts)
     free = set(maps(SCHEMA))
     real = leaves(set(keys(json.loads(json.dumps(told)), free)))
     real |= leaves(set(keys(json.loads((small / "results.json").read_text(encoding="utf-8")), free)))

@@ -24,7 +24,7 @@ from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import DatasetSpec
-from evalkit.report.wording import as_markdown
+from evalkit.report.html.formatting import as_markdown
 from evalkit.results import latex, mcap, rerun_file
 from evalkit.results.exported import read
 from evalkit.results.store import Store

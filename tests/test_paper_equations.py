@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from evalkit.report.document import Document, render
+from evalkit.report.html.document import Document, render
 from evalkit_baselines.paper.reproduction import equation_checks, equations
 from evalkit_baselines.paper.reproduction.equation_checks import as_printed, guarded, without_guard
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evalkit.plugins import registry
-from evalkit.report.document import Document, render
+from evalkit.report.html.document import Document, render
 from evalkit_baselines.paper.reproduction import mapping, maps
 from evalkit_baselines.paper.reproduction.map_study import named
 

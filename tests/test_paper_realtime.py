@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evalkit.report.document import Document, render
+from evalkit.report.html.document import Document, render
 from evalkit_baselines.paper.reproduction import realtime
 from evalkit_baselines.paper.reproduction.ladders import Ladder
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evalkit.core.pose import Pose
-from evalkit.report.document import Document, render
+from evalkit.report.html.document import Document, render
 from evalkit_baselines.paper.reproduction import table_1, validation, validation_basin
 from evalkit_baselines.paper.reproduction.table_1 import APPLIED, PRINTED, READINGS, ROOMS
 from evalkit_baselines.paper.reproduction.validation import Fit

@@ -12,9 +12,9 @@ import pytest
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.report import SequenceCard, write
-from evalkit.report.document import Document, Section, Table, Text, render
-from evalkit.report.packing import unpacked
-from evalkit.report.player import beams_at, placed
+from evalkit.report.html.array_encoding import unpacked
+from evalkit.report.html.document import Document, Section, Table, Text, render
+from evalkit.report.html.player import beams_at, placed
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install playwright")
 

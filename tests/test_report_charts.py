@@ -5,8 +5,8 @@ import xml.etree.ElementTree as ET
 import numpy as np
 import pytest
 
-from evalkit.report import charts
-from evalkit.report.charts import Axis, Box, Curve, Points, Span
+from evalkit.report.html import charts
+from evalkit.report.html.charts import Axis, Box, Curve, Points, Span
 
 X = np.linspace(0.0, 3.0, 20)
 CURVE = Curve("a < b", X, X + 1.0, X, X + 2.0)

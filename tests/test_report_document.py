@@ -4,7 +4,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from evalkit.report.document import (
+from evalkit.report.html.document import (
     Bullets,
     Cell,
     Column,

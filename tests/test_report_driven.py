@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evalkit.core.trajectory import Trajectory
-from evalkit.report.driven import alignments, driven, path_m
+from evalkit.report.analysis.driven_paths import alignments, driven, path_m
 
 
 def _line(metres):

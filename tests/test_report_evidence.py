@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from evalkit.report import record
-from evalkit.report.cells import apart, interval
-from evalkit.report.evidence import evidence
-from evalkit.report.paired import pairs
-from evalkit.report.standings import standing
+from evalkit.report import results_json as record
+from evalkit.report.analysis.cells import apart, interval
+from evalkit.report.analysis.pairwise import pairs
+from evalkit.report.analysis.significance import evidence
+from evalkit.report.analysis.standings import standing
 from evalkit.stats.bootstrap import Resamples, Series, drawn
 from evalkit.stats.statistics import Friedman
 

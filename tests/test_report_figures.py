@@ -1,7 +1,7 @@
 """Figures stay small, admit what they cut off, and are absent where there is nothing to draw."""
 
-from evalkit.report.figures import errors, residuals, runtimes, trajectories
-from evalkit.report.palette import strokes
+from evalkit.report.html.figures import errors, residuals, runtimes, trajectories
+from evalkit.report.html.palette import strokes
 
 
 def test_a_long_run_is_drawn_no_larger_than_its_line_can_show(trial):

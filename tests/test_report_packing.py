@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from evalkit.report.packing import NONE, packed, quantised, restored, unpacked
+from evalkit.report.html.array_encoding import NONE, packed, quantised, restored, unpacked
 
 
 def test_a_number_is_off_by_half_a_step_at_most():

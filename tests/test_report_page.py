@@ -12,10 +12,10 @@ from PIL import Image
 from evalkit.core.grid import OccupancyGrid
 from evalkit.metrics.validated import shipped
 from evalkit.report import ContestantCard, SequenceCard, write
-from evalkit.report.maps import Window, greys, picture, window
-from evalkit.report.palette import strokes
-from evalkit.report.views import headline
-from evalkit.report.wording import figure
+from evalkit.report.html.formatting import figure
+from evalkit.report.html.maps import Window, greys, picture, window
+from evalkit.report.html.palette import strokes
+from evalkit.report.html.view_models import headline
 
 
 class Tags(HTMLParser):

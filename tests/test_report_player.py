@@ -10,11 +10,11 @@ from evalkit.core import se2
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
-from evalkit.report import player as module
-from evalkit.report.maps import Window
-from evalkit.report.packing import unpacked
-from evalkit.report.palette import strokes
-from evalkit.report.player import beams_at, budget, chosen, disagreement, ghosts, placed, player, violations
+from evalkit.report.html import player as module
+from evalkit.report.html.array_encoding import unpacked
+from evalkit.report.html.maps import Window
+from evalkit.report.html.palette import strokes
+from evalkit.report.html.player import beams_at, budget, chosen, disagreement, ghosts, placed, player, violations
 
 WINDOW = Window(0.0, 12.0, 0.0, 8.0)
 

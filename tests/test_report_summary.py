@@ -6,9 +6,9 @@ from dataclasses import replace
 import pytest
 
 from evalkit.metrics.validated import shipped
-from evalkit.report.overview import overview
-from evalkit.report.summary import verdict
-from evalkit.report.wording import gap, joined
+from evalkit.report.analysis.overview import overview
+from evalkit.report.analysis.verdict import verdict
+from evalkit.report.html.formatting import gap, joined
 
 
 def _said(comparison, sequence="room"):

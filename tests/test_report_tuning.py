@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from evalkit.report.document import render
+from evalkit.report.html.document import render
 from evalkit.report.tuning import page
 from evalkit.report.tuning.charts import on_frontier
 from evalkit.report.tuning.outcome import Tuned

@@ -47,7 +47,7 @@ def basin(
     """Measure convergence basins: success over the offset of the guess, scene by scene; a page and a JSON file."""
     from evalkit.commands import basin_page  # noqa: PLC0415 - loads matplotlib and scipy.stats
     from evalkit.commands.basin_result import result  # noqa: PLC0415 - as above
-    from evalkit.report.document import render  # noqa: PLC0415 - as above
+    from evalkit.report.html.document import render  # noqa: PLC0415 - as above
     from evalkit.validation.basins import attempts, sequences, surroundings  # noqa: PLC0415 - as above
     from evalkit.validation.basins.basin import Criterion  # noqa: PLC0415 - as above
 

@@ -11,9 +11,9 @@ import numpy as np
 from evalkit.commands.basin_result import LEVELS, Result, Row, Scene, answer
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
-from evalkit.report import charts
-from evalkit.report.charts import Axis, Curve, Points
-from evalkit.report.document import (
+from evalkit.report.html import charts
+from evalkit.report.html.charts import Axis, Curve, Points
+from evalkit.report.html.document import (
     Block,
     Bullets,
     Cell,

@@ -86,7 +86,7 @@ def validate(
 ) -> None:
     """Measure how metrics without a truth follow the true error of maps that are spoiled in known ways."""
     from evalkit.commands import metrics_page  # noqa: PLC0415 - loads matplotlib
-    from evalkit.report.document import render  # noqa: PLC0415 - as above
+    from evalkit.report.html.document import render  # noqa: PLC0415 - as above
     from evalkit.validation.trust import measured as trust  # noqa: PLC0415 - loads scipy.stats
 
     worlds = tuple(dict.fromkeys(world or (("lab",) if quick else trust.WORLDS)))

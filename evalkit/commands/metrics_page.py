@@ -9,10 +9,10 @@ import numpy as np
 
 from evalkit.metrics import METRICS
 from evalkit.metrics.table import Metric
-from evalkit.report import charts
-from evalkit.report.charts import Axis, Points
-from evalkit.report.document import Bullets, Cell, Column, Command, Document, Figure, Figures, Section, Table, Text
-from evalkit.report.palette import HUES
+from evalkit.report.html import charts
+from evalkit.report.html.charts import Axis, Points
+from evalkit.report.html.document import Bullets, Cell, Column, Command, Document, Figure, Figures, Section, Table, Text
+from evalkit.report.html.palette import HUES
 from evalkit.validation.trust.measured import PILOT
 from evalkit.validation.trust.planted import CAUGHT, GOOD_M, MOST
 

@@ -93,7 +93,7 @@ def _point(plan: Study, key: str, as_json: bool) -> None:
 
 def _written(outcome: Outcome, folder: Path, ran_on: dict[str, str]) -> Path:
     """The path of index.html, written with study.json, points.csv and effects.csv."""
-    from evalkit.report.document import render  # noqa: PLC0415 - loads matplotlib
+    from evalkit.report.html.document import render  # noqa: PLC0415 - loads matplotlib
     from evalkit.report.study import page, record  # noqa: PLC0415 - as above
 
     texts = {

@@ -124,7 +124,7 @@ def _judged(plan: Plan, store: Store, workers: int, ran_on: dict[str, str], coll
 
 def _end(told: Tuned, folder: Path, as_json: bool) -> None:
     """Writes and prints what was found; exit code 1 if a contestant failed wholly, 3 if a run is not made yet."""
-    from evalkit.report.document import render  # noqa: PLC0415 - as above
+    from evalkit.report.html.document import render  # noqa: PLC0415 - as above
     from evalkit.report.tuning import page as pages  # noqa: PLC0415 - loads matplotlib
     from evalkit.report.tuning.record import record  # noqa: PLC0415 - as above
 

@@ -12,10 +12,10 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
 from evalkit.execution.sandbox import ENDED
-from evalkit.report import charts
-from evalkit.report.charts import Axis, Curve, Points
-from evalkit.report.document import Figure
-from evalkit.report.palette import TRUTH, strokes
+from evalkit.report.html import charts
+from evalkit.report.html.charts import Axis, Curve, Points
+from evalkit.report.html.document import Figure
+from evalkit.report.html.palette import TRUTH, strokes
 from evalkit.validation.dossier.answers import errors, told_stage
 from evalkit.validation.dossier.costs import milliseconds
 from evalkit.validation.dossier.dossier import Level

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 
 from evalkit.commands.validate_charts import figures
-from evalkit.report.document import (
+from evalkit.report.html.document import (
     Block,
     Bullets,
     Cell,

@@ -15,7 +15,7 @@ from evalkit.odometry.frontend import parameters_of
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import GUESS_NOT_TOLD, Parameter, Value
 from evalkit.plugins.protocols import Sequence as Recording
-from evalkit.report.comparison import Comparison, ContestantCard, SequenceCard, Setting
+from evalkit.report.analysis.comparison import Comparison, ContestantCard, SequenceCard, Setting
 
 LIBRARIES = ("numpy", "scipy")
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 from evalkit.metrics.table import Metric
 from evalkit.report.change import Change, Difference, Ended, Said
-from evalkit.report.wording import as_markdown, figure
+from evalkit.report.html.formatting import as_markdown, figure
 
 COLUMNS = ("contestant", "sequence", "what", "old", "new", "change", "95 % interval", "that is")
 MARKS: Mapping[Said, str] = {"regression": "❌ ", "improvement": "✅ "}

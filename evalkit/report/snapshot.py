@@ -11,7 +11,7 @@ import numpy as np
 
 from evalkit.core.errors import StoreError
 from evalkit.io import untrusted_io
-from evalkit.report.record import NAME, VERSION
+from evalkit.report.results_json import NAME, VERSION
 from evalkit.results.store import read_steps
 from evalkit.stats.bootstrap import Series
 

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pandas as pd
 
-from evalkit.report.cells import interval
-from evalkit.report.comparison import Comparison
-from evalkit.report.standings import standing
+from evalkit.report.analysis.cells import interval
+from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.standings import standing
 
 
 def trials(comparison: Comparison) -> pd.DataFrame:

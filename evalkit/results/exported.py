@@ -14,8 +14,8 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import Trial
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Sequence as Recording
-from evalkit.report.palette import Stroke, strokes
-from evalkit.report.record import NAME, VERSION
+from evalkit.report.html.palette import Stroke, strokes
+from evalkit.report.results_json import NAME, VERSION
 from evalkit.results.store import Store
 
 AGAIN = "name a folder that `evalkit report` or `evalkit compare` has written, or make the report again"

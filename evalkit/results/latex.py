@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 
-from evalkit.report import figures
-from evalkit.report.wording import as_markdown
+from evalkit.report.html import figures
+from evalkit.report.html.formatting import as_markdown
 from evalkit.results.exported import Cell, Heading, Results
 
 WIDE = 4

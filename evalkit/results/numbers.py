@@ -7,7 +7,7 @@ import io
 import json
 
 from evalkit.core.errors import StoreError
-from evalkit.report.record import schema
+from evalkit.report.results_json import schema
 from evalkit.results.exported import AGAIN, Results
 from evalkit.results.latex import Files
 

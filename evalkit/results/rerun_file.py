@@ -15,7 +15,7 @@ from evalkit.core.errors import NotInstalled
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
 from evalkit.plugins.protocols import Sequence as Recording
-from evalkit.report.figures import Strokes
+from evalkit.report.html.figures import Strokes
 from evalkit.results.poses import world_poses
 
 TIMELINE = "recording"

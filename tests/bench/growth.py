@@ -61,7 +61,7 @@ def per_scan(runs: list[Run]) -> list[float]:
 
 def drawn(found: dict[str, list[Run]], path: Path) -> None:
     """The chart: memory over scans, and the recording's own size beside it."""
-    from evalkit.report import charts
+    from evalkit.report.html import charts
 
     curves = [
         charts.Curve(

@@ -75,7 +75,7 @@ def _plain(value: Any) -> Any:
 
 def _write(folder: Path, found: Examination, advice: Prescription | None) -> Path:
     """Writes ``index.html`` and ``inspection.json``; the page's path."""
-    from evalkit.report.document import render  # noqa: PLC0415 - loads jinja2: only who draws pays for it
+    from evalkit.report.html.document import render  # noqa: PLC0415 - loads jinja2: only who draws pays for it
     from evalkit_datasets.doctor.page import document  # noqa: PLC0415 - loads matplotlib
 
     with reported(folder):

@@ -7,9 +7,9 @@ from collections.abc import Iterator
 import numpy as np
 
 from evalkit.core.se2 import Floats
-from evalkit.report import charts
-from evalkit.report.charts import Axis, Curve, Points
-from evalkit.report.document import (
+from evalkit.report.html import charts
+from evalkit.report.html.charts import Axis, Curve, Points
+from evalkit.report.html.document import (
     Block,
     Bullets,
     Cell,
@@ -24,7 +24,7 @@ from evalkit.report.document import (
     Text,
     Tone,
 )
-from evalkit.report.palette import HUES
+from evalkit.report.html.palette import HUES
 from evalkit_datasets.doctor.driving import Driving
 from evalkit_datasets.doctor.examination import Examination
 from evalkit_datasets.doctor.findings import Level, Lidar, times

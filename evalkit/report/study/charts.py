@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from evalkit.core.se2 import Floats
-from evalkit.report.charts import Axis, Curve, Points, bars, heat, lines, scatter
-from evalkit.report.document import Figure
-from evalkit.report.palette import HUES
+from evalkit.report.html.charts import Axis, Curve, Points, bars, heat, lines, scatter
+from evalkit.report.html.document import Figure
+from evalkit.report.html.palette import HUES
 from evalkit.stats.statistics import Interval
 from evalkit.study.effects import FactorEffect, Fit, Interaction
 from evalkit.study.envelope import Panel, axes

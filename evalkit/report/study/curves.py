@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from evalkit.report.document import Block, Cell, Column, Figures, Fold, Table, Text
+from evalkit.report.html.document import Block, Cell, Column, Figures, Fold, Table, Text
 from evalkit.report.study import charts
 from evalkit.report.study.wording import limit_words
 from evalkit.study.envelope import Panel, axes, panels

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from evalkit.report.document import Block, Cell, Column, Figures, Fold, Heading, Table, Text
+from evalkit.report.html.document import Block, Cell, Column, Figures, Fold, Heading, Table, Text
 from evalkit.report.study import charts
 from evalkit.report.study.wording import amount, change, fitted, left, ranked
 from evalkit.study.effects import Fit, Interaction

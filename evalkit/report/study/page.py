@@ -7,7 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from evalkit.report.document import Block, Bullets, Cell, Column, Command, Document, Fold, Section, Table, Text
+from evalkit.report.html.document import Block, Bullets, Cell, Column, Command, Document, Fold, Section, Table, Text
 from evalkit.report.study.curves import curve_blocks, envelope_blocks
 from evalkit.report.study.effects import effect_blocks
 from evalkit.report.study.wording import fitted, limit_words, lost_words, main_words, pair_words

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from evalkit.report.html.formatting import joined
 from evalkit.report.study.charts import steps
-from evalkit.report.wording import joined
 from evalkit.stats.statistics import Interval
 from evalkit.study.effects import FactorEffect, Fit
 from evalkit.study.outcome import Outcome

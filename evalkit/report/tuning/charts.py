@@ -9,9 +9,9 @@ import numpy as np
 
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
-from evalkit.report import charts
-from evalkit.report.charts import Axis, Points
-from evalkit.report.document import Figure
+from evalkit.report.html import charts
+from evalkit.report.html.charts import Axis, Points
+from evalkit.report.html.document import Figure
 from evalkit.study.plan import Response
 from evalkit.study.tuning.campaign import Searched
 from evalkit.study.tuning.frontier import frontier

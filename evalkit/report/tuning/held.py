@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from evalkit.report.cells import Apart, Cell, apart
-from evalkit.report.comparison import Comparison
-from evalkit.report.evidence import Duel, duels
-from evalkit.report.standings import NOT_POSSIBLE, Standing, deciding, difference
+from evalkit.report.analysis.cells import Apart, Cell, apart
+from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.significance import Duel, duels
+from evalkit.report.analysis.standings import NOT_POSSIBLE, Standing, deciding, difference
 from evalkit.study.tuning.campaign import Searched
 from evalkit.study.tuning.plan import TUNED
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from evalkit.report.comparison import Comparison
-from evalkit.report.standings import STATUS
+from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.standings import STATUS
 from evalkit.report.tuning.held import Held, held
 from evalkit.study.tuning.campaign import Searched
 from evalkit.study.tuning.plan import Tuning

@@ -6,7 +6,7 @@ import math
 import shlex
 from collections.abc import Sequence
 
-from evalkit.report.document import (
+from evalkit.report.html.document import (
     Block,
     Bullets,
     Cell,

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from evalkit.report.cells import Cell as Score
-from evalkit.report.cells import interval
-from evalkit.report.document import Block, Cell, Column, Table, Text
-from evalkit.report.standings import NOT_POSSIBLE, STATUS, Standing, deciding
+from evalkit.report.analysis.cells import Cell as Score
+from evalkit.report.analysis.cells import interval
+from evalkit.report.analysis.standings import NOT_POSSIBLE, STATUS, Standing, deciding
+from evalkit.report.html.document import Block, Cell, Column, Table, Text
 from evalkit.report.tuning.held import Held, OnSequence
 from evalkit.report.tuning.outcome import Tuned
 

@@ -9,7 +9,7 @@ import numpy as np
 from evalkit.core import se2
 from evalkit.core.se2 import Floats
 from evalkit.execution.job_store import Result
-from evalkit.report.document import Cell, Column, Table
+from evalkit.report.html.document import Cell, Column, Table
 from evalkit_baselines.paper.reproduction import following, lab_drives, spikes, steady
 from evalkit_baselines.paper.reproduction.chapter import Results, Settings
 from evalkit_baselines.paper.reproduction.lab_drives import Cause

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from evalkit.execution.job_store import Job, Result
 from evalkit.plugins.protocols import Parameter, resolved
-from evalkit.report.document import Section
+from evalkit.report.html.document import Section
 
 Verdict = Literal[
     "reproduced", "reproduced with a correction", "not determined by the text", "not reproducible in software"

@@ -12,7 +12,7 @@ from evalkit.execution.job_store import Job
 from evalkit.metrics.trajectory import rms
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Parameter, Value
-from evalkit.report.document import Cell, Column, Section, Table, Text, Tone
+from evalkit.report.html.document import Cell, Column, Section, Table, Text, Tone
 from evalkit_baselines.paper.reproduction import following
 from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings
 

@@ -7,9 +7,9 @@ import numpy as np
 from evalkit.core.se2 import Floats
 from evalkit.execution.job_store import Job, Result
 from evalkit.plugins.protocols import Parameter
-from evalkit.report import charts
-from evalkit.report.charts import Axis, Curve, Points
-from evalkit.report.document import Block, Cell, Figure, Figures, Section, Table, Text
+from evalkit.report.html import charts
+from evalkit.report.html.charts import Axis, Curve, Points
+from evalkit.report.html.document import Block, Cell, Figure, Figures, Section, Table, Text
 from evalkit_baselines.paper.reproduction import equation_checks
 from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings, Verdict
 

@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 from evalkit.core.grid import OccupancyGrid
 from evalkit.execution.job_store import Job, Result
 from evalkit.plugins.protocols import Parameter
-from evalkit.report import charts
-from evalkit.report.charts import Points
-from evalkit.report.document import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text
+from evalkit.report.html import charts
+from evalkit.report.html.charts import Points
+from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text
 from evalkit_baselines.paper.reproduction import drawn, faults, recorded_drive
 from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings
 from evalkit_baselines.paper.reproduction.pictures import GHOST, PATH, SMEAR, TRUE, WIPED, extent, image

@@ -8,9 +8,9 @@ from typing import Literal
 
 from evalkit.execution.job_store import Job
 from evalkit.plugins.protocols import Parameter
-from evalkit.report import charts
-from evalkit.report.charts import Box
-from evalkit.report.document import Figure, Figures, Section, Text
+from evalkit.report.html import charts
+from evalkit.report.html.charts import Box
+from evalkit.report.html.document import Figure, Figures, Section, Text
 from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings
 from evalkit_baselines.paper.reproduction.stages import Call
 

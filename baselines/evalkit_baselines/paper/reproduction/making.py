@@ -13,7 +13,7 @@ from evalkit import console
 from evalkit.commands.options import err
 from evalkit.execution import environment
 from evalkit.execution.job_store import Job, Ledger
-from evalkit.report.document import Cell, Column, Command, Fold, Section, Table, Text, render
+from evalkit.report.html.document import Cell, Column, Command, Fold, Section, Table, Text, render
 from evalkit.results.store import reported
 from evalkit_baselines.paper.reproduction import page
 from evalkit_baselines.paper.reproduction.chapters import CHAPTERS

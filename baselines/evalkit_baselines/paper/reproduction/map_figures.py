@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.report import charts
-from evalkit.report.charts import Axis, Curve, Points
-from evalkit.report.document import Bullets, Column, Figure, Figures, Table, Text
+from evalkit.report.html import charts
+from evalkit.report.html.charts import Axis, Curve, Points
+from evalkit.report.html.document import Bullets, Column, Figure, Figures, Table, Text
 from evalkit_baselines.paper.reproduction import map_choice, mapping
 from evalkit_baselines.paper.reproduction.chapter import Results, Settings
 from evalkit_baselines.paper.reproduction.map_study import Study, named, of_factor, percent

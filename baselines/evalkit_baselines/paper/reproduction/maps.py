@@ -9,9 +9,9 @@ import numpy as np
 
 from evalkit.execution.job_store import Job
 from evalkit.plugins.protocols import Parameter
-from evalkit.report import charts
-from evalkit.report.charts import Axis, Curve
-from evalkit.report.document import Cell, Column, Figure, Figures, Section, Table, Text, Tone
+from evalkit.report.html import charts
+from evalkit.report.html.charts import Axis, Curve
+from evalkit.report.html.document import Cell, Column, Figure, Figures, Section, Table, Text, Tone
 from evalkit_baselines.paper.reproduction import map_figures, mapping
 from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings
 from evalkit_baselines.paper.reproduction.map_figures import CELL_SIZE, DRIFT_DEG, DRIFT_M, PICTURED

@@ -11,10 +11,10 @@ from evalkit.core.se2 import Floats
 from evalkit.execution.job_store import Job
 from evalkit.plugins.protocols import Parameter, Value
 from evalkit.realtime import first_broken
-from evalkit.report import charts
-from evalkit.report.charts import Axis, Curve
-from evalkit.report.document import Block, Cell, Column, Figure, Figures, Fold, Section, Table, Text
-from evalkit.report.palette import BAR, Stroke
+from evalkit.report.html import charts
+from evalkit.report.html.charts import Axis, Curve
+from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Fold, Section, Table, Text
+from evalkit.report.html.palette import BAR, Stroke
 from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings
 from evalkit_baselines.paper.reproduction.ladders import RULE, Ladder
 

@@ -10,9 +10,9 @@ import numpy as np
 from evalkit.core.pose import Pose
 from evalkit.execution.job_store import Job, Result
 from evalkit.plugins import registry
-from evalkit.report import charts
-from evalkit.report.charts import Axis, Curve, Points, Span
-from evalkit.report.document import Block, Cell, Column, Figure, Figures, Heading, Table, Text
+from evalkit.report.html import charts
+from evalkit.report.html.charts import Axis, Curve, Points, Span
+from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Heading, Table, Text
 from evalkit_baselines.paper.reproduction import drawn, following, places, spikes
 from evalkit_baselines.paper.reproduction.chapter import Results
 from evalkit_baselines.paper.reproduction.drawn import Variant

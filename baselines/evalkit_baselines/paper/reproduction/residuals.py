@@ -8,10 +8,10 @@ import numpy as np
 
 from evalkit.execution.job_store import Job
 from evalkit.plugins.protocols import Parameter
-from evalkit.report import charts
-from evalkit.report.charts import Axis, Curve, Span
-from evalkit.report.document import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text
-from evalkit.report.palette import BAR, Stroke
+from evalkit.report.html import charts
+from evalkit.report.html.charts import Axis, Curve, Span
+from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text
+from evalkit.report.html.palette import BAR, Stroke
 from evalkit_baselines.paper.reproduction import causes, following, lab_drives, spikes, steady
 from evalkit_baselines.paper.reproduction.causes import MM
 from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from evalkit.execution.job_store import Job
 from evalkit.plugins.protocols import Parameter
-from evalkit.report.document import Block, Fold, Section, Text
+from evalkit.report.html.document import Block, Fold, Section, Text
 from evalkit.report.study.curves import curve_blocks, envelope_blocks
 from evalkit.report.study.effects import effect_blocks
 from evalkit.report.study.page import cpu_minutes, design_blocks, point_blocks, summary

@@ -12,10 +12,10 @@ from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
 from evalkit.execution.job_store import Job, Result
 from evalkit.plugins.protocols import Parameter
-from evalkit.report import charts
-from evalkit.report.charts import Axis, Curve, Points
-from evalkit.report.document import Block, Cell, Column, Figure, Figures, Section, Table, Text, Tone
-from evalkit.report.palette import Stroke
+from evalkit.report.html import charts
+from evalkit.report.html.charts import Axis, Curve, Points
+from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Section, Table, Text, Tone
+from evalkit.report.html.palette import Stroke
 from evalkit_baselines.paper.reproduction import table_1, validation_basin
 from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings
 from evalkit_baselines.paper.reproduction.table_1 import (

@@ -10,9 +10,9 @@ import numpy as np
 from evalkit.core.arrays import Ints
 from evalkit.execution.job_store import Job
 from evalkit.plugins.protocols import Parameter
-from evalkit.report import charts
-from evalkit.report.charts import Axis
-from evalkit.report.document import Block, Cell, Column, Figure, Figures, Fold, Table, Text
+from evalkit.report.html import charts
+from evalkit.report.html.charts import Axis
+from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Fold, Table, Text
 from evalkit.stats.statistics import wilson
 from evalkit_baselines.paper.reproduction import table_1
 from evalkit_baselines.paper.reproduction.chapter import Results, Settings

@@ -9,10 +9,10 @@ from statistics import median
 from evalkit.core.run_result import Status, Trial
 from evalkit.metrics.table import Metric
 from evalkit.plugins.protocols import Published
-from evalkit.report.cells import Cell, interval
-from evalkit.report.comparison import Comparison
-from evalkit.report.consensus import disagrees, is_behind_bar
-from evalkit.report.standings import NOT_POSSIBLE, STATUS, Standing, deciding, standing, unfinished
+from evalkit.report.analysis.cells import Cell, interval
+from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.map_agreement import disagrees, is_behind_bar
+from evalkit.report.analysis.standings import NOT_POSSIBLE, STATUS, Standing, deciding, standing, unfinished
 from evalkit.stats.statistics import wilson
 
 

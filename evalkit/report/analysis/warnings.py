@@ -9,11 +9,11 @@ from collections.abc import Sequence
 from evalkit.core.run_result import Trial
 from evalkit.metrics.table import Metric
 from evalkit.metrics.validated import shipped
-from evalkit.report.cells import MOST_GUESSED
-from evalkit.report.comparison import Comparison
-from evalkit.report.consensus import by_maps
-from evalkit.report.standings import Standing, guessed_percent
-from evalkit.report.wording import bounds, joined, plain
+from evalkit.report.analysis.cells import MOST_GUESSED
+from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.map_agreement import by_maps
+from evalkit.report.analysis.standings import Standing, guessed_percent
+from evalkit.report.html.formatting import bounds, joined, plain
 
 # Notes that tell of scans that never reached anybody; readers name them by these words.
 LOST_SCANS = re.compile(r"^(?!reference).*\b(damaged|skipped|dropped)\b|^scans .*left out")

@@ -10,11 +10,11 @@ from typing import Literal
 
 from evalkit.core.run_result import Trial
 from evalkit.metrics.table import Metric
-from evalkit.report import caveats
-from evalkit.report.cells import Cell, apart
-from evalkit.report.comparison import Comparison
-from evalkit.report.consensus import MEASURES, behind_bar, by_maps, consensus, disagrees
-from evalkit.report.standings import (
+from evalkit.report.analysis import warnings
+from evalkit.report.analysis.cells import Cell, apart
+from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.map_agreement import MEASURES, behind_bar, by_maps, consensus, disagrees
+from evalkit.report.analysis.standings import (
     MARGIN_SHARE,
     NOT_POSSIBLE,
     STATUS,
@@ -26,7 +26,7 @@ from evalkit.report.standings import (
     standing,
     unfinished,
 )
-from evalkit.report.wording import amount, difference, figure, gap, joined, plain, told
+from evalkit.report.html.formatting import amount, difference, figure, gap, joined, plain, told
 
 Outcome = Literal["winner", "ahead", "level", "unrivalled", "disagreement", "degenerate", "nothing"]
 SAME = {"stretches": "on the same scans", "runs": "run by run"}
@@ -55,16 +55,16 @@ def verdict(comparison: Comparison, sequence: str) -> Verdict:
     degenerate = comparison.sequences[sequence].degenerate
     trials = comparison.of_sequence(sequence)
     outcome = _outcome(comparison, found, degenerate)
-    sentences = [success(trials), caveats.of_data(trials)]
+    sentences = [success(trials), warnings.of_data(trials)]
     if degenerate:
         sentences.append(f"Degenerate by design: {plain(degenerate)}. The order below is no ranking.")
     if found is None:
         sentences.append("No headline metric has a value here, so nobody can be ranked.")
     else:
-        sentences += [_told(comparison, found, outcome), caveats.of_guesses(comparison, sequence)]
+        sentences += [_told(comparison, found, outcome), warnings.of_guesses(comparison, sequence)]
         sentences += [_paper(comparison, found) if outcome not in ("degenerate", "disagreement") else ""]
-        sentences += [_bar(comparison, found), *caveats.of_evidence(found)]
-    sentences += [_cost(comparison, sequence), caveats.of_times(trials)]
+        sentences += [_bar(comparison, found), *warnings.of_evidence(found)]
+    sentences += [_cost(comparison, sequence), warnings.of_times(trials)]
     counts = outcome in LED and found is not None and found.metric.group in WITH_TRUTH
     leaders = _leading(comparison, found) if found and outcome in LED else ()
     repeated = found is not None and found.repeated

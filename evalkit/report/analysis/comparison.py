@@ -14,7 +14,7 @@ from evalkit.plugins.protocols import Published, Sequence, Value
 from evalkit.stats.bootstrap import Resamples
 
 if TYPE_CHECKING:
-    from evalkit.report.standings import Standing
+    from evalkit.report.analysis.standings import Standing
 
 Role = Literal["", "paper", "bar"]
 

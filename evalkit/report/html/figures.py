@@ -20,7 +20,7 @@ from evalkit.core import se2
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
 from evalkit.metrics.runtime import period_ns
-from evalkit.report.palette import TRUTH, Stroke
+from evalkit.report.html.palette import TRUTH, Stroke
 
 POINTS = 600  # of a drawn line: more cannot be seen at this size
 STRETCHES = 150  # of a noisy line: more cannot be told apart

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from evalkit.metrics.table import Metric
-from evalkit.report.cells import Apart, Cell, apart
-from evalkit.report.comparison import Comparison
-from evalkit.report.standings import Standing, contestant_of, deciding, difference
+from evalkit.report.analysis.cells import Apart, Cell, apart
+from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.standings import Standing, contestant_of, deciding, difference
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,9 +9,9 @@ import numpy as np
 
 from evalkit.core.run_result import Trial
 from evalkit.core.trajectory import Trajectory
-from evalkit.report.comparison import Comparison
-from evalkit.report.consensus import disagrees
-from evalkit.report.standings import deciding
+from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.map_agreement import disagrees
+from evalkit.report.analysis.standings import deciding
 
 STEP_M = 0.05
 """A path is summed over poses at least so far apart, so that the noise of one that stands still adds nothing."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from evalkit.report.cells import Cell
-from evalkit.report.comparison import Comparison
-from evalkit.report.standings import Standing, behind, contestant_of, distinct, ranking, standing, worse
+from evalkit.report.analysis.cells import Cell
+from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.standings import Standing, behind, contestant_of, distinct, ranking, standing, worse
 
 MEASURES: Mapping[str, str] = {
     "split_distance_m": "the halves of the run closest together",

@@ -12,17 +12,17 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Trial
 from evalkit.metrics.table import Metric
 from evalkit.metrics.validated import shipped
-from evalkit.report import figures, views
-from evalkit.report.comparison import Comparison, SequenceCard
-from evalkit.report.driven import alignments, driven
-from evalkit.report.evidence import evidence
-from evalkit.report.maps import Window, picture, window
-from evalkit.report.paired import Pairs, pairs
-from evalkit.report.palette import Stroke, strokes
-from evalkit.report.player import Player, budget, player
-from evalkit.report.standings import STATUS, contestant_of
-from evalkit.report.summary import Verdict
-from evalkit.report.wording import bounds, figure
+from evalkit.report.analysis.comparison import Comparison, SequenceCard
+from evalkit.report.analysis.driven_paths import alignments, driven
+from evalkit.report.analysis.pairwise import Pairs, pairs
+from evalkit.report.analysis.significance import evidence
+from evalkit.report.analysis.standings import STATUS, contestant_of
+from evalkit.report.analysis.verdict import Verdict
+from evalkit.report.html import figures, view_models
+from evalkit.report.html.formatting import bounds, figure
+from evalkit.report.html.maps import Window, picture, window
+from evalkit.report.html.palette import Stroke, strokes
+from evalkit.report.html.player import Player, budget, player
 
 MAP_CAPTION_GROUPS = ("map against truth", "map consistency")
 
@@ -44,18 +44,18 @@ class Section:
     anchor: str
     card: SequenceCard
     verdict: Verdict
-    table: views.Table
+    table: view_models.Table
     pairs: Pairs | None
     drawn: str
     pictures: tuple[Picture, ...]
     player: Player | None
     maps: tuple[Picture, ...]
     map_window: Window | None
-    everything: Mapping[str, tuple[views.Line, ...]]
+    everything: Mapping[str, tuple[view_models.Line, ...]]
     absent: Mapping[str, tuple[str, ...]]
     contestants: tuple[str, ...]
-    published: tuple[Metric, tuple[views.Reference, ...]] | None
-    failures: tuple[views.Failure, ...]
+    published: tuple[Metric, tuple[view_models.Reference, ...]] | None
+    failures: tuple[view_models.Failure, ...]
     notes: Mapping[str, int]
     driven: tuple[tuple[str, str], ...]
     alignments: tuple[str, ...]
@@ -66,7 +66,7 @@ def render(comparison: Comparison, overview: Sequence[str], verdicts: Sequence[V
     """The HTML of a whole report."""
     lines = strokes(comparison.contestant_labels, contestant_of(comparison, "bar"))
     environment = Environment(
-        loader=PackageLoader("evalkit.report"),
+        loader=PackageLoader("evalkit.report.html"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -79,7 +79,7 @@ def render(comparison: Comparison, overview: Sequence[str], verdicts: Sequence[V
         comparison=comparison,
         overview=overview,
         sections=[section(comparison, verdict, number, lines) for number, verdict in enumerate(verdicts, start=1)],
-        glance=views.glance(comparison),
+        glance=view_models.glance(comparison),
         evidence=evidence(comparison),
         metrics=_by_group(comparison.metrics),
         trust=shipped(),
@@ -109,19 +109,19 @@ def section(comparison: Comparison, verdict: Verdict, number: int, lines: Mappin
         anchor=f"sequence-{number}",
         card=comparison.sequences[verdict.sequence],
         verdict=verdict,
-        table=views.headline(comparison, verdict.sequence),
+        table=view_models.headline(comparison, verdict.sequence),
         pairs=pairs(comparison, verdict.sequence),
         drawn=f"seed {seeds[0]} only" if seeds else "the one run of each",
         pictures=tuple(drawings(first, lines)),
         player=player(first, scans, shown, lines, budget(len(comparison.sequences)), paper),
         maps=map_tiles(comparison, first, shown) if shown else (),
         map_window=shown,
-        everything=views.everything(comparison, verdict.sequence),
-        absent=views.absent(comparison, verdict.sequence),
+        everything=view_models.everything(comparison, verdict.sequence),
+        absent=view_models.absent(comparison, verdict.sequence),
         contestants=tuple(grouped),
-        published=views.published(comparison, verdict.sequence),
-        failures=views.failures(trials),
-        notes=views.notes(trials),
+        published=view_models.published(comparison, verdict.sequence),
+        failures=view_models.failures(trials),
+        notes=view_models.notes(trials),
         driven=driven(comparison, verdict.sequence),
         alignments=alignments(trials),
         trials=trials,
@@ -182,7 +182,7 @@ def _map_caption(trial: Trial, metric: Metric | None) -> str:
     parts = []
     score = trial.scores.get(metric.name) if metric else None
     if metric and score and score.value is not None:
-        parts.append(f"{metric.label} {views.printed(metric, score.value)} {metric.unit}".rstrip())
+        parts.append(f"{metric.label} {view_models.printed(metric, score.value)} {metric.unit}".rstrip())
     if trial.run.status != "complete":
         parts.append(STATUS[trial.run.status])
     return ", ".join(parts)

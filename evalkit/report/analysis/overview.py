@@ -9,11 +9,11 @@ import numpy as np
 
 from evalkit.core.run_result import Trial
 from evalkit.metrics.runtime import period_ns
-from evalkit.report.comparison import Comparison
-from evalkit.report.consensus import behind_bar
-from evalkit.report.standings import contestant_of, deciding, unfinished
-from evalkit.report.summary import Verdict, success
-from evalkit.report.wording import joined
+from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.map_agreement import behind_bar
+from evalkit.report.analysis.standings import contestant_of, deciding, unfinished
+from evalkit.report.analysis.verdict import Verdict, success
+from evalkit.report.html.formatting import joined
 
 
 def overview(comparison: Comparison, verdicts: Sequence[Verdict]) -> tuple[str, ...]:

@@ -165,7 +165,7 @@ class Document:
 def render(document: Document) -> str:
     """The HTML of a page that needs nothing else: no network, no other file."""
     environment = Environment(
-        loader=PackageLoader("evalkit.report"),
+        loader=PackageLoader("evalkit.report.html"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,

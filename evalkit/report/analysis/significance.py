@@ -11,8 +11,8 @@ import numpy as np
 
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
-from evalkit.report.comparison import Comparison
-from evalkit.report.standings import MARGIN_SHARE, NOT_POSSIBLE, WITH_TRUTH, Standing, contestant_of, deciding
+from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.standings import MARGIN_SHARE, NOT_POSSIBLE, WITH_TRUTH, Standing, contestant_of, deciding
 from evalkit.stats import statistics
 from evalkit.stats.statistics import Friedman, Interval, PairTest
 

@@ -19,8 +19,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
 from evalkit.core.se2 import Floats
-from evalkit.report.figures import STYLE
-from evalkit.report.palette import DASHES, HUES, Stroke
+from evalkit.report.html.figures import STYLE
+from evalkit.report.html.palette import DASHES, HUES, Stroke
 
 WIDE = (7.6, 4.4)  # inches
 SQUARE = (6.2, 5.4)

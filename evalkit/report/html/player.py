@@ -22,9 +22,9 @@ from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.consistency import CLEARED, looked_up
 from evalkit.metrics.maps import nearest_m
 from evalkit.plugins.protocols import Sequence
-from evalkit.report.maps import Window, pixel_m
-from evalkit.report.packing import NONE, Steps, packed, quantised, restored
-from evalkit.report.palette import Stroke
+from evalkit.report.html.array_encoding import NONE, Steps, packed, quantised, restored
+from evalkit.report.html.maps import Window, pixel_m
+from evalkit.report.html.palette import Stroke
 
 METRE, RADIAN, RESIDUAL, MILLISECOND = 1e-3, 1e-5, 1e-4, 1_000_000
 """Steps of positions and ranges (m), of angles (rad), of residuals and errors (m), of times (ns)."""

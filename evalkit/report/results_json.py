@@ -14,11 +14,11 @@ from typing import Any
 
 from evalkit.core.run_result import Trial
 from evalkit.metrics.table import Metric
-from evalkit.report.cells import interval
-from evalkit.report.comparison import Comparison
-from evalkit.report.paired import pairs
-from evalkit.report.standings import standing
-from evalkit.report.summary import Verdict
+from evalkit.report.analysis.cells import interval
+from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.pairwise import pairs
+from evalkit.report.analysis.standings import standing
+from evalkit.report.analysis.verdict import Verdict
 from evalkit.results.store import digest
 
 NAME, VERSION = "evalkit-results", 1

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from statistics import median
 
 from evalkit.metrics.table import Metric
-from evalkit.report.cells import Apart, Cell, interval
+from evalkit.report.analysis.cells import Apart, Cell, interval
 from evalkit.stats.statistics import Interval
 
 

@@ -1,0 +1,1 @@
+"""Everything a report states, computed once from the results."""

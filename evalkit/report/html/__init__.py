@@ -1,0 +1,1 @@
+"""Render an analysis as one offline HTML page."""
