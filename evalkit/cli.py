@@ -19,10 +19,10 @@ from rich.table import Table
 from evalkit import __version__, console, listing
 from evalkit.commands import ending, options
 from evalkit.commands.basin import basin
-from evalkit.commands.bench import bench
 from evalkit.commands.check import check
 from evalkit.commands.determinism import determinism
-from evalkit.commands.diff import diff
+from evalkit.commands.diff.benchmark_command import bench
+from evalkit.commands.diff.command import diff
 from evalkit.commands.ending import ABSENT, Row
 from evalkit.commands.equiv import equiv
 from evalkit.commands.export import export

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from evalkit import benchmark
-from evalkit.benchmark import Benchmark, Series
-from evalkit.commands.bench import bench
-from evalkit.commands.bench_comparison import compared, enough
+from evalkit.commands.diff import benchmark
+from evalkit.commands.diff.benchmark import Benchmark, Series
+from evalkit.commands.diff.benchmark_command import bench
+from evalkit.commands.diff.benchmark_comparison import compared, enough
 from evalkit.core.errors import BadData
 
 RAN_ON = {"processor": "one", "governor": "performance"}

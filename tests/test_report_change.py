@@ -10,12 +10,12 @@ import pytest
 from typer.testing import CliRunner
 
 from evalkit import cli
+from evalkit.commands.diff.differences import Limits, difference
+from evalkit.commands.diff.snapshot import Finished, Snapshot, read
+from evalkit.commands.diff.text import markdown, rows, verdict
 from evalkit.core.errors import StoreError
 from evalkit.metrics import all_metrics
 from evalkit.report import write
-from evalkit.report.change import Limits, difference
-from evalkit.report.change_text import markdown, rows, verdict
-from evalkit.report.snapshot import Finished, Snapshot, read
 from evalkit.stats.bootstrap import Series
 
 METRICS = {metric.name: metric for metric in all_metrics()}

@@ -8,8 +8,9 @@ from functools import partial
 
 import numpy as np
 
-from evalkit import Cloud, Pose, benchmark
-from evalkit.benchmark import Series
+from evalkit import Cloud, Pose
+from evalkit.commands.diff import benchmark
+from evalkit.commands.diff.benchmark import Series
 from evalkit.core.timing import timed
 from evalkit.execution.environment import SINGLE_THREAD
 from evalkit.odometry import frontend

@@ -17,8 +17,8 @@ from pathlib import Path
 import long_bags
 import numpy as np
 
-from evalkit import benchmark
-from evalkit.benchmark import FOLDER, Series
+from evalkit.commands.diff import benchmark
+from evalkit.commands.diff.benchmark import FOLDER, Series
 from evalkit.config.experiment import Limits
 from evalkit.execution import run_process
 from evalkit.execution.worker import Request

@@ -13,8 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import Pose, Scan, benchmark
-from evalkit.benchmark import Series
+from evalkit import Pose, Scan
+from evalkit.commands.diff import benchmark
+from evalkit.commands.diff.benchmark import Series
 from evalkit.execution.environment import SINGLE_THREAD
 from evalkit.plugins.protocols import MapperSpec, resolved
 from evalkit_baselines import embedded, paper

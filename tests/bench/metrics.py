@@ -10,8 +10,9 @@ from statistics import median
 
 import numpy as np
 
-from evalkit import benchmark, metrics
-from evalkit.benchmark import Series
+from evalkit import metrics
+from evalkit.commands.diff import benchmark
+from evalkit.commands.diff.benchmark import Series
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, Run

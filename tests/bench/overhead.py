@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from evalkit import benchmark
-from evalkit.benchmark import Series
+from evalkit.commands.diff import benchmark
+from evalkit.commands.diff.benchmark import Series
 from evalkit.config.experiment import Limits
 from evalkit.core.run_result import Run
 from evalkit.execution import run_process

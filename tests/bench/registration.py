@@ -18,8 +18,9 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import Cloud, Pose, benchmark
-from evalkit.benchmark import Series
+from evalkit import Cloud, Pose
+from evalkit.commands.diff import benchmark
+from evalkit.commands.diff.benchmark import Series
 from evalkit.core.se2 import Floats
 from evalkit.execution.environment import SINGLE_THREAD
 from evalkit.odometry import planar3d

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy import stats
 
-from evalkit.benchmark import Benchmark, Series
+from evalkit.commands.diff.benchmark import Benchmark, Series
 from evalkit.core.errors import BadData
 from evalkit.stats.statistics import CONFIDENCE, DRAWS, Interval
 

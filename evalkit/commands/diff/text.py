@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from evalkit.commands.diff.differences import Change, Difference, Ended, Said
 from evalkit.metrics.table import Metric
-from evalkit.report.change import Change, Difference, Ended, Said
 from evalkit.report.html.formatting import as_markdown, figure
 
 COLUMNS = ("contestant", "sequence", "what", "old", "new", "change", "95 % interval", "that is")

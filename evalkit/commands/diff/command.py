@@ -36,12 +36,13 @@ def diff(
     as_json: Json = False,
 ) -> None:
     """Tell what changed between two results folders: 1 if anything is worse by more than the noise and the limits."""
+    from evalkit.commands.diff import differences, snapshot  # noqa: PLC0415
+    from evalkit.commands.diff import text as change_text
     from evalkit.metrics import all_metrics  # noqa: PLC0415 - scipy: only who compares pays for it
-    from evalkit.report import change, change_text, snapshot  # noqa: PLC0415
 
-    limits = change.Limits(share(limit_ate), share(limit_time))
+    limits = differences.Limits(share(limit_ate), share(limit_time))
     metrics = {metric.name: metric for metric in all_metrics()}
-    found = change.difference(snapshot.read(old), snapshot.read(new), tuple(metrics.values()), limits)
+    found = differences.difference(snapshot.read(old), snapshot.read(new), tuple(metrics.values()), limits)
     if as_json:
         options.print_json(found.as_json())
     elif markdown:

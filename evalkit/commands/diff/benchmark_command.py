@@ -9,9 +9,10 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from evalkit import benchmark, console
+from evalkit import console
 from evalkit.commands import options
-from evalkit.commands.diff import share
+from evalkit.commands.diff import benchmark
+from evalkit.commands.diff.command import share
 from evalkit.commands.options import Json, out
 
 bench = typer.Typer(help="Compare benchmarks.", no_args_is_help=True)
@@ -32,20 +33,20 @@ def compare(
     as_json: Json = False,
 ) -> None:
     """Tell what became slower or larger: 1 if anything did by more than the noise and the limit."""
-    from evalkit.commands import bench_comparison  # noqa: PLC0415 - scipy: only who compares pays for it
+    from evalkit.commands.diff import benchmark_comparison  # noqa: PLC0415 - scipy: only who compares pays for it
 
-    found = bench_comparison.compared(benchmark.read(old), benchmark.read(new), share(limit), across_machines)
+    found = benchmark_comparison.compared(benchmark.read(old), benchmark.read(new), share(limit), across_machines)
     if as_json:
         options.print_json(found.as_json())
     elif markdown:
-        out.print(bench_comparison.markdown(found), markup=False, highlight=False, emoji=False, end="")
+        out.print(benchmark_comparison.markdown(found), markup=False, highlight=False, emoji=False, end="")
     else:
-        table = Table(*bench_comparison.COLUMNS, expand=out.is_terminal)
-        for row in bench_comparison.rows(found):
+        table = Table(*benchmark_comparison.COLUMNS, expand=out.is_terminal)
+        for row in benchmark_comparison.rows(found):
             table.add_row(*map(Text, row))
         if table.row_count:
             console.show(out, table)
-        for line in (*found.apart, bench_comparison.verdict(found)):
+        for line in (*found.apart, benchmark_comparison.verdict(found)):
             out.print(line, markup=False, highlight=False, emoji=False)
     if found.regressions:
         raise typer.Exit(1)

@@ -1,0 +1,1 @@
+"""``evalkit diff``: what changed between two results folders or two benchmark files."""
