@@ -18,7 +18,7 @@ from rich.table import Table
 
 from evalkit import __version__, console, listing
 from evalkit.commands import ending, options
-from evalkit.commands.basin import basin
+from evalkit.commands.basin.command import basin
 from evalkit.commands.check import check
 from evalkit.commands.determinism import determinism
 from evalkit.commands.diff.benchmark_command import bench

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from evalkit.commands.basin import trials as attempts
+from evalkit.commands.basin.trials import Trials
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.plugins.protocols import BackendSpec
-from evalkit.validation.basins import attempts
-from evalkit.validation.basins.attempts import Trials
 
 TRIALS = Trials("corridor", 40, 4, 90, 0.02, 1.0, 0.5, seed=3)
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from evalkit.commands.basin.convergence import Basin, Criterion, Shares, guesses, off, offsets, on_axes
+from evalkit.commands.basin.observability import observability
 from evalkit.stats.statistics import wilson
-from evalkit.validation.basins.basin import Basin, Criterion, Shares, guesses, off, offsets, on_axes
-from evalkit.validation.basins.observability import observability
 
 CRITERION = Criterion(0.1, np.radians(2.0))
 

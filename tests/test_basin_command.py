@@ -7,7 +7,7 @@ import pytest
 from typer.testing import CliRunner
 
 from evalkit.cli import app
-from evalkit.commands import basin as command
+from evalkit.commands.basin import command as command
 from evalkit.core.errors import EvalkitError
 from evalkit.core.match import Match
 from evalkit.plugins.protocols import BackendSpec

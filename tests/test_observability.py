@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evalkit.validation.basins.observability import observability
+from evalkit.commands.basin.observability import observability
 
 
 def wall(y=1.0, count=200):

@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from evalkit.commands.basin import sequences
+from evalkit.commands.basin.sequences import Recorded, seen
+from evalkit.commands.basin.trials import Trials
 from evalkit.core.errors import BadData, BadParameter, UnknownName
 from evalkit.core.ground_truth import Relations, Truth
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
 from evalkit.plugins.protocols import DatasetSpec, Parameter
-from evalkit.validation.basins import sequences
-from evalkit.validation.basins.attempts import Trials
-from evalkit.validation.basins.sequences import Recorded, seen
 
 STEP_M = 0.08
 STAMPS = np.arange(60) * 100_000_000

@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from evalkit.commands.basin import scenes
+from evalkit.commands.basin.scenes import Place, cast
 from evalkit.core.errors import UnknownName
 from evalkit.core.pose import Pose
-from evalkit.validation.basins import surroundings
-from evalkit.validation.basins.surroundings import Place, cast
 
 
 def test_a_beam_meets_the_nearest_wall_or_disc_and_its_normal():
@@ -19,10 +19,10 @@ def test_a_beam_meets_the_nearest_wall_or_disc_and_its_normal():
     assert np.abs(normals[:2]).tolist() == [[1.0, 0.0], [0.0, 1.0]]
 
 
-@pytest.mark.parametrize("name", surroundings.PLACES)
+@pytest.mark.parametrize("name", scenes.PLACES)
 def test_without_noise_both_scans_lie_on_the_place_through_the_true_motion(name):
-    where = surroundings.place(name)
-    pair = surroundings.seen(where, np.random.default_rng(3), 360, 0.0)
+    where = scenes.place(name)
+    pair = scenes.seen(where, np.random.default_rng(3), 360, 0.0)
     world_from_source = pair.world_from_target @ pair.target_from_source
     for cloud, world_from_sensor in ((pair.target, pair.world_from_target), (pair.source, world_from_source)):
         assert _farthest_from(where, world_from_sensor.transform(cloud.points)) < 1e-9
@@ -32,16 +32,16 @@ def test_without_noise_both_scans_lie_on_the_place_through_the_true_motion(name)
 
 
 def test_the_sensor_keeps_clear_of_everything():
-    for where in surroundings.PLACES.values():
+    for where in scenes.PLACES.values():
         rng = np.random.default_rng(0)
         for _ in range(50):
-            pair = surroundings.seen(where, rng, 90, 0.0)
-            assert np.linalg.norm(pair.source.points, axis=1).min() > surroundings.RANGE_M[0]
+            pair = scenes.seen(where, rng, 90, 0.0)
+            assert np.linalg.norm(pair.source.points, axis=1).min() > scenes.RANGE_M[0]
 
 
 def test_an_unknown_scene_is_refused_by_name():
     with pytest.raises(UnknownName, match="corridor"):
-        surroundings.place("coridor")
+        scenes.place("coridor")
 
 
 def _farthest_from(where: Place, points) -> float:
@@ -54,6 +54,6 @@ def _farthest_from(where: Place, points) -> float:
 
 def test_a_pair_is_two_scans_close_together():
     rng = np.random.default_rng(8)
-    poses = [surroundings.seen(surroundings.place("room"), rng, 8, 0.05).target_from_source for _ in range(100)]
-    assert np.abs([pose.row for pose in poses]).max(axis=0) == pytest.approx(surroundings.NEAR.row, rel=0.1)
+    poses = [scenes.seen(scenes.place("room"), rng, 8, 0.05).target_from_source for _ in range(100)]
+    assert np.abs([pose.row for pose in poses]).max(axis=0) == pytest.approx(scenes.NEAR.row, rel=0.1)
     assert Pose() not in poses

@@ -8,6 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from evalkit.commands.basin import convergence, scenes, sequences
+from evalkit.commands.basin.scenes import Seen
+from evalkit.commands.basin.sequences import Recorded
 from evalkit.core.arrays import Bools
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
@@ -17,9 +20,6 @@ from evalkit.plugins.address import address_of, spec_at
 from evalkit.plugins.code_hash import fingerprint, of_files
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import BackendSpec, Registration, Value, resolved
-from evalkit.validation.basins import basin, sequences, surroundings
-from evalkit.validation.basins.sequences import Recorded
-from evalkit.validation.basins.surroundings import Seen
 from evalkit.validation.conformance.rules import raised
 
 AT_ONCE = 512
@@ -53,24 +53,24 @@ class Trials:
     @property
     def what(self) -> str:
         """The place in words."""
-        return self.recorded.what if self.recorded else surroundings.place(self.place).what
+        return self.recorded.what if self.recorded else scenes.place(self.place).what
 
     def rng(self) -> np.random.Generator:
         """A generator that starts the same for the same trials."""
-        number = list(surroundings.PLACES).index(surroundings.place(self.place).name)
+        number = list(scenes.PLACES).index(scenes.place(self.place).name)
         return np.random.default_rng([self.seed, number])
 
     def seen(self) -> tuple[Seen, ...]:
         """The pairs of scans, of a data set perhaps fewer; attempt i is about pair i modulo their number."""
         if self.recorded:
             return sequences.seen(self.recorded, self.pairs)
-        where, rng = surroundings.place(self.place), self.rng()
-        return tuple(surroundings.seen(where, rng, self.beams, self.noise_m) for _ in range(self.pairs))
+        where, rng = scenes.place(self.place), self.rng()
+        return tuple(scenes.seen(where, rng, self.beams, self.noise_m) for _ in range(self.pairs))
 
     def drawn(self) -> Floats:
         """By how much each guess (N, 3) is off, along the world's axes."""
-        rng = np.random.default_rng([self.seed, len(surroundings.PLACES)])
-        return basin.on_axes(basin.offsets(self.offsets, self.reach_m, self.reach_rad, rng))
+        rng = np.random.default_rng([self.seed, len(scenes.PLACES)])
+        return convergence.on_axes(convergence.offsets(self.offsets, self.reach_m, self.reach_rad, rng))
 
     def truths(self, seen: tuple[Seen, ...]) -> tuple[Floats, Floats]:
         """For each attempt the true ``target_from_source`` and the ``world_from_target`` (both (N, 3))."""
@@ -113,7 +113,7 @@ def answers(
     registration: Registration = spec_of(backend).make(**values)
     asked = Trials(**trials)
     seen = asked.seen()
-    guesses = basin.guesses(asked.drawn(), *asked.truths(seen))
+    guesses = convergence.guesses(asked.drawn(), *asked.truths(seen))
     rows, claimed, reason = np.full((end - begin, 3), np.nan), np.zeros(end - begin, dtype=np.bool_), ""
     for number in range(begin, end):
         pair = seen[number % len(seen)]

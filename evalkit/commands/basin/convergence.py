@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from evalkit.commands.basin.observability import Observability
 from evalkit.core import se2
 from evalkit.core.arrays import Bools, Ints
 from evalkit.core.se2 import Floats
 from evalkit.stats.statistics import Interval, wilson
-from evalkit.validation.basins.observability import Observability
 
 PLASTIC = 1.2207440846057596
 """The real root above 1 of x^4 = x + 1: its powers fill a cube evenly (Roberts 2018, after the golden ratio)."""

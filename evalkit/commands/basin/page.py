@@ -8,7 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from evalkit.commands.basin_result import LEVELS, Result, Row, Scene, answer
+from evalkit.commands.basin.convergence import Shares
+from evalkit.commands.basin.result import LEVELS, Result, Row, Scene, answer
+from evalkit.commands.basin.sequences import APART_M, APART_RAD
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
 from evalkit.report.html import charts
@@ -30,8 +32,6 @@ from evalkit.report.html.document import (
     slug,
 )
 from evalkit.stats.statistics import Interval
-from evalkit.validation.basins.basin import Shares
-from evalkit.validation.basins.sequences import APART_M, APART_RAD
 
 DRAWN = 150
 """Points of a cloud in an overlay: more cannot be seen."""

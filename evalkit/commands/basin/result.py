@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from evalkit.commands.basin.convergence import QUANTILES, Basin, Criterion, Shares, guesses, off
+from evalkit.commands.basin.observability import Observability, observability
+from evalkit.commands.basin.scenes import Seen
+from evalkit.commands.basin.trials import Entrant, Outcome, Trials
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
-from evalkit.validation.basins.attempts import Entrant, Outcome, Trials
-from evalkit.validation.basins.basin import QUANTILES, Basin, Criterion, Shares, guesses, off
-from evalkit.validation.basins.observability import Observability, observability
-from evalkit.validation.basins.surroundings import Seen
 
 CELLS = 5
 """Cells along each axis of a map."""

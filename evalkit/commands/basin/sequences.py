@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from evalkit.commands.basin.scenes import NEAR, Seen
 from evalkit.core import se2
 from evalkit.core.arrays import Ints
 from evalkit.core.errors import BadData, BadParameter, DataMissing
@@ -25,7 +26,6 @@ from evalkit.odometry import planar3d
 from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import resolved
-from evalkit.validation.basins.surroundings import NEAR, Seen
 
 LEAST_M, LEAST_RAD = 0.05, math.radians(2.0)
 """Less than this between two scans of a pair, and the robot stands: one place would count twice."""

@@ -19,7 +19,7 @@ from evalkit.plugins import registry
 from evalkit.results.store import write_texts
 
 if TYPE_CHECKING:
-    from evalkit.commands.basin_result import Result
+    from evalkit.commands.basin.result import Result
 
 
 def basin(
@@ -45,17 +45,18 @@ def basin(
     as_json: Json = False,
 ) -> None:
     """Measure convergence basins: success over the offset of the guess, scene by scene; a page and a JSON file."""
-    from evalkit.commands import basin_page  # noqa: PLC0415 - loads matplotlib and scipy.stats
-    from evalkit.commands.basin_result import result  # noqa: PLC0415 - as above
+    from evalkit.commands.basin import page as basin_page  # noqa: PLC0415 - loads matplotlib and scipy.stats
+    from evalkit.commands.basin import scenes, sequences
+    from evalkit.commands.basin import trials as attempts  # noqa: PLC0415 - as above
+    from evalkit.commands.basin.convergence import Criterion  # noqa: PLC0415 - as above
+    from evalkit.commands.basin.result import result  # noqa: PLC0415 - as above
     from evalkit.report.html.document import render  # noqa: PLC0415 - as above
-    from evalkit.validation.basins import attempts, sequences, surroundings  # noqa: PLC0415 - as above
-    from evalkit.validation.basins.basin import Criterion  # noqa: PLC0415 - as above
 
     options.modules_from_here()
     given = options.settings(setting or [])
     entrants = [attempts.entrant(name, given) for name in dict.fromkeys(backend or _registrations())]
-    names = scene or ([] if on else list(surroundings.PLACES))
-    places: dict[str, dict[str, Any]] = {surroundings.place(name).name: {} for name in names}
+    names = scene or ([] if on else list(scenes.PLACES))
+    places: dict[str, dict[str, Any]] = {scenes.place(name).name: {} for name in names}
     for each in map(sequences.Recorded.of, dict.fromkeys(on or ())):
         if each.label in places:
             raise typer.BadParameter(f"--on {each.label}: a scene is called so too; ask for one of them at a time")
@@ -81,8 +82,8 @@ def _registrations() -> list[str]:
 
 
 def _asked(entrants: list[Any], trials: list[Any], folder: Path, workers: int) -> list[Any]:
+    from evalkit.commands.basin import trials as attempts  # noqa: PLC0415 - as above
     from evalkit.execution.job_store import Ledger  # noqa: PLC0415 - only who asks pays for it
-    from evalkit.validation.basins import attempts  # noqa: PLC0415 - as above
 
     count = sum(not each.reason for each in entrants) * sum(-(-one.offsets // attempts.AT_ONCE) for one in trials)
     try:

@@ -1,0 +1,1 @@
+"""``evalkit basin``: from how far off a registration still converges."""

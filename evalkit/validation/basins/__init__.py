@@ -1,1 +1,0 @@
-"""From how far off a guess does a registration still find the truth?"""
