@@ -19,12 +19,9 @@ from rich.table import Table
 from evalkit import __version__, console, listing
 from evalkit.commands import ending, options
 from evalkit.commands.basin.command import basin
-from evalkit.commands.check import check
-from evalkit.commands.determinism import determinism
 from evalkit.commands.diff.benchmark_command import bench
 from evalkit.commands.diff.command import diff
 from evalkit.commands.ending import ABSENT, Row
-from evalkit.commands.equiv import equiv
 from evalkit.commands.export import export
 from evalkit.commands.metrics import metrics
 from evalkit.commands.options import (
@@ -43,7 +40,10 @@ from evalkit.commands.options import (
 from evalkit.commands.realtime import realtime
 from evalkit.commands.study import study
 from evalkit.commands.tune import tune
-from evalkit.commands.validate import validate
+from evalkit.commands.validate.check_command import check
+from evalkit.commands.validate.command import validate
+from evalkit.commands.validate.determinism_command import determinism
+from evalkit.commands.validate.equivalence_command import equiv
 from evalkit.config import adhoc_experiment, experiment
 from evalkit.config.experiment import Plan
 from evalkit.core.errors import EvalkitError, NotInstalled

@@ -8,11 +8,11 @@ def test_my_icp_keeps_the_rules():
 
 from __future__ import annotations
 
+from evalkit.commands.validate.equivalence.comparison import NotEquivalent, assert_equivalent
+from evalkit.commands.validate.rules import dataset_rules
+from evalkit.commands.validate.rules import runner as conformance
+from evalkit.commands.validate.rules.rule import Conformance, Verdict
 from evalkit.plugins.protocols import BackendSpec, DatasetSpec
-from evalkit.validation.conformance import dataset_rules
-from evalkit.validation.conformance import kit as conformance
-from evalkit.validation.conformance.rules import Conformance, Verdict
-from evalkit.validation.equivalence.comparison import NotEquivalent, assert_equivalent
 
 __all__ = ["ConformanceError", "NotEquivalent", "assert_equivalent", "check_backend", "check_dataset"]
 

@@ -6,14 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from evalkit.commands.validate.equivalence.comparison import mapper_equivalence
+from evalkit.commands.validate.equivalence.margins import Margin
+from evalkit.commands.validate.rules.scenes import drive
 from evalkit.core.errors import BackendFailed
 from evalkit.core.ground_truth import Truth
 from evalkit.core.scan import Frame
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import DatasetSpec
-from evalkit.validation.conformance.scenes import drive
-from evalkit.validation.equivalence.comparison import mapper_equivalence
-from evalkit.validation.equivalence.margins import Margin
 from evalkit_baselines import paper
 from evalkit_baselines.paper.grid import LogOddsGrid
 

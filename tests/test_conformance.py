@@ -10,11 +10,11 @@ from pathlib import Path
 import pytest
 
 from evalkit import cli
+from evalkit.commands.validate.rules import odometry_rules, registration_rules
+from evalkit.commands.validate.rules import runner as conformance
+from evalkit.commands.validate.rules.rule import verdict
 from evalkit.core.errors import BackendFailed, BadParameter, NotInstalled, UnknownName
 from evalkit.plugins import registry
-from evalkit.validation.conformance import kit as conformance
-from evalkit.validation.conformance import odometry_rules, registration_rules
-from evalkit.validation.conformance.rules import verdict
 
 sys.path.append(str(Path(__file__).parent / "misfits"))  # as a package under development would be
 faulty = importlib.import_module("faulty_backends")

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from evalkit.commands.validate.determinism import determinism, judged
 from evalkit.core.run_result import STEP, Run
-from evalkit.validation.determinism import determinism, judged
 
 
 def run(*xs):

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 import evalkit.validation.dossier as package
-from evalkit.validation.dossier import examination
-from evalkit.validation.dossier.dossier import Claim, Dossier, Level, Line
+from evalkit.commands.validate import examination
+from evalkit.commands.validate.acceptance import Claim, Dossier, Level, Line
 
 SCHEMA = json.loads((Path(package.__file__).parent / "dossier.schema.json").read_text(encoding="utf-8"))
 EFFORT = {"pairs": 4, "scans": 8, "timed": 8}

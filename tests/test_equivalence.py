@@ -9,6 +9,11 @@ import numpy as np
 import pytest
 
 from evalkit.cli import app
+from evalkit.commands.validate.equivalence.comparison import NotEquivalent, assert_equivalent, equivalence
+from evalkit.commands.validate.equivalence.divergence import first_divergence
+from evalkit.commands.validate.equivalence.lockstep import Question, asked
+from evalkit.commands.validate.equivalence.margins import Margin
+from evalkit.commands.validate.rules.scenes import drive
 from evalkit.core import se2
 from evalkit.core.errors import BackendFailed, EvalkitError, UnknownName
 from evalkit.core.ground_truth import Truth
@@ -17,11 +22,6 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import BackendSpec, DatasetSpec, NoAnswer
-from evalkit.validation.conformance.scenes import drive
-from evalkit.validation.equivalence.comparison import NotEquivalent, assert_equivalent, equivalence
-from evalkit.validation.equivalence.divergence import first_divergence
-from evalkit.validation.equivalence.lockstep import Question, asked
-from evalkit.validation.equivalence.margins import Margin
 from evalkit_baselines import open3d_icp, paper
 from evalkit_baselines.paper import icp
 from evalkit_baselines.paper.icp import Icp

@@ -67,7 +67,7 @@ def test_word_is_left_only_in_such_a_process(tmp_path, monkeypatch):
 
 
 def test_a_job_changes_with_what_it_calls_and_with_its_limits():
-    one = sandbox.job("x", "evalkit.validation.dossier.asking:rules", {"name": "paper"}, LIMITS, ())
-    assert one.key != sandbox.job("x", "evalkit.validation.dossier.asking:rules", {"name": "lib"}, LIMITS, ()).key
+    one = sandbox.job("x", "evalkit.commands.validate.probes:rules", {"name": "paper"}, LIMITS, ())
+    assert one.key != sandbox.job("x", "evalkit.commands.validate.probes:rules", {"name": "lib"}, LIMITS, ()).key
     limits = {"limit_s": 1.0}
-    assert one.key != sandbox.job("x", "evalkit.validation.dossier.asking:rules", {"name": "paper"}, limits, ()).key
+    assert one.key != sandbox.job("x", "evalkit.commands.validate.probes:rules", {"name": "paper"}, limits, ()).key

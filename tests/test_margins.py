@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from evalkit.validation.equivalence.margins import Scale, float32, interval
+from evalkit.commands.validate.equivalence.margins import Scale, float32, interval
 
 
 def test_the_float32_budget_is_what_its_derivation_says():

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import pytest
 
+from evalkit.commands.validate.rules import dataset_rules
+from evalkit.commands.validate.rules.rule import Verdict, verdict
 from evalkit.core.errors import BadParameter, DataMissing, NotInstalled
 from evalkit.core.match import Match
 from evalkit.plugins.protocols import BackendSpec, resolved
 from evalkit.testing import ConformanceError, check_backend, check_dataset
-from evalkit.validation.conformance import dataset_rules
-from evalkit.validation.conformance.rules import Verdict, verdict
 
 sys.path.append(str(Path(__file__).parent / "misfits"))  # as a package under development would be
 backends = importlib.import_module("faulty_backends")

@@ -10,18 +10,18 @@ from pathlib import Path
 import pytest
 
 from evalkit.cli import app
+from evalkit.commands.validate import answers, examination, probes, reference
+from evalkit.commands.validate.answers import Names
+from evalkit.commands.validate.equivalence.comparison import FLOAT32
+from evalkit.commands.validate.probes import EXACT
 from evalkit.core.errors import BadExperiment, BadParameter, NotInstalled, UnknownName
 from evalkit.execution import sandbox
 from evalkit.external import INCLUDE
 from evalkit.plugins import registry
-from evalkit.validation.dossier import answers, asking, examination, twins
-from evalkit.validation.dossier.answers import Names
-from evalkit.validation.dossier.asking import EXACT
-from evalkit.validation.equivalence.comparison import FLOAT32
 
 HERE = Path(__file__).parent
 EXAMPLES = INCLUDE / "examples"
-SCHEMA = json.loads((Path(twins.__file__).parent / "dossier.schema.json").read_text(encoding="utf-8"))
+SCHEMA = json.loads((Path(reference.__file__).parent / "dossier.schema.json").read_text(encoding="utf-8"))
 MARGINS = [EXACT, FLOAT32]
 ROOM = {"label": "room, seed 0", "dataset": "room", "parameters": {"laps": 0.04, "seed": 0}}
 TINY = examination.Effort(pairs=4, scans=6, drawn=3, timed=8, limit_s=60.0, map_scans=8)
@@ -68,7 +68,7 @@ def present(name):
 def registrations(backend, twin="paper", given=None):
     """Level 1 over a few pairs, in this process."""
     a, b = ({"name": name, "given": given or {}} for name in (twin, backend))
-    found = {"room, seed 0": asking.pairs_compared(a, b, ROOM, 6, True, MARGINS)}
+    found = {"room, seed 0": probes.pairs_compared(a, b, ROOM, 6, True, MARGINS)}
     margin = answers.margin_of(found, MARGINS)
     return answers.pairs(found, {}, Names(backend, twin, margin, 0.5)), margin
 
@@ -157,22 +157,22 @@ def test_a_library_goes_through_the_whole_dossier(somebodys, tmp_path):
 def test_a_crash_on_the_way_is_a_line_and_not_the_end(misfits):
     a, b = ({"name": name, "given": {}} for name in ("paper", "planted_mistakes:CRASHES_ON_SCANS"))
     given = {"a": a, "b": b, "on": ROOM, "count": 3, "exact": True, "margins": MARGINS}
-    found = {"room, seed 0": sandbox.run("evalkit.validation.dossier.asking:pairs_compared", given, 60.0, 2000)}
+    found = {"room, seed 0": sandbox.run("evalkit.commands.validate.probes:pairs_compared", given, 60.0, 2000)}
     names = Names("mine", "paper", answers.margin_of(found, MARGINS), 0.5)
     (line,) = answers.pairs(found, {}, names).failed("as-good")
     assert "SIGSEGV; it was at room, seed 0, pair 1 (pair)" in line.observed
 
 
 def test_the_twin_is_the_first_of_its_role_and_gets_the_same_settings():
-    assert twins.twin()[0] == "paper"
+    assert reference.twin()[0] == "paper"
     examined = asked("paper-tight", given={"max_iterations": "7", "epsilon": "1e-5"}, given_twin={"epsilon": "1e-3"})
     assert examined.given_twin == {"max_iterations": 7, "epsilon": 1e-3}
     assert examined.why_twin == 'the first back end by name with the role "paper"'
 
 
 def test_its_mapper_is_the_one_of_its_module():
-    assert (twins.mapper_of("embedded"), twins.mapper_of("paper-tight")) == ("embedded-log-odds", "log-odds")
-    assert twins.mapper_of("kiss-icp") == ""
+    assert (reference.mapper_of("embedded"), reference.mapper_of("paper-tight")) == ("embedded-log-odds", "log-odds")
+    assert reference.mapper_of("kiss-icp") == ""
 
 
 def test_what_is_wrong_is_told_before_anything_is_computed():

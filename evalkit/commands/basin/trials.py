@@ -11,6 +11,7 @@ import numpy as np
 from evalkit.commands.basin import convergence, scenes, sequences
 from evalkit.commands.basin.scenes import Seen
 from evalkit.commands.basin.sequences import Recorded
+from evalkit.commands.validate.rules.rule import raised
 from evalkit.core.arrays import Bools
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
@@ -20,7 +21,6 @@ from evalkit.plugins.address import address_of, spec_at
 from evalkit.plugins.code_hash import fingerprint, of_files
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import BackendSpec, Registration, Value, resolved
-from evalkit.validation.conformance.rules import raised
 
 AT_ONCE = 512
 """Attempts in one job: a few seconds of a compiled back end."""

@@ -8,6 +8,7 @@ from itertools import islice, pairwise
 
 import numpy as np
 
+from evalkit.commands.validate.rules.rule import Broken, Conformance, NotApplicable, Rule, table, verdict
 from evalkit.core.errors import DataMissing, EvalkitError
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
@@ -15,7 +16,6 @@ from evalkit.core.scan import Frame
 from evalkit.plugins import registry
 from evalkit.plugins.address import address_of, spec_at
 from evalkit.plugins.protocols import DatasetSpec, Sequence, Value, resolved
-from evalkit.validation.conformance.rules import Broken, Conformance, NotApplicable, Rule, table, verdict
 
 COVERED = 0.5
 """Share of the frames that the truth must reach: recordings may begin before their reference does."""

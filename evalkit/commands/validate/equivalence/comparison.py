@@ -9,18 +9,12 @@ from typing import Literal
 
 import numpy as np
 
-from evalkit.core.errors import BadData, BadParameter, DataMissing, NotInstalled
-from evalkit.core.pose import Pose
-from evalkit.odometry import frontend
-from evalkit.plugins import registry
-from evalkit.plugins.address import address_of, spec_at
-from evalkit.plugins.parameter_parsing import from_text
-from evalkit.plugins.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter, Sequence, Value, resolved
-from evalkit.validation.equivalence import cells, lockstep
-from evalkit.validation.equivalence.agreement import Equivalence, Level
-from evalkit.validation.equivalence.divergence import Divergence, first_divergence
-from evalkit.validation.equivalence.lockstep import Exchange, Side, Step
-from evalkit.validation.equivalence.margins import (
+from evalkit.commands.validate.equivalence import lockstep, map_cells
+from evalkit.commands.validate.equivalence.agreement import Equivalence, Level
+from evalkit.commands.validate.equivalence.diagnosis import explanation, in_answer
+from evalkit.commands.validate.equivalence.divergence import Divergence, first_divergence
+from evalkit.commands.validate.equivalence.lockstep import Exchange, Side, Step
+from evalkit.commands.validate.equivalence.margins import (
     Interval,
     Margin,
     Scale,
@@ -29,7 +23,13 @@ from evalkit.validation.equivalence.margins import (
     interval,
     pose_intervals,
 )
-from evalkit.validation.equivalence.mistakes import explanation, in_answer
+from evalkit.core.errors import BadData, BadParameter, DataMissing, NotInstalled
+from evalkit.core.pose import Pose
+from evalkit.odometry import frontend
+from evalkit.plugins import registry
+from evalkit.plugins.address import address_of, spec_at
+from evalkit.plugins.parameter_parsing import from_text
+from evalkit.plugins.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter, Sequence, Value, resolved
 
 Known = Margin | Literal["float32"]
 Given = Mapping[str, object]
@@ -100,7 +100,7 @@ def mapper_equivalence(
         for label, spec, given in ((label_a, spec_a, set_a), (label_b, spec_b, set_b))
     )
     name, sequence = _sequence(on, set_on or {})
-    drawing = cells.compared(
+    drawing = map_cells.compared(
         label_a, lambda: spec_a.make(**known_a), lambda: spec_b.make(**known_b), _drawn(sequence, scans), known.log_odds
     )
     n = len(drawing.largest)
@@ -286,6 +286,6 @@ def _mapper(name: str, mapper: str | MapperSpec) -> tuple[str, MapperSpec]:
     return label, spec
 
 
-def _drawn(sequence: Sequence, scans: int) -> Iterator[cells.Drawn]:
+def _drawn(sequence: Sequence, scans: int) -> Iterator[map_cells.Drawn]:
     for frame in islice(sequence.frames(), scans):
         yield frame.scan, (frame.odom_from_base or Pose()) @ frame.base_from_sensor

@@ -12,13 +12,13 @@ from typing import Any
 
 import numpy as np
 
+from evalkit.commands.validate.rules.rule import raised
 from evalkit.core.errors import BackendFailed
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.odometry import frontend
 from evalkit.plugins.protocols import BackendSpec, NoAnswer, Odometry, Registration, Sequence, Value
-from evalkit.validation.conformance.rules import raised
 
 DISTURBED = "-disturbed"
 """Ending of the stage of a question whose guess is off."""

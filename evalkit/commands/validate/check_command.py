@@ -12,8 +12,8 @@ from rich.text import Text
 from evalkit import console
 from evalkit.commands import options
 from evalkit.commands.options import Json, out
+from evalkit.commands.validate.rules import runner as conformance
 from evalkit.plugins.parameter_parsing import from_text
-from evalkit.validation.conformance import kit as conformance
 
 
 def check(

@@ -25,7 +25,7 @@ def determinism(
     as_json: Json = False,
 ) -> None:
     """Tell bit-equal, thread-dependent and not deterministic back ends apart; 1 if one differs with one thread."""
-    from evalkit.validation import determinism as validation  # noqa: PLC0415 - loads the runner: only who asks pays
+    from evalkit.commands.validate import determinism as validation  # noqa: PLC0415 - loads the runner: only who asks pays
 
     options.modules_from_here()
     course = registry.dataset(on)

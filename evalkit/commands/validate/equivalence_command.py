@@ -27,7 +27,7 @@ def equiv(
     as_json: Json = False,
 ) -> None:
     """Find where two back ends (or mappers) first differ, and why; 0 if equivalent within the margin, 1 if not."""
-    from evalkit.validation.equivalence import comparison as equivalence  # noqa: PLC0415 - loads scipy.stats: only who compares pays for it
+    from evalkit.commands.validate.equivalence import comparison as equivalence  # noqa: PLC0415 - loads scipy.stats: only who compares pays for it
 
     options.modules_from_here()
     known = equivalence.margin(margin, margin_m, margin_rad, margin_log_odds)

@@ -8,9 +8,9 @@ from typing import Any, Literal
 
 import numpy as np
 
-from evalkit.validation.equivalence.divergence import Divergence
-from evalkit.validation.equivalence.lockstep import DISTURBED
-from evalkit.validation.equivalence.margins import LEVEL, Interval, Margin
+from evalkit.commands.validate.equivalence.divergence import Divergence
+from evalkit.commands.validate.equivalence.lockstep import DISTURBED
+from evalkit.commands.validate.equivalence.margins import LEVEL, Interval, Margin
 
 Level = Literal["pairs of every iteration", "poses of every iteration", "answers", "trajectories", "cells"]
 

@@ -9,6 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from evalkit.commands.validate.equivalence import comparison as equivalence
+from evalkit.commands.validate.equivalence.lockstep import Side
+from evalkit.commands.validate.pairs import pairs
+from evalkit.commands.validate.probes import Data, Named
 from evalkit.core.match import Match
 from evalkit.core.scan import Frame
 from evalkit.core.timing import Timing, timed
@@ -17,10 +21,6 @@ from evalkit.execution.sandbox import at
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import NoAnswer, Odometry
-from evalkit.validation.dossier.asking import Data, Named
-from evalkit.validation.dossier.pairs import pairs
-from evalkit.validation.equivalence import comparison as equivalence
-from evalkit.validation.equivalence.lockstep import Side
 
 WARM_UP = 5
 """Scans, or pairs of scans, shown before the clock starts."""

@@ -9,6 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
+from evalkit.commands.validate.acceptance import Level, Line
+from evalkit.commands.validate.answers import Names, ended, words
+from evalkit.commands.validate.equivalence.map_cells import Layers
 from evalkit.core import se2
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
@@ -17,9 +20,6 @@ from evalkit.execution.sandbox import ENDED
 from evalkit.metrics.runtime import period_ns
 from evalkit.metrics.trajectory import MAX_GAP_S, bracketed, rms
 from evalkit.stats.statistics import Interval, block_bootstrap, block_length, paired_difference
-from evalkit.validation.dossier.answers import Names, ended, words
-from evalkit.validation.dossier.dossier import Level, Line
-from evalkit.validation.equivalence.cells import Layers
 
 CONFIDENCE = 0.90
 """Of all intervals: two one-sided tests at 5 %."""

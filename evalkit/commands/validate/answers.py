@@ -10,15 +10,15 @@ from typing import Any
 
 import numpy as np
 
+from evalkit.commands.validate.acceptance import Ground, Level, Line
+from evalkit.commands.validate.equivalence.comparison import FLOAT32, ROUNDING
+from evalkit.commands.validate.equivalence.lockstep import DISTURBED
+from evalkit.commands.validate.equivalence.margins import Interval, interval
 from evalkit.core import se2
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
 from evalkit.execution.job_store import Result
 from evalkit.execution.sandbox import ENDED
-from evalkit.validation.dossier.dossier import Ground, Level, Line
-from evalkit.validation.equivalence.comparison import FLOAT32, ROUNDING
-from evalkit.validation.equivalence.lockstep import DISTURBED
-from evalkit.validation.equivalence.margins import Interval, interval
 
 STAGES = {"s2s": "scan to scan", "s2m": "scan to map"}
 

@@ -19,13 +19,13 @@ from rich.text import Text
 from evalkit import console
 from evalkit.commands import options
 from evalkit.commands.options import Jobs, Json, err, out
+from evalkit.commands.validate.acceptance import Claim, Dossier
 from evalkit.config.experiment import Plan
 from evalkit.core.errors import BadParameter
 from evalkit.execution import environment
 from evalkit.execution.scheduler import Progress
 from evalkit.plugins import registry
 from evalkit.results.store import Store
-from evalkit.validation.dossier.dossier import Claim, Dossier
 
 FULL_ON = ("room laps=0.6", "lab laps=0.6", "fr079 limit=600")
 QUICK_ON = ("room laps=0.15", "lab laps=0.15", "fr079 limit=90")
@@ -67,7 +67,7 @@ def validate(
     as_json: Json = False,
 ) -> None:
     """Validate an implementation: is it right, how fast, and where does it first differ from its twin? 0 yes, 1 no."""
-    from evalkit.validation.dossier import examination  # noqa: PLC0415 - loads scipy.stats: only who validates pays for it
+    from evalkit.commands.validate import examination  # noqa: PLC0415 - loads scipy.stats: only who validates pays for it
 
     _modules_from_here(backend, twin, *(against or []))
     asked = examination.Asked(
@@ -102,7 +102,7 @@ def _runs(plan: Plan, workers: int) -> Iterator[Progress]:
 
 def _write(found: Dossier, folder: Path, command: str) -> Path:
     """The page and the JSON of a dossier in its folder."""
-    from evalkit.commands import validate_page  # noqa: PLC0415 - loads matplotlib: only who draws pays for it
+    from evalkit.commands.validate import page as validate_page  # noqa: PLC0415 - loads matplotlib: only who draws pays for it
 
     store = Store(folder)
     store.write_text(folder / "dossier.json", validate_page.json_text(found))

@@ -12,13 +12,13 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+from evalkit.commands.validate.rules.rule import Conformance, Rule, Verdict, not_asked
+from evalkit.commands.validate.rules.worker import NOT_INSTALLED, REQUEST, RULES, STARTS, VERDICTS, Request
 from evalkit.core.errors import BackendFailed, NotInstalled, UnknownName
 from evalkit.execution import subprocesses
 from evalkit.plugins import registry
 from evalkit.plugins.address import Address, address_of, spec_at
 from evalkit.plugins.protocols import BackendSpec, Value, resolved
-from evalkit.validation.conformance.examiner import NOT_INSTALLED, REQUEST, RULES, STARTS, VERDICTS, Request
-from evalkit.validation.conformance.rules import Conformance, Rule, Verdict, not_asked
 
 PATIENCE = 3
 """After so many ends of the process the rest is not asked any more."""
@@ -124,7 +124,7 @@ class _Examination:
             request = Request(asdict(self._address), self._parameters, names, path)
             (folder / REQUEST).write_text(json.dumps(asdict(request)), encoding="utf-8")
             with (folder / OUTPUT).open("ab") as output:
-                process = subprocesses.started("evalkit.validation.conformance.examiner", folder, output)
+                process = subprocesses.started("evalkit.commands.validate.rules.worker", folder, output)
                 try:
                     limit = self._watched(process, folder)
                 finally:

@@ -9,6 +9,11 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from evalkit.commands.validate import answers, costs, paths, reference
+from evalkit.commands.validate.acceptance import Claim, Dossier, Level
+from evalkit.commands.validate.answers import Names
+from evalkit.commands.validate.equivalence.comparison import FLOAT32
+from evalkit.commands.validate.probes import EXACT
 from evalkit.config import experiment
 from evalkit.config.experiment import Course, Limits, Plan
 from evalkit.core.errors import BadParameter, NotInstalled
@@ -22,13 +27,8 @@ from evalkit.plugins import code_hash, registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import BackendSpec, Value
 from evalkit.results.store import Store
-from evalkit.validation.dossier import answers, costs, paths, twins
-from evalkit.validation.dossier.answers import Names
-from evalkit.validation.dossier.asking import EXACT
-from evalkit.validation.dossier.dossier import Claim, Dossier, Level
-from evalkit.validation.equivalence.comparison import FLOAT32
 
-ASKING, PACE = "evalkit.validation.dossier.asking", "evalkit.validation.dossier.pace"
+ASKING, PACE = "evalkit.commands.validate.probes", "evalkit.commands.validate.pace"
 AUTO = "auto"
 COPIES = 5
 """Copies of a sequence that tell how far rounding alone leads."""
@@ -245,7 +245,7 @@ class Examination:
 
 def examination(asked: Asked) -> Examination:
     """Everything checked before anything is computed; NotInstalled, UnknownName or BadParameter say what is wrong."""
-    twin, why = (asked.twin, "named with --twin") if asked.twin else twins.twin()
+    twin, why = (asked.twin, "named with --twin") if asked.twin else reference.twin()
     for name in (asked.backend, twin):
         if why_not := _unfit(registry.backend(name)):
             raise NotInstalled(name, "cannot be validated here", why_not)
@@ -255,9 +255,9 @@ def examination(asked: Asked) -> Examination:
     wanted = [name for name in dict.fromkeys(asked.against) if name not in (asked.backend, twin)]
     absent = {name: missing for name in wanted if (missing := _unfit(registry.entrant(name)))}
     here = [name for name in wanted if name not in absent]
-    bars = [name for name in twins.bars() if name not in (asked.backend, twin, *here)]
-    mapper = asked.mapper or twins.mapper_of(asked.backend)
-    mappers = (mapper, twins.mapper_of(twin)) if mapper else ("", "")
+    bars = [name for name in reference.bars() if name not in (asked.backend, twin, *here)]
+    mapper = asked.mapper or reference.mapper_of(asked.backend)
+    mappers = (mapper, reference.mapper_of(twin)) if mapper else ("", "")
     against = (*here, *bars)
     plan = _plan(asked, twin, given, given_twin, against)
     absent |= {course.label: course.missing for course in plan.courses if course.missing}

@@ -6,7 +6,9 @@ import json
 import re
 from collections.abc import Mapping
 
-from evalkit.commands.validate_charts import figures
+from evalkit.commands.validate.acceptance import Dossier, Level, Line, Outcome
+from evalkit.commands.validate.answers import GROUNDS
+from evalkit.commands.validate.charts import figures
 from evalkit.report.html.document import (
     Block,
     Bullets,
@@ -22,14 +24,12 @@ from evalkit.report.html.document import (
     Tone,
     render,
 )
-from evalkit.validation.dossier.answers import GROUNDS
-from evalkit.validation.dossier.dossier import Dossier, Level, Line, Outcome
 
 TONES: Mapping[Outcome, Tone] = {"passed": "good", "failed": "bad", "told": "", "not applicable": ""}
 
 
 def json_text(found: Dossier) -> str:
-    """The JSON form (``evalkit/validation/dossier/dossier.schema.json``)."""
+    """The JSON form (``evalkit/commands/validate/acceptance.schema.json``)."""
     return json.dumps(found.as_json(), indent=1) + "\n"
 
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import psutil
 
-from evalkit.validation.conformance.rules import Broken
+from evalkit.commands.validate.rules.rule import Broken
 
 WARM_UP_CALLS = 30
 CALLS = 40

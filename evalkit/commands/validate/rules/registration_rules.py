@@ -9,13 +9,13 @@ from functools import cached_property
 
 import numpy as np
 
+from evalkit.commands.validate.rules.memory_leak import grown_bytes
+from evalkit.commands.validate.rules.rule import Broken, Rule, raised, table
+from evalkit.commands.validate.rules.scenes import Pair, away, clear_pair, noisy_pair, told, wall_pair
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.plugins.protocols import Registration
-from evalkit.validation.conformance.growth import grown_bytes
-from evalkit.validation.conformance.rules import Broken, Rule, raised, table
-from evalkit.validation.conformance.scenes import Pair, away, clear_pair, noisy_pair, told, wall_pair
 
 EXACT_M = 0.02
 """Without noise and with a good guess: 1 cm and 0.15 degrees. Voxels and stop rules may blur that much."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from evalkit.commands.validate.equivalence.lockstep import DISTURBED, DISTURBED_M, DISTURBED_RAD, Question, Side
 from evalkit.core import se2
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
@@ -17,7 +18,6 @@ from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.trajectory import MAX_GAP_S, bracketed
 from evalkit.odometry import frontend
 from evalkit.plugins.protocols import Odometry, Sequence
-from evalkit.validation.equivalence.lockstep import DISTURBED, DISTURBED_M, DISTURBED_RAD, Question, Side
 
 STAGE = "pair"
 CALM_M, CALM_RAD = 0.05, 0.035

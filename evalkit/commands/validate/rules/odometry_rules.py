@@ -9,15 +9,15 @@ from typing import Literal
 
 import numpy as np
 
+from evalkit.commands.validate.rules.memory_leak import grown_bytes
+from evalkit.commands.validate.rules.registration_rules import NEAR_ENOUGH, turn_in_radians
+from evalkit.commands.validate.rules.rule import Broken, NotApplicable, Rule, raised, table
+from evalkit.commands.validate.rules.scenes import Drive, away, drive, told, without_hits
 from evalkit.core.errors import EvalkitError
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.plugins.protocols import NoAnswer, Odometry
-from evalkit.validation.conformance.growth import grown_bytes
-from evalkit.validation.conformance.registration_rules import NEAR_ENOUGH, turn_in_radians
-from evalkit.validation.conformance.rules import Broken, NotApplicable, Rule, raised, table
-from evalkit.validation.conformance.scenes import Drive, away, drive, told, without_hits
 
 ON_TRACK_M = 0.25
 """At the end of 0.6 m and 0.6 rad: two voxels of a usual map, its turn felt half a room away."""

@@ -7,6 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from evalkit.commands.validate.acceptance import Level
+from evalkit.commands.validate.answers import errors, told_stage
+from evalkit.commands.validate.costs import milliseconds
+from evalkit.commands.validate.equivalence.map_cells import Layers
+from evalkit.commands.validate.paths import distances
 from evalkit.core import se2
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Trial
@@ -16,11 +21,6 @@ from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve, Points
 from evalkit.report.html.document import Figure
 from evalkit.report.html.palette import TRUTH, strokes
-from evalkit.validation.dossier.answers import errors, told_stage
-from evalkit.validation.dossier.costs import milliseconds
-from evalkit.validation.dossier.dossier import Level
-from evalkit.validation.dossier.paths import distances
-from evalkit.validation.equivalence.cells import Layers
 
 LEAST_M = 1e-17
 """Nothing nearer is drawn farther to the left: there are no numbers between 0 and this that mean a difference."""

@@ -8,6 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from evalkit.commands.validate.equivalence.diagnosis import Kind
+from evalkit.commands.validate.equivalence.divergence import Divergence
+from evalkit.commands.validate.equivalence.lockstep import REMEDY
+from evalkit.commands.validate.rules.rule import raised
 from evalkit.core import se2
 from evalkit.core.arrays import Bools, Ints
 from evalkit.core.errors import BackendFailed
@@ -16,10 +20,6 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats
 from evalkit.plugins.protocols import Mapper
-from evalkit.validation.conformance.rules import raised
-from evalkit.validation.equivalence.divergence import Divergence
-from evalkit.validation.equivalence.lockstep import REMEDY
-from evalkit.validation.equivalence.mistakes import Kind
 
 Drawn = tuple[Scan, Pose]
 """A scan and its ``world_from_sensor``."""

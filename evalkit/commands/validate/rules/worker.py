@@ -1,4 +1,4 @@
-"""Rules asked in this process: ``python -m evalkit.validation.conformance.examiner FOLDER`` reads the request there.
+"""Rules asked in this process: ``python -m evalkit.commands.validate.rules.worker FOLDER`` reads the request there.
 
 Each rule's beginning and verdict are on disk before the next one begins, so that whatever ends this process, it is
 known which question did.
@@ -14,13 +14,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TextIO
 
+from evalkit.commands.validate.rules import odometry_rules, registration_rules
+from evalkit.commands.validate.rules.rule import Rule, verdict
 from evalkit.core.errors import NotInstalled
 from evalkit.execution import parent_watch
 from evalkit.plugins import registry
 from evalkit.plugins.address import Address, spec_at
 from evalkit.plugins.protocols import BackendSpec, Value
-from evalkit.validation.conformance import odometry_rules, registration_rules
-from evalkit.validation.conformance.rules import Rule, verdict
 
 REQUEST = "request.json"
 VERDICTS = "verdicts.jsonl"

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
+from evalkit.commands.validate.equivalence.diagnosis import Kind, in_start
+from evalkit.commands.validate.equivalence.lockstep import Question
 from evalkit.core import se2
 from evalkit.core.arrays import Bools, Ints
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
-from evalkit.validation.equivalence.lockstep import Question
-from evalkit.validation.equivalence.mistakes import Kind, in_start
 
 NEARLY_ALL = 0.98
 """Another start explains pairs if this share of them are nearest neighbours from there."""

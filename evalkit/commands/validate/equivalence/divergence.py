@@ -7,14 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from evalkit.core.arrays import Ints
-from evalkit.core.match import Iteration, Match
-from evalkit.core.pose import Pose
-from evalkit.core.se2 import Floats
-from evalkit.validation.equivalence import pairing
-from evalkit.validation.equivalence.lockstep import Exchange, Question
-from evalkit.validation.equivalence.margins import FLOAT32_ROUNDOFF, TIE_ROUNDINGS, Margin, Scale, float32
-from evalkit.validation.equivalence.mistakes import (
+from evalkit.commands.validate.equivalence import correspondences
+from evalkit.commands.validate.equivalence.diagnosis import (
     Kind,
     Mistake,
     apart,
@@ -24,6 +18,12 @@ from evalkit.validation.equivalence.mistakes import (
     in_answer,
     in_step,
 )
+from evalkit.commands.validate.equivalence.lockstep import Exchange, Question
+from evalkit.commands.validate.equivalence.margins import FLOAT32_ROUNDOFF, TIE_ROUNDINGS, Margin, Scale, float32
+from evalkit.core.arrays import Ints
+from evalkit.core.match import Iteration, Match
+from evalkit.core.pose import Pose
+from evalkit.core.se2 import Floats
 
 
 @dataclass(frozen=True)
@@ -97,11 +97,11 @@ class _Comparison:
                 return None
             kind: Kind = "outlier rule"
             return self._found(number, "pairs", kind, f"{a.inliers} pairs against {b.inliers}; not both tell which")
-        if pairing.same(a.pairs, b.pairs):
+        if correspondences.same(a.pairs, b.pairs):
             return None
         parted = apart(before_a.row, before_b.row, self._scale.reach_m)
         tolerance_m = 2.0 * parted + TIE_ROUNDINGS * FLOAT32_ROUNDOFF * self._scale.reach_m
-        kind, what = pairing.told(self._question, before_a, a.pairs, b.pairs, tolerance_m, number == 1)
+        kind, what = correspondences.told(self._question, before_a, a.pairs, b.pairs, tolerance_m, number == 1)
         return self._found(number, "pairs", kind, what)
 
     def _of_pose(self, number: int, before: Pose, a: Iteration, b: Iteration) -> Divergence | None:

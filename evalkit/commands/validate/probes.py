@@ -8,6 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from evalkit.commands.validate import pairs
+from evalkit.commands.validate.equivalence import comparison as equivalence
+from evalkit.commands.validate.equivalence import lockstep
+from evalkit.commands.validate.equivalence.comparison import FLOAT32, ROUNDING, Known
+from evalkit.commands.validate.equivalence.divergence import first_divergence
+from evalkit.commands.validate.equivalence.lockstep import Exchange, Side
+from evalkit.commands.validate.equivalence.margins import FLOAT32_ROUNDOFF, TIE_ROUNDINGS, Margin, difference
+from evalkit.commands.validate.pairs import Pair, TwoScans
+from evalkit.commands.validate.rules import runner as conformance
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
@@ -17,15 +26,6 @@ from evalkit.execution.sandbox import at
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import NoAnswer, Odometry, Sequence, Value
-from evalkit.validation.conformance import kit as conformance
-from evalkit.validation.dossier import pairs
-from evalkit.validation.dossier.pairs import Pair, TwoScans
-from evalkit.validation.equivalence import comparison as equivalence
-from evalkit.validation.equivalence import lockstep
-from evalkit.validation.equivalence.comparison import FLOAT32, ROUNDING, Known
-from evalkit.validation.equivalence.divergence import first_divergence
-from evalkit.validation.equivalence.lockstep import Exchange, Side
-from evalkit.validation.equivalence.margins import FLOAT32_ROUNDOFF, TIE_ROUNDINGS, Margin, difference
 
 Named = Mapping[str, Any]
 """A back end: its "name", and what is "given" to it."""

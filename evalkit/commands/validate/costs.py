@@ -7,13 +7,13 @@ from pathlib import Path
 
 import numpy as np
 
+from evalkit.commands.validate.acceptance import Level, Line, Outcome
+from evalkit.commands.validate.answers import Names
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
 from evalkit.execution.job_store import Result
 from evalkit.execution.sandbox import ENDED
 from evalkit.external import elf
-from evalkit.validation.dossier.answers import Names
-from evalkit.validation.dossier.dossier import Level, Line, Outcome
 
 MS = 1e-6
 

@@ -1,0 +1,1 @@
+"""``evalkit validate``: check an implementation against rules and a reference."""

@@ -1,0 +1,1 @@
+"""Compare two implementations question by question, in lockstep."""

@@ -1,0 +1,1 @@
+"""Rules every back end and data set must keep."""

@@ -1,1 +1,0 @@
-"""What is known of an implementation, level by level, up to one verdict."""
