@@ -23,7 +23,7 @@ from evalkit.commands.diff.benchmark_command import bench
 from evalkit.commands.diff.command import diff
 from evalkit.commands.ending import ABSENT, Row
 from evalkit.commands.export import export
-from evalkit.commands.metrics import metrics
+from evalkit.commands.metric_validation.command import metrics
 from evalkit.commands.options import (
     AccuracyOnly,
     Collect,

@@ -9,7 +9,11 @@ from typer.testing import CliRunner
 
 from evalkit import metrics
 from evalkit.cli import app
-from evalkit.commands import metrics as commands
+from evalkit.commands.metric_validation import command as commands
+from evalkit.commands.metric_validation import map_rebuilding
+from evalkit.commands.metric_validation import measured as trust
+from evalkit.commands.metric_validation.fault_injection import NO_MISTAKE, PLANTS
+from evalkit.commands.metric_validation.rank_agreement import reference_free
 from evalkit.core.errors import UnknownName
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
@@ -19,10 +23,6 @@ from evalkit.metrics import evaluate
 from evalkit.metrics.table import Evidence
 from evalkit.metrics.trajectory import match
 from evalkit.report.html.document import render
-from evalkit.validation.trust import measured as trust
-from evalkit.validation.trust import rebuilding
-from evalkit.validation.trust.planted import NO_MISTAKE, PLANTS
-from evalkit.validation.trust.ranking import reference_free
 
 
 def told(*words):
@@ -106,7 +106,7 @@ def answer(job):
 
 
 def test_a_page_tells_ranks_and_mistakes_of_any_result():
-    from evalkit.commands import metrics_page
+    from evalkit.commands.metric_validation import page as metrics_page
 
     asked = trust.Asked(("lab", "room"), 3)
     results = {job.name: answer(job) for job in trust.jobs(asked)}
@@ -129,8 +129,8 @@ def test_sizes_reach_from_the_smallest_to_the_largest():
 
 
 def test_a_clean_run_of_given_poses_has_no_error():
-    sequence = rebuilding.recording("room", 0)
-    run = rebuilding.run_of(sequence, rebuilding.true_poses(sequence))
+    sequence = map_rebuilding.recording("room", 0)
+    run = map_rebuilding.run_of(sequence, map_rebuilding.true_poses(sequence))
     evidence = evaluate.without_map(run, sequence)
     assert metrics.score(evidence)["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from evalkit.commands.metric_validation.perturbation import WAYS
 from evalkit.core import se2
-from evalkit.validation.trust.corruption import WAYS
 
 
 def line(count=101):

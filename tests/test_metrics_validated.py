@@ -5,11 +5,11 @@ from importlib.resources import files
 
 import pytest
 
+from evalkit.commands.metric_validation import map_rebuilding
+from evalkit.commands.metric_validation.fault_injection import PLANTS
+from evalkit.commands.metric_validation.perturbation import WAYS
+from evalkit.commands.metric_validation.rank_agreement import reference_free
 from evalkit.metrics.validated import shipped
-from evalkit.validation.trust import rebuilding
-from evalkit.validation.trust.corruption import WAYS
-from evalkit.validation.trust.planted import PLANTS
-from evalkit.validation.trust.ranking import reference_free
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +39,9 @@ def test_it_tells_how_it_was_made(content):
 def test_a_part_of_it_computed_again_is_the_same(content):
     of = {(row["way"], row["size"]): row for row in content["rows"] if row["world"] == "room"}
     size = 0.4
-    made = rebuilding.spoiled("room", "jump", [size], content["seed"], content["mapper"], content["scans"])["rows"][0]
+    made = map_rebuilding.spoiled("room", "jump", [size], content["seed"], content["mapper"], content["scans"])["rows"][
+        0
+    ]
     kept = of["jump", size]
     assert made["ate_rmse_m"] == pytest.approx(kept["error_m"], rel=1e-6)
     for name, value in kept["scores"].items():

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from evalkit.validation.trust.ranking import Row, ranks, reference_free, spearman
+from evalkit.commands.metric_validation.rank_agreement import Row, ranks, reference_free, spearman
 
 NAMES = [metric.name for metric in reference_free()]
 

@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from evalkit.commands.metric_validation.fault_injection import CAUGHT, GOOD_M, MOST
+from evalkit.commands.metric_validation.measured import PILOT
 from evalkit.metrics import METRICS
 from evalkit.metrics.table import Metric
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Points
 from evalkit.report.html.document import Bullets, Cell, Column, Command, Document, Figure, Figures, Section, Table, Text
 from evalkit.report.html.palette import HUES
-from evalkit.validation.trust.measured import PILOT
-from evalkit.validation.trust.planted import CAUGHT, GOOD_M, MOST
 
 KNOWN = {metric.name: metric for metric in METRICS}
 SHOWN = 5

@@ -10,10 +10,10 @@ import numpy as np
 from scipy import stats
 
 from evalkit import metrics
+from evalkit.commands.metric_validation.map_rebuilding import CLEAN
 from evalkit.core.se2 import Floats
 from evalkit.metrics.table import Metric
 from evalkit.stats.statistics import CONFIDENCE, Interval
-from evalkit.validation.trust.rebuilding import CLEAN
 
 ERROR = "ate_rmse_m"
 DRAWS = 1000

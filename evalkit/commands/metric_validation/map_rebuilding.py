@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from evalkit import metrics
+from evalkit.commands.metric_validation.perturbation import WAYS
 from evalkit.core import se2
 from evalkit.core.run_result import STEP, Run
 from evalkit.core.se2 import Floats
@@ -18,7 +19,6 @@ from evalkit.metrics import evaluate
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Mapper, Value, resolved
 from evalkit.plugins.protocols import Sequence as Recording
-from evalkit.validation.trust.corruption import WAYS
 
 SWIFT: dict[str, Value] = {"rate_hz": 5.0, "speed_mps": 0.6}
 """A drive that takes half as many scans and half the time, where a world has these settings."""
@@ -32,7 +32,7 @@ def job(world: str, way: str, sizes: Sequence[float], seed: int, mapper: str, sc
     arguments = {
         "world": world, "way": way, "sizes": list(sizes), "seed": seed, "mapper": mapper, "scans": scans,
     }  # fmt: skip
-    return Job(f"{world} {way}", "evalkit.validation.trust.rebuilding:spoiled", arguments, plug_ins)
+    return Job(f"{world} {way}", "evalkit.commands.metric_validation.map_rebuilding:spoiled", arguments, plug_ins)
 
 
 def spoiled(world: str, way: str, sizes: list[float], seed: int, mapper: str, scans: int) -> dict[str, Any]:

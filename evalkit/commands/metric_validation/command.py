@@ -85,9 +85,9 @@ def validate(
     as_json: Json = False,
 ) -> None:
     """Measure how metrics without a truth follow the true error of maps that are spoiled in known ways."""
-    from evalkit.commands import metrics_page  # noqa: PLC0415 - loads matplotlib
+    from evalkit.commands.metric_validation import measured as trust  # noqa: PLC0415 - loads scipy.stats
+    from evalkit.commands.metric_validation import page  # noqa: PLC0415 - loads matplotlib
     from evalkit.report.html.document import render  # noqa: PLC0415 - as above
-    from evalkit.validation.trust import measured as trust  # noqa: PLC0415 - loads scipy.stats
 
     worlds = tuple(dict.fromkeys(world or (("lab",) if quick else trust.WORLDS)))
     asked = trust.Asked(worlds, 2 if quick else sizes, seed, mapper, min(scans, 40) if quick else scans)
@@ -97,7 +97,7 @@ def validate(
     texts = {
         "validated.json": json.dumps(content, indent=1) + "\n",
         "validated.csv": trust.as_csv(trust.rows(asked, results)),
-        "index.html": render(metrics_page.document(content)),
+        "index.html": render(page.document(content)),
     }
     write_texts(folder, texts)
     if as_json:
@@ -118,7 +118,7 @@ def selftest(
     as_json: Json = False,
 ) -> None:
     """Plant mistakes between a sequence and its scores; exit code 1 if one of them is not plain in the numbers."""
-    from evalkit.validation.trust import measured as trust  # noqa: PLC0415 - loads scipy.stats
+    from evalkit.commands.metric_validation import measured as trust  # noqa: PLC0415 - loads scipy.stats
 
     asked = trust.Asked(seed=seed, mapper=mapper, plants_in=world)
     results = _made(trust.planting(asked), folder or Path("reports") / "build" / "metrics", jobs)
@@ -137,7 +137,7 @@ def _metrics() -> tuple[Metric, ...]:
 
 
 def _card(metric: Metric) -> dict[str, Any]:
-    from evalkit.validation.trust.measured import interval  # noqa: PLC0415 - loads scipy.stats
+    from evalkit.commands.metric_validation.measured import interval  # noqa: PLC0415 - loads scipy.stats
 
     trust = _trust(metric)
     return {
@@ -218,7 +218,7 @@ def _told(found: dict[str, float] | None) -> str:
 def _planted(found: list[dict[str, Any]]) -> Any:
     from rich.table import Table  # noqa: PLC0415 - only where a table is printed
 
-    from evalkit.commands.metrics_page import times  # noqa: PLC0415 - loads matplotlib
+    from evalkit.commands.metric_validation.page import times  # noqa: PLC0415 - loads matplotlib
 
     table = Table("planted mistake", "what it is", "shown by (times as bad)")
     for row in found:

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit import metrics
+from evalkit.commands.metric_validation import perturbation
+from evalkit.commands.metric_validation.map_rebuilding import recording, run_of, scored, true_poses
 from evalkit.core import se2
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
@@ -19,8 +21,6 @@ from evalkit.execution.job_store import Job
 from evalkit.metrics.table import Metric
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Sequence
-from evalkit.validation.trust import corruption
-from evalkit.validation.trust.rebuilding import recording, run_of, scored, true_poses
 
 Steps = NDArray[np.void]
 
@@ -135,13 +135,13 @@ def job(plant: str, world: str, seed: int, mapper: str, scans: int) -> Job:
     """The job of one mistake, or of none."""
     plug_ins = (registry.plug_in_of("datasets", world).module, registry.plug_in_of("mappers", mapper).module)
     arguments = {"plant": plant, "world": world, "seed": seed, "mapper": mapper, "scans": scans}
-    return Job(f"planted {plant}", "evalkit.validation.trust.planted:planted", arguments, plug_ins)
+    return Job(f"planted {plant}", "evalkit.commands.metric_validation.fault_injection:planted", arguments, plug_ins)
 
 
 def planted(plant: str, world: str, seed: int, mapper: str, scans: int) -> dict[str, Any]:
     """Every metric of a good run over a world with one mistake planted into it."""
     sequence = recording(world, seed)
-    poses = corruption.jitter(true_poses(sequence), GOOD_M, np.random.default_rng(seed))
+    poses = perturbation.jitter(true_poses(sequence), GOOD_M, np.random.default_rng(seed))
     run = run_of(sequence, poses)
     if plant != NO_MISTAKE:
         run, sequence = tampered(run, sequence, PLANTS[plant])

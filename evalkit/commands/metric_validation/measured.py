@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from evalkit.commands.metric_validation import fault_injection, map_rebuilding, rank_agreement
+from evalkit.commands.metric_validation.fault_injection import NO_MISTAKE, PLANTS, Sighting
+from evalkit.commands.metric_validation.map_rebuilding import CLEAN
+from evalkit.commands.metric_validation.perturbation import WAYS
+from evalkit.commands.metric_validation.rank_agreement import Row
 from evalkit.execution.job_store import Job, Result
 from evalkit.stats.statistics import Interval
-from evalkit.validation.trust import planted, ranking, rebuilding
-from evalkit.validation.trust.corruption import WAYS
-from evalkit.validation.trust.planted import NO_MISTAKE, PLANTS, Sighting
-from evalkit.validation.trust.ranking import Row
-from evalkit.validation.trust.rebuilding import CLEAN
 
 WORLDS = ("lab", "office", "room")
 SCANS = 150
@@ -54,12 +54,12 @@ def jobs(asked: Asked) -> list[Job]:
 def planting(asked: Asked) -> list[Job]:
     """A job for every planted mistake, and for the run without one."""
     at = (asked.plants_in, asked.seed, asked.mapper, asked.scans)
-    return [planted.job(plant, *at) for plant in (NO_MISTAKE, *PLANTS)]
+    return [fault_injection.job(plant, *at) for plant in (NO_MISTAKE, *PLANTS)]
 
 
 def _spoiling(asked: Asked) -> list[Job]:
     return [
-        rebuilding.job(world, way, sizes(way, asked.sizes), asked.seed, asked.mapper, asked.scans)
+        map_rebuilding.job(world, way, sizes(way, asked.sizes), asked.seed, asked.mapper, asked.scans)
         for world in asked.worlds
         for way in (CLEAN, *WAYS)
     ]
@@ -81,25 +81,25 @@ def rows(asked: Asked, results: Mapping[str, Result]) -> list[Row]:
         row
         for world in asked.worlds
         for way in (CLEAN, *WAYS)
-        for row in ranking.rows_of(world, way, results[f"{world} {way}"])
+        for row in rank_agreement.rows_of(world, way, results[f"{world} {way}"])
     ]
 
 
 def sightings(results: Mapping[str, Result]) -> dict[str, tuple[Sighting, ...]]:
     """The metrics that show each mistake, the plainest first."""
     without = results[f"planted {NO_MISTAKE}"]["scores"]
-    return {plant: planted.sightings(without, results[f"planted {plant}"]["scores"]) for plant in PLANTS}
+    return {plant: fault_injection.sightings(without, results[f"planted {plant}"]["scores"]) for plant in PLANTS}
 
 
 def record(asked: Asked, results: Mapping[str, Result], made: Mapping[str, Any]) -> dict[str, Any]:
     """The JSON form; ``made`` tells command, date and versions."""
     every = rows(asked, results)
-    found = ranking.ranks(every, np.random.default_rng(asked.seed))
+    found = rank_agreement.ranks(every, np.random.default_rng(asked.seed))
     return {
         "schema": {"name": "evalkit-metrics-validated", "version": 1},
         **made,
         **asdict(asked),
-        "swift": rebuilding.SWIFT,
+        "swift": map_rebuilding.SWIFT,
         "ways": {
             name: {"what": way.what, "unit": way.unit, "sizes": sizes(name, asked.sizes)} for name, way in WAYS.items()
         },
@@ -111,16 +111,16 @@ def record(asked: Asked, results: Mapping[str, Result], made: Mapping[str, Any])
 
 def as_csv(every: Sequence[Row]) -> str:
     """A line for each map."""
-    names = [metric.name for metric in ranking.reference_free()]
+    names = [metric.name for metric in rank_agreement.reference_free()]
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
-    writer.writerow(["world", "way", "size", ranking.ERROR, *names])
+    writer.writerow(["world", "way", "size", rank_agreement.ERROR, *names])
     for row in every:
         writer.writerow([row.world, row.way, row.size, row.error_m, *(row.scores[name] for name in names)])
     return out.getvalue()
 
 
-def _trust(rank: ranking.Rank) -> dict[str, Any]:
+def _trust(rank: rank_agreement.Rank) -> dict[str, Any]:
     return {
         "metric": rank.metric,
         "overall": interval(rank.overall),
@@ -135,7 +135,7 @@ def told(name: str, seen: Sequence[Sighting]) -> dict[str, Any]:
     caught = [
         {"metric": s.metric.name, "without": s.without, "planted": s.planted, "factor": s.factor}
         for s in seen
-        if s.factor >= planted.CAUGHT
+        if s.factor >= fault_injection.CAUGHT
     ]
     return {"plant": name, "what": PLANTS[name].what, "caught": bool(caught), "seen": caught}
 

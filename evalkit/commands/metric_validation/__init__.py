@@ -1,0 +1,1 @@
+"""Measure how well each map metric follows a known error."""

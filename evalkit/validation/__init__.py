@@ -1,1 +1,0 @@
-"""Checks of what others wrote: does a back end or a data set keep the rules its seam asks for?"""

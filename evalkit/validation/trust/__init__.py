@@ -1,1 +1,0 @@
-"""How far can metrics, and the harness itself, be trusted?"""
