@@ -37,7 +37,7 @@ from evalkit.commands.options import (
     err,
     out,
 )
-from evalkit.commands.realtime import realtime
+from evalkit.commands.realtime.command import realtime
 from evalkit.commands.study import study
 from evalkit.commands.tune import tune
 from evalkit.commands.validate.check_command import check

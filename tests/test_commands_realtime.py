@@ -6,7 +6,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from evalkit.commands.realtime import realtime
+from evalkit.commands.realtime.command import realtime
 from evalkit.core.errors import UnknownName
 
 ASKED = ["wheel-odometry", "--set-on", "laps=0.05", "--factors", "1,1e6", "--repetitions", "1"]

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from evalkit import pacing
+from evalkit.commands.realtime import simulation
+from evalkit.commands.realtime.simulation import Contestant, Course, Measured, ladder, paced, profile
+from evalkit.commands.realtime.virtual_clock import CostProfile
 from evalkit.core.errors import BackendFailed
 from evalkit.core.pose import Pose
 from evalkit.core.timing import Timing
-from evalkit.pacing import Contestant, Course, Measured, ladder, paced, profile
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import NoAnswer
-from evalkit.realtime import CostProfile
 
 
 @pytest.fixture(scope="module")
@@ -28,7 +28,7 @@ def invented(monkeypatch):
         costs.append(costs.pop(0))
         return call(), Timing(costs[-1], costs[-1], 0)
 
-    monkeypatch.setattr(pacing, "timed", timed)
+    monkeypatch.setattr(simulation, "timed", timed)
     return costs
 
 

@@ -5,8 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from evalkit.core import se2
-from evalkit.realtime import (
+from evalkit.commands.realtime.virtual_clock import (
     POLICIES,
     CostProfile,
     Rule,
@@ -16,6 +15,7 @@ from evalkit.realtime import (
     linear_cost,
     schedule,
 )
+from evalkit.core import se2
 
 PERIOD = 100
 

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from evalkit.commands.realtime.virtual_clock import Rule, first_broken
 from evalkit.core.se2 import Floats
 from evalkit.execution.job_store import Result
-from evalkit.realtime import Rule, first_broken
 
 RULE = Rule()
 

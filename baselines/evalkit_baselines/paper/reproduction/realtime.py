@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from evalkit.commands.realtime.virtual_clock import first_broken
 from evalkit.core.se2 import Floats
 from evalkit.execution.job_store import Job
 from evalkit.plugins.protocols import Parameter, Value
-from evalkit.realtime import first_broken
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve
 from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Fold, Section, Table, Text
@@ -65,7 +65,7 @@ def jobs(settings: Settings) -> tuple[Job, ...]:
     """One job for every contestant, rate and seed: its costs here, and its ladder of device factors."""
     return tuple(
         Job(
-            _name(entry.label, rate, seed), "evalkit.pacing:paced",
+            _name(entry.label, rate, seed), "evalkit.commands.realtime.simulation:paced",
             {
                 "backend": entry.backend, "parameters": dict(entry.parameters), "dataset": settings["world"],
                 "dataset_parameters": {"seed": seed, "rate_hz": rate, "laps": settings["laps"]},

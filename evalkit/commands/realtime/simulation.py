@@ -8,7 +8,17 @@ from typing import Any
 
 import numpy as np
 
-from evalkit import metrics, realtime
+from evalkit import metrics
+from evalkit.commands.realtime import virtual_clock
+from evalkit.commands.realtime.virtual_clock import (
+    CostProfile,
+    LinearCost,
+    Policy,
+    Schedule,
+    headroom,
+    linear_cost,
+    schedule,
+)
 from evalkit.core import belief
 from evalkit.core.arrays import Ints
 from evalkit.core.belief import Stage
@@ -25,7 +35,6 @@ from evalkit.metrics.trajectory import match
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import NoAnswer, Odometry, Value, resolved
-from evalkit.realtime import CostProfile, LinearCost, Policy, Schedule, headroom, linear_cost, schedule
 
 WARM_UP_SCANS = 5
 GAPS = (1, 2, 4, 8, 16)
@@ -260,7 +269,7 @@ def _rung(
         lost = "fewer than two answers" if len(answers) < 2 else ""
         of_answers = _measured(course, course.stamps_ns[theirs.answered], answers)
         if len(answers):
-            live = realtime.at_hand(course.stamps_ns, theirs, answers, course.odometry)
+            live = virtual_clock.at_hand(course.stamps_ns, theirs, answers, course.odometry)
             at_hand = _measured(course, course.stamps_ns, live)
         predicted = _predicted(measured, made.answered, followed.work)
     age = np.percentile(made.age_ns * 1e-6, [50, 95])

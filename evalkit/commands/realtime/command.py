@@ -12,13 +12,13 @@ from rich.table import Table
 from evalkit import console
 from evalkit.commands import options
 from evalkit.commands.options import Json, err, out
+from evalkit.commands.realtime.virtual_clock import POLICIES, Policy, Rule, first_broken
 from evalkit.core.errors import DataMissing
 from evalkit.execution.job_store import Job, Ledger
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import Value, resolved
-from evalkit.realtime import POLICIES, Policy, Rule, first_broken
 
 RULE = Rule()
 
@@ -48,7 +48,7 @@ def realtime(
     arguments = asked | {
         "factors": known, "policies": [_policy(policy)], "repetitions": repetitions, "bridged": odometry,
     }  # fmt: skip
-    job = Job(f"{backend} on {on}", "evalkit.pacing:paced", arguments)
+    job = Job(f"{backend} on {on}", "evalkit.commands.realtime.simulation:paced", arguments)
     with console.jobs(err, 1, 1) as done:
         found = Ledger(folder or Path("reports") / "build" / "realtime").run([job], 1, done)[job.name]
     rows = _rows(found)
@@ -60,7 +60,7 @@ def realtime(
 
 def _arguments(backend: str, on: str, given: dict[str, str], given_on: dict[str, str]) -> dict[str, Any]:
     """What is asked for, checked before anything is measured."""
-    from evalkit.pacing import Contestant  # noqa: PLC0415 - loads scipy: only who measures pays for it
+    from evalkit.commands.realtime.simulation import Contestant  # noqa: PLC0415 - loads scipy: only who measures pays for it
 
     parameters = from_text(backend, frontend.parameters_of(registry.backend(backend)), given)
     Contestant.of(backend, parameters)

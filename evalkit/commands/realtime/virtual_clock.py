@@ -1,6 +1,6 @@
 """A virtual clock: which scans a busy robot answers, and when, on a device that is so many times slower.
 
-Nothing here reads a clock: costs come from a profile measured once (``evalkit.pacing``), so the same profile drops
+Nothing here reads a clock: costs come from a profile measured once (``evalkit.commands.realtime.simulation``), so the same profile drops
 the same scans every time.
 """
 

@@ -1,0 +1,1 @@
+"""``evalkit realtime``: which scans a slower device drops, on a virtual clock."""
