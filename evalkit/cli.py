@@ -38,7 +38,7 @@ from evalkit.commands.options import (
     out,
 )
 from evalkit.commands.realtime.command import realtime
-from evalkit.commands.study import study
+from evalkit.commands.study.command import study
 from evalkit.commands.tune import tune
 from evalkit.commands.validate.check_command import check
 from evalkit.commands.validate.command import validate

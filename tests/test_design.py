@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from evalkit.study.design import Axis, Model, fractional, grid, optimal, quality, space_filling
+from evalkit.commands.study.design import Axis, Model, fractional, grid, optimal, quality, space_filling
 
 
 def signs(factors, resolution):

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from evalkit.study.design import Axis, Model, fractional, grid, optimal
-from evalkit.study.effects import Fit
+from evalkit.commands.study.design import Axis, Model, fractional, grid, optimal
+from evalkit.commands.study.effects import Fit
 
 TWO = (Axis("a", 2), Axis("b", 2), Axis("c", 2))
 

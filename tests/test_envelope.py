@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from evalkit.commands.study.envelope import below, largest_box, panels, sentences
+from evalkit.commands.study.factors import Factor, Level
+from evalkit.commands.study.plan import Design, EnvelopeChoice, Point, Response, Study, job_name
+from evalkit.commands.study.result import Outcome
 from evalkit.metrics import METRICS
-from evalkit.study.envelope import below, largest_box, panels, sentences
-from evalkit.study.factors import Factor, Level
-from evalkit.study.outcome import Outcome
-from evalkit.study.plan import Design, EnvelopeChoice, Point, Response, Study, job_name
 
 SPEEDS, TURNS = (0.5, 1.0, 2.0), (10.0, 20.0, 40.0, 80.0)
 ATE = Response(next(metric for metric in METRICS if metric.name == "ate_rmse_m"), "log", 1.0)

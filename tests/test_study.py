@@ -14,10 +14,10 @@ import pytest
 from typer.testing import CliRunner
 
 from evalkit.cli import app
+from evalkit.commands.study.config import study
+from evalkit.commands.study.evaluate import evaluate
+from evalkit.commands.study.result import Outcome, computed
 from evalkit.execution.job_store import Job
-from evalkit.study.outcome import Outcome, computed
-from evalkit.study.point import evaluate
-from evalkit.study.reading import study
 
 STUDY = """
 title = "A small study"

@@ -5,8 +5,8 @@ import tomllib
 
 import pytest
 
+from evalkit.commands.study import config
 from evalkit.core.errors import BadExperiment
-from evalkit.study import reading
 
 GOOD = """
 seeds = [0, 1]
@@ -62,7 +62,7 @@ def changed(change):
 
 
 def study(change=lambda content: None):
-    return reading.study(changed(change), "s.toml", "evalkit study s.toml")
+    return config.study(changed(change), "s.toml", "evalkit study s.toml")
 
 
 def test_points_hold_every_setting_and_one_key_each():
@@ -173,4 +173,4 @@ def test_two_factors_that_set_the_same_cannot_share_a_design():
 
 def test_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(BadExperiment, match="no such file"):
-        reading.read(tmp_path / "none.toml", "")
+        config.read(tmp_path / "none.toml", "")

@@ -8,11 +8,11 @@ import tomllib
 import numpy as np
 import pytest
 
+from evalkit.commands.study import evaluate
 from evalkit.core.errors import BadExperiment
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Parameter
-from evalkit.study import point
 from evalkit.study.tuning import campaign, trial
 from evalkit.study.tuning.frontier import frontier
 from evalkit.study.tuning.objective import best, judged
@@ -288,7 +288,7 @@ def test_who_is_first_on_a_sequence_does_not_pay_for_its_simulation(strangers, m
     monkeypatch.setattr(trial, "LOOK_EVERY_S", 0.05)
     sequence = {p.name: p.default for p in registry.dataset("straight").parameters}
     slow = SlowAtFirst(registry.dataset("straight").make(**sequence))
-    monkeypatch.setattr(point, "_sequence", lambda *_: slow)
+    monkeypatch.setattr(evaluate, "_sequence", lambda *_: slow)
     parameters = {p.name: p.default for p in registry.backend("wheel-odometry").parameters}
     told = trial.tried(1.0, "wheel-odometry", parameters, "straight", sequence, ["ate_rmse_m", "pair_error"], "")
     assert told["status"] == "complete", told["reason"]

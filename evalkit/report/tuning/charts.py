@@ -7,12 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from evalkit.commands.study.plan import Response
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Points
 from evalkit.report.html.document import Figure
-from evalkit.study.plan import Response
 from evalkit.study.tuning.campaign import Searched
 from evalkit.study.tuning.frontier import frontier
 from evalkit.study.tuning.objective import Tried

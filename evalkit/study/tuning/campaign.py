@@ -7,9 +7,9 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from evalkit.commands.study.result import computed
 from evalkit.execution.job_store import Job, Ledger, OnDone, Result
 from evalkit.stats.statistics import Interval
-from evalkit.study.outcome import computed
 from evalkit.study.tuning.objective import Tried, best, better, judged, ratio
 from evalkit.study.tuning.plan import Entrant, Run, Tuning
 from evalkit.study.tuning.search import Search

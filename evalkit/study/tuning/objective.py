@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from evalkit.commands.study.plan import Response
+from evalkit.commands.study.result import bounded, why_lost
 from evalkit.core.se2 import Floats
 from evalkit.execution.job_store import Result
 from evalkit.stats.statistics import Interval, block_bootstrap
-from evalkit.study.outcome import bounded, why_lost
-from evalkit.study.plan import Response
 from evalkit.study.tuning.plan import COST
 from evalkit.study.tuning.space import Candidate
 

@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
+from evalkit.commands.study.plan import Response
 from evalkit.config.experiment import Contestant, Course, Limits, MapperChoice
 from evalkit.execution.job_store import Job
 from evalkit.plugins import registry
 from evalkit.plugins.code_hash import of_files
-from evalkit.study.plan import Response
 from evalkit.study.tuning.space import Candidate, Space
 
-TRIAL = "evalkit.study.tuning.trial:tried"
+TRIAL = "evalkit.commands.study.tuning.trial:tried"
 COST = "cpu_median_ms"
 """What accuracy is held against: CPU time a scan."""
 

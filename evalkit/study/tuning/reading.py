@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from evalkit.commands.study.factors import Factor, factor
+from evalkit.commands.study.plan import Response
 from evalkit.config import experiment
 from evalkit.config.experiment import Contestant, Course, Plan
 from evalkit.core.errors import BadExperiment, BadParameter, UnknownName, brief
@@ -14,8 +16,6 @@ from evalkit.metrics import all_metrics, spans
 from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import Parameter, Value
-from evalkit.study.factors import Factor, factor
-from evalkit.study.plan import Response
 from evalkit.study.tuning.plan import TUNED, Entrant, Training, Tuning
 from evalkit.study.tuning.space import CONTESTANT, SHARED, Space, derived, own, settings
 

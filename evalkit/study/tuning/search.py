@@ -9,9 +9,9 @@ from itertools import chain
 
 import numpy as np
 
+from evalkit.commands.study.design import grid, space_filling
+from evalkit.commands.study.factors import Factor
 from evalkit.core.se2 import Floats
-from evalkit.study.design import grid, space_filling
-from evalkit.study.factors import Factor
 from evalkit.study.tuning.space import Candidate, Space, is_continuous
 
 ROUNDS = 4

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from evalkit.commands.study.factors import Factor, Level
 from evalkit.core.se2 import Floats
 from evalkit.external.library import TRACE
 from evalkit.odometry import frontend
 from evalkit.plugins.protocols import BackendSpec, Parameter, Value
-from evalkit.study.factors import Factor, Level
 
 CONTESTANT = "contestant."
 DECADE = 10.0

@@ -8,8 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from evalkit.commands.study.evaluate import evaluate, prepared
 from evalkit.plugins.protocols import Value
-from evalkit.study.point import evaluate, prepared
 
 NO_MAP = "log-odds"
 """The mapper a point is asked to name; no map is drawn for errors of a trajectory and for CPU time."""

@@ -7,10 +7,10 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
+from evalkit.commands.study.experiment_lines import setting_lines
 from evalkit.config import experiment
 from evalkit.config.experiment import Contestant, Course, Plan
 from evalkit.plugins.protocols import Value
-from evalkit.study.experiment_lines import setting_lines
 from evalkit.study.tuning.campaign import Searched
 from evalkit.study.tuning.plan import TUNED, Tuning
 

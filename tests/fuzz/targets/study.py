@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bounds import held_file
 
-from evalkit.study.reading import read
+from evalkit.commands.study.config import read
 
 SEED = b"""title = "Fuzz"
 seeds = [0, 1]

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from evalkit.commands.study.evaluate import evaluate
 from evalkit.core import se2
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Value
-from evalkit.study.point import evaluate
 
 
 def grown(

@@ -5,17 +5,17 @@ from __future__ import annotations
 from functools import lru_cache
 from pathlib import Path
 
+from evalkit.commands.study.config import read
+from evalkit.commands.study.curves import curve_blocks, envelope_blocks
+from evalkit.commands.study.effect_tables import effect_blocks
+from evalkit.commands.study.envelope import panels, sentences
+from evalkit.commands.study.formatting import fitted, limit_words, main_words, pair_words
+from evalkit.commands.study.page import cpu_minutes, design_blocks, point_blocks, summary
+from evalkit.commands.study.plan import Study
+from evalkit.commands.study.result import Outcome
 from evalkit.execution.job_store import Job
 from evalkit.plugins.protocols import Parameter
 from evalkit.report.html.document import Block, Fold, Section, Text
-from evalkit.report.study.curves import curve_blocks, envelope_blocks
-from evalkit.report.study.effects import effect_blocks
-from evalkit.report.study.page import cpu_minutes, design_blocks, point_blocks, summary
-from evalkit.report.study.wording import fitted, limit_words, main_words, pair_words
-from evalkit.study.envelope import panels, sentences
-from evalkit.study.outcome import Outcome
-from evalkit.study.plan import Study
-from evalkit.study.reading import read
 from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings
 
 TWIN = "paper"

@@ -6,12 +6,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from evalkit.commands.study import charts
+from evalkit.commands.study.effects import Fit, Interaction
+from evalkit.commands.study.formatting import amount, change, fitted, left, ranked
+from evalkit.commands.study.plan import Design, Response
+from evalkit.commands.study.result import Outcome, on_scale
 from evalkit.report.html.document import Block, Cell, Column, Figures, Fold, Heading, Table, Text
-from evalkit.report.study import charts
-from evalkit.report.study.wording import amount, change, fitted, left, ranked
-from evalkit.study.effects import Fit, Interaction
-from evalkit.study.outcome import Outcome, on_scale
-from evalkit.study.plan import Design, Response
 
 MOST_SHOWN = 4
 """So many interactions are drawn."""

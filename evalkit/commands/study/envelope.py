@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from evalkit.commands.study.factors import Factor
+from evalkit.commands.study.plan import Design, EnvelopeChoice, Point
+from evalkit.commands.study.result import Outcome
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
 from evalkit.stats.statistics import Interval, wilson
-from evalkit.study.factors import Factor
-from evalkit.study.outcome import Outcome
-from evalkit.study.plan import Design, EnvelopeChoice, Point
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 
+from evalkit.commands.study.plan import Study
 from evalkit.plugins.protocols import Value
-from evalkit.study.plan import Study
 
 
 def experiment_lines(study: Study, key: str) -> str:

@@ -10,10 +10,10 @@ from itertools import combinations
 import numpy as np
 from scipy import stats
 
+from evalkit.commands.study.design import Model
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
 from evalkit.stats.statistics import CONFIDENCE, Interval
-from evalkit.study.design import Model
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from evalkit.commands.study.charts import steps
+from evalkit.commands.study.effects import FactorEffect, Fit
+from evalkit.commands.study.plan import Design, EnvelopeChoice, Response, Study
+from evalkit.commands.study.result import Outcome
 from evalkit.report.html.formatting import joined
-from evalkit.report.study.charts import steps
 from evalkit.stats.statistics import Interval
-from evalkit.study.effects import FactorEffect, Fit
-from evalkit.study.outcome import Outcome
-from evalkit.study.plan import Design, EnvelopeChoice, Response, Study
 
 
 def fitted(outcome: Outcome, response: Response) -> list[tuple[Design, Fit]]:

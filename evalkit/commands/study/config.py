@@ -7,6 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, get_args
 
+from evalkit.commands.study.factors import Factor, Level, Scale, Settings, factor
+from evalkit.commands.study.plan import Design, EnvelopeChoice, Kind, Point, Response, Study
+from evalkit.commands.study.sampling import placed
 from evalkit.config import experiment
 from evalkit.core.errors import BadExperiment, BadParameter, EvalkitError, UnknownName, brief
 from evalkit.io.input_files import tables_of
@@ -14,9 +17,6 @@ from evalkit.metrics import all_metrics
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Value, resolved
-from evalkit.study.factors import Factor, Level, Scale, Settings, factor
-from evalkit.study.placing import placed
-from evalkit.study.plan import Design, EnvelopeChoice, Kind, Point, Response, Study
 
 ROOMS = ("contestant", "sequence", "mapper", "limits")
 TOP = ("title", "description", "seeds", *ROOMS, "response", "factor", "design", "envelope")

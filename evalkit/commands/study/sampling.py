@@ -7,10 +7,10 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from evalkit.commands.study.design import Model, fractional, grid, optimal, space_filling
+from evalkit.commands.study.factors import Factor, Level
 from evalkit.core.errors import BadParameter
 from evalkit.core.se2 import Floats
-from evalkit.study.design import Model, fractional, grid, optimal, space_filling
-from evalkit.study.factors import Factor, Level
 
 MOST_POINTS = 5000
 Row = Mapping[str, Level]

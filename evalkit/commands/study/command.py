@@ -18,8 +18,8 @@ from evalkit.execution import environment
 from evalkit.results.store import write_texts
 
 if TYPE_CHECKING:
-    from evalkit.study.outcome import Outcome
-    from evalkit.study.plan import Study
+    from evalkit.commands.study.plan import Study
+    from evalkit.commands.study.result import Outcome
 
 
 def study(
@@ -34,8 +34,8 @@ def study(
     as_json: Json = False,
 ) -> None:
     """Study the factors of a file: effects, interactions, operating envelope; killed, the same command goes on."""
-    from evalkit.study.outcome import Outcome, computed  # noqa: PLC0415 - loads scipy.stats
-    from evalkit.study.reading import read  # noqa: PLC0415 - as above
+    from evalkit.commands.study.config import read  # noqa: PLC0415 - as above
+    from evalkit.commands.study.result import Outcome, computed  # noqa: PLC0415 - loads scipy.stats
 
     options.modules_from_here()
     plan = read(file, f"evalkit study {shlex.quote(str(file))}")
@@ -69,8 +69,8 @@ def study(
 
 def _point(plan: Study, key: str, as_json: bool) -> None:
     """Prints the scores of one point, computed now, and the experiment that runs it."""
-    from evalkit.study.experiment_lines import experiment_lines  # noqa: PLC0415 - with the study's modules
-    from evalkit.study.point import evaluate  # noqa: PLC0415 - as above
+    from evalkit.commands.study.evaluate import evaluate  # noqa: PLC0415 - as above
+    from evalkit.commands.study.experiment_lines import experiment_lines  # noqa: PLC0415 - with the study's modules
 
     if key not in plan.points:
         raise UnknownName("point", key, plan.points, plan.command)
@@ -93,13 +93,13 @@ def _point(plan: Study, key: str, as_json: bool) -> None:
 
 def _written(outcome: Outcome, folder: Path, ran_on: dict[str, str]) -> Path:
     """The path of index.html, written with study.json, points.csv and effects.csv."""
+    from evalkit.commands.study import page, results_json  # noqa: PLC0415 - as above
     from evalkit.report.html.document import render  # noqa: PLC0415 - loads matplotlib
-    from evalkit.report.study import page, record  # noqa: PLC0415 - as above
 
     texts = {
-        "points.csv": record.as_csv(record.runs(outcome)),
-        "effects.csv": record.as_csv(record.effects(outcome)),
-        "study.json": json.dumps(record.record(outcome), indent=1) + "\n",
+        "points.csv": results_json.as_csv(results_json.runs(outcome)),
+        "effects.csv": results_json.as_csv(results_json.effects(outcome)),
+        "study.json": json.dumps(results_json.record(outcome), indent=1) + "\n",
         "index.html": render(page.document(outcome, ran_on)),
     }
     write_texts(folder, texts)

@@ -7,13 +7,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from evalkit.commands.study.curves import curve_blocks, envelope_blocks
+from evalkit.commands.study.design import quality
+from evalkit.commands.study.effect_tables import effect_blocks
+from evalkit.commands.study.envelope import panels, sentences
+from evalkit.commands.study.formatting import fitted, limit_words, lost_words, main_words, pair_words
+from evalkit.commands.study.result import Outcome
 from evalkit.report.html.document import Block, Bullets, Cell, Column, Command, Document, Fold, Section, Table, Text
-from evalkit.report.study.curves import curve_blocks, envelope_blocks
-from evalkit.report.study.effects import effect_blocks
-from evalkit.report.study.wording import fitted, limit_words, lost_words, main_words, pair_words
-from evalkit.study.design import quality
-from evalkit.study.envelope import panels, sentences
-from evalkit.study.outcome import Outcome
 
 WHY = {
     "optimal": "mixed levels, the points chosen so that main effects and all pairs are told apart with the least "

@@ -6,13 +6,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from evalkit.commands.study import charts
+from evalkit.commands.study.envelope import Panel, axes, panels
+from evalkit.commands.study.factors import Factor
+from evalkit.commands.study.formatting import limit_words
+from evalkit.commands.study.plan import Design, EnvelopeChoice, Point, Response
+from evalkit.commands.study.result import Outcome, on_scale
 from evalkit.report.html.document import Block, Cell, Column, Figures, Fold, Table, Text
-from evalkit.report.study import charts
-from evalkit.report.study.wording import limit_words
-from evalkit.study.envelope import Panel, axes, panels
-from evalkit.study.factors import Factor
-from evalkit.study.outcome import Outcome, on_scale
-from evalkit.study.plan import Design, EnvelopeChoice, Point, Response
 
 
 def curve_blocks(outcome: Outcome) -> tuple[Block, ...]:

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
+from evalkit.commands.study.design import Model
+from evalkit.commands.study.factors import Factor, Level, Scale
 from evalkit.config.experiment import Limits
 from evalkit.core.se2 import Floats
 from evalkit.execution.job_store import Job
@@ -16,11 +18,9 @@ from evalkit.metrics.table import Metric
 from evalkit.plugins import registry
 from evalkit.plugins.code_hash import of_files
 from evalkit.plugins.protocols import Value
-from evalkit.study.design import Model
-from evalkit.study.factors import Factor, Level, Scale
 
 Kind = Literal["optimal", "fractional", "sobol", "latin", "curves", "grid"]
-POINT = "evalkit.study.point:evaluate"
+POINT = "evalkit.commands.study.evaluate:evaluate"
 
 
 @dataclass(frozen=True)

@@ -8,11 +8,11 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
+from evalkit.commands.study.effects import Fit
+from evalkit.commands.study.envelope import Panel, axes, panels
+from evalkit.commands.study.plan import Design, EnvelopeChoice, Response
+from evalkit.commands.study.result import Outcome
 from evalkit.stats.statistics import Interval
-from evalkit.study.effects import Fit
-from evalkit.study.envelope import Panel, axes, panels
-from evalkit.study.outcome import Outcome
-from evalkit.study.plan import Design, EnvelopeChoice, Response
 
 Row = dict[str, Any]
 

@@ -6,16 +6,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from evalkit.commands.study.effects import FactorEffect, Fit, Interaction
+from evalkit.commands.study.envelope import Panel, axes
+from evalkit.commands.study.factors import Factor
+from evalkit.commands.study.plan import Design, EnvelopeChoice, Response
+from evalkit.commands.study.result import Outcome, on_scale
 from evalkit.core.se2 import Floats
 from evalkit.report.html.charts import Axis, Curve, Points, bars, heat, lines, scatter
 from evalkit.report.html.document import Figure
 from evalkit.report.html.palette import HUES
 from evalkit.stats.statistics import Interval
-from evalkit.study.effects import FactorEffect, Fit, Interaction
-from evalkit.study.envelope import Panel, axes
-from evalkit.study.factors import Factor
-from evalkit.study.outcome import Outcome, on_scale
-from evalkit.study.plan import Design, EnvelopeChoice, Response
 
 GREY = "#aab2bd"
 

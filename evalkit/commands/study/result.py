@@ -9,12 +9,12 @@ from pathlib import Path
 
 import numpy as np
 
+from evalkit.commands.study.effects import Fit
+from evalkit.commands.study.plan import Design, Point, Response, Study, job_name
 from evalkit.core.se2 import Floats
 from evalkit.execution.dask_cluster import Cluster
 from evalkit.execution.deadline import LATE
 from evalkit.execution.job_store import Job, JobsFailed, Ledger, OnDone, Result
-from evalkit.study.effects import Fit
-from evalkit.study.plan import Design, Point, Response, Study, job_name
 
 
 @dataclass(frozen=True, eq=False)

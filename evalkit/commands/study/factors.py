@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal
 
+from evalkit.commands.study.design import Axis
 from evalkit.core.errors import BadExperiment, brief
 from evalkit.plugins.protocols import Value
-from evalkit.study.design import Axis
 
 Scale = Literal["linear", "log"]
 Settings = Mapping[str, Value]

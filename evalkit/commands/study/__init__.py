@@ -1,0 +1,1 @@
+"""``evalkit study``: designed experiments over parameters and driving."""
