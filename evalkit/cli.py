@@ -39,7 +39,7 @@ from evalkit.commands.options import (
 )
 from evalkit.commands.realtime.command import realtime
 from evalkit.commands.study.command import study
-from evalkit.commands.tune import tune
+from evalkit.commands.tune.command import tune
 from evalkit.commands.validate.check_command import check
 from evalkit.commands.validate.command import validate
 from evalkit.commands.validate.determinism_command import determinism

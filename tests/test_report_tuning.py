@@ -6,13 +6,12 @@ import math
 import numpy as np
 import pytest
 
+from evalkit.commands.tune import page, search_loop
+from evalkit.commands.tune.charts import on_frontier
+from evalkit.commands.tune.config import tuning
+from evalkit.commands.tune.result import Tuned
+from evalkit.commands.tune.results_json import record
 from evalkit.report.html.document import render
-from evalkit.report.tuning import page
-from evalkit.report.tuning.charts import on_frontier
-from evalkit.report.tuning.outcome import Tuned
-from evalkit.report.tuning.record import record
-from evalkit.study.tuning import campaign
-from evalkit.study.tuning.reading import tuning
 
 ATE = "ate_rmse_m"
 SEEDS = range(10)
@@ -43,7 +42,7 @@ def found():
         status = "failed" if lost else "complete"
         return {"status": status, "reason": "too small", "cpu_s": 1.0, "scores": scores, "why": why}
 
-    return campaign.searched(plan(), lambda jobs: {job.name: computed(job) for job in jobs})
+    return search_loop.searched(plan(), lambda jobs: {job.name: computed(job) for job in jobs})
 
 
 def told(build, trial, tuned_ate, lost=0, status="failed"):

@@ -8,9 +8,9 @@ import pytest
 from typer.testing import CliRunner
 
 from evalkit.cli import app
-from evalkit.report.tuning.record import SCHEMA_VERSION
-from evalkit.study.tuning import campaign
-from evalkit.study.tuning.reading import read
+from evalkit.commands.tune import search_loop
+from evalkit.commands.tune.config import read
+from evalkit.commands.tune.results_json import SCHEMA_VERSION
 
 FILE = """
 title = "A stranger tuned"
@@ -99,15 +99,17 @@ def test_a_killed_search_goes_on_and_computes_nothing_twice(file, tmp_path):
 
     folder = tmp_path / "results"
     with pytest.raises(Killed):
-        campaign.searched(tuning, campaign.making(folder, 1, killed_after(3)))
-    with pytest.raises(campaign.Unmade):
-        campaign.searched(tuning, campaign.collecting(folder))
+        search_loop.searched(tuning, search_loop.making(folder, 1, killed_after(3)))
+    with pytest.raises(search_loop.Unmade):
+        search_loop.searched(tuning, search_loop.collecting(folder))
     made.clear()
-    found = campaign.searched(tuning, campaign.making(folder, 1, lambda _name, seconds: made.append(seconds > 0.0)))
+    found = search_loop.searched(
+        tuning, search_loop.making(folder, 1, lambda _name, seconds: made.append(seconds > 0.0))
+    )
     runs = sum(len(each.errors) for one in found for each in (*one.tried, *(one.confirmed or ())))
     assert sum(made) == runs - 3
     made.clear()
-    campaign.searched(tuning, campaign.making(folder, 1, lambda _name, seconds: made.append(seconds > 0.0)))
+    search_loop.searched(tuning, search_loop.making(folder, 1, lambda _name, seconds: made.append(seconds > 0.0)))
     assert not any(made)
     assert len(list(folder.glob("*.npz"))) == runs
 

@@ -9,17 +9,17 @@ import numpy as np
 import pytest
 
 from evalkit.commands.study import evaluate
+from evalkit.commands.tune import search_loop, trial
+from evalkit.commands.tune.config import named, read, tuning
+from evalkit.commands.tune.objective import best, judged
+from evalkit.commands.tune.pareto import frontier
+from evalkit.commands.tune.search import Search
+from evalkit.commands.tune.space import Space, derived, own
+from evalkit.commands.tune.tuned import experiment_text, held_out_plan
 from evalkit.core.errors import BadExperiment
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Parameter
-from evalkit.study.tuning import campaign, trial
-from evalkit.study.tuning.frontier import frontier
-from evalkit.study.tuning.objective import best, judged
-from evalkit.study.tuning.reading import named, read, tuning
-from evalkit.study.tuning.search import Search
-from evalkit.study.tuning.space import Space, derived, own
-from evalkit.study.tuning.tuned import experiment_text, held_out_plan
 
 FILE = """
 points = 16
@@ -80,7 +80,7 @@ def off(arguments):
 
 
 def test_the_search_finds_the_minimum_of_a_known_function_and_takes_it():
-    embedded, paper = campaign.searched(plan(), Known(off))
+    embedded, paper = search_loop.searched(plan(), Known(off))
     assert embedded.tuned
     assert embedded.default.error == pytest.approx(0.02 * math.sqrt(1.01))
     assert abs(math.log10(float(embedded.best.candidate.values["epsilon"]) / 1e-3)) < 0.35
@@ -93,7 +93,7 @@ def test_the_search_finds_the_minimum_of_a_known_function_and_takes_it():
 
 def test_every_back_end_gets_the_same_budget_and_the_default_first():
     asked = Known(off)
-    found = campaign.searched(plan(), asked)
+    found = search_loop.searched(plan(), asked)
     for one in found:
         assert [len(one.tried), one.tried[0].candidate.found] == [16, "default"]
         assert len({each.candidate.key for each in one.tried}) == 16
@@ -101,14 +101,14 @@ def test_every_back_end_gets_the_same_budget_and_the_default_first():
     assert runs.count("embedded") == runs.count("paper") == 32
     seeds = {job.arguments["sequence"]["seed"] for job in asked.asked}
     assert seeds == {0, 1, 2, 3, 4, 5}  # never a held-out one
-    assert campaign.expected_runs(plan()) == 2 * (32 + 8)
+    assert search_loop.expected_runs(plan()) == 2 * (32 + 8)
 
 
 def test_the_same_tuning_asks_for_the_same_points():
     names = []
     for _ in range(2):
         asked = Known(off)
-        campaign.searched(plan(), asked)
+        search_loop.searched(plan(), asked)
         names.append([job.name for job in asked.asked])
     assert names[0] == names[1]
 
@@ -118,14 +118,14 @@ def test_a_lucky_point_does_not_survive_fresh_seeds():
         spread = np.random.default_rng([int(1e9 * arguments["parameters"]["epsilon"]), arguments["sequence"]["seed"]])
         return 0.02 * math.exp(0.5 * spread.standard_normal())
 
-    one = campaign.searched(plan(), Known(luck))[0]
+    one = search_loop.searched(plan(), Known(luck))[0]
     assert one.best.error < 0.8 * one.default.error
     assert not one.tuned
     assert one.why == "default kept: what the best of the search gains is not more than noise on fresh seeds"
 
 
 def test_a_back_end_that_always_fails_keeps_its_default_and_is_told():
-    one = campaign.searched(plan(), lambda jobs: {job.name: result(None, "failed") for job in jobs})[0]
+    one = search_loop.searched(plan(), lambda jobs: {job.name: result(None, "failed") for job in jobs})[0]
     assert one.failed
     assert one.default.error == 1.0  # the worst that counts
     assert one.default.lost == ("failed: why", "failed: why")
@@ -242,7 +242,7 @@ def test_names_on_the_command_line_make_a_fair_tuning():
 
 def test_a_tuned_row_stands_beside_its_default_in_an_experiment_that_reads_back():
     made = plan()
-    found = campaign.searched(made, Known(off))
+    found = search_loop.searched(made, Known(off))
     back = held_out_plan(experiment_text(made, found), "tuned.toml")
     assert [entrant.label for entrant in back.contestants] == ["embedded", "embedded tuned", "paper"]
     assert dict(back.contestants[1].parameters) == dict(found[0].best.candidate.values)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bounds import held_file
 
-from evalkit.study.tuning.reading import read
+from evalkit.commands.tune.config import read
 
 SEED = b"""title = "Fuzz"
 points = 4

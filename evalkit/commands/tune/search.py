@@ -11,8 +11,8 @@ import numpy as np
 
 from evalkit.commands.study.design import grid, space_filling
 from evalkit.commands.study.factors import Factor
+from evalkit.commands.tune.space import Candidate, Space, is_continuous
 from evalkit.core.se2 import Floats
-from evalkit.study.tuning.space import Candidate, Space, is_continuous
 
 ROUNDS = 4
 """So often the steps of the second half are told what has become of those before."""

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
+from evalkit.commands.tune.held_out import Held, held
+from evalkit.commands.tune.plan import Tuning
+from evalkit.commands.tune.search_loop import Searched
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.standings import STATUS
-from evalkit.report.tuning.held import Held, held
-from evalkit.study.tuning.campaign import Searched
-from evalkit.study.tuning.plan import Tuning
 
 FAILED = ("failed", "crashed", "timed out", "out of memory")
 

@@ -8,14 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from evalkit.commands.study.plan import Response
+from evalkit.commands.tune.objective import Tried
+from evalkit.commands.tune.pareto import frontier
+from evalkit.commands.tune.search_loop import Searched
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Points
 from evalkit.report.html.document import Figure
-from evalkit.study.tuning.campaign import Searched
-from evalkit.study.tuning.frontier import frontier
-from evalkit.study.tuning.objective import Tried
 
 GREY, INK, WHITE, ORANGE, GREEN = "#9aa3ad", "#1c2128", "#ffffff", "#d55e00", "#009e73"
 STEPS = (1.0, 2.0, 5.0)

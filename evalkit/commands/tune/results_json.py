@@ -19,14 +19,14 @@ from __future__ import annotations
 import math
 from typing import Any
 
+from evalkit.commands.tune.charts import on_frontier
+from evalkit.commands.tune.held_out import Held
+from evalkit.commands.tune.objective import Tried
+from evalkit.commands.tune.plan import Entrant
+from evalkit.commands.tune.result import Tuned
+from evalkit.commands.tune.search_loop import Searched
+from evalkit.commands.tune.space import is_continuous
 from evalkit.config.experiment import Course
-from evalkit.report.tuning.charts import on_frontier
-from evalkit.report.tuning.held import Held
-from evalkit.report.tuning.outcome import Tuned
-from evalkit.study.tuning.campaign import Searched
-from evalkit.study.tuning.objective import Tried
-from evalkit.study.tuning.plan import Entrant
-from evalkit.study.tuning.space import is_continuous
 
 SCHEMA_VERSION = 1
 

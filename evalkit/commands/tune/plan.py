@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from evalkit.commands.study.plan import Response
+from evalkit.commands.tune.space import Candidate, Space
 from evalkit.config.experiment import Contestant, Course, Limits, MapperChoice
 from evalkit.execution.job_store import Job
 from evalkit.plugins import registry
 from evalkit.plugins.code_hash import of_files
-from evalkit.study.tuning.space import Candidate, Space
 
 TRIAL = "evalkit.commands.study.tuning.trial:tried"
 COST = "cpu_median_ms"

@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from evalkit.commands.tune.plan import TUNED
+from evalkit.commands.tune.search_loop import Searched
 from evalkit.report.analysis.cells import Apart, Cell, apart
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.significance import Duel, duels
 from evalkit.report.analysis.standings import NOT_POSSIBLE, Standing, deciding, difference
-from evalkit.study.tuning.campaign import Searched
-from evalkit.study.tuning.plan import TUNED
 
 
 @dataclass(frozen=True)

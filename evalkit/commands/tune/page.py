@@ -6,6 +6,12 @@ import math
 import shlex
 from collections.abc import Sequence
 
+from evalkit.commands.tune import charts
+from evalkit.commands.tune.plan import TUNED
+from evalkit.commands.tune.result import Tuned
+from evalkit.commands.tune.rows import held_blocks, number
+from evalkit.commands.tune.search_loop import Searched
+from evalkit.commands.tune.space import is_continuous
 from evalkit.report.html.document import (
     Block,
     Bullets,
@@ -21,12 +27,6 @@ from evalkit.report.html.document import (
     Tone,
     slug,
 )
-from evalkit.report.tuning import charts
-from evalkit.report.tuning.outcome import Tuned
-from evalkit.report.tuning.rows import held_blocks, number
-from evalkit.study.tuning.campaign import Searched
-from evalkit.study.tuning.plan import TUNED
-from evalkit.study.tuning.space import is_continuous
 
 
 def document(told: Tuned) -> Document:

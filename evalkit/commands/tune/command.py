@@ -17,11 +17,11 @@ from evalkit.execution import environment
 from evalkit.results.store import Store, write_texts
 
 if TYPE_CHECKING:
+    from evalkit.commands.tune.plan import Tuning
+    from evalkit.commands.tune.result import Tuned
+    from evalkit.commands.tune.search_loop import Searched
     from evalkit.config.experiment import Plan
     from evalkit.core.run_result import Trial
-    from evalkit.report.tuning.outcome import Tuned
-    from evalkit.study.tuning.campaign import Searched
-    from evalkit.study.tuning.plan import Tuning
 
 BUDGET = 24
 FILE = ".toml"
@@ -45,9 +45,9 @@ def tune(
     as_json: Json = False,
 ) -> None:
     """Tune back ends fairly: the same budget on training worlds, judged on others; killed, the same command goes on."""
+    from evalkit.commands.tune.result import Tuned  # noqa: PLC0415 - loads matplotlib and scipy.stats
+    from evalkit.commands.tune.tuned import experiment_text, held_out_plan  # noqa: PLC0415 - as above
     from evalkit.report import comparison_of  # noqa: PLC0415 - as below
-    from evalkit.report.tuning.outcome import Tuned  # noqa: PLC0415 - loads matplotlib and scipy.stats
-    from evalkit.study.tuning.tuned import experiment_text, held_out_plan  # noqa: PLC0415 - as above
 
     options.modules_from_here()
     tuning = _tuning(what, on or [], held_out or [], budget, setting or [])
@@ -68,26 +68,26 @@ def tune(
 
 def _tuning(what: list[str], on: list[str], held_out: list[str], budget: int | None, setting: list[str]) -> Tuning:
     """The tuning of a file, or of back ends and data sets named on the command line."""
-    from evalkit.study.tuning import reading  # noqa: PLC0415 - loads scipy.stats
+    from evalkit.commands.tune import config  # noqa: PLC0415 - loads scipy.stats
 
     if what[0].endswith(FILE):
         if len(what) > 1 or on or held_out or budget is not None or setting:
             raise typer.BadParameter("a tuning file stands alone: its points, data sets and settings are in it")
         stem = Path(what[0]).stem
         name = stem if stem.startswith("tune") else f"tune-{stem}"
-        return reading.read(Path(what[0]), name, f"evalkit tune {shlex.quote(what[0])}")
+        return config.read(Path(what[0]), name, f"evalkit tune {shlex.quote(what[0])}")
     if not on:
         raise typer.BadParameter(f"give a tuning file (*{FILE}), or back ends and --on DATASET to train on")
     options_said = [("--on", name) for name in on] + [("--held-out", name) for name in held_out]
     options_said += [("--budget", str(budget or BUDGET)), *(("--set", item) for item in setting)]
     command = shlex.join(["evalkit", "tune", *what, *(word for pair in options_said for word in pair)])
-    content = reading.named(what, on, held_out, budget or BUDGET, options.settings(setting))
-    return reading.tuning(content, "evalkit tune", f"tune-{'-'.join(on)}", command)
+    content = config.named(what, on, held_out, budget or BUDGET, options.settings(setting))
+    return config.tuning(content, "evalkit tune", f"tune-{'-'.join(on)}", command)
 
 
 def _searched(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tuple[Searched, ...]:
     """What the search found; exit code 3 where it may make nothing and something is missing."""
-    from evalkit.study.tuning import campaign  # noqa: PLC0415 - loads scipy.stats
+    from evalkit.commands.tune import search_loop  # noqa: PLC0415 - loads scipy.stats
 
     for entrant in tuning.entrants:
         if entrant.missing:
@@ -95,14 +95,14 @@ def _searched(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tupl
     results = folder / "results"
     if collect:
         try:
-            return campaign.searched(tuning, campaign.collecting(results))
-        except campaign.Unmade as unmade:
+            return search_loop.searched(tuning, search_loop.collecting(results))
+        except search_loop.Unmade as unmade:
             told = f"the search is not done: {unmade.missing} runs of the next points are missing; the same command"
             out.print(f"{told} without --collect goes on", markup=False, highlight=False)
             raise typer.Exit(3) from None
     try:
-        with console.jobs(err, campaign.expected_runs(tuning), workers) as done:
-            return campaign.searched(tuning, campaign.making(results, workers, done))
+        with console.jobs(err, search_loop.expected_runs(tuning), workers) as done:
+            return search_loop.searched(tuning, search_loop.making(results, workers, done))
     except KeyboardInterrupt:
         err.print("interrupted; finished runs are kept: the same command goes on from here")
         raise
@@ -124,9 +124,9 @@ def _judged(plan: Plan, store: Store, workers: int, ran_on: dict[str, str], coll
 
 def _end(told: Tuned, folder: Path, as_json: bool) -> None:
     """Writes and prints what was found; exit code 1 if a contestant failed wholly, 3 if a run is not made yet."""
+    from evalkit.commands.tune import page as pages  # noqa: PLC0415 - loads matplotlib
+    from evalkit.commands.tune.results_json import record  # noqa: PLC0415 - as above
     from evalkit.report.html.document import render  # noqa: PLC0415 - as above
-    from evalkit.report.tuning import page as pages  # noqa: PLC0415 - loads matplotlib
-    from evalkit.report.tuning.record import record  # noqa: PLC0415 - as above
 
     content = record(told)
     write_texts(folder, {

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from evalkit.commands.tune.held_out import Held, OnSequence
+from evalkit.commands.tune.result import Tuned
 from evalkit.report.analysis.cells import Cell as Score
 from evalkit.report.analysis.cells import interval
 from evalkit.report.analysis.standings import NOT_POSSIBLE, STATUS, Standing, deciding
 from evalkit.report.html.document import Block, Cell, Column, Table, Text
-from evalkit.report.tuning.held import Held, OnSequence
-from evalkit.report.tuning.outcome import Tuned
 
 
 def held_blocks(told: Tuned) -> list[Block]:

@@ -10,11 +10,11 @@ import numpy as np
 
 from evalkit.commands.study.plan import Response
 from evalkit.commands.study.result import bounded, why_lost
+from evalkit.commands.tune.plan import COST
+from evalkit.commands.tune.space import Candidate
 from evalkit.core.se2 import Floats
 from evalkit.execution.job_store import Result
 from evalkit.stats.statistics import Interval, block_bootstrap
-from evalkit.study.tuning.plan import COST
-from evalkit.study.tuning.space import Candidate
 
 LEAST_GAIN = 0.05
 """Nobody is better by less than this share of the error, as in the report."""

@@ -8,6 +8,8 @@ from typing import Any
 
 from evalkit.commands.study.factors import Factor, factor
 from evalkit.commands.study.plan import Response
+from evalkit.commands.tune.plan import TUNED, Entrant, Training, Tuning
+from evalkit.commands.tune.space import CONTESTANT, SHARED, Space, derived, own, settings
 from evalkit.config import experiment
 from evalkit.config.experiment import Contestant, Course, Plan
 from evalkit.core.errors import BadExperiment, BadParameter, UnknownName, brief
@@ -16,8 +18,6 @@ from evalkit.metrics import all_metrics, spans
 from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import Parameter, Value
-from evalkit.study.tuning.plan import TUNED, Entrant, Training, Tuning
-from evalkit.study.tuning.space import CONTESTANT, SHARED, Space, derived, own, settings
 
 TOP = ("title", "description", "points", "seed", "run_cpu_s", "objective", "mapper", "limits", "contestant",
        "training", "held-out")  # fmt: skip

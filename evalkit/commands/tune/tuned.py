@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from evalkit.commands.study.experiment_lines import setting_lines
+from evalkit.commands.tune.plan import TUNED, Tuning
+from evalkit.commands.tune.search_loop import Searched
 from evalkit.config import experiment
 from evalkit.config.experiment import Contestant, Course, Plan
 from evalkit.plugins.protocols import Value
-from evalkit.study.tuning.campaign import Searched
-from evalkit.study.tuning.plan import TUNED, Tuning
 
 
 def experiment_text(tuning: Tuning, found: Sequence[Searched]) -> str:

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from evalkit.commands.study.result import computed
+from evalkit.commands.tune.objective import Tried, best, better, judged, ratio
+from evalkit.commands.tune.plan import Entrant, Run, Tuning
+from evalkit.commands.tune.search import Search
+from evalkit.commands.tune.space import Candidate
 from evalkit.execution.job_store import Job, Ledger, OnDone, Result
 from evalkit.stats.statistics import Interval
-from evalkit.study.tuning.objective import Tried, best, better, judged, ratio
-from evalkit.study.tuning.plan import Entrant, Run, Tuning
-from evalkit.study.tuning.search import Search
-from evalkit.study.tuning.space import Candidate
 
 Compute = Callable[[Sequence[Job]], Mapping[str, Result]]
 """What gives the results of jobs by name."""
