@@ -22,7 +22,7 @@ from evalkit.commands.basin.command import basin
 from evalkit.commands.diff.benchmark_command import bench
 from evalkit.commands.diff.command import diff
 from evalkit.commands.ending import ABSENT, Row
-from evalkit.commands.export import export
+from evalkit.commands.export.command import export
 from evalkit.commands.metric_validation.command import metrics
 from evalkit.commands.options import (
     AccuracyOnly,

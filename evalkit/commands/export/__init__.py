@@ -1,0 +1,1 @@
+"""``evalkit export``: write results in other formats."""
