@@ -16,27 +16,12 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from evalkit import __version__, console, listing
-from evalkit.commands import ending, options
+from evalkit import __version__
 from evalkit.commands.basin.command import basin
 from evalkit.commands.diff.benchmark_command import bench
 from evalkit.commands.diff.command import diff
-from evalkit.commands.ending import ABSENT, Row
 from evalkit.commands.export.command import export
 from evalkit.commands.metric_validation.command import metrics
-from evalkit.commands.options import (
-    AccuracyOnly,
-    Collect,
-    Jobs,
-    Json,
-    Making,
-    Out,
-    Rerun,
-    Resume,
-    Scheduler,
-    err,
-    out,
-)
 from evalkit.commands.realtime.command import realtime
 from evalkit.commands.study.command import study
 from evalkit.commands.tune.command import tune
@@ -52,6 +37,9 @@ from evalkit.execution.executors import There
 from evalkit.execution.scheduler import Engine
 from evalkit.plugins import registry
 from evalkit.results.store import Store, reported
+from evalkit.terminal import inventory, options, progress, run_summary
+from evalkit.terminal.options import AccuracyOnly, Collect, Jobs, Json, Making, Out, Rerun, Resume, Scheduler, err, out
+from evalkit.terminal.run_summary import ABSENT, Row
 
 app = typer.Typer(
     help="Which scan matcher, on my robot, and is my own one right? Compare 2D lidar registration back ends.",
@@ -100,9 +88,9 @@ def list_(
     as_json: Json = False,
 ) -> None:
     """Back ends, mappers, data sets and metrics, with what is missing and why."""
-    if kind != "all" and kind not in listing.KINDS:
-        raise typer.BadParameter(f"found '{kind}', expected one of: all, {', '.join(listing.KINDS)}")
-    chosen = {name: rows for name, rows in listing.KINDS.items() if kind in ("all", name)}
+    if kind != "all" and kind not in inventory.KINDS:
+        raise typer.BadParameter(f"found '{kind}', expected one of: all, {', '.join(inventory.KINDS)}")
+    chosen = {name: rows for name, rows in inventory.KINDS.items() if kind in ("all", name)}
     found = {name: rows() for name, rows in chosen.items()}
     if as_json:
         options.print_json({name: [asdict(row) for row in rows] for name, rows in found.items()})
@@ -111,7 +99,7 @@ def list_(
         table = Table("name", "what it is", "missing here", title=name, title_justify="left", expand=out.is_terminal)
         for row in rows:
             table.add_row(*map(escape, (row.name, row.summary, row.missing or "-")))
-        console.show(out, table)
+        progress.show(out, table)
 
 
 @app.command()
@@ -136,7 +124,7 @@ def run(
     how = Making.of(jobs, resume, rerun, collect, engine, scheduler)
     with _engine(plan, store, how) as asked, closing(asked.ended()) as all_ended:
         rows = {ended.planned.key: Row.of(ended) for ended in all_ended}
-    ending.tell([rows[item.key] for item in asked.planned], plan.title, store, None, as_json)
+    run_summary.tell([rows[item.key] for item in asked.planned], plan.title, store, None, as_json)
 
 
 @app.command()
@@ -219,18 +207,18 @@ def _report(plan: Plan, folder: Path | None, how: Making, as_json: bool) -> None
     comparison = pages.comparison_of(plan, trials, started, datetime.now(UTC), ran_on)
     with reported(store.folder):
         page = pages.write(comparison, store.folder)
-    ending.tell([Row.of_trial(trial) for trial in trials], plan.title, store, page, as_json)
+    run_summary.tell([Row.of_trial(trial) for trial in trials], plan.title, store, page, as_json)
 
 
 @contextmanager
 def _engine(plan: Plan, store: Store, how: Making) -> Iterator[Engine]:
     """What makes the runs of a plan, told of while it does; it knows the machine as it was before the first."""
-    for line in console.missing(plan):
+    for line in progress.missing(plan):
         err.print(line, markup=False, highlight=False)
     place = There(replace(how.cluster, timed=plan.timed)) if how.cluster else None
     ran_on = environment.describe(jobs=how.jobs)
     try:
-        with console.progress(err, list(plan.runs()), how.jobs, quiet=how.collect) as shown:
+        with progress.progress(err, list(plan.runs()), how.jobs, quiet=how.collect) as shown:
             yield Engine(plan, store, shown, how.jobs, how.resume, ran_on, how.rerun, how.collect, place)
     except KeyboardInterrupt:
         err.print("interrupted; finished runs are kept: the same command with --resume goes on from here")

@@ -8,8 +8,8 @@ from rich.console import Console
 
 from evalkit.config import experiment
 from evalkit.config.experiment import Contestant, Course
-from evalkit.console import JobLines, TimeLeft, jobs, missing, progress
 from evalkit.execution.run_task import Ended
+from evalkit.terminal.progress import JobLines, TimeLeft, jobs, missing, progress
 
 
 @pytest.fixture

@@ -2,15 +2,15 @@
 
 import pytest
 
-from evalkit import listing
 from evalkit.metrics import METRICS
 from evalkit.plugins import registry
+from evalkit.terminal import inventory
 
 pytestmark = pytest.mark.usefixtures("strangers")
 
 
 def rows(kind):
-    return {entry.name: entry for entry in listing.KINDS[kind]()}
+    return {entry.name: entry for entry in inventory.KINDS[kind]()}
 
 
 def test_every_registered_name_has_a_row():

@@ -14,10 +14,9 @@ from rich.markup import escape
 from rich.progress import Progress
 from rich.table import Table
 
-from evalkit import console
-from evalkit.commands import options
 from evalkit.core.errors import EvalkitError, UnknownName
 from evalkit.plugins.parameter_parsing import from_text
+from evalkit.terminal import options, progress
 from evalkit_datasets import catalog, recorded
 from evalkit_datasets.fetch import fetch
 
@@ -44,7 +43,7 @@ def list_(as_json: Annotated[bool, typer.Option("--json", help="Print the result
     table = Table("name", "what it is", "licence", "where")
     for row in rows:
         table.add_row(*map(escape, row.values()))
-    console.show(out, table)
+    progress.show(out, table)
 
 
 @app.command("fetch")

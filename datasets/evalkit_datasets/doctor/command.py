@@ -12,10 +12,10 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from evalkit import console
-from evalkit.commands.options import Json, out, print_json
 from evalkit.core.errors import BadData
 from evalkit.results.store import reported
+from evalkit.terminal import progress
+from evalkit.terminal.options import Json, out, print_json
 from evalkit_datasets.doctor.examination import Examination, examine
 from evalkit_datasets.doctor.prescription import Prescription, prescribe
 
@@ -87,7 +87,7 @@ def _write(folder: Path, found: Examination, advice: Prescription | None) -> Pat
 
 def _show(found: Examination, advice: Prescription | None) -> None:
     out.print(f"{found.path.name}: {found.kind}, {found.bytes / 1e6:.1f} MB", markup=False, highlight=False)
-    console.show(out, _lidars(found))
+    progress.show(out, _lidars(found))
     for one in found.drivings:
         out.print(
             f"odometry {one.topic}, {one.parent} to {one.child}: {one.timing.count} poses, {one.path_m:.1f} m, "

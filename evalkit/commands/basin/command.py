@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from evalkit import console
-from evalkit.commands import options
-from evalkit.commands.options import Jobs, Json, Out, err, out
 from evalkit.execution import environment
 from evalkit.plugins import registry
 from evalkit.results.store import write_texts
+from evalkit.terminal import options, progress
+from evalkit.terminal.options import Jobs, Json, Out, err, out
 
 if TYPE_CHECKING:
     from evalkit.commands.basin.result import Result
@@ -87,7 +86,7 @@ def _asked(entrants: list[Any], trials: list[Any], folder: Path, workers: int) -
 
     count = sum(not each.reason for each in entrants) * sum(-(-one.offsets // attempts.AT_ONCE) for one in trials)
     try:
-        with console.jobs(err, count, workers) as done:
+        with progress.jobs(err, count, workers) as done:
             return attempts.ask(entrants, trials, Ledger(folder), workers, done)
     except KeyboardInterrupt:
         err.print("interrupted; what is done is kept: the same command goes on from here")
@@ -105,7 +104,7 @@ def _end(found: Result, content: dict[str, Any], page: Path, as_json: bool) -> N
     if as_json:
         options.print_json(content | {"page": str(page)})
     else:
-        console.show(out, _table(found))
+        progress.show(out, _table(found))
         out.print(str(page.resolve()), highlight=False, markup=False)
     if found.broken:
         raise typer.Exit(1)

@@ -9,11 +9,10 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from evalkit import console
-from evalkit.commands import options
 from evalkit.commands.diff import benchmark
 from evalkit.commands.diff.command import share
-from evalkit.commands.options import Json, out
+from evalkit.terminal import options, progress
+from evalkit.terminal.options import Json, out
 
 bench = typer.Typer(help="Compare benchmarks.", no_args_is_help=True)
 
@@ -45,7 +44,7 @@ def compare(
         for row in benchmark_comparison.rows(found):
             table.add_row(*map(Text, row))
         if table.row_count:
-            console.show(out, table)
+            progress.show(out, table)
         for line in (*found.apart, benchmark_comparison.verdict(found)):
             out.print(line, markup=False, highlight=False, emoji=False)
     if found.regressions:

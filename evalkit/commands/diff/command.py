@@ -9,9 +9,8 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from evalkit import console
-from evalkit.commands import options
-from evalkit.commands.options import Json, out
+from evalkit.terminal import options, progress
+from evalkit.terminal.options import Json, out
 
 
 def share(text: str) -> float:
@@ -53,7 +52,7 @@ def diff(
         for row in rows:
             table.add_row(*map(Text, row))
         if rows:
-            console.show(out, table)
+            progress.show(out, table)
         for line in (*change_text.remarks(found), change_text.verdict(found)):
             out.print(line, markup=False, highlight=False, emoji=False)
     if found.regressions:

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from evalkit.commands import options
-from evalkit.commands.options import Json, err, out
 from evalkit.core.errors import NotInstalled, UnknownName
 from evalkit.results.store import Store, reported
+from evalkit.terminal import options
+from evalkit.terminal.options import Json, err, out
 
 if TYPE_CHECKING:
     from evalkit.results.exported import Results

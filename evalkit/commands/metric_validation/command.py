@@ -11,12 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from evalkit import console
-from evalkit.commands import options
-from evalkit.commands.options import Json, Out, err, out
 from evalkit.core.errors import UnknownName
 from evalkit.execution import environment
 from evalkit.results.store import write_texts
+from evalkit.terminal import options, progress
+from evalkit.terminal.options import Json, Out, err, out
 
 if TYPE_CHECKING:
     from evalkit.execution.job_store import Job, Result
@@ -53,7 +52,7 @@ def list_(
     table = Table("name", "label", "unit", "better", "group", expand=out.is_terminal)
     for metric in chosen:
         table.add_row(*map(escape, (metric.name, metric.label, metric.unit or "-", metric.better or "-", metric.group)))
-    console.show(out, table)
+    progress.show(out, table)
 
 
 @metrics.command()
@@ -126,7 +125,7 @@ def selftest(
     if as_json:
         options.print_json(found)
     else:
-        console.show(out, _planted(found))
+        progress.show(out, _planted(found))
     _judge(found)
 
 
@@ -181,7 +180,7 @@ def _made(jobs: list[Job], folder: Path, workers: int | None) -> dict[str, Resul
 
     at_once = workers or environment.physical_cores()
     try:
-        with console.jobs(err, len(jobs), at_once) as done:
+        with progress.jobs(err, len(jobs), at_once) as done:
             return Ledger(folder / "results").run(jobs, at_once, done)
     except KeyboardInterrupt:
         err.print("interrupted; what is done is kept: the same command goes on from here")
@@ -203,8 +202,8 @@ def _print(content: dict[str, Any]) -> None:
     table = Table("metric", "Spearman", "95 %", *ways)
     for row in content["trust"]:
         table.add_row(row["metric"], *_overall(row["overall"]), *(_told(row["by_way"][way]) for way in ways))
-    console.show(out, table)
-    console.show(out, _planted(content["planted"]))
+    progress.show(out, table)
+    progress.show(out, _planted(content["planted"]))
 
 
 def _overall(found: dict[str, float] | None) -> tuple[str, str]:

@@ -9,9 +9,6 @@ from typing import Annotated, Any
 import typer
 from rich.table import Table
 
-from evalkit import console
-from evalkit.commands import options
-from evalkit.commands.options import Json, err, out
 from evalkit.commands.realtime.virtual_clock import POLICIES, Policy, Rule, first_broken
 from evalkit.core.errors import DataMissing
 from evalkit.execution.job_store import Job, Ledger
@@ -19,6 +16,8 @@ from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import Value, resolved
+from evalkit.terminal import options, progress
+from evalkit.terminal.options import Json, err, out
 
 RULE = Rule()
 
@@ -49,7 +48,7 @@ def realtime(
         "factors": known, "policies": [_policy(policy)], "repetitions": repetitions, "bridged": odometry,
     }  # fmt: skip
     job = Job(f"{backend} on {on}", "evalkit.commands.realtime.simulation:paced", arguments)
-    with console.jobs(err, 1, 1) as done:
+    with progress.jobs(err, 1, 1) as done:
         found = Ledger(folder or Path("reports") / "build" / "realtime").run([job], 1, done)[job.name]
     rows = _rows(found)
     if as_json:
@@ -133,7 +132,7 @@ def _show(backend: str, on: str, found: Any, rows: list[dict[str, Any]]) -> None
             f"{100 * row['late']:.1f}", f"{row['age_ms'][1]:.1f}", _metres(row["of_answers"]), _metres(row["at_hand"]),
             f"broken {row['lost']}".strip() if row["broken"] else "",
         )  # fmt: skip
-    console.show(out, table)
+    progress.show(out, table)
     breaks = f"breaks at {told['breaks_at']:g}" if told["breaks_at"] is not None else "holds at every factor asked"
     out.print(
         f"{told['median_cost_ms']:.2f} ms a scan here (median); a device up to {told['headroom']:.3g} times slower "

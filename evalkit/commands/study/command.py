@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from evalkit import console
-from evalkit.commands import options
-from evalkit.commands.options import Json, Out, Scheduler, err, out
 from evalkit.core.errors import NotInstalled, UnknownName
 from evalkit.execution import environment
 from evalkit.results.store import write_texts
+from evalkit.terminal import options, progress
+from evalkit.terminal.options import Json, Out, Scheduler, err, out
 
 if TYPE_CHECKING:
     from evalkit.commands.study.plan import Study
@@ -52,7 +51,7 @@ def study(
     ran_on = environment.describe(jobs=workers)
     asked = plan.jobs()
     try:
-        with console.jobs(err, len(asked), workers) as done:
+        with progress.jobs(err, len(asked), workers) as done:
             outcome = Outcome(plan, computed(asked, folder / "results", workers, done, cluster))
     except KeyboardInterrupt:
         err.print("interrupted; finished points are kept: the same command goes on from here")

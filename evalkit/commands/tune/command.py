@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from evalkit import console
-from evalkit.commands import options
-from evalkit.commands.options import Collect, Jobs, Json, err, out
 from evalkit.execution import environment
 from evalkit.results.store import Store, write_texts
+from evalkit.terminal import options, progress
+from evalkit.terminal.options import Collect, Jobs, Json, err, out
 
 if TYPE_CHECKING:
     from evalkit.commands.tune.plan import Tuning
@@ -101,7 +100,7 @@ def _searched(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tupl
             out.print(f"{told} without --collect goes on", markup=False, highlight=False)
             raise typer.Exit(3) from None
     try:
-        with console.jobs(err, search_loop.expected_runs(tuning), workers) as done:
+        with progress.jobs(err, search_loop.expected_runs(tuning), workers) as done:
             return search_loop.searched(tuning, search_loop.making(results, workers, done))
     except KeyboardInterrupt:
         err.print("interrupted; finished runs are kept: the same command goes on from here")
@@ -112,10 +111,10 @@ def _judged(plan: Plan, store: Store, workers: int, ran_on: dict[str, str], coll
     """Default and tuned rows on the held-out sequences, each run in a process of its own; what is done is kept."""
     from evalkit.execution.scheduler import Engine  # noqa: PLC0415 - with the search's modules
 
-    for line in console.missing(plan):
+    for line in progress.missing(plan):
         err.print(line, markup=False, highlight=False)
     try:
-        with console.progress(err, list(plan.runs()), workers) as shown:
+        with progress.progress(err, list(plan.runs()), workers) as shown:
             return Engine(plan, store, shown, workers, True, ran_on, collect=collect).trials()
     except KeyboardInterrupt:
         err.print("interrupted; finished runs are kept: the same command goes on from here")

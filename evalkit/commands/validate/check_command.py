@@ -9,11 +9,10 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from evalkit import console
-from evalkit.commands import options
-from evalkit.commands.options import Json, out
 from evalkit.commands.validate.rules import runner as conformance
 from evalkit.plugins.parameter_parsing import from_text
+from evalkit.terminal import options, progress
+from evalkit.terminal.options import Json, out
 
 
 def check(
@@ -34,7 +33,7 @@ def check(
         for row in found.verdicts:
             asked = f"{row.sentence} Seen: " if row in found.broken else ""
             table.add_row(row.rule, row.outcome, Text(asked + row.observed))  # others' words are no markup
-        console.show(out, table)
+        progress.show(out, table)
         told = f"{found.label}: {len(found.broken)} of {len(found.verdicts)} rules broken"
         out.print(told, markup=False, emoji=False, highlight=False)
     if found.broken:

@@ -16,9 +16,6 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
-from evalkit import console
-from evalkit.commands import options
-from evalkit.commands.options import Jobs, Json, err, out
 from evalkit.commands.validate.acceptance import Claim, Dossier
 from evalkit.config.experiment import Plan
 from evalkit.core.errors import BadParameter
@@ -26,6 +23,8 @@ from evalkit.execution import environment
 from evalkit.execution.scheduler import Progress
 from evalkit.plugins import registry
 from evalkit.results.store import Store
+from evalkit.terminal import options, progress
+from evalkit.terminal.options import Jobs, Json, err, out
 
 FULL_ON = ("room laps=0.6", "lab laps=0.6", "fr079 limit=600")
 QUICK_ON = ("room laps=0.15", "lab laps=0.15", "fr079 limit=90")
@@ -83,7 +82,7 @@ def validate(
             shutil.rmtree(place / kept, ignore_errors=True)
     for name, why in examined.absent.items():
         err.print(f"missing here: {name}: {why}", markup=False, highlight=False)
-    watch = examination.Watch(lambda total, workers: console.jobs(err, total, workers), _runs)
+    watch = examination.Watch(lambda total, workers: progress.jobs(err, total, workers), _runs)
     found = examined.dossier(place, jobs or environment.physical_cores(), watch)
     page = _write(found, place, "evalkit " + shlex.join(sys.argv[1:]))
     if as_json:
@@ -96,7 +95,7 @@ def validate(
 
 @contextmanager
 def _runs(plan: Plan, workers: int) -> Iterator[Progress]:
-    with console.progress(err, list(plan.runs()), workers) as shown:
+    with progress.progress(err, list(plan.runs()), workers) as shown:
         yield shown
 
 
@@ -119,7 +118,7 @@ def _tell(found: Dossier, page: Path) -> None:
         said = "\n".join(f"{line.on + ': ' if line.on else ''}{line.name}: {line.observed}" for line in shown[:MOST])
         said += f"\n... and {len(shown) - MOST} more" if len(shown) > MOST else ""
         table.add_row(f"{level.number} {level.name}", level.outcome(found.claim), Text(said))
-    console.show(out, table)
+    progress.show(out, table)
     out.print(found.verdict, markup=False, emoji=False, highlight=False)
     out.print(str(page.resolve()), markup=False, highlight=False)
 

@@ -9,11 +9,10 @@ import typer
 from rich.markup import escape
 from rich.table import Table
 
-from evalkit import console
-from evalkit.commands import options
-from evalkit.commands.options import Json, err, out
 from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text
+from evalkit.terminal import options, progress
+from evalkit.terminal.options import Json, err, out
 
 
 def determinism(
@@ -43,6 +42,6 @@ def determinism(
     if as_json:
         options.print_json([asdict(one) for one in found])
     else:
-        console.show(out, table)
+        progress.show(out, table)
     if any(one.verdict in ("not deterministic", "no answer") for one in found):
         raise typer.Exit(1)

@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from evalkit.commands import options
-from evalkit.commands.options import Json, out
+from evalkit.terminal import options
+from evalkit.terminal.options import Json, out
 
 
 def equiv(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from evalkit.commands.options import out
+from evalkit.terminal.options import out
 
 
 def paper(

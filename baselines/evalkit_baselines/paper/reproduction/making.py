@@ -9,12 +9,12 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from evalkit import console
-from evalkit.commands.options import err
 from evalkit.execution import environment
 from evalkit.execution.job_store import Job, Ledger
 from evalkit.report.html.document import Cell, Column, Command, Fold, Section, Table, Text, render
 from evalkit.results.store import reported
+from evalkit.terminal import progress
+from evalkit.terminal.options import err
 from evalkit_baselines.paper.reproduction import page
 from evalkit_baselines.paper.reproduction.chapters import CHAPTERS
 
@@ -29,7 +29,7 @@ def make(file: Path, folder: Path | None, workers: int | None) -> Path:
     workers = workers or environment.physical_cores()
     ran_on = environment.describe(("numpy", "scipy", "open3d-cpu", "kiss-icp", "small-gicp"), jobs=workers)
     try:
-        with console.jobs(err, len(every), workers) as done:
+        with progress.jobs(err, len(every), workers) as done:
             found = Ledger(folder / "results").run(every, workers, done)
     except KeyboardInterrupt:
         err.print("interrupted; what is done is kept: the same command goes on from here")

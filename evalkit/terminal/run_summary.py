@@ -9,11 +9,11 @@ from typing import Any
 
 import typer
 
-from evalkit.commands import options
-from evalkit.commands.options import FAILED, out
 from evalkit.core.run_result import Status, Trial
 from evalkit.execution.run_task import Ended
 from evalkit.results.store import Store
+from evalkit.terminal import options
+from evalkit.terminal.options import FAILED, out
 
 ABSENT: tuple[Status, ...] = ("not-installed", "data-missing", "skipped")
 """The statuses of runs that were never begun."""

@@ -1,0 +1,1 @@
+"""Terminal output and command-line options shared by several commands."""
