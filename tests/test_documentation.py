@@ -12,10 +12,11 @@ from urllib.parse import unquote, urlsplit
 
 import pytest
 
-site = pytest.importorskip("evalkit.documentation.site", reason="the documentation is not part of a wheel")
+site = pytest.importorskip("evalkit_docs.site", reason="the documentation is not part of a wheel")
 
-from evalkit.documentation import blocks as code  # noqa: E402 - as above
-from evalkit.documentation import command_reference, example  # noqa: E402 - as above
+from evalkit_docs import blocks as code  # noqa: E402 - as above
+from evalkit_docs import command_reference, example  # noqa: E402 - as above
+
 from evalkit.metrics import all_metrics  # noqa: E402 - as above
 from evalkit.plugins import registry  # noqa: E402 - only where there is a documentation
 

@@ -4,9 +4,9 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import evalkit.validation.dossier as package
 import pytest
 
-import evalkit.validation.dossier as package
 from evalkit.commands.validate import examination
 from evalkit.commands.validate.acceptance import Claim, Dossier, Level, Line
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from evalkit.documentation import command_reference, metric_reference, plugin_reference
+from evalkit_docs import command_reference, metric_reference, plugin_reference
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = Path(__file__).parent / "pages"

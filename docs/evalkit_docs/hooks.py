@@ -6,8 +6,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from evalkit.documentation import example, site
-from evalkit.documentation.blocks import CONSOLE, blocks, commands
+from evalkit_docs import example, site
+from evalkit_docs.blocks import CONSOLE, blocks, commands
 
 HIGHLIGHTED = f'<div class="language-{CONSOLE} highlight">'
 

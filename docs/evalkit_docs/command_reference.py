@@ -14,8 +14,8 @@ import typer
 from typer.models import ArgumentInfo, OptionInfo
 
 from evalkit import cli
-from evalkit.documentation.markup import code, heading, page, table, text
 from evalkit.plugins import registry
+from evalkit_docs.markup import code, heading, page, table, text
 
 Function = Callable[..., Any]
 COLUMNS = ("", "takes", "default", "what it is")

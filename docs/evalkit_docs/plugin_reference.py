@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from evalkit.documentation.markup import code, facts, fold, heading, page, table, text
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter
+from evalkit_docs.markup import code, facts, fold, heading, page, table, text
 
 COLUMNS = ("name", "default", "unit", "limits", "meaning")
 

@@ -1,1 +1,0 @@
-"""The documentation site: its pages, and what writes the reference pages from the program itself."""
