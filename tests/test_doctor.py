@@ -13,15 +13,15 @@ from typer.testing import CliRunner
 
 from evalkit.config import experiment
 from evalkit.core.errors import BadData
-from evalkit_datasets.doctor import driving as driven
-from evalkit_datasets.doctor.command import inspect
-from evalkit_datasets.doctor.driving import driving, turning
-from evalkit_datasets.doctor.examination import examine
-from evalkit_datasets.doctor.page import document
-from evalkit_datasets.doctor.prescription import best_lidar, prescribe
-from evalkit_datasets.doctor.returns import no_return_codes, returns
-from evalkit_datasets.doctor.streams import Laser, Wheels
-from evalkit_datasets.doctor.timing import clock, timing
+from evalkit_datasets.inspection import driving as driven
+from evalkit_datasets.inspection.command import inspect
+from evalkit_datasets.inspection.driving import driving, turning
+from evalkit_datasets.inspection.examination import examine
+from evalkit_datasets.inspection.page import document
+from evalkit_datasets.inspection.range_stats import no_return_codes, returns
+from evalkit_datasets.inspection.streams import Laser, Wheels
+from evalkit_datasets.inspection.suggested_config import best_lidar, prescribe
+from evalkit_datasets.inspection.timing import clock, timing
 
 DATA = Path(os.environ.get("EVALKIT_DATA") or "absent")
 S = 10**9

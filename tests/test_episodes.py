@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from evalkit_datasets.episodes import NEVER, Episodes
+from evalkit_datasets.disturbances import NEVER, Episodes
 
 S = 1_000_000_000
 

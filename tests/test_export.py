@@ -277,8 +277,8 @@ def test_a_bag_is_the_recording_again_for_evalkits_own_reader(finished):
 
 
 def test_the_doctor_finds_in_a_bag_what_was_put_there(finished):
-    from evalkit_datasets.doctor.examination import examine
-    from evalkit_datasets.doctor.prescription import prescribe
+    from evalkit_datasets.inspection.examination import examine
+    from evalkit_datasets.inspection.suggested_config import prescribe
 
     found = examine(exported(finished, "mcap", "--contestant", "wheel")[0])
     (lidar,), (seat,), (driven,) = found.lidars, found.frames.mountings, found.drivings

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evalkit_datasets import floorplans
-from evalkit_datasets.people import FROM_ROBOT_M, RADIUS_M, Walk, walks
+from evalkit_datasets.pedestrians import FROM_ROBOT_M, RADIUS_M, Walk, walks
 from evalkit_datasets.robot import Drive
 
 S = 1_000_000_000

@@ -3,7 +3,7 @@ import pytest
 
 from evalkit.core import se2
 from evalkit_datasets import robot
-from evalkit_datasets.episodes import Episodes
+from evalkit_datasets.disturbances import Episodes
 from evalkit_datasets.robot import Drive, Route, WheelOdometry
 
 SQUARE = Route.through([(0, 0, 1), (4, 0, 1), (4, 4, 1), (0, 4, 1)])

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from evalkit_datasets.sorting import by_rank
+from evalkit_datasets.reordering import by_rank
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evalkit_datasets.stamps import ordered, stamp_ns, stamp_text
+from evalkit_datasets.timestamps import ordered, stamp_ns, stamp_text
 
 
 def test_a_stamp_keeps_every_digit_a_float_would_lose():

@@ -10,7 +10,7 @@ import pytest
 
 from evalkit.core.errors import BadData
 from evalkit.io.input_files import BLOCK
-from evalkit_datasets.unpacking import LONGEST_LINE, lines_of
+from evalkit_datasets.text_lines import LONGEST_LINE, lines_of
 
 
 def written(folder, content):

@@ -16,7 +16,7 @@ from evalkit.core.arrays import Bools, Ints
 from evalkit.core.errors import BadData, EvalkitError
 from evalkit.core.se2 import Floats, Stamps
 from evalkit_datasets.samples import Samples
-from evalkit_datasets.stamps import ordered
+from evalkit_datasets.timestamps import ordered
 from evalkit_datasets.transforms import Edge, Tree, matrix_of, planar
 
 LASER = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan")

@@ -19,8 +19,8 @@ from evalkit.core.trajectory import Trajectory
 from evalkit.plugins.protocols import DatasetSpec, Parameter
 from evalkit_datasets import carmen_lines, recording
 from evalkit_datasets.carmen_lines import Log, Reading
-from evalkit_datasets.sorting import by_rank
-from evalkit_datasets.stamps import ordered
+from evalkit_datasets.reordering import by_rank
+from evalkit_datasets.timestamps import ordered
 
 CODES_M = (32.767,)
 """Ranges that mean no return wherever they occur, below every sensible ``range_max_m``."""

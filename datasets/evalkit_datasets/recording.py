@@ -17,7 +17,7 @@ from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
 from evalkit.plugins.protocols import Parameter
 from evalkit_datasets import relations, spans, tum
-from evalkit_datasets.stamps import stamp_text
+from evalkit_datasets.timestamps import stamp_text
 
 HOLD_NS = 50_000_000
 """So far before its first or after its last pose odometry still answers, with that pose: a robot moves millimetres."""

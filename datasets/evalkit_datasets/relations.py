@@ -9,7 +9,7 @@ import numpy as np
 from evalkit.core.errors import BadData
 from evalkit.core.ground_truth import Relations
 from evalkit_datasets.rows import columns, lines_of, numbers
-from evalkit_datasets.stamps import stamp_ns
+from evalkit_datasets.timestamps import stamp_ns
 
 LAYOUT = "t1 t2 x y z roll pitch yaw"
 

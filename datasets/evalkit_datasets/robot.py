@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from evalkit.core import se2
 from evalkit.core.se2 import Floats, Stamps
-from evalkit_datasets.episodes import NEVER, Episodes
+from evalkit_datasets.disturbances import NEVER, Episodes
 
 _TICK_NS = 10_000_000  # wheel encoders and gyroscope are read at 100 Hz
 _TICKS_AT_ONCE = 6_000  # a minute of readings integrated together: a long drive takes no more memory for it

@@ -22,9 +22,9 @@ from evalkit.core.trajectory import Trajectory
 from evalkit.plugins.protocols import DatasetSpec, Parameter
 from evalkit_datasets import bag, recording
 from evalkit_datasets.bag import Contents, Scans, Sweep
+from evalkit_datasets.reordering import by_rank
 from evalkit_datasets.samples import Samples
-from evalkit_datasets.sorting import by_rank
-from evalkit_datasets.stamps import ordered
+from evalkit_datasets.timestamps import ordered
 from evalkit_datasets.transforms import Mounting
 
 BASE_FRAMES = ("base_link", "base_footprint", "base")

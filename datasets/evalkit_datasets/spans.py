@@ -11,7 +11,7 @@ from evalkit.core.errors import BadData, brief
 from evalkit.core.measured_distances import Place, Span
 from evalkit.io.input_files import tables_of
 from evalkit_datasets.rows import text_of
-from evalkit_datasets.stamps import stamp_ns
+from evalkit_datasets.timestamps import stamp_ns
 
 WHAT = "a TOML file with one [[span]] a distance: from, to, metres"
 SEEN = "expected a time in seconds, { at = seconds, point = [x, y] } or { wall = [x, y] }"

@@ -15,10 +15,10 @@ from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.plugins.protocols import DatasetSpec, Parameter, Value, resolved, with_defaults
 from evalkit_datasets import floorplans
-from evalkit_datasets.episodes import NEVER, Episodes
+from evalkit_datasets.disturbances import NEVER, Episodes
 from evalkit_datasets.floorplans import FloorPlan
 from evalkit_datasets.lidar import Lidar
-from evalkit_datasets.people import Walk, walks
+from evalkit_datasets.pedestrians import Walk, walks
 from evalkit_datasets.robot import Drive, Route, WheelOdometry
 from evalkit_datasets.worlds import truth_grid
 

@@ -12,7 +12,7 @@ from evalkit.core.errors import BadData
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit_datasets.rows import columns, lines_of, numbers
-from evalkit_datasets.stamps import ordered, stamp_ns, stamp_text
+from evalkit_datasets.timestamps import ordered, stamp_ns, stamp_text
 
 LAYOUT = "t x y z qx qy qz qw"
 

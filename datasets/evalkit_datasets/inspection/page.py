@@ -25,11 +25,11 @@ from evalkit.report.html.document import (
     Tone,
 )
 from evalkit.report.html.palette import HUES
-from evalkit_datasets.doctor.driving import Driving
-from evalkit_datasets.doctor.examination import Examination
-from evalkit_datasets.doctor.findings import Level, Lidar, times
-from evalkit_datasets.doctor.prescription import Prescription
-from evalkit_datasets.doctor.streams import Laser
+from evalkit_datasets.inspection.driving import Driving
+from evalkit_datasets.inspection.examination import Examination
+from evalkit_datasets.inspection.findings import Level, Lidar, times
+from evalkit_datasets.inspection.streams import Laser
+from evalkit_datasets.inspection.suggested_config import Prescription
 
 TONES: dict[Level, Tone] = {"problem": "bad", "warning": "warn", "note": ""}
 SHOWN = 2000  # points of a line or a scan: more cannot be seen

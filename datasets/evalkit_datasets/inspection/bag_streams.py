@@ -11,7 +11,7 @@ import numpy as np
 from evalkit.core.se2 import Floats, Stamps
 from evalkit_datasets import bag
 from evalkit_datasets.bag import Contents, Sweep
-from evalkit_datasets.doctor.streams import Laser, Streams, Topic, Wheels
+from evalkit_datasets.inspection.streams import Laser, Streams, Topic, Wheels
 from evalkit_datasets.transforms import Tree, planar
 
 WANTED = {*bag.LASER, bag.ODOMETRY, *bag.TRANSFORMS}

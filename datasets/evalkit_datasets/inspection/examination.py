@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from evalkit_datasets import bag
-from evalkit_datasets.doctor import bag_streams, findings, log_streams
-from evalkit_datasets.doctor.driving import Driving, Turning, driving, turning
-from evalkit_datasets.doctor.findings import Finding, Lidar
-from evalkit_datasets.doctor.frames import Frames, frames
-from evalkit_datasets.doctor.returns import returns
-from evalkit_datasets.doctor.streams import Laser, Streams, Topic
-from evalkit_datasets.doctor.timing import clock, timing
+from evalkit_datasets.inspection import bag_streams, findings, log_streams
+from evalkit_datasets.inspection.driving import Driving, Turning, driving, turning
+from evalkit_datasets.inspection.findings import Finding, Lidar
+from evalkit_datasets.inspection.frames import Frames, frames
+from evalkit_datasets.inspection.range_stats import returns
+from evalkit_datasets.inspection.streams import Laser, Streams, Topic
+from evalkit_datasets.inspection.timing import clock, timing
 
 TRUTH_WORDS = ("ground_truth", "groundtruth", "gt", "mocap", "vicon", "optitrack", "reference")
 

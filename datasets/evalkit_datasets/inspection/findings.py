@@ -10,12 +10,12 @@ from typing import Literal
 import numpy as np
 
 from evalkit_datasets import carmen
-from evalkit_datasets.doctor.driving import Driving, Turning
-from evalkit_datasets.doctor.frames import Frames
-from evalkit_datasets.doctor.log_streams import BESIDE
-from evalkit_datasets.doctor.returns import Returns
-from evalkit_datasets.doctor.streams import Streams
-from evalkit_datasets.doctor.timing import Clock, Timing
+from evalkit_datasets.inspection.driving import Driving, Turning
+from evalkit_datasets.inspection.frames import Frames
+from evalkit_datasets.inspection.log_streams import BESIDE
+from evalkit_datasets.inspection.range_stats import Returns
+from evalkit_datasets.inspection.streams import Streams
+from evalkit_datasets.inspection.timing import Clock, Timing
 
 Level = Literal["problem", "warning", "note"]
 

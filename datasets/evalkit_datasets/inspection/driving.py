@@ -10,8 +10,8 @@ import numpy as np
 from evalkit.core import se2
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats, Stamps
-from evalkit_datasets.doctor.streams import Laser, Wheels
-from evalkit_datasets.doctor.timing import Clock, Timing, clock, timing
+from evalkit_datasets.inspection.streams import Laser, Wheels
+from evalkit_datasets.inspection.timing import Clock, Timing, clock, timing
 
 STILL = (0.005, 0.005)
 """Slower than this (m/s, rad/s) is standing."""

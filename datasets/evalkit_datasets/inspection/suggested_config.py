@@ -14,8 +14,8 @@ from evalkit.core.pose import Pose
 from evalkit.plugins.protocols import Value
 from evalkit_datasets import catalog, recorded
 from evalkit_datasets.carmen import Carmen
-from evalkit_datasets.doctor.examination import Examination, worth
-from evalkit_datasets.doctor.findings import Lidar, is_known
+from evalkit_datasets.inspection.examination import Examination, worth
+from evalkit_datasets.inspection.findings import Lidar, is_known
 from evalkit_datasets.rosbag import RosBag
 
 TILT_WORDS = ("vertical",)

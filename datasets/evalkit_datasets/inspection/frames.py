@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from evalkit_datasets.doctor.streams import Laser
+from evalkit_datasets.inspection.streams import Laser
 from evalkit_datasets.rosbag import BASE_FRAMES
 from evalkit_datasets.transforms import Tree
 

@@ -11,8 +11,8 @@ from evalkit.core.errors import BadData
 from evalkit.core.se2 import Floats, Stamps
 from evalkit_datasets import carmen_lines
 from evalkit_datasets.carmen_lines import Log, Reading
-from evalkit_datasets.doctor.streams import Laser, Streams, Topic, Wheels
-from evalkit_datasets.stamps import stamp_ns
+from evalkit_datasets.inspection.streams import Laser, Streams, Topic, Wheels
+from evalkit_datasets.timestamps import stamp_ns
 
 NO_RECORDING = {
     ".tum": "a trajectory (.tum) goes beside a recording: evalkit compare RECORDING --reference FILE",

@@ -9,7 +9,7 @@ import numpy as np
 
 from evalkit.core.arrays import Bools, Ints
 from evalkit.core.se2 import Floats, Stamps
-from evalkit_datasets.doctor.streams import Laser
+from evalkit_datasets.inspection.streams import Laser
 
 KNOWN_CODES: tuple[tuple[float, float, str], ...] = (
     (81.83, 0.005, "SICK LMS, centimetres, 13 bits"),

@@ -16,8 +16,8 @@ from evalkit.core.errors import BadData
 from evalkit.results.store import reported
 from evalkit.terminal import progress
 from evalkit.terminal.options import Json, out, print_json
-from evalkit_datasets.doctor.examination import Examination, examine
-from evalkit_datasets.doctor.prescription import Prescription, prescribe
+from evalkit_datasets.inspection.examination import Examination, examine
+from evalkit_datasets.inspection.suggested_config import Prescription, prescribe
 
 
 def inspect(
@@ -76,7 +76,7 @@ def _plain(value: Any) -> Any:
 def _write(folder: Path, found: Examination, advice: Prescription | None) -> Path:
     """Writes ``index.html`` and ``inspection.json``; the page's path."""
     from evalkit.report.html.document import render  # noqa: PLC0415 - loads jinja2: only who draws pays for it
-    from evalkit_datasets.doctor.page import document  # noqa: PLC0415 - loads matplotlib
+    from evalkit_datasets.inspection.page import document  # noqa: PLC0415 - loads matplotlib
 
     with reported(folder):
         folder.mkdir(parents=True, exist_ok=True)
