@@ -2,8 +2,7 @@
 
 import numpy as np
 import pytest
-
-from evalkit_baselines.paper.reproduction import claims, long_drives
+from evalkit_paper import claims, long_drives
 
 
 def test_wheels_without_errors_stay_on_the_way(monkeypatch):

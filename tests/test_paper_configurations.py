@@ -1,12 +1,12 @@
 """The table of what the two stages leave open."""
 
 import pytest
+from evalkit_paper import configurations
+from evalkit_paper.configurations import CHAPTER, CONFIGURATIONS
 
 from evalkit.execution.job_store import call
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
-from evalkit_baselines.paper.reproduction import configurations
-from evalkit_baselines.paper.reproduction.configurations import CHAPTER, CONFIGURATIONS
 
 
 def test_every_configuration_is_one_the_front_end_takes():

@@ -4,10 +4,10 @@ import re
 
 import numpy as np
 import pytest
+from evalkit_paper import equation_checks, equations
+from evalkit_paper.equation_checks import as_printed, guarded, without_guard
 
 from evalkit.report.html.document import Document, render
-from evalkit_baselines.paper.reproduction import equation_checks, equations
-from evalkit_baselines.paper.reproduction.equation_checks import as_printed, guarded, without_guard
 
 DRIVE = {"sequence": "room", "seed": 0, "laps": 0.1}
 

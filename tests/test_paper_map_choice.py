@@ -1,8 +1,7 @@
 """The rule that recommends settings of the map, on numbers made up for it."""
 
 import numpy as np
-
-from evalkit_baselines.paper.reproduction.map_choice import Choice, recommended
+from evalkit_paper.map_choice import Choice, recommended
 
 
 def choose(f1, loss, departures, peers=None):

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from evalkit_paper import mapping, maps
+from evalkit_paper.map_study import named
 
 from evalkit.plugins import registry
 from evalkit.report.html.document import Document, render
-from evalkit_baselines.paper.reproduction import mapping, maps
-from evalkit_baselines.paper.reproduction.map_study import named
 
 LAPS = 0.05
 SETTINGS = {"worlds": "lab", "seeds": 2, "laps": 0.1, "interactions": True}

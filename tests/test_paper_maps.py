@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from evalkit_paper import faults, figure_10, recorded_drive, scenes
 
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.execution.job_store import call
-from evalkit_baselines.paper.reproduction import faults, figure_10, places, recorded_drive
 
 SIZE = 40  # cells of 0.1 m
 
@@ -63,7 +63,7 @@ def test_a_map_is_found_again_on_the_plan_it_was_cut_from():
     )
     true = Pose(12.3, -7.4, 2.0)
     cut = plan[np.hypot(plan[:, 0] - 2.0, plan[:, 1] - 1.0) < 3.0]
-    found = places.place(true.inverse().transform(cut + rng.normal(0.0, 0.01, cut.shape)), plan)
+    found = scenes.place(true.inverse().transform(cut + rng.normal(0.0, 0.01, cut.shape)), plan)
     off = true.inverse() @ found.plan_from_map
     assert np.hypot(off.x, off.y) < 0.05
     assert abs(off.theta) < 0.01

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from evalkit_paper import realtime
+from evalkit_paper.ladders import Ladder
 
 from evalkit.report.html.document import Document, render
-from evalkit_baselines.paper.reproduction import realtime
-from evalkit_baselines.paper.reproduction.ladders import Ladder
 
 SETTINGS = {"seeds": 2, "laps": 0.1, "rates_hz": "10", "contestants": "own", "largest_factor": 100}
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from evalkit_paper import causes, lab_drives, residuals, spikes, trajectory_following
+from evalkit_paper.spikes import Band
 
 from evalkit.execution.job_store import call
 from evalkit.plugins import registry
-from evalkit_baselines.paper.reproduction import causes, following, lab_drives, residuals, spikes
-from evalkit_baselines.paper.reproduction.spikes import Band
 
 S = 1.0
 CALM = Band(1.0, 0.1)  # a spike exceeds 1.5, is over at 1.2
@@ -47,21 +47,21 @@ def test_events_are_the_runs_of_marks():
 
 
 def test_the_three_errors_of_known_distances():
-    assert following.readings(np.array([3.0, 4.0])) == (3.5, pytest.approx(np.sqrt(12.5)), 12.5)
+    assert trajectory_following.readings(np.array([3.0, 4.0])) == (3.5, pytest.approx(np.sqrt(12.5)), 12.5)
 
 
 def test_following_answers_what_the_front_end_answers_and_reads_its_own_error():
     lab = registry.dataset("lab").make(laps=0.03, rate_hz=5.0, noise_m=0.01)
-    found = following.follow(lab, "paper", {}, every_pair=True)
+    found = trajectory_following.follow(lab, "paper", {}, every_pair=True)
     heard = []
     spec = registry.backend("paper")
-    plain = following.frontend.odometry(
+    plain = trajectory_following.frontend.odometry(
         spec,
-        following.frontend.complete_parameters("paper", spec, {}),
+        trajectory_following.frontend.complete_parameters("paper", spec, {}),
         lambda stage, answer, believed: heard.append((stage, answer.error)),
     )
     np.testing.assert_array_equal(found.poses, [plain.update(frame).row for frame in lab.frames()])
-    for stage in following.STAGES:
+    for stage in trajectory_following.STAGES:
         told = [error for name, error in heard if name == stage]
         np.testing.assert_allclose(found.errors[stage][1:, 0], told, atol=1e-12)
         assert np.isnan(found.errors[stage][0]).all()
@@ -71,7 +71,7 @@ def test_following_answers_what_the_front_end_answers_and_reads_its_own_error():
 def test_yaw_rates_are_those_of_the_quicker_step():
     poses = np.array([[0, 0, 0.0], [0, 0, 0.1], [0, 0, 0.4], [0, 0, 0.4]])
     stamps = np.arange(4) * 500_000_000
-    np.testing.assert_allclose(following.yaw_rates_dps(stamps, poses), np.degrees([0.2, 0.6, 0.6, 0.0]))
+    np.testing.assert_allclose(trajectory_following.yaw_rates_dps(stamps, poses), np.degrees([0.2, 0.6, 0.6, 0.0]))
 
 
 def test_lost_scans_are_told_by_their_gaps_and_slips_by_their_schedule():

@@ -1,11 +1,11 @@
 """Figures 2 to 5: the stages are recorded, not drawn from memory."""
 
 import pytest
+from evalkit_paper import flowcharts, stages
+from evalkit_paper.flowcharts import MAPPING, PIPELINE, REGISTRATION, TWO_STAGES, path
+from evalkit_paper.stages import Call
 
 from evalkit.execution.job_store import call
-from evalkit_baselines.paper.reproduction import flowcharts, stages
-from evalkit_baselines.paper.reproduction.flowcharts import MAPPING, PIPELINE, REGISTRATION, TWO_STAGES, path
-from evalkit_baselines.paper.reproduction.stages import Call
 
 
 def recording(**settings):

@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
+from evalkit_paper import table_1, validation, validation_basin
+from evalkit_paper.table_1 import APPLIED, PRINTED, READINGS, ROOMS
+from evalkit_paper.validation import Fit
 
 from evalkit.core.pose import Pose
 from evalkit.report.html.document import Document, render
-from evalkit_baselines.paper.reproduction import table_1, validation, validation_basin
-from evalkit_baselines.paper.reproduction.table_1 import APPLIED, PRINTED, READINGS, ROOMS
-from evalkit_baselines.paper.reproduction.validation import Fit
 
 SEEDS = 8
 READING = "mean distance"

@@ -1,10 +1,10 @@
 """The study's chapter of the paper's page, with a study that takes a second."""
 
 import pytest
+from evalkit_paper.study import CHAPTER
+from evalkit_paper.twins import apart
 
 from evalkit.plugins import registry
-from evalkit_baselines.paper.reproduction.study import CHAPTER
-from evalkit_baselines.paper.reproduction.twins import apart
 
 STUDY = """
 title = "A small study"

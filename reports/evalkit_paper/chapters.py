@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from evalkit_baselines.paper.reproduction import (
+from evalkit_paper import (
     claims,
     configurations,
     equations,
@@ -14,7 +14,7 @@ from evalkit_baselines.paper.reproduction import (
     study,
     validation,
 )
-from evalkit_baselines.paper.reproduction.chapter import Chapter
+from evalkit_paper.chapter import Chapter
 
 CHAPTERS: tuple[Chapter, ...] = (
     flowcharts.CHAPTER,

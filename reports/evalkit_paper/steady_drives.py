@@ -9,9 +9,9 @@ import numpy as np
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
 from evalkit.execution.job_store import Result
-from evalkit_baselines.paper.reproduction import lab_drives, spikes
-from evalkit_baselines.paper.reproduction.chapter import Results, Settings
-from evalkit_baselines.paper.reproduction.spikes import Band
+from evalkit_paper import lab_drives, spikes
+from evalkit_paper.chapter import Results, Settings
+from evalkit_paper.spikes import Band
 
 CALM_DPS = 10.0
 SETTLED_S = 15.0

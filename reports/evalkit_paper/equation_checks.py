@@ -20,8 +20,8 @@ from evalkit.plugins.protocols import Sequence
 from evalkit_baselines.paper import icp
 from evalkit_baselines.paper.grid import LogOddsGrid
 from evalkit_baselines.paper.icp import Icp
-from evalkit_baselines.paper.reproduction import table_1
-from evalkit_baselines.paper.reproduction.table_1 import ROOMS
+from evalkit_paper import table_1
+from evalkit_paper.table_1 import ROOMS
 
 Rotation = Callable[[Floats], Floats]
 """From K (2, 2) of equation 3 to a rotation (2, 2)."""

@@ -10,7 +10,7 @@ from typing import Any
 from evalkit.core.errors import BadExperiment, UnknownName
 from evalkit.execution.job_store import Job, Result
 from evalkit.report.html.document import Cell, Column, Document, Section, Table, Text, Tone
-from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Settings, Verdict
+from evalkit_paper.chapter import Chapter, Finding, Settings, Verdict
 
 TITLE = "The paper, reproduced"
 LEAD = (

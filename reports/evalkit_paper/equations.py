@@ -10,8 +10,8 @@ from evalkit.plugins.protocols import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve, Points
 from evalkit.report.html.document import Block, Cell, Figure, Figures, Section, Table, Text
-from evalkit_baselines.paper.reproduction import equation_checks
-from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings, Verdict
+from evalkit_paper import equation_checks
+from evalkit_paper.chapter import Chapter, Finding, Results, Settings, Verdict
 
 ANCHOR = "equations"
 

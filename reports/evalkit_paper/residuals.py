@@ -12,10 +12,10 @@ from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve, Span
 from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text
 from evalkit.report.html.palette import BAR, Stroke
-from evalkit_baselines.paper.reproduction import causes, following, lab_drives, spikes, steady
-from evalkit_baselines.paper.reproduction.causes import MM
-from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings
-from evalkit_baselines.paper.reproduction.lab_drives import Cause
+from evalkit_paper import causes, lab_drives, spikes, steady_drives, trajectory_following
+from evalkit_paper.causes import MM
+from evalkit_paper.chapter import Chapter, Finding, Results, Settings
+from evalkit_paper.lab_drives import Cause
 
 PRINTED_M = (0.02, 0.03)
 """Figure 9 of the paper: where its steady residuals lie."""
@@ -44,9 +44,11 @@ PARAMETERS = (
 
 def jobs(settings: Settings) -> tuple[Job, ...]:
     """Every cause at every rate, and every yaw rate."""
-    rates = steady.numbers(settings["rates_hz"])
+    rates = steady_drives.numbers(settings["rates_hz"])
     drives = [lab_drives.job(settings, cause, rate) for rate in rates for cause in lab_drives.causes(settings)]
-    turns = [lab_drives.turn_job(settings, dps, rate) for rate in rates for dps in steady.numbers(settings["yaw_dps"])]
+    turns = [
+        lab_drives.turn_job(settings, dps, rate) for rate in rates for dps in steady_drives.numbers(settings["yaw_dps"])
+    ]
     return (*drives, *turns)
 
 
@@ -59,7 +61,7 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
             "nothing undoes the motion within a scan unless a drive is called deskewed. A scan's residual is what its "
             "last iteration leaves over."
         ),
-        Figures([_over_time(settings, results, rate) for rate in steady.numbers(settings["rates_hz"])]),
+        Figures([_over_time(settings, results, rate) for rate in steady_drives.numbers(settings["rates_hz"])]),
         Heading("Which error is steady at 0.02 to 0.03?"),
         _readings_table(settings, results),
         Text(_reading_told(settings, results)),
@@ -78,12 +80,12 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     """The line of Figure 9 and of what the text says of its spikes."""
     fits = _fits(settings, results)
     best = min(fits, key=lambda reading: fits[reading])
-    rates = steady.rates(settings)
+    rates = steady_drives.rates(settings)
     measured = [
-        f"{stage.upper()} {steady.spread([steady.medians(settings, results, rate, stage)[0] for rate in rates])} m"
-        for stage in following.STAGES
+        f"{stage.upper()} {steady_drives.spread([steady_drives.medians(settings, results, rate, stage)[0] for rate in rates])} m"
+        for stage in trajectory_following.STAGES
     ]
-    shown = steady.shown(settings)
+    shown = steady_drives.shown(settings)
     struck = {row.cause.name: row for row in causes.rows(settings, results, "s2s") if row.rate == shown}
     return (
         Finding(
@@ -122,23 +124,33 @@ def _off(value: float) -> float:
 def _fits(settings: Settings, results: Results) -> dict[str, float]:
     """How far every reading is off what is printed, in factors of e, over both stages and all rates."""
     medians = [
-        steady.medians(settings, results, rate, stage) for rate in steady.rates(settings) for stage in following.STAGES
+        steady_drives.medians(settings, results, rate, stage)
+        for rate in steady_drives.rates(settings)
+        for stage in trajectory_following.STAGES
     ]
     return {
         reading: float(np.mean([_off(values[index]) for values in medians]))
-        for index, reading in enumerate(following.READINGS)
+        for index, reading in enumerate(trajectory_following.READINGS)
     }
 
 
 def _readings_table(settings: Settings, results: Results) -> Table:
-    fits, rates = _fits(settings, results), steady.rates(settings)
+    fits, rates = _fits(settings, results), steady_drives.rates(settings)
     columns: list[Column | str] = ["Reading of the error"]
-    columns += [Column(f"{stage.upper()} at {rate:g} Hz", number=True) for stage in following.STAGES for rate in rates]
+    columns += [
+        Column(f"{stage.upper()} at {rate:g} Hz", number=True)
+        for stage in trajectory_following.STAGES
+        for rate in rates
+    ]
     columns.append(Column("off by", "factors of e", number=True, tip="mean distance of the logarithms; 0 within"))
     rows: list[list[Cell | str]] = []
-    for index, reading in enumerate(following.READINGS):
+    for index, reading in enumerate(trajectory_following.READINGS):
         unit = "m^2" if "mean square" in reading and "root" not in reading else "m"
-        values = [steady.medians(settings, results, rate, stage)[index] for stage in following.STAGES for rate in rates]
+        values = [
+            steady_drives.medians(settings, results, rate, stage)[index]
+            for stage in trajectory_following.STAGES
+            for rate in rates
+        ]
         cells = [Cell(f"{value:.4f}", value, "good" if _off(value) == 0.0 else "") for value in values]
         rows.append([f"{reading} [{unit}]", *cells, Cell(f"{fits[reading]:.2f}", fits[reading])])
     return Table(
@@ -181,28 +193,28 @@ def _panels(results: Results, cause: Cause, rate: float, title: str, caption: st
         Curve("the paper's range" if index == 0 else "", ends, np.full(2, level), stroke=Stroke(BAR, (4.0, 2.0)))
         for index, level in enumerate(PRINTED_M)
     ]
-    top = max(0.06, 1.05 * float(np.nanmax([np.nanmax(result[stage][:, 0]) for stage in following.STAGES])))
+    top = max(0.06, 1.05 * float(np.nanmax([np.nanmax(result[stage][:, 0]) for stage in trajectory_following.STAGES])))
     groups = [
         ([Curve(f"{stage.upper()} residual", times, result[stage][:, 0], stroke=charts.stroke(number)), *printed],
          Axis(f"{stage.upper()} [m]", low=0.0, high=top))
-        for number, stage in enumerate(following.STAGES)
+        for number, stage in enumerate(trajectory_following.STAGES)
     ]  # fmt: skip
     groups.append(([Curve("yaw rate", times, result["yaw_dps"], stroke=charts.stroke(2))], Axis("[deg/s]", low=0.0)))
     return Figure(charts.panels(groups, Axis("time [s]"), spans, height=1.7), title, caption)
 
 
 def _cause_figures(settings: Settings, results: Results) -> Iterator[Figure]:
-    rate = steady.shown(settings)
+    rate = steady_drives.shown(settings)
     for cause in lab_drives.causes(settings):
         if cause.name != "quick turns":
             yield _panels(results, cause, rate, f"{cause.name}, {rate:g} Hz", "")
 
 
 def _turn_blocks(settings: Settings, results: Results) -> Iterator[Block]:
-    yaw_rates = steady.numbers(settings["yaw_dps"])
+    yaw_rates = steady_drives.numbers(settings["yaw_dps"])
     curves: list[Curve] = []
     rows: list[list[Cell | str]] = []
-    for rate in steady.rates(settings):
+    for rate in steady_drives.rates(settings):
         found = [results[lab_drives.turn_name(dps, rate)] for dps in yaw_rates]
         ratio = [each["peak"] / each["median"] for each in found]
         curves.append(Curve(f"{rate:g} Hz", np.array(yaw_rates), np.array(ratio), marks=True))

@@ -12,7 +12,7 @@ from evalkit.core.se2 import Floats
 from evalkit.execution.job_store import Job
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Sequence, Value
-from evalkit_baselines.paper.reproduction import following, spikes
+from evalkit_paper import spikes, trajectory_following
 
 QUICK_DPS = 60.0
 """A turn is quick from this yaw rate on."""
@@ -105,17 +105,17 @@ def drive(
     "events" (E, 2) in s, "ate_m".
     """
     lab = registry.dataset("lab").make(**sequence)
-    found = following.follow(lab, "paper", parameters, every_pair)
+    found = trajectory_following.follow(lab, "paper", parameters, every_pair)
     truth = lab.truth().trajectory
     if truth is None:
         raise ValueError("lab: no true trajectory")
     times = np.asarray(found.stamps_ns * 1e-9, dtype=np.float64)
-    yaw = following.yaw_rates_dps(truth.stamps_ns, truth.poses)
-    errors = following.position_errors_m(found.estimate, truth)
+    yaw = trajectory_following.yaw_rates_dps(truth.stamps_ns, truth.poses)
+    errors = trajectory_following.position_errors_m(found.estimate, truth)
     return {
         "times_s": times,
         "yaw_dps": yaw,
-        **{stage: found.errors[stage] for stage in following.STAGES},
+        **{stage: found.errors[stage] for stage in trajectory_following.STAGES},
         "true": truth.poses,
         "estimate": found.poses,
         "events": np.reshape(_events(marked, times, yaw, lab, sequence), (-1, 2)),
@@ -160,11 +160,11 @@ def turn(*, sequence: Mapping[str, Any]) -> dict[str, Any]:
     Without the second stage and without undoing the motion in the scan.
     """
     lab = registry.dataset("lab").make(**sequence)
-    found = following.follow(lab, "paper", {"scan_to_map": False, "deskew": False})
+    found = trajectory_following.follow(lab, "paper", {"scan_to_map": False, "deskew": False})
     truth = lab.truth().trajectory
     if truth is None:
         raise ValueError("lab: no true trajectory")
-    yaw = following.yaw_rates_dps(truth.stamps_ns, truth.poses)
+    yaw = trajectory_following.yaw_rates_dps(truth.stamps_ns, truth.poses)
     residual = found.errors["s2s"][:, 0]
     steady = spikes.band(residual, yaw < 0.5 * sequence["turn_dps"])
     turning = np.isfinite(residual) & (yaw > 0.5 * sequence["turn_dps"])

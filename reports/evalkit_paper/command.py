@@ -20,6 +20,6 @@ def paper(
     ] = None,
 ) -> None:
     """Reproduce the paper: every table, figure and claim beside what is measured here; what is done is kept."""
-    from evalkit_baselines.paper.reproduction.making import make  # noqa: PLC0415 - only who asks pays for its imports
+    from evalkit_paper.build import make  # noqa: PLC0415 - only who asks pays for its imports
 
     out.print(str(make(file, folder, workers)), markup=False, highlight=False)

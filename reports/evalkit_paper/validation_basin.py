@@ -14,9 +14,9 @@ from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis
 from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Fold, Table, Text
 from evalkit.stats.statistics import wilson
-from evalkit_baselines.paper.reproduction import table_1
-from evalkit_baselines.paper.reproduction.chapter import Results, Settings
-from evalkit_baselines.paper.reproduction.table_1 import MOST_ITERATIONS, ROOMS
+from evalkit_paper import table_1
+from evalkit_paper.chapter import Results, Settings
+from evalkit_paper.table_1 import MOST_ITERATIONS, ROOMS
 
 DISTANCES_M = tuple(float(value) for value in range(9))
 TURNS_DEG = (0.0, 10.0, 20.0, 30.0, 35.0, 40.0, 45.0, 50.0, 60.0, 90.0)

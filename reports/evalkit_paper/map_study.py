@@ -11,9 +11,9 @@ import numpy as np
 
 from evalkit.core.arrays import Ints
 from evalkit.core.se2 import Floats
-from evalkit_baselines.paper.reproduction import mapping
-from evalkit_baselines.paper.reproduction.map_choice import Choice, recommended
-from evalkit_baselines.paper.reproduction.mapping import TOLD, Variant
+from evalkit_paper import mapping
+from evalkit_paper.map_choice import Choice, recommended
+from evalkit_paper.mapping import TOLD, Variant
 
 HERE = ("true", "estimated")
 """The kinds of poses."""

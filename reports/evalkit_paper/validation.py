@@ -16,18 +16,9 @@ from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve, Points
 from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Section, Table, Text, Tone
 from evalkit.report.html.palette import Stroke
-from evalkit_baselines.paper.reproduction import table_1, validation_basin
-from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings
-from evalkit_baselines.paper.reproduction.table_1 import (
-    APPLIED,
-    ERRORS,
-    HALF_DIGIT,
-    PRINTED,
-    QUANTITIES,
-    READINGS,
-    ROOMS,
-    SIGMA_M,
-)
+from evalkit_paper import table_1, validation_basin
+from evalkit_paper.chapter import Chapter, Finding, Results, Settings
+from evalkit_paper.table_1 import APPLIED, ERRORS, HALF_DIGIT, PRINTED, QUANTITIES, READINGS, ROOMS, SIGMA_M
 
 WELL = 2.0
 """Standard deviations within which a row fits."""

@@ -15,8 +15,8 @@ from evalkit.report.html.document import Cell, Column, Command, Fold, Section, T
 from evalkit.results.store import reported
 from evalkit.terminal import progress
 from evalkit.terminal.options import err
-from evalkit_baselines.paper.reproduction import page
-from evalkit_baselines.paper.reproduction.chapters import CHAPTERS
+from evalkit_paper import page
+from evalkit_paper.chapters import CHAPTERS
 
 
 def make(file: Path, folder: Path | None, workers: int | None) -> Path:

@@ -12,11 +12,11 @@ from evalkit.plugins.protocols import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve
 from evalkit.report.html.document import Cell, Column, Figure, Figures, Section, Table, Text, Tone
-from evalkit_baselines.paper.reproduction import map_figures, mapping
-from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings
-from evalkit_baselines.paper.reproduction.map_figures import CELL_SIZE, DRIFT_DEG, DRIFT_M, PICTURED
-from evalkit_baselines.paper.reproduction.map_study import HERE, Study, named, of_factor
-from evalkit_baselines.paper.reproduction.mapping import THRESHOLDS, TOLD
+from evalkit_paper import map_figures, mapping
+from evalkit_paper.chapter import Chapter, Finding, Results, Settings
+from evalkit_paper.map_figures import CELL_SIZE, DRIFT_DEG, DRIFT_M, PICTURED
+from evalkit_paper.map_study import HERE, Study, named, of_factor
+from evalkit_paper.mapping import THRESHOLDS, TOLD
 
 USES = ("evalkit_baselines.embedded", "evalkit_baselines.paper", "evalkit_datasets.synthetic")
 ANCHOR = "maps"

@@ -16,7 +16,7 @@ from evalkit.commands.study.result import Outcome
 from evalkit.execution.job_store import Job
 from evalkit.plugins.protocols import Parameter
 from evalkit.report.html.document import Block, Fold, Section, Text
-from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings
+from evalkit_paper.chapter import Chapter, Finding, Results, Settings
 
 TWIN = "paper"
 """The readable twin of the core."""
@@ -129,7 +129,7 @@ def _twins(study: Study, settings: Settings) -> tuple[Job, ...]:
     return tuple(
         Job(
             f"twin {point.key}",
-            "evalkit_baselines.paper.reproduction.twins:apart",
+            "evalkit_paper.twins:apart",
             {
                 "backends": [TWIN, study.backend],
                 "parameters": dict(point.contestant),

@@ -14,8 +14,8 @@ from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve
 from evalkit.report.html.document import Cell, Column, Figure, Figures, Section, Table, Text
 from evalkit.report.html.palette import BAR, Stroke
-from evalkit_baselines.paper.reproduction import long_drives
-from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings, Verdict
+from evalkit_paper import long_drives
+from evalkit_paper.chapter import Chapter, Finding, Results, Settings, Verdict
 
 ANCHOR, CROWD = "loops-of-moderate-length", "dynamic-objects"
 WORLDS = ("lab", "loop")

@@ -10,10 +10,10 @@ import numpy as np
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve, Points
 from evalkit.report.html.document import Bullets, Column, Figure, Figures, Table, Text
-from evalkit_baselines.paper.reproduction import map_choice, mapping
-from evalkit_baselines.paper.reproduction.chapter import Results, Settings
-from evalkit_baselines.paper.reproduction.map_study import Study, named, of_factor, percent
-from evalkit_baselines.paper.reproduction.mapping import THRESHOLDS, TOLD
+from evalkit_paper import map_choice, mapping
+from evalkit_paper.chapter import Results, Settings
+from evalkit_paper.map_study import Study, named, of_factor, percent
+from evalkit_paper.mapping import THRESHOLDS, TOLD
 
 PICTURED = (0.025, 0.05, 0.1, 0.2)
 DRIFT_M = (0.0, 0.05, 0.1, 0.2, 0.4)

@@ -10,12 +10,12 @@ from evalkit.plugins.protocols import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Points
 from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text
-from evalkit_baselines.paper.reproduction import drawn, faults, recorded_drive
-from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings
-from evalkit_baselines.paper.reproduction.pictures import GHOST, PATH, SMEAR, TRUE, WIPED, extent, image
+from evalkit_paper import drawings, faults, recorded_drive
+from evalkit_paper.chapter import Chapter, Finding, Results, Settings
+from evalkit_paper.pictures import GHOST, PATH, SMEAR, TRUE, WIPED, extent, image
 
 ANCHOR = "figure-10"
-VARIANTS = (drawn.ODOMETRY, drawn.LITERAL, drawn.PAPER, drawn.TIGHT)
+VARIANTS = (drawings.ODOMETRY, drawings.LITERAL, drawings.PAPER, drawings.TIGHT)
 
 PARAMETERS = (
     Parameter("laps", 2.0, "", "of the laboratory", low=0.05, high=10.0),
@@ -30,7 +30,7 @@ PARAMETERS = (
 
 def jobs(settings: Settings) -> tuple[Job, ...]:
     """The true plan, a map a variant, and the recording's where its files are here."""
-    where = drawn.__name__
+    where = drawings.__name__
     sequence = {name: settings[name] for name in ("laps", "speed_mps", "turn_dps", "rate_hz", "seed")}
     uses = ("evalkit_datasets.synthetic", "evalkit_baselines.paper")
     maps = [
@@ -56,11 +56,11 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
 def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     """The line of Figure 10."""
     del settings
-    true = drawn.grid_of(results["plan"])
+    true = drawings.grid_of(results["plan"])
     ghosts = {each.name: _ghosts(results[each.name], true) for each in VARIANTS}
     told = ", ".join(f"{name} {count[0]} of {count[1]}" for name, count in ghosts.items())
     share = {name: count[0] / max(count[1], 1) for name, count in ghosts.items()}
-    better = share["paper"] < share[drawn.ODOMETRY.name]
+    better = share["paper"] < share[drawings.ODOMETRY.name]
     return (
         Finding(
             "Figure 10", "a map that agrees with the place, ghost walls and smear after turns",
@@ -73,7 +73,7 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
 
 
 def _ghosts(result: Result, true: OccupancyGrid) -> tuple[int, int]:
-    found = faults.faults(drawn.grid_of(result), true)
+    found = faults.faults(drawings.grid_of(result), true)
     return int(found.ghosts.sum()), int(found.occupied.sum())
 
 
@@ -81,7 +81,7 @@ def _ghosts(result: Result, true: OccupancyGrid) -> tuple[int, int]:
 
 
 def _lab(settings: Settings, results: Results) -> Iterator[Block]:
-    true = drawn.grid_of(results["plan"])
+    true = drawings.grid_of(results["plan"])
     yield Text(
         f"{settings['laps']:g} laps of the laboratory at {settings['speed_mps']:g} m/s and {settings['rate_hz']:g} Hz "
         f"with turns of {settings['turn_dps']:g} deg/s; each map is drawn from the same {settings['scans']} scans "
@@ -112,7 +112,7 @@ def _summary(results: Results, true: OccupancyGrid) -> Table:
     rows: list[Sequence[Cell | str]] = []
     for each in VARIANTS:
         result = results[each.name]
-        found = faults.faults(drawn.grid_of(result), true)
+        found = faults.faults(drawings.grid_of(result), true)
         occupied, ghosts, smeared = (int(mask.sum()) for mask in (found.occupied, found.ghosts, found.smeared))
         numbers = (
             (result["ate_m"], "{:.3f}"), (result["f1"], "{:.3f}"), (occupied, "{:,}"), (ghosts, "{:,}"),
@@ -132,7 +132,7 @@ def _places(results: Results, true: OccupancyGrid) -> Table:
     )  # fmt: skip
     rows: list[Sequence[Cell | str]] = []
     for each in VARIANTS:
-        grid = drawn.grid_of(results[each.name])
+        grid = drawings.grid_of(results[each.name])
         found = faults.clusters(grid.centres(faults.faults(grid, true).ghosts), walls)
         for cluster in found[:5]:
             numbers = (cluster.x, cluster.y, cluster.reach_m, cluster.off_m)
@@ -149,7 +149,7 @@ def _plan(true: OccupancyGrid) -> bytes:
 
 
 def _map(result: Result, true: OccupancyGrid, name: str) -> Figure:
-    grid = drawn.grid_of(result)
+    grid = drawings.grid_of(result)
     found = faults.faults(grid, true)
     layers = [
         Points("true walls", true.centres(true.occupied()), TRUE, 1.3, alpha=0.7),

@@ -11,8 +11,8 @@ from evalkit.plugins.protocols import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Box
 from evalkit.report.html.document import Figure, Figures, Section, Text
-from evalkit_baselines.paper.reproduction.chapter import Chapter, Finding, Results, Settings
-from evalkit_baselines.paper.reproduction.stages import Call
+from evalkit_paper.chapter import Chapter, Finding, Results, Settings
+from evalkit_paper.stages import Call
 
 ANCHOR = "figures-2-to-5"
 JOB = "stages"
@@ -139,7 +139,7 @@ def jobs(settings: Settings) -> tuple[Job, ...]:
         "mapper": {name: settings[name] for name in _MAPPER},
     }
     uses = ("evalkit_datasets.synthetic", "evalkit_baselines.paper")
-    return (Job(JOB, "evalkit_baselines.paper.reproduction.stages:drive", arguments, uses),)
+    return (Job(JOB, "evalkit_paper.stages:drive", arguments, uses),)
 
 
 def sections(settings: Settings, results: Results) -> tuple[Section, ...]:

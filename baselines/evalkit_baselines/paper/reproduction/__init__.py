@@ -1,1 +1,0 @@
-"""The paper, reproduced: each of its tables, figures and claims beside what this software measures."""
