@@ -53,7 +53,7 @@ tune: $(VENV)/evalkit  ## back ends tuned with one budget, judged elsewhere: rep
 	$(BIN)/evalkit tune reports/tune.toml
 
 docs: $(VENV)/docs  ## the documentation: reports/build/site/index.html
-	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --config-file docs/evalkit_docs/mkdocs.yml
+	PYTHONPATH=docs NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --config-file docs/mkdocs.yml
 
 clean:  ## removes all results
 	rm -rf reports/build

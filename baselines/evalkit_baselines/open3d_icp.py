@@ -5,7 +5,8 @@ What the adapters change, and why (Open3D is a 3D library, and z = 0 breaks part
 * Points get z = 0. Point-to-point then stays exactly in the plane by itself.
 * Open3D's own ``estimate_normals`` makes every normal of such a cloud the z axis: the point-to-plane residual vanishes
   and the guess comes back with a fitness that looks perfect. Its generalised ICP, left to make its own covariances,
-  is point-to-point in disguise. Normals and covariances are therefore made in the plane by ``evalkit.odometry.planar3d``.
+  is point-to-point in disguise. Normals and covariances are therefore made in the plane
+  by ``evalkit.odometry.planar3d``.
 * The legacy pipeline, not the tensor one: the tensor point-to-plane refuses planar input as a singular system.
 * In space, half a turn about a wall mirrors it: near single walls the point-to-point answer may be turned over (Open3D
   does so for half of all rough, short walls). Such an answer is none: the guess is kept, not converged.

@@ -56,7 +56,7 @@ def write(bag: Path, world: str, given: Mapping[str, object]) -> Example:
 
 
 def _written(bag: Path, true: Path, drive: Synthetic) -> Example:
-    from evalkit.results import mcap  # noqa: PLC0415 - only who writes a bag pays for it
+    from evalkit.commands.export import mcap  # noqa: PLC0415 - only who writes a bag pays for it
 
     begin = mcap.EARLIEST_NS
     shift = begin - int(drive.stamps_ns[0])

@@ -9,7 +9,7 @@ from pathlib import Path
 from evalkit_docs import command_reference, metric_reference, plugin_reference
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = Path(__file__).parent / "pages"
+PAGES = ROOT / "docs" / "pages"
 
 GENERATED: Mapping[str, Callable[[], str]] = {
     "reference/metrics.md": metric_reference.metrics,

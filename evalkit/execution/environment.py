@@ -161,7 +161,7 @@ def _processor() -> str:
 
 def _commit() -> str:
     """The commit of the checkout evalkit runs from, "-dirty" if changed, or "none (installed package)"."""
-    folder = Path(__file__).resolve().parent
+    folder = Path(__file__).resolve().parents[1]
     if not (folder.parent / ".git").exists():
         return "none (installed package)"
     try:

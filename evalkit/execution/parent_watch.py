@@ -13,9 +13,6 @@ from multiprocessing import parent_process
 
 from evalkit.core.errors import NotInstalled
 
-MARK = "EVALKIT_CHILD"
-"""Environment variable by which a child's descendants are known, wherever they have gone."""
-
 PARENT = "EVALKIT_PARENT"
 """Environment variable that tells a child its parent's number: the parent may be gone before the child can look."""
 

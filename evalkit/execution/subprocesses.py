@@ -18,7 +18,8 @@ import psutil
 
 from evalkit.execution import parent_watch
 from evalkit.execution.environment import SINGLE_THREAD
-from evalkit.execution.parent_watch import MARK, PARENT, signal_name
+from evalkit.execution.parent_watch import PARENT, signal_name
+from evalkit.plugins.registry import MARK
 
 POLL_S = 0.05
 """How often whoever waits for a child looks at it."""

@@ -1,4 +1,6 @@
-"""One run in this process: ``python -m evalkit.execution.worker FOLDER`` reads the request there and leaves its answer there.
+"""One run in this process.
+
+``python -m evalkit.execution.worker FOLDER`` reads the request there and leaves its answer there.
 
 Every scan's answer is on disk before the next scan begins, so whatever ends this process, nothing computed is lost.
 """

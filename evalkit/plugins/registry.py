@@ -16,7 +16,6 @@ from types import FunctionType
 from typing import TypeVar
 
 from evalkit.core.errors import EvalkitError, NotInstalled, UnknownName
-from evalkit.execution.parent_watch import MARK
 from evalkit.plugins.code_hash import fingerprint
 from evalkit.plugins.protocols import BackendSpec, DatasetSpec, MapperSpec, Odometry, Value
 
@@ -24,6 +23,9 @@ Spec = TypeVar("Spec")
 
 _PLACE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
+
+MARK = "EVALKIT_CHILD"
+"""Environment variable by which a child's descendants are known, wherever they have gone."""
 
 LOADING_S = 60.0
 """How long importing somebody else's plug-in may take."""

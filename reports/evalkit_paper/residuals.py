@@ -82,8 +82,9 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     best = min(fits, key=lambda reading: fits[reading])
     rates = steady_drives.rates(settings)
     measured = [
-        f"{stage.upper()} {steady_drives.spread([steady_drives.medians(settings, results, rate, stage)[0] for rate in rates])} m"
+        f"{stage.upper()} {steady_drives.spread(medians)} m"
         for stage in trajectory_following.STAGES
+        if (medians := [steady_drives.medians(settings, results, rate, stage)[0] for rate in rates])
     ]
     shown = steady_drives.shown(settings)
     struck = {row.cause.name: row for row in causes.rows(settings, results, "s2s") if row.rate == shown}

@@ -15,7 +15,8 @@ from evalkit.plugins import registry
 
 RECORDED = frozenset(
     {
-        "evalkit.odometry.frontend", "evalkit.odometry.local_map", "evalkit_baselines.paper.association", "evalkit_baselines.paper.grid",
+        "evalkit.odometry.frontend", "evalkit.odometry.local_map", "evalkit_baselines.paper.association",
+        "evalkit_baselines.paper.grid",
         "evalkit_baselines.paper.icp",
     }
 )  # fmt: skip

@@ -17,16 +17,20 @@ TESTS = Path(__file__).resolve().parent.parent
 STRANGERS = str(TESTS / "strangers")
 
 AROUND = (
-    ("poses in degrees", "test_conformance.py", "Degrees"),
-    ("other scans' poses", "test_conformance.py", "OfOtherScans"),
-    ("an import that crashes, or blocks on a lock", "test_registry.py", "import_crashes_or_hangs"),
+    ("poses in degrees", "commands/validate/rules/test_rules.py", "Degrees"),
+    ("other scans' poses", "commands/validate/rules/test_rules.py", "OfOtherScans"),
+    ("an import that crashes, or blocks on a lock", "plugins/test_registry.py", "import_crashes_or_hangs"),
     ("the runner killed", "test_cli.py", "runner_that_is_killed"),
     ("the disk full", "test_cli.py", "disk_that"),
-    ("the clock set", "test_engine.py", "clock_that_is_set"),
-    ("two runners in one folder", "test_engine.py", "two_at_once"),
-    ("a study's point that hangs, in Python and in C", "test_ledger.py", "hangs"),
-    ("a study killed", "test_ledger.py", "killed_study"),
-    ("a cluster's worker killed, a run that ends its workers", "test_places.py", "worker_killed or quarantined"),
+    ("the clock set", "execution/test_scheduler.py", "clock_that_is_set"),
+    ("two runners in one folder", "execution/test_scheduler.py", "two_at_once"),
+    ("a study's point that hangs, in Python and in C", "execution/test_job_store.py", "hangs"),
+    ("a study killed", "execution/test_job_store.py", "killed_study"),
+    (
+        "a cluster's worker killed, a run that ends its workers",
+        "execution/test_executors.py",
+        "worker_killed or quarantined",
+    ),
 )
 """Faults that are no run's own: each with the tests that make it."""
 
@@ -35,7 +39,7 @@ def main() -> int:
     """Runs all faults one after the other; the number of those that were not survived."""
     sys.path.insert(0, STRANGERS)
     os.environ["PYTHONPATH"] = STRANGERS
-    tests = _module(TESTS / "test_runner.py")
+    tests = _module(TESTS / "execution" / "test_run_process.py")
     console = Console(width=None if sys.stdout.isatty() else 160)
     table = Table("fault", "status", "reason", "answers kept", "processes left", "survived", title="Faults survived")
     lost = 0

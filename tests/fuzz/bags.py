@@ -16,7 +16,7 @@ KINDS = tuple(SUFFIXES)
 @cache
 def _tests():
     """The module that tests the bag reader, for the bags it makes."""
-    path = Path(__file__).resolve().parent.parent / "test_rosbag.py"
+    path = Path(__file__).resolve().parent.parent / "datasets" / "test_rosbag.py"
     spec = importlib.util.spec_from_file_location("bag_tests", path)
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

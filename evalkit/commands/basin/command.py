@@ -45,7 +45,7 @@ def basin(
 ) -> None:
     """Measure convergence basins: success over the offset of the guess, scene by scene; a page and a JSON file."""
     from evalkit.commands.basin import page as basin_page  # noqa: PLC0415 - loads matplotlib and scipy.stats
-    from evalkit.commands.basin import scenes, sequences
+    from evalkit.commands.basin import scenes, sequences  # noqa: PLC0415 - as above
     from evalkit.commands.basin import trials as attempts  # noqa: PLC0415 - as above
     from evalkit.commands.basin.convergence import Criterion  # noqa: PLC0415 - as above
     from evalkit.commands.basin.result import result  # noqa: PLC0415 - as above

@@ -36,7 +36,7 @@ def diff(
 ) -> None:
     """Tell what changed between two results folders: 1 if anything is worse by more than the noise and the limits."""
     from evalkit.commands.diff import differences, snapshot  # noqa: PLC0415
-    from evalkit.commands.diff import text as change_text
+    from evalkit.commands.diff import text as change_text  # noqa: PLC0415
     from evalkit.metrics import all_metrics  # noqa: PLC0415 - scipy: only who compares pays for it
 
     limits = differences.Limits(share(limit_ate), share(limit_time))

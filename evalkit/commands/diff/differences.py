@@ -12,9 +12,9 @@ import numpy as np
 from evalkit.commands.diff.snapshot import Finished, Place, Snapshot
 from evalkit.core.errors import StoreError
 from evalkit.metrics.table import Metric
+from evalkit.report.analysis.bootstrap import Drawn, Series, drawn
 from evalkit.report.analysis.cells import Apart, Cell, apart
 from evalkit.report.analysis.standings import DECIDING, NOT_POSSIBLE, noise_floor
-from evalkit.stats.bootstrap import Drawn, Series, drawn
 
 Said = Literal["regression", "improvement", "within the limit", "no difference shown", "unchanged", "not comparable"]
 

@@ -14,7 +14,7 @@ from evalkit.terminal import options
 from evalkit.terminal.options import Json, err, out
 
 if TYPE_CHECKING:
-    from evalkit.results.exported import Results
+    from evalkit.commands.export.results import Results
 
 FORMATS = ("csv", "json", "latex", "markdown", "pdf", "svg", "tum", "kitti", "g2o", "map", "mcap", "rerun")
 WITH_SCANS = {"pdf", "svg", "tum", "kitti", "mcap", "rerun"}
@@ -35,7 +35,7 @@ def export(
     as_json: Json = False,
 ) -> None:
     """Write a finished comparison for programs, papers, other evaluators (TUM, KITTI, g2o), ROS, rerun."""
-    from evalkit.results import exported as finished  # noqa: PLC0415 - only who exports pays for it
+    from evalkit.commands.export import results as finished  # noqa: PLC0415 - only who exports pays for it
 
     wanted = _wanted(forms)
     scans = bool(WITH_SCANS & set(wanted))
@@ -68,7 +68,7 @@ def _written(form: str, found: Results, folder: Path, everything: bool) -> list[
 
 
 def _writers() -> dict[str, Callable[[Results, Path], Iterator[Path]]]:
-    from evalkit.results import latex, numbers, poses  # noqa: PLC0415 - loads matplotlib
+    from evalkit.commands.export import latex, numbers, poses  # noqa: PLC0415 - loads matplotlib
 
     return {
         "csv": lambda found, folder: _files(numbers.as_csv(found), folder),
@@ -101,7 +101,7 @@ def _maps(found: Results, folder: Path) -> Iterator[Path]:
 
 
 def _bags(found: Results, folder: Path) -> Iterator[Path]:
-    from evalkit.results import mcap  # noqa: PLC0415 - only who exports bags pays for it
+    from evalkit.commands.export import mcap  # noqa: PLC0415 - only who exports bags pays for it
 
     for trial in found.trials:
         recording = found.recordings.get((trial.sequence, trial.seed))
@@ -110,7 +110,7 @@ def _bags(found: Results, folder: Path) -> Iterator[Path]:
 
 
 def _recordings(found: Results, folder: Path) -> Iterator[Path]:
-    from evalkit.results import poses, rerun_file  # noqa: PLC0415 - rerun is big
+    from evalkit.commands.export import poses, rerun_file  # noqa: PLC0415 - rerun is big
 
     rerun_file.installed()
     for place in dict.fromkeys((trial.sequence, trial.seed) for trial in found.trials):

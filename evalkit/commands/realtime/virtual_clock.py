@@ -1,7 +1,7 @@
 """A virtual clock: which scans a busy robot answers, and when, on a device that is so many times slower.
 
-Nothing here reads a clock: costs come from a profile measured once (``evalkit.commands.realtime.simulation``), so the same profile drops
-the same scans every time.
+Nothing here reads a clock: costs come from a profile measured once (``evalkit.commands.realtime.simulation``), so the
+same profile drops the same scans every time.
 """
 
 from __future__ import annotations

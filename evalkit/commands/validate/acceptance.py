@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
 SCHEMA = 1
-"""Version of the JSON form (``dossier.schema.json``): a new one where a reader of the old would be misled."""
+"""Version of the JSON form (``acceptance.schema.json``): a new one where a reader of the old would be misled."""
 
 Claim = Literal["equal", "as-good"]
 Outcome = Literal["passed", "failed", "told", "not applicable"]

@@ -12,8 +12,8 @@ import numpy as np
 from scipy import stats
 
 from evalkit.core.se2 import Floats
+from evalkit.report.analysis.bootstrap import Drawn
 from evalkit.stats import statistics
-from evalkit.stats.bootstrap import Drawn
 from evalkit.stats.statistics import CONFIDENCE, DRAWS, Interval
 
 # Of more scans left to the guess than this (%), it is the guess that would be ranked.

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 from evalkit.core.run_result import Trial
 from evalkit.metrics.table import Metric
 from evalkit.plugins.protocols import Published, Sequence, Value
-from evalkit.stats.bootstrap import Resamples
+from evalkit.report.analysis.bootstrap import Resamples
 
 if TYPE_CHECKING:
     from evalkit.report.analysis.standings import Standing

@@ -9,9 +9,9 @@ from typing import Literal
 
 from evalkit.core.run_result import Status, Trial
 from evalkit.metrics.table import Group, Metric
+from evalkit.report.analysis.bootstrap import Resamples
 from evalkit.report.analysis.cells import Cell, apart
 from evalkit.report.analysis.comparison import Comparison
-from evalkit.stats.bootstrap import Resamples
 
 # The published relations are only good to this much themselves, whatever two contestants differ by.
 RELATIONS_FLOOR = {"m": 0.03, "deg": 0.4, "°": 0.4}

@@ -98,7 +98,8 @@ def moves(bench: Bench) -> str:
     if answer == pair.guess:
         raise Broken(
             f"the guess came back unchanged, {100 * before:.0f} cm off half a room away; if a 3D library estimates "
-            "normals of points at z = 0, they stand upright and hold nothing: evalkit.odometry.planar3d makes them in the plane"
+            "normals of points at z = 0, they stand upright and hold nothing: "
+            "evalkit.odometry.planar3d makes them in the plane"
         )
     if left > MENDED * before:
         raise Broken(f"of {100 * before:.1f} cm half a room away, {100 * left:.1f} cm were left")

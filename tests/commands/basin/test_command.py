@@ -1,0 +1,84 @@
+"""``evalkit basin``: one row a back end and scene, in JSON and on a page, whoever fails."""
+
+import json
+import os
+
+import pytest
+from typer.testing import CliRunner
+
+from evalkit.cli import app
+from evalkit.commands.basin import command
+from evalkit.core.errors import EvalkitError
+from evalkit.core.match import Match
+from evalkit.plugins.protocols import BackendSpec
+
+QUICK = ["--offsets", "48", "--beams", "120", "--pairs", "4", "--jobs", "1", "--scene", "corridor"]
+
+
+class KeepsGuess:
+    def register(self, target, source, guess):
+        return Match(guess, converged=True, iterations=0, error=0.0, inliers=len(source))
+
+
+class Raises:
+    def register(self, target, source, guess):
+        raise RuntimeError("it is out of tune")
+
+
+class EndsItsProcess:
+    def register(self, target, source, guess):
+        os._exit(3)
+
+
+KEEPS = BackendSpec(KeepsGuess, "registration", "", "", "")
+RAISES = BackendSpec(Raises, "registration", "", "", "")
+ENDS = BackendSpec(EndsItsProcess, "registration", "", "", "")
+
+
+@pytest.fixture
+def run(tmp_path, monkeypatch):
+    monkeypatch.chdir(os.path.dirname(__file__))  # noqa: PTH120 - where module:SPEC is looked for
+    if command.basin not in [one.callback for one in app.registered_commands]:
+        app.command()(command.basin)
+
+    def runs(*arguments: str):
+        found = CliRunner().invoke(app, ["basin", *arguments, *QUICK, "-o", str(tmp_path)])
+        return found, json.loads((tmp_path / "basin.json").read_text()), (tmp_path / "index.html").read_text()
+
+    return runs
+
+
+def test_a_back_end_that_keeps_its_guess_succeeds_where_the_guess_did(run):
+    found, content, page = run("test_basin_command:KEEPS", "kiss-icp")
+    assert found.exit_code == 0, found.output
+    kept, absent = content["rows"]
+    assert content["scenes"]["corridor"]["open_directions"] == ["shift along 0 deg"]
+    assert kept["failures_told_as_converged"] == 1.0
+    assert 0.0 <= kept["success"]["low"] <= kept["success"]["share"] < 0.2
+    assert kept["attempts"] == 24
+    assert kept["error_m"]["A95"] > 0.5
+    assert set(absent) == {"backend", "scene", "reason"}
+    assert absent["reason"]
+    assert "Failures with the best guesses" in page
+    assert "kiss-icp" in page
+
+
+def test_whoever_raises_or_ends_its_process_is_a_row_with_the_reason(run):
+    found, content, page = run("test_basin_command:RAISES", "test_basin_command:ENDS", "test_basin_command:KEEPS")
+    assert found.exit_code == 1
+    raises, ends, keeps = content["rows"]
+    assert "it is out of tune" in raises["reason"]
+    assert ends["reason"] == "it ended its process"
+    assert keeps["reason"] == ""
+    assert "it is out of tune" in page
+
+
+@pytest.mark.parametrize("arguments", [["paper", "--scene", "roof"], ["papr"], ["paper", "--set", "epsilon=big"],
+    ["paper", "--scene", "room", "--on", "room"], ["paper", "--on", "room 'laps=1"]])  # fmt: skip
+def test_what_cannot_be_asked_is_refused_before_anything_is(arguments, tmp_path):
+    if command.basin not in [one.callback for one in app.registered_commands]:
+        app.command()(command.basin)
+    found = CliRunner().invoke(app, ["basin", *arguments, "-o", str(tmp_path)])
+    assert found.exit_code != 0
+    assert isinstance(found.exception, (EvalkitError, SystemExit))
+    assert not list(tmp_path.iterdir())

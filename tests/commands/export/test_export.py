@@ -1,0 +1,406 @@
+"""A finished comparison in the formats of other programs, read back by readers that are not evalkit's."""
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from collections import Counter
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from evalkit import report
+from evalkit.cli import app
+from evalkit.commands.export import latex, mcap, rerun_file
+from evalkit.commands.export.results import read
+from evalkit.core.errors import DataMissing, NotInstalled, StoreError, UnknownName
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.ground_truth import Truth
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import STEP, Run, Score, Trial
+from evalkit.core.scan import Frame, Scan
+from evalkit.core.trajectory import Trajectory
+from evalkit.plugins import registry
+from evalkit.plugins.protocols import DatasetSpec
+from evalkit.report.html.formatting import as_markdown
+from evalkit.results.store import Store
+
+N = 30
+T0 = 1663967375_000000001  # no float of seconds can hold it
+STAMPS = T0 + np.arange(N) * 100_000_000
+HEADING = 0.05 * np.arange(N)
+TRUE = np.stack([2.0 * np.sin(HEADING), 2.0 * (1.0 - np.cos(HEADING)), HEADING], axis=-1)
+OFF = {"paper": 0.0005, "wheel": 0.01}
+AWKWARD = "50 % & more_$x"
+SEAT = Pose(0.1, 0.0, np.pi / 2)
+
+
+class Lap:
+    """An arc with a lidar that is turned, four walls' worth of ranges, and wheel odometry."""
+
+    def __len__(self):
+        return N
+
+    def frames(self):
+        angles = np.linspace(-3.0, 3.0, 61)
+        for at in range(N):
+            ranges = np.full(61, 2.0 + 0.01 * at)
+            ranges[0], ranges[1] = np.inf, np.nan
+            yield Frame(Scan(int(STAMPS[at]), ranges, angles, 0.1, 12.0, 1_000_000), SEAT, Pose.of(TRUE[at]))
+
+    def truth(self):
+        return Truth("exact", Trajectory(STAMPS, TRUE))
+
+    def notes(self):
+        return {}
+
+
+def trial_of(name, seed=0):
+    steps = np.zeros(N, dtype=STEP)
+    steps["stamp_ns"], steps["cpu_ns"] = STAMPS, 2_000_000
+    steps["x"], steps["y"], steps["theta"] = TRUE[:, 0] + OFF[name] * np.arange(N), TRUE[:, 1], TRUE[:, 2]
+    for stage in ("s2s_error", "s2m_error"):
+        steps[stage] = np.nan
+    errors = OFF[name] * np.arange(N)
+    ate = float(np.sqrt(np.mean(errors**2)))
+    scores = {"ate_rmse_m": Score(ate, N), "cpu_median_ms": Score(2.0, N)}
+    log_odds = np.zeros((8, 12), dtype=np.float32)
+    log_odds[0], log_odds[1:4, 3:9] = 3.0, -3.0  # a wall at the lowest y
+    grid = OccupancyGrid(log_odds, log_odds != 0.0, 0.0125, -1.0625, 2.5)
+    run = Run(name, AWKWARD, "complete", "", steps, N)
+    return Trial(f"{name}-s{seed}", name, name, {}, AWKWARD, "lap", {"seed": seed}, seed, "evalkit run x", run,
+                 Lap().truth(), scores, Pose(), grid, errors, "none")  # fmt: skip
+
+
+@pytest.fixture
+def finished(tmp_path, build, monkeypatch):
+    """A results folder of two contestants over an arc, as a report leaves it."""
+    monkeypatch.setattr(registry, "dataset", lambda _name: DatasetSpec(lambda **_: Lap(), "", "", "", "", ""))
+    trials = [trial_of("paper"), trial_of("wheel")]
+    store = Store(tmp_path / "results")
+    for trial in trials:
+        store.save_run(trial.key, trial.run, {})
+        content = {"scores": {name: asdict(one) for name, one in trial.scores.items()}, "world_from_start": [0, 0, 0]}
+        store.save_scores(trial.key, content, trial.grid, trial.errors_m)
+    report.write(build(trials), store.folder)
+    return store.folder
+
+
+def exported(folder, form, *more):
+    target = folder.parent / "export"
+    result = CliRunner().invoke(app, ["export", str(folder), "--format", form, "-o", str(target), "--json", *more])
+    assert result.exit_code == 0, result.output
+    return [Path(path) for path in json.loads(result.stdout)["written"]]
+
+
+# --- tables
+
+
+def test_csv_and_json_hold_the_wanted_rows_of_what_the_report_wrote_and_keep_the_schema(finished):
+    jsonschema = pytest.importorskip("jsonschema")
+    whole = {path.name: path.read_bytes() for form in ("csv", "json") for path in exported(finished, form)}
+    assert set(whole) == {"trials.csv", "scores.csv", "summary.csv", "results.json", "results.schema.json"}
+    for name in ("trials.csv", "scores.csv", "summary.csv"):
+        assert whole[name] == (finished / name).read_bytes()
+    assert json.loads(whole["results.json"]) == json.loads((finished / "results.json").read_bytes())
+    part = {path.name: path for form in ("csv", "json") for path in exported(finished, form, "--contestant", "wheel")}
+    heading, row = part["trials.csv"].read_text(encoding="utf-8").splitlines()
+    assert (heading.split(",")[1], row.split(",")[1]) == ("contestant", "wheel")
+    content = json.loads(part["results.json"].read_text(encoding="utf-8"))
+    jsonschema.validate(content, json.loads(part["results.schema.json"].read_text(encoding="utf-8")))
+    assert [trial["contestant"] for trial in content["trials"]] == list(content["contestants"]) == ["wheel"]
+    assert content["verdicts"] == content["overview"] == []  # they compare it with who is left out
+
+
+# --- trajectories
+
+
+def test_tum_read_by_evo_gives_the_very_errors(finished):
+    file_interface = pytest.importorskip("evo.tools.file_interface")
+    metrics = pytest.importorskip("evo.core.metrics")
+    files = {path.name: path for path in exported(finished, "tum")}
+    truth = file_interface.read_tum_trajectory_file(files["50-more-x-s0.truth.tum"])
+    wheel = file_interface.read_tum_trajectory_file(files["wheel-s0.tum"])
+    assert np.allclose(wheel.timestamps, STAMPS * 1e-9, atol=1e-6)
+    error = metrics.APE(metrics.PoseRelation.translation_part)
+    error.process_data((truth, wheel))
+    assert error.get_statistic(metrics.StatisticsType.rmse) == pytest.approx(
+        0.01 * np.sqrt(np.mean(np.arange(N) ** 2.0)), rel=1e-6
+    )
+
+
+def test_kitti_read_by_evo_gives_the_very_poses_and_as_many_of_truth(finished):
+    file_interface = pytest.importorskip("evo.tools.file_interface")
+    files = {path.name: path for path in exported(finished, "kitti")}
+    paper, truth = (file_interface.read_kitti_poses_file(files[f"paper-s0{end}.kitti.txt"]) for end in ("", ".truth"))
+    assert paper.num_poses == truth.num_poses == N
+    assert np.allclose(truth.positions_xyz[:, :2], TRUE[:, :2], atol=1e-10)
+    assert np.allclose(paper.positions_xyz[:, 0], TRUE[:, 0] + 0.0005 * np.arange(N), atol=1e-10)
+    headings = [np.arctan2(pose[1, 0], pose[0, 0]) for pose in truth.poses_se3]
+    assert np.allclose(headings, TRUE[:, 2], atol=1e-10)
+
+
+def test_the_edges_of_a_g2o_file_lead_from_the_first_vertex_to_every_other(finished):
+    path = next(path for path in exported(finished, "g2o") if path.name == "wheel-s0.g2o")
+    rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
+    vertices = {int(row[1]): np.array(row[2:], dtype=float) for row in rows if row[0] == "VERTEX_SE2"}
+    x, y, heading = vertices[0]
+    for row in (row for row in rows if row[0] == "EDGE_SE2"):
+        dx, dy, turn = map(float, row[3:6])
+        x, y = x + np.cos(heading) * dx - np.sin(heading) * dy, y + np.sin(heading) * dx + np.cos(heading) * dy
+        heading += turn
+        assert (x, y, heading) == pytest.approx(vertices[int(row[2])], abs=1e-9)
+        assert row[6:] == ["1", "0", "0", "1", "0", "1"]
+    assert len(vertices) == N
+
+
+# --- maps
+
+
+def nav2(path):
+    """Cells (H, W) of 100, 0 and -1 and their lower left corner, by the rules of Nav2's map_io in trinary mode."""
+    words = dict(re.findall(r"^(\w+): (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE))
+    head, pixels = (path.parent / words["image"]).read_bytes().split(b"\n255\n", 1)
+    columns, rows = map(int, head.split()[1:3])
+    shade = np.frombuffer(pixels, dtype=np.uint8).reshape(rows, columns) / 255.0
+    occupancy = shade if int(words["negate"]) else 1.0 - shade
+    cells = np.full((rows, columns), -1)
+    cells[occupancy >= float(words["occupied_thresh"])] = 100
+    cells[occupancy <= float(words["free_thresh"])] = 0
+    x, y, _ = json.loads(words["origin"])
+    return cells[::-1], float(words["resolution"]), x, y
+
+
+def test_a_map_read_by_nav2s_rules_is_the_grid_it_was_made_of(finished):
+    path = next(path for path in exported(finished, "map") if path.name == "paper-s0.yaml")
+    cells, resolution, x, y = nav2(path)
+    grid = trial_of("paper").grid
+    assert (resolution, x, y) == (0.0125, -1.0625, 2.5)
+    assert np.array_equal(cells == 100, grid.occupied())
+    assert np.array_equal(cells == 0, grid.free())
+    assert (cells[0] == 100).all()  # the wall at the lowest y
+
+
+# --- papers
+
+
+def test_a_latex_table_has_as_many_cells_in_a_row_as_columns_and_no_bare_special_letter(finished):
+    files = {path.name: path.read_text(encoding="utf-8") for path in exported(finished, "latex")}
+    assert r"\input{table-50-more-x}" in files["tables.tex"]
+    text = files["table-50-more-x.tex"]
+    assert Counter(re.findall(r"\\begin\{(\w+)\}", text)) == Counter(re.findall(r"\\end\{(\w+)\}", text))
+    assert text.count("{") - text.count(r"\{") == text.count("}") - text.count(r"\}")
+    columns = len(re.search(r"\\begin\{tabular\}\{(\w+)\}", text)[1])
+    rows = [line for line in text.splitlines() if line.endswith(r"\\")]
+    assert len(rows) == 3
+    assert {len(re.findall(r"(?<!\\)&", row)) + 1 for row in rows} == {columns}
+    assert r"\caption{50 \% \& more\_\$x:" in text
+    assert [text.count(rule) for rule in (r"\toprule", r"\midrule", r"\bottomrule")] == [1, 1, 1]
+
+
+def test_latex_takes_the_tables_and_the_figures(finished):
+    if shutil.which("pdflatex") is None:
+        pytest.skip("pdflatex is not installed")
+    tables, figures = (exported(finished, form)[0].parent for form in ("latex", "pdf"))
+    (tables / "paper.tex").write_text(
+        r"\documentclass{article}\usepackage{booktabs,graphicx}\begin{document}\input{tables}"
+        rf"\includegraphics[width=\textwidth]{{{figures / '50-more-x-trajectories.pdf'}}}\end{{document}}",
+        encoding="utf-8",
+    )
+    command = ["pdflatex", "-interaction=nonstopmode", "-halt-on-error", "paper.tex"]
+    done = subprocess.run(command, cwd=tables, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stdout[-2000:]
+    assert "Missing character" not in (tables / "paper.log").read_text(encoding="latin-1")
+
+
+def test_tables_show_the_intervals_of_results_json_and_only_these(finished):
+    intervals = json.loads((finished / "results.json").read_text(encoding="utf-8"))["intervals"]
+    wheel = next(one for one in intervals if (one["contestant"], one["metric"]) == ("wheel", "ate_rmse_m"))
+    (path,) = (path for path in exported(finished, "latex", "--metric", "ate_rmse_m") if path.name != "tables.tex")
+    rows = {line.split("&")[0].strip(): line for line in path.read_text(encoding="utf-8").splitlines() if "&" in line}
+    assert f"[{wheel['low']:.3f}, {wheel['high']:.3f}]" in rows["wheel"]
+    assert r"\textbf{0.008}" in rows["paper"]
+    assert r"\textbf" not in rows["wheel"]
+    (path,) = exported(finished, "markdown", "--metric", "ate_rmse_m")
+    table = [line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("|")]
+    assert {line.count("|") for line in table} == {4}
+    assert f"[{wheel['low']:.3f}, {wheel['high']:.3f}]" in table[-1]
+
+
+def test_every_letter_that_means_something_to_latex_is_escaped():
+    assert latex.escaped(r"a_b & 5% {x} #1 ~^ $\n") == (
+        r"a\_b \& 5\% \{x\} \#1 \textasciitilde{}\textasciicircum{} \$\textbackslash{}n"
+    )
+
+
+def test_a_name_is_no_mark_up_in_markdown():
+    assert as_markdown("a|b `c` [x](javascript:alert) <script> \\") == (
+        r"a\|b \`c\` [x]\(javascript:alert) &lt;script> \\"
+    )
+
+
+def test_a_name_reads_no_file_into_latex():
+    assert latex.escaped(r"\input{/etc/passwd}") == r"\textbackslash{}input\{/etc/passwd\}"
+
+
+def test_figures_are_vectors_with_true_fonts_and_the_same_bytes_twice(finished):
+    found = read(finished)
+    drawn = dict(latex.drawings(found, "pdf"))
+    assert set(drawn) == {f"50-more-x-{kind}.pdf" for kind in ("trajectories", "errors", "runtimes")}
+    for content in drawn.values():
+        assert content.startswith(b"%PDF-")
+        assert b"/FontFile2" in content
+        assert b"/Subtype /Image" not in content
+    assert drawn == dict(latex.drawings(found, "pdf"))
+    assert all(content.startswith(b"<?xml") for _, content in latex.drawings(found, "svg"))
+
+
+# --- viewers
+
+
+def test_a_bag_is_the_recording_again_for_evalkits_own_reader(finished):
+    from evalkit_datasets.rosbag import RosBag
+
+    folder = finished.parent / "export" / "mcap" / "wheel-s0"
+    assert folder in exported(finished, "mcap")
+    sequence = RosBag(str(folder), base_frame="base_link")
+    for made, frame in zip(Lap().frames(), sequence.frames(), strict=True):
+        assert frame.scan.stamp_ns == made.scan.stamp_ns
+        assert np.allclose(frame.scan.ranges, made.scan.ranges, atol=1e-6, equal_nan=True)
+        assert np.allclose(frame.scan.angles, made.scan.angles, atol=1e-6)
+        assert frame.base_from_sensor.row == pytest.approx(SEAT.row)
+        assert frame.odom_from_base.row == pytest.approx(made.odom_from_base.row)
+
+
+def test_the_doctor_finds_in_a_bag_what_was_put_there(finished):
+    from evalkit_datasets.inspection.examination import examine
+    from evalkit_datasets.inspection.suggested_config import prescribe
+
+    found = examine(exported(finished, "mcap", "--contestant", "wheel")[0])
+    (lidar,), (seat,), (driven,) = found.lidars, found.frames.mountings, found.drivings
+    assert (lidar.timing.count, lidar.beams, lidar.returns.nan) == (N, 61, pytest.approx(1 / 61))
+    assert lidar.timing.rate_hz == pytest.approx(10.0)
+    assert lidar.sweep_s == pytest.approx(0.06)
+    assert (seat.base, seat.x_m, seat.theta_deg) == ("base_link", pytest.approx(0.1), pytest.approx(90.0))
+    assert driven.path_m == pytest.approx(29 * 4.0 * np.sin(0.025))
+    assert driven.twist.constant
+    advice = prescribe(found)
+    assert (advice.parameters["topic"], advice.scans, advice.problem) == ("/scan", N, "")
+
+
+def test_an_mcap_file_read_by_the_mcap_library_holds_the_answer_the_truth_and_the_map(finished):
+    reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
+    typesys = pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
+    (path,) = (exported(finished, "mcap", "--contestant", "wheel")[0]).glob("*.mcap")
+    with path.open("rb") as file:
+        messages = [(schema, channel.topic, message) for schema, channel, message in
+                    reader.make_reader(file, validate_crcs=True).iter_messages()]  # fmt: skip
+    counts = Counter(topic for _, topic, _ in messages)
+    assert counts == {"/scan": N, "/odom": N, "/tf": 2 * N, "/tf_static": 1, "/estimate": 1, "/truth": 1, "/map": 1}
+    assert {schema.encoding for schema, _, _ in messages} == {"ros2msg"}
+    assert [message.log_time for _, _, message in messages] == sorted(m.log_time for _, _, m in messages)
+    offered = (path.parent / "metadata.yaml").read_text(encoding="utf-8").split("message_count")
+    kept = {topic for topic in counts for part in offered if f"name: {topic}\n" in part and "transient_local" in part}
+    assert kept == {"/tf_static", "/estimate", "/truth", "/map"}  # RViz asks for these after they were sent
+    estimate = next(store.deserialize_cdr(m.data, s.name) for s, topic, m in messages if topic == "/estimate")
+    assert [pose.pose.position.x for pose in estimate.poses] == pytest.approx(TRUE[:, 0] + 0.01 * np.arange(N))
+    grid = next(store.deserialize_cdr(m.data, s.name) for s, topic, m in messages if topic == "/map")
+    cells = grid.data.reshape(grid.info.height, grid.info.width)
+    assert (cells[0] == 95).all()  # 1 / (1 + exp(-3))
+    assert (cells[5:] == -1).all()
+
+
+def test_a_recording_that_begins_at_zero_is_moved_to_where_ros_knows_times(finished):
+    found = read(finished, contestants=["paper"])
+    (trial,) = found.trials
+    early = Run("paper", AWKWARD, "complete", "", trial.run.steps.copy(), N)
+    early.steps.flags.writeable = True
+    early.steps["stamp_ns"] -= T0
+    sent = list(mcap._sent(mcap.Messages(), replace(trial, run=early, truth=Truth("none")), Nothing()))
+    assert min(stamp for stamp, _, _ in sent) == 10**9
+
+
+class Nothing:
+    """A sequence without a scan."""
+
+    def frames(self):
+        return iter(())
+
+
+def test_a_rerun_recording_is_whole_by_reruns_own_check(finished):
+    pytest.importorskip("rerun", reason="rerun is not installed")
+    (path,) = exported(finished, "rerun")
+    assert path.name == "50-more-x-s0.rrd"
+    command = [sys.executable, "-m", "rerun", "rrd", "verify", str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stderr
+    told = subprocess.run([*command[:4], "stats", str(path)], capture_output=True, text=True, check=False, timeout=60)
+    for entity in ("/world/truth", "/world/paper/path", "/world/wheel/scan", "/errors/wheel"):
+        assert entity in told.stdout
+
+
+def test_without_rerun_the_message_says_how_to_get_it_and_all_goes_on(finished, monkeypatch):
+    monkeypatch.setitem(sys.modules, "rerun", None)
+    with pytest.raises(NotInstalled, match=r"pip install 'evalkit\[rerun\]'"):
+        rerun_file.installed()
+    result = CliRunner().invoke(app, ["export", str(finished), "-f", "all", "-o", str(finished.parent / "everything")])
+    assert result.exit_code == 0
+    assert "rerun left out" in result.output
+    assert (finished.parent / "everything" / "markdown" / "summary.md").exists()
+
+
+# --- what cannot be had
+
+
+def test_a_sequence_whose_files_are_not_here_is_a_remark_and_the_rest_is_written(finished, monkeypatch):
+    def gone(**_):
+        raise DataMissing("lap", "no such folder", "fetch it")
+
+    monkeypatch.setattr(registry, "dataset", lambda _name: DatasetSpec(gone, "", "", "", "", ""))
+    found = read(finished)
+    assert len(found.remarks) == 1
+    assert "fetch it" in found.remarks[0]
+    assert [trial.truth.trajectory for trial in found.trials] == [None, None]
+    assert "50-more-x-trajectories.pdf" in dict(latex.drawings(found, "pdf"))
+
+
+@pytest.mark.parametrize(
+    ("name", "left", "said"),
+    [
+        ("steps.bin", 500, "of its 30 answers are in"),
+        ("steps.bin", 0, "0 of its 30 answers are in"),
+        ("run.json", 20, "0 of its 30 answers are in"),
+        ("scores.json", 20, "its alignment and map are not in"),
+        ("grid.npz", 30, "its alignment and map are not in"),
+    ],
+)
+def test_a_run_cut_short_is_left_out_and_said_and_the_others_are_written(finished, name, left, said):
+    path = finished / "runs" / "paper-s0" / name
+    path.write_bytes(path.read_bytes()[:left])
+    found = read(finished)
+    assert [trial.contestant for trial in found.trials] == ["wheel"]
+    (remark,) = found.remarks
+    assert remark.startswith(f"paper over {AWKWARD}")
+    assert said in remark
+    assert [path.name for path in exported(finished, "tum")] != []
+
+
+def test_what_is_no_results_folder_or_no_label_is_said(finished, tmp_path):
+    with pytest.raises(StoreError, match="no such file"):
+        read(tmp_path)
+    for wrong in ({"sequences": ["nowhere"]}, {"contestants": ["nobody"]}, {"metrics": ["ate"]}):
+        with pytest.raises(UnknownName):
+            read(finished, **wrong)
+    result = CliRunner().invoke(app, ["export", str(finished), "-f", "word"])
+    assert isinstance(result.exception, UnknownName)
+
+
+def test_reading_leaves_the_results_folder_as_it_is(finished):
+    before = sorted(path for path in finished.rglob("*"))
+    read(finished)
+    assert sorted(path for path in finished.rglob("*")) == before

@@ -1,0 +1,339 @@
+"""An experiment file is checked whole before the first run, and its runs have names that mean them."""
+
+import os
+import re
+import shlex
+import tomllib
+from pathlib import Path
+
+import pytest
+
+from evalkit.config import experiment
+from evalkit.config.experiment import Limits
+from evalkit.core.errors import BadExperiment, UnknownName
+from evalkit.plugins import registry
+
+WHEELS = '[[contestant]]\nuse = "wheel-odometry"\n'
+ROOM = '[[sequence]]\nuse = "room"\n'
+PAPER = '[[contestant]]\nuse = "paper"\n'
+
+
+def read(tmp_path, text):
+    path = tmp_path / "exp.toml"
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return experiment.read(path)
+
+
+def planned(contestants=({"use": "wheel-odometry"},), sequences=({"use": "room"},), **tables):
+    content = {"contestant": list(contestants), "sequence": list(sequences), **tables}
+    return experiment.plan(content, "exp.toml", "exp", "report exp.toml")
+
+
+def only_key(**changes):
+    return next(planned(**changes).runs()).key
+
+
+def digest(**changes):
+    return only_key(**changes).rpartition("-")[2]
+
+
+@pytest.fixture
+def log(tmp_path):
+    path = tmp_path / "a.log"
+    path.write_text("FLASER\n")
+    return path
+
+
+# what is refused
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("", ["no [[contestant]]"]),
+        (WHEELS, ["no [[sequence]]"]),
+        ("title =\n", ["not valid TOML", "line 1"]),
+        (b"title = '\xff'\n", ["cannot be read"]),
+        ("titel = 'x'\n" + WHEELS + ROOM, ["no key named 'titel' (did you mean 'title'?)", "known: contestant"]),
+        ("title = 3\n" + WHEELS + ROOM, ["'title': found 3, expected a text"]),
+        ("[contestant]\nuse = 'paper'\n" + ROOM, ["contestant: expected tables [[contestant]]"]),
+        ("[[contestant]]\nlabel = 'x'\n" + ROOM, ["contestant 1: missing key 'use'"]),
+        ("[[contestant]]\nuse = 7\n" + ROOM, ["contestant 1: 'use': found 7, expected a text"]),
+        (WHEELS + "[[contestant]]\nuse = 'papper'\n" + ROOM,
+         ["contestant 2: no backend named 'papper' (did you mean 'paper'?)", "known:", "wheel-odometry"]),
+        (WHEELS + "[[sequence]]\nuse = 'rooom'\n",
+         ["sequence 1: no dataset named 'rooom' (did you mean 'room'?)", "known:", "carmen"]),
+        ("[mapper]\nuse = 'log-ods'\n" + WHEELS + ROOM, ["mapper: no mapper named 'log-ods' (did you mean 'log-odds'?)",
+          "known:"]),
+        (PAPER + "epsilom = 1e-3\n" + ROOM,
+         ["contestant 1 (paper): no parameter named 'epsilom' (did you mean 'epsilon'?)", "known:", "keyframes"]),
+        (PAPER + "label = 'mine'\nkeyframes = 2.5\n" + ROOM,
+         ["contestant 1 (mine): parameter 'keyframes': found 2.5, expected a whole number"]),
+        (PAPER + "s2s.epsilom = 1e-3\n" + ROOM, ["contestant 1 (paper): no parameter named 's2s.epsilom'"]),
+        (WHEELS + ROOM + "laps = 'two'\n", ["sequence 1 (room): parameter 'laps': found 'two', expected a number"]),
+        (WHEELS + ROOM + "noise_m = -1\n", ["sequence 1 (room): parameter 'noise_m': found -1", "within [0, 1] m"]),
+        (WHEELS + ROOM + "seed = 3\n", ["sequence 1 (room): found 'seed'; write seeds = [0, 1, ...]"]),
+        (WHEELS + ROOM + "seeds = 3\n", ["sequence 1 (room): 'seeds': found 3, expected a list of whole numbers"]),
+        (WHEELS + ROOM + "seeds = [0, true]\n", ["sequence 1 (room): 'seeds': found [0, True]"]),
+        (WHEELS + ROOM + "seeds = []\n", ["sequence 1 (room): 'seeds': found []"]),
+        (WHEELS + "[[sequence]]\nuse = 'carmen'\npath = 'a.log'\nseeds = [1]\n",
+         ["sequence 1 (carmen): 'seeds': carmen is a recording and has none; remove the key"]),
+        (WHEELS + PAPER + PAPER + ROOM, ["two contestants are labelled 'paper'", 'label = "..."']),
+        (WHEELS + ROOM + ROOM, ["two sequences are labelled 'room'"]),
+        ("mapper = 'log-odds'\n" + WHEELS + ROOM, ["mapper: found 'log-odds', expected a table [mapper]"]),
+        ("[mapper]\nscans = 1\n" + WHEELS + ROOM, ["mapper: 'scans': found 1, expected a whole number of at least 2"]),
+        ("[mapper]\nsize = 1\n" + WHEELS + ROOM, ["mapper: no parameter named 'size'", "known:"]),
+        ("[limits]\nrun = 3\n" + WHEELS + ROOM, ["limits: no key named 'run' (did you mean 'run_s'?)"]),
+        ("[limits]\nrun_s = 0\n" + WHEELS + ROOM, ["limits: 'run_s': found 0, expected a positive number"]),
+        ("[limits]\nscan_s = nan\n" + WHEELS + ROOM, ["limits: 'scan_s': found nan, expected a positive number"]),
+        ("limits = 9\n" + WHEELS + ROOM, ["limits: found 9, expected a table [limits]"]),
+    ],
+)  # fmt: skip
+def test_a_mistake_is_named_with_file_place_and_what_is_known(tmp_path, text, parts):
+    with pytest.raises(BadExperiment) as caught:
+        read(tmp_path, text)
+    message = str(caught.value)
+    assert message.startswith(f"{tmp_path / 'exp.toml'}: ")
+    assert message.count("exp.toml") == 1
+    assert all(part in message for part in parts), message
+
+
+def test_a_file_that_is_none_is_named(tmp_path):
+    with pytest.raises(BadExperiment, match=r"nothing\.toml: no such file; give the path of an experiment"):
+        experiment.read(tmp_path / "nothing.toml")
+    with pytest.raises(BadExperiment, match=re.escape(f"{tmp_path}: cannot be read")):
+        experiment.read(tmp_path)
+
+
+@pytest.mark.parametrize("key", ["path", "reference", "relations"])
+def test_a_readers_file_that_is_not_there_is_a_mistake(tmp_path, log, key):
+    table = {"use": "carmen", "label": "mine", "path": str(log), key: str(tmp_path / "no.such")}
+    with pytest.raises(BadExperiment, match=rf"sequence 1 \(mine\): carmen: parameter '{key}': no file .*no\.such"):
+        planned(sequences=[table])
+
+
+def test_a_reader_without_a_path_is_a_mistake():
+    with pytest.raises(BadExperiment, match=r"sequence 1 \(carmen\): carmen: parameter 'path' is empty; give a path"):
+        planned(sequences=[{"use": "carmen"}])
+
+
+def test_a_catalogued_recording_that_is_not_here_is_a_row_and_not_a_refusal(tmp_path, monkeypatch):
+    monkeypatch.setenv("EVALKIT_DATA", str(tmp_path))
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (course,) = planned(sequences=[{"use": "turtlebot4"}]).courses
+    assert "evalkit datasets fetch turtlebot4" in course.missing
+
+
+def test_a_back_end_whose_plugin_does_not_load_is_a_row_with_the_reason(strangers):
+    plan = planned([{"use": "unloadable", "speed": 3}, {"use": "wheel-odometry"}])
+    assert [entrant.missing != "" for entrant in plan.contestants] == [True, False]
+    assert "the licence server does not answer" in plan.contestants[0].missing
+    assert len(list(plan.runs())) == 2
+
+
+# what is planned
+
+
+def test_the_smallest_experiment_takes_every_default(tmp_path):
+    plan = read(tmp_path, WHEELS + ROOM)
+    assert (plan.name, plan.title, plan.description, plan.limits) == ("exp", "exp", "", Limits())
+    assert (plan.mapper.name, plan.mapper.scans) == ("log-odds", 400)
+    assert [(course.label, course.seeds) for course in plan.courses] == [("room", (0,))]
+    assert [(entrant.label, entrant.missing) for entrant in plan.contestants] == [("wheel-odometry", "")]
+    defaults = {p.name: p.default for p in registry.dataset("room").parameters}
+    assert plan.courses[0].seeded(7) == {**defaults, "seed": 7}
+
+
+def test_what_is_written_is_taken(tmp_path):
+    plan = read(
+        tmp_path,
+        "title = 'T'\ndescription = 'D'\n"
+        "[limits]\nrun_s = 9\nmemory_mib = 100\n[mapper]\nscans = 20\nresolution_m = 0.1\n"
+        f"{PAPER}label = 'eager'\nkeyframes = 3\ns2s.epsilon = 0.5\n"
+        f"{ROOM}label = 'box'\nlaps = 2\nseeds = [4, 2, 4]\n",
+    )
+    assert (plan.title, plan.description, plan.limits) == ("T", "D", Limits(run_s=9, memory_mib=100))
+    assert (plan.mapper.scans, plan.mapper.parameters["resolution_m"]) == (20, 0.1)
+    entrant, course = plan.contestants[0], plan.courses[0]
+    assert (entrant.label, entrant.backend, entrant.parameters["keyframes"]) == ("eager", "paper", 3)
+    assert (entrant.parameters["s2s.epsilon"], entrant.parameters["epsilon"]) == (0.5, 1e-4)
+    assert (course.label, course.dataset, course.parameters["laps"], course.seeds) == ("box", "room", 2.0, (4, 2))
+
+
+def test_a_recording_runs_once_without_a_seed(log):
+    course = planned(sequences=[{"use": "carmen", "path": str(log)}]).courses[0]
+    assert course.seeds == (None,)
+    assert "seed" not in course.seeded(None)
+
+
+def test_contestants_take_turns_forth_and_back():
+    plan = planned(
+        [{"use": "wheel-odometry", "label": "A"}, {"use": "paper", "label": "B"}],
+        [{"use": "room", "seeds": [0, 1]}, {"use": "lab"}],
+    )
+    order = [(item.course.label, item.seed, item.contestant.label) for item in plan.runs()]
+    turns = (("room", 0, "AB"), ("room", 1, "BA"), ("lab", 0, "AB"))
+    assert order == [(label, seed, who) for label, seed, both in turns for who in both]
+
+
+# a part of it
+
+
+@pytest.fixture
+def wide(log):
+    return planned(
+        [{"use": "wheel-odometry"}, {"use": "paper", "label": "the <odd> one's"}],
+        [
+            {"use": "room", "seeds": [0, 1, 2]},
+            {"use": "lab", "label": "lab; askew"},
+            {"use": "carmen", "path": str(log)},
+        ],
+    )
+
+
+def test_a_part_keeps_the_order_of_the_plan_and_nothing_chosen_keeps_all(wide):
+    assert wide.only([], [], []) == wide
+    part = wide.only(["lab; askew", "room"], ["wheel-odometry"], [0, 2])
+    assert [(course.label, course.seeds) for course in part.courses] == [("room", (0, 2)), ("lab; askew", (0,))]
+    assert [entrant.label for entrant in part.contestants] == ["wheel-odometry"]
+
+
+def test_a_recording_stays_whatever_seeds_are_chosen(wide):
+    assert wide.only([], [], [1]).courses[2].seeds == (None,)
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"),
+    [
+        ((["rom"], [], []), r"report exp.toml: no sequence named 'rom' \(did you mean 'room'\?\); known: carmen, lab"),
+        (([], ["papers"], []), "report exp.toml: no contestant named 'papers'.*known: the <odd> one's, wheel-odometry"),
+        (([], [], [0, 5]), "report exp.toml: no seed named '5'; known: 0, 1, 2"),
+    ],
+)
+def test_a_part_that_is_none_is_refused(wide, choice, message):
+    with pytest.raises(UnknownName, match=message):
+        wide.only(*choice)
+
+
+def test_the_command_of_a_run_is_that_run_alone(wide):
+    for item in wide.runs():
+        words = shlex.split(wide.command(item))
+        assert words[:3] == ["evalkit", "run", "exp.toml"]
+        given = {name: [] for name in ("--sequence", "--contestant", "--seed", "--out")}
+        for name, value in zip(words[3::2], words[4::2], strict=True):
+            given[name].append(value)
+        part = wide.only(given["--sequence"], given["--contestant"], [int(seed) for seed in given["--seed"]])
+        assert [(alone.key, alone.contestant, alone.course.label, alone.seed) for alone in part.runs()] == [
+            (item.key, item.contestant, item.course.label, item.seed)
+        ]
+        assert given["--out"] == ["reports/build/exp-one"]  # never the folder of the whole
+
+
+def test_the_command_of_a_file_with_blanks_in_its_name_is_one_word(tmp_path):
+    path = tmp_path / "my first.toml"
+    path.write_text(WHEELS + ROOM)
+    plan = experiment.read(path)
+    assert shlex.split(plan.command(next(plan.runs())))[2] == str(path)
+
+
+# keys
+
+
+def test_keys_are_told_apart_and_fit_for_file_names(wide):
+    keys = [item.key for item in wide.runs()]
+    assert len(set(keys)) == len(keys) == 10
+    assert all(re.fullmatch(r"[\w.-]+", key) for key in keys)
+    assert re.fullmatch(r"room-s1-wheel-odometry-[0-9a-f]{10}", keys[3])
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"contestants": [{"use": "paper", "epsilon": 2e-4}]},
+        {"contestants": [{"use": "paper", "keyframes": 11}]},
+        {"contestants": [{"use": "paper", "s2s.epsilon": 2e-4}]},
+        {"contestants": [{"use": "paper-tight", "label": "paper"}]},
+        {"sequences": [{"use": "room", "laps": 1.5}]},
+        {"sequences": [{"use": "room", "seeds": [1]}]},
+        {"sequences": [{"use": "lab", "label": "room"}]},
+    ],
+)
+def test_anything_that_could_change_a_result_changes_the_key(changes):
+    assert digest(**{"contestants": [{"use": "paper"}], **changes}) != digest(contestants=[{"use": "paper"}])
+
+
+def test_what_cannot_change_a_result_does_not_change_the_key():
+    told = {"title": "T", "description": "D", "limits": {"run_s": 1}, "mapper": {"scans": 9}}
+    assert only_key(**told) == only_key()
+    assert only_key(sequences=[{"use": "room", "laps": 1}]) == only_key()  # the default, written as a whole number
+    assert only_key(contestants=[{"use": "wheel-odometry"}, {"use": "paper"}]) == only_key()
+
+
+def test_other_code_is_another_key(monkeypatch):
+    before = only_key()
+    monkeypatch.setattr(registry, "run_fingerprint", lambda backend, dataset: f"{backend} {dataset} changed")
+    assert only_key() != before
+
+
+def test_labels_alike_as_file_names_do_not_share_a_folder():
+    alike = [{"use": "paper", "label": "a/b"}, {"use": "paper", "label": "a b"}]
+    first, second = (item.key for item in planned(alike).runs())
+    assert first != second
+
+
+def test_a_recording_that_changed_is_another_key_and_one_read_again_is_not(log):
+    sequences = [{"use": "carmen", "path": str(log)}]
+    before = only_key(sequences=sequences)
+    log.read_text()
+    (log.parent / "beside.log").write_text("x")
+    assert only_key(sequences=sequences) == before
+    log.write_text("FLASER 2\n")
+    assert only_key(sequences=sequences) != before
+
+
+def test_a_bag_in_a_folder_that_changed_is_another_key(tmp_path):
+    folder = tmp_path / "bag"
+    folder.mkdir()
+    (folder / "bag_0.db3").write_text("one")
+    sequences = [{"use": "rosbag", "path": str(folder)}]
+    before, state = only_key(sequences=sequences), folder.stat()
+    (folder / "bag_0.db3").write_text("other")
+    os.utime(folder, ns=(state.st_atime_ns, state.st_mtime_ns))
+    assert only_key(sequences=sequences) != before
+
+
+def test_a_text_that_no_file_could_be_named_is_just_a_text(log):
+    long = {"use": "rosbag", "path": str(log), "topic": "/scan" * 1_000}
+    assert only_key(sequences=[long])
+
+
+def test_the_shipped_experiments_can_be_planned():
+    shipped = sorted(Path(__file__).parents[2].glob("reports/*.toml"))
+    tables = {file: tomllib.loads(file.read_text()) for file in shipped}
+    lists = ("contestant", "sequence")  # other files ask else
+    files = [file for file, given in tables.items() if all(isinstance(given.get(name), list) for name in lists)]
+    if not files:
+        pytest.skip("no experiment beside the tests")
+    assert all(list(experiment.read(file).runs()) for file in files)
+
+
+@pytest.mark.parametrize(
+    "label", ["=cmd|' /C calc'!A0", "+1", "-x", "@a", "", "a\x1b[2J", "a\u2028b", "a\u202eb", "a\nb"]
+)
+def test_a_label_is_no_command_to_whoever_shows_it(label):
+    with pytest.raises(BadExperiment, match=r"contestant 1: 'label': found .*, expected printable text"):
+        planned(contestants=({"use": "wheel-odometry", "label": label},))
+
+
+@pytest.mark.parametrize(
+    "label", ["../../etc/x", "/etc/x", "..", "x" * 300, "\u8def" * 300, "NUL", "nul.txt", "a\\b", "C:x"]
+)
+def test_a_run_keeps_to_its_folder_whatever_it_is_called(label):
+    plan = planned(
+        contestants=({"use": "wheel-odometry", "label": label},), sequences=({"use": "room", "label": label},)
+    )
+    (run,) = plan.runs()
+    assert re.fullmatch(r"\w[\w.-]*", run.key)
+    assert len(f"{run.key}.yaml.part".encode()) < 200
+    assert not run.key.lower().startswith(("nul.", "con."))

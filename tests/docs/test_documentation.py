@@ -1,0 +1,237 @@
+"""What the documentation says is so: every command runs and answers as printed, every file and link is there."""
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from urllib.parse import unquote, urlsplit
+
+import pytest
+
+site = pytest.importorskip("evalkit_docs.site", reason="the documentation is not part of a wheel")
+
+from evalkit.metrics import all_metrics  # noqa: E402 - as above
+from evalkit.plugins import registry  # noqa: E402 - only where there is a documentation
+from evalkit_docs import blocks as code  # noqa: E402 - as above
+from evalkit_docs import command_reference, example  # noqa: E402 - as above
+
+if not (site.ROOT / "pyproject.toml").exists():
+    pytest.skip("not in a checkout", allow_module_level=True)
+
+AFTER = re.compile(r"\A---\n.*?^after: (\S+)$.*?^---$", re.DOTALL | re.MULTILINE)
+NEEDS = re.compile(r"\A---\n.*?^needs: (.+?)$.*?^---$", re.DOTALL | re.MULTILINE)
+ELSEWHERE = re.compile(r"\A---\n.*?^tested-by: (\S+)$.*?^---$", re.DOTALL | re.MULTILINE)
+WRITTEN = {path.relative_to(site.PAGES).as_posix(): path for path in sorted(site.PAGES.rglob("*.md"))}
+
+
+def blocks(name):
+    """The code blocks of a page, in order, with those it takes from other files."""
+    return code.blocks(site.expanded(WRITTEN[name].read_text(encoding="utf-8")))
+
+
+def consoles(name):
+    """The blocks of a page that are typed."""
+    return [block for block in blocks(name) if block.language == code.CONSOLE]
+
+
+def pattern(answer):
+    """What fits an answer as printed: "..." stands for anything within a line, alone on a line for any lines."""
+    return "".join(map(line_pattern, answer.splitlines()))
+
+
+def line_pattern(line):
+    """What fits one line, its end included; spaces at its end do not count."""
+    if line.strip() == "...":
+        return r"(?:[^\n]*\n)*?"
+    return re.escape(line.rstrip()).replace(r"\.\.\.", r"[^\n]*?") + r"[^\n\S]*\n"
+
+
+def environment():
+    """That of a stranger: this program in the path, a terminal of 100 columns, no recorded data."""
+    path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    kept = {name: value for name, value in os.environ.items() if name != "EVALKIT_DATA"}
+    return {**kept, "PATH": path, "COLUMNS": "100"}
+
+
+def follow(name, folder):
+    """Does what a page says, in a folder: writes its files, runs its commands, compares what they answer.
+
+    What takes long is left out unless EVALKIT_DOCUMENTATION_LONG is set, as continuous integration does.
+    """
+    for block in blocks(name):
+        if block.long and "EVALKIT_DOCUMENTATION_LONG" not in os.environ:
+            continue
+        if block.title:
+            (folder / block.title).write_text(block.content, encoding="utf-8")
+        elif block.language == "python":
+            subprocess.run([sys.executable, "-c", block.content], cwd=folder, check=True)
+        for command, answer in code.commands(block.content) if block.language == code.CONSOLE else ():
+            ended = subprocess.run(
+                ["bash", "-c", command], cwd=folder, env=environment(), capture_output=True, text=True, check=False
+            )
+            assert ended.returncode == 0, f"{name}: $ {command}\n{ended.stdout}{ended.stderr}"
+            if answer and not re.fullmatch(pattern(answer), ended.stdout.rstrip("\n") + "\n"):
+                pytest.fail(f"{name}: $ {command}\nprinted:\n{answer}\n\nanswered:\n{ended.stdout}")
+
+
+def missing(need):
+    """Why a page's back end or program is not here, or ""."""
+    if need in registry.names("backends"):
+        return registry.backend(need).missing()
+    return "" if shutil.which(need, path=environment()["PATH"]) else f"no {need} on this machine"
+
+
+@pytest.fixture(scope="module")
+def followed(tmp_path_factory):
+    """``followed(page)``: the folder as a page leaves it, followed once."""
+    folders = {}
+
+    def folder_of(name):
+        if name not in folders:
+            folder = tmp_path_factory.mktemp(Path(name).stem)
+            head = site.PAGES.joinpath(name).read_text(encoding="utf-8")
+            if before := AFTER.match(head):
+                shutil.copytree(folder_of(before[1]), folder, dirs_exist_ok=True)
+            for need in (NEEDS.match(head) or ["", ""])[1].split():
+                if why := missing(need):
+                    pytest.skip(why)
+            follow(name, folder)
+            folders[name] = folder
+        return folders[name]
+
+    return folder_of
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", list(filter(consoles, WRITTEN)))
+def test_every_command_of_the_page_runs_and_answers_as_printed(followed, name):
+    if own := ELSEWHERE.match(WRITTEN[name].read_text(encoding="utf-8")):
+        assert Path(__file__).with_name(own[1]).exists()  # which follows the page
+    else:
+        followed(name)
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_every_block_of_code_is_whole(name):
+    for block in blocks(name):
+        if block.language == "toml":
+            tomllib.loads(block.content)
+        elif block.language == "python":
+            ast.parse(block.content)
+        else:
+            assert block.language == code.CONSOLE, f"{name}: who runs a block of {block.language}?"
+            assert block.content.startswith("$ "), f"{name}: {block.content}"
+
+
+def test_the_example_is_made_as_the_tutorial_makes_it():
+    typed = [command for block in consoles("tutorial.md") for command, _ in code.commands(block.content)]
+    assert {f"evalkit {' '.join(words)}" for words in example.COMMANDS} <= set(typed)
+
+
+def test_every_command_of_the_program_is_on_a_page_and_every_command_on_a_page_exists():
+    known = set(command_reference.functions())
+    text = "\n".join(path.read_text(encoding="utf-8") for path in WRITTEN.values())
+    shown = {match[1] for match in re.finditer(r"\bevalkit ([a-z]+(?: [a-z]+)?)\b", text)}
+    assert {name for name in known if not any(f"{one} ".startswith(f"{name} ") for one in shown)} == set()
+    for command in re.findall(r"^\$ evalkit ([^\n]*)", text, re.MULTILINE):
+        words = command.split()
+        assert words[0].startswith("-") or words[0] in known or " ".join(words[:2]) in known, command
+
+
+def test_options_on_written_pages_exist():
+    known = {
+        name: " ".join(one.written for one in command_reference.given(function))
+        for name, function in command_reference.functions().items()
+    }
+    for page, path in WRITTEN.items():
+        for command in re.findall(r"\bevalkit ([a-z]+(?: [a-z]+)?\b[^\n`|]*)", path.read_text(encoding="utf-8")):
+            words = command.split()
+            name = " ".join(words[:2]) if " ".join(words[:2]) in known else words[0]
+            for option in re.findall(r"(?<!\S)--[a-z-]+", command) if name in known else ():
+                assert option in known[name] or option in ("--help", "--version"), f"{page}: evalkit {command}"
+
+
+def test_the_references_leave_nothing_out():
+    made = {name: write() for name, write in site.GENERATED.items()}
+    for metric in all_metrics():
+        assert f"{{ #{metric.name} }}" in made["reference/metrics.md"]
+    for kind, page in (("backends", "back-ends"), ("datasets", "data-sets")):
+        for name in registry.names(kind):
+            assert f"{{ #{name} }}" in made[f"reference/{page}.md"]
+    compare = made["reference/commands.md"].split("{ #compare }")[1].split("\n## ")[0]
+    assert "<code>--reference</code></td><td>a path</td><td></td><td>True trajectory (TUM).</td>" in compare
+    assert "<code>FILE</code></td><td>a path</td><td>required</td>" in compare
+    assert "<code>--out, -o</code></td><td>a path</td><td>reports/build/NAME</td>" in compare
+    assert "<code>--json</code></td><td></td><td></td>" in compare
+
+
+def test_a_block_that_is_not_there_is_named():
+    with pytest.raises(LookupError, match=r"README.md: \d+ blocks of toml, asked for number 99"):
+        site.expanded("<!-- block: README.md toml 99 -->")
+
+
+@pytest.fixture(scope="module")
+def built(followed, tmp_path_factory):
+    """The site, built in strict mode, with the report that the tutorial left."""
+    pytest.importorskip("mkdocs", reason="mkdocs is not installed: pip install 'evalkit[docs]'")
+    pytest.importorskip("material", reason="mkdocs-material is not installed: pip install 'evalkit[docs]'")
+    folder = tmp_path_factory.mktemp("site").resolve()
+    words = ("build", "--strict", "--config-file", str(site.PAGES.parent / "mkdocs.yml"), "--site-dir", str(folder))
+    shown = str(followed("tutorial.md") / "results")
+    ended = subprocess.run(
+        [sys.executable, "-m", "mkdocs", *words], capture_output=True, text=True, check=False,
+        env={**os.environ, "EVALKIT_DOCUMENTATION_EXAMPLE": shown, "NO_MKDOCS_2_WARNING": "1"},
+    )  # fmt: skip
+    assert ended.returncode == 0, ended.stderr
+    return folder
+
+
+def html(built):
+    return [page for page in built.rglob("*.html") if "report" not in page.relative_to(built).parts]
+
+
+@pytest.mark.slow
+def test_no_page_loads_anything_from_anywhere(built):
+    loading = re.compile(r"<(?:script|link|img|iframe|source)\b[^>]*?(?:src|href)=\"?(?:https?:)?//")
+    for page in html(built):
+        assert not loading.findall(page.read_text("utf-8")), page
+    for sheet in built.rglob("*.css"):
+        assert not re.search(r"url\([\"']?(?:https?:)?//|@import", sheet.read_text("utf-8")), sheet
+
+
+@pytest.mark.slow
+def test_every_link_and_anchor_within_the_site_leads_somewhere(built):
+    anchors = {page: set(re.findall(r"\bid=\"?([^\s\">]+)", page.read_text("utf-8"))) for page in built.rglob("*.html")}
+    for page in html(built):
+        for link in re.findall(r"<a\b[^>]*?\bhref=\"([^\"]*)\"", page.read_text("utf-8")):
+            parts = urlsplit(link)
+            if parts.scheme or parts.netloc or page.name == "404.html":
+                continue
+            target = (page.parent / unquote(parts.path)).resolve() if parts.path else page
+            target = target / "index.html" if target.is_dir() else target
+            assert target.exists(), f"{page.name}: {link}"
+            assert not parts.fragment or unquote(parts.fragment) in anchors.get(target, ()), f"{page.name}: {link}"
+
+
+@pytest.mark.slow
+def test_the_search_of_a_site_opened_from_disk_finds_a_metric_and_asks_nobody(built):
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    program = next(filter(None, map(shutil.which, ("chromium", "google-chrome", "chromium-browser"))), None)
+    if program is None:
+        pytest.skip("no browser found: chromium")
+    asked_for = []
+    with playwright.sync_playwright() as running:
+        browser = running.chromium.launch(executable_path=program, args=["--no-sandbox", "--disable-gpu"])
+        page = browser.new_page()
+        page.on("request", lambda request: asked_for.append(request.url))
+        page.on("pageerror", lambda error: asked_for.append(f"error {error}"))
+        page.goto((built / "index.html").as_uri())
+        page.click("[data-md-component=search-query]")
+        page.keyboard.type("wall_thickness")
+        page.wait_for_selector(".md-search-result__item a[href*='reference/metrics.html']", timeout=20_000)
+        browser.close()
+    assert [url for url in asked_for if not url.startswith(("file:", "data:", "about:"))] == []

@@ -1,0 +1,182 @@
+"""The page on results names every key there is, and no other: held against the schema and against a real small run."""
+
+import contextlib
+import json
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from typer.testing import CliRunner
+
+from evalkit.cli import app
+from evalkit.core.run_result import STEP
+from evalkit.metrics import validated
+from evalkit.plugins.protocols import Published
+from evalkit.report import results_json
+from evalkit.report.analysis import overview, verdict
+
+FILE = Path(validated.__file__).parents[2] / "docs" / "pages" / "results.md"
+if not FILE.exists():
+    pytest.skip("the documentation is not part of a wheel", allow_module_level=True)
+PAGE = FILE.read_text(encoding="utf-8")
+WRITES, READS = re.findall(r"^```python\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
+SCHEMA = json.loads(results_json.schema())
+
+
+def documented(heading):
+    """The keys of the first table below a heading, and those that may be absent."""
+    section = re.split(r"^#+ ", PAGE.split(f"# {heading}\n", 1)[1], maxsplit=1, flags=re.MULTILINE)[0]
+    rows = [line.strip("| ").split(" | ", 1) for line in section.splitlines() if line.startswith("| `")]
+    return {key.strip("`") for key, _ in rows}, {
+        key.strip("`") for key, what in rows if what.startswith("may be absent")
+    }
+
+
+def keys(value, free=("",), path=""):
+    """The paths to all that is no object; names within the paths in ``free`` are "<...>"."""
+    if isinstance(value, dict):
+        for name, part in value.items():
+            step = "<...>" if path in free else name
+            yield from keys(part, free, f"{path}.{step}" if path else step)
+    elif isinstance(value, list):
+        yield f"{path}[]"
+        for part in value:
+            if isinstance(part, dict):
+                yield from keys(part, free, f"{path}[]")
+    else:
+        yield path
+
+
+def leaves(found):
+    """Lists of objects are told by their elements' keys."""
+    return {path for path in found if not any(other.startswith(f"{path}.") for other in found)}
+
+
+def described(node, path=""):
+    """The same paths of a JSON Schema."""
+    node = SCHEMA["$defs"][node["$ref"].split("/")[-1]] | node if "$ref" in node else node
+    if isinstance(node.get("additionalProperties"), dict):
+        yield from described(node["additionalProperties"], f"{path}.<...>")
+    elif "properties" in node:
+        for name, part in node["properties"].items():
+            yield from described(part, f"{path}.{name}" if path else name)
+    elif node.get("type") == "array":
+        yield from described(node["items"], f"{path}[]")
+    else:
+        yield path
+
+
+def maps(node, path=""):
+    """Where a JSON Schema leaves the names free."""
+    node = SCHEMA["$defs"][node["$ref"].split("/")[-1]] | node if "$ref" in node else node
+    if isinstance(node.get("additionalProperties"), dict):
+        yield path
+        yield from maps(node["additionalProperties"], f"{path}.<...>")
+    for name, part in node.get("properties", {}).items():
+        yield from maps(part, f"{path}.{name}" if path else name)
+    if node.get("type") == "array":
+        yield from maps(node["items"], f"{path}[]")
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """The results of the page's own example."""
+    folder = tmp_path_factory.mktemp("results")
+    with contextlib.chdir(folder):
+        run(WRITES)
+    result = CliRunner().invoke(app, ["report", str(folder / "small.toml"), "--out", str(folder / "small")])
+    assert result.exit_code == 0, result.output
+    return folder / "small"
+
+
+def run(program):
+    exec(compile(program, "results.md", "exec"), {})
+
+
+ONLY_SOME = {"intervals[].detectable", "intervals[].reference", "intervals[].said", "intervals[].drawn"}
+"""The schema has one form for intervals and differences; these are of differences."""
+
+
+def test_the_page_the_schema_and_a_report_with_everything_in_it_have_the_same_keys(demo, small):
+    label = demo.sequence_labels[0]
+    figure = Published("theirs", 0.1, 0.2, "a paper", "ate_rmse_m", "ate_rmse_m")
+    card = replace(demo.sequences[label], published=(figure,), defects=("one",))
+    everything = replace(demo, sequences={**demo.sequences, label: card})
+    verdicts = [verdict.verdict(everything, one) for one in everything.sequence_labels]
+    told = results_json.results(everything, overview.overview(everything, verdicts), verdicts)
+    free = set(maps(SCHEMA))
+    real = leaves(set(keys(json.loads(json.dumps(told)), free)))
+    real |= leaves(set(keys(json.loads((small / "results.json").read_text(encoding="utf-8")), free)))
+    page, _ = documented("`results.json`")
+    assert page == set(described(SCHEMA)) - ONLY_SOME
+    assert leaves(page | real) == page
+
+
+@pytest.mark.parametrize(
+    ("name", "free"),
+    [
+        ("request.json", {"backend_parameters", "dataset_parameters"}), ("begun.json", ()),
+        ("outcome.json", {"notes"}), ("run.json", {"notes"}), ("made.json", {"versions"}), ("scores.json", {"scores"}),
+    ],
+)  # fmt: skip
+def test_every_key_of_a_runs_own_files_is_on_the_page_and_every_key_of_the_page_in_them(small, name, free):
+    real = set()
+    for path in small.glob(f"runs/*/{name}"):
+        real |= set(keys(json.loads(path.read_text(encoding="utf-8")), free))
+    page, absent = documented(f"`{name}`")
+    assert page - absent <= real <= page
+
+
+def test_the_fields_of_a_scan_are_those_of_the_page():
+    page, _ = documented("Binary files")
+    assert page == set(STEP.names)
+    kinds = {"i8": "int64", "f8": "float64", "i4": "int32", "i1": "int8"}
+    for name in STEP.names:
+        assert f"| `{name}` | {kinds[STEP[name].str[1:]]}" in PAGE
+
+
+def test_the_columns_of_the_tables_are_those_of_the_page(small):
+    section = PAGE.split("## Tables")[1].split("## A run's")[0]
+    named = [
+        name
+        for line in section.splitlines()
+        if line.startswith("| `")
+        for name in re.findall(r"`(\w+)`", line.split(" | ")[0])
+    ]
+    assert sorted(named) == sorted(pd.read_csv(small / "summary.csv").columns)
+
+
+def test_the_pages_program_reads_what_its_experiment_leaves(small, monkeypatch, capsys):
+    monkeypatch.chdir(small.parent)
+    run(READS)
+    assert "paper" in capsys.readouterr().out
+
+
+def test_every_file_in_the_folder_is_on_the_page(small):
+    named = re.findall(r"`([\w./]+)`", PAGE)
+    for path in small.rglob("*"):
+        told = path.name if path.parent in (small, *small.glob("runs/*")) else f"{path.parent.name}/KEY{path.suffix}"
+        assert path.is_dir() or told in named, told
+
+
+def test_a_map_and_its_errors_are_as_the_page_says(small):
+    path = next(iter(small.glob("runs/*/grid.npz")))
+    with np.load(path) as grid:
+        assert (grid["log_odds"].dtype, grid["observed"].dtype) == (np.float32, bool)
+        assert grid["log_odds"].shape == grid["observed"].shape
+        assert grid["frame"].shape == (3,)
+    assert np.load(path.with_name("errors.npy")).shape == (len(np.fromfile(path.with_name("steps.bin"), STEP)),)
+
+
+def test_the_measurement_that_is_shipped_has_the_pages_keys():
+    content = json.loads((Path(validated.__file__).parent / validated.FILE).read_text(encoding="utf-8"))
+    line = next(line for line in PAGE.splitlines() if line.startswith("| `validated.json`"))
+    assert set(re.findall(r"`(\w+)`", line.split(" | ")[2])) == set(content)
+    dossier = json.loads(
+        (Path(validated.__file__).parents[1] / "commands/validate/acceptance.schema.json").read_bytes()
+    )
+    line = next(line for line in PAGE.splitlines() if line.startswith("| `dossier.json`"))
+    assert set(re.findall(r"`(\w+)`", line.split(" | ")[2])) == set(dossier["properties"])

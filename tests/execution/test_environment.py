@@ -1,0 +1,86 @@
+"""What a report says of the machine."""
+
+import os
+import shutil
+import subprocess
+from datetime import UTC, datetime
+from importlib.metadata import version
+from pathlib import Path
+
+import psutil
+import pytest
+
+import evalkit
+from evalkit.execution import environment
+
+CHECKOUT = Path(evalkit.__file__).parent.parent
+
+
+def test_everything_a_reader_needs_is_told_in_words():
+    told = environment.describe(("numpy", "no-such-library"))
+    assert list(told)[:5] == ["evalkit", "commit", "python", "system", "processor"]
+    assert told["evalkit"] == evalkit.__version__
+    assert told["numpy"] == version("numpy")
+    assert told["no-such-library"] == "not installed"
+    assert f"{psutil.cpu_count()} logical" in told["cores"]
+    assert all(isinstance(text, str) and text for text in told.values())
+
+
+def test_the_commit_is_that_of_the_checkout_and_says_if_it_was_changed():
+    if shutil.which("git") is None or not (CHECKOUT / ".git").exists():
+        pytest.skip("not a checkout, or no git")
+    head = subprocess.run(["git", "-C", CHECKOUT, "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
+    if head.returncode:
+        pytest.skip(f"git does not read this checkout: {head.stderr.strip()}")
+    changed = subprocess.run(["git", "-C", CHECKOUT, "diff", "--quiet", "HEAD"], check=False).returncode != 0
+    told = environment.describe()["commit"]
+    assert head.stdout.startswith(told.removesuffix("-dirty").rpartition("-g")[2])
+    assert told.endswith("-dirty") == changed
+
+
+def test_an_installed_package_has_no_commit(tmp_path, monkeypatch):
+    monkeypatch.setattr(environment, "__file__", str(tmp_path / "evalkit" / "execution" / "environment.py"))
+    assert environment.describe()["commit"] == "none (installed package)"
+
+
+def test_a_checkout_without_git_says_so(tmp_path, monkeypatch):
+    (tmp_path / ".git").mkdir()
+    monkeypatch.setattr(environment, "__file__", str(tmp_path / "evalkit" / "execution" / "environment.py"))
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert environment.describe()["commit"] == "unknown (git is not there)"
+
+
+def test_a_timed_process_has_one_thread_in_every_pool():
+    assert set(environment.SINGLE_THREAD.values()) == {"1"}
+    assert {"OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"} <= set(environment.SINGLE_THREAD)
+
+
+def test_runs_at_a_time_are_told_where_known():
+    assert environment.describe(jobs=3)["runs at a time"] == "3"
+    assert "runs at a time" not in environment.describe()
+
+
+def test_runs_kept_from_earlier_are_one_line_with_their_dates_and_commits():
+    def made(day, commit):
+        return {"made": f"2024-05-{day:02d}T12:00:00+00:00", "commit": commit, "processor": "P"}
+
+    noon = datetime(2024, 5, 9, 12, tzinfo=UTC)
+    assert environment.kept([made(9, "c"), made(10, "c")], noon) == {}
+    assert environment.kept([made(3, "b"), made(1, "a"), made(9, "c")], noon) == {
+        "kept from earlier": "2 runs, made 2024-05-01 12:00..2024-05-03 12:00 UTC, commit a and b, processor P"
+    }
+    assert ", made 2024-05-01 12:00 UTC, " in environment.kept([made(1, "a")], noon)["kept from earlier"]
+    assert environment.kept([{}], noon) == {
+        "kept from earlier": "1 run, made nobody knows when, commit unknown, processor unknown"
+    }
+
+
+@pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="this system cannot pin")
+def test_cores_are_one_of_each_physical_core_before_the_second_of_any(monkeypatch):
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2, 3, 4})
+    monkeypatch.setattr(environment, "_siblings", lambda cpu: f"{cpu // 2}")
+    monkeypatch.setattr(psutil, "cpu_count", lambda logical=True: 6 if logical else 3)
+    assert environment.cores() == [0, 2, 4, 1, 3]
+    assert environment.physical_cores() == 3
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {2, 3})
+    assert environment.physical_cores() == 1

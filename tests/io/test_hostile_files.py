@@ -1,0 +1,124 @@
+"""No input, however made, costs more than an answer or a short error; the same targets are fuzzed by hand."""
+
+import ast
+import importlib.util
+import sys
+import warnings
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+from evalkit.io import map_server, untrusted_io
+
+ROOT = Path(__file__).resolve().parents[2]
+FUZZ = Path(__file__).parents[1] / "fuzz"
+TARGETS = sorted(path.stem for path in (FUZZ / "targets").glob("[a-z]*.py"))
+NEEDS = {"bag_file": "rosbags", "bag_messages": "rosbags", "map_image": "PIL", "map_settings": "ruamel.yaml"}
+COUNT = {"bag_file": 12, "bag_messages": 12, "study": 5, "tuning": 5, "experiment": 10}
+"""Damaged inputs a target gets here; 50 where nothing is said."""
+
+
+@pytest.fixture(scope="module")
+def load():
+    """``load(name)``: the module of a target."""
+    spec = importlib.util.spec_from_file_location("fuzz_run", FUZZ / "run.py")
+    run = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(run)
+    before = list(sys.path)
+    yield run.load
+    sys.path[:] = before
+
+
+@pytest.fixture
+def caps(monkeypatch):
+    """The product's own caps again afterwards: some targets lower them."""
+    monkeypatch.setattr(map_server, "MOST_PIXELS", map_server.MOST_PIXELS)
+    monkeypatch.setattr(untrusted_io, "MOST_BYTES", untrusted_io.MOST_BYTES)
+
+
+@pytest.mark.usefixtures("caps")
+@pytest.mark.parametrize("name", TARGETS)
+def test_whatever_is_read_ends_soon_in_little_memory_with_an_answer_or_a_short_error(load, name):
+    if name in NEEDS:
+        pytest.importorskip(NEEDS[name])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # a damaged number overflows: the answer counts
+        target = load(name)
+        from mutation import mutants  # which stands beside the targets
+
+        for data in (*target.seeds(), *target.swollen(), b"", *mutants(target.seeds(), COUNT.get(name, 50), seed=7)):
+            try:
+                target.one(data)
+            except BaseException as error:
+                error.add_note(f"{name}.one({data[:2000]!r}), {len(data)} bytes")
+                raise
+
+
+# --- what runs or unpacks what it is given
+
+FORBIDDEN = {
+    "eval", "exec", "__import__", "pickle", "cPickle", "dill", "cloudpickle", "marshal", "shelve", "joblib",
+    "tarfile", "zipfile", "shutil.unpack_archive", "os.system", "os.popen", "yaml", "np.load", "numpy.load",
+    "np.fromregex", "extractall", "allow_pickle", "shell", "read_pickle", "xml", "full_load", "unsafe_load",
+}  # fmt: skip
+"""Modules, functions, methods and keywords by which data can become commands, or files outside their folder."""
+
+ALLOWED = {
+    (
+        "evalkit/execution/run_archive.py",
+        "zipfile",
+    ): "results of its own workers; of a member's name only the last part counts",
+    (
+        "evalkit/io/untrusted_io.py",
+        "zipfile",
+    ): "reads arrays member by member, bounded, into memory and never into files",
+}
+
+
+def found_in(tree):
+    """The forbidden names a module uses: imports, calls by (dotted) name, and keywords of calls that are not False."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from (alias.name.partition(".")[0] for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            yield (node.module or "").partition(".")[0]
+        elif isinstance(node, ast.Call):
+            yield ast.unparse(node.func)
+            yield node.func.attr if isinstance(node.func, ast.Attribute) else ""
+            yield from (word.arg for word in node.keywords if ast.unparse(word.value) != "False")
+
+
+@cache
+def sources():
+    """Every Python source that is shipped, by its place, but the examples of other people's programs."""
+    return {
+        path.relative_to(ROOT).as_posix(): ast.parse(path.read_text(encoding="utf-8"))
+        for folder in ("evalkit", "baselines", "datasets")
+        for path in sorted((ROOT / folder).rglob("*.py"))
+        if "examples" not in path.parts
+    }
+
+
+def test_no_source_runs_or_unpacks_what_it_is_given():
+    used = {(place, name) for place, tree in sources().items() for name in found_in(tree) if name in FORBIDDEN}
+    assert used <= set(ALLOWED)
+
+
+@pytest.mark.parametrize(
+    "text",
+    ["import pickle", "from tarfile import open", "eval('1')", "np.load(f)", "run(c, shell=True)", "a.extractall(p)"],
+)
+def test_the_search_finds_what_it_looks_for(text):
+    assert FORBIDDEN & set(found_in(ast.parse(text)))
+
+
+def test_yaml_is_read_without_building_what_it_names():
+    calls = [
+        ast.unparse(node)
+        for tree in sources().values()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and ast.unparse(node.func).endswith("YAML")
+    ]
+    assert calls
+    assert all("typ='safe'" in call and "pure=True" in call for call in calls)

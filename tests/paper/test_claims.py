@@ -1,0 +1,64 @@
+"""The chapter on the paper's claims: how far off a drive is as it grows, and what people do to it."""
+
+import numpy as np
+import pytest
+
+from evalkit_paper import claims, long_drives
+
+
+def test_wheels_without_errors_stay_on_the_way(monkeypatch):
+    found = long_drives.grown("wheel-odometry", {}, "lab", 0, 0.1, 8)
+    assert found["path_m"].shape == (8,)
+    assert found["path_m"] == pytest.approx(found["path_m"][-1] * np.arange(1, 9) / 8, abs=0.05)
+    assert found["end_m"][0] < 0.1
+
+
+def test_the_mean_error_up_to_a_mark_is_that_of_all_scans_before_it():
+    found = long_drives.grown("wheel-odometry", {}, "lab", 1, 0.1, 200)
+    assert found["rmse_m"][0] <= found["end_m"][:3].max() + 1e-9
+    assert found["rmse_m"][-1] <= found["end_m"].max()
+    assert found["rmse_m"][-1] >= found["end_m"].min()
+
+
+@pytest.fixture
+def settings():
+    return claims.CHAPTER.settings("t", {"seeds": 2, "laps": 2.0})
+
+
+def made(settings, percent):
+    """Results in which every contestant is off by so many percent of the way, and people cost 1 cm each."""
+    way = np.linspace(1.0, 100.0, claims.MARKS)
+    results = {}
+    for job in claims.CHAPTER.jobs(settings):
+        if job.function.endswith(":grown"):
+            share = percent[job.name.partition(" | ")[0]] / 100.0
+            results[job.name] = {"path_m": way, "end_m": share * way, "rmse_m": share * way}
+        else:
+            people = job.arguments["people"]
+            results[job.name] = {"scores": {"ate_rmse_m": 0.01 * people, "map_f1": 0.9, "map_entropy": 0.1}}
+    return results
+
+
+@pytest.mark.parametrize(
+    ("literal", "reading", "verdict"),
+    [
+        (0.5, 0.2, "reproduced"),
+        (3.0, 0.2, "reproduced with a correction"),
+        (3.0, 1.5, "not determined by the text"),
+    ],
+)
+def test_the_verdict_follows_what_was_measured(settings, literal, reading, verdict):
+    wheels, printed, read, tight = (entry.label for entry in claims.ENTRIES)
+    results = made(settings, {wheels: 5.0, printed: literal, read: reading, tight: 0.1})
+    loops, crowd = claims.CHAPTER.findings(settings, results)
+    assert loops.verdict == verdict
+    assert f"{read}: {reading:.2f} ({reading:.2f} to {reading:.2f}) %" in loops.measured
+    assert "with 10 people in the lab ATE RMSE 0.100 m against 0.000 m with nobody" in crowd.measured
+
+
+def test_a_drift_in_proportion_to_the_way_grows_as_its_first_power(settings):
+    results = made(settings, {entry.label: 1.0 for entry in claims.ENTRIES})
+    section = claims.CHAPTER.sections(settings, results)[0]
+    (table,) = (block for block in section.blocks if block.kind == "table")
+    assert all(row[-1].text == "1.0" for row in table.rows)
+    assert {row[3].text for row in table.rows} == {"1.00"}

@@ -1,0 +1,44 @@
+"""The table of what the two stages leave open."""
+
+import pytest
+
+from evalkit.execution.job_store import call
+from evalkit.odometry import frontend
+from evalkit.plugins import registry
+from evalkit_paper import configurations
+from evalkit_paper.configurations import CHAPTER, CONFIGURATIONS
+
+
+def test_every_configuration_is_one_the_front_end_takes():
+    for each in CONFIGURATIONS:
+        spec = registry.backend(each.backend)
+        frontend.complete_parameters(each.name, spec, each.parameters)
+
+
+def test_names_of_configurations_differ():
+    assert len({each.name for each in CONFIGURATIONS}) == len(CONFIGURATIONS)
+
+
+def test_without_a_stage_nothing_is_iterated_and_the_answer_is_the_odometry():
+    odometry = configurations.measured(
+        backend="paper",
+        parameters=dict(CONFIGURATIONS[0].parameters),
+        sequence={"laps": 0.05, "rate_hz": 5.0, "velocity_noise_mps": 0.0, "odometry_scale": 0.0, "gyro_noise_dps": 0.0,
+                  "gyro_bias_dps": 0.0},
+    )  # fmt: skip
+    assert odometry["s2s"] is odometry["s2m"] is None
+    assert odometry["ate_m"] == pytest.approx(0.0, abs=1e-9)
+    assert odometry["final_percent"] == pytest.approx(0.0, abs=1e-6)
+
+
+def test_a_line_stands_for_every_configuration():
+    settings = CHAPTER.settings("test", {"laps": 0.05, "rate_hz": 5.0, "seeds": 2})
+    made = {}
+    for job in CHAPTER.jobs(settings):
+        first = next(iter(made.values()), None) or call(job.function, dict(job.arguments))[0]
+        made[job.name] = {**first, "s2s": 3.0, "s2m": 4.0}
+    (section,) = CHAPTER.sections(settings, made)
+    table = section.blocks[1]
+    assert [row[0] for row in table.rows] == [each.name for each in CONFIGURATIONS]
+    (finding,) = CHAPTER.findings(settings, made)
+    assert (finding.verdict, finding.anchor) == ("not determined by the text", section.anchor)

@@ -1,0 +1,110 @@
+"""Figure 10's chapter: faults of maps that were put there, and places that are known."""
+
+import numpy as np
+import pytest
+
+from evalkit.core.grid import OccupancyGrid
+from evalkit.core.pose import Pose
+from evalkit.execution.job_store import call
+from evalkit_paper import faults, figure_10, recorded_drive, scenes
+
+SIZE = 40  # cells of 0.1 m
+
+
+def room(*, walls=(), free=True):
+    """A square room of 4 m, its outermost cells occupied, and further occupied cells (row, column)."""
+    log_odds = np.full((SIZE, SIZE), -3.0 if free else 0.0, dtype=np.float32)
+    log_odds[[0, -1], :] = log_odds[:, [0, -1]] = 3.0
+    for row, column in walls:
+        log_odds[row, column] = 3.0
+    return OccupancyGrid(log_odds, np.ones((SIZE, SIZE), dtype=bool), 0.1, 0.0, 0.0)
+
+
+def test_a_perfect_map_has_no_faults():
+    found = faults.faults(room(), room())
+    assert not found.ghosts.any()
+    assert not found.smeared.any()
+    assert len(found.wiped) == 0
+
+
+def test_a_wall_that_is_not_there_is_a_ghost_and_one_drawn_too_thick_a_smear():
+    found = faults.faults(room(walls=[(20, 20), (20, 21), (2, 10)]), room())
+    assert np.argwhere(found.ghosts).tolist() == [[20, 20], [20, 21]]
+    assert np.argwhere(found.smeared).tolist() == [[2, 10]]  # 0.2 m off
+
+
+def test_a_true_wall_on_free_cells_was_wiped_out():
+    found = faults.faults(room(), room(walls=[(20, 20)]))
+    np.testing.assert_allclose(found.wiped, [[2.05, 2.05]])
+    assert len(faults.faults(room(free=False), room(walls=[(20, 20)])).wiped) == 0  # unknown is not wiped out
+
+
+def test_cells_that_lie_together_are_one_fault_with_a_place():
+    found = faults.clusters(np.array([[1.0, 1.0], [1.1, 1.0], [1.2, 1.0], [3.0, 3.0]]), np.array([[1.0, 0.5]]))
+    assert [(each.cells, round(each.x, 3), round(each.y, 3)) for each in found] == [(3, 1.1, 1.0), (1, 3.0, 3.0)]
+    assert (found[0].reach_m, found[0].off_m) == (pytest.approx(0.2), pytest.approx(np.hypot(0.2, 0.5)))
+
+
+def test_hits_in_what_another_map_holds_free_contradict_it():
+    hits = np.array([[2.05, 2.05], [0.05, 2.0], [0.12, 2.0], [9.0, 9.0]])
+    assert faults.contradicted(hits, room()).tolist() == [True, False, False, False]
+
+
+def test_a_map_is_found_again_on_the_plan_it_was_cut_from():
+    rng = np.random.default_rng(3)
+    steps = np.arange(0.0, 6.0, 0.05)
+    plan = np.concatenate(
+        [
+            np.column_stack([steps, np.zeros(120)]),
+            np.column_stack([np.zeros(120), 0.7 * steps]),
+            np.column_stack([2.0 + 0.3 * steps, 1.5 + 0.4 * steps]),
+            np.column_stack([np.full(60, 6.0), 0.5 * steps[:60]]),
+        ]
+    )
+    true = Pose(12.3, -7.4, 2.0)
+    cut = plan[np.hypot(plan[:, 0] - 2.0, plan[:, 1] - 1.0) < 3.0]
+    found = scenes.place(true.inverse().transform(cut + rng.normal(0.0, 0.01, cut.shape)), plan)
+    off = true.inverse() @ found.plan_from_map
+    assert np.hypot(off.x, off.y) < 0.05
+    assert abs(off.theta) < 0.01
+    assert found.within > 0.95
+    assert found.mean_m < 0.02
+    assert found.rival < 0.8
+
+
+def small_page(settings):
+    chosen = figure_10.CHAPTER.settings("test", settings)
+    results = {job.name: call(job.function, dict(job.arguments))[0] for job in figure_10.CHAPTER.jobs(chosen)}
+    return figure_10.CHAPTER.sections(chosen, results), figure_10.CHAPTER.findings(chosen, results)
+
+
+def test_the_page_shows_plan_and_maps_and_says_how_to_get_a_recording_that_is_not_here(monkeypatch):
+    monkeypatch.setattr(recorded_drive, "missing", lambda: "not here; fetch it: so and so")
+    (lab, recorded), (finding,) = small_page({"laps": 0.1, "scans": 20})
+    titles = [figure.title for figure in lab.blocks[1].figures]
+    assert titles[1:] == [
+        "Along odometry only",
+        "Along last 10 scans, mean square",
+        "Along paper",
+        "Along paper-tight",
+    ]
+    assert [block.body for block in recorded.blocks] == [
+        "The recording is not on this machine: not here; fetch it: so and so"
+    ]
+    assert finding.anchor == lab.anchor
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(bool(recorded_drive.missing()), reason="the recording is not here")
+def test_the_recording_spikes_in_its_turns_and_lies_where_its_odometry_says():
+    jobs = recorded_drive.jobs()
+    results = {job.name: call(job.function, dict(job.arguments))[0] for job in jobs}
+    shares = [results[recorded_drive.name(each)]["contradicted"] for each in recorded_drive.VARIANTS]
+    assert shares == sorted(shares, reverse=True)  # odometry, paper, paper-tight
+    shown = [block.kind for block in recorded_drive.blocks(results)]
+    assert shown[:4] == ["text", "figure", "figures", "table"]
+    floor = results[recorded_drive.FLOOR]
+    if not floor:
+        pytest.skip("the map of the floor is not here")
+    assert floor["rival"] < recorded_drive.UNIQUE
+    assert np.hypot(*(np.array(floor["pose"]) - floor["odometry"])[:2]) < 1.0

@@ -1,0 +1,64 @@
+"""The chapter on real time: ladders of invented rungs."""
+
+import numpy as np
+import pytest
+
+from evalkit.report.html.document import Document, render
+from evalkit_paper import realtime
+from evalkit_paper.ladders import Ladder
+
+SETTINGS = {"seeds": 2, "laps": 0.1, "rates_hz": "10", "contestants": "own", "largest_factor": 100}
+
+
+def rung(factor, ate_m, lost="", policy="queue-of-one", dropped=0.0):
+    measures = {"ate_rmse_m": ate_m, "rpe_1m_m": ate_m, "heading_rmse_deg": 0.1}
+    return {
+        "policy": policy, "factor": factor, "answered": 10, "dropped": dropped, "late": 0.0, "age_ms": [1.0, 2.0],
+        "of_answers": measures, "at_hand": measures, "lost": lost, "predicted": None,
+    }  # fmt: skip
+
+
+def ladder(*ates):
+    factors = (0.0, 10.0, 100.0)
+    results = [{"rungs": [rung(f, a, "" if a else "lost") for f, a in zip(factors, own, strict=True)]} for own in ates]
+    return Ladder("one", 10.0, results)
+
+
+def test_it_breaks_where_the_median_over_the_seeds_is_twice_as_bad_and_over_5_cm():
+    assert ladder((0.02, 0.03, 0.06)).breaks_at() == 100.0
+    assert ladder((0.02, 0.03, 0.06), (0.02, 0.03, 0.03), (0.02, 0.03, 0.03)).breaks_at() is None
+    assert ladder((0.001, 0.01, 0.04)).breaks_at() is None  # 40 times as bad, but good enough
+
+
+def test_who_is_lost_with_most_seeds_is_broken():
+    assert ladder((0.02, None, 0.02), (0.02, None, 0.02), (0.02, 0.02, 0.02)).breaks_at() == 10.0
+    assert ladder((0.02, None, 0.02), (0.02, 0.02, 0.02), (0.02, 0.02, 0.02)).breaks_at() is None
+
+
+def invented(job):
+    factors = [0.0, *job.arguments["factors"]]
+    rungs = [
+        rung(factor, 0.01 + 0.002 * factor, policy=policy, dropped=min(factor / 100.0, 0.9))
+        for policy in job.arguments["policies"]
+        for factor in factors
+    ]
+    linear = {"base_ns": 1e6, "step_ns": 10.0, "residual": 0.1, "held_out": 0.2}
+    return {
+        "rungs": rungs, "costs_ns": np.full(5, 1_000_000), "headroom": 50.0, "gaps": np.array([1, 2]),
+        "growth": np.array([1.0, 1.2]), "linear": linear if job.arguments["backend"] == "paper" else None,
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("changed", [{}, {"contestants": "all"}])
+def test_the_chapter_draws_whatever_is_found(changed):
+    settings = realtime.CHAPTER.settings("test", SETTINGS | changed)
+    jobs = realtime.CHAPTER.jobs(settings)
+    assert len({job.name for job in jobs}) == len(jobs)
+    assert jobs[0].arguments["factors"] == [1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0]
+    results = {job.name: invented(job) for job in jobs}
+    (section,) = realtime.CHAPTER.sections(settings, results)
+    page = render(Document("test", "test", "", (section,)))
+    assert "No board is measured" in page
+    (finding,) = realtime.CHAPTER.findings(settings, results)
+    assert finding.verdict == "not reproducible in software"
+    assert "breaks at 50" in finding.measured  # 11 cm at 50, 5 cm at 20

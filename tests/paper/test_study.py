@@ -1,0 +1,68 @@
+"""The study's chapter of the paper's page, with a study that takes a second."""
+
+import pytest
+
+from evalkit.plugins import registry
+from evalkit_paper.study import CHAPTER
+from evalkit_paper.twins import apart
+
+STUDY = """
+title = "A small study"
+description = "Nothing to learn here."
+contestant = { use = "embedded", epsilon = 1e-3 }
+sequence = { use = "lab", laps = 0.03, speed_mps = 0.6 }
+mapper.scans = 4
+response = [{ metric = "ate_rmse_m", scale = "log", lost = 0.5 }]
+envelope = [{ design = "driven", x = "speed", y = "rate", metric = "ate_rmse_m", limit = 0.2 }]
+factor = [
+    { name = "speed", sets = "sequence.speed_mps", levels = [0.6, 1.2], unit = "m/s" },
+    { name = "rate", sets = "sequence.rate_hz", levels = [10.0, 15.0], unit = "Hz" },
+    { name = "pairs", sets = "contestant.one_to_one", levels = [true, false] },
+]
+design = [{ name = "driven", kind = "grid", factors = ["speed", "rate", "pairs"] }]
+"""
+
+needs_core = pytest.mark.skipif(bool(registry.backend("embedded").missing()), reason="the compiled core is not here")
+
+
+@pytest.fixture
+def settings(tmp_path):
+    file = tmp_path / "study.toml"
+    file.write_text(STUDY)
+    return CHAPTER.settings("paper.toml: [study]", {"file": str(file), "twins": 1, "twin_scans": 3})
+
+
+@needs_core
+def test_the_chapter_words_what_its_jobs_found(settings):
+    jobs = CHAPTER.jobs(settings)
+    assert len(jobs) == 8 + 1
+    found = {
+        job.name: {"apart_m": 1e-12, "apart_rad": 0.0, "scans": 3}
+        if job.name.startswith("twin")
+        else {"status": "complete", "reason": "", "scores": {"ate_rmse_m": 0.1}, "why": {}, "cpu_s": 0.5}
+        for job in jobs
+    }
+    first, *rest = CHAPTER.sections(settings, found)
+    words = " ".join(block.body for block in first.blocks if block.kind == "text")
+    assert "8 points in 1 designs, 8 runs in 0.1 minutes of CPU; 0 runs are lost" in words
+    assert "at 1 points of the designs, over 3 scans" in words
+    assert "1.0e-12 m apart" in words
+    assert [section.anchor for section in rest] == ["study-envelope"]
+    study, envelope = CHAPTER.findings(settings, found)
+    assert study.verdict == "not determined by the text"
+    assert "pairs on: up to 1.2 m/s and 15 Hz, the most that was driven (4 of 4 drives)" in envelope.measured
+    assert envelope.verdict == "not determined by the text"  # nothing here is too fast
+
+
+@needs_core
+def test_core_and_twin_answer_alike_with_the_same_parameters():
+    found = apart(("paper", "embedded"), {"epsilon": 1e-5, "one_to_one": False}, "lab", {"laps": 0.03, "seed": 1}, 5)
+    assert found["scans"] == 5
+    assert found["apart_m"] < 1e-9
+    assert found["apart_rad"] < 1e-9
+
+
+def test_a_study_that_is_not_there_is_named(tmp_path):
+    settings = CHAPTER.settings("paper.toml: [study]", {"file": str(tmp_path / "none.toml")})
+    with pytest.raises(Exception, match=r"none\.toml: no such file"):
+        CHAPTER.jobs(settings)

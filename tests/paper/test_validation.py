@@ -1,0 +1,115 @@
+"""Table 1 and its figures: the scene, the reading named by computation, and the basin."""
+
+import math
+
+import numpy as np
+import pytest
+
+from evalkit.core.pose import Pose
+from evalkit.report.html.document import Document, render
+from evalkit_paper import table_1, validation, validation_basin
+from evalkit_paper.table_1 import APPLIED, PRINTED, READINGS, ROOMS
+from evalkit_paper.validation import Fit
+
+SEEDS = 8
+READING = "mean distance"
+
+
+@pytest.fixture(scope="module")
+def chapter():
+    settings = validation.CHAPTER.settings("test", {"seeds": SEEDS, "basin_seeds": 2})
+    results = {}
+    for job in validation.CHAPTER.jobs(settings):
+        name = job.function.partition(":")[2]
+        if name == "basin":  # counted here as if every start up to 40 deg succeeded: the real ones have a test below
+            good = job.arguments["turn_deg"] <= 40.0
+            full, none = np.full(len(validation_basin.DISTANCES_M), 2), np.zeros(len(validation_basin.DISTANCES_M), int)
+            results[job.name] = {"successes": full if good else none, "misled": none, "ran_out": none, "trials": 2}
+        else:
+            results[job.name] = getattr(table_1, name)(**job.arguments)
+    return settings, results
+
+
+def test_the_room_has_the_points_and_the_spans_the_paper_tells():
+    assert len(ROOMS["first"].points()) == 480
+    found = table_1.spans(room="first")
+    assert found["reference"] == pytest.approx([10.0, 10.0])
+    assert found["scan"] == pytest.approx([10 * (math.cos(math.pi / 6) + 0.5)] * 2)
+
+
+def test_the_scan_is_the_room_moved_back_with_the_papers_noise():
+    room = ROOMS["first"]
+    left = np.concatenate([APPLIED.transform(table_1.scan(room, seed)) - room.points() for seed in range(20)])
+    assert left.std() == pytest.approx(table_1.SIGMA_M, rel=0.02)
+    assert np.abs(left.mean(axis=0)).max() < 0.002
+
+
+def test_the_reading_that_fits_is_found_by_computation(chapter):
+    settings, results = chapter
+    for room in ROOMS:
+        known = validation.fits(settings, results, room)
+        assert validation.best(known).reading.startswith(READING)
+        assert validation.best(known).largest[0] < validation.WELL
+        for reading in READINGS:
+            if not reading.startswith("mean distance") or "many" in reading:
+                assert known[reading].largest[0] > 4.0
+
+
+def test_deviations_are_standardised_and_forgive_what_the_digits_hide():
+    rows = np.tile(PRINTED, (3, 1)) + np.array([-1.0, 0.0, 1.0])[:, None] * [1, 0.1, 0.01, 0.1, 0.01, 0.01]
+    rows[:, 0] -= 2.0
+    rows[:, 4] -= 0.025
+    fit = Fit("first", "", rows, np.ones(3, dtype=bool), np.zeros((3, 1)), np.zeros((3, 1)))
+    assert fit.largest == (pytest.approx(2.0), "k")
+    assert fit.of_pose == (pytest.approx(2.0), "x [m]")
+    assert fit.nearest_in_errors == 2
+
+
+def test_a_run_tells_its_profile_and_its_residuals():
+    found = table_1.runs(room="first", reading=READING, begin=3, end=5)
+    for row, errors, residuals in zip(found["rows"], found["errors"], found["residuals"], strict=True):
+        told = errors[np.isfinite(errors)]
+        assert len(told) == row[0]
+        assert (told[0], told[-1]) == (row[1], row[2])
+        assert np.nanmean(residuals) == pytest.approx(row[2], rel=1e-9)
+    squared = table_1.runs(room="first", reading="mean square (eq. 5 as printed)", begin=3, end=4)["rows"][0]
+    assert squared[1] > found["rows"][0][1] ** 2  # the mean of squares exceeds the square of the mean
+
+
+def test_a_displaced_guess_puts_the_rooms_middle_where_it_says():
+    room = ROOMS["first"]
+    guess = table_1.displaced(room, 0.3, np.array([1.0, -2.0]))
+    middle = APPLIED.inverse().transform(room.middle[None])
+    np.testing.assert_allclose(guess.transform(middle)[0], room.middle + np.array([1.0, -2.0]), atol=1e-12)
+    assert (guess @ APPLIED.inverse()).theta == pytest.approx(0.3)
+
+
+def test_the_papers_guess_is_as_far_off_as_the_basin_says():
+    metres, degrees = table_1.start_of(ROOMS["first"])
+    back = table_1.displaced(ROOMS["first"], 0.0, np.zeros(2))
+    assert (back.x, back.y, back.theta) == pytest.approx((4.0, 5.0, math.pi / 6))
+    assert (metres, degrees) == (pytest.approx(6.88, abs=0.01), pytest.approx(30.0))
+    assert Pose() != back
+
+
+def test_the_basin_is_whole_near_the_truth_and_empty_at_a_quarter_turn():
+    given = {"room": "first", "distances_m": [0.0, 3.0], "seeds": 3, "within_m": 0.1, "within_deg": 2.0}
+    for one_to_one in (True, False):
+        near, far = (
+            table_1.basin(**given, one_to_one=one_to_one, turn_deg=turn, max_iterations=40) for turn in (10.0, 90.0)
+        )
+        assert near["successes"].tolist() == [3, 3]
+        assert far["successes"].tolist() == [0, 0]
+        assert (far["misled"] + far["ran_out"]).tolist() == [3, 3]
+
+
+def test_the_page_names_the_reading_and_shows_every_figure(chapter):
+    sections = validation.CHAPTER.sections(*chapter)
+    page = render(Document("", "", "", sections))
+    assert f"Best fit: {READING}" in page
+    for figure in ("Figure 6", "Figure 7", "Figure 8: before", "Figure 8: after", "Without the filter"):
+        assert figure in page
+    anchors = {section.target for section in sections}
+    findings = validation.CHAPTER.findings(*chapter)
+    assert {finding.anchor for finding in findings} <= anchors
+    assert findings[0].verdict == "reproduced with a correction"

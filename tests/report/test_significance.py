@@ -1,0 +1,169 @@
+"""Intervals, paired differences and tests of a comparison, against answers known from how its trials were made."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evalkit.report import results_json as record
+from evalkit.report.analysis.bootstrap import Resamples, Series, drawn
+from evalkit.report.analysis.cells import apart, interval
+from evalkit.report.analysis.pairwise import pairs
+from evalkit.report.analysis.significance import evidence
+from evalkit.report.analysis.standings import standing
+from evalkit.stats.statistics import Friedman
+
+ATE = "ate_rmse_m"
+
+
+def _of(comparison, contestant, metric=ATE, sequence="room"):
+    table = {m.name: m for m in comparison.metrics}
+    cell = standing(comparison, sequence, table[metric]).of(contestant)
+    assert cell is not None
+    return cell
+
+
+def _with_errors(trial, errors_m):
+    """A trial whose errors are these; its ATE is their root mean square."""
+    ate = float(np.sqrt(np.mean(errors_m**2)))
+    return replace(trial, errors_m=errors_m, scores={ATE: replace(trial.scores[ATE], value=ate)})
+
+
+def test_a_constant_error_has_an_interval_without_width(trial, build):
+    comparison = build([_with_errors(trial("a", "room", {ATE: 1.0}), np.full(60, 0.25))])
+    found = interval(_of(comparison, "a"))
+    assert found is not None
+    assert (found.value, found.low, found.high, found.support) == pytest.approx((0.25, 0.25, 0.25, 60))
+
+
+def test_both_are_drawn_from_the_same_stretches(trial, build):
+    """b errs twice as much as a on every scan: every draw of b is twice that of a, and the difference is a's own."""
+    errors = np.random.default_rng(2).gamma(4.0, 0.01, 60)
+    comparison = build([
+        _with_errors(trial("a", "room", {ATE: 1.0}), errors), _with_errors(trial("b", "room", {ATE: 1.0}), 2.0 * errors)
+    ])  # fmt: skip
+    own, between = interval(_of(comparison, "a")), apart(_of(comparison, "b"), _of(comparison, "a"))
+    assert own is not None
+    assert between is not None
+    assert (between.interval.low, between.interval.high) == pytest.approx((own.low, own.high))
+    assert between.by == "stretches"
+
+
+def test_pairs_use_only_scans_that_both_answered(trial, build):
+    a, b = trial("a", "room", {ATE: 0.02}), trial("b", "room", {ATE: 0.03})
+    partly = np.where(np.arange(60) < 40, 0.03, np.nan)
+    comparison = build([replace(a, errors_m=np.full(60, 0.02)), replace(b, errors_m=partly)])
+    resamples = Resamples(comparison.trials)
+    assert [d and d.blocks for d in (resamples.of(t, ATE) for t in comparison.trials)] == [5.0, 5.0]
+    assert len(resamples._keys(comparison.trials[0], ATE)) == 40
+
+
+def test_errors_that_make_another_score_are_not_used(trial, build):
+    claimed = trial("a", "room", {ATE: 0.02})
+    comparison = build([replace(claimed, errors_m=3.0 * claimed.errors_m)])
+    assert interval(_of(comparison, "a")) is None
+
+
+def test_few_values_have_no_interval():
+    assert drawn(Series(np.arange(19), np.ones(19), "mean", 0.1), 1.0, np.random.default_rng(0)) is None
+
+
+@pytest.mark.parametrize(
+    ("statistic", "score"), [("mean", 2.5), ("rms", math.sqrt(7.5)), ("median", 2.5), ("inverse", 0.4)]
+)
+def test_draws_of_every_statistic_are_of_the_score(statistic, score):
+    """1, 2, 3, 4 over and over: any ten stretches of 40 values have the same mean, root mean square and median."""
+    series = Series(np.arange(400), np.tile([1.0, 2.0, 3.0, 4.0], 100), statistic, 0.25)
+    found = drawn(series, score, np.random.default_rng(0))
+    assert found is not None
+    assert (found.blocks, found.block_s) == (10.0, 10.0)
+    if statistic != "median":
+        assert found.values == pytest.approx(np.full(2000, score))
+    assert np.median(found.values) == pytest.approx(score, abs=0.5)
+
+
+def test_runs_without_errors_for_every_scan_are_compared_by_students_t(trial, build):
+    """Differences 0.1, 0.2, 0.3: mean 0.2, standard error 0.1 / sqrt(3), t(0.975, 2) = 4.3027."""
+    values = {"a": (0.5, 0.5, 0.5), "b": (0.6, 0.7, 0.8)}
+    comparison = build([
+        trial(who, "room", {"map_f1": v}, seed=seed) for who, own in values.items() for seed, v in enumerate(own)
+    ])  # fmt: skip
+    found = apart(_of(comparison, "b", "map_f1"), _of(comparison, "a", "map_f1"))
+    assert found is not None
+    half = 4.3027 * 0.1 / math.sqrt(3)
+    assert (found.interval.low, found.interval.high) == pytest.approx((0.2 - half, 0.2 + half), abs=1e-4)
+    assert (found.by, interval(_of(comparison, "a", "map_f1"))) == ("runs", None)
+
+
+def test_the_same_results_give_the_same_numbers(demo):
+    once, twice = (record.results(replace(demo), (), ()) for _ in range(2))
+    assert once == twice
+    assert {row["contestant"] for row in once["intervals"] if row["metric"] == ATE} >= {"paper", "plane", "wheel"}
+    assert all(row["low"] <= row["high"] for row in once["intervals"])
+
+
+def test_the_table_of_pairs_says_what_the_verdict_says(trial, build):
+    comparison = build([
+        trial(who, "room", {ATE: ate}, seed=seed)
+        for who, ate in (("plane", 0.010), ("near", 0.0105), ("paper", 0.050)) for seed in (0, 1)
+    ])  # fmt: skip
+    found = pairs(comparison, "room")
+    assert found is not None
+    assert found.references == ("plane", "paper")
+    said = {who: [held and held.said for held in row] for who, row in found.rows}
+    assert said["plane"] == [None, "better"]
+    assert said["paper"] == ["worse", None]
+    assert said["near"][0] in ("too small to matter", "no difference shown")
+
+
+def _many(trial, build, sequences, failed=()):
+    """Three contestants over so many sequences: a always best, b 10 % worse, c twice as bad; failures of a by name."""
+    made = []
+    for number in range(sequences):
+        for who, factor in (("a", 1.0), ("b", 1.1), ("c", 2.0)):
+            broken = who == "a" and number in failed
+            scores = {} if broken else {ATE: factor * (0.01 + 0.01 * number)}
+            status = "crashed" if broken else "complete"
+            made.append(trial(who, f"s{number}", scores, status=status, reason="signal 11" if broken else ""))
+    return build(made)
+
+
+def test_over_ten_sequences_the_test_and_the_ranks_agree_with_hand_calculation(trial, build):
+    """All ten one way: p = 2 / 2^10 alone, 3 questions by Holm; ranks 1, 2, 3; CD = 2.343 sqrt(3 * 4 / 60) = 1.048."""
+    found = evidence(_many(trial, build, 10))
+    assert isinstance(found.ranks, Friedman)
+    assert found.ranks.ranks == (1.0, 2.0, 3.0)
+    assert found.ranks.critical_difference == pytest.approx(1.048, abs=1e-3)
+    duel = {d.contestant: d for d in found.duels}["c"]
+    assert (duel.reference, duel.runs, duel.better, duel.worse, duel.said) == ("a", 10, 0, 10, "worse")
+    assert duel.ratio == pytest.approx(2.0)
+    assert duel.p == pytest.approx(2 * 2 / 2**10)
+    assert duel.detectable == pytest.approx(1.0, abs=1e-6)
+
+
+def test_five_runs_are_too_few_to_show_anything(trial, build):
+    found = evidence(_many(trial, build, 5))
+    assert {duel.said for duel in found.duels} == {"too few runs to show anything"}
+    assert found.ranks == "5 sequences are too few for ranks with a critical difference: it takes 8"
+
+
+def test_a_failed_run_is_the_worst_and_never_left_out(trial, build):
+    found = evidence(_many(trial, build, 10, failed=(0, 1, 2, 3, 4, 5)))
+    record = {r.contestant: r for r in found.records}["a"]
+    assert (record.finished, record.runs) == (4, 10)
+    assert record.rank == pytest.approx((6 * 3 + 4 * 1) / 10)
+    assert record.reach[1:] == (math.inf, math.inf)
+    duel = next(d for d in found.duels if "a" in (d.contestant, d.reference))
+    assert duel.runs == 10
+
+
+def test_contestants_that_agree_to_rounding_are_equal(trial, build):
+    made = [
+        trial(who, f"s{number}", {ATE: (0.01 + 0.01 * number) * factor})
+        for number in range(10) for who, factor in (("a", 1.0), ("b", 1.0 + 1e-13))
+    ]  # fmt: skip
+    (duel,) = evidence(build(made)).duels
+    assert (duel.better, duel.worse, duel.p, duel.said) == (0, 0, 1.0, "no difference shown")
