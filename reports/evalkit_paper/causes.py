@@ -84,7 +84,7 @@ def definition(settings: Settings, results: Results) -> str:
         f"A spike is a run of scans above the steady band (median + {spikes.STEADY_SIGMAS:g} robust sigma) of which at "
         f"least one is above median + {spikes.SPIKE_SIGMAS:g} sigma. Median and sigma (1.4826 x median absolute "
         f"deviation) are those of the straight parts (yaw rate under {steady_drives.CALM_DPS:g} deg/s, from "
-        f"{steady_drives.SETTLED_S:g} s on) of the drive with slow turns at the same rate ({bands}). A spike is assigned to "
+        f"{steady_drives.SETTLED_S:g} s on) of the drive with slow turns at the same rate ({bands}). "
         f"an event when it peaks from the scan before the event until {spikes.SETTLES_S:g} s after; events are known from "
         f"the truth and the schedule, never from the residual. A turn is quick from {lab_drives.QUICK_DPS:g} deg/s on; "
         f"people are an event while they hide {100 * lab_drives.HIDDEN:.0f} % of the beams or more."
