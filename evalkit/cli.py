@@ -30,7 +30,7 @@ from evalkit.commands.validate.command import validate
 from evalkit.commands.validate.determinism_command import determinism
 from evalkit.commands.validate.equivalence_command import equiv
 from evalkit.config import adhoc_experiment, experiment
-from evalkit.config.experiment import Plan
+from evalkit.config.experiment import Experiment
 from evalkit.core.errors import EvalkitError, NotInstalled
 from evalkit.execution import environment
 from evalkit.execution.executors import There
@@ -47,9 +47,9 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 
-Experiment = Annotated[Path, typer.Argument(help="An experiment file (*.toml).", show_default=False)]
+ExperimentFile = Annotated[Path, typer.Argument(help="An experiment file (*.toml).", show_default=False)]
 Sequences = Annotated[list[str] | None, typer.Option(help="Only this sequence (repeatable).", show_default="all")]
-Contestants = Annotated[list[str] | None, typer.Option(help="Only this contestant (repeatable).", show_default="all")]
+Methods = Annotated[list[str] | None, typer.Option(help="Only this method (repeatable).", show_default="all")]
 Seeds = Annotated[list[int] | None, typer.Option(help="Only this seed (repeatable).", show_default="all")]
 
 
@@ -104,14 +104,14 @@ def list_(
 
 @app.command()
 def run(
-    file: Experiment,
+    file: ExperimentFile,
     folder: Out = None,
     jobs: Jobs = None,
     resume: Resume = False,
     rerun: Rerun = None,
     collect: Collect = False,
     sequence: Sequences = None,
-    contestant: Contestants = None,
+    method: Methods = None,
     seed: Seeds = None,
     engine: options.Engine = "local",
     scheduler: Scheduler = "",
@@ -119,7 +119,7 @@ def run(
     as_json: Json = False,
 ) -> None:
     """Run an experiment and score it; results land in the folder as they come."""
-    plan = _plan(experiment.read(file), accuracy_only).only(sequence or [], contestant or [], seed or [])
+    plan = _plan(experiment.read(file), accuracy_only).only(sequence or [], method or [], seed or [])
     store = Store(folder or _folder(plan))
     how = Making.of(jobs, resume, rerun, collect, engine, scheduler)
     with _engine(plan, store, how) as asked, closing(asked.ended()) as all_ended:
@@ -129,14 +129,14 @@ def run(
 
 @app.command()
 def report(
-    file: Experiment,
+    file: ExperimentFile,
     folder: Out = None,
     jobs: Jobs = None,
     resume: Resume = False,
     rerun: Rerun = None,
     collect: Collect = False,
     sequence: Sequences = None,
-    contestant: Contestants = None,
+    method: Methods = None,
     seed: Seeds = None,
     engine: options.Engine = "local",
     scheduler: Scheduler = "",
@@ -144,7 +144,7 @@ def report(
     as_json: Json = False,
 ) -> None:
     """Run an experiment and write its report: one HTML page, CSV and JSON tables, trajectories and maps."""
-    plan = _plan(experiment.read(file), accuracy_only).only(sequence or [], contestant or [], seed or [])
+    plan = _plan(experiment.read(file), accuracy_only).only(sequence or [], method or [], seed or [])
     _report(plan, folder, Making.of(jobs, resume, rerun, collect, engine, scheduler), as_json)
 
 
@@ -163,7 +163,7 @@ def compare(
     rerun: Rerun = None,
     collect: Collect = False,
     sequence: Sequences = None,
-    contestant: Contestants = None,
+    method: Methods = None,
     engine: options.Engine = "local",
     scheduler: Scheduler = "",
     accuracy_only: AccuracyOnly = False,
@@ -180,7 +180,7 @@ def compare(
     names = [name for word in backends.split(",") if (name := word.strip())]
     plan = adhoc_experiment.plan(file, own, options.settings(setting or []), names, source)
     adhoc_experiment.first_frame(plan)
-    plan = _plan(plan, accuracy_only).only(sequence or [], contestant or [], [])
+    plan = _plan(plan, accuracy_only).only(sequence or [], method or [], [])
     _report(plan, folder, Making.of(jobs, resume, rerun, collect, engine, scheduler), as_json)
 
 
@@ -195,7 +195,7 @@ app.add_typer(metrics, name="metrics")
 app.add_typer(bench, name="bench")
 
 
-def _report(plan: Plan, folder: Path | None, how: Making, as_json: bool) -> None:
+def _report(plan: Experiment, folder: Path | None, how: Making, as_json: bool) -> None:
     from evalkit import report as pages  # noqa: PLC0415 - loads pandas and matplotlib: only who draws pays for them
 
     started = datetime.now(UTC)
@@ -211,7 +211,7 @@ def _report(plan: Plan, folder: Path | None, how: Making, as_json: bool) -> None
 
 
 @contextmanager
-def _engine(plan: Plan, store: Store, how: Making) -> Iterator[Engine]:
+def _engine(plan: Experiment, store: Store, how: Making) -> Iterator[Engine]:
     """What makes the runs of a plan, told of while it does; it knows the machine as it was before the first."""
     for line in progress.missing(plan):
         err.print(line, markup=False, highlight=False)
@@ -225,9 +225,9 @@ def _engine(plan: Plan, store: Store, how: Making) -> Iterator[Engine]:
         raise
 
 
-def _plan(plan: Plan, accuracy_only: bool) -> Plan:
+def _plan(plan: Experiment, accuracy_only: bool) -> Experiment:
     return plan.untimed() if accuracy_only else plan
 
 
-def _folder(plan: Plan) -> Path:
+def _folder(plan: Experiment) -> Path:
     return Path("reports") / "build" / plan.name

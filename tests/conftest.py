@@ -19,7 +19,7 @@ import pytest
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, Run, Score, Status, Trial
+from evalkit.core.run_result import STEP, RunResult, Score, Status, Trial
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
 from evalkit.execution.worker import Outcome, Request, perform
@@ -27,7 +27,7 @@ from evalkit.metrics.table import Group, Metric
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import DatasetSpec, Published
-from evalkit.report import Comparison, ContestantCard, SequenceCard, Setting
+from evalkit.report import Comparison, MethodCard, SequenceCard, Setting
 from evalkit.results.store import read_steps
 
 Build = Callable[..., Comparison]
@@ -65,7 +65,7 @@ def metric_table() -> tuple[Metric, ...]:
 
 
 def make_trial(
-    contestant: str,
+    method: str,
     sequence: str,
     scores: Mapping[str, float | None],
     *,
@@ -81,7 +81,7 @@ def make_trial(
     """A run around a rectangle whose estimate walks away from the truth by ``error_m``."""
     stamps = np.arange(expected) * 100_000_000
     poses = _lap(np.linspace(0.0, 1.0, expected))
-    rng = np.random.default_rng([seed or 0, *contestant.encode()])
+    rng = np.random.default_rng([seed or 0, *method.encode()])
     off = error_m * np.linspace(0.0, 1.0, expected)[:, None] * [0.7, -0.7, 0.05] + rng.normal(0, 0.002, (expected, 3))
     steps = np.zeros(answered, dtype=STEP)
     for column, values in zip(("x", "y", "theta"), (poses + off).T, strict=True):
@@ -89,19 +89,19 @@ def make_trial(
     steps["stamp_ns"] = stamps[:answered]
     steps["cpu_ns"] = rng.lognormal(0.0, 0.4, answered) * ms * 1e6
     steps["wall_ns"] = steps["cpu_ns"]
-    steps["s2s_error"] = np.nan if contestant.startswith("wheel") else rng.gamma(9, 0.002, answered)
-    steps["s2m_error"] = np.nan if contestant.startswith("wheel") else rng.gamma(9, 0.003, answered)
-    run = Run(contestant, sequence, status, reason, steps, expected, 120_000_000, 5, {"scans out of order": 2})
+    steps["s2s_error"] = np.nan if method.startswith("wheel") else rng.gamma(9, 0.002, answered)
+    steps["s2m_error"] = np.nan if method.startswith("wheel") else rng.gamma(9, 0.003, answered)
+    run = RunResult(method, sequence, status, reason, steps, expected, 120_000_000, 5, {"scans out of order": 2})
     return Trial(
-        key=f"{contestant}-{sequence}-{seed}".replace("<", "_").replace(">", "_").replace("/", "_"),
-        contestant=contestant,
-        backend=contestant,
+        key=f"{method}-{sequence}-{seed}".replace("<", "_").replace(">", "_").replace("/", "_"),
+        method=method,
+        backend=method,
         backend_parameters={"keyframes": 10},
         sequence=sequence,
         dataset=sequence,
         dataset_parameters={"rate_hz": 10.0},
         seed=seed,
-        command=f"evalkit report demo.toml --sequence '{sequence}' --contestant '{contestant}'"
+        command=f"evalkit report demo.toml --sequence '{sequence}' --method '{method}'"
         + ("" if seed is None else f" --seed {seed}"),
         run=run,
         truth=_truth(stamps, poses) if truth else Truth("none"),
@@ -119,15 +119,15 @@ def _errors(errors_m: np.ndarray, scores: Mapping[str, float | None]) -> np.ndar
 
 
 def make_comparison(trials: Sequence[Trial], **changes: object) -> Comparison:
-    """A comparison of those trials with plain cards; the contestants "paper" and "wheel" have their roles."""
-    roles = {"paper": "paper", "wheel": "bar"}
+    """A comparison of those trials with plain cards; the methods "paper" and "wheel" have their roles."""
+    roles = {"paper": "paper", "wheel": "baseline"}
     made = Comparison(
         title="Demo",
         description="Nine ways to follow a lidar.",
         trials=tuple(trials),
         metrics=metric_table(),
-        contestants={
-            label: ContestantCard(
+        methods={
+            label: MethodCard(
                 f"What {label} does.",
                 "Author, https://example.org/paper",
                 "MIT",
@@ -135,7 +135,7 @@ def make_comparison(trials: Sequence[Trial], **changes: object) -> Comparison:
                 "wheel odometry",
                 role=roles.get(label, ""),  # type: ignore[arg-type]
             )
-            for label in dict.fromkeys(trial.contestant for trial in trials)
+            for label in dict.fromkeys(trial.method for trial in trials)
         },
         sequences={
             label: SequenceCard(f"A sequence called {label}.", "360 beams, 10 Hz", "exact: simulated", "Author", "MIT")
@@ -153,7 +153,7 @@ def make_comparison(trials: Sequence[Trial], **changes: object) -> Comparison:
 
 @pytest.fixture
 def trial() -> Callable[..., Trial]:
-    """``trial(contestant, sequence, scores, ...)``."""
+    """``trial(method, sequence, scores, ...)``."""
     return make_trial
 
 

@@ -18,7 +18,7 @@ from evalkit import __version__, cli
 
 pytestmark = pytest.mark.usefixtures("strangers")
 
-FAULTY = '[[contestant]]\nuse = "faulty"\nlabel = "{0}"\nfault = "{0}"\n'
+FAULTY = '[[method]]\nuse = "faulty"\nlabel = "{0}"\nfault = "{0}"\n'
 MAPPER = "[mapper]\nresolution_m = 0.25\n"
 
 
@@ -59,7 +59,7 @@ def test_the_version(evalkit):
 def test_a_program_that_is_broken_is_a_failed_run_and_one_that_is_absent_is_not_possible_here(evalkit, tmp_path):
     for use, code, status in ((f"exec:{sys.executable} -c pass", 1, "failed"), ("exec:./nowhere", 0, "not-installed")):
         path = tmp_path / "small.toml"
-        path.write_text(f'[[contestant]]\nuse = "{use}"\n{MAPPER}[[sequence]]\nuse = "straight"\n')
+        path.write_text(f'[[method]]\nuse = "{use}"\n{MAPPER}[[sequence]]\nuse = "straight"\n')
         exit_code, out, _ = evalkit("run", path, "-o", tmp_path / status, "-j", 1, "--json")
         (row,) = json.loads(out)["runs"]
         assert (exit_code, row["status"]) == (code, status)
@@ -125,9 +125,9 @@ def test_an_unknown_kind_is_refused_with_the_known_ones(evalkit):
 @pytest.mark.parametrize(
     ("words", "more", "message"),
     [
-        ((), '[[contestant]]\nuse = "ipc"\n', "no backend named 'ipc'; known: absent, "),
-        ((), '[[contestant]]\nuse = "paper"\nkeyframe = 3\n', "no parameter named 'keyframe' (did you mean 'keyfram"),
-        (("--contestant", "non"), "", "no contestant named 'non' (did you mean 'none'?); known: none"),
+        ((), '[[method]]\nuse = "ipc"\n', "no backend named 'ipc'; known: absent, "),
+        ((), '[[method]]\nuse = "paper"\nkeyframe = 3\n', "no parameter named 'keyframe' (did you mean 'keyfram"),
+        (("--method", "non"), "", "no method named 'non' (did you mean 'none'?); known: none"),
         (("--sequence", "bent"), "", "no sequence named 'bent'; known: straight"),
         (("--resume", "--seed", "3"), "", "no seed named '3'; known: none"),
     ],
@@ -162,14 +162,14 @@ def test_a_failed_run_is_exit_code_1_and_a_plain_line_and_the_others_stand(evalk
     assert sum("straight / none: complete, " in line for line in lines) == 1
     result = json.loads(out)  # alone on standard output
     assert result["page"] is None
-    assert [(row["contestant"], row["status"], row["seed"]) for row in result["runs"]] == [
+    assert [(row["method"], row["status"], row["seed"]) for row in result["runs"]] == [
         ("none", "complete", None), ("raise", "failed", None),
     ]  # fmt: skip
     assert result["runs"][0]["scores"]["ate_rmse_m"] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_what_cannot_run_here_is_no_failure(evalkit, experiment, tmp_path):
-    path = experiment(more='[[contestant]]\nuse = "absent"\n')
+    path = experiment(more='[[method]]\nuse = "absent"\n')
     code, out, err = evalkit("run", path, "--out", tmp_path / "out")
     assert (code, out) == (0, "0 runs complete, 0 failed, 1 not possible here: absent\n")
     assert err.splitlines()[0] == "missing here: absent: the library 'nowhere' is not installed; pip install nowhere"
@@ -237,8 +237,8 @@ def test_a_runner_that_is_killed_loses_nothing_and_leaves_nobody(experiment, tmp
     kept = done.read_bytes(), done.stat().st_mtime_ns
     process.kill()
     process.wait()
-    again = started(path, folder, "-j", "1", "--resume", "--sequence", "straight", "--contestant", "none",
-                    "--contestant", "raise")  # fmt: skip
+    again = started(path, folder, "-j", "1", "--resume", "--sequence", "straight", "--method", "none",
+                    "--method", "raise")  # fmt: skip
     again.communicate(timeout=60.0)
     assert (done.read_bytes(), done.stat().st_mtime_ns) == kept
     assert len(list(folder.glob("runs/*/run.json"))) == 2
@@ -248,9 +248,9 @@ def test_a_runner_that_is_killed_loses_nothing_and_leaves_nobody(experiment, tmp
     assert not workers(folder)
 
 
-def answers(folder, contestant):
-    """How many bytes of answers a contestant has left."""
-    return sum(path.stat().st_size for path in folder.glob(f"runs/straight-{contestant}-*/steps.bin"))
+def answers(folder, method):
+    """How many bytes of answers a method has left."""
+    return sum(path.stat().st_size for path in folder.glob(f"runs/straight-{method}-*/steps.bin"))
 
 
 def workers(folder):
@@ -315,7 +315,7 @@ def box(x):
 
 
 TRUE_X = 1.0 + 0.1 * np.arange(24)
-WHEEL_X = 1.0 + 0.11 * np.arange(24)  # wheels that are believed to be a tenth larger than they are
+WHEEL_X = 1.0 + 0.11 * np.arange(24)  # wheels that are accepted to be a tenth larger than they are
 
 
 @pytest.fixture
@@ -394,7 +394,7 @@ def test_a_ros_bag_is_compared_in_one_line(evalkit, carmen, tmp_path):
     ros_bag(tmp_path / "drive.bag")
     code, out, _ = evalkit(
         "compare", tmp_path / "drive.bag", "--topic", "/scan", "--reference", tmp_path / "true.tum",
-        "--backends", "paper,wheel-odometry", "--contestant", "paper", "--set", "every=2", "--out", tmp_path / "out",
+        "--backends", "paper,wheel-odometry", "--method", "paper", "--set", "every=2", "--out", tmp_path / "out",
     )  # fmt: skip
     assert code == 0
     first, page = out.splitlines()

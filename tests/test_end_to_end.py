@@ -17,15 +17,15 @@ from evalkit_datasets import tum
 pytestmark = pytest.mark.slow
 
 LAPS = 0.12  # 2.8 m and a turn: far enough for the wheels to be wrong
-CONTESTANTS = ("wheel-odometry", "paper", "open3d-icp", "kiss-icp")
-HERE = [name for name in CONTESTANTS if not registry.backend(name).missing()]
+METHODS = ("wheel-odometry", "paper", "open3d-icp", "kiss-icp")
+HERE = [name for name in METHODS if not registry.backend(name).missing()]
 
 
-def experiment(path, contestants, laps):
-    rows = "".join(f'[[contestant]]\nuse = "{name}"\n' for name in contestants)
+def experiment(path, methods, laps):
+    rows = "".join(f'[[method]]\nuse = "{name}"\n' for name in methods)
     wheels = "odometry_scale = 0.1\ngyro_bias_dps = 2.0\n"
-    course = f'[[sequence]]\nuse = "room"\nlaps = {laps}\nspeed_mps = 0.5\n{wheels}seeds = [1]\n'
-    path.write_text(f'title = "A small one"\n{rows}[mapper]\nscans = 40\n{course}')
+    sequence = f'[[sequence]]\nuse = "room"\nlaps = {laps}\nspeed_mps = 0.5\n{wheels}seeds = [1]\n'
+    path.write_text(f'title = "A small one"\n{rows}[mapper]\nscans = 40\n{sequence}')
     return path
 
 
@@ -44,7 +44,7 @@ def evalkit(*words):
 def folder(tmp_path_factory):
     """A finished report's folder."""
     root = tmp_path_factory.mktemp("report")
-    assert evalkit("report", experiment(root / "small.toml", CONTESTANTS, LAPS), "--out", root / "out") == 0
+    assert evalkit("report", experiment(root / "small.toml", METHODS, LAPS), "--out", root / "out") == 0
     return root / "out"
 
 
@@ -55,13 +55,13 @@ def results(folder):
 
 @pytest.fixture
 def trials(results):
-    return {trial["contestant"]: trial for trial in results["trials"]}
+    return {trial["method"]: trial for trial in results["trials"]}
 
 
-def test_every_contestant_is_in_the_page_and_complete_or_says_why_not(folder, trials):
+def test_every_method_is_in_the_page_and_complete_or_says_why_not(folder, trials):
     page = (folder / "index.html").read_text(encoding="utf-8")
     assert "A small one" in page
-    assert list(trials) == list(CONTESTANTS)
+    assert list(trials) == list(METHODS)
     for name, trial in trials.items():
         assert name in page
         assert trial["status"] == ("complete" if name in HERE else "not-installed")
@@ -103,8 +103,8 @@ def test_the_tables_for_programs_have_a_row_for_every_run(folder, trials):
     for name in ("trials.csv", "scores.csv", "summary.csv"):
         with (folder / name).open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))
-        assert {row["contestant"] for row in rows} >= set(HERE), name
-    assert {row["contestant"] for row in csv.DictReader((folder / "trials.csv").open(encoding="utf-8"))} == set(trials)
+        assert {row["method"] for row in rows} >= set(HERE), name
+    assert {row["method"] for row in csv.DictReader((folder / "trials.csv").open(encoding="utf-8"))} == set(trials)
 
 
 @pytest.mark.parametrize("name", HERE)
@@ -138,10 +138,10 @@ def test_resuming_a_finished_report_runs_nothing_and_says_the_same(folder, resul
 def test_the_same_inputs_give_the_same_numbers(folder, results, tmp_path):
     """All but what is measured in seconds or bytes, to the bit, one at a time or two."""
     again_too = ("paper", "wheel-odometry")
-    chosen = [word for name in again_too for word in ("--contestant", name)]
+    chosen = [word for name in again_too for word in ("--method", name)]
     assert evalkit("run", folder.parent / "small.toml", "--out", tmp_path / "out", "-j", "1", *chosen) == 0
     timed = {metric["name"] for metric in results["metrics"] if metric["group"] == "runtime"}
-    for trial in (trial for trial in results["trials"] if trial["contestant"] in again_too):
+    for trial in (trial for trial in results["trials"] if trial["method"] in again_too):
         again = Store(tmp_path / "out").load_scores(trial["key"])
         ours = {name: score["value"] for name, score in trial["scores"].items() if name not in timed}
         assert {name: score.value for name, score in again["scores"].items() if name not in timed} == ours

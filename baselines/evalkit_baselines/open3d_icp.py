@@ -41,7 +41,7 @@ INSTALL = "pip install 'evalkit[open3d]'"
 SYSTEM_LIBRARIES = ("libGL.so.1", "libEGL.so.1", "libX11.so.6", "libusb-1.0.so.0")
 INSTALL_SYSTEM = "apt-get install -y --no-install-recommends libgl1 libegl1 libx11-6 libusb-1.0-0"
 OLDEST = (0, 20)
-FEWEST_PAIRS = 3  # two pairs fix a planar pose exactly, so they fit whatever they are
+MIN_PAIRS = 3  # two pairs fix a planar pose exactly, so they fit whatever they are
 
 Describe = Callable[[Any, Any, Cloud], None]
 """Adds to a bare Open3D cloud what a method needs: arguments are the library, its cloud, and evalkit's."""
@@ -71,7 +71,7 @@ class Open3DRegistration:
         self._criteria = open3d.pipelines.registration.ICPConvergenceCriteria(
             relative_fitness=relative_fitness, relative_rmse=relative_rmse, max_iteration=max_iterations
         )
-        # by identity: clouds are frozen, so the normals of a submap stay true for every scan held against it
+        # by identity: clouds are frozen, so the normals of a local map stay true for every scan held against it
         self._targets: WeakKeyDictionary[Cloud, Any] = WeakKeyDictionary()
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
@@ -80,7 +80,7 @@ class Open3DRegistration:
         Not converged, with the guess as the answer, where fewer than three points have a partner or where the answer
         left the plane: pairs on one line let a rotation by half a turn about that line fit as well.
         """
-        if min(len(target), len(source)) < FEWEST_PAIRS:
+        if min(len(target), len(source)) < MIN_PAIRS:
             return _unmatched(guess, 0)
         fixed = self._targets.get(target)
         if fixed is None:
@@ -91,7 +91,7 @@ class Open3DRegistration:
         result = self._method(moving, fixed, self._max_correspondence_m, initial, self._estimation, self._criteria)
         with conversion():
             pairs = len(result.correspondence_set)
-        if pairs < FEWEST_PAIRS:
+        if pairs < MIN_PAIRS:
             return _unmatched(guess, pairs)
         try:
             with conversion():

@@ -39,7 +39,7 @@ from evalkit.odometry import planar3d
 from evalkit.plugins.protocols import BackendSpec, Parameter
 
 INSTALL = "pip install 'evalkit[small-gicp]'"
-FEWEST_PAIRS = 3  # two pairs fix a planar pose exactly, so they fit whatever they are
+MIN_PAIRS = 3  # two pairs fix a planar pose exactly, so they fit whatever they are
 
 Prepare = Callable[[Any, Cloud], tuple[Any, Any]]
 """The library's cloud and tree of a target."""
@@ -72,7 +72,7 @@ class SmallGicpRegistration:
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """The motion ``target_from_source``; the guess, not converged, where fewer than three points have a partner."""
-        if min(len(target), len(source)) < FEWEST_PAIRS:
+        if min(len(target), len(source)) < MIN_PAIRS:
             return _unmatched(guess, 0)
         if target not in self._targets:
             self._targets[target] = self._prepare(self._library, target)
@@ -82,7 +82,7 @@ class SmallGicpRegistration:
             initial = planar3d.matrix_4x4(guess)
         result = self._library.align(cloud, moving, tree, init_T_target_source=initial, **self._settings)
         pairs = int(result.num_inliers)
-        if pairs < FEWEST_PAIRS:
+        if pairs < MIN_PAIRS:
             return _unmatched(guess, pairs)
         try:
             with conversion():

@@ -45,5 +45,5 @@ SPEC = BackendSpec(
     citation="none: the recording's own odometry",
     licence="MIT",
     guess="none: it is the guess",
-    role="bar",
+    role="baseline",
 )

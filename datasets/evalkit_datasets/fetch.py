@@ -10,7 +10,7 @@ from evalkit.core.errors import BadData, DataMissing
 from evalkit_datasets import catalog
 from evalkit_datasets.catalog import Entry
 
-MOST_BYTES = 2**32
+MAX_BYTES = 2**32
 """Of a file whose size the catalogue does not know."""
 
 Progress = Callable[[int, int], None]
@@ -73,7 +73,7 @@ def _download(card: Entry, part: Path, progress: Progress) -> None:
             _request(card, file, begun, progress)
     except _TooMuch:
         part.unlink()
-        what = f"sends more than the {card.bytes or MOST_BYTES} bytes the file may have; what arrived was deleted"
+        what = f"sends more than the {card.bytes or MAX_BYTES} bytes the file may have; what arrived was deleted"
         raise BadData(card.url, "", what, "fetch it again later, or from somebody else") from None
     except OSError as error:  # requests' errors are OSErrors, too
         status = getattr(getattr(error, "response", None), "status_code", None)
@@ -114,7 +114,7 @@ class _Counted:
 
     def write(self, chunk: bytes) -> int:
         """Appends and reports; _TooMuch before the disk is filled."""
-        if self._file.tell() + len(chunk) > (self._in_all or MOST_BYTES):
+        if self._file.tell() + len(chunk) > (self._in_all or MAX_BYTES):
             raise _TooMuch
         written = self._file.write(chunk)
         self._progress(self._file.tell(), self._in_all)

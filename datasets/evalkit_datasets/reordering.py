@@ -11,7 +11,7 @@ import numpy as np
 
 from evalkit.core.se2 import Floats
 
-MOST_AHEAD = 256
+MAX_AHEAD = 256
 """So many scans that came before their turn are kept in memory; the ranges of further ones wait in a temporary file."""
 
 NOTHING = np.zeros(0)
@@ -29,7 +29,7 @@ class Ranged(Protocol):
 Scan = TypeVar("Scan", bound=Ranged)
 
 
-def by_rank(scans: Iterable[tuple[int, Scan]], most_ahead: int = MOST_AHEAD) -> Iterator[Scan]:
+def by_rank(scans: Iterable[tuple[int, Scan]], most_ahead: int = MAX_AHEAD) -> Iterator[Scan]:
     """The scans by their rank: 0, 1, 2, ... Ranks come in any order; after one that is missing nothing follows."""
     early: dict[int, Scan] = {}
     waiting = _Aside()

@@ -23,7 +23,7 @@ from evalkit_datasets.robot import Drive, Route, WheelOdometry
 from evalkit_datasets.worlds import truth_grid
 
 _SCANS_AT_ONCE = 32  # simulated together: keeps the memory of a run small beside the back end's own
-_MOST_KEPT_BYTES = 32 * 2**20  # a drive of more scans than this is simulated anew whenever they are asked for
+_MAX_KEPT_BYTES = 32 * 2**20  # a drive of more scans than this is simulated anew whenever they are asked for
 _LOOK_EVERY_M = 0.2  # how far apart on the path the true map looks around
 _LOOK_LAPS = 2.0  # whoever has gone round twice has seen it all
 
@@ -64,7 +64,7 @@ class Synthetic:
 
     def frames(self) -> Iterator[Frame]:
         """The frames in the order of time."""
-        short = len(self) * 2 * 8 * self.lidar.beams <= _MOST_KEPT_BYTES  # ranges and angles
+        short = len(self) * 2 * 8 * self.lidar.beams <= _MAX_KEPT_BYTES  # ranges and angles
         return iter(self._kept) if short else self._simulated()
 
     def truth(self) -> Truth:

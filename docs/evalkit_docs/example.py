@@ -44,9 +44,9 @@ def made(folder: Path) -> Path:
 
 
 def pictures(results: Path) -> dict[str, bytes]:
-    """The map of each contestant as a PNG, by the file's name, cut to what was seen."""
+    """The map of each method as a PNG, by the file's name, cut to what was seen."""
     trials = json.loads((results / "results.json").read_text(encoding="utf-8"))["trials"]
-    return {f"map-{trial['contestant']}.png": _map(results / "maps" / f"{trial['key']}.pgm") for trial in trials}
+    return {f"map-{trial['method']}.png": _map(results / "maps" / f"{trial['key']}.pgm") for trial in trials}
 
 
 def report(results: Path) -> dict[str, bytes]:

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from evalkit.config import experiment
-from evalkit.config.experiment import Plan
+from evalkit.config.experiment import Experiment
 from evalkit.core.errors import BadData, EvalkitError, NotInstalled
 from evalkit.core.scan import Frame
 from evalkit.plugins import registry
@@ -16,7 +16,9 @@ from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import DatasetSpec
 
 
-def plan(path: Path, options: Mapping[str, str], settings: Mapping[str, str], backends: list[str], source: str) -> Plan:
+def plan(
+    path: Path, options: Mapping[str, str], settings: Mapping[str, str], backends: list[str], source: str
+) -> Experiment:
     """All back ends (or those named) over one file, by the reader whose suffix fits.
 
     ``options``: the reader's parameters that have an option of their own (topic, relations, reference, spans), where
@@ -28,24 +30,24 @@ def plan(path: Path, options: Mapping[str, str], settings: Mapping[str, str], ba
     content = {
         "title": f"{found.name}: {many} on one recording",
         "sequence": [{"use": reader, "label": found.name, "path": str(found), **values}],
-        "contestant": [{"use": name} for name in backends or registry.names("backends")],
+        "method": [{"use": name} for name in backends or registry.names("backends")],
     }
     return experiment.plan(content, f"compare {path}", _name(found, {**settings, **options}), source)
 
 
-def first_frame(plan: Plan) -> Frame:
+def first_frame(plan: Experiment) -> Frame:
     """The first frame of a plan's first sequence: what cannot be read is known before anything runs (BadData)."""
-    course = plan.courses[0]
+    spec = plan.sequences[0]
     try:
-        sequence = registry.dataset(course.dataset).make(**course.parameters)
+        sequence = registry.dataset(spec.dataset).make(**spec.parameters)
         frame = next(iter(sequence.frames()), None)
     except EvalkitError:
         raise
     except Exception as error:  # a reader of foreign files meets damage in any way it likes
         what = f"cannot be read ({type(error).__name__}: {' '.join(str(error).split())[:160]})"
-        raise BadData(course.label, "", what, "is the file whole?") from error
+        raise BadData(spec.label, "", what, "is the file whole?") from error
     if frame is None:
-        raise BadData(course.label, "", "there is not one scan in it", "give a recording with laser scans")
+        raise BadData(spec.label, "", "there is not one scan in it", "give a recording with laser scans")
     return frame
 
 

@@ -26,7 +26,7 @@ _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)\.", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
-class Contestant:
+class Method:
     """A back end under a label, with all its parameters; ``missing`` says why it cannot run here, or ""."""
 
     label: str
@@ -36,7 +36,7 @@ class Contestant:
 
 
 @dataclass(frozen=True)
-class Course:
+class SequenceSpec:
     """A data set under a label, with all its parameters but the seed; ``seeds`` is (None,) for a recording."""
 
     label: str
@@ -52,7 +52,7 @@ class Course:
 
 @dataclass(frozen=True)
 class MapperChoice:
-    """The mapper that draws every contestant's map, with all its parameters; at most ``scans`` scans, evenly spaced."""
+    """The mapper that draws every method's map, with all its parameters; at most ``scans`` scans, evenly spaced."""
 
     name: str
     parameters: Mapping[str, Value]
@@ -74,17 +74,17 @@ class Limits:
 
 
 @dataclass(frozen=True)
-class Planned:
+class RunSpec:
     """One run to be made; ``key`` names its folder and changes with anything that could change its result."""
 
     key: str
-    contestant: Contestant
-    course: Course
+    method: Method
+    sequence: SequenceSpec
     seed: int | None
 
 
 @dataclass(frozen=True)
-class Plan:
+class Experiment:
     """A whole comparison, ready to run. ``source``: the words of the command line that name it ("reports/x.toml").
 
     ``timed``: whether the runs' times count; where they do not, runs may be made beside others.
@@ -94,58 +94,58 @@ class Plan:
     title: str
     description: str
     source: str
-    contestants: tuple[Contestant, ...]
-    courses: tuple[Course, ...]
+    methods: tuple[Method, ...]
+    sequences: tuple[SequenceSpec, ...]
     mapper: MapperChoice
     limits: Limits
     timed: bool = True
 
-    def runs(self) -> Iterator[Planned]:
-        """Every run, contestants interleaved within each repetition, every second one in reverse: A B, B A, A B.
+    def runs(self) -> Iterator[RunSpec]:
+        """Every run, methods interleaved within each repetition, every second one in reverse: A B, B A, A B.
 
         A slow hour hits all alike, and nobody always runs first or always after the same one.
         """
         yield from self._runs
 
     @cached_property
-    def _runs(self) -> tuple[Planned, ...]:
+    def _runs(self) -> tuple[RunSpec, ...]:
         code = cache(registry.run_fingerprint)  # both read files, and a plan may have thousands of runs
         files = cache(code_hash.file_state)
-        repetitions = [(course, seed) for course in self.courses for seed in course.seeds]
+        repetitions = [(sequence, seed) for sequence in self.sequences for seed in sequence.seeds]
         return tuple(
-            Planned(_key(contestant, course, seed, code, files), contestant, course, seed)
-            for turn, (course, seed) in enumerate(repetitions)
-            for contestant in self.contestants[:: -1 if turn % 2 else 1]
+            RunSpec(_key(method, sequence, seed, code, files), method, sequence, seed)
+            for turn, (sequence, seed) in enumerate(repetitions)
+            for method in self.methods[:: -1 if turn % 2 else 1]
         )
 
-    def command(self, planned: Planned) -> str:
+    def command(self, planned: RunSpec) -> str:
         """What reproduces one run alone, in a folder of its own: this plan's results and page stay."""
         seed = "" if planned.seed is None else f" --seed {planned.seed}"
-        sequence, contestant = shlex.quote(planned.course.label), shlex.quote(planned.contestant.label)
+        sequence, method = shlex.quote(planned.sequence.label), shlex.quote(planned.method.label)
         source = f"run {rest}" if (rest := self.source.removeprefix("report ")) != self.source else self.source
         folder = shlex.quote(f"reports/build/{self.name}-one")
-        return f"evalkit {source} --sequence {sequence} --contestant {contestant}{seed} --out {folder}"
+        return f"evalkit {source} --sequence {sequence} --method {method}{seed} --out {folder}"
 
-    def untimed(self) -> Plan:
+    def untimed(self) -> Experiment:
         """The plan of the same runs whose times do not count."""
         return replace(self, timed=False, source=f"{self.source} --accuracy-only") if self.timed else self
 
-    def only(self, sequences: list[str], contestants: list[str], seeds: list[int]) -> Plan:
+    def only(self, sequences: list[str], methods: list[str], seeds: list[int]) -> Experiment:
         """The part of the plan with these labels and seeds; an empty list keeps all."""
-        courses = _chosen("sequence", sequences, self.courses, lambda course: course.label, self.source)
-        entrants = _chosen("contestant", contestants, self.contestants, lambda entrant: entrant.label, self.source)
+        chosen = _chosen("sequence", sequences, self.sequences, lambda sequence: sequence.label, self.source)
+        entrants = _chosen("method", methods, self.methods, lambda entrant: entrant.label, self.source)
         if seeds:
-            known = {seed for course in courses for seed in course.seeds if seed is not None}
+            known = {seed for sequence in chosen for seed in sequence.seeds if seed is not None}
             if unknown := set(seeds) - known:
                 raise UnknownName("seed", str(min(unknown)), [str(seed) for seed in known], self.source)
-            courses = tuple(
-                replace(course, seeds=tuple(seed for seed in course.seeds if seed is None or seed in seeds))
-                for course in courses
+            chosen = tuple(
+                replace(sequence, seeds=tuple(seed for seed in sequence.seeds if seed is None or seed in seeds))
+                for sequence in chosen
             )
-        return replace(self, courses=courses, contestants=entrants)
+        return replace(self, sequences=chosen, methods=entrants)
 
 
-def read(path: Path) -> Plan:
+def read(path: Path) -> Experiment:
     """The plan of an experiment file (TOML); BadExperiment names the file, the key and what was found."""
     try:
         content = tables_of(path.read_text(encoding="utf-8"))
@@ -158,43 +158,41 @@ def read(path: Path) -> Plan:
     return plan(content, str(path), path.stem, f"report {shlex.quote(str(path))}")
 
 
-def plan(content: Mapping[str, Any], file: str, name: str, source: str) -> Plan:
+def plan(content: Mapping[str, Any], file: str, name: str, source: str) -> Experiment:
     """The plan of an experiment's tables; ``file`` is named in errors, ``source`` in commands."""
-    _known_keys(content, ("title", "description", "timed", "mapper", "limits", "contestant", "sequence"), file, "")
+    _known_keys(content, ("title", "description", "timed", "mapper", "limits", "method", "sequence"), file, "")
     if not isinstance(timed := content.get("timed", True), bool):
         raise BadExperiment(file, "", f"'timed': found {brief(timed)}, expected true or false")
     try:
-        contestants = tuple(
-            _contestant(t, file, f"contestant {i + 1}") for i, t in _tables(content, "contestant", file)
-        )
-        courses = tuple(_course(t, file, f"sequence {i + 1}") for i, t in _tables(content, "sequence", file))
+        methods = tuple(_method(t, file, f"method {i + 1}") for i, t in _tables(content, "method", file))
+        sequences = tuple(_sequence(t, file, f"sequence {i + 1}") for i, t in _tables(content, "sequence", file))
         mapper = _mapper(content.get("mapper", {}), file)
     except (UnknownName, BadParameter) as error:
         raise BadExperiment(file, "", str(error)) from error
-    _distinct("contestant", [entrant.label for entrant in contestants], file)
-    _distinct("sequence", [course.label for course in courses], file)
-    return Plan(
+    _distinct("method", [entrant.label for entrant in methods], file)
+    _distinct("sequence", [sequence.label for sequence in sequences], file)
+    return Experiment(
         name,
         _text(content, "title", name, file),
         _text(content, "description", "", file),
         source,
-        contestants,
-        courses,
+        methods,
+        sequences,
         mapper,
         _limits(content.get("limits", {}), file),
         timed,
     )
 
 
-def _contestant(table: Mapping[str, Any], file: str, place: str) -> Contestant:
+def _method(table: Mapping[str, Any], file: str, place: str) -> Method:
     use = _required(table, "use", file, place)
     label = _label(table, use, file, place)
     given = _flat({key: value for key, value in table.items() if key not in ("use", "label")})
     spec = _registered(registry.entrant, use, file, place)
-    return Contestant(label, use, frontend.complete_parameters(f"{place} ({label})", spec, given), spec.missing())
+    return Method(label, use, frontend.complete_parameters(f"{place} ({label})", spec, given), spec.missing())
 
 
-def _course(table: Mapping[str, Any], file: str, place: str) -> Course:
+def _sequence(table: Mapping[str, Any], file: str, place: str) -> SequenceSpec:
     use = _required(table, "use", file, place)
     label = _label(table, use, file, place)
     given = _flat({key: value for key, value in table.items() if key not in ("use", "label", "seeds")})
@@ -213,7 +211,7 @@ def _course(table: Mapping[str, Any], file: str, place: str) -> Course:
         raise BadExperiment(file, f"{place} ({label})", str(error)) from error
     if missing and spec.suffixes:  # the files of a reader are the user's own: a wrong path is a mistake
         raise BadExperiment(file, f"{place} ({label})", missing)
-    return Course(label, use, parameters, seeds, missing)
+    return SequenceSpec(label, use, parameters, seeds, missing)
 
 
 def _mapper(table: object, file: str) -> MapperChoice:
@@ -313,21 +311,21 @@ def _chosen(
 
 
 def _key(
-    contestant: Contestant,
-    course: Course,
+    method: Method,
+    sequence: SequenceSpec,
     seed: int | None,
     code: Callable[[str, str], str],
     files: Callable[[str], list[object]],
 ) -> str:
     identity = {
-        "labels": [contestant.label, course.label],  # two that read alike as file names must not share a folder
-        "backend": [contestant.backend, dict(contestant.parameters)],
-        "dataset": [course.dataset, course.seeded(seed)],
-        "code": "" if contestant.missing else code(contestant.backend, course.dataset),
-        "files": [files(value) for value in course.parameters.values() if isinstance(value, str) and value],
+        "labels": [method.label, sequence.label],  # two that read alike as file names must not share a folder
+        "backend": [method.backend, dict(method.parameters)],
+        "dataset": [sequence.dataset, sequence.seeded(seed)],
+        "code": "" if method.missing else code(method.backend, sequence.dataset),
+        "files": [files(value) for value in sequence.parameters.values() if isinstance(value, str) and value],
     }
     digest = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:10]
-    words = [course.label, *([] if seed is None else [f"s{seed}"]), contestant.label]
+    words = [sequence.label, *([] if seed is None else [f"s{seed}"]), method.label]
     return "-".join(_filename(word) for word in words) + f"-{digest}"
 
 

@@ -12,13 +12,13 @@ Stage = Literal["s2s", "s2m"]
 
 UNTOLD = -1
 GUESS_KEPT = 0
-BELIEVED = 1
+ACCEPTED = 1
 
 
 class Registered(NamedTuple):
     """What a stage's registration came to; ``error`` in metres, nan where there is none."""
 
-    believed: bool
+    accepted: bool
     converged: bool
     iterations: int
     error: float
@@ -32,9 +32,9 @@ class _Told:
     stages: dict[Stage, Registered] = {}  # noqa: RUF012 - replaced as a whole, never shared
 
 
-def tell(believed: bool) -> None:
+def tell(accepted: bool) -> None:
     """Says of the present scan's answer whether it is a registration's; False: it is the guess."""
-    _Told.now = BELIEVED if believed else GUESS_KEPT
+    _Told.now = ACCEPTED if accepted else GUESS_KEPT
 
 
 def tell_stage(stage: Stage, registered: Registered) -> None:
@@ -43,7 +43,7 @@ def tell_stage(stage: Stage, registered: Registered) -> None:
 
 
 def heard() -> int:
-    """What was told since this was last asked: BELIEVED, GUESS_KEPT or UNTOLD."""
+    """What was told since this was last asked: ACCEPTED, GUESS_KEPT or UNTOLD."""
     told, _Told.now = _Told.now, UNTOLD
     return told
 

@@ -30,21 +30,21 @@ STEP = np.dtype(
         ("wall_ns", "i8"), ("cpu_ns", "i8"), ("conversion_ns", "i8"), ("harness_ns", "i8"), ("device_ns", "i8"),
         ("s2s_error", "f8"), ("s2s_iterations", "i4"), ("s2s_inliers", "i4"),
         ("s2m_error", "f8"), ("s2m_iterations", "i4"), ("s2m_inliers", "i4"),
-        ("s2s_believed", "i1"), ("s2s_converged", "i1"), ("s2m_believed", "i1"), ("s2m_converged", "i1"),
+        ("s2s_accepted", "i1"), ("s2s_converged", "i1"), ("s2m_accepted", "i1"), ("s2m_converged", "i1"),
     ]
 )  # fmt: skip
 
 
 """One scan of a run: answer ``start_from_base``, cost in ns, residuals in m (nan where a stage does not exist).
 
-``device_ns`` is what the back end itself says it took; a cost of 0 is one nobody measured. ``believed``: 1 where the
+``device_ns`` is what the back end itself says it took; a cost of 0 is one nobody measured. ``accepted``: 1 where the
 stage's answer was taken, 0 where its guess was kept; ``converged``: 1 or 0; both -1 where there is no such stage or
 nobody tells. An odometry that tells of itself is a second stage.
 """
 
 
 @dataclass(frozen=True, eq=False)
-class Run:
+class RunResult:
     """One back end over one sequence: what it answered, what it cost, and how it ended.
 
     ``steps`` (N,) of dtype ``STEP``: every scan answered before the end, kept whatever the status.
@@ -93,9 +93,9 @@ class Score:
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One row of a comparison: a contestant over a sequence, run, scored and mapped.
+    """One row of a comparison: a method over a sequence, run, scored and mapped.
 
-    ``contestant`` and ``sequence``: the labels in tables (``sequence`` without the seed). ``key``: content key of the
+    ``method`` and ``sequence``: the labels in tables (``sequence`` without the seed). ``key``: content key of the
     results folder. ``command``: reproduces this row alone. ``world_from_start``: the alignment used for drawing and
     for the map. ``grid``: the map of the estimated trajectory, None where there is none. ``errors_m`` (N,): distance to
     the truth at each of ``run.steps`` after alignment, nan where unmatched; None without a true trajectory.
@@ -104,7 +104,7 @@ class Trial:
     """
 
     key: str
-    contestant: str
+    method: str
     backend: str
     backend_parameters: Mapping[str, bool | int | float | str]
     sequence: str
@@ -112,7 +112,7 @@ class Trial:
     dataset_parameters: Mapping[str, bool | int | float | str]
     seed: int | None
     command: str
-    run: Run
+    run: RunResult
     truth: Truth
     scores: Mapping[str, Score]
     world_from_start: Pose = field(default_factory=Pose)

@@ -19,7 +19,7 @@ from typing import Any, Protocol
 
 from filelock import FileLock, Timeout
 
-from evalkit.config.experiment import Planned
+from evalkit.config.experiment import RunSpec
 from evalkit.core.errors import StoreError
 from evalkit.execution import dask_cluster, environment, run_archive, run_task
 from evalkit.execution.dask_cluster import Call, Cluster, Slot, WorkerLost
@@ -31,11 +31,11 @@ from evalkit.results.store import Store
 class Progress(Protocol):
     """Hears how a comparison goes on; ``begun`` and ``answered`` are called from several threads."""
 
-    def begun(self, planned: Planned) -> None:
+    def begun(self, planned: RunSpec) -> None:
         """A run starts."""
         ...
 
-    def answered(self, planned: Planned, scans: int) -> None:
+    def answered(self, planned: RunSpec, scans: int) -> None:
         """A run has answered so many scans; a cluster's workers do not tell."""
         ...
 
@@ -47,7 +47,7 @@ class Progress(Protocol):
 class Place(Protocol):
     """Decides where runs are made, and nothing else about them."""
 
-    def ended(self, store: Store, recipe: Recipe, todo: Sequence[Planned], progress: Progress) -> Generator[Ended]:
+    def ended(self, store: Store, recipe: Recipe, todo: Sequence[RunSpec], progress: Progress) -> Generator[Ended]:
         """Every run as it ends, with what came of it in the store; ``todo``: what needs to be made or scored.
 
         Raises what stops the whole: a results folder that cannot be written, a cluster that is gone.
@@ -61,12 +61,12 @@ class Here:
 
     jobs: int
 
-    def ended(self, store: Store, recipe: Recipe, todo: Sequence[Planned], progress: Progress) -> Generator[Ended]:
+    def ended(self, store: Store, recipe: Recipe, todo: Sequence[RunSpec], progress: Progress) -> Generator[Ended]:
         """As Place says."""
         os.environ.update(environment.SINGLE_THREAD)  # inherited by the scoring processes, as by the runs
         cores, stop = _cores(self.jobs), threading.Event()
 
-        def one(planned: Planned) -> Ended:
+        def one(planned: RunSpec) -> Ended:
             """What is raised here stops all the others at once."""
             if stop.is_set():
                 raise CancelledError
@@ -102,7 +102,7 @@ class There:
 
     workers: Cluster
 
-    def ended(self, store: Store, recipe: Recipe, todo: Sequence[Planned], progress: Progress) -> Generator[Ended]:
+    def ended(self, store: Store, recipe: Recipe, todo: Sequence[RunSpec], progress: Progress) -> Generator[Ended]:
         """As Place says."""
         folder = uuid.uuid5(uuid.NAMESPACE_URL, store.folder.absolute().as_uri()).hex
         by_name = {planned.key: planned for planned in todo}
@@ -112,7 +112,7 @@ class There:
             for planned in todo:
                 progress.begun(planned)
                 given = run_archive.packed(store, planned.key) if recipe.resume or recipe.collect else b""
-                stands_on = code(planned.contestant.backend, planned.course.dataset)
+                stands_on = code(planned.method.backend, planned.sequence.dataset)
                 yield Call(planned.key, on_worker, (planned, recipe, stands_on, given, folder))
 
         with closing(self.workers.answers(calls())) as answers:
@@ -133,7 +133,7 @@ class There:
 
 
 def on_worker(
-    planned: Planned, recipe: Recipe, code: str, given: bytes, folder: str, slot: Slot
+    planned: RunSpec, recipe: Recipe, code: str, given: bytes, folder: str, slot: Slot
 ) -> tuple[Ended, bytes]:
     """How a run ended on this worker, and all the store shall keep of it.
 
@@ -172,11 +172,11 @@ class _Cancelled(threading.Event):
         return task is None or task.state in ("cancelled", "resumed")
 
 
-def _same_code(planned: Planned, recipe: Recipe, code: str) -> None:
+def _same_code(planned: RunSpec, recipe: Recipe, code: str) -> None:
     """A key and scores name the code they stand on: StoreError where this worker's is another."""
-    own = registry.run_fingerprint(planned.contestant.backend, planned.course.dataset)
+    own = registry.run_fingerprint(planned.method.backend, planned.sequence.dataset)
     if own != code or not recipe.scored_by.startswith(registry.score_fingerprint(recipe.mapper.name)):
-        what = f"the code of '{planned.contestant.backend}', '{planned.course.dataset}' or evalkit is another one here"
+        what = f"the code of '{planned.method.backend}', '{planned.sequence.dataset}' or evalkit is another one here"
         host = environment.machine()["host"]
         raise StoreError(host, what, "install the same versions on every worker, and restart them")
 

@@ -13,7 +13,7 @@ from evalkit.results.store import REMEDY, Store
 LATER = ("scores.json", "run.json")
 """Written after all others, in this order: they vouch for them."""
 
-MOST_OUTPUT = 2**20
+MAX_OUTPUT = 2**20
 """So much of what a run said is sent, from its end."""
 
 
@@ -22,7 +22,7 @@ def packed(store: Store, key: str) -> bytes:
     body = io.BytesIO()
     with ZipFile(body, "w", ZIP_DEFLATED, compresslevel=1) as archive:
         for name, path in _files(store, key):
-            archive.writestr(name, path.read_bytes()[-MOST_OUTPUT if name == "run/output.txt" else 0 :])
+            archive.writestr(name, path.read_bytes()[-MAX_OUTPUT if name == "run/output.txt" else 0 :])
     return body.getvalue()
 
 

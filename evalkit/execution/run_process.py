@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, get_args
 
 from evalkit.config.experiment import Limits
-from evalkit.core.run_result import STEP, Run, Status
+from evalkit.core.run_result import STEP, RunResult, Status
 from evalkit.execution import subprocesses
 from evalkit.execution.worker import Request
 from evalkit.io import untrusted_io
@@ -36,8 +36,8 @@ def run(
     heard: Callable[[int], None],
     stop: threading.Event,
     threads: int = 1,
-) -> Run:
-    """What became of a request; ``labels``: contestant and sequence.
+) -> RunResult:
+    """What became of a request; ``labels``: method and sequence.
 
     ``heard`` is told how many scans are answered; ``stop`` ends the run early; ``threads`` may be started by libraries.
     """
@@ -93,7 +93,7 @@ class _Watch:
                 return broken
         return None
 
-    def result(self, labels: tuple[str, str], ended: tuple[Status, str] | None) -> Run:
+    def result(self, labels: tuple[str, str], ended: tuple[Status, str] | None) -> RunResult:
         """What became of it, once its process has ended."""
         self._answers.seek(0)
         steps = whole_records(self._answers.read())
@@ -106,7 +106,7 @@ class _Watch:
             ended = ended or _how_it_died(self._process.returncode, self._folder)
         if ended is not None:
             outcome["status"], outcome["reason"] = ended
-        return Run(backend=labels[0], sequence=labels[1], steps=steps, **outcome)
+        return RunResult(backend=labels[0], sequence=labels[1], steps=steps, **outcome)
 
 
 @dataclass(frozen=True, slots=True)

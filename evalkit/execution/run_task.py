@@ -20,9 +20,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from evalkit import metrics
-from evalkit.config.experiment import Limits, MapperChoice, Plan, Planned
+from evalkit.config.experiment import Experiment, Limits, MapperChoice, RunSpec
 from evalkit.core.errors import StoreError
-from evalkit.core.run_result import STEP, Run, Score, Status
+from evalkit.core.run_result import STEP, RunResult, Score, Status
 from evalkit.execution import environment, parent_watch, run_process
 from evalkit.execution.dask_cluster import TRIES
 from evalkit.execution.worker import Request
@@ -51,7 +51,7 @@ class Ended:
     sequence, 0 where that was not opened. ``stored``: whether the store holds what came of it.
     """
 
-    planned: Planned
+    planned: RunSpec
     status: Status
     reason: str
     seconds: float = 0.0
@@ -77,7 +77,9 @@ class Recipe:
     ran_on: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, plan: Plan, resume: bool, rerun: frozenset[Status], collect: bool, ran_on: Mapping[str, str]) -> Recipe:
+    def of(
+        cls, plan: Experiment, resume: bool, rerun: frozenset[Status], collect: bool, ran_on: Mapping[str, str]
+    ) -> Recipe:
         """The recipe of a plan."""
         scored_by = f"{registry.score_fingerprint(plan.mapper.name)} {plan.mapper}"
         return cls(plan.limits, plan.mapper, scored_by, plan.timed, resume, rerun, collect, ran_on)
@@ -143,7 +145,7 @@ def _breaks(processes: Executor) -> bool:
     return False
 
 
-def settled(store: Store, recipe: Recipe, planned: Planned) -> Ended | None:
+def settled(store: Store, recipe: Recipe, planned: RunSpec) -> Ended | None:
     """How a run ended that needs neither making nor scoring any more, or cannot be made; None where it does."""
     for status, why in absent(planned):
         return Ended(planned, status, why, stored=False)
@@ -160,7 +162,7 @@ def settled(store: Store, recipe: Recipe, planned: Planned) -> Ended | None:
     return Ended(planned, known.status, known.reason, expected=known.expected)
 
 
-def made(store: Store, recipe: Recipe, planned: Planned, bench: Bench) -> Ended:
+def made(store: Store, recipe: Recipe, planned: RunSpec, bench: Bench) -> Ended:
     """How a run ended that is made, unless a stored one will do, and scored; all of it is in the store.
 
     Whatever goes wrong is a status with a reason, but StoreError: a results folder that cannot be written; and
@@ -180,21 +182,21 @@ def made(store: Store, recipe: Recipe, planned: Planned, bench: Bench) -> Ended:
     return Ended(planned, status, reason, max(time.monotonic() - begun, 1e-9), run.expected)
 
 
-def absent(planned: Planned) -> list[tuple[Status, str]]:
+def absent(planned: RunSpec) -> list[tuple[Status, str]]:
     """Why a run cannot be made, for want of data or of a library: nothing or the first reason of each."""
     reasons: list[tuple[Status, str]] = [
-        ("data-missing", planned.course.missing),
-        ("not-installed", planned.contestant.missing),
+        ("data-missing", planned.sequence.missing),
+        ("not-installed", planned.method.missing),
     ]
     return [(status, reason) for status, reason in reasons if reason]
 
 
-def unmade(planned: Planned, status: Status, reason: str) -> Run:
+def unmade(planned: RunSpec, status: Status, reason: str) -> RunResult:
     """A run without an answer."""
-    return Run(planned.contestant.label, planned.course.label, status, reason, np.zeros(0, dtype=STEP), expected=0)
+    return RunResult(planned.method.label, planned.sequence.label, status, reason, np.zeros(0, dtype=STEP), expected=0)
 
 
-def quarantined(store: Store, recipe: Recipe, planned: Planned, why: str, run: Run | None = None) -> Run:
+def quarantined(store: Store, recipe: Recipe, planned: RunSpec, why: str, run: RunResult | None = None) -> RunResult:
     """A run that nobody shall try again unasked, kept in the store; ``run``: what it answered before."""
     reason = f"{QUARANTINED}{why}; --rerun crashed tries again"
     kept = replace(run or unmade(planned, "crashed", reason), status="crashed", reason=reason)
@@ -204,7 +206,7 @@ def quarantined(store: Store, recipe: Recipe, planned: Planned, why: str, run: R
     return kept
 
 
-def _acceptable(store: Store, recipe: Recipe, planned: Planned) -> HowItEnded | None:
+def _acceptable(store: Store, recipe: Recipe, planned: RunSpec) -> HowItEnded | None:
     """How the stored run ended, if it will do; what was absent may have come."""
     if not (recipe.resume or recipe.collect) or (known := store.how_it_ended(planned.key)) is None:
         return None
@@ -222,19 +224,19 @@ def scorable(status: Status, reason: str, answered: int) -> bool:
     return (answered > 0 or status == "complete") and not reason.startswith(QUARANTINED)
 
 
-def _run(store: Store, recipe: Recipe, planned: Planned, bench: Bench) -> Run:
+def _run(store: Store, recipe: Recipe, planned: RunSpec, bench: Bench) -> RunResult:
     """A new run, stored."""
     lost = store.tries(planned.key) if recipe.resume and "crashed" not in recipe.rerun else []
     if len(lost) >= TRIES:
         return quarantined(store, recipe, planned, f"evalkit was ended twice while it ran ({', '.join(lost)})")
     request = Request(
-        planned.contestant.backend,
-        dict(planned.contestant.parameters),
-        planned.course.dataset,
-        planned.course.seeded(planned.seed),
+        planned.method.backend,
+        dict(planned.method.parameters),
+        planned.sequence.dataset,
+        planned.sequence.seeded(planned.seed),
         bench.core,
     )
-    labels = planned.contestant.label, planned.course.label
+    labels = planned.method.label, planned.sequence.label
     folder = store.fresh(planned.key)
     store.note_tries(planned.key, [*lost, f"process {os.getpid()} on {platform.node()}"])
     try:
@@ -249,7 +251,7 @@ def _run(store: Store, recipe: Recipe, planned: Planned, bench: Bench) -> Run:
     return run
 
 
-def _scored(store: Store, recipe: Recipe, planned: Planned, run: Run, bench: Bench) -> tuple[Status, str]:
+def _scored(store: Store, recipe: Recipe, planned: RunSpec, run: RunResult, bench: Bench) -> tuple[Status, str]:
     """Scores a run in a process of its own; its status and reason after that."""
     if store.scored_by(planned.key) == recipe.scored_by:
         return run.status, run.reason
@@ -268,15 +270,15 @@ def _scored(store: Store, recipe: Recipe, planned: Planned, run: Run, bench: Ben
     return run.status, run.reason
 
 
-def score_stored(folder: Path, planned: Planned, run: Run, recipe: Recipe, core: int | None) -> None:
+def score_stored(folder: Path, planned: RunSpec, run: RunResult, recipe: Recipe, core: int | None) -> None:
     """Scores one run and keeps the result in the store; runs in a process of the scoring pool, on the run's core."""
     if core is not None:
         os.sched_setaffinity(0, {core})
     mapper = recipe.mapper
-    entrant, drawn_by = registry.backend(planned.contestant.backend), registry.mapper(mapper.name)
-    sequence = registry.dataset(planned.course.dataset).make(**planned.course.seeded(planned.seed))
+    entrant, drawn_by = registry.backend(planned.method.backend), registry.mapper(mapper.name)
+    sequence = registry.dataset(planned.sequence.dataset).make(**planned.sequence.seeded(planned.seed))
     if entrant.kind == "map":
-        scored = evaluate_map.score(run, entrant.make(**planned.contestant.parameters), sequence)
+        scored = evaluate_map.score(run, entrant.make(**planned.method.parameters), sequence)
     else:
         scored = evaluate.score(run, sequence, lambda: drawn_by.make(**mapper.parameters), mapper.scans)
     scores = scored.scores
@@ -308,9 +310,9 @@ def _without_times(steps: NDArray[np.void]) -> NDArray[np.void]:
     return bare
 
 
-def _how_made(recipe: Recipe, planned: Planned, core: int | None) -> dict[str, Any]:
+def _how_made(recipe: Recipe, planned: RunSpec, core: int | None) -> dict[str, Any]:
     where = {name: recipe.ran_on.get(name, "unknown") for name in environment.KEPT_WITH_RUNS}
-    libraries = ("numpy", "scipy", *registry.entrant(planned.contestant.backend).requires)
+    libraries = ("numpy", "scipy", *registry.entrant(planned.method.backend).requires)
     return {
         "made": datetime.now(UTC).isoformat(),
         **where,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-from evalkit.config.experiment import Plan, Planned
+from evalkit.config.experiment import Experiment, RunSpec
 from evalkit.core.errors import StoreError
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import Status, Trial
@@ -29,7 +29,7 @@ class Engine:
     not there is skipped. ``ran_on``: what the environment says, kept with every run that is made.
     """
 
-    plan: Plan
+    plan: Experiment
     store: Store
     progress: Progress
     jobs: int = 1
@@ -40,7 +40,7 @@ class Engine:
     place: Place | None = None
 
     @cached_property
-    def planned(self) -> tuple[Planned, ...]:
+    def planned(self) -> tuple[RunSpec, ...]:
         """Every run, in the plan's order."""
         return tuple(self.plan.runs())
 
@@ -67,7 +67,7 @@ class Engine:
             raise StoreError(str(self.store.run_folder(unread[0])), "was written but cannot be read back", REMEDY)
         return tuple(rows[item.key] for item in self.planned)
 
-    def _ended(self, planned: Sequence[Planned], progress: Progress) -> Generator[Ended]:
+    def _ended(self, planned: Sequence[RunSpec], progress: Progress) -> Generator[Ended]:
         recipe = Recipe.of(self.plan, self.resume, self.rerun, self.collect, self.ran_on)
         todo = []
         for item in planned:
@@ -92,12 +92,12 @@ class Engine:
             return None
         return Trial(
             key=planned.key,
-            contestant=planned.contestant.label,
-            backend=planned.contestant.backend,
-            backend_parameters=planned.contestant.parameters,
-            sequence=planned.course.label,
-            dataset=planned.course.dataset,
-            dataset_parameters=planned.course.seeded(planned.seed),
+            method=planned.method.label,
+            backend=planned.method.backend,
+            backend_parameters=planned.method.parameters,
+            sequence=planned.sequence.label,
+            dataset=planned.sequence.dataset,
+            dataset_parameters=planned.sequence.seeded(planned.seed),
             seed=planned.seed,
             command=self.plan.command(planned),
             truth=_truth(planned, truths),
@@ -128,20 +128,22 @@ class Engine:
 class _Unheard:
     """A progress nobody listens to."""
 
-    def begun(self, planned: Planned) -> None: ...
+    def begun(self, planned: RunSpec) -> None: ...
 
-    def answered(self, planned: Planned, scans: int) -> None: ...
+    def answered(self, planned: RunSpec, scans: int) -> None: ...
 
     def finished(self, ended: Ended) -> None: ...
 
 
-def _truth(planned: Planned, known: dict[str, Truth]) -> Truth:
-    if planned.course.missing:
+def _truth(planned: RunSpec, known: dict[str, Truth]) -> Truth:
+    if planned.sequence.missing:
         return Truth("the data are not here")
-    course = f"{planned.course.label} {planned.seed}"
-    if course not in known:
+    sequence = f"{planned.sequence.label} {planned.seed}"
+    if sequence not in known:
         try:
-            known[course] = registry.dataset(planned.course.dataset).make(**planned.course.seeded(planned.seed)).truth()
+            known[sequence] = (
+                registry.dataset(planned.sequence.dataset).make(**planned.sequence.seeded(planned.seed)).truth()
+            )
         except Exception as error:  # noqa: BLE001 - a reader's fault, of which each of its runs has told already
-            known[course] = Truth(f"cannot be read: {error}")
-    return known[course]
+            known[sequence] = Truth(f"cannot be read: {error}")
+    return known[sequence]

@@ -29,7 +29,7 @@ COUNT_S = 0.5
 
 LAST_WORDS = 4096  # bytes of its output that are looked at for a reason
 
-MOST_OUTPUT = 16 * 2**20
+MAX_OUTPUT = 16 * 2**20
 """Bytes of output that are kept; who says more loses what it said first."""
 
 
@@ -100,7 +100,7 @@ class Family:
 def cut(output: Path) -> None:
     """Leaves of a file of output that has grown too long its last words; the child goes on at its new end."""
     with contextlib.suppress(OSError):  # the child has removed it
-        if output.stat().st_size > MOST_OUTPUT:
+        if output.stat().st_size > MAX_OUTPUT:
             with output.open("r+b") as file:
                 file.seek(-LAST_WORDS, os.SEEK_END)
                 last = file.read()

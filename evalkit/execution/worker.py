@@ -35,7 +35,7 @@ from evalkit.plugins.protocols import DatasetSpec, NoAnswer, Odometry, Sequence,
 WARM_UP_SCANS = 5
 """Scans shown to a back end of its own before the clock starts; their cost is in no number."""
 
-LEAST_ANSWERED = 0.95
+MIN_ANSWERED = 0.95
 """Who leaves out more of the scans than this share has not followed the sequence: the run has failed."""
 
 
@@ -75,26 +75,26 @@ class Residuals:
             "error": np.nan,
             "iterations": 0,
             "inliers": 0,
-            "believed": belief.UNTOLD,
+            "accepted": belief.UNTOLD,
             "converged": belief.UNTOLD,
         }
         self.row = {f"{stage}_{name}": value for stage in ("s2s", "s2m") for name, value in nothing.items()}
         belief.heard()
         belief.heard_of_stages()
 
-    def hear(self, stage: frontend.Stage, match: Match, believed: bool) -> None:
+    def hear(self, stage: frontend.Stage, match: Match, accepted: bool) -> None:
         """Takes in one stage's answer."""
         self.row[f"{stage}_error"] = match.error
         self.row[f"{stage}_iterations"] = match.iterations
         self.row[f"{stage}_inliers"] = match.inliers
-        self.row[f"{stage}_believed"] = believed
+        self.row[f"{stage}_accepted"] = accepted
         self.row[f"{stage}_converged"] = bool(match.converged)
 
     def ask(self) -> None:
         """Takes in what an odometry has told of its answer by itself."""
         told = belief.heard()
         if told != belief.UNTOLD:
-            self.row["s2m_believed"] = told
+            self.row["s2m_accepted"] = told
         for stage, registered in belief.heard_of_stages().items():
             self.row.update({f"{stage}_{name}": value for name, value in registered._asdict().items()})
 
@@ -131,10 +131,10 @@ def perform(request: Request, folder: Path) -> Outcome:
         _leave(folder / "begun.json", begun)  # for a back end that ends this process in its warm-up
         warm = _warm_up(frontend.odometry(spec, request.backend_parameters), sequence)
         residuals = Residuals()
-        contestant = frontend.odometry(spec, request.backend_parameters, residuals.hear)
+        method = frontend.odometry(spec, request.backend_parameters, residuals.hear)
         _leave(folder / "begun.json", begun | {"warm_up_scans": warm})
         with (folder / "steps.bin").open("ab", buffering=0) as file:
-            follow(contestant, sequence, request, residuals, file)
+            follow(method, sequence, request, residuals, file)
         notes = dict(sequence.notes())
     except NotInstalled as error:
         status, reason = "not-installed", str(error)
@@ -162,19 +162,19 @@ def _leave(path: Path, content: dict[str, Any]) -> None:
     partial.replace(path)
 
 
-def _warm_up(contestant: Odometry, sequence: Sequence) -> int:
+def _warm_up(method: Odometry, sequence: Sequence) -> int:
     """How many scans a back end of its own saw: imports, first allocations and thread pools are paid here."""
     seen = 0
     for frame in sequence.frames():
         with contextlib.suppress(NoAnswer):
-            contestant.update(frame)
+            method.update(frame)
         seen += 1
         if seen == WARM_UP_SCANS:
             break
     return seen
 
 
-def follow(contestant: Odometry, sequence: Sequence, request: Request, residuals: Residuals, steps: BinaryIO) -> None:
+def follow(method: Odometry, sequence: Sequence, request: Request, residuals: Residuals, steps: BinaryIO) -> None:
     """Writes a ``STEP`` record for every scan the back end answers; BackendFailed where it leaves out too many.
 
     A record's ``harness_ns`` is what the harness took around the scan before.
@@ -186,14 +186,14 @@ def follow(contestant: Odometry, sequence: Sequence, request: Request, residuals
         asked += 1
         residuals.clear()
         try:
-            pose, timing = timed(lambda frame=frame: contestant.update(frame))  # type: ignore[misc]
+            pose, timing = timed(lambda frame=frame: method.update(frame))  # type: ignore[misc]
         except NoAnswer as reason:
             unanswered, why = unanswered + 1, str(reason)
             continue
         residuals.ask()
         steps.write(_record(frame, pose, timing, residuals, around))
         around = time.perf_counter_ns() - begun - timing.wall_ns
-    if unanswered > (1.0 - LEAST_ANSWERED) * asked:
+    if unanswered > (1.0 - MIN_ANSWERED) * asked:
         what = f"no answer for {unanswered} of {asked} scans"
         raise BackendFailed(request.backend, what, f"why the last time: {why}")
 

@@ -1,4 +1,4 @@
-"""Somebody else's implementation as a contestant: a shared library, a program, or poses computed elsewhere."""
+"""Somebody else's implementation as a method: a shared library, a program, or poses computed elsewhere."""
 
 from pathlib import Path
 

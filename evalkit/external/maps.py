@@ -1,4 +1,4 @@
-"""A map made elsewhere as a contestant: ``file:map.yaml`` is held against the true map as it is."""
+"""A map made elsewhere as a method: ``file:map.yaml`` is held against the true map as it is."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ PARAMETERS = (
 
 
 def spec(name: str, file: Path, words: list[str]) -> BackendSpec:
-    """The contestant of a map_server file and its ``NAME=VALUE`` words."""
+    """The method of a map_server file and its ``NAME=VALUE`` words."""
     image = map_server.image_of(file)
     return BackendSpec(
         make=partial(made, file),

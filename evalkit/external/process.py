@@ -24,7 +24,7 @@ from evalkit.external.program import Program
 from evalkit.plugins.protocols import BackendSpec, Parameter, Value
 
 VERSION = 1
-MOST_COUNTED = 2.0**31
+MAX_COUNTED = 2.0**31
 """Iterations and pairs are kept in 32 bits."""
 
 HELLO_S = 10.0
@@ -153,9 +153,9 @@ class Talk:
         return Match(
             self.pose(answer),
             bool(self.number(answer, "converged")),
-            int(self.number(answer, "iterations", most=MOST_COUNTED)),
+            int(self.number(answer, "iterations", most=MAX_COUNTED)),
             self.number(answer, "error_m", optional=True),
-            int(self.number(answer, "inliers", most=MOST_COUNTED)),
+            int(self.number(answer, "inliers", most=MAX_COUNTED)),
         )
 
     def pose(self, answer: dict[str, Any]) -> Pose:

@@ -28,7 +28,7 @@ PARAMETERS = (
 
 
 def scheme(rest: str) -> BackendSpec:
-    """The contestant ``file:PATH [NAME=VALUE ...]``: a map (*.yaml), else a trajectory in TUM format."""
+    """The method ``file:PATH [NAME=VALUE ...]``: a map (*.yaml), else a trajectory in TUM format."""
     name = f"file:{rest}"
     path, *words = split(name, rest)
     file = Path(path).resolve()

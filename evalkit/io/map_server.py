@@ -22,10 +22,10 @@ UNKNOWN = 205
 LOG_ODDS = 3.5
 """What "occupied" and "free" become: p = 0.97 and 0.03, clear of every threshold."""
 
-MOST_PIXELS = 2**26
+MAX_PIXELS = 2**26
 """Of an image: a square of 400 m in cells of 5 cm. A few bytes may claim, and a small PNG hold, any number."""
 
-MOST_YAML_BYTES = 4096
+MAX_YAML_BYTES = 4096
 
 _GAP = rb"(?:\s|#[^\n]*\n)+"
 _HEADER = re.compile(rb"P([25])" + 3 * (_GAP + rb"(\d{1,10})") + rb"(?:#[^\n]*\n)?\s")
@@ -65,7 +65,7 @@ def _settings(path: Path) -> dict[str, Any]:
     from ruamel.yaml.error import YAMLError  # noqa: PLC0415
 
     content = bytes_of(path, "the YAML file of a map")
-    if len(content) > MOST_YAML_BYTES:
+    if len(content) > MAX_YAML_BYTES:
         raise BadData(str(path), "", f"{len(content)} bytes, far too many", "give the YAML file of a map")
     try:
         text = content.decode("utf-8-sig")
@@ -152,6 +152,6 @@ def _pgm(path: Path, content: bytes) -> tuple[Shades, int]:
 
 def _bounded(path: Path, width: int, height: int) -> None:
     """Refuses an image that would fill the memory, or has no pixel at all, before it is unpacked."""
-    if not 0 < width * height <= MOST_PIXELS:
-        what = f"{width} x {height} pixels, and at most {MOST_PIXELS} are read"
+    if not 0 < width * height <= MAX_PIXELS:
+        what = f"{width} x {height} pixels, and at most {MAX_PIXELS} are read"
         raise BadData(str(path), "", what, "save the map in larger cells")

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-MOST_BYTES = 2**30
+MAX_BYTES = 2**30
 """Of what an archive may hold when it is unpacked: a map of 14 000 x 14 000 cells."""
 
 _NPY = re.compile(
@@ -42,8 +42,8 @@ def arrays(path: Path) -> dict[str, NDArray[Any]]:
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
-            if sum(member.file_size for member in members) > MOST_BYTES:
-                raise ValueError(f"holds more than {MOST_BYTES} bytes")
+            if sum(member.file_size for member in members) > MAX_BYTES:
+                raise ValueError(f"holds more than {MAX_BYTES} bytes")
             return {member.filename.removesuffix(".npy"): _array(_unpacked(archive, member)) for member in members}
     except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, OverflowError) as error:
         raise ValueError(f"damaged archive ({error})") from None

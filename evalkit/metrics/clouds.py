@@ -12,9 +12,9 @@ from evalkit.metrics.neighbourhoods import MIN_HITS, PATCH_M, Patches, evenly, p
 from evalkit.metrics.surfaces import pieces
 from evalkit.metrics.table import Evidence, Metric, number, standing_on
 
-MOST_HITS = 20_000
-MOST_PLACES = 1000
-LEAST_M = 1e-3
+MAX_HITS = 20_000
+MAX_PLACES = 1000
+MIN_M = 1e-3
 """A neighbourhood is at least so thick: exact lines would be infinitely sharp."""
 
 BINS = 1800
@@ -29,15 +29,15 @@ def entropies(found: Patches) -> tuple[Floats, Bools]:
     h = 1/2 ln |2 pi e Sigma| (Razlaw et al., ECMR 2015), here with the 2 x 2 covariance, no axis below 1 mm.
     """
     enough = found.counts >= MIN_HITS
-    least = LEAST_M**2
+    least = MIN_M**2
     determinant = np.maximum(found.small, least) * np.maximum(found.large, least)
     return np.log(2.0 * np.pi * np.e) + 0.5 * np.log(determinant), np.asarray(enough)
 
 
 def mean_map_entropy(points: Floats, radius_m: float = PATCH_M) -> tuple[float, int, float]:
     """Mean entropy (nat) over at most 1,000 places of points (N, 2), N > 0, at how many, and at what share of all."""
-    points = evenly(points, MOST_HITS)
-    values, enough = entropies(patches(points, evenly(points, MOST_PLACES), radius_m))
+    points = evenly(points, MAX_HITS)
+    values, enough = entropies(patches(points, evenly(points, MAX_PLACES), radius_m))
     return (float(values[enough].mean()) if enough.any() else 0.0), int(enough.sum()), float(enough.mean())
 
 
@@ -47,11 +47,11 @@ def joint_minus_separate(first: Floats, second: Floats, radius_m: float = PATCH_
     CorAl (Adolfsson et al., ECMR 2021) with one radius: what the scene itself has of entropy cancels. Only places count
     at which both clouds have five points within the radius.
     """
-    first, second = evenly(first, MOST_HITS // 2), evenly(second, MOST_HITS // 2)
+    first, second = evenly(first, MAX_HITS // 2), evenly(second, MAX_HITS // 2)
     both = np.concatenate([first, second])
     added, places = 0.0, 0
     for own, other in ((first, second), (second, first)):
-        middles = evenly(own, MOST_PLACES // 2)
+        middles = evenly(own, MAX_PLACES // 2)
         separate, enough = entropies(patches(own, middles, radius_m))
         shared = enough & (patches(other, middles, radius_m).counts >= MIN_HITS)
         joint, _ = entropies(patches(both, middles, radius_m))

@@ -17,8 +17,8 @@ from evalkit.metrics.maps import nearest_m
 from evalkit.metrics.neighbourhoods import evenly, patches
 from evalkit.metrics.table import DIVERGED, Evidence, Mapped, Metric, number, once, standing_on
 
-MOST_HITS = 20_000
-MOST_PATCHES = 1000
+MAX_HITS = 20_000
+MAX_PATCHES = 1000
 MIN_WALL_SHARE = 0.05
 CORNER_APART_M = 0.2
 CORNER_RESPONSE = 1.8e-5
@@ -46,8 +46,8 @@ def thicknesses(hits: Floats) -> tuple[Floats, float]:
     A patch is all hits within 0.5 m of one; its thickness is sqrt(lambda_min) of their covariance, where lambda_max
     > 9 lambda_min. Hits and patches are at most 20,000 and 1,000, evenly spaced in the order of time.
     """
-    points = evenly(hits, MOST_HITS)
-    found = patches(points, evenly(points, MOST_PATCHES))
+    points = evenly(hits, MAX_HITS)
+    found = patches(points, evenly(points, MAX_PATCHES))
     return np.sqrt(found.small[found.flat]), float(found.flat.mean())
 
 
@@ -181,7 +181,7 @@ def _wall_share(evidence: Evidence) -> Score:
     points = all_hits(evidence)
     if len(points) == 0:
         return Score(None, 0, NO_HIT)
-    return number(100.0 * _thicknesses(evidence)[1], min(len(points), MOST_PATCHES))
+    return number(100.0 * _thicknesses(evidence)[1], min(len(points), MAX_PATCHES))
 
 
 @once

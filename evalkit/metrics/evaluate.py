@@ -11,7 +11,7 @@ from evalkit import metrics
 from evalkit.core import se2
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import Run, Score
+from evalkit.core.run_result import RunResult, Score
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
@@ -19,7 +19,7 @@ from evalkit.metrics.table import Evidence, Mapped, Matched, Placed
 from evalkit.metrics.trajectory import errors_m, match
 from evalkit.plugins.protocols import Mapper, Sequence
 
-MOST_PAIRS = 100
+MAX_PAIRS = 100
 """So many pairs of successive scans are kept for the metrics that look from one scan to the next."""
 
 
@@ -37,7 +37,7 @@ class Scored:
     alignment: str = ""
 
 
-def score(run: Run, sequence: Sequence, make_mapper: Callable[[], Mapper], scans: int) -> Scored:
+def score(run: RunResult, sequence: Sequence, make_mapper: Callable[[], Mapper], scans: int) -> Scored:
     """The scores, the map and the error over time of a run, failed runs as far as they came."""
     evidence = with_map(without_map(run, sequence), sequence, make_mapper, scans)
     world_from_start = _world_from_start(evidence)
@@ -47,7 +47,7 @@ def score(run: Run, sequence: Sequence, make_mapper: Callable[[], Mapper], scans
     return Scored(scores, world_from_start, evidence.grid, errors, _in_words(evidence.matched))
 
 
-def without_map(run: Run, sequence: Sequence) -> Evidence:
+def without_map(run: RunResult, sequence: Sequence) -> Evidence:
     """What a run shows without its scans looked at again: enough for drift and runtime."""
     truth = sequence.truth()
     matched = match(run.estimate, truth.trajectory) if truth.trajectory is not None else None
@@ -99,13 +99,13 @@ def _in_words(matched: Matched | str | None) -> str:
 def _placed(
     sequence: Sequence, world_from_base: Trajectory, most: int
 ) -> tuple[Mapped, tuple[tuple[Placed, Placed], ...]]:
-    """At most that many scans and at most ``MOST_PAIRS`` pairs of successive ones, with where the sensor was.
+    """At most that many scans and at most ``MAX_PAIRS`` pairs of successive ones, with where the sensor was.
 
-    Both are evenly spaced over the whole sequence, the same for every contestant; what a run has not answered is
+    Both are evenly spaced over the whole sequence, the same for every method; what a run has not answered is
     missing. The motion within a scan is undone by the estimate's own speed, whatever the back end did with it.
     """
     expected = len(sequence)
-    chosen, earlier = _evenly(expected, most), _evenly(expected - 1, MOST_PAIRS)
+    chosen, earlier = _evenly(expected, most), _evenly(expected - 1, MAX_PAIRS)
     wanted = {*chosen, *earlier, *(index + 1 for index in earlier)}
     placed: dict[int, Placed] = {}
     for index, frame in enumerate(sequence.frames()):

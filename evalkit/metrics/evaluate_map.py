@@ -7,7 +7,7 @@ from dataclasses import replace
 from evalkit import metrics
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import Run, Score
+from evalkit.core.run_result import RunResult, Score
 from evalkit.metrics.evaluate import Scored
 from evalkit.metrics.table import Evidence
 from evalkit.plugins.protocols import Sequence
@@ -24,7 +24,7 @@ NO_PROBABILITIES = "a map file tells occupied, free and unknown, not how probabl
 FRAME = "the map stands where its file and its settings say"
 
 
-def score(run: Run, grid: OccupancyGrid, sequence: Sequence) -> Scored:
+def score(run: RunResult, grid: OccupancyGrid, sequence: Sequence) -> Scored:
     """The scores of a map in the world's frame; what needs a trajectory says that there is none."""
     evidence = Evidence(run, sequence.truth(), NO_TRAJECTORY, grid, (), no_grid=NO_TRAJECTORY)
     table = metrics.all_metrics()

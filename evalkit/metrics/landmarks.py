@@ -19,7 +19,7 @@ CUTOFF_M = 0.5
 ORDER = 1.0
 BESIDE_M = 0.5
 MIN_HITS = 100
-MOST_HITS = 40_000
+MAX_HITS = 40_000
 
 
 def ospa(one: ArrayLike, other: ArrayLike, cutoff_m: float = CUTOFF_M, order: float = ORDER) -> float:
@@ -46,7 +46,7 @@ def signed_offsets(mapped: Mapped, true: OccupancyGrid, within_m: float = BESIDE
     found = [np.zeros(0)]
     if not len(walls):
         return found[0]
-    tree, thin = cKDTree(walls), max(sum(int(scan.hits.sum()) for scan, _ in mapped) // MOST_HITS, 1)
+    tree, thin = cKDTree(walls), max(sum(int(scan.hits.sum()) for scan, _ in mapped) // MAX_HITS, 1)
     for scan, world_from_sensor in mapped:
         points = se2.transform(world_from_sensor, scan.points())[::thin]
         apart, nearest = map(np.asarray, tree.query(points, distance_upper_bound=within_m))

@@ -21,9 +21,9 @@ KEYFRAMES = 10
 KEYFRAME_M = 0.5
 KEYFRAME_RAD = np.radians(20.0)
 MIN_PAIRS = 10
-"""Residuals of fewer pairs are not believed."""
+"""Residuals of fewer pairs are not accepted."""
 
-MOST_SCANS = 100
+MAX_SCANS = 100
 """Of more mapped scans, this many are measured against the map, evenly spaced."""
 
 MAX_STEP_M = 2.0
@@ -55,9 +55,9 @@ def scan_to_scan(successive: Iterable[tuple[Placed, Placed]]) -> Floats:
 def scan_to_map(mapped: Mapped) -> Floats:
     """Per measured scan (K, 2): mean distance (m) of its pairs with the last keyframes, and the share of it paired.
 
-    A keyframe is a scan whose sensor moved 0.5 m or 20 deg from the keyframe before; ten make the submap.
+    A keyframe is a scan whose sensor moved 0.5 m or 20 deg from the keyframe before; ten make the local map.
     """
-    return _residuals(_against_submap(mapped))
+    return _residuals(_against_local_map(mapped))
 
 
 def step_m(pairs: Iterable[tuple[Placed, Placed]]) -> float:
@@ -75,7 +75,7 @@ def keyframes(poses: Floats) -> Ints:
     return np.array(found, dtype=np.int64)
 
 
-def _against_submap(mapped: Mapped) -> Iterator[tuple[Floats, cKDTree]]:
+def _against_local_map(mapped: Mapped) -> Iterator[tuple[Floats, cKDTree]]:
     frames = keyframes(np.array([pose for _, pose in mapped]))
     tree, until = cKDTree(np.zeros((0, 2))), 0
     for index in _measured(len(mapped)):
@@ -87,7 +87,7 @@ def _against_submap(mapped: Mapped) -> Iterator[tuple[Floats, cKDTree]]:
 
 def _measured(count: int) -> list[int]:
     """The indices of the scans to measure; never the first, which has nothing before it."""
-    return [int(i) for i in np.unique(np.linspace(1, count - 1, min(MOST_SCANS, count - 1)).astype(int))]
+    return [int(i) for i in np.unique(np.linspace(1, count - 1, min(MAX_SCANS, count - 1)).astype(int))]
 
 
 def _points(placed: Placed) -> Floats:
@@ -146,7 +146,7 @@ def _own(stage: str, field: Literal["error", "iterations"], evidence: Evidence) 
     return number(np.median(values[told]), int(told.sum()))
 
 
-def _share(field: Literal["believed", "converged"], evidence: Evidence) -> Score:
+def _share(field: Literal["accepted", "converged"], evidence: Evidence) -> Score:
     """Per cent of scans whose last stage says no."""
     steps = evidence.run.steps
     last = np.where(steps[f"s2m_{field}"] >= 0, steps[f"s2m_{field}"], steps[f"s2s_{field}"])
@@ -165,16 +165,17 @@ _ROWS = (
            "sequence under the estimated trajectory; median over at most 100 such steps, the same for every back end.",
            PAPER, LOOKS_GOOD, _successive, 4),
     Metric("s2m_m", "S2M residual", "m", "lower", "residuals",
-           "The same between a mapped scan and the submap of the last ten keyframes among the mapped scans (0.5 m or "
+           "The same between a mapped scan and the local map of the last ten keyframes among the mapped scans (0.5 m "
+            "or "
            "20 deg apart).", PAPER, LOOKS_GOOD, partial(_mapped, 0), 4, headline=True),
     Metric("s2m_paired_percent", "S2M points paired", "%", "higher", "residuals",
-           "Points of a mapped scan within 0.5 m of the submap of the last ten keyframes; median over the same scans.",
+           "Points of a mapped scan within 0.5 m of the local map of the last 10 keyframes; median over the same scans.",
            "evalkit", "how well the paired points lie; new places are seen without a fault of the estimate",
            partial(_mapped, 1), 1),
     Metric("guess_kept_percent", "guess kept", "%", "lower", "residuals",
-           "Scans after the first of which the last stage's answer was not believed (too few pairs, or nothing moved "
+           "Scans after the first of which the last stage's answer was not accepted (too few pairs, or nothing moved "
            "to the last digit), so that the guess it started from stands in its place.", "evalkit",
-           "whether the answers believed are right; back ends that do not tell", partial(_share, "believed"), 1,
+           "whether the answers accepted are right; back ends that do not tell", partial(_share, "accepted"), 1,
            headline=True),
     Metric("not_converged_percent", "not converged", "%", "lower", "residuals",
            "Scans after the first of which the last stage ended without meeting its own criterion of convergence.",

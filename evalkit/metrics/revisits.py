@@ -21,8 +21,8 @@ COVERED_SHARE = 0.25
 EVERY_M = 0.2
 MOST = 2000
 
-MOST_OFF_M = 0.15
-MOST_OFF_RAD = 0.02
+MAX_OFF_M = 0.15
+MAX_OFF_RAD = 0.02
 """An automatic relation farther off than either is an outlier (Cartographer's defaults)."""
 
 
@@ -58,7 +58,7 @@ def _runs(marks: Bools) -> Ints:
     return np.asarray(edges.reshape(-1, 2), dtype=np.int64)
 
 
-def within_limits(errors: Floats, metres: float = MOST_OFF_M, radians: float = MOST_OFF_RAD) -> Bools:
+def within_limits(errors: Floats, metres: float = MAX_OFF_M, radians: float = MAX_OFF_RAD) -> Bools:
     """Which errors (M, 2) in metres and radians are no outliers: both at most their limit."""
     return np.asarray((errors[:, 0] <= metres) & (errors[:, 1] <= radians))
 
@@ -101,7 +101,7 @@ _ROWS = (
            f"Mean rotation error of the same motions. {HOW}.", SOURCE,
            "places seen once; the true trajectory's own errors", _scored(_mean(1)), 2),
     Metric("revisit_within_percent", "returns within limits", "%", "higher", "relations",
-           f"Motions between two visits of a place that are at most {MOST_OFF_M:g} m and {MOST_OFF_RAD:g} rad off, of "
+           f"Motions between two visits of a place that are at most {MAX_OFF_M:g} m and {MAX_OFF_RAD:g} rad off, of "
            f"those answered. {HOW}.", "the limits: Cartographer's outlier thresholds of automatic relations; as a "
            "score: evalkit", "how far off the others are; places seen once; the true trajectory's own errors",
            _scored(lambda errors: 100.0 * float(within_limits(errors).mean())), 1),

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from evalkit.core.run_result import Run, Score
+from evalkit.core.run_result import RunResult, Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.table import Evidence, Metric, number, standing_on
 
@@ -19,7 +19,7 @@ UNTOLD = {
 """Why there is no time where a run's records hold none."""
 
 
-def period_ns(run: Run) -> float:
+def period_ns(run: RunResult) -> float:
     """The sensor's period: the median time between two answered scans, by how many of the sensor's come to each."""
     return float(np.median(np.diff(run.steps["stamp_ns"]))) / run.every
 

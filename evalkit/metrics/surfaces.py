@@ -16,11 +16,11 @@ from evalkit.metrics.consistency import NO_HIT, WARP, all_hits
 from evalkit.metrics.neighbourhoods import MIN_HITS, PATCH_M, evenly, patches
 from evalkit.metrics.table import DIVERGED, Evidence, Mapped, Metric, number, once, standing_on
 
-MOST_SCANS = 100
+MAX_SCANS = 100
 PLACES_A_SCAN = 40
-MOST_HITS = 20_000
-MOST_PLACES = 500
-MOST_CROSSED = 40_000
+MAX_HITS = 20_000
+MAX_PLACES = 500
+MAX_CROSSED = 40_000
 """Of more hits so many are laid together for variances, and so many across stretches of wall, evenly spaced."""
 
 MIN_PLACES = 20
@@ -38,7 +38,7 @@ NEAREST_M, FARTHEST_M = 0.1, 0.5
 
 SMOOTH_M = 0.02
 BIN_M = 0.01
-LEAST_SHARE = 0.25
+MIN_SHARE = 0.25
 DEEPEST = 0.5
 """A second mode has a quarter of the first one's height at least, and between them the density falls to half of it."""
 
@@ -66,7 +66,7 @@ class Pieces:
 def pieces_of_wall(mapped: Mapped) -> Pieces:
     """The places of at most 100 scans, 40 of each, around which that scan's hits within 0.5 m lie along a line."""
     middles, directions, sensors = [np.zeros((0, 2))], [np.zeros(0)], [np.zeros((0, 2))]
-    for index in np.unique(np.linspace(0, len(mapped) - 1, min(MOST_SCANS, len(mapped))).astype(int)):
+    for index in np.unique(np.linspace(0, len(mapped) - 1, min(MAX_SCANS, len(mapped))).astype(int)):
         scan, world_from_sensor = mapped[int(index)]
         points = se2.transform(world_from_sensor, scan.points())
         if len(points):
@@ -113,7 +113,7 @@ def orthogonal_variance(hits: Floats, pieces: Pieces) -> tuple[float, int]:
     families = orthogonal(pieces.direction)
     if not all(map(len, families)):
         return float("nan"), 0
-    found = [mean_variance(hits, evenly(pieces.middles[family], MOST_PLACES)) for family in families]
+    found = [mean_variance(hits, evenly(pieces.middles[family], MAX_PLACES)) for family in families]
     return sum(value for value, _ in found), min(count for _, count in found)
 
 
@@ -173,7 +173,7 @@ def _second_mode(density: Floats) -> float:
     peaks = peaks[np.argsort(-density[peaks], kind="stable")]
     first = int(peaks[0])
     for other in map(int, peaks[1:]):
-        if density[other] < LEAST_SHARE * density[first]:
+        if density[other] < MIN_SHARE * density[first]:
             break
         between = density[min(first, other) : max(first, other) + 1].min()
         away = abs(other - first) * BIN_M
@@ -196,14 +196,14 @@ def _copies(evidence: Evidence) -> Floats:
         [int(scan.hits.sum()) for scan, _ in evidence.mapped],
         axis=0,
     )
-    return second_copies(evenly(points, MOST_CROSSED), evenly(sensors, MOST_CROSSED), pieces(evidence))
+    return second_copies(evenly(points, MAX_CROSSED), evenly(sensors, MAX_CROSSED), pieces(evidence))
 
 
 def _mean_variance(evidence: Evidence) -> Score:
     points = all_hits(evidence)
     if len(points) == 0:
         return Score(None, 0, NO_HIT)
-    value, places = mean_variance(evenly(points, MOST_HITS), evenly(points, 2 * MOST_PLACES))
+    value, places = mean_variance(evenly(points, MAX_HITS), evenly(points, 2 * MAX_PLACES))
     if places < MIN_PLACES:
         return Score(None, places, f"only {places} places have {MIN_HITS} hits within {PATCH_M:g} m")
     return number(CM2 * value, places)
@@ -213,7 +213,7 @@ def _orthogonal(evidence: Evidence) -> Score:
     points = all_hits(evidence)
     if len(points) == 0:
         return Score(None, 0, NO_HIT)
-    value, places = orthogonal_variance(evenly(points, MOST_HITS), pieces(evidence))
+    value, places = orthogonal_variance(evenly(points, MAX_HITS), pieces(evidence))
     if places < MIN_PLACES:
         return Score(None, places, "single scans hardly show walls at right angles to each other")
     return number(CM2 * value, places)
@@ -239,12 +239,12 @@ def _ghost_distance(evidence: Evidence) -> Score:
 
 KORNILOVA = "Kornilova and Ferrer, 2021, arXiv 2106.11351 (mutually orthogonal metric), in the plane"
 SCATTER = (
-    f"Smaller variance lambda_min of the hits ({MOST_HITS:,} of them, evenly, if there are more) within {PATCH_M:g} m"
+    f"Smaller variance lambda_min of the hits ({MAX_HITS:,} of them, evenly, if there are more) within {PATCH_M:g} m"
 )
 COPY = (
     f"A stretch of wall, known from a single scan, has a second copy where the hits from the same side, {ALONG_M:g} m "
     f"to either side along it, have a second mode {NEAREST_M:g} to {FARTHEST_M:g} m off across it; "
-    f"of the hits at most {MOST_CROSSED:,}, evenly"
+    f"of the hits at most {MAX_CROSSED:,}, evenly"
 )
 
 _ROWS = (

@@ -14,7 +14,7 @@ import numpy as np
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import Run, Score
+from evalkit.core.run_result import RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats, Stamps
 
@@ -51,7 +51,7 @@ class Evidence:
     ``successive``: pairs of a scan and the very next one of the sequence, evenly spaced over it.
     """
 
-    run: Run
+    run: RunResult
     truth: Truth
     matched: Matched | str | None
     grid: OccupancyGrid | None

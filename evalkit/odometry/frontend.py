@@ -1,4 +1,4 @@
-"""Makes an odometry of a registration: scan-to-scan, then scan-to-map against a local submap (paper, figures 2 and 4).
+"""Turn a registration into an odometry: scan-to-scan, then scan-to-map (paper, figures 2 and 4).
 
 This is the one place that does so, and the one place that tells the two kinds of back end apart: pairwise back ends
 therefore differ in the registration alone.
@@ -18,42 +18,42 @@ from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats
-from evalkit.odometry.local_map import GridSubmap, KeyframeSubmap, VoxelMap, voxel_means
+from evalkit.odometry.local_map import GridMap, KeyframeMap, VoxelMap, voxel_means
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import BackendSpec, Odometry, Parameter, Registration, Value, resolved, with_defaults
 
 Stage = Literal["s2s", "s2m"]
 OnMatch = Callable[[Stage, Match, bool], None]
-"""Hears of a stage, its answer, and whether that was believed or the guess kept."""
+"""Hears of a stage, its answer, and whether that was accepted or the guess kept."""
 
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter("prior", "odometry", "", "where the first guess comes from; without odometry: constant velocity",
               choices=("odometry", "constant-velocity", "none")),
     Parameter("scan_to_scan", True, "", "register each scan with the one before"),
-    Parameter("scan_to_map", True, "", "register each scan with the submap, starting from stage one's answer"),
+    Parameter("scan_to_map", True, "", "register each scan with the local map, starting from stage one's answer"),
     Parameter("deskew", True, "", "undo the motion within a scan by the prior's velocity"),
     Parameter("local_radius_m", 0.0, "m", "use only points this near to the base; 0: all", low=0.0),
     Parameter("source_voxel_m", 0.0, "m", "one mean of the scan per cell this wide; 0: off", low=0.0),
-    Parameter("submap", "keyframes", "", "the points of the last keyframes or of the last scans, one lasting map of "
+    Parameter("local_map", "keyframes", "", "the points of the last keyframes or of the last scans, one lasting map of "
               "voxels, or the occupied cells of a grid drawn from every scan",
               choices=("keyframes", "scans", "voxels", "grid")),
-    Parameter("keyframes", 10, "", "how many keyframes (or scans) make the submap", low=1),
+    Parameter("keyframes", 10, "", "how many keyframes (or scans) make the local map", low=1),
     Parameter("keyframe_distance_m", 0.5, "m", "a new keyframe after this distance", low=0.0),
     Parameter("keyframe_angle_deg", 20.0, "deg", "or after this turn", low=0.0),
-    Parameter("submap_voxel_m", 0.0, "m", "one mean of the submap per cell this wide; 0: off", low=0.0),
-    Parameter("submap_radius_m", 15.0, "m", "voxels and grid only: how far around the base they are matched against",
+    Parameter("local_map_voxel_m", 0.0, "m", "one mean of the local map per cell this wide; 0: off", low=0.0),
+    Parameter("local_map_radius_m", 15.0, "m", "voxels and grid only: how far around the base they are matched against",
               low=1.0),
-    Parameter("submap_cell_m", 0.05, "m", "grid only: side of a cell", low=0.005, high=10.0),
-    Parameter("submap_probability", 0.5, "", "grid only: a cell more probable than this is matched against",
+    Parameter("local_map_cell_m", 0.05, "m", "grid only: side of a cell", low=0.005, high=10.0),
+    Parameter("local_map_probability", 0.5, "", "grid only: a cell more probable than this is matched against",
               low=0.0, high=1.0),
-    Parameter("min_inliers", 10, "", "an answer standing on fewer pairs is not believed; the guess is kept", low=0),
+    Parameter("min_inliers", 10, "", "an answer standing on fewer pairs is not accepted; the guess is kept", low=0),
 )  # fmt: skip
 
 EVERY_SCAN = ("scans", "grid")
-"""Submaps that take in every scan, not only keyframes."""
+"""LocalMaps that take in every scan, not only keyframes."""
 
 GRID_MAPPER = "log-odds"
-"""What draws the submap "grid": the paper's mapper."""
+"""What draws the local map "grid": the paper's mapper."""
 
 STAGE_ONE = "s2s."
 """Prefix of a registration parameter that shall differ in the first stage only."""
@@ -69,14 +69,14 @@ class Settings:
     deskew: bool
     local_radius_m: float
     source_voxel_m: float
-    submap: str
+    local_map: str
     keyframes: int
     keyframe_distance_m: float
     keyframe_angle_deg: float
-    submap_voxel_m: float
-    submap_radius_m: float
-    submap_cell_m: float
-    submap_probability: float
+    local_map_voxel_m: float
+    local_map_radius_m: float
+    local_map_cell_m: float
+    local_map_probability: float
     min_inliers: int
 
 
@@ -103,7 +103,7 @@ def complete_parameters(owner: str, spec: BackendSpec, given: Mapping[str, objec
 
 
 def odometry(
-    spec: BackendSpec, parameters: Mapping[str, Value], on_match: OnMatch = lambda _stage, _match, _believed: None
+    spec: BackendSpec, parameters: Mapping[str, Value], on_match: OnMatch = lambda _stage, _match, _accepted: None
 ) -> Odometry:
     """A fresh odometry of a back end with complete parameters; ``on_match`` hears every stage's answer."""
     if spec.kind == "map":
@@ -117,7 +117,7 @@ def odometry(
     return FrontEnd(spec.make(**first), spec.make(**own), settings, on_match)
 
 
-class Submap(Protocol):
+class LocalMap(Protocol):
     """What a scan is matched against in the second stage."""
 
     def add(self, points: Floats, start_from_base: Pose, base_from_sensor: Pose) -> None:
@@ -137,7 +137,7 @@ class FrontEnd:
     ) -> None:
         self._scan_to_scan, self._scan_to_map = scan_to_scan, scan_to_map
         self._settings, self._on_match = settings, on_match
-        self._submap = _submap(settings)
+        self._local_map = _local_map(settings)
         self._motion = Motion(settings.prior)
         self._last: Cloud | None = None
         self._start_from_keyframe = Pose()
@@ -148,14 +148,14 @@ class FrontEnd:
         source = self._source(frame)
         if self._last is None:
             start_from_base = Pose()
-            self._submap.add(source.points, start_from_base, frame.base_from_sensor)
+            self._local_map.add(source.points, start_from_base, frame.base_from_sensor)
         else:
             if self._settings.scan_to_scan:
-                last_from_base = self._believed("s2s", self._scan_to_scan, self._last, source, last_from_base)
+                last_from_base = self._accepted("s2s", self._scan_to_scan, self._last, source, last_from_base)
             start_from_base = start_from_last @ last_from_base
             if self._settings.scan_to_map:
-                submap = self._submap.cloud(start_from_base)
-                start_from_base = self._believed("s2m", self._scan_to_map, submap, source, start_from_base)
+                local_map = self._local_map.cloud(start_from_base)
+                start_from_base = self._accepted("s2m", self._scan_to_map, local_map, source, start_from_base)
         self._keep(source, start_from_base, frame.base_from_sensor)
         self._motion.settle(frame, start_from_base)
         return start_from_base
@@ -170,20 +170,20 @@ class FrontEnd:
             points = voxel_means(points, self._settings.source_voxel_m)
         return Cloud(points, "base")
 
-    def _believed(self, stage: Stage, registration: Registration, target: Cloud, source: Cloud, guess: Pose) -> Pose:
+    def _accepted(self, stage: Stage, registration: Registration, target: Cloud, source: Cloud, guess: Pose) -> Pose:
         match = registration.register(target, source, guess)
-        believed = match.inliers >= self._settings.min_inliers
-        self._on_match(stage, match, believed)
-        return match.target_from_source if believed else guess
+        accepted = match.inliers >= self._settings.min_inliers
+        self._on_match(stage, match, accepted)
+        return match.target_from_source if accepted else guess
 
     def _keep(self, source: Cloud, start_from_base: Pose, base_from_sensor: Pose) -> None:
         if self._last is not None and self._is_keyframe(start_from_base):
-            self._submap.add(source.points, start_from_base, base_from_sensor)
+            self._local_map.add(source.points, start_from_base, base_from_sensor)
             self._start_from_keyframe = start_from_base
         self._last = source
 
     def _is_keyframe(self, start_from_base: Pose) -> bool:
-        if self._settings.submap in EVERY_SCAN:
+        if self._settings.local_map in EVERY_SCAN:
             return True
         moved = self._start_from_keyframe.inverse() @ start_from_base
         far = math.hypot(moved.x, moved.y) >= self._settings.keyframe_distance_m
@@ -195,13 +195,13 @@ def near(points: Floats, radius_m: float) -> Floats:
     return np.asarray(points[np.hypot(points[:, 0], points[:, 1]) <= radius_m])
 
 
-def _submap(settings: Settings) -> Submap:
-    if settings.submap == "voxels":
-        return VoxelMap(settings.submap_voxel_m, settings.submap_radius_m)
-    if settings.submap == "grid":
-        mapper = registry.mapper(GRID_MAPPER).make(resolution_m=settings.submap_cell_m)
-        return GridSubmap(mapper, settings.submap_probability, settings.submap_radius_m)
-    return KeyframeSubmap(settings.keyframes, settings.submap_voxel_m)
+def _local_map(settings: Settings) -> LocalMap:
+    if settings.local_map == "voxels":
+        return VoxelMap(settings.local_map_voxel_m, settings.local_map_radius_m)
+    if settings.local_map == "grid":
+        mapper = registry.mapper(GRID_MAPPER).make(resolution_m=settings.local_map_cell_m)
+        return GridMap(mapper, settings.local_map_probability, settings.local_map_radius_m)
+    return KeyframeMap(settings.keyframes, settings.local_map_voxel_m)
 
 
 class Motion:

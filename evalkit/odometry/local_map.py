@@ -25,7 +25,7 @@ def voxel_means(points: Floats, size_m: float) -> Floats:
     return np.asarray(sums / counts[:, None])
 
 
-class KeyframeSubmap:
+class KeyframeMap:
     """The points of the last keyframes, optionally thinned to voxel means."""
 
     def __init__(self, keyframes: int, voxel_m: float) -> None:
@@ -39,7 +39,7 @@ class KeyframeSubmap:
         self._clouds.append(start_from_base.transform(points))
         self._cloud = None
 
-    def cloud(self, near: Pose) -> Cloud:  # noqa: ARG002 - a short submap is near by itself
+    def cloud(self, near: Pose) -> Cloud:  # noqa: ARG002 - a short local map is near by itself
         """All kept points in the start frame."""
         if self._cloud is None:
             points = np.concatenate(self._clouds)
@@ -57,7 +57,7 @@ class VoxelMap:
     def __init__(self, voxel_m: float, radius_m: float, settled: int = 20) -> None:
         if not voxel_m > 0.0:
             raise BadParameter(
-                "front end", "submap_voxel_m", voxel_m, "a positive number: a lasting map is made of voxels"
+                "front end", "local_map_voxel_m", voxel_m, "a positive number: a lasting map is made of voxels"
             )
         self._voxel_m, self._radius_m, self._settled = voxel_m, radius_m, settled
         self._index: dict[int, int] = {}
@@ -97,7 +97,7 @@ class VoxelMap:
         return slots
 
 
-class GridSubmap:
+class GridMap:
     """The occupied cells of an occupancy grid that grows with every scan: the map the paper draws, matched against.
 
     A cell is occupied where its probability is above ``probability``; its centre is the point to be matched.

@@ -15,7 +15,7 @@ from evalkit.core import se2
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
 
-LEAST_FOR_A_LINE = 3  # two points always lie on a line: they say nothing about the wall
+MIN_FOR_A_LINE = 3  # two points always lie on a line: they say nothing about the wall
 
 
 def points_3d(points: ArrayLike) -> Floats:
@@ -34,7 +34,7 @@ def normals(points: ArrayLike, neighbours: int, radius_m: float) -> Floats:
     is arbitrary: no sensor position is known here.
     """
     rows = np.asarray(points, dtype=np.float64)
-    if len(rows) < LEAST_FOR_A_LINE:
+    if len(rows) < MIN_FOR_A_LINE:
         return np.zeros((len(rows), 2))
     # both dimensions must survive k = 1, hence the list
     distance, index = cKDTree(rows).query(rows, k=list(range(1, neighbours + 1)), distance_upper_bound=radius_m)
@@ -44,7 +44,7 @@ def normals(points: ArrayLike, neighbours: int, radius_m: float) -> Floats:
     offset = np.where(near[..., None], offset - (offset.sum(axis=1) / count)[:, None, :], 0.0)
     xx, yy, xy = (np.einsum("nk,nk->n", offset[..., i], offset[..., j]) for i, j in ((0, 0), (1, 1), (0, 1)))
     along = 0.5 * np.arctan2(2.0 * xy, xx - yy)  # principal axis of a symmetric 2x2 matrix, in closed form
-    wall = (count[:, 0] >= LEAST_FOR_A_LINE) & (xx + yy > 0.0)
+    wall = (count[:, 0] >= MIN_FOR_A_LINE) & (xx + yy > 0.0)
     return np.where(wall[:, None], np.stack([-np.sin(along), np.cos(along)], axis=-1), 0.0)
 
 

@@ -152,7 +152,7 @@ class BackendSpec:
     elsewhere; it answers no scan). ``recorded``: its answers were made elsewhere; nothing else can be asked.
     ``frontend``: front-end settings this back end wants other than the defaults. ``scan_to_scan``: its own parameters
     that differ in the first stage. ``guess``: what it starts from, for the report (an odometry that does not say: "not
-    told"). ``role``: "paper" for the method evalkit itself stands for, "bar" for what all others have to beat.
+    told"). ``role``: "paper" for the method evalkit itself stands for, "baseline" for what all others have to beat.
     ``missing()`` says why it cannot run here and how to mend it, or "". ``broken``: why what is here does not work
     (a program that does not introduce itself), or ""; then its runs have failed, and what could be set is unknown.
     ``digest``: changes with what it consists of beyond its Python sources (a shared library, a program, a file of
@@ -165,7 +165,7 @@ class BackendSpec:
     citation: str
     licence: str
     guess: str = ""
-    role: Literal["", "paper", "bar"] = ""
+    role: Literal["", "paper", "baseline"] = ""
     requires: tuple[str, ...] = ()
     parameters: tuple[Parameter, ...] = ()
     frontend: Mapping[str, Value] = field(default_factory=dict)

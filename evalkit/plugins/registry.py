@@ -78,10 +78,10 @@ def dataset(name: str) -> DatasetSpec:
     return load("datasets", name, DatasetSpec)
 
 
-def run_fingerprint(contestant: str, dataset: str) -> str:
+def run_fingerprint(method: str, dataset: str) -> str:
     """A digest of the code a run stands on: evalkit's part in it, the two plug-ins and the libraries they require."""
-    spec = backend(contestant)
-    plug_in = plug_in_of("backends", contestant)
+    spec = backend(method)
+    plug_in = plug_in_of("backends", method)
     modules = ("evalkit.execution.worker", plug_in.module, _found("datasets")[dataset].module)
     return fingerprint(modules, ("numpy", "scipy", *spec.requires)) + spec.digest
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from evalkit.report.analysis.comparison import Comparison, ContestantCard, SequenceCard, Setting
+from evalkit.report.analysis.comparison import Comparison, MethodCard, SequenceCard, Setting
 from evalkit.report.assembly import comparison_of
 
-__all__ = ["Comparison", "ContestantCard", "SequenceCard", "Setting", "comparison_of", "write"]
+__all__ = ["Comparison", "MethodCard", "SequenceCard", "Setting", "comparison_of", "write"]
 
 
 def write(comparison: Comparison, folder: Path) -> Path:

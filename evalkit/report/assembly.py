@@ -7,7 +7,7 @@ from datetime import datetime
 from functools import cache
 from importlib.metadata import PackageNotFoundError, metadata, packages_distributions
 
-from evalkit.config.experiment import Contestant, Course, Limits, MapperChoice, Plan
+from evalkit.config.experiment import Experiment, Limits, MapperChoice, Method, SequenceSpec
 from evalkit.core.run_result import Trial
 from evalkit.execution import environment
 from evalkit.metrics import all_metrics
@@ -15,13 +15,13 @@ from evalkit.odometry.frontend import parameters_of
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import GUESS_NOT_TOLD, Parameter, Value
 from evalkit.plugins.protocols import Sequence as Recording
-from evalkit.report.analysis.comparison import Comparison, ContestantCard, SequenceCard, Setting
+from evalkit.report.analysis.comparison import Comparison, MethodCard, SequenceCard, Setting
 
 LIBRARIES = ("numpy", "scipy")
 
 
 def comparison_of(
-    plan: Plan,
+    plan: Experiment,
     trials: Sequence[Trial],
     started: datetime,
     finished: datetime,
@@ -31,7 +31,7 @@ def comparison_of(
 
     ``ran_on``: the environment as it was before the first run; without it, as it is now.
     """
-    specs = [registry.entrant(contestant.backend) for contestant in plan.contestants]
+    specs = [registry.entrant(method.backend) for method in plan.methods]
     where = dict(ran_on or environment.describe())
     libraries = dict.fromkeys((*LIBRARIES, *(distribution(name) for spec in specs for name in spec.requires)))
     return Comparison(
@@ -39,32 +39,32 @@ def comparison_of(
         description=plan.description,
         trials=in_order(plan, trials),
         metrics=all_metrics(),
-        contestants={contestant.label: contestant_card(contestant) for contestant in plan.contestants},
-        sequences={course.label: sequence_card(course, trials) for course in plan.courses},
+        methods={method.label: method_card(method) for method in plan.methods},
+        sequences={sequence.label: sequence_card(sequence, trials) for sequence in plan.sequences},
         environment={**where, **environment.versions(libraries)},
         command=f"evalkit {plan.source}",
         started=started,
         finished=finished,
         mapper=mapper_text(plan.mapper),
         fairness=(*fairness(trials, where), limits_text(plan.limits)),
-        scans={course.label: scans_of(course) for course in plan.courses if not course.missing},
+        scans={sequence.label: scans_of(sequence) for sequence in plan.sequences if not sequence.missing},
     )
 
 
-def scans_of(course: Course) -> Callable[[], Recording]:
-    """What makes the sequence of a course's lowest seed."""
-    seed = min((seed for seed in course.seeds if seed is not None), default=None)
-    return lambda: registry.dataset(course.dataset).make(**course.seeded(seed))
+def scans_of(sequence: SequenceSpec) -> Callable[[], Recording]:
+    """What makes the sequence of a sequence's lowest seed."""
+    seed = min((seed for seed in sequence.seeds if seed is not None), default=None)
+    return lambda: registry.dataset(sequence.dataset).make(**sequence.seeded(seed))
 
 
-def in_order(plan: Plan, trials: Sequence[Trial]) -> tuple[Trial, ...]:
-    """The trials by sequence, seed and contestant as the plan names them, whatever the order they were run in."""
-    entrants = [contestant.label for contestant in plan.contestants]
-    courses = {course.label: (row, course.seeds) for row, course in enumerate(plan.courses)}
+def in_order(plan: Experiment, trials: Sequence[Trial]) -> tuple[Trial, ...]:
+    """The trials by sequence, seed and method as the plan names them, whatever the order they were run in."""
+    entrants = [method.label for method in plan.methods]
+    sequences = {sequence.label: (row, sequence.seeds) for row, sequence in enumerate(plan.sequences)}
 
     def place(trial: Trial) -> tuple[int, int, int]:
-        row, seeds = courses[trial.sequence]
-        return row, seeds.index(trial.seed), entrants.index(trial.contestant)
+        row, seeds = sequences[trial.sequence]
+        return row, seeds.index(trial.seed), entrants.index(trial.method)
 
     return tuple(sorted(trials, key=place))
 
@@ -83,12 +83,12 @@ def _distributions() -> Mapping[str, Sequence[str]]:
     return packages_distributions()  # reads the records of everything installed: a second
 
 
-def contestant_card(contestant: Contestant) -> ContestantCard:
-    """The card of a contestant, with every setting it ran with."""
-    spec = registry.entrant(contestant.backend)
-    settings = settings_of(contestant.parameters, parameters_of(spec), "set for this contestant")
+def method_card(method: Method) -> MethodCard:
+    """The card of a method, with every setting it ran with."""
+    spec = registry.entrant(method.backend)
+    settings = settings_of(method.parameters, parameters_of(spec), "set for this method")
     guess = "" if spec.guess == GUESS_NOT_TOLD else spec.guess
-    return ContestantCard(spec.summary, spec.citation, spec.licence, settings, guess, contestant.missing, spec.role)
+    return MethodCard(spec.summary, spec.citation, spec.licence, settings, guess, method.missing, spec.role)
 
 
 def settings_of(given: Mapping[str, Value], parameters: Sequence[Parameter], otherwise: str) -> tuple[Setting, ...]:
@@ -102,10 +102,10 @@ def settings_of(given: Mapping[str, Value], parameters: Sequence[Parameter], oth
     )
 
 
-def sequence_card(course: Course, trials: Sequence[Trial]) -> SequenceCard:
+def sequence_card(sequence: SequenceSpec, trials: Sequence[Trial]) -> SequenceCard:
     """The card of a sequence; the truth is told as its runs met it, else as the data set promises it."""
-    spec = registry.dataset(course.dataset)
-    met = dict.fromkeys(t.truth.how for t in trials if t.sequence == course.label and len(t.run.steps))
+    spec = registry.dataset(sequence.dataset)
+    met = dict.fromkeys(t.truth.how for t in trials if t.sequence == sequence.label and len(t.run.steps))
     return SequenceCard(
         spec.summary,
         spec.sensor,
@@ -115,7 +115,7 @@ def sequence_card(course: Course, trials: Sequence[Trial]) -> SequenceCard:
         spec.defects,
         spec.degenerate,
         spec.published,
-        settings_of(course.parameters, spec.parameters, "set for this sequence"),
+        settings_of(sequence.parameters, spec.parameters, "set for this sequence"),
     )
 
 
@@ -125,7 +125,7 @@ def mapper_text(mapper: MapperChoice) -> str:
 
 
 def fairness(trials: Sequence[Trial], environment: Mapping[str, str]) -> tuple[str, ...]:
-    """What was held equal between contestants, and what was not; ``environment``: what they ran on."""
+    """What was held equal between methods, and what was not; ``environment``: what they ran on."""
     warm = sorted({trial.run.warm_up_scans for trial in trials if len(trial.run.steps)})
     warmed = f"the first {'/'.join(map(str, warm))} scans" if warm else "the first scans"
     at_once = environment.get("runs at a time", "")
@@ -134,14 +134,14 @@ def fairness(trials: Sequence[Trial], environment: Mapping[str, str]) -> tuple[s
     shared = "; those at the same time share caches and memory, and slow each other" if at_once != "1" else ""
     return (
         *([f"Runs at a time: {at_once}{shared}."] if at_once else []),
-        "Every run has a process of its own, one thread for numerical libraries, and contestants take turns within "
+        "Every run has a process of its own, one thread for numerical libraries, and methods take turns within "
         "each repetition, forth in one and back in the next (A B, B A), so that a slow hour hits all alike.",
-        "Only the contestant's own call is timed; turning values into a library's format and back is part of it and is "
+        "Only the method's own call is timed; turning values into a library's format and back is part of it and is "
         "also shown apart. Reading, checking and storing are not timed.",
         f"Imports and first allocations are paid by another instance that sees {warmed} before the timed one starts.",
-        "What a contestant starts its registration from is on its card; all that start from wheel odometry get the "
+        "What a method starts its registration from is on its card; all that start from wheel odometry get the "
         "same odometry.",
-        "All maps are drawn by one mapper from each contestant's trajectory, aligned to the truth where there is one"
+        "All maps are drawn by one mapper from each method's trajectory, aligned to the truth where there is one"
         f"{elsewhere}.",
         "Runs that did not complete are counted and shown, and enter no median; nobody who lost a run can win.",
     )

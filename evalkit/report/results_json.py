@@ -37,7 +37,7 @@ def results(comparison: Comparison, overview: Sequence[str], verdicts: Sequence[
         "mapper": comparison.mapper,
         "fairness": list(comparison.fairness),
         "metrics": [_metric(metric) for metric in comparison.metrics],
-        "contestants": {label: asdict(card) for label, card in comparison.contestants.items()},
+        "methods": {label: asdict(card) for label, card in comparison.methods.items()},
         "sequences": {label: asdict(card) for label, card in comparison.sequences.items()},
         "overview": list(overview),
         "verdicts": [asdict(verdict) for verdict in verdicts],
@@ -53,12 +53,12 @@ def schema() -> str:
 
 
 def _intervals(comparison: Comparison, sequence: str) -> Iterator[dict[str, Any]]:
-    """The median over a contestant's runs with its 95 % interval, for every metric that has one."""
+    """The median over a method's runs with its 95 % interval, for every metric that has one."""
     for metric in comparison.metrics:
         for cell in standing(comparison, sequence, metric).cells:
             found = interval(cell)
             if found is not None:
-                names = {"sequence": sequence, "contestant": cell.contestant, "metric": metric.name}
+                names = {"sequence": sequence, "method": cell.method, "metric": metric.name}
                 yield names | asdict(found)
 
 
@@ -68,7 +68,7 @@ def _differences(comparison: Comparison, sequence: str) -> Iterator[dict[str, An
     for who, held in found.rows if found else ():
         for reference, one in zip(found.references if found else (), held, strict=True):
             if found is not None and one is not None and one.apart is not None:
-                names = {"sequence": sequence, "contestant": who, "reference": reference, "metric": found.metric.name}
+                names = {"sequence": sequence, "method": who, "reference": reference, "metric": found.metric.name}
                 drawn = {"drawn": one.apart.by, "detectable": one.apart.detectable, "said": one.said}
                 yield names | asdict(one.apart.interval) | drawn
 
@@ -82,7 +82,7 @@ def _trial(trial: Trial) -> dict[str, Any]:
     run = trial.run
     return {
         "key": trial.key,
-        "contestant": trial.contestant,
+        "method": trial.method,
         "backend": trial.backend,
         "backend_parameters": dict(trial.backend_parameters),
         "sequence": trial.sequence,

@@ -17,7 +17,7 @@ def trials(comparison: Comparison) -> pd.DataFrame:
     for trial in comparison.trials:
         row: dict[str, object] = {
             "key": trial.key,
-            "contestant": trial.contestant,
+            "method": trial.method,
             "sequence": trial.sequence,
             "seed": trial.seed,
             "status": trial.run.status,
@@ -37,7 +37,7 @@ def scores(comparison: Comparison) -> pd.DataFrame:
     rows = [
         {
             "key": trial.key,
-            "contestant": trial.contestant,
+            "method": trial.method,
             "sequence": trial.sequence,
             "seed": trial.seed,
             "status": trial.run.status,
@@ -55,7 +55,7 @@ def scores(comparison: Comparison) -> pd.DataFrame:
 
 
 def summary(comparison: Comparison) -> pd.DataFrame:
-    """One row per sequence, contestant and metric: median, lowest, highest and 95 % interval over the complete runs.
+    """One row per sequence, method and metric: median, lowest, highest and 95 % interval over the complete runs.
 
     ``place`` is 1 for the best among those who completed every run, empty for the rest; ``level_with_best`` says that
     no difference from it is shown.
@@ -64,11 +64,11 @@ def summary(comparison: Comparison) -> pd.DataFrame:
     for sequence in comparison.sequence_labels:
         for metric in comparison.metrics:
             found = standing(comparison, sequence, metric)
-            places = {cell.contestant: place for place, cell in enumerate(found.ranked, start=1)}
+            places = {cell.method: place for place, cell in enumerate(found.ranked, start=1)}
             rows += [
                 {
                     "sequence": sequence,
-                    "contestant": cell.contestant,
+                    "method": cell.method,
                     "metric": metric.name,
                     "unit": metric.unit,
                     "better": metric.better,
@@ -80,7 +80,7 @@ def summary(comparison: Comparison) -> pd.DataFrame:
                     "highest": max(cell.values, default=None),
                     "low_95": bounds.low if (bounds := interval(cell)) else None,
                     "high_95": bounds.high if bounds else None,
-                    "place": places.get(cell.contestant),
+                    "place": places.get(cell.method),
                     "level_with_best": cell in found.level,
                     "reason": cell.reason,
                 }

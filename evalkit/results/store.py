@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from evalkit.core.errors import StoreError
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, Run, Score, Status
+from evalkit.core.run_result import STEP, RunResult, Score, Status
 from evalkit.core.trajectory import Trajectory
 from evalkit.io import untrusted_io
 
@@ -99,7 +99,7 @@ class Store:
             partial.write_bytes(content)
             partial.replace(path)
 
-    def save_run(self, key: str, run: Run, made: Mapping[str, Any]) -> None:
+    def save_run(self, key: str, run: RunResult, made: Mapping[str, Any]) -> None:
         """Keeps how a run ended and how it was ``made``: when, on what, which limits. Its steps should be there."""
         steps = self.run_folder(key) / STEPS
         if not steps.exists() or read_steps(steps).tobytes() != run.steps.tobytes():  # removed, or times left out
@@ -109,13 +109,13 @@ class Store:
         self.write_text(self.run_folder(key) / "run.json", json.dumps(record, indent=1))
         self.write_text(self.folder / "trajectories" / f"{key}.tum", tum(run.estimate, run.sequence, run.backend))
 
-    def load_run(self, key: str) -> Run | None:
+    def load_run(self, key: str) -> RunResult | None:
         """A finished run, or None."""
         folder = self.run_folder(key)
         try:
             record = untrusted_io.values((folder / "run.json").read_bytes())
             steps = read_steps(folder / STEPS)
-            return Run(steps=steps, **record) if record.pop("answers") == len(steps) else None
+            return RunResult(steps=steps, **record) if record.pop("answers") == len(steps) else None
         except (OSError, ValueError, TypeError, KeyError, AttributeError):  # absent or half-written: it is made again
             return None
 
@@ -241,7 +241,7 @@ def whole_records(content: bytes) -> NDArray[np.void]:
     return np.frombuffer(content[: len(content) // STEP.itemsize * STEP.itemsize], dtype=STEP)
 
 
-def digest(run: Run) -> str:
+def digest(run: RunResult) -> str:
     """What a run answered, as SHA-256 of its stamps and poses: two runs with one digest agree to the last bit."""
     hashed = hashlib.sha256(run.steps["stamp_ns"].astype("<i8").tobytes())
     for name in ("x", "y", "theta"):

@@ -18,10 +18,10 @@ CONFIDENCE = 0.95
 DRAWS = 2000
 
 BLOCK_S = 10.0
-FEWEST_BLOCKS = 5
+MIN_BLOCKS = 5
 """A run is cut into stretches of 10 s, shorter ones where it would have fewer than five."""
 
-FEWEST_SEQUENCES = 8
+MIN_SEQUENCES = 8
 """Below this the chi-square of Friedman's test and the critical difference promise more than they hold."""
 
 
@@ -84,7 +84,7 @@ def block_length(scans: int, period_s: float | None = None) -> int:
     if scans < 1:
         raise ValueError(f"scans: expected at least one, got {scans}")
     wanted = math.ceil(scans ** (1.0 / 3.0) - 1e-9) if period_s is None else round(BLOCK_S / period_s)
-    return max(1, min(wanted, scans // FEWEST_BLOCKS))
+    return max(1, min(wanted, scans // MIN_BLOCKS))
 
 
 def block_bootstrap(
@@ -202,22 +202,22 @@ def detectable_errors(spare: float, power: float = 0.8, alpha: float = 0.05) -> 
 
 
 def friedman(errors: ArrayLike, alpha: float = 0.05) -> Friedman | str:
-    """Mean ranks of K contestants over N sequences (N, K), lower is better, or why there are none.
+    """Mean ranks of K methods over N sequences (N, K), lower is better, or why there are none.
 
     Friedman's test and Nemenyi's critical difference q sqrt(K (K + 1) / 6 N) (Demsar, JMLR 7, 2006). An infinite error
     is a failure and shares the last rank.
     """
     table = np.asarray(errors, dtype=np.float64)
-    sequences, contestants = table.shape
-    if sequences < FEWEST_SEQUENCES:
+    sequences, methods = table.shape
+    if sequences < MIN_SEQUENCES:
         are = "sequence is" if sequences == 1 else "sequences are"
-        return f"{sequences} {are} too few for ranks with a critical difference: it takes {FEWEST_SEQUENCES}"
-    if contestants < 3:
-        return f"{contestants} contestants are too few for a test of ranks: it takes 3"
+        return f"{sequences} {are} too few for ranks with a critical difference: it takes {MIN_SEQUENCES}"
+    if methods < 3:
+        return f"{methods} methods are too few for a test of ranks: it takes 3"
     ranks = stats.rankdata(table, axis=1)
     statistic, p = (0.0, 1.0) if (ranks == ranks[:, :1]).all() else stats.friedmanchisquare(*ranks.T)
-    q = stats.studentized_range.ppf(1.0 - alpha, contestants, np.inf) / math.sqrt(2.0)
-    critical = float(q) * math.sqrt(contestants * (contestants + 1) / (6.0 * sequences))
+    q = stats.studentized_range.ppf(1.0 - alpha, methods, np.inf) / math.sqrt(2.0)
+    critical = float(q) * math.sqrt(methods * (methods + 1) / (6.0 * sequences))
     return Friedman(tuple(ranks.mean(axis=0).tolist()), float(statistic), float(p), critical, sequences)
 
 

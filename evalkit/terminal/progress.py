@@ -14,7 +14,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from evalkit.config.experiment import Plan, Planned
+from evalkit.config.experiment import Experiment, RunSpec
 
 if TYPE_CHECKING:
     from evalkit.execution.run_task import Ended  # loads every metric
@@ -24,18 +24,18 @@ WIDE = 10_000
 
 
 class TimeLeft:
-    """An estimate from what finished runs took: a sequence's mean times a contestant's share of the mean."""
+    """An estimate from what finished runs took: a sequence's mean times a method's share of the mean."""
 
-    def __init__(self, planned: list[Planned], jobs: int) -> None:
-        self._open = Counter((item.course.label, item.contestant.label) for item in planned)
+    def __init__(self, planned: list[RunSpec], jobs: int) -> None:
+        self._open = Counter((item.sequence.label, item.method.label) for item in planned)
         self._jobs = jobs
         self._took: dict[str, float] = defaultdict(float)
         self._runs: dict[str, int] = defaultdict(int)
 
-    def finished(self, course: str, contestant: str, seconds: float) -> None:
+    def finished(self, sequence: str, method: str, seconds: float) -> None:
         """One run less; ``seconds``: what it took with its scoring, 0 for one that was kept and tells nothing."""
-        self._open[course, contestant] -= 1
-        for name in ("", f"course {course}", f"contestant {contestant}") if seconds > 0.0 else ():
+        self._open[sequence, method] -= 1
+        for name in ("", f"sequence {sequence}", f"method {method}") if seconds > 0.0 else ():
             self._took[name] += seconds
             self._runs[name] += 1
 
@@ -46,8 +46,8 @@ class TimeLeft:
         of = {name: took / self._runs[name] for name, took in self._took.items()}
         mean = of[""]
         expected = (
-            count * of.get(f"course {course}", mean) * of.get(f"contestant {contestant}", mean) / mean
-            for (course, contestant), count in self._open.items()
+            count * of.get(f"sequence {sequence}", mean) * of.get(f"method {method}", mean) / mean
+            for (sequence, method), count in self._open.items()
         )
         return sum(expected) / self._jobs
 
@@ -55,20 +55,20 @@ class TimeLeft:
 class RunLines:
     """Plain lines, one a finished run: for logs and pipes."""
 
-    def __init__(self, console: Console, planned: list[Planned], jobs: int) -> None:
+    def __init__(self, console: Console, planned: list[RunSpec], jobs: int) -> None:
         self._console, self._total, self._done = console, len(planned), 0
         self._left = TimeLeft(planned, jobs)
 
-    def begun(self, planned: Planned) -> None:
+    def begun(self, planned: RunSpec) -> None:
         """A run starts; its line comes when it has ended."""
 
-    def answered(self, planned: Planned, scans: int) -> None:
+    def answered(self, planned: RunSpec, scans: int) -> None:
         """A run has answered so many scans; a line each would be too many."""
 
     def finished(self, ended: Ended) -> None:
         """A run is done: its line, and the time left."""
         self._done += 1
-        self._left.finished(ended.planned.course.label, ended.planned.contestant.label, ended.seconds)
+        self._left.finished(ended.planned.sequence.label, ended.planned.method.label, ended.seconds)
         self._tell(ended)
 
     def _tell(self, ended: Ended) -> None:
@@ -89,15 +89,15 @@ class Silence(RunLines):
 class RunBar(RunLines):
     """A bar with the time left, and above it a line for every run that did not complete."""
 
-    def __init__(self, console: Console, planned: list[Planned], jobs: int) -> None:
+    def __init__(self, console: Console, planned: list[RunSpec], jobs: int) -> None:
         super().__init__(console, planned, jobs)
         columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
         self.bar = Progress(*columns, console=console, transient=True)
         self._task = self.bar.add_task("starting", total=self._total)
 
-    def answered(self, planned: Planned, scans: int) -> None:
+    def answered(self, planned: RunSpec, scans: int) -> None:
         """Shows which run is at which scan."""
-        at = escape(f"{planned.course.label} / {planned.contestant.label}: scan {scans:,}")
+        at = escape(f"{planned.sequence.label} / {planned.method.label}: scan {scans:,}")
         self.bar.update(self._task, description=f"{self._time_left()}  {at}")
 
     def _tell(self, ended: Ended) -> None:
@@ -107,7 +107,7 @@ class RunBar(RunLines):
 
 
 @contextmanager
-def progress(console: Console, planned: list[Planned], jobs: int, quiet: bool = False) -> Iterator[RunLines]:
+def progress(console: Console, planned: list[RunSpec], jobs: int, quiet: bool = False) -> Iterator[RunLines]:
     """A bar on a terminal, lines elsewhere; nothing where that is ``quiet``."""
     if quiet:
         yield Silence(console, [], 1)
@@ -182,12 +182,12 @@ def show(console: Console, table: Table) -> None:
     (console if console.is_terminal else Console(width=WIDE)).print(table)
 
 
-def missing(plan: Plan) -> list[str]:
+def missing(plan: Experiment) -> list[str]:
     """A line for every reason why part of a plan cannot run here: what the system lacks first, one command mends it."""
-    entrants = [(entrant.label, entrant.missing) for entrant in plan.contestants]
-    courses = [(course.label, course.missing) for course in plan.courses]
+    entrants = [(entrant.label, entrant.missing) for entrant in plan.methods]
+    sequences = [(sequence.label, sequence.missing) for sequence in plan.sequences]
     lacking: dict[str, list[str]] = defaultdict(list)
-    for label, reason in entrants + courses:
+    for label, reason in entrants + sequences:
         if reason:
             lacking[" ".join(reason.split())].append(label)
     by_system = sorted(lacking, key=lambda reason: "apt-get" not in reason)
@@ -198,7 +198,7 @@ def _line(ended: Ended) -> str:
     planned = ended.planned
     seed = "" if planned.seed is None else f" seed {planned.seed}"
     reason = f" ({ended.reason})" if ended.reason else ""
-    return f"{planned.course.label}{seed} / {planned.contestant.label}: {ended.status}{reason}, {ended.seconds:.1f} s"
+    return f"{planned.sequence.label}{seed} / {planned.method.label}: {ended.status}{reason}, {ended.seconds:.1f} s"
 
 
 def _clock(seconds: float) -> str:

@@ -27,7 +27,7 @@ class Row:
     """A run in short: a plan may have thousands. ``expected``: scans in its sequence, 0 where that was not opened."""
 
     key: str
-    contestant: str
+    method: str
     sequence: str
     seed: int | None
     status: Status
@@ -38,14 +38,14 @@ class Row:
     def of(cls, ended: Ended) -> Row:
         """The row of a run that has ended."""
         planned = ended.planned
-        labels = planned.contestant.label, planned.course.label
+        labels = planned.method.label, planned.sequence.label
         return cls(planned.key, *labels, planned.seed, ended.status, ended.reason, ended.expected)
 
     @classmethod
     def of_trial(cls, trial: Trial) -> Row:
         """The row of a trial."""
         run = trial.run
-        return cls(trial.key, trial.contestant, trial.sequence, trial.seed, run.status, run.reason, run.expected)
+        return cls(trial.key, trial.method, trial.sequence, trial.seed, run.status, run.reason, run.expected)
 
     @property
     def place(self) -> str:
@@ -55,7 +55,7 @@ class Row:
     def as_json(self, store: Store) -> dict[str, Any]:
         """The row with its scores."""
         return {
-            "contestant": self.contestant,
+            "method": self.method,
             "sequence": self.sequence,
             "seed": self.seed,
             "status": self.status,
@@ -89,13 +89,13 @@ def _tell(rows: Sequence[Row], skipped: Sequence[Row]) -> None:
     told = f"{complete} runs complete, {broken} failed, {absent} not possible here"
     out.print(f"{told}: {names}" if names else told, markup=False, highlight=False)
     if skipped:
-        missing = ", ".join(f"{row.contestant} on {row.place}" for row in skipped[:MOST])
+        missing = ", ".join(f"{row.method} on {row.place}" for row in skipped[:MOST])
         more = f" and {len(skipped) - MOST:,} more" if len(skipped) > MOST else ""
         out.print(f"{len(skipped)} not made yet: {missing}{more}", markup=False, highlight=False)
 
 
 def _absent(rows: Sequence[Row]) -> list[str]:
-    """The contestants and sequences that could not run here, each once; "who on what" where it was the pair alone."""
+    """The methods and sequences that could not run here, each once; "who on what" where it was the pair alone."""
     absent = [row for row in rows if row.status in ABSENT and row.status != "skipped"]
     missing = {row.sequence for row in absent if row.status == "data-missing" and row.expected == 0}
     return list(dict.fromkeys(_what_is_absent(row, row.sequence not in missing) for row in absent))
@@ -103,5 +103,5 @@ def _absent(rows: Sequence[Row]) -> list[str]:
 
 def _what_is_absent(row: Row, sequence_is_here: bool) -> str:
     if row.status == "not-installed":
-        return row.contestant
-    return f"{row.contestant} on {row.sequence}" if sequence_is_here else row.sequence
+        return row.method
+    return f"{row.method} on {row.sequence}" if sequence_is_here else row.sequence

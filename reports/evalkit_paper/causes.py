@@ -85,8 +85,8 @@ def definition(settings: Settings, results: Results) -> str:
         f"least one is above median + {spikes.SPIKE_SIGMAS:g} sigma. Median and sigma (1.4826 x median absolute "
         f"deviation) are those of the straight parts (yaw rate under {steady_drives.CALM_DPS:g} deg/s, from "
         f"{steady_drives.SETTLED_S:g} s on) of the drive with slow turns at the same rate ({bands}). "
-        f"an event when it peaks from the scan before the event until {spikes.SETTLES_S:g} s after; events are known from "
-        f"the truth and the schedule, never from the residual. A turn is quick from {lab_drives.QUICK_DPS:g} deg/s on; "
+        f"an event when it peaks from the scan before the event until {spikes.SETTLES_S:g} s after; events are known "
+        f"from the truth and the schedule, never from the residual. A turn is quick from {lab_drives.QUICK_DPS:g} deg/s on; "
         f"people are an event while they hide {100 * lab_drives.HIDDEN:.0f} % of the beams or more."
     )
 
@@ -150,7 +150,8 @@ def told(settings: Settings, results: Results) -> str:
     words = "; ".join(f"{name}: {hit} of {count} events" for name, (hit, count) in counts.items() if count)
     return (
         f"S2S spikes over all rates: {words}. A number in brackets counts spikes apart from the events: when a drive "
-        "starts, S2M is high until the submap has filled, and the drives with lost scans have their other quick turns "
+        "starts, S2M is high until the local map has filled, and the drives with lost scans have their other quick "
+        "turns "
         "there. The residual sees the motion within a scan, because a scan bent otherwise than the last fits it "
         "nowhere; it hardly sees slip, because the pairs are found anew from the wrong guess: what slip costs is in "
         "the pose."

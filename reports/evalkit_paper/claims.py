@@ -31,7 +31,7 @@ USES = ("evalkit_baselines.paper", "evalkit_baselines.embedded", "evalkit_datase
 
 @dataclass(frozen=True)
 class Entry:
-    """A contestant under a label."""
+    """A method under a label."""
 
     label: str
     backend: str
@@ -56,7 +56,7 @@ PARAMETERS = (
 
 
 def jobs(settings: Settings) -> tuple[Job, ...]:
-    """A long drive for every contestant, world and seed, and drives among people."""
+    """A long drive for every method, world and seed, and drives among people."""
     function, crowd = f"{long_drives.__name__}:grown", f"{long_drives.__name__}:crowded"
     long = [
         Job(
@@ -120,7 +120,7 @@ def _loops(settings: Settings, results: Results) -> Section:
         (entry.label, world, *_row(settings, results, entry.label, world)) for world in WORLDS for entry in ENTRIES
     ]
     columns = (
-        "Contestant", "World", Column("After one lap", "m", number=True), Column("of the way", "%", number=True),
+        "Method", "World", Column("After one lap", "m", number=True), Column("of the way", "%", number=True),
         Column("At the end", "m", number=True), Column("of the way", "%", number=True),
         Column("Grows as the way to the power", number=True, tip="slope of log error over log way, from one lap on"),
     )  # fmt: skip

@@ -32,7 +32,7 @@ class Configuration:
     printed: bool = False
 
 
-_CELLS: Mapping[str, Value] = {"submap": "grid", "submap_cell_m": 0.05}
+_CELLS: Mapping[str, Value] = {"local_map": "grid", "local_map_cell_m": 0.05}
 _NEAR: Mapping[str, Value] = {"keyframe_distance_m": 0.2, "keyframe_angle_deg": 10.0}
 _LOG_ODDS_2 = 0.8807970779778823  # 1 / (1 + exp(-2))
 
@@ -40,8 +40,10 @@ CONFIGURATIONS = (
     Configuration("odometry only", parameters={"scan_to_scan": False, "scan_to_map": False}),
     Configuration("scan to scan only, 1e-4", parameters={"scan_to_map": False, "deskew": False}),
     Configuration("scan to map only, 10 keyframes (0.5 m, 20 deg), 1e-4", parameters={"scan_to_scan": False}),
-    Configuration("last 10 scans, mean square 1e-4 m^2", "paper-literal", {"submap": "scans", "deskew": False}, True),
-    Configuration("last 10 scans, mean 1e-4", parameters={"submap": "scans", "deskew": False}, printed=True),
+    Configuration(
+        "last 10 scans, mean square 1e-4 m^2", "paper-literal", {"local_map": "scans", "deskew": False}, True
+    ),
+    Configuration("last 10 scans, mean 1e-4", parameters={"local_map": "scans", "deskew": False}, printed=True),
     Configuration("occupied cells (P > 0.5), mean 1e-4", parameters={**_CELLS, "deskew": False}, printed=True),
     Configuration("10 keyframes (0.2 m, 10 deg), mean 1e-4, deskewed", parameters=_NEAR),
     Configuration("10 keyframes (0.5 m, 20 deg), mean 1e-4, deskewed ('paper')"),
@@ -49,9 +51,9 @@ CONFIGURATIONS = (
     Configuration("the same, one-to-one only in scan to map", "paper-tight", {**_NEAR, "s2s.one_to_one": False}),
     Configuration("10 keyframes (0.5 m, 20 deg), 1e-6, deskewed ('paper-tight')", "paper-tight"),
     Configuration("10 cm voxel means of 10 keyframes, every pair, 1e-6, deskewed", "paper-tight",
-                  {"submap_voxel_m": 0.1, "one_to_one": False}),
+                  {"local_map_voxel_m": 0.1, "one_to_one": False}),
     Configuration("occupied cells (log-odds > 2), every pair, 1e-6, deskewed", "paper-tight",
-                  {**_CELLS, "submap_probability": _LOG_ODDS_2, "one_to_one": False}),
+                  {**_CELLS, "local_map_probability": _LOG_ODDS_2, "one_to_one": False}),
     Configuration("lasting map of 10 cm voxels, every pair, 1e-6, deskewed ('paper-map')", "paper-map"),
 )  # fmt: skip
 

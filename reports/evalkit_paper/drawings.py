@@ -33,11 +33,11 @@ class Variant:
 
 
 ODOMETRY = Variant("odometry only", parameters={"scan_to_scan": False, "scan_to_map": False})
-LITERAL = Variant("last 10 scans, mean square", "paper-literal", {"submap": "scans", "deskew": False})
+LITERAL = Variant("last 10 scans, mean square", "paper-literal", {"local_map": "scans", "deskew": False})
 PAPER = Variant("paper")
 TIGHT = Variant("paper-tight", "paper-tight")
 
-MOST_SHOWN = 4000
+MAX_SHOWN = 4000
 """So many contradicted hits are kept for the drawing, evenly."""
 
 
@@ -90,7 +90,7 @@ def recording(*, name: str, backend: str, parameters: Mapping[str, Any]) -> dict
         "path": found.poses[:, :2],
         "hits": sum(len(hits(half)) for half in halves),
         "contradicted": len(places_),
-        "places": places_[:: max(len(places_) // MOST_SHOWN, 1)],
+        "places": places_[:: max(len(places_) // MAX_SHOWN, 1)],
     }
 
 

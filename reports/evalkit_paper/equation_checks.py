@@ -76,7 +76,7 @@ def transposed(*, seeds: int) -> dict[str, Any]:
     for name, rotation in (("printed", as_printed), ("correct", guarded)):
         errors, reached = [], 0
         for seed in range(seeds):
-            profile, motion = steps(room.points(), table_1.scan(room, seed), rotation, table_1.MOST_ITERATIONS)
+            profile, motion = steps(room.points(), table_1.scan(room, seed), rotation, table_1.MAX_ITERATIONS)
             metres, degrees = _apart(Pose.of(se2.from_matrix(motion)), table_1.APPLIED)
             reached += metres < 0.1 and degrees < 2.0
             errors.append(profile)

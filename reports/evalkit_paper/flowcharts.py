@@ -22,8 +22,8 @@ Words = Mapping[str, str]
 PIPELINE: Words = {
     "Motion.predict": "first guess: odometry since the last scan",
     "FrontEnd._source": "points of the scan (eq. 1)",
-    "FrontEnd._believed s2s": "register with the last scan",
-    "FrontEnd._believed s2m": "register with the local map",
+    "FrontEnd._accepted s2s": "register with the last scan",
+    "FrontEnd._accepted s2m": "register with the local map",
     "FrontEnd._keep": "keep for the next scans",
     "LogOddsGrid.update": "draw into the log-odds grid",
 }
@@ -40,15 +40,15 @@ TWO_STAGES: Words = {
     "Motion.within": "undo the motion within the scan",
     "near": "keep points within the local radius",
     "voxel_means": "one mean per voxel",
-    "FrontEnd._believed s2s": "ICP with the last scan (S2S)",
-    "KeyframeSubmap.cloud": "local map: last keyframes",
+    "FrontEnd._accepted s2s": "ICP with the last scan (S2S)",
+    "KeyframeMap.cloud": "local map: last keyframes",
     "VoxelMap.cloud": "local map: lasting voxels",
-    "GridSubmap.cloud": "local map: occupied cells",
-    "FrontEnd._believed s2m": "ICP with the local map (S2M)",
+    "GridMap.cloud": "local map: occupied cells",
+    "FrontEnd._accepted s2m": "ICP with the local map (S2M)",
     "FrontEnd._is_keyframe": "new keyframe?",
-    "KeyframeSubmap.add": "add its points to the local map",
+    "KeyframeMap.add": "add its points to the local map",
     "VoxelMap.add": "add its points to the local map",
-    "GridSubmap.add": "draw it into the local map",
+    "GridMap.add": "draw it into the local map",
     "Motion.settle": "the pose: answer, and start of the next",
 }
 MAPPING: Words = {
@@ -122,12 +122,12 @@ PARAMETERS = (
     Parameter("deskew", True, "", "undo the motion within a scan"),
     Parameter("one_to_one", True, "", "the one-to-one filter"),
     Parameter("local_radius_m", 12.0, "m", "points farther away are left out; 0: none", low=0.0),
-    Parameter("submap", "keyframes", "", "the local map", choices=("keyframes", "scans", "grid")),
+    Parameter("local_map", "keyframes", "", "the local map", choices=("keyframes", "scans", "grid")),
     Parameter("traversal", "exact", "", "which cells a beam passes", choices=("exact", "bresenham")),
     Parameter("once_per_scan", True, "", "a scan adds to a cell once"),
 )
 
-_FRONT_END = ("scan_to_scan", "scan_to_map", "deskew", "one_to_one", "local_radius_m", "submap")
+_FRONT_END = ("scan_to_scan", "scan_to_map", "deskew", "one_to_one", "local_radius_m", "local_map")
 _MAPPER = ("traversal", "once_per_scan")
 
 
@@ -146,7 +146,7 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
     """The chapter's one section."""
     del settings
     root = Call.read(results[JOB]["calls"])
-    register = "FrontEnd._believed s2m" if "FrontEnd._believed s2m" in _keys(root) else "FrontEnd._believed s2s"
+    register = "FrontEnd._accepted s2m" if "FrontEnd._accepted s2m" in _keys(root) else "FrontEnd._accepted s2s"
     drawings = (
         ("Figure 2: the pipeline", PIPELINE, "", "scan, wheel odometry", "pose and map"),
         ("Figure 3: registration", REGISTRATION, register, "source P, reference Q, guess", "R, t"),

@@ -21,7 +21,7 @@ TURNED = 0.5 * QUICK_DPS
 """Scans were lost in a turn where this was the mean yaw rate meanwhile (deg/s)."""
 
 START_S = 5.0
-"""How long a drive begins: the submap is only a few scans then."""
+"""How long a drive begins: the local map is only a few scans then."""
 
 HIDDEN = 0.1
 """A share of beams this large that meet people is an event."""

@@ -1,4 +1,4 @@
-"""One contestant at one rate on slower and slower devices, all seeds together."""
+"""One method at one rate on slower and slower devices, all seeds together."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RULE = Rule()
 
 @dataclass(frozen=True, eq=False)
 class Ladder:
-    """One contestant at one rate: its rungs of all seeds, factor by factor."""
+    """One method at one rate: its rungs of all seeds, factor by factor."""
 
     label: str
     rate_hz: float

@@ -24,8 +24,8 @@ def grown(
     """
     sequence = registry.dataset(world).make(seed=seed, laps=laps)
     spec = registry.backend(backend)
-    contestant = frontend.odometry(spec, frontend.complete_parameters(backend, spec, parameters))
-    poses = np.array([contestant.update(frame).row for frame in sequence.frames()])
+    method = frontend.odometry(spec, frontend.complete_parameters(backend, spec, parameters))
+    poses = np.array([method.update(frame).row for frame in sequence.frames()])
     trajectory = sequence.truth().trajectory
     if trajectory is None:
         raise ValueError(f"{world}: has no true trajectory")
@@ -42,8 +42,8 @@ def crowded(
     wanted: Sequence[str],
 ) -> dict[str, Any]:  # fmt: skip
     """The wanted metrics of a drive among so many people who walk about."""
-    spec, course, mapper = registry.backend(backend), registry.dataset(world), registry.mapper("embedded-log-odds")
-    drive: dict[str, Value] = {p.name: p.default for p in course.parameters}
+    spec, sequence, mapper = registry.backend(backend), registry.dataset(world), registry.mapper("embedded-log-odds")
+    drive: dict[str, Value] = {p.name: p.default for p in sequence.parameters}
     drive |= {"seed": seed, "laps": laps, "people": people}
     drawn: dict[str, Value] = {p.name: p.default for p in mapper.parameters}
     complete = frontend.complete_parameters(backend, spec, parameters)

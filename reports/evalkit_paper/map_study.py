@@ -61,7 +61,7 @@ class Study:
         except ValueError:
             raise KeyError(named(variant)) from None
 
-    def courses(self) -> list[tuple[str, str]]:
+    def sequences(self) -> list[tuple[str, str]]:
         """Worlds and kinds of poses, each pair once."""
         return list(dict.fromkeys((world, poses) for world, _, poses in self.units))
 

@@ -100,7 +100,7 @@ def measured(
 
     "mappers": which one drew each variant. ``sensor``: parameters of the sequence other than its defaults.
     """
-    course = drive(world, seed, laps, poses, **(sensor or {}))
+    sequence = drive(world, seed, laps, poses, **(sensor or {}))
     fine = _made(world, laps=laps, resolution_m=FINE_M).truth().grid
     drawn: dict[tuple[int, bool], Mapped] = {}
     rows: dict[str, list[Any]] = {name: [] for name in MEASURES}
@@ -109,37 +109,37 @@ def measured(
         full = complete(variant)
         place = (int(full["scans"]), bool(full["deskewed"]))
         if place not in drawn:
-            drawn[place] = course.placed(*place)
+            drawn[place] = sequence.placed(*place)
         name, grid = _map(full, drawn[place])
         mappers.append(name)
-        by_threshold = np.array([_against(grid, course.true, threshold) for threshold in THRESHOLDS]).T
+        by_threshold = np.array([_against(grid, sequence.true, threshold) for threshold in THRESHOLDS]).T
         for measure, values in zip(MEASURES[:5], by_threshold, strict=True):
             rows[measure].append(values)
         rows["log_loss"].append(log_loss(grid, fine)[0] if fine is not None else np.nan)
         rows["entropy"].append(entropy(grid))
-    return {name: np.array(values) for name, values in rows.items()} | {"ate_m": course.ate_m, "mappers": mappers}
+    return {name: np.array(values) for name, values in rows.items()} | {"ate_m": sequence.ate_m, "mappers": mappers}
 
 
 def drifted(world: str, seed: int, laps: float, metres: Sequence[float], degrees: Sequence[float]) -> dict[str, Any]:
     """``DRIFT_MEASURES`` (K, 6) of maps whose poses leave the truth evenly, by so much at the end; both as arrays."""
-    course = drive(world, seed, laps)
-    middle = np.append(course.poses[:, :2].mean(axis=0), 0.0)
+    sequence = drive(world, seed, laps)
+    middle = np.append(sequence.poses[:, :2].mean(axis=0), 0.0)
     moved = [np.array([metre, 0.0, 0.0]) for metre in metres]
     turned = [se2.compose(se2.compose(middle, [0.0, 0.0, np.radians(d)]), se2.inverse(middle)) for d in degrees]
     return {
-        "metres": np.array([_of_drift(course, motion) for motion in moved]),
-        "degrees": np.array([_of_drift(course, motion) for motion in turned]),
+        "metres": np.array([_of_drift(sequence, motion) for motion in moved]),
+        "degrees": np.array([_of_drift(sequence, motion) for motion in turned]),
     }
 
 
 def pictures(world: str, seed: int, laps: float, poses: str, variants: Sequence[Variant]) -> dict[str, Any]:
     """Every variant's map as probabilities in 0..255 ("0", "1", ...), its "extents" (V, 4) in m, and true "walls"."""
-    course = drive(world, seed, laps, poses)
-    result: dict[str, Any] = {"walls": course.true.centres(course.true.occupied()), "ate_m": course.ate_m}
+    sequence = drive(world, seed, laps, poses)
+    result: dict[str, Any] = {"walls": sequence.true.centres(sequence.true.occupied()), "ate_m": sequence.ate_m}
     extents = []
     for number, variant in enumerate(variants):
         full = complete(variant)
-        _, grid = _map(full, course.placed(int(full["scans"])))
+        _, grid = _map(full, sequence.placed(int(full["scans"])))
         result[str(number)] = np.round(255.0 * np.where(grid.observed, grid.probability(), 0.5)).astype(np.uint8)
         extents.append(_extent(grid))
     return result | {"extents": np.array(extents)}
@@ -147,11 +147,11 @@ def pictures(world: str, seed: int, laps: float, poses: str, variants: Sequence[
 
 def twins(world: str, seed: int, laps: float, variants: Sequence[Variant]) -> dict[str, Any]:
     """The largest difference in log-odds of the compiled mapper's maps and its twin's, and how many cells were held."""
-    course = drive(world, seed, laps)
+    sequence = drive(world, seed, laps)
     apart, cells, other = 0.0, 0, 0
     for variant in variants:
         full = complete(variant)
-        placed = course.placed(int(full["scans"]))
+        placed = sequence.placed(int(full["scans"]))
         one, two = (_drawn(name, full, placed) for name in COMPILED)
         if one.shape != two.shape:
             raise ValueError(f"{variant}: maps of {one.shape} and {two.shape} cells")
@@ -206,12 +206,12 @@ def _against(grid: OccupancyGrid, true: OccupancyGrid, threshold: float) -> tupl
     return f1(found), precision(found), recall(found), chamfer(found), wall_width_m(grid, threshold)
 
 
-def _of_drift(course: Drive, motion: Floats) -> tuple[float, ...]:
-    share = np.linspace(0.0, 1.0, len(course.poses))
-    poses = se2.compose(se2.fraction(motion, share), course.poses)
-    placed = Drive(course.frames, course.truth, poses, 0.0).placed(int(DEFAULT["scans"]))
+def _of_drift(sequence: Drive, motion: Floats) -> tuple[float, ...]:
+    share = np.linspace(0.0, 1.0, len(sequence.poses))
+    poses = se2.compose(se2.fraction(motion, share), sequence.poses)
+    placed = Drive(sequence.frames, sequence.truth, poses, 0.0).placed(int(DEFAULT["scans"]))
     _, grid = _map(DEFAULT, placed)
-    found = walls(grid, course.true)
+    found = walls(grid, sequence.true)
     far = float(found.to_true.mean()), float(np.percentile(found.to_true, 95))
     thick = float(thicknesses(hits(placed))[0].mean())
     return f1(found), *far, iou(found), entropy(grid), thick

@@ -183,7 +183,7 @@ def _against(study: Study, factor: str) -> Figure:
     curves = [
         Curve(label, x[order], values.mean(axis=1)[order], values.min(axis=1)[order], values.max(axis=1)[order],
               marks=True)
-        for label, values in _by_course(study, numbers).items()
+        for label, values in _by_sequence(study, numbers).items()
     ]  # fmt: skip
     caption = "Mean over the seeds, band from the least to the greatest; occupied above P = 0.65."
     return Figure(charts.lines(curves, axis, Axis("F1 at 10 cm")), title, caption)
@@ -191,7 +191,7 @@ def _against(study: Study, factor: str) -> Figure:
 
 def _thresholds(study: Study) -> Figure:
     curves = []
-    for world, poses in study.courses():
+    for world, poses in study.sequences():
         values = study.f1(0)[:, study.which(world, poses)]
         label = f"{world}, {poses} poses"
         low, high = values.min(axis=1), values.max(axis=1)
@@ -202,11 +202,11 @@ def _thresholds(study: Study) -> Figure:
     )
 
 
-def _by_course(study: Study, numbers: Sequence[int]) -> dict[str, Any]:
+def _by_sequence(study: Study, numbers: Sequence[int]) -> dict[str, Any]:
     """F1 (K, S) of K variants over the seeds, for every world and kind of poses."""
     return {
         f"{world}, {poses} poses": np.array([study.f1(n, TOLD)[study.which(world, poses)] for n in numbers])
-        for world, poses in study.courses()
+        for world, poses in study.sequences()
     }
 
 

@@ -27,7 +27,7 @@ BOTH = ("embedded", "paper")
 
 @dataclass(frozen=True)
 class Entry:
-    """A contestant under a label; ``bridged``: wheel odometry carries its answers on."""
+    """A method under a label; ``bridged``: wheel odometry carries its answers on."""
 
     label: str
     backend: str
@@ -56,13 +56,13 @@ PARAMETERS = (
     Parameter("laps", 0.6, "", "laps driven; the longer, the further the odometry drifts", low=0.05, high=3.0),
     Parameter("repetitions", 2, "", "measurements of a scan; the median counts", low=1, high=20),
     Parameter("rates_hz", "5,10,15", "Hz", "rates of the lidar", choices=("5,10,15", "10")),
-    Parameter("contestants", "all", "", "all, or only those that need no other library", choices=("all", "own")),
+    Parameter("methods", "all", "", "all, or only those that need no other library", choices=("all", "own")),
     Parameter("largest_factor", 5000, "", "the slowest device asked", low=10, high=1_000_000),
 )
 
 
 def jobs(settings: Settings) -> tuple[Job, ...]:
-    """One job for every contestant, rate and seed: its costs here, and its ladder of device factors."""
+    """One job for every method, rate and seed: its costs here, and its ladder of device factors."""
     return tuple(
         Job(
             _name(entry.label, rate, seed), "evalkit.commands.realtime.simulation:paced",
@@ -130,7 +130,7 @@ CHAPTER = Chapter("realtime", PARAMETERS, jobs, sections, findings)
 
 
 def _entries(settings: Settings) -> list[Entry]:
-    return [entry for entry in ENTRIES if settings["contestants"] == "all" or entry.label in OWN]
+    return [entry for entry in ENTRIES if settings["methods"] == "all" or entry.label in OWN]
 
 
 def _rates(settings: Settings) -> list[float]:
@@ -178,7 +178,7 @@ def _ate(ladder: Ladder) -> Floats:
 def _breaking(ladders: Sequence[Ladder]) -> Table:
     rows = [_row(ladder) for ladder in ladders if ladder.label != WHEELS]
     columns = (
-        "Contestant", Column("rate", "Hz", number=True), Column("cost, median", "ms", number=True),
+        "Method", Column("rate", "Hz", number=True), Column("cost, median", "ms", number=True),
         Column("cost, 99 %", "ms", number=True),
         Column("in time up to", "x", number=True, tip="the largest factor at which every scan is answered in time"),
         Column("half dropped at", "x", number=True, tip="the least factor asked that drops half of the scans or more"),
@@ -277,7 +277,7 @@ def _policies(settings: Settings, results: Results) -> Table:
                 rows.append([one.label, f"{one.rate_hz:g}", f"{factor:g}", *(f"{100.0 * d:.0f}" for d in dropped),
                              *(f"{100.0 * ate:.1f}" for ate in ates)])  # fmt: skip
     columns = (
-        "Contestant", Column("rate", "Hz", number=True), Column("factor", number=True),
+        "Method", Column("rate", "Hz", number=True), Column("factor", number=True),
         Column("dropped, one waits", "%", number=True), Column("dropped, none waits", "%", number=True),
         Column("ATE, one waits", "cm", number=True), Column("ATE, none waits", "cm", number=True),
     )  # fmt: skip
@@ -306,7 +306,7 @@ def _assumption(ladders: Sequence[Ladder]) -> list[Block]:
             ]
         )
     columns = (
-        "Contestant", Column("rate", "Hz", number=True), Column("growth at gap", number=True),
+        "Method", Column("rate", "Hz", number=True), Column("growth at gap", number=True),
         Column("a", "ms", number=True), Column("b", "ns", number=True), Column("off, fitted", "%", number=True),
         Column("off, with gaps", "%", number=True), Column("model / clock", number=True),
     )  # fmt: skip

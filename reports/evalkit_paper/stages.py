@@ -79,7 +79,7 @@ def _call(frame: FrameType) -> Call | None:
     name = frame.f_code.co_qualname
     if frame.f_globals.get("__name__") not in RECORDED or "<" in name or name.endswith(("__init__", "__post_init__")):
         return None
-    return Call(name, str(frame.f_locals.get("stage", "")) if name == "FrontEnd._believed" else "")
+    return Call(name, str(frame.f_locals.get("stage", "")) if name == "FrontEnd._accepted" else "")
 
 
 def drive(

@@ -15,7 +15,7 @@ from evalkit_paper.spikes import Band
 
 CALM_DPS = 10.0
 SETTLED_S = 15.0
-"""Straight parts are calm from here on, when the submap has filled."""
+"""Straight parts are calm from here on, when the local map has filled."""
 
 
 def numbers(words: str) -> list[float]:
@@ -41,7 +41,7 @@ def spread(values: Sequence[float]) -> str:
 
 
 def calm(result: Result) -> Bools:
-    """Which scans (N,) of a drive are on straight parts, the submap filled."""
+    """Which scans (N,) of a drive are on straight parts, the local map filled."""
     return np.asarray((result["yaw_dps"] < CALM_DPS) & (result["times_s"] > SETTLED_S))
 
 

@@ -132,7 +132,7 @@ def _twins(study: Study, settings: Settings) -> tuple[Job, ...]:
             "evalkit_paper.twins:apart",
             {
                 "backends": [TWIN, study.backend],
-                "parameters": dict(point.contestant),
+                "parameters": dict(point.method),
                 "dataset": study.dataset,
                 "sequence": {**point.sequence, **seed},
                 "scans": int(settings["twin_scans"]),

@@ -21,7 +21,7 @@ SIGMA_M = 0.0483
 APPLIED = Pose(4.0, 5.0, math.radians(30.0))
 """``reference_from_scan``: the motion the paper applies."""
 
-MOST_ITERATIONS = 40
+MAX_ITERATIONS = 40
 EPSILON = 1e-4
 GOLDEN = 0.6180339887498949
 
@@ -96,7 +96,7 @@ def scan(room: Room, seed: int) -> Floats:
 
 def icp(**parameters: Any) -> Icp:
     """The paper's ICP with the stop rule of its section on validation, and no largest distance of a pair."""
-    given = {"epsilon": EPSILON, "max_iterations": MOST_ITERATIONS, "max_correspondence_m": 0.0}
+    given = {"epsilon": EPSILON, "max_iterations": MAX_ITERATIONS, "max_correspondence_m": 0.0}
     return Icp(**{**given, **parameters})
 
 
@@ -111,7 +111,7 @@ def runs(*, room: str, reading: str, begin: int, end: int) -> dict[str, Any]:
     registration = icp(**parameters, trace=True)
     power = 2 if parameters.get("error") == "mean-squared" else 1
     rows, converged = np.zeros((end - begin, 6)), np.zeros(end - begin, dtype=np.bool_)
-    errors = np.full((end - begin, MOST_ITERATIONS), np.nan)
+    errors = np.full((end - begin, MAX_ITERATIONS), np.nan)
     residuals = np.full((end - begin, len(target)), np.nan)
     for number, seed in enumerate(range(begin, end)):
         source = Cloud(scan(where, seed))

@@ -96,7 +96,7 @@ def follow(
     odometry = frontend.odometry(
         replace(spec, make=make),
         frontend.complete_parameters(backend, spec, parameters),
-        lambda stage, answer, _believed: heard.update({stage: answer}),
+        lambda stage, answer, _accepted: heard.update({stage: answer}),
     )
     frames = tuple(sequence.frames())
     poses = np.zeros((len(frames), 3))

@@ -16,7 +16,7 @@ from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, F
 from evalkit.stats.statistics import wilson
 from evalkit_paper import table_1
 from evalkit_paper.chapter import Results, Settings
-from evalkit_paper.table_1 import MOST_ITERATIONS, ROOMS
+from evalkit_paper.table_1 import MAX_ITERATIONS, ROOMS
 
 DISTANCES_M = tuple(float(value) for value in range(9))
 TURNS_DEG = (0.0, 10.0, 20.0, 30.0, 35.0, 40.0, 45.0, 50.0, 60.0, 90.0)
@@ -42,8 +42,8 @@ class Variant:
 
 
 VARIANTS = (
-    Variant("filter", "with the one-to-one filter", {"one_to_one": True, "max_iterations": MOST_ITERATIONS}),
-    Variant("no filter", "without the filter", {"one_to_one": False, "max_iterations": MOST_ITERATIONS}),
+    Variant("filter", "with the one-to-one filter", {"one_to_one": True, "max_iterations": MAX_ITERATIONS}),
+    Variant("no filter", "without the filter", {"one_to_one": False, "max_iterations": MAX_ITERATIONS}),
     Variant("filter, long", f"with the filter, up to {LONG} iterations", {"one_to_one": True, "max_iterations": LONG}),
 )
 
@@ -129,7 +129,7 @@ def _words(results: Results, trials: int) -> str:
     right = sum(int(successes(results, variant)[-1].sum()) for variant in VARIANTS)
     tried = len(VARIANTS) * len(DISTANCES_M) * trials
     return (
-        f"At 45 deg {short:.0f} % of the starts up to {NEAR_M:g} m off succeed within {MOST_ITERATIONS} iterations and "
+        f"At 45 deg {short:.0f} % of the starts up to {NEAR_M:g} m off succeed within {MAX_ITERATIONS} iterations and "
         f"{more:.0f} % within {LONG}: the limit of iterations ends more of them than the landscape. At 90 deg {right} "
         f"of all {tried} starts succeed: but for the circle the square is the same again."
     )

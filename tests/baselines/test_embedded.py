@@ -54,7 +54,7 @@ def room(n, rng, noise_m=0.02):
 
 
 def scans(seed):
-    """A submap, a scan of it, and a guess some centimetres and degrees off."""
+    """A local map, a scan of it, and a guess some centimetres and degrees off."""
     rng = np.random.default_rng(seed)
     truth = Pose(*rng.normal(0.0, [0.5, 0.5, 0.5]))
     source = truth.inverse().transform(room(900, rng))
@@ -262,7 +262,7 @@ def test_the_pipeline_tells_of_both_stages_what_the_front_end_hears_of_the_twin(
     twin = frontend.odometry(
         paper.SPEC,
         frontend.complete_parameters("paper", paper.SPEC, {"min_inliers": 60}),
-        lambda stage, match, believed: heard.update({stage: (match, believed)}),
+        lambda stage, match, accepted: heard.update({stage: (match, accepted)}),
     )
     pipeline = made(embedded.PIPELINE, min_inliers=60)
     nothing = np.full(50, np.inf)
@@ -279,10 +279,10 @@ def test_the_pipeline_tells_of_both_stages_what_the_front_end_hears_of_the_twin(
         told = belief.heard_of_stages()
         assert belief.heard() == belief.UNTOLD
         assert len(told) == (2 if index else 0)
-        assert index != 5 or not any(stage.believed for stage in told.values())
+        assert index != 5 or not any(stage.accepted for stage in told.values())
         for name, stage in told.items():
-            match, believed = heard[name]
-            assert stage[:3] == (believed, match.converged, match.iterations)
+            match, accepted = heard[name]
+            assert stage[:3] == (accepted, match.converged, match.iterations)
             assert stage.inliers == match.inliers
             assert stage.error == pytest.approx(match.error, abs=1e-8, nan_ok=True)
 

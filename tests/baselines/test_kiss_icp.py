@@ -161,7 +161,7 @@ def test_a_scan_of_too_few_points_or_without_a_pair_is_told_as_a_guess_kept():
         told.append(belief.heard())
     assert told[0] == belief.UNTOLD
     assert told[8] == told[-1] == belief.GUESS_KEPT
-    assert set(told[6:8] + told[9:-1]) == {belief.BELIEVED}
+    assert set(told[6:8] + told[9:-1]) == {belief.ACCEPTED}
 
 
 @needs_kiss_icp

@@ -187,7 +187,7 @@ def test_an_import_that_fails_is_told_as_not_installed(method, monkeypatch):
 
 
 @needs_open3d
-def test_an_answer_that_turned_the_plane_over_is_not_believed():
+def test_an_answer_that_turned_the_plane_over_is_not_accepted():
     """A rough wall and its mirror image: half a turn about the wall fits best in space, no motion of the plane."""
     wall = np.array([[0.0, 0.01], [1.0, -0.01], [2.0, 0.01], [3.0, -0.01]])
     guess = Pose(0.001, 0.0, 0.0)

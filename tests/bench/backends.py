@@ -21,13 +21,13 @@ REFERENCE = "paper-tight"
 
 
 def clouds(targets: int) -> tuple[Cloud, Cloud, Pose]:
-    """A submap of the synthetic lab with about so many points, one scan of it, and a guess 5 cm and 2 deg off."""
+    """A local map of the synthetic lab with about so many points, one scan of it, and a guess 5 cm and 2 deg off."""
     frames = list(registry.dataset("lab").make(**_defaults("lab")).frames())
     points = np.concatenate([frame.base_from_sensor.transform(frame.scan.points()) for frame in frames[:80:10]])
     generator = np.random.default_rng(0)
-    submap = points[generator.permutation(len(points))[:targets]]
+    local_map = points[generator.permutation(len(points))[:targets]]
     source = frames[4].base_from_sensor.transform(frames[4].scan.points())
-    return Cloud(submap, "start"), Cloud(source, "base"), Pose(0.05, 0.02, np.radians(2.0))
+    return Cloud(local_map, "start"), Cloud(source, "base"), Pose(0.05, 0.02, np.radians(2.0))
 
 
 def registrations() -> dict[str, Registration]:
@@ -55,7 +55,7 @@ def main() -> None:
     made = registrations()
     times: dict[str, list[int]] = {name: [] for name in made}
     for round_ in range(arguments.rounds + 3):
-        fresh = Cloud(target.points, "start")  # a new submap each round: what is built over it counts
+        fresh = Cloud(target.points, "start")  # a new local map each round: what is built over it counts
         order = list(made) if round_ % 2 else list(reversed(made))
         for name in order:
             _, timing = timed(partial(made[name].register, fresh, source, guess))

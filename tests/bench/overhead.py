@@ -19,7 +19,7 @@ import numpy as np
 from evalkit.commands.diff import benchmark
 from evalkit.commands.diff.benchmark import Series
 from evalkit.config.experiment import Limits
-from evalkit.core.run_result import Run
+from evalkit.core.run_result import RunResult
 from evalkit.execution import run_process
 from evalkit.execution.environment import SINGLE_THREAD
 from evalkit.execution.worker import Request
@@ -36,7 +36,7 @@ LIBRARIES = "import numpy, scipy.spatial"
 SHORTEST = {"laps": 0.02}
 
 
-def made(backend: str, **changes: object) -> Run:
+def made(backend: str, **changes: object) -> RunResult:
     """A complete run over the synthetic lab, in a process of its own."""
     spec, lab = registry.backend(backend), registry.dataset("lab")
     parameters = {p.name: p.default for p in lab.parameters} | changes

@@ -151,7 +151,7 @@ def of_kiss_icp(target: Floats, source: Floats, guess: Pose) -> Calls:
     return {"KISS-ICP": lambda: align(voxels), "KISS-ICP + index": lambda: align(mapped())}
 
 
-def contestants(target: Floats, source: Floats, guess: Pose) -> Calls:
+def methods(target: Floats, source: Floats, guess: Pose) -> Calls:
     """Everything that is installed; the core first, because the rest is compared with it."""
     calls = of_the_core("double", REFERENCE, target, source, guess)
     calls |= of_the_core("float", "embedded-f32", target, source, guess)
@@ -191,7 +191,7 @@ def main() -> None:
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     for targets in arguments.targets:
         target, source, guess = clouds(targets)
-        times = measured_ns(contestants(target, source, guess), arguments.rounds)
+        times = measured_ns(methods(target, source, guess), arguments.rounds)
         print(f"{ITERATIONS} iterations, {len(source)} points against {len(target)}, {arguments.rounds} rounds")
         print(f"{'':22} {'CPU ms':>8} {'x ' + REFERENCE:>12} {'quartiles':>14}")
         for name, taken in times.items():

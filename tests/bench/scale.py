@@ -19,7 +19,7 @@ from statistics import median
 import psutil
 
 from evalkit.config import experiment
-from evalkit.config.experiment import Plan
+from evalkit.config.experiment import Experiment
 from evalkit.execution import run_archive
 from evalkit.execution.dask_cluster import Call, Cluster, Slot, _local
 from evalkit.execution.executors import There
@@ -41,14 +41,14 @@ class Unheard:
         """Nothing."""
 
 
-def plan(contestants: int, courses: int, seeds: int, laps: float = 0.3) -> Plan:
+def plan(methods: int, sequences: int, seeds: int, laps: float = 0.3) -> Experiment:
     """The paper's method under so many labels on so many drives through a room."""
     content = {
         "timed": False,
-        "contestant": [{"use": "paper", "label": f"paper {k}", "keyframes": 10 + k} for k in range(contestants)],
+        "method": [{"use": "paper", "label": f"paper {k}", "keyframes": 10 + k} for k in range(methods)],
         "sequence": [
             {"use": "room", "label": f"room {k}", "laps": laps + 1e-3 * k, "seeds": list(range(seeds))}
-            for k in range(courses)
+            for k in range(sequences)
         ],
     }
     return experiment.plan(content, "scale.toml", "scale", "report scale.toml")

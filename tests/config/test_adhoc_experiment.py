@@ -23,9 +23,9 @@ def plan(path, options=(), settings=(), backends=("wheel-odometry",)):
 
 def test_a_log_is_read_by_the_reader_of_its_suffix(log):
     made = plan(log)
-    (course,) = made.courses
-    assert (course.dataset, course.label, course.parameters["path"]) == ("carmen", "my run.LOG", str(log))
-    assert (course.seeds, made.source) == ((None,), "compare it")
+    (sequence,) = made.sequences
+    assert (sequence.dataset, sequence.label, sequence.parameters["path"]) == ("carmen", "my run.LOG", str(log))
+    assert (sequence.seeds, made.source) == ((None,), "compare it")
 
 
 def test_a_folder_is_read_by_the_reader_of_what_is_in_it(tmp_path):
@@ -33,12 +33,12 @@ def test_a_folder_is_read_by_the_reader_of_what_is_in_it(tmp_path):
     folder.mkdir()
     (folder / "metadata.yaml").write_text("")
     (folder / "drive_0.db3").write_text("")
-    assert plan(folder).courses[0].dataset == "rosbag"
+    assert plan(folder).sequences[0].dataset == "rosbag"
 
 
 def test_all_back_ends_run_unless_some_are_named(log):
-    assert [entrant.label for entrant in plan(log, backends=()).contestants] == registry.names("backends")
-    assert [entrant.label for entrant in plan(log, backends=("paper", "kiss-icp")).contestants] == ["paper", "kiss-icp"]
+    assert [entrant.label for entrant in plan(log, backends=()).methods] == registry.names("backends")
+    assert [entrant.label for entrant in plan(log, backends=("paper", "kiss-icp")).methods] == ["paper", "kiss-icp"]
 
 
 def test_a_broken_plugin_is_a_row_and_stops_neither_the_others_nor_the_reader(log, strangers, monkeypatch):
@@ -50,7 +50,7 @@ def test_a_broken_plugin_is_a_row_and_stops_neither_the_others_nor_the_reader(lo
         return original(name)
 
     monkeypatch.setattr(registry, "dataset", dataset)
-    missing = {entrant.label: entrant.missing for entrant in plan(log, backends=()).contestants}
+    missing = {entrant.label: entrant.missing for entrant in plan(log, backends=()).methods}
     assert "does not load" in missing["unloadable"]
     assert missing["wheel-odometry"] == ""
 
@@ -80,7 +80,7 @@ def test_a_bag_one_folder_down_is_found_and_of_several_one_must_be_named(tmp_pat
     with pytest.raises(BadData, match=r"2 folders with a recording in it; give one of .*top/one, .*top/two"):
         plan(tmp_path / "top")
     (tmp_path / "top" / "two" / "x_0.db3").unlink()
-    assert plan(tmp_path / "top").courses[0].parameters["path"] == str(tmp_path / "top" / "one")
+    assert plan(tmp_path / "top").sequences[0].parameters["path"] == str(tmp_path / "top" / "one")
 
 
 @pytest.mark.parametrize(
@@ -117,7 +117,7 @@ def test_a_reader_that_fails_in_a_way_of_its_own_and_one_without_a_scan_are_name
 
 
 def test_settings_take_the_type_of_their_parameter_and_options_come_first(log):
-    found = plan(log, {"odometry": "none"}, {"range_max_m": "30", "odometry": "auto"}).courses[0].parameters
+    found = plan(log, {"odometry": "none"}, {"range_max_m": "30", "odometry": "auto"}).sequences[0].parameters
     assert (found["range_max_m"], found["odometry"]) == (30.0, "none")
 
 
@@ -135,7 +135,7 @@ def test_a_setting_that_does_not_fit_is_named(log, settings, error, message):
 
 
 def test_a_back_end_that_is_none_is_named(log):
-    with pytest.raises(BadExperiment, match=r"compare .*my run.LOG: contestant 1: no backend named 'papper'"):
+    with pytest.raises(BadExperiment, match=r"compare .*my run.LOG: method 1: no backend named 'papper'"):
         plan(log, backends=("papper",))
 
 

@@ -13,9 +13,9 @@ from evalkit.config.experiment import Limits
 from evalkit.core.errors import BadExperiment, UnknownName
 from evalkit.plugins import registry
 
-WHEELS = '[[contestant]]\nuse = "wheel-odometry"\n'
+WHEELS = '[[method]]\nuse = "wheel-odometry"\n'
 ROOM = '[[sequence]]\nuse = "room"\n'
-PAPER = '[[contestant]]\nuse = "paper"\n'
+PAPER = '[[method]]\nuse = "paper"\n'
 
 
 def read(tmp_path, text):
@@ -24,8 +24,8 @@ def read(tmp_path, text):
     return experiment.read(path)
 
 
-def planned(contestants=({"use": "wheel-odometry"},), sequences=({"use": "room"},), **tables):
-    content = {"contestant": list(contestants), "sequence": list(sequences), **tables}
+def planned(methods=({"use": "wheel-odometry"},), sequences=({"use": "room"},), **tables):
+    content = {"method": list(methods), "sequence": list(sequences), **tables}
     return experiment.plan(content, "exp.toml", "exp", "report exp.toml")
 
 
@@ -50,26 +50,26 @@ def log(tmp_path):
 @pytest.mark.parametrize(
     ("text", "parts"),
     [
-        ("", ["no [[contestant]]"]),
+        ("", ["no [[method]]"]),
         (WHEELS, ["no [[sequence]]"]),
         ("title =\n", ["not valid TOML", "line 1"]),
         (b"title = '\xff'\n", ["cannot be read"]),
-        ("titel = 'x'\n" + WHEELS + ROOM, ["no key named 'titel' (did you mean 'title'?)", "known: contestant"]),
+        ("titel = 'x'\n" + WHEELS + ROOM, ["no key named 'titel' (did you mean 'title'?)", "known: method"]),
         ("title = 3\n" + WHEELS + ROOM, ["'title': found 3, expected a text"]),
-        ("[contestant]\nuse = 'paper'\n" + ROOM, ["contestant: expected tables [[contestant]]"]),
-        ("[[contestant]]\nlabel = 'x'\n" + ROOM, ["contestant 1: missing key 'use'"]),
-        ("[[contestant]]\nuse = 7\n" + ROOM, ["contestant 1: 'use': found 7, expected a text"]),
-        (WHEELS + "[[contestant]]\nuse = 'papper'\n" + ROOM,
-         ["contestant 2: no backend named 'papper' (did you mean 'paper'?)", "known:", "wheel-odometry"]),
+        ("[method]\nuse = 'paper'\n" + ROOM, ["method: expected tables [[method]]"]),
+        ("[[method]]\nlabel = 'x'\n" + ROOM, ["method 1: missing key 'use'"]),
+        ("[[method]]\nuse = 7\n" + ROOM, ["method 1: 'use': found 7, expected a text"]),
+        (WHEELS + "[[method]]\nuse = 'papper'\n" + ROOM,
+         ["method 2: no backend named 'papper' (did you mean 'paper'?)", "known:", "wheel-odometry"]),
         (WHEELS + "[[sequence]]\nuse = 'rooom'\n",
          ["sequence 1: no dataset named 'rooom' (did you mean 'room'?)", "known:", "carmen"]),
         ("[mapper]\nuse = 'log-ods'\n" + WHEELS + ROOM, ["mapper: no mapper named 'log-ods' (did you mean 'log-odds'?)",
           "known:"]),
         (PAPER + "epsilom = 1e-3\n" + ROOM,
-         ["contestant 1 (paper): no parameter named 'epsilom' (did you mean 'epsilon'?)", "known:", "keyframes"]),
+         ["method 1 (paper): no parameter named 'epsilom' (did you mean 'epsilon'?)", "known:", "keyframes"]),
         (PAPER + "label = 'mine'\nkeyframes = 2.5\n" + ROOM,
-         ["contestant 1 (mine): parameter 'keyframes': found 2.5, expected a whole number"]),
-        (PAPER + "s2s.epsilom = 1e-3\n" + ROOM, ["contestant 1 (paper): no parameter named 's2s.epsilom'"]),
+         ["method 1 (mine): parameter 'keyframes': found 2.5, expected a whole number"]),
+        (PAPER + "s2s.epsilom = 1e-3\n" + ROOM, ["method 1 (paper): no parameter named 's2s.epsilom'"]),
         (WHEELS + ROOM + "laps = 'two'\n", ["sequence 1 (room): parameter 'laps': found 'two', expected a number"]),
         (WHEELS + ROOM + "noise_m = -1\n", ["sequence 1 (room): parameter 'noise_m': found -1", "within [0, 1] m"]),
         (WHEELS + ROOM + "seed = 3\n", ["sequence 1 (room): found 'seed'; write seeds = [0, 1, ...]"]),
@@ -78,7 +78,7 @@ def log(tmp_path):
         (WHEELS + ROOM + "seeds = []\n", ["sequence 1 (room): 'seeds': found []"]),
         (WHEELS + "[[sequence]]\nuse = 'carmen'\npath = 'a.log'\nseeds = [1]\n",
          ["sequence 1 (carmen): 'seeds': carmen is a recording and has none; remove the key"]),
-        (WHEELS + PAPER + PAPER + ROOM, ["two contestants are labelled 'paper'", 'label = "..."']),
+        (WHEELS + PAPER + PAPER + ROOM, ["two methods are labelled 'paper'", 'label = "..."']),
         (WHEELS + ROOM + ROOM, ["two sequences are labelled 'room'"]),
         ("mapper = 'log-odds'\n" + WHEELS + ROOM, ["mapper: found 'log-odds', expected a table [mapper]"]),
         ("[mapper]\nscans = 1\n" + WHEELS + ROOM, ["mapper: 'scans': found 1, expected a whole number of at least 2"]),
@@ -121,14 +121,14 @@ def test_a_catalogued_recording_that_is_not_here_is_a_row_and_not_a_refusal(tmp_
     monkeypatch.setenv("EVALKIT_DATA", str(tmp_path))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("HOME", str(tmp_path))
-    (course,) = planned(sequences=[{"use": "turtlebot4"}]).courses
-    assert "evalkit datasets fetch turtlebot4" in course.missing
+    (sequence,) = planned(sequences=[{"use": "turtlebot4"}]).sequences
+    assert "evalkit datasets fetch turtlebot4" in sequence.missing
 
 
 def test_a_back_end_whose_plugin_does_not_load_is_a_row_with_the_reason(strangers):
     plan = planned([{"use": "unloadable", "speed": 3}, {"use": "wheel-odometry"}])
-    assert [entrant.missing != "" for entrant in plan.contestants] == [True, False]
-    assert "the licence server does not answer" in plan.contestants[0].missing
+    assert [entrant.missing != "" for entrant in plan.methods] == [True, False]
+    assert "the licence server does not answer" in plan.methods[0].missing
     assert len(list(plan.runs())) == 2
 
 
@@ -139,10 +139,10 @@ def test_the_smallest_experiment_takes_every_default(tmp_path):
     plan = read(tmp_path, WHEELS + ROOM)
     assert (plan.name, plan.title, plan.description, plan.limits) == ("exp", "exp", "", Limits())
     assert (plan.mapper.name, plan.mapper.scans) == ("log-odds", 400)
-    assert [(course.label, course.seeds) for course in plan.courses] == [("room", (0,))]
-    assert [(entrant.label, entrant.missing) for entrant in plan.contestants] == [("wheel-odometry", "")]
+    assert [(sequence.label, sequence.seeds) for sequence in plan.sequences] == [("room", (0,))]
+    assert [(entrant.label, entrant.missing) for entrant in plan.methods] == [("wheel-odometry", "")]
     defaults = {p.name: p.default for p in registry.dataset("room").parameters}
-    assert plan.courses[0].seeded(7) == {**defaults, "seed": 7}
+    assert plan.sequences[0].seeded(7) == {**defaults, "seed": 7}
 
 
 def test_what_is_written_is_taken(tmp_path):
@@ -155,24 +155,29 @@ def test_what_is_written_is_taken(tmp_path):
     )
     assert (plan.title, plan.description, plan.limits) == ("T", "D", Limits(run_s=9, memory_mib=100))
     assert (plan.mapper.scans, plan.mapper.parameters["resolution_m"]) == (20, 0.1)
-    entrant, course = plan.contestants[0], plan.courses[0]
+    entrant, sequence = plan.methods[0], plan.sequences[0]
     assert (entrant.label, entrant.backend, entrant.parameters["keyframes"]) == ("eager", "paper", 3)
     assert (entrant.parameters["s2s.epsilon"], entrant.parameters["epsilon"]) == (0.5, 1e-4)
-    assert (course.label, course.dataset, course.parameters["laps"], course.seeds) == ("box", "room", 2.0, (4, 2))
+    assert (sequence.label, sequence.dataset, sequence.parameters["laps"], sequence.seeds) == (
+        "box",
+        "room",
+        2.0,
+        (4, 2),
+    )
 
 
 def test_a_recording_runs_once_without_a_seed(log):
-    course = planned(sequences=[{"use": "carmen", "path": str(log)}]).courses[0]
-    assert course.seeds == (None,)
-    assert "seed" not in course.seeded(None)
+    sequence = planned(sequences=[{"use": "carmen", "path": str(log)}]).sequences[0]
+    assert sequence.seeds == (None,)
+    assert "seed" not in sequence.seeded(None)
 
 
-def test_contestants_take_turns_forth_and_back():
+def test_methods_take_turns_forth_and_back():
     plan = planned(
         [{"use": "wheel-odometry", "label": "A"}, {"use": "paper", "label": "B"}],
         [{"use": "room", "seeds": [0, 1]}, {"use": "lab"}],
     )
-    order = [(item.course.label, item.seed, item.contestant.label) for item in plan.runs()]
+    order = [(item.sequence.label, item.seed, item.method.label) for item in plan.runs()]
     turns = (("room", 0, "AB"), ("room", 1, "BA"), ("lab", 0, "AB"))
     assert order == [(label, seed, who) for label, seed, both in turns for who in both]
 
@@ -195,19 +200,19 @@ def wide(log):
 def test_a_part_keeps_the_order_of_the_plan_and_nothing_chosen_keeps_all(wide):
     assert wide.only([], [], []) == wide
     part = wide.only(["lab; askew", "room"], ["wheel-odometry"], [0, 2])
-    assert [(course.label, course.seeds) for course in part.courses] == [("room", (0, 2)), ("lab; askew", (0,))]
-    assert [entrant.label for entrant in part.contestants] == ["wheel-odometry"]
+    assert [(sequence.label, sequence.seeds) for sequence in part.sequences] == [("room", (0, 2)), ("lab; askew", (0,))]
+    assert [entrant.label for entrant in part.methods] == ["wheel-odometry"]
 
 
 def test_a_recording_stays_whatever_seeds_are_chosen(wide):
-    assert wide.only([], [], [1]).courses[2].seeds == (None,)
+    assert wide.only([], [], [1]).sequences[2].seeds == (None,)
 
 
 @pytest.mark.parametrize(
     ("choice", "message"),
     [
         ((["rom"], [], []), r"report exp.toml: no sequence named 'rom' \(did you mean 'room'\?\); known: carmen, lab"),
-        (([], ["papers"], []), "report exp.toml: no contestant named 'papers'.*known: the <odd> one's, wheel-odometry"),
+        (([], ["papers"], []), "report exp.toml: no method named 'papers'.*known: the <odd> one's, wheel-odometry"),
         (([], [], [0, 5]), "report exp.toml: no seed named '5'; known: 0, 1, 2"),
     ],
 )
@@ -220,12 +225,12 @@ def test_the_command_of_a_run_is_that_run_alone(wide):
     for item in wide.runs():
         words = shlex.split(wide.command(item))
         assert words[:3] == ["evalkit", "run", "exp.toml"]
-        given = {name: [] for name in ("--sequence", "--contestant", "--seed", "--out")}
+        given = {name: [] for name in ("--sequence", "--method", "--seed", "--out")}
         for name, value in zip(words[3::2], words[4::2], strict=True):
             given[name].append(value)
-        part = wide.only(given["--sequence"], given["--contestant"], [int(seed) for seed in given["--seed"]])
-        assert [(alone.key, alone.contestant, alone.course.label, alone.seed) for alone in part.runs()] == [
-            (item.key, item.contestant, item.course.label, item.seed)
+        part = wide.only(given["--sequence"], given["--method"], [int(seed) for seed in given["--seed"]])
+        assert [(alone.key, alone.method, alone.sequence.label, alone.seed) for alone in part.runs()] == [
+            (item.key, item.method, item.sequence.label, item.seed)
         ]
         assert given["--out"] == ["reports/build/exp-one"]  # never the folder of the whole
 
@@ -250,24 +255,24 @@ def test_keys_are_told_apart_and_fit_for_file_names(wide):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"contestants": [{"use": "paper", "epsilon": 2e-4}]},
-        {"contestants": [{"use": "paper", "keyframes": 11}]},
-        {"contestants": [{"use": "paper", "s2s.epsilon": 2e-4}]},
-        {"contestants": [{"use": "paper-tight", "label": "paper"}]},
+        {"methods": [{"use": "paper", "epsilon": 2e-4}]},
+        {"methods": [{"use": "paper", "keyframes": 11}]},
+        {"methods": [{"use": "paper", "s2s.epsilon": 2e-4}]},
+        {"methods": [{"use": "paper-tight", "label": "paper"}]},
         {"sequences": [{"use": "room", "laps": 1.5}]},
         {"sequences": [{"use": "room", "seeds": [1]}]},
         {"sequences": [{"use": "lab", "label": "room"}]},
     ],
 )
 def test_anything_that_could_change_a_result_changes_the_key(changes):
-    assert digest(**{"contestants": [{"use": "paper"}], **changes}) != digest(contestants=[{"use": "paper"}])
+    assert digest(**{"methods": [{"use": "paper"}], **changes}) != digest(methods=[{"use": "paper"}])
 
 
 def test_what_cannot_change_a_result_does_not_change_the_key():
     told = {"title": "T", "description": "D", "limits": {"run_s": 1}, "mapper": {"scans": 9}}
     assert only_key(**told) == only_key()
     assert only_key(sequences=[{"use": "room", "laps": 1}]) == only_key()  # the default, written as a whole number
-    assert only_key(contestants=[{"use": "wheel-odometry"}, {"use": "paper"}]) == only_key()
+    assert only_key(methods=[{"use": "wheel-odometry"}, {"use": "paper"}]) == only_key()
 
 
 def test_other_code_is_another_key(monkeypatch):
@@ -311,7 +316,7 @@ def test_a_text_that_no_file_could_be_named_is_just_a_text(log):
 def test_the_shipped_experiments_can_be_planned():
     shipped = sorted(Path(__file__).parents[2].glob("reports/*.toml"))
     tables = {file: tomllib.loads(file.read_text()) for file in shipped}
-    lists = ("contestant", "sequence")  # other files ask else
+    lists = ("method", "sequence")  # other files ask else
     files = [file for file, given in tables.items() if all(isinstance(given.get(name), list) for name in lists)]
     if not files:
         pytest.skip("no experiment beside the tests")
@@ -322,17 +327,15 @@ def test_the_shipped_experiments_can_be_planned():
     "label", ["=cmd|' /C calc'!A0", "+1", "-x", "@a", "", "a\x1b[2J", "a\u2028b", "a\u202eb", "a\nb"]
 )
 def test_a_label_is_no_command_to_whoever_shows_it(label):
-    with pytest.raises(BadExperiment, match=r"contestant 1: 'label': found .*, expected printable text"):
-        planned(contestants=({"use": "wheel-odometry", "label": label},))
+    with pytest.raises(BadExperiment, match=r"method 1: 'label': found .*, expected printable text"):
+        planned(methods=({"use": "wheel-odometry", "label": label},))
 
 
 @pytest.mark.parametrize(
     "label", ["../../etc/x", "/etc/x", "..", "x" * 300, "\u8def" * 300, "NUL", "nul.txt", "a\\b", "C:x"]
 )
 def test_a_run_keeps_to_its_folder_whatever_it_is_called(label):
-    plan = planned(
-        contestants=({"use": "wheel-odometry", "label": label},), sequences=({"use": "room", "label": label},)
-    )
+    plan = planned(methods=({"use": "wheel-odometry", "label": label},), sequences=({"use": "room", "label": label},))
     (run,) = plan.runs()
     assert re.fullmatch(r"\w[\w.-]*", run.key)
     assert len(f"{run.key}.yaml.part".encode()) < 200

@@ -161,7 +161,7 @@ def test_a_derived_file_cannot_be_fetched_and_says_what_can(known):
 
 @pytest.mark.parametrize("size", [0, len(CONTENT)])
 def test_a_server_that_sends_more_than_the_file_has_does_not_fill_the_disk(known, size, monkeypatch):
-    monkeypatch.setattr("evalkit_datasets.fetch.MOST_BYTES", len(CONTENT))
+    monkeypatch.setattr("evalkit_datasets.fetch.MAX_BYTES", len(CONTENT))
     target = known("/endless", bytes=size)
     with pytest.raises(BadData, match=f"sends more than the {len(CONTENT)} bytes .* what arrived was deleted"):
         fetch("a.log")

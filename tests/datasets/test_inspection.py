@@ -168,7 +168,7 @@ def test_the_scans_judge_the_turns_of_the_odometry(sign):
 
 def test_turns_are_not_judged_by_too_few_pairs():
     assert turning(arc(count=5, stop=0), laser(walls(5))) is None
-    assert driven.LEAST_PAIRS > 5
+    assert driven.MIN_PAIRS > 5
 
 
 # --- whole recordings
@@ -204,10 +204,8 @@ def test_a_prescription_is_an_experiment_that_reads_and_a_code_it_does_not_know_
     advice = prescribe(found)
     assert "30 m is no range but a no-return" in said(found)
     assert (advice.parameters["range_max_m"], advice.scans, advice.problem) == (30.0, 60, "")
-    plan = experiment.plan(
-        tomllib.loads(advice.table + '[[contestant]]\nuse = "wheel-odometry"\n'), "made", "made", "x"
-    )
-    assert plan.courses[0].parameters["range_max_m"] == 30.0
+    plan = experiment.plan(tomllib.loads(advice.table + '[[method]]\nuse = "wheel-odometry"\n'), "made", "made", "x")
+    assert plan.sequences[0].parameters["range_max_m"] == 30.0
     assert advice.command == f"evalkit compare {path} --set range_max_m=30.0"
 
 

@@ -7,7 +7,7 @@ from evalkit import metrics
 from evalkit.core.errors import BadData, DataMissing
 from evalkit.core.ground_truth import Truth
 from evalkit.core.measured_distances import Place, Span
-from evalkit.core.run_result import STEP, Run
+from evalkit.core.run_result import STEP, RunResult
 from evalkit.metrics.table import Evidence
 from evalkit.plugins import registry
 from evalkit_datasets import spans
@@ -84,7 +84,7 @@ def test_a_recording_brings_the_distances_given_for_it(tmp_path):
     for row, values in zip(rows, steps, strict=True):
         row["stamp_ns"], row["x"], row["y"], row["theta"] = values
     truth: Truth = sequence.truth()
-    found = metrics.score(Evidence(Run("b", "s", "complete", "", rows, 11), truth, None, None, ()))
+    found = metrics.score(Evidence(RunResult("b", "s", "complete", "", rows, 11), truth, None, None, ()))
     assert found["span_stretch_percent"].value == pytest.approx(100.0 * (8.0 / 8.16 - 1.0))
 
 

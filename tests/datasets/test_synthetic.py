@@ -273,7 +273,7 @@ def test_a_drive_too_long_to_be_kept_gives_the_same_scans_and_counts(monkeypatch
     kept = SPECS["lab"].make(**settings)
     known = ranges(kept), odometry(kept), kept.notes()
     assert next(kept.frames()) is next(kept.frames())
-    monkeypatch.setattr(synthetic, "_MOST_KEPT_BYTES", 0)
+    monkeypatch.setattr(synthetic, "_MAX_KEPT_BYTES", 0)
     simulated = SPECS["lab"].make(**settings)
     assert simulated.notes() == known[2]
     for _ in range(2):

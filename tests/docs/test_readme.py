@@ -30,8 +30,8 @@ def test_every_data_set_is_named():
 def test_its_experiment_is_a_valid_one():
     content = tomllib.loads(README.split("```toml\n")[1].split("```")[0])
     plan = experiment.plan(content, "README.md", "readme", "report my.toml")
-    assert [contestant.label for contestant in plan.contestants] == ["wheel-odometry", "paper, 1e-5"]
-    assert plan.contestants[1].parameters["keyframes"] == 20
+    assert [method.label for method in plan.methods] == ["wheel-odometry", "paper, 1e-5"]
+    assert plan.methods[1].parameters["keyframes"] == 20
     assert len(list(plan.runs())) == 6
 
 
@@ -55,5 +55,5 @@ def test_every_make_target_it_names_exists(target):
 def test_the_shipped_experiments_are_valid():
     for name in ("default", "quick"):
         plan = experiment.read(ROOT / "reports" / f"{name}.toml")
-        assert "wheel-odometry" in [contestant.label for contestant in plan.contestants]
-        assert not any(course.label == "" for course in plan.courses)
+        assert "wheel-odometry" in [method.label for method in plan.methods]
+        assert not any(sequence.label == "" for sequence in plan.sequences)

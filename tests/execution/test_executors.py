@@ -41,10 +41,10 @@ class Heard:
 
 
 def plan(*faults, timed=True, **sequence):
-    """A contestant for every fault."""
+    """A method for every fault."""
     content = {
         "timed": timed,
-        "contestant": [{"use": "faulty", "label": f"{k} {fault}", "fault": fault} for k, fault in enumerate(faults)],
+        "method": [{"use": "faulty", "label": f"{k} {fault}", "fault": fault} for k, fault in enumerate(faults)],
         "sequence": [{"use": "straight", **sequence}],
         "mapper": {"resolution_m": 0.25},
         "limits": {"run_s": 60.0, "scan_s": 30.0},
@@ -67,7 +67,7 @@ def there(workers):
 
 def rows(plan, folder, place=None, resume=False, heard=None, rerun=frozenset()):
     made = Engine(plan, Store(folder), heard or Heard(), 2, resume, rerun=rerun, place=place).trials()
-    return {trial.contestant: trial for trial in made}
+    return {trial.method: trial for trial in made}
 
 
 def reasons(made):
@@ -200,8 +200,7 @@ def test_a_scheduler_that_is_not_there_is_named(monkeypatch):
 def test_whatever_ends_evalkit_no_worker_is_left_behind(strangers, tmp_path, number):
     pytest.importorskip("distributed")
     (tmp_path / "small.toml").write_text(
-        '[[contestant]]\nuse = "faulty"\nfault = "hang"\n[mapper]\nresolution_m = 0.25\n'
-        '[[sequence]]\nuse = "straight"\n'
+        '[[method]]\nuse = "faulty"\nfault = "hang"\n[mapper]\nresolution_m = 0.25\n[[sequence]]\nuse = "straight"\n'
     )
     words = ["run", str(tmp_path / "small.toml"), "--out", str(tmp_path / "out"), "--engine", "dask", "-j", "1"]
     mine = subprocess.Popen(

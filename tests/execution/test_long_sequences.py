@@ -60,5 +60,5 @@ def test_a_simulated_drive_takes_no_more_memory_than_its_trajectory(monkeypatch)
     from evalkit_datasets import robot, synthetic
 
     monkeypatch.setattr(robot, "_TICKS_AT_ONCE", 100)  # ten scans: fewer than there are in the short drive
-    monkeypatch.setattr(synthetic, "_MOST_KEPT_BYTES", 0)
+    monkeypatch.setattr(synthetic, "_MAX_KEPT_BYTES", 0)
     assert growth(lambda scans: long_bags().drive(scans, BEAMS)) < PER_SCAN

@@ -8,7 +8,7 @@ import pytest
 
 from evalkit.core.errors import StoreError
 from evalkit.core.grid import OccupancyGrid
-from evalkit.core.run_result import STEP, Run
+from evalkit.core.run_result import STEP, RunResult
 from evalkit.execution import run_archive
 from evalkit.results.store import Store
 
@@ -20,8 +20,8 @@ def kept(tmp_path):
     store = Store(tmp_path / "one")
     steps = np.zeros(3, dtype=STEP)
     steps["stamp_ns"] = [0, 1, 2]
-    (store.fresh(KEY) / "output.txt").write_bytes(b"x" * (run_archive.MOST_OUTPUT + 5) + b"last words")
-    store.save_run(KEY, Run("icp", "room", "complete", "", steps, 3), {"made": "2024-05-01T12:00:00+00:00"})
+    (store.fresh(KEY) / "output.txt").write_bytes(b"x" * (run_archive.MAX_OUTPUT + 5) + b"last words")
+    store.save_run(KEY, RunResult("icp", "room", "complete", "", steps, 3), {"made": "2024-05-01T12:00:00+00:00"})
     grid = OccupancyGrid(np.ones((4, 5), dtype=np.float32), np.ones((4, 5), dtype=bool), 0.05, 0.0, 0.0)
     content = {"fingerprint": "f", "world_from_start": [0.0, 0.0, 0.0], "scores": {}}
     store.save_scores(KEY, content, grid, np.arange(3.0))
@@ -43,7 +43,7 @@ def test_a_run_arrives_as_it_was_but_for_what_it_said_long_ago(kept, tmp_path):
     arrived = files(other)
     assert sent.keys() == arrived.keys()
     output = next(path for path in sent if path.name == "output.txt")
-    assert len(arrived[output]) == run_archive.MOST_OUTPUT
+    assert len(arrived[output]) == run_archive.MAX_OUTPUT
     assert arrived.pop(output).endswith(b"last words")
     assert {path: content for path, content in sent.items() if path != output} == arrived
 

@@ -31,8 +31,8 @@ LIMITS = {
 
 
 def request(fault="none", at=AT, **dataset):
-    course = {"scans": SCANS, "backwards": 0, "file": "", "breaks": False, "reads_s": 0.0, **dataset}
-    return Request("faulty", {"fault": fault, "at": at}, "straight", course)
+    sequence = {"scans": SCANS, "backwards": 0, "file": "", "breaks": False, "reads_s": 0.0, **dataset}
+    return Request("faulty", {"fault": fault, "at": at}, "straight", sequence)
 
 
 def made(folder, wanted, limits=HASTE, heard=lambda _: None, stop=None):
@@ -99,8 +99,8 @@ def test_a_thinned_recording_keeps_the_pace_of_its_sensor(tmp_path, every):
     beams = " ".join(["2.0"] * 180)
     lines = [f"FLASER 180 {beams} 0 0 0 0 0 0 {0.1 * k:.1f} robot {0.1 * k:.1f}" for k in range(1, SCANS + 1)]
     (tmp_path / "drive.log").write_text("\n".join(lines) + "\n")
-    course = {"path": str(tmp_path / "drive.log"), "odometry": "scan-poses", "every": every}
-    wanted = Request("wheel-odometry", {}, "carmen", course)
+    sequence = {"path": str(tmp_path / "drive.log"), "odometry": "scan-poses", "every": every}
+    wanted = Request("wheel-odometry", {}, "carmen", sequence)
     run = made(tmp_path / "run", wanted)
     assert (run.status, run.reason, run.every, len(run.steps)) == ("complete", "", every, SCANS // every)
     assert runtime.period_ns(run) == pytest.approx(1e8, rel=1e-6)
@@ -145,7 +145,7 @@ def left(folder):
 
 
 def test_who_never_stops_talking_does_not_fill_the_disk(runs, root):
-    assert (root / "flood" / run_process.OUTPUT).stat().st_size < 2 * subprocesses.MOST_OUTPUT
+    assert (root / "flood" / run_process.OUTPUT).stat().st_size < 2 * subprocesses.MAX_OUTPUT
 
 
 def test_the_memory_of_a_run_is_its_own_and_not_that_of_the_process_that_started_it(strangers, tmp_path):

@@ -34,13 +34,13 @@ class Heard:
         self.begins, self.ends, self.scans = [], [], 0
 
     def begun(self, planned):
-        self.begins.append(planned.contestant.label)
+        self.begins.append(planned.method.label)
 
     def answered(self, planned, scans):
         self.scans = max(scans, self.scans)
 
     def finished(self, ended):
-        self.ends.append(ended.planned.contestant.label)
+        self.ends.append(ended.planned.method.label)
 
 
 @pytest.fixture
@@ -50,10 +50,10 @@ def quick(monkeypatch):
 
 
 def plan(*faults, sequence=None, mapper=None, **limits):
-    """A contestant for every fault, or for every table of contestants."""
+    """A method for every fault, or for every table of methods."""
     tables = [{"use": "faulty", "label": f, "fault": f} if isinstance(f, str) else f for f in faults]
     content = {
-        "contestant": tables,
+        "method": tables,
         "sequence": [{"use": "straight", **(sequence or {})}],
         "mapper": mapper or {"resolution_m": 0.25},
         "limits": {"run_s": 60.0, "scan_s": 30.0, **limits},
@@ -63,7 +63,7 @@ def plan(*faults, sequence=None, mapper=None, **limits):
 
 def trials(plan, folder, jobs=2, resume=False, heard=None):
     made = Engine(plan, Store(folder), heard or Heard(), jobs, resume).trials()
-    return {trial.contestant: trial for trial in made}
+    return {trial.method: trial for trial in made}
 
 
 def written(folder):
@@ -191,7 +191,7 @@ def test_a_run_is_scored_on_its_own_core_which_is_given_back_afterwards(tmp_path
 
     class Told(Heard):
         def begun(self, planned):
-            told.append(f"begun {planned.contestant.label}")
+            told.append(f"begun {planned.method.label}")
 
     def score(*arguments):
         told.append(f"scored on {arguments[-1]}")
@@ -294,7 +294,7 @@ def test_where_no_process_to_score_in_can_be_started_nothing_is_quarantined(tmp_
 def test_a_run_that_ends_evalkit_twice_is_quarantined_and_the_others_are_made(tmp_path, quick):
     """A back end that kills its parent, in evalkits of their own: the third leaves it alone, and tells their names."""
     (tmp_path / "t.toml").write_text(
-        '[[contestant]]\nuse = "faulty"\nfault = "kill-parent"\n[[contestant]]\nuse = "faulty"\nlabel = "none"\n'
+        '[[method]]\nuse = "faulty"\nfault = "kill-parent"\n[[method]]\nuse = "faulty"\nlabel = "none"\n'
         '[mapper]\nresolution_m = 0.25\n[[sequence]]\nuse = "straight"\n'
     )
     words = [str(tmp_path / "t.toml"), "--out", str(tmp_path / "out"), "-j", "1", "--resume", "--json"]

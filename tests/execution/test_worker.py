@@ -9,7 +9,7 @@ from evalkit import metrics
 from evalkit.core import belief
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import Run, Score
+from evalkit.core.run_result import RunResult, Score
 from evalkit.execution import worker
 from evalkit.execution.worker import Request
 from evalkit.metrics.table import Evidence
@@ -23,10 +23,10 @@ pytestmark = pytest.mark.usefixtures("strangers")
 ROOM = {"laps": 0.02, "seed": 3}
 
 
-def perform(folder, backend="wheel-odometry", parameters=None, dataset="straight", course=None):
+def perform(folder, backend="wheel-odometry", parameters=None, dataset="straight", sequence=None):
     if dataset == "straight":
-        course = {"scans": 12, "backwards": 0, "file": "", "breaks": False, "reads_s": 0.0, **(course or {})}
-    request = Request(backend, parameters or {}, dataset, course or {})
+        sequence = {"scans": 12, "backwards": 0, "file": "", "breaks": False, "reads_s": 0.0, **(sequence or {})}
+    request = Request(backend, parameters or {}, dataset, sequence or {})
     return worker.perform(request, folder), read_steps(folder / "steps.bin")
 
 
@@ -39,7 +39,7 @@ def test_the_warm_up_is_another_instance_so_the_first_answer_is_the_identity(tmp
 
 
 def test_a_sequence_shorter_than_the_warm_up_is_all_warm_up_and_all_run(tmp_path):
-    outcome, steps = perform(tmp_path, course={"scans": 3})
+    outcome, steps = perform(tmp_path, sequence={"scans": 3})
     assert (outcome.warm_up_scans, outcome.expected, len(steps)) == (3, 3, 3)
 
 
@@ -54,19 +54,19 @@ def test_an_odometry_has_no_residuals_and_a_registration_has_those_of_both_stage
     assert np.isnan(steps["s2s_error"][0])
     assert (steps["s2s_error"][1:] > 0).all()
     assert (steps["s2m_inliers"][1:] > 100).all()
-    assert (steps["s2s_believed"][0], steps["s2m_believed"][0], steps["s2m_converged"][0]) == (-1, -1, -1)
-    assert (steps["s2s_believed"][1:] == 1).all()
-    assert (steps["s2m_believed"][1:] == 1).all()
+    assert (steps["s2s_accepted"][0], steps["s2m_accepted"][0], steps["s2m_converged"][0]) == (-1, -1, -1)
+    assert (steps["s2s_accepted"][1:] == 1).all()
+    assert (steps["s2m_accepted"][1:] == 1).all()
     assert set(steps["s2m_converged"][1:].tolist()) <= {0, 1}
 
 
 def shares(outcome, steps):
-    run = Run("b", "s", outcome.status, outcome.reason, steps, outcome.expected)
+    run = RunResult("b", "s", outcome.status, outcome.reason, steps, outcome.expected)
     found = metrics.score(Evidence(run, Truth("none"), None, None, ()))
     return found["guess_kept_percent"], found["not_converged_percent"]
 
 
-def test_a_contestant_that_registers_nothing_is_complete_and_has_kept_every_guess(tmp_path):
+def test_a_method_that_registers_nothing_is_complete_and_has_kept_every_guess(tmp_path):
     given = {"max_correspondence_m": 0.0001}
     parameters = frontend.complete_parameters("t", registry.backend("paper"), given)
     outcome, steps = perform(tmp_path, "paper", parameters, "room", ROOM)
@@ -95,8 +95,8 @@ def test_an_odometry_can_tell_of_its_own_answers(tmp_path, monkeypatch):
     spec = BackendSpec(Doubtful, "odometry", "for a test", "none", "MIT")
     monkeypatch.setattr(registry, "backend", lambda name: spec)
     outcome, steps = perform(tmp_path)
-    assert steps["s2m_believed"].tolist() == [-1, *[1, 0] * 5, 1]
-    assert (steps["s2s_believed"] == -1).all()
+    assert steps["s2m_accepted"].tolist() == [-1, *[1, 0] * 5, 1]
+    assert (steps["s2s_accepted"] == -1).all()
     assert [score.value for score in shares(outcome, steps)] == [pytest.approx(500.0 / 11.0), None]
 
 
@@ -112,13 +112,13 @@ class TwoStaged:
 def test_an_odometry_can_tell_of_its_own_stages(tmp_path, monkeypatch):
     monkeypatch.setattr(registry, "backend", lambda name: BackendSpec(TwoStaged, "odometry", "a test", "none", "MIT"))
     _, steps = perform(tmp_path)
-    assert set(steps[["s2s_iterations", "s2s_inliers", "s2s_believed", "s2s_converged"]].tolist()) == {(7, 90, 1, 1)}
-    assert set(steps[["s2m_iterations", "s2m_inliers", "s2m_believed", "s2m_converged"]].tolist()) == {(40, 12, 0, 0)}
+    assert set(steps[["s2s_iterations", "s2s_inliers", "s2s_accepted", "s2s_converged"]].tolist()) == {(7, 90, 1, 1)}
+    assert set(steps[["s2m_iterations", "s2m_inliers", "s2m_accepted", "s2m_converged"]].tolist()) == {(40, 12, 0, 0)}
     assert set(steps["s2m_error"].tolist()) == {0.05}
 
 
 def test_the_sequences_notes_are_kept(tmp_path):
-    outcome, _ = perform(tmp_path, dataset="room", course=ROOM)
+    outcome, _ = perform(tmp_path, dataset="room", sequence=ROOM)
     assert outcome.notes["invalid ranges"] > 0
 
 
@@ -127,5 +127,5 @@ def test_an_absent_library_and_absent_data_have_statuses_of_their_own(tmp_path):
     assert outcome.status == "not-installed"
     assert outcome.reason == "absent: not installed; the library 'nowhere' is not installed; pip install nowhere"
     assert len(steps) == 0
-    outcome, _ = perform(tmp_path, course={"file": str(tmp_path / "gone")})
+    outcome, _ = perform(tmp_path, sequence={"file": str(tmp_path / "gone")})
     assert outcome.status == "data-missing"

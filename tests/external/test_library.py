@@ -22,7 +22,7 @@ from evalkit.plugins.protocols import resolved
 
 EXAMPLES = INCLUDE / "examples"
 STRICT = ["-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
-LIGHT = {"keyframes": 3, "submap_voxel_m": 0.02}
+LIGHT = {"keyframes": 3, "local_map_voxel_m": 0.02}
 
 
 def built(output, compiler, *words):

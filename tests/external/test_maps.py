@@ -1,4 +1,4 @@
-"""Maps made elsewhere as contestants: held against the true map as they are, and asked nothing else."""
+"""Maps made elsewhere as methods: held against the true map as they are, and asked nothing else."""
 
 import json
 import sys
@@ -33,11 +33,11 @@ def saved(tmp_path):
 
 @pytest.fixture
 def run(tmp_path, monkeypatch, capsys):
-    """Runs an experiment of contestants named so; exit code and rows."""
+    """Runs an experiment of methods named so; exit code and rows."""
 
     def call(command, *uses):
         path = tmp_path / "maps.toml"
-        entrants = "".join(f"[[contestant]]\nuse = {json.dumps(use)}\n" for use in uses)
+        entrants = "".join(f"[[method]]\nuse = {json.dumps(use)}\n" for use in uses)
         path.write_text(entrants + COARSE + f'[[sequence]]\nuse = "room"\n{DRIVE}')
         words = ["evalkit", command, str(path), "-o", str(tmp_path / "out"), "-j", "1", "--json"]
         monkeypatch.setattr(sys, "argv", words)

@@ -12,7 +12,7 @@ from evalkit.config import experiment
 from evalkit.core.errors import BadParameter, UnknownName
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import Run
+from evalkit.core.run_result import RunResult
 from evalkit.core.scan import Frame, Scan
 from evalkit.external import process
 from evalkit.metrics import runtime
@@ -72,7 +72,7 @@ def test_cpu_time_includes_what_the_program_itself_spends(program, followed):
 
 def test_on_a_named_device_there_is_no_cpu_time_but_its_own(program, followed):
     _, steps = followed(program(hello=HELLO.replace("summary=", 'device="a board", summary=')))
-    run = Run("b", "s", "complete", "", steps, len(steps))
+    run = RunResult("b", "s", "complete", "", steps, len(steps))
     scores = {m.name: m.compute(Evidence(run, Truth("none"), None, None, ())) for m in runtime.METRICS}
     assert scores["cpu_median_ms"].reason == "no CPU time was measured"
     assert scores["device_median_ms"].value == pytest.approx(5.0)
@@ -81,7 +81,7 @@ def test_on_a_named_device_there_is_no_cpu_time_but_its_own(program, followed):
 
 def test_a_back_end_that_tells_no_device_time_has_none(program, followed):
     _, steps = followed(program("say(pose=[x, 0.0, 0.0])"))
-    run = Run("b", "s", "complete", "", steps, len(steps))
+    run = RunResult("b", "s", "complete", "", steps, len(steps))
     score = next(m for m in runtime.METRICS if m.name == "device_median_ms").compute(
         Evidence(run, Truth("none"), None, None, ())
     )
@@ -156,9 +156,9 @@ def test_a_program_that_does_not_introduce_itself_has_failed(program, followed, 
 
 def test_a_program_that_does_not_introduce_itself_may_have_settings_all_the_same(program):
     name = program(hello="sys.exit(7)")
-    content = {"contestant": [{"use": name, "max_iterations": 3}], "sequence": [{"use": "room"}]}
-    (contestant,) = experiment.plan(content, "x.toml", "x", "report x.toml").contestants
-    assert contestant.missing == ""
+    content = {"method": [{"use": name, "max_iterations": 3}], "sequence": [{"use": "room"}]}
+    (method,) = experiment.plan(content, "x.toml", "x", "report x.toml").methods
+    assert method.missing == ""
     assert "ended with code 7 instead of answering" in registry.backend(name).broken
 
 
@@ -193,19 +193,19 @@ def test_its_parameters_are_set_in_an_experiment_and_reach_it(program, followed)
     path = Path(name.split()[-1])
     path.write_text(path.read_text().replace("        say()\n", "        s = q['parameters']; say()\n"))
     plan = experiment.plan(
-        {"contestant": [{"use": name, "offset_m": 2}], "sequence": [{"use": "room"}]}, "x.toml", "x", "report x.toml"
+        {"method": [{"use": name, "offset_m": 2}], "sequence": [{"use": "room"}]}, "x.toml", "x", "report x.toml"
     )
-    (contestant,) = plan.contestants
-    assert (contestant.label, contestant.missing) == (name, "")
-    assert contestant.parameters == {"offset_m": 2.0, "on": True, "answer_timeout_s": 10.0}
-    _, steps = followed(name, **contestant.parameters)
+    (method,) = plan.methods
+    assert (method.label, method.missing) == (name, "")
+    assert method.parameters == {"offset_m": 2.0, "on": True, "answer_timeout_s": 10.0}
+    _, steps = followed(name, **method.parameters)
     assert steps["x"][0] == pytest.approx(2.0)
 
 
 def test_an_absent_program_with_parameters_is_still_a_row_with_a_reason():
-    content = {"contestant": [{"use": "exec:./nowhere", "max_iterations": 3}], "sequence": [{"use": "room"}]}
-    (contestant,) = experiment.plan(content, "x.toml", "x", "report x.toml").contestants
-    assert "no program found" in contestant.missing
+    content = {"method": [{"use": "exec:./nowhere", "max_iterations": 3}], "sequence": [{"use": "room"}]}
+    (method,) = experiment.plan(content, "x.toml", "x", "report x.toml").methods
+    assert "no program found" in method.missing
 
 
 def test_results_are_keyed_by_what_the_program_contains(program):

@@ -6,7 +6,7 @@ import pytest
 from evalkit.core.errors import BadData, BadParameter
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import Run
+from evalkit.core.run_result import RunResult
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
 from evalkit.external import results
@@ -55,7 +55,7 @@ def test_its_times_are_withheld(poses, followed):
     _, steps = followed(poses(STAMPS, followed.truth))
     assert not steps["wall_ns"].any()
     assert not steps["cpu_ns"].any()
-    run = Run("b", "s", "complete", "", steps, 40)
+    run = RunResult("b", "s", "complete", "", steps, 40)
     scores = {m.name: m.compute(Evidence(run, Truth("none"), None, None, ())) for m in runtime.METRICS}
     names = ("wall_median_ms", "cpu_median_ms", "real_time_factor", "late_percent", "device_median_ms")
     assert [scores[name].value for name in names] == [None] * 5

@@ -33,8 +33,8 @@ def load():
 @pytest.fixture
 def caps(monkeypatch):
     """The product's own caps again afterwards: some targets lower them."""
-    monkeypatch.setattr(map_server, "MOST_PIXELS", map_server.MOST_PIXELS)
-    monkeypatch.setattr(untrusted_io, "MOST_BYTES", untrusted_io.MOST_BYTES)
+    monkeypatch.setattr(map_server, "MAX_PIXELS", map_server.MAX_PIXELS)
+    monkeypatch.setattr(untrusted_io, "MAX_BYTES", untrusted_io.MAX_BYTES)
 
 
 @pytest.mark.usefixtures("caps")

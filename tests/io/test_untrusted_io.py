@@ -1,4 +1,4 @@
-"""Files in a results folder: what was saved comes back, what somebody made up is refused without being believed."""
+"""Files in a results folder: what was saved comes back, what somebody made up is refused without being accepted."""
 
 import io
 import zipfile
@@ -54,7 +54,7 @@ OBJECTS = npy("{'descr': '|O', 'fortran_order': False, 'shape': (1,), }", b"\x80
         (b"", "no array"),
     ],
 )
-def test_a_header_is_neither_evaluated_nor_believed(tmp_path, content, told):
+def test_a_header_is_neither_evaluated_nor_accepted(tmp_path, content, told):
     (tmp_path / "a.npy").write_bytes(content)
     with pytest.raises(ValueError, match=told):
         untrusted_io.array(tmp_path / "a.npy")
@@ -65,7 +65,7 @@ def test_a_header_is_neither_evaluated_nor_believed(tmp_path, content, told):
 
 
 def test_an_archive_that_would_fill_the_memory_is_not_unpacked(tmp_path, monkeypatch):
-    monkeypatch.setattr(untrusted_io, "MOST_BYTES", 1000)
+    monkeypatch.setattr(untrusted_io, "MAX_BYTES", 1000)
     np.savez_compressed(tmp_path / "a.npz", zeros=np.zeros(1000))
     with pytest.raises(ValueError, match="holds more than 1000 bytes"):
         untrusted_io.arrays(tmp_path / "a.npz")

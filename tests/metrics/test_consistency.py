@@ -9,7 +9,7 @@ from evalkit.core import se2
 from evalkit.core.arrays import Bools
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import STEP, Run, Score
+from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats
 from evalkit.metrics import consistency
@@ -45,7 +45,7 @@ def scores(
     second: OccupancyGrid | None = None,
     mapped: Mapped = (),
 ) -> dict[str, Score]:
-    run = Run("b", "s", "complete", "", np.zeros(0, STEP), 0)
+    run = RunResult("b", "s", "complete", "", np.zeros(0, STEP), 0)
     evidence = Evidence(run, Truth("none"), None, whole, mapped, first, second)
     return {metric.name: metric.compute(evidence) for metric in consistency.METRICS}
 

@@ -7,7 +7,7 @@ import pytest
 
 from evalkit.core import se2
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import STEP, Run, Score
+from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics import drift
 from evalkit.metrics.table import Evidence, Matched
@@ -26,7 +26,7 @@ def matched(estimate: Floats, truth: Floats) -> Matched:
 
 
 def score(name: str, found: Matched) -> Score:
-    run = Run("b", "s", "complete", "", np.zeros(0, STEP), 0)
+    run = RunResult("b", "s", "complete", "", np.zeros(0, STEP), 0)
     (metric,) = (metric for metric in drift.METRICS if metric.name == name)
     return metric.compute(Evidence(run, Truth("exact"), found, None, ()))
 

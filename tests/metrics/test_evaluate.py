@@ -6,7 +6,7 @@ import pytest
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, Run
+from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Scan
 from evalkit.metrics import evaluate
 from evalkit.plugins import registry
@@ -56,7 +56,7 @@ def run_of(x, y=0.0, status="complete", reason=""):
     steps["stamp_ns"] = np.arange(len(x)) * 100_000_000
     steps["x"], steps["y"] = x, y
     steps["wall_ns"] = steps["cpu_ns"] = 2_000_000
-    return Run("b", "s", status, reason, steps, SCANS)
+    return RunResult("b", "s", status, reason, steps, SCANS)
 
 
 def perfect():
@@ -115,7 +115,7 @@ def test_free_space_is_hardly_violated_under_true_poses_and_clearly_under_those_
         steps = np.zeros(len(lab), dtype=STEP)
         steps["stamp_ns"] = lab.truth().trajectory.stamps_ns
         steps["x"], steps["y"], steps["theta"] = poses.T
-        scored = evaluate.score(Run("b", "lab", "complete", "", steps, len(lab)), lab, log_odds, 100)
+        scored = evaluate.score(RunResult("b", "lab", "complete", "", steps, len(lab)), lab, log_odds, 100)
         violations.append(scored.scores["cleared_percent"].value)
     assert violations[0] < 5.0
     assert violations[1] > 4.0 * violations[0]
@@ -124,16 +124,16 @@ def test_free_space_is_hardly_violated_under_true_poses_and_clearly_under_those_
 def test_a_scan_without_an_answer_is_not_drawn_and_shifts_no_other(straight, listener):
     run = perfect()
     answered = np.delete(run.steps, 4)
-    evaluate.score(Run("b", "s", "complete", "", answered, SCANS), straight, listener, 400)
+    evaluate.score(RunResult("b", "s", "complete", "", answered, SCANS), straight, listener, 400)
     assert [scan.stamp_ns for scan, _ in listener[0].scans] == answered["stamp_ns"].tolist()
     assert [pose.x for _, pose in listener[0].scans] == pytest.approx((1.0 + answered["x"]).tolist())
 
 
-def test_the_scans_drawn_are_the_same_for_every_contestant(straight, listener):
+def test_the_scans_drawn_are_the_same_for_every_method(straight, listener):
     whole = perfect()
     for missing in ((), (2, 3), (0,), range(6, SCANS)):
         steps = np.delete(whole.steps, missing)
-        evaluate.score(Run("b", "s", "complete", "", steps, SCANS), straight, listener, 5)
+        evaluate.score(RunResult("b", "s", "complete", "", steps, SCANS), straight, listener, 5)
         drawn = [scan.stamp_ns // 100_000_000 for scan, _ in listener[-3].scans]
         assert drawn == [scan for scan in (0, 2, 5, 8, 11) if scan not in missing]
 
@@ -142,7 +142,7 @@ def test_a_residual_from_scan_to_scan_is_that_of_scans_in_a_row_however_few_are_
     seen = []
     monkeypatch.setattr(evaluate.metrics, "score", lambda evidence, _: seen.append(evidence) or {})
     run = perfect()
-    evaluate.score(Run("b", "s", "complete", "", np.delete(run.steps, 4), SCANS), straight, log_odds, 3)
+    evaluate.score(RunResult("b", "s", "complete", "", np.delete(run.steps, 4), SCANS), straight, log_odds, 3)
     pairs = [(a.stamp_ns // 100_000_000, b.stamp_ns // 100_000_000) for (a, _), (b, _) in seen[0].successive]
     assert pairs == [(k, k + 1) for k in range(SCANS - 1) if k not in (3, 4)]
     for (_, earlier), (_, later) in seen[0].successive:

@@ -6,7 +6,7 @@ from scipy.linalg import sqrtm
 
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import STEP, Run
+from evalkit.core.run_result import STEP, RunResult
 from evalkit.metrics import gaussians
 from evalkit.metrics.table import Evidence
 
@@ -69,7 +69,7 @@ def grid(shift_cells):
 
 
 def scores(mapped, true):
-    run = Run("b", "s", "complete", "", np.zeros(0, STEP), 0)
+    run = RunResult("b", "s", "complete", "", np.zeros(0, STEP), 0)
     evidence = Evidence(run, Truth("exact", grid=true), None, mapped, ())
     return {metric.name: metric.compute(evidence) for metric in gaussians.METRICS}
 

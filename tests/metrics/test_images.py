@@ -5,7 +5,7 @@ import pytest
 
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import STEP, Run
+from evalkit.core.run_result import STEP, RunResult
 from evalkit.metrics import images
 from evalkit.metrics.table import Evidence
 
@@ -18,7 +18,7 @@ def grid(p, resolution_m=0.05, origin=(0.0, 0.0), observed=None):
 
 def scored(mapped, true):
     (metric,) = images.METRICS
-    run = Run("b", "s", "complete", "", np.zeros(0, STEP), 0)
+    run = RunResult("b", "s", "complete", "", np.zeros(0, STEP), 0)
     return metric.compute(Evidence(run, Truth("exact", grid=true), None, mapped, ()))
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import STEP, Run
+from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Scan
 from evalkit.metrics import landmarks
 from evalkit.metrics.table import Evidence
@@ -65,7 +65,7 @@ def scan(side_m):
 
 
 def scores(mapped, true, grid=None):
-    run = Run("b", "s", "complete", "", np.zeros(0, STEP), 0)
+    run = RunResult("b", "s", "complete", "", np.zeros(0, STEP), 0)
     evidence = Evidence(run, Truth("exact", grid=true), None, grid, mapped)
     return {metric.name: metric.compute(evidence) for metric in landmarks.METRICS}
 

@@ -8,7 +8,7 @@ import pytest
 from evalkit.core.arrays import Bools
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import STEP, Run, Score
+from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.metrics import maps
 from evalkit.metrics.table import Evidence
 
@@ -26,7 +26,7 @@ def wall(column: int, shape: tuple[int, int] = (40, 60)) -> Bools:
 
 
 def scores(mapped: OccupancyGrid | None, true: OccupancyGrid | None) -> dict[str, Score]:
-    run = Run("b", "s", "complete", "", np.zeros(0, STEP), 0)
+    run = RunResult("b", "s", "complete", "", np.zeros(0, STEP), 0)
     evidence = Evidence(run, Truth("exact", grid=true), None, mapped, ())
     return {metric.name: metric.compute(evidence) for metric in maps.METRICS}
 

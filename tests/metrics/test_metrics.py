@@ -12,21 +12,21 @@ import pytest
 
 from evalkit import metrics
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import STEP, Run, Score
+from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.table import Evidence, Metric, number, once
 from evalkit.metrics.trajectory import match
 
 
-def run(poses: list[tuple[float, float, float]]) -> Run:
+def run(poses: list[tuple[float, float, float]]) -> RunResult:
     steps = np.zeros(len(poses), STEP)
     steps["stamp_ns"] = np.arange(len(poses)) * 100_000_000
     for column, name in enumerate(("x", "y", "theta")):
         steps[name] = [pose[column] for pose in poses]
-    return Run("b", "s", "failed", "it broke", steps, 100)
+    return RunResult("b", "s", "failed", "it broke", steps, 100)
 
 
-def evidence(of: Run, truth: Truth) -> Evidence:
+def evidence(of: RunResult, truth: Truth) -> Evidence:
     return Evidence(of, truth, match(of.estimate, truth.trajectory), None, ())
 
 

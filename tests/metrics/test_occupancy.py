@@ -7,7 +7,7 @@ import pytest
 
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import STEP, Run
+from evalkit.core.run_result import STEP, RunResult
 from evalkit.metrics import occupancy
 from evalkit.metrics.occupancy import log_loss, true_states, wall_width_m
 from evalkit.metrics.table import Evidence
@@ -70,7 +70,9 @@ def test_a_map_without_walls_has_no_width():
 
 
 def scores(mapped, true):
-    evidence = Evidence(Run("b", "s", "complete", "", np.zeros(0, STEP), 0), Truth("t", grid=true), None, mapped, ())
+    evidence = Evidence(
+        RunResult("b", "s", "complete", "", np.zeros(0, STEP), 0), Truth("t", grid=true), None, mapped, ()
+    )
     return {metric.name: metric.compute(evidence) for metric in occupancy.METRICS}
 
 

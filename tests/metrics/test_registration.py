@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 
 from evalkit.core import se2
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import STEP, Run, Score
+from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats
 from evalkit.metrics import registration
@@ -36,7 +36,7 @@ def mapped_at(poses: Floats, shown: Floats | None = None) -> Mapped:
 
 def scores(mapped: Mapped, steps: NDArray[np.void] | None = None) -> dict[str, Score]:
     record = np.zeros(0, STEP) if steps is None else steps
-    run = Run("b", "s", "complete", "", record, len(record))
+    run = RunResult("b", "s", "complete", "", record, len(record))
     evidence = Evidence(run, Truth("exact"), None, None, mapped, successive=tuple(pairwise(mapped)))
     return {metric.name: metric.compute(evidence) for metric in registration.METRICS}
 
@@ -122,8 +122,8 @@ def test_what_a_back_end_tells_is_passed_on_and_silence_is_named() -> None:
 
 def test_the_last_stage_that_tells_is_the_one_whose_guess_counts() -> None:
     steps = np.zeros(5, STEP)
-    steps["s2s_believed"] = steps["s2s_converged"] = [-1, 0, 0, 0, 1]
-    steps["s2m_believed"] = [-1, 1, 1, 1, 0]
+    steps["s2s_accepted"] = steps["s2s_converged"] = [-1, 0, 0, 0, 1]
+    steps["s2m_accepted"] = [-1, 1, 1, 1, 0]
     steps["s2m_converged"] = -1
     found = scores((), steps)
     assert found["guess_kept_percent"] == Score(25.0, 4)

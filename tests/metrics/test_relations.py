@@ -11,7 +11,7 @@ import pytest
 
 from evalkit.core import se2
 from evalkit.core.ground_truth import Relations, Truth
-from evalkit.core.run_result import STEP, Run, Score
+from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import relations
@@ -25,7 +25,7 @@ def evidence_of(estimate: Trajectory, measured: Relations | None) -> Evidence:
     steps["stamp_ns"] = estimate.stamps_ns
     for column, name in enumerate(("x", "y", "theta")):
         steps[name] = estimate.poses[:, column]
-    run = Run("b", "s", "complete", "", steps, len(steps))
+    run = RunResult("b", "s", "complete", "", steps, len(steps))
     return Evidence(run, Truth("measured", relations=measured), None, None, ())
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import STEP, Run
+from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import revisits
 from evalkit.metrics.table import Evidence
@@ -24,7 +24,7 @@ def scores(estimate, truth):
     steps = np.zeros(len(estimate), STEP)
     steps["stamp_ns"] = estimate.stamps_ns
     steps["x"], steps["y"], steps["theta"] = estimate.poses.T
-    run = Run("b", "s", "complete", "", steps, len(steps))
+    run = RunResult("b", "s", "complete", "", steps, len(steps))
     evidence = Evidence(run, Truth("exact", truth), None, None, ())
     return {metric.name: metric.compute(evidence) for metric in revisits.METRICS}
 

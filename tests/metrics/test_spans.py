@@ -6,7 +6,7 @@ import pytest
 from evalkit.core.ground_truth import Truth
 from evalkit.core.measured_distances import Place, Span
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, Run
+from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Scan
 from evalkit.metrics import spans
 from evalkit.metrics.table import Evidence, Matched
@@ -22,7 +22,7 @@ def run_of(x, scale=1.0):
     steps = np.zeros(len(x), STEP)
     steps["stamp_ns"] = np.arange(len(x)) * SECOND
     steps["x"] = scale * np.asarray(x)
-    return Run("b", "s", "complete", "", steps, len(x))
+    return RunResult("b", "s", "complete", "", steps, len(x))
 
 
 def scores(run, taped, mapped=(), matched=None):

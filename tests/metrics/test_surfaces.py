@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import STEP, Run
+from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Scan
 from evalkit.metrics import surfaces
 from evalkit.metrics.neighbourhoods import patches
@@ -13,7 +13,7 @@ from evalkit.metrics.table import Evidence
 
 
 def scores(mapped):
-    evidence = Evidence(Run("b", "s", "complete", "", np.zeros(0, STEP), 0), Truth("none"), None, None, mapped)
+    evidence = Evidence(RunResult("b", "s", "complete", "", np.zeros(0, STEP), 0), Truth("none"), None, None, mapped)
     return {metric.name: metric.compute(evidence) for metric in surfaces.METRICS}
 
 

@@ -8,7 +8,7 @@ import pytest
 from evalkit.core import se2
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, Run
+from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import trajectory
@@ -49,7 +49,7 @@ def evidence_of(estimate: Trajectory, truth: Trajectory | None, expected: int) -
     steps["stamp_ns"] = estimate.stamps_ns
     for column, name in enumerate(("x", "y", "theta")):
         steps[name] = estimate.poses[:, column]
-    run = Run("b", "s", "complete", "", steps, expected)
+    run = RunResult("b", "s", "complete", "", steps, expected)
     return Evidence(run, Truth("exact", truth), trajectory.match(estimate, truth), None, ())
 
 

@@ -396,5 +396,5 @@ SEGFAULT, ALWAYS_SEGFAULT, EXITS, HANGS, HOGS = map(spec, (Segfault, AlwaysSegfa
 LEAKS, ABSENT, RAISES, MATRIX = map(spec, (Leaks, Absent, Raises, Matrix))
 PARAMETERISED = spec(parameterised, parameters=(Parameter("stop", 1, "", "13 ends badly", low=1),))
 MISSING = spec(Sound, missing=lambda: "not installed: pip install nothing")
-WHEELS = spec(Wheels, "odometry", role="bar")
+WHEELS = spec(Wheels, "odometry", role="baseline")
 NO_SPEC = 3

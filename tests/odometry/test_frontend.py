@@ -71,14 +71,14 @@ def spec(make, **changes):
     return BackendSpec(make, "registration", "for a test", "none", "MIT", **changes)
 
 
-def made(registration, on_match=lambda stage, match, believed: None, **given):
+def made(registration, on_match=lambda stage, match, accepted: None, **given):
     """An odometry around one registration object, which serves both stages."""
     described = spec(lambda: registration)
     return odometry(described, complete_parameters("test", described, given), on_match)
 
 
-def followed(contestant, frames):
-    return np.array([contestant.update(item).row for item in frames])
+def followed(method, frames):
+    return np.array([method.update(item).row for item in frames])
 
 
 def rows(poses):
@@ -99,23 +99,23 @@ def test_a_perfect_registration_gives_the_exact_trajectory(stages):
 
 
 def test_the_first_answer_is_the_identity_wherever_the_odometry_stands():
-    contestant = made(ByIndex())
-    assert contestant.update(frame(Pose(), odom=Pose(8.0, 9.0, 1.0))) == Pose()
+    method = made(ByIndex())
+    assert method.update(frame(Pose(), odom=Pose(8.0, 9.0, 1.0))) == Pose()
 
 
-def test_an_answer_on_too_few_pairs_is_not_believed():
+def test_an_answer_on_too_few_pairs_is_not_accepted():
     frames = [frame(pose, i, odom=Pose(3.0, 1.0, 2.0) @ pose) for i, pose in enumerate(PATH)]
     kept = followed(made(Nonsense(inliers=9), min_inliers=10), frames)
     np.testing.assert_allclose(kept, rows(PATH), atol=1e-12)
-    believed = followed(made(Nonsense(inliers=10), min_inliers=10), frames)
-    assert believed[1].tolist() == [70.0, 80.0, 1.0]
+    accepted = followed(made(Nonsense(inliers=10), min_inliers=10), frames)
+    assert accepted[1].tolist() == [70.0, 80.0, 1.0]
 
 
-def test_who_listens_hears_which_answers_were_believed():
+def test_who_listens_hears_which_answers_were_accepted():
     heard = []
-    contestant = made(ByIndex(inliers=9), lambda stage, match, believed: heard.append((stage, believed)), min_inliers=9)
-    doubter = made(ByIndex(inliers=8), lambda stage, match, believed: heard.append((stage, believed)), min_inliers=9)
-    for each in (contestant, doubter):
+    method = made(ByIndex(inliers=9), lambda stage, match, accepted: heard.append((stage, accepted)), min_inliers=9)
+    doubter = made(ByIndex(inliers=8), lambda stage, match, accepted: heard.append((stage, accepted)), min_inliers=9)
+    for each in (method, doubter):
         followed(each, [frame(PATH[0], 0), frame(PATH[1], 1)])
     assert heard == [("s2s", True), ("s2m", True), ("s2s", False), ("s2m", False)]
 
@@ -175,11 +175,11 @@ def test_the_second_stage_starts_from_the_answer_of_the_first():
 
 def test_both_stages_are_heard_in_order():
     heard = []
-    contestant = made(ByIndex(inliers=33), lambda stage, match, believed: heard.append((stage, match.inliers)))
-    contestant.update(frame(PATH[0], 0))
+    method = made(ByIndex(inliers=33), lambda stage, match, accepted: heard.append((stage, match.inliers)))
+    method.update(frame(PATH[0], 0))
     assert heard == []
-    contestant.update(frame(PATH[1], 1))
-    contestant.update(frame(PATH[2], 2))
+    method.update(frame(PATH[1], 1))
+    method.update(frame(PATH[2], 2))
     assert heard == [("s2s", 33), ("s2m", 33)] * 2
 
 
@@ -218,7 +218,7 @@ def test_steady_motion_is_undone_without_odometry_from_the_second_step_on():
 
 
 def held(path, **settings):
-    """How many keyframes the submap holds when each scan but the first is matched."""
+    """How many keyframes the local map holds when each scan but the first is matched."""
     registration = ByIndex()
     followed(made(registration, scan_to_scan=False, **settings), [frame(pose, i) for i, pose in enumerate(path)])
     return [len(target) // len(LANDMARKS) for target in registration.targets]
@@ -232,18 +232,18 @@ def test_or_after_a_turn_either_way():
     assert held([Pose(0.0, 0.0, math.radians(-15.0 * i)) for i in range(6)]) == [1, 1, 2, 2, 3]
 
 
-def test_the_submap_is_made_of_the_last_keyframes():
+def test_the_local_map_is_made_of_the_last_keyframes():
     assert held([Pose(0.6 * i, 0.0, 0.0) for i in range(7)], keyframes=3) == [1, 2, 3, 3, 3, 3]
 
 
-def test_the_last_scans_make_a_submap_however_little_they_moved():
-    assert held([Pose(0.01 * i, 0.0, 0.0) for i in range(6)], keyframes=3, submap="scans") == [1, 2, 3, 3, 3]
+def test_the_last_scans_make_a_local_map_however_little_they_moved():
+    assert held([Pose(0.01 * i, 0.0, 0.0) for i in range(6)], keyframes=3, local_map="scans") == [1, 2, 3, 3, 3]
 
 
 def test_a_grid_takes_every_scan_and_gives_its_occupied_cells():
-    registration = ByIndex(inliers=0)  # not believed: the odometry's poses stay
-    contestant = made(registration, scan_to_scan=False, submap="grid", submap_cell_m=0.1)
-    followed(contestant, [frame(Pose(), i, odom=Pose()) for i in range(3)])
+    registration = ByIndex(inliers=0)  # not accepted: the odometry's poses stay
+    method = made(registration, scan_to_scan=False, local_map="grid", local_map_cell_m=0.1)
+    followed(method, [frame(Pose(), i, odom=Pose()) for i in range(3)])
     cells = np.unique(np.floor(LANDMARKS / 0.1), axis=0)
     for target in registration.targets:
         assert target.frame == "start"
@@ -252,15 +252,15 @@ def test_a_grid_takes_every_scan_and_gives_its_occupied_cells():
 
 def test_a_lasting_map_is_asked_for_by_name():
     registration = ByIndex()
-    contestant = made(registration, scan_to_scan=False, submap="voxels", submap_voxel_m=1.0)
-    followed(contestant, [frame(PATH[0], 0), frame(PATH[1], 1)])
+    method = made(registration, scan_to_scan=False, local_map="voxels", local_map_voxel_m=1.0)
+    followed(method, [frame(PATH[0], 0), frame(PATH[1], 1)])
     assert len(registration.targets[0]) == len(np.unique(np.floor(LANDMARKS), axis=0))
 
 
 def test_only_points_near_the_base_are_used_if_asked():
     registration = ByIndex()
-    contestant = made(registration, local_radius_m=3.0)
-    followed(contestant, [frame(PATH[0], 0), frame(PATH[0], 1)])
+    method = made(registration, local_radius_m=3.0)
+    followed(method, [frame(PATH[0], 0), frame(PATH[0], 1)])
     near = LANDMARKS[np.hypot(LANDMARKS[:, 0], LANDMARKS[:, 1]) <= 3.0]
     np.testing.assert_allclose(registration.targets[0].points, near, atol=1e-9)
     assert registration.targets[0].frame == "base"

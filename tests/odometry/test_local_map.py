@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evalkit.core.pose import Pose
-from evalkit.odometry.local_map import GridSubmap, KeyframeSubmap, VoxelMap, voxel_means
+from evalkit.odometry.local_map import GridMap, KeyframeMap, VoxelMap, voxel_means
 from evalkit.plugins import registry
 
 
@@ -37,33 +37,33 @@ def test_no_points_have_no_means():
 
 
 def test_the_oldest_keyframe_leaves():
-    submap = KeyframeSubmap(2, 0.0)
+    local_map = KeyframeMap(2, 0.0)
     for x in (1.0, 2.0, 3.0):
-        submap.add(np.array([[0.0, 0.0]]), Pose(x, 0.0, 0.0))
-    assert submap.cloud(Pose()).points.tolist() == [[2.0, 0.0], [3.0, 0.0]]
+        local_map.add(np.array([[0.0, 0.0]]), Pose(x, 0.0, 0.0))
+    assert local_map.cloud(Pose()).points.tolist() == [[2.0, 0.0], [3.0, 0.0]]
 
 
 def test_keyframes_stand_in_the_start_frame():
-    submap = KeyframeSubmap(2, 0.0)
-    submap.add(np.array([[1.0, 0.0]]), Pose(5.0, 0.0, np.pi / 2))
-    np.testing.assert_allclose(submap.cloud(Pose()).points, [[5.0, 1.0]], atol=1e-12)
-    assert submap.cloud(Pose()).frame == "start"
+    local_map = KeyframeMap(2, 0.0)
+    local_map.add(np.array([[1.0, 0.0]]), Pose(5.0, 0.0, np.pi / 2))
+    np.testing.assert_allclose(local_map.cloud(Pose()).points, [[5.0, 1.0]], atol=1e-12)
+    assert local_map.cloud(Pose()).frame == "start"
 
 
 def test_keyframes_may_be_thinned_together():
-    submap = KeyframeSubmap(2, 1.0)
-    submap.add(np.array([[0.2, 0.2]]), Pose())
-    submap.add(np.array([[0.4, 0.6], [3.5, 0.5]]), Pose())
-    np.testing.assert_allclose(submap.cloud(Pose()).points, [[0.3, 0.4], [3.5, 0.5]])
+    local_map = KeyframeMap(2, 1.0)
+    local_map.add(np.array([[0.2, 0.2]]), Pose())
+    local_map.add(np.array([[0.4, 0.6], [3.5, 0.5]]), Pose())
+    np.testing.assert_allclose(local_map.cloud(Pose()).points, [[0.3, 0.4], [3.5, 0.5]])
 
 
-def test_the_submap_is_one_object_until_a_keyframe_comes():
-    submap = KeyframeSubmap(3, 0.0)
-    submap.add(np.zeros((1, 2)), Pose())
-    before = submap.cloud(Pose())
-    assert submap.cloud(Pose(9.0, 9.0, 1.0)) is before
-    submap.add(np.zeros((1, 2)), Pose())
-    assert submap.cloud(Pose()) is not before
+def test_the_local_map_is_one_object_until_a_keyframe_comes():
+    local_map = KeyframeMap(3, 0.0)
+    local_map.add(np.zeros((1, 2)), Pose())
+    before = local_map.cloud(Pose())
+    assert local_map.cloud(Pose(9.0, 9.0, 1.0)) is before
+    local_map.add(np.zeros((1, 2)), Pose())
+    assert local_map.cloud(Pose()) is not before
 
 
 # the lasting map
@@ -116,10 +116,10 @@ def test_the_lasting_map_is_one_object_until_it_grows_or_the_pose_moves_on():
 
 def drawn(*adds, probability=0.5, radius_m=9.0):
     """The cells matched against, in the order of their place, after scans of single points."""
-    submap = GridSubmap(registry.mapper("log-odds").make(resolution_m=0.5), probability, radius_m)
+    local_map = GridMap(registry.mapper("log-odds").make(resolution_m=0.5), probability, radius_m)
     for point, *poses in adds:
-        submap.add(np.array([point]), *poses)
-    return ordered(submap.cloud(Pose()).points)
+        local_map.add(np.array([point]), *poses)
+    return ordered(local_map.cloud(Pose()).points)
 
 
 AT_REST = (Pose(), Pose())
@@ -147,9 +147,9 @@ def test_only_cells_within_the_radius_are_matched_against():
 
 
 @pytest.mark.parametrize(
-    "submap",
-    [KeyframeSubmap(2, 0.1), VoxelMap(0.1, 5.0), GridSubmap(registry.mapper("log-odds").make(), 0.5, 5.0)],
+    "local_map",
+    [KeyframeMap(2, 0.1), VoxelMap(0.1, 5.0), GridMap(registry.mapper("log-odds").make(), 0.5, 5.0)],
 )
-def test_a_scan_without_a_hit_is_a_keyframe_without_points(submap):
-    submap.add(np.empty((0, 2)), Pose())
-    assert len(submap.cloud(Pose())) == 0
+def test_a_scan_without_a_hit_is_a_keyframe_without_points(local_map):
+    local_map.add(np.empty((0, 2)), Pose())
+    assert len(local_map.cloud(Pose())) == 0

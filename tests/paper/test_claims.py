@@ -26,7 +26,7 @@ def settings():
 
 
 def made(settings, percent):
-    """Results in which every contestant is off by so many percent of the way, and people cost 1 cm each."""
+    """Results in which every method is off by so many percent of the way, and people cost 1 cm each."""
     way = np.linspace(1.0, 100.0, claims.MARKS)
     results = {}
     for job in claims.CHAPTER.jobs(settings):

@@ -13,7 +13,7 @@ SETTINGS = {"worlds": "lab", "seeds": 2, "laps": 0.1, "interactions": True}
 
 
 @pytest.fixture(scope="module")
-def course():
+def sequence():
     return mapping.drive("lab", 0, LAPS)
 
 
@@ -31,12 +31,12 @@ def test_the_defaults_are_those_of_the_mapper():
     assert {name: mapping.DEFAULT[name] for name in own} == own
 
 
-def test_scans_are_spread_over_the_whole_drive(course):
-    placed = course.placed(5)
+def test_scans_are_spread_over_the_whole_drive(sequence):
+    placed = sequence.placed(5)
     stamps = [scan.stamp_ns for scan, _ in placed]
     assert len(stamps) == 5
-    assert (stamps[0], stamps[-1]) == (course.frames[0].scan.stamp_ns, course.frames[-1].scan.stamp_ns)
-    assert len(course.placed(10_000)) == len(course.frames)
+    assert (stamps[0], stamps[-1]) == (sequence.frames[0].scan.stamp_ns, sequence.frames[-1].scan.stamp_ns)
+    assert len(sequence.placed(10_000)) == len(sequence.frames)
 
 
 def test_undoing_the_motion_by_true_poses_puts_hits_without_noise_on_the_walls():

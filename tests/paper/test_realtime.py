@@ -7,7 +7,7 @@ from evalkit.report.html.document import Document, render
 from evalkit_paper import realtime
 from evalkit_paper.ladders import Ladder
 
-SETTINGS = {"seeds": 2, "laps": 0.1, "rates_hz": "10", "contestants": "own", "largest_factor": 100}
+SETTINGS = {"seeds": 2, "laps": 0.1, "rates_hz": "10", "methods": "own", "largest_factor": 100}
 
 
 def rung(factor, ate_m, lost="", policy="queue-of-one", dropped=0.0):
@@ -49,7 +49,7 @@ def invented(job):
     }  # fmt: skip
 
 
-@pytest.mark.parametrize("changed", [{}, {"contestants": "all"}])
+@pytest.mark.parametrize("changed", [{}, {"methods": "all"}])
 def test_the_chapter_draws_whatever_is_found(changed):
     settings = realtime.CHAPTER.settings("test", SETTINGS | changed)
     jobs = realtime.CHAPTER.jobs(settings)

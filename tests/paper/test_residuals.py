@@ -58,7 +58,7 @@ def test_following_answers_what_the_front_end_answers_and_reads_its_own_error():
     plain = trajectory_following.frontend.odometry(
         spec,
         trajectory_following.frontend.complete_parameters("paper", spec, {}),
-        lambda stage, answer, believed: heard.append((stage, answer.error)),
+        lambda stage, answer, accepted: heard.append((stage, answer.error)),
     )
     np.testing.assert_array_equal(found.poses, [plain.update(frame).row for frame in lab.frames()])
     for stage in trajectory_following.STAGES:

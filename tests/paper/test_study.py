@@ -9,7 +9,7 @@ from evalkit_paper.twins import apart
 STUDY = """
 title = "A small study"
 description = "Nothing to learn here."
-contestant = { use = "embedded", epsilon = 1e-3 }
+method = { use = "embedded", epsilon = 1e-3 }
 sequence = { use = "lab", laps = 0.03, speed_mps = 0.6 }
 mapper.scans = 4
 response = [{ metric = "ate_rmse_m", scale = "log", lost = 0.5 }]
@@ -17,7 +17,7 @@ envelope = [{ design = "driven", x = "speed", y = "rate", metric = "ate_rmse_m",
 factor = [
     { name = "speed", sets = "sequence.speed_mps", levels = [0.6, 1.2], unit = "m/s" },
     { name = "rate", sets = "sequence.rate_hz", levels = [10.0, 15.0], unit = "Hz" },
-    { name = "pairs", sets = "contestant.one_to_one", levels = [true, false] },
+    { name = "pairs", sets = "method.one_to_one", levels = [true, false] },
 ]
 design = [{ name = "driven", kind = "grid", factors = ["speed", "rate", "pairs"] }]
 """

@@ -55,11 +55,11 @@ def test_the_readmes_back_end_is_listed_runs_and_beats_the_wheels(tmp_path):
     tree, wheels = runs(
         environment,
         tmp_path,
-        blocks(readme, "toml")[1]  # the README's own contestant, with its setting
-        + '[[contestant]]\nuse = "wheel-odometry"\n'
+        blocks(readme, "toml")[1]  # the README's own method, with its setting
+        + '[[method]]\nuse = "wheel-odometry"\n'
         + '[[sequence]]\nuse = "room"\nlaps = 0.1\nodometry_scale = 0.1\n',
     )
-    assert (tree["contestant"], tree["status"]) == ("tree-icp", "complete")
+    assert (tree["method"], tree["status"]) == ("tree-icp", "complete")
     assert tree["scores"]["ate_rmse_m"] < min(0.05, wheels["scores"]["ate_rmse_m"])
     request = json.loads((tmp_path / "out" / "runs" / tree["key"] / "request.json").read_text())
     assert request["backend_parameters"]["max_iterations"] == 20
@@ -72,7 +72,7 @@ def test_the_readmes_data_set_is_listed_and_its_exact_wheels_are_exact(tmp_path)
     wheels, paper = runs(
         environment,
         tmp_path,
-        f'[[contestant]]\nuse = "wheel-odometry"\n[[contestant]]\nuse = "paper"\n[[sequence]]\nuse = "{name}"\n',
+        f'[[method]]\nuse = "wheel-odometry"\n[[method]]\nuse = "paper"\n[[sequence]]\nuse = "{name}"\n',
     )
     assert wheels["scores"]["ate_rmse_m"] == pytest.approx(0.0, abs=1e-9)
     assert paper["scores"]["ate_rmse_m"] < 0.05

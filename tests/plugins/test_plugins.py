@@ -26,7 +26,7 @@ BACKENDS, MAPPERS, DATASETS = (shipped(kind) for kind in ("backends", "mappers",
 SYNTHETIC = [name for name in DATASETS if registry.dataset(name).seeded]
 
 
-def course(name, **parameters):
+def sequence(name, **parameters):
     spec = registry.dataset(name)
     return spec.make(**resolved(name, spec.parameters, parameters))
 
@@ -34,7 +34,7 @@ def course(name, **parameters):
 @pytest.fixture(scope="module")
 def drive():
     """2 m of the room in 41 scans without noise, its frames and truth; only the wheels are wrong, by up to 10 cm."""
-    return course(
+    return sequence(
         "room", laps=0.09, speed_mps=0.8, noise_m=0.0, dropout=0.0, odometry_scale=0.1, gyro_bias_dps=2.0, seed=1
     )
 
@@ -47,8 +47,8 @@ def made(name):
 
 
 def driven(name, sequence):
-    contestant = made(name)
-    return np.array([contestant.update(frame).row for frame in sequence.frames()])
+    method = made(name)
+    return np.array([method.update(frame).row for frame in sequence.frames()])
 
 
 def seen_from_start(sequence):
@@ -73,22 +73,22 @@ def test_a_back_end_starts_at_the_identity_follows_and_says_the_same_again(name,
     poses = driven(name, drive)
     assert poses[0].tolist() == [0.0, 0.0, 0.0]
     assert np.array_equal(poses, driven(name, drive))
-    if registry.backend(name).role != "bar":
+    if registry.backend(name).role != "baseline":
         assert farthest_m(poses, seen_from_start(drive)) < min(0.05, wheels_m)
 
 
 def test_the_bar_is_one_that_can_be_beaten(wheels_m):
     assert wheels_m > 0.05
-    assert [name for name in BACKENDS if registry.backend(name).role == "bar"] == ["wheel-odometry"]
+    assert [name for name in BACKENDS if registry.backend(name).role == "baseline"] == ["wheel-odometry"]
 
 
 @pytest.mark.parametrize("name", BACKENDS)
 def test_a_back_end_writes_into_nothing_it_is_given(name):
-    contestant = made(name)
-    frame, later = itertools.islice(course("room", laps=0.02).frames(), 2)
+    method = made(name)
+    frame, later = itertools.islice(sequence("room", laps=0.02).frames(), 2)
     before = frame.scan.ranges.copy(), frame.scan.angles.copy()
-    contestant.update(frame)
-    contestant.update(later)
+    method.update(frame)
+    method.update(later)
     assert not frame.scan.ranges.flags.writeable
     assert np.array_equal(frame.scan.ranges, before[0], equal_nan=True)
     assert np.array_equal(frame.scan.angles, before[1])
@@ -158,7 +158,7 @@ def test_a_mapper_frees_the_cells_before_the_end_of_a_beam_and_fills_its_end(nam
 
 
 def small(name, seed):
-    return course(name, laps=0.03, seed=seed)
+    return sequence(name, laps=0.03, seed=seed)
 
 
 def bits(sequence):

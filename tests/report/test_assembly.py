@@ -16,19 +16,19 @@ from evalkit.report.assembly import distribution, fairness, in_order, sequence_c
 def plan():
     content = {
         "title": "Two",
-        "contestant": [{"use": "wheel-odometry"}, {"use": "paper", "label": "ours", "keyframes": 7}],
+        "method": [{"use": "wheel-odometry"}, {"use": "paper", "label": "ours", "keyframes": 7}],
         "sequence": [{"use": "room", "seeds": [0]}, {"use": "corridor", "seeds": [0]}],
     }
     return experiment.plan(content, "two.toml", "two", "report two.toml")
 
 
-def test_cards_tell_every_setting_a_contestant_runs_with(plan):
+def test_cards_tell_every_setting_a_method_runs_with(plan):
     noon = datetime(2024, 5, 1, 12, tzinfo=UTC)
     made = comparison_of(plan, [], noon, noon)
     assert made.command == "evalkit report two.toml"
-    assert [card.role for card in made.contestants.values()] == ["bar", "paper"]
-    settings = {setting.name: setting for setting in made.contestants["ours"].settings}
-    assert {name: setting.value for name, setting in settings.items()} == dict(plan.contestants[1].parameters)
+    assert [card.role for card in made.methods.values()] == ["baseline", "paper"]
+    settings = {setting.name: setting for setting in made.methods["ours"].settings}
+    assert {name: setting.value for name, setting in settings.items()} == dict(plan.methods[1].parameters)
     assert (settings["keyframes"].value, settings["keyframes"].default) == (7, 10)
 
 
@@ -67,12 +67,12 @@ def test_runs_at_a_time_are_told_where_known(demo):
 
 
 def test_a_sequence_tells_its_settings_and_the_truth_its_runs_met(plan, trial):
-    course = plan.courses[0]
+    sequence = plan.sequences[0]
     met = replace(trial("paper", "room", {}), truth=Truth("exact: as met"))
-    card = sequence_card(course, [met])
-    assert {setting.name: setting.value for setting in card.settings} == dict(course.parameters)
+    card = sequence_card(sequence, [met])
+    assert {setting.name: setting.value for setting in card.settings} == dict(sequence.parameters)
     assert card.truth == "exact: as met"
-    assert sequence_card(course, []).truth != "exact: as met"
+    assert sequence_card(sequence, []).truth != "exact: as met"
 
 
 def test_an_odometry_that_does_not_say_what_it_starts_from_is_given_no_guess():
@@ -82,10 +82,10 @@ def test_an_odometry_that_does_not_say_what_it_starts_from_is_given_no_guess():
 
 
 def test_trials_are_told_in_the_plans_order_though_every_second_repetition_ran_backwards(plan, trial):
-    course, labels = plan.courses[0], [contestant.label for contestant in plan.contestants]
-    run = [trial(who, course.label, {}, seed=seed) for seed in course.seeds for who in reversed(labels)]
+    sequence, labels = plan.sequences[0], [method.label for method in plan.methods]
+    run = [trial(who, sequence.label, {}, seed=seed) for seed in sequence.seeds for who in reversed(labels)]
     told = in_order(plan, run)
-    assert [(t.seed, t.contestant) for t in told] == [(seed, who) for seed in course.seeds for who in labels]
+    assert [(t.seed, t.method) for t in told] == [(seed, who) for seed in sequence.seeds for who in labels]
 
 
 def test_the_limits_that_were_in_force_are_told(plan):

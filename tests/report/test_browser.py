@@ -226,7 +226,7 @@ def test_drawings_leave_out_whom_the_filter_leaves_out(opened):
     assert len(left) == unquote(source).count('id="of:paper"') > 1
 
 
-def test_columns_of_contestants_are_filtered_too(opened):
+def test_columns_of_methods_are_filtered_too(opened):
     page = opened("#?only=paper,plane")
     page.locator("#sequence-1 summary", has_text="All metrics").click()
     table = page.locator("[aria-label='All metrics on room'] table")
@@ -239,8 +239,8 @@ def test_a_number_leads_to_the_run_that_made_it(opened):
     page.locator("[aria-label='Results on room'] a.run").first.click()
     row = page.locator("tr.aimed")
     assert row.is_visible()
-    assert "--contestant 'paper' --seed 0" in row.inner_text()
-    row.get_by_role("link", name="2 of the contestant").click()
+    assert "--method 'paper' --seed 0" in row.inner_text()
+    row.get_by_role("link", name="2 of the method").click()
     assert page.locator("#settings-1").get_attribute("open") is not None
 
 

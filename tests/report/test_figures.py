@@ -32,7 +32,7 @@ def test_wheel_odometry_has_no_residuals(trial):
     assert residuals([trial("wheel", "room", {})], strokes(["wheel"])) is None
 
 
-def test_what_is_drawn_of_a_contestant_is_named_so_that_the_page_can_leave_it_out(trial):
+def test_what_is_drawn_of_a_method_is_named_so_that_the_page_can_leave_it_out(trial):
     runs = [trial(name, "room", {}) for name in ("a", "<b>")]
     for draw in (trajectories, errors, residuals, runtimes):
         svg = draw(runs, strokes(["a", "<b>"])).svg.decode()

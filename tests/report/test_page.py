@@ -11,7 +11,7 @@ from PIL import Image
 
 from evalkit.core.grid import OccupancyGrid
 from evalkit.metrics.validated import shipped
-from evalkit.report import ContestantCard, SequenceCard, write
+from evalkit.report import MethodCard, SequenceCard, write
 from evalkit.report.html.formatting import figure
 from evalkit.report.html.maps import Window, greys, picture, window
 from evalkit.report.html.palette import strokes
@@ -74,11 +74,11 @@ def test_whatever_comes_from_data_stays_text_wherever_it_stands(build, trial, tm
         made, run=replace(made.run, notes={EVIL: 3}), truth=replace(made.truth, how=EVIL), alignment=EVIL, command=EVIL,
         backend_parameters={EVIL: EVIL}, dataset_parameters={EVIL: EVIL}, key="key",
     )  # fmt: skip
-    card = ContestantCard(EVIL, EVIL, EVIL, (), EVIL, missing=EVIL)
-    course = SequenceCard(EVIL, EVIL, EVIL, EVIL, EVIL, defects=(EVIL,))
+    card = MethodCard(EVIL, EVIL, EVIL, (), EVIL, missing=EVIL)
+    sequence = SequenceCard(EVIL, EVIL, EVIL, EVIL, EVIL, defects=(EVIL,))
     comparison = build(
-        [made], title=EVIL, description=EVIL, environment={EVIL: EVIL}, contestants={EVIL: card},
-        sequences={EVIL: course}, command=EVIL, mapper=EVIL, fairness=(EVIL,),
+        [made], title=EVIL, description=EVIL, environment={EVIL: EVIL}, methods={EVIL: card},
+        sequences={EVIL: sequence}, command=EVIL, mapper=EVIL, fairness=(EVIL,),
     )  # fmt: skip
     html = write(comparison, tmp_path).read_text(encoding="utf-8")
     parser = Tags()
@@ -128,7 +128,7 @@ def test_every_number_leads_to_its_runs(tags, demo):
     numbers = [a["href"] for tag, a in tags.found if tag == "a" and a.get("class") in ("run", "none")]
     assert {"#sequence-1-runs-1", "#sequence-2-runs-1"} <= set(numbers)
     rows = [a["id"] for tag, a in tags.found if tag == "tr" and "-runs-" in a.get("id", "")]
-    pairs = {(trial.contestant, trial.sequence) for trial in demo.trials}
+    pairs = {(trial.method, trial.sequence) for trial in demo.trials}
     assert len(rows) == len(pairs)
     assert {href[1:] for href in numbers} <= set(rows)
 
@@ -168,7 +168,7 @@ def test_metrics_that_mean_nothing_to_anybody_are_named_with_the_reason(tags):
 
 def test_only_who_completed_every_run_is_best(demo):
     table = headline(demo, "room")
-    best = {m.name: [r.contestant for r in table.rows if r.numbers[i].best] for i, m in enumerate(table.metrics)}
+    best = {m.name: [r.method for r in table.rows if r.numbers[i].best] for i, m in enumerate(table.metrics)}
     assert best["ate_rmse_m"] == ["plane"]
     assert best["map_f1"] == ["plane"]
     assert best["cpu_median_ms"] == ["paper"]
@@ -196,7 +196,7 @@ def test_what_was_driven_stands_beside_what_the_data_set_says_of_itself(tags):
 
 
 def test_who_is_worse_than_the_bar_is_marked(demo):
-    assert [row.contestant for row in headline(demo, "room").rows if row.behind_bar] == ["lost"]
+    assert [row.method for row in headline(demo, "room").rows if row.behind_bar] == ["lost"]
 
 
 def test_published_figures_stand_among_ours_in_order(tags):
@@ -238,7 +238,7 @@ def test_a_map_that_has_spread_does_not_shrink_the_others():
     assert window([]) is None
 
 
-def test_nine_contestants_have_nine_strokes():
+def test_nine_methods_have_nine_strokes():
     chosen = strokes([f"c{i}" for i in range(9)], ["c0"])
     assert len(set(chosen.values())) == 9
 

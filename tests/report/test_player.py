@@ -37,7 +37,7 @@ class Broken(Wall):
 
 
 def lines(trials):
-    return strokes([trial.contestant for trial in trials])
+    return strokes([trial.method for trial in trials])
 
 
 @pytest.fixture
@@ -85,8 +85,8 @@ def test_no_more_ranges_than_the_budget_and_no_gap_in_the_fan():
 
 
 def test_many_sequences_share_the_page():
-    assert budget(1) == budget(10) == module.MOST_RANGES
-    assert budget(20) * 20 == module.MOST_ON_PAGE
+    assert budget(1) == budget(10) == module.MAX_RANGES
+    assert budget(20) * 20 == module.MAX_ON_PAGE
 
 
 def test_a_single_jump_survives_thinning():
@@ -166,13 +166,11 @@ def test_a_map_alone_is_shown_with_its_ghosts_and_has_no_path(runs):
     true = OccupancyGrid(log_odds, np.ones((40, 40), dtype=bool), 0.1, 0.0, 0.0)
     there = [replace(run, truth=replace(run.truth, grid=true)) for run in runs]
     shifted = OccupancyGrid(log_odds, np.ones((40, 40), dtype=bool), 0.1, 1.0, 0.0)
-    alone = replace(
-        there[0], contestant="theirs", grid=shifted, run=replace(there[0].run, steps=there[0].run.steps[:0])
-    )
+    alone = replace(there[0], method="theirs", grid=shifted, run=replace(there[0].run, steps=there[0].run.steps[:0]))
     made = player([*there, alone], None, WINDOW, lines([*there, alone]))
     (theirs,) = content(made)["maps"]
     cells = unpacked(theirs["ghosts"], (40, 2)) * 1e-3
-    assert (made.contestants, made.maps) == (("a", "b"), ("theirs",))
+    assert (made.methods, made.maps) == (("a", "b"), ("theirs",))
     assert "a map alone was given: theirs." in made.told
     assert cells[:, 0] == pytest.approx(2.05)  # the wall of the column at 1.0 to 1.1 m, a metre off
     assert player([alone], None, WINDOW, lines([alone])) is None
@@ -183,7 +181,7 @@ def test_who_answered_nothing_is_not_there(trial):
     assert player([absent], None, WINDOW, lines([absent])) is None
     present = trial("a", "room", {}, truth=False)
     made = player([present, absent], None, None, lines([present, absent]))
-    assert made.contestants == ("a",)
+    assert made.methods == ("a",)
     assert content(made)["truth"] is None
     assert content(made)["runs"][0]["error"] is None
 

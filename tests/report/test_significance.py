@@ -19,9 +19,9 @@ from evalkit.stats.statistics import Friedman
 ATE = "ate_rmse_m"
 
 
-def _of(comparison, contestant, metric=ATE, sequence="room"):
+def _of(comparison, method, metric=ATE, sequence="room"):
     table = {m.name: m for m in comparison.metrics}
-    cell = standing(comparison, sequence, table[metric]).of(contestant)
+    cell = standing(comparison, sequence, table[metric]).of(method)
     assert cell is not None
     return cell
 
@@ -101,7 +101,7 @@ def test_runs_without_errors_for_every_scan_are_compared_by_students_t(trial, bu
 def test_the_same_results_give_the_same_numbers(demo):
     once, twice = (record.results(replace(demo), (), ()) for _ in range(2))
     assert once == twice
-    assert {row["contestant"] for row in once["intervals"] if row["metric"] == ATE} >= {"paper", "plane", "wheel"}
+    assert {row["method"] for row in once["intervals"] if row["metric"] == ATE} >= {"paper", "plane", "wheel"}
     assert all(row["low"] <= row["high"] for row in once["intervals"])
 
 
@@ -120,7 +120,7 @@ def test_the_table_of_pairs_says_what_the_verdict_says(trial, build):
 
 
 def _many(trial, build, sequences, failed=()):
-    """Three contestants over so many sequences: a always best, b 10 % worse, c twice as bad; failures of a by name."""
+    """Three methods over so many sequences: a always best, b 10 % worse, c twice as bad; failures of a by name."""
     made = []
     for number in range(sequences):
         for who, factor in (("a", 1.0), ("b", 1.1), ("c", 2.0)):
@@ -137,7 +137,7 @@ def test_over_ten_sequences_the_test_and_the_ranks_agree_with_hand_calculation(t
     assert isinstance(found.ranks, Friedman)
     assert found.ranks.ranks == (1.0, 2.0, 3.0)
     assert found.ranks.critical_difference == pytest.approx(1.048, abs=1e-3)
-    duel = {d.contestant: d for d in found.duels}["c"]
+    duel = {d.method: d for d in found.duels}["c"]
     assert (duel.reference, duel.runs, duel.better, duel.worse, duel.said) == ("a", 10, 0, 10, "worse")
     assert duel.ratio == pytest.approx(2.0)
     assert duel.p == pytest.approx(2 * 2 / 2**10)
@@ -152,15 +152,15 @@ def test_five_runs_are_too_few_to_show_anything(trial, build):
 
 def test_a_failed_run_is_the_worst_and_never_left_out(trial, build):
     found = evidence(_many(trial, build, 10, failed=(0, 1, 2, 3, 4, 5)))
-    record = {r.contestant: r for r in found.records}["a"]
+    record = {r.method: r for r in found.records}["a"]
     assert (record.finished, record.runs) == (4, 10)
     assert record.rank == pytest.approx((6 * 3 + 4 * 1) / 10)
     assert record.reach[1:] == (math.inf, math.inf)
-    duel = next(d for d in found.duels if "a" in (d.contestant, d.reference))
+    duel = next(d for d in found.duels if "a" in (d.method, d.reference))
     assert duel.runs == 10
 
 
-def test_contestants_that_agree_to_rounding_are_equal(trial, build):
+def test_methods_that_agree_to_rounding_are_equal(trial, build):
     made = [
         trial(who, f"s{number}", {ATE: (0.01 + 0.01 * number) * factor})
         for number in range(10) for who, factor in (("a", 1.0), ("b", 1.0 + 1e-13))

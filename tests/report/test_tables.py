@@ -39,7 +39,7 @@ def test_scores_csv_keeps_the_reason_of_what_is_not_meaningful(folder, demo):
 
 
 def test_summary_csv_has_medians_over_complete_runs_only(folder):
-    found = {(r["contestant"], r["metric"]): r for r in _rows(folder / "summary.csv") if r["sequence"] == "room"}
+    found = {(r["method"], r["metric"]): r for r in _rows(folder / "summary.csv") if r["sequence"] == "room"}
     plane = found["plane", "ate_rmse_m"]
     assert float(plane["median"]) == pytest.approx(0.011 * 1.03)
     assert [float(plane[k]) for k in ("lowest", "highest")] == pytest.approx([0.011, 0.011 * 1.06])

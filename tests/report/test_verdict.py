@@ -149,7 +149,7 @@ def test_a_degenerate_sequence_is_named_and_not_counted(trial, build):
 
 
 def _maps(trial, build, **measures):
-    """One run each without truth; per contestant halves apart (m), variance across walls (1000 cm2), cleared share and
+    """One run each without truth; per method halves apart (m), variance across walls (1000 cm2), cleared share and
     S2M residual (m)."""
     names = ("split_distance_m", "mom_cm2", "cleared_percent", "s2m_m")
 
@@ -231,7 +231,7 @@ def test_damaged_data_are_told_above_one_percent(trial, build):
     )
 
 
-def test_what_could_not_start_is_no_failure_of_the_contestant(demo):
+def test_what_could_not_start_is_no_failure_of_the_method(demo):
     first = _overview(demo)[0]
     assert first.startswith(
         "16 of 23 runs finished. Did not finish: <script>alert(1)</script> (1 of 3 crashed, 1 of 3 "
@@ -293,4 +293,4 @@ def test_a_leader_picked_after_the_fact_needs_a_lead_over_everybody(trial, build
     comparison = build([one for name, values in runs.items() for one in _seeds(trial, name, values)])
     found = verdict(comparison, "room")
     assert (found.outcome, found.leaders) == ("level", ("a", "b"))  # far ahead of c alone is no lead
-    assert any("against every other contestant" in sentence for sentence in _overview(comparison))
+    assert any("against every other method" in sentence for sentence in _overview(comparison))

@@ -10,7 +10,7 @@ import pytest
 from evalkit.core.errors import StoreError
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, Run, Score, Status
+from evalkit.core.run_result import STEP, RunResult, Score, Status
 from evalkit.core.trajectory import Trajectory
 from evalkit.io import map_server
 from evalkit.results.store import Store, read_steps, tum
@@ -33,7 +33,7 @@ def steps(count=5):
 
 
 def saved_run(store, status: Status = "complete", reason=""):
-    run = Run("icp", "room <1>", status, reason, steps(), 9, 123, 5, {"invalid ranges": 2})
+    run = RunResult("icp", "room <1>", status, reason, steps(), 9, 123, 5, {"invalid ranges": 2})
     (store.fresh(KEY) / "steps.bin").write_bytes(run.steps.tobytes())
     store.save_run(KEY, run, {"made": "2024-05-01T12:00:00+00:00"})
     return run

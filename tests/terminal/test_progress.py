@@ -7,16 +7,16 @@ import pytest
 from rich.console import Console
 
 from evalkit.config import experiment
-from evalkit.config.experiment import Contestant, Course
+from evalkit.config.experiment import Method, SequenceSpec
 from evalkit.execution.run_task import Ended
 from evalkit.terminal.progress import JobLines, TimeLeft, jobs, missing, progress
 
 
 @pytest.fixture
 def planned():
-    """Two contestants, one sequence with two seeds and one with one."""
+    """Two methods, one sequence with two seeds and one with one."""
     content = {
-        "contestant": [{"use": "wheel-odometry", "label": "fast"}, {"use": "paper", "label": "slow"}],
+        "method": [{"use": "wheel-odometry", "label": "fast"}, {"use": "paper", "label": "slow"}],
         "sequence": [{"use": "room", "seeds": [0, 1]}, {"use": "lab"}],
     }
     return list(experiment.plan(content, "x.toml", "x", "report x.toml").runs())
@@ -32,7 +32,7 @@ def test_after_one_run_all_others_are_like_it(planned):
     assert left.seconds() == pytest.approx(5 * 4.0)
 
 
-def test_an_open_run_takes_its_sequences_mean_times_its_contestants_share(planned):
+def test_an_open_run_takes_its_sequences_mean_times_its_methods_share(planned):
     """Room: fast 1 s, slow 3 s, so mean 2 s: shares 1/2 and 3/2. Open: room 1 and lab 0, both unlike any other yet."""
     left = TimeLeft(planned, 1)
     left.finished("room", "fast", 1.0)
@@ -47,7 +47,7 @@ def test_two_at_a_time_take_half_as_long_and_all_done_is_nothing_left(planned):
     left.finished("room", "fast", 4.0)
     assert left.seconds() == pytest.approx(5 * 4.0 / 2)
     for item in planned[1:]:
-        left.finished(item.course.label, item.contestant.label, 4.0)
+        left.finished(item.sequence.label, item.method.label, 4.0)
     assert left.seconds() == 0.0
 
 
@@ -65,13 +65,13 @@ def test_a_pipe_gets_one_plain_line_a_run_with_its_reason(planned):
 
 
 def test_what_is_missing_is_one_line_a_reason_and_what_the_system_lacks_comes_first(planned):
-    content = {"contestant": [{"use": "wheel-odometry"}], "sequence": [{"use": "room"}]}
+    content = {"method": [{"use": "wheel-odometry"}], "sequence": [{"use": "room"}]}
     plan = experiment.plan(content, "x.toml", "x", "report x.toml")
     assert missing(plan) == []
     pip, apt = "not installed: pip install x", "needs libGL:\napt-get install libgl1"
-    entrants = [Contestant(label, "", {}, why) for label, why in (("a", pip), ("b", apt), ("c", apt), ("d", ""))]
-    courses = (Course("e", "", {}, (None,), "no file e"),)
-    assert missing(replace(plan, contestants=tuple(entrants), courses=courses)) == [
+    entrants = [Method(label, "", {}, why) for label, why in (("a", pip), ("b", apt), ("c", apt), ("d", ""))]
+    sequences = (SequenceSpec("e", "", {}, (None,), "no file e"),)
+    assert missing(replace(plan, methods=tuple(entrants), sequences=sequences)) == [
         "missing here: b, c: needs libGL: apt-get install libgl1",
         "missing here: a: not installed: pip install x",
         "missing here: e: no file e",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.floating]
 Row = tuple[float, float, float]
 Stage = tuple[int, bool, int, float, int]
-"""Of a stage: -1 not asked, 0 guess kept, 1 believed; converged, iterations, error (m), inliers."""
+"""Of a stage: -1 not asked, 0 guess kept, 1 accepted; converged, iterations, error (m), inliers."""
 Place = tuple[int, int, int, int]
 """Left and bottom cell, columns, rows; multiples of 32."""
 

@@ -141,14 +141,14 @@ static void bench_registration(size_t scans)
 typedef struct {
     ek_index built, updated;
     ek_merge merge;
-    ek_real *drive, *cloud; /* the keyframes twice round the room; those of a submap */
+    ek_real *drive, *cloud; /* the keyframes twice round the room; those of a local map */
     size_t points, newest;  /* of a keyframe; how many keyframes have come */
-} submap;
+} local map;
 
-/* The submap of the keyframes that end before `newest`, built. */
-static void build_submap(void *context)
+/* The local map of the keyframes that end before `newest`, built. */
+static void build_local_map(void *context)
 {
-    submap *const s = (submap *)context;
+    local map *const s = (local_map *)context;
     const size_t from = s->newest - KEYFRAMES;
     for (size_t k = 0; k < KEYFRAMES; k++) { /* as if each lay by itself */
         memcpy(s->cloud + 2u * k * s->points, s->drive + 2u * (from + k) * s->points, 2u * s->points * sizeof(ek_real));
@@ -158,16 +158,16 @@ static void build_submap(void *context)
 }
 
 /* The same, brought up to date from the one before: the drive goes on where it began. */
-static void update_submap(void *context)
+static void update_local_map(void *context)
 {
-    submap *const s = (submap *)context;
+    local map *const s = (local_map *)context;
     (void)ek_merge_update(&s->merge, &s->updated, s->points, s->drive + 2u * (s->newest - 1u) * s->points, s->points);
     s->newest = s->newest < 2u * ROUND ? s->newest + 1u : ROUND + 1u;
 }
 
 static void bench_keyframe(size_t points)
 {
-    static submap s;
+    static local map s;
     const size_t all = KEYFRAMES * points;
     s.points = points;
     s.drive = (ek_real *)taken(2u * 2u * ROUND * points * sizeof(ek_real));
@@ -187,12 +187,12 @@ static void bench_keyframe(size_t points)
         arena = pass ? arena : ek_arena_over(memory, arena.used);
     }
     s.newest = KEYFRAMES;
-    build_submap(&s);
+    build_local_map(&s);
     (void)ek_index_build(&s.updated, s.cloud, all);
-    const double build_us = median_us(build_submap, &s, 3);
+    const double build_us = median_us(build_local_map, &s, 3);
     s.newest = KEYFRAMES + 1u;
-    const double update_us = median_us(update_submap, &s, 3);
-    printf("keyframe of %5zu in a submap of %6zu points: built %8.1f us, updated %8.1f us\n", points, all, build_us,
+    const double update_us = median_us(update_local_map, &s, 3);
+    printf("keyframe of %5zu in a local map of %6zu points: built %8.1f us, updated %8.1f us\n", points, all, build_us,
            update_us);
     free(memory);
     free(s.drive);

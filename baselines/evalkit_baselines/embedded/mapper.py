@@ -16,18 +16,18 @@ from evalkit.core.se2 import Floats
 from evalkit.plugins.protocols import Parameter
 from evalkit_baselines.embedded.compiled import core, real
 from evalkit_baselines.paper import grid
-from evalkit_baselines.paper.grid import CHUNK, MOST_CELLS
+from evalkit_baselines.paper.grid import CHUNK, MAX_CELLS
 
 UNKNOWN = np.iinfo(np.int16).min
 THOUSANDTHS = np.float32(1000.0)
-MOST_ACROSS = 1 << 15  # cells a side, the core's limit
+MAX_ACROSS = 1 << 15  # cells a side, the core's limit
 LONGEST_BEAM = 8192  # cells, likewise
 NO_POINTS = np.zeros((0, 2))
 NOT_HERE = ("once_per_scan", "traversal")
-MOST_LOG_ODDS = 15.0
+MAX_LOG_ODDS = 15.0
 
 PARAMETERS: tuple[Parameter, ...] = tuple(
-    replace(p, low=max(p.low, -MOST_LOG_ODDS), high=min(p.high, MOST_LOG_ODDS)) if p.name.startswith("l_") else p
+    replace(p, low=max(p.low, -MAX_LOG_ODDS), high=min(p.high, MAX_LOG_ODDS)) if p.name.startswith("l_") else p
     for p in grid.PARAMETERS
     if p.name not in NOT_HERE
 )
@@ -105,7 +105,7 @@ class CompiledGrid:
             low, high = np.minimum(low, self._low), np.maximum(high, self._high)
         low, high = low // CHUNK * CHUNK, -(-high // CHUNK) * CHUNK
         columns, rows = (high - low).tolist()
-        if columns * rows > MOST_CELLS or max(columns, rows) > MOST_ACROSS:
+        if columns * rows > MAX_CELLS or max(columns, rows) > MAX_ACROSS:
             raise self._too_large(f"{columns * self._resolution_m:.0f} m x {rows * self._resolution_m:.0f} m")
         range_max_m = max(range_max_m, self._range_max_m)
         if range_max_m > LONGEST_BEAM * self._resolution_m:

@@ -79,8 +79,8 @@ class CompiledPipeline:
 
 def _tell(stage: frontend.Stage, told: int, converged: bool, iterations: int, error: float, inliers: int) -> None:
     if told != belief.UNTOLD:  # the stage was asked
-        believed = told == belief.BELIEVED
-        belief.tell_stage(stage, belief.Registered(believed, converged, iterations, error, inliers))
+        accepted = told == belief.ACCEPTED
+        belief.tell_stage(stage, belief.Registered(accepted, converged, iterations, error, inliers))
 
 
 def _row(pose: Pose | None) -> tuple[float, float, float] | None:

@@ -38,8 +38,8 @@ def _reading(summary: str, frontend: Mapping[str, Value] | None = None, **defaul
 
 
 LASTING_MAP: dict[str, Value] = {
-    "submap": "voxels",
-    "submap_voxel_m": 0.1,
+    "local_map": "voxels",
+    "local_map_voxel_m": 0.1,
     "keyframe_distance_m": 0.3,
     "keyframe_angle_deg": 10.0,
 }

@@ -18,7 +18,7 @@ from evalkit.core.se2 import Floats
 from evalkit.plugins.protocols import Parameter, resolved
 
 CHUNK = 256  # cells: the array grows in steps of this, so that copying stays rare
-MOST_CELLS = 64_000_000  # 400 m x 400 m at 5 cm, 320 MB: a trajectory that ran away must not take the machine along
+MAX_CELLS = 64_000_000  # 400 m x 400 m at 5 cm, 320 MB: a trajectory that ran away must not take the machine along
 FARTHEST_CELL = 2**40  # farther out a place within a cell is lost to rounding, and soon the cell
 
 PARAMETERS = (
@@ -49,7 +49,7 @@ class LogOddsGrid:
 
     Cells are half open, [i, i + 1) times the resolution from the world's origin. Invalid beams (nan) never count. The
     printed l_free is negative and therefore *added*. The paper prints no bounds: here 5, a probability of 0.993. A map
-    of more than ``MOST_CELLS`` raises BadParameter.
+    of more than ``MAX_CELLS`` raises BadParameter.
     """
 
     resolution_m: float = 0.05
@@ -136,7 +136,7 @@ class LogOddsGrid:
             low, high = np.minimum(low, self._low), np.maximum(high, self._low + size)
         low, high = low // CHUNK * CHUNK, -(-high // CHUNK) * CHUNK
         columns, rows = (high - low).tolist()
-        if columns * rows > MOST_CELLS:
+        if columns * rows > MAX_CELLS:
             raise self._too_large(f"{columns * self.resolution_m:.0f} m x {rows * self.resolution_m:.0f} m")
         (left, bottom), (width, height) = self._low - low, size
         old = np.s_[bottom : bottom + height, left : left + width] if size.any() else np.s_[:0, :0]

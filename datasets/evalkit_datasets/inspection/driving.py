@@ -19,7 +19,7 @@ STILL = (0.005, 0.005)
 FASTEST = (3.0, 2.0 * math.pi)
 """No robot that carries a 2D lidar indoors is faster (m/s, rad/s): a step that needs more is a jump."""
 
-LEAST_JUMP = (0.3, math.radians(20.0))
+MIN_JUMP = (0.3, math.radians(20.0))
 """Smaller steps are no jumps, however short the time between two stamps."""
 
 BIN_NS = 500_000_000
@@ -31,7 +31,7 @@ SIDEWAYS = 0.02
 NEVER_STILL = 0.002
 """Odometry of wheels that stand does not change in any digit; noise always does."""
 
-LEAST_STEP_M = 0.005
+MIN_STEP_M = 0.005
 LISTED_JUMPS = 10
 
 
@@ -136,13 +136,13 @@ class Turning:
 
 
 LONGEST_S = 3.0
-MOST_SHIFT = 0.25
+MAX_SHIFT = 0.25
 """Walls move by distance over range in a scan: pairs are taken where that is less than this share of the turn."""
 
-LEAST_TURN = math.radians(3.0)
-MOST_TURN = math.radians(35.0)
-MOST_PAIRS = 200
-LEAST_PAIRS = 8
+MIN_TURN = math.radians(3.0)
+MAX_TURN = math.radians(35.0)
+MAX_PAIRS = 200
+MIN_PAIRS = 8
 CLIP_M = 10.0
 
 
@@ -156,7 +156,7 @@ def turning(wheels: Wheels, laser: Laser) -> Turning | None:
     times, order = np.unique(laser.stamps_ns, return_index=True)
     inside = (times >= stamps[0]) & (times <= stamps[-1])
     times, order = times[inside], order[inside]
-    if len(times) < LEAST_PAIRS or len(stamps) < 2:
+    if len(times) < MIN_PAIRS or len(stamps) < 2:
         return None
     poses = se2.interpolate(stamps, wheels.poses[first], times)
     middle_m = float(np.median([_middle(laser.ranges[at]) for at in order]))
@@ -168,7 +168,7 @@ def turning(wheels: Wheels, laser: Laser) -> Turning | None:
         if turn is not None:
             said.append(float(se2.wrap(poses[other, 2] - poses[one, 2])))
             seen.append(turn)
-    if len(said) < LEAST_PAIRS:
+    if len(said) < MIN_PAIRS:
         return None
     odometry, scans = np.array(said), np.array(seen)
     low, high = np.degrees(np.percentile(scans - odometry, [16, 84]))
@@ -182,14 +182,14 @@ def _pairs(times: Stamps, poses: Floats, middle_m: float) -> list[tuple[int, int
         last = int(np.searchsorted(times, times[one] + int(LONGEST_S * 1e9), side="right"))
         for other in range(one + 1, min(last, one + 12)):
             turn = abs(float(se2.wrap(poses[other, 2] - poses[one, 2])))
-            if turn > MOST_TURN:
+            if turn > MAX_TURN:
                 break
-            if turn >= LEAST_TURN:
+            if turn >= MIN_TURN:
                 moved = float(np.hypot(*(poses[other, :2] - poses[one, :2])))
-                if moved <= MOST_SHIFT * turn * middle_m:
+                if moved <= MAX_SHIFT * turn * middle_m:
                     found.append((one, other))
                 break
-    return found[:: max(len(found) // MOST_PAIRS, 1)]
+    return found[:: max(len(found) // MAX_PAIRS, 1)]
 
 
 def _shift(one: Floats, other: Floats, step: float) -> float | None:
@@ -197,7 +197,7 @@ def _shift(one: Floats, other: Floats, step: float) -> float | None:
     if len(one) != len(other):
         return None
     a, b = (np.where(np.isfinite(row) & (row > 0.0), np.minimum(row, CLIP_M), np.nan) for row in (one, other))
-    most = min(int(MOST_TURN * 1.4 / abs(step)), len(a) // 2)
+    most = min(int(MAX_TURN * 1.4 / abs(step)), len(a) // 2)
     costs = np.array([_cost(a, b, shift) for shift in range(-most, most + 1)])
     best = int(np.nanargmin(costs)) if np.isfinite(costs).any() else 0
     if not 0 < best < len(costs) - 1 or costs[best] > 0.5 * np.nanmedian(costs):
@@ -223,8 +223,8 @@ def _cost(one: Floats, other: Floats, shift: int) -> float:
 
 
 def _jumps(stamps: Stamps, metres: Floats, turns: Floats, seconds: Floats) -> list[Jump]:
-    far = (metres > LEAST_JUMP[0]) & (metres > FASTEST[0] * seconds)
-    round_ = (turns > LEAST_JUMP[1]) & (turns > FASTEST[1] * seconds)
+    far = (metres > MIN_JUMP[0]) & (metres > FASTEST[0] * seconds)
+    round_ = (turns > MIN_JUMP[1]) & (turns > FASTEST[1] * seconds)
     return [
         Jump(float(stamps[at + 1] - stamps[0]) * 1e-9, float(metres[at]), math.degrees(float(turns[at])))
         for at in np.flatnonzero(far | round_)
@@ -244,7 +244,7 @@ def _speeds(stamps: Stamps, poses: Floats) -> tuple[Stamps, Floats, Floats]:
 
 def _sideways(steps: Floats) -> float:
     """An arc that begins along x ends at y = x tan(theta / 2): what is left beside that is slip."""
-    moving = np.abs(steps[:, 0]) > LEAST_STEP_M
+    moving = np.abs(steps[:, 0]) > MIN_STEP_M
     along, across = steps[moving, 0], steps[moving, 1] - steps[moving, 0] * np.tan(0.5 * steps[moving, 2])
     return float(np.median(np.abs(across)) / np.median(np.abs(along))) if moving.sum() >= 20 else float("nan")
 

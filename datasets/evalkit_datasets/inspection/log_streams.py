@@ -18,8 +18,8 @@ NO_RECORDING = {
     ".tum": "a trajectory (.tum) goes beside a recording: evalkit compare RECORDING --reference FILE",
     ".relations": "relations go beside a recording: evalkit compare RECORDING --relations FILE",
     ".toml": "an experiment is run with evalkit report FILE, distances by tape go beside a recording: --spans FILE",
-    ".yaml": "a map is compared as the contestant file:MAP.yaml",
-    ".pgm": "a map is compared as the contestant file:MAP.yaml",
+    ".yaml": "a map is compared as the method file:MAP.yaml",
+    ".pgm": "a map is compared as the method file:MAP.yaml",
 }
 """What to do with files that people hold a recording for, by their endings."""
 

@@ -20,12 +20,12 @@ KNOWN_CODES: tuple[tuple[float, float, str], ...] = (
 )
 """Ranges that sensors write for no return: value, tolerance (m), who."""
 
-LEAST_SHARE = 5e-4
+MIN_SHARE = 5e-4
 """A code is written for more of the beams than this."""
 
-LEAST_COUNT = 10
+MIN_COUNT = 10
 
-LEAST_BEAMS = 0.05
+MIN_BEAMS = 0.05
 """A code comes from more of the scan's directions than this; a wall far away from fewer."""
 
 EMPTY_M = 0.5
@@ -133,11 +133,11 @@ def no_return_codes(ranges: Sequence[Floats], range_max_m: float = np.inf) -> tu
         return ()
     found = []
     widest = max(map(len, ranges))
-    for first, last in _clusters(values, counts, max(LEAST_SHARE * len(everything), LEAST_COUNT)):
+    for first, last in _clusters(values, counts, max(MIN_SHARE * len(everything), MIN_COUNT)):
         within = usable & (everything >= values[first]) & (everything <= values[last])
         directions = len(np.unique(columns[within])) / widest
         why = _why(values, counts, first, last)
-        if why and directions >= LEAST_BEAMS:
+        if why and directions >= MIN_BEAMS:
             low, high = float(values[first]), float(values[last])
             found.append(Code(low, high, float(within.mean()), why))
     return tuple(reversed(found))

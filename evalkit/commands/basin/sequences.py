@@ -27,7 +27,7 @@ from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import resolved
 
-LEAST_M, LEAST_RAD = 0.05, math.radians(2.0)
+MIN_M, MIN_RAD = 0.05, math.radians(2.0)
 """Less than this between two scans of a pair, and the robot stands: one place would count twice."""
 AHEAD = 50
 """So many scans after the first of a pair the second is looked for."""
@@ -160,7 +160,7 @@ def _cloud(frame: Frame) -> Cloud:
 
 
 def _moving(moved: Floats) -> Any:
-    return (np.hypot(moved[:, 0], moved[:, 1]) >= LEAST_M) | (moved[:, 2] >= LEAST_RAD)
+    return (np.hypot(moved[:, 0], moved[:, 1]) >= MIN_M) | (moved[:, 2] >= MIN_RAD)
 
 
 def _stamps(frames: list[Frame]) -> Stamps:

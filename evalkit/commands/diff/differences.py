@@ -21,7 +21,7 @@ Said = Literal["regression", "improvement", "within the limit", "no difference s
 TIME = "cpu_median_ms"
 TICK_MS = 0.01
 
-FEWEST_FOR_SESSION = 3
+MIN_FOR_SESSION = 3
 NAMED_SESSION = 0.03
 
 ONE_RUN = 2.0
@@ -38,13 +38,13 @@ class Limits:
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """One metric of one contestant over one sequence, before and after: medians over the runs both folders have.
+    """One metric of one method over one sequence, before and after: medians over the runs both folders have.
 
     ``low``, ``high``: bounds of the 95 % interval of the difference new - old, None where there is none; ``why`` says
     what decided.
     """
 
-    contestant: str
+    method: str
     sequence: str
     metric: str
     unit: str
@@ -61,7 +61,7 @@ class Change:
 class Ended:
     """A run that ended otherwise than before."""
 
-    contestant: str
+    method: str
     sequence: str
     seed: int | None
     old: str
@@ -72,7 +72,7 @@ class Ended:
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """All that changed. ``only_old``, ``only_new``: "contestant over sequence" that one folder alone has.
+    """All that changed. ``only_old``, ``only_new``: "method over sequence" that one folder alone has.
 
     ``apart``: what cannot be compared, and why. ``notes``: what to bear in mind.
     """
@@ -109,7 +109,7 @@ def difference(old: Snapshot, new: Snapshot, metrics: Sequence[Metric], limits: 
     reasons = {pair: reason for pair in common if (reason := _incomparable(old, new, pair))}
     comparable = [pair for pair in common if pair not in reasons]
     if not comparable:
-        why = "; ".join(dict.fromkeys(reasons.values())) or "no contestant ran over the same sequence in both"
+        why = "; ".join(dict.fromkeys(reasons.values())) or "no method ran over the same sequence in both"
         raise StoreError(new.folder, f"not comparable with {old.folder}: {why}", "compare results of one experiment")
     session = _session(old, new, comparable)
     return Difference(
@@ -126,9 +126,9 @@ def difference(old: Snapshot, new: Snapshot, metrics: Sequence[Metric], limits: 
 
 
 def _session(old: Snapshot, new: Snapshot, comparable: Sequence[tuple[str, str]]) -> float:
-    """By what the CPU times of all contestants changed together (a factor): that is the machine, not one of them.
+    """By what the CPU times of all methods changed together (a factor): that is the machine, not one of them.
 
-    The median over the contestants; 1 for fewer than three, among whom nobody can tell.
+    The median over the methods; 1 for fewer than three, among whom nobody can tell.
     """
     ratios: dict[str, list[float]] = {}
     for pair in comparable:
@@ -137,11 +137,11 @@ def _session(old: Snapshot, new: Snapshot, comparable: Sequence[tuple[str, str]]
             times = [runs[place].scores.get(TIME, 0.0) for runs in (before, after) if place in runs]
             if len(times) == 2 and min(times) > TICK_MS:
                 ratios.setdefault(pair[0], []).append(times[1] / times[0])
-    return median(median(own) for own in ratios.values()) if len(ratios) >= FEWEST_FOR_SESSION else 1.0
+    return median(median(own) for own in ratios.values()) if len(ratios) >= MIN_FOR_SESSION else 1.0
 
 
 def _grouped(reasons: Mapping[tuple[str, str], str]) -> Iterator[str]:
-    """What cannot be compared, contestants with one reason on one sequence together."""
+    """What cannot be compared, methods with one reason on one sequence together."""
     together: dict[tuple[str, str], list[str]] = {}
     for (who, where), why in reasons.items():
         together.setdefault((where, why), []).append(who)
@@ -270,10 +270,10 @@ def _drawn(metric: str, own: Finished, beside: Finished) -> Drawn | None:
     return drawn(shared, own.scores[metric], np.random.default_rng(0))
 
 
-def _cell(contestant: str, cells: Sequence[Cell]) -> Cell:
+def _cell(method: str, cells: Sequence[Cell]) -> Cell:
     """The cells of single runs as one."""
     return Cell(
-        contestant,
+        method,
         tuple(value for cell in cells for value in cell.values),
         (),
         len(cells),
@@ -294,7 +294,7 @@ def _notes(old: Snapshot, new: Snapshot, session: float) -> Iterator[str]:
         yield f"times are not compared: {old.made_on} against {new.made_on}"
     elif abs(session - 1.0) > NAMED_SESSION:
         yield (
-            f"all contestants together took {100.0 * (session - 1.0):+.0f} % CPU time: taken for the machine's, so a "
+            f"all methods together took {100.0 * (session - 1.0):+.0f} % CPU time: taken for the machine's, so a "
             "change that all have alike is not seen"
         ).replace("-", "\u2212")
     for one in (old, new):

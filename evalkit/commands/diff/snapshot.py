@@ -18,7 +18,7 @@ from evalkit.results.store import read_steps
 AGAIN = "name a folder that `evalkit run` or `evalkit report` has written"
 
 Place = tuple[str, str, int | None]
-"""Contestant, sequence and seed."""
+"""Method, sequence and seed."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +71,7 @@ def _of_report(folder: Path, content: dict[str, Any]) -> Snapshot:
         remedy = f"make the report again; this evalkit reads {NAME} version {VERSION}"
         raise StoreError(str(folder / "results.json"), f"its results are {told}", remedy)
     try:
-        runs = {(t["contestant"], t["sequence"], t["seed"]): _finished(folder, t) for t in content["trials"]}
+        runs = {(t["method"], t["sequence"], t["seed"]): _finished(folder, t) for t in content["trials"]}
         defaults = {
             label: {setting["name"]: setting["default"] for setting in card.get("settings", ())}
             for label, card in content["sequences"].items()

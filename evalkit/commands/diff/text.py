@@ -8,7 +8,7 @@ from evalkit.commands.diff.differences import Change, Difference, Ended, Said
 from evalkit.metrics.table import Metric
 from evalkit.report.html.formatting import as_markdown, figure
 
-COLUMNS = ("contestant", "sequence", "what", "old", "new", "change", "95 % interval", "that is")
+COLUMNS = ("method", "sequence", "what", "old", "new", "change", "95 % interval", "that is")
 MARKS: Mapping[Said, str] = {"regression": "❌ ", "improvement": "✅ "}
 FEW: tuple[Said, ...] = ("unchanged", "within the limit")
 """What is counted, not listed."""
@@ -58,7 +58,7 @@ def markdown(found: Difference, metrics: Mapping[str, Metric]) -> str:
 def _ended(one: Ended) -> tuple[str, ...]:
     seed = "" if one.seed is None else f" seed {one.seed}"
     said = f"{MARKS.get(one.said, '')}{one.said}{f': {one.reason}' if one.reason else ''}"
-    return (one.contestant, one.sequence, f"run{seed}", one.old, one.new, "", "", said)
+    return (one.method, one.sequence, f"run{seed}", one.old, one.new, "", "", said)
 
 
 def _changed(one: Change, metric: Metric) -> tuple[str, ...]:
@@ -69,7 +69,7 @@ def _changed(one: Change, metric: Metric) -> tuple[str, ...]:
     if one.low is not None and one.high is not None:
         bounds = f"{figure(one.low, metric.digits + 1)} to {figure(one.high, metric.digits + 1)}"
     said = f"{MARKS.get(one.said, '')}{one.said}: {one.why}"
-    return (one.contestant, one.sequence, f"{metric.label}{unit}", old, new, share, bounds, said)
+    return (one.method, one.sequence, f"{metric.label}{unit}", old, new, share, bounds, said)
 
 
 def _line(cells: list[str] | tuple[str, ...]) -> str:

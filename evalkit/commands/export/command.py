@@ -28,7 +28,7 @@ def export(
     ],
     folder: Annotated[Path, typer.Option("--out", "-o", help="Where to write.")] = Path("export"),
     sequence: Annotated[list[str] | None, typer.Option(help="Only this sequence (repeatable).")] = None,
-    contestant: Annotated[list[str] | None, typer.Option(help="Only this contestant (repeatable).")] = None,
+    method: Annotated[list[str] | None, typer.Option(help="Only this method (repeatable).")] = None,
     metric: Annotated[
         list[str] | None, typer.Option(help="A column of the tables (repeatable).", show_default="the headline ones")
     ] = None,
@@ -39,7 +39,7 @@ def export(
 
     wanted = _wanted(forms)
     scans = bool(WITH_SCANS & set(wanted))
-    found = finished.read(results, sequence or [], contestant or [], metric or [], scans)
+    found = finished.read(results, sequence or [], method or [], metric or [], scans)
     for remark in found.remarks:
         err.print(remark, markup=False, highlight=False)
     written = [path for form in wanted for path in _written(form, found, folder, "all" in forms)]

@@ -118,13 +118,13 @@ def _markdown_cell(heading: Heading, cell: Cell | None) -> str:
 
 
 def _table(results: Results, sequence: str) -> tuple[list[Heading], list[tuple[str, str, list[Cell | None]]]]:
-    """The headline metrics that mean something here, and a row for each contestant: label, runs, cells."""
-    known = {(cell.contestant, cell.metric): cell for cell in results.cells if cell.sequence == sequence}
+    """The headline metrics that mean something here, and a row for each method: label, runs, cells."""
+    known = {(cell.method, cell.metric): cell for cell in results.cells if cell.sequence == sequence}
     valued = {metric for (_, metric), cell in known.items() if cell.median is not None}
     headings = [one for one in results.headings if one.name in valued]
     rows: list[tuple[str, str, list[Cell | None]]] = []
-    for label in dict.fromkeys(contestant for contestant, _ in known):
-        some = next(cell for (contestant, _), cell in known.items() if contestant == label)
+    for label in dict.fromkeys(method for method, _ in known):
+        some = next(cell for (method, _), cell in known.items() if method == label)
         rows.append((label, f"{some.complete}/{some.expected}", [known.get((label, one.name)) for one in headings]))
     return headings, rows
 

@@ -18,7 +18,7 @@ from evalkit.results.store import tum
 def as_tum(results: Results) -> Files:
     """``<run>.tum``, start_from_base as answered, and ``<sequence>.truth.tum``."""
     for trial in results.trials:
-        yield f"{trial.key}.tum", tum(trial.run.estimate, trial.sequence, trial.contestant).encode()
+        yield f"{trial.key}.tum", tum(trial.run.estimate, trial.sequence, trial.method).encode()
     for name, trial, true in _truths(results):
         yield f"{name}.truth.tum", tum(true, trial.sequence, "truth").encode()
 

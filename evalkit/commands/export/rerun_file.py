@@ -19,7 +19,7 @@ from evalkit.plugins.protocols import Sequence as Recording
 from evalkit.report.html.figures import Strokes
 
 TIMELINE = "recording"
-MOST_SCANS = 500
+MAX_SCANS = 500
 """Scans shown: more make the file big without being seen."""
 
 
@@ -34,7 +34,7 @@ def installed() -> Any:
 def write(path: Path, trials: Sequence[Trial], recording: Recording | None, strokes: Strokes) -> Path:
     """The ``.rrd`` file of a sequence's runs of one seed; at least one.
 
-    Entities: world/truth, world/<contestant> with path, base, scan and map, errors/<contestant>. Metres, z up; seconds
+    Entities: world/truth, world/<method> with path, base, scan and map, errors/<method>. Metres, z up; seconds
     since the first scan on the timeline "recording".
     """
     rerun = installed()
@@ -47,14 +47,14 @@ def write(path: Path, trials: Sequence[Trial], recording: Recording | None, stro
     if true is not None and len(true):
         stream.log("world/truth", rerun.LineStrips3D([_lifted(true.poses[:, :2])], colors=[[0, 0, 0]]), static=True)
     for trial in trials:
-        _log(rerun, stream, trial, recording, _rgb(strokes[trial.contestant].colour), begin)
+        _log(rerun, stream, trial, recording, _rgb(strokes[trial.method].colour), begin)
     stream.flush()
     stream.disconnect()
     return path
 
 
 def _log(rerun: Any, stream: Any, trial: Trial, recording: Recording | None, colour: list[int], begin: int) -> None:
-    name = re.sub(r"[^A-Za-z0-9_.-]+", "-", trial.contestant)
+    name = re.sub(r"[^A-Za-z0-9_.-]+", "-", trial.method)
     stamps, poses = world_poses(trial)
     stream.log(f"world/{name}/path", rerun.LineStrips3D([_lifted(poses[:, :2])], colors=[colour]), static=True)
     if trial.grid is not None:
@@ -77,7 +77,7 @@ def _scans(recording: Recording | None, stamps: list[int]) -> dict[int, Floats]:
     """Hits (N, 2) in the base's frame by stamp, at most so many scans, evenly spaced."""
     if recording is None:
         return {}
-    shown = set(stamps[:: max(len(stamps) // MOST_SCANS, 1)])
+    shown = set(stamps[:: max(len(stamps) // MAX_SCANS, 1)])
     return {
         frame.scan.stamp_ns: frame.base_from_sensor.transform(frame.scan.points())
         for frame in recording.frames()

@@ -23,13 +23,13 @@ AGAIN = "name a folder that `evalkit report` or `evalkit compare` has written, o
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One metric of one contestant over one sequence, in the metric's unit; None where there is no value.
+    """One metric of one method over one sequence, in the metric's unit; None where there is no value.
 
     ``best``: no difference from the best is shown; ``complete`` of ``expected`` runs ended well.
     """
 
     sequence: str
-    contestant: str
+    method: str
     metric: str
     median: float | None
     low: float | None
@@ -67,11 +67,11 @@ class Results:
 
     @property
     def strokes(self) -> Mapping[str, Stroke]:
-        """The stroke of every contestant, as in the report."""
-        cards: Mapping[str, Any] = self.content["contestants"]
-        present = {trial["contestant"] for trial in self.content["trials"]}
+        """The stroke of every method, as in the report."""
+        cards: Mapping[str, Any] = self.content["methods"]
+        present = {trial["method"] for trial in self.content["trials"]}
         known = [label for label in cards if label in present]
-        return strokes(known, [label for label in known if cards[label]["role"] == "bar"])
+        return strokes(known, [label for label in known if cards[label]["role"] == "baseline"])
 
     @property
     def sequences(self) -> tuple[str, ...]:
@@ -93,7 +93,7 @@ class Results:
 
 
 def read(
-    folder: Path, sequences: Sequence[str] = (), contestants: Sequence[str] = (), metrics: Sequence[str] = (),
+    folder: Path, sequences: Sequence[str] = (), methods: Sequence[str] = (), metrics: Sequence[str] = (),
     scans: bool = True,
 ) -> Results:  # fmt: skip
     """A results folder, or the part of it with these names; StoreError where it is none, UnknownName for a name.
@@ -104,16 +104,16 @@ def read(
     content = _content(folder / "results.json")
     wanted = [
         one for one in content["trials"]
-        if (not sequences or one["sequence"] in sequences) and (not contestants or one["contestant"] in contestants)
+        if (not sequences or one["sequence"] in sequences) and (not methods or one["method"] in methods)
     ]  # fmt: skip
     _known("sequence", sequences, content["sequences"])
-    _known("contestant", contestants, content["contestants"])
+    _known("method", methods, content["methods"])
     recordings, remarks = _recordings(wanted) if scans else ({}, [])
     found = [_trial(folder, one, recordings) for one in wanted if one["scans_answered"]]
     trials = [one for one in found if isinstance(one, Trial)]
     remarks += [one for one in found if isinstance(one, str)]
-    shown = {(one["sequence"], one["contestant"]) for one in wanted}
-    cells = tuple(cell for cell in _cells(folder / "summary.csv") if (cell.sequence, cell.contestant) in shown)
+    shown = {(one["sequence"], one["method"]) for one in wanted}
+    cells = tuple(cell for cell in _cells(folder / "summary.csv") if (cell.sequence, cell.method) in shown)
     valued = {cell.metric for cell in cells if cell.median is not None}
     known = {one["name"]: one for one in content["metrics"]}
     _known("metric", metrics, known)
@@ -158,7 +158,7 @@ def _cell(row: Mapping[str, str]) -> Cell:
     median, low, high = (float(row[name]) if row[name] else None for name in ("median", "low_95", "high_95"))
     best = row["level_with_best"] == "True" or row["place"] == "1"
     counts = int(row["runs_complete"]), int(row["runs_expected"])
-    return Cell(row["sequence"], row["contestant"], row["metric"], median, low, high, best, *counts)
+    return Cell(row["sequence"], row["method"], row["metric"], median, low, high, best, *counts)
 
 
 def _recordings(wanted: Sequence[Mapping[str, Any]]) -> tuple[dict[tuple[str, int | None], Recording], list[str]]:
@@ -184,12 +184,12 @@ def _trial(folder: Path, one: Mapping[str, Any], recordings: Mapping[Any, Record
     if run is None or scored is None or answered != one["scans_answered"]:
         whole = answered == one["scans_answered"]
         what = "its alignment and map are not" if whole else f"{answered} of its {one['scans_answered']} answers are"
-        who = f"{one['contestant']} over {one['sequence']}" + ("" if one["seed"] is None else f", seed {one['seed']}")
+        who = f"{one['method']} over {one['sequence']}" + ("" if one["seed"] is None else f", seed {one['seed']}")
         return f"{who}: {what} in {folder / 'runs' / one['key']}, so it is left out; make the report again"
     recording = recordings.get((one["sequence"], one["seed"]))
     return Trial(
         key=one["key"],
-        contestant=one["contestant"],
+        method=one["method"],
         backend=one["backend"],
         backend_parameters=one["backend_parameters"],
         sequence=one["sequence"],

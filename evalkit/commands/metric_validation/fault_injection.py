@@ -15,7 +15,7 @@ from evalkit.commands.metric_validation.map_rebuilding import recording, run_of,
 from evalkit.core import se2
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import Run
+from evalkit.core.run_result import RunResult
 from evalkit.core.scan import Frame, Scan
 from evalkit.execution.job_store import Job
 from evalkit.metrics.table import Metric
@@ -148,7 +148,7 @@ def planted(plant: str, world: str, seed: int, mapper: str, scans: int) -> dict[
     return {"scores": scored(run, sequence, mapper, scans)}
 
 
-def tampered(run: Run, sequence: Sequence, plant: Plant) -> tuple[Run, Sequence]:
+def tampered(run: RunResult, sequence: Sequence, plant: Plant) -> tuple[RunResult, Sequence]:
     """The run and the sequence that its scoring meets."""
     if plant.answers is not None:
         run = replace(run, steps=plant.answers(run.steps))

@@ -12,7 +12,7 @@ import numpy as np
 from evalkit import metrics
 from evalkit.commands.metric_validation.perturbation import WAYS
 from evalkit.core import se2
-from evalkit.core.run_result import STEP, Run
+from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.se2 import Floats
 from evalkit.execution.job_store import Job
 from evalkit.metrics import evaluate
@@ -50,7 +50,7 @@ def spoiled(world: str, way: str, sizes: list[float], seed: int, mapper: str, sc
     return {"rows": rows}
 
 
-def scored(run: Run, sequence: Recording, mapper: str, scans: int) -> dict[str, float | None]:
+def scored(run: RunResult, sequence: Recording, mapper: str, scans: int) -> dict[str, float | None]:
     """The values of every own metric; None where it is not meaningful."""
     evidence = evaluate.with_map(evaluate.without_map(run, sequence), sequence, maker(mapper), scans)
     return {name: score.value for name, score in metrics.score(evidence).items()}
@@ -73,14 +73,14 @@ def true_poses(sequence: Recording) -> Floats:
     return truth.at([frame.scan.stamp_ns for frame in sequence.frames()])
 
 
-def run_of(sequence: Recording, world_from_base: Floats) -> Run:
+def run_of(sequence: Recording, world_from_base: Floats) -> RunResult:
     """A run that answered these poses (N, 3), one a scan, in the frame of the first."""
     steps = np.zeros(len(world_from_base), STEP)
     steps["stamp_ns"] = [frame.scan.stamp_ns for frame in sequence.frames()]
     start_from_base = se2.between(world_from_base[0], world_from_base)
     for column, name in enumerate(("x", "y", "theta")):
         steps[name] = start_from_base[:, column]
-    return Run("given poses", "", "complete", "", steps, len(steps))
+    return RunResult("given poses", "", "complete", "", steps, len(steps))
 
 
 def maker(mapper: str, settings: Mapping[str, Value] | None = None) -> Callable[[], Mapper]:

@@ -59,10 +59,10 @@ def realtime(
 
 def _arguments(backend: str, on: str, given: dict[str, str], given_on: dict[str, str]) -> dict[str, Any]:
     """What is asked for, checked before anything is measured."""
-    from evalkit.commands.realtime.simulation import Contestant  # noqa: PLC0415 - loads scipy: only who measures pays for it
+    from evalkit.commands.realtime.simulation import Method  # noqa: PLC0415 - loads scipy: only who measures pays for it
 
     parameters = from_text(backend, frontend.parameters_of(registry.backend(backend)), given)
-    Contestant.of(backend, parameters)
+    Method.of(backend, parameters)
     spec = registry.dataset(on)
     of_sequence: dict[str, Value] = resolved(on, spec.parameters, from_text(on, spec.parameters, given_on))
     if why := spec.missing(**of_sequence):

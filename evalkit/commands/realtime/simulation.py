@@ -26,7 +26,7 @@ from evalkit.core.errors import BackendFailed, NotInstalled
 from evalkit.core.ground_truth import Truth
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, Run
+from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import timed
@@ -42,27 +42,27 @@ MEASURES = ("ate_rmse_m", "rpe_1m_m", "heading_rmse_deg")
 
 
 @dataclass(frozen=True)
-class Contestant:
+class Method:
     """A back end by name with complete parameters; ``fresh`` makes one for a sequence."""
 
     name: str
     parameters: Mapping[str, Value]
 
     @classmethod
-    def of(cls, name: str, given: Mapping[str, object]) -> Contestant:
+    def of(cls, name: str, given: Mapping[str, object]) -> Method:
         """The back end of a name; raises NotInstalled where it cannot run here."""
         spec = registry.backend(name)
         if why := spec.missing():
             raise NotInstalled(name, "not installed", why)
         return cls(name, frontend.complete_parameters(name, spec, given))
 
-    def fresh(self, on_match: frontend.OnMatch = lambda _stage, _match, _believed: None) -> Odometry:
+    def fresh(self, on_match: frontend.OnMatch = lambda _stage, _match, _accepted: None) -> Odometry:
         """An odometry that has seen nothing."""
         return frontend.odometry(registry.backend(self.name), self.parameters, on_match)
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class LoadedSequence:
     """A sequence held in memory. ``bridged``: dropped scans are bridged by its wheel odometry, where it has any."""
 
     frames: tuple[Frame, ...]
@@ -113,19 +113,19 @@ class Rung:
     predicted: float | None
 
 
-def profile(contestant: Contestant, frames: Sequence[Frame], repetitions: int = 3) -> Measured:
+def profile(method: Method, frames: Sequence[Frame], repetitions: int = 3) -> Measured:
     """What every scan costs, median over the repetitions in CPU time; and how the cost grows with gaps.
 
     A back end whose work is done elsewhere is taken by its word (device time); BackendFailed where nobody measured.
     """
-    _follow(contestant, frames[:WARM_UP_SCANS])
-    full, work = _costs(contestant, frames, repetitions)
+    _follow(method, frames[:WARM_UP_SCANS])
+    full, work = _costs(method, frames, repetitions)
     growth = [1.0]
     unseen_work: list[Ints] = []
     unseen_ns: list[Ints] = []
     gaps = [gap for gap in GAPS if len(frames) // gap >= WARM_UP_SCANS]
     for gap in gaps[1:]:
-        costs, their_work = _costs(contestant, frames[::gap], 1)
+        costs, their_work = _costs(method, frames[::gap], 1)
         growth.append(float(costs[1:].sum() / full[::gap][1:].sum()))
         unseen_work.append(their_work[1:])
         unseen_ns.append(costs[1:])
@@ -139,18 +139,18 @@ def arrivals_ns(frames: Iterable[Frame]) -> Ints:
 
 
 def ladder(
-    contestant: Contestant, course: Course, measured: Measured, factors: Iterable[float], policy: Policy
+    method: Method, sequence: LoadedSequence, measured: Measured, factors: Iterable[float], policy: Policy
 ) -> tuple[Rung, ...]:
     """One rung for every factor; 0 is a device that takes no time: nothing is dropped."""
-    arrivals = arrivals_ns(course.frames)
+    arrivals = arrivals_ns(sequence.frames)
     known: dict[bytes, _Followed | str] = {}
     rungs = []
     for factor in factors:
         made = schedule(arrivals, measured.profile.slowed(factor), policy)
         key = made.answered.tobytes()
         if key not in known:
-            known[key] = _driven(contestant, [course.frames[index] for index in made.answered])
-        rungs.append(_rung(course, measured, factor, policy, made, known[key]))
+            known[key] = _driven(method, [sequence.frames[index] for index in made.answered])
+        rungs.append(_rung(sequence, measured, factor, policy, made, known[key]))
     return tuple(rungs)
 
 
@@ -171,17 +171,17 @@ def paced(
     Keys: ``costs_ns`` and ``work`` (N,), ``gaps`` and ``growth``, ``period_ns``, ``headroom``, ``linear`` (None where
     the back end tells no iterations) and ``rungs``, for every policy from factor 0 up.
     """
-    contestant = Contestant.of(backend, parameters)
+    method = Method.of(backend, parameters)
     spec = registry.dataset(dataset)
-    sequence = spec.make(**resolved(dataset, spec.parameters, dataset_parameters))
-    course = Course(tuple(sequence.frames()), sequence.truth(), bridged)
-    measured = profile(contestant, course.frames, repetitions)
+    recorded = spec.make(**resolved(dataset, spec.parameters, dataset_parameters))
+    sequence = LoadedSequence(tuple(recorded.frames()), recorded.truth(), bridged)
+    measured = profile(method, sequence.frames, repetitions)
     rungs = [
         asdict(rung)
         for policy in policies
-        for rung in ladder(contestant, course, measured, sorted({0.0, *factors}), policy)
+        for rung in ladder(method, sequence, measured, sorted({0.0, *factors}), policy)
     ]
-    arrivals = arrivals_ns(course.frames)
+    arrivals = arrivals_ns(sequence.frames)
     return {
         "costs_ns": measured.profile.scans_ns,
         "work": measured.work,
@@ -194,13 +194,13 @@ def paced(
     }
 
 
-def _costs(contestant: Contestant, frames: Sequence[Frame], repetitions: int) -> tuple[Ints, Ints]:
+def _costs(method: Method, frames: Sequence[Frame], repetitions: int) -> tuple[Ints, Ints]:
     """Cost in ns, median over repetitions, and work (N,) of every scan."""
-    told = [_follow(contestant, frames) for _ in range(repetitions)]
+    told = [_follow(method, frames) for _ in range(repetitions)]
     costs = np.median([row.costs_ns for row in told], axis=0)
     if not (costs > 0).all():
         scan = int(np.argmin(costs > 0))
-        raise BackendFailed(contestant.name, f"nobody measured what scan {scan + 1} costs", "measure where it runs")
+        raise BackendFailed(method.name, f"nobody measured what scan {scan + 1} costs", "measure where it runs")
     return costs.astype(np.int64), told[0].work
 
 
@@ -213,14 +213,14 @@ class _Followed:
     work: Ints
 
 
-def _follow(contestant: Contestant, frames: Sequence[Frame]) -> _Followed:
+def _follow(method: Method, frames: Sequence[Frame]) -> _Followed:
     iterations = 0
 
-    def hear(_stage: Stage, found: Match, _believed: bool) -> None:
+    def hear(_stage: Stage, found: Match, _accepted: bool) -> None:
         nonlocal iterations
         iterations += found.iterations
 
-    odometry = contestant.fresh(hear)
+    odometry = method.fresh(hear)
     answers, costs = np.full((len(frames), 3), np.nan), np.zeros(len(frames), dtype=np.int64)
     work = np.zeros(len(frames), dtype=np.int64)
     for index, frame in enumerate(frames):
@@ -244,16 +244,21 @@ def _asked(odometry: Odometry, frame: Frame) -> Callable[[], Pose | None]:
     return ask
 
 
-def _driven(contestant: Contestant, frames: Sequence[Frame]) -> _Followed | str:
+def _driven(method: Method, frames: Sequence[Frame]) -> _Followed | str:
     """What the back end makes of these frames, or why nothing."""
     try:
-        return _follow(contestant, frames)
+        return _follow(method, frames)
     except Exception as error:  # noqa: BLE001 - whatever a third party's code raises is a result to report
         return f"{type(error).__name__}: {error}"
 
 
 def _rung(
-    course: Course, measured: Measured, factor: float, policy: Policy, made: Schedule, followed: _Followed | str
+    sequence: LoadedSequence,
+    measured: Measured,
+    factor: float,
+    policy: Policy,
+    made: Schedule,
+    followed: _Followed | str,
 ) -> Rung:
     of_answers: dict[str, float | None] = dict.fromkeys(MEASURES)
     at_hand = dict(of_answers)
@@ -267,10 +272,10 @@ def _rung(
             made, answered=made.answered[given], begun_ns=made.begun_ns[given], done_ns=made.done_ns[given]
         )
         lost = "fewer than two answers" if len(answers) < 2 else ""
-        of_answers = _measured(course, course.stamps_ns[theirs.answered], answers)
+        of_answers = _measured(sequence, sequence.stamps_ns[theirs.answered], answers)
         if len(answers):
-            live = virtual_clock.at_hand(course.stamps_ns, theirs, answers, course.odometry)
-            at_hand = _measured(course, course.stamps_ns, live)
+            live = virtual_clock.at_hand(sequence.stamps_ns, theirs, answers, sequence.odometry)
+            at_hand = _measured(sequence, sequence.stamps_ns, live)
         predicted = _predicted(measured, made.answered, followed.work)
     age = np.percentile(made.age_ns * 1e-6, [50, 95])
     return Rung(
@@ -279,13 +284,13 @@ def _rung(
     )  # fmt: skip
 
 
-def _measured(course: Course, stamps_ns: Ints, poses: Floats) -> dict[str, float | None]:
+def _measured(sequence: LoadedSequence, stamps_ns: Ints, poses: Floats) -> dict[str, float | None]:
     """The measures by name of poses (K, 3) at stamps (K,)."""
     steps = np.zeros(len(stamps_ns), dtype=STEP)
     steps["stamp_ns"] = stamps_ns
     steps["x"], steps["y"], steps["theta"] = poses.T
-    run = Run("", "", "complete", "", steps, len(course.frames))
-    evidence = Evidence(run, course.truth, match(run.estimate, course.truth.trajectory), None, ())
+    run = RunResult("", "", "complete", "", steps, len(sequence.frames))
+    evidence = Evidence(run, sequence.truth, match(run.estimate, sequence.truth.trajectory), None, ())
     found = metrics.score(evidence, (metric for metric in metrics.METRICS if metric.name in MEASURES))
     return {name: found[name].value for name in MEASURES}
 

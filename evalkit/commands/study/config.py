@@ -18,7 +18,7 @@ from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Value, resolved
 
-ROOMS = ("contestant", "sequence", "mapper", "limits")
+ROOMS = ("method", "sequence", "mapper", "limits")
 TOP = ("title", "description", "seeds", *ROOMS, "response", "factor", "design", "envelope")
 DESIGN = ("name", "kind", "factors", "points", "resolution", "seed", "seeds", "deal", "with")
 NEEDS = {"optimal": "points", "sobol": "points", "latin": "points", "fractional": "resolution"}
@@ -55,11 +55,11 @@ def study(content: Mapping[str, Any], file: str, command: str) -> Study:
         str(content.get("title", Path(file).stem)),
         str(content.get("description", "")),
         command,
-        base.contestant.backend,
-        base.course.dataset,
+        base.method.backend,
+        base.sequence.dataset,
         base.mapper.name,
         base.mapper.scans,
-        base.contestant.missing or base.course.missing,
+        base.method.missing or base.sequence.missing,
         tuple(responses),
         tuple(known),
         tuple(designs),
@@ -72,23 +72,23 @@ class _Base:
     """The study's own settings, which every point changes in a few."""
 
     def __init__(self, content: Mapping[str, Any], file: str) -> None:
-        rooms = {room: content.get(room) for room in ("contestant", "sequence")}
+        rooms = {room: content.get(room) for room in ("method", "sequence")}
         for room, table in rooms.items():
             if not isinstance(table, Mapping):
                 raise BadExperiment(file, "", f"no table [{room}]: a study needs one, with use = NAME")
-        course = dict(rooms["sequence"] or {}) | ({"seeds": content["seeds"]} if "seeds" in content else {})
-        tables = {"contestant": [rooms["contestant"]], "sequence": [course], "mapper": content.get("mapper", {})}
+        sequence = dict(rooms["sequence"] or {}) | ({"seeds": content["seeds"]} if "seeds" in content else {})
+        tables = {"method": [rooms["method"]], "sequence": [sequence], "mapper": content.get("mapper", {})}
         if isinstance(limits := content.get("limits", {}), Mapping):
             _known(limits, ("run_s",), file, "limits")
         tables |= {"limits": limits}
         plan = experiment.plan(tables, file, "study", "study")
-        self.file, self.contestant, self.course, self.mapper = file, plan.contestants[0], plan.courses[0], plan.mapper
+        self.file, self.method, self.sequence, self.mapper = file, plan.methods[0], plan.sequences[0], plan.mapper
         self.limit_s = plan.limits.run_s
-        self._spec = registry.entrant(self.contestant.backend)
+        self._spec = registry.entrant(self.method.backend)
         self._made: set[str] = set()
         self.settings: Settings = {
-            **{f"contestant.{name}": value for name, value in self.contestant.parameters.items()},
-            **{f"sequence.{name}": value for name, value in self.course.parameters.items()},
+            **{f"method.{name}": value for name, value in self.method.parameters.items()},
+            **{f"sequence.{name}": value for name, value in self.sequence.parameters.items()},
             **{f"mapper.{name}": value for name, value in self.mapper.parameters.items()},
         }
 
@@ -102,7 +102,7 @@ class _Base:
         settings = dict(self.settings) | dict(fixed)
         for level in levels.values():
             settings |= level.sets
-        rooms: dict[str, dict[str, Value]] = {"contestant": {}, "sequence": {}, "mapper": {}}
+        rooms: dict[str, dict[str, Value]] = {"method": {}, "sequence": {}, "mapper": {}}
         for name, value in settings.items():
             room, _, parameter = name.partition(".")
             if room not in rooms:
@@ -111,7 +111,7 @@ class _Base:
         try:
             return Point(
                 levels,
-                frontend.complete_parameters("contestant", self._spec, rooms["contestant"]),
+                frontend.complete_parameters("method", self._spec, rooms["method"]),
                 self._sequence(rooms["sequence"]),
                 resolved("mapper", registry.mapper(self.mapper.name).parameters, rooms["mapper"]),
             )
@@ -120,17 +120,17 @@ class _Base:
 
     def _sequence(self, given: Mapping[str, Value]) -> dict[str, Value]:
         """All parameters but the seed; a simulated sequence is made once, to see that it can be."""
-        spec = registry.dataset(self.course.dataset)
+        spec = registry.dataset(self.sequence.dataset)
         complete = resolved("sequence", spec.parameters, given)
         if not spec.seeded:
             return complete
         complete.pop("seed")
         identity = json.dumps(complete, sort_keys=True)
-        if not self.course.missing and identity not in self._made:
+        if not self.sequence.missing and identity not in self._made:
             try:
                 spec.make(**complete)
             except (ValueError, EvalkitError) as error:
-                told = f"{self.course.dataset} cannot be made with {identity}: {error}"
+                told = f"{self.sequence.dataset} cannot be made with {identity}: {error}"
                 raise BadExperiment(self.file, "sequence", told) from error
             self._made.add(identity)
         return complete
@@ -138,13 +138,13 @@ class _Base:
     def seeds(self, table: Mapping[str, Any], place: str) -> tuple[int | None, ...]:
         """The seeds of a design's table, or the study's."""
         if "seeds" not in table:
-            return self.course.seeds
-        course = {"use": self.course.dataset, "seeds": table["seeds"]}
+            return self.sequence.seeds
+        sequence = {"use": self.sequence.dataset, "seeds": table["seeds"]}
         try:
-            plan = experiment.plan({"contestant": [{"use": self.contestant.backend}], "sequence": [course]}, "", "", "")
+            plan = experiment.plan({"method": [{"use": self.method.backend}], "sequence": [sequence]}, "", "", "")
         except BadExperiment as error:
             raise BadExperiment(self.file, place, error.args[2]) from error
-        return plan.courses[0].seeds
+        return plan.sequences[0].seeds
 
 
 def _response(table: Mapping[str, Any], file: str, place: str) -> Response:

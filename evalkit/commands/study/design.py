@@ -17,7 +17,7 @@ from scipy.stats import qmc
 from evalkit.core.arrays import Ints
 from evalkit.core.se2 import Floats
 
-MOST_PASSES = 12
+MAX_PASSES = 12
 RIDGE = 1e-6
 """Keeps the determinant positive while a design is still too poor for its model."""
 
@@ -149,7 +149,7 @@ def optimal(model: Model, points: int, rng: np.random.Generator) -> Ints:
         raise ValueError(f"points: {points} are too few for a model of {len(model.terms)} columns")
     levels = np.array([axis.levels for axis in model.axes])
     search = _Exchange(model, np.asarray((_units(len(levels), points, rng) * levels).astype(np.int64)))
-    for _ in range(MOST_PASSES):
+    for _ in range(MAX_PASSES):
         search.renew()
         changed = [search.improve(row, factor) for row, factor in product(range(points), range(len(levels)))]
         if not any(changed):

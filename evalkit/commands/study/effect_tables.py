@@ -13,10 +13,10 @@ from evalkit.commands.study.plan import Design, Response
 from evalkit.commands.study.result import Outcome, on_scale
 from evalkit.report.html.document import Block, Cell, Column, Figures, Fold, Heading, Table, Text
 
-MOST_SHOWN = 4
+MAX_SHOWN = 4
 """So many interactions are drawn."""
 
-FEWEST_LISTED = 5
+MIN_LISTED = 5
 
 
 def effect_blocks(outcome: Outcome) -> tuple[Block, ...]:
@@ -36,7 +36,7 @@ def effect_blocks(outcome: Outcome) -> tuple[Block, ...]:
 def _effects(outcome: Outcome, response: Response, design: Design, fit: Fit) -> list[Block]:
     found = ranked(design, fit)
     pairs = fit.interactions()
-    drawn = [pair for pair in pairs if pair.matters][:MOST_SHOWN]
+    drawn = [pair for pair in pairs if pair.matters][:MAX_SHOWN]
     ordered = [
         charts.profile(response, factor, fit.factor(k).levels, fit.mean.value)
         for k, factor in enumerate(design.factors)
@@ -86,7 +86,7 @@ def _pairs(response: Response, design: Design, pairs: Sequence[Interaction]) -> 
         Column("Told from chance", tip="the interval, widened for all pairs together (Bonferroni), tells the sign"),
         Column("Share of variance", "%", number=True),
     )  # fmt: skip
-    shown = max(sum(pair.matters for pair in pairs), FEWEST_LISTED)
+    shown = max(sum(pair.matters for pair in pairs), MIN_LISTED)
     caption = f"{design.name}: the interactions with the largest shares of the variance, of {len(pairs)}"
     blocks: list[Block] = [Table(columns, rows[:shown], caption)]
     return [*blocks, Fold("The other pairs", (Table(columns, rows[shown:]),))] if rows[shown:] else blocks

@@ -15,7 +15,7 @@ import numpy as np
 
 from evalkit import metrics
 from evalkit.core.errors import EvalkitError, plain
-from evalkit.core.run_result import STEP, Run, Score, Status
+from evalkit.core.run_result import STEP, RunResult, Score, Status
 from evalkit.execution.worker import Request, Residuals, follow
 from evalkit.metrics import evaluate as scoring
 from evalkit.metrics import pairs, spans
@@ -77,26 +77,26 @@ def _sequence(dataset: str, parameters: str) -> protocols.Sequence:
     return registry.dataset(dataset).make(**json.loads(parameters))
 
 
-def _run(request: Request, sequence: protocols.Sequence) -> Run:
+def _run(request: Request, sequence: protocols.Sequence) -> RunResult:
     """What the back end answers, as far as it comes."""
     steps = io.BytesIO()
     status: Status = "complete"
     reason = ""
     residuals = Residuals()
     try:
-        contestant = frontend.odometry(registry.backend(request.backend), request.backend_parameters, residuals.hear)
-        follow(contestant, sequence, request, residuals, steps)
+        method = frontend.odometry(registry.backend(request.backend), request.backend_parameters, residuals.hear)
+        follow(method, sequence, request, residuals, steps)
     except EvalkitError as error:
         status, reason = "failed", str(error)
     except Exception as error:  # noqa: BLE001 - whatever a third party's code raises is a result to report
         told = traceback.extract_tb(error.__traceback__)[-1]
         status, reason = "failed", f"{type(error).__name__}: {error} ({told.name})"
     answered = np.frombuffer(steps.getvalue(), dtype=STEP)
-    return Run(request.backend, request.dataset, status, plain(reason), answered, len(sequence))
+    return RunResult(request.backend, request.dataset, status, plain(reason), answered, len(sequence))
 
 
 def _scored(
-    run: Run, sequence: protocols.Sequence, make_mapper: Any, scans: int, names: Sequence[str]
+    run: RunResult, sequence: protocols.Sequence, make_mapper: Any, scans: int, names: Sequence[str]
 ) -> dict[str, Score]:
     """The named scores; the map is drawn only where a metric looks at it, or has no answer without."""
     table = {metric.name: metric for metric in metrics.all_metrics() if metric.name in names}

@@ -14,9 +14,9 @@ from evalkit.plugins.protocols import Value
 
 Scale = Literal["linear", "log"]
 Settings = Mapping[str, Value]
-"""Values by their full names: "contestant.epsilon", "sequence.speed_mps", "mapper.resolution_m"."""
+"""Values by their full names: "method.epsilon", "sequence.speed_mps", "mapper.resolution_m"."""
 
-ROOMS = ("contestant", "sequence", "mapper")
+ROOMS = ("method", "sequence", "mapper")
 KEYS = ("name", "sets", "levels", "scale", "unit")
 
 
@@ -119,7 +119,7 @@ def _sets(table: Mapping[str, Any], file: str, place: str) -> tuple[str, ...]:
     names: list[Any] = found if isinstance(found, list) else [found]
     for name in names or [None]:
         if not isinstance(name, str) or name.partition(".")[0] not in ROOMS or not name.partition(".")[2]:
-            expected = "contestant.NAME, sequence.NAME or mapper.NAME, or a list of them"
+            expected = "method.NAME, sequence.NAME or mapper.NAME, or a list of them"
             raise BadExperiment(file, place, f"'sets': found {brief(found)}, expected {expected}")
     return tuple(map(str, names))
 
@@ -146,7 +146,7 @@ def _named(levels: Mapping[str, Any], file: str, place: str) -> tuple[Level, ...
         for name, value in table.items():
             if name.partition(".")[0] not in ROOMS or not isinstance(value, (bool, int, float, str)):
                 raise BadExperiment(file, place, f"'levels.{label}': found {name} = {value!r}, expected values for "
-                                    '"contestant.NAME", "sequence.NAME" or "mapper.NAME" (in quotes)')  # fmt: skip
+                                    '"method.NAME", "sequence.NAME" or "mapper.NAME" (in quotes)')  # fmt: skip
         made.append(Level(label, dict(table)))
     return tuple(made)
 

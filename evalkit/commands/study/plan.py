@@ -51,14 +51,14 @@ class Point:
     """One point: its levels by factor, all settings in full, and a ``key`` of them that no other study point has."""
 
     levels: Mapping[str, Level]
-    contestant: Mapping[str, Value]
+    method: Mapping[str, Value]
     sequence: Mapping[str, Value]
     mapper: Mapping[str, Value]
 
     @cached_property
     def key(self) -> str:
         """Eight digits that change with every setting."""
-        whole = [dict(self.contestant), dict(self.sequence), dict(self.mapper)]
+        whole = [dict(self.method), dict(self.sequence), dict(self.mapper)]
         return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:8]
 
     @property
@@ -157,7 +157,7 @@ class Study:
         sequence = dict(point.sequence) if seed is None else {**point.sequence, "seed": seed}
         arguments = {
             "backend": self.backend,
-            "parameters": dict(point.contestant),
+            "parameters": dict(point.method),
             "dataset": self.dataset,
             "sequence": sequence,
             "mapper": self.mapper,

@@ -12,7 +12,7 @@ from evalkit.commands.study.factors import Factor, Level
 from evalkit.core.errors import BadParameter
 from evalkit.core.se2 import Floats
 
-MOST_POINTS = 5000
+MAX_POINTS = 5000
 Row = Mapping[str, Level]
 """A point's levels by factor."""
 
@@ -29,9 +29,9 @@ def placed(kind: str, factors: Sequence[Factor], points: int, resolution: int, s
         return _between(factors, shares)
     levels = [len(factor.levels) for factor in factors]
     if kind == "grid":
-        if math.prod(levels) > MOST_POINTS:
+        if math.prod(levels) > MAX_POINTS:
             raise BadParameter(
-                "a grid", "factors", math.prod(levels), f"at most {MOST_POINTS} points; take another kind"
+                "a grid", "factors", math.prod(levels), f"at most {MAX_POINTS} points; take another kind"
             )
         positions = grid(levels)
     elif kind == "fractional":

@@ -20,8 +20,8 @@ from evalkit.report.html.document import Figure
 GREY, INK, WHITE, ORANGE, GREEN = "#9aa3ad", "#1c2128", "#ffffff", "#d55e00", "#009e73"
 STEPS = (1.0, 2.0, 5.0)
 FINE_STEPS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0)
-FEWEST_TICKS = 3
-LEAST_MS = 1e-3
+MIN_TICKS = 3
+MIN_MS = 1e-3
 """What costs less is drawn here: a logarithmic axis has no zero."""
 
 
@@ -73,7 +73,7 @@ def alone(one: Searched, objective: Response) -> Figure:
 
 def _places(tried: Sequence[Tried]) -> Floats:
     """CPU time and error (N, 2) of the points that have both."""
-    both = np.array([[max(one.cpu_ms, LEAST_MS), one.error] for one in tried]).reshape(-1, 2)
+    both = np.array([[max(one.cpu_ms, MIN_MS), one.error] for one in tried]).reshape(-1, 2)
     return np.asarray(both[np.isfinite(both).all(axis=1)])
 
 
@@ -101,7 +101,7 @@ def _log_axis(label: str, values: Floats) -> Axis:
     """A logarithmic axis with 1, 2 and 5 of every decade marked, more where those are too few."""
     low, high = float(values.min()) / 1.25, float(values.max()) * 1.25
     ticks = _ticks(low, high, STEPS)
-    return Axis(label, "log", low, high, ticks if len(ticks) >= FEWEST_TICKS else _ticks(low, high, FINE_STEPS))
+    return Axis(label, "log", low, high, ticks if len(ticks) >= MIN_TICKS else _ticks(low, high, FINE_STEPS))
 
 
 def _ticks(low: float, high: float, steps: Sequence[float]) -> list[float]:

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from evalkit.commands.tune.plan import Tuning
     from evalkit.commands.tune.result import Tuned
     from evalkit.commands.tune.search_loop import Searched
-    from evalkit.config.experiment import Plan
+    from evalkit.config.experiment import Experiment
     from evalkit.core.run_result import Trial
 
 BUDGET = 24
@@ -107,7 +107,7 @@ def _searched(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tupl
         raise
 
 
-def _judged(plan: Plan, store: Store, workers: int, ran_on: dict[str, str], collect: bool) -> tuple[Trial, ...]:
+def _judged(plan: Experiment, store: Store, workers: int, ran_on: dict[str, str], collect: bool) -> tuple[Trial, ...]:
     """Default and tuned rows on the held-out sequences, each run in a process of its own; what is done is kept."""
     from evalkit.execution.scheduler import Engine  # noqa: PLC0415 - with the search's modules
 
@@ -122,7 +122,7 @@ def _judged(plan: Plan, store: Store, workers: int, ran_on: dict[str, str], coll
 
 
 def _end(told: Tuned, folder: Path, as_json: bool) -> None:
-    """Writes and prints what was found; exit code 1 if a contestant failed wholly, 3 if a run is not made yet."""
+    """Writes and prints what was found; exit code 1 if a method failed wholly, 3 if a run is not made yet."""
     from evalkit.commands.tune import page as pages  # noqa: PLC0415 - loads matplotlib
     from evalkit.commands.tune.results_json import record  # noqa: PLC0415 - as above
     from evalkit.report.html.document import render  # noqa: PLC0415 - as above

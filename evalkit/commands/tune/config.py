@@ -9,9 +9,9 @@ from typing import Any
 from evalkit.commands.study.factors import Factor, factor
 from evalkit.commands.study.plan import Response
 from evalkit.commands.tune.plan import TUNED, Entrant, Training, Tuning
-from evalkit.commands.tune.space import CONTESTANT, SHARED, Space, derived, own, settings
+from evalkit.commands.tune.space import METHOD, SHARED, Space, derived, own, settings
 from evalkit.config import experiment
-from evalkit.config.experiment import Contestant, Course, Plan
+from evalkit.config.experiment import Experiment, Method, SequenceSpec
 from evalkit.core.errors import BadExperiment, BadParameter, UnknownName, brief
 from evalkit.io.input_files import tables_of
 from evalkit.metrics import all_metrics, spans
@@ -19,10 +19,10 @@ from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import Parameter, Value
 
-TOP = ("title", "description", "points", "seed", "run_cpu_s", "objective", "mapper", "limits", "contestant",
+TOP = ("title", "description", "points", "seed", "run_cpu_s", "objective", "mapper", "limits", "method",
        "training", "held-out")  # fmt: skip
 POINTS = 24
-FEWEST_CONFIRMING = 4
+MIN_CONFIRMING = 4
 """Runs on fresh seeds that a decision takes: fewer have no interval worth the name."""
 
 METRIC, LOST_M, RUN_CPU_S = "ate_rmse_m", 1.0, 60.0
@@ -47,17 +47,17 @@ def tuning(content: Mapping[str, Any], file: str, name: str, command: str) -> Tu
     for key in content:
         if key not in TOP:
             raise BadExperiment(file, "", str(UnknownName("key", key, TOP)))
-    contestants = _tables(content, "contestant", file)
-    held_out = _plan(content, contestants, _tables(content, "held-out", file), file, "held-out")
-    for contestant in held_out.contestants:
-        if contestant.label.endswith(TUNED):
-            told = f"'label': found {contestant.label!r}, but tuned rows are to end in '{TUNED}'; take another"
-            raise BadExperiment(file, "contestant", told)
-    training = _training(content, contestants, file)
-    _disjoint(training, held_out.courses, file)
+    methods = _tables(content, "method", file)
+    held_out = _plan(content, methods, _tables(content, "held-out", file), file, "held-out")
+    for method in held_out.methods:
+        if method.label.endswith(TUNED):
+            told = f"'label': found {method.label!r}, but tuned rows are to end in '{TUNED}'; take another"
+            raise BadExperiment(file, "method", told)
+    training = _training(content, methods, file)
+    _disjoint(training, held_out.sequences, file)
     entrants = [
-        _entrant(table, contestant, file, f"contestant {number + 1} ({contestant.label})")
-        for number, (table, contestant) in enumerate(zip(contestants, held_out.contestants, strict=True))
+        _entrant(table, method, file, f"method {number + 1} ({method.label})")
+        for number, (table, method) in enumerate(zip(methods, held_out.methods, strict=True))
     ]
     return Tuning(
         name,
@@ -70,7 +70,7 @@ def tuning(content: Mapping[str, Any], file: str, name: str, command: str) -> Tu
         _number(content, "run_cpu_s", RUN_CPU_S, file, least=1e-3),
         tuple(entrants),
         training,
-        held_out.courses,
+        held_out.sequences,
         held_out.mapper,
         held_out.limits,
     )
@@ -85,7 +85,7 @@ def named(
     to judge on; ``given`` are settings of every data set.
     """
 
-    def course(dataset: str, **seeds: list[int]) -> dict[str, Any]:
+    def sequence(dataset: str, **seeds: list[int]) -> dict[str, Any]:
         spec = registry.dataset(dataset)
         parameters = from_text(dataset, spec.parameters, given)
         return {"use": dataset, **parameters, **(seeds if spec.seeded else {})}
@@ -93,37 +93,39 @@ def named(
     return {
         "title": f"Fair tuning on {', '.join(on)}",
         "points": budget,
-        "contestant": [{"use": name} for name in backends],
-        "training": [course(name, seeds=[0, 1], confirm=[10, 11, 12, 13]) for name in on],
-        "held-out": [course(name, seeds=[20, 21, 22, 23, 24, 25]) for name in held_out or on],
+        "method": [{"use": name} for name in backends],
+        "training": [sequence(name, seeds=[0, 1], confirm=[10, 11, 12, 13]) for name in on],
+        "held-out": [sequence(name, seeds=[20, 21, 22, 23, 24, 25]) for name in held_out or on],
     }
 
 
-def _plan(content: Mapping[str, Any], contestants: Sequence[Any], courses: Sequence[Any], file: str, kind: str) -> Plan:
-    """The experiment of the contestants on some sequences; ``kind`` names these in errors."""
-    bare = [{key: value for key, value in table.items() if key != "search"} for table in contestants]
+def _plan(
+    content: Mapping[str, Any], methods: Sequence[Any], sequences: Sequence[Any], file: str, kind: str
+) -> Experiment:
+    """The experiment of the methods on some sequences; ``kind`` names these in errors."""
+    bare = [{key: value for key, value in table.items() if key != "search"} for table in methods]
     rest = {key: content[key] for key in ("mapper", "limits") if key in content}
     try:
-        return experiment.plan({**rest, "contestant": bare, "sequence": courses}, file, "tuning", "tuning")
+        return experiment.plan({**rest, "method": bare, "sequence": sequences}, file, "tuning", "tuning")
     except BadExperiment as error:
         where, place, what = error.args
         raise BadExperiment(where, place.replace("sequence", kind), what.replace("sequences", kind)) from error
 
 
-def _training(content: Mapping[str, Any], contestants: Sequence[Any], file: str) -> tuple[Training, ...]:
+def _training(content: Mapping[str, Any], methods: Sequence[Any], file: str) -> tuple[Training, ...]:
     tables = _tables(content, "training", file)
     bare = [{key: value for key, value in table.items() if key != "confirm"} for table in tables]
-    courses = _plan(content, contestants, bare, file, "training").courses
+    sequences = _plan(content, methods, bare, file, "training").sequences
     found = []
-    for number, (table, course) in enumerate(zip(tables, courses, strict=True)):
-        place = f"training {number + 1} ({course.label})"
-        if course.missing:
-            raise BadExperiment(file, place, f"cannot be trained on here: {course.missing}")
-        found.append(Training(course, _confirm(table, courses, course, file, place)))
-    if sum(len(one.confirm) for one in found) < FEWEST_CONFIRMING:
+    for number, (table, sequence) in enumerate(zip(tables, sequences, strict=True)):
+        place = f"training {number + 1} ({sequence.label})"
+        if sequence.missing:
+            raise BadExperiment(file, place, f"cannot be trained on here: {sequence.missing}")
+        found.append(Training(sequence, _confirm(table, sequences, sequence, file, place)))
+    if sum(len(one.confirm) for one in found) < MIN_CONFIRMING:
         told = (
             "'confirm': the best point is compared with the default on fresh seeds, and it takes "
-            f"{FEWEST_CONFIRMING} runs in all, e.g. confirm = [100, 101, 102, 103]; recordings have no seeds, so train "
+            f"{MIN_CONFIRMING} runs in all, e.g. confirm = [100, 101, 102, 103]; recordings have no seeds, so train "
             "on a simulated world too"
         )
         raise BadExperiment(file, "training", told)
@@ -131,49 +133,51 @@ def _training(content: Mapping[str, Any], contestants: Sequence[Any], file: str)
 
 
 def _confirm(
-    table: Mapping[str, Any], courses: Sequence[Course], course: Course, file: str, place: str
+    table: Mapping[str, Any], sequences: Sequence[SequenceSpec], sequence: SequenceSpec, file: str, place: str
 ) -> tuple[int, ...]:
-    """The fresh seeds of a course: its world is searched with none of them, in no other training table either."""
+    """The fresh seeds of a sequence: its world is searched with none of them, in no other training table either."""
     seeds = table.get("confirm", [])
     if not isinstance(seeds, list) or not all(type(seed) is int and seed >= 0 for seed in seeds):
         raise BadExperiment(file, place, f"'confirm': found {brief(seeds)}, expected a list of whole numbers from 0")
-    if seeds and course.seeds == (None,):
-        raise BadExperiment(file, place, f"'confirm': {course.dataset} is a recording and has no seeds; remove the key")
-    searched = {seed for each in courses if each.dataset == course.dataset for seed in each.seeds}
+    if seeds and sequence.seeds == (None,):
+        raise BadExperiment(
+            file, place, f"'confirm': {sequence.dataset} is a recording and has no seeds; remove the key"
+        )
+    searched = {seed for each in sequences if each.dataset == sequence.dataset for seed in each.seeds}
     if both := sorted(set(seeds) & searched):
         raise BadExperiment(file, place, f"'confirm': seed {both[0]} is searched with too; take fresh ones")
     return tuple(dict.fromkeys(seeds))
 
 
-def _disjoint(training: Sequence[Training], held_out: Sequence[Course], file: str) -> None:
+def _disjoint(training: Sequence[Training], held_out: Sequence[SequenceSpec], file: str) -> None:
     """Refuses a world and seed, or a recording, that is trained on and judged on, however it is driven or read."""
-    trained = {one: each.course.label for each in training for one in _identities(each.course, each.confirm)}
-    for course in held_out:
-        for identity in _identities(course, ()):
+    trained = {one: each.sequence.label for each in training for one in _identities(each.sequence, each.confirm)}
+    for sequence in held_out:
+        for identity in _identities(sequence, ()):
             if identity in trained:
                 what, seed = identity
                 found = f"{what} is" if seed is None else f"{what} with seed {seed} is"
                 told = f"{found} in training too ({trained[identity]}); judge on another world, seed or recording"
-                raise BadExperiment(file, f"held-out ({course.label})", told)
+                raise BadExperiment(file, f"held-out ({sequence.label})", told)
 
 
-def _identities(course: Course, more: Sequence[int]) -> set[tuple[str, int | None]]:
-    """What a course shows: its world with each seed, or its recording by name and by the file it reads."""
-    seeded = registry.dataset(course.dataset).seeded
+def _identities(sequence: SequenceSpec, more: Sequence[int]) -> set[tuple[str, int | None]]:
+    """What a sequence shows: its world with each seed, or its recording by name and by the file it reads."""
+    seeded = registry.dataset(sequence.dataset).seeded
     if seeded:
-        return {(course.dataset, seed) for seed in (*course.seeds, *more)}
-    path = course.parameters.get("path")
-    return {(str(Path(path).resolve()) if isinstance(path, str) and path else course.dataset, None)}
+        return {(sequence.dataset, seed) for seed in (*sequence.seeds, *more)}
+    path = sequence.parameters.get("path")
+    return {(str(Path(path).resolve()) if isinstance(path, str) and path else sequence.dataset, None)}
 
 
-def _entrant(table: Mapping[str, Any], contestant: Contestant, file: str, place: str) -> Entrant:
-    spec = registry.entrant(contestant.backend)
-    default = contestant.parameters
-    parameters = () if contestant.missing else own(spec)
+def _entrant(table: Mapping[str, Any], method: Method, file: str, place: str) -> Entrant:
+    spec = registry.entrant(method.backend)
+    default = method.parameters
+    parameters = () if method.missing else own(spec)
     search = table.get("search")
-    if search is None or contestant.missing:
+    if search is None or method.missing:
         factors, left = derived([p for p in parameters if p.name in default], default)
-        return Entrant(contestant, Space(factors, default), left)
+        return Entrant(method, Space(factors, default), left)
     if not isinstance(search, Mapping):
         raise BadExperiment(
             file, place, f"'search': found {brief(search)}, expected a table of parameters and their levels"
@@ -181,7 +185,7 @@ def _entrant(table: Mapping[str, Any], contestant: Contestant, file: str, place:
     known = {parameter.name: parameter for parameter in parameters}
     chosen = tuple(_factor(name, told, known, default, file, place) for name, told in search.items())
     left = {name: "not named in 'search'" for name in known if name not in search}
-    return Entrant(contestant, Space(chosen, default), left)
+    return Entrant(method, Space(chosen, default), left)
 
 
 def _factor(
@@ -189,16 +193,16 @@ def _factor(
 ) -> Factor:
     where = f"{place}: search.{name}"
     if name in SHARED:
-        raise BadExperiment(file, where, "a setting of the front end, which belongs to all contestants alike; set it "
-                            "as a fixed value of the contestant if it must differ")  # fmt: skip
+        raise BadExperiment(file, where, "a setting of the front end, which belongs to all methods alike; set it "
+                            "as a fixed value of the method if it must differ")  # fmt: skip
     if name not in known:
         raise BadExperiment(file, where, str(UnknownName("parameter", name, known)))
     levels = table.get("levels") if isinstance(table, Mapping) else table
     rest = {key: value for key, value in table.items() if key != "levels"} if isinstance(table, Mapping) else {}
     if isinstance(known[name].default, float) and isinstance(levels, list):
         levels = [float(value) if type(value) is int else value for value in levels]
-    base = {f"{CONTESTANT}{each}": value for each, value in default.items()}
-    told = {"sets": f"{CONTESTANT}{name}", "name": name, "unit": known[name].unit, "levels": levels, **rest}
+    base = {f"{METHOD}{each}": value for each, value in default.items()}
+    told = {"sets": f"{METHOD}{name}", "name": name, "unit": known[name].unit, "levels": levels, **rest}
     made = factor(told, file, where, base)
     for level in made.levels:
         for value in settings(level).values():

@@ -85,5 +85,5 @@ def _on_sequence(comparison: Comparison, sequence: str, label: str) -> OnSequenc
 
 
 def _lost(comparison: Comparison, label: str) -> int:
-    own = [trial.run.status for trial in comparison.trials if trial.contestant == label]
+    own = [trial.run.status for trial in comparison.trials if trial.method == label]
     return sum(status != "complete" and status not in NOT_POSSIBLE for status in own)

@@ -16,7 +16,7 @@ from evalkit.core.se2 import Floats
 from evalkit.execution.job_store import Result
 from evalkit.stats.statistics import Interval, block_bootstrap
 
-LEAST_GAIN = 0.05
+MIN_GAIN = 0.05
 """Nobody is better by less than this share of the error, as in the report."""
 
 
@@ -81,4 +81,4 @@ def ratio(ours: Tried, theirs: Tried, seed: int) -> Interval:
 
 def better(ours: Tried, theirs: Tried, found: Interval) -> bool:
     """Whether one is better than another by more than noise: no more runs lost, all of the interval and 5 % below 1."""
-    return ours.losses <= theirs.losses and found.high < 1.0 and found.value <= 1.0 - LEAST_GAIN
+    return ours.losses <= theirs.losses and found.high < 1.0 and found.value <= 1.0 - MIN_GAIN

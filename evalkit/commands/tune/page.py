@@ -169,16 +169,16 @@ def _spent(told: Tuned, one: Searched) -> Sequence[Cell | str]:
 
 def _sequences(told: Tuned) -> list[Block]:
     rows: list[Sequence[Cell | str]] = [
-        (kind, one.course.label, _seeds(seeds), "")
+        (kind, one.sequence.label, _seeds(seeds), "")
         for one in told.tuning.training
-        for kind, seeds in (("search", one.course.seeds), ("fresh seeds", one.confirm))
+        for kind, seeds in (("search", one.sequence.seeds), ("fresh seeds", one.confirm))
         if seeds
     ]
-    trained = {one.course.dataset for one in told.tuning.training}
-    for course in told.tuning.held_out:
-        again = course.dataset in trained and course.seeds != (None,)
+    trained = {one.sequence.dataset for one in told.tuning.training}
+    for sequence in told.tuning.held_out:
+        again = sequence.dataset in trained and sequence.seeds != (None,)
         known = "same world, other seeds" if again else "never seen in training"
-        rows.append(("held out", course.label, _seeds(course.seeds), known))
+        rows.append(("held out", sequence.label, _seeds(sequence.seeds), known))
     return [
         Table(
             ("Used for", "Sequence", "Seeds", ""),
@@ -240,7 +240,7 @@ def _how(told: Tuned) -> Section:
         f"A run that fails, takes more than {tuning.run_cpu_s:g} s of CPU time or errs by {bound} or more is lost and "
         f"counts as {bound}. Fewer lost runs are better, whatever the errors; then the smaller geometric mean; of "
         "equals the earliest, and so the default.",
-        "Searched are a back end's own parameters. The settings of the front end (guess, keyframes, submap, deskew), "
+        "Searched are a back end's own parameters. Settings of the front end (guess, keyframes, local map, deskew), "
         "the mapper, the scans and the metrics stay as they are for all.",
         f"Held out, the rows end in '{TUNED.strip()}' where something better was found. Their runs have a process of "
         "their own each and are scored like any report's: Wilcoxon's test over runs with Holm's adjustment over back "

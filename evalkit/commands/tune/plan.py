@@ -8,7 +8,7 @@ from functools import cached_property
 
 from evalkit.commands.study.plan import Response
 from evalkit.commands.tune.space import Candidate, Space
-from evalkit.config.experiment import Contestant, Course, Limits, MapperChoice
+from evalkit.config.experiment import Limits, MapperChoice, Method, SequenceSpec
 from evalkit.execution.job_store import Job
 from evalkit.plugins import registry
 from evalkit.plugins.code_hash import of_files
@@ -25,26 +25,26 @@ TUNED = " tuned"
 class Entrant:
     """A back end to be tuned: its own settings, its space, and why other parameters are not searched, by name."""
 
-    contestant: Contestant
+    method: Method
     space: Space
     left: Mapping[str, str]
 
     @property
     def label(self) -> str:
-        """The label of its contestant."""
-        return self.contestant.label
+        """The label of its method."""
+        return self.method.label
 
     @property
     def missing(self) -> str:
         """Why it cannot run here, or ""."""
-        return self.contestant.missing
+        return self.method.missing
 
 
 @dataclass(frozen=True)
 class Training:
-    """A sequence to be tuned on: the seeds of its course are searched with, ``confirm`` are for the best alone."""
+    """A sequence to be tuned on: the seeds of its sequence are searched with, ``confirm`` are for the best alone."""
 
-    course: Course
+    sequence: SequenceSpec
     confirm: tuple[int, ...]
 
 
@@ -52,13 +52,13 @@ class Training:
 class Run:
     """One repetition of a sequence."""
 
-    course: Course
+    sequence: SequenceSpec
     seed: int | None
 
     @property
     def label(self) -> str:
         """The sequence and the seed in words."""
-        return self.course.label if self.seed is None else f"{self.course.label} seed {self.seed}"
+        return self.sequence.label if self.seed is None else f"{self.sequence.label} seed {self.seed}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,30 +79,30 @@ class Tuning:
     run_cpu_s: float
     entrants: tuple[Entrant, ...]
     training: tuple[Training, ...]
-    held_out: tuple[Course, ...]
+    held_out: tuple[SequenceSpec, ...]
     mapper: MapperChoice
     limits: Limits
 
     @cached_property
     def search_runs(self) -> tuple[Run, ...]:
         """The runs every point is scored on."""
-        return tuple(Run(one.course, seed) for one in self.training for seed in one.course.seeds)
+        return tuple(Run(one.sequence, seed) for one in self.training for seed in one.sequence.seeds)
 
     @cached_property
     def confirm_runs(self) -> tuple[Run, ...]:
         """The runs that default and best point are compared on: nothing was chosen by them."""
-        return tuple(Run(one.course, seed) for one in self.training for seed in one.confirm)
+        return tuple(Run(one.sequence, seed) for one in self.training for seed in one.confirm)
 
     def job(self, entrant: Entrant, candidate: Candidate, run: Run) -> Job:
         """One run of one point."""
         arguments = {
             "cpu_s": self.run_cpu_s,
-            "backend": entrant.contestant.backend,
+            "backend": entrant.method.backend,
             "parameters": dict(candidate.values),
-            "dataset": run.course.dataset,
-            "sequence": run.course.seeded(run.seed),
+            "dataset": run.sequence.dataset,
+            "sequence": run.sequence.seeded(run.seed),
             "metrics": [self.objective.name, COST],
-            "code": self._code(entrant.contestant.backend, run.course.dataset) + of_files(run.course.parameters),
+            "code": self._code(entrant.method.backend, run.sequence.dataset) + of_files(run.sequence.parameters),
         }
         return Job(f"{entrant.label} | {run.label} | {candidate.name}", TRIAL, arguments, limit_s=self.limits.run_s)
 

@@ -41,7 +41,7 @@ class Tuned:
         never = [one.entrant.label for one in self.found if one.failed]
         statuses: dict[str, list[str]] = {}
         for trial in self.comparison.trials:
-            statuses.setdefault(trial.contestant, []).append(STATUS[trial.run.status])
+            statuses.setdefault(trial.method, []).append(STATUS[trial.run.status])
         never += [label for label, told in statuses.items() if all(each in FAILED for each in told)]
         return tuple(dict.fromkeys(never))
 

@@ -26,7 +26,7 @@ from evalkit.commands.tune.plan import Entrant
 from evalkit.commands.tune.result import Tuned
 from evalkit.commands.tune.search_loop import Searched
 from evalkit.commands.tune.space import is_continuous
-from evalkit.config.experiment import Course
+from evalkit.config.experiment import SequenceSpec
 
 SCHEMA_VERSION = 1
 
@@ -53,16 +53,16 @@ def record(told: Tuned) -> dict[str, Any]:
             "confirming_runs": len(tuning.confirm_runs),
             "run_cpu_s": tuning.run_cpu_s,
         },
-        "training": [_course(one.course) | {"confirm": list(one.confirm)} for one in tuning.training],
-        "held_out": [_course(course) for course in tuning.held_out],
+        "training": [_sequence(one.sequence) | {"confirm": list(one.confirm)} for one in tuning.training],
+        "held_out": [_sequence(sequence) for sequence in tuning.held_out],
         "backends": [_backend(told, entrant, by_label.get(entrant.label)) for entrant in tuning.entrants],
     }
 
 
-def _course(course: Course) -> dict[str, Any]:
-    seeds = [seed for seed in course.seeds if seed is not None]
-    parameters = dict(course.parameters)
-    return {"label": course.label, "dataset": course.dataset, "seeds": seeds, "parameters": parameters}
+def _sequence(sequence: SequenceSpec) -> dict[str, Any]:
+    seeds = [seed for seed in sequence.seeds if seed is not None]
+    parameters = dict(sequence.parameters)
+    return {"label": sequence.label, "dataset": sequence.dataset, "seeds": seeds, "parameters": parameters}
 
 
 def _backend(told: Tuned, entrant: Entrant, one: Searched | None) -> dict[str, Any]:
@@ -76,7 +76,7 @@ def _backend(told: Tuned, entrant: Entrant, one: Searched | None) -> dict[str, A
     }
     head = {
         "label": entrant.label,
-        "backend": entrant.contestant.backend,
+        "backend": entrant.method.backend,
         "missing": entrant.missing,
         "space": space,
         "not_searched": dict(entrant.left),

@@ -1,4 +1,4 @@
-"""Tables of the held-out rows: every contestant on every sequence, and tuned against default."""
+"""Tables of the held-out rows: every method on every sequence, and tuned against default."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def held_blocks(told: Tuned) -> list[Block]:
     columns = [Column("Row"), *(_heading(name, found) for name, found in standings.items())]
     rows = [
         [Cell(label), *(_score(told, label, name, found) for name, found in standings.items())]
-        for label in comparison.contestant_labels
+        for label in comparison.method_labels
     ]
     caption = "Median over the runs with its 95 % interval, in the metric that decides the sequence"
     blocks: list[Block] = [Table(columns, rows, caption)]
@@ -46,7 +46,7 @@ def _heading(name: str, found: Standing | None) -> Column:
 
 def _score(told: Tuned, label: str, sequence: str, found: Standing | None) -> Cell:
     score: Score | None = None if found is None else found.of(label)
-    own = [trial for trial in told.comparison.trials if (trial.contestant, trial.sequence) == (label, sequence)]
+    own = [trial for trial in told.comparison.trials if (trial.method, trial.sequence) == (label, sequence)]
     if score is None or not score.values:
         statuses = dict.fromkeys(STATUS[trial.run.status] for trial in own if trial.run.status != "complete")
         why = score.reason if score is not None else "; ".join(trial.run.reason for trial in own[:1])

@@ -16,7 +16,7 @@ from evalkit.external.library import TRACE
 from evalkit.odometry import frontend
 from evalkit.plugins.protocols import BackendSpec, Parameter, Value
 
-CONTESTANT = "contestant."
+METHOD = "method."
 DECADE = 10.0
 """An open bound of a number is this many times its default away."""
 
@@ -27,7 +27,7 @@ FEW = 8
 """A range of at most so many whole numbers is tried in full; a longer one at so many of them."""
 
 SHARED = frozenset(parameter.name for parameter in frontend.PARAMETERS)
-"""The front end's settings: they belong to all contestants alike, whoever implements them."""
+"""The front end's settings: they belong to all methods alike, whoever implements them."""
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def is_continuous(factor: Factor) -> bool:
 
 def settings(level: Level) -> dict[str, Value]:
     """What a level sets, by parameter."""
-    return {name.removeprefix(CONTESTANT): value for name, value in level.sets.items()}
+    return {name.removeprefix(METHOD): value for name, value in level.sets.items()}
 
 
 def own(spec: BackendSpec) -> tuple[Parameter, ...]:
@@ -144,7 +144,7 @@ def _whole(parameter: Parameter, default: int, ends: tuple[float, float], bounde
 
 
 def _factor(parameter: Parameter, levels: Sequence[Value]) -> Factor:
-    name = CONTESTANT + parameter.name
+    name = METHOD + parameter.name
     numbers = isinstance(levels[0], (int, float)) and not isinstance(levels[0], bool)
     made = tuple(Level(str(value), {name: value}, float(value) if numbers else None) for value in levels)
     wide = numbers and (made[0].number or 0.0) > 0.0 and (made[-1].number or 0.0) >= DECADE * (made[0].number or 0.0)
@@ -169,4 +169,4 @@ def _share(factor: Factor, default: Mapping[str, Value]) -> float:
 
 def settings_name(factor: Factor) -> str:
     """The parameter a factor of plain values sets."""
-    return factor.sets[0].removeprefix(CONTESTANT)
+    return factor.sets[0].removeprefix(METHOD)

@@ -22,7 +22,7 @@ from evalkit.report.html.charts import Axis, Curve, Points
 from evalkit.report.html.document import Figure
 from evalkit.report.html.palette import TRUTH, strokes
 
-LEAST_M = 1e-17
+MIN_M = 1e-17
 """Nothing nearer is drawn farther to the left: there are no numbers between 0 and this that mean a difference."""
 
 SHARE = Axis("share of the pairs [%]", low=0.0, high=100.0)
@@ -65,7 +65,7 @@ def of_scans(level: Level, mine: str, twin: str, margin: str) -> Iterator[Figure
         curves = []
         for stage in dict.fromkeys(result["stage"]):
             among = np.array([one == stage for one in result["stage"]])
-            curves.append(Curve(told_stage(stage), result["scan"][among], np.maximum(result["metres"][among], LEAST_M)))
+            curves.append(Curve(told_stage(stage), result["scan"][among], np.maximum(result["metres"][among], MIN_M)))
         held = result[margin]["margin"]["metres"]
         drawn = charts.lines(curves, Axis("scan"), Axis(f"apart from {twin} [m]", "log"), levels={"margin": held})
         yield Figure(drawn, place, f"How far {mine}'s answer lies from {twin}'s to the same question; {above}.")
@@ -77,8 +77,8 @@ def of_paths(level: Level, mine: str, twin: str) -> Iterator[Figure]:
     for place, runs in level.shown["trials"].items():
         if mine in runs and twin in runs and len(runs[mine].run.steps) and len(runs[twin].run.steps):
             seconds, apart = distances(runs[mine], runs[twin])
-            course, _, seed = place.partition(", ")
-            drawn.setdefault(course, []).append(Curve(seed or course, seconds[1:], np.maximum(apart[1:], LEAST_M)))
+            sequence, _, seed = place.partition(", ")
+            drawn.setdefault(sequence, []).append(Curve(seed or sequence, seconds[1:], np.maximum(apart[1:], MIN_M)))
     for place, runs in _first(level.shown["trials"]).items():
         layers = list(_walked(runs, mine, twin))
         if layers:
@@ -87,9 +87,9 @@ def of_paths(level: Level, mine: str, twin: str) -> Iterator[Figure]:
                 f"{place}: paths",
                 "Each aligned to the truth as for its error; where two coincide the later one covers the other.",
             )
-    for course, curves in drawn.items():
+    for sequence, curves in drawn.items():
         axis = Axis(f"{mine} from {twin} [m]", "log")
-        yield Figure(charts.lines(curves, Axis("time [s]"), axis), f"{course}: distance between both paths", "")
+        yield Figure(charts.lines(curves, Axis("time [s]"), axis), f"{sequence}: distance between both paths", "")
 
 
 def of_maps(level: Level, mine: str, twin: str) -> Iterator[Figure]:
@@ -103,7 +103,7 @@ def of_maps(level: Level, mine: str, twin: str) -> Iterator[Figure]:
 
 
 def of_times(level: Level) -> Iterator[Figure]:
-    """Level 5: median and 95th percentile of every contestant."""
+    """Level 5: median and 95th percentile of every method."""
     for kind, labels, what in (
         ("paced", level.shown["labels"], "a whole scan"),
         ("alone", level.shown["registrations"], "one registration of two scans"),
@@ -129,7 +129,7 @@ def _shares(series: Mapping[str, Floats], asked: int) -> list[Curve]:
         known = np.sort(values[np.isfinite(values)])
         if len(known):
             share = 100.0 * np.arange(1, len(known) + 1) / asked
-            curves.append(Curve(label, np.maximum(known, LEAST_M), share))
+            curves.append(Curve(label, np.maximum(known, MIN_M), share))
     return curves
 
 
@@ -168,7 +168,7 @@ def _extent(layers: Layers, grid: OccupancyGrid) -> tuple[float, float, float, f
 
 
 def _first(found: Mapping[str, Any]) -> dict[str, Any]:
-    """The first place of every course: one seed is enough to look at."""
+    """The first place of every sequence: one seed is enough to look at."""
     chosen: dict[str, Any] = {}
     for place, one in found.items():
         if place.partition(",")[0] not in {name.partition(",")[0] for name in chosen}:

@@ -17,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from evalkit.commands.validate.acceptance import Claim, Dossier
-from evalkit.config.experiment import Plan
+from evalkit.config.experiment import Experiment
 from evalkit.core.errors import BadParameter
 from evalkit.execution import environment
 from evalkit.execution.scheduler import Progress
@@ -94,7 +94,7 @@ def validate(
 
 
 @contextmanager
-def _runs(plan: Plan, workers: int) -> Iterator[Progress]:
+def _runs(plan: Experiment, workers: int) -> Iterator[Progress]:
     with progress.progress(err, list(plan.runs()), workers) as shown:
         yield shown
 

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from evalkit.config.experiment import Limits
-from evalkit.core.run_result import Run
+from evalkit.core.run_result import RunResult
 from evalkit.execution import run_process
 from evalkit.execution.worker import Request
 from evalkit.odometry import frontend
@@ -50,14 +50,14 @@ def determinism(
 ) -> Determinism:
     """The back end followed over the sequence so often with each number of threads, each time in a fresh process."""
     spec = registry.backend(backend)
-    course = registry.dataset(dataset)
+    sequence = registry.dataset(dataset)
     request = Request(
         backend,
         frontend.complete_parameters(backend, spec, {}),
         dataset,
-        resolved(dataset, course.parameters, settings),
+        resolved(dataset, sequence.parameters, settings),
     )
-    made: dict[int, list[Run]] = {}
+    made: dict[int, list[RunResult]] = {}
     with tempfile.TemporaryDirectory(prefix="evalkit-determinism-") as place:
         for number in threads:
             for repetition in range(repetitions):
@@ -72,7 +72,7 @@ def determinism(
     return judged(backend, made)
 
 
-def judged(backend: str, made: Mapping[int, list[Run]]) -> Determinism:
+def judged(backend: str, made: Mapping[int, list[RunResult]]) -> Determinism:
     """The verdict over complete runs by their number of threads."""
     digests = {number: tuple(digest(run) for run in runs) for number, runs in made.items()}
     every = [run for runs in made.values() for run in runs]
@@ -84,7 +84,7 @@ def judged(backend: str, made: Mapping[int, list[Run]]) -> Determinism:
     return Determinism(backend, verdict, *_apart(every), digests)
 
 
-def _apart(runs: list[Run]) -> tuple[float, int]:
+def _apart(runs: list[RunResult]) -> tuple[float, int]:
     """The largest distance (m) between two answers for one scan, and how many scans all have answered."""
     stamps = set.intersection(*(set(run.steps["stamp_ns"].tolist()) for run in runs))
     chosen = [run.steps[np.isin(run.steps["stamp_ns"], sorted(stamps))] for run in runs]

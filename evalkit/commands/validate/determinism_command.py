@@ -27,9 +27,9 @@ def determinism(
     from evalkit.commands.validate import determinism as validation  # noqa: PLC0415 - loads the runner: only who asks pays
 
     options.modules_from_here()
-    course = registry.dataset(on)
-    given = {"laps": 0.1} if {p.name for p in course.parameters} >= {"laps"} else {}
-    settings = given | dict(from_text(on, course.parameters, options.settings(setting or [])))
+    sequence = registry.dataset(on)
+    given = {"laps": 0.1} if {p.name for p in sequence.parameters} >= {"laps"} else {}
+    settings = given | dict(from_text(on, sequence.parameters, options.settings(setting or [])))
     names = backends or [name for name in registry.names("backends") if not registry.entrant(name).missing()]
     table = Table("back end", "answers", "apart [m]", "scans", "why", expand=out.is_terminal)
     found = []

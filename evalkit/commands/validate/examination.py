@@ -15,7 +15,7 @@ from evalkit.commands.validate.answers import Names
 from evalkit.commands.validate.equivalence.comparison import FLOAT32
 from evalkit.commands.validate.probes import EXACT
 from evalkit.config import experiment
-from evalkit.config.experiment import Course, Limits, Plan
+from evalkit.config.experiment import Experiment, Limits, SequenceSpec
 from evalkit.core.errors import BadParameter, NotInstalled
 from evalkit.core.run_result import Trial
 from evalkit.execution import environment, sandbox
@@ -74,7 +74,7 @@ class Watch:
     """Who hears how it goes on: of jobs, told how many there are, and of runs."""
 
     jobs: Callable[[int, int], AbstractContextManager[OnDone]]
-    runs: Callable[[Plan, int], AbstractContextManager[Progress]]
+    runs: Callable[[Experiment, int], AbstractContextManager[Progress]]
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Examination:
     given_twin: Mapping[str, Value]
     against: tuple[str, ...]
     absent: Mapping[str, str]
-    plan: Plan
+    plan: Experiment
     mappers: tuple[str, str]
 
     def dossier(self, folder: Path, workers: int, watch: Watch) -> Dossier:
@@ -162,12 +162,16 @@ class Examination:
     def _margins(self) -> list[str]:
         return [EXACT, FLOAT32] if self.asked.margin == AUTO else [self.asked.margin]
 
-    def _places(self) -> Iterator[tuple[str, Course, dict[str, Any]]]:
-        """Every sequence that is here, with every seed: place, course, and how it is made."""
-        for course in self.plan.courses:
-            for seed in course.seeds:
-                place = course.label if seed is None else f"{course.label}, seed {seed}"
-                yield place, course, {"label": place, "dataset": course.dataset, "parameters": course.seeded(seed)}
+    def _places(self) -> Iterator[tuple[str, SequenceSpec, dict[str, Any]]]:
+        """Every sequence that is here, with every seed: place, sequence, and how it is made."""
+        for sequence in self.plan.sequences:
+            for seed in sequence.seeds:
+                place = sequence.label if seed is None else f"{sequence.label}, seed {seed}"
+                yield (
+                    place,
+                    sequence,
+                    {"label": place, "dataset": sequence.dataset, "parameters": sequence.seeded(seed)},
+                )
 
     def _rules(self) -> Job:
         own = {p.name for p in registry.backend(self.mine).parameters}
@@ -178,47 +182,47 @@ class Examination:
     def _jobs(self) -> Iterator[Job]:
         """Levels 1 and 2, and the mappers of level 4."""
         effort, both = self.asked.effort, {"a": self._named(self.twin), "b": self._named(self.mine)}
-        for place, course, on in self._places():
-            exact = registry.dataset(course.dataset).seeded  # a simulated truth has no error
+        for place, sequence, on in self._places():
+            exact = registry.dataset(sequence.dataset).seeded  # a simulated truth has no error
             asked = {"on": on, "count": effort.pairs, "exact": exact}
             compared = {**both, **asked, "margins": self._margins()}
-            yield self._apart(f"pairs, {place}", f"{ASKING}:pairs_compared", compared, course)
+            yield self._apart(f"pairs, {place}", f"{ASKING}:pairs_compared", compared, sequence)
             scans = {**both, "on": on, "scans": effort.scans, "margins": self._margins()}
-            yield self._apart(f"scans, {place}", f"{ASKING}:scans_compared", scans, course)
+            yield self._apart(f"scans, {place}", f"{ASKING}:scans_compared", scans, sequence)
             for name in self._references():
                 given = {"named": self._named(name), **asked}
-                yield self._apart(f"answers of {name}, {place}", f"{ASKING}:pair_answers", given, course)
+                yield self._apart(f"answers of {name}, {place}", f"{ASKING}:pair_answers", given, sequence)
         if all(self.mappers):
-            for place, course, on in self._first_places():
+            for place, sequence, on in self._first_places():
                 given = {"a": self.mappers[1], "b": self.mappers[0], "on": on, "scans": effort.drawn}
-                yield self._apart(f"mapper, {place}", f"{ASKING}:maps_compared", given, course)
+                yield self._apart(f"mapper, {place}", f"{ASKING}:maps_compared", given, sequence)
 
     def _copies(self) -> Iterator[Job]:
         """The twin over copies that rounding has changed."""
-        for place, course, on in self._places():
+        for place, sequence, on in self._places():
             given = {"named": self._named(self.twin), "on": on, "times": COPIES}
-            yield self._apart(f"copies, {place}", f"{ASKING}:rounded_paths", given, course)
+            yield self._apart(f"copies, {place}", f"{ASKING}:rounded_paths", given, sequence)
 
     def _timed(self) -> Iterator[Job]:
-        contestants = [self._named(name) for name in self._everybody()]
+        methods = [self._named(name) for name in self._everybody()]
         alone = [self._named(name) for name in self._everybody() if registry.backend(name).kind == "registration"]
-        for place, course, on in self._first_places():
-            given = {"contestants": contestants, "on": on, "scans": self.asked.effort.timed}
-            yield self._apart(f"time, {place}", f"{PACE}:scans_paced", given, course)
+        for place, sequence, on in self._first_places():
+            given = {"methods": methods, "on": on, "scans": self.asked.effort.timed}
+            yield self._apart(f"time, {place}", f"{PACE}:scans_paced", given, sequence)
             if self.mine in [one["name"] for one in alone]:
-                pairs = {"contestants": alone, "on": on, "count": self.asked.effort.pairs}
-                yield self._apart(f"time of a pair, {place}", f"{PACE}:pairs_paced", pairs, course)
+                pairs = {"methods": alone, "on": on, "count": self.asked.effort.pairs}
+                yield self._apart(f"time of a pair, {place}", f"{PACE}:pairs_paced", pairs, sequence)
 
-    def _first_places(self) -> Iterator[tuple[str, Course, dict[str, Any]]]:
+    def _first_places(self) -> Iterator[tuple[str, SequenceSpec, dict[str, Any]]]:
         seen = set()
-        for place, course, on in self._places():
-            if course.label not in seen:
-                seen.add(course.label)
-                yield place, course, on
+        for place, sequence, on in self._places():
+            if sequence.label not in seen:
+                seen.add(sequence.label)
+                yield place, sequence, on
 
-    def _apart(self, name: str, function: str, arguments: Mapping[str, Any], course: Course) -> Job:
+    def _apart(self, name: str, function: str, arguments: Mapping[str, Any], sequence: SequenceSpec) -> Job:
         limits = {"limit_s": self.asked.effort.limit_s, "memory_mib": self.asked.effort.memory_mib}
-        uses = (*self._uses(*self._everybody()), registry.plug_in_of("datasets", course.dataset).module)
+        uses = (*self._uses(*self._everybody()), registry.plug_in_of("datasets", sequence.dataset).module)
         return sandbox.job(name, function, arguments, limits, uses)
 
     def _named(self, name: str) -> dict[str, Any]:
@@ -231,7 +235,7 @@ class Examination:
 
     def _references(self) -> list[str]:
         """The references that make something of two scans: the bar does not look at them."""
-        return [name for name in self.against if registry.backend(name).role != "bar"]
+        return [name for name in self.against if registry.backend(name).role != "baseline"]
 
     def _everybody(self) -> list[str]:
         return list(dict.fromkeys((self.mine, self.twin, *self._references())))
@@ -260,17 +264,17 @@ def examination(asked: Asked) -> Examination:
     mappers = (mapper, reference.mapper_of(twin)) if mapper else ("", "")
     against = (*here, *bars)
     plan = _plan(asked, twin, given, given_twin, against)
-    absent |= {course.label: course.missing for course in plan.courses if course.missing}
-    plan = replace(plan, courses=tuple(course for course in plan.courses if not course.missing))
+    absent |= {sequence.label: sequence.missing for sequence in plan.sequences if sequence.missing}
+    plan = replace(plan, sequences=tuple(sequence for sequence in plan.sequences if not sequence.missing))
     return Examination(asked, twin, why, given, given_twin, against, absent, plan, mappers)
 
 
 def _plan(
     asked: Asked, twin: str, given: Mapping[str, Value], given_twin: Mapping[str, Value], against: tuple[str, ...]
-) -> Plan:
+) -> Experiment:
     label = twin if twin != asked.backend else f"{twin} (twin)"
     content = {
-        "contestant": [
+        "method": [
             {"use": asked.backend, **given},
             {"use": twin, "label": label, **given_twin},
             *({"use": name} for name in against),
@@ -338,5 +342,5 @@ def _placed(trials: tuple[Trial, ...]) -> dict[str, dict[str, Trial]]:
     placed: dict[str, dict[str, Trial]] = {}
     for trial in trials:
         place = trial.sequence if trial.seed is None else f"{trial.sequence}, seed {trial.seed}"
-        placed.setdefault(place, {})[trial.contestant] = trial
+        placed.setdefault(place, {})[trial.method] = trial
     return placed

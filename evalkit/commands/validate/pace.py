@@ -28,11 +28,11 @@ WARM_UP = 5
 CLOCKS = ("wall_ns", "cpu_ns", "conversion_ns", "device_ns")
 
 
-def scans_paced(contestants: list[Named], on: Data, scans: int) -> Result:
+def scans_paced(methods: list[Named], on: Data, scans: int) -> Result:
     """Times (C, N) of every scan through every back end, by every clock; ``period_ns``: between the sensor's scans."""
     sequence = registry.dataset(on["dataset"]).make(**on["parameters"])
     frames = list(islice(sequence.frames(), scans))
-    sides = [_side(named) for named in contestants]
+    sides = [_side(named) for named in methods]
     for side in sides:
         at(f"{side.label}, warming up")
         follow = _followed(side)
@@ -44,11 +44,11 @@ def scans_paced(contestants: list[Named], on: Data, scans: int) -> Result:
     return {**_columns(taken), "period_ns": float(np.median(np.diff(stamps)))}
 
 
-def pairs_paced(contestants: list[Named], on: Data, count: int) -> Result:
+def pairs_paced(methods: list[Named], on: Data, count: int) -> Result:
     """Times (C, N) of one registration of every pair of scans; whatever is built over the target is in it."""
     sequence = registry.dataset(on["dataset"]).make(**on["parameters"])
     questions = [pair.question for pair in pairs(sequence, count, exact=False)]
-    sides = [_side(named) for named in contestants]
+    sides = [_side(named) for named in methods]
     askers = [side.registrations()["s2m"] for side in sides]
 
     def asked(number: int) -> Callable[[Any], Callable[[], Match]]:

@@ -136,7 +136,7 @@ def _method(found: Dossier) -> Section:
         f"{share:g} of what noise alone leaves open: an error half the size of another adds an eighth to it.",
         f"Level 1 asks {asked['pairs']} pairs of scans a sequence and seed, each with a guess 5 cm and 2 degrees off "
         f"and with one 0.3 m and 0.15 rad off. Level 2 asks at each of {asked['scans']} scans what the twin was asked. "
-        f"Times are taken in one process, contestants in turns, over {asked['timed']} scans.",
+        f"Times are taken in one process, methods in turns, over {asked['timed']} scans.",
         "Every run and every set of questions has a process of its own: a crash, a hang or a leak of the "
         "implementation is a line here.",
     ]

@@ -23,7 +23,7 @@ STAGE = "pair"
 CALM_M, CALM_RAD = 0.05, 0.035
 """How far off the guesses are that all depend on: 5 cm and 2 degrees, what wheels may be off between two scans."""
 
-MOST_APART = 5  # scans from the first to the second of a pair
+MAX_APART = 5  # scans from the first to the second of a pair
 PERIOD_NS = 100_000_000
 
 
@@ -44,7 +44,7 @@ def pairs(sequence: Sequence, count: int, exact: bool) -> Iterator[Pair]:
     frames, truth = list(sequence.frames()), sequence.truth().trajectory
     rng = np.random.default_rng(0)
     for number, first in enumerate(_evenly(len(frames) - 1, count), start=1):
-        last = min(first + 1 + number % MOST_APART, len(frames) - 1)
+        last = min(first + 1 + number % MAX_APART, len(frames) - 1)
         motion = _motion(frames[first], frames[last], truth)
         if motion is None:
             last = first + 1

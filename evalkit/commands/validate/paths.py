@@ -24,14 +24,14 @@ from evalkit.stats.statistics import Interval, block_bootstrap, block_length, pa
 CONFIDENCE = 0.90
 """Of all intervals: two one-sided tests at 5 %."""
 
-LEAST_M = 1e-12
+MIN_M = 1e-12
 """Paths nearer than this are the same."""
 
 FEWEST = 10
 """Scans whose truth must be known for an interval."""
 
 Trials = Mapping[str, Mapping[str, Trial]]
-"""Runs by place ("room, seed 0") and by contestant."""
+"""Runs by place ("room, seed 0") and by method."""
 
 Margins = Mapping[str, tuple[float, float]]
 """What one scan may differ by at a place: metres, radians."""
@@ -56,10 +56,10 @@ def paths(trials: Trials, margins: Margins, rounded: Mapping[str, Result], names
         for place, result in rounded.items()
         if place in both
     ]
-    for course in dict.fromkeys(map(_course, both)):
-        here = [runs for place, runs in both.items() if _course(place) == course]
-        lines += [_as_good(course, here, names, what) for what in TITLES]
-        lines += [_against(course, here, names, other) for other in names.against]
+    for sequence in dict.fromkeys(map(_sequence, both)):
+        here = [runs for place, runs in both.items() if _sequence(place) == sequence]
+        lines += [_as_good(sequence, here, names, what) for what in TITLES]
+        lines += [_against(sequence, here, names, other) for other in names.against]
     question = f"Does a whole run end where {names.twin}'s does, and is it as near to the truth?"
     return Level(3, "trajectories", question, tuple(line for line in lines if line), {"trials": trials})
 
@@ -75,7 +75,7 @@ def maps(
         and runs[names.twin].grid is not None
     }  # fmt: skip
     lines: list[Line | None] = [_same_map(place, runs, margins.get(place), names) for place, runs in both.items()]
-    lines += [_f1(course, both, names) for course in dict.fromkeys(map(_course, both))]
+    lines += [_f1(sequence, both, names) for sequence in dict.fromkeys(map(_sequence, both))]
     lines += [_drawn(place, result, mappers, names) for place, result in drawn.items()]
     if not mappers[0]:
         lines.append(Line("its own mapper", "", "not applicable", "", "it comes with none; name one with --mapper"))
@@ -109,7 +109,7 @@ def distances(mine: Trial, theirs: Trial) -> tuple[Floats, Floats]:
     return (stamps - stamps[0]) * 1e-9, np.asarray(np.linalg.norm(apart, axis=1))
 
 
-def _course(place: str) -> str:
+def _sequence(place: str) -> str:
     return place.partition(",")[0]
 
 
@@ -187,14 +187,14 @@ def _as_rounded(
 
 def _one_more(known: Floats) -> float:
     """What one more value would stay below with 95 %: Student's t on logarithms, which spread by two at least."""
-    logarithms = np.log(np.maximum(known, LEAST_M))
+    logarithms = np.log(np.maximum(known, MIN_M))
     spread = max(float(logarithms.std(ddof=1)), math.log(2.0))
     reach = stats.t.ppf(0.5 + 0.5 * CONFIDENCE, len(known) - 1) * spread * math.sqrt(1.0 + 1.0 / len(known))
     return math.exp(float(logarithms.mean()) + float(reach))
 
 
 def _pooled(here: Sequence[Mapping[str, Trial]], a: str, b: str, what: str) -> tuple[Floats, Floats, int]:
-    """Errors (N,) of two contestants at the same scans of all runs, and the scans in a block of ten seconds."""
+    """Errors (N,) of two methods at the same scans of all runs, and the scans in a block of ten seconds."""
     mine, theirs, block = [], [], 1
     for runs in here:
         one, other = errors(runs[a]), errors(runs[b])
@@ -210,11 +210,11 @@ def _pooled(here: Sequence[Mapping[str, Trial]], a: str, b: str, what: str) -> t
 TITLES = {"ate": "error of the path (ATE RMSE)", "rpe": "error of a second's motion (RPE RMSE)"}
 
 
-def _as_good(course: str, here: Sequence[Mapping[str, Trial]], names: Names, what: str) -> Line:
+def _as_good(sequence: str, here: Sequence[Mapping[str, Trial]], names: Names, what: str) -> Line:
     """Whether the error is no worse than the twin's, by more than a share of what the twin's own leaves open."""
     mine, theirs, block = _pooled(here, names.mine, names.twin, what)
     if len(mine) < FEWEST:
-        return Line(TITLES[what], course, "not applicable", "", "no true path to hold both against")
+        return Line(TITLES[what], sequence, "not applicable", "", "no true path to hold both against")
     rng = np.random.default_rng(0)
     own = block_bootstrap(theirs, rms, rng, block, confidence=CONFIDENCE)
     gap = paired_difference(mine, theirs, rng, block, rms, CONFIDENCE)
@@ -227,22 +227,22 @@ def _as_good(course: str, here: Sequence[Mapping[str, Trial]], names: Names, wha
     )
     good = same or gap.high < margin
     name = f"{TITLES[what]} no larger than {names.twin}'s"
-    return Line(name, course, "passed" if good else "failed", "as-good", told, reason)
+    return Line(name, sequence, "passed" if good else "failed", "as-good", told, reason)
 
 
-def _against(course: str, here: Sequence[Mapping[str, Trial]], names: Names, other: str) -> Line | None:
+def _against(sequence: str, here: Sequence[Mapping[str, Trial]], names: Names, other: str) -> Line | None:
     """How the error compares with another method's; decides nothing."""
     shared = [runs for runs in here if _answered(runs, names.mine, other)]
     if not shared:
         ends = dict.fromkeys(runs[other].run.reason for runs in here if other in runs and runs[other].run.reason)
-        return Line(f"beside {other}", course, "not applicable", "", f"no run of it: {'; '.join(ends)}")
+        return Line(f"beside {other}", sequence, "not applicable", "", f"no run of it: {'; '.join(ends)}")
     mine, theirs, block = _pooled(shared, names.mine, other, "ate")
     if len(mine) < FEWEST:
         return None
     gap = paired_difference(mine, theirs, np.random.default_rng(0), block, rms, CONFIDENCE)
     which = "larger" if gap.low > 0.0 else "smaller" if gap.high < 0.0 else "not told apart"
     told = f"ATE RMSE {rms(mine):.4g} m against {rms(theirs):.4g} m: {which}; difference {_told(gap)}"
-    return Line(f"beside {other}", course, "told", "", told)
+    return Line(f"beside {other}", sequence, "told", "", told)
 
 
 def _same_map(place: str, runs: Mapping[str, Trial], margin: tuple[float, float] | None, names: Names) -> Line | None:
@@ -265,12 +265,12 @@ def _same_map(place: str, runs: Mapping[str, Trial], margin: tuple[float, float]
     return Line(name, place, "passed" if values <= allowed else "failed", "equal", told, reason)
 
 
-def _f1(course: str, both: Trials, names: Names) -> Line | None:
+def _f1(sequence: str, both: Trials, names: Names) -> Line | None:
     """Whether the walls are as true as the twin's: over seeds, against how much the twin's own score varies."""
     scores = [
         [runs[label].scores["map_f1"].value for label in (names.mine, names.twin)]
         for place, runs in both.items()
-        if _course(place) == course and all("map_f1" in runs[label].scores for label in (names.mine, names.twin))
+        if _sequence(place) == sequence and all("map_f1" in runs[label].scores for label in (names.mine, names.twin))
     ]
     known = np.array([pair for pair in scores if None not in pair], dtype=np.float64)
     if not len(known):
@@ -278,11 +278,11 @@ def _f1(course: str, both: Trials, names: Names) -> Line | None:
     told = f"F1 at 10 cm {known[:, 0].mean():.3f} against {known[:, 1].mean():.3f}"
     name = f"walls as true as in {names.twin}'s map"
     if len(known) < 2:
-        return Line(name, course, "told", "", f"{told}; one run cannot tell by how much it varies: more --seeds")
+        return Line(name, sequence, "told", "", f"{told}; one run cannot tell by how much it varies: more --seeds")
     margin = names.share * float(known[:, 1].std(ddof=1))
     lost = float((known[:, 1] - known[:, 0]).mean())
     reason = f"{margin:.2g}: {names.share:g} of the standard deviation of {names.twin}'s own over {len(known)} seeds"
-    return Line(name, course, "passed" if lost <= margin else "failed", "as-good", told, reason)
+    return Line(name, sequence, "passed" if lost <= margin else "failed", "as-good", told, reason)
 
 
 def _drawn(place: str, result: Result, mappers: tuple[str, str], names: Names) -> Line:

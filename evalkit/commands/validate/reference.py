@@ -19,7 +19,7 @@ def twin() -> tuple[str, str]:
 
 def bars() -> list[str]:
     """The back ends all others have to beat."""
-    return [name for name in registry.names("backends") if registry.entrant(name).role == "bar"]
+    return [name for name in registry.names("backends") if registry.entrant(name).role == "baseline"]
 
 
 def mapper_of(backend: str) -> str:

@@ -1,4 +1,4 @@
-"""What a run's numbers might as well have been: drawn from stretches of the run, the same ones for every contestant."""
+"""What a run's numbers might as well have been: drawn from stretches of the run, the same ones for every method."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from evalkit.stats import statistics
 
 Statistic = Literal["mean", "rms", "median", "inverse"]
 
-FEWEST_VALUES = 20
+MIN_VALUES = 20
 """A shorter series has no stretches to draw."""
 
 NEAR = 0.1
 """A series whose statistic is farther than this share from the score is not what the score was made of."""
 
-MOST_FOR_MEDIAN = 250
+MAX_FOR_MEDIAN = 250
 """A median is drawn from at most about so many values, evenly thinned: sorting is what costs."""
 
 
@@ -56,7 +56,7 @@ class Drawn:
 class Resamples:
     """The draws of all trials, made when asked for.
 
-    The same seed draws the same stretches of a sequence for every contestant, over the values that all who finished
+    The same seed draws the same stretches of a sequence for every method, over the values that all who finished
     have, so that ``a.values - b.values`` are draws of a paired difference.
     """
 
@@ -103,13 +103,13 @@ def drawn(series: Series, score: float, rng: np.random.Generator) -> Drawn | Non
 
     What little the score differs from the series (truth interpolated, the unit's factor) is passed on as a factor.
     """
-    if len(series.values) < FEWEST_VALUES:
+    if len(series.values) < MIN_VALUES:
         return None
     value = statistic(series)
     if value == 0.0 or (series.statistic != "inverse" and abs(score / value - 1.0) > NEAR):
         return None
     values, factor = series.values, score / value
-    thin = -(-len(values) // MOST_FOR_MEDIAN) if series.statistic == "median" else 1
+    thin = -(-len(values) // MAX_FOR_MEDIAN) if series.statistic == "median" else 1
     period_s = None if series.period_s is None else thin * series.period_s
     values = values[::thin]
     block = statistics.block_length(len(values), period_s)
@@ -190,7 +190,7 @@ def _relations(part: relations.Part) -> Callable[[Trial], Series | None]:
 
 
 def _in_time(stamps_ns: Ints, values: Floats, kind: Statistic) -> Series | None:
-    if len(stamps_ns) < FEWEST_VALUES:
+    if len(stamps_ns) < MIN_VALUES:
         return None
     return Series(stamps_ns, values, kind, float(np.median(np.diff(stamps_ns))) * 1e-9)
 

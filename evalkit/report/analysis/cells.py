@@ -1,4 +1,4 @@
-"""One metric of one contestant over one sequence, and how far two of them are apart, each with its interval."""
+"""One metric of one method over one sequence, and how far two of them are apart, each with its interval."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from evalkit.stats import statistics
 from evalkit.stats.statistics import CONFIDENCE, DRAWS, Interval
 
 # Of more scans left to the guess than this (%), it is the guess that would be ranked.
-MOST_GUESSED = 50.0
+MAX_GUESSED = 50.0
 
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """One metric of one contestant over one sequence.
+    """One metric of one method over one sequence.
 
     ``values``: one per complete run that has a score, in the order of the trials. ``partial``: the same for runs that
     ended early; they never enter a median. ``reason``: why there is no value, "" where there is one. ``seeds``: those
@@ -30,7 +30,7 @@ class Cell:
     it left to the guess, 0 where unknown.
     """
 
-    contestant: str
+    method: str
     values: tuple[float, ...]
     partial: tuple[float, ...]
     complete: int
@@ -54,7 +54,7 @@ class Cell:
     @property
     def registers(self) -> bool:
         """Whether the answers are its own: not where most scans were left to the guess."""
-        return self.guessed_percent <= MOST_GUESSED
+        return self.guessed_percent <= MAX_GUESSED
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,12 +16,12 @@ from evalkit.report.analysis.bootstrap import Resamples
 if TYPE_CHECKING:
     from evalkit.report.analysis.standings import Standing
 
-Role = Literal["", "paper", "bar"]
+Role = Literal["", "paper", "baseline"]
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One parameter of a contestant or a sequence as it ran, beside its default."""
+    """One parameter of a method or a sequence as it ran, beside its default."""
 
     name: str
     value: Value
@@ -31,8 +31,8 @@ class Setting:
 
 
 @dataclass(frozen=True)
-class ContestantCard:
-    """Who a contestant is. ``role``: "paper" for the paper's own method, "bar" for what all others have to beat.
+class MethodCard:
+    """Who a method is. ``role``: "paper" for the paper's own method, "baseline" for what all others have to beat.
 
     ``guess``: what its registration starts from. ``missing``: why it could not run here, "" where it could.
     """
@@ -68,7 +68,7 @@ class SequenceCard:
 class Comparison:
     """Everything one report tells.
 
-    ``trials``: one per contestant, sequence and seed, failed ones included. ``contestants``, ``sequences``: cards by
+    ``trials``: one per method, sequence and seed, failed ones included. ``methods``, ``sequences``: cards by
     the labels in the trials; rows and sections keep the order of the cards. ``environment``: what it ran on (CPU,
     threads, versions, commit). ``command``: reproduces the whole report. ``mapper``: what drew every map, with its
     settings. ``fairness``: what was held equal and what was not (guess, threads, warm-up), one sentence each.
@@ -79,7 +79,7 @@ class Comparison:
     description: str
     trials: tuple[Trial, ...]
     metrics: tuple[Metric, ...]
-    contestants: Mapping[str, ContestantCard]
+    methods: Mapping[str, MethodCard]
     sequences: Mapping[str, SequenceCard]
     environment: Mapping[str, str]
     command: str
@@ -94,11 +94,11 @@ class Comparison:
             object.__setattr__(self, name, tuple(getattr(self, name)))
         seen: set[tuple[str, str, int | None]] = set()
         for trial in self.trials:
-            if trial.contestant not in self.contestants:
-                raise ValueError(f"contestants: no card for '{trial.contestant}'")
+            if trial.method not in self.methods:
+                raise ValueError(f"methods: no card for '{trial.method}'")
             if trial.sequence not in self.sequences:
                 raise ValueError(f"sequences: no card for '{trial.sequence}'")
-            row = (trial.contestant, trial.sequence, trial.seed)
+            row = (trial.method, trial.sequence, trial.seed)
             if row in seen:
                 raise ValueError(f"trials: {row[0]} over {row[1]} with seed {row[2]} stands there twice")
             seen.add(row)
@@ -118,10 +118,10 @@ class Comparison:
         return tuple(trial for trial in self.trials if trial.sequence == sequence)
 
     @property
-    def contestant_labels(self) -> tuple[str, ...]:
-        """The labels of the contestants that have trials, in the order of their cards."""
-        present = {trial.contestant for trial in self.trials}
-        return tuple(label for label in self.contestants if label in present)
+    def method_labels(self) -> tuple[str, ...]:
+        """The labels of the methods that have trials, in the order of their cards."""
+        present = {trial.method for trial in self.trials}
+        return tuple(label for label in self.methods if label in present)
 
     @property
     def sequence_labels(self) -> tuple[str, ...]:
@@ -129,8 +129,8 @@ class Comparison:
         present = {trial.sequence for trial in self.trials}
         return tuple(label for label in self.sequences if label in present)
 
-    def by_contestant(self, sequence: str) -> dict[str, tuple[Trial, ...]]:
-        """The trials over one sequence under their contestants, in the order of the cards, lowest seed first."""
+    def by_method(self, sequence: str) -> dict[str, tuple[Trial, ...]]:
+        """The trials over one sequence under their methods, in the order of the cards, lowest seed first."""
         trials = sorted(self.of_sequence(sequence), key=lambda trial: -1 if trial.seed is None else trial.seed)
-        grouped = {label: tuple(t for t in trials if t.contestant == label) for label in self.contestants}
+        grouped = {label: tuple(t for t in trials if t.method == label) for label in self.methods}
         return {label: own for label, own in grouped.items() if own}

@@ -87,11 +87,11 @@ def _path(comparison: Comparison, sequence: str, longest: Sequence[Trial]) -> st
     if true:
         return f"{_span(true, 1)} m (true trajectory)"
     decision = deciding(comparison, sequence)
-    known = comparison.contestants
-    ranked = [cell.contestant for cell in decision.ranked if known[cell.contestant].role != "bar"] if decision else []
+    known = comparison.methods
+    ranked = [cell.method for cell in decision.ranked if known[cell.method].role != "baseline"] if decision else []
     if not ranked:
         return ""
-    grouped = comparison.by_contestant(sequence)
+    grouped = comparison.by_method(sequence)
     if disagrees(comparison, decision):
         estimates = [path_m(trial.run.estimate) for label in ranked for trial in grouped[label]]
         return f"{median(estimates):,.1f} m (median of {len(estimates)} estimates, {_span(estimates, 1)} m)"

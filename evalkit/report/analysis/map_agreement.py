@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from evalkit.report.analysis.cells import Cell
 from evalkit.report.analysis.comparison import Comparison
-from evalkit.report.analysis.standings import Standing, behind, contestant_of, distinct, ranking, standing, worse
+from evalkit.report.analysis.standings import Standing, behind, distinct, method_of, ranking, standing, worse
 
 MEASURES: Mapping[str, str] = {
     "split_distance_m": "the halves of the run closest together",
@@ -24,7 +24,7 @@ maps as their true error does with a correlation of at least 0.9 in every world 
 
 @dataclass(frozen=True, slots=True)
 class Consensus:
-    """What the map measures say. ``best``: contestant by measure; ``agreed``: who is best or level in all of them;
+    """What the map measures say. ``best``: method by measure; ``agreed``: who is best or level in all of them;
     ``untold``: measures that nobody has a value for."""
 
     best: Mapping[str, str]
@@ -35,7 +35,7 @@ class Consensus:
 def consensus(comparison: Comparison, sequence: str) -> Consensus:
     """The agreement of the measures over one sequence; the bar takes part, for its map is as good as any."""
     best: dict[str, str] = {}
-    agreed = comparison.contestant_labels
+    agreed = comparison.method_labels
     untold = []
     known = {metric.name: metric for metric in comparison.metrics}
     for name in MEASURES:
@@ -43,8 +43,8 @@ def consensus(comparison: Comparison, sequence: str) -> Consensus:
         if not ranked:
             untold.append(known[name].label if name in known else name)
             continue
-        best[name] = ranked[0].contestant
-        level = [c.contestant for c in ranked if c is ranked[0] or not distinct(known[name], ranked[0], c)]
+        best[name] = ranked[0].method
+        level = [c.method for c in ranked if c is ranked[0] or not distinct(known[name], ranked[0], c)]
         agreed = tuple(label for label in agreed if label in level)
     return Consensus(best, () if untold else agreed, tuple(untold))
 
@@ -66,16 +66,16 @@ def behind_bar(comparison: Comparison, found: Standing, bar: str) -> tuple[Cell,
     standings = [standing(comparison, found.sequence, m) for m in comparison.metrics if m.name in MEASURES]
     if len(standings) < len(MEASURES):
         return ()
-    return tuple(cell for cell in found.cells if all(_worse_map(one, cell.contestant, bar) for one in standings))
+    return tuple(cell for cell in found.cells if all(_worse_map(one, cell.method, bar) for one in standings))
 
 
-def _worse_map(found: Standing, contestant: str, bar: str) -> bool:
-    one, other = found.of(contestant), found.of(bar)
+def _worse_map(found: Standing, method: str, bar: str) -> bool:
+    one, other = found.of(method), found.of(bar)
     worse_than = behind(found.metric, one, other)
     return worse_than and one is not None and other is not None and distinct(found.metric, one, other)
 
 
-def is_behind_bar(comparison: Comparison, found: Standing, contestant: str) -> bool:
-    """Whether a contestant is clearly worse than a bar where a sequence is decided."""
-    bars = contestant_of(comparison, "bar")
-    return any(cell.contestant == contestant for bar in bars for cell in behind_bar(comparison, found, bar))
+def is_behind_bar(comparison: Comparison, found: Standing, method: str) -> bool:
+    """Whether a method is clearly worse than a bar where a sequence is decided."""
+    bars = method_of(comparison, "baseline")
+    return any(cell.method == method for bar in bars for cell in behind_bar(comparison, found, bar))

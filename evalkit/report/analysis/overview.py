@@ -11,7 +11,7 @@ from evalkit.core.run_result import Trial
 from evalkit.metrics.runtime import period_ns
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.map_agreement import behind_bar
-from evalkit.report.analysis.standings import contestant_of, deciding, unfinished
+from evalkit.report.analysis.standings import deciding, method_of, unfinished
 from evalkit.report.analysis.verdict import Verdict, success
 from evalkit.report.html.formatting import joined
 
@@ -21,7 +21,7 @@ def overview(comparison: Comparison, verdicts: Sequence[Verdict]) -> tuple[str, 
     sentences = [
         success(comparison.trials),
         _tally(verdicts),
-        *(_paper_tally(label, verdicts) for label in contestant_of(comparison, "paper")),
+        *(_paper_tally(label, verdicts) for label in method_of(comparison, "paper")),
         _bar_tally(comparison),
         _keeping_up(comparison),
         _set_aside(comparison, verdicts),
@@ -77,11 +77,11 @@ def _paper_tally(label: str, verdicts: Sequence[Verdict]) -> str:
 
 def _bar_tally(comparison: Comparison) -> str:
     """Who is worse than the bar; "" where nobody else answered, for then nobody was held against it."""
-    bars = contestant_of(comparison, "bar")
-    if not any(len(trial.run.steps) for trial in comparison.trials if trial.contestant not in bars):
+    bars = method_of(comparison, "baseline")
+    if not any(len(trial.run.steps) for trial in comparison.trials if trial.method not in bars):
         return ""
     if not bars:
-        return "Wheel odometry alone is not among the contestants, so nobody was held against it."
+        return "Wheel odometry alone is not among the methods, so nobody was held against it."
     behind: dict[str, list[str]] = {}
     held = False
     for sequence in comparison.sequence_labels:
@@ -91,7 +91,7 @@ def _bar_tally(comparison: Comparison) -> str:
             continue
         held = held or any(cell.values for cell in found.cells if cell is not measure)
         for cell in behind_bar(comparison, found, bars[0]):
-            behind.setdefault(cell.contestant, []).append(sequence)
+            behind.setdefault(cell.method, []).append(sequence)
     if behind:
         return f"Worse than {bars[0]} alone: {joined(f'{who} on {joined(where)}' for who, where in behind.items())}."
     if not held:
@@ -101,13 +101,13 @@ def _bar_tally(comparison: Comparison) -> str:
 
 def _keeping_up(comparison: Comparison) -> str:
     """Who is slower than the sensor, of those who register and answered; "" where nobody did."""
-    bars = contestant_of(comparison, "bar")
-    timed = [t for t in comparison.trials if t.contestant not in bars and len(t.run.steps) > 1]
+    bars = method_of(comparison, "baseline")
+    timed = [t for t in comparison.trials if t.method not in bars and len(t.run.steps) > 1]
     timed = [trial for trial in timed if trial.run.steps["wall_ns"].any()]
     if not timed:
         return ""
     where: dict[str, list[str]] = {}
-    for who, sequence in dict.fromkeys((t.contestant, t.sequence) for t in timed if late_share(t) > 0.01):
+    for who, sequence in dict.fromkeys((t.method, t.sequence) for t in timed if late_share(t) > 0.01):
         where.setdefault(who, []).append(sequence)
     if not where:
         return "Of all runs that answered, none took longer than the scan period on more than 1 % of its scans."
@@ -135,7 +135,7 @@ def _set_aside(comparison: Comparison, verdicts: Sequence[Verdict]) -> str:
 
 def _evidence(comparison: Comparison) -> str:
     answered = [trial for trial in comparison.trials if len(trial.run.steps)]
-    runs = Counter((trial.contestant, trial.sequence) for trial in answered)
+    runs = Counter((trial.method, trial.sequence) for trial in answered)
     if not runs:
         return ""
     most = max(runs.values())
@@ -146,7 +146,7 @@ def _evidence(comparison: Comparison) -> str:
         f"{seeds}A 95 % interval says between which bounds the number would lie had the robot met other stretches of "
         "the same kind; it is drawn from stretches of up to 10 s. Somebody leads only where the interval of the "
         "difference on the same scans excludes zero and the difference matters: at least 5 % and, of positions, 2 mm. "
-        "It must do so against every other contestant: picking the leader after the fact then adds no false leads. "
+        "It must do so against every other method: picking the leader after the fact then adds no false leads. "
         "That somebody is worse than the leader is said for each alone: of many, one may be so by chance, and a "
         "lead that was picked is rather too large than too small."
     )

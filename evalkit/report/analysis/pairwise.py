@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from evalkit.metrics.table import Metric
 from evalkit.report.analysis.cells import Apart, Cell, apart
 from evalkit.report.analysis.comparison import Comparison
-from evalkit.report.analysis.standings import Standing, contestant_of, deciding, difference
+from evalkit.report.analysis.standings import Standing, deciding, difference, method_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +20,7 @@ class Held:
 
 @dataclass(frozen=True, slots=True)
 class Pairs:
-    """A sequence's contestants (rows) against each reference (columns), in the metric that decides it."""
+    """A sequence's methods (rows) against each reference (columns), in the metric that decides it."""
 
     metric: Metric
     references: tuple[str, ...]
@@ -32,10 +32,10 @@ def pairs(comparison: Comparison, sequence: str) -> Pairs | None:
     found = deciding(comparison, sequence)
     if found is None or len(found.ranked) < 2:
         return None
-    paper = [who for who in contestant_of(comparison, "paper") if found.of(who) in found.ranked]
-    references = tuple(dict.fromkeys([found.ranked[0].contestant, *paper[:1]]))
+    paper = [who for who in method_of(comparison, "paper") if found.of(who) in found.ranked]
+    references = tuple(dict.fromkeys([found.ranked[0].method, *paper[:1]]))
     rows = tuple(
-        (cell.contestant, tuple(_held(found, cell, reference) for reference in references)) for cell in found.ranked
+        (cell.method, tuple(_held(found, cell, reference) for reference in references)) for cell in found.ranked
     )
     return Pairs(found.metric, references, rows)
 

@@ -12,7 +12,7 @@ import numpy as np
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
 from evalkit.report.analysis.comparison import Comparison
-from evalkit.report.analysis.standings import MARGIN_SHARE, NOT_POSSIBLE, WITH_TRUTH, Standing, contestant_of, deciding
+from evalkit.report.analysis.standings import MARGIN_SHARE, NOT_POSSIBLE, WITH_TRUTH, Standing, deciding, method_of
 from evalkit.stats import statistics
 from evalkit.stats.statistics import Friedman, Interval, PairTest
 
@@ -25,13 +25,13 @@ METRES = "m"
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """How one contestant did over all: runs finished with their share's interval, mean rank over sequences, reach.
+    """How one method did over all: runs finished with their share's interval, mean rank over sequences, reach.
 
     ``runs`` that could start; ``rank`` None where it has not met every sequence. ``reach``: the errors (m) that 50, 75
     and 95 % of all its runs stay within, infinite where more failed; none where no sequence is decided in metres.
     """
 
-    contestant: str
+    method: str
     finished: int
     runs: int
     share: Interval | None
@@ -41,13 +41,13 @@ class Record:
 
 @dataclass(frozen=True, slots=True)
 class Duel:
-    """One contestant held against a reference over every run both made.
+    """One method held against a reference over every run both made.
 
     ``ratio``: median of its error by the reference's (None: one of them failed in the middle run). ``larger``: how
     often its error would be the larger one (A12). ``detectable``: the ratio that so many runs would have shown.
     """
 
-    contestant: str
+    method: str
     reference: str
     runs: int
     better: int
@@ -73,17 +73,15 @@ class Evidence:
 def evidence(comparison: Comparison) -> Evidence:
     """How sure a comparison is, over the sequences that have a truth and a geometry that fixes the pose."""
     counted = [found for label in comparison.sequence_labels if (found := _counted(comparison, label))]
-    errors = {who: _errors(comparison, counted, who) for who in comparison.contestant_labels}
+    errors = {who: _errors(comparison, counted, who) for who in comparison.method_labels}
     table, ranked = _table(counted, errors)
     means = dict(zip(ranked, _mean_ranks(table), strict=True)) if len(table) else {}
-    references = dict.fromkeys(
-        [*sorted(means, key=lambda who: means[who])[:1], *contestant_of(comparison, "paper")[:1]]
-    )
+    references = dict.fromkeys([*sorted(means, key=lambda who: means[who])[:1], *method_of(comparison, "paper")[:1]])
     ranks = statistics.friedman(table) if len(table) else "no sequence has a truth and a geometry that fixes the pose"
     metres = {found.sequence for found in counted if found.metric.unit == METRES}
     return Evidence(
         tuple(found.sequence for found in counted),
-        tuple(_record(comparison, who, errors[who], means.get(who), metres) for who in comparison.contestant_labels),
+        tuple(_record(comparison, who, errors[who], means.get(who), metres) for who in comparison.method_labels),
         _duels(errors, [who for who in references if errors[who]]),
         ranks,
         ranked,
@@ -91,7 +89,7 @@ def evidence(comparison: Comparison) -> Evidence:
 
 
 def duels(comparison: Comparison, pairs: Sequence[tuple[str, str]]) -> tuple[Duel, ...]:
-    """Every first contestant held against its second, over the runs both made; those without a common run are left out.
+    """Every first method held against its second, over the runs both made; those without a common run are left out.
 
     Holm's adjustment is over these pairs.
     """
@@ -108,12 +106,12 @@ def _counted(comparison: Comparison, sequence: str) -> Standing | None:
     return found if found.metric.group in WITH_TRUTH and found.metric.better == "lower" else None
 
 
-def _errors(comparison: Comparison, counted: Sequence[Standing], contestant: str) -> Runs:
+def _errors(comparison: Comparison, counted: Sequence[Standing], method: str) -> Runs:
     metric = {found.sequence: found.metric.name for found in counted}
     return {
         (trial.sequence, trial.seed): _error(trial, metric[trial.sequence])
         for trial in comparison.trials
-        if trial.contestant == contestant and trial.sequence in metric and _could_err(trial)
+        if trial.method == method and trial.sequence in metric and _could_err(trial)
     }
 
 
@@ -129,7 +127,7 @@ def _error(trial: Trial, metric: str) -> float:
 
 
 def _table(counted: Sequence[Standing], errors: Mapping[str, Runs]) -> tuple[Floats, tuple[str, ...]]:
-    """Median errors (N, K) of the contestants that could start on every sequence, and who they are."""
+    """Median errors (N, K) of the methods that could start on every sequence, and who they are."""
     by_sequence = {
         who: {found.sequence: [e for (label, _), e in runs.items() if label == found.sequence] for found in counted}
         for who, runs in errors.items()
@@ -152,7 +150,7 @@ def _mean_ranks(table: Floats) -> list[float]:
 
 
 def _record(comparison: Comparison, who: str, errors: Runs, rank: float | None, metres: set[str]) -> Record:
-    started = [t for t in comparison.trials if t.contestant == who and t.run.status not in NOT_POSSIBLE]
+    started = [t for t in comparison.trials if t.method == who and t.run.status not in NOT_POSSIBLE]
     finished = sum(trial.run.status == "complete" for trial in started)
     share = statistics.wilson(finished, len(started)) if started else None
     measured = [error for (sequence, _), error in errors.items() if sequence in metres]

@@ -13,7 +13,7 @@ from evalkit.report.analysis.bootstrap import Resamples
 from evalkit.report.analysis.cells import Cell, apart
 from evalkit.report.analysis.comparison import Comparison
 
-# The published relations are only good to this much themselves, whatever two contestants differ by.
+# The published relations are only good to this much themselves, whatever two methods differ by.
 RELATIONS_FLOOR = {"m": 0.03, "deg": 0.4, "°": 0.4}
 
 # Nobody is better by less: a share of the better value, and metres where positions are compared.
@@ -29,7 +29,7 @@ WITH_TRUTH: tuple[Group, ...] = DECIDING[:3]
 # What the bar cannot compete in, because it registers nothing.
 WITHOUT_BAR: tuple[Group, ...] = ("residuals", "runtime")
 
-# What no contestant can be blamed for.
+# What no method can be blamed for.
 NOT_POSSIBLE: tuple[Status, ...] = ("not-installed", "data-missing", "skipped")
 
 STATUS: dict[Status, str] = {
@@ -68,13 +68,13 @@ class Standing:
         """The one that leads by more than the noise; None where several are level, or nobody else can be compared."""
         return self.level[0] if len(self.level) == 1 and len(self.ranked) > 1 else None
 
-    def of(self, contestant: str) -> Cell | None:
-        """The cell of a contestant; None if it is not in this sequence."""
-        return next((cell for cell in self.cells if cell.contestant == contestant), None)
+    def of(self, method: str) -> Cell | None:
+        """The cell of a method; None if it is not in this sequence."""
+        return next((cell for cell in self.cells if cell.method == method), None)
 
 
 def standing(comparison: Comparison, sequence: str, metric: Metric) -> Standing:
-    """Where all contestants stand in one metric over one sequence."""
+    """Where all methods stand in one metric over one sequence."""
     known = (sequence, metric.name)
     if known not in comparison.standings:
         comparison.standings[known] = _standing(comparison, sequence, metric)
@@ -117,7 +117,7 @@ def distinct(metric: Metric, one: Cell, other: Cell) -> bool:
 
 
 def noise_floor(metric: Metric) -> float:
-    """The difference below which the truth itself cannot tell two contestants apart (the metric's unit); 0: none."""
+    """The difference below which the truth itself cannot tell two methods apart (the metric's unit); 0: none."""
     return RELATIONS_FLOOR.get(metric.unit, 0.0) if metric.group == "relations" else 0.0
 
 
@@ -157,9 +157,9 @@ def deciding(comparison: Comparison, sequence: str) -> Standing | None:
     return None
 
 
-def contestant_of(comparison: Comparison, role: str) -> tuple[str, ...]:
-    """The labels of the contestants with a role, in order."""
-    return tuple(label for label in comparison.contestant_labels if comparison.contestants[label].role == role)
+def method_of(comparison: Comparison, role: str) -> tuple[str, ...]:
+    """The labels of the methods with a role, in order."""
+    return tuple(label for label in comparison.method_labels if comparison.methods[label].role == role)
 
 
 def unfinished(trials: Sequence[Trial]) -> tuple[Trial, ...]:
@@ -168,16 +168,16 @@ def unfinished(trials: Sequence[Trial]) -> tuple[Trial, ...]:
 
 
 def guessed_percent(trials: Sequence[Trial]) -> float:
-    """The share of scans (%) that a contestant left to the guess, the median over its runs; 0 where unknown."""
+    """The share of scans (%) that a method left to the guess, the median over its runs; 0 where unknown."""
     scores = [trial.scores[GUESSED].value for trial in trials if GUESSED in trial.scores]
     known = [value for value in scores if value is not None]
     return median(known) if known else 0.0
 
 
 def _standing(comparison: Comparison, sequence: str, metric: Metric) -> Standing:
-    cells = tuple(_cell(trials, metric, comparison.resamples) for trials in comparison.by_contestant(sequence).values())
-    bars = contestant_of(comparison, "bar") if metric.group in WITHOUT_BAR else ()
-    ranked = ranking(metric, [cell for cell in cells if cell.contestant not in bars])
+    cells = tuple(_cell(trials, metric, comparison.resamples) for trials in comparison.by_method(sequence).values())
+    bars = method_of(comparison, "baseline") if metric.group in WITHOUT_BAR else ()
+    ranked = ranking(metric, [cell for cell in cells if cell.method not in bars])
     level = tuple(cell for cell in ranked if cell is ranked[0] or difference(metric, ranked[0], cell) != "clear")
     why = difference(metric, ranked[0], level[1]) if len(level) > 1 else "clear"
     return Standing(sequence, metric, cells, ranked, level, why)
@@ -194,7 +194,7 @@ def _cell(trials: Sequence[Trial], metric: Metric, resamples: Resamples) -> Cell
     known = [(t, score.value, score.support) for t, score in scored if score.value is not None]
     ended = [t.scores[metric.name].value for t in unfinished(trials) if metric.name in t.scores]
     return Cell(
-        trials[0].contestant,
+        trials[0].method,
         tuple(value for _, value, _ in known),
         tuple(value for value in ended if value is not None),
         len(complete),

@@ -20,8 +20,8 @@ from evalkit.report.analysis.standings import (
     STATUS,
     WITH_TRUTH,
     Standing,
-    contestant_of,
     deciding,
+    method_of,
     noise_floor,
     standing,
     unfinished,
@@ -38,7 +38,7 @@ class Verdict:
     """What one sequence says. ``leaders``: who wins or is ahead (in one run each), or all that are level.
 
     ``counts``: whether it enters the tally of wins, which takes truth and a geometry that fixes the pose. ``repeated``:
-    whether the ranked contestants were run more than once.
+    whether the ranked methods were run more than once.
     """
 
     sequence: str
@@ -72,13 +72,13 @@ def verdict(comparison: Comparison, sequence: str) -> Verdict:
 
 
 def success(trials: Sequence[Trial]) -> str:
-    """How many runs finished; then what could not start here, and what did not finish, by contestant."""
+    """How many runs finished; then what could not start here, and what did not finish, by method."""
     if not trials:
         return "There was nothing to run."
     missing = unfinished(trials)
     absent = [trial for trial in missing if trial.run.status in NOT_POSSIBLE]
     broken = [trial for trial in missing if trial.run.status not in NOT_POSSIBLE]
-    expected = Counter(trial.contestant for trial in trials)
+    expected = Counter(trial.method for trial in trials)
     sentences = [f"{len(trials) - len(missing)} of {len(trials)} runs finished."]
     if broken:
         sentences.append(f"Did not finish: {_ends(broken, expected)}.")
@@ -90,7 +90,7 @@ def success(trials: Sequence[Trial]) -> str:
 def _ends(trials: Sequence[Trial], expected: Mapping[str, int]) -> str:
     ends: dict[str, Counter[str]] = {}
     for trial in trials:
-        ends.setdefault(trial.contestant, Counter())[STATUS[trial.run.status]] += 1
+        ends.setdefault(trial.method, Counter())[STATUS[trial.run.status]] += 1
     return joined(
         f"{who} ({', '.join(f'{count} of {expected[who]} {end}' for end, count in counts.items())})"
         for who, counts in ends.items()
@@ -112,7 +112,7 @@ def _outcome(comparison: Comparison, found: Standing | None, degenerate: str) ->
 
 
 def _leading(comparison: Comparison, found: Standing) -> tuple[str, ...]:
-    level = tuple(cell.contestant for cell in found.level)
+    level = tuple(cell.method for cell in found.level)
     return consensus(comparison, found.sequence).agreed if by_maps(found) else level
 
 
@@ -133,21 +133,21 @@ def _leaders(found: Standing, outcome: Outcome) -> str:
     metric, ranked = found.metric, found.ranked
     if not ranked:
         return f"Nobody completed every run with a value for {metric.label}, so nobody can win."
-    first = f"{ranked[0].contestant} has {told(metric, ranked[0])}"
+    first = f"{ranked[0].method} has {told(metric, ranked[0])}"
     if len(ranked) == 1:
         return f"Only {first} {metric.label} over every run: there is nobody to compare it with."
     if outcome == "degenerate":
         return f"On {metric.label}, {first}, {_last(metric, ranked)}."
     if outcome == "ahead":
         return (
-            f"{ranked[0].contestant} is ahead in the one run there is, on {metric.label}: "
+            f"{ranked[0].method} is ahead in the one run there is, on {metric.label}: "
             f"{_lead(metric, ranked[0], ranked[1])}."
         )
     if outcome == "winner":
         verb = "wins" if metric.group in WITH_TRUTH else "is ahead"
-        return f"{ranked[0].contestant} {verb} on {metric.label}: {_lead(metric, ranked[0], ranked[1])}."
-    between, rest = (joined(f"{cell.contestant} {told(metric, cell)}" for cell in found.level[:2]), found.level[2:])
-    others = f" Nor between the first and {joined(cell.contestant for cell in rest)}." if rest else ""
+        return f"{ranked[0].method} {verb} on {metric.label}: {_lead(metric, ranked[0], ranked[1])}."
+    between, rest = (joined(f"{cell.method} {told(metric, cell)}" for cell in found.level[:2]), found.level[2:])
+    others = f" Nor between the first and {joined(cell.method for cell in rest)}." if rest else ""
     return f"No difference shown on {metric.label} between {between}: {_why_level(found)}.{others}"
 
 
@@ -168,13 +168,13 @@ def _lead(metric: Metric, winner: Cell, runner_up: Cell) -> str:
     found = apart(runner_up, winner)
     over = f"; the difference, {SAME[found.by]}, is {difference(metric, found, _sign(metric))}" if found else ""
     return (
-        f"{told(metric, winner)}; the runner-up, {runner_up.contestant}, "
+        f"{told(metric, winner)}; the runner-up, {runner_up.method}, "
         f"has {told(metric, runner_up)}, {gap(metric, second, best)}{over}"
     )
 
 
 def _last(metric: Metric, ranked: Sequence[Cell]) -> str:
-    return f"and the last of those who finished, {ranked[-1].contestant}, {told(metric, ranked[-1])}"
+    return f"and the last of those who finished, {ranked[-1].method}, {told(metric, ranked[-1])}"
 
 
 def _why_level(found: Standing) -> str:
@@ -194,7 +194,7 @@ def _why_level(found: Standing) -> str:
     reach = f"{figure(between.detectable, metric.digits + 1)}\u00a0{metric.unit}".rstrip()
     said = difference(metric, between, _sign(metric))
     return (
-        f"{SAME[between.by]}, {second.contestant} is worse by {said}, which may be nothing; these runs would have "
+        f"{SAME[between.by]}, {second.method} is worse by {said}, which may be nothing; these runs would have "
         f"shown a difference of {reach}"
     )
 
@@ -205,7 +205,7 @@ def _sign(metric: Metric) -> float:
 
 
 def _paper(comparison: Comparison, found: Standing) -> str:
-    labels = contestant_of(comparison, "paper")
+    labels = method_of(comparison, "paper")
     clauses = [_paper_clause(label, found) for label in labels if found.of(label)]
     return f"The paper's method: {'; '.join(clauses)}." if clauses and found.ranked else ""
 
@@ -227,27 +227,27 @@ def _paper_clause(label: str, found: Standing) -> str:
 
 def _paper_first(cell: Cell, found: Standing) -> str:
     if found.winner is cell:
-        return f"{cell.contestant} {'wins' if found.metric.group in WITH_TRUTH and found.repeated else 'is ahead'}"
+        return f"{cell.method} {'wins' if found.metric.group in WITH_TRUTH and found.repeated else 'is ahead'}"
     if len(found.ranked) == 1:
-        return f"{cell.contestant} has nobody beside it"
+        return f"{cell.method} has nobody beside it"
     if cell is found.ranked[0]:
-        return f"{cell.contestant} has the best value, but not by a difference that is shown"
-    return f"no difference is shown between {cell.contestant} and the best, {found.ranked[0].contestant}"
+        return f"{cell.method} has the best value, but not by a difference that is shown"
+    return f"no difference is shown between {cell.method} and the best, {found.ranked[0].method}"
 
 
 def _bar(comparison: Comparison, found: Standing) -> str:
-    for bar in contestant_of(comparison, "bar"):
+    for bar in method_of(comparison, "baseline"):
         measure = found.of(bar)
-        if not any(cell.values for cell in found.cells if cell.contestant != bar):
+        if not any(cell.values for cell in found.cells if cell.method != bar):
             return ""
         if measure is None or measure.median is None:
             return f"{bar} has no value here, so the others have no bar to pass."
         behind = behind_bar(comparison, found, bar)
         if behind and by_maps(found):
-            listed = joined(cell.contestant for cell in behind)
+            listed = joined(cell.method for cell in behind)
             return f"A worse map than {bar} alone, by every measure: {listed}."
         if behind:
-            listed = joined(f"{cell.contestant} ({amount(found.metric, median(cell.values))})" for cell in behind)
+            listed = joined(f"{cell.method} ({amount(found.metric, median(cell.values))})" for cell in behind)
             return f"Worse than {bar} alone ({amount(found.metric, measure.median)}): {listed}."
     return ""
 
@@ -257,6 +257,6 @@ def _cost(comparison: Comparison, sequence: str) -> str:
         if metric.group == "runtime" and metric.headline and metric.better:
             ranked = standing(comparison, sequence, metric).ranked
             if len(ranked) > 1:
-                first, last = (f"{c.contestant} ({amount(metric, median(c.values))})" for c in (ranked[0], ranked[-1]))
+                first, last = (f"{c.method} ({amount(metric, median(c.values))})" for c in (ranked[0], ranked[-1]))
                 return f"{metric.label[0].upper()}{metric.label[1:]}: best {first}, worst {last}."
     return ""

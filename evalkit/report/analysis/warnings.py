@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from evalkit.core.run_result import Trial
 from evalkit.metrics.table import Metric
 from evalkit.metrics.validated import shipped
-from evalkit.report.analysis.cells import MOST_GUESSED
+from evalkit.report.analysis.cells import MAX_GUESSED
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.map_agreement import by_maps
 from evalkit.report.analysis.standings import Standing, guessed_percent
@@ -17,10 +17,10 @@ from evalkit.report.html.formatting import bounds, joined, plain
 
 # Notes that tell of scans that never reached anybody; readers name them by these words.
 LOST_SCANS = re.compile(r"^(?!reference).*\b(damaged|skipped|dropped)\b|^scans .*left out")
-MOST_LOST_PERCENT = 1.0
+MAX_LOST_PERCENT = 1.0
 
 NAMED_GUESSED = 10.0
-"""From this share of scans (%) left to the guess on, a contestant is named."""
+"""From this share of scans (%) left to the guess on, a method is named."""
 
 
 def of_evidence(found: Standing) -> list[str]:
@@ -53,7 +53,7 @@ def of_data(trials: Sequence[Trial]) -> str:
     for trial in trials:
         for name, count in trial.run.notes.items():
             percent = 100.0 * count / max(trial.run.expected, 1)
-            if LOST_SCANS.search(name) and percent > worst.get(name, (0, MOST_LOST_PERCENT))[1]:
+            if LOST_SCANS.search(name) and percent > worst.get(name, (0, MAX_LOST_PERCENT))[1]:
                 worst[name] = (int(count), percent)
     if not worst:
         return ""
@@ -66,7 +66,7 @@ def of_times(trials: Sequence[Trial]) -> str:
     timed = [trial for trial in trials if len(trial.run.steps) and trial.run.steps["wall_ns"].any()]
     by_processor: dict[str, list[str]] = defaultdict(list)
     for trial in timed:
-        by_processor[trial.processor or "a processor nobody noted"].append(trial.contestant)
+        by_processor[trial.processor or "a processor nobody noted"].append(trial.method)
     if len(by_processor) < 2:
         return ""
     who = joined(f"those of {joined(dict.fromkeys(them))} on {where}" for where, them in sorted(by_processor.items()))
@@ -75,11 +75,11 @@ def of_times(trials: Sequence[Trial]) -> str:
 
 def of_guesses(comparison: Comparison, sequence: str) -> str:
     """Sentences on who left more than 10 % of the scans to the guess, and who cannot be ranked for it; else ""."""
-    grouped = comparison.by_contestant(sequence).items()
+    grouped = comparison.by_method(sequence).items()
     shares = {who: guessed_percent([t for t in own if t.run.status == "complete"]) for who, own in grouped}
     named = {who: share for who, share in shares.items() if share > NAMED_GUESSED}
     if not named:
         return ""
     said = f"{joined(f'{who} left {share:.0f} % of the scans to the guess' for who, share in named.items())}."
-    unranked = [who for who, share in named.items() if share > MOST_GUESSED]
+    unranked = [who for who, share in named.items() if share > MAX_GUESSED]
     return f"{said} {joined(unranked)} registered too little to be ranked." if unranked else said

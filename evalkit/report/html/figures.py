@@ -51,7 +51,7 @@ STYLE: Any = {
 }
 
 OF = "of:"
-"""What is drawn of a contestant has an identifier of this and its label, by which the page can leave it out."""
+"""What is drawn of a method has an identifier of this and its label, by which the page can leave it out."""
 
 Strokes = Mapping[str, Stroke]
 
@@ -67,7 +67,7 @@ class Drawing:
 
 def trajectories(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
     """The paths seen from above, aligned to the truth (black) where there is one; None if nobody moved a scan."""
-    paths = {trial.contestant: world_path(trial) for trial in trials if len(trial.run.steps)}
+    paths = {trial.method: world_path(trial) for trial in trials if len(trial.run.steps)}
     if not paths:
         return None
     true = next((t.truth.trajectory.poses[:, :2] for t in trials if t.truth.trajectory is not None), None)
@@ -90,7 +90,7 @@ def errors(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
     lines = {}
     for trial in trials:
         if trial.errors_m is not None and np.isfinite(trial.errors_m).any():
-            lines[trial.contestant] = _binned(_seconds(trial), trial.errors_m, np.max, POINTS)
+            lines[trial.method] = _binned(_seconds(trial), trial.errors_m, np.max, POINTS)
     if not lines:
         return None
     finals = [float(np.median(values)) for _, values in lines.values()]
@@ -118,7 +118,7 @@ def runtimes(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
             continue
         milliseconds = np.maximum(steps["cpu_ns"], 1) * 1e-6
         low, q1, middle, q3, high = np.percentile(milliseconds, [5, 25, 50, 75, 95])
-        boxes.append((trial.contestant, low, q1, middle, q3, high, milliseconds.max()))
+        boxes.append((trial.method, low, q1, middle, q3, high, milliseconds.max()))
         periods.append(period_ns(trial.run) * 1e-6)
     if not boxes:
         return None
@@ -147,7 +147,7 @@ def residuals(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
         for stage, _ in stages:
             values = np.asarray(trial.run.steps[stage], dtype=np.float64)
             if np.isfinite(values).any():
-                lines[stage][trial.contestant] = _binned(_seconds(trial), values, np.median, STRETCHES)
+                lines[stage][trial.method] = _binned(_seconds(trial), values, np.median, STRETCHES)
     told = [(stage, title) for stage, title in stages if lines[stage]]
     if not told:
         return None

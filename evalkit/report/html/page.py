@@ -16,7 +16,7 @@ from evalkit.report.analysis.comparison import Comparison, SequenceCard
 from evalkit.report.analysis.driven_paths import alignments, driven
 from evalkit.report.analysis.pairwise import Pairs, pairs
 from evalkit.report.analysis.significance import evidence
-from evalkit.report.analysis.standings import STATUS, contestant_of
+from evalkit.report.analysis.standings import STATUS, method_of
 from evalkit.report.analysis.verdict import Verdict
 from evalkit.report.html import figures, view_models
 from evalkit.report.html.formatting import bounds, figure
@@ -53,7 +53,7 @@ class Section:
     map_window: Window | None
     everything: Mapping[str, tuple[view_models.Line, ...]]
     absent: Mapping[str, tuple[str, ...]]
-    contestants: tuple[str, ...]
+    methods: tuple[str, ...]
     published: tuple[Metric, tuple[view_models.Reference, ...]] | None
     failures: tuple[view_models.Failure, ...]
     notes: Mapping[str, int]
@@ -64,7 +64,7 @@ class Section:
 
 def render(comparison: Comparison, overview: Sequence[str], verdicts: Sequence[Verdict]) -> str:
     """The HTML of a whole report."""
-    lines = strokes(comparison.contestant_labels, contestant_of(comparison, "bar"))
+    lines = strokes(comparison.method_labels, method_of(comparison, "baseline"))
     environment = Environment(
         loader=PackageLoader("evalkit.report.html"),
         autoescape=True,
@@ -84,7 +84,7 @@ def render(comparison: Comparison, overview: Sequence[str], verdicts: Sequence[V
         metrics=_by_group(comparison.metrics),
         trust=shipped(),
         strokes=lines,
-        places={label: place for place, label in enumerate(comparison.contestants, start=1)},
+        places={label: place for place, label in enumerate(comparison.methods, start=1)},
         status=STATUS,
         finished=sum(trial.run.status == "complete" for trial in comparison.trials),
     )
@@ -96,14 +96,14 @@ def sentence(text: str) -> str:
 
 
 def section(comparison: Comparison, verdict: Verdict, number: int, lines: Mapping[str, Stroke]) -> Section:
-    """One sequence, drawn from each contestant's first run."""
-    grouped = comparison.by_contestant(verdict.sequence)
+    """One sequence, drawn from each method's first run."""
+    grouped = comparison.by_method(verdict.sequence)
     trials = tuple(trial for own in grouped.values() for trial in own)
     first = tuple(own[0] for own in grouped.values())
     grids = [trial.grid for trial in first if trial.grid is not None]
     shown = window(grids, true_grid(first)) if grids else None
     seeds = sorted({trial.seed for trial in first if trial.seed is not None})
-    scans, paper = comparison.scans.get(verdict.sequence), next(iter(contestant_of(comparison, "paper")), "")
+    scans, paper = comparison.scans.get(verdict.sequence), next(iter(method_of(comparison, "paper")), "")
     return Section(
         label=verdict.sequence,
         anchor=f"sequence-{number}",
@@ -118,7 +118,7 @@ def section(comparison: Comparison, verdict: Verdict, number: int, lines: Mappin
         map_window=shown,
         everything=view_models.everything(comparison, verdict.sequence),
         absent=view_models.absent(comparison, verdict.sequence),
-        contestants=tuple(grouped),
+        methods=tuple(grouped),
         published=view_models.published(comparison, verdict.sequence),
         failures=view_models.failures(trials),
         notes=view_models.notes(trials),
@@ -165,7 +165,7 @@ def map_tiles(comparison: Comparison, trials: Sequence[Trial], shown: Window) ->
     for trial in trials:
         if trial.grid is not None:
             uri = _uri("png", picture(trial.grid, shown))
-            tiles.append(Picture(uri, trial.contestant, _map_caption(trial, metric)))
+            tiles.append(Picture(uri, trial.method, _map_caption(trial, metric)))
     return tuple(tiles)
 
 

@@ -1,4 +1,4 @@
-"""One stroke per contestant, the same in every table and figure."""
+"""One stroke per method, the same in every table and figure."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class Stroke:
     dash: tuple[float, ...] = ()
 
 
-def strokes(contestants: Iterable[str], bars: Iterable[str] = ()) -> Mapping[str, Stroke]:
-    """A stroke for every contestant: hues first, dashes when they run out; the bar is grey and dashed."""
+def strokes(methods: Iterable[str], bars: Iterable[str] = ()) -> Mapping[str, Stroke]:
+    """A stroke for every method: hues first, dashes when they run out; the bar is grey and dashed."""
     grey = set(bars)
     chosen: dict[str, Stroke] = {}
-    for index, label in enumerate(label for label in contestants if label not in grey):
+    for index, label in enumerate(label for label in methods if label not in grey):
         chosen[label] = Stroke(HUES[index % len(HUES)], DASHES[index // len(HUES) % len(DASHES)])
     return chosen | {label: Stroke(BAR, (4.0, 2.0)) for label in grey}

@@ -28,11 +28,11 @@ from evalkit.report.html.palette import Stroke
 
 METRE, RADIAN, RESIDUAL, MILLISECOND = 1e-3, 1e-5, 1e-4, 1_000_000
 """Steps of positions and ranges (m), of angles (rad), of residuals and errors (m), of times (ns)."""
-MOST_SCANS = 2000
-MOST_RANGES = 400_000
-MOST_ON_PAGE = 4_000_000
+MAX_SCANS = 2000
+MAX_RANGES = 400_000
+MAX_ON_PAGE = 4_000_000
 """Ranges in a sequence and on the page: at about 1.5 bytes each the page stays below 15 MB."""
-MOST_CELLS = 8000
+MAX_CELLS = 8000
 QUANTITIES = (("error", "error"), ("s2s", "S2S residual"), ("s2m", "S2M residual"))
 FARTHEST_M = 1e6
 """A pose beyond is no pose: whoever ran away so far cannot be drawn."""
@@ -60,11 +60,11 @@ class Player:
     """A sequence as the page's player reads it: JSON, whom and what it can show, and what its caption must tell.
 
     ``quantities``: pairs of name in the JSON and name for the reader. ``preferred``, ``rival``: whom it begins with.
-    ``maps``: contestants that are a map alone.
+    ``maps``: methods that are a map alone.
     """
 
     content: str
-    contestants: tuple[str, ...]
+    methods: tuple[str, ...]
     quantities: tuple[tuple[str, str], ...]
     has_truth: bool
     has_true_map: bool
@@ -79,10 +79,10 @@ def player(
     scans: Callable[[], Sequence] | None,
     shown: Window | None,
     lines: Mapping[str, Stroke],
-    most_ranges: int = MOST_RANGES,
+    most_ranges: int = MAX_RANGES,
     preferred: str = "",
 ) -> Player | None:
-    """What is shown of each contestant's first run; None where nobody answered a scan.
+    """What is shown of each method's first run; None where nobody answered a scan.
 
     ``scans`` makes the sequence again; without it, or where it fails, everything but the scans is there. ``preferred``
     places the scans at first.
@@ -91,7 +91,7 @@ def player(
     if not answered:
         return None
     stamps = np.unique(np.concatenate([trial.run.steps["stamp_ns"] for trial in answered]))
-    rows = chosen(disagreement(np.stack([world_poses(trial, stamps) for trial in answered])), MOST_SCANS)
+    rows = chosen(disagreement(np.stack([world_poses(trial, stamps) for trial in answered])), MAX_SCANS)
     kept = stamps[rows]
     beams, why = _beams_of(scans, kept, most_ranges)
     alone = [trial for trial in trials if not len(trial.run.steps) and trial.grid is not None]
@@ -103,28 +103,28 @@ def player(
         "beams": None if beams is None else _packed_beams(beams),
         "truth": None if true is None else packed(pose_steps(_at(true, kept))),
         "runs": [_run(trial, kept, beams, lines) for trial in answered],
-        "maps": [{"label": trial.contestant} | _map(trial) for trial in alone],
+        "maps": [{"label": trial.method} | _map(trial) for trial in alone],
         "window": None if shown is None else [shown.x_min, shown.x_max, shown.y_min, shown.y_max],
         "pixels": _pixels(trials, shown),
     }
-    labels = tuple(trial.contestant for trial in answered)
+    labels = tuple(trial.method for trial in answered)
     first, second = _two(content["runs"], preferred)
     return Player(
         content=json.dumps(content, separators=(",", ":"), allow_nan=False),
-        contestants=labels,
+        methods=labels,
         quantities=tuple((key, name) for key, name in QUANTITIES if any(run[key] for run in content["runs"])),
         has_truth=true is not None,
         has_true_map="" in content["pixels"],
-        told=_told(len(stamps), len(kept), beams, why, [trial.contestant for trial in alone]),
+        told=_told(len(stamps), len(kept), beams, why, [trial.method for trial in alone]),
         preferred=first,
         rival=second,
-        maps=tuple(trial.contestant for trial in alone),
+        maps=tuple(trial.method for trial in alone),
     )
 
 
 def budget(sequences: int) -> int:
     """How many ranges of each of so many sequences a page may hold."""
-    return min(MOST_RANGES, MOST_ON_PAGE // max(sequences, 1))
+    return min(MAX_RANGES, MAX_ON_PAGE // max(sequences, 1))
 
 
 def world_poses(trial: Trial, stamps: Stamps) -> Floats:
@@ -138,7 +138,7 @@ def world_poses(trial: Trial, stamps: Stamps) -> Floats:
 
 
 def disagreement(poses: Floats) -> Floats:
-    """By how many metres the motions (C, N, 3) of C contestants since the scan before differ at most (N,); 0 at first.
+    """By how many metres the motions (C, N, 3) of C methods since the scan before differ at most (N,); 0 at first.
 
     Motions are compared each in its own frame, so that what went apart once does not differ for ever after.
     """
@@ -200,7 +200,7 @@ def placed(beams: Beams, poses: Floats, stamps: Stamps) -> Floats:
     return se2.transform_each(moving.reshape(-1, 3), _in_base(beams)).reshape(count, width, 2)
 
 
-@lru_cache(maxsize=1)  # every contestant places the same hits
+@lru_cache(maxsize=1)  # every method places the same hits
 def _in_base(beams: Beams) -> Floats:
     """The hits (N * B, 2) seen from the base (m), nan where there is none."""
     ranges, angles = (beams.ranges * METRE).ravel(), (beams.angles * RADIAN).ravel()
@@ -276,9 +276,9 @@ def _run(trial: Trial, stamps: Stamps, beams: Beams | None, lines: Mapping[str, 
 
     steps = pose_steps(world_poses(trial, trial.run.steps["stamp_ns"])[rows])
     steps[~there] = NONE
-    stroke = lines[trial.contestant]
+    stroke = lines[trial.method]
     return {
-        "label": trial.contestant,
+        "label": trial.method,
         "colour": stroke.colour,
         "dash": list(stroke.dash),
         "poses": packed(steps),
@@ -310,10 +310,10 @@ def _violations_of(trial: Trial, poses: Floats, stamps: Stamps, beams: Beams | N
 
 
 def _cells(centres: Floats | None) -> str | None:
-    """Places (K, 2) in millimetres, at most ``MOST_CELLS`` of them; None where nobody can tell."""
+    """Places (K, 2) in millimetres, at most ``MAX_CELLS`` of them; None where nobody can tell."""
     if centres is None:
         return None
-    taken = np.unique(np.linspace(0, len(centres) - 1, min(len(centres), MOST_CELLS)).astype(int))
+    taken = np.unique(np.linspace(0, len(centres) - 1, min(len(centres), MAX_CELLS)).astype(int))
     return packed(quantised(centres[taken], METRE))
 
 
@@ -329,7 +329,7 @@ def _pixels(trials: Several[Trial], shown: Window | None) -> Mapping[str, float]
     """Metres per pixel of each map's picture, "" for the true one."""
     if shown is None:
         return {}
-    grids = {trial.contestant: trial.grid for trial in trials if trial.grid is not None}
+    grids = {trial.method: trial.grid for trial in trials if trial.grid is not None}
     true = next((trial.truth.grid for trial in trials if trial.truth.grid is not None), None)
     return {label: pixel_m(grid, shown) for label, grid in (grids | ({} if true is None else {"": true})).items()}
 
@@ -345,7 +345,7 @@ def _told(answered: int, kept: int, beams: Beams | None, why: str, alone: Severa
     """What the reader must know of what was left out."""
     sentences = []
     if kept < answered:
-        sentences.append(f"{kept:,} of {answered:,} scans: of each stretch the one in which contestants differ most.")
+        sentences.append(f"{kept:,} of {answered:,} scans: of each stretch the one in which methods differ most.")
     if beams is None:
         sentences.append(f"Without the scans themselves: {why}.")
     elif beams.every > 1:

@@ -35,9 +35,9 @@ class Number:
 
 @dataclass(frozen=True, slots=True)
 class Failure:
-    """Runs of one contestant that ended the same way."""
+    """Runs of one method that ended the same way."""
 
-    contestant: str
+    method: str
     seeds: str
     status: str
     progress: str
@@ -46,9 +46,9 @@ class Failure:
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One contestant over one sequence. ``success``: the interval of the share of runs that finish."""
+    """One method over one sequence. ``success``: the interval of the share of runs that finish."""
 
-    contestant: str
+    method: str
     complete: int
     expected: int
     success: str
@@ -76,7 +76,7 @@ class Glance:
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One metric over all contestants of a sequence."""
+    """One metric over all methods of a sequence."""
 
     metric: Metric
     numbers: tuple[Number, ...]
@@ -94,13 +94,13 @@ class Reference:
 
 
 def headline(comparison: Comparison, sequence: str) -> Table:
-    """The first table of a sequence: contestants down, headline metrics across, what decides and what it costs first.
+    """The first table of a sequence: methods down, headline metrics across, what decides and what it costs first.
 
     Where there is a true map, the maps' consistency is left to the table of all metrics.
     """
     found = [standing(comparison, sequence, metric) for metric in _headline_metrics(comparison, sequence)]
     present = [one for one in found if _told(one)]
-    rows = [_row(comparison, label, own, present) for label, own in comparison.by_contestant(sequence).items()]
+    rows = [_row(comparison, label, own, present) for label, own in comparison.by_method(sequence).items()]
     return Table(tuple(one.metric for one in present), tuple(rows), _absent(found))
 
 
@@ -119,10 +119,10 @@ def absent(comparison: Comparison, sequence: str) -> dict[str, tuple[str, ...]]:
 
 
 def glance(comparison: Comparison) -> Glance:
-    """Every contestant over every sequence in the metric that decides it."""
+    """Every method over every sequence in the metric that decides it."""
     columns = tuple((label, deciding(comparison, label)) for label in comparison.sequence_labels)
     rows = tuple(
-        (who, tuple(_glanced(comparison, found, who) for _, found in columns)) for who in comparison.contestant_labels
+        (who, tuple(_glanced(comparison, found, who) for _, found in columns)) for who in comparison.method_labels
     )
     return Glance(columns, rows)
 
@@ -181,10 +181,10 @@ def printed(metric: Metric, value: float) -> str:
 
 
 def failures(trials: Sequence[Trial]) -> tuple[Failure, ...]:
-    """The runs that did not complete, those of one contestant with one reason together."""
+    """The runs that did not complete, those of one method with one reason together."""
     together: dict[tuple[str, Status, str], list[Trial]] = {}
     for trial in unfinished(trials):
-        together.setdefault((trial.contestant, trial.run.status, trial.run.reason), []).append(trial)
+        together.setdefault((trial.method, trial.run.status, trial.run.reason), []).append(trial)
     return tuple(
         Failure(who, _seeds(alike), STATUS[status], _progress(alike), reason)
         for (who, status, reason), alike in together.items()
@@ -192,7 +192,7 @@ def failures(trials: Sequence[Trial]) -> tuple[Failure, ...]:
 
 
 def published(comparison: Comparison, sequence: str) -> tuple[Metric, tuple[Reference, ...]] | None:
-    """Our contestants among published figures, best first, with the metric; None where nothing was published."""
+    """Our methods among published figures, best first, with the metric; None where nothing was published."""
     rows = comparison.sequences[sequence].published
     metric = _counterpart(comparison, rows) if rows else None
     if metric is None:
@@ -209,11 +209,9 @@ def published(comparison: Comparison, sequence: str) -> tuple[Metric, tuple[Refe
         for row in rows
     ]
     for cell in standing(comparison, sequence, metric).ranked:
-        beside = standing(comparison, sequence, deviation).of(cell.contestant) if deviation else None
+        beside = standing(comparison, sequence, deviation).of(cell.method) if deviation else None
         spread = printed(deviation, beside.median) if deviation and beside and beside.median is not None else ""
-        references.append(
-            Reference(cell.contestant, printed(metric, median(cell.values)), spread, median(cell.values), "")
-        )
+        references.append(Reference(cell.method, printed(metric, median(cell.values)), spread, median(cell.values), ""))
     return metric, tuple(sorted(references, key=lambda row: row.sort))
 
 
@@ -244,8 +242,8 @@ def _row(comparison: Comparison, label: str, trials: Sequence[Trial], present: S
     return Row(label, complete, len(trials), share(trials), numbers, failures(trials), behind)
 
 
-def _glanced(comparison: Comparison, found: Standing | None, contestant: str) -> Number:
-    cell = found.of(contestant) if found else None
+def _glanced(comparison: Comparison, found: Standing | None, method: str) -> Number:
+    cell = found.of(method) if found else None
     if found is None or cell is None:
         return Number("–", tip="no value for any headline metric" if found is None else "not run here")
     unranked = bool(comparison.sequences[found.sequence].degenerate) or disagrees(comparison, found)

@@ -83,13 +83,13 @@ def test_time_must_grow_in_every_run_and_twice_as_much_in_a_single_one(times, sa
     assert _said(_between(_seeds(ates), _seeds(ates, times)), TIME) == said
 
 
-def test_what_all_contestants_lose_together_is_the_machines():
+def test_what_all_methods_lose_together_is_the_machines():
     """All took a third longer, d three times as long: the median of four is the machine's, d alone is a regression."""
     old = {(who, "room", seed): _run(ms=1.0) for who in "abcd" for seed in (0, 1)}
     new = {(who, "room", seed): _run(ms=3.0 if who == "d" else 1.3) for who in "abcd" for seed in (0, 1)}
     found = _between(old, new)
-    assert [one.contestant for one in found.changes if one.said == "regression"] == ["d"]
-    assert found.notes[0].startswith("all contestants together took +30 % CPU time: taken for the machine's")
+    assert [one.method for one in found.changes if one.said == "regression"] == ["d"]
+    assert found.notes[0].startswith("all methods together took +30 % CPU time: taken for the machine's")
 
 
 def test_times_of_another_processor_are_not_compared():
@@ -100,11 +100,11 @@ def test_times_of_another_processor_are_not_compared():
     assert found.notes == ("times are not compared: a processor against another",)
 
 
-def test_a_run_that_no_longer_ends_is_a_regression_and_a_new_contestant_is_none():
+def test_a_run_that_no_longer_ends_is_a_regression_and_a_new_method_is_none():
     old = {("a", "room", 0): _run(), ("gone", "room", 0): _run(), ("b", "room", 0): _run(status="crashed")}
     new = {("a", "room", 0): _run(status="crashed"), ("b", "room", 0): _run(), ("come", "room", 0): _run()}
     found = _between(old, new)
-    assert [(one.contestant, one.said) for one in found.ended] == [("a", "regression"), ("b", "improvement")]
+    assert [(one.method, one.said) for one in found.ended] == [("a", "regression"), ("b", "improvement")]
     assert (found.only_old, found.only_new, found.regressions) == (("gone over room",), ("come over room",), 1)
 
 
@@ -131,7 +131,7 @@ def test_markdown_is_a_table_with_the_worst_first():
     lines = markdown(found, METRICS).splitlines()
     assert lines[0] == f"**{verdict(found)}**"
     assert lines[0].startswith("**1 regression beyond 5 % of an error, 10 % of CPU time and the noise; 1 improved")
-    assert lines[2].startswith("| contestant | sequence | what |")
+    assert lines[2].startswith("| method | sequence | what |")
     assert lines[4].startswith(
         "| a | room | ATE RMSE [m] | 0.0200 | 0.0300 | +50.0 % | 0.0100 to 0.0100 | ❌ regression"
     )

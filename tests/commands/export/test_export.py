@@ -21,7 +21,7 @@ from evalkit.core.errors import DataMissing, NotInstalled, StoreError, UnknownNa
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, Run, Score, Trial
+from evalkit.core.run_result import STEP, RunResult, Score, Trial
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
 from evalkit.plugins import registry
@@ -71,14 +71,14 @@ def trial_of(name, seed=0):
     log_odds = np.zeros((8, 12), dtype=np.float32)
     log_odds[0], log_odds[1:4, 3:9] = 3.0, -3.0  # a wall at the lowest y
     grid = OccupancyGrid(log_odds, log_odds != 0.0, 0.0125, -1.0625, 2.5)
-    run = Run(name, AWKWARD, "complete", "", steps, N)
+    run = RunResult(name, AWKWARD, "complete", "", steps, N)
     return Trial(f"{name}-s{seed}", name, name, {}, AWKWARD, "lap", {"seed": seed}, seed, "evalkit run x", run,
                  Lap().truth(), scores, Pose(), grid, errors, "none")  # fmt: skip
 
 
 @pytest.fixture
 def finished(tmp_path, build, monkeypatch):
-    """A results folder of two contestants over an arc, as a report leaves it."""
+    """A results folder of two methods over an arc, as a report leaves it."""
     monkeypatch.setattr(registry, "dataset", lambda _name: DatasetSpec(lambda **_: Lap(), "", "", "", "", ""))
     trials = [trial_of("paper"), trial_of("wheel")]
     store = Store(tmp_path / "results")
@@ -107,12 +107,12 @@ def test_csv_and_json_hold_the_wanted_rows_of_what_the_report_wrote_and_keep_the
     for name in ("trials.csv", "scores.csv", "summary.csv"):
         assert whole[name] == (finished / name).read_bytes()
     assert json.loads(whole["results.json"]) == json.loads((finished / "results.json").read_bytes())
-    part = {path.name: path for form in ("csv", "json") for path in exported(finished, form, "--contestant", "wheel")}
+    part = {path.name: path for form in ("csv", "json") for path in exported(finished, form, "--method", "wheel")}
     heading, row = part["trials.csv"].read_text(encoding="utf-8").splitlines()
-    assert (heading.split(",")[1], row.split(",")[1]) == ("contestant", "wheel")
+    assert (heading.split(",")[1], row.split(",")[1]) == ("method", "wheel")
     content = json.loads(part["results.json"].read_text(encoding="utf-8"))
     jsonschema.validate(content, json.loads(part["results.schema.json"].read_text(encoding="utf-8")))
-    assert [trial["contestant"] for trial in content["trials"]] == list(content["contestants"]) == ["wheel"]
+    assert [trial["method"] for trial in content["trials"]] == list(content["methods"]) == ["wheel"]
     assert content["verdicts"] == content["overview"] == []  # they compare it with who is left out
 
 
@@ -219,7 +219,7 @@ def test_latex_takes_the_tables_and_the_figures(finished):
 
 def test_tables_show_the_intervals_of_results_json_and_only_these(finished):
     intervals = json.loads((finished / "results.json").read_text(encoding="utf-8"))["intervals"]
-    wheel = next(one for one in intervals if (one["contestant"], one["metric"]) == ("wheel", "ate_rmse_m"))
+    wheel = next(one for one in intervals if (one["method"], one["metric"]) == ("wheel", "ate_rmse_m"))
     (path,) = (path for path in exported(finished, "latex", "--metric", "ate_rmse_m") if path.name != "tables.tex")
     rows = {line.split("&")[0].strip(): line for line in path.read_text(encoding="utf-8").splitlines() if "&" in line}
     assert f"[{wheel['low']:.3f}, {wheel['high']:.3f}]" in rows["wheel"]
@@ -280,7 +280,7 @@ def test_the_doctor_finds_in_a_bag_what_was_put_there(finished):
     from evalkit_datasets.inspection.examination import examine
     from evalkit_datasets.inspection.suggested_config import prescribe
 
-    found = examine(exported(finished, "mcap", "--contestant", "wheel")[0])
+    found = examine(exported(finished, "mcap", "--method", "wheel")[0])
     (lidar,), (seat,), (driven,) = found.lidars, found.frames.mountings, found.drivings
     assert (lidar.timing.count, lidar.beams, lidar.returns.nan) == (N, 61, pytest.approx(1 / 61))
     assert lidar.timing.rate_hz == pytest.approx(10.0)
@@ -296,7 +296,7 @@ def test_an_mcap_file_read_by_the_mcap_library_holds_the_answer_the_truth_and_th
     reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
     typesys = pytest.importorskip("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    (path,) = (exported(finished, "mcap", "--contestant", "wheel")[0]).glob("*.mcap")
+    (path,) = (exported(finished, "mcap", "--method", "wheel")[0]).glob("*.mcap")
     with path.open("rb") as file:
         messages = [(schema, channel.topic, message) for schema, channel, message in
                     reader.make_reader(file, validate_crcs=True).iter_messages()]  # fmt: skip
@@ -316,9 +316,9 @@ def test_an_mcap_file_read_by_the_mcap_library_holds_the_answer_the_truth_and_th
 
 
 def test_a_recording_that_begins_at_zero_is_moved_to_where_ros_knows_times(finished):
-    found = read(finished, contestants=["paper"])
+    found = read(finished, methods=["paper"])
     (trial,) = found.trials
-    early = Run("paper", AWKWARD, "complete", "", trial.run.steps.copy(), N)
+    early = RunResult("paper", AWKWARD, "complete", "", trial.run.steps.copy(), N)
     early.steps.flags.writeable = True
     early.steps["stamp_ns"] -= T0
     sent = list(mcap._sent(mcap.Messages(), replace(trial, run=early, truth=Truth("none")), Nothing()))
@@ -383,7 +383,7 @@ def test_a_run_cut_short_is_left_out_and_said_and_the_others_are_written(finishe
     path = finished / "runs" / "paper-s0" / name
     path.write_bytes(path.read_bytes()[:left])
     found = read(finished)
-    assert [trial.contestant for trial in found.trials] == ["wheel"]
+    assert [trial.method for trial in found.trials] == ["wheel"]
     (remark,) = found.remarks
     assert remark.startswith(f"paper over {AWKWARD}")
     assert said in remark
@@ -393,7 +393,7 @@ def test_a_run_cut_short_is_left_out_and_said_and_the_others_are_written(finishe
 def test_what_is_no_results_folder_or_no_label_is_said(finished, tmp_path):
     with pytest.raises(StoreError, match="no such file"):
         read(tmp_path)
-    for wrong in ({"sequences": ["nowhere"]}, {"contestants": ["nobody"]}, {"metrics": ["ate"]}):
+    for wrong in ({"sequences": ["nowhere"]}, {"methods": ["nobody"]}, {"metrics": ["ate"]}):
         with pytest.raises(UnknownName):
             read(finished, **wrong)
     result = CliRunner().invoke(app, ["export", str(finished), "-f", "word"])

@@ -10,42 +10,42 @@ from evalkit.core.errors import BadExperiment
 
 GOOD = """
 seeds = [0, 1]
-contestant.use = "paper"
+method.use = "paper"
 sequence = { use = "lab", laps = 0.05 }
 response = [{ metric = "ate_rmse_m", scale = "log", lost = 0.5 }, { metric = "map_f1" }]
 
 [[factor]]
 name = "epsilon"
-sets = "contestant.epsilon"
+sets = "method.epsilon"
 levels = [1e-6, 1e-4, 1e-2]
 scale = "log"
 
 [[factor]]
-sets = "contestant.one_to_one"
+sets = "method.one_to_one"
 levels = [true, false]
 
 [[factor]]
 name = "cell"
-sets = ["contestant.submap_cell_m", "mapper.resolution_m"]
+sets = ["method.local_map_cell_m", "mapper.resolution_m"]
 levels = [0.05, 0.1]
 
 [[factor]]
 name = "stages"
 [factor.levels]
-"both" = { "contestant.scan_to_scan" = true }
-"second" = { "contestant.scan_to_scan" = false }
+"both" = { "method.scan_to_scan" = true }
+"second" = { "method.scan_to_scan" = false }
 
 [[design]]
 name = "all"
 kind = "grid"
-factors = ["epsilon", "contestant.one_to_one", "cell", "stages"]
+factors = ["epsilon", "method.one_to_one", "cell", "stages"]
 
 [[design]]
 name = "alone"
 kind = "curves"
 factors = ["epsilon", "stages"]
 seeds = [3]
-with = { "contestant.submap" = "grid" }
+with = { "method.local map" = "grid" }
 
 [[design]]
 name = "between"
@@ -70,19 +70,19 @@ def test_points_hold_every_setting_and_one_key_each():
     grid, alone, between = made.designs
     assert (len(grid.points), len(alone.points), len(between.points)) == (24, 5, 8)
     last = grid.points[-1]
-    assert last.contestant["epsilon"] == 1e-2
-    assert last.contestant["one_to_one"] is False
-    assert last.contestant["submap_cell_m"] == last.mapper["resolution_m"] == 0.1
-    assert last.contestant["scan_to_scan"] is False
+    assert last.method["epsilon"] == 1e-2
+    assert last.method["one_to_one"] is False
+    assert last.method["local_map_cell_m"] == last.mapper["resolution_m"] == 0.1
+    assert last.method["scan_to_scan"] is False
     assert "seed" not in last.sequence
     assert len({point.key for point in grid.points}) == 24
-    assert all(point.contestant["submap"] == "grid" for point in alone.points)
+    assert all(point.method["local_map"] == "grid" for point in alone.points)
     assert len(alone.points[0].levels) == 1
 
 
 def test_points_between_levels_keep_to_the_range_and_to_names():
     between = study().designs[2]
-    values = [point.contestant["epsilon"] for point in between.points]
+    values = [point.method["epsilon"] for point in between.points]
     assert all(1e-6 <= value <= 1e-2 for value in values)
     assert len(set(values)) == 8
     assert {point.levels["stages"].label for point in between.points} == {"both", "second"}
@@ -117,11 +117,11 @@ def design(**entries):
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (drop("contestant"), r"s.toml: no table \[contestant\]"),
+        (drop("method"), r"s.toml: no table \[method\]"),
         (drop("factor"), r"no \[\[factor\]\]: a study needs at least one"),
         (drop("response"), r"no \[\[response\]\]"),
         (lambda c: c.update(factors=[]), "no key named 'factors' \\(did you mean 'factor'\\?\\)"),
-        (lambda c: c["contestant"].update(use="ipc"), "no backend named 'ipc'"),
+        (lambda c: c["method"].update(use="ipc"), "no backend named 'ipc'"),
         (lambda c: c["response"][0].update(metric="ate"), "response 1: no metric named 'ate'"),
         (lambda c: c["response"][0].update(lost=0), "response 1: 'lost': found 0, expected a number \\(positive"),
         (lambda c: c.update(seeds=[]), "'seeds': found \\[\\], expected a list"),
@@ -130,13 +130,13 @@ def design(**entries):
         (factor(levels=[1e-4, 1e-6]), "expected numbers in rising order"),
         (factor(levels=[-1e-4, 1e-6]), "expected positive numbers on a log scale"),
         (factor(levels=[1e-6, "fine"]), "expected values of one type"),
-        (factor(levels=[-1.0, 1.0], scale="linear"), "factor 'epsilon': contestant: parameter 'epsilon': found -1.0"),
-        (factor(sets="epsilon"), "'sets': found 'epsilon', expected contestant.NAME"),
-        (factor(sets="contestant.epsilom"), "no parameter named 'epsilom' \\(did you mean 'epsilon'\\?\\)"),
-        (factor(sets="contestant.submap"), "factor 'epsilon': contestant: parameter 'submap': found 1e-06"),
+        (factor(levels=[-1.0, 1.0], scale="linear"), "factor 'epsilon': method: parameter 'epsilon': found -1.0"),
+        (factor(sets="epsilon"), "'sets': found 'epsilon', expected method.NAME"),
+        (factor(sets="method.epsilom"), "no parameter named 'epsilom' \\(did you mean 'epsilon'\\?\\)"),
+        (factor(sets="method.local map"), "factor 'epsilon': method: parameter 'local_map': found 1e-06"),
         (factor(scale="cubic"), "'scale': found 'cubic', expected linear or log"),
         (factor(steps=3), "no key 'steps'"),
-        (lambda c: c["factor"][2].update(levels=[-0.05, 0.1]), "parameter 'submap_cell_m': found -0.05"),
+        (lambda c: c["factor"][2].update(levels=[-0.05, 0.1]), "parameter 'local_map_cell_m': found -0.05"),
         (lambda c: c["factor"][3].update(levels={"a": {}, "b": {}}), "'levels.a': found {}, expected { NAME = VALUE"),
         (lambda c: c["factor"].append(c["factor"][0]), "two factors are named 'epsilon'"),
         (design(factors=["epsilom"]), "design 1 \\(all\\): no factor named 'epsilom' \\(did you mean 'epsilon'\\?\\)"),
@@ -147,7 +147,7 @@ def design(**entries):
         (design(kind="optimal"), "'points': found None, expected a whole number from 1"),
         (design(kind="optimal", points=5), "'points': found 5, expected more than 12, the columns of its model"),
         (design(kind="fractional", resolution=9), "'resolution': found 9, expected 3, 4 or 5"),
-        (design(**{"with": {"contestant.submap": "tiles"}}), "parameter 'submap': found 'tiles', expected one of"),
+        (design(**{"with": {"method.local map": "tiles"}}), "parameter 'local_map': found 'tiles', expected one of"),
         (design(seeds=[-1]), "design 1 \\(all\\): 'seeds': found \\[-1\\]"),
         (lambda c: c.update(envelope=[{"design": "alone"}]), "no grid design named 'alone'; known: all"),
         (
@@ -167,7 +167,7 @@ def test_two_factors_that_set_the_same_cannot_share_a_design():
         content["factor"].append({**content["factor"][0], "name": "again"})
         content["design"][0]["factors"].append("again")
 
-    with pytest.raises(BadExperiment, match=r"'epsilon' and 'again' both set contestant\.epsilon; keep one"):
+    with pytest.raises(BadExperiment, match=r"'epsilon' and 'again' both set method\.epsilon; keep one"):
         study(twice)
 
 

@@ -37,7 +37,7 @@ def test_an_interaction_is_the_difference_of_differences():
     assert [other.value.value for other in others] == pytest.approx([0.0, 0.0], abs=1e-12)
 
 
-def test_a_planted_interaction_is_found_in_noise_and_no_other_is_believed():
+def test_a_planted_interaction_is_found_in_noise_and_no_other_is_accepted():
     axes = (Axis("a", 4, (0.0, 1.0, 2.0, 3.0)), *(Axis(name, 2) for name in "bcde"))
     model = Model(axes)
     rng = np.random.default_rng(3)

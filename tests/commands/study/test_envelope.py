@@ -21,7 +21,7 @@ def outcome(error, seeds=(0, 1), status=lambda *_: "complete"):
     """A study over speed, turn and deskewing whose error is a function of the three and the seed."""
     factors = (
         numbers("speed", SPEEDS, "m/s"), numbers("turn", TURNS, "deg/s"),
-        Factor("deskew", (Level("off", {"contestant.deskew": False}), Level("on", {"contestant.deskew": True}))),
+        Factor("deskew", (Level("off", {"method.deskew": False}), Level("on", {"method.deskew": True}))),
     )  # fmt: skip
     points, results = [], {}
     for speed in factors[0].levels:

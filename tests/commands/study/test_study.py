@@ -22,7 +22,7 @@ from evalkit.execution.job_store import Job
 STUDY = """
 title = "A small study"
 seeds = [0, 1]
-contestant.use = "wheel-odometry"
+method.use = "wheel-odometry"
 sequence = { use = "lab", laps = 0.05, speed_mps = 0.5 }
 mapper.scans = 5
 response = [{ metric = "ate_rmse_m", scale = "log", lost = 0.5 }, { metric = "map_f1", lost = 0.0 }]

@@ -18,13 +18,13 @@ SEEDS = range(10)
 
 
 def plan():
-    course = {"use": "lab", "laps": 0.05}
+    sequence = {"use": "lab", "laps": 0.05}
     return tuning(
         {
             "title": "<script>alert(1)</script>",
             "points": 8,
-            "contestant": [{"use": "embedded", "label": "a", "search": {"epsilon": {"levels": [1e-6, 1e-2]}}}],
-            "training": [course | {"seeds": [0, 1], "confirm": [2, 3, 4, 5]}],
+            "method": [{"use": "embedded", "label": "a", "search": {"epsilon": {"levels": [1e-6, 1e-2]}}}],
+            "training": [sequence | {"seeds": [0, 1], "confirm": [2, 3, 4, 5]}],
             "held-out": [{"use": "room", "laps": 0.05}],
         },
         "some.toml", "some", "evalkit tune some.toml",

@@ -25,13 +25,13 @@ FILE = """
 points = 16
 objective = { metric = "ate_rmse_m", lost = 1.0 }
 
-[[contestant]]
+[[method]]
 use = "embedded"
 search.epsilon = { levels = [1e-7, 1e-1], scale = "log" }
 search.max_iterations = [10, 20, 40, 80]
 search.one_to_one = [true, false]
 
-[[contestant]]
+[[method]]
 use = "paper"
 search.max_correspondence_m = [0.1, 1]
 
@@ -168,8 +168,8 @@ def test_steps_stay_within_the_bounds_and_repeat_no_point():
 
 def test_settings_of_the_front_end_are_nobodys_own():
     names = {parameter.name for name in ("paper", "kiss-icp") for parameter in own(registry.entrant(name))}
-    assert not names & {"prior", "deskew", "submap", "keyframes", "min_inliers"}
-    with pytest.raises(BadExperiment, match=r"contestant 1 \(embedded\): search.keyframes: .*all contestants alike"):
+    assert not names & {"prior", "deskew", "local_map", "keyframes", "min_inliers"}
+    with pytest.raises(BadExperiment, match=r"method 1 \(embedded\): search.keyframes: .*all methods alike"):
         plan(FILE.replace("search.max_iterations", "search.keyframes"))
 
 
@@ -236,17 +236,17 @@ def test_a_missing_file_says_what_to_give(tmp_path):
 def test_names_on_the_command_line_make_a_fair_tuning():
     made = tuning(named(["embedded", "paper"], ["lab"], ["room"], 8, {"laps": "0.05"}), "evalkit tune", "x", "y")
     assert [one.label for one in made.entrants] == ["embedded", "paper"]
-    assert made.training[0].course.parameters["laps"] == 0.05
-    assert [course.label for course in made.held_out] == ["room"]
+    assert made.training[0].sequence.parameters["laps"] == 0.05
+    assert [sequence.label for sequence in made.held_out] == ["room"]
 
 
 def test_a_tuned_row_stands_beside_its_default_in_an_experiment_that_reads_back():
     made = plan()
     found = search_loop.searched(made, Known(off))
     back = held_out_plan(experiment_text(made, found), "tuned.toml")
-    assert [entrant.label for entrant in back.contestants] == ["embedded", "embedded tuned", "paper"]
-    assert dict(back.contestants[1].parameters) == dict(found[0].best.candidate.values)
-    assert back.courses == made.held_out
+    assert [entrant.label for entrant in back.methods] == ["embedded", "embedded tuned", "paper"]
+    assert dict(back.methods[1].parameters) == dict(found[0].best.candidate.values)
+    assert back.sequences == made.held_out
     assert (back.mapper, back.limits) == (made.mapper, made.limits)
 
 

@@ -19,15 +19,15 @@ points = 4
 [mapper]
 scans = 5
 
-[[contestant]]
+[[method]]
 use = "evalkit_tunable:MISSET"
 label = "misset"
 
-[[contestant]]
+[[method]]
 use = "evalkit_tunable:PERFECT"
 label = "perfect"
 
-[[contestant]]
+[[method]]
 use = "evalkit_tunable:HOPELESS"
 label = "hopeless"
 
@@ -71,7 +71,7 @@ def test_the_misset_is_tuned_the_perfect_keeps_its_default_and_the_hopeless_is_a
     assert [each["error"] for each in hopeless["points"]] == [1.0] * 4
     assert not misset["held_out"]["overfitted"]
     assert perfect["held_out"] is None
-    rows = tomllib.loads((out / "tuned.toml").read_text())["contestant"]
+    rows = tomllib.loads((out / "tuned.toml").read_text())["method"]
     assert [row["label"] for row in rows] == ["misset", "misset tuned", "perfect", "hopeless"]
     page = (out / "index.html").read_text()
     assert "default kept: no point was better in the search" in page

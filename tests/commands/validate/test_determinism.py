@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 
 from evalkit.commands.validate.determinism import determinism, judged
-from evalkit.core.run_result import STEP, Run
+from evalkit.core.run_result import STEP, RunResult
 
 
 def run(*xs):
     steps = np.zeros(len(xs), dtype=STEP)
     steps["stamp_ns"], steps["x"] = np.arange(len(xs)), xs
-    return Run("b", "s", "complete", "", steps, len(xs))
+    return RunResult("b", "s", "complete", "", steps, len(xs))
 
 
 SAME, OTHER = run(0.0, 1.0), run(0.0, 1.0 + 2**-40)

@@ -15,10 +15,10 @@ resolution_m = 0.1
 [limits]
 run_s = 10
 memory_mib = 512
-[[contestant]]
+[[method]]
 use = "wheel-odometry"
 label = "wheels"
-[[contestant]]
+[[method]]
 use = "paper"
 s2s.one_to_one = false
 keyframes = 5
@@ -30,12 +30,12 @@ seeds = [0, 1]
 
 def seeds() -> list[bytes]:
     """Plans."""
-    return [SEED, b'[[contestant]]\nuse = "paper"\n[[sequence]]\nuse = "corridor"\nlabel = "c"\n']
+    return [SEED, b'[[method]]\nuse = "paper"\n[[sequence]]\nuse = "corridor"\nlabel = "c"\n']
 
 
 def swollen() -> list[bytes]:
-    """Deep tables, long texts and many contestants."""
-    one = b'[[contestant]]\nuse = "paper"\n[[sequence]]\nuse = "lab"\n'
+    """Deep tables, long texts and many methods."""
+    one = b'[[method]]\nuse = "paper"\n[[sequence]]\nuse = "lab"\n'
     return [
         one + b"x = " + b"[" * 5_000,
         one + b"x = " + b"{a=" * 5_000,
@@ -48,8 +48,8 @@ def swollen() -> list[bytes]:
         one + b"seeds = [" + b"1," * 100_000 + b"]\n",
         one + b"seeds = [" + b"-1," * 100_000 + b"]\n",
         b"[limits]\nrun_s = " + b"9" * 1_000 + b"\n" + one,
-        b'[[contestant]]\nuse = "paper"\nlabel = "\\u001b[2J"\n' * 2 + b'[[sequence]]\nuse = "lab"\n',
-        b"".join(b'[[contestant]]\nuse = "paper"\nlabel = "%d"\n' % k for k in range(2_000))
+        b'[[method]]\nuse = "paper"\nlabel = "\\u001b[2J"\n' * 2 + b'[[sequence]]\nuse = "lab"\n',
+        b"".join(b'[[method]]\nuse = "paper"\nlabel = "%d"\n' % k for k in range(2_000))
         + b'[[sequence]]\nuse = "lab"\n',
         b'title = "' + b"\\u2028" * 20_000,
     ]

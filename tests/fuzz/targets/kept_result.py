@@ -30,7 +30,7 @@ def swollen() -> list[bytes]:
 
 def one(data: bytes) -> None:
     """Asks for a result; what is damaged counts as absent."""
-    untrusted_io.MOST_BYTES = 2**24  # as for a stored run
+    untrusted_io.MAX_BYTES = 2**24  # as for a stored run
     ledger = Ledger(folder())
     ledger.path(JOB).write_bytes(data)
     found: list[object] = []

@@ -48,7 +48,7 @@ def swollen() -> list[bytes]:
 
 def one(data: bytes) -> None:
     """Reads a map by its image."""
-    map_server.MOST_PIXELS = 2**20  # what a sound image of that size takes is no finding
+    map_server.MAX_PIXELS = 2**20  # what a sound image of that size takes is no finding
     settings = folder() / "image.yaml"
     settings.write_text(SETTINGS, encoding="utf-8")
     held_file(lambda _path: map_server.read(settings), data, "fuzz.image")

@@ -76,7 +76,7 @@ def one(data: bytes) -> None:
         (place / name).write_bytes(content)
     name = FILES[data[0] % len(FILES)] if data else FILES[0]
     (place / name).write_bytes(data[1:])
-    untrusted_io.MOST_BYTES = 2**24  # what a sound archive of that size takes is no finding
+    untrusted_io.MAX_BYTES = 2**24  # what a sound archive of that size takes is no finding
     store = Store.existing(folder())
     held(lambda: (store.load_run("key"), store.load_scores("key")), len(data), "")
     made = store.load_made("key")

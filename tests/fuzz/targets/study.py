@@ -8,7 +8,7 @@ from evalkit.commands.study.config import read
 
 SEED = b"""title = "Fuzz"
 seeds = [0, 1]
-[contestant]
+[method]
 use = "paper"
 [sequence]
 use = "lab"
@@ -18,7 +18,7 @@ metric = "ate_rmse_m"
 scale = "log"
 lost = 1.0
 [[factor]]
-sets = "contestant.keyframes"
+sets = "method.keyframes"
 levels = [5, 10, 20]
 [[factor]]
 name = "noise"
@@ -27,7 +27,7 @@ levels.large = { "sequence.people" = 4 }
 [[design]]
 name = "plane"
 kind = "grid"
-factors = ["contestant.keyframes", "noise"]
+factors = ["method.keyframes", "noise"]
 [[design]]
 kind = "latin"
 points = 4

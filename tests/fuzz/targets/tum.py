@@ -1,4 +1,4 @@
-"""The reader of trajectories in TUM format, of the data sets and of the contestant ``file:``."""
+"""The reader of trajectories in TUM format, of the data sets and of the method ``file:``."""
 
 from __future__ import annotations
 

@@ -12,11 +12,11 @@ seed = 1
 [mapper]
 use = "log-odds"
 scans = 10
-[[contestant]]
+[[method]]
 use = "wheel-odometry"
-[[contestant]]
+[[method]]
 use = "paper"
-[contestant.search]
+[method.search]
 epsilon = { levels = [1e-7, 1e-3], scale = "log" }
 keyframes = [5, 10]
 [[training]]

@@ -5,7 +5,7 @@
 
 #include "taken.h"
 
-#define MOST_BEAMS 512u
+#define MAX_BEAMS 512u
 #define LONGEST EK_R(30.0) /* m; farther needs more memory than fuzzing should take */
 
 int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
@@ -16,7 +16,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     FILE *const input = size ? fmemopen((void *)(uintptr_t)bytes, size, "rb") : NULL;
     FILE *const poses = fmemopen(lines, sizeof lines, "w");
     HOLDS(poses != NULL);
-    if (input && ek_scanlog_open(input, &s.log) == EK_OK && s.log.most_beams <= MOST_BEAMS &&
+    if (input && ek_scanlog_open(input, &s.log) == EK_OK && s.log.most_beams <= MAX_BEAMS &&
         !(s.log.range_max > LONGEST) && start(&s) == EK_OK) {
         run(&s, input, poses);
         HOLDS(ftell(poses) >= 0);

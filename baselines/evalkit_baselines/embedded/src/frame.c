@@ -2,9 +2,9 @@
 
 #include <string.h>
 
-#define MOST_ACROSS EK_R(1048576) /* cells: a float still tells them apart */
-#define LEAST_CELL EK_R(1e-3) /* m */
-#define ROOM EK_R(0.0625) /* of a cloud's width and height, on each side: until a submap leaves it, its frame stays */
+#define MAX_ACROSS EK_R(1048576) /* cells: a float still tells them apart */
+#define MIN_CELL EK_R(1e-3) /* m */
+#define ROOM EK_R(0.0625) /* of a cloud's width and height, on each side: until a local map leaves it, its frame stays */
 #define LITTLE_ROOM EK_R(0.015625) /* the same where more would need wider cells */
 #define WIDER EK_R(1.1)
 
@@ -37,7 +37,7 @@ static int lay(ek_frame *frame, const ek_span *span, ek_real cell, ek_real share
     const ek_real left = span->left - beside * cell, bottom = span->bottom - below * cell;
     const ek_real columns = EK_FLOOR((span->right - left) * per_cell) + EK_R(1.0) + beside;
     const ek_real rows = EK_FLOOR((span->top - bottom) * per_cell) + EK_R(1.0) + below;
-    if (!(columns <= MOST_ACROSS && rows <= MOST_ACROSS) || (uint64_t)columns * (uint64_t)rows > most) {
+    if (!(columns <= MAX_ACROSS && rows <= MAX_ACROSS) || (uint64_t)columns * (uint64_t)rows > most) {
         return 0;
     }
     const ek_real right = left + columns * cell, top = bottom + rows * cell;
@@ -57,8 +57,8 @@ ek_frame ek_frame_over(const ek_span *span, ek_real cell, size_t most)
 {
     ek_frame frame;
     memset(&frame, 0, sizeof frame);
-    frame.finest = cell <= LEAST_CELL;
-    cell = frame.finest ? LEAST_CELL : cell;
+    frame.finest = cell <= MIN_CELL;
+    cell = frame.finest ? MIN_CELL : cell;
     if (lay(&frame, span, cell, ROOM, most)) {
         return frame;
     }

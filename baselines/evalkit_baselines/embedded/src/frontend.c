@@ -2,10 +2,10 @@
 
 #include <string.h>
 
-#define MOST_KEYFRAMES 1024u
-#define MOST_POINTS ((size_t)1 << 20)
+#define MAX_KEYFRAMES 1024u
+#define MAX_POINTS ((size_t)1 << 20)
 #define CELLS_PER_POINT 16u
-#define MOST_CELLS ((size_t)1 << 18)
+#define MAX_CELLS ((size_t)1 << 18)
 #define LONGEST_GAP EK_R(2.0) /* steps: a longer gap says nothing about the speed */
 
 ek_frontend_parameters ek_frontend_default(void)
@@ -32,8 +32,8 @@ ek_status ek_frontend_check(const ek_frontend_parameters *parameters)
         return EK_NOT_FINITE;
     }
     if (parameters->keyframe_distance < EK_R(0.0) || parameters->keyframe_angle < EK_R(0.0) ||
-        parameters->keyframes < 1u || parameters->keyframes > MOST_KEYFRAMES || parameters->points < 1u ||
-        parameters->points > MOST_POINTS || parameters->min_inliers < 0) {
+        parameters->keyframes < 1u || parameters->keyframes > MAX_KEYFRAMES || parameters->points < 1u ||
+        parameters->points > MAX_POINTS || parameters->min_inliers < 0) {
         return EK_OUT_OF_RANGE;
     }
     const ek_status status = ek_icp_check(&parameters->scan_to_scan);
@@ -43,7 +43,7 @@ ek_status ek_frontend_check(const ek_frontend_parameters *parameters)
 static size_t cells_for(size_t points)
 {
     const size_t cells = CELLS_PER_POINT * points;
-    return cells < MOST_CELLS ? cells : MOST_CELLS;
+    return cells < MAX_CELLS ? cells : MAX_CELLS;
 }
 
 ek_status ek_frontend_lay_out(ek_frontend *frontend, ek_arena *arena, const ek_frontend_parameters *parameters)
@@ -63,7 +63,7 @@ ek_status ek_frontend_lay_out(ek_frontend *frontend, ek_arena *arena, const ek_f
         status = ek_index_lay_out(&frontend->last, arena, points, cells_for(points));
     }
     if (status == EK_OK) {
-        status = ek_index_lay_out(&frontend->submap, arena, all, parameters->cells ? parameters->cells : cells_for(all));
+        status = ek_index_lay_out(&frontend->local map, arena, all, parameters->cells ? parameters->cells : cells_for(all));
     }
     if (status == EK_OK) {
         status = ek_merge_lay_out(&frontend->merge, arena, all);
@@ -80,7 +80,7 @@ void ek_frontend_reset(ek_frontend *frontend)
     frontend->started = frontend->has_last_odometry = 0;
     frontend->start_from_base = frontend->start_from_keyframe = frontend->step = identity;
     frontend->stamp_ns = frontend->step_ns = 0;
-    frontend->last.count = frontend->submap.count = 0u;
+    frontend->last.count = frontend->local_map.count = 0u;
 }
 
 ek_pose ek_frontend_steady(const ek_frontend *frontend, int64_t elapsed_ns)
@@ -112,7 +112,7 @@ static ek_status within_reach(const ek_real *xy, size_t count, ek_pose pose, int
     return EK_OK;
 }
 
-/* Adds a scan to the submap as its newest keyframe; the oldest leaves if there are as many as there may be. */
+/* Adds a scan to the local map as its newest keyframe; the oldest leaves if there are as many as there may be. */
 static ek_status add_keyframe(ek_frontend *frontend, const ek_real *xy, size_t count, ek_pose start_from_base)
 {
     const uint32_t keyframes = frontend->parameters.keyframes, full = frontend->held == keyframes;
@@ -126,11 +126,11 @@ static ek_status add_keyframe(ek_frontend *frontend, const ek_real *xy, size_t c
     frontend->keyframe_counts[(frontend->first + frontend->held) % keyframes] = count;
     frontend->first = (frontend->first + full) % keyframes;
     frontend->held += 1u - full;
-    return ek_merge_update(&frontend->merge, &frontend->submap, removed, into, count);
+    return ek_merge_update(&frontend->merge, &frontend->local map, removed, into, count);
 }
 
 /* One stage: its answer if it stands on enough pairs, else the guess; no points stand on none. */
-static ek_status believed(ek_frontend *frontend, const ek_index *target, const ek_real *xy, size_t count,
+static ek_status accepted(ek_frontend *frontend, const ek_index *target, const ek_real *xy, size_t count,
                           const ek_icp_parameters *parameters, ek_pose *guess, ek_match *match, ek_belief *belief)
 {
     *belief = EK_GUESS_KEPT;
@@ -141,7 +141,7 @@ static ek_status believed(ek_frontend *frontend, const ek_index *target, const e
         ek_icp_register(&frontend->icp, target, xy, count, *guess, parameters, NULL, NULL, match);
     if (status == EK_OK && match->inliers >= frontend->parameters.min_inliers) {
         *guess = match->target_from_source;
-        *belief = EK_BELIEVED;
+        *belief = EK_ACCEPTED;
     }
     return status;
 }
@@ -189,14 +189,14 @@ static ek_status locate(ek_frontend *frontend, const ek_real *xy, size_t count, 
     ek_pose last_from_base = predict(frontend, prior);
     ek_status status = EK_OK;
     if (frontend->started && p->use_scan_to_scan) {
-        status = believed(frontend, &frontend->last, xy, count, &p->scan_to_scan, &last_from_base,
+        status = accepted(frontend, &frontend->last, xy, count, &p->scan_to_scan, &last_from_base,
                           &answer->scan_to_scan, &answer->scan_to_scan_belief);
     }
     if (frontend->started) {
         answer->start_from_base = ek_se2_compose(frontend->start_from_base, last_from_base);
     }
     if (status == EK_OK && frontend->started && p->use_scan_to_map) {
-        status = believed(frontend, &frontend->submap, xy, count, &p->scan_to_map, &answer->start_from_base,
+        status = accepted(frontend, &frontend->local map, xy, count, &p->scan_to_map, &answer->start_from_base,
                           &answer->scan_to_map, &answer->scan_to_map_belief);
     }
     return status;

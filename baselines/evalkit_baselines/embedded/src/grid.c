@@ -5,7 +5,7 @@
 #define WORD EK_WORD
 #define SPARE EK_R(1.0) /* m that undoing motion may add to a range */
 #define THOUSANDTHS EK_R(1000.0)
-#define MOST_CELLS ((uint32_t)1 << 15) /* a side */
+#define MAX_CELLS ((uint32_t)1 << 15) /* a side */
 
 ek_grid_parameters ek_grid_default(void)
 {
@@ -47,8 +47,8 @@ ek_status ek_grid_check(const ek_grid_parameters *parameters)
     const int size = p.resolution >= EK_R(0.001) && p.resolution <= EK_R(10.0) && p.range_max > EK_R(0.0) &&
                      p.range_max / p.resolution <= EK_R(8192.0) && p.range_max <= EK_R(1000.0);
     const int whole = p.columns % WORD == 0u && p.rows % WORD == 0u && p.left % (int32_t)WORD == 0 &&
-                      p.bottom % (int32_t)WORD == 0 && p.columns > 0u && p.rows > 0u && p.columns <= MOST_CELLS &&
-                      p.rows <= MOST_CELLS;
+                      p.bottom % (int32_t)WORD == 0 && p.columns > 0u && p.rows > 0u && p.columns <= MAX_CELLS &&
+                      p.rows <= MAX_CELLS;
     if (!odds || !size || !whole || p.left < -(1 << 30) || p.left > 1 << 30 || p.bottom < -(1 << 30) ||
         p.bottom > 1 << 30) {
         return EK_OUT_OF_RANGE;

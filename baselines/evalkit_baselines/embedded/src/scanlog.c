@@ -5,7 +5,7 @@
 #define VERSION 1u
 #define HAS_ODOMETRY 1u
 #define HAS_MOTION 2u
-#define MOST_BEAMS ((uint32_t)1 << 20)
+#define MAX_BEAMS ((uint32_t)1 << 20)
 
 static int unsigned_of(FILE *file, int bytes, uint64_t *value)
 {
@@ -78,7 +78,7 @@ ek_status ek_scanlog_open(FILE *file, ek_scanlog *log)
     }
     if (fread(magic, 1u, sizeof magic, file) != sizeof magic || memcmp(magic, "EKSL", sizeof magic) != 0 ||
         !word(file, &version) || version != VERSION || !word(file, &log->most_beams) || log->most_beams == 0u ||
-        log->most_beams > MOST_BEAMS || !real(file, &log->range_min) || !real(file, &log->range_max) ||
+        log->most_beams > MAX_BEAMS || !real(file, &log->range_min) || !real(file, &log->range_max) ||
         !pose(file, &log->base_from_sensor)) {
         return EK_BAD_FILE;
     }

@@ -40,8 +40,8 @@ static double follow(int scans, int with_odometry)
         const double dy = (double)(answer.start_from_base.y - start_from_base.y);
         error = sqrt(dx * dx + dy * dy);
         CHECK(k == 0 || (answer.scan_to_scan.iterations > 0 && answer.scan_to_map.iterations > 0));
-        CHECK(answer.scan_to_scan_belief == (k ? EK_BELIEVED : EK_NOT_ASKED));
-        CHECK(answer.scan_to_map_belief == (k ? EK_BELIEVED : EK_NOT_ASKED));
+        CHECK(answer.scan_to_scan_belief == (k ? EK_ACCEPTED : EK_NOT_ASKED));
+        CHECK(answer.scan_to_map_belief == (k ? EK_ACCEPTED : EK_NOT_ASKED));
     }
     CHECK(keyframes >= 4);
     return error;
@@ -105,17 +105,17 @@ static void a_scan_that_is_refused_leaves_no_trace(void)
         prior.stamp_ns = 2;
         prior.odom_from_base.x = EK_R(away[which]);
         prior.odom_from_base.theta = EK_R(1e30);
-        const ek_index submap = frontend.submap, last = frontend.last;
+        const ek_index local map = frontend.local_map, last = frontend.last;
         const uint32_t held = frontend.held;
         frontend.parameters.use_scan_to_scan = frontend.parameters.use_scan_to_map = 0;
         CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &answer) == EK_OUT_OF_RANGE);
         frontend.parameters.use_scan_to_scan = frontend.parameters.use_scan_to_map = 1;
-        CHECK(frontend.submap.count == submap.count && frontend.last.count == last.count && frontend.held == held);
+        CHECK(frontend.local_map.count == local_map.count && frontend.last.count == last.count && frontend.held == held);
         see(truth_at(1));
         prior.odom_from_base = ek_se2_between(truth_at(0), truth_at(1));
         CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &answer) == EK_OK);
         CHECK_NEAR(answer.start_from_base.x, 0.03, 0.02);
-        CHECK(answer.scan_to_map_belief == EK_BELIEVED);
+        CHECK(answer.scan_to_map_belief == EK_ACCEPTED);
     }
 }
 

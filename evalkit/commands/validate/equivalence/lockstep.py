@@ -101,7 +101,7 @@ class _Heard:
         self.last: tuple[Cloud, Cloud, Pose] | None = None
         self.answered: list[tuple[Question, Match]] = []
 
-    def hear(self, stage: frontend.Stage, match: Match, _believed: bool) -> None:
+    def hear(self, stage: frontend.Stage, match: Match, _accepted: bool) -> None:
         if self.last is not None:
             self.answered.append((Question(self.scan, stage, *self.last), match))
 

@@ -24,7 +24,7 @@ TIE_ROUNDINGS = 8.0
 CONTRACTION = 2.0 / 3.0
 """By what one ICP step shrinks the error of the one before (linear convergence), for the float32 budget."""
 
-FEWEST_FOR_BOOTSTRAP = 30
+MIN_FOR_BOOTSTRAP = 30
 RESAMPLES = 2000
 LEVEL = 0.90
 """Of the interval: inside the margin means both one-sided tests at 5 % reject "too far" (Schuirmann 1987)."""
@@ -128,7 +128,7 @@ def interval(quantity: str, unit: str, values: ArrayLike, scans: ArrayLike, marg
     n = len(series)
     if n < 2:
         low, high, method = -math.inf, math.inf, "fewer than two scans"
-    elif n < FEWEST_FOR_BOOTSTRAP:
+    elif n < MIN_FOR_BOOTSTRAP:
         half = float(stats.t.ppf(0.5 + LEVEL / 2.0, n - 1) * series.std(ddof=1) / math.sqrt(n))
         low, high, method = float(series.mean()) - half, float(series.mean()) + half, "Student's t"
     else:

@@ -37,7 +37,7 @@ QUARTER_TURN = Pose(0.2, 0.1, math.pi / 2.0)
 class Bench:
     """A back end on the bench: makes it, and follows drives with a fresh one each."""
 
-    def __init__(self, make: Callable[[], Odometry], role: Literal["", "paper", "bar"] = "") -> None:
+    def __init__(self, make: Callable[[], Odometry], role: Literal["", "paper", "baseline"] = "") -> None:
         self.make = make
         self.role = role
 
@@ -96,7 +96,7 @@ def follows(bench: Bench) -> str:
 
 def moves(bench: Bench) -> str:
     """A drive with wheels that slip."""
-    if bench.role == "bar":
+    if bench.role == "baseline":
         raise NotApplicable("its role is 'bar': it is what others have to beat")
     made = drive(odometry_gain=1.2)
     wheels = drive_end(made).inverse() @ _wheels(made)

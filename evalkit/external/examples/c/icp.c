@@ -2,7 +2,7 @@
 
 #include <math.h>
 
-enum { FEWEST_PAIRS = 3 };
+enum { MIN_PAIRS = 3 };
 static const double SMALL_STEP = 1e-5; /* m + rad */
 
 /* Sums over pairs, of which the best motion is made. */
@@ -73,7 +73,7 @@ icp_match icp_register(icp_settings settings, const double *target, size_t targe
         sums s = pair_up(settings, target, targets, source, sources, &match);
         match.inliers = s.count;
         match.iterations++;
-        if (s.count < FEWEST_PAIRS) {
+        if (s.count < MIN_PAIRS) {
             match.x = guess.x, match.y = guess.y, match.theta = guess.theta;
             match.error_m = NAN;
             break;

@@ -9,7 +9,7 @@ function withoutHidden(whole) {
   return named.length ? `data:image/svg+xml,${encodeURIComponent(new XMLSerializer().serializeToString(drawing))}` : whole;
 }
 
-document.addEventListener("contestants", () => {
+document.addEventListener("methods", () => {
   for (const drawing of drawings) {
     const wanted = allShown() ? drawing.whole : withoutHidden(drawing.whole);
     if (drawing.image.src !== wanted) drawing.image.src = wanted;

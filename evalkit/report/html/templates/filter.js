@@ -1,4 +1,4 @@
-// Shows only chosen contestants in all tables, lists and legends, and keeps the choice in the link: only=a,b&find=c
+// Shows only chosen methods in all tables, lists and legends, and keeps the choice in the link: only=a,b&find=c
 const chosen = { only: new Set(), find: "" };
 const finder = document.getElementById("find");
 const chips = [...document.querySelectorAll("button.pick")];
@@ -10,7 +10,7 @@ function isShown(label) {
 
 const allShown = () => chips.every((chip) => isShown(chip.value));
 
-// What disappears with a contestant's name: its table row (or the body of its own), list item or card.
+// What disappears with a method's name: its table row (or the body of its own), list item or card.
 function around(named) {
   const row = named.closest("tr");
   if (!row) return named.closest("li, article, figure") ?? named;
@@ -33,9 +33,9 @@ function applyFilter() {
     chip.classList.toggle("out", !isShown(chip.value));
   }
   const some = count < chips.length;
-  for (const told of document.querySelectorAll(".filtered")) told.textContent = some ? `${count} of ${chips.length} contestants` : told.dataset.all;
+  for (const told of document.querySelectorAll(".filtered")) told.textContent = some ? `${count} of ${chips.length} methods` : told.dataset.all;
   document.getElementById("everybody").hidden = !some && !chosen.find;
-  document.dispatchEvent(new Event("contestants"));
+  document.dispatchEvent(new Event("methods"));
 }
 
 function readLink() {

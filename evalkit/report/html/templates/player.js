@@ -56,7 +56,7 @@ class Player {
     this.find("input[type=range]").addEventListener("input", (event) => this.go(Number(event.target.value)));
     this.root.addEventListener("change", () => this.choose());
     this.find(".stage").addEventListener("keydown", (event) => this.key(event, does));
-    document.addEventListener("contestants", () => this.choose());
+    document.addEventListener("methods", () => this.choose());
     for (const kind of ["change", "input", "click", "keyup", "pointerup", "wheel"]) {
       this.root.addEventListener(kind, () => this.rememberSoon(), { passive: true });
     }

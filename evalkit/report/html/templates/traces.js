@@ -1,4 +1,4 @@
-// Draws a quantity of all shown contestants over time, with the cursor of the player; a click tells the time it was at.
+// Draws a quantity of all shown methods over time, with the cursor of the player; a click tells the time it was at.
 class Trace {
   constructor(canvas, recording, quantity, jump) {
     Object.assign(this, { canvas, recording, quantity, lines: new OffscreenCanvas(1, 1), margin: 52 });
@@ -13,7 +13,7 @@ class Trace {
     canvas.addEventListener("pointermove", (event) => event.buttons && told(event));
   }
 
-  // Called when the shown contestants or the size change; the cursor alone needs only draw().
+  // Called when the shown methods or the size change; the cursor alone needs only draw().
   prepare(runs) {
     const told = runs.filter((run) => run[this.quantity]);
     const usual = told.map((run) => upper(run[this.quantity]));

@@ -128,7 +128,7 @@ def test_an_exception_for_too_little_is_allowed_but_told():
 
 def test_an_odometry_may_leave_out_scans_if_it_says_so():
     broken = {rule: one.observed for rule in odometry_rules.RULES
-              if (one := found(faulty.Seldom, rule, role="bar")).outcome == "failed"}  # fmt: skip
+              if (one := found(faulty.Seldom, rule, role="baseline")).outcome == "failed"}  # fmt: skip
     assert set(broken) == {"without-odometry", "odometry-gap"}  # it falls over where the wheels do
 
 

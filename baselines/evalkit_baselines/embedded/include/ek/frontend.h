@@ -1,6 +1,6 @@
 /* frontend.h - where the robot is: scan-to-scan, then scan-to-map against the last keyframes (the paper, figures 2, 4).
  *
- * The same meaning as evalkit/odometry/frontend.py with a keyframe submap. Poses are start_from_base: the first answer is the
+ * The same meaning as evalkit/odometry/frontend.py with a keyframe local_map. Poses are start_from_base: the first answer is the
  * identity.
  */
 #ifndef EK_FRONTEND_H
@@ -16,12 +16,12 @@ extern "C" {
 typedef struct {
     ek_icp_parameters scan_to_scan, scan_to_map;
     int32_t use_scan_to_scan, use_scan_to_map; /* 1 or 0 */
-    int32_t min_inliers;                       /* an answer on fewer pairs is not believed; the guess is kept */
-    uint32_t keyframes;                        /* how many make the submap; 1 or more */
+    int32_t min_inliers;                       /* an answer on fewer pairs is not accepted; the guess is kept */
+    uint32_t keyframes;                        /* how many make the local map; 1 or more */
     ek_real keyframe_distance;                 /* m */
     ek_real keyframe_angle;                    /* rad */
     size_t points;                             /* a scan has at most so many */
-    size_t cells;                              /* of the submap's index; 0: 16 for each of its points, at most 2^18 */
+    size_t cells;                              /* of the local_map's index; 0: 16 for each of its points, at most 2^18 */
 } ek_frontend_parameters;
 
 /* What is known about a scan besides its points. */
@@ -31,8 +31,8 @@ typedef struct {
     ek_pose odom_from_base;
 } ek_prior;
 
-/* What became of a stage's answer: the stage is off or had nothing before it, its guess was kept, or it was believed. */
-typedef enum { EK_NOT_ASKED = -1, EK_GUESS_KEPT = 0, EK_BELIEVED = 1 } ek_belief;
+/* What became of a stage's answer: the stage is off or had nothing before it, its guess was kept, or it was accepted. */
+typedef enum { EK_NOT_ASKED = -1, EK_GUESS_KEPT = 0, EK_ACCEPTED = 1 } ek_belief;
 
 /* The answer for one scan; a stage that did not run has 0 iterations and error nan. */
 typedef struct {
@@ -45,10 +45,10 @@ typedef struct {
 typedef struct {
     ek_frontend_parameters parameters;
     ek_icp icp;
-    ek_index last, submap;
-    ek_merge merge;           /* of the submap */
+    ek_index last, local map;
+    ek_merge merge;           /* of the local map */
     ek_real *keyframe;        /* points of the newest, pairs x y in the start frame */
-    size_t *keyframe_counts;  /* points of each in the submap */
+    size_t *keyframe_counts;  /* points of each in the local map */
     uint32_t first, held;     /* ring of keyframes: the oldest, and how many */
     int32_t started, has_last_odometry;
     ek_pose start_from_base, start_from_keyframe, odom_from_base, step;

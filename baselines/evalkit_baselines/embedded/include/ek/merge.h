@@ -1,6 +1,6 @@
 /* merge.h - brings an index up to date whose cloud loses its oldest points and gets new ones.
  *
- * What comes out is to the bit what building from the new cloud gives, in one pass over slots and cells: of a submap of
+ * What comes out is to the bit what building from the new cloud gives, in one pass over slots and cells: of a local map of
  * ten keyframes nine stay, and they stay sorted.
  */
 #ifndef EK_MERGE_H
