@@ -169,7 +169,7 @@ _ROWS = (
             "or "
            "20 deg apart).", PAPER, LOOKS_GOOD, partial(_mapped, 0), 4, headline=True),
     Metric("s2m_paired_percent", "S2M points paired", "%", "higher", "residuals",
-           "Points of a mapped scan within 0.5 m of the local map of the last 10 keyframes; median over the same scans.",
+           "Points of a mapped scan within 0.5 m of the local map of the last 10 keyframes; median over them.",
            "evalkit", "how well the paired points lie; new places are seen without a fault of the estimate",
            partial(_mapped, 1), 1),
     Metric("guess_kept_percent", "guess kept", "%", "lower", "residuals",

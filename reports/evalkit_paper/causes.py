@@ -85,8 +85,9 @@ def definition(settings: Settings, results: Results) -> str:
         f"least one is above median + {spikes.SPIKE_SIGMAS:g} sigma. Median and sigma (1.4826 x median absolute "
         f"deviation) are those of the straight parts (yaw rate under {steady_drives.CALM_DPS:g} deg/s, from "
         f"{steady_drives.SETTLED_S:g} s on) of the drive with slow turns at the same rate ({bands}). "
-        f"an event when it peaks from the scan before the event until {spikes.SETTLES_S:g} s after; events are known "
-        f"from the truth and the schedule, never from the residual. A turn is quick from {lab_drives.QUICK_DPS:g} deg/s on; "
+        f"A spike is assigned to an event when it peaks from the scan before the event until {spikes.SETTLES_S:g} s "
+        f"after; events are known from the truth and the schedule, never from the residual. A turn is quick from "
+        f"{lab_drives.QUICK_DPS:g} deg/s on; "
         f"people are an event while they hide {100 * lab_drives.HIDDEN:.0f} % of the beams or more."
     )
 
