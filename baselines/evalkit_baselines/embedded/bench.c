@@ -143,12 +143,12 @@ typedef struct {
     ek_merge merge;
     ek_real *drive, *cloud; /* the keyframes twice round the room; those of a local map */
     size_t points, newest;  /* of a keyframe; how many keyframes have come */
-} local map;
+} local_map;
 
 /* The local map of the keyframes that end before `newest`, built. */
 static void build_local_map(void *context)
 {
-    local map *const s = (local_map *)context;
+    local_map *const s = (local_map *)context;
     const size_t from = s->newest - KEYFRAMES;
     for (size_t k = 0; k < KEYFRAMES; k++) { /* as if each lay by itself */
         memcpy(s->cloud + 2u * k * s->points, s->drive + 2u * (from + k) * s->points, 2u * s->points * sizeof(ek_real));
@@ -160,14 +160,14 @@ static void build_local_map(void *context)
 /* The same, brought up to date from the one before: the drive goes on where it began. */
 static void update_local_map(void *context)
 {
-    local map *const s = (local_map *)context;
+    local_map *const s = (local_map *)context;
     (void)ek_merge_update(&s->merge, &s->updated, s->points, s->drive + 2u * (s->newest - 1u) * s->points, s->points);
     s->newest = s->newest < 2u * ROUND ? s->newest + 1u : ROUND + 1u;
 }
 
 static void bench_keyframe(size_t points)
 {
-    static local map s;
+    static local_map s;
     const size_t all = KEYFRAMES * points;
     s.points = points;
     s.drive = (ek_real *)taken(2u * 2u * ROUND * points * sizeof(ek_real));

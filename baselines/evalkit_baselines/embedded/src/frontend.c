@@ -63,7 +63,7 @@ ek_status ek_frontend_lay_out(ek_frontend *frontend, ek_arena *arena, const ek_f
         status = ek_index_lay_out(&frontend->last, arena, points, cells_for(points));
     }
     if (status == EK_OK) {
-        status = ek_index_lay_out(&frontend->local map, arena, all, parameters->cells ? parameters->cells : cells_for(all));
+        status = ek_index_lay_out(&frontend->local_map, arena, all, parameters->cells ? parameters->cells : cells_for(all));
     }
     if (status == EK_OK) {
         status = ek_merge_lay_out(&frontend->merge, arena, all);
@@ -126,7 +126,7 @@ static ek_status add_keyframe(ek_frontend *frontend, const ek_real *xy, size_t c
     frontend->keyframe_counts[(frontend->first + frontend->held) % keyframes] = count;
     frontend->first = (frontend->first + full) % keyframes;
     frontend->held += 1u - full;
-    return ek_merge_update(&frontend->merge, &frontend->local map, removed, into, count);
+    return ek_merge_update(&frontend->merge, &frontend->local_map, removed, into, count);
 }
 
 /* One stage: its answer if it stands on enough pairs, else the guess; no points stand on none. */
@@ -196,7 +196,7 @@ static ek_status locate(ek_frontend *frontend, const ek_real *xy, size_t count, 
         answer->start_from_base = ek_se2_compose(frontend->start_from_base, last_from_base);
     }
     if (status == EK_OK && frontend->started && p->use_scan_to_map) {
-        status = accepted(frontend, &frontend->local map, xy, count, &p->scan_to_map, &answer->start_from_base,
+        status = accepted(frontend, &frontend->local_map, xy, count, &p->scan_to_map, &answer->start_from_base,
                           &answer->scan_to_map, &answer->scan_to_map_belief);
     }
     return status;

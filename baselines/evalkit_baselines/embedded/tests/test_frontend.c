@@ -105,7 +105,7 @@ static void a_scan_that_is_refused_leaves_no_trace(void)
         prior.stamp_ns = 2;
         prior.odom_from_base.x = EK_R(away[which]);
         prior.odom_from_base.theta = EK_R(1e30);
-        const ek_index local map = frontend.local_map, last = frontend.last;
+        const ek_index local_map = frontend.local_map, last = frontend.last;
         const uint32_t held = frontend.held;
         frontend.parameters.use_scan_to_scan = frontend.parameters.use_scan_to_map = 0;
         CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &answer) == EK_OUT_OF_RANGE);

@@ -1,6 +1,7 @@
 /* frontend.h - where the robot is: scan-to-scan, then scan-to-map against the last keyframes (the paper, figures 2, 4).
  *
- * The same meaning as evalkit/odometry/frontend.py with a keyframe local_map. Poses are start_from_base: the first answer is the
+ * The same meaning as evalkit/odometry/frontend.py with a keyframe local map. Poses are start_from_base: the first
+ * answer is the
  * identity.
  */
 #ifndef EK_FRONTEND_H
@@ -21,7 +22,7 @@ typedef struct {
     ek_real keyframe_distance;                 /* m */
     ek_real keyframe_angle;                    /* rad */
     size_t points;                             /* a scan has at most so many */
-    size_t cells;                              /* of the local_map's index; 0: 16 for each of its points, at most 2^18 */
+    size_t cells;                              /* of the index of the local map; 0: 16 for each of its points, at most 2^18 */
 } ek_frontend_parameters;
 
 /* What is known about a scan besides its points. */
@@ -45,7 +46,7 @@ typedef struct {
 typedef struct {
     ek_frontend_parameters parameters;
     ek_icp icp;
-    ek_index last, local map;
+    ek_index last, local_map;
     ek_merge merge;           /* of the local map */
     ek_real *keyframe;        /* points of the newest, pairs x y in the start frame */
     size_t *keyframe_counts;  /* points of each in the local map */
