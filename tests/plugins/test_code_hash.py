@@ -70,8 +70,8 @@ def test_the_versions_of_libraries_count(monkeypatch):
 
 def test_the_harness_counts_through_what_the_worker_reaches():
     reached = {file.name for file in sources("evalkit.execution.worker", frozenset({"evalkit"}))}
-    assert {"worker.py", "frontend.py", "local map.py", "types.py", "se2.py", "clock.py"} <= reached
-    assert not {"cli.py", "console.py", "figures.py"} & reached
+    assert {"worker.py", "frontend.py", "local_map.py", "scan.py", "se2.py", "timing.py"} <= reached
+    assert not {"cli.py", "progress.py", "charts.py"} & reached
 
 
 def test_a_recording_replaced_under_its_name_is_another_one(tmp_path):

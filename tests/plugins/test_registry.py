@@ -48,11 +48,11 @@ def test_importing_evalkit_loads_nothing_heavy():
 
 def test_listing_names_loads_no_plug_in():
     kinds = ("backends", "mappers", "datasets", "metrics", "commands")
-    assert loaded_by(f"from evalkit import registry\nfor kind in {kinds}: registry.names(kind)") == []
+    assert loaded_by(f"from evalkit.plugins import registry\nfor kind in {kinds}: registry.names(kind)") == []
 
 
 def test_loading_a_name_loads_its_own_module_and_no_other_back_end():
-    statement = "from evalkit import registry\nregistry.backend('open3d-icp')\nregistry.backend('kiss-icp')"
+    statement = "from evalkit.plugins import registry\nregistry.backend('open3d-icp')\nregistry.backend('kiss-icp')"
     assert not {"open3d", "kiss_icp", "evalkit_datasets"} & set(loaded_by(statement))
 
 
