@@ -9,30 +9,8 @@ from typer.testing import CliRunner
 from evalkit.cli import app
 from evalkit.commands.basin import command
 from evalkit.core.errors import EvalkitError
-from evalkit.core.match import Match
-from evalkit.plugins.protocols import BackendSpec
 
 QUICK = ["--offsets", "48", "--beams", "120", "--pairs", "4", "--jobs", "1", "--scene", "corridor"]
-
-
-class KeepsGuess:
-    def register(self, target, source, guess):
-        return Match(guess, converged=True, iterations=0, error=0.0, inliers=len(source))
-
-
-class Raises:
-    def register(self, target, source, guess):
-        raise RuntimeError("it is out of tune")
-
-
-class EndsItsProcess:
-    def register(self, target, source, guess):
-        os._exit(3)
-
-
-KEEPS = BackendSpec(KeepsGuess, "registration", "", "", "")
-RAISES = BackendSpec(Raises, "registration", "", "", "")
-ENDS = BackendSpec(EndsItsProcess, "registration", "", "", "")
 
 
 @pytest.fixture
@@ -49,7 +27,7 @@ def run(tmp_path, monkeypatch):
 
 
 def test_a_back_end_that_keeps_its_guess_succeeds_where_the_guess_did(run):
-    found, content, page = run("test_basin_command:KEEPS", "kiss-icp")
+    found, content, page = run("basin_backends:KEEPS", "kiss-icp")
     assert found.exit_code == 0, found.output
     kept, absent = content["rows"]
     assert content["scenes"]["corridor"]["open_directions"] == ["shift along 0 deg"]
@@ -64,7 +42,7 @@ def test_a_back_end_that_keeps_its_guess_succeeds_where_the_guess_did(run):
 
 
 def test_whoever_raises_or_ends_its_process_is_a_row_with_the_reason(run):
-    found, content, page = run("test_basin_command:RAISES", "test_basin_command:ENDS", "test_basin_command:KEEPS")
+    found, content, page = run("basin_backends:RAISES", "basin_backends:ENDS", "basin_backends:KEEPS")
     assert found.exit_code == 1
     raises, ends, keeps = content["rows"]
     assert "it is out of tune" in raises["reason"]

@@ -34,7 +34,7 @@ def asked(monkeypatch, make, begin=0, end=40):
 
 def test_who_keeps_the_guess_is_off_by_the_offset(monkeypatch):
     found = asked(monkeypatch, KeepsGuess)
-    left = attempts.basin.off(found["rows"], *TRIALS.truths(TRIALS.seen()))
+    left = attempts.convergence.off(found["rows"], *TRIALS.truths(TRIALS.seen()))
     np.testing.assert_allclose(left, TRIALS.drawn(), atol=1e-12)
     assert found["claimed"].all()
 
@@ -47,7 +47,7 @@ def test_an_attempt_does_not_depend_on_the_job_it_is_in(monkeypatch):
 
 def test_what_raises_has_no_answer_and_a_reason(monkeypatch):
     found = asked(monkeypatch, Raises)
-    turned = attempts.basin.guesses(TRIALS.drawn(), *TRIALS.truths(TRIALS.seen()))[:, 2] > 0.0
+    turned = attempts.convergence.guesses(TRIALS.drawn(), *TRIALS.truths(TRIALS.seen()))[:, 2] > 0.0
     assert np.isnan(found["rows"][turned]).all()
     assert np.isfinite(found["rows"][~turned]).all()
     assert "no turn to the left" in found["reason"]
@@ -70,7 +70,7 @@ def test_jobs_cover_all_attempts_once(monkeypatch):
 def test_the_papers_icp_converges_from_near_and_not_from_far():
     trials = replace(TRIALS, place="room", beams=360, offsets=24)
     found = attempts.answers(backend="paper-tight", values={}, trials=vars(trials), begin=0, end=24, code="")
-    left = attempts.basin.off(found["rows"], *trials.truths(trials.seen()))
+    left = attempts.convergence.off(found["rows"], *trials.truths(trials.seen()))
     drawn = trials.drawn()
     near = (np.hypot(*drawn[:, :2].T) < 0.3) & (np.abs(drawn[:, 2]) < np.radians(5.0))
     assert near.any()

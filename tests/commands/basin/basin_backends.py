@@ -1,0 +1,26 @@
+"""Back ends that keep the guess, raise, or end their process, found by ``basin_backends:SPEC``."""
+
+import os
+
+from evalkit.core.match import Match
+from evalkit.plugins.protocols import BackendSpec
+
+
+class KeepsGuess:
+    def register(self, target, source, guess):
+        return Match(guess, converged=True, iterations=0, error=0.0, inliers=len(source))
+
+
+class Raises:
+    def register(self, target, source, guess):
+        raise RuntimeError("it is out of tune")
+
+
+class EndsItsProcess:
+    def register(self, target, source, guess):
+        os._exit(3)
+
+
+KEEPS = BackendSpec(KeepsGuess, "registration", "", "", "")
+RAISES = BackendSpec(Raises, "registration", "", "", "")
+ENDS = BackendSpec(EndsItsProcess, "registration", "", "", "")
