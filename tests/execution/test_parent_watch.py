@@ -25,13 +25,13 @@ def test_where_nothing_can_be_ended_with_all_it_started_nothing_is_started(tmp_p
 
 ORPHAN = """
 import multiprocessing, os, signal, time
-from evalkit import lifeline
+from evalkit.execution import parent_watch
 
 def late():
     os.kill(multiprocessing.parent_process().pid, signal.SIGKILL)
     while os.getppid() == multiprocessing.parent_process().pid:
         time.sleep(0.01)
-    lifeline.watch_parent()
+    parent_watch.watch_parent()
     time.sleep(600)
 
 if __name__ == "__main__":

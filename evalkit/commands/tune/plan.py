@@ -13,7 +13,7 @@ from evalkit.execution.job_store import Job
 from evalkit.plugins import registry
 from evalkit.plugins.code_hash import of_files
 
-TRIAL = "evalkit.commands.study.tuning.trial:tried"
+TRIAL = "evalkit.commands.tune.trial:tried"
 COST = "cpu_median_ms"
 """What accuracy is held against: CPU time a scan."""
 

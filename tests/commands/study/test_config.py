@@ -45,7 +45,7 @@ name = "alone"
 kind = "curves"
 factors = ["epsilon", "stages"]
 seeds = [3]
-with = { "method.local map" = "grid" }
+with = { "method.local_map" = "grid" }
 
 [[design]]
 name = "between"
@@ -133,7 +133,7 @@ def design(**entries):
         (factor(levels=[-1.0, 1.0], scale="linear"), "factor 'epsilon': method: parameter 'epsilon': found -1.0"),
         (factor(sets="epsilon"), "'sets': found 'epsilon', expected method.NAME"),
         (factor(sets="method.epsilom"), "no parameter named 'epsilom' \\(did you mean 'epsilon'\\?\\)"),
-        (factor(sets="method.local map"), "factor 'epsilon': method: parameter 'local_map': found 1e-06"),
+        (factor(sets="method.local_map"), "factor 'epsilon': method: parameter 'local_map': found 1e-06"),
         (factor(scale="cubic"), "'scale': found 'cubic', expected linear or log"),
         (factor(steps=3), "no key 'steps'"),
         (lambda c: c["factor"][2].update(levels=[-0.05, 0.1]), "parameter 'local_map_cell_m': found -0.05"),
@@ -147,7 +147,7 @@ def design(**entries):
         (design(kind="optimal"), "'points': found None, expected a whole number from 1"),
         (design(kind="optimal", points=5), "'points': found 5, expected more than 12, the columns of its model"),
         (design(kind="fractional", resolution=9), "'resolution': found 9, expected 3, 4 or 5"),
-        (design(**{"with": {"method.local map": "tiles"}}), "parameter 'local_map': found 'tiles', expected one of"),
+        (design(**{"with": {"method.local_map": "tiles"}}), "parameter 'local_map': found 'tiles', expected one of"),
         (design(seeds=[-1]), "design 1 \\(all\\): 'seeds': found \\[-1\\]"),
         (lambda c: c.update(envelope=[{"design": "alone"}]), "no grid design named 'alone'; known: all"),
         (
