@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
 
 from evalkit.core.se2 import Floats
+from evalkit.core.world import World, closed_outline
 from evalkit_datasets.robot import Route
-from evalkit_datasets.worlds import World
 
 Point = tuple[float, float]
 
@@ -24,7 +24,7 @@ class FloorPlan:
 
 def room() -> FloorPlan:
     """The paper's room: [0, 10] x [0, 10] with a round obstacle at (2, 8) of radius 1.5 (figures 6 to 8)."""
-    world = World(_closed([(0, 0), (10, 0), (10, 10), (0, 10)]), np.array([[2.0, 8.0, 1.5]]))
+    world = World(closed_outline([(0, 0), (10, 0), (10, 10), (0, 10)]), np.array([[2.0, 8.0, 1.5]]))
     route = Route.through(
         [
             (1.8, 1.8, 0.8), (8.2, 1.6, 0.5), (8.5, 5.0, 4.0), (7.5, 8.0, 0.25),
@@ -36,7 +36,7 @@ def room() -> FloorPlan:
 
 def lab() -> FloorPlan:
     """A laboratory of 10.5 x 8 m: an alcove, a door, desks, cupboards, boxes, chair legs and a pillar."""
-    walls = _closed(
+    walls = closed_outline(
         [
             (0.0, 0.0), (9.7, 0.0), (10.5, 0.8), (10.5, 8.0), (6.6, 8.0), (6.6, 8.6), (4.4, 8.6), (4.4, 8.0),
             (0.0, 8.0), (0.0, 4.6), (-0.15, 4.6), (-0.15, 3.6), (0.0, 3.6),
@@ -89,7 +89,7 @@ def loop() -> FloorPlan:
             (13.3, 9.3, 0.5), (9.5, 9.4, 12.0), (5.0, 9.2, 12.0), (0.9, 9.3, 0.25), (1.0, 5.0, 12.0),
         ]
     )  # fmt: skip
-    return FloorPlan(World(np.concatenate([_closed(outer), _closed(inner)]), extinguishers), route)
+    return FloorPlan(World(np.concatenate([closed_outline(outer), closed_outline(inner)]), extinguishers), route)
 
 
 def corridor() -> FloorPlan:
@@ -133,7 +133,7 @@ def office() -> FloorPlan:
         *_legs((14.7, 9.0), 0.42, 0.42, -10.0),
         *_legs((12.0, 10.8), 0.42, 0.42, 5.0),
     ]
-    walls = _closed([(0.0, 0.0), (16.0, 0.0), (16.0, 12.0), (0.0, 12.0)])
+    walls = closed_outline([(0.0, 0.0), (16.0, 0.0), (16.0, 12.0), (0.0, 12.0)])
     world = World(np.concatenate([walls, *partitions, *furniture]), np.array([*legs, (9.6, 8.2, 0.2)]))
     route = Route.through(
         [(2.5, 6.0, 0.5), (2.5, 2.5, 0.8), (8.0, 2.5, 0.25), (8.0, 9.5, 0.5), (13.5, 9.5, 0.25), (13.5, 6.0, 0.5)]
@@ -141,15 +141,9 @@ def office() -> FloorPlan:
     return FloorPlan(world, route)
 
 
-def _closed(points: Sequence[Point]) -> Floats:
-    """The walls (N, 4) around a polygon."""
-    corners = np.asarray(points, dtype=np.float64)
-    return np.concatenate([corners, np.roll(corners, -1, axis=0)], axis=1)
-
-
 def _box(centre: Point, width: float, depth: float, turned_deg: float = 0.0) -> Floats:
     """The four walls (4, 4) of a box."""
-    return _closed([(x, y) for x, y in _rectangle(centre, width, depth, turned_deg)])
+    return closed_outline(_rectangle(centre, width, depth, turned_deg))
 
 
 def _legs(centre: Point, width: float, depth: float, turned_deg: float = 0.0) -> list[tuple[float, float, float]]:

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from evalkit.core.se2 import Floats
+from evalkit.core.world import World
 from evalkit_datasets.robot import Drive
-from evalkit_datasets.worlds import World
 
 RADIUS_M = 0.25
 """A person is a disc this wide each side."""

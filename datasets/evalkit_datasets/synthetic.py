@@ -20,7 +20,7 @@ from evalkit_datasets.floorplans import FloorPlan
 from evalkit_datasets.lidar import Lidar
 from evalkit_datasets.pedestrians import Walk, walks
 from evalkit_datasets.robot import Drive, Route, WheelOdometry
-from evalkit_datasets.worlds import truth_grid
+from evalkit_datasets.true_map import build_true_grid
 
 _SCANS_AT_ONCE = 32  # simulated together: keeps the memory of a run small beside the back end's own
 _MAX_KEPT_BYTES = 32 * 2**20  # a drive of more scans than this is simulated anew whenever they are asked for
@@ -151,7 +151,7 @@ class Synthetic:
         seen_m = min(self.drive.path_m, _LOOK_LAPS * self.drive.route.length_m)
         path = self.drive.route.at(np.arange(0.0, seen_m, _LOOK_EVERY_M))
         sensor = se2.compose(path, self.base_from_sensor.row)
-        grid = truth_grid(self.plan.world, self.resolution_m, sensor[:, :2], self.lidar.range_max_m)
+        grid = build_true_grid(self.plan.world, self.resolution_m, sensor[:, :2], self.lidar.range_max_m)
         return Truth("exact: simulated", trajectory=Trajectory(self.stamps_ns, poses, "world", "base"), grid=grid)
 
 

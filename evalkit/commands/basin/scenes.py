@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from evalkit.core.errors import UnknownName
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
+from evalkit.core.world import World, closed_outline
 
 RANGE_M = (0.15, 12.0)
 """What the lidar can see: nearer and farther there is no point."""
@@ -21,16 +22,12 @@ NEAR = Pose(0.3, 0.15, float(np.radians(10.0)))
 
 @dataclass(frozen=True, eq=False)
 class Place:
-    """Walls (S, 4) as x, y of both ends, round things (D, 3) as x, y, radius, and where a lidar may stand.
-
-    ``stands``: the lower and the upper corner of a box, in metres, that keeps clear of every wall.
-    """
+    """A named world, and ``stands``: lower and upper corner (m) of a box of lidar positions clear of every boundary."""
 
     name: str
     what: str
-    walls: Floats
+    world: World
     stands: tuple[tuple[float, float], tuple[float, float]]
-    discs: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,16 +49,11 @@ class Seen:
 def _box(x: float, y: float, width: float, depth: float, degrees: float = 0.0) -> Floats:
     """Four walls of a box about (x, y), turned."""
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (width / 2.0, depth / 2.0)
-    return _outline(se2.transform([x, y, np.radians(degrees)], corners))
-
-
-def _outline(corners: Floats) -> Floats:
-    """The walls (S, 4) of a closed outline (S, 2)."""
-    return np.concatenate([corners, np.roll(corners, -1, axis=0)], axis=1)
+    return closed_outline(se2.transform([x, y, np.radians(degrees)], corners))
 
 
 _CLUTTERED = (
-    _outline(np.array([[-4.0, -3.0], [4.0, -3.0], [4.0, 3.0], [-4.0, 3.0]])),
+    closed_outline([[-4.0, -3.0], [4.0, -3.0], [4.0, 3.0], [-4.0, 3.0]]),
     *(_box(*row) for row in (
         (-3.2, 2.4, 1.5, 0.8, 0.0), (3.3, -1.9, 0.9, 1.6, 0.0), (2.6, 2.2, 0.7, 0.6, 25.0),
         (-2.9, -2.1, 1.1, 0.5, -40.0), (-3.4, 0.3, 0.4, 0.9, 10.0), (1.9, -2.6, 0.5, 0.4, -15.0),
@@ -78,30 +70,29 @@ PLACES = {
         Place(
             "room",
             "a bare room of 8 x 6 m with a niche and a pillar",
-            _outline(
-                np.array([[-4, -3], [4, -3], [4, 3], [1.5, 3], [1.5, 3.6], [-0.5, 3.6], [-0.5, 3], [-4, 3]], float)
+            World(
+                closed_outline([[-4, -3], [4, -3], [4, 3], [1.5, 3], [1.5, 3.6], [-0.5, 3.6], [-0.5, 3], [-4, 3]]),
+                np.array([[2.4, 0.6, 0.3]]),
             ),
             ((-1.5, -1.5), (1.2, 1.5)),
-            np.array([[2.4, 0.6, 0.3]]),
         ),
         Place(
             "corridor",
             "two bare parallel walls 2 m apart that go on beyond the lidar's range",
-            np.array([[-20.0, -1.0, 20.0, -1.0], [-20.0, 1.0, 20.0, 1.0]]),
+            World(np.array([[-20.0, -1.0, 20.0, -1.0], [-20.0, 1.0, 20.0, 1.0]])),
             ((-2.0, -0.4), (2.0, 0.4)),
         ),
         Place(
             "corner",
             "two walls of 6 m that meet at a right angle, and nothing else within range",
-            np.array([[0.0, 0.0, 6.0, 0.0], [0.0, 0.0, 0.0, 6.0]]),
+            World(np.array([[0.0, 0.0, 6.0, 0.0], [0.0, 0.0, 0.0, 6.0]])),
             ((1.0, 1.0), (3.0, 3.0)),
         ),
         Place(
             "clutter",
             "a room of 8 x 6 m full of boxes, cupboards and the legs of tables and chairs",
-            np.concatenate(_CLUTTERED),
+            World(np.concatenate(_CLUTTERED), np.column_stack([_LEGS, np.full(len(_LEGS), 0.03)])),
             ((-1.2, -1.0), (1.2, 1.0)),
-            np.column_stack([_LEGS, np.full(len(_LEGS), 0.03)]),
         ),
     )
 }
@@ -132,39 +123,10 @@ def _scan(
     """The noisy points in the sensor's frame, and exact points (from the sensor) and normals along the world's axes."""
     angles = np.arange(beams) * (2.0 * np.pi / beams)
     heading = angles + world_from_sensor.theta
-    rays = np.stack([np.cos(heading), np.sin(heading)], axis=1)
-    ranges, normals = cast(where, world_from_sensor.row[:2], rays)
+    origin = world_from_sensor.row[:2]
+    ranges = where.world.cast(np.broadcast_to(origin, (beams, 2)), heading)
     measured = ranges + rng.normal(0.0, noise_m, beams)
     met = (measured >= RANGE_M[0]) & (measured <= RANGE_M[1])
     in_sensor = np.stack([np.cos(angles), np.sin(angles)], axis=1)[met] * measured[met, None]
-    return Cloud(in_sensor), rays[met] * ranges[met, None], normals[met]
-
-
-def cast(where: Place, origin: Floats, rays: Floats) -> tuple[Floats, Floats]:
-    """Distances (B,) from a point along unit rays (B, 2) to the nearest thing, inf for none, and its normals (B, 2)."""
-    starts, sides = where.walls[:, :2], where.walls[:, 2:] - where.walls[:, :2]
-    to_start = starts - origin
-    across = _cross(rays[:, None], sides)
-    with np.errstate(divide="ignore", invalid="ignore"):  # a beam along a wall does not meet it
-        distance = _cross(to_start, sides) / across
-        at = _cross(to_start[None], rays[:, None]) / across
-    wall = np.where((distance > 0.0) & (at >= 0.0) & (at <= 1.0), distance, np.inf)
-    to_centre, radius = where.discs[:, :2] - origin, where.discs[:, 2]
-    along = rays @ to_centre.T
-    inside = radius**2 - (np.sum(to_centre**2, axis=1) - along**2)
-    near = along - np.sqrt(np.maximum(inside, 0.0))
-    disc = np.where((inside >= 0.0) & (near > 0.0), near, np.inf)
-    both = np.concatenate([wall, disc], axis=1)
-    nearest, ranges = both.argmin(axis=1), both.min(axis=1)
-    facing = np.stack([-sides[:, 1], sides[:, 0]], axis=1) / np.linalg.norm(sides, axis=1, keepdims=True)
-    normals = np.zeros_like(rays)
-    on_wall = nearest < len(sides)
-    normals[on_wall] = facing[nearest[on_wall]]
-    on_disc = np.flatnonzero(~on_wall)
-    which = nearest[on_disc] - len(sides)
-    normals[on_disc] = (rays[on_disc] * ranges[on_disc, None] - to_centre[which]) / radius[which, None]
-    return ranges, normals
-
-
-def _cross(a: Floats, b: Floats) -> Floats:
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
+    points = np.stack([np.cos(heading), np.sin(heading)], axis=1)[met] * ranges[met, None]
+    return Cloud(in_sensor), points, where.world.normals(origin + points)

@@ -4,19 +4,9 @@ import numpy as np
 import pytest
 
 from evalkit.commands.basin import scenes
-from evalkit.commands.basin.scenes import Place, cast
+from evalkit.commands.basin.scenes import Place
 from evalkit.core.errors import UnknownName
 from evalkit.core.pose import Pose
-
-
-def test_a_beam_meets_the_nearest_wall_or_disc_and_its_normal():
-    square = Place(
-        "square", "", np.array([[2.0, -1.0, 2.0, 1.0], [5.0, -1.0, 5.0, 1.0]]), ((0, 0), (0, 0)),
-        np.array([[0.0, 3.0, 1.0]]),
-    )  # fmt: skip
-    ranges, normals = cast(square, np.zeros(2), np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0]]))
-    assert ranges.tolist() == [2.0, 2.0, np.inf]
-    assert np.abs(normals[:2]).tolist() == [[1.0, 0.0], [0.0, 1.0]]
 
 
 @pytest.mark.parametrize("name", scenes.PLACES)
@@ -45,10 +35,10 @@ def test_an_unknown_scene_is_refused_by_name():
 
 
 def _farthest_from(where: Place, points) -> float:
-    start, side = where.walls[:, :2], where.walls[:, 2:] - where.walls[:, :2]
+    start, side = where.world.segments[:, :2], where.world.segments[:, 2:] - where.world.segments[:, :2]
     at = np.clip(np.sum((points[:, None] - start) * side, axis=2) / np.sum(side * side, axis=1), 0.0, 1.0)
     to_walls = np.linalg.norm(points[:, None] - start - at[..., None] * side, axis=2)
-    to_discs = np.abs(np.linalg.norm(points[:, None] - where.discs[:, :2], axis=2) - where.discs[:, 2])
+    to_discs = np.abs(np.linalg.norm(points[:, None] - where.world.circles[:, :2], axis=2) - where.world.circles[:, 2])
     return float(np.concatenate([to_walls, to_discs], axis=1).min(axis=1).max())
 
 

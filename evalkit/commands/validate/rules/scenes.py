@@ -13,9 +13,12 @@ from evalkit.core import se2
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame, Scan
 from evalkit.core.se2 import Floats
+from evalkit.core.world import World, closed_outline
 
 CORNERS = np.array([[-4.0, -3.0], [4.0, -3.0], [4.0, 1.0], [0.5, 1.0], [0.5, 4.0], [-4.0, 4.0]])
 """An L-shaped room (m): no motion brings it onto itself."""
+
+ROOM = World(closed_outline(CORNERS))
 
 REACH_M = 4.0
 """Half the room: a turn is weighed by what it moves there."""
@@ -135,28 +138,11 @@ def _frame(
 ) -> Frame:
     angles: Floats = np.arange(BEAMS, dtype=np.float64) * (2.0 * np.pi / BEAMS)
     world_from_then = se2.compose(world_from_base.row, se2.fraction(step.row, share))
-    ranges = _cast(se2.compose(world_from_then, base_from_sensor.row), angles) + rng.normal(0.0, 0.01, BEAMS)
+    world_from_sensor = se2.compose(world_from_then, base_from_sensor.row)
+    ranges = ROOM.cast(world_from_sensor[:, :2], world_from_sensor[:, 2] + angles) + rng.normal(0.0, 0.01, BEAMS)
     increment = PERIOD_NS // BEAMS if share[-1] > 0.0 else 0
     scan = Scan(1_000_000_000 + index * PERIOD_NS, np.clip(ranges, 0.15, 12.0), angles, 0.15, 12.0, increment)
     return Frame(scan, base_from_sensor)
-
-
-def _cast(world_from_sensor: Floats, angles: Floats) -> Floats:
-    """Distances (B,) from sensor poses (B, 3) along beams (B,) to the nearest wall of the room."""
-    heading = world_from_sensor[:, 2] + angles
-    ray = np.stack([np.cos(heading), np.sin(heading)], axis=1)[:, None, :]
-    side = (np.roll(CORNERS, -1, axis=0) - CORNERS)[None]
-    to_corner = CORNERS[None] - world_from_sensor[:, None, :2]
-    across = _cross(ray, side)
-    with np.errstate(divide="ignore", invalid="ignore"):  # a beam along a wall does not meet it
-        distance = _cross(to_corner, side) / across
-        at = _cross(to_corner, ray) / across
-    met = (distance > 0.0) & (at >= 0.0) & (at <= 1.0)
-    return np.asarray(np.where(met, distance, np.inf).min(axis=1))
-
-
-def _cross(a: Floats, b: Floats) -> Floats:
-    return np.asarray(a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0])
 
 
 def _sides() -> tuple[Floats, Floats]:
