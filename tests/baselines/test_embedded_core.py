@@ -24,7 +24,7 @@ PARAMETERS = {
     "max_correspondence": 0.3, "min_pairs": 3,
 }  # fmt: skip
 MAP = {"resolution": 0.05, "l_occ": 0.8, "l_free": -0.8, "l_min": -5.0, "l_max": 5.0, "range_max": 12.0}
-PLACE = (-64, -64, 128, 128)
+EXTENT = (-64, -64, 128, 128)
 
 
 @pytest.mark.slow
@@ -112,7 +112,7 @@ def test_whatever_comes_in_a_registration_answers_soundly_or_refuses(
 @given(ANY_POINTS, ANY_POINTS, st.tuples(ANY_NUMBER, ANY_NUMBER, ANY_NUMBER))
 def test_whatever_comes_in_a_map_draws_it_or_stays_as_it_was(precision, hits, misses, pose):
     core = compiled.core(precision)
-    grid = core.Grid(place=PLACE, **MAP)
+    grid = core.Grid(extent=EXTENT, **MAP)
     grid.add((0.0, 0.0, 0.0), np.ones((1, 2), dtype=core.REAL), np.zeros((0, 2), dtype=core.REAL))
     before = grid.cells()
     with np.errstate(over="ignore"):
@@ -124,7 +124,7 @@ def test_whatever_comes_in_a_map_draws_it_or_stays_as_it_was(precision, hits, mi
         return
     known = grid.cells()[grid.cells() != -32768]
     assert (np.abs(known.astype(int)) <= 5000).all()
-    assert grid.left_out <= len(hits) + len(misses)
+    assert grid.ignored_beams <= len(hits) + len(misses)
 
 
 @needs_core
@@ -174,16 +174,16 @@ def test_arrays_of_another_kind_are_refused_instead_of_converted(precision):
 
 
 @needs_core
-def test_parameters_and_places_outside_their_ranges_are_refused():
+def test_parameters_and_extents_outside_their_ranges_are_refused():
     core = compiled.core("double")
     for name, wrong in (("epsilon", -1.0), ("epsilon", np.nan), ("max_iterations", 0), ("max_iterations", -(2**40)),
                         ("min_pairs", 1), ("error", 3), ("max_correspondence", np.inf)):  # fmt: skip
-        with pytest.raises(ValueError, match="parameters: a parameter lies outside its range"):
+        with pytest.raises(ValueError, match="parameters: a parameter is outside its range"):
             core.Icp(**PARAMETERS | {name: wrong})
-    for place in ((1, 0, 128, 128), (0, 0, 0, 128), (0, 0, 2**31, 32), (2**40, 0, 32, 32)):
-        with pytest.raises(ValueError, match="map: a parameter lies outside its range"):
-            core.Grid(place=place, **MAP)
-    grid = core.Grid(place=PLACE, **MAP)
+    for extent in ((1, 0, 128, 128), (0, 0, 0, 128), (0, 0, 2**31, 32), (2**40, 0, 32, 32)):
+        with pytest.raises(ValueError, match="map: a parameter is outside its range"):
+            core.Grid(extent=extent, **MAP)
+    grid = core.Grid(extent=EXTENT, **MAP)
     grid.add((0.0, 0.0, 0.0), np.ones((1, 2)), np.zeros((0, 2)))
     before = grid.cells()
     with pytest.raises(ValueError, match="map: "):
@@ -198,9 +198,9 @@ def test_parameters_and_places_outside_their_ranges_are_refused():
 
 
 @needs_core
-def test_a_map_that_moves_keeps_what_both_places_hold():
+def test_a_map_that_moves_keeps_the_cells_inside_both_extents():
     core, none = compiled.core("double"), np.zeros((0, 2))
-    grid = core.Grid(place=PLACE, **MAP)
+    grid = core.Grid(extent=EXTENT, **MAP)
     rng = np.random.default_rng(0)
     grid.add((0.1, 0.2, 0.3), rng.uniform(-3.0, 3.0, (60, 2)), none)
     before = grid.cells()

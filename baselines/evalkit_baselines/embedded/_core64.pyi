@@ -1,7 +1,7 @@
 """The embedded core in double precision, compiled from binding/ by the installation.
 
-Arrays must be C-contiguous and of the module's ``REAL``; others are a TypeError. What the core refuses is a ValueError
-with its own words. Motions are rows x, y (m), theta (rad).
+Arrays must be C-contiguous with dtype ``REAL``; others raise TypeError. An error of the core raises ValueError with the
+core's message. Motions are rows x, y (m), theta (rad).
 """
 
 from collections.abc import Sequence
@@ -12,21 +12,21 @@ from numpy.typing import NDArray
 Array = NDArray[np.floating]
 Row = tuple[float, float, float]
 Stage = tuple[int, bool, int, float, int]
-"""Of a stage: -1 not asked, 0 guess kept, 1 accepted; converged, iterations, error (m), inliers."""
-Place = tuple[int, int, int, int]
+"""Result of a stage: outcome (-1 skipped, 0 guess kept, 1 accepted), converged, iterations, error (m), inliers."""
+Extent = tuple[int, int, int, int]
 """Left and bottom cell, columns, rows; multiples of 32."""
 
 REAL: str
 """The dtype of all arrays."""
 
 class Index:
-    """Exact nearest neighbours among points (N, 2); not changed by anything after."""
+    """Immutable index for exact nearest neighbours among points (N, 2) in metres."""
 
     def __init__(self, points: Array) -> None: ...
     def __len__(self) -> int: ...
 
 class Icp:
-    """One registration at a time (ek/icp.h); ``error``: 0 mean, 1 mean squared, 2 its root."""
+    """Point-to-point ICP (ek/icp.h); ``error``: 0 mean, 1 mean squared, 2 its root."""
 
     def __init__(
         self,
@@ -42,11 +42,11 @@ class Icp:
     def register(
         self, target: Index, source: Array, guess: Row, trace: bool = False
     ) -> tuple[Row, bool, int, float, int, Sequence[tuple[float, int, Row, NDArray[np.int64]]]]:
-        """``target_from_source``, converged, iterations, error (m), inliers; if traced, of each iteration the error
+        """``target_from_source``, converged, iterations, error (m), inliers; if traced, for each iteration the error
         (in the unit of the stop rule), inliers, pose and pairs (K, 2)."""
 
 class Grid:
-    """A map of log-odds (ek/grid.h)."""
+    """Log-odds occupancy grid (ek/grid.h)."""
 
     def __init__(
         self,
@@ -57,19 +57,19 @@ class Grid:
         l_min: float,
         l_max: float,
         range_max: float,
-        place: Place,
+        extent: Extent,
     ) -> None: ...
     def add(self, world_from_sensor: Row, hits: Array, misses: Array) -> None:
         """Draws the beams from the sensor to points (N, 2) of its frame: ends occupied (hits) or free (misses)."""
-    def move(self, place: Place, range_max: float) -> None:
-        """Gives the map another place and longest beam (m); cells in both places keep what they hold."""
+    def move(self, extent: Extent, range_max: float) -> None:
+        """Change extent and longest beam (m) of the map; cells inside both extents keep their values."""
     def cells(self) -> NDArray[np.int16]:
         """A copy (rows, columns) in thousandths of log-odds, -32768 where unknown."""
     @property
     def touched(self) -> int:
         """Cells of the last scan within the map."""
     @property
-    def left_out(self) -> int:
+    def ignored_beams(self) -> int:
         """Beams of the last scan that were longer than 1 m beyond the longest."""
 
 class Pipeline:

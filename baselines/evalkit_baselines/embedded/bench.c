@@ -1,4 +1,4 @@
-/* What the core costs on this machine: registration, index, map, and the whole pipeline. CPU time, median of many. */
+/* Benchmark of registration, index, map and the whole pipeline. CPU time, median of many. */
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
@@ -46,7 +46,8 @@ static int by_size(const void *a, const void *b)
     return (x > y) - (x < y);
 }
 
-/* Median CPU time of a job in microseconds; each measurement repeats it so that the clock's step does not count. */
+/* Median CPU time of a job in microseconds; each measurement repeats the job to make the clock's resolution negligible.
+ */
 static double median_us(void (*job)(void *), void *context, int inner)
 {
     static double times[REPEATS];
@@ -62,7 +63,7 @@ static double median_us(void (*job)(void *), void *context, int inner)
     return times[REPEATS / 2];
 }
 
-/* One noisy scan as points in the frame of `into_from_sensor`. */
+/* Points of one noisy scan, transformed by `into_from_sensor`. */
 static void scan_points(ek_pose world_from_sensor, ek_pose into_from_sensor, ek_real *xy, size_t beams)
 {
     const double c = cos((double)into_from_sensor.theta), s = sin((double)into_from_sensor.theta);
@@ -118,50 +119,50 @@ static void bench_registration(size_t scans)
     r.parameters.max_iterations = 20;
     r.parameters.epsilon = EK_R(0.0);
     r.parameters.max_correspondence = EK_R(0.3);
-    ek_arena arena = ek_arena_over(NULL, 0u);
-    (void)ek_index_lay_out(&r.index, &arena, r.targets, 262144u);
-    (void)ek_icp_lay_out(&r.icp, &arena, r.sources, r.targets);
+    ek_arena arena = ek_arena_make(NULL, 0u);
+    (void)ek_index_init(&r.index, &arena, r.targets, 262144u);
+    (void)ek_icp_init(&r.icp, &arena, r.sources, r.targets);
     const size_t bytes = arena.used;
     void *const memory = taken(bytes);
-    arena = ek_arena_over(memory, bytes);
-    (void)ek_index_lay_out(&r.index, &arena, r.targets, 262144u);
-    (void)ek_icp_lay_out(&r.icp, &arena, r.sources, r.targets);
+    arena = ek_arena_make(memory, bytes);
+    (void)ek_index_init(&r.index, &arena, r.targets, 262144u);
+    (void)ek_icp_init(&r.icp, &arena, r.sources, r.targets);
     build(&r);
     const double build_us = median_us(build, &r, 5), match_us = median_us(match, &r, 3);
     printf("register 1000 on %6zu points, %2d iterations: %8.1f us (%u queries of %d), index %8.1f us\n", r.targets,
-           r.match.iterations, match_us, r.match.asked, r.match.iterations * 1000, build_us);
+           r.match.iterations, match_us, r.match.queries, r.match.iterations * 1000, build_us);
     free(memory);
     free(r.target);
     free(r.source);
 }
 
 #define KEYFRAMES 10u
-#define ROUND 60u /* keyframes of a drive round the room */
+#define ROUND 60u /* keyframes of one drive round the room */
 
 typedef struct {
     ek_index built, updated;
-    ek_merge merge;
-    ek_real *drive, *cloud; /* the keyframes twice round the room; those of a local map */
-    size_t points, newest;  /* of a keyframe; how many keyframes have come */
+    ek_index_updater merge;
+    ek_real *drive, *cloud; /* keyframes of two rounds; points of a local map */
+    size_t points, newest;  /* points per keyframe; number of keyframes so far */
 } local_map;
 
-/* The local map of the keyframes that end before `newest`, built. */
+/* Build the local map of the keyframes before `newest`. */
 static void build_local_map(void *context)
 {
     local_map *const s = (local_map *)context;
     const size_t from = s->newest - KEYFRAMES;
-    for (size_t k = 0; k < KEYFRAMES; k++) { /* as if each lay by itself */
+    for (size_t k = 0; k < KEYFRAMES; k++) { /* each keyframe in its own block */
         memcpy(s->cloud + 2u * k * s->points, s->drive + 2u * (from + k) * s->points, 2u * s->points * sizeof(ek_real));
     }
     (void)ek_index_build(&s->built, s->cloud, KEYFRAMES * s->points);
     s->newest = s->newest < 2u * ROUND ? s->newest + 1u : ROUND + 1u;
 }
 
-/* The same, brought up to date from the one before: the drive goes on where it began. */
+/* Update the local map by one keyframe; the drive repeats after one round. */
 static void update_local_map(void *context)
 {
     local_map *const s = (local_map *)context;
-    (void)ek_merge_update(&s->merge, &s->updated, s->points, s->drive + 2u * (s->newest - 1u) * s->points, s->points);
+    (void)ek_index_update(&s->merge, &s->updated, s->points, s->drive + 2u * (s->newest - 1u) * s->points, s->points);
     s->newest = s->newest < 2u * ROUND ? s->newest + 1u : ROUND + 1u;
 }
 
@@ -178,13 +179,13 @@ static void bench_keyframe(size_t points)
         scan_points(from, from, s.drive + 2u * k * points, points);
     }
     void *memory = NULL;
-    ek_arena arena = ek_arena_over(NULL, 0u);
+    ek_arena arena = ek_arena_make(NULL, 0u);
     for (int pass = 0; pass < 2; pass++) {
-        (void)ek_index_lay_out(&s.built, &arena, all, 262144u);
-        (void)ek_index_lay_out(&s.updated, &arena, all, 262144u);
-        (void)ek_merge_lay_out(&s.merge, &arena, all);
+        (void)ek_index_init(&s.built, &arena, all, 262144u);
+        (void)ek_index_init(&s.updated, &arena, all, 262144u);
+        (void)ek_index_updater_init(&s.merge, &arena, all);
         memory = pass ? memory : taken(arena.used);
-        arena = pass ? arena : ek_arena_over(memory, arena.used);
+        arena = pass ? arena : ek_arena_make(memory, arena.used);
     }
     s.newest = KEYFRAMES;
     build_local_map(&s);
@@ -209,13 +210,13 @@ static void draw(void *context)
 {
     mapping *const m = (mapping *)context;
     const ek_pose pose = {EK_R(0.02), EK_R(0.01), EK_R(0.3)};
-    (void)ek_grid_add(&m->grid, pose, EK_R(0), EK_R(0), m->points, BEAMS, NULL, 0u);
+    (void)ek_grid_add_scan(&m->grid, pose, EK_R(0), EK_R(0), m->points, BEAMS, NULL, 0u);
 }
 
 static void set(void *context)
 {
     mapping *const m = (mapping *)context;
-    memset(m->plain, (int)m->grid.touched & 0xFF, m->grid.touched * sizeof(int16_t));
+    memset(m->plain, (int)m->grid.touched_cells & 0xFF, m->grid.touched_cells * sizeof(int16_t));
 }
 
 static void bench_map(const char *name, double range)
@@ -230,21 +231,22 @@ static void bench_map(const char *name, double range)
         m.points[2u * k] = EK_R(range * cos(angle));
         m.points[2u * k + 1u] = EK_R(range * sin(angle));
     }
-    ek_arena arena = ek_arena_over(NULL, 0u);
-    (void)ek_grid_lay_out(&m.grid, &arena, &parameters);
+    ek_arena arena = ek_arena_make(NULL, 0u);
+    (void)ek_grid_init(&m.grid, &arena, &parameters);
     const size_t bytes = arena.used;
     void *const memory = taken(bytes);
-    arena = ek_arena_over(memory, bytes);
-    (void)ek_grid_lay_out(&m.grid, &arena, &parameters);
+    arena = ek_arena_make(memory, bytes);
+    (void)ek_grid_init(&m.grid, &arena, &parameters);
     double crossed = 0.0;
-    for (size_t k = 0; k < BEAMS; k++) { /* one cell a grid line, and the first */
+    for (size_t k = 0; k < BEAMS; k++) { /* one cell per grid line crossed, plus the first */
         crossed += 1.0 + (fabs((double)m.points[2u * k]) + fabs((double)m.points[2u * k + 1u])) / 0.05;
     }
     const double draw_us = median_us(draw, &m, 3);
-    m.plain = (int16_t *)taken(m.grid.touched * sizeof(int16_t));
+    m.plain = (int16_t *)taken(m.grid.touched_cells * sizeof(int16_t));
     const double set_us = median_us(set, &m, 20);
     printf("map %s, %u beams: %8.1f us, %.0f cells crossed (%.0f M/s), %u touched (%.0f M/s; memset of them %.1f us)\n",
-           name, BEAMS, draw_us, crossed, crossed / draw_us, m.grid.touched, m.grid.touched / draw_us, set_us);
+           name, BEAMS, draw_us, crossed, crossed / draw_us, m.grid.touched_cells, m.grid.touched_cells / draw_us,
+           set_us);
     free(m.plain);
     free(memory);
     free(m.points);
@@ -256,7 +258,7 @@ static void bench_pipeline(double epsilon)
     static ek_real ranges[BEAMS], angles[BEAMS];
     static double times[400];
     ek_pipeline_parameters parameters = ek_pipeline_default();
-    ek_answer answer;
+    ek_estimate estimate;
     size_t bytes;
     int iterations = 0, keyframes = 0;
     parameters.frontend.points = BEAMS;
@@ -281,18 +283,19 @@ static void bench_pipeline(double epsilon)
         sweep.has_odometry = sweep.has_motion = 1;
         sweep.odom_from_base = truth;
         const clock_t from = clock();
-        const ek_status status = ek_pipeline_update(&pipeline, &sweep, &answer);
+        const ek_status status = ek_pipeline_update(&pipeline, &sweep, &estimate);
         times[k] = (double)(clock() - from) * 1e6 / CLOCKS_PER_SEC;
         if (status != EK_OK) {
             fprintf(stderr, "bench: %s\n", ek_status_text(status));
             exit(EXIT_FAILURE);
         }
-        iterations += answer.scan_to_scan.iterations + answer.scan_to_map.iterations;
-        keyframes += answer.keyframe;
+        iterations += estimate.scan_to_scan.iterations + estimate.scan_to_map.iterations;
+        keyframes += estimate.keyframe;
     }
     qsort(times, 400u, sizeof *times, by_size);
-    printf("pipeline, epsilon %g, %u beams: %8.1f us (95 %%: %.1f), %.1f iterations in two stages, %d keyframes, %zu kB\n",
-           epsilon, BEAMS, times[200], times[380], iterations / 399.0, keyframes, bytes / 1024u);
+    printf(
+        "pipeline, epsilon %g, %u beams: %8.1f us (95 %%: %.1f), %.1f iterations in two stages, %d keyframes, %zu kB\n",
+        epsilon, BEAMS, times[200], times[380], iterations / 399.0, keyframes, bytes / 1024u);
     free(memory);
 }
 

@@ -110,17 +110,17 @@ class CompiledGrid:
         range_max_m = max(range_max_m, self._range_max_m)
         if range_max_m > LONGEST_BEAM * self._resolution_m:
             raise self._too_large(f"beams of {range_max_m:.0f} m")
-        self._place((*low.tolist(), columns, rows), range_max_m)
+        self._set_extent((*low.tolist(), columns, rows), range_max_m)
         self._low, self._high, self._range_max_m = low, high, range_max_m
         self._edges = (*low.tolist(), *high.tolist())
 
-    def _place(self, place: tuple[int, int, int, int], range_max_m: float) -> None:
+    def _set_extent(self, extent: tuple[int, int, int, int], range_max_m: float) -> None:
         if self._grid is None:
             self._grid = self._core.Grid(
-                resolution=self._resolution_m, range_max=range_max_m, place=place, **self._log_odds
+                resolution=self._resolution_m, range_max=range_max_m, extent=extent, **self._log_odds
             )
         else:
-            self._grid.move(place, range_max_m)
+            self._grid.move(extent, range_max_m)
 
     def _too_large(self, reach: str) -> BadParameter:
         return BadParameter("embedded-log-odds", "resolution_m", self._resolution_m, f"larger cells: {reach}")

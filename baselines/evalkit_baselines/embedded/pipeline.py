@@ -33,7 +33,7 @@ class CompiledPipeline:
     """An Odometry with the meaning of ``paper`` behind evalkit's front end, both in C; parameters as in ``PARAMETERS``.
 
     Tells of both stages what evalkit's front end would. Raises ValueError with the core's words for a scan of more than
-    ``beams`` beams, and for one that is not later than the one before ("a parameter lies outside its range").
+    ``beams`` beams, and for one that is not later than the one before ("a parameter is outside its range").
     """
 
     def __init__(self, **parameters: Any) -> None:

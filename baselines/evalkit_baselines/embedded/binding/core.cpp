@@ -1,5 +1,5 @@
-// The embedded core for Python; compiled once for each precision. Arrays come in without copies, and the interpreter is
-// free meanwhile. What each thing means stands in the core's headers and in _core64.pyi.
+// Python bindings of the embedded core, compiled once per precision. Arrays are passed without copies; the GIL is
+// released during calls. The meaning of each function is in the core's headers and in _core64.pyi.
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
 
@@ -22,13 +22,13 @@ NB_MODULE(CORE, module)
         .def("register", &Icp::answer, "target"_a, "source"_a.noconvert(), "guess"_a, "trace"_a = false);
 
     nb::class_<Grid>(module, "Grid")
-        .def(nb::init<double, double, double, double, double, double, const Place &>(), nb::kw_only(), "resolution"_a,
-             "l_occ"_a, "l_free"_a, "l_min"_a, "l_max"_a, "range_max"_a, "place"_a)
+        .def(nb::init<double, double, double, double, double, double, const Extent &>(), nb::kw_only(), "resolution"_a,
+             "l_occ"_a, "l_free"_a, "l_min"_a, "l_max"_a, "range_max"_a, "extent"_a)
         .def("add", &Grid::add, "world_from_sensor"_a, "hits"_a.noconvert(), "misses"_a.noconvert())
-        .def("move", &Grid::move, "place"_a, "range_max"_a)
+        .def("move", &Grid::move, "extent"_a, "range_max"_a)
         .def("cells", &Grid::cells)
         .def_prop_ro("touched", &Grid::touched)
-        .def_prop_ro("left_out", &Grid::left_out);
+        .def_prop_ro("ignored_beams", &Grid::ignored_beams);
 
     nb::class_<Pipeline>(module, "Pipeline")
         .def(nb::init<const Icp &, bool, bool, bool, double, int64_t, double, double, int64_t, int64_t>(), "icp"_a,

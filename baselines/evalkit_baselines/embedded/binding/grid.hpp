@@ -1,4 +1,4 @@
-// The core's map, which this makes growable: a board has one size, a recording many.
+// Growable map on top of the core's fixed one.
 #pragma once
 
 #include <mutex>
@@ -8,12 +8,12 @@
 
 namespace EK_NAME(binding) {
 
-using Place = std::tuple<int64_t, int64_t, int64_t, int64_t>; // left, bottom, columns, rows
+using Extent = std::tuple<int64_t, int64_t, int64_t, int64_t>; // left, bottom, columns, rows
 
 class Grid {
 public:
     Grid(double resolution, double l_occ, double l_free, double l_min, double l_max, double range_max,
-         const Place &place)
+         const Extent &extent)
     {
         ek_grid_parameters parameters = ek_grid_default();
         parameters.resolution = ek_real(resolution);
@@ -21,25 +21,25 @@ public:
         parameters.l_free = ek_real(l_free);
         parameters.l_min = ek_real(l_min);
         parameters.l_max = ek_real(l_max);
-        lay_out(parameters, place, range_max);
+        init(parameters, extent, range_max);
     }
 
     void add(const Row &world_from_sensor, const Points &hits, const Points &misses)
     {
         const nb::gil_scoped_release others_may_run;
         const std::lock_guard<std::mutex> one_at_a_time(mutex_);
-        require(ek_grid_add(&grid_, pose_of(world_from_sensor), 0, 0, start_of(hits), hits.shape(0), start_of(misses),
-                            misses.shape(0)),
+        require(ek_grid_add_scan(&grid_, pose_of(world_from_sensor), 0, 0, start_of(hits), hits.shape(0),
+                                 start_of(misses), misses.shape(0)),
                 "scan");
     }
 
-    // Another place, another longest beam; cells in both places keep what they hold.
-    void move(const Place &place, double range_max)
+    // Change extent or longest beam; cells inside both extents keep their values.
+    void move(const Extent &extent, double range_max)
     {
         const nb::gil_scoped_release others_may_run;
         const std::lock_guard<std::mutex> one_at_a_time(mutex_);
         const ek_grid old = grid_;
-        const Memory kept = lay_out(old.parameters, place, range_max);
+        const Memory kept = init(old.parameters, extent, range_max);
         const int64_t left = std::max(old.left, grid_.left), bottom = std::max(old.bottom, grid_.bottom);
         const int64_t right = std::min(right_of(old), right_of(grid_)), top = std::min(top_of(old), top_of(grid_));
         for (int64_t row = bottom; row < top && left < right; row++) {
@@ -54,9 +54,9 @@ public:
         return array_of(std::vector<int16_t>(grid_.cells, grid_.cells + rows * columns), {rows, columns});
     }
 
-    uint32_t touched() const { return grid_.touched; }
+    uint32_t touched() const { return grid_.touched_cells; }
 
-    uint32_t left_out() const { return grid_.left_out; }
+    uint32_t ignored_beams() const { return grid_.ignored_beams; }
 
 private:
     static int64_t right_of(const ek_grid &grid) { return int64_t(grid.left) + grid.parameters.columns; }
@@ -68,16 +68,16 @@ private:
         return grid.cells + (row - grid.bottom) * int64_t(grid.parameters.columns) + (column - grid.left);
     }
 
-    // Makes the map anew and says what memory the old one lay in; nothing changes if the core refuses.
-    Memory lay_out(ek_grid_parameters parameters, const Place &place, double range_max)
+    // Create the map again and return the memory of the old one; nothing changes if the core refuses.
+    Memory init(ek_grid_parameters parameters, const Extent &extent, double range_max)
     {
         parameters.range_max = ek_real(range_max);
-        parameters.left = whole(std::get<0>(place));
-        parameters.bottom = whole(std::get<1>(place));
-        parameters.columns = natural(std::get<2>(place));
-        parameters.rows = natural(std::get<3>(place));
+        parameters.left = whole(std::get<0>(extent));
+        parameters.bottom = whole(std::get<1>(extent));
+        parameters.columns = natural(std::get<2>(extent));
+        parameters.rows = natural(std::get<3>(extent));
         ek_grid made = {};
-        Memory memory("map", [&](ek_arena *arena) { return ek_grid_lay_out(&made, arena, &parameters); });
+        Memory memory("map", [&](ek_arena *arena) { return ek_grid_init(&made, arena, &parameters); });
         grid_ = made;
         return std::exchange(memory_, std::move(memory));
     }

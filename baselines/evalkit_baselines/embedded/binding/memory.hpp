@@ -1,4 +1,4 @@
-// The core's memory, owned by C++; what the core refuses, as exceptions; arrays, one way and the other.
+// Memory of the core, owned by C++; errors of the core as exceptions; conversion of arrays.
 #pragma once
 
 #include <nanobind/nanobind.h>
@@ -20,14 +20,14 @@
 
 namespace nb = nanobind;
 
-// A namespace of its own for each precision: both modules live in one process, and C++ tells types by their names.
+// One namespace per precision: both modules are loaded in one process, and C++ identifies types by name.
 namespace EK_NAME(binding) {
 
 using Points = nb::ndarray<const ek_real, nb::shape<-1, 2>, nb::c_contig, nb::device::cpu>;
 using Numbers = nb::ndarray<const ek_real, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Row = std::tuple<double, double, double>;
 
-// Python sees a ValueError with the core's own words.
+// Raise ValueError with the core's message.
 inline void require(ek_status status, const char *what)
 {
     if (status != EK_OK) {
@@ -39,15 +39,15 @@ class Memory {
 public:
     Memory() = default;
 
-    // Measures what `lay_out(arena)` takes, gets it, and lays out in it.
-    template <typename LayOut> Memory(const char *what, LayOut lay_out)
+    // Measure what `init(arena)` needs, allocate it, and initialise.
+    template <typename LayOut> Memory(const char *what, LayOut init)
     {
-        ek_arena arena = ek_arena_over(nullptr, 0);
-        require(lay_out(&arena), what);
+        ek_arena arena = ek_arena_make(nullptr, 0);
+        require(init(&arena), what);
         const std::size_t bytes = std::max<std::size_t>(arena.used, 1);
         bytes_.reset(static_cast<unsigned char *>(::operator new(bytes, alignment)));
-        arena = ek_arena_over(bytes_.get(), bytes);
-        require(lay_out(&arena), what);
+        arena = ek_arena_make(bytes_.get(), bytes);
+        require(init(&arena), what);
         require(ek_arena_check(&arena), what);
     }
 
@@ -66,22 +66,22 @@ inline ek_pose pose_of(const Row &row)
 
 inline Row row_of(ek_pose pose) { return {pose.x, pose.y, pose.theta}; }
 
-// A number of Python's in the core's 32 bits: beyond them the nearest, which the core judges.
+// Convert a Python integer to 32 bits; saturate, the core then checks the range.
 inline int32_t whole(int64_t number) { return int32_t(std::clamp<int64_t>(number, INT32_MIN, INT32_MAX)); }
 inline uint32_t natural(int64_t number) { return uint32_t(std::clamp<int64_t>(number, 0, INT32_MAX)); }
 
-// Where an array begins; the core refuses NULL, even for no points.
+// Start of an array, never NULL: the core refuses NULL even for zero points.
 template <typename Array> const ek_real *start_of(const Array &array)
 {
     static const ek_real nothing = 0;
     return array.shape(0) > 0 ? array.data() : &nothing;
 }
 
-// The numbers as an array of Python's, which owns them.
+// A NumPy array that owns the numbers.
 template <typename Number> nb::object array_of(std::vector<Number> &&numbers, std::array<std::size_t, 2> shape)
 {
     auto kept = std::make_unique<std::vector<Number>>(std::move(numbers));
-    kept->reserve(1); // an empty array has a place too
+    kept->reserve(1); // data() of an empty array must not be NULL
     Number *const start = kept->data();
     nb::capsule owner(kept.get(), [](void *vector) noexcept { delete static_cast<std::vector<Number> *>(vector); });
     kept.release();

@@ -1,4 +1,4 @@
-// The core's whole way from a scan to a pose, without its map.
+// The core's pipeline from scan to pose, without the map.
 #pragma once
 
 #include <mutex>
@@ -9,10 +9,10 @@
 
 namespace EK_NAME(binding) {
 
-// A stage's belief, converged, iterations, error and inliers.
+// Outcome, converged, iterations, error and inliers of a stage.
 using Stage = std::tuple<int, bool, int32_t, double, int32_t>;
 
-inline Stage stage_of(const ek_match &match, ek_belief belief)
+inline Stage stage_of(const ek_match &match, ek_stage_outcome belief)
 {
     return {int(belief), match.converged != 0, match.iterations, double(match.error), match.inliers};
 }
@@ -37,8 +37,8 @@ public:
         std::size_t bytes = 0;
         require(ek_pipeline_bytes(&made, &bytes), "parameters");
         memory_ = Memory("parameters", [&](ek_arena *arena) {
-            void *const memory = ek_arena_take(arena, bytes, 1);
-            return memory ? ek_pipeline_start(&pipeline_, memory, bytes, &made) : EK_OK; // NULL: it only measures
+            void *const memory = ek_arena_alloc(arena, bytes, 1);
+            return memory ? ek_pipeline_start(&pipeline_, memory, bytes, &made) : EK_OK; // NULL: only measure
         });
     }
 
@@ -68,10 +68,10 @@ public:
         scan.range_max = ek_real(std::get<1>(range_limits));
         require(ek_scan_check(&scan), "scan");
         pipeline_.parameters.scan = scan;
-        ek_answer answer;
-        require(ek_pipeline_update(&pipeline_, &sweep, &answer), "scan");
-        return {row_of(answer.start_from_base), stage_of(answer.scan_to_scan, answer.scan_to_scan_belief),
-                stage_of(answer.scan_to_map, answer.scan_to_map_belief)};
+        ek_estimate estimate;
+        require(ek_pipeline_update(&pipeline_, &sweep, &estimate), "scan");
+        return {row_of(estimate.start_from_base), stage_of(estimate.scan_to_scan, estimate.scan_to_scan_outcome),
+                stage_of(estimate.scan_to_map, estimate.scan_to_map_outcome)};
     }
 
 private:

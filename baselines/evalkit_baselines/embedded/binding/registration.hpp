@@ -1,4 +1,4 @@
-// The core's index and ICP.
+// Index and ICP of the core.
 #pragma once
 
 #include <mutex>
@@ -12,11 +12,11 @@ class Index {
 public:
     explicit Index(const Points &points)
     {
-        constexpr std::size_t cells_per_point = 16, most_cells = std::size_t{1} << 18; // as the core's front end
+        constexpr std::size_t cells_per_point = 16, max_cells = std::size_t{1} << 18; // as in the core's front end
         const nb::gil_scoped_release others_may_run;
         const std::size_t room = std::max<std::size_t>(points.shape(0), 1);
         memory_ = Memory("target", [&](ek_arena *arena) {
-            return ek_index_lay_out(&index_, arena, room, std::min(cells_per_point * room, most_cells));
+            return ek_index_init(&index_, arena, room, std::min(cells_per_point * room, max_cells));
         });
         require(ek_index_build(&index_, start_of(points), points.shape(0)), "target");
     }
@@ -78,7 +78,8 @@ public:
         nb::list iterations;
         for (Iteration &now : history) {
             const std::size_t pairs = now.pairs.size() / 2;
-            iterations.append(nb::make_tuple(now.error, now.inliers, now.pose, array_of(std::move(now.pairs), {pairs, 2})));
+            iterations.append(
+                nb::make_tuple(now.error, now.inliers, now.pose, array_of(std::move(now.pairs), {pairs, 2})));
         }
         return nb::make_tuple(row_of(match.target_from_source), match.converged != 0, match.iterations,
                               double(match.error), match.inliers, iterations);
@@ -94,7 +95,7 @@ private:
         }
         ek_icp larger = {};
         memory_ = Memory("registration", [&](ek_arena *arena) {
-            return ek_icp_lay_out(&larger, arena, std::max(sources, icp_.capacity), std::max(targets, icp_.targets));
+            return ek_icp_init(&larger, arena, std::max(sources, icp_.capacity), std::max(targets, icp_.targets));
         });
         icp_ = larger;
     }

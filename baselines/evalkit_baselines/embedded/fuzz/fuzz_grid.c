@@ -1,6 +1,6 @@
-/* Maps of any scans hold log-odds within their limits; a scan that is refused changes no cell. */
+/* Arbitrary scans: log-odds stay within their limits; a refused scan changes no cell. */
 #include "ek/grid.h"
-#include "taken.h"
+#include "input.h"
 
 static ek_grid_parameters parameters_of(ek_input *input)
 {
@@ -31,12 +31,12 @@ static void add(ek_grid *grid, ek_input *input, int16_t *before)
     const ek_real x = take_real(input), y = take_real(input);
     ek_real *const hits = take_reals(input, 2u * count), *const misses = take_reals(input, 2u * miss_count);
     memcpy(before, grid->cells, cells * sizeof *before);
-    const ek_status status = ek_grid_add(grid, pose, x, y, hits, count, misses, miss_count);
+    const ek_status status = ek_grid_add_scan(grid, pose, x, y, hits, count, misses, miss_count);
     if (status != EK_OK) {
         HOLDS(memcmp(before, grid->cells, cells * sizeof *before) == 0);
     } else {
         const ek_real least = EK_R(1000.0) * grid->parameters.l_min, most = EK_R(1000.0) * grid->parameters.l_max;
-        HOLDS(grid->left_out <= count + miss_count && grid->touched <= cells);
+        HOLDS(grid->ignored_beams <= count + miss_count && grid->touched_cells <= cells);
         for (size_t i = 0; i < cells; i++) {
             const ek_real cell = (ek_real)grid->cells[i];
             HOLDS(grid->cells[i] == EK_UNKNOWN || (cell >= least - EK_R(0.51) && cell <= most + EK_R(0.51)));
@@ -50,13 +50,13 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
 {
     ek_input input = {bytes, size};
     ek_grid grid;
-    ek_arena measured = ek_arena_over(NULL, 0u);
+    ek_arena measured = ek_arena_make(NULL, 0u);
     const ek_grid_parameters parameters = parameters_of(&input);
-    if (ek_grid_lay_out(&grid, &measured, &parameters) != EK_OK || measured.used > (size_t)1 << 21) {
+    if (ek_grid_init(&grid, &measured, &parameters) != EK_OK || measured.used > (size_t)1 << 21) {
         return 0;
     }
     ek_arena arena = memory_for(&measured);
-    HOLDS(ek_grid_lay_out(&grid, &arena, &parameters) == EK_OK && ek_arena_check(&arena) == EK_OK);
+    HOLDS(ek_grid_init(&grid, &arena, &parameters) == EK_OK && ek_arena_check(&arena) == EK_OK);
     int16_t *const before = (int16_t *)malloc((size_t)parameters.columns * parameters.rows * sizeof *before);
     HOLDS(before != NULL);
     for (int scans = 0; scans < 4 && input.left; scans++) {

@@ -1,9 +1,9 @@
-/* Registrations of any clouds are finite, repeatable and stand on true nearest neighbours, or are refused and leave
- * nothing behind. */
+/* Arbitrary clouds: a registration is finite, repeatable and uses true nearest neighbours, or is refused and changes
+ * nothing. */
 #include "ek/icp.h"
-#include "taken.h"
+#include "input.h"
 
-#define MOST 32u
+#define MAX_COUNT 32u
 #define NO_LIMIT EK_R(1e12) /* m */
 
 typedef struct {
@@ -11,7 +11,7 @@ typedef struct {
     size_t sources, targets;
 } clouds;
 
-/* Every pair the trace tells is one of these clouds, each source point once. */
+/* Check the pairs of the trace: valid indices, each source point once. */
 static void traced(void *context, const ek_icp_iteration *now)
 {
     const clouds *const known = (const clouds *)context;
@@ -22,7 +22,7 @@ static void traced(void *context, const ek_icp_iteration *now)
     }
 }
 
-/* What the index says of a place is what looking at every point says. */
+/* Check a search of the index against brute force. */
 static void nearest(const ek_index *index, const clouds *known, ek_real x, ek_real y, ek_real limit, ek_real radius)
 {
     const ek_neighbour found = ek_index_nearest(index, x, y, limit, radius);
@@ -47,7 +47,7 @@ static void ask(ek_icp *icp, const ek_index *index, const clouds *known, ek_inpu
     parameters.max_iterations = 1 + flags % 8u;
     parameters.one_to_one = flags >> 3 & 1u;
     parameters.error_before = flags >> 4 & 1u;
-    parameters.error = (ek_error_measure)(flags >> 5 & 3u); /* 3 is none */
+    parameters.error = (ek_error_measure)(flags >> 5 & 3u); /* 3 is invalid */
     parameters.min_pairs = take_byte(input) % 8;
     parameters.epsilon = take_real(input);
     parameters.max_correspondence = take_real(input);
@@ -61,7 +61,7 @@ static void ask(ek_icp *icp, const ek_index *index, const clouds *known, ek_inpu
         HOLDS(memcmp(&match, &again, sizeof match) == 0);
         return;
     }
-    HOLDS(ek_se2_finite(match.target_from_source) && (match.converged == 0 || match.converged == 1));
+    HOLDS(ek_se2_is_finite(match.target_from_source) && (match.converged == 0 || match.converged == 1));
     HOLDS(match.iterations >= 0 && match.iterations <= parameters.max_iterations);
     HOLDS(match.inliers >= 0 && (size_t)match.inliers <= known->sources);
     HOLDS(match.error >= EK_R(0.0) || match.inliers < parameters.min_pairs);
@@ -79,18 +79,19 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     ek_input input = {bytes, size};
     ek_icp icp;
     ek_index index;
-    ek_arena measured = ek_arena_over(NULL, 0u);
+    ek_arena measured = ek_arena_make(NULL, 0u);
     const size_t cells = 1u + take_byte(&input);
-    HOLDS(ek_icp_lay_out(&icp, &measured, MOST, MOST) == EK_OK);
-    HOLDS(ek_index_lay_out(&index, &measured, MOST, cells) == EK_OK);
+    HOLDS(ek_icp_init(&icp, &measured, MAX_COUNT, MAX_COUNT) == EK_OK);
+    HOLDS(ek_index_init(&index, &measured, MAX_COUNT, cells) == EK_OK);
     ek_arena arena = memory_for(&measured);
-    HOLDS(ek_icp_lay_out(&icp, &arena, MOST, MOST) == EK_OK);
-    HOLDS(ek_index_lay_out(&index, &arena, MOST, cells) == EK_OK && ek_arena_check(&arena) == EK_OK);
+    HOLDS(ek_icp_init(&icp, &arena, MAX_COUNT, MAX_COUNT) == EK_OK);
+    HOLDS(ek_index_init(&index, &arena, MAX_COUNT, cells) == EK_OK && ek_arena_check(&arena) == EK_OK);
     for (int rounds = 0; rounds < 2 && input.left; rounds++) {
         clouds known;
-        known.targets = take_byte(&input) % (MOST + 2u);
-        known.sources = take_byte(&input) % (MOST + 2u);
-        ek_real *const target = take_reals(&input, 2u * known.targets), *const source = take_reals(&input, 2u * known.sources);
+        known.targets = take_byte(&input) % (MAX_COUNT + 2u);
+        known.sources = take_byte(&input) % (MAX_COUNT + 2u);
+        ek_real *const target = take_reals(&input, 2u * known.targets), *const source =
+                                                                            take_reals(&input, 2u * known.sources);
         known.target = target;
         known.source = source;
         const ek_status built = ek_index_build(&index, target, known.targets);

@@ -1,8 +1,8 @@
-/* Streams of any scans give finite poses; one that is refused leaves no trace: whoever never got it answers the same. */
+/* Arbitrary scans: poses are finite; a refused scan changes nothing: a second pipeline without it gives the same. */
 #include "ek/pipeline.h"
-#include "taken.h"
+#include "input.h"
 
-#define MOST 24u
+#define MAX_COUNT 24u
 
 typedef struct {
     ek_pipeline pipeline;
@@ -15,7 +15,7 @@ static ek_pipeline_parameters parameters_of(ek_input *input)
     const uint8_t flags = take_byte(input);
     parameters.scan.base_from_sensor = take_pose(input);
     parameters.scan.range_max = EK_R(30.0);
-    parameters.frontend.points = MOST;
+    parameters.frontend.points = MAX_COUNT;
     parameters.frontend.keyframes = 1u + flags % 4u;
     parameters.frontend.min_inliers = take_byte(input) % 12;
     parameters.frontend.keyframe_distance = take_real(input);
@@ -35,7 +35,7 @@ static ek_pipeline_parameters parameters_of(ek_input *input)
 
 static int start(robot *made, const ek_pipeline_parameters *parameters)
 {
-    ek_arena measured = ek_arena_over(NULL, 0u);
+    ek_arena measured = ek_arena_make(NULL, 0u);
     if (ek_pipeline_bytes(parameters, &measured.used) != EK_OK) {
         return 0;
     }
@@ -44,11 +44,11 @@ static int start(robot *made, const ek_pipeline_parameters *parameters)
     return 1;
 }
 
-/* Both robots see the sweep, the second only if the first took it in. */
+/* Pass the sweep to both pipelines; to the second only if the first accepted it. */
 static void see(robot *first, robot *second, ek_input *input, int64_t *stamp_ns)
 {
     ek_sweep sweep;
-    ek_answer answer, other;
+    ek_estimate estimate, other;
     memset(&sweep, 0, sizeof sweep);
     const uint8_t flags = take_byte(input);
     *stamp_ns = flags % 16u ? (int64_t)((uint64_t)*stamp_ns + 100000000u) : take_whole(input);
@@ -58,21 +58,21 @@ static void see(robot *first, robot *second, ek_input *input, int64_t *stamp_ns)
     sweep.has_motion = flags >> 6 & 1u;
     sweep.odom_from_base = sweep.has_odometry ? take_pose(input) : sweep.odom_from_base;
     sweep.start_from_end = sweep.has_motion ? take_pose(input) : sweep.start_from_end;
-    sweep.beams = take_byte(input) % (MOST + 2u);
+    sweep.beams = take_byte(input) % (MAX_COUNT + 2u);
     ek_real *const ranges = take_reals(input, sweep.beams), *const angles = take_reals(input, sweep.beams);
     sweep.ranges = ranges;
     sweep.angles = angles;
-    const ek_status status = ek_pipeline_update(&first->pipeline, &sweep, &answer);
-    /* a pose too far for the map is kept and not drawn */
+    const ek_status status = ek_pipeline_update(&first->pipeline, &sweep, &estimate);
+    /* a pose too far for the map is kept and not mapped */
     const int kept = status == EK_OK || first->pipeline.frontend.stamp_ns != second->pipeline.frontend.stamp_ns ||
                      first->pipeline.frontend.started != second->pipeline.frontend.started;
     HOLDS(status == EK_OK || !kept || (status == EK_OUT_OF_RANGE && first->pipeline.parameters.map));
     if (kept) {
         HOLDS(ek_pipeline_update(&second->pipeline, &sweep, &other) == status);
-        HOLDS(ek_se2_finite(answer.start_from_base) && same_pose(answer.start_from_base, other.start_from_base));
-        HOLDS(answer.keyframe == other.keyframe && answer.scan_to_map.inliers == other.scan_to_map.inliers);
-        HOLDS(answer.scan_to_scan_belief == other.scan_to_scan_belief);
-        HOLDS(answer.scan_to_map_belief == other.scan_to_map_belief);
+        HOLDS(ek_se2_is_finite(estimate.start_from_base) && same_pose(estimate.start_from_base, other.start_from_base));
+        HOLDS(estimate.keyframe == other.keyframe && estimate.scan_to_map.inliers == other.scan_to_map.inliers);
+        HOLDS(estimate.scan_to_scan_outcome == other.scan_to_scan_outcome);
+        HOLDS(estimate.scan_to_map_outcome == other.scan_to_map_outcome);
     }
     free(ranges);
     free(angles);

@@ -1,15 +1,15 @@
-/* Scans of any numbers become finite points within their bounds, or are refused and leave none. */
+/* Arbitrary scans: points are finite and within bounds, or the scan is refused and empty. */
 #include "ek/scan.h"
-#include "taken.h"
+#include "input.h"
 
-#define MOST 40u
+#define MAX_COUNT 40u
 
 static void project(ek_scan *scan, ek_input *input)
 {
     ek_sweep sweep;
     ek_scan_parameters parameters;
     memset(&sweep, 0, sizeof sweep);
-    sweep.beams = take_byte(input) % (MOST + 2u);
+    sweep.beams = take_byte(input) % (MAX_COUNT + 2u);
     ek_real *const ranges = take_reals(input, sweep.beams), *const angles = take_reals(input, sweep.beams);
     sweep.ranges = take_byte(input) == 255u ? NULL : ranges;
     sweep.angles = angles;
@@ -23,7 +23,7 @@ static void project(ek_scan *scan, ek_input *input)
     HOLDS(scan->count + scan->misses <= sweep.beams || status != EK_OK);
     if (status == EK_OK) {
         for (size_t i = 0; i < 2u * scan->count; i++) {
-            HOLDS(EK_FABS(scan->hits[i]) <= EK_LARGEST * (EK_R(1.0) + EK_EPSILON));
+            HOLDS(EK_FABS(scan->hits[i]) <= EK_MAX_COORDINATE * (EK_R(1.0) + EK_EPSILON));
         }
         for (size_t i = 0; i < 2u * scan->misses; i++) {
             HOLDS(isfinite(scan->ends[i]));
@@ -37,10 +37,10 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
 {
     ek_input input = {bytes, size};
     ek_scan scan;
-    ek_arena measured = ek_arena_over(NULL, 0u);
-    HOLDS(ek_scan_lay_out(&scan, &measured, MOST) == EK_OK);
+    ek_arena measured = ek_arena_make(NULL, 0u);
+    HOLDS(ek_scan_init(&scan, &measured, MAX_COUNT) == EK_OK);
     ek_arena arena = memory_for(&measured);
-    HOLDS(ek_scan_lay_out(&scan, &arena, MOST) == EK_OK && ek_arena_check(&arena) == EK_OK);
+    HOLDS(ek_scan_init(&scan, &arena, MAX_COUNT) == EK_OK && ek_arena_check(&arena) == EK_OK);
     for (int scans = 0; scans < 3 && input.left; scans++) {
         project(&scan, &input);
     }

@@ -1,12 +1,12 @@
-/* Files of any bytes are read, located and drawn by evalkit-run, or refused. */
+/* Arbitrary files: evalkit-run reads, locates and maps them, or refuses them. */
 #define main evalkit_run
 #include "../main.c"
 #undef main
 
-#include "taken.h"
+#include "input.h"
 
 #define MAX_BEAMS 512u
-#define LONGEST EK_R(30.0) /* m; farther needs more memory than fuzzing should take */
+#define LONGEST EK_R(30.0) /* m; a longer range needs too much memory for fuzzing */
 
 int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
 {
@@ -16,7 +16,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     FILE *const input = size ? fmemopen((void *)(uintptr_t)bytes, size, "rb") : NULL;
     FILE *const poses = fmemopen(lines, sizeof lines, "w");
     HOLDS(poses != NULL);
-    if (input && ek_scanlog_open(input, &s.log) == EK_OK && s.log.most_beams <= MAX_BEAMS &&
+    if (input && ek_scanlog_open(input, &s.log) == EK_OK && s.log.max_beams <= MAX_BEAMS &&
         !(s.log.range_max > LONGEST) && start(&s) == EK_OK) {
         run(&s, input, poses);
         HOLDS(ftell(poses) >= 0);
@@ -27,7 +27,8 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size)
     fclose(poses);
     const char *line = lines;
     long long seconds, nanoseconds;
-    for (int moved; sscanf(line, "%lld.%9lld %*f %*f 0 0 0 %*f %*f\n%n", &seconds, &nanoseconds, &moved) == 2; line += moved) {
+    for (int moved; sscanf(line, "%lld.%9lld %*f %*f 0 0 0 %*f %*f\n%n", &seconds, &nanoseconds, &moved) == 2;
+         line += moved) {
         HOLDS(nanoseconds >= 0);
     }
     lines[0] = '\0';

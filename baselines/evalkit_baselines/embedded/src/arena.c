@@ -1,6 +1,6 @@
 #include "ek/arena.h"
 
-#ifdef EK_GUARDED /* under AddressSanitizer: what lies between two pieces must not be touched */
+#ifdef EK_GUARDED /* under AddressSanitizer: poison the gap between two blocks */
 #include <sanitizer/asan_interface.h>
 #define GAP EK_ALIGNMENT
 #define GUARD(start, bytes) __asan_poison_memory_region((start), (bytes))
@@ -9,7 +9,7 @@
 #define GUARD(start, bytes) ((void)(start), (void)(bytes))
 #endif
 
-ek_arena ek_arena_over(void *memory, size_t bytes)
+ek_arena ek_arena_make(void *memory, size_t bytes)
 {
     ek_arena arena;
     arena.memory = (unsigned char *)memory;
@@ -18,7 +18,7 @@ ek_arena ek_arena_over(void *memory, size_t bytes)
     return arena;
 }
 
-void *ek_arena_take(ek_arena *arena, size_t count, size_t size)
+void *ek_arena_alloc(ek_arena *arena, size_t count, size_t size)
 {
     const size_t start = arena->used, end = start + count * size;
     if (size != 0u && count > (SIZE_MAX / 2u - start) / size) {

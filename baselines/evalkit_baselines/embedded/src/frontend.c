@@ -6,7 +6,7 @@
 #define MAX_POINTS ((size_t)1 << 20)
 #define CELLS_PER_POINT 16u
 #define MAX_CELLS ((size_t)1 << 18)
-#define LONGEST_GAP EK_R(2.0) /* steps: a longer gap says nothing about the speed */
+#define MAX_GAP_STEPS EK_R(2.0) /* steps: after a longer gap the velocity is not extrapolated further */
 
 ek_frontend_parameters ek_frontend_default(void)
 {
@@ -46,7 +46,7 @@ static size_t cells_for(size_t points)
     return cells < MAX_CELLS ? cells : MAX_CELLS;
 }
 
-ek_status ek_frontend_lay_out(ek_frontend *frontend, ek_arena *arena, const ek_frontend_parameters *parameters)
+ek_status ek_frontend_init(ek_frontend *frontend, ek_arena *arena, const ek_frontend_parameters *parameters)
 {
     if (!frontend || !arena) {
         return EK_NULL_POINTER;
@@ -58,52 +58,53 @@ ek_status ek_frontend_lay_out(ek_frontend *frontend, ek_arena *arena, const ek_f
     memset(frontend, 0, sizeof *frontend);
     frontend->parameters = *parameters;
     const size_t points = parameters->points, all = points * parameters->keyframes;
-    status = ek_icp_lay_out(&frontend->icp, arena, points, all);
+    status = ek_icp_init(&frontend->icp, arena, points, all);
     if (status == EK_OK) {
-        status = ek_index_lay_out(&frontend->last, arena, points, cells_for(points));
+        status = ek_index_init(&frontend->last, arena, points, cells_for(points));
     }
     if (status == EK_OK) {
-        status = ek_index_lay_out(&frontend->local_map, arena, all, parameters->cells ? parameters->cells : cells_for(all));
+        status =
+            ek_index_init(&frontend->local_map, arena, all, parameters->cells ? parameters->cells : cells_for(all));
     }
     if (status == EK_OK) {
-        status = ek_merge_lay_out(&frontend->merge, arena, all);
+        status = ek_index_updater_init(&frontend->updater, arena, all);
     }
-    frontend->keyframe = (ek_real *)ek_arena_take(arena, 2u * points, sizeof(ek_real));
-    frontend->keyframe_counts = (size_t *)ek_arena_take(arena, parameters->keyframes, sizeof(size_t));
+    frontend->keyframe = (ek_real *)ek_arena_alloc(arena, 2u * points, sizeof(ek_real));
+    frontend->keyframe_counts = (size_t *)ek_arena_alloc(arena, parameters->keyframes, sizeof(size_t));
     return status;
 }
 
 void ek_frontend_reset(ek_frontend *frontend)
 {
     const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
-    frontend->first = frontend->held = 0u;
+    frontend->oldest_keyframe = frontend->keyframe_count = 0u;
     frontend->started = frontend->has_last_odometry = 0;
     frontend->start_from_base = frontend->start_from_keyframe = frontend->step = identity;
     frontend->stamp_ns = frontend->step_ns = 0;
     frontend->last.count = frontend->local_map.count = 0u;
 }
 
-ek_pose ek_frontend_steady(const ek_frontend *frontend, int64_t elapsed_ns)
+ek_pose ek_frontend_predict_motion(const ek_frontend *frontend, int64_t elapsed_ns)
 {
     const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
     if (frontend->step_ns <= 0) {
         return identity;
     }
     const ek_real share = (ek_real)elapsed_ns / (ek_real)frontend->step_ns;
-    return ek_se2_fraction(frontend->step, share < LONGEST_GAP ? share : LONGEST_GAP);
+    return ek_se2_fraction(frontend->step, share < MAX_GAP_STEPS ? share : MAX_GAP_STEPS);
 }
 
-/* Whether a pose can be answered, and a keyframe seen from it can be matched against. */
+/* Check that a pose, and the points of a keyframe at it, stay within EK_MAX_COORDINATE. */
 static ek_status within_reach(const ek_real *xy, size_t count, ek_pose pose, int keyframe)
 {
-    if (!ek_se2_finite(pose)) {
+    if (!ek_se2_is_finite(pose)) {
         return EK_NOT_FINITE;
     }
-    if (EK_FABS(pose.x) > EK_LARGEST || EK_FABS(pose.y) > EK_LARGEST) {
+    if (EK_FABS(pose.x) > EK_MAX_COORDINATE || EK_FABS(pose.y) > EK_MAX_COORDINATE) {
         return EK_OUT_OF_RANGE;
     }
     const ek_real farther = EK_FABS(pose.x) > EK_FABS(pose.y) ? EK_FABS(pose.x) : EK_FABS(pose.y);
-    const ek_real spare = EK_LARGEST - farther - EK_R(16.0) * EK_EPSILON * EK_LARGEST; /* rounding */
+    const ek_real spare = EK_MAX_COORDINATE - farther - EK_R(16.0) * EK_EPSILON * EK_MAX_COORDINATE; /* rounding */
     for (size_t i = 0; keyframe && i < 2u * count; i += 2u) {
         if (!(spare > EK_R(0.0) && xy[i] * xy[i] + xy[i + 1u] * xy[i + 1u] <= spare * spare)) {
             return EK_OUT_OF_RANGE;
@@ -112,28 +113,29 @@ static ek_status within_reach(const ek_real *xy, size_t count, ek_pose pose, int
     return EK_OK;
 }
 
-/* Adds a scan to the local map as its newest keyframe; the oldest leaves if there are as many as there may be. */
+/* Add a scan to the local map as the newest keyframe; drop the oldest if the local map is full. */
 static ek_status add_keyframe(ek_frontend *frontend, const ek_real *xy, size_t count, ek_pose start_from_base)
 {
-    const uint32_t keyframes = frontend->parameters.keyframes, full = frontend->held == keyframes;
+    const uint32_t keyframes = frontend->parameters.keyframes, full = frontend->keyframe_count == keyframes;
     const ek_real c = EK_COS(start_from_base.theta), s = EK_SIN(start_from_base.theta);
     ek_real *const into = frontend->keyframe;
     for (size_t i = 0; i < count; i++) {
         into[2u * i] = c * xy[2u * i] - s * xy[2u * i + 1u] + start_from_base.x;
         into[2u * i + 1u] = s * xy[2u * i] + c * xy[2u * i + 1u] + start_from_base.y;
     }
-    const size_t removed = full ? frontend->keyframe_counts[frontend->first] : 0u;
-    frontend->keyframe_counts[(frontend->first + frontend->held) % keyframes] = count;
-    frontend->first = (frontend->first + full) % keyframes;
-    frontend->held += 1u - full;
-    return ek_merge_update(&frontend->merge, &frontend->local_map, removed, into, count);
+    const size_t removed = full ? frontend->keyframe_counts[frontend->oldest_keyframe] : 0u;
+    frontend->keyframe_counts[(frontend->oldest_keyframe + frontend->keyframe_count) % keyframes] = count;
+    frontend->oldest_keyframe = (frontend->oldest_keyframe + full) % keyframes;
+    frontend->keyframe_count += 1u - full;
+    return ek_index_update(&frontend->updater, &frontend->local_map, removed, into, count);
 }
 
-/* One stage: its answer if it stands on enough pairs, else the guess; no points stand on none. */
-static ek_status accepted(ek_frontend *frontend, const ek_index *target, const ek_real *xy, size_t count,
-                          const ek_icp_parameters *parameters, ek_pose *guess, ek_match *match, ek_belief *belief)
+/* Run one stage: update *pose if the match has enough pairs, otherwise store_scan the guess. */
+static ek_status run_stage(ek_frontend *frontend, const ek_index *target, const ek_real *xy, size_t count,
+                           const ek_icp_parameters *parameters, ek_pose *guess, ek_match *match,
+                           ek_stage_outcome *belief)
 {
-    *belief = EK_GUESS_KEPT;
+    *belief = EK_STAGE_GUESS_KEPT;
     if (count == 0u) {
         return EK_OK;
     }
@@ -141,33 +143,33 @@ static ek_status accepted(ek_frontend *frontend, const ek_index *target, const e
         ek_icp_register(&frontend->icp, target, xy, count, *guess, parameters, NULL, NULL, match);
     if (status == EK_OK && match->inliers >= frontend->parameters.min_inliers) {
         *guess = match->target_from_source;
-        *belief = EK_ACCEPTED;
+        *belief = EK_STAGE_ACCEPTED;
     }
     return status;
 }
 
 static ek_status check(const ek_frontend *frontend, const ek_real *xy, size_t count, const ek_prior *prior,
-                       const ek_answer *answer)
+                       const ek_estimate *estimate)
 {
-    if (!frontend || !prior || !answer || (!xy && count)) {
+    if (!frontend || !prior || !estimate || (!xy && count)) {
         return EK_NULL_POINTER;
     }
     if (count > frontend->parameters.points) {
         return EK_TOO_MANY_POINTS;
     }
-    if (prior->has_odometry && !ek_se2_finite(prior->odom_from_base)) {
+    if (prior->has_odometry && !ek_se2_is_finite(prior->odom_from_base)) {
         return EK_NOT_FINITE;
     }
     for (size_t i = 0; i < 2u * count; i++) {
-        if (!(EK_FABS(xy[i]) <= EK_LARGEST)) {
+        if (!(EK_FABS(xy[i]) <= EK_MAX_COORDINATE)) {
             return isfinite(xy[i]) ? EK_OUT_OF_RANGE : EK_NOT_FINITE;
         }
     }
     return frontend->started && prior->stamp_ns <= frontend->stamp_ns ? EK_OUT_OF_RANGE : EK_OK;
 }
 
-/* Time from the last scan to a later one; never more than the type holds. */
-static int64_t since_last(const ek_frontend *frontend, int64_t stamp_ns)
+/* Time since the last scan (ns), saturated at INT64_MAX. */
+static int64_t time_since_last(const ek_frontend *frontend, int64_t stamp_ns)
 {
     const uint64_t elapsed = (uint64_t)stamp_ns - (uint64_t)frontend->stamp_ns;
     return elapsed < (uint64_t)INT64_MAX ? (int64_t)elapsed : INT64_MAX;
@@ -178,75 +180,75 @@ static ek_pose predict(const ek_frontend *frontend, const ek_prior *prior)
     if (prior->has_odometry && frontend->has_last_odometry) {
         return ek_se2_between(frontend->odom_from_base, prior->odom_from_base);
     }
-    return ek_frontend_steady(frontend, frontend->started ? since_last(frontend, prior->stamp_ns) : 0);
+    return ek_frontend_predict_motion(frontend, frontend->started ? time_since_last(frontend, prior->stamp_ns) : 0);
 }
 
-/* Both stages; *answer is complete but for the keyframe. */
-static ek_status locate(ek_frontend *frontend, const ek_real *xy, size_t count, const ek_prior *prior,
-                        ek_answer *answer)
+/* Run both stages; fills *estimate except for `keyframe`. */
+static ek_status run_stages(ek_frontend *frontend, const ek_real *xy, size_t count, const ek_prior *prior,
+                        ek_estimate *estimate)
 {
     const ek_frontend_parameters *const p = &frontend->parameters;
     ek_pose last_from_base = predict(frontend, prior);
     ek_status status = EK_OK;
     if (frontend->started && p->use_scan_to_scan) {
-        status = accepted(frontend, &frontend->last, xy, count, &p->scan_to_scan, &last_from_base,
-                          &answer->scan_to_scan, &answer->scan_to_scan_belief);
+        status = run_stage(frontend, &frontend->last, xy, count, &p->scan_to_scan, &last_from_base,
+                          &estimate->scan_to_scan, &estimate->scan_to_scan_outcome);
     }
     if (frontend->started) {
-        answer->start_from_base = ek_se2_compose(frontend->start_from_base, last_from_base);
+        estimate->start_from_base = ek_se2_compose(frontend->start_from_base, last_from_base);
     }
     if (status == EK_OK && frontend->started && p->use_scan_to_map) {
-        status = accepted(frontend, &frontend->local_map, xy, count, &p->scan_to_map, &answer->start_from_base,
-                          &answer->scan_to_map, &answer->scan_to_map_belief);
+        status = run_stage(frontend, &frontend->local_map, xy, count, &p->scan_to_map, &estimate->start_from_base,
+                          &estimate->scan_to_map, &estimate->scan_to_map_outcome);
     }
     return status;
 }
 
-/* Takes the answer in: as a keyframe if the base has moved enough, as the last scan in any case. Changes nothing before
- * it is sure to succeed. */
-static ek_status keep(ek_frontend *frontend, const ek_real *xy, size_t count, const ek_prior *prior,
-                      ek_answer *answer)
+/* Store the scan: as a keyframe if the base has moved enough, and as the last scan. On error nothing is changed. */
+static ek_status store_scan(ek_frontend *frontend, const ek_real *xy, size_t count, const ek_prior *prior,
+                      ek_estimate *estimate)
 {
-    const ek_pose moved = ek_se2_between(frontend->start_from_keyframe, answer->start_from_base);
+    const ek_pose moved = ek_se2_between(frontend->start_from_keyframe, estimate->start_from_base);
     const ek_real distance = EK_SQRT(moved.x * moved.x + moved.y * moved.y);
-    answer->keyframe = count && (frontend->held == 0u || distance >= frontend->parameters.keyframe_distance ||
-                                 EK_FABS(moved.theta) >= frontend->parameters.keyframe_angle);
-    ek_status status = within_reach(xy, count, answer->start_from_base, answer->keyframe);
+    estimate->keyframe =
+        count && (frontend->keyframe_count == 0u || distance >= frontend->parameters.keyframe_distance ||
+                  EK_FABS(moved.theta) >= frontend->parameters.keyframe_angle);
+    ek_status status = within_reach(xy, count, estimate->start_from_base, estimate->keyframe);
     if (status != EK_OK) {
         return status;
     }
-    if (answer->keyframe) {
-        status = add_keyframe(frontend, xy, count, answer->start_from_base);
-        frontend->start_from_keyframe = answer->start_from_base;
+    if (estimate->keyframe) {
+        status = add_keyframe(frontend, xy, count, estimate->start_from_base);
+        frontend->start_from_keyframe = estimate->start_from_base;
     }
     if (status == EK_OK) {
         status = ek_index_build(&frontend->last, xy, count);
     }
     if (frontend->started) {
-        frontend->step_ns = since_last(frontend, prior->stamp_ns);
-        frontend->step = ek_se2_between(frontend->start_from_base, answer->start_from_base);
+        frontend->step_ns = time_since_last(frontend, prior->stamp_ns);
+        frontend->step = ek_se2_between(frontend->start_from_base, estimate->start_from_base);
     }
     frontend->started = 1;
     frontend->stamp_ns = prior->stamp_ns;
-    frontend->start_from_base = answer->start_from_base;
+    frontend->start_from_base = estimate->start_from_base;
     frontend->has_last_odometry = prior->has_odometry;
     frontend->odom_from_base = prior->odom_from_base;
     return status;
 }
 
 ek_status ek_frontend_update(ek_frontend *frontend, const ek_real *xy, size_t count, const ek_prior *prior,
-                             ek_answer *answer)
+                             ek_estimate *estimate)
 {
     const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
     const ek_match none = {identity, 0, 0, 0, (ek_real)NAN, 0u};
-    ek_status status = check(frontend, xy, count, prior, answer);
+    ek_status status = check(frontend, xy, count, prior, estimate);
     if (status != EK_OK) {
         return status;
     }
-    answer->start_from_base = identity;
-    answer->scan_to_scan = answer->scan_to_map = none;
-    answer->scan_to_scan_belief = answer->scan_to_map_belief = EK_NOT_ASKED;
-    answer->keyframe = 0;
-    status = locate(frontend, xy, count, prior, answer);
-    return status == EK_OK ? keep(frontend, xy, count, prior, answer) : status;
+    estimate->start_from_base = identity;
+    estimate->scan_to_scan = estimate->scan_to_map = none;
+    estimate->scan_to_scan_outcome = estimate->scan_to_map_outcome = EK_STAGE_SKIPPED;
+    estimate->keyframe = 0;
+    status = run_stages(frontend, xy, count, prior, estimate);
+    return status == EK_OK ? store_scan(frontend, xy, count, prior, estimate) : status;
 }

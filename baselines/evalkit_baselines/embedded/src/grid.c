@@ -3,9 +3,9 @@
 #include <string.h>
 
 #define WORD EK_WORD
-#define SPARE EK_R(1.0) /* m that undoing motion may add to a range */
+#define SPARE EK_R(1.0) /* m that deskewing may add to a range */
 #define THOUSANDTHS EK_R(1000.0)
-#define MAX_CELLS ((uint32_t)1 << 15) /* a side */
+#define MAX_CELLS ((uint32_t)1 << 15) /* per side */
 
 ek_grid_parameters ek_grid_default(void)
 {
@@ -22,8 +22,8 @@ ek_grid_parameters ek_grid_default(void)
     return parameters;
 }
 
-/* Side of the window in cells, aligned to words of the map whatever the sensor's place; parameters are checked. */
-static uint32_t side(const ek_grid_parameters *parameters)
+/* Side of the window in cells, so that it covers a scan from any cell when aligned to words; parameters are checked. */
+static uint32_t window_side(const ek_grid_parameters *parameters)
 {
     const ek_real reach = (parameters->range_max + SPARE) / parameters->resolution + EK_R(2.0);
     return (2u * (uint32_t)reach + 1u + 2u * (WORD - 1u)) / WORD * WORD;
@@ -53,10 +53,10 @@ ek_status ek_grid_check(const ek_grid_parameters *parameters)
         p.bottom > 1 << 30) {
         return EK_OUT_OF_RANGE;
     }
-    return p.rolling && (side(&p) > p.columns || side(&p) > p.rows) ? EK_OUT_OF_RANGE : EK_OK;
+    return p.rolling && (window_side(&p) > p.columns || window_side(&p) > p.rows) ? EK_OUT_OF_RANGE : EK_OK;
 }
 
-ek_status ek_grid_lay_out(ek_grid *grid, ek_arena *arena, const ek_grid_parameters *parameters)
+ek_status ek_grid_init(ek_grid *grid, ek_arena *arena, const ek_grid_parameters *parameters)
 {
     if (!grid || !arena) {
         return EK_NULL_POINTER;
@@ -67,20 +67,20 @@ ek_status ek_grid_lay_out(ek_grid *grid, ek_arena *arena, const ek_grid_paramete
     }
     memset(grid, 0, sizeof *grid);
     grid->parameters = *parameters;
-    grid->window.lines = side(parameters);
+    grid->window.lines = window_side(parameters);
     grid->window.words = grid->window.lines / WORD;
     const size_t bits = (size_t)grid->window.lines * grid->window.words;
-    grid->cells = (int16_t *)ek_arena_take(arena, (size_t)parameters->columns * parameters->rows, sizeof(int16_t));
-    grid->window.across = (uint32_t *)ek_arena_take(arena, bits, sizeof(uint32_t));
-    grid->window.along = (uint32_t *)ek_arena_take(arena, bits, sizeof(uint32_t));
-    grid->window.ends = (uint32_t *)ek_arena_take(arena, bits, sizeof(uint32_t));
+    grid->cells = (int16_t *)ek_arena_alloc(arena, (size_t)parameters->columns * parameters->rows, sizeof(int16_t));
+    grid->window.across = (uint32_t *)ek_arena_alloc(arena, bits, sizeof(uint32_t));
+    grid->window.along = (uint32_t *)ek_arena_alloc(arena, bits, sizeof(uint32_t));
+    grid->window.ends = (uint32_t *)ek_arena_alloc(arena, bits, sizeof(uint32_t));
     if (arena->memory && ek_arena_check(arena) == EK_OK) {
         ek_grid_clear(grid);
     }
     return EK_OK;
 }
 
-static void forget(int16_t *cells, size_t count)
+static void set_unknown(int16_t *cells, size_t count)
 {
     for (size_t i = 0; i < count; i++) {
         cells[i] = EK_UNKNOWN;
@@ -91,11 +91,11 @@ void ek_grid_clear(ek_grid *grid)
 {
     grid->left = grid->parameters.left;
     grid->bottom = grid->parameters.bottom;
-    forget(grid->cells, (size_t)grid->parameters.columns * grid->parameters.rows);
+    set_unknown(grid->cells, (size_t)grid->parameters.columns * grid->parameters.rows);
 }
 
-/* Moves the map's corner; cells keep their place in the world, new ones are unknown. */
-static void roll(ek_grid *grid, int32_t left, int32_t bottom)
+/* Move the map's corner; cells keep their position in the world, new cells are unknown. */
+static void roll_map(ek_grid *grid, int32_t left, int32_t bottom)
 {
     const int64_t columns = grid->parameters.columns, rows = grid->parameters.rows;
     const int64_t by_column = (int64_t)left - grid->left, by_row = (int64_t)bottom - grid->bottom;
@@ -104,42 +104,43 @@ static void roll(ek_grid *grid, int32_t left, int32_t bottom)
         const int64_t to = by_row < 0 ? rows - 1 - k : k, from = to + by_row;
         int16_t *const line = grid->cells + to * columns;
         if (from < 0 || from >= rows || skipped >= columns) {
-            forget(line, (size_t)columns);
+            set_unknown(line, (size_t)columns);
             continue;
         }
         const int16_t *const old = grid->cells + from * columns;
         const size_t kept = (size_t)(columns - skipped);
         memmove(by_column < 0 ? line + skipped : line, by_column < 0 ? old : old + skipped, kept * sizeof *line);
-        forget(by_column < 0 ? line : line + kept, (size_t)skipped);
+        set_unknown(by_column < 0 ? line : line + kept, (size_t)skipped);
     }
     grid->left = left;
     grid->bottom = bottom;
 }
 
-static int32_t aligned(int32_t cell)
+static int32_t align_down(int32_t cell)
 {
     const int32_t rest = cell % (int32_t)WORD;
     return cell - (rest < 0 ? rest + (int32_t)WORD : rest);
 }
 
-/* Puts the window around the sensor's cell, and a rolling map around a window that would leave it. */
-static void centre(ek_grid *grid, int32_t column, int32_t row)
+/* Centre the window on the sensor's cell; centre a rolling map on the window if the window would leave it. */
+static void centre_window(ek_grid *grid, int32_t column, int32_t row)
 {
     const int32_t lines = (int32_t)grid->window.lines, reach = (lines - (int32_t)WORD) / 2;
     const int32_t columns = (int32_t)grid->parameters.columns, rows = (int32_t)grid->parameters.rows;
-    grid->window_left = aligned(column - reach);
-    grid->window_bottom = aligned(row - reach);
+    grid->window_left = align_down(column - reach);
+    grid->window_bottom = align_down(row - reach);
     if (!grid->parameters.rolling) {
         return;
     }
     const int inside = grid->window_left >= grid->left && grid->window_left + lines <= grid->left + columns &&
                        grid->window_bottom >= grid->bottom && grid->window_bottom + lines <= grid->bottom + rows;
     if (!inside) {
-        roll(grid, aligned(grid->window_left - (columns - lines) / 2), aligned(grid->window_bottom - (rows - lines) / 2));
+        roll_map(grid, align_down(grid->window_left - (columns - lines) / 2),
+                 align_down(grid->window_bottom - (rows - lines) / 2));
     }
 }
 
-/* Adds half a word of marks to 16 cells; no branch, so that compilers turn it into a few wide instructions. */
+/* Add half a word of marks to 16 cells. Without a branch, so that compilers vectorise it. */
 static void add_half(int16_t *EK_RESTRICT cells, uint32_t freed, uint32_t hit, const int16_t odds[4])
 {
     static const uint16_t bit[16] = {1,      2,      4,      8,      0x10,   0x20,   0x40,   0x80,
@@ -157,40 +158,40 @@ static void add_half(int16_t *EK_RESTRICT cells, uint32_t freed, uint32_t hit, c
     }
 }
 
-static uint32_t bits_in(uint32_t word)
+static uint32_t count_bits(uint32_t word)
 {
     word -= (word >> 1) & 0x55555555u;
     word = (word & 0x33333333u) + ((word >> 2) & 0x33333333u);
     return (((word + (word >> 4)) & 0x0F0F0F0Fu) * 0x01010101u) >> 24;
 }
 
-/* Adds the marks of 32 x 32 cells of the window to the map. */
+/* Add the marks of 32 x 32 cells of the window to the map. */
 static void add_block(ek_grid *grid, uint32_t row, uint32_t word, int16_t *cells, const int16_t odds[4])
 {
     uint32_t crossed[WORD];
-    ek_window_block(&grid->window, row, word, crossed);
+    ek_window_read_block(&grid->window, row, word, crossed);
     for (uint32_t k = 0; k < WORD; k++, cells += grid->parameters.columns) {
         const size_t at = (size_t)(row + k) * grid->window.words + word;
         const uint32_t hit = grid->window.ends[at], freed = crossed[k] & ~hit;
         if (freed | hit) {
             add_half(cells, freed & 0xFFFFu, hit & 0xFFFFu, odds);
             add_half(cells + 16, freed >> 16, hit >> 16, odds);
-            grid->touched += bits_in(freed | hit);
+            grid->touched_cells += count_bits(freed | hit);
         }
     }
 }
 
-static int16_t thousandths(ek_real odds)
+static int16_t to_thousandths(ek_real odds)
 {
     return (int16_t)EK_FLOOR(odds * THOUSANDTHS + EK_R(0.5));
 }
 
-/* Adds all marks to the part of the window that lies in the map. */
-static void settle(ek_grid *grid)
+/* Add the marks of the window to the map, where the window overlaps it. */
+static void apply_window(ek_grid *grid)
 {
     const ek_grid_parameters *const p = &grid->parameters;
-    const int16_t odds[4] = {thousandths(p->l_free), thousandths(p->l_occ), thousandths(p->l_min),
-                             thousandths(p->l_max)};
+    const int16_t odds[4] = {to_thousandths(p->l_free), to_thousandths(p->l_occ), to_thousandths(p->l_min),
+                             to_thousandths(p->l_max)};
     for (uint32_t row = 0; row < grid->window.lines; row += WORD) {
         const int64_t to_row = (int64_t)grid->window_bottom + row - grid->bottom;
         if (to_row < 0 || to_row >= (int64_t)p->rows) {
@@ -211,7 +212,7 @@ static ek_status check(const ek_grid *grid, ek_pose pose, ek_real x, ek_real y, 
     if (!grid || (!hits && count) || (!misses && miss_count)) {
         return EK_NULL_POINTER;
     }
-    if (!ek_se2_finite(pose) || !isfinite(x) || !isfinite(y)) {
+    if (!ek_se2_is_finite(pose) || !isfinite(x) || !isfinite(y)) {
         return EK_NOT_FINITE;
     }
     for (size_t i = 0; i < 2u * count; i++) {
@@ -225,14 +226,14 @@ static ek_status check(const ek_grid *grid, ek_pose pose, ek_real x, ek_real y, 
         }
     }
     const ek_real far_x = EK_FABS(pose.x) + EK_FABS(x) + EK_FABS(y), far_y = EK_FABS(pose.y) + EK_FABS(x) + EK_FABS(y);
-    const ek_real farthest = EK_LARGEST < EK_R(1e9) * grid->parameters.resolution
-                                 ? EK_LARGEST
+    const ek_real farthest = EK_MAX_COORDINATE < EK_R(1e9) * grid->parameters.resolution
+                                 ? EK_MAX_COORDINATE
                                  : EK_R(1e9) * grid->parameters.resolution; /* so that cell numbers fit 32 bits */
     return far_x <= farthest && far_y <= farthest ? EK_OK : EK_OUT_OF_RANGE;
 }
 
-ek_status ek_grid_add(ek_grid *grid, ek_pose world_from_points, ek_real start_x, ek_real start_y, const ek_real *hits,
-                      size_t count, const ek_real *misses, size_t miss_count)
+ek_status ek_grid_add_scan(ek_grid *grid, ek_pose world_from_points, ek_real start_x, ek_real start_y,
+                           const ek_real *hits, size_t count, const ek_real *misses, size_t miss_count)
 {
     const ek_status status = check(grid, world_from_points, start_x, start_y, hits, count, misses, miss_count);
     if (status != EK_OK) {
@@ -242,7 +243,7 @@ ek_status ek_grid_add(ek_grid *grid, ek_pose world_from_points, ek_real start_x,
     const ek_real c = EK_COS(world_from_points.theta), s = EK_SIN(world_from_points.theta);
     const ek_real x = (world_from_points.x + c * start_x - s * start_y) / grid->parameters.resolution;
     const ek_real y = (world_from_points.y + s * start_x + c * start_y) / grid->parameters.resolution;
-    centre(grid, (int32_t)EK_FLOOR(x), (int32_t)EK_FLOOR(y));
+    centre_window(grid, (int32_t)EK_FLOOR(x), (int32_t)EK_FLOOR(y));
     ek_view view;
     view.c = c * per_metre;
     view.s = s * per_metre;
@@ -251,9 +252,9 @@ ek_status ek_grid_add(ek_grid *grid, ek_pose world_from_points, ek_real start_x,
     view.x = world_from_points.x / grid->parameters.resolution - (ek_real)grid->window_left;
     view.y = world_from_points.y / grid->parameters.resolution - (ek_real)grid->window_bottom;
     ek_window_clear(&grid->window);
-    grid->touched = 0u;
-    grid->left_out = ek_window_add(&grid->window, &view, hits, count, 1);
-    grid->left_out += ek_window_add(&grid->window, &view, misses, miss_count, 0);
-    settle(grid);
+    grid->touched_cells = 0u;
+    grid->ignored_beams = ek_window_mark_beams(&grid->window, &view, hits, count, 1);
+    grid->ignored_beams += ek_window_mark_beams(&grid->window, &view, misses, miss_count, 0);
+    apply_window(grid);
     return EK_OK;
 }

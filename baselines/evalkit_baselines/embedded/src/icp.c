@@ -2,10 +2,10 @@
 
 #include <string.h>
 
-#define MOST ((size_t)1 << 30)
-#define FIRST_LOOK EK_R(0.75) /* cells: how far to look when nothing is known */
-#define BEYOND EK_R(0.25)     /* cells: how far beyond the last neighbour; pays for queries that are not needed later */
-#define FARTHEST EK_R(1e12) /* m; below EK_FAR: what stands for "no limit" */
+#define MAX_COUNT ((size_t)1 << 30)
+#define FIRST_LOOK EK_R(0.75) /* cells: half width of the first search without a known neighbour */
+#define BEYOND EK_R(0.25)     /* cells: searched beyond the last neighbour; saves later searches */
+#define MAX_DISTANCE EK_R(1e12) /* m; below EK_FAR: stands for "no limit" */
 
 ek_icp_parameters ek_icp_default(void)
 {
@@ -36,12 +36,12 @@ ek_status ek_icp_check(const ek_icp_parameters *parameters)
     return EK_OK;
 }
 
-ek_status ek_icp_lay_out(ek_icp *icp, ek_arena *arena, size_t capacity, size_t targets)
+ek_status ek_icp_init(ek_icp *icp, ek_arena *arena, size_t capacity, size_t targets)
 {
     if (!icp || !arena) {
         return EK_NULL_POINTER;
     }
-    if (capacity == 0u || targets == 0u || capacity > MOST || targets > MOST) {
+    if (capacity == 0u || targets == 0u || capacity > MAX_COUNT || targets > MAX_COUNT) {
         return EK_OUT_OF_RANGE;
     }
     ek_real **const reals[] = {&icp->px, &icp->py, &icp->mx,     &icp->my,       &icp->tx,    &icp->ty,
@@ -50,28 +50,28 @@ ek_status ek_icp_lay_out(ek_icp *icp, ek_arena *arena, size_t capacity, size_t t
     icp->capacity = capacity;
     icp->targets = targets;
     for (size_t i = 0; i < sizeof reals / sizeof *reals; i++) {
-        *reals[i] = (ek_real *)ek_arena_take(arena, EK_PADDED(capacity), sizeof(ek_real));
+        *reals[i] = (ek_real *)ek_arena_alloc(arena, EK_PADDED(capacity), sizeof(ek_real));
     }
     for (size_t i = 0; i < sizeof numbers / sizeof *numbers; i++) {
-        *numbers[i] = (uint32_t *)ek_arena_take(arena, EK_PADDED(capacity), sizeof(uint32_t));
+        *numbers[i] = (uint32_t *)ek_arena_alloc(arena, EK_PADDED(capacity), sizeof(uint32_t));
     }
-    icp->owner = (uint32_t *)ek_arena_take(arena, targets, sizeof(uint32_t));
+    icp->owner = (uint32_t *)ek_arena_alloc(arena, targets, sizeof(uint32_t));
     if (arena->memory && ek_arena_check(arena) == EK_OK) {
-        /* any value will do: an owner counts only if it points back; but reading it must be defined */
+        /* any value is valid, an owner counts only if it points back; zero so that reading it is defined */
         memset(icp->owner, 0, targets * sizeof(uint32_t));
     }
     return EK_OK;
 }
 
-/* Takes the source in; the padding lies on its first point and never counts. */
-static ek_status load(ek_icp *icp, const ek_real *xy, size_t count)
+/* Load the source points; the padding repeats the first point and gets weight 0. */
+static ek_status load_source(ek_icp *icp, const ek_real *xy, size_t count)
 {
     const size_t padded = EK_PADDED(count);
     for (size_t i = 0; i < padded; i++) {
         const size_t from = i < count ? i : 0u;
         icp->px[i] = xy[2u * from];
         icp->py[i] = xy[2u * from + 1u];
-        if (!(EK_FABS(icp->px[i]) <= EK_LARGEST && EK_FABS(icp->py[i]) <= EK_LARGEST)) {
+        if (!(EK_FABS(icp->px[i]) <= EK_MAX_COORDINATE && EK_FABS(icp->py[i]) <= EK_MAX_COORDINATE)) {
             return isfinite(icp->px[i]) && isfinite(icp->py[i]) ? EK_OUT_OF_RANGE : EK_NOT_FINITE;
         }
         icp->tx[i] = icp->ty[i] = EK_FAR;
@@ -83,9 +83,9 @@ static ek_status load(ek_icp *icp, const ek_real *xy, size_t count)
     return EK_OK;
 }
 
-/* Moves points and measures how far they are from where they were and from their targets. All pointers are parameters:
- * only of those do compilers believe `restrict` and take several points at once. */
-static void moved(size_t padded, ek_pose pose, ek_real limit, const ek_real *EK_RESTRICT px,
+/* Move points by a pose; compute distance to the target points and slack. All pointers are parameters because compilers
+ * vectorise with `restrict` only on parameters. */
+static void move_points(size_t padded, ek_pose pose, ek_real limit, const ek_real *EK_RESTRICT px,
                   const ek_real *EK_RESTRICT py, const ek_real *EK_RESTRICT tx, const ek_real *EK_RESTRICT ty,
                   const ek_real *EK_RESTRICT ax, const ek_real *EK_RESTRICT ay, const ek_real *EK_RESTRICT others,
                   ek_real *EK_RESTRICT mx, ek_real *EK_RESTRICT my, ek_real *EK_RESTRICT distance,
@@ -95,35 +95,36 @@ static void moved(size_t padded, ek_pose pose, ek_real limit, const ek_real *EK_
     for (size_t i = 0; i < padded; i++) {
         const ek_real x = c * px[i] - s * py[i] + x0, y = s * px[i] + c * py[i] + y0;
         const ek_real dx = x - tx[i], dy = y - ty[i], wx = x - ax[i], wy = y - ay[i];
-        const ek_real to = EK_SQRT(dx * dx + dy * dy), way = EK_SQRT(wx * wx + wy * wy);
+        const ek_real to = EK_SQRT(dx * dx + dy * dy), moved = EK_SQRT(wx * wx + wy * wy);
         mx[i] = x;
         my[i] = y;
         distance[i] = to;
-        slack[i] = others[i] - way - (to < limit ? to : limit);
+        slack[i] = others[i] - moved - (to < limit ? to : limit);
     }
 }
 
-/* Moves the source by a pose and measures each point's distance to the target point it had, and how far it is from
- * having to ask again: its neighbour cannot have changed while distance + way moved < distance to all others then. */
-static void move(ek_icp *icp, size_t padded, ek_pose pose, ek_real limit)
+/* Move the source by a pose; compute each point's distance to its last target point and its slack. The neighbour cannot
+ * have changed while distance + distance move_points since the search < lower bound on all other distances at the
+ * search. */
+static void move_source(ek_icp *icp, size_t padded, ek_pose pose, ek_real limit)
 {
-    moved(padded, pose, limit, icp->px, icp->py, icp->tx, icp->ty, icp->ax, icp->ay, icp->others, icp->mx, icp->my,
-          icp->distance, icp->slack);
+    move_points(padded, pose, limit, icp->px, icp->py, icp->tx, icp->ty, icp->ax, icp->ay, icp->others, icp->mx,
+                icp->my, icp->distance, icp->slack);
 }
 
-/* Asks the index for every point whose neighbour may have changed; says how many. */
-static uint32_t refresh(ek_icp *icp, const ek_index *target, size_t count, ek_real limit)
+/* Search the neighbour of every point whose neighbour may have changed; returns the number of searches. */
+static uint32_t update_neighbours(ek_icp *icp, const ek_index *target, size_t count, ek_real limit)
 {
-    uint32_t asked = 0u;
+    uint32_t searches = 0u;
     for (uint32_t i = 0; i < count; i++) {
-        icp->stale[asked] = i;
-        asked += icp->slack[i] > target->frame.margin ? 0u : 1u;
+        icp->stale[searches] = i;
+        searches += icp->slack[i] > target->cells.margin ? 0u : 1u;
     }
-    for (uint32_t k = 0; k < asked; k++) {
+    for (uint32_t k = 0; k < searches; k++) {
         const uint32_t i = icp->stale[k];
         const ek_real x = icp->mx[i], y = icp->my[i];
-        const ek_real known = icp->distance[i] + BEYOND * target->frame.cell;
-        const ek_real radius = icp->distance[i] < limit ? known : FIRST_LOOK * target->frame.cell;
+        const ek_real known = icp->distance[i] + BEYOND * target->cells.cell;
+        const ek_real radius = icp->distance[i] < limit ? known : FIRST_LOOK * target->cells.cell;
         const ek_neighbour answer = ek_index_nearest(target, x, y, limit, radius);
         const int found = answer.slot != EK_NONE;
         icp->nearest[i] = found ? answer.slot : (uint32_t)icp->targets;
@@ -134,11 +135,11 @@ static uint32_t refresh(ek_icp *icp, const ek_index *target, size_t count, ek_re
         icp->ay[i] = y;
         icp->others[i] = answer.others;
     }
-    return asked;
+    return searches;
 }
 
-/* Gives every pair that counts the weight 1; says how many (equation 2). */
-static int32_t pair(ek_icp *icp, size_t count, ek_real limit, int one_to_one)
+/* Set weight 1 for every select_pairs that is used; returns their number (equation 2). */
+static int32_t select_pairs(ek_icp *icp, size_t count, ek_real limit, int one_to_one)
 {
     const ek_real *const EK_RESTRICT distance = icp->distance;
     const uint32_t *const EK_RESTRICT nearest = icp->nearest;
@@ -156,7 +157,7 @@ static int32_t pair(ek_icp *icp, size_t count, ek_real limit, int one_to_one)
         if (!one_to_one) {
             continue;
         }
-        /* owner is never cleared: it holds in this pass if it points back from a point already seen */
+        /* owner is never cleared: an entry is valid in this pass if it points back to a point already processed */
         const uint32_t rival = owner[slot];
         if (rival < i && nearest[rival] == slot && weight[rival] > EK_R(0.0)) {
             const int loses = distance[rival] <= distance[i];
@@ -170,8 +171,8 @@ static int32_t pair(ek_icp *icp, size_t count, ek_real limit, int one_to_one)
     return pairs;
 }
 
-/* The step that brings the pairs together best (equations 3 and 4, corrected: the angle cannot be a reflection).
- * Sums run over shifted points, in lanes: the answer does not depend on how a compiler vectorises. */
+/* Least-squares step of the pairs (equations 3 and 4, corrected: the angle cannot be a reflection). Sums run over
+ * shifted points in fixed lanes, so that the result does not depend on how a compiler vectorises. */
 static ek_pose closed_form(const ek_icp *icp, size_t padded, ek_pose pose)
 {
     const ek_real *const EK_RESTRICT mx = icp->mx, *const EK_RESTRICT my = icp->my;
@@ -210,8 +211,8 @@ static ek_pose closed_form(const ek_icp *icp, size_t padded, ek_pose pose)
     return step;
 }
 
-/* Equation 5 over the pairs, in the unit of the stop rule. */
-static ek_real residual(const ek_icp *icp, size_t padded, int32_t pairs, ek_error_measure measure)
+/* Error over the pairs (equation 5), in the unit of the stop rule. */
+static ek_real compute_error(const ek_icp *icp, size_t padded, int32_t pairs, ek_error_measure measure)
 {
     const ek_real *const EK_RESTRICT distance = icp->distance, *const EK_RESTRICT weight = icp->weight;
     ek_real sums[EK_LANES] = {EK_R(0.0)}, total = EK_R(0.0);
@@ -235,8 +236,8 @@ static ek_real residual(const ek_icp *icp, size_t padded, int32_t pairs, ek_erro
     return measure == EK_ERROR_RMSE ? EK_SQRT(total) : total;
 }
 
-static void report(ek_icp *icp, const ek_index *target, size_t count, ek_icp_iteration *iteration, ek_icp_trace trace,
-                   void *context)
+static void call_trace(ek_icp *icp, const ek_index *target, size_t count, ek_icp_iteration *iteration,
+                       ek_icp_trace trace, void *context)
 {
     size_t pairs = 0;
     for (uint32_t i = 0; i < count; i++) {
@@ -262,10 +263,10 @@ static ek_status check(const ek_icp *icp, const ek_index *target, const ek_real 
     if (count > icp->capacity) {
         return EK_TOO_MANY_POINTS;
     }
-    if (!ek_se2_finite(guess)) {
+    if (!ek_se2_is_finite(guess)) {
         return EK_NOT_FINITE;
     }
-    if (target->count > icp->targets || EK_FABS(guess.x) > EK_LARGEST || EK_FABS(guess.y) > EK_LARGEST) {
+    if (target->count > icp->targets || EK_FABS(guess.x) > EK_MAX_COORDINATE || EK_FABS(guess.y) > EK_MAX_COORDINATE) {
         return EK_OUT_OF_RANGE;
     }
     return ek_icp_check(parameters);
@@ -275,15 +276,15 @@ static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_po
                         const ek_icp_parameters *parameters, ek_icp_trace trace, void *context)
 {
     const size_t padded = EK_PADDED(count);
-    const int limited = parameters->max_correspondence > EK_R(0.0) && parameters->max_correspondence < FARTHEST;
-    const ek_real limit = limited ? parameters->max_correspondence : FARTHEST;
+    const int limited = parameters->max_correspondence > EK_R(0.0) && parameters->max_correspondence < MAX_DISTANCE;
+    const ek_real limit = limited ? parameters->max_correspondence : MAX_DISTANCE;
     ek_match match = {guess, 0, 0, 0, (ek_real)NAN, 0u};
     ek_pose pose = guess;
     ek_real previous = (ek_real)INFINITY;
-    move(icp, padded, pose, limit);
+    move_source(icp, padded, pose, limit);
     while (match.iterations < parameters->max_iterations && !match.converged) {
-        match.asked += refresh(icp, target, count, limit);
-        match.inliers = pair(icp, count, limit, parameters->one_to_one);
+        match.queries += update_neighbours(icp, target, count, limit);
+        match.inliers = select_pairs(icp, count, limit, parameters->one_to_one);
         if (match.inliers < parameters->min_pairs) {
             match.error = (ek_real)NAN;
             match.target_from_source = guess;
@@ -292,13 +293,13 @@ static ek_match iterate(ek_icp *icp, const ek_index *target, size_t count, ek_po
         ek_icp_iteration now = {++match.iterations, match.inliers, EK_R(0.0), {EK_R(0.0), EK_R(0.0), EK_R(0.0)},
                                 pose, NULL, NULL};
         now.step = closed_form(icp, padded, pose);
-        now.error = parameters->error_before ? residual(icp, padded, match.inliers, parameters->error) : EK_R(0.0);
+        now.error = parameters->error_before ? compute_error(icp, padded, match.inliers, parameters->error) : EK_R(0.0);
         pose = ek_se2_compose(now.step, pose); /* equation 9: the step is in the target's frame */
         now.target_from_source = pose;
-        move(icp, padded, pose, limit);
-        now.error = parameters->error_before ? now.error : residual(icp, padded, match.inliers, parameters->error);
+        move_source(icp, padded, pose, limit);
+        now.error = parameters->error_before ? now.error : compute_error(icp, padded, match.inliers, parameters->error);
         if (trace) {
-            report(icp, target, count, &now, trace, context);
+            call_trace(icp, target, count, &now, trace, context);
         }
         match.converged = EK_FABS(now.error - previous) < parameters->epsilon;
         previous = now.error;
@@ -312,7 +313,7 @@ ek_status ek_icp_register(ek_icp *icp, const ek_index *target, const ek_real *so
                           const ek_icp_parameters *parameters, ek_icp_trace trace, void *context, ek_match *match)
 {
     ek_status status = check(icp, target, source_xy, count, guess, parameters, match);
-    status = status == EK_OK ? load(icp, source_xy, count) : status;
+    status = status == EK_OK ? load_source(icp, source_xy, count) : status;
     if (status == EK_OK) {
         *match = iterate(icp, target, count, guess, parameters, trace, context);
     }

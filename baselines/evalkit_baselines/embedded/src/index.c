@@ -2,52 +2,52 @@
 
 #include <string.h>
 
-#define MOST ((size_t)1 << 30)
-#define DENSITY EK_R(3.0) /* points per occupied cell to aim at */
+#define MAX_COUNT ((size_t)1 << 30)
+#define DENSITY EK_R(3.0) /* target number of points per occupied cell */
 #define SPARSE (EK_R(0.6) * DENSITY)
 #define DENSE (EK_R(1.7) * DENSITY)
 
-ek_status ek_index_lay_out(ek_index *index, ek_arena *arena, size_t capacity, size_t cells)
+ek_status ek_index_init(ek_index *index, ek_arena *arena, size_t capacity, size_t cells)
 {
     if (!index || !arena) {
         return EK_NULL_POINTER;
     }
-    if (capacity == 0u || cells == 0u || capacity > MOST || cells > MOST) {
+    if (capacity == 0u || cells == 0u || capacity > MAX_COUNT || cells > MAX_COUNT) {
         return EK_OUT_OF_RANGE;
     }
     memset(index, 0, sizeof *index);
     index->capacity = capacity;
     index->cell_capacity = cells;
-    index->xy = (ek_real *)ek_arena_take(arena, 2u * EK_INDEX_SLOTS(capacity), sizeof(ek_real));
-    index->id = (uint32_t *)ek_arena_take(arena, EK_INDEX_SLOTS(capacity), sizeof(uint32_t));
-    index->start = (uint32_t *)ek_arena_take(arena, cells + 2u + EK_INDEX_BLOCK, sizeof(uint32_t));
-    index->scratch = (uint32_t *)ek_arena_take(arena, EK_INDEX_SLOTS(capacity), sizeof(uint32_t));
+    index->xy = (ek_real *)ek_arena_alloc(arena, 2u * EK_INDEX_SLOTS(capacity), sizeof(ek_real));
+    index->id = (uint32_t *)ek_arena_alloc(arena, EK_INDEX_SLOTS(capacity), sizeof(uint32_t));
+    index->start = (uint32_t *)ek_arena_alloc(arena, cells + 2u + EK_INDEX_BLOCK, sizeof(uint32_t));
+    index->scratch = (uint32_t *)ek_arena_alloc(arena, EK_INDEX_SLOTS(capacity), sizeof(uint32_t));
     if (arena->memory && ek_arena_check(arena) == EK_OK) {
         memset(index->start, 0, (cells + 2u + EK_INDEX_BLOCK) * sizeof(uint32_t));
     }
     return EK_OK;
 }
 
-/* Counts the points of each cell, one entry late, and the cells that hold any. */
-static void tally(ek_index *index, const ek_real *xy, size_t count)
+/* Count the points of each cell (stored two entries later) and the occupied cells. */
+static void count_cells(ek_index *index, const ek_real *xy, size_t count)
 {
-    const ek_frame frame = index->frame;
+    const ek_cell_grid frame = index->cells;
     uint32_t *const EK_RESTRICT counts = index->start + 2;
     uint32_t *const EK_RESTRICT cells = index->scratch;
     size_t occupied = 0u;
     memset(index->start, 0, ((size_t)frame.rows * frame.columns + 2u) * sizeof(uint32_t));
     for (size_t i = 0; i < count; i++) {
-        const uint32_t cell = ek_frame_cell(&frame, xy + 2u * i);
+        const uint32_t cell = ek_cell_grid_index(&frame, xy + 2u * i);
         cells[i] = cell;
         occupied += counts[cell]++ == 0u;
     }
     index->occupied = occupied;
 }
 
-/* Sorts the points by cell; within a cell they keep their order. */
+/* Sort the points by cell; stable within a cell. */
 static void scatter(ek_index *index, const ek_real *xy, size_t count)
 {
-    const size_t cells = (size_t)index->frame.rows * index->frame.columns;
+    const size_t cells = (size_t)index->cells.rows * index->cells.columns;
     uint32_t *const EK_RESTRICT next = index->start + 1;
     for (size_t cell = 1; cell <= cells; cell++) {
         index->start[cell] += index->start[cell - 1u];
@@ -66,16 +66,16 @@ static ek_real density(const ek_index *index, size_t count)
     return (ek_real)count / (ek_real)index->occupied;
 }
 
-/* Whether cells hold about as many points as they should, or more because there can be no finer ones. */
-static int filled(const ek_index *index, size_t count)
+/* 1 if the density is near the target, or above it with the smallest possible cells. */
+static int has_target_density(const ek_index *index, size_t count)
 {
     const ek_real points = density(index, count);
-    return points >= SPARSE && (points <= DENSE || index->frame.finest);
+    return points >= SPARSE && (points <= DENSE || index->cells.finest);
 }
 
 ek_status ek_index_build(ek_index *index, const ek_real *xy, size_t count)
 {
-    ek_span span;
+    ek_bounds span;
     if (!index || (!xy && count)) {
         return EK_NULL_POINTER;
     }
@@ -83,21 +83,21 @@ ek_status ek_index_build(ek_index *index, const ek_real *xy, size_t count)
     if (count == 0u || count > index->capacity) {
         return count == 0u ? EK_OK : EK_TOO_MANY_POINTS;
     }
-    const ek_status status = ek_span_of(xy, count, &span);
+    const ek_status status = ek_bounds_compute(xy, count, &span);
     if (status != EK_OK) {
         return status;
     }
-    /* the last cloud's cells are a good first guess; without: points along the outline of the box */
+    /* start from the last cell width; without one, assume that the points lie along the outline of the box */
     const ek_real width = span.right - span.left, height = span.top - span.bottom;
-    ek_real cell = index->frame.cell > EK_R(0.0) ? index->frame.cell : DENSITY * (width + height) / (ek_real)count;
+    ek_real cell = index->cells.cell > EK_R(0.0) ? index->cells.cell : DENSITY * (width + height) / (ek_real)count;
     for (int attempt = 0; attempt < 4; attempt++) {
-        if (attempt || !ek_frame_suits(&index->frame, &span)) {
-            index->frame = ek_frame_over(&span, cell, index->cell_capacity);
+        if (attempt || !ek_cell_grid_suits(&index->cells, &span)) {
+            index->cells = ek_cell_grid_fit(&span, cell, index->cell_capacity);
         }
-        tally(index, xy, count);
-        cell = index->frame.cell * EK_SQRT(DENSITY / density(index, count));
-        if (filled(index, count) || (cell > width && cell > height)) {
-            break; /* cells wider than the cloud gain nothing */
+        count_cells(index, xy, count);
+        cell = index->cells.cell * EK_SQRT(DENSITY / density(index, count));
+        if (has_target_density(index, count) || (cell > width && cell > height)) {
+            break; /* cells wider than the cloud do not help */
         }
     }
     scatter(index, xy, count);
@@ -105,11 +105,12 @@ ek_status ek_index_build(ek_index *index, const ek_real *xy, size_t count)
     return EK_OK;
 }
 
-/* Whether the frame suits the points held, told by their cells: what ek_frame_suits tells by their coordinates. */
-static int suits(const ek_index *index)
+/* 1 if the grid grid_suits_points the points: as ek_cell_grid_suits, from occupied cells instead of coordinates. */
+static int grid_suits_points(const ek_index *index)
 {
-    const uint32_t columns = index->frame.columns, rows = index->frame.rows;
-    const uint32_t across = ek_frame_spare(columns), up = ek_frame_spare(rows), *const start = index->start;
+    const uint32_t columns = index->cells.columns, rows = index->cells.rows;
+    const uint32_t across = ek_cell_grid_spare_lines(columns),
+                   up = ek_cell_grid_spare_lines(rows), *const start = index->start;
     if (start[(size_t)up * columns] == 0u || start[(size_t)(rows - up) * columns] == index->count) {
         return 0;
     }
@@ -122,19 +123,20 @@ static int suits(const ek_index *index)
     return left && right;
 }
 
-int ek_index_settled(const ek_index *index)
+int ek_index_is_stable(const ek_index *index)
 {
-    return filled(index, index->count) && suits(index);
+    return has_target_density(index, index->count) && grid_suits_points(index);
 }
 
-/* Squared distances (m^2) of the best and the second best candidate so far. */
+/* Squared distances (m^2) of the best and the second best candidate. */
 typedef struct {
     ek_real best, second;
     uint32_t slot;
 } candidates;
 
-/* Looks at the slots [from, to). */
-static inline void look(const ek_index *index, uint32_t from, uint32_t to, ek_real x, ek_real y, candidates *found)
+/* Compare the points in slots [from, to). */
+static inline void compare_slots(const ek_index *index, uint32_t from, uint32_t to, ek_real x, ek_real y,
+                                 candidates *found)
 {
     const ek_real *const EK_RESTRICT xy = index->xy;
     ek_real best = found->best, second = found->second;
@@ -151,12 +153,12 @@ static inline void look(const ek_index *index, uint32_t from, uint32_t to, ek_re
     found->slot = slot;
 }
 
-/* Of the slots in a block of cells that are exactly as near as the best, the one with the lowest index. */
-static uint32_t lowest(const ek_index *index, int32_t box[4], ek_real x, ek_real y, ek_real best)
+/* Find the slot with the find_lowest_id cloud index among those exactly as near as the best. */
+static uint32_t find_lowest_id(const ek_index *index, int32_t box[4], ek_real x, ek_real y, ek_real best)
 {
     uint32_t slot = EK_NONE;
     for (int32_t row = box[2]; row <= box[3]; row++) {
-        const uint32_t base = (uint32_t)row * index->frame.columns;
+        const uint32_t base = (uint32_t)row * index->cells.columns;
         const uint32_t to = index->start[base + (uint32_t)box[1] + 1u];
         for (uint32_t k = index->start[base + (uint32_t)box[0]]; k < to; k++) {
             const ek_real dx = index->xy[2u * k] - x, dy = index->xy[2u * k + 1u] - y;
@@ -168,19 +170,19 @@ static uint32_t lowest(const ek_index *index, int32_t box[4], ek_real x, ek_real
     return slot;
 }
 
-/* The cell number of a place along one axis, in cells, or that of the nearest cell there is. */
+/* Cell number of a coordinate along one axis (in cells), clamped to the grid. */
 static inline int32_t cell_of(ek_real place, int32_t last)
 {
     const ek_real within = place > EK_R(0.0) ? place : EK_R(0.0);
     return within < (ek_real)last ? (int32_t)within : last;
 }
 
-/* Searches all cells that a square of half a side `radius` (m) around a place touches; fills box with their columns and
- * rows and gives the distance (m) below which nothing outside of them lies, to within rounding (`margin`). */
-static inline ek_real search(const ek_index *index, ek_real x, ek_real y, ek_real radius, ek_real margin,
+/* Search all cells that a square of half width `radius` (m) around (x, y) touches; fill box with their columns and
+ * rows. Returns a lower bound on the distance (m) to any point outside them, reduced by `margin` for rounding. */
+static inline ek_real search_square(const ek_index *index, ek_real x, ek_real y, ek_real radius, ek_real margin,
                              int32_t box[4], candidates *found)
 {
-    const ek_frame *const frame = &index->frame;
+    const ek_cell_grid *const frame = &index->cells;
     const ek_real column = (x - frame->left) * frame->per_cell, row = (y - frame->bottom) * frame->per_cell;
     const ek_real reach = radius * frame->per_cell;
     const int32_t last_column = (int32_t)frame->columns - 1, last_row = (int32_t)frame->rows - 1;
@@ -192,7 +194,7 @@ static inline ek_real search(const ek_index *index, ek_real x, ek_real y, ek_rea
     found->slot = EK_NONE;
     const uint32_t *start = index->start + (size_t)box[2] * frame->columns;
     for (int32_t line = box[2]; line <= box[3]; line++, start += frame->columns) {
-        look(index, start[box[0]], start[box[1] + 1], x, y, found);
+        compare_slots(index, start[box[0]], start[box[1] + 1], x, y, found);
     }
     const int all = box[0] == 0 && box[2] == 0 && box[1] == last_column && box[3] == last_row;
     return all ? EK_FAR : radius - margin;
@@ -206,18 +208,18 @@ ek_neighbour ek_index_nearest(const ek_index *index, ek_real x, ek_real y, ek_re
     }
     candidates found;
     int32_t box[4];
-    /* far from the points rounding does more than among them; without this the search would not end there */
-    const ek_real margin = index->frame.margin + EK_R(16.0) * EK_EPSILON * (EK_FABS(x) + EK_FABS(y));
-    ek_real border = search(index, x, y, radius, margin, box, &found), best = EK_SQRT(found.best);
+    /* far from the points rounding errors are larger; without this term the search_square would not end */
+    const ek_real margin = index->cells.margin + EK_R(16.0) * EK_EPSILON * (EK_FABS(x) + EK_FABS(y));
+    ek_real border = search_square(index, x, y, radius, margin, box, &found), best = EK_SQRT(found.best);
     while (border <= best && border < limit) {
         const ek_real needed = (best < limit ? best : limit) + EK_R(4.0) * margin;
         radius = needed < EK_R(2.0) * radius ? needed : EK_R(2.0) * radius;
-        border = search(index, x, y, radius, margin, box, &found);
+        border = search_square(index, x, y, radius, margin, box, &found);
         best = EK_SQRT(found.best);
     }
     const ek_real second = EK_SQRT(found.second);
     if (best < limit) {
-        answer.slot = found.second > found.best ? found.slot : lowest(index, box, x, y, found.best);
+        answer.slot = found.second > found.best ? found.slot : find_lowest_id(index, box, x, y, found.best);
         answer.distance = best;
         answer.others = second < border ? second : border;
     } else {

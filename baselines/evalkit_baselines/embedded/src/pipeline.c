@@ -14,19 +14,19 @@ ek_pipeline_parameters ek_pipeline_default(void)
     return parameters;
 }
 
-static ek_status lay_out(ek_pipeline *pipeline, ek_arena *arena, const ek_pipeline_parameters *parameters)
+static ek_status init(ek_pipeline *pipeline, ek_arena *arena, const ek_pipeline_parameters *parameters)
 {
     memset(pipeline, 0, sizeof *pipeline);
     pipeline->parameters = *parameters;
     ek_status status = ek_scan_check(&parameters->scan);
     if (status == EK_OK) {
-        status = ek_frontend_lay_out(&pipeline->frontend, arena, &parameters->frontend);
+        status = ek_frontend_init(&pipeline->frontend, arena, &parameters->frontend);
     }
     if (status == EK_OK) {
-        status = ek_scan_lay_out(&pipeline->scan, arena, parameters->frontend.points);
+        status = ek_scan_init(&pipeline->scan, arena, parameters->frontend.points);
     }
     if (status == EK_OK && parameters->map) {
-        status = ek_grid_lay_out(&pipeline->grid, arena, &parameters->grid);
+        status = ek_grid_init(&pipeline->grid, arena, &parameters->grid);
     }
     return status;
 }
@@ -34,28 +34,28 @@ static ek_status lay_out(ek_pipeline *pipeline, ek_arena *arena, const ek_pipeli
 ek_status ek_pipeline_bytes(const ek_pipeline_parameters *parameters, size_t *bytes)
 {
     ek_pipeline pipeline;
-    ek_arena arena = ek_arena_over(NULL, 0u);
+    ek_arena arena = ek_arena_make(NULL, 0u);
     if (!parameters || !bytes) {
         return EK_NULL_POINTER;
     }
-    const ek_status status = lay_out(&pipeline, &arena, parameters);
+    const ek_status status = init(&pipeline, &arena, parameters);
     *bytes = status == EK_OK ? arena.used : 0u;
     return status;
 }
 
 ek_status ek_pipeline_start(ek_pipeline *pipeline, void *memory, size_t bytes, const ek_pipeline_parameters *parameters)
 {
-    ek_arena arena = ek_arena_over(memory, bytes);
+    ek_arena arena = ek_arena_make(memory, bytes);
     if (!pipeline || !memory || !parameters) {
         return EK_NULL_POINTER;
     }
-    const ek_status status = lay_out(pipeline, &arena, parameters);
+    const ek_status status = init(pipeline, &arena, parameters);
     return status == EK_OK ? ek_arena_check(&arena) : status;
 }
 
-ek_status ek_pipeline_update(ek_pipeline *pipeline, const ek_sweep *sweep, ek_answer *answer)
+ek_status ek_pipeline_update(ek_pipeline *pipeline, const ek_sweep *sweep, ek_estimate *estimate)
 {
-    if (!pipeline || !sweep || !answer) {
+    if (!pipeline || !sweep || !estimate) {
         return EK_NULL_POINTER;
     }
     const ek_pipeline_parameters *const p = &pipeline->parameters;
@@ -63,8 +63,9 @@ ek_status ek_pipeline_update(ek_pipeline *pipeline, const ek_sweep *sweep, ek_an
     if (sweep->time_increment_ns < 0 || (gaps && sweep->time_increment_ns > INT64_MAX / gaps)) {
         return EK_OUT_OF_RANGE;
     }
-    const ek_pose moved = sweep->has_motion ? sweep->start_from_end
-                                            : ek_frontend_steady(&pipeline->frontend, sweep->time_increment_ns * gaps);
+    const ek_pose moved = sweep->has_motion
+                              ? sweep->start_from_end
+                              : ek_frontend_predict_motion(&pipeline->frontend, sweep->time_increment_ns * gaps);
     const int moves = p->deskew && sweep->time_increment_ns > 0;
     ek_status status = ek_scan_project(&pipeline->scan, sweep, &p->scan, moves ? &moved : NULL);
     if (status != EK_OK) {
@@ -74,9 +75,9 @@ ek_status ek_pipeline_update(ek_pipeline *pipeline, const ek_sweep *sweep, ek_an
     prior.stamp_ns = sweep->stamp_ns;
     prior.has_odometry = sweep->has_odometry;
     prior.odom_from_base = sweep->odom_from_base;
-    status = ek_frontend_update(&pipeline->frontend, pipeline->scan.hits, pipeline->scan.count, &prior, answer);
+    status = ek_frontend_update(&pipeline->frontend, pipeline->scan.hits, pipeline->scan.count, &prior, estimate);
     if (status == EK_OK && p->map) {
-        status = ek_grid_add(&pipeline->grid, answer->start_from_base, p->scan.base_from_sensor.x,
+        status = ek_grid_add_scan(&pipeline->grid, estimate->start_from_base, p->scan.base_from_sensor.x,
                              p->scan.base_from_sensor.y, pipeline->scan.hits, pipeline->scan.count,
                              pipeline->scan.ends, p->clear_no_returns ? pipeline->scan.misses : 0u);
     }

@@ -2,41 +2,41 @@
 
 #include <string.h>
 
-#define MOST ((size_t)1 << 30)
-#define FARTHEST EK_R(1000.0) /* m */
-#define SMALL_TURN EK_R(0.1)  /* rad within one scan: below, a short series is exact */
+#define MAX_COUNT ((size_t)1 << 30)
+#define MAX_DISTANCE EK_R(1000.0) /* m */
+#define SMALL_TURN EK_R(0.1)  /* rad per scan: below, a short series is exact */
 
 ek_status ek_scan_check(const ek_scan_parameters *parameters)
 {
     if (!parameters) {
         return EK_NULL_POINTER;
     }
-    if (!ek_se2_finite(parameters->base_from_sensor) || !isfinite(parameters->range_min) ||
+    if (!ek_se2_is_finite(parameters->base_from_sensor) || !isfinite(parameters->range_min) ||
         !isfinite(parameters->range_max) || !isfinite(parameters->local_radius)) {
         return EK_NOT_FINITE;
     }
     if (parameters->range_min < EK_R(0.0) || parameters->range_min >= parameters->range_max ||
-        parameters->range_max > FARTHEST || parameters->local_radius < EK_R(0.0)) {
+        parameters->range_max > MAX_DISTANCE || parameters->local_radius < EK_R(0.0)) {
         return EK_OUT_OF_RANGE;
     }
     return EK_OK;
 }
 
-ek_status ek_scan_lay_out(ek_scan *scan, ek_arena *arena, size_t capacity)
+ek_status ek_scan_init(ek_scan *scan, ek_arena *arena, size_t capacity)
 {
     if (!scan || !arena) {
         return EK_NULL_POINTER;
     }
-    if (capacity == 0u || capacity > MOST) {
+    if (capacity == 0u || capacity > MAX_COUNT) {
         return EK_OUT_OF_RANGE;
     }
     memset(scan, 0, sizeof *scan);
     scan->capacity = capacity;
-    scan->hits = (ek_real *)ek_arena_take(arena, 2u * capacity, sizeof(ek_real));
-    scan->ends = (ek_real *)ek_arena_take(arena, 2u * capacity, sizeof(ek_real));
-    scan->angle = (ek_real *)ek_arena_take(arena, capacity, sizeof(ek_real));
-    scan->cosine = (ek_real *)ek_arena_take(arena, capacity, sizeof(ek_real));
-    scan->sine = (ek_real *)ek_arena_take(arena, capacity, sizeof(ek_real));
+    scan->hits = (ek_real *)ek_arena_alloc(arena, 2u * capacity, sizeof(ek_real));
+    scan->ends = (ek_real *)ek_arena_alloc(arena, 2u * capacity, sizeof(ek_real));
+    scan->angle = (ek_real *)ek_arena_alloc(arena, capacity, sizeof(ek_real));
+    scan->cosine = (ek_real *)ek_arena_alloc(arena, capacity, sizeof(ek_real));
+    scan->sine = (ek_real *)ek_arena_alloc(arena, capacity, sizeof(ek_real));
     if (arena->memory && ek_arena_check(arena) == EK_OK) {
         for (size_t i = 0; i < capacity; i++) {
             scan->angle[i] = EK_R(0.0);
@@ -47,13 +47,13 @@ ek_status ek_scan_lay_out(ek_scan *scan, ek_arena *arena, size_t capacity)
     return EK_OK;
 }
 
-/* A steady motion, ready to be cut short. */
+/* A constant-velocity motion. */
 typedef struct {
-    ek_real theta, vx, vy; /* rad; and the logarithm's translation (m) */
+    ek_real theta, vx, vy; /* rad; translation of the logarithm (m) */
     int moves;
 } ek_arc;
 
-static ek_arc arc_of(const ek_pose *motion)
+static ek_arc make_arc(const ek_pose *motion)
 {
     ek_arc arc = {EK_R(0.0), EK_R(0.0), EK_R(0.0), 0};
     if (motion) {
@@ -67,8 +67,8 @@ static ek_arc arc_of(const ek_pose *motion)
     return arc;
 }
 
-/* Moves a point along a share of the arc: the exponential, (s, c1) = (sin, 1 - cos) / theta. */
-static void follow(const ek_arc *arc, ek_real share, ek_real *x, ek_real *y)
+/* Move a point along a share of the arc: exponential with (s, c1) = (sin, 1 - cos) / theta. */
+static void move_along_arc(const ek_arc *arc, ek_real share, ek_real *x, ek_real *y)
 {
     const ek_real a = share * arc->theta, a2 = a * a;
     ek_real s, c1;
@@ -87,7 +87,7 @@ static void follow(const ek_arc *arc, ek_real share, ek_real *x, ek_real *y)
     *x = moved_x;
 }
 
-/* Where a beam without return leaves the range: its direction turns with the base, its start stays the sensor's. */
+/* Add the end point of a beam without return: its direction turns with the base, its origin does not move. */
 static void add_miss(ek_scan *scan, size_t beam, const ek_scan_parameters *parameters, ek_real turned)
 {
     const ek_pose *const mount = &parameters->base_from_sensor;
@@ -96,10 +96,10 @@ static void add_miss(ek_scan *scan, size_t beam, const ek_scan_parameters *param
     const ek_real y = mount->y + parameters->range_max * EK_SIN(angle);
     scan->ends[2u * scan->misses] = x;
     scan->ends[2u * scan->misses + 1u] = y;
-    scan->misses += isfinite(x) && isfinite(y) ? 1u : 0u; /* finite angles may add up to one that is not */
+    scan->misses += isfinite(x) && isfinite(y) ? 1u : 0u; /* a sum of finite angles may be infinite */
 }
 
-static ek_status directions(ek_scan *scan, const ek_sweep *sweep)
+static ek_status update_directions(ek_scan *scan, const ek_sweep *sweep)
 {
     for (size_t i = 0; i < sweep->beams; i++) {
         const ek_real angle = sweep->angles[i];
@@ -128,11 +128,11 @@ static ek_status check(ek_scan *scan, const ek_sweep *sweep, const ek_scan_param
     if (sweep->beams > scan->capacity) {
         return EK_TOO_MANY_POINTS;
     }
-    if (start_from_end && !ek_se2_finite(*start_from_end)) {
+    if (start_from_end && !ek_se2_is_finite(*start_from_end)) {
         return EK_NOT_FINITE;
     }
     const ek_status status = ek_scan_check(parameters);
-    return status == EK_OK ? directions(scan, sweep) : status;
+    return status == EK_OK ? update_directions(scan, sweep) : status;
 }
 
 ek_status ek_scan_project(ek_scan *scan, const ek_sweep *sweep, const ek_scan_parameters *parameters,
@@ -144,17 +144,17 @@ ek_status ek_scan_project(ek_scan *scan, const ek_sweep *sweep, const ek_scan_pa
     }
     const ek_pose mount = parameters->base_from_sensor;
     const ek_real c = EK_COS(mount.theta), s = EK_SIN(mount.theta);
-    const ek_arc arc = arc_of(sweep->beams > 1u ? start_from_end : NULL);
+    const ek_arc arc = make_arc(sweep->beams > 1u ? start_from_end : NULL);
     const ek_real per_beam = sweep->beams > 1u ? EK_R(1.0) / (ek_real)(sweep->beams - 1u) : EK_R(0.0);
-    const int local = parameters->local_radius > EK_R(0.0) && parameters->local_radius < EK_LARGEST;
-    const ek_real radius = local ? parameters->local_radius : EK_LARGEST;
+    const int local = parameters->local_radius > EK_R(0.0) && parameters->local_radius < EK_MAX_COORDINATE;
+    const ek_real radius = local ? parameters->local_radius : EK_MAX_COORDINATE;
     for (size_t i = 0; i < sweep->beams; i++) {
         const ek_real range = sweep->ranges[i];
         if (range >= parameters->range_min && range <= parameters->range_max) {
             const ek_real u = range * scan->cosine[i], v = range * scan->sine[i];
             ek_real x = c * u - s * v + mount.x, y = s * u + c * v + mount.y;
             if (arc.moves) {
-                follow(&arc, (ek_real)i * per_beam, &x, &y);
+                move_along_arc(&arc, (ek_real)i * per_beam, &x, &y);
             }
             scan->hits[2u * scan->count] = x;
             scan->hits[2u * scan->count + 1u] = y;

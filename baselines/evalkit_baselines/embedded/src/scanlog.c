@@ -7,7 +7,7 @@
 #define HAS_MOTION 2u
 #define MAX_BEAMS ((uint32_t)1 << 20)
 
-static int unsigned_of(FILE *file, int bytes, uint64_t *value)
+static int read_unsigned(FILE *file, int bytes, uint64_t *value)
 {
     unsigned char raw[8];
     if (fread(raw, 1u, (size_t)bytes, file) != (size_t)bytes) {
@@ -20,29 +20,29 @@ static int unsigned_of(FILE *file, int bytes, uint64_t *value)
     return 1;
 }
 
-static int word(FILE *file, uint32_t *value)
+static int read_u32(FILE *file, uint32_t *value)
 {
     uint64_t bits;
-    const int read = unsigned_of(file, 4, &bits);
+    const int read = read_unsigned(file, 4, &bits);
     *value = read ? (uint32_t)bits : 0u;
     return read;
 }
 
-static int time_of(FILE *file, int64_t *value)
+static int read_i64(FILE *file, int64_t *value)
 {
     uint64_t bits;
-    const int read = unsigned_of(file, 8, &bits);
+    const int read = read_unsigned(file, 8, &bits);
     if (read) {
         memcpy(value, &bits, sizeof bits);
     }
     return read;
 }
 
-static int real(FILE *file, ek_real *value)
+static int read_f64(FILE *file, ek_real *value)
 {
     uint64_t bits;
     double number;
-    if (!unsigned_of(file, 8, &bits)) {
+    if (!read_unsigned(file, 8, &bits)) {
         return 0;
     }
     memcpy(&number, &bits, sizeof number);
@@ -50,17 +50,17 @@ static int real(FILE *file, ek_real *value)
     return 1;
 }
 
-static int pose(FILE *file, ek_pose *value)
+static int read_pose(FILE *file, ek_pose *value)
 {
-    return real(file, &value->x) && real(file, &value->y) && real(file, &value->theta);
+    return read_f64(file, &value->x) && read_f64(file, &value->y) && read_f64(file, &value->theta);
 }
 
-static int reals(FILE *file, ek_real *values, size_t count)
+static int read_f32_array(FILE *file, ek_real *values, size_t count)
 {
     for (size_t i = 0; i < count; i++) {
         uint32_t bits;
         float number;
-        if (!word(file, &bits)) {
+        if (!read_u32(file, &bits)) {
             return 0;
         }
         memcpy(&number, &bits, sizeof number);
@@ -77,9 +77,9 @@ ek_status ek_scanlog_open(FILE *file, ek_scanlog *log)
         return EK_NULL_POINTER;
     }
     if (fread(magic, 1u, sizeof magic, file) != sizeof magic || memcmp(magic, "EKSL", sizeof magic) != 0 ||
-        !word(file, &version) || version != VERSION || !word(file, &log->most_beams) || log->most_beams == 0u ||
-        log->most_beams > MAX_BEAMS || !real(file, &log->range_min) || !real(file, &log->range_max) ||
-        !pose(file, &log->base_from_sensor)) {
+        !read_u32(file, &version) || version != VERSION || !read_u32(file, &log->max_beams) || log->max_beams == 0u ||
+        log->max_beams > MAX_BEAMS || !read_f64(file, &log->range_min) || !read_f64(file, &log->range_max) ||
+        !read_pose(file, &log->base_from_sensor)) {
         return EK_BAD_FILE;
     }
     return EK_OK;
@@ -99,15 +99,15 @@ ek_status ek_scanlog_next(FILE *file, const ek_scanlog *log, ek_real *ranges, ek
         return EK_BAD_FILE;
     }
     memset(sweep, 0, sizeof *sweep);
-    if (!time_of(file, &sweep->stamp_ns) || !time_of(file, &sweep->time_increment_ns) || !word(file, &beams) ||
-        !word(file, &flags) || beams > log->most_beams || (flags & ~(HAS_ODOMETRY | HAS_MOTION)) != 0u) {
+    if (!read_i64(file, &sweep->stamp_ns) || !read_i64(file, &sweep->time_increment_ns) || !read_u32(file, &beams) ||
+        !read_u32(file, &flags) || beams > log->max_beams || (flags & ~(HAS_ODOMETRY | HAS_MOTION)) != 0u) {
         return EK_BAD_FILE;
     }
     sweep->has_odometry = (flags & HAS_ODOMETRY) != 0u;
     sweep->has_motion = (flags & HAS_MOTION) != 0u;
-    if ((sweep->has_odometry && !pose(file, &sweep->odom_from_base)) ||
-        (sweep->has_motion && !pose(file, &sweep->start_from_end)) || !reals(file, ranges, beams) ||
-        !reals(file, angles, beams)) {
+    if ((sweep->has_odometry && !read_pose(file, &sweep->odom_from_base)) ||
+        (sweep->has_motion && !read_pose(file, &sweep->start_from_end)) || !read_f32_array(file, ranges, beams) ||
+        !read_f32_array(file, angles, beams)) {
         return EK_BAD_FILE;
     }
     sweep->ranges = ranges;

@@ -57,7 +57,7 @@ ek_pose ek_se2_fraction(ek_pose a_from_b, ek_real share)
     return part;
 }
 
-int ek_se2_finite(ek_pose pose)
+int ek_se2_is_finite(ek_pose pose)
 {
     return isfinite(pose.x) && isfinite(pose.y) && isfinite(pose.theta);
 }

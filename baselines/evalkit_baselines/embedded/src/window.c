@@ -12,7 +12,7 @@ void ek_window_clear(ek_window *window)
     memset(window->ends, 0, bytes);
 }
 
-/* Sets the bits [from, to] of a line. */
+/* Set the bits [from, to] of a line. */
 static inline void mark(uint32_t *line, uint32_t from, uint32_t to)
 {
     uint32_t word = from / WORD;
@@ -27,19 +27,20 @@ static inline void mark(uint32_t *line, uint32_t from, uint32_t to)
 /* A beam along one axis of the window, in cells. */
 typedef struct {
     ek_real from, to;
-    int32_t first, last; /* the cells of both */
+    int32_t first, last; /* cells of both ends */
 } ek_extent;
 
-/* Marks all cells of a beam that crosses fewer lines of the slow axis than of the fast one; `bits` holds a line of the
- * fast axis for each cell of the slow one. Exactly through a corner goes diagonally. */
-static void draw(uint32_t *bits, uint32_t words, ek_extent slow, ek_extent fast)
+/* Mark all cells of a beam that crosses no more lines of the slow axis than of the fast axis; `bits` holds one line
+ * along the fast axis for each cell of the slow axis. A beam exactly through a corner goes diagonally. */
+static void mark_beam(uint32_t *bits, uint32_t words, ek_extent slow, ek_extent fast)
 {
     const int32_t lines = slow.last > slow.first ? slow.last - slow.first : slow.first - slow.last;
     const int32_t cells = fast.last > fast.first ? fast.last - fast.first : fast.first - fast.last;
     const int up = slow.last > slow.first, right = fast.last >= fast.first;
     const ek_real reach = EK_FABS(slow.to - slow.from);
     const ek_real slope = lines ? EK_FABS(fast.to - fast.from) / reach : EK_R(0.0);
-    /* 0 to 1, from the edge behind the beam; an axis the beam does not cross may be taken either way */
+    /* 0 to 1, from the cell edge behind the start; either direction is valid for an axis that the beam does not cross
+     */
     const ek_real behind = up ? slow.from - (ek_real)slow.first : (ek_real)(slow.first + 1) - slow.from;
     const int forward = fast.to >= fast.from;
     const ek_real start = forward ? fast.from - (ek_real)fast.first : (ek_real)(fast.first + 1) - fast.from;
@@ -48,7 +49,8 @@ static void draw(uint32_t *bits, uint32_t words, ek_extent slow, ek_extent fast)
     int32_t entry = 0;
     for (int32_t k = 1; k <= lines + 1; k++, line += stride) {
         const ek_real at = ((ek_real)k - behind) * slope + start;
-        const int32_t next = at < (ek_real)cells ? (int32_t)at : cells; /* rounding must not carry a beam past its end */
+        const int32_t next =
+            at < (ek_real)cells ? (int32_t)at : cells; /* rounding must not extend a beam past its end */
         int32_t leave = next - ((ek_real)next == at ? 1 : 0);
         leave = k > lines ? cells : leave < entry ? entry : leave;
         mark(bits + line, (uint32_t)(right ? fast.first + entry : fast.first - leave),
@@ -57,7 +59,7 @@ static void draw(uint32_t *bits, uint32_t words, ek_extent slow, ek_extent fast)
     }
 }
 
-uint32_t ek_window_add(ek_window *window, const ek_view *view, const ek_real *points, size_t count, int hits)
+uint32_t ek_window_mark_beams(ek_window *window, const ek_view *view, const ek_real *points, size_t count, int hits)
 {
     uint32_t left_out = 0u;
     const ek_real limit = (ek_real)window->lines;
@@ -73,9 +75,9 @@ uint32_t ek_window_add(ek_window *window, const ek_view *view, const ek_real *po
         const int32_t wide = columns.last > column ? columns.last - column : column - columns.last;
         const int32_t high = rows.last > row ? rows.last - row : row - rows.last;
         if (wide >= high) {
-            draw(window->across, window->words, rows, columns);
+            mark_beam(window->across, window->words, rows, columns);
         } else {
-            draw(window->along, window->words, columns, rows);
+            mark_beam(window->along, window->words, columns, rows);
         }
         if (hits) {
             window->ends[(size_t)rows.last * window->words + (size_t)columns.last / WORD] |=
@@ -98,7 +100,7 @@ static void transpose(uint32_t block[WORD])
     }
 }
 
-void ek_window_block(const ek_window *window, uint32_t row, uint32_t word, uint32_t crossed[EK_WORD])
+void ek_window_read_block(const ek_window *window, uint32_t row, uint32_t word, uint32_t crossed[EK_WORD])
 {
     uint32_t any = 0u;
     for (uint32_t k = 0; k < WORD; k++) {

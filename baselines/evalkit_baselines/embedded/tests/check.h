@@ -1,4 +1,4 @@
-/* check.h - the least a test needs: a check that says where it failed, numbers anyone can repeat, memory. */
+/* check.h - test support: a check that prints its location, repeatable random numbers, memory. */
 #ifndef EK_TEST_CHECK_H
 #define EK_TEST_CHECK_H
 
@@ -28,14 +28,14 @@ static int failures;
         }                                                                                                             \
     } while (0)
 
-/* What a build can be held to, relative to numbers around 1. */
+/* Tolerance of a build, for numbers around 1. */
 #ifdef EK_FLOAT
 #define TOLERANCE 2e-5
 #else
 #define TOLERANCE 1e-10
 #endif
 
-/* A number in [low, high); the same sequence everywhere (Marsaglia 2003, xorshift64). */
+/* Random number in [low, high); the same sequence on every machine (Marsaglia 2003, xorshift64). */
 static inline ek_real uniform(uint64_t *state, double low, double high)
 {
     *state ^= *state << 13;
@@ -44,7 +44,7 @@ static inline ek_real uniform(uint64_t *state, double low, double high)
     return EK_R(low + (high - low) * ((double)(*state >> 11) / 9007199254740992.0));
 }
 
-/* An arena of its own for a test, taken once. */
+/* Allocate the arena of a test, once. */
 static inline ek_arena memory_of(size_t bytes)
 {
     void *const memory = malloc(bytes);
@@ -52,7 +52,7 @@ static inline ek_arena memory_of(size_t bytes)
         fprintf(stderr, "no memory\n");
         exit(EXIT_FAILURE);
     }
-    return ek_arena_over(memory, bytes);
+    return ek_arena_make(memory, bytes);
 }
 
 static inline int verdict(void)

@@ -1,4 +1,4 @@
-/* Both builds live in one program: this file is double, test_both_float.c is float. */
+/* Both builds link into one program: this file is double, test_both_float.c is float. */
 #include "check.h"
 #include "ek/se2.h"
 

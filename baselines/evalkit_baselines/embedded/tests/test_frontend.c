@@ -22,10 +22,10 @@ static void see(ek_pose world_from_base)
     }
 }
 
-/* Follows the robot for `scans` scans; says how far off (m) the last answer is. */
+/* Run the front end over `scans` scans; returns the error (m) of the last pose. */
 static double follow(int scans, int with_odometry)
 {
-    ek_answer answer;
+    ek_estimate estimate;
     double error = 0.0;
     int keyframes = 0;
     for (int k = 0; k < scans; k++) {
@@ -34,14 +34,14 @@ static double follow(int scans, int with_odometry)
         prior.odom_from_base.x *= EK_R(1.05); /* wheels slip */
         prior.odom_from_base.theta *= EK_R(0.95);
         see(truth);
-        CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &answer) == EK_OK);
-        keyframes += answer.keyframe;
-        const double dx = (double)(answer.start_from_base.x - start_from_base.x);
-        const double dy = (double)(answer.start_from_base.y - start_from_base.y);
+        CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &estimate) == EK_OK);
+        keyframes += estimate.keyframe;
+        const double dx = (double)(estimate.start_from_base.x - start_from_base.x);
+        const double dy = (double)(estimate.start_from_base.y - start_from_base.y);
         error = sqrt(dx * dx + dy * dy);
-        CHECK(k == 0 || (answer.scan_to_scan.iterations > 0 && answer.scan_to_map.iterations > 0));
-        CHECK(answer.scan_to_scan_belief == (k ? EK_ACCEPTED : EK_NOT_ASKED));
-        CHECK(answer.scan_to_map_belief == (k ? EK_ACCEPTED : EK_NOT_ASKED));
+        CHECK(k == 0 || (estimate.scan_to_scan.iterations > 0 && estimate.scan_to_map.iterations > 0));
+        CHECK(estimate.scan_to_scan_outcome == (k ? EK_STAGE_ACCEPTED : EK_STAGE_SKIPPED));
+        CHECK(estimate.scan_to_map_outcome == (k ? EK_STAGE_ACCEPTED : EK_STAGE_SKIPPED));
     }
     CHECK(keyframes >= 4);
     return error;
@@ -56,7 +56,7 @@ static void the_robot_is_followed(void)
 
 static void a_scan_without_points_gets_the_guess(void)
 {
-    ek_answer before, after;
+    ek_estimate before, after;
     ek_prior prior;
     memset(&prior, 0, sizeof prior);
     ek_frontend_reset(&frontend);
@@ -68,7 +68,7 @@ static void a_scan_without_points_gets_the_guess(void)
     prior.stamp_ns = 6;
     CHECK(ek_frontend_update(&frontend, points, 0u, &prior, &after) == EK_OK);
     CHECK(after.scan_to_map.iterations == 0 && !after.keyframe);
-    CHECK(after.scan_to_scan_belief == EK_GUESS_KEPT && after.scan_to_map_belief == EK_GUESS_KEPT);
+    CHECK(after.scan_to_scan_outcome == EK_STAGE_GUESS_KEPT && after.scan_to_map_outcome == EK_STAGE_GUESS_KEPT);
     CHECK_NEAR(after.start_from_base.x - before.start_from_base.x, 0.032, 0.02);
     prior.stamp_ns = 7;
     see(truth_at(6));
@@ -78,7 +78,7 @@ static void a_scan_without_points_gets_the_guess(void)
 
 static void times_as_far_apart_as_can_be_are_no_motion(void)
 {
-    ek_answer answer;
+    ek_estimate estimate;
     ek_prior prior;
     memset(&prior, 0, sizeof prior);
     const int64_t stamps[] = {INT64_MIN, INT64_MAX - 1, INT64_MAX};
@@ -86,50 +86,52 @@ static void times_as_far_apart_as_can_be_are_no_motion(void)
     for (int k = 0; k < 3; k++) {
         prior.stamp_ns = stamps[k];
         see(truth_at(k));
-        CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &answer) == EK_OK);
-        CHECK(ek_se2_finite(answer.start_from_base));
+        CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &estimate) == EK_OK);
+        CHECK(ek_se2_is_finite(estimate.start_from_base));
     }
-    CHECK_NEAR(answer.start_from_base.x, 0.06, 0.02);
+    CHECK_NEAR(estimate.start_from_base.x, 0.06, 0.02);
 }
 
-/* Where a scan would lead beyond all bounds it is refused, and the next is answered as if it had never come. */
+/* A scan that leads beyond the bounds is refused; the next one gives the same result as without it. */
 static void a_scan_that_is_refused_leaves_no_trace(void)
 {
     static const double away[] = {2e6, 0.9999999e6, 1e30};
-    ek_answer answer;
+    ek_estimate estimate;
     for (int which = 0; which < 3; which++) {
         ek_prior prior = {1, 1, {EK_R(0.0), EK_R(0.0), EK_R(0.0)}};
         ek_frontend_reset(&frontend);
         see(truth_at(0));
-        CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &answer) == EK_OK);
+        CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &estimate) == EK_OK);
         prior.stamp_ns = 2;
         prior.odom_from_base.x = EK_R(away[which]);
         prior.odom_from_base.theta = EK_R(1e30);
         const ek_index local_map = frontend.local_map, last = frontend.last;
-        const uint32_t held = frontend.held;
+        const uint32_t held = frontend.keyframe_count;
         frontend.parameters.use_scan_to_scan = frontend.parameters.use_scan_to_map = 0;
-        CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &answer) == EK_OUT_OF_RANGE);
+        CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &estimate) == EK_OUT_OF_RANGE);
         frontend.parameters.use_scan_to_scan = frontend.parameters.use_scan_to_map = 1;
-        CHECK(frontend.local_map.count == local_map.count && frontend.last.count == last.count && frontend.held == held);
+        CHECK(frontend.local_map.count == local_map.count && frontend.last.count == last.count &&
+              frontend.keyframe_count == held);
         see(truth_at(1));
         prior.odom_from_base = ek_se2_between(truth_at(0), truth_at(1));
-        CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &answer) == EK_OK);
-        CHECK_NEAR(answer.start_from_base.x, 0.03, 0.02);
-        CHECK(answer.scan_to_map_belief == EK_ACCEPTED);
+        CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &estimate) == EK_OK);
+        CHECK_NEAR(estimate.start_from_base.x, 0.03, 0.02);
+        CHECK(estimate.scan_to_map_outcome == EK_STAGE_ACCEPTED);
     }
 }
 
 static void bad_input_is_named(void)
 {
-    ek_answer answer;
+    ek_estimate estimate;
     ek_prior prior;
     memset(&prior, 0, sizeof prior);
     prior.stamp_ns = 2;
-    CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &answer) == EK_OUT_OF_RANGE); /* not after the last */
+    CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &estimate) ==
+          EK_OUT_OF_RANGE); /* stamp not later than the last */
     prior.stamp_ns = 8;
-    CHECK(ek_frontend_update(&frontend, points, BEAMS + 1u, &prior, &answer) == EK_TOO_MANY_POINTS);
+    CHECK(ek_frontend_update(&frontend, points, BEAMS + 1u, &prior, &estimate) == EK_TOO_MANY_POINTS);
     points[9] = (ek_real)NAN;
-    CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &answer) == EK_NOT_FINITE);
+    CHECK(ek_frontend_update(&frontend, points, BEAMS, &prior, &estimate) == EK_NOT_FINITE);
     ek_frontend_parameters bad = ek_frontend_default();
     bad.keyframes = 0u;
     CHECK(ek_frontend_check(&bad) == EK_OUT_OF_RANGE);
@@ -138,12 +140,12 @@ static void bad_input_is_named(void)
 int main(void)
 {
     ek_frontend_parameters parameters = ek_frontend_default();
-    ek_arena measured = ek_arena_over(NULL, 0u);
+    ek_arena measured = ek_arena_make(NULL, 0u);
     parameters.points = BEAMS;
     parameters.scan_to_scan.epsilon = parameters.scan_to_map.epsilon = EK_R(1e-6);
-    CHECK(ek_frontend_lay_out(&frontend, &measured, &parameters) == EK_OK);
+    CHECK(ek_frontend_init(&frontend, &measured, &parameters) == EK_OK);
     ek_arena arena = memory_of(measured.used);
-    CHECK(ek_frontend_lay_out(&frontend, &arena, &parameters) == EK_OK && ek_arena_check(&arena) == EK_OK);
+    CHECK(ek_frontend_init(&frontend, &arena, &parameters) == EK_OK && ek_arena_check(&arena) == EK_OK);
     ek_frontend_reset(&frontend);
     the_robot_is_followed();
     a_scan_without_points_gets_the_guess();

@@ -21,14 +21,14 @@ static size_t observed(void)
 static ek_status add(double start_x, double start_y, double x, double y)
 {
     const ek_real hit[2] = {EK_R(x), EK_R(y)};
-    return ek_grid_add(&grid, origin, EK_R(start_x), EK_R(start_y), hit, 1u, NULL, 0u);
+    return ek_grid_add_scan(&grid, origin, EK_R(start_x), EK_R(start_y), hit, 1u, NULL, 0u);
 }
 
 static void one_beam_frees_its_cells_and_fills_the_last(void)
 {
     ek_grid_clear(&grid);
     CHECK(add(0.5, 0.5, 5.5, 0.5) == EK_OK);
-    CHECK(observed() == 6u && grid.touched == 6u && *cell(5, 0) == 847);
+    CHECK(observed() == 6u && grid.touched_cells == 6u && *cell(5, 0) == 847);
     for (int32_t k = 0; k < 5; k++) {
         CHECK(*cell(k, 0) == -847);
     }
@@ -38,7 +38,7 @@ static void one_beam_frees_its_cells_and_fills_the_last(void)
     CHECK(*cell(5, 0) == 5000 && *cell(2, 0) == -5000); /* clamped */
 }
 
-/* Cells by hand: a line through (0.5, 0.5) and (3.5, 1.5) rises one row half-way, at x = 2. */
+/* Expected cells by hand: a line through (0.5, 0.5) and (3.5, 1.5) rises one row half-way, at x = 2. */
 static void crossed_cells_are_exact(void)
 {
     ek_grid_clear(&grid);
@@ -58,7 +58,7 @@ static void steep_and_flat_beams_mirror_each_other(void)
         ek_grid_clear(&grid);
         CHECK(add(0.3, 0.3, u, v) == EK_OK);
         const size_t crossed = observed();
-        const double expected = fabs(floor(u)) + fabs(floor(v)) + 1.0; /* one a line crossed, and the first */
+        const double expected = fabs(floor(u)) + fabs(floor(v)) + 1.0; /* one per grid line crossed, plus the first */
         CHECK((double)crossed == expected);
         ek_grid_clear(&grid);
         CHECK(add(0.3, 0.3, v, u) == EK_OK && observed() == crossed);
@@ -71,7 +71,7 @@ static void occupied_wins_and_counts_once(void)
     const ek_real hits[] = {EK_R(3.5), EK_R(0.5), EK_R(7.5), EK_R(0.5), EK_R(7.6), EK_R(0.4)};
     const ek_real miss[] = {EK_R(0.5), EK_R(9.5)};
     ek_grid_clear(&grid);
-    CHECK(ek_grid_add(&grid, origin, EK_R(0.5), EK_R(0.5), hits, 3u, miss, 1u) == EK_OK);
+    CHECK(ek_grid_add_scan(&grid, origin, EK_R(0.5), EK_R(0.5), hits, 3u, miss, 1u) == EK_OK);
     CHECK(*cell(3, 0) == 847 && *cell(7, 0) == 847 && *cell(5, 0) == -847);
     CHECK(*cell(0, 9) == -847 && *cell(0, 10) == EK_UNKNOWN);
 }
@@ -81,30 +81,30 @@ static void a_fixed_map_clips_and_a_rolling_one_follows(void)
     const ek_real hit[] = {EK_R(10.5), EK_R(0.5)};
     const ek_pose away = {EK_R(120.0), EK_R(-100.0), EK_R(0.0)}, lost = {EK_R(1e9), EK_R(0.0), EK_R(0.0)};
     ek_grid_clear(&grid);
-    CHECK(ek_grid_add(&grid, away, EK_R(0.5), EK_R(0.5), hit, 1u, NULL, 0u) == EK_OK);
+    CHECK(ek_grid_add_scan(&grid, away, EK_R(0.5), EK_R(0.5), hit, 1u, NULL, 0u) == EK_OK);
     CHECK(observed() == 8u && *cell(127, -100) == -847); /* 120 to 127 of 120 to 130 */
     grid.parameters.rolling = 1;
-    CHECK(ek_grid_add(&grid, away, EK_R(0.5), EK_R(0.5), hit, 1u, NULL, 0u) == EK_OK);
+    CHECK(ek_grid_add_scan(&grid, away, EK_R(0.5), EK_R(0.5), hit, 1u, NULL, 0u) == EK_OK);
     CHECK(observed() == 11u && *cell(127, -100) == -1694 && *cell(130, -100) == 847);
-    CHECK(ek_grid_add(&grid, origin, EK_R(0.5), EK_R(0.5), hit, 1u, NULL, 0u) == EK_OK);
+    CHECK(ek_grid_add_scan(&grid, origin, EK_R(0.5), EK_R(0.5), hit, 1u, NULL, 0u) == EK_OK);
     CHECK(*cell(10, 0) == 847);
-    CHECK(ek_grid_add(&grid, lost, EK_R(0.5), EK_R(0.5), hit, 1u, NULL, 0u) == EK_OUT_OF_RANGE);
+    CHECK(ek_grid_add_scan(&grid, lost, EK_R(0.5), EK_R(0.5), hit, 1u, NULL, 0u) == EK_OUT_OF_RANGE);
     grid.parameters.rolling = 0;
 }
 
 static void bad_input_is_named(void)
 {
     ek_grid_parameters bad = grid.parameters;
-    ek_arena none = ek_arena_over(NULL, 0u);
+    ek_arena none = ek_arena_make(NULL, 0u);
     ek_grid other;
     CHECK(add((double)NAN, 0.0, 1.0, 1.0) == EK_NOT_FINITE && add(0.0, 0.0, 1.0, (double)INFINITY) == EK_NOT_FINITE);
-    CHECK(add(0.0, 0.0, 70.0, 0.0) == EK_OK && grid.left_out == 1u);
-    CHECK(ek_grid_add(&grid, origin, EK_R(0), EK_R(0), NULL, 1u, NULL, 0u) == EK_NULL_POINTER);
+    CHECK(add(0.0, 0.0, 70.0, 0.0) == EK_OK && grid.ignored_beams == 1u);
+    CHECK(ek_grid_add_scan(&grid, origin, EK_R(0), EK_R(0), NULL, 1u, NULL, 0u) == EK_NULL_POINTER);
     bad.columns = 100u;
-    CHECK(ek_grid_lay_out(&other, &none, &bad) == EK_OUT_OF_RANGE);
+    CHECK(ek_grid_init(&other, &none, &bad) == EK_OUT_OF_RANGE);
     bad.columns = 64u;
     bad.rolling = 1;
-    CHECK(ek_grid_lay_out(&other, &none, &bad) == EK_OUT_OF_RANGE); /* smaller than one scan */
+    CHECK(ek_grid_init(&other, &none, &bad) == EK_OUT_OF_RANGE); /* smaller than one scan */
 }
 
 int main(void)
@@ -115,7 +115,7 @@ int main(void)
     parameters.range_max = EK_R(45.0);
     parameters.columns = parameters.rows = 256u;
     parameters.left = parameters.bottom = -128;
-    CHECK(ek_grid_lay_out(&grid, &arena, &parameters) == EK_OK && ek_arena_check(&arena) == EK_OK);
+    CHECK(ek_grid_init(&grid, &arena, &parameters) == EK_OK && ek_arena_check(&arena) == EK_OK);
     one_beam_frees_its_cells_and_fills_the_last();
     crossed_cells_are_exact();
     steep_and_flat_beams_mirror_each_other();

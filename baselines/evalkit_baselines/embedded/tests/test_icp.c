@@ -1,7 +1,7 @@
 #include "check.h"
 #include "ek/icp.h"
 
-#define SIDE 70u /* points a wall */
+#define SIDE 70u /* points per wall */
 #define ROUND 200u
 #define POINTS (4u * SIDE + ROUND)
 
@@ -72,7 +72,7 @@ static void a_small_motion_is_found_exactly(void)
 {
     const ek_pose truth = {EK_R(0.02), EK_R(-0.01), EK_R(0.004)};
     ek_icp_parameters parameters = ek_icp_default();
-    parameters.one_to_one = 0; /* the corners stand twice in the room */
+    parameters.one_to_one = 0; /* the room contains its corners twice */
     move_room(ek_se2_inverse(truth));
     const ek_match match = match_of(&parameters, NULL, NULL);
     CHECK(match.converged && match.inliers == (int)POINTS);
@@ -80,7 +80,8 @@ static void a_small_motion_is_found_exactly(void)
     CHECK_NEAR(match.target_from_source.y, truth.y, TOLERANCE);
     CHECK_NEAR(match.target_from_source.theta, truth.theta, TOLERANCE);
     CHECK_NEAR(match.error, 0.0, TOLERANCE);
-    CHECK(match.asked < (uint32_t)match.iterations * POINTS); /* some neighbours were proven, not asked for */
+    CHECK(match.queries <
+          (uint32_t)match.iterations * POINTS); /* some neighbours were proven unchanged, not searched */
 }
 
 typedef struct {
@@ -89,7 +90,7 @@ typedef struct {
     int iterations;
 } seen;
 
-/* Every pair is the nearest one there is, and each target point has one owner. */
+/* Every pair is the nearest neighbour, and each target point has one owner. */
 static void inspect(void *context, const ek_icp_iteration *now)
 {
     seen *const s = (seen *)context;
@@ -143,7 +144,7 @@ static void too_few_pairs_give_the_guess(void)
     CHECK(memcmp(&match.target_from_source, &guess, sizeof guess) == 0);
 }
 
-/* A limit beyond what stands for "no neighbour" must not make a pair of it. */
+/* A limit beyond the distance that stands for "no neighbour" must not produce a pair. */
 static void a_limit_beyond_all_is_no_limit(void)
 {
     const ek_pose identity = {EK_R(0.0), EK_R(0.0), EK_R(0.0)};
@@ -169,7 +170,8 @@ static void bad_input_is_named(void)
     ek_match match;
     CHECK(ek_icp_register(&icp, &reference, NULL, 5u, identity, &good, NULL, NULL, &match) == EK_NULL_POINTER);
     CHECK(ek_icp_register(&icp, &reference, room, 0u, identity, &good, NULL, NULL, &match) == EK_NO_POINTS);
-    CHECK(ek_icp_register(&icp, &reference, room, POINTS + 1u, identity, &good, NULL, NULL, &match) == EK_TOO_MANY_POINTS);
+    CHECK(ek_icp_register(&icp, &reference, room, POINTS + 1u, identity, &good, NULL, NULL, &match) ==
+          EK_TOO_MANY_POINTS);
     CHECK(ek_icp_register(&icp, &reference, room, POINTS, lost, &good, NULL, NULL, &match) == EK_NOT_FINITE);
     bad.epsilon = -EK_R(1.0);
     CHECK(ek_icp_register(&icp, &reference, room, POINTS, identity, &bad, NULL, NULL, &match) == EK_OUT_OF_RANGE);
@@ -180,8 +182,8 @@ static void bad_input_is_named(void)
 int main(void)
 {
     ek_arena arena = memory_of(400000u);
-    CHECK(ek_index_lay_out(&reference, &arena, POINTS, 8192u) == EK_OK);
-    CHECK(ek_icp_lay_out(&icp, &arena, POINTS, POINTS) == EK_OK && ek_arena_check(&arena) == EK_OK);
+    CHECK(ek_index_init(&reference, &arena, POINTS, 8192u) == EK_OK);
+    CHECK(ek_icp_init(&icp, &arena, POINTS, POINTS) == EK_OK && ek_arena_check(&arena) == EK_OK);
     build_room();
     table_1_is_met();
     a_small_motion_is_found_exactly();

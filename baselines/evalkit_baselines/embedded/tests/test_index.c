@@ -6,7 +6,7 @@
 static ek_real cloud[2u * POINTS];
 static ek_index reference;
 
-/* The nearest and the second nearest distance, by looking at all. */
+/* Nearest and second nearest distance by brute force. */
 static size_t search_all(size_t count, ek_real x, ek_real y, double *nearest, double *second)
 {
     size_t at = 0;
@@ -38,7 +38,7 @@ static void answers_are_those_of_a_search_of_all(size_t count, double limit, uin
             CHECK(reference.id[found.slot] == at);
             CHECK_NEAR(found.distance, nearest, 0.0);
         }
-        CHECK((double)found.others <= (found.slot != EK_NONE ? second : nearest) + (double)reference.frame.margin);
+        CHECK((double)found.others <= (found.slot != EK_NONE ? second : nearest) + (double)reference.cells.margin);
     }
 }
 
@@ -53,7 +53,8 @@ static void fill(uint64_t *seed)
 
 static void of_equally_near_points_the_lowest_wins(void)
 {
-    const ek_real square[] = {EK_R(1), EK_R(1), EK_R(-1), EK_R(1), EK_R(-1), EK_R(-1), EK_R(1), EK_R(-1), EK_R(-1), EK_R(1)};
+    const ek_real square[] = {EK_R(1),  EK_R(1), EK_R(-1), EK_R(1),  EK_R(-1),
+                              EK_R(-1), EK_R(1), EK_R(-1), EK_R(-1), EK_R(1)};
     CHECK(ek_index_build(&reference, square, 5u) == EK_OK);
     CHECK(reference.id[ek_index_nearest(&reference, EK_R(0.0), EK_R(0.0), EK_R(9.0), EK_R(0.1)).slot] == 0u);
     const ek_neighbour twin = ek_index_nearest(&reference, EK_R(-1.1), EK_R(1.0), EK_R(9.0), EK_R(0.5));
@@ -61,7 +62,7 @@ static void of_equally_near_points_the_lowest_wins(void)
     CHECK_NEAR(twin.others, 0.1, TOLERANCE);
 }
 
-/* Rounding is coarser a thousand kilometres away than among the points: the search must end nevertheless. */
+/* Rounding is coarser a thousand kilometres away than near the points: the search must still end. */
 static void from_far_away_the_search_ends(void)
 {
     const ek_real pair[] = {EK_R(0.0), EK_R(0.0), EK_R(4.0), EK_R(0.0)};
@@ -85,20 +86,20 @@ static void bad_input_is_named(void)
     CHECK(ek_index_build(&reference, NULL, 10u) == EK_NULL_POINTER);
     CHECK(ek_index_build(&reference, cloud, 0u) == EK_OK);
     CHECK(ek_index_nearest(&reference, EK_R(0.0), EK_R(0.0), EK_R(9.0), EK_R(0.1)).slot == EK_NONE);
-    ek_arena none = ek_arena_over(NULL, 0u);
-    CHECK(ek_index_lay_out(&reference, &none, 0u, 10u) == EK_OUT_OF_RANGE);
+    ek_arena none = ek_arena_make(NULL, 0u);
+    CHECK(ek_index_init(&reference, &none, 0u, 10u) == EK_OUT_OF_RANGE);
 }
 
 int main(void)
 {
     uint64_t seed = 7u;
     ek_arena arena = memory_of(200000u);
-    CHECK(ek_index_lay_out(&reference, &arena, POINTS, 4000u) == EK_OK && ek_arena_check(&arena) == EK_OK);
+    CHECK(ek_index_init(&reference, &arena, POINTS, 4000u) == EK_OK && ek_arena_check(&arena) == EK_OK);
     fill(&seed);
     answers_are_those_of_a_search_of_all(POINTS, 0.3, &seed);
     answers_are_those_of_a_search_of_all(POINTS, 1e9, &seed);
     cloud[20] = EK_R(5.0);
-    for (int k = 0; k < 3; k++) { /* the cell size settles */
+    for (int k = 0; k < 3; k++) { /* until the cell width is stable */
         answers_are_those_of_a_search_of_all(POINTS, 0.5, &seed);
     }
     answers_are_those_of_a_search_of_all(2u, 1e9, &seed);

@@ -33,7 +33,7 @@ static ek_pose truth_at(double t)
     return pose;
 }
 
-/* A log of a robot whose sensor turns while it drives: each beam is fired from where the robot is by then. */
+/* Scan log of a moving robot: each beam starts at the robot's pose at its firing time. */
 static void write_log(FILE *file)
 {
     const double head[] = {0.15, 12.0, 0.0, 0.0, 0.0};
@@ -68,27 +68,27 @@ static void a_log_is_located_and_mapped(FILE *file)
     static ek_real ranges[BEAMS], angles[BEAMS];
     ek_scanlog log;
     ek_sweep sweep;
-    ek_answer answer;
+    ek_estimate estimate;
     size_t bytes;
     int scans = 0;
-    CHECK(ek_scanlog_open(file, &log) == EK_OK && log.most_beams == BEAMS);
+    CHECK(ek_scanlog_open(file, &log) == EK_OK && log.max_beams == BEAMS);
     ek_pipeline_parameters parameters = ek_pipeline_default();
-    parameters.frontend.points = log.most_beams;
+    parameters.frontend.points = log.max_beams;
     parameters.frontend.scan_to_scan.epsilon = parameters.frontend.scan_to_map.epsilon = EK_R(1e-6);
     CHECK(ek_pipeline_bytes(&parameters, &bytes) == EK_OK);
     ek_arena arena = memory_of(bytes);
     CHECK(ek_pipeline_start(&pipeline, arena.memory, bytes - 1u, &parameters) == EK_TOO_LITTLE_MEMORY);
     CHECK(ek_pipeline_start(&pipeline, arena.memory, bytes, &parameters) == EK_OK);
     while (ek_scanlog_next(file, &log, ranges, angles, &sweep) == EK_OK) {
-        CHECK(ek_pipeline_update(&pipeline, &sweep, &answer) == EK_OK);
+        CHECK(ek_pipeline_update(&pipeline, &sweep, &estimate) == EK_OK);
         scans++;
     }
     const ek_pose truth = ek_se2_between(truth_at(0), truth_at(SCANS - 1));
     CHECK(scans == SCANS);
-    CHECK_NEAR(answer.start_from_base.x, truth.x, 0.03);
-    CHECK_NEAR(answer.start_from_base.y, truth.y, 0.03);
-    CHECK_NEAR(answer.start_from_base.theta, truth.theta, 0.02);
-    /* the wall x = 0 stands 1 m behind the start, the free floor is free */
+    CHECK_NEAR(estimate.start_from_base.x, truth.x, 0.03);
+    CHECK_NEAR(estimate.start_from_base.y, truth.y, 0.03);
+    CHECK_NEAR(estimate.start_from_base.theta, truth.theta, 0.02);
+    /* the wall x = 0 is 1 m behind the start; the floor is free */
     const ek_grid *const grid = &pipeline.grid;
     const size_t row = (size_t)(0 - grid->bottom) * grid->parameters.columns;
     int16_t wall = 0;
@@ -99,7 +99,7 @@ static void a_log_is_located_and_mapped(FILE *file)
     CHECK(wall > 2000);
     CHECK(grid->cells[row + (size_t)(10 - grid->left)] < -2000);
     sweep.time_increment_ns = -1;
-    CHECK(ek_pipeline_update(&pipeline, &sweep, &answer) == EK_OUT_OF_RANGE);
+    CHECK(ek_pipeline_update(&pipeline, &sweep, &estimate) == EK_OUT_OF_RANGE);
     free(arena.memory);
 }
 
@@ -110,7 +110,7 @@ static void a_damaged_log_is_refused(FILE *file)
     ek_real ranges[1], angles[1];
     rewind(file);
     CHECK(ek_scanlog_open(file, &log) == EK_OK);
-    log.most_beams = 1u; /* more beams than there is room for */
+    log.max_beams = 1u; /* more beams than the capacity */
     CHECK(ek_scanlog_next(file, &log, ranges, angles, &sweep) == EK_BAD_FILE);
     rewind(file);
     fputs("PNG", file);

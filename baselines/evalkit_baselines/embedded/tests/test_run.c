@@ -1,4 +1,4 @@
-/* What evalkit-run writes. */
+/* Output of evalkit-run. */
 #define main evalkit_run
 #include "../main.c"
 #undef main

@@ -37,7 +37,7 @@ static void only_returns_within_the_limits_count(void)
     parameters.base_from_sensor.x = EK_R(0.0);
 }
 
-/* A sensor that moves along an arc sees one fixed point: undone, all beams show it where the first one did. */
+/* A sensor on an arc measures one fixed point: after deskewing, all beams give the point of the first beam. */
 static void motion_is_undone(ek_pose start_from_end)
 {
     const double x = 3.0, y = 1.0;
@@ -56,7 +56,7 @@ static void motion_is_undone(ek_pose start_from_end)
     }
 }
 
-/* What no later step would take is left out here, whatever radius is asked for. */
+/* Points that a later step would refuse are ignored here, for every radius. */
 static void points_beyond_all_bounds_are_left_out(void)
 {
     ek_scan_parameters far = parameters;
@@ -101,7 +101,7 @@ int main(void)
     memset(&parameters, 0, sizeof parameters);
     parameters.range_min = EK_R(0.15);
     parameters.range_max = EK_R(12.0);
-    CHECK(ek_scan_lay_out(&scan, &arena, BEAMS) == EK_OK && ek_arena_check(&arena) == EK_OK);
+    CHECK(ek_scan_init(&scan, &arena, BEAMS) == EK_OK && ek_arena_check(&arena) == EK_OK);
     only_returns_within_the_limits_count();
     const ek_pose slow = {EK_R(0.02), EK_R(0.001), EK_R(0.05)}, quick = {EK_R(0.3), EK_R(0.1), EK_R(0.6)};
     const ek_pose straight = {EK_R(0.3), EK_R(0.0), EK_R(0.0)};

@@ -18,7 +18,7 @@ int main(void)
     CHECK_NEAR(ek_se2_wrap(EK_R(3.0) * EK_PI / EK_R(2.0)), -(double)EK_PI / 2.0, TOLERANCE);
     CHECK(ek_se2_wrap(EK_PI) < EK_R(0.0) && ek_se2_wrap(-EK_PI) >= -EK_PI && ek_se2_wrap(EK_R(1e5)) < EK_PI);
 
-    /* half of a quarter circle of radius 1 ends at 45 degrees of it */
+    /* half of a quarter circle of radius 1 ends at 45 degrees */
     const ek_pose arc = {EK_R(1.0), EK_R(1.0), EK_PI / EK_R(2.0)};
     check_pose(ek_se2_fraction(arc, EK_R(0.5)), sin(0.25 * (double)EK_PI), 1.0 - cos(0.25 * (double)EK_PI),
                (double)EK_PI / 4.0);
@@ -26,6 +26,6 @@ int main(void)
     check_pose(ek_se2_fraction(arc, EK_R(1.0)), 1.0, 1.0, (double)EK_PI / 2.0);
 
     const ek_pose broken = {EK_R(0.0), (ek_real)NAN, EK_R(0.0)};
-    CHECK(ek_se2_finite(arc) && !ek_se2_finite(broken));
+    CHECK(ek_se2_is_finite(arc) && !ek_se2_is_finite(broken));
     return verdict();
 }

@@ -7,12 +7,12 @@ int main(void)
     }
     CHECK(strcmp(ek_status_text((ek_status)99), "unknown status") == 0);
 
-    /* an arena that measures needs as much as one that gives, and a full one gives nothing */
-    ek_arena measured = ek_arena_over(NULL, 0u), given = memory_of(64u);
-    CHECK(ek_arena_take(&measured, 3u, 8u) == NULL && ek_arena_take(&given, 3u, 8u) == given.memory);
+    /* a measuring arena counts the same bytes as an allocating one; a full arena returns NULL */
+    ek_arena measured = ek_arena_make(NULL, 0u), given = memory_of(64u);
+    CHECK(ek_arena_alloc(&measured, 3u, 8u) == NULL && ek_arena_alloc(&given, 3u, 8u) == given.memory);
     CHECK(measured.used == 32u && given.used == 32u && ek_arena_check(&given) == EK_OK);
-    CHECK(ek_arena_take(&given, 5u, 8u) == NULL && ek_arena_check(&given) == EK_TOO_LITTLE_MEMORY);
-    CHECK(ek_arena_take(&given, SIZE_MAX / 2u, 8u) == NULL && ek_arena_check(&given) == EK_TOO_LITTLE_MEMORY);
+    CHECK(ek_arena_alloc(&given, 5u, 8u) == NULL && ek_arena_check(&given) == EK_TOO_LITTLE_MEMORY);
+    CHECK(ek_arena_alloc(&given, SIZE_MAX / 2u, 8u) == NULL && ek_arena_check(&given) == EK_TOO_LITTLE_MEMORY);
     free(given.memory);
     return verdict();
 }

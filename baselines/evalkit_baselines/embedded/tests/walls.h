@@ -1,4 +1,4 @@
-/* walls.h - a room of 8 m x 6 m with two boxes, and what a lidar in it measures, without noise. */
+/* walls.h - a room of 8 m x 6 m with two boxes, and a lidar in it without noise. */
 #ifndef EK_TEST_WALLS_H
 #define EK_TEST_WALLS_H
 
@@ -11,7 +11,7 @@ static const double walls[WALLS][4] = {
     {2, 2, 3, 2},       {3, 2, 3, 2.5},       {3, 2.5, 2, 2.5},     {2, 2.5, 2, 2},
     {5.5, 3.7, 6.1, 3.7}, {6.1, 3.7, 6.1, 4.8}, {6.1, 4.8, 5.5, 4.8}, {5.5, 4.8, 5.5, 3.7}};
 
-/* The range (m) of a beam in direction `angle` of the sensor. */
+/* Range (m) of a beam at `angle` in the sensor frame. */
 static inline double range_at(ek_pose world_from_sensor, double angle)
 {
     const double x = (double)world_from_sensor.x, y = (double)world_from_sensor.y;

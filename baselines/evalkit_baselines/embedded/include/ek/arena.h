@@ -1,6 +1,6 @@
-/* arena.h - memory handed in by the caller, given out once in aligned pieces and never returned.
+/* arena.h - allocate aligned blocks from memory that the caller provides; blocks are never freed.
  *
- * The same code that lays a module out in an arena also measures it: an arena over no memory only counts.
+ * An arena without memory only counts bytes, so the same init function also measures how much a module needs.
  */
 #ifndef EK_ARENA_H
 #define EK_ARENA_H
@@ -14,22 +14,23 @@ extern "C" {
 #define EK_ALIGNMENT 16u
 
 typedef struct {
-    unsigned char *memory; /* NULL: only measures */
-    size_t bytes;          /* of memory */
-    size_t used;           /* so far; may exceed bytes, then taking has failed */
+    unsigned char *memory; /* NULL: only count bytes */
+    size_t bytes;          /* size of memory */
+    size_t used;           /* bytes allocated; more than `bytes` after a failed allocation */
 } ek_arena;
 
-#define ek_arena_over EK_NAME(arena_over)
-#define ek_arena_take EK_NAME(arena_take)
+#define ek_arena_make EK_NAME(arena_make)
+#define ek_arena_alloc EK_NAME(arena_alloc)
 #define ek_arena_check EK_NAME(arena_check)
 
-/* An arena over memory aligned to EK_ALIGNMENT; (NULL, 0) gives one that only measures. */
-ek_arena ek_arena_over(void *memory, size_t bytes);
+/* Make an arena from memory aligned to EK_ALIGNMENT; (NULL, 0) makes one that only counts bytes. */
+ek_arena ek_arena_make(void *memory, size_t bytes);
 
-/* The next count items of size bytes each, aligned; NULL when measuring, when full or when the product overflows. */
-void *ek_arena_take(ek_arena *arena, size_t count, size_t size);
+/* Allocate count items of size bytes each, aligned. NULL if the arena only counts, is full, or the product overflows.
+ */
+void *ek_arena_alloc(ek_arena *arena, size_t count, size_t size);
 
-/* EK_OK when everything taken was there; EK_TOO_LITTLE_MEMORY when not, or when the memory is badly aligned. */
+/* EK_OK if every allocation succeeded; EK_TOO_LITTLE_MEMORY if not, or if the memory is not aligned. */
 ek_status ek_arena_check(const ek_arena *arena);
 
 #ifdef __cplusplus

@@ -1,14 +1,13 @@
-/* frontend.h - where the robot is: scan-to-scan, then scan-to-map against the last keyframes (the paper, figures 2, 4).
+/* frontend.h - lidar odometry: scan-to-scan, then scan-to-map against the last keyframes (paper, figures 2 and 4).
  *
- * The same meaning as evalkit/odometry/frontend.py with a keyframe local map. Poses are start_from_base: the first
- * answer is the
- * identity.
+ * Computes the same as evalkit/odometry/frontend.py with a local map of keyframes. Poses are start_from_base; the pose
+ * of the first scan is the identity.
  */
 #ifndef EK_FRONTEND_H
 #define EK_FRONTEND_H
 
 #include "ek/icp.h"
-#include "ek/merge.h"
+#include "ek/index_update.h"
 
 #ifdef __cplusplus
 extern "C" {
@@ -17,40 +16,40 @@ extern "C" {
 typedef struct {
     ek_icp_parameters scan_to_scan, scan_to_map;
     int32_t use_scan_to_scan, use_scan_to_map; /* 1 or 0 */
-    int32_t min_inliers;                       /* an answer on fewer pairs is not accepted; the guess is kept */
-    uint32_t keyframes;                        /* how many make the local map; 1 or more */
+    int32_t min_inliers;                       /* with fewer pairs the result is rejected and the guess kept */
+    uint32_t keyframes;                        /* number of keyframes in the local map; 1 or more */
     ek_real keyframe_distance;                 /* m */
     ek_real keyframe_angle;                    /* rad */
-    size_t points;                             /* a scan has at most so many */
-    size_t cells;                              /* of the index of the local map; 0: 16 for each of its points, at most 2^18 */
+    size_t points;                             /* maximum number of points of a scan */
+    size_t cells;                              /* cells of the local map's index; 0: 16 per point, at most 2^18 */
 } ek_frontend_parameters;
 
-/* What is known about a scan besides its points. */
+/* Time and wheel odometry of a scan. */
 typedef struct {
     int64_t stamp_ns;
     int32_t has_odometry;
     ek_pose odom_from_base;
 } ek_prior;
 
-/* What became of a stage's answer: the stage is off or had nothing before it, its guess was kept, or it was accepted. */
-typedef enum { EK_NOT_ASKED = -1, EK_GUESS_KEPT = 0, EK_ACCEPTED = 1 } ek_belief;
+/* Outcome of a stage: skipped (switched off, or first scan), guess kept (too few pairs), or result accepted. */
+typedef enum { EK_STAGE_SKIPPED = -1, EK_STAGE_GUESS_KEPT = 0, EK_STAGE_ACCEPTED = 1 } ek_stage_outcome;
 
-/* The answer for one scan; a stage that did not run has 0 iterations and error nan. */
+/* Result for one scan. A skipped stage has 0 iterations and error nan. */
 typedef struct {
     ek_pose start_from_base;
     ek_match scan_to_scan, scan_to_map;
-    ek_belief scan_to_scan_belief, scan_to_map_belief;
-    int32_t keyframe; /* 1: the scan became one */
-} ek_answer;
+    ek_stage_outcome scan_to_scan_outcome, scan_to_map_outcome;
+    int32_t keyframe; /* 1: the scan became a keyframe */
+} ek_estimate;
 
 typedef struct {
     ek_frontend_parameters parameters;
     ek_icp icp;
     ek_index last, local_map;
-    ek_merge merge;           /* of the local map */
-    ek_real *keyframe;        /* points of the newest, pairs x y in the start frame */
-    size_t *keyframe_counts;  /* points of each in the local map */
-    uint32_t first, held;     /* ring of keyframes: the oldest, and how many */
+    ek_index_updater updater;           /* updates local_map */
+    ek_real *keyframe;        /* points of the newest keyframe, pairs x y in the start frame (m) */
+    size_t *keyframe_counts;  /* number of points of each keyframe in the local map */
+    uint32_t oldest_keyframe, keyframe_count; /* ring buffer of keyframe_counts */
     int32_t started, has_last_odometry;
     ek_pose start_from_base, start_from_keyframe, odom_from_base, step;
     int64_t stamp_ns, step_ns;
@@ -58,32 +57,32 @@ typedef struct {
 
 #define ek_frontend_default EK_NAME(frontend_default)
 #define ek_frontend_check EK_NAME(frontend_check)
-#define ek_frontend_lay_out EK_NAME(frontend_lay_out)
+#define ek_frontend_init EK_NAME(frontend_init)
 #define ek_frontend_reset EK_NAME(frontend_reset)
-#define ek_frontend_steady EK_NAME(frontend_steady)
+#define ek_frontend_predict_motion EK_NAME(frontend_predict_motion)
 #define ek_frontend_update EK_NAME(frontend_update)
 
-/* Both stages with ek_icp_default, 10 keyframes every 0.5 m or 20 degrees, 10 inliers, 2048 points. */
+/* Default parameters: both stages with ek_icp_default, 10 keyframes every 0.5 m or 20 deg, 10 inliers, 2048 points. */
 ek_frontend_parameters ek_frontend_default(void);
 
-/* EK_OK, EK_NOT_FINITE or EK_OUT_OF_RANGE. */
+/* Check parameters: EK_OK, EK_NOT_FINITE or EK_OUT_OF_RANGE. */
 ek_status ek_frontend_check(const ek_frontend_parameters *parameters);
 
-/* Lays a front end out, ready for a first scan; answers as ek_frontend_check. */
-ek_status ek_frontend_lay_out(ek_frontend *frontend, ek_arena *arena, const ek_frontend_parameters *parameters);
+/* Initialise a front end in an arena (or measure it). Returns what ek_frontend_check returns. */
+ek_status ek_frontend_init(ek_frontend *frontend, ek_arena *arena, const ek_frontend_parameters *parameters);
 
-/* Forgets everything: the next scan is the first. */
+/* Reset: the next scan is the first. */
 void ek_frontend_reset(ek_frontend *frontend);
 
-/* The base's motion over `elapsed_ns` if it moves on as between the last two scans; the identity before. */
-ek_pose ek_frontend_steady(const ek_frontend *frontend, int64_t elapsed_ns);
+/* Predict the base's motion over `elapsed_ns` at constant velocity from the last two scans; the identity before. */
+ek_pose ek_frontend_predict_motion(const ek_frontend *frontend, int64_t elapsed_ns);
 
-/* Takes in a scan: count pairs x y in the base frame, motion undone. The first guess comes from odometry where this scan
- * and the one before have it, else from a steady motion. A scan without points gets the guess and never is a keyframe.
- * EK_TOO_MANY_POINTS; EK_NOT_FINITE: a point, the odometry or where it leads; EK_OUT_OF_RANGE: a stamp not after the
- * last, a coordinate or pose beyond EK_LARGEST. After an error the scan is as if it had never come. */
+/* Process a scan: count pairs x y in the base frame (m), deskewed. The initial guess comes from wheel odometry if this
+ * scan and the previous one have it, otherwise from constant velocity. A scan without points keeps the guess and never
+ * becomes a keyframe. EK_TOO_MANY_POINTS; EK_NOT_FINITE: a point, the odometry or the predicted pose; EK_OUT_OF_RANGE:
+ * a stamp not later than the last, or a coordinate or pose larger than EK_MAX_COORDINATE. An error changes no state. */
 ek_status ek_frontend_update(ek_frontend *frontend, const ek_real *xy, size_t count, const ek_prior *prior,
-                             ek_answer *answer);
+                             ek_estimate *estimate);
 
 #ifdef __cplusplus
 }

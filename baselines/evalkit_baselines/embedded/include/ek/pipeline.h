@@ -1,4 +1,4 @@
-/* pipeline.h - everything a board does with a scan: undo motion, locate, map. One call to start, one call a scan. */
+/* pipeline.h - the whole method: deskew, odometry, map. One call to start, one call per scan. */
 #ifndef EK_PIPELINE_H
 #define EK_PIPELINE_H
 
@@ -12,11 +12,11 @@ extern "C" {
 
 typedef struct {
     ek_scan_parameters scan;
-    ek_frontend_parameters frontend; /* its `points` is also the most beams a sweep may have */
+    ek_frontend_parameters frontend; /* frontend.points is also the maximum number of beams of a sweep */
     ek_grid_parameters grid;
     int32_t deskew;           /* 1: undo the motion within a sweep */
-    int32_t map;              /* 1: draw the map */
-    int32_t clear_no_returns; /* 1: beams without return free their cells */
+    int32_t map;              /* 1: build the map */
+    int32_t clear_no_returns; /* 1: beams without return free the cells they cross */
 } ek_pipeline_parameters;
 
 typedef struct {
@@ -31,20 +31,21 @@ typedef struct {
 #define ek_pipeline_start EK_NAME(pipeline_start)
 #define ek_pipeline_update EK_NAME(pipeline_update)
 
-/* The paper's values for an RPLIDAR A2: 0.15 to 12 m, up to 2048 beams, sensor at the base, deskewed, with map. */
+/* Default parameters for an RPLIDAR A2: 0.15 to 12 m, up to 2048 beams, sensor at the base, deskewed, with map. */
 ek_pipeline_parameters ek_pipeline_default(void);
 
-/* How much memory ek_pipeline_start needs besides the struct itself; EK_NOT_FINITE or EK_OUT_OF_RANGE as the modules
- * say, then *bytes is 0. */
+/* Compute how many bytes ek_pipeline_start needs besides the struct. EK_NOT_FINITE or EK_OUT_OF_RANGE for wrong
+ * parameters; *bytes is then 0. */
 ek_status ek_pipeline_bytes(const ek_pipeline_parameters *parameters, size_t *bytes);
 
-/* Makes a pipeline in the memory (aligned to EK_ALIGNMENT), which must live as long as it. EK_TOO_LITTLE_MEMORY, or as
- * ek_pipeline_bytes. */
-ek_status ek_pipeline_start(ek_pipeline *pipeline, void *memory, size_t bytes, const ek_pipeline_parameters *parameters);
+/* Initialise a pipeline in memory aligned to EK_ALIGNMENT, which must outlive it. EK_TOO_LITTLE_MEMORY, or what
+ * ek_pipeline_bytes returns. */
+ek_status ek_pipeline_start(ek_pipeline *pipeline, void *memory, size_t bytes,
+                            const ek_pipeline_parameters *parameters);
 
-/* Takes in a sweep; answers as ek_scan_project, ek_frontend_update and ek_grid_add. Nothing is allocated. A sweep that
- * is refused leaves no trace, save that a pose too far for the map is kept and not drawn (EK_OUT_OF_RANGE). */
-ek_status ek_pipeline_update(ek_pipeline *pipeline, const ek_sweep *sweep, ek_answer *answer);
+/* Process a sweep. Returns what ek_scan_project, ek_frontend_update and ek_grid_add_scan return. Allocates nothing. An
+ * error changes no state, with one exception: a pose too far for the map is kept and not mapped (EK_OUT_OF_RANGE). */
+ek_status ek_pipeline_update(ek_pipeline *pipeline, const ek_sweep *sweep, ek_estimate *estimate);
 
 #ifdef __cplusplus
 }

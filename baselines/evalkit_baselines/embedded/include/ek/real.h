@@ -1,7 +1,7 @@
-/* real.h - the number type of a build and the names that let both builds live in one program.
+/* real.h - number type of a build, and symbol names that let both builds link into one program.
  *
- * Compile everything that shares values with -DEK_FLOAT (single precision) or without (double). Every symbol of the
- * library is named through EK_NAME: ek32_... in a float build, ek64_... in a double build; ek_... in source is a macro.
+ * Compile with -DEK_FLOAT for single precision, without it for double. EK_NAME gives every symbol a prefix: ek32_ in a
+ * float build, ek64_ in a double build; ek_... in the source is a macro.
  */
 #ifndef EK_REAL_H
 #define EK_REAL_H
@@ -41,13 +41,13 @@ typedef double ek_real;
 #define EK_R(number) ((ek_real)(number))
 #define EK_PI EK_R(3.14159265358979323846)
 
-/* No coordinate may lie beyond this (m). */
-#define EK_LARGEST EK_R(1e6)
+/* Largest allowed coordinate (m). */
+#define EK_MAX_COORDINATE EK_R(1e6)
 
-/* What is left out of clouds is put here (m), so that distances stay finite in both builds. */
+/* Position of points that are left out (m): distances to it stay finite in both builds. */
 #define EK_FAR EK_R(1e18)
 
-/* Hot loops work on whole groups of this many lanes; arrays of the core are padded to it. */
+/* Hot loops process groups of this many lanes; arrays are padded to a multiple of it. */
 #define EK_LANES 8u
 #define EK_PADDED(count) (((size_t)(count) + (EK_LANES - 1u)) / EK_LANES * EK_LANES)
 

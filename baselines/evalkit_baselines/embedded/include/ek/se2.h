@@ -1,7 +1,6 @@
 /* se2.h - rigid motions of the plane.
  *
- * A motion named a_from_b takes coordinates in frame b to frame a; names cancel like dominoes:
- * a_from_c = ek_se2_compose(a_from_b, b_from_c).
+ * a_from_b transforms coordinates in frame b to frame a: a_from_c = ek_se2_compose(a_from_b, b_from_c).
  */
 #ifndef EK_SE2_H
 #define EK_SE2_H
@@ -12,7 +11,7 @@
 extern "C" {
 #endif
 
-/* x, y in metres, theta in radians, counter-clockwise, within [-pi, pi) when it comes out of this module. */
+/* x, y in metres; theta in radians, counter-clockwise. Functions of this module return theta in [-pi, pi). */
 typedef struct {
     ek_real x, y, theta;
 } ek_pose;
@@ -22,26 +21,25 @@ typedef struct {
 #define ek_se2_inverse EK_NAME(se2_inverse)
 #define ek_se2_between EK_NAME(se2_between)
 #define ek_se2_fraction EK_NAME(se2_fraction)
-#define ek_se2_finite EK_NAME(se2_finite)
+#define ek_se2_is_finite EK_NAME(se2_is_finite)
 
-/* The same angle in [-pi, pi) (rad). */
+/* Wrap an angle to [-pi, pi) (rad). */
 ek_real ek_se2_wrap(ek_real theta);
 
-/* a_from_c. */
+/* Compose two motions: a_from_c. */
 ek_pose ek_se2_compose(ek_pose a_from_b, ek_pose b_from_c);
 
-/* b_from_a. */
+/* Invert a motion: b_from_a. */
 ek_pose ek_se2_inverse(ek_pose a_from_b);
 
-/* a_from_b of two frames known in a third. */
+/* a_from_b of two frames a and b given in a third frame w. */
 ek_pose ek_se2_between(ek_pose w_from_a, ek_pose w_from_b);
 
-/* The part `share` (0 to 1) of one motion along its constant-velocity arc (the exponential of a share of its
- * logarithm). */
+/* The fraction `share` (0 to 1) of a motion along its constant-velocity arc: exp(share * log(a_from_b)). */
 ek_pose ek_se2_fraction(ek_pose a_from_b, ek_real share);
 
-/* 1 when all three numbers are finite, else 0. */
-int ek_se2_finite(ek_pose pose);
+/* 1 if all three numbers are finite. */
+int ek_se2_is_finite(ek_pose pose);
 
 #ifdef __cplusplus
 }

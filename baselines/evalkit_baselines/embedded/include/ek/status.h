@@ -1,4 +1,4 @@
-/* status.h - what a call answers. */
+/* status.h - return codes. */
 #ifndef EK_STATUS_H
 #define EK_STATUS_H
 
@@ -23,7 +23,7 @@ typedef enum {
 
 #define ek_status_text EK_NAME(status_text)
 
-/* One English sentence for a status, without a full stop; "unknown status" for a number that is none. Never NULL. */
+/* Describe a status in English, without a full stop; "unknown status" for any other number. Never NULL. */
 const char *ek_status_text(ek_status status);
 
 #ifdef __cplusplus

@@ -1,6 +1,6 @@
-/* taken.h - numbers, points and scans out of a fuzzer's bytes, and what must hold of an answer. */
-#ifndef EK_FUZZ_TAKEN_H
-#define EK_FUZZ_TAKEN_H
+/* input.h - numbers, points and scans from a fuzzer's bytes, and assertions. */
+#ifndef EK_FUZZ_INPUT_H
+#define EK_FUZZ_INPUT_H
 
 #include <stdio.h>
 #include <stdlib.h>
@@ -11,7 +11,7 @@
 
 int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size);
 
-/* Ends the process where something does not hold: the fuzzer keeps the input. */
+/* Abort if a condition does not hold, so that the fuzzer saves the input. */
 #define HOLDS(condition)                                                                                              \
     do {                                                                                                              \
         if (!(condition)) {                                                                                           \
@@ -20,7 +20,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *bytes, size_t size);
         }                                                                                                             \
     } while (0)
 
-/* What is left of the input; nothing but zeros after its end. */
+/* Remaining input; zeros after its end. */
 typedef struct {
     const uint8_t *bytes;
     size_t left;
@@ -51,14 +51,14 @@ static inline int64_t take_whole(ek_input *input)
     return whole;
 }
 
-/* A stamp, time or count: mostly small, sometimes any. */
+/* A stamp, time or count: mostly small, sometimes arbitrary. */
 static inline int64_t take_time(ek_input *input)
 {
     const uint8_t kind = take_byte(input);
     return kind < 240u ? (int64_t)kind * 1000 : take_whole(input);
 }
 
-/* Mostly millimetres within 33 m; sometimes what breaks things; sometimes any bits. */
+/* Mostly millimetres within 33 m; sometimes an edge case; sometimes arbitrary bits. */
 static inline ek_real take_real(ek_input *input)
 {
     static const double odd[] = {NAN,  INFINITY, -INFINITY, 0.0,  -0.0,   1e6,   -1e6,  1.0000001e6,
@@ -86,7 +86,7 @@ static inline ek_pose take_pose(ek_input *input)
     return pose;
 }
 
-/* An array of its own, exactly as long as told, so that reading beyond it is noticed. */
+/* Allocate an array of exactly the given length, so that reading beyond it is detected. */
 static inline ek_real *take_reals(ek_input *input, size_t count)
 {
     ek_real *const reals = (ek_real *)malloc(count ? count * sizeof *reals : 1u);
@@ -97,14 +97,14 @@ static inline ek_real *take_reals(ek_input *input, size_t count)
     return reals;
 }
 
-/* The memory a lay-out measured, exactly. */
+/* Allocate exactly the measured memory. */
 static inline ek_arena memory_for(const ek_arena *measured)
 {
     const size_t bytes = measured->used ? measured->used : 1u;
     void *const memory = malloc(bytes); /* AddressSanitizer aligns it to EK_ALIGNMENT */
     HOLDS(memory != NULL);
-    memset(memory, 0xA5, bytes); /* nobody may count on zeros */
-    return ek_arena_over(memory, bytes);
+    memset(memory, 0xA5, bytes); /* the code must not rely on zeros */
+    return ek_arena_make(memory, bytes);
 }
 
 static inline int same_pose(ek_pose a, ek_pose b)

@@ -1,21 +1,21 @@
 #include "check.h"
-#include "ek/merge.h"
+#include "ek/index_update.h"
 
-#define MOST 900u
+#define MAX_COUNT 900u
 #define STEPS 250
 
-/* What clouds are made of. */
+/* Parameters of the random clouds. */
 typedef struct {
     double width, height; /* m */
-    double step;          /* m that all moves between two updates */
-    double grid;          /* m between places points may take; 0: any */
-    uint32_t points;      /* of an update, at most */
+    double step;          /* m that the cloud moves between two updates */
+    double grid;          /* m between allowed coordinates; 0: any coordinate */
+    uint32_t points;      /* maximum number per update */
     size_t cells;
 } scene;
 
-static ek_merge merge;
+static ek_index_updater merge;
 static ek_index updated, built;
-static ek_real cloud[2u * MOST];
+static ek_real cloud[2u * MAX_COUNT];
 static size_t held;
 
 static uint32_t below(uint64_t *seed, uint32_t limit)
@@ -29,10 +29,10 @@ static ek_real place(uint64_t *seed, double size, double grid)
     return EK_R(grid > 0.0 ? grid * floor(at / grid) : at);
 }
 
-/* Everything an index is, to the bit. */
+/* Compare two indices to the bit. */
 static void are_equal(void)
 {
-    const ek_frame a = updated.frame, b = built.frame;
+    const ek_cell_grid a = updated.cells, b = built.cells;
     CHECK(updated.count == held && built.count == held);
     CHECK(a.columns == b.columns && a.rows == b.rows && a.finest == b.finest);
     CHECK(memcmp(&a.left, &b.left, sizeof a.left) == 0 && memcmp(&a.bottom, &b.bottom, sizeof a.bottom) == 0);
@@ -43,7 +43,7 @@ static void are_equal(void)
     CHECK(held == 0u || memcmp(updated.start, built.start, ((size_t)a.columns * a.rows + 1u) * sizeof(uint32_t)) == 0);
 }
 
-/* The nearest of all, the lowest of equally near ones. */
+/* Nearest point by brute force; the lowest index among equally near points. */
 static void neighbours_are_those_of_a_search_of_all(const scene *of, double x, double y, uint64_t *seed)
 {
     for (int k = 0; k < 6; k++) {
@@ -52,7 +52,7 @@ static void neighbours_are_those_of_a_search_of_all(const scene *of, double x, d
         const ek_neighbour found = ek_index_nearest(&updated, at[0], at[1], limit, radius);
         const ek_neighbour twin = ek_index_nearest(&built, at[0], at[1], limit, radius);
         ek_real least = EK_FAR * EK_FAR;
-        size_t nearest = MOST;
+        size_t nearest = MAX_COUNT;
         for (size_t i = 0; i < held; i++) {
             const ek_real dx = cloud[2u * i] - at[0], dy = cloud[2u * i + 1u] - at[1], squared = dx * dx + dy * dy;
             nearest = squared < least ? i : nearest;
@@ -64,7 +64,7 @@ static void neighbours_are_those_of_a_search_of_all(const scene *of, double x, d
     }
 }
 
-/* Forgets and appends at random; says how often other cells were chosen. */
+/* Remove and append points at random; returns how often other cells were chosen. */
 static int changes_are_to_the_bit_what_building_gives(const scene *of, uint64_t *seed)
 {
     size_t sizes[STEPS], oldest = 0;
@@ -75,7 +75,7 @@ static int changes_are_to_the_bit_what_building_gives(const scene *of, uint64_t 
     for (size_t step = 0; step < STEPS; step++, x += of->step, y -= of->step / 2.0) {
         size_t removed = 0u;
         sizes[step] = below(seed, 8u) ? below(seed, of->points + 1u) : 0u;
-        while (held - removed + sizes[step] > MOST || (oldest < step && below(seed, 12u) == 0u)) {
+        while (held - removed + sizes[step] > MAX_COUNT || (oldest < step && below(seed, 12u) == 0u)) {
             removed += sizes[oldest++];
         }
         memmove(cloud, cloud + 2u * removed, 2u * (held - removed) * sizeof(ek_real));
@@ -85,11 +85,11 @@ static int changes_are_to_the_bit_what_building_gives(const scene *of, uint64_t 
             cloud[2u * held] = EK_R(x) + place(seed, of->width, of->grid);
             cloud[2u * held + 1u] = EK_R(y) + (i % 2u ? place(seed, of->height, of->grid) : EK_R(0.0));
         }
-        const ek_frame before = updated.frame;
-        CHECK(ek_merge_update(&merge, &updated, removed, added, sizes[step]) == EK_OK);
+        const ek_cell_grid before = updated.cells;
+        CHECK(ek_index_update(&merge, &updated, removed, added, sizes[step]) == EK_OK);
         CHECK(ek_index_build(&built, cloud, held) == EK_OK);
-        others += before.left < updated.frame.left || before.left > updated.frame.left ||
-                  before.cell < updated.frame.cell || before.cell > updated.frame.cell;
+        others += before.left < updated.cells.left || before.left > updated.cells.left ||
+                  before.cell < updated.cells.cell || before.cell > updated.cells.cell;
         are_equal();
         neighbours_are_those_of_a_search_of_all(of, x, y, seed);
     }
@@ -99,30 +99,30 @@ static int changes_are_to_the_bit_what_building_gives(const scene *of, uint64_t 
 static void bad_input_is_named_and_changes_nothing(void)
 {
     ek_real three[6] = {EK_R(0.0)};
-    CHECK(ek_merge_update(&merge, &updated, held + 1u, three, 0u) == EK_OUT_OF_RANGE);
-    CHECK(ek_merge_update(&merge, &updated, held - 1u, cloud, MOST) == EK_TOO_MANY_POINTS);
-    CHECK(ek_merge_update(&merge, &updated, 0u, NULL, 1u) == EK_NULL_POINTER);
+    CHECK(ek_index_update(&merge, &updated, held + 1u, three, 0u) == EK_OUT_OF_RANGE);
+    CHECK(ek_index_update(&merge, &updated, held - 1u, cloud, MAX_COUNT) == EK_TOO_MANY_POINTS);
+    CHECK(ek_index_update(&merge, &updated, 0u, NULL, 1u) == EK_NULL_POINTER);
     three[5] = EK_R(1e7);
-    CHECK(ek_merge_update(&merge, &updated, held, three, 3u) == EK_OUT_OF_RANGE);
+    CHECK(ek_index_update(&merge, &updated, held, three, 3u) == EK_OUT_OF_RANGE);
     three[5] = (ek_real)NAN;
-    CHECK(ek_merge_update(&merge, &updated, held, three, 3u) == EK_NOT_FINITE);
+    CHECK(ek_index_update(&merge, &updated, held, three, 3u) == EK_NOT_FINITE);
     updated.capacity--;
-    CHECK(ek_merge_update(&merge, &updated, 0u, three, 1u) == EK_OUT_OF_RANGE);
+    CHECK(ek_index_update(&merge, &updated, 0u, three, 1u) == EK_OUT_OF_RANGE);
     updated.capacity++;
     are_equal();
-    ek_arena none = ek_arena_over(NULL, 0u);
-    ek_merge unused;
-    CHECK(ek_merge_lay_out(&unused, &none, 0u) == EK_OUT_OF_RANGE);
+    ek_arena none = ek_arena_make(NULL, 0u);
+    ek_index_updater unused;
+    CHECK(ek_index_updater_init(&unused, &none, 0u) == EK_OUT_OF_RANGE);
 }
 
 static int with(const scene *of, uint64_t *seed)
 {
-    ek_arena measured = ek_arena_over(NULL, 0u);
+    ek_arena measured = ek_arena_make(NULL, 0u);
     ek_arena *arena = &measured, taken = measured;
     for (int pass = 0; pass < 2; pass++) {
-        CHECK(ek_index_lay_out(&updated, arena, MOST, of->cells) == EK_OK);
-        CHECK(ek_merge_lay_out(&merge, arena, MOST) == EK_OK);
-        CHECK(ek_index_lay_out(&built, arena, MOST, of->cells) == EK_OK);
+        CHECK(ek_index_init(&updated, arena, MAX_COUNT, of->cells) == EK_OK);
+        CHECK(ek_index_updater_init(&merge, arena, MAX_COUNT) == EK_OK);
+        CHECK(ek_index_init(&built, arena, MAX_COUNT, of->cells) == EK_OK);
         if (pass == 0) {
             taken = memory_of(measured.used);
             arena = &taken;
@@ -147,6 +147,6 @@ int main(void)
     for (size_t k = 0; k < sizeof all / sizeof *all; k++) {
         others = with(all[k], &seed);
     }
-    CHECK(others < 5); /* in a room it builds hardly ever */
+    CHECK(others < 5); /* in a room it is rarely built again */
     return verdict();
 }
