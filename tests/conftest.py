@@ -120,7 +120,7 @@ def _errors(errors_m: np.ndarray, scores: Mapping[str, float | None]) -> np.ndar
 
 def make_comparison(trials: Sequence[Trial], **changes: object) -> Comparison:
     """A comparison of those trials with plain cards; the methods "paper" and "wheel" have their roles."""
-    roles = {"paper": "paper", "wheel": "baseline"}
+    roles = {"paper": "reference", "wheel": "baseline"}
     made = Comparison(
         title="Demo",
         description="Nine ways to follow a lidar.",

@@ -208,6 +208,7 @@ SPEC = BackendSpec(
     summary="KISS-ICP: adaptive point-to-point odometry on a voxel map",
     citation="Vizzo, Guadagnino, Mersch, Wiesmann, Behley and Stachniss, KISS-ICP, RA-L 2023",
     licence="MIT",
+    role="peer",
     guess="wheel odometry where recorded, else constant velocity",
     requires=("kiss-icp",),
     parameters=(

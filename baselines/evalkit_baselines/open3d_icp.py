@@ -229,6 +229,7 @@ POINT_TO_POINT = BackendSpec(
     summary="Open3D point-to-point ICP",
     citation=f"Besl and McKay, PAMI 1992; {_OPEN3D}",
     licence="MIT",
+    role="peer",
     requires=("open3d",),
     parameters=_STOP,
     missing=open3d_missing,

@@ -138,6 +138,7 @@ FR079 = DatasetSpec(
     parameters=recording.SELECTION,
     missing=partial(_missing, "fr079"),
     thinned_by="every",
+    excerpts={"full": {"limit": 600}, "quick": {"limit": 90}},
 )
 
 INTEL = DatasetSpec(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from functools import cached_property, partial
+from types import MappingProxyType
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
-from evalkit.plugins.protocols import DatasetSpec, Parameter, Value, resolved, with_defaults
+from evalkit.plugins.protocols import DatasetSpec, Excerpt, Parameter, Value, resolved, with_defaults
 from evalkit_datasets import floorplans
 from evalkit_datasets.disturbances import NEVER, Episodes
 from evalkit_datasets.floorplans import FloorPlan
@@ -210,7 +211,12 @@ def _drive(route: Route, speed_mps: float, laps: float, yaw_rate: float) -> Driv
 
 
 def _spec(
-    plan: Callable[[], FloorPlan], summary: str, base_from_sensor: Pose, degenerate: str = "", **defaults: Value
+    plan: Callable[[], FloorPlan],
+    summary: str,
+    base_from_sensor: Pose,
+    degenerate: str = "",
+    excerpts: Mapping[Excerpt, Mapping[str, Value]] = MappingProxyType({}),
+    **defaults: Value,
 ) -> DatasetSpec:
     parameters = with_defaults(PARAMETERS, **defaults)
     return DatasetSpec(
@@ -224,20 +230,24 @@ def _spec(
         degenerate=degenerate,
         seeded=True,
         parameters=parameters,
+        excerpts=excerpts,
     )
 
 
 _AHEAD = Pose(0.08, 0.0, 0.0)
+_EXCERPTS: dict[Excerpt, dict[str, Value]] = {"full": {"laps": 0.6}, "quick": {"laps": 0.15}}
 
 ROOM = _spec(
     floorplans.room,
     "the paper's 10 x 10 m room with a round obstacle, 23 m, turns up to 69 deg/s at 0.3 m/s",
     _AHEAD,
+    excerpts=_EXCERPTS,
 )
 LAB = _spec(
     floorplans.lab,
     "a laboratory of 10.5 x 8 m with furniture, 24 m around an island, turns up to 69 deg/s at 0.3 m/s; lidar askew",
     Pose(0.08, 0.02, float(np.radians(-30.0))),
+    excerpts=_EXCERPTS,
 )
 LOOP = _spec(
     floorplans.loop,

@@ -21,6 +21,15 @@ Value = bool | int | float | str
 
 GUESS_NOT_TOLD = "not told"
 
+Role = Literal["", "reference", "baseline", "peer"]
+"""What a back end is to the others.
+
+"reference": the readable implementation that others are validated against. "baseline": every other method must beat it.
+"peer": an established implementation, shown beside a validated one for context.
+"""
+
+Excerpt = Literal["full", "quick"]
+
 
 class Registration(Protocol):
     """Brings one cloud onto another. Stateless: the same arguments give the same answer, whatever came before."""
@@ -152,7 +161,7 @@ class BackendSpec:
     elsewhere; it answers no scan). ``recorded``: its answers were made elsewhere; nothing else can be asked.
     ``frontend``: front-end settings this back end wants other than the defaults. ``scan_to_scan``: its own parameters
     that differ in the first stage. ``guess``: what it starts from, for the report (an odometry that does not say: "not
-    told"). ``role``: "paper" for the method evalkit itself stands for, "baseline" for what all others have to beat.
+    told"). ``role``: see ``Role``.
     ``missing()`` says why it cannot run here and how to mend it, or "". ``broken``: why what is here does not work
     (a program that does not introduce itself), or ""; then its runs have failed, and what could be set is unknown.
     ``digest``: changes with what it consists of beyond its Python sources (a shared library, a program, a file of
@@ -165,7 +174,7 @@ class BackendSpec:
     citation: str
     licence: str
     guess: str = ""
-    role: Literal["", "paper", "baseline"] = ""
+    role: Role = ""
     requires: tuple[str, ...] = ()
     parameters: tuple[Parameter, ...] = ()
     frontend: Mapping[str, Value] = field(default_factory=dict)
@@ -203,7 +212,8 @@ class DatasetSpec:
     with the data. ``degenerate``: why the geometry cannot fix the pose, "" where it can. ``published``: figures others
     printed for it. ``missing(**parameters)`` says which files are not here and how to get them, or "".
     ``thinned_by``: name of the parameter n that takes every n-th of the sensor's scans, "" where all are taken: without
-    it a sensor seems slower than it is.
+    it a sensor seems slower than it is. ``excerpts``: parameters of a part of the data that is long enough to validate
+    an implementation on; commands without a sequence on their command line use the data sets that have one.
     """
 
     make: Callable[..., Sequence]
@@ -220,6 +230,7 @@ class DatasetSpec:
     parameters: tuple[Parameter, ...] = ()
     missing: Callable[..., str] = nothing_missing
     thinned_by: str = ""
+    excerpts: Mapping[Excerpt, Mapping[str, Value]] = field(default_factory=dict)
 
 
 def _article(kind: type) -> str:

@@ -26,7 +26,7 @@ def test_cards_tell_every_setting_a_method_runs_with(plan):
     noon = datetime(2024, 5, 1, 12, tzinfo=UTC)
     made = comparison_of(plan, [], noon, noon)
     assert made.command == "evalkit report two.toml"
-    assert [card.role for card in made.methods.values()] == ["baseline", "paper"]
+    assert [card.role for card in made.methods.values()] == ["baseline", "reference"]
     settings = {setting.name: setting for setting in made.methods["ours"].settings}
     assert {name: setting.value for name, setting in settings.items()} == dict(plan.methods[1].parameters)
     assert (settings["keyframes"].value, settings["keyframes"].default) == (7, 10)

@@ -31,7 +31,7 @@ def _reading(summary: str, frontend: Mapping[str, Value] | None = None, **defaul
         summary=summary,
         citation=CITATION,
         licence="MIT",
-        role="" if frontend else "paper",  # a lasting map is not the paper's
+        role="" if frontend else "reference",  # a lasting map is not the paper's
         parameters=with_defaults(icp.PARAMETERS, **defaults),
         frontend=frontend or {},
     )

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from evalkit.commands.validate import answers, costs, paths, reference
+from evalkit.commands.validate import answers, costs, paths
 from evalkit.commands.validate.acceptance import Claim, Dossier, Level
 from evalkit.commands.validate.answers import Names
 from evalkit.commands.validate.equivalence.comparison import FLOAT32
@@ -23,13 +23,14 @@ from evalkit.execution.job_store import Job, Ledger, OnDone, Result
 from evalkit.execution.scheduler import Engine, Progress
 from evalkit.external.declaration import split
 from evalkit.odometry import frontend
-from evalkit.plugins import code_hash, registry
+from evalkit.plugins import code_hash, defaults, registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import BackendSpec, Value
 from evalkit.results.store import Store
 
 ASKING, PACE = "evalkit.commands.validate.probes", "evalkit.commands.validate.pace"
 AUTO = "auto"
+CHOSEN = 'the first back end by name with the role "reference"'
 COPIES = 5
 """Copies of a sequence that tell how far rounding alone leads."""
 
@@ -249,7 +250,7 @@ class Examination:
 
 def examination(asked: Asked) -> Examination:
     """Everything checked before anything is computed; NotInstalled, UnknownName or BadParameter say what is wrong."""
-    twin, why = (asked.twin, "named with --twin") if asked.twin else reference.twin()
+    twin, why = (asked.twin, "named with --twin") if asked.twin else (defaults.reference_backend(), CHOSEN)
     for name in (asked.backend, twin):
         if why_not := _unfit(registry.backend(name)):
             raise NotInstalled(name, "cannot be validated here", why_not)
@@ -259,9 +260,9 @@ def examination(asked: Asked) -> Examination:
     wanted = [name for name in dict.fromkeys(asked.against) if name not in (asked.backend, twin)]
     absent = {name: missing for name in wanted if (missing := _unfit(registry.entrant(name)))}
     here = [name for name in wanted if name not in absent]
-    bars = [name for name in reference.bars() if name not in (asked.backend, twin, *here)]
-    mapper = asked.mapper or reference.mapper_of(asked.backend)
-    mappers = (mapper, reference.mapper_of(twin)) if mapper else ("", "")
+    bars = [name for name in defaults.backends_with_role("baseline") if name not in (asked.backend, twin, *here)]
+    mapper = asked.mapper or defaults.mapper_of(asked.backend)
+    mappers = (mapper, defaults.mapper_of(twin)) if mapper else ("", "")
     against = (*here, *bars)
     plan = _plan(asked, twin, given, given_twin, against)
     absent |= {sequence.label: sequence.missing for sequence in plan.sequences if sequence.missing}

@@ -6,17 +6,15 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from evalkit.core.run_result import Trial
 from evalkit.metrics.table import Metric
-from evalkit.plugins.protocols import Published, Sequence, Value
+from evalkit.plugins.protocols import Published, Role, Sequence, Value
 from evalkit.report.analysis.bootstrap import Resamples
 
 if TYPE_CHECKING:
     from evalkit.report.analysis.standings import Standing
-
-Role = Literal["", "paper", "baseline"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +30,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class MethodCard:
-    """Who a method is. ``role``: "paper" for the paper's own method, "baseline" for what all others have to beat.
+    """Who a method is. ``role``: see ``plugins.protocols.Role``.
 
     ``guess``: what its registration starts from. ``missing``: why it could not run here, "" where it could.
     """

@@ -21,7 +21,7 @@ def overview(comparison: Comparison, verdicts: Sequence[Verdict]) -> tuple[str, 
     sentences = [
         success(comparison.trials),
         _tally(verdicts),
-        *(_paper_tally(label, verdicts) for label in method_of(comparison, "paper")),
+        *(_paper_tally(label, verdicts) for label in method_of(comparison, "reference")),
         _bar_tally(comparison),
         _keeping_up(comparison),
         _set_aside(comparison, verdicts),

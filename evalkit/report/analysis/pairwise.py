@@ -32,7 +32,7 @@ def pairs(comparison: Comparison, sequence: str) -> Pairs | None:
     found = deciding(comparison, sequence)
     if found is None or len(found.ranked) < 2:
         return None
-    paper = [who for who in method_of(comparison, "paper") if found.of(who) in found.ranked]
+    paper = [who for who in method_of(comparison, "reference") if found.of(who) in found.ranked]
     references = tuple(dict.fromkeys([found.ranked[0].method, *paper[:1]]))
     rows = tuple(
         (cell.method, tuple(_held(found, cell, reference) for reference in references)) for cell in found.ranked

@@ -76,7 +76,9 @@ def evidence(comparison: Comparison) -> Evidence:
     errors = {who: _errors(comparison, counted, who) for who in comparison.method_labels}
     table, ranked = _table(counted, errors)
     means = dict(zip(ranked, _mean_ranks(table), strict=True)) if len(table) else {}
-    references = dict.fromkeys([*sorted(means, key=lambda who: means[who])[:1], *method_of(comparison, "paper")[:1]])
+    references = dict.fromkeys(
+        [*sorted(means, key=lambda who: means[who])[:1], *method_of(comparison, "reference")[:1]]
+    )
     ranks = statistics.friedman(table) if len(table) else "no sequence has a truth and a geometry that fixes the pose"
     metres = {found.sequence for found in counted if found.metric.unit == METRES}
     return Evidence(

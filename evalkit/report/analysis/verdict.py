@@ -205,7 +205,7 @@ def _sign(metric: Metric) -> float:
 
 
 def _paper(comparison: Comparison, found: Standing) -> str:
-    labels = method_of(comparison, "paper")
+    labels = method_of(comparison, "reference")
     clauses = [_paper_clause(label, found) for label in labels if found.of(label)]
     return f"The paper's method: {'; '.join(clauses)}." if clauses and found.ranked else ""
 

@@ -103,7 +103,7 @@ def section(comparison: Comparison, verdict: Verdict, number: int, lines: Mappin
     grids = [trial.grid for trial in first if trial.grid is not None]
     shown = window(grids, true_grid(first)) if grids else None
     seeds = sorted({trial.seed for trial in first if trial.seed is not None})
-    scans, paper = comparison.scans.get(verdict.sequence), next(iter(method_of(comparison, "paper")), "")
+    scans, paper = comparison.scans.get(verdict.sequence), next(iter(method_of(comparison, "reference")), "")
     return Section(
         label=verdict.sequence,
         anchor=f"sequence-{number}",

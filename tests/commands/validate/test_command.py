@@ -10,18 +10,18 @@ from pathlib import Path
 import pytest
 
 from evalkit.cli import app
-from evalkit.commands.validate import answers, examination, probes, reference
+from evalkit.commands.validate import answers, examination, probes
 from evalkit.commands.validate.answers import Names
 from evalkit.commands.validate.equivalence.comparison import FLOAT32
 from evalkit.commands.validate.probes import EXACT
 from evalkit.core.errors import BadExperiment, BadParameter, NotInstalled, UnknownName
 from evalkit.execution import sandbox
 from evalkit.external import INCLUDE
-from evalkit.plugins import registry
+from evalkit.plugins import defaults, registry
 
 HERE = Path(__file__).parents[2]
 EXAMPLES = INCLUDE / "examples"
-SCHEMA = json.loads((Path(reference.__file__).parent / "acceptance.schema.json").read_text(encoding="utf-8"))
+SCHEMA = json.loads((Path(examination.__file__).parent / "acceptance.schema.json").read_text(encoding="utf-8"))
 MARGINS = [EXACT, FLOAT32]
 ROOM = {"label": "room, seed 0", "dataset": "room", "parameters": {"laps": 0.04, "seed": 0}}
 TINY = examination.Effort(pairs=4, scans=6, drawn=3, timed=8, limit_s=60.0, map_scans=8)
@@ -164,15 +164,15 @@ def test_a_crash_on_the_way_is_a_line_and_not_the_end(misfits):
 
 
 def test_the_twin_is_the_first_of_its_role_and_gets_the_same_settings():
-    assert reference.twin()[0] == "paper"
+    assert asked("paper-tight").twin == "paper"
     examined = asked("paper-tight", given={"max_iterations": "7", "epsilon": "1e-5"}, given_twin={"epsilon": "1e-3"})
     assert examined.given_twin == {"max_iterations": 7, "epsilon": 1e-3}
-    assert examined.why_twin == 'the first back end by name with the role "paper"'
+    assert examined.why_twin == 'the first back end by name with the role "reference"'
 
 
 def test_its_mapper_is_the_one_of_its_module():
-    assert (reference.mapper_of("embedded"), reference.mapper_of("paper-tight")) == ("embedded-log-odds", "log-odds")
-    assert reference.mapper_of("kiss-icp") == ""
+    assert (defaults.mapper_of("embedded"), defaults.mapper_of("paper-tight")) == ("embedded-log-odds", "log-odds")
+    assert defaults.mapper_of("kiss-icp") == ""
 
 
 def test_what_is_wrong_is_told_before_anything_is_computed():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from evalkit.core.errors import EvalkitError
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
-from evalkit.plugins.protocols import NoAnswer, Odometry
+from evalkit.plugins.protocols import NoAnswer, Odometry, Role
 
 ON_TRACK_M = 0.25
 """At the end of 0.6 m and 0.6 rad: two voxels of a usual map, its turn felt half a room away."""
@@ -37,7 +36,7 @@ QUARTER_TURN = Pose(0.2, 0.1, math.pi / 2.0)
 class Bench:
     """A back end on the bench: makes it, and follows drives with a fresh one each."""
 
-    def __init__(self, make: Callable[[], Odometry], role: Literal["", "paper", "baseline"] = "") -> None:
+    def __init__(self, make: Callable[[], Odometry], role: Role = "") -> None:
         self.make = make
         self.role = role
 
