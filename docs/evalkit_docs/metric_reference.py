@@ -5,7 +5,7 @@ from __future__ import annotations
 from evalkit.metrics import all_metrics
 from evalkit.metrics.table import Metric
 from evalkit.metrics.validated import Trust, shipped
-from evalkit.stats.statistics import Interval
+from evalkit.stats.intervals import Interval
 from evalkit_docs.markup import code, facts, heading, page, text
 
 ARROWS = {"lower": "lower is better", "higher": "higher is better", "": "neither direction is better"}

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from evalkit.core import se2
 from evalkit.core.arrays import Bools, Ints
@@ -14,7 +12,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.maps import nearest_m
-from evalkit.metrics.neighbourhoods import evenly, patches
+from evalkit.metrics.neighbourhoods import build_kd_tree, evenly, patches
 from evalkit.metrics.table import DIVERGED, Evidence, Mapped, Metric, number, once, standing_on
 
 MAX_HITS = 20_000
@@ -63,6 +61,8 @@ def corners(grid: OccupancyGrid) -> Floats:
     Laplacian of Gaussian (1 cell) of the 0/1 image, Harris response (window 1.5 cells, k = 0.05), peaks over an
     absolute threshold, at most one within 0.2 m.
     """
+    from scipy import ndimage
+
     occupied = grid.occupied()
     if not occupied.any():
         return np.zeros((0, 2))
@@ -97,6 +97,8 @@ def enclosed_areas(grid: OccupancyGrid) -> Ints:
 
     Areas of fewer than 4 cells and areas at the border of the grid do not count.
     """
+    from scipy import ndimage
+
     free = grid.free()
     labels, count = ndimage.label(free)
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
@@ -116,7 +118,7 @@ def cleared_share(hits: Floats, other: OccupancyGrid) -> tuple[float, int]:
     log_odds, observed = looked_up(hits, other)
     count = int(observed.sum())
     suspects = hits[observed & (log_odds < CLEARED)]
-    walls = cKDTree(other.centres(other.occupied()))
+    walls = build_kd_tree(other.centres(other.occupied()))
     far = np.isinf(walls.query(suspects, distance_upper_bound=NOISE_M)[0])
     return (float(far.sum() / count), count) if count else (0.0, 0)
 

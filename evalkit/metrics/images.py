@@ -6,7 +6,6 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from evalkit.core.arrays import Bools, Ints
 from evalkit.core.grid import OccupancyGrid
@@ -31,6 +30,7 @@ def ssim(one: Floats, other: Floats) -> Floats:
     Wang et al., IEEE TIP 13(4), 2004, eq. 13: (2 m m' + C1)(2 s + C2) / ((m^2 + m'^2 + C1)(v + v' + C2)) with the
     means, variances and covariance under a Gaussian window of 11 x 11.
     """
+    from scipy import ndimage
 
     def smooth(picture: Floats) -> Floats:
         return np.asarray(ndimage.gaussian_filter(picture, WINDOW_CELLS, mode="nearest", radius=5))

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import linear_sum_assignment
-from scipy.spatial import cKDTree
-from scipy.spatial.distance import cdist
 
 from evalkit.core import se2
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.consistency import NO_HIT, corners, mapped_corners
+from evalkit.metrics.neighbourhoods import build_kd_tree
 from evalkit.metrics.table import DIVERGED, Evidence, Mapped, Metric, number, standing_on
 
 CUTOFF_M = 0.5
@@ -28,6 +26,9 @@ def ospa(one: ArrayLike, other: ArrayLike, cutoff_m: float = CUTOFF_M, order: fl
     [(1/n) (min over assignments of sum min(c, d)^p + c^p (n - m))]^(1/p), m <= n (Schuhmacher et al., IEEE TSP 56(8),
     2008): each point without a partner counts as the cutoff c. 0 for two empty sets.
     """
+    from scipy.optimize import linear_sum_assignment
+    from scipy.spatial.distance import cdist
+
     first, second = (np.asarray(points, dtype=np.float64).reshape(-1, 2) for points in (one, other))
     most, least = max(len(first), len(second)), min(len(first), len(second))
     if most == 0:
@@ -46,7 +47,7 @@ def signed_offsets(mapped: Mapped, true: OccupancyGrid, within_m: float = BESIDE
     found = [np.zeros(0)]
     if not len(walls):
         return found[0]
-    tree, thin = cKDTree(walls), max(sum(int(scan.hits.sum()) for scan, _ in mapped) // MAX_HITS, 1)
+    tree, thin = build_kd_tree(walls), max(sum(int(scan.hits.sum()) for scan, _ in mapped) // MAX_HITS, 1)
     for scan, world_from_sensor in mapped:
         points = se2.transform(world_from_sensor, scan.points())[::thin]
         apart, nearest = map(np.asarray, tree.query(points, distance_upper_bound=within_m))

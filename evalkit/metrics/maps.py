@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from evalkit.core.arrays import Ints
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
+from evalkit.metrics.neighbourhoods import build_kd_tree
 from evalkit.metrics.table import DIVERGED, Evidence, Metric, number, once, standing_on
 
 TOLERANCE_M = 0.1
@@ -46,7 +46,7 @@ def walls(mapped: OccupancyGrid, true: OccupancyGrid) -> Walls:
 
 def nearest_m(points: ArrayLike, others: ArrayLike) -> Floats:
     """Distance (N,) from each point (N, 2) to the nearest of the others (M, 2), M > 0."""
-    return np.asarray(cKDTree(np.asarray(others)).query(np.asarray(points))[0], dtype=np.float64)
+    return np.asarray(build_kd_tree(np.asarray(others)).query(np.asarray(points))[0], dtype=np.float64)
 
 
 def precision(found: Walls, tolerance_m: float = TOLERANCE_M) -> float:

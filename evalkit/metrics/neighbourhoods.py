@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from evalkit.core.arrays import Bools, Ints
 from evalkit.core.se2 import Floats
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 PATCH_M = 0.5
 FLATNESS = 9.0
@@ -36,7 +39,7 @@ class Patches:
 
 def patches(points: Floats, middles: Floats, radius_m: float = PATCH_M) -> Patches:
     """The patches of points (N, 2) around middles (K, 2), K > 0; one without any point has variances of nan."""
-    balls = cKDTree(points).query_ball_point(middles, radius_m, return_sorted=False)
+    balls = build_kd_tree(points).query_ball_point(middles, radius_m, return_sorted=False)
     neighbours = [np.asarray(ball, dtype=np.int64) for ball in balls]
     counts = np.array([len(indices) for indices in neighbours], dtype=np.int64)
     small, large, direction = np.full((3, len(counts)), np.nan)
@@ -45,6 +48,13 @@ def patches(points: Floats, middles: Floats, radius_m: float = PATCH_M) -> Patch
         offsets = points[np.concatenate(neighbours)] - np.repeat(middles, counts, axis=0)
         small[some], large[some], direction[some] = _ellipses(offsets, counts[some])
     return Patches(counts, small, large, direction)
+
+
+def build_kd_tree(points: Floats) -> cKDTree:
+    """Return a k-d tree of points (N, 2)."""
+    from scipy.spatial import cKDTree
+
+    return cKDTree(points)
 
 
 def evenly(points: Floats, most: int) -> Floats:

@@ -5,16 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from functools import partial
 from itertools import pairwise
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from evalkit.core import se2
 from evalkit.core.arrays import Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
+from evalkit.metrics.neighbourhoods import build_kd_tree
 from evalkit.metrics.table import Evidence, Mapped, Metric, Placed, number, once, standing_on
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 MAX_PAIR_M = 0.5
 KEYFRAMES = 10
@@ -49,7 +52,7 @@ def scan_to_scan(successive: Iterable[tuple[Placed, Placed]]) -> Floats:
 
     A pair with fewer than ten pairs of points has a distance of nan, and one with an empty scan is left out.
     """
-    return _residuals((_points(later), cKDTree(_points(earlier))) for earlier, later in successive)
+    return _residuals((_points(later), build_kd_tree(_points(earlier))) for earlier, later in successive)
 
 
 def scan_to_map(mapped: Mapped) -> Floats:
@@ -77,11 +80,12 @@ def keyframes(poses: Floats) -> Ints:
 
 def _against_local_map(mapped: Mapped) -> Iterator[tuple[Floats, cKDTree]]:
     frames = keyframes(np.array([pose for _, pose in mapped]))
-    tree, until = cKDTree(np.zeros((0, 2))), 0
+    tree, until = build_kd_tree(np.zeros((0, 2))), 0
     for index in _measured(len(mapped)):
         before = int(np.searchsorted(frames, index))  # keyframes strictly before this scan
         if before != until:
-            tree, until = cKDTree(np.concatenate([_points(mapped[k]) for k in frames[:before][-KEYFRAMES:]])), before
+            clouds = [_points(mapped[k]) for k in frames[:before][-KEYFRAMES:]]
+            tree, until = build_kd_tree(np.concatenate(clouds)), before
         yield _points(mapped[index]), tree
 
 

@@ -5,15 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from evalkit.core import se2
 from evalkit.core.arrays import Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.consistency import NO_HIT, WARP, all_hits
-from evalkit.metrics.neighbourhoods import MIN_HITS, PATCH_M, evenly, patches
+from evalkit.metrics.neighbourhoods import MIN_HITS, PATCH_M, build_kd_tree, evenly, patches
 from evalkit.metrics.table import DIVERGED, Evidence, Mapped, Metric, number, once, standing_on
 
 MAX_SCANS = 100
@@ -135,7 +133,7 @@ def _apart(pieces: Pieces) -> Ints:
     if len(pieces) == 0:
         return np.zeros(0, dtype=np.int64)
     reach = float(np.hypot(ALONG_M, FARTHEST_M))
-    around = cKDTree(pieces.middles).query_ball_point(pieces.middles, reach)
+    around = build_kd_tree(pieces.middles).query_ball_point(pieces.middles, reach)
     along = np.stack([np.cos(pieces.direction), np.sin(pieces.direction)], axis=1)
     free, kept = np.ones(len(pieces), np.bool_), []
     for index, neighbours in enumerate(around):
@@ -150,10 +148,12 @@ def _apart(pieces: Pieces) -> Ints:
 
 def _profiles(hits: Floats, sensors: Floats, stretches: Pieces) -> Floats:
     """Per stretch (K, B): the smoothed histogram of hits across it, towards the sensor that saw it, in bins of 1 cm."""
+    from scipy import ndimage
+
     normals = np.stack([-np.sin(stretches.direction), np.cos(stretches.direction)], axis=1)
     side = np.sign(np.sum((stretches.sensors - stretches.middles) * normals, axis=1))
     normals *= np.where(side == 0.0, 1.0, side)[:, None]
-    tree, width = cKDTree(hits), 2 * _REACH + 1
+    tree, width = build_kd_tree(hits), 2 * _REACH + 1
     counts = np.zeros((len(stretches), width))
     around = tree.query_ball_point(stretches.middles, float(np.hypot(ALONG_M, _REACH * BIN_M)), return_sorted=False)
     for row, (near, middle, normal) in enumerate(zip(around, stretches.middles, normals, strict=True)):

@@ -9,7 +9,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from evalkit.stats.statistics import Interval
+from evalkit.stats.intervals import Interval
 
 FILE = "validated.json"
 

@@ -1,1 +1,1 @@
-"""Statistics over runs: bootstrap, intervals, paired tests."""
+"""Statistics over runs: intervals, bootstrap, paired tests, ranks, correlation."""

@@ -13,7 +13,7 @@ from evalkit.plugins.protocols import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis
 from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Fold, Table, Text
-from evalkit.stats.statistics import wilson
+from evalkit.stats.intervals import wilson_interval
 from evalkit_paper import table_1
 from evalkit_paper.chapter import Results, Settings
 from evalkit_paper.table_1 import MAX_ITERATIONS, ROOMS
@@ -68,7 +68,7 @@ def blocks(settings: Settings, results: Results) -> list[Block]:
     """Heat maps of success over distance and turn, what they say in words, and the counts with their intervals."""
     metres, degrees = table_1.start_of(ROOMS["first"])
     trials = settings["basin_seeds"]
-    widest = wilson(trials // 2, trials)
+    widest = wilson_interval(trials // 2, trials)
     told = (
         "The scan of Table 1 put off by a distance at the room's middle, in bearings all round, and turned about it "
         f"to either side; {trials} starts a cell, each with its own noise. Success: within {settings['within_m']:g} m "
@@ -136,7 +136,7 @@ def _words(results: Results, trials: int) -> str:
 
 
 def _share(count: int, trials: int) -> Cell:
-    share = wilson(count, trials)
+    share = wilson_interval(count, trials)
     return Cell(f"{100 * share.value:.0f} ({100 * share.low:.0f} to {100 * share.high:.0f})", sort=share.value)
 
 
@@ -157,7 +157,7 @@ def _counts(variant: Variant, counts: Ints, trials: int) -> Table:
 
 
 def _cell(count: int, trials: int) -> Cell:
-    share = wilson(count, trials)
+    share = wilson_interval(count, trials)
     return Cell(f"{count} ({100 * share.low:.0f} to {100 * share.high:.0f})", sort=share.value)
 
 

@@ -8,13 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from evalkit.metrics.series import SERIES
 from evalkit.report import results_json as record
-from evalkit.report.analysis.bootstrap import Resamples, Series, drawn
+from evalkit.report.analysis.bootstrap import TrialBootstrap
 from evalkit.report.analysis.cells import apart, interval
 from evalkit.report.analysis.pairwise import pairs
 from evalkit.report.analysis.significance import evidence
 from evalkit.report.analysis.standings import standing
-from evalkit.stats.statistics import Friedman
+from evalkit.stats.bootstrap import Series, bootstrap_score
+from evalkit.stats.ranks import FriedmanTest, NotTested
 
 ATE = "ate_rmse_m"
 
@@ -56,9 +58,9 @@ def test_pairs_use_only_scans_that_both_answered(trial, build):
     a, b = trial("a", "room", {ATE: 0.02}), trial("b", "room", {ATE: 0.03})
     partly = np.where(np.arange(60) < 40, 0.03, np.nan)
     comparison = build([replace(a, errors_m=np.full(60, 0.02)), replace(b, errors_m=partly)])
-    resamples = Resamples(comparison.trials)
-    assert [d and d.blocks for d in (resamples.of(t, ATE) for t in comparison.trials)] == [5.0, 5.0]
-    assert len(resamples._keys(comparison.trials[0], ATE)) == 40
+    bootstrap = TrialBootstrap(comparison.trials, SERIES)
+    assert [d and d.blocks for d in (bootstrap.draws(t, ATE) for t in comparison.trials)] == [5.0, 5.0]
+    assert len(bootstrap._shared_keys(comparison.trials[0], ATE)) == 40
 
 
 def test_errors_that_make_another_score_are_not_used(trial, build):
@@ -68,7 +70,7 @@ def test_errors_that_make_another_score_are_not_used(trial, build):
 
 
 def test_few_values_have_no_interval():
-    assert drawn(Series(np.arange(19), np.ones(19), "mean", 0.1), 1.0, np.random.default_rng(0)) is None
+    assert bootstrap_score(Series(np.arange(19), np.ones(19), "mean", 0.1), 1.0, np.random.default_rng(0)) is None
 
 
 @pytest.mark.parametrize(
@@ -77,7 +79,7 @@ def test_few_values_have_no_interval():
 def test_draws_of_every_statistic_are_of_the_score(statistic, score):
     """1, 2, 3, 4 over and over: any ten stretches of 40 values have the same mean, root mean square and median."""
     series = Series(np.arange(400), np.tile([1.0, 2.0, 3.0, 4.0], 100), statistic, 0.25)
-    found = drawn(series, score, np.random.default_rng(0))
+    found = bootstrap_score(series, score, np.random.default_rng(0))
     assert found is not None
     assert (found.blocks, found.block_s) == (10.0, 10.0)
     if statistic != "median":
@@ -134,8 +136,8 @@ def _many(trial, build, sequences, failed=()):
 def test_over_ten_sequences_the_test_and_the_ranks_agree_with_hand_calculation(trial, build):
     """All ten one way: p = 2 / 2^10 alone, 3 questions by Holm; ranks 1, 2, 3; CD = 2.343 sqrt(3 * 4 / 60) = 1.048."""
     found = evidence(_many(trial, build, 10))
-    assert isinstance(found.ranks, Friedman)
-    assert found.ranks.ranks == (1.0, 2.0, 3.0)
+    assert isinstance(found.ranks, FriedmanTest)
+    assert found.ranks.mean_ranks == (1.0, 2.0, 3.0)
     assert found.ranks.critical_difference == pytest.approx(1.048, abs=1e-3)
     duel = {d.method: d for d in found.duels}["c"]
     assert (duel.reference, duel.runs, duel.better, duel.worse, duel.said) == ("a", 10, 0, 10, "worse")
@@ -147,7 +149,7 @@ def test_over_ten_sequences_the_test_and_the_ranks_agree_with_hand_calculation(t
 def test_five_runs_are_too_few_to_show_anything(trial, build):
     found = evidence(_many(trial, build, 5))
     assert {duel.said for duel in found.duels} == {"too few runs to show anything"}
-    assert found.ranks == "5 sequences are too few for ranks with a critical difference: it takes 8"
+    assert found.ranks == NotTested("ranks with a critical difference need at least 8 sequences, found 5")
 
 
 def test_a_failed_run_is_the_worst_and_never_left_out(trial, build):

@@ -12,7 +12,7 @@ from evalkit.commands.basin.observability import Observability
 from evalkit.core import se2
 from evalkit.core.arrays import Bools, Ints
 from evalkit.core.se2 import Floats
-from evalkit.stats.statistics import Interval, wilson
+from evalkit.stats.intervals import Interval, wilson_interval
 
 PLASTIC = 1.2207440846057596
 """The real root above 1 of x^4 = x + 1: its powers fill a cube evenly (Roberts 2018, after the golden ratio)."""
@@ -86,7 +86,7 @@ class Shares:
         bounds = np.full((3, *trials.shape), np.nan)
         for at in np.argwhere(trials > 0):
             cell = tuple(at)
-            interval = wilson(int(successes[cell]), int(trials[cell]))
+            interval = wilson_interval(int(successes[cell]), int(trials[cell]))
             bounds[(slice(None), *cell)] = interval.value, interval.low, interval.high
         return cls(edges, successes, trials, *bounds)
 
@@ -149,12 +149,12 @@ class Basin:
 
     def overall(self) -> Interval:
         """The share of success over the volume."""
-        return wilson(int(self.success[self.filling].sum()), int(self.filling.sum()))
+        return wilson_interval(int(self.success[self.filling].sum()), int(self.filling.sum()))
 
     def falsely_claimed(self) -> Interval | None:
         """The share of all failures that were told as converged; None without failures."""
         failed = int((~self.success).sum())
-        return wilson(int((self.claimed & ~self.success).sum()), failed) if failed else None
+        return wilson_interval(int((self.claimed & ~self.success).sum()), failed) if failed else None
 
     def by_distance_and_turn(self, distances: ArrayLike, turns: ArrayLike) -> Shares:
         """Cells over the distance (m) and the turn (rad)."""

@@ -31,7 +31,7 @@ from evalkit.report.html.document import (
     Text,
     slug,
 )
-from evalkit.stats.statistics import Interval
+from evalkit.stats.intervals import Interval
 
 DRAWN = 150
 """Points of a cloud in an overlay: more cannot be seen."""

@@ -12,7 +12,8 @@ from scipy import stats
 
 from evalkit.commands.diff.benchmark import Benchmark, Series
 from evalkit.core.errors import BadData
-from evalkit.stats.statistics import CONFIDENCE, DRAWS, Interval
+from evalkit.stats.bootstrap import DRAWS
+from evalkit.stats.intervals import CONFIDENCE, Interval
 
 Said = Literal["regression", "improvement", "within the limit", "no difference shown", "too few samples"]
 

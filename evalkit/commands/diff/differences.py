@@ -12,9 +12,9 @@ import numpy as np
 from evalkit.commands.diff.snapshot import Finished, Place, Snapshot
 from evalkit.core.errors import StoreError
 from evalkit.metrics.table import Metric
-from evalkit.report.analysis.bootstrap import Drawn, Series, drawn
 from evalkit.report.analysis.cells import Apart, Cell, apart
 from evalkit.report.analysis.standings import DECIDING, NOT_POSSIBLE, noise_floor
+from evalkit.stats.bootstrap import BootstrapDraws, Series, bootstrap_score
 
 Said = Literal["regression", "improvement", "within the limit", "no difference shown", "unchanged", "not comparable"]
 
@@ -256,18 +256,18 @@ def _cells(metric: str, place: Place, old: Finished, new: Finished) -> tuple[Cel
     return _run(place, old.scores[metric], one), _run(place, new.scores[metric], other)
 
 
-def _run(place: Place, score: float, draws: Drawn | None) -> Cell:
+def _run(place: Place, score: float, draws: BootstrapDraws | None) -> Cell:
     return Cell(place[0], (score,), (), 1, 1, 0, "", (place[2],), drawn=(draws,))
 
 
-def _drawn(metric: str, own: Finished, beside: Finished) -> Drawn | None:
+def _drawn(metric: str, own: Finished, beside: Finished) -> BootstrapDraws | None:
     """The draws of a run over the scans that both have."""
     series, other = own.series.get(metric), beside.series.get(metric)
     if series is None or other is None:
         return None
     kept = np.isin(series.keys, other.keys)
     shared = Series(series.keys[kept], series.values[kept], series.statistic, series.period_s)
-    return drawn(shared, own.scores[metric], np.random.default_rng(0))
+    return bootstrap_score(shared, own.scores[metric], np.random.default_rng(0))
 
 
 def _cell(method: str, cells: Sequence[Cell]) -> Cell:

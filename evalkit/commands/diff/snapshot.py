@@ -11,9 +11,9 @@ import numpy as np
 
 from evalkit.core.errors import StoreError
 from evalkit.io import untrusted_io
-from evalkit.report.analysis.bootstrap import Series
 from evalkit.report.results_json import NAME, VERSION
 from evalkit.results.store import read_steps
+from evalkit.stats.bootstrap import Series
 
 AGAIN = "name a folder that `evalkit run` or `evalkit report` has written"
 

@@ -16,7 +16,7 @@ from evalkit.commands.metric_validation.map_rebuilding import CLEAN
 from evalkit.commands.metric_validation.perturbation import WAYS
 from evalkit.commands.metric_validation.rank_agreement import Row
 from evalkit.execution.job_store import Job, Result
-from evalkit.stats.statistics import Interval
+from evalkit.stats.intervals import Interval
 
 WORLDS = ("lab", "office", "room")
 SCANS = 150

@@ -13,7 +13,7 @@ from evalkit import metrics
 from evalkit.commands.metric_validation.map_rebuilding import CLEAN
 from evalkit.core.se2 import Floats
 from evalkit.metrics.table import Metric
-from evalkit.stats.statistics import CONFIDENCE, Interval
+from evalkit.stats.intervals import CONFIDENCE, Interval
 
 ERROR = "ate_rmse_m"
 DRAWS = 1000

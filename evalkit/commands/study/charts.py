@@ -15,7 +15,7 @@ from evalkit.core.se2 import Floats
 from evalkit.report.html.charts import Axis, Curve, Points, bars, heat, lines, scatter
 from evalkit.report.html.document import Figure
 from evalkit.report.html.palette import HUES
-from evalkit.stats.statistics import Interval
+from evalkit.stats.intervals import Interval
 
 GREY = "#aab2bd"
 

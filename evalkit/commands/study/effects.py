@@ -13,7 +13,7 @@ from scipy import stats
 from evalkit.commands.study.design import Model
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
-from evalkit.stats.statistics import CONFIDENCE, Interval
+from evalkit.stats.intervals import CONFIDENCE, Interval
 
 
 @dataclass(frozen=True)

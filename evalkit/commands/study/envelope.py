@@ -12,7 +12,7 @@ from evalkit.commands.study.plan import Design, EnvelopeChoice, Point
 from evalkit.commands.study.result import Outcome
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
-from evalkit.stats.statistics import Interval, wilson
+from evalkit.stats.intervals import Interval, wilson_interval
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +140,7 @@ def _panel(
     inside = below(within(choice, worst))
     columns, height = largest_box(inside)
     drives = columns * height * values.shape[2]
-    held = wilson(drives, drives) if drives else None
+    held = wilson_interval(drives, drives) if drives else None
     return Panel(others, worst, gone.sum(axis=2).astype(np.float64), inside, (columns, height), held)
 
 

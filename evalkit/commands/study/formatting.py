@@ -9,7 +9,7 @@ from evalkit.commands.study.effects import FactorEffect, Fit
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Response, Study
 from evalkit.commands.study.result import Outcome
 from evalkit.report.html.formatting import joined
-from evalkit.stats.statistics import Interval
+from evalkit.stats.intervals import Interval
 
 
 def fitted(outcome: Outcome, response: Response) -> list[tuple[Design, Fit]]:

@@ -12,7 +12,7 @@ from evalkit.commands.study.effects import Fit
 from evalkit.commands.study.envelope import Panel, axes, panels
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Response
 from evalkit.commands.study.result import Outcome
-from evalkit.stats.statistics import Interval
+from evalkit.stats.intervals import Interval
 
 Row = dict[str, Any]
 

@@ -14,7 +14,8 @@ from evalkit.commands.tune.plan import COST
 from evalkit.commands.tune.space import Candidate
 from evalkit.core.se2 import Floats
 from evalkit.execution.job_store import Result
-from evalkit.stats.statistics import Interval, block_bootstrap
+from evalkit.stats.bootstrap import bootstrap_interval
+from evalkit.stats.intervals import Interval
 
 MIN_GAIN = 0.05
 """Nobody is better by less than this share of the error, as in the report."""
@@ -75,7 +76,7 @@ def best(tried: Sequence[Tried]) -> Tried:
 def ratio(ours: Tried, theirs: Tried, seed: int) -> Interval:
     """The mean ratio of errors over the same runs with its 95 % bootstrap interval over runs: below 1 is better."""
     logs = np.log(ours.errors) - np.log(theirs.errors)
-    found = block_bootstrap(logs, np.mean, np.random.default_rng(seed), block=1)
+    found = bootstrap_interval(logs, np.mean, np.random.default_rng(seed), block=1)
     return Interval(math.exp(found.value), math.exp(found.low), math.exp(found.high), found.support)
 
 

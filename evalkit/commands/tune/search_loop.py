@@ -13,7 +13,7 @@ from evalkit.commands.tune.plan import Entrant, Run, Tuning
 from evalkit.commands.tune.search import Search
 from evalkit.commands.tune.space import Candidate
 from evalkit.execution.job_store import Job, Ledger, OnDone, Result
-from evalkit.stats.statistics import Interval
+from evalkit.stats.intervals import Interval
 
 Compute = Callable[[Sequence[Job]], Mapping[str, Result]]
 """What gives the results of jobs by name."""

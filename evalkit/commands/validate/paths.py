@@ -19,7 +19,8 @@ from evalkit.execution.job_store import Result
 from evalkit.execution.sandbox import ENDED
 from evalkit.metrics.runtime import period_ns
 from evalkit.metrics.trajectory import MAX_GAP_S, bracketed, rms
-from evalkit.stats.statistics import Interval, block_bootstrap, block_length, paired_difference
+from evalkit.stats.bootstrap import block_length, bootstrap_interval, paired_difference_interval
+from evalkit.stats.intervals import Interval
 
 CONFIDENCE = 0.90
 """Of all intervals: two one-sided tests at 5 %."""
@@ -216,8 +217,8 @@ def _as_good(sequence: str, here: Sequence[Mapping[str, Trial]], names: Names, w
     if len(mine) < FEWEST:
         return Line(TITLES[what], sequence, "not applicable", "", "no true path to hold both against")
     rng = np.random.default_rng(0)
-    own = block_bootstrap(theirs, rms, rng, block, confidence=CONFIDENCE)
-    gap = paired_difference(mine, theirs, rng, block, rms, CONFIDENCE)
+    own = bootstrap_interval(theirs, rms, rng, block, confidence=CONFIDENCE)
+    gap = paired_difference_interval(mine, theirs, rng, block, rms, CONFIDENCE)
     margin = names.share * 0.5 * (own.high - own.low)
     same = bool(np.array_equal(mine, theirs))
     told = f"{rms(mine):.4g} m against {rms(theirs):.4g} m; difference {_told(gap)}"
@@ -239,7 +240,7 @@ def _against(sequence: str, here: Sequence[Mapping[str, Trial]], names: Names, o
     mine, theirs, block = _pooled(shared, names.mine, other, "ate")
     if len(mine) < FEWEST:
         return None
-    gap = paired_difference(mine, theirs, np.random.default_rng(0), block, rms, CONFIDENCE)
+    gap = paired_difference_interval(mine, theirs, np.random.default_rng(0), block, rms, CONFIDENCE)
     which = "larger" if gap.low > 0.0 else "smaller" if gap.high < 0.0 else "not told apart"
     told = f"ATE RMSE {rms(mine):.4g} m against {rms(theirs):.4g} m: {which}; difference {_told(gap)}"
     return Line(f"beside {other}", sequence, "told", "", told)

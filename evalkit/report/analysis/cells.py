@@ -12,9 +12,9 @@ import numpy as np
 from scipy import stats
 
 from evalkit.core.se2 import Floats
-from evalkit.report.analysis.bootstrap import Drawn
-from evalkit.stats import statistics
-from evalkit.stats.statistics import CONFIDENCE, DRAWS, Interval
+from evalkit.stats.bootstrap import DRAWS, BootstrapDraws, expanded_percentile_interval
+from evalkit.stats.intervals import CONFIDENCE, Interval
+from evalkit.stats.paired_tests import detectable_standard_errors
 
 # Of more scans left to the guess than this (%), it is the guess that would be ranked.
 MAX_GUESSED = 50.0
@@ -39,7 +39,7 @@ class Cell:
     reason: str
     seeds: tuple[int | None, ...] = ()
     guessed_percent: float = 0.0
-    drawn: tuple[Drawn | None, ...] = field(default=(), compare=False, repr=False)
+    drawn: tuple[BootstrapDraws | None, ...] = field(default=(), compare=False, repr=False)
 
     @property
     def median(self) -> float | None:
@@ -73,7 +73,7 @@ class Apart:
     @property
     def detectable(self) -> float:
         """The difference that these runs would have shown with 80 % power at 5 %."""
-        return self.error * statistics.detectable_errors(self.spare)
+        return self.error * detectable_standard_errors(self.spare)
 
 
 def interval(cell: Cell) -> Interval | None:
@@ -83,7 +83,7 @@ def interval(cell: Cell) -> Interval | None:
         return None
     blocks = sum(one.blocks for one in known)
     draws = over_runs([one.values for one in known])
-    return statistics.percentile(median(cell.values), draws, cell.support, blocks)
+    return expanded_percentile_interval(median(cell.values), draws, cell.support, blocks)
 
 
 def apart(one: Cell, other: Cell) -> Apart | None:
@@ -100,7 +100,7 @@ def apart(one: Cell, other: Cell) -> Apart | None:
     if len(drawn) == len(pairs):
         blocks = sum(min(a.blocks, b.blocks) for a, b in drawn)
         draws = over_runs([a.values - b.values for a, b in drawn])
-        found = statistics.percentile(median(differences), draws, len(pairs), blocks)
+        found = expanded_percentile_interval(median(differences), draws, len(pairs), blocks)
         return Apart(found, float(draws.std()), max(blocks - 1.0, 1.0), "stretches")
     if len(pairs) < 2:
         return None
@@ -116,12 +116,12 @@ def over_runs(draws: Sequence[Floats]) -> Floats:
     return np.asarray(np.median(table[chosen, np.arange(DRAWS)[:, None]], axis=1))
 
 
-def _pairs(one: Cell, other: Cell) -> list[tuple[float, float, Drawn | None, Drawn | None]]:
+def _pairs(one: Cell, other: Cell) -> list[tuple[float, float, BootstrapDraws | None, BootstrapDraws | None]]:
     theirs = {seed: (value, drawn) for seed, value, drawn in _runs(other)}
     return [(value, theirs[seed][0], drawn, theirs[seed][1]) for seed, value, drawn in _runs(one) if seed in theirs]
 
 
-def _runs(cell: Cell) -> list[tuple[int | None, float, Drawn | None]]:
+def _runs(cell: Cell) -> list[tuple[int | None, float, BootstrapDraws | None]]:
     drawn = cell.drawn or (None,) * len(cell.values)
     return list(zip(cell.seeds, cell.values, drawn, strict=True))
 

@@ -9,9 +9,10 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from evalkit.core.run_result import Trial
+from evalkit.metrics.series import SERIES
 from evalkit.metrics.table import Metric
 from evalkit.plugins.protocols import Published, Role, Sequence, Value
-from evalkit.report.analysis.bootstrap import Resamples
+from evalkit.report.analysis.bootstrap import TrialBootstrap
 
 if TYPE_CHECKING:
     from evalkit.report.analysis.standings import Standing
@@ -102,9 +103,9 @@ class Comparison:
             seen.add(row)
 
     @cached_property
-    def resamples(self) -> Resamples:
-        """What the trials' numbers might as well have been, drawn once and kept."""
-        return Resamples(self.trials)
+    def bootstrap(self) -> TrialBootstrap:
+        """Bootstrap draws of the trials' scores, computed once and cached."""
+        return TrialBootstrap(self.trials, SERIES)
 
     @cached_property
     def standings(self) -> dict[tuple[str, str], Standing]:

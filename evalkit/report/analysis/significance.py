@@ -13,14 +13,21 @@ from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.standings import MARGIN_SHARE, NOT_POSSIBLE, WITH_TRUTH, Standing, deciding, method_of
-from evalkit.stats import statistics
-from evalkit.stats.statistics import Friedman, Interval, PairTest
+from evalkit.stats.intervals import Interval, wilson_interval
+from evalkit.stats.paired_tests import (
+    SignedRankTest,
+    signed_rank_tests,
+    smallest_detectable_difference,
+    vargha_delaney_a12,
+)
+from evalkit.stats.ranks import FriedmanTest, NotTested, friedman_test, success_quantiles
 
 Runs = Mapping[tuple[str, int | None], float]
 """The deciding error of every run by sequence and seed; infinite where it failed."""
 
 SIGNIFICANT = 0.05
 METRES = "m"
+NO_SEQUENCE = "no sequence has both a ground truth and a geometry that determines the pose"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +73,7 @@ class Evidence:
     sequences: tuple[str, ...]
     records: tuple[Record, ...]
     duels: tuple[Duel, ...]
-    ranks: Friedman | str
+    ranks: FriedmanTest | NotTested
     ranked: tuple[str, ...]
 
 
@@ -79,7 +86,7 @@ def evidence(comparison: Comparison) -> Evidence:
     references = dict.fromkeys(
         [*sorted(means, key=lambda who: means[who])[:1], *method_of(comparison, "reference")[:1]]
     )
-    ranks = statistics.friedman(table) if len(table) else "no sequence has a truth and a geometry that fixes the pose"
+    ranks = friedman_test(table) if len(table) else NotTested(NO_SEQUENCE)
     metres = {found.sequence for found in counted if found.metric.unit == METRES}
     return Evidence(
         tuple(found.sequence for found in counted),
@@ -154,9 +161,9 @@ def _mean_ranks(table: Floats) -> list[float]:
 def _record(comparison: Comparison, who: str, errors: Runs, rank: float | None, metres: set[str]) -> Record:
     started = [t for t in comparison.trials if t.method == who and t.run.status not in NOT_POSSIBLE]
     finished = sum(trial.run.status == "complete" for trial in started)
-    share = statistics.wilson(finished, len(started)) if started else None
+    share = wilson_interval(finished, len(started)) if started else None
     measured = [error for (sequence, _), error in errors.items() if sequence in metres]
-    reach = statistics.success_quantiles(measured) if measured else ()
+    reach = success_quantiles(measured) if measured else ()
     return Record(who, finished, len(started), share, rank, reach)
 
 
@@ -175,7 +182,7 @@ def _duels(errors: Mapping[str, Runs], references: Sequence[str]) -> tuple[Duel,
 def _held(errors: Mapping[str, Runs], named: Sequence[tuple[str, str]]) -> tuple[Duel, ...]:
     pairs = {(who, reference): _paired(errors[who], errors[reference]) for who, reference in named}
     pairs = {names: both for names, both in pairs.items() if len(both[0])}
-    tests = statistics.wilcoxon_holm({" ".join(names): both for names, both in pairs.items()})
+    tests = signed_rank_tests({" ".join(names): both for names, both in pairs.items()})
     return tuple(_duel(*names, *both, tests[" ".join(names)]) for names, both in pairs.items())
 
 
@@ -192,14 +199,14 @@ def _logarithms(errors: Sequence[float]) -> Floats:
     return np.asarray(np.round(np.log(np.maximum(np.array(errors, dtype=np.float64), 1e-12)), 9), dtype=np.float64)
 
 
-def _duel(who: str, reference: str, ours: Floats, theirs: Floats, test: PairTest) -> Duel:
+def _duel(who: str, reference: str, ours: Floats, theirs: Floats, test: SignedRankTest) -> Duel:
     both = np.isfinite(ours) & np.isfinite(theirs)
     apart = ours[both] - theirs[both]
     signed = np.where(ours == theirs, 0.0, np.where(ours > theirs, math.inf, -math.inf))
     signed[both] = apart
     middle = float(np.median(np.clip(signed, -1e9, 1e9)))
     better, worse = int((ours < theirs).sum()), int((ours > theirs).sum())
-    detectable = statistics.smallest_detectable_difference(apart)
+    detectable = smallest_detectable_difference(apart)
     return Duel(
         who,
         reference,
@@ -207,14 +214,14 @@ def _duel(who: str, reference: str, ours: Floats, theirs: Floats, test: PairTest
         better,
         worse,
         math.exp(middle) if abs(middle) < 1e2 else None,
-        statistics.vargha_delaney(ours, theirs),
+        vargha_delaney_a12(ours, theirs),
         test.p_holm,
         math.exp(detectable) if detectable < 1e2 else math.inf,
         _said(middle, test, len(ours)),
     )
 
 
-def _said(middle: float, test: PairTest, runs: int) -> str:
+def _said(middle: float, test: SignedRankTest, runs: int) -> str:
     if 2.0 ** (1 - runs) > SIGNIFICANT:  # all runs in one direction: the least p that so many can give
         return "too few runs to show anything"
     if test.p_holm > SIGNIFICANT or abs(middle) < math.log1p(MARGIN_SHARE):

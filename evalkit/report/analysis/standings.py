@@ -9,7 +9,7 @@ from typing import Literal
 
 from evalkit.core.run_result import Status, Trial
 from evalkit.metrics.table import Group, Metric
-from evalkit.report.analysis.bootstrap import Resamples
+from evalkit.report.analysis.bootstrap import TrialBootstrap
 from evalkit.report.analysis.cells import Cell, apart
 from evalkit.report.analysis.comparison import Comparison
 
@@ -175,7 +175,7 @@ def guessed_percent(trials: Sequence[Trial]) -> float:
 
 
 def _standing(comparison: Comparison, sequence: str, metric: Metric) -> Standing:
-    cells = tuple(_cell(trials, metric, comparison.resamples) for trials in comparison.by_method(sequence).values())
+    cells = tuple(_cell(trials, metric, comparison.bootstrap) for trials in comparison.by_method(sequence).values())
     bars = method_of(comparison, "baseline") if metric.group in WITHOUT_BAR else ()
     ranked = ranking(metric, [cell for cell in cells if cell.method not in bars])
     level = tuple(cell for cell in ranked if cell is ranked[0] or difference(metric, ranked[0], cell) != "clear")
@@ -188,7 +188,7 @@ def _differences(one: Cell, other: Cell) -> list[float]:
     return [value - theirs[seed] for seed, value in zip(one.seeds, one.values, strict=True) if seed in theirs]
 
 
-def _cell(trials: Sequence[Trial], metric: Metric, resamples: Resamples) -> Cell:
+def _cell(trials: Sequence[Trial], metric: Metric, bootstrap: TrialBootstrap) -> Cell:
     complete = [trial for trial in trials if trial.run.status == "complete"]
     scored = [(t, t.scores[metric.name]) for t in complete if metric.name in t.scores]
     known = [(t, score.value, score.support) for t, score in scored if score.value is not None]
@@ -203,7 +203,7 @@ def _cell(trials: Sequence[Trial], metric: Metric, resamples: Resamples) -> Cell
         "" if known else _why_none(trials, metric),
         tuple(t.seed for t, *_ in known),
         guessed_percent(complete),
-        tuple(resamples.of(t, metric.name) for t, *_ in known),
+        tuple(bootstrap.draws(t, metric.name) for t, *_ in known),
     )
 
 

@@ -8,7 +8,7 @@ from statistics import median
 
 from evalkit.metrics.table import Metric
 from evalkit.report.analysis.cells import Apart, Cell, interval
-from evalkit.stats.statistics import Interval
+from evalkit.stats.intervals import Interval
 
 
 def as_markdown(text: str) -> str:

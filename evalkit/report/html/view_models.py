@@ -13,7 +13,7 @@ from evalkit.report.analysis.cells import Cell, interval
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.map_agreement import disagrees, is_behind_bar
 from evalkit.report.analysis.standings import NOT_POSSIBLE, STATUS, Standing, deciding, standing, unfinished
-from evalkit.stats.statistics import wilson
+from evalkit.stats.intervals import wilson_interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +109,7 @@ def share(trials: Sequence[Trial]) -> str:
     started = [trial for trial in trials if trial.run.status not in NOT_POSSIBLE]
     if not started:
         return ""
-    found = wilson(len(started) - len(unfinished(started)), len(started))
+    found = wilson_interval(len(started) - len(unfinished(started)), len(started))
     return f"95 %: {100.0 * found.low:.0f}–{100.0 * found.high:.0f} %"
 
 

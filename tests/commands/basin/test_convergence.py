@@ -5,7 +5,7 @@ import pytest
 
 from evalkit.commands.basin.convergence import Basin, Criterion, Shares, guesses, off, offsets, on_axes
 from evalkit.commands.basin.observability import observability
-from evalkit.stats.statistics import wilson
+from evalkit.stats.intervals import wilson_interval
 
 CRITERION = Criterion(0.1, np.radians(2.0))
 
@@ -47,7 +47,7 @@ def test_shares_count_by_hand_and_carry_wilsons_interval():
     found = Shares.of((at,), success, (np.array([0.0, 1.0, 2.0, 3.0]),))
     assert found.trials.tolist() == [3, 2, 0]
     assert found.successes.tolist() == [2, 0, 0]
-    expected = wilson(2, 3)
+    expected = wilson_interval(2, 3)
     assert (found.share[0], found.low[0], found.high[0]) == (expected.value, expected.low, expected.high)
     assert np.isnan(found.share[2])
 

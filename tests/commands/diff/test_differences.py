@@ -16,7 +16,7 @@ from evalkit.commands.diff.text import markdown, rows, verdict
 from evalkit.core.errors import StoreError
 from evalkit.metrics import all_metrics
 from evalkit.report import write
-from evalkit.report.analysis.bootstrap import Series
+from evalkit.stats.bootstrap import Series
 
 METRICS = {metric.name: metric for metric in all_metrics()}
 ATE, TIME = "ate_rmse_m", "cpu_median_ms"

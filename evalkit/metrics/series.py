@@ -1,0 +1,83 @@
+"""The values over time that a score summarizes, for the metrics that have a bootstrap interval within a run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from evalkit.core.arrays import Ints
+from evalkit.core.run_result import Trial
+from evalkit.core.se2 import Floats
+from evalkit.metrics import drift, relations
+from evalkit.metrics.trajectory import match
+from evalkit.stats.bootstrap import MIN_VALUES, Series, Statistic
+
+
+def _position_errors(trial: Trial) -> Series | None:
+    """Return the distances to the truth, scan by scan, where the truth is known."""
+    if trial.errors_m is None or len(trial.errors_m) != len(trial.run.steps):
+        return None
+    known = np.isfinite(trial.errors_m)
+    return _time_series(trial.run.steps["stamp_ns"][known], trial.errors_m[known], "rms")
+
+
+def _cpu_times(statistic: Statistic) -> Callable[[Trial], Series | None]:
+    """Return a function for the CPU times in milliseconds, scan by scan, where they were measured."""
+
+    def series(trial: Trial) -> Series | None:
+        steps = trial.run.steps
+        return _time_series(steps["stamp_ns"], steps["cpu_ns"] * 1e-6, statistic) if steps["cpu_ns"].any() else None
+
+    return series
+
+
+def _segment_errors(trial: Trial) -> Series | None:
+    """Return the errors of segments of all lengths in percent, by their start; not evenly spaced in time."""
+    matched = match(trial.run.estimate, trial.truth.trajectory)
+    if isinstance(matched, str):
+        return None
+    progress = drift.travelled_m(matched)
+    starts = [drift.segments(progress, length, drift.START_EVERY_M)[0] for length in drift.LENGTHS_M]
+    rows = drift.segment_errors(matched, drift.LENGTHS_M)
+    if len(rows) == 0:
+        return None
+    first = np.concatenate(starts)
+    length = np.repeat(np.arange(len(starts)), [len(one) for one in starts])
+    order = np.lexsort((length, first))
+    span_s = float(matched.stamps_ns[first.max()] - matched.stamps_ns[first.min()]) * 1e-9
+    keys = matched.stamps_ns[first] * len(starts) + length
+    percent = 100.0 * rows[:, 0] / rows[:, 2]
+    return Series(keys[order], percent[order], "mean", max(span_s / len(rows), 1e-3))
+
+
+def _relation_errors(part: relations.Part) -> Callable[[Trial], Series | None]:
+    """Return a function for the translation errors of measured motions, by the first of their two times."""
+
+    def series(trial: Trial) -> Series | None:
+        known = trial.truth.relations
+        if known is None or len(known) == 0:
+            return None
+        motions, answered = relations.estimated_motions(trial.run.estimate, known)
+        errors = relations.symmetric_errors(motions, known.first_from_second[answered])[:, 0]
+        wanted = relations.in_part(known, part)[answered]
+        order = np.argsort(known.first_ns[answered][wanted], kind="stable")
+        return Series(np.flatnonzero(answered)[wanted][order], errors[wanted][order], "mean", None)
+
+    return series
+
+
+def _time_series(stamps_ns: Ints, values: Floats, statistic: Statistic) -> Series | None:
+    if len(stamps_ns) < MIN_VALUES:
+        return None
+    return Series(stamps_ns, values, statistic, float(np.median(np.diff(stamps_ns))) * 1e-9)
+
+
+SERIES: Mapping[str, Callable[[Trial], Series | None]] = {
+    "ate_rmse_m": _position_errors,
+    "drift_percent": _segment_errors,
+    **{f"relations_{part}_mean_m": _relation_errors(part) for part in ("all", "short", "long")},
+    "cpu_median_ms": _cpu_times("median"),
+    "real_time_factor": _cpu_times("inverse"),
+}
+"""The series of a trial by the name of the metric; None where the trial does not have it."""

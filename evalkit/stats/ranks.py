@@ -1,0 +1,85 @@
+"""Ranks of several methods over several sequences: mean ranks, Friedman's test, quantiles of errors with failures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from evalkit.core.se2 import Floats
+
+MIN_SEQUENCES = 8
+"""With fewer sequences, the chi-square approximation of Friedman's test and the critical difference are too optimistic.
+"""
+
+MIN_METHODS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class FriedmanTest:
+    """Friedman's test of mean ranks (1: best).
+
+    ``critical_difference``: mean ranks of two methods that differ by less are statistically tied.
+    """
+
+    mean_ranks: tuple[float, ...]
+    statistic: float
+    p: float
+    critical_difference: float
+    sequences: int
+
+
+@dataclass(frozen=True, slots=True)
+class NotTested:
+    """A test that was not made, and the reason."""
+
+    reason: str
+
+
+def compute_ranks(errors: ArrayLike) -> Floats:
+    """Return the rank (N, K) of K methods on each of N sequences (N, K): 1 for the least error, ties share the mean."""
+    table = np.asarray(errors, dtype=np.float64)
+    smaller = (table[:, None, :] < table[:, :, None]).sum(axis=2)
+    equal = (table[:, None, :] == table[:, :, None]).sum(axis=2)
+    return np.asarray(smaller + (equal + 1) / 2.0)
+
+
+def friedman_test(errors: ArrayLike, alpha: float = 0.05) -> FriedmanTest | NotTested:
+    """Apply Friedman's test to errors of K methods over N sequences (N, K); lower is better.
+
+    With Nemenyi's critical difference q sqrt(K (K + 1) / 6 N) (Demsar, JMLR 7, 2006). An infinite error is a failure
+    and shares the last rank. Fewer than 8 sequences or 3 methods are not tested.
+    """
+    from scipy import stats
+
+    table = np.asarray(errors, dtype=np.float64)
+    sequences, methods = table.shape
+    if sequences < MIN_SEQUENCES:
+        return NotTested(f"ranks with a critical difference need at least {MIN_SEQUENCES} sequences, found {sequences}")
+    if methods < MIN_METHODS:
+        return NotTested(f"a test of ranks needs at least {MIN_METHODS} methods, found {methods}")
+    ranks = compute_ranks(table)
+    statistic, p = (0.0, 1.0) if (ranks == ranks[:, :1]).all() else stats.friedmanchisquare(*ranks.T)
+    q = stats.studentized_range.ppf(1.0 - alpha, methods, np.inf) / math.sqrt(2.0)
+    critical = float(q) * math.sqrt(methods * (methods + 1) / (6.0 * sequences))
+    return FriedmanTest(tuple(ranks.mean(axis=0).tolist()), float(statistic), float(p), critical, sequences)
+
+
+def success_curve(errors: ArrayLike, thresholds: ArrayLike) -> Floats:
+    """Return the share (K,) of trials with an error of at most each threshold; a failed trial has an infinite error."""
+    return np.asarray(np.mean(np.asarray(errors)[None, :] <= np.asarray(thresholds)[:, None], axis=1))
+
+
+def success_quantiles(errors: ArrayLike, shares: Sequence[float] = (0.5, 0.75, 0.95)) -> tuple[float, ...]:
+    """Return the errors that these shares of all trials do not exceed: A50, A75 and A95.
+
+    Pomerleau et al., Auton. Robots 34, 2013. The smallest error reached by at least that share; infinite if too many
+    trials failed. Raises ValueError without a trial.
+    """
+    ordered = np.sort(np.asarray(errors, dtype=np.float64))
+    if not ordered.size:
+        raise ValueError("success_quantiles: there is no trial")
+    return tuple(float(ordered[max(math.ceil(share * len(ordered) - 1e-9), 1) - 1]) for share in shares)
