@@ -415,7 +415,7 @@ def test_a_ros_bag_is_compared_in_one_line(evalkit, carmen, tmp_path):
             "have nothing in common with the recording: the scans are from 100",
         ),
         (("drive.log", "--spans", "no.toml"), "carmen: parameter 'spans': no file no.toml; check the path"),
-        (("drive.log", "--spans", "drive.log"), "drive.log: no TOML ("),
+        (("drive.log", "--spans", "drive.log"), "drive.log: not valid TOML ("),
         (("drive.log", "--spans", "negative.toml"), "span 1: metres: expected a positive number, got -1.0"),
         (("cut.bag",), "cut.bag: not a readable bag ("),
         (("drive.log", "--set", "every"), "--set: found 'every', expected NAME=VALUE"),

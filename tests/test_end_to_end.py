@@ -10,9 +10,9 @@ import pytest
 
 from evalkit import cli
 from evalkit.io import map_server
+from evalkit.io.tum import read_tum
 from evalkit.plugins import registry
 from evalkit.results.store import Store
-from evalkit_datasets import tum
 
 pytestmark = pytest.mark.slow
 
@@ -111,7 +111,7 @@ def test_the_tables_for_programs_have_a_row_for_every_run(folder, trials):
 def test_the_trajectory_for_other_tools_is_the_runs_own(folder, trials, name):
     key = trials[name]["key"]
     run = Store(folder).load_run(key)
-    read = tum.read(folder / "trajectories" / f"{key}.tum").trajectory
+    read = read_tum(folder / "trajectories" / f"{key}.tum").trajectory
     assert np.array_equal(read.stamps_ns, run.steps["stamp_ns"])
     assert np.allclose(read.poses, run.estimate.poses, atol=1e-8)
     assert len(read) == trials[name]["scans_answered"] == trials[name]["scans_expected"]
@@ -120,7 +120,7 @@ def test_the_trajectory_for_other_tools_is_the_runs_own(folder, trials, name):
 def test_the_map_for_other_tools_has_the_runs_walls(folder, trials):
     key = trials["paper"]["key"]
     grid = Store(folder).load_scores(key)["grid"]
-    read = map_server.read(folder / "maps" / f"{key}.yaml")
+    read = map_server.read_map(folder / "maps" / f"{key}.yaml")
     assert read.shape == grid.shape
     assert (read.resolution_m, read.origin_x, read.origin_y) == (grid.resolution_m, grid.origin_x, grid.origin_y)
     assert np.array_equal(read.occupied(), grid.occupied())

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from evalkit.core.arrays import Bools, Ints
 from evalkit.core.errors import BadData, EvalkitError
 from evalkit.core.se2 import Floats, Stamps
+from evalkit.io.timestamps import order_stamps
 from evalkit_datasets.samples import Samples
-from evalkit_datasets.timestamps import ordered
 from evalkit_datasets.transforms import Edge, Tree, matrix_of, planar
 
 LASER = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan")
@@ -172,9 +172,10 @@ def _scans(reader: Any, topic: str, contents: Contents) -> Scans:
             for column, value in zip(columns.values(), row, strict=True):
                 column.append(value)
     found = {name: np.asarray(column) for name, column in columns.items()}
-    keep, backwards, repeated = ordered(found["stamps_ns"])
-    kept = found if not (backwards or repeated) else {name: column[keep] for name, column in found.items()}
-    return Scans(topic, **kept, names=tuple(names), backwards=backwards, repeated=repeated)
+    order = order_stamps(found["stamps_ns"])
+    in_order = not (order.backwards or order.repeated)
+    kept = found if in_order else {name: column[order.keep] for name, column in found.items()}
+    return Scans(topic, **kept, names=tuple(names), backwards=order.backwards, repeated=order.repeated)
 
 
 def _laser_messages(reader: Any, topic: str) -> Iterator[tuple[Any, int, bytes]]:

@@ -16,11 +16,11 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.se2 import Floats, Stamps, between
 from evalkit.core.trajectory import Trajectory
+from evalkit.io.timestamps import order_stamps
 from evalkit.plugins.protocols import DatasetSpec, Parameter
 from evalkit_datasets import carmen_lines, recording
 from evalkit_datasets.carmen_lines import Log, Reading
 from evalkit_datasets.reordering import by_rank
-from evalkit_datasets.timestamps import ordered
 
 CODES_M = (32.767,)
 """Ranges that mean no return wherever they occur, below every sensible ``range_max_m``."""
@@ -145,11 +145,11 @@ class Carmen:
         """All scans sorted by time, the first of equal times kept."""
         if not len(found):
             raise self._no_scan(log)
-        keep, backwards, repeated = ordered(found.stamps_ns)
-        if len(keep) < 0.5 * len(found):
-            return self._by_order_of_lines(log, found, len(keep))
-        self._counts |= {"scans out of order": backwards, "scans with a repeated stamp left out": repeated}
-        return found[keep]
+        order = order_stamps(found.stamps_ns)
+        if len(order.keep) < 0.5 * len(found):
+            return self._by_order_of_lines(log, found, len(order.keep))
+        self._counts |= {"scans out of order": order.backwards, "scans with a repeated stamp left out": order.repeated}
+        return found[order.keep]
 
     def _by_order_of_lines(self, log: Log, found: _Scans, distinct: int) -> _Scans:
         """Scans one second apart, for corrected logs: they print six digits of their stamps, some nothing usable."""
@@ -200,11 +200,11 @@ class Carmen:
 
     def _from_lines(self, log: Log) -> Floats:
         stamps = log.odometry.stamps_ns
-        keep, backwards, repeated = ordered(stamps)
-        odometry = Trajectory(stamps[keep], log.odometry.poses[keep], "odom", "base")
+        order = order_stamps(stamps)
+        odometry = Trajectory(stamps[order.keep], log.odometry.poses[order.keep], "odom", "base")
         self._counts |= {
-            "odometry out of order": backwards,
-            "odometry with a repeated stamp left out": repeated,
+            "odometry out of order": order.backwards,
+            "odometry with a repeated stamp left out": order.repeated,
             **recording.odometry_counts(odometry, self._taken.stamps_ns),
         }
         return recording.odometry_at(odometry, self._taken.stamps_ns)

@@ -16,9 +16,9 @@ import numpy as np
 
 from evalkit.core.errors import BadData
 from evalkit.core.se2 import Floats
-from evalkit_datasets import text_lines
+from evalkit.io.text_lines import iter_lines
+from evalkit.io.timestamps import parse_stamp_ns
 from evalkit_datasets.samples import Samples
-from evalkit_datasets.timestamps import stamp_ns
 
 STEP_DEG = {180: 1.0, 181: 1.0, 360: 0.5, 361: 0.5}
 """Degrees between beams by how many there are: a SICK LMS starting at -90 deg. A FLASER line does not say."""
@@ -105,7 +105,7 @@ def readings_at(path: Path, layout: Layout, numbers: Iterable[int]) -> Iterator[
 
 def lines_of(path: Path) -> Iterator[bytes]:
     """The lines of a log."""
-    return text_lines.lines_of(path, "a CARMEN log")
+    return iter_lines(path, "a CARMEN log")
 
 
 def _changed(path: Path) -> BadData:
@@ -225,4 +225,4 @@ def _row(words: list[bytes]) -> Row:
 
 
 def _stamp(word: bytes) -> int:
-    return stamp_ns(word.decode("latin-1"))
+    return parse_stamp_ns(word.decode("latin-1"))

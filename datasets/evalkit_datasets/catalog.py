@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 import re
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
@@ -14,6 +13,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from evalkit.core.errors import BadData, DataMissing, UnknownName
+from evalkit.io.toml import parse_toml
 
 VARIABLE = "EVALKIT_DATA"
 """The environment variable that names the folder of recorded data."""
@@ -54,7 +54,7 @@ class Entry:
 def entries() -> Mapping[str, Entry]:
     """All files by name."""
     text = resources.files("evalkit_datasets").joinpath("catalog.toml").read_text(encoding="utf-8")
-    return MappingProxyType({name: _entry(name, card) for name, card in tomllib.loads(text)["files"].items()})
+    return MappingProxyType({name: _entry(name, card) for name, card in parse_toml(text)["files"].items()})
 
 
 def entry(name: str) -> Entry:

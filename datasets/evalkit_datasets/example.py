@@ -11,9 +11,10 @@ import numpy as np
 
 from evalkit.core.errors import StoreError, UnknownName
 from evalkit.core.trajectory import Trajectory
+from evalkit.io.tum import format_tum
 from evalkit.plugins.protocols import Value, resolved
 from evalkit.results.store import reported
-from evalkit_datasets import synthetic, tum
+from evalkit_datasets import synthetic
 from evalkit_datasets.synthetic import Synthetic
 
 WORLDS = {
@@ -64,6 +65,6 @@ def _written(bag: Path, true: Path, drive: Synthetic) -> Example:
     maker = mcap.Messages()
     mcap.write_bag(bag, maker, mcap.recorded(maker, drive, shift, begin))
     poses = drive.drive.pose(drive.stamps_ns)
-    true.write_text(tum.text(Trajectory(drive.stamps_ns + shift, poses), ("exact: simulated",)), encoding="utf-8")
+    true.write_text(format_tum(Trajectory(drive.stamps_ns + shift, poses), "exact: simulated"), encoding="utf-8")
     path_m = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
     return Example(bag, true, len(drive), 1e-9 * float(drive.stamps_ns[-1] - drive.stamps_ns[0]), path_m)

@@ -69,7 +69,7 @@ class OnKnownFloor(RosBag):
 def _floor() -> OccupancyGrid | None:
     if catalog.missing("turtlebot4", FLOOR_FILES):
         return None
-    return map_server.read(catalog.located(FLOOR_FILES[1]))
+    return map_server.read_map(catalog.located(FLOOR_FILES[1]))
 
 
 def _turtlebot4(start: int = 0, every: int = 1, limit: int = 0) -> OnKnownFloor:

@@ -15,9 +15,10 @@ from evalkit.core.measured_distances import Span
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
+from evalkit.io.timestamps import format_stamp
+from evalkit.io.tum import read_tum
 from evalkit.plugins.protocols import Parameter
-from evalkit_datasets import relations, spans, tum
-from evalkit_datasets.timestamps import stamp_text
+from evalkit_datasets import relations, spans
 
 HOLD_NS = 50_000_000
 """So far before its first or after its last pose odometry still answers, with that pose: a robot moves millimetres."""
@@ -117,7 +118,7 @@ def truth_from_files(
         counts["relations outside the scans"] = int((~inside).sum())
         known = _some_relations(everything, inside)
     if reference_path:
-        file = tum.read(Path(reference_path))
+        file = read_tum(Path(reference_path))
         poses = file.trajectory
         _same_recording(Path(reference_path), "reference trajectory", poses.stamps_ns[None], span_ns)
         inside = _within(poses.stamps_ns, taken_ns)
@@ -172,8 +173,8 @@ def _same_recording(path: Path, what: str, times_ns: Stamps, span_ns: tuple[int,
     """Refuses truth of which not one entry lies in the time of the recording."""
     if _within(times_ns, np.array(span_ns)).all(axis=0).any():
         return
-    begins, ends = (stamp_text(int(times_ns.min())), stamp_text(int(times_ns.max())))
-    scans = f"the scans are from {stamp_text(span_ns[0])} to {stamp_text(span_ns[1])} s"
+    begins, ends = (format_stamp(int(times_ns.min())), format_stamp(int(times_ns.max())))
+    scans = f"the scans are from {format_stamp(span_ns[0])} to {format_stamp(span_ns[1])} s"
     raise BadData(
         str(path),
         "",

@@ -8,8 +8,8 @@ import numpy as np
 
 from evalkit.core.errors import BadData
 from evalkit.core.ground_truth import Relations
-from evalkit_datasets.rows import columns, lines_of, numbers
-from evalkit_datasets.timestamps import stamp_ns
+from evalkit.io.text_lines import iter_rows, parse_numbers
+from evalkit.io.timestamps import parse_stamp_ns
 
 LAYOUT = "t1 t2 x y z roll pitch yaw"
 
@@ -20,14 +20,13 @@ def read(path: Path) -> Relations:
     Lines are neither sorted nor thinned: t2 before t1 and repeated pairs are part of the published files.
     """
     first, second, motions = [], [], []
-    for line, text in lines_of(path, f"a file of relations ({LAYOUT})"):
-        words = columns(path, line, text, LAYOUT)
+    for line, words in iter_rows(path, LAYOUT, f"a file of relations ({LAYOUT})"):
         try:
-            first.append(stamp_ns(words[0]))
-            second.append(stamp_ns(words[1]))
+            first.append(parse_stamp_ns(words[0]))
+            second.append(parse_stamp_ns(words[1]))
         except ValueError as error:
             raise BadData(str(path), f"line {line}", str(error), f"expected '{LAYOUT}'") from None
-        x, y, *rest = values = numbers(path, line, words[2:], LAYOUT)
+        x, y, *rest = values = parse_numbers(path, line, words[2:], LAYOUT)
         if not np.isfinite(values).all():
             raise BadData(str(path), f"line {line}", "a value is not finite", "take the relation out of the file")
         motions.append((x, y, rest[-1]))

@@ -19,12 +19,12 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.se2 import Floats, Stamps, between, compose
 from evalkit.core.trajectory import Trajectory
+from evalkit.io.timestamps import order_stamps
 from evalkit.plugins.protocols import DatasetSpec, Parameter
 from evalkit_datasets import bag, recording
 from evalkit_datasets.bag import Contents, Scans, Sweep
 from evalkit_datasets.reordering import by_rank
 from evalkit_datasets.samples import Samples
-from evalkit_datasets.timestamps import ordered
 from evalkit_datasets.transforms import Mounting
 
 BASE_FRAMES = ("base_link", "base_footprint", "base")
@@ -231,7 +231,7 @@ def _joined(parts: list[Samples]) -> Trajectory:
     if len(parts) == 1 and (np.diff(parts[0].stamps_ns) > 0).all():  # as it should be
         return Trajectory(parts[0].stamps_ns, parts[0].poses, "odom", "base")
     stamps = np.concatenate([part.stamps_ns for part in parts])
-    keep, _, _ = ordered(stamps)
+    keep = order_stamps(stamps).keep
     return Trajectory(stamps[keep], np.concatenate([part.poses for part in parts])[keep], "odom", "base")
 
 

@@ -9,9 +9,9 @@ from typing import Any
 
 from evalkit.core.errors import BadData, brief
 from evalkit.core.measured_distances import Place, Span
-from evalkit.io.input_files import tables_of
-from evalkit_datasets.rows import text_of
-from evalkit_datasets.timestamps import stamp_ns
+from evalkit.io.input_files import read_text
+from evalkit.io.timestamps import parse_stamp_ns
+from evalkit.io.toml import parse_toml
 
 WHAT = "a TOML file with one [[span]] a distance: from, to, metres"
 SEEN = "expected a time in seconds, { at = seconds, point = [x, y] } or { wall = [x, y] }"
@@ -26,9 +26,9 @@ def read(path: Path) -> tuple[Span, ...]:
     frame then) or ``{ wall = [x, y] }`` (the wall of the map near that point). ``sigma_m`` is 0.01 where not given.
     """
     try:  # a float would lose the nanoseconds of a present-day time
-        content = tables_of(text_of(path, WHAT), Decimal)
+        content = parse_toml(read_text(path, WHAT), Decimal)
     except ValueError as error:
-        raise BadData(str(path), "", f"no TOML ({error})", f"give {WHAT}") from None
+        raise BadData(str(path), "", f"not valid TOML ({error})", f"give {WHAT}") from None
     rows = content.get("span")
     if not isinstance(rows, list) or not rows or set(content) != {"span"}:
         raise BadData(str(path), "", "its tables are not [[span]] alone", f"give {WHAT}")
@@ -66,8 +66,8 @@ def _place(path: Path, where: str, value: object) -> Place:
 def _time(path: Path, where: str, value: object) -> int:
     try:
         if isinstance(value, bool) or not isinstance(value, (int, str, Decimal)):
-            raise ValueError(f"{brief(value)} is no time in seconds")
-        return stamp_ns(str(value))
+            raise ValueError(f"{brief(value)} is not a time in seconds")
+        return parse_stamp_ns(str(value))
     except ValueError as error:
         raise BadData(str(path), where, str(error), SEEN) from None
 
@@ -81,7 +81,7 @@ def _point(path: Path, where: str, value: object) -> tuple[float, float]:
 
 def _number(path: Path, where: str, value: object) -> float:
     if isinstance(value, bool) or not isinstance(value, (int, float, Decimal)) or not Decimal(value).is_finite():
-        raise BadData(str(path), where, f"'{brief(str(value))[1:-1]}' is no number", "give metres as a number")
+        raise BadData(str(path), where, f"'{brief(str(value))[1:-1]}' is not a number", "give metres as a number")
     return float(value)
 
 

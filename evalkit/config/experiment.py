@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from evalkit.core.errors import BadExperiment, BadParameter, EvalkitError, UnknownName, brief
-from evalkit.io.input_files import tables_of
+from evalkit.io.toml import load_toml
 from evalkit.odometry import frontend
 from evalkit.plugins import code_hash, registry
 from evalkit.plugins.protocols import Value, resolved
@@ -147,14 +147,7 @@ class Experiment:
 
 def read(path: Path) -> Experiment:
     """The plan of an experiment file (TOML); BadExperiment names the file, the key and what was found."""
-    try:
-        content = tables_of(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise BadExperiment(str(path), "", "no such file; give the path of an experiment (*.toml)") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadExperiment(str(path), "", f"cannot be read ({error})") from error
-    except ValueError as error:
-        raise BadExperiment(str(path), "", f"not valid TOML: {error}") from error
+    content = load_toml(path, "an experiment (*.toml)")
     return plan(content, str(path), path.stem, f"report {shlex.quote(str(path))}")
 
 

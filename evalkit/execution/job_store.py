@@ -122,8 +122,8 @@ class Ledger:
         """The stored result of a job, None if there is none that can be read."""
         path = self.path(job)
         try:
-            file = untrusted_io.arrays(path)
-            content = untrusted_io.values(str(file.pop("json")))
+            file = untrusted_io.read_arrays(path)
+            content = untrusted_io.parse_json(str(file.pop("json")))
         except (OSError, ValueError, KeyError):
             return None
         return content | file if isinstance(content, dict) else None

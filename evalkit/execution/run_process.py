@@ -137,7 +137,7 @@ def _broken(limits: Limits, spent: Spent, answered: int) -> tuple[Status, str] |
 
 def _read(path: Path) -> dict[str, Any]:
     try:
-        content = untrusted_io.values(path.read_bytes())
+        content = untrusted_io.parse_json(path.read_bytes())
     except (OSError, ValueError):  # it did not come so far, or the back end removed it or wrote into it
         return {}
     known = content if isinstance(content, dict) else {}

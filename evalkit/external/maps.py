@@ -26,7 +26,7 @@ PARAMETERS = (
 
 def spec(name: str, file: Path, words: list[str]) -> BackendSpec:
     """The method of a map_server file and its ``NAME=VALUE`` words."""
-    image = map_server.image_of(file)
+    image = map_server.find_map_image(file)
     return BackendSpec(
         make=partial(made, file),
         kind="map",
@@ -43,7 +43,7 @@ def spec(name: str, file: Path, words: list[str]) -> BackendSpec:
 
 def made(file: Path, *, x_m: float, y_m: float, yaw_deg: float) -> OccupancyGrid:
     """The map of a file in the world's frame; BadData where it cannot be read."""
-    return placed(map_server.read(file), Pose(x_m, y_m, math.radians(yaw_deg)))
+    return placed(map_server.read_map(file), Pose(x_m, y_m, math.radians(yaw_deg)))
 
 
 def placed(grid: OccupancyGrid, world_from_map: Pose) -> OccupancyGrid:

@@ -79,7 +79,7 @@ class Program:
     def read(self, line: bytes) -> dict[str, Any]:
         """The object in an answer's line; BackendFailed with the program's own words where it says it failed."""
         try:
-            answer = untrusted_io.values(line)
+            answer = untrusted_io.parse_json(line)
         except ValueError:
             what = f"answered what is not one line of JSON: {_shown(line)}"
             raise self._failed(what, "print messages to stderr") from None

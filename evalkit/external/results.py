@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-from decimal import Decimal, DecimalException
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 
-from evalkit.core.errors import BadData
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.timing import withhold
-from evalkit.core.trajectory import Trajectory
 from evalkit.external import maps
 from evalkit.external.declaration import UNTOLD, digest_of, settings, split
+from evalkit.io.tum import read_tum
 from evalkit.plugins.protocols import BackendSpec, NoAnswer, Parameter
-
-LAYOUT = "t x y z qx qy qz qw"
 
 PARAMETERS = (
     Parameter("poses_of", "base", "", "whose poses the file holds", choices=("base", "sensor")),
@@ -55,7 +51,7 @@ class PosesFromFile:
     """
 
     def __init__(self, file: Path, *, poses_of: str, max_gap_s: float, tolerance_s: float) -> None:
-        self._file, self._trajectory = file, read(file)
+        self._file, self._trajectory = file, read_tum(file).trajectory
         self._of_sensor = poses_of == "sensor"
         self._max_gap_ns, self._tolerance_ns = round(max_gap_s * 1e9), round(tolerance_s * 1e9)
         self._world_from_start: Pose | None = None
@@ -85,40 +81,3 @@ class PosesFromFile:
         raise NoAnswer(
             f"{self._file.name} has no pose near {stamp_ns * 1e-9:.3f} s; it reaches from {first:.3f} s to {last:.3f} s"
         )
-
-
-def read(path: Path) -> Trajectory:
-    """The planar part of a file in TUM format, sorted by time, the first of equal times kept; BadData names the line.
-
-    Comments (#) and blank lines are allowed.
-    """
-    try:
-        lines = path.read_text(encoding="utf-8").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadData(str(path), "", f"cannot be read ({error})", f"give a text file of lines '{LAYOUT}'") from error
-    poses: dict[int, list[float]] = {}
-    for number, line in enumerate(lines, 1):
-        words = line.partition("#")[0].replace(",", " ").split()
-        if words:
-            stamp_ns, row = _pose(path, number, words)
-            poses.setdefault(stamp_ns, row)
-    if not poses:
-        raise BadData(str(path), "", "no pose in it", f"expected lines '{LAYOUT}'")
-    stamps = sorted(poses)
-    return Trajectory(np.array(stamps), np.array([poses[stamp] for stamp in stamps]))
-
-
-def _pose(path: Path, number: int, words: list[str]) -> tuple[int, list[float]]:
-    """The time (ns, without passing through a float) and x, y, theta of a line."""
-    try:
-        stamp_ns = int(Decimal(words[0]).scaleb(9).to_integral_value())
-        x, y, _z, qx, qy, qz, qw = (float(word) for word in words[1:])
-    except (DecimalException, ValueError, OverflowError):
-        raise BadData(str(path), f"line {number}", f"'{' '.join(words)[:80]}'", f"expected '{LAYOUT}'") from None
-    length = float(np.linalg.norm([qx, qy, qz, qw]))
-    if abs(stamp_ns) >= 2**63:
-        raise BadData(str(path), f"line {number}", f"the time {words[0]}", "expected seconds")
-    if not np.isfinite([x, y]).all() or not abs(length - 1.0) < 0.01:
-        found = f"x = {x}, y = {y}, quaternion of length {length:g}"
-        raise BadData(str(path), f"line {number}", found, "expected finite metres and a unit quaternion")
-    return stamp_ns, [x, y, float(np.arctan2(2.0 * (qw * qz + qx * qy), qw * qw + qx * qx - qy * qy - qz * qz))]

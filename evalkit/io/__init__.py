@@ -1,1 +1,1 @@
-"""Read and write files that come from outside, with bounds: TOML, JSON, arrays, map_server maps."""
+"""Read and write files with bounds on time and memory: TOML, JSON, arrays, text lines, TUM, map_server maps."""

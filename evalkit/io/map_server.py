@@ -1,4 +1,4 @@
-"""Occupancy grids as ROS map_server saves them: a PGM or PNG image and a YAML file that says what it means."""
+"""Read occupancy grids in ROS map_server format: a PGM or PNG image and a YAML file with its metadata."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from numpy.typing import NDArray
 
 from evalkit.core.errors import BadData, DataMissing, brief
 from evalkit.core.grid import OccupancyGrid
-from evalkit.io.input_files import bytes_of
+from evalkit.io.input_files import read_bytes
 
 Shades = NDArray[np.uint8] | NDArray[np.uint16]
 
 UNKNOWN = 205
-"""The grey map_server itself writes for unknown."""
+"""Grey value that map_server writes for unknown cells."""
 
 LOG_ODDS = 3.5
-"""What "occupied" and "free" become: p = 0.97 and 0.03, clear of every threshold."""
+"""Log-odds of occupied cells, and minus that of free ones: p = 0.97 and 0.03, well beyond every threshold."""
 
 MAX_PIXELS = 2**26
-"""Of an image: a square of 400 m in cells of 5 cm. A few bytes may claim, and a small PNG hold, any number."""
+"""Limit for an image: a square of 400 m in cells of 5 cm. A few bytes can declare any size."""
 
 MAX_YAML_BYTES = 4096
 
@@ -31,15 +31,15 @@ _GAP = rb"(?:\s|#[^\n]*\n)+"
 _HEADER = re.compile(rb"P([25])" + 3 * (_GAP + rb"(\d{1,10})") + rb"(?:#[^\n]*\n)?\s")
 
 
-def read(path: Path) -> OccupancyGrid:
-    """The grid of a map's YAML file; its image is sought beside it.
+def read_map(path: Path) -> OccupancyGrid:
+    """Return the grid of a map's YAML file; the image is looked up relative to it. Only mode trinary is supported.
 
-    Trinary maps only. The image's row 0 is the top, the grid's row 0 the lowest y. A pixel of 205 stays unknown even
-    where ``free_thresh`` would call it free: older savers wrote 0.25 while 205 stands for 0.196.
+    Row 0 of the image is the top, row 0 of the grid the lowest y. A pixel of 205 is unknown even if ``free_thresh``
+    makes it free: older versions of map_saver wrote 0.25, and 205 means 0.196. Raises DataMissing or BadData.
     """
-    settings = _settings(path)
-    grey, maximum = _grey(path.parent / settings["image"])
-    shades = np.arange(maximum + 1)  # each is judged once, however many pixels have it
+    settings = _read_settings(path)
+    grey, maximum = _read_grey(path.parent / settings["image"])
+    shades = np.arange(maximum + 1)  # each grey value is classified once
     occupancy = shades / maximum if settings["negate"] else (maximum - shades) / maximum
     unknown = (shades == UNKNOWN) & (maximum == 255)
     occupied = (occupancy > settings["occupied_thresh"]) & ~unknown
@@ -50,73 +50,75 @@ def read(path: Path) -> OccupancyGrid:
     return OccupancyGrid(log_odds[below], (occupied | free)[below], settings["resolution"], x, y)
 
 
-def image_of(path: Path) -> Path | None:
-    """The image a map's YAML file names, None where it names none that can be read."""
+def find_map_image(path: Path) -> Path | None:
+    """Return the path of the image named in a map's YAML file, or None if the YAML file is invalid."""
     try:
-        image: str = _settings(path)["image"]
+        image: str = _read_settings(path)["image"]
     except (BadData, DataMissing):
         return None
     return path.parent / image
 
 
-def _settings(path: Path) -> dict[str, Any]:
-    """The checked keys of the YAML file."""
-    from ruamel.yaml import YAML  # noqa: PLC0415 - only maps need it
+def _read_settings(path: Path) -> dict[str, Any]:
+    """Return the keys of the YAML file, checked, with defaults filled in."""
+    from ruamel.yaml import YAML  # noqa: PLC0415 - heavy, and used for maps only
     from ruamel.yaml.error import YAMLError  # noqa: PLC0415
 
-    content = bytes_of(path, "the YAML file of a map")
+    content = read_bytes(path, "the YAML file of a map")
     if len(content) > MAX_YAML_BYTES:
-        raise BadData(str(path), "", f"{len(content)} bytes, far too many", "give the YAML file of a map")
+        raise BadData(str(path), "", f"{len(content)} bytes, more than {MAX_YAML_BYTES}", "give the YAML file of a map")
     try:
         text = content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
-        raise BadData(str(path), f"byte {error.start}", "no text", "give the YAML file of a map") from None
+        raise BadData(str(path), f"byte {error.start}", "not UTF-8 text", "give the YAML file of a map") from None
     try:
-        found = YAML(typ="safe", pure=True).load(text)
+        loaded = YAML(typ="safe", pure=True).load(text)
     except (YAMLError, ValueError, RecursionError) as error:
-        raise BadData(str(path), "", f"no YAML ({' '.join(str(error).split())[:100]})", "save the map again") from None
-    if not isinstance(found, dict):
+        raise BadData(
+            str(path), "", f"not valid YAML ({' '.join(str(error).split())[:100]})", "save the map again"
+        ) from None
+    if not isinstance(loaded, dict):
         raise BadData(str(path), "", "no keys in it", "give the YAML file of a map")
-    known = {"mode": "trinary", "negate": 0, "occupied_thresh": 0.65, "free_thresh": 0.196, **found}
+    known = {"mode": "trinary", "negate": 0, "occupied_thresh": 0.65, "free_thresh": 0.196, **loaded}
     for key in ("image", "resolution", "origin"):
         if key not in known:
             raise BadData(str(path), "", f"missing key '{key}'", "give the YAML file of a map")
     for key in ("image", "mode"):
-        if not isinstance(known[key], str):  # not shown: an alias of aliases is longer than any memory
-            raise BadData(str(path), key, "no text", "give the YAML file of a map")
+        if not isinstance(known[key], str):  # value not shown: nested aliases can be arbitrarily long
+            raise BadData(str(path), key, "not a string", "give the YAML file of a map")
     if known["mode"] != "trinary":
-        raise BadData(str(path), "mode", f"{brief(known['mode'])} is not read", "save the map in mode trinary")
-    return known | _geometry(path, known)
+        raise BadData(str(path), "mode", f"{brief(known['mode'])} is not supported", "save the map in mode trinary")
+    return known | _check_geometry(path, known)
 
 
-def _geometry(path: Path, known: dict[str, Any]) -> dict[str, Any]:
+def _check_geometry(path: Path, known: dict[str, Any]) -> dict[str, Any]:
     try:
         checked: dict[str, Any] = {
             key: float(known[key]) for key in ("resolution", "occupied_thresh", "free_thresh", "negate")
         }
         x, y, yaw = (float(value) for value in known["origin"])
     except (TypeError, ValueError):
-        raise BadData(str(path), "", "a value that is no number", "expected numbers, and origin: [x, y, yaw]") from None
+        raise BadData(str(path), "", "a value is not a number", "expected numbers, and origin: [x, y, yaw]") from None
     if not (checked["resolution"] > 0.0 and np.isfinite([checked["resolution"], x, y]).all()):
         raise BadData(str(path), "resolution", f"{checked['resolution']}", "expected metres per cell, more than 0")
     if abs(yaw) > 1e-9:
-        raise BadData(str(path), "origin", f"the map is turned by {yaw} rad", "save it with yaw 0")
+        raise BadData(str(path), "origin", f"the map is rotated by {yaw} rad", "save it with yaw 0")
     return checked | {"origin": (x, y, yaw)}
 
 
-def _grey(path: Path) -> tuple[Shades, int]:
-    """The grey values (H, W) of the image, row 0 the top, and the value of white, which none exceeds."""
-    content = bytes_of(path, "the image of the map")
-    return _png(path, content) if content.startswith(b"\x89PNG") else _pgm(path, content)
+def _read_grey(path: Path) -> tuple[Shades, int]:
+    """Return the grey values (H, W) of the image, row 0 at the top, and the value of white, their maximum."""
+    content = read_bytes(path, "the image of the map")
+    return _parse_png(path, content) if content.startswith(b"\x89PNG") else _parse_pgm(path, content)
 
 
-def _png(path: Path, content: bytes) -> tuple[Shades, int]:
-    """Colours become their mean, as map_server takes them."""
-    from PIL import Image  # noqa: PLC0415 - only maps need it
+def _parse_png(path: Path, content: bytes) -> tuple[Shades, int]:
+    """Return grey values and white; the grey of a colour is the mean of its channels, as in map_server."""
+    from PIL import Image  # noqa: PLC0415 - heavy, and used for maps only
 
     try:
         with Image.open(BytesIO(content)) as image:
-            _bounded(path, *image.size)
+            _check_size(path, *image.size)
             if image.mode.startswith("I"):  # 16 bits
                 return np.clip(np.asarray(image), 0, 65535).astype(np.uint16), 65535
             if image.mode in ("1", "L"):
@@ -127,12 +129,14 @@ def _png(path: Path, content: bytes) -> tuple[Shades, int]:
     return ((total + 1) // 3).astype(np.uint8), 255
 
 
-def _pgm(path: Path, content: bytes) -> tuple[Shades, int]:
+def _parse_pgm(path: Path, content: bytes) -> tuple[Shades, int]:
     header = _HEADER.match(content)
     if header is None:
-        raise BadData(str(path), "", f"no PGM or PNG image: it begins {content[:8]!r}", "convert it")
+        raise BadData(
+            str(path), "", f"not a PGM or PNG image: it begins with {content[:8]!r}", "convert it to PGM or PNG"
+        )
     width, height, maximum = (int(number) for number in header.groups()[1:])
-    _bounded(path, width, height)
+    _check_size(path, width, height)
     body = content[header.end() :]
     grey: NDArray[Any]
     try:
@@ -150,8 +154,8 @@ def _pgm(path: Path, content: bytes) -> tuple[Shades, int]:
     return shades.reshape(height, width), maximum
 
 
-def _bounded(path: Path, width: int, height: int) -> None:
-    """Refuses an image that would fill the memory, or has no pixel at all, before it is unpacked."""
+def _check_size(path: Path, width: int, height: int) -> None:
+    """Raise BadData for an image without pixels or one that would fill the memory, before it is decoded."""
     if not 0 < width * height <= MAX_PIXELS:
-        what = f"{width} x {height} pixels, and at most {MAX_PIXELS} are read"
-        raise BadData(str(path), "", what, "save the map in larger cells")
+        what = f"{width} x {height} pixels; the limit is {MAX_PIXELS}"
+        raise BadData(str(path), "", what, "save the map with larger cells")

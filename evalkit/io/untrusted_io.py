@@ -1,4 +1,4 @@
-"""JSON and arrays that an earlier run, another version or anybody has left in a folder, read without trust in them."""
+"""Read JSON and NumPy arrays from a results folder without trusting their content: no code, bounded memory."""
 
 from __future__ import annotations
 
@@ -14,59 +14,61 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAX_BYTES = 2**30
-"""Of what an archive may hold when it is unpacked: a map of 14 000 x 14 000 cells."""
+"""Uncompressed size of an archive: a map of 14,000 x 14,000 cells."""
 
 _NPY = re.compile(
     rb"\x93NUMPY\x01\x00.."
     rb"\{'descr': '([<>|=]?[?biufcUSV]\d*)', 'fortran_order': (True|False), 'shape': \(([\d, ]{0,80})\), \}[ ]*\n",
     re.DOTALL,
 )
-"""The header as NumPy writes it: of plain numbers and texts, and never evaluated."""
+"""The header that NumPy writes for arrays of numbers and strings; matched, never evaluated."""
 
 
-def values(text: str | bytes) -> Any:
-    """What JSON says; ValueError where it is none, and where it nests without end."""
+def parse_json(text: str | bytes) -> Any:
+    """Return the value of a JSON text; raises ValueError for invalid JSON and for nesting that is too deep."""
     try:
         return json.loads(text)
     except RecursionError:
         raise ValueError("nested too deeply") from None
 
 
-def array(path: Path) -> NDArray[Any]:
-    """The array of a file of ``np.save``; ValueError where it is none, OSError where there is none."""
-    return _array(path.read_bytes())
+def read_array(path: Path) -> NDArray[Any]:
+    """Return the array of an ``np.save`` file; raises ValueError if it is not one, OSError if it cannot be read."""
+    return _parse_array(path.read_bytes())
 
 
-def arrays(path: Path) -> dict[str, NDArray[Any]]:
-    """The arrays of a file of ``np.savez``; ValueError where it is none, OSError where there is none."""
+def read_arrays(path: Path) -> dict[str, NDArray[Any]]:
+    """Return the arrays of an ``np.savez`` file by name; raises as ``read_array``."""
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
             if sum(member.file_size for member in members) > MAX_BYTES:
                 raise ValueError(f"holds more than {MAX_BYTES} bytes")
-            return {member.filename.removesuffix(".npy"): _array(_unpacked(archive, member)) for member in members}
+            return {
+                member.filename.removesuffix(".npy"): _parse_array(_decompress(archive, member)) for member in members
+            }
     except (zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, OverflowError) as error:
         raise ValueError(f"damaged archive ({error})") from None
 
 
-def _unpacked(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
+def _decompress(archive: zipfile.ZipFile, member: zipfile.ZipInfo) -> bytes:
     if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise ValueError(f"packed in way {member.compress_type}")
+        raise ValueError(f"compression method {member.compress_type} is not supported")
     with archive.open(member) as file:
         return file.read(member.file_size)
 
 
-def _array(content: bytes) -> NDArray[Any]:
-    """The array whose header claims exactly what follows it."""
+def _parse_array(content: bytes) -> NDArray[Any]:
+    """Return the array if its header describes exactly the bytes that follow it."""
     header = _NPY.match(content)
     if header is None:
-        raise ValueError("no array of numbers or texts")
+        raise ValueError("not an array of numbers or strings")
     try:
-        kind = np.dtype(header[1].decode("ascii"))
+        dtype = np.dtype(header[1].decode("ascii"))
     except TypeError:
-        raise ValueError(f"no kind of array: {header[1]!r}") from None
+        raise ValueError(f"not a data type: {header[1]!r}") from None
     shape = tuple(int(size) for size in header[3].split(b",") if size.strip())
-    if kind.itemsize == 0 or math.prod(shape) * kind.itemsize != len(content) - header.end():
-        raise ValueError(f"{len(content) - header.end()} bytes for an array {shape} of {kind}")
-    found = np.frombuffer(content, kind, offset=header.end())
-    return found.reshape(shape, order="F" if header[2] == b"True" else "C")
+    if dtype.itemsize == 0 or math.prod(shape) * dtype.itemsize != len(content) - header.end():
+        raise ValueError(f"{len(content) - header.end()} bytes for an array {shape} of {dtype}")
+    values = np.frombuffer(content, dtype, offset=header.end())
+    return values.reshape(shape, order="F" if header[2] == b"True" else "C")

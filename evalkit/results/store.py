@@ -27,8 +27,8 @@ from evalkit.core.errors import StoreError
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, RunResult, Score, Status
-from evalkit.core.trajectory import Trajectory
 from evalkit.io import untrusted_io
+from evalkit.io.tum import format_tum
 
 LOCK = ".writer.lock"
 STEPS = "steps.bin"
@@ -107,13 +107,16 @@ class Store:
         self.write_text(self.run_folder(key) / "made.json", json.dumps(made, indent=1))
         record = {name: value for name, value in asdict(run).items() if name != "steps"} | {"answers": len(run.steps)}
         self.write_text(self.run_folder(key) / "run.json", json.dumps(record, indent=1))
-        self.write_text(self.folder / "trajectories" / f"{key}.tum", tum(run.estimate, run.sequence, run.backend))
+        self.write_text(
+            self.folder / "trajectories" / f"{key}.tum",
+            format_tum(run.estimate, f"evalkit: {run.backend} on {run.sequence}"),
+        )
 
     def load_run(self, key: str) -> RunResult | None:
         """A finished run, or None."""
         folder = self.run_folder(key)
         try:
-            record = untrusted_io.values((folder / "run.json").read_bytes())
+            record = untrusted_io.parse_json((folder / "run.json").read_bytes())
             steps = read_steps(folder / STEPS)
             return RunResult(steps=steps, **record) if record.pop("answers") == len(steps) else None
         except (OSError, ValueError, TypeError, KeyError, AttributeError):  # absent or half-written: it is made again
@@ -123,7 +126,7 @@ class Store:
         """The same in short, without reading its answers: a plan may have thousands of runs."""
         folder = self.run_folder(key)
         try:
-            record = untrusted_io.values((folder / "run.json").read_bytes())
+            record = untrusted_io.parse_json((folder / "run.json").read_bytes())
             answered = (folder / STEPS).stat().st_size // STEP.itemsize
             if record["answers"] != answered:
                 return None
@@ -140,7 +143,7 @@ class Store:
     def tries(self, key: str) -> list[str]:
         """Who was lost while the run was made, and has not told how it ended."""
         try:
-            content = untrusted_io.values(self._tries(key).read_bytes())
+            content = untrusted_io.parse_json(self._tries(key).read_bytes())
         except (OSError, ValueError):
             return []
         return [str(who) for who in content] if isinstance(content, list) else []
@@ -160,7 +163,7 @@ class Store:
     def load_made(self, key: str) -> dict[str, Any]:
         """When a run was made ("made", ISO 8601), on what, and under which limits; empty where nobody knows."""
         try:
-            content = untrusted_io.values((self.run_folder(key) / "made.json").read_bytes())
+            content = untrusted_io.parse_json((self.run_folder(key) / "made.json").read_bytes())
         except (OSError, ValueError):  # made before this was kept, or half-written
             return {}
         return content if isinstance(content, dict) else {}
@@ -192,7 +195,7 @@ class Store:
 
     def _scores(self, key: str) -> dict[str, Any]:
         try:
-            content = untrusted_io.values((self.run_folder(key) / "scores.json").read_bytes())
+            content = untrusted_io.parse_json((self.run_folder(key) / "scores.json").read_bytes())
         except (OSError, ValueError):
             return {}
         return content if isinstance(content, dict) else {}
@@ -201,12 +204,12 @@ class Store:
         """What scoring made of a run ("scores" as Score values), or None."""
         folder = self.run_folder(key)
         try:
-            content: dict[str, Any] = untrusted_io.values((folder / "scores.json").read_bytes())
+            content: dict[str, Any] = untrusted_io.parse_json((folder / "scores.json").read_bytes())
             content["scores"] = {name: Score(**score) for name, score in content["scores"].items()}
             content["world_from_start"] = Pose.of(content["world_from_start"])
             content["grid"] = _load_grid(folder / "grid.npz")
             content["errors_m"] = (
-                untrusted_io.array(folder / "errors.npy") if (folder / "errors.npy").exists() else None
+                untrusted_io.read_array(folder / "errors.npy") if (folder / "errors.npy").exists() else None
             )
         except (OSError, ValueError, TypeError, KeyError, AttributeError, OverflowError):  # absent or damaged
             return None
@@ -249,22 +252,10 @@ def digest(run: RunResult) -> str:
     return hashed.hexdigest()
 
 
-def tum(trajectory: Trajectory, sequence: str, backend: str) -> str:
-    """A trajectory as TUM text: seconds with nine decimals, metres, quaternion (x y z w)."""
-    lines = [
-        f"# evalkit: {backend} on {sequence}, {trajectory.parent}_from_{trajectory.child}",
-        "# timestamp tx ty tz qx qy qz qw",
-    ]
-    for stamp, (x, y, theta) in zip(trajectory.stamps_ns.tolist(), trajectory.poses.tolist(), strict=True):
-        seconds = f"{'-' if stamp < 0 else ''}{abs(stamp) // 10**9}.{abs(stamp) % 10**9:09d}"
-        lines.append(f"{seconds} {x:.9f} {y:.9f} 0 0 0 {np.sin(theta / 2):.12f} {np.cos(theta / 2):.12f}")
-    return "\n".join(lines) + "\n"
-
-
 def _load_grid(path: Path) -> OccupancyGrid | None:
     if not path.exists():
         return None
-    kept = untrusted_io.arrays(path)
+    kept = untrusted_io.read_arrays(path)
     resolution_m, origin_x, origin_y = kept["frame"].tolist()
     return OccupancyGrid(kept["log_odds"], kept["observed"], resolution_m, origin_x, origin_y)
 

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from evalkit.core.errors import BadExperiment, UnknownName
 from evalkit.execution.job_store import Job, Result
+from evalkit.io.toml import load_toml
 from evalkit.report.html.document import Cell, Column, Document, Section, Table, Text, Tone
 from evalkit_paper.chapter import Chapter, Finding, Settings, Verdict
 
@@ -27,7 +26,7 @@ TONES: Mapping[Verdict, Tone] = {
 
 def read(file: Path, chapters: Sequence[Chapter]) -> dict[str, Settings]:
     """The settings of every chapter that stands in the file, checked; BadExperiment names the key."""
-    content = _content(file)
+    content = load_toml(file, "the paper's settings (*.toml)")
     known = {chapter.name: chapter for chapter in chapters}
     for name, table in content.items():
         if name not in known:
@@ -74,12 +73,3 @@ def overview(findings: Sequence[Finding]) -> Section:
     ]
     columns = ("Item", Column("The paper"), Column("Measured here"), "Verdict", "Why")
     return Section("Findings", (Text(f"{len(findings)} items: {told}."), Table(columns, rows)), "findings")
-
-
-def _content(file: Path) -> dict[str, Any]:
-    try:
-        return tomllib.loads(file.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise BadExperiment(str(file), "", f"cannot be read ({error.strerror or error})") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise BadExperiment(str(file), "", f"is no TOML: {error}") from error

@@ -5,8 +5,9 @@ import pytest
 
 from evalkit.core import se2
 from evalkit.core.pose import Pose
+from evalkit.io.tum import read_tum
 from evalkit.plugins import registry
-from evalkit_datasets import carmen_lines, catalog, recorded, tum
+from evalkit_datasets import carmen_lines, catalog, recorded
 
 NAMES = list(recorded.FILES)
 
@@ -91,7 +92,7 @@ def test_fr079_reference_scores_0_043_m_on_the_relations():
 @pytest.mark.skipif(catalog.found(catalog.entry("fr079-gmapping.tum")) is None, reason="no fr079-gmapping.tum at hand")
 def test_fr079_gmapping_scores_0_060_0_042_m_on_the_relations():
     relations = sequence_of("fr079").truth().relations
-    gmapping = tum.read(catalog.located("fr079-gmapping.tum")).trajectory
+    gmapping = read_tum(catalog.located("fr079-gmapping.tum")).trajectory
     everything = np.ones(len(relations), dtype=bool)
     errors = errors_m(relations, gmapping.at(relations.first_ns), gmapping.at(relations.second_ns), everything)
     assert errors.mean() == pytest.approx(0.060, abs=6e-4)
@@ -130,7 +131,7 @@ def test_intel_gmapping_on_the_relations_depends_on_how_poses_are_carried(beyond
     The second is the official evaluator's rule; Kuemmerle et al. print 0.070 +- 0.083 m.
     """
     relations = sequence_of("intel").truth().relations
-    gmapping = tum.read(catalog.located("intel-gmapping.tum")).trajectory
+    gmapping = read_tum(catalog.located("intel-gmapping.tum")).trajectory
     log, _ = carmen_lines.read(catalog.located("intel-merged.clf.gz"))
     stamps, odometry = log.odometry.stamps_ns, log.odometry.poses
 

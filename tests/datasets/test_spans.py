@@ -46,13 +46,13 @@ def test_places_are_times_points_seen_then_and_walls(tmp_path):
     [
         ("[[span]]\nfrom = 1\nmetres = 2\n", "span 1: missing key 'to'"),
         ("[[span]]\nfrom = 1\nto = 2\nmetres = -2\n", "span 1: metres: expected a positive number, got -2.0"),
-        ("[[span]]\nfrom = 'door'\nto = 2\nmetres = 2\n", "span 1, from: 'door' is no time in seconds"),
+        ("[[span]]\nfrom = 'door'\nto = 2\nmetres = 2\n", "span 1, from: 'door' is not a time in seconds"),
         ("[[span]]\nfrom = { wall = [1] }\nto = 2\nmetres = 2\n", "span 1, from: '[1]' is no point"),
         ("[[span]]\nfrom = { wal = [1, 2] }\nto = 2\nmetres = 2\n", "span 1, from: unknown key 'wal'"),
-        ("[[span]]\nfrom = 1\nto = 2\nmetres = nan\n", "span 1, metres: 'NaN' is no number"),
+        ("[[span]]\nfrom = 1\nto = 2\nmetres = nan\n", "span 1, metres: 'NaN' is not a number"),
         ("[[span]]\nfrom = 1\nto = 2\nmetres = 2\nfeet = 6\n", "span 1: unknown key 'feet'"),
         ("[[tape]]\n", "its tables are not [[span]] alone"),
-        ("[[span]\n", "no TOML"),
+        ("[[span]\n", "not valid TOML"),
     ],
 )
 def test_what_is_wrong_is_named_with_its_place(tmp_path, text, told):

@@ -7,8 +7,9 @@ import pytest
 from typer.testing import CliRunner
 
 from evalkit.core.errors import BadParameter, StoreError, UnknownName
+from evalkit.io.tum import read_tum
 from evalkit_datasets import __main__ as command
-from evalkit_datasets import example, tum
+from evalkit_datasets import example
 from evalkit_datasets.rosbag import RosBag
 
 SHORT = {"laps": 0.03, "rate_hz": 5.0}
@@ -33,7 +34,7 @@ def test_the_bag_reads_back_as_the_scans_wheels_and_mounting_that_were_simulated
 
 def test_the_truth_beside_it_is_the_simulations_at_the_bags_own_stamps(made):
     true = example.WORLDS["lab"].make(**SHORT).truth().trajectory
-    written = tum.read(made.truth).trajectory
+    written = read_tum(made.truth).trajectory
     assert made.truth.name == "drive.tum"
     assert np.array_equal(written.stamps_ns, true.stamps_ns + 10**9)
     assert np.allclose(written.poses, true.poses, atol=1e-9)

@@ -9,12 +9,11 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import RunResult
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
-from evalkit.external import results
+from evalkit.io.tum import format_tum, read_tum
 from evalkit.metrics import runtime
 from evalkit.metrics.table import Evidence
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import NoAnswer, resolved
-from evalkit.results.store import tum
 
 STAMPS = np.arange(40) * 100_000_000
 
@@ -25,7 +24,7 @@ def poses(tmp_path):
 
     def write(stamps_ns, rows):
         path = tmp_path / "poses.tum"
-        path.write_text(tum(Trajectory(stamps_ns, rows), "room", "elsewhere"))
+        path.write_text(format_tum(Trajectory(stamps_ns, rows)))
         return f"file:{path}"
 
     return write
@@ -116,11 +115,11 @@ def test_a_file_that_is_not_there_is_absent(tmp_path, followed):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "no pose in it"),
+        ("", "the file is empty"),
         ("# t x y z\n", "no pose in it"),
-        ("0 1 2 3\n", "line 1: '0 1 2 3'"),
+        ("0 1 2 3\n", "line 1: 4 columns: '0 1 2 3'"),
         ("0 0 0 0 0 0 0 1\n1 0 0 0 0 0 0 one\n", "line 2"),
-        ("0 nan 0 0 0 0 0 1\n", "expected finite metres"),
+        ("0 nan 0 0 0 0 0 1\n", "line 1: a value is not finite"),
         ("0 0 0 0 0 0 0 0\n", "quaternion of length 0"),
         ("nan 0 0 0 0 0 0 1\n", "line 1"),
         ("1e400 0 0 0 0 0 0 1\n", "line 1"),
@@ -133,7 +132,7 @@ def test_a_file_that_cannot_be_read_fails_with_its_line(tmp_path, followed, text
     assert outcome.status == "failed"
     assert said in outcome.reason
     with pytest.raises(BadData):
-        results.read(path)
+        read_tum(path)
 
 
 def test_times_keep_every_nanosecond_and_their_order(tmp_path):
@@ -142,7 +141,7 @@ def test_times_keep_every_nanosecond_and_their_order(tmp_path):
         "976052857.337284002, 1, 0, 0, 0, 0, 0, 1\n976052857.337284001 0 0 0 0 0 0 1 # late\n"
         "976052857.337284001 7 0 0 0 0 0 1\n"
     )
-    trajectory = results.read(path)
+    trajectory = read_tum(path).trajectory
     assert trajectory.stamps_ns.tolist() == [976052857337284001, 976052857337284002]
     assert trajectory.poses[:, 0].tolist() == [0.0, 1.0]
 

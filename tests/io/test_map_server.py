@@ -20,7 +20,7 @@ def written(tmp_path, pgm, yaml=YAML + "free_thresh: 0.196\n"):
 
 
 def test_row_0_of_the_image_is_the_top_of_the_map(tmp_path):
-    grid = map_server.read(written(tmp_path, b"P5\n# made by hand\n3 2\n255\n" + bytes([0, 254, 205, 254, 254, 0])))
+    grid = map_server.read_map(written(tmp_path, b"P5\n# made by hand\n3 2\n255\n" + bytes([0, 254, 205, 254, 254, 0])))
     assert grid.occupied().tolist() == [[False, False, True], [True, False, False]]
     assert grid.free().tolist() == [[True, True, False], [False, True, False]]
     assert grid.observed.tolist() == [[True, True, True], [True, True, False]]
@@ -29,23 +29,25 @@ def test_row_0_of_the_image_is_the_top_of_the_map(tmp_path):
 
 
 def test_text_pgm_reads_as_the_binary_one(tmp_path):
-    binary = map_server.read(written(tmp_path, b"P5 3 1 255\n" + bytes([0, 205, 254])))
-    text = map_server.read(written(tmp_path, b"P2\n3 1\n255\n0 205 # unknown\n254\n"))
+    binary = map_server.read_map(written(tmp_path, b"P5 3 1 255\n" + bytes([0, 205, 254])))
+    text = map_server.read_map(written(tmp_path, b"P2\n3 1\n255\n0 205 # unknown\n254\n"))
     assert text.log_odds.tolist() == binary.log_odds.tolist()
 
 
 def test_unknown_stays_unknown_under_the_old_free_threshold(tmp_path):
-    grid = map_server.read(written(tmp_path, b"P5 2 1 255\n" + bytes([205, 254]), YAML + "free_thresh: 0.25\n"))
+    grid = map_server.read_map(written(tmp_path, b"P5 2 1 255\n" + bytes([205, 254]), YAML + "free_thresh: 0.25\n"))
     assert grid.observed.tolist() == [[False, True]]
 
 
 def test_negate_swaps_black_and_white(tmp_path):
-    grid = map_server.read(written(tmp_path, b"P5 2 1 255\n" + bytes([0, 255]), YAML.replace("negate: 0", "negate: 1")))
+    grid = map_server.read_map(
+        written(tmp_path, b"P5 2 1 255\n" + bytes([0, 255]), YAML.replace("negate: 0", "negate: 1"))
+    )
     assert grid.occupied().tolist() == [[False, True]]
 
 
 def test_sixteen_bit_images_are_big_endian(tmp_path):
-    grid = map_server.read(written(tmp_path, b"P5 2 1 65535\n" + bytes([0, 255, 255, 0])))
+    grid = map_server.read_map(written(tmp_path, b"P5 2 1 65535\n" + bytes([0, 255, 255, 0])))
     assert grid.occupied().tolist() == [[True, False]]
     assert grid.free().tolist() == [[False, True]]
 
@@ -55,14 +57,14 @@ def test_a_png_reads_as_the_pgm_of_the_same_greys(tmp_path, mode):
     greys = np.array([[0, 254, 205], [254, 254, 0]], dtype=np.uint8)
     image = BytesIO()
     Image.fromarray(greys).convert(mode).save(image, "PNG")
-    found = map_server.read(written(tmp_path, image.getvalue()))
-    twin = map_server.read(written(tmp_path, b"P5 3 2 255\n" + greys.tobytes()))
+    found = map_server.read_map(written(tmp_path, image.getvalue()))
+    twin = map_server.read_map(written(tmp_path, b"P5 3 2 255\n" + greys.tobytes()))
     assert np.array_equal(found.log_odds, twin.log_odds)
     assert np.array_equal(found.observed, twin.observed)
 
 
 LAUGHS = "a0: &a0 [ha, ha]\n" + "".join(f"a{k}: &a{k} [*a{k - 1}, *a{k - 1}]\n" for k in range(1, 41))
-"""Two words, doubled forty times: a terabyte for who writes it out."""
+"""Two words, doubled forty times: a terabyte when written out."""
 
 
 @pytest.mark.parametrize(
@@ -70,37 +72,37 @@ LAUGHS = "a0: &a0 [ha, ha]\n" + "".join(f"a{k}: &a{k} [*a{k - 1}, *a{k - 1}]\n" 
     [
         (b"P5 3 2 255\n\0\0", YAML, "2 pixels for 3 x 2"),
         (b"\x89PNG\r\n", YAML, "damaged PNG image"),
-        (b"GIF89a", YAML, "no PGM or PNG image"),
+        (b"GIF89a", YAML, "not a PGM or PNG image"),
         (b"P2 2 1 255\n0 x", YAML, "damaged pixels"),
         (b"", YAML, "empty"),
         (b"P5 1 1 255\n\0", "image: map.pgm\norigin: [0, 0, 0]\n", "missing key 'resolution'"),
         (b"P5 1 1 255\n\0", YAML.replace("trinary", "scale"), "'scale'"),
-        (b"P5 1 1 255\n\0", YAML.replace("2.0, 0]", "2.0, 0.3]"), "turned by 0.3"),
+        (b"P5 1 1 255\n\0", YAML.replace("2.0, 0]", "2.0, 0.3]"), "rotated by 0.3"),
         (b"P5 1 1 255\n\0", YAML.replace("0.05", "-1"), "expected metres per cell"),
-        (b"P5 1 1 255\n\0", YAML.replace("[-1.5, 2.0, 0]", "nowhere"), "no number"),
-        (b"P5 1 1 255\n\0", "image: [", "no YAML"),
+        (b"P5 1 1 255\n\0", YAML.replace("[-1.5, 2.0, 0]", "nowhere"), "not a number"),
+        (b"P5 1 1 255\n\0", "image: [", "not valid YAML"),
         (b"P5 1 1 255\n\0", "just words", "no keys"),
-        (b"P5 1000000000 1000000000 255\n\0", YAML, "1000000000 x 1000000000 pixels, and at most 67108864"),
-        (b"P5 " + b"9" * 5000 + b" 1 255\n\0", YAML, "no PGM or PNG image"),
+        (b"P5 1000000000 1000000000 255\n\0", YAML, "1000000000 x 1000000000 pixels; the limit is 67108864"),
+        (b"P5 " + b"9" * 5000 + b" 1 255\n\0", YAML, "not a PGM or PNG image"),
         (b"P2 1 1 255\n" + b"9" * 400, YAML, "damaged pixels"),
         (b"P5 1 1 99999\n\0\0", YAML, "white 99999"),
         (b"", YAML.replace("map.pgm", "x" * 300), "cannot be read"),
-        (b"P5 1 1 255\n\0", "image: " + "[" * 3000, "no YAML"),
-        (b"P5 1 1 255\n\0", "#" * 5000 + YAML, "bytes, far too many"),
-        (b"P5 1 1 255\n\0", LAUGHS + YAML.replace("map.pgm", "*a40"), "image: no text"),
-        (b"P5 1 1 255\n\0", LAUGHS + YAML.replace("trinary", "*a40"), "mode: no text"),
-        (b"P5 1 1 255\n\0", LAUGHS + YAML.replace("0.05", "*a40"), "no number"),
+        (b"P5 1 1 255\n\0", "image: " + "[" * 3000, "not valid YAML"),
+        (b"P5 1 1 255\n\0", "#" * 5000 + YAML, "bytes, more than 4096"),
+        (b"P5 1 1 255\n\0", LAUGHS + YAML.replace("map.pgm", "*a40"), "image: not a string"),
+        (b"P5 1 1 255\n\0", LAUGHS + YAML.replace("trinary", "*a40"), "mode: not a string"),
+        (b"P5 1 1 255\n\0", LAUGHS + YAML.replace("0.05", "*a40"), "not a number"),
     ],
 )
 def test_a_bad_map_says_what_is_wrong(tmp_path, pgm, yaml, part):
     with pytest.raises(BadData) as caught:
-        map_server.read(written(tmp_path, pgm, yaml))
+        map_server.read_map(written(tmp_path, pgm, yaml))
     assert part in str(caught.value)
 
 
-def test_a_small_png_of_very_many_pixels_is_not_unpacked(tmp_path):
+def test_a_small_png_of_very_many_pixels_is_not_decoded(tmp_path):
     image = BytesIO()
     Image.new("1", (9000, 9000)).save(image, "PNG")
     assert len(image.getvalue()) < 12_000
     with pytest.raises(BadData, match="9000 x 9000 pixels"):
-        map_server.read(written(tmp_path, image.getvalue()))
+        map_server.read_map(written(tmp_path, image.getvalue()))

@@ -13,8 +13,8 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, RunResult, Score, Status
 from evalkit.core.trajectory import Trajectory
 from evalkit.io import map_server
-from evalkit.results.store import Store, read_steps, tum
-from evalkit_datasets import tum as tum_files
+from evalkit.io.tum import format_tum, read_tum
+from evalkit.results.store import Store, read_steps
 
 KEY = "room-s0-icp-0123456789"
 
@@ -228,7 +228,7 @@ def test_a_map_read_again_has_the_same_cells_in_the_same_place(store, number):
     pytest.importorskip("ruamel.yaml")
     kept = grid(resolution_m=number(0.1 / 3.0), origin_x=number(-1e-7 / 3.0), origin_y=number(12345.678901234567))
     store.write_map(store.folder / "maps" / KEY, kept)
-    again = map_server.read(store.folder / "maps" / f"{KEY}.yaml")
+    again = map_server.read_map(store.folder / "maps" / f"{KEY}.yaml")
     assert again.occupied().tolist() == kept.occupied().tolist()
     assert again.free().tolist() == kept.free().tolist()
     assert (again.resolution_m, again.origin_x, again.origin_y) == (kept.resolution_m, kept.origin_x, kept.origin_y)
@@ -239,16 +239,18 @@ def test_a_map_read_again_has_the_same_cells_in_the_same_place(store, number):
 
 def test_a_trajectory_reads_again_to_the_nanosecond(store):
     kept = saved_run(store).estimate
-    again = tum_files.read(store.folder / "trajectories" / f"{KEY}.tum").trajectory
+    again = read_tum(store.folder / "trajectories" / f"{KEY}.tum").trajectory
     assert again.stamps_ns.tolist() == kept.stamps_ns.tolist()
     np.testing.assert_allclose(again.poses, kept.poses, atol=1e-9)
 
 
 def test_a_line_is_seconds_metres_and_a_quaternion():
-    text = tum(Trajectory(np.array([-1_500_000_000, 7]), np.array([[1.5, -2.0, np.pi / 2], [0, 0, 0]])), "room", "icp")
+    text = format_tum(
+        Trajectory(np.array([-1_500_000_000, 7]), np.array([[1.5, -2.0, np.pi / 2], [0, 0, 0]])), "evalkit: icp on room"
+    )
     assert text.splitlines() == [
-        "# evalkit: icp on room, world_from_base",
-        "# timestamp tx ty tz qx qy qz qw",
-        "-1.500000000 1.500000000 -2.000000000 0 0 0 0.707106781187 0.707106781187",
-        "0.000000007 0.000000000 0.000000000 0 0 0 0.000000000000 1.000000000000",
+        "# evalkit: icp on room",
+        "# world_from_base: timestamp tx ty tz qx qy qz qw",
+        "-1.500000000 1.500000000000 -2.000000000000 0 0 0 0.707106781187 0.707106781187",
+        "0.000000007 0.000000000000 0.000000000000 0 0 0 0.000000000000 1.000000000000",
     ]

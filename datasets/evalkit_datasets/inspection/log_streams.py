@@ -9,10 +9,10 @@ import numpy as np
 
 from evalkit.core.errors import BadData
 from evalkit.core.se2 import Floats, Stamps
+from evalkit.io.timestamps import parse_stamp_ns
 from evalkit_datasets import carmen_lines
 from evalkit_datasets.carmen_lines import Log, Reading
 from evalkit_datasets.inspection.streams import Laser, Streams, Topic, Wheels
-from evalkit_datasets.timestamps import stamp_ns
 
 NO_RECORDING = {
     ".tum": "a trajectory (.tum) goes beside a recording: evalkit compare RECORDING --reference FILE",
@@ -80,7 +80,7 @@ def _logger(tails: list[tuple[bytes, bytes]], scans: int) -> Stamps | None:
     if len(tails) != scans:
         return None
     try:
-        return np.array([stamp_ns(logger.decode("latin-1")) for _, logger in tails], dtype=np.int64)
+        return np.array([parse_stamp_ns(logger.decode("latin-1")) for _, logger in tails], dtype=np.int64)
     except ValueError:
         return None
 

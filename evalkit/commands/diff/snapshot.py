@@ -123,7 +123,7 @@ def _series(own: Path) -> dict[str, Series]:
         return {}
     steps = read_steps(own / "steps.bin")
     try:
-        errors = untrusted_io.array(own / "errors.npy")
+        errors = untrusted_io.read_array(own / "errors.npy")
     except (OSError, ValueError):  # half-written: the score still stands, only without its interval
         return {}
     if len(steps) != len(errors) or len(steps) < 2:
@@ -136,7 +136,7 @@ def _series(own: Path) -> dict[str, Series]:
 
 def _content(path: Path) -> dict[str, Any]:
     try:
-        content = untrusted_io.values(path.read_bytes())
+        content = untrusted_io.parse_json(path.read_bytes())
     except (OSError, ValueError) as error:
         raise StoreError(str(path), f"cannot be read, perhaps half-written ({error})", "make it again") from error
     if not isinstance(content, dict):

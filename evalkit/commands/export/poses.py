@@ -12,15 +12,18 @@ from evalkit.core import se2
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
-from evalkit.results.store import tum
+from evalkit.io.tum import format_tum
 
 
 def as_tum(results: Results) -> Files:
     """``<run>.tum``, start_from_base as answered, and ``<sequence>.truth.tum``."""
     for trial in results.trials:
-        yield f"{trial.key}.tum", tum(trial.run.estimate, trial.sequence, trial.method).encode()
+        yield (
+            f"{trial.key}.tum",
+            format_tum(trial.run.estimate, f"evalkit: {trial.method} on {trial.sequence}").encode(),
+        )
     for name, trial, true in _truths(results):
-        yield f"{name}.truth.tum", tum(true, trial.sequence, "truth").encode()
+        yield f"{name}.truth.tum", format_tum(true, f"evalkit: truth on {trial.sequence}").encode()
 
 
 def as_kitti(results: Results) -> Files:

@@ -12,7 +12,7 @@ from evalkit.commands.study.plan import Design, EnvelopeChoice, Kind, Point, Res
 from evalkit.commands.study.sampling import placed
 from evalkit.config import experiment
 from evalkit.core.errors import BadExperiment, BadParameter, EvalkitError, UnknownName, brief
-from evalkit.io.input_files import tables_of
+from evalkit.io.toml import load_toml
 from evalkit.metrics import all_metrics
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
@@ -27,14 +27,7 @@ NEEDS = {"optimal": "points", "sobol": "points", "latin": "points", "fractional"
 
 def read(path: Path, command: str) -> Study:
     """The study of a file (TOML); BadExperiment names the file, the key and what was found."""
-    try:
-        content = tables_of(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise BadExperiment(str(path), "", "no such file; give the path of a study (*.toml)") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadExperiment(str(path), "", f"cannot be read ({error})") from error
-    except ValueError as error:
-        raise BadExperiment(str(path), "", f"not valid TOML: {error}") from error
+    content = load_toml(path, "a study (*.toml)")
     return study(content, str(path), command)
 
 

@@ -13,7 +13,7 @@ from evalkit.commands.tune.space import METHOD, SHARED, Space, derived, own, set
 from evalkit.config import experiment
 from evalkit.config.experiment import Experiment, Method, SequenceSpec
 from evalkit.core.errors import BadExperiment, BadParameter, UnknownName, brief
-from evalkit.io.input_files import tables_of
+from evalkit.io.toml import load_toml
 from evalkit.metrics import all_metrics, spans
 from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text
@@ -30,15 +30,7 @@ METRIC, LOST_M, RUN_CPU_S = "ate_rmse_m", 1.0, 60.0
 
 def read(path: Path, name: str, command: str) -> Tuning:
     """The tuning of a file (TOML); BadExperiment names the file, the key and what was found."""
-    try:
-        content = tables_of(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise BadExperiment(str(path), "", "no such file; give the path of a tuning (*.toml), or back ends and --on "
-                            "DATASET") from None  # fmt: skip
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadExperiment(str(path), "", f"cannot be read ({error})") from error
-    except ValueError as error:
-        raise BadExperiment(str(path), "", f"not valid TOML: {error}") from error
+    content = load_toml(path, "a tuning (*.toml), or back ends and --on DATASET")
     return tuning(content, str(path), name, command)
 
 

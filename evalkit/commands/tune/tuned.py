@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
@@ -12,6 +11,7 @@ from evalkit.commands.tune.plan import TUNED, Tuning
 from evalkit.commands.tune.search_loop import Searched
 from evalkit.config import experiment
 from evalkit.config.experiment import Experiment, Method, SequenceSpec
+from evalkit.io.toml import parse_toml
 from evalkit.plugins.protocols import Value
 
 
@@ -44,7 +44,7 @@ def experiment_text(tuning: Tuning, found: Sequence[Searched]) -> str:
 
 def held_out_plan(text: str, file: str) -> Experiment:
     """The plan of that text, as ``evalkit report FILE`` reads it."""
-    return experiment.plan(tomllib.loads(text), file, "tuned", f"report {file}")
+    return experiment.plan(parse_toml(text), file, "tuned", f"report {file}")
 
 
 def _method(method: Method, label: str, values: Mapping[str, Value]) -> list[str]:

@@ -51,4 +51,4 @@ def one(data: bytes) -> None:
     map_server.MAX_PIXELS = 2**20  # what a sound image of that size takes is no finding
     settings = folder() / "image.yaml"
     settings.write_text(SETTINGS, encoding="utf-8")
-    held_file(lambda _path: map_server.read(settings), data, "fuzz.image")
+    held_file(lambda _path: map_server.read_map(settings), data, "fuzz.image")

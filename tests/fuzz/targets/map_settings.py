@@ -41,5 +41,5 @@ def swollen() -> list[bytes]:
 def one(data: bytes) -> None:
     """Reads a map by its settings."""
     (folder() / "fuzz.pgm").write_bytes(b"P5\n2 2\n255\n\x00\xcd\xfe\xfe")
-    held_file(map_server.read, data, "fuzz.yaml", named="")  # it may name an image that is not there
-    map_server.image_of(folder() / "fuzz.yaml")
+    held_file(map_server.read_map, data, "fuzz.yaml", named="")  # it may name an image that is not there
+    map_server.find_map_image(folder() / "fuzz.yaml")

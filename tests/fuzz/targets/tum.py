@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bounds import held_file
 
-from evalkit_datasets import tum
+from evalkit.io.tum import format_tum, read_tum
 
 
 def seeds() -> list[bytes]:
@@ -22,4 +22,4 @@ def swollen() -> list[bytes]:
 
 def one(data: bytes) -> None:
     """Reads a trajectory, and writes it back."""
-    held_file(lambda path: tum.text(tum.read(path).trajectory), data, "fuzz.tum")
+    held_file(lambda path: format_tum(read_tum(path).trajectory), data, "fuzz.tum")

@@ -1,4 +1,4 @@
-"""Lines of plain and packed text, without the whole of it ever in memory."""
+"""Lines of plain and compressed text, read in bounded memory."""
 
 import gzip
 import random
@@ -9,8 +9,8 @@ from itertools import pairwise
 import pytest
 
 from evalkit.core.errors import BadData
-from evalkit.io.input_files import BLOCK
-from evalkit_datasets.text_lines import LONGEST_LINE, lines_of
+from evalkit.io.input_files import BLOCK_BYTES
+from evalkit.io.text_lines import MAX_LINE_BYTES, iter_lines
 
 
 def written(folder, content):
@@ -20,15 +20,15 @@ def written(folder, content):
 
 
 def lines(folder, content):
-    return list(lines_of(written(folder, content), "text"))
+    return list(iter_lines(written(folder, content), "text"))
 
 
-TEXT = b"first\n\n" + random.Random(0).randbytes(3 * BLOCK).replace(b"\n", b" ") + b"\nlast but one\r\nlast"
+TEXT = b"first\n\n" + random.Random(0).randbytes(3 * BLOCK_BYTES).replace(b"\n", b" ") + b"\nlast but one\r\nlast"
 
 
 @pytest.mark.parametrize("end", [b"", b"\n"])
-@pytest.mark.parametrize("cuts", [(), (3,), (BLOCK, BLOCK + 1)])
-def test_lines_are_those_of_the_whole_text_however_it_is_packed(tmp_path, end, cuts):
+@pytest.mark.parametrize("cuts", [(), (3,), (BLOCK_BYTES, BLOCK_BYTES + 1)])
+def test_lines_are_those_of_the_whole_text_however_it_is_compressed(tmp_path, end, cuts):
     content = TEXT + end
     edges = [0, *cuts, len(content)]
     packed = b"".join(gzip.compress(content[a:b]) for a, b in pairwise(edges))
@@ -36,25 +36,25 @@ def test_lines_are_those_of_the_whole_text_however_it_is_packed(tmp_path, end, c
     assert lines(tmp_path, packed) == content.split(b"\n")
 
 
-def test_what_follows_a_gzip_file_and_is_none_is_left_alone(tmp_path):
+def test_bytes_after_the_gzip_content_are_ignored(tmp_path):
     assert lines(tmp_path, gzip.compress(b"one\ntwo") + b"\0" * 100) == [b"one", b"two"]
 
 
-@pytest.mark.parametrize("left", [1, 5, BLOCK])
-def test_gzip_cut_short_is_told_wherever_it_ends(tmp_path, left):
+@pytest.mark.parametrize("left", [1, 5, BLOCK_BYTES])
+def test_truncated_gzip_is_reported_wherever_it_ends(tmp_path, left):
     packed = gzip.compress(TEXT)
     with pytest.raises(BadData, match="cut short"):
         lines(tmp_path, packed[:-left])
 
 
-def test_damaged_gzip_is_told(tmp_path):
+def test_damaged_gzip_is_reported(tmp_path):
     packed = bytearray(gzip.compress(TEXT))
     packed[len(packed) // 2] ^= 0xFF
     with pytest.raises(BadData, match=r"damaged gzip|cut short"):
         lines(tmp_path, bytes(packed))
 
 
-def test_a_packed_line_without_end_is_refused_before_it_fills_the_memory(tmp_path):
+def test_an_endless_compressed_line_is_rejected_before_it_fills_the_memory(tmp_path):
     packer = zlib.compressobj(9, wbits=31)
     path = tmp_path / "bomb.gz"
     with path.open("wb") as file:
@@ -63,14 +63,14 @@ def test_a_packed_line_without_end_is_refused_before_it_fills_the_memory(tmp_pat
         file.write(packer.flush())
     tracemalloc.start()
     with pytest.raises(BadData, match="line 1: longer than 4 MiB"):
-        list(lines_of(path, "text"))
-    assert tracemalloc.get_traced_memory()[1] < 4 * LONGEST_LINE
+        list(iter_lines(path, "text"))
+    assert tracemalloc.get_traced_memory()[1] < 4 * MAX_LINE_BYTES
     tracemalloc.stop()
 
 
-def test_a_long_packed_text_is_never_in_memory_as_a_whole(tmp_path):
+def test_a_long_compressed_text_is_read_in_bounded_memory(tmp_path):
     path = written(tmp_path, gzip.compress(b"0123456789abcdef" * 64 + b"\n") * 10_000)
     tracemalloc.start()
-    assert sum(len(line) for line in lines_of(path, "text")) == 10_000 * 1024
+    assert sum(len(line) for line in iter_lines(path, "text")) == 10_000 * 1024
     assert tracemalloc.get_traced_memory()[1] < 2**20
     tracemalloc.stop()

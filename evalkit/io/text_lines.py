@@ -1,0 +1,93 @@
+"""Read text files line by line, plain or gzip, and rows of numbers, with errors that name file and line."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Iterator
+from pathlib import Path
+
+from evalkit.core.errors import BadData
+from evalkit.io.input_files import BLOCK_BYTES, iter_blocks, read_text
+
+GZIP_MAGIC = b"\x1f\x8b"
+
+MAX_LINE_BYTES = 4 * 2**20
+"""A scan of 10,000 beams takes 2 % of it."""
+
+
+def iter_lines(path: Path, expected: str) -> Iterator[bytes]:
+    """Yield the lines of a file, plain or gzip (detected by content), without their ends and in bounded memory.
+
+    ``expected`` says in errors what the file should be. Raises as ``read_bytes``, and BadData for damaged gzip and for
+    a line longer than ``MAX_LINE_BYTES``.
+    """
+    rest = b""
+    number = 1
+    for block in _iter_plain_blocks(path, expected):
+        *complete, rest = (rest + block).split(b"\n")
+        number += len(complete)
+        yield from complete
+        if len(rest) > MAX_LINE_BYTES:
+            found = f"longer than {MAX_LINE_BYTES // 2**20} MiB"
+            raise BadData(str(path), f"line {number}", found, f"give {expected}")
+    yield rest
+
+
+def iter_rows(path: Path, layout: str, expected: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield line number and words of each line that is neither blank nor a comment (#); a comma counts as a blank.
+
+    ``layout`` names the columns ("t x y"). Raises as ``read_text``, and BadData for another number of columns.
+    """
+    wanted = len(layout.split())
+    for number, line in enumerate(read_text(path, expected).splitlines(), start=1):
+        words = line.split("#", 1)[0].replace(",", " ").split()
+        if not words:
+            continue
+        if len(words) != wanted:
+            found = f"{len(words)} columns: '{_shorten(' '.join(words))}'"
+            raise BadData(str(path), f"line {number}", found, f"expected {wanted}: '{layout}'")
+        yield number, words
+
+
+def parse_numbers(path: Path, line: int, words: list[str], layout: str) -> list[float]:
+    """Return words as numbers; raises BadData that names file, line and the first word that is not a number."""
+    values = []
+    for column, word in enumerate(words, start=1):
+        try:
+            values.append(float(word))
+        except ValueError:
+            found = f"'{_shorten(word)}' in column {column} is not a number"
+            raise BadData(str(path), f"line {line}", found, f"expected '{layout}'") from None
+    return values
+
+
+def _iter_plain_blocks(path: Path, expected: str) -> Iterator[bytes]:
+    blocks = iter_blocks(path, expected)
+    first = next(blocks)
+    if first.startswith(GZIP_MAGIC):
+        yield from _decompress(first, blocks, path)
+        return
+    yield first
+    yield from blocks
+
+
+def _decompress(rest: bytes, blocks: Iterator[bytes], path: Path) -> Iterator[bytes]:
+    """Yield the content of concatenated gzip members; bytes after them that are not gzip are ignored."""
+    while rest.startswith(GZIP_MAGIC):
+        member = zlib.decompressobj(wbits=31)
+        try:
+            while rest:
+                yield member.decompress(rest, BLOCK_BYTES)  # bounds the output, however much the input expands
+                rest = member.unconsumed_tail or (b"" if member.eof else next(blocks, b""))
+            yield member.flush()
+        except zlib.error as error:
+            raise BadData(str(path), "", f"damaged gzip ({error})", "fetch or copy the file again") from None
+        if not member.eof:
+            raise BadData(str(path), "", "the gzip file is cut short", "fetch or copy the file again")
+        rest = member.unused_data
+        if len(rest) < len(GZIP_MAGIC):
+            rest += next(blocks, b"")
+
+
+def _shorten(text: str) -> str:
+    return text if len(text) <= 60 else text[:57] + "..."
