@@ -31,7 +31,7 @@ def _card(metric: Metric) -> str:
         ("What", text(f"{metric.label}{unit}, {ARROWS[metric.better]}")),
         ("Definition", text(metric.definition)),
         ("Source", text(metric.source)),
-        ("Blind to", text(metric.blind_to)),
+        ("Blind to", text(metric.limitations)),
         ("Stands on", text(metric.support)),
         ("No value", "<br>".join(map(text, metric.no_value))),
         ("Follows the true error", _follows(shipped().of(metric.name))),

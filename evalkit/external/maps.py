@@ -12,7 +12,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.external.declaration import UNTOLD, digest_of, settings
 from evalkit.io import map_server
-from evalkit.metrics.consistency import looked_up
+from evalkit.metrics.consistency import look_up_cells
 from evalkit.plugins.protocols import BackendSpec, Parameter
 
 SUFFIXES = (".yaml", ".yml")
@@ -59,7 +59,7 @@ def placed(grid: OccupancyGrid, world_from_map: Pose) -> OccupancyGrid:
     x, y = float(low[0]), float(low[1])
     empty = np.zeros((tall, wide), dtype=np.float32)
     centres = OccupancyGrid(empty, empty == 0.0, size, x, y).centres(empty == 0.0)
-    log_odds, observed = looked_up(world_from_map.inverse().transform(centres), grid)
+    log_odds, observed = look_up_cells(world_from_map.inverse().transform(centres), grid)
     seen = observed.reshape(tall, wide)
     return OccupancyGrid(np.where(seen, log_odds.reshape(tall, wide), 0.0).astype(np.float32), seen, size, x, y)
 

@@ -57,13 +57,13 @@ def all_metrics() -> tuple[Metric, ...]:
     return (*METRICS, *(registry.load("metrics", name, Metric) for name in registry.names("metrics")))
 
 
-def score(evidence: Evidence, table: Iterable[Metric] = METRICS) -> dict[str, Score]:
+def compute_scores(evidence: Evidence, table: Iterable[Metric] = METRICS) -> dict[str, Score]:
     """Every metric's score by name, in the table's order; what is not meaningful says why."""
     with np.errstate(over="ignore", invalid="ignore"):  # a diverged estimate is answered with a reason
-        return {metric.name: _computed(metric, evidence) for metric in table}
+        return {metric.name: _compute_score(metric, evidence) for metric in table}
 
 
-def _computed(metric: Metric, evidence: Evidence) -> Score:
+def _compute_score(metric: Metric, evidence: Evidence) -> Score:
     try:
         return metric.compute(evidence)
     except Exception as error:  # noqa: BLE001 - may be a third party's, and may not take the other scores with it

@@ -7,10 +7,10 @@ import numpy as np
 from evalkit.core.arrays import Bools
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.consistency import NO_HIT, WARP, all_hits, hits
-from evalkit.metrics.neighbourhoods import MIN_HITS, PATCH_M, Patches, evenly, patches
-from evalkit.metrics.surfaces import pieces
-from evalkit.metrics.table import Evidence, Metric, number, standing_on
+from evalkit.metrics.consistency import NO_HIT, WARP, collect_all_hits, collect_hits
+from evalkit.metrics.neighbourhoods import MIN_HITS, PATCH_M, Neighbourhoods, compute_neighbourhoods, thin_evenly
+from evalkit.metrics.surfaces import find_all_wall_pieces
+from evalkit.metrics.table import Evidence, Metric, make_score, with_support
 
 MAX_HITS = 20_000
 MAX_PLACES = 1000
@@ -23,7 +23,7 @@ MIN_SHARED = 100
 MIN_SHARE = 0.05
 
 
-def entropies(found: Patches) -> tuple[Floats, Bools]:
+def entropies(found: Neighbourhoods) -> tuple[Floats, Bools]:
     """Entropy (K,) in nats of the Gaussian of each patch, and which (K,) have the five points that it takes.
 
     h = 1/2 ln |2 pi e Sigma| (Razlaw et al., ECMR 2015), here with the 2 x 2 covariance, no axis below 1 mm.
@@ -36,8 +36,8 @@ def entropies(found: Patches) -> tuple[Floats, Bools]:
 
 def mean_map_entropy(points: Floats, radius_m: float = PATCH_M) -> tuple[float, int, float]:
     """Mean entropy (nat) over at most 1,000 places of points (N, 2), N > 0, at how many, and at what share of all."""
-    points = evenly(points, MAX_HITS)
-    values, enough = entropies(patches(points, evenly(points, MAX_PLACES), radius_m))
+    points = thin_evenly(points, MAX_HITS)
+    values, enough = entropies(compute_neighbourhoods(points, thin_evenly(points, MAX_PLACES), radius_m))
     return (float(values[enough].mean()) if enough.any() else 0.0), int(enough.sum()), float(enough.mean())
 
 
@@ -47,19 +47,19 @@ def joint_minus_separate(first: Floats, second: Floats, radius_m: float = PATCH_
     CorAl (Adolfsson et al., ECMR 2021) with one radius: what the scene itself has of entropy cancels. Only places count
     at which both clouds have five points within the radius.
     """
-    first, second = evenly(first, MAX_HITS // 2), evenly(second, MAX_HITS // 2)
+    first, second = thin_evenly(first, MAX_HITS // 2), thin_evenly(second, MAX_HITS // 2)
     both = np.concatenate([first, second])
     added, places = 0.0, 0
     for own, other in ((first, second), (second, first)):
-        middles = evenly(own, MAX_PLACES // 2)
-        separate, enough = entropies(patches(own, middles, radius_m))
-        shared = enough & (patches(other, middles, radius_m).counts >= MIN_HITS)
-        joint, _ = entropies(patches(both, middles, radius_m))
+        middles = thin_evenly(own, MAX_PLACES // 2)
+        separate, enough = entropies(compute_neighbourhoods(own, middles, radius_m))
+        shared = enough & (compute_neighbourhoods(other, middles, radius_m).counts >= MIN_HITS)
+        joint, _ = entropies(compute_neighbourhoods(both, middles, radius_m))
         added, places = added + float((joint - separate)[shared].sum()), places + int(shared.sum())
     return (added / places if places else 0.0), places
 
 
-def spread_of_directions(directions: Floats) -> float:
+def direction_entropy(directions: Floats) -> float:
     """The differential entropy (nat) of directions (K,) that repeat every half turn: ln pi if all are as frequent.
 
     Of their density under a Gaussian kernel of 1 deg, on a grid so fine that the frame does not matter; all the same
@@ -74,7 +74,7 @@ def spread_of_directions(directions: Floats) -> float:
 
 
 def _mean_map_entropy(evidence: Evidence) -> Score:
-    points = all_hits(evidence)
+    points = collect_all_hits(evidence)
     if len(points) == 0:
         return Score(None, 0, NO_HIT)
     value, places, share = mean_map_entropy(points)
@@ -82,25 +82,25 @@ def _mean_map_entropy(evidence: Evidence) -> Score:
         return Score(
             None, places, f"only {100.0 * share:.0f} % of the hits have {MIN_HITS} others within {PATCH_M:g} m"
         )
-    return number(value, places)
+    return make_score(value, places)
 
 
 def _joint(evidence: Evidence) -> Score:
     middle = len(evidence.mapped) // 2
-    first, second = hits(evidence.mapped[:middle]), hits(evidence.mapped[middle:])
+    first, second = collect_hits(evidence.mapped[:middle]), collect_hits(evidence.mapped[middle:])
     if len(first) == 0 or len(second) == 0:
         return Score(None, 0, NO_HIT)
     value, places = joint_minus_separate(first, second)
     if places < MIN_SHARED:
         return Score(None, places, "both halves of the run hardly see the same places")
-    return number(value, places)
+    return make_score(value, places)
 
 
 def _directions(evidence: Evidence) -> Score:
-    found = pieces(evidence).direction
+    found = find_all_wall_pieces(evidence).direction
     if len(found) < MIN_SHARED:
         return Score(None, len(found), f"the scans show only {len(found)} pieces of wall, {MIN_SHARED} are needed")
-    return number(spread_of_directions(found), len(found))
+    return make_score(direction_entropy(found), len(found))
 
 
 _ROWS = (
@@ -121,7 +121,7 @@ _ROWS = (
            "every error of position; places whose walls run all ways anyway", _directions),
 )  # fmt: skip
 
-METRICS = standing_on(
+METRICS = with_support(
     _ROWS,
     {
         "mme_nat": ("places with five hits around", (NO_HIT, "only ... % of the hits have ... others within ... m")),

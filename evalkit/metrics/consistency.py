@@ -11,9 +11,9 @@ from evalkit.core.arrays import Bools, Ints
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.maps import nearest_m
-from evalkit.metrics.neighbourhoods import build_kd_tree, evenly, patches
-from evalkit.metrics.table import DIVERGED, Evidence, Mapped, Metric, number, once, standing_on
+from evalkit.metrics.maps import nearest_distances_m
+from evalkit.metrics.neighbourhoods import build_kd_tree, compute_neighbourhoods, thin_evenly
+from evalkit.metrics.table import DIVERGED, Evidence, Metric, PlacedScans, cached, make_score, with_support
 
 MAX_HITS = 20_000
 MAX_PATCHES = 1000
@@ -31,21 +31,21 @@ MIN_SHARED = 100
 NO_HIT = "no mapped scan has a hit"
 
 
-def entropy(grid: OccupancyGrid) -> float:
+def map_entropy(grid: OccupancyGrid) -> float:
     """Mean entropy of the observed cells, in nats: 0 where all is certain, ln 2 where nothing is known."""
     p = grid.probability()[grid.observed]
     p = np.clip(p, 1e-12, 1.0 - 1e-12)
     return float(-np.mean(p * np.log(p) + (1.0 - p) * np.log(1.0 - p)))
 
 
-def thicknesses(hits: Floats) -> tuple[Floats, float]:
+def wall_thicknesses(hits: Floats) -> tuple[Floats, float]:
     """Wall thickness (K,) in metres where hits (N, 2), N > 0, lie along a line, and the share of patches where they do.
 
     A patch is all hits within 0.5 m of one; its thickness is sqrt(lambda_min) of their covariance, where lambda_max
     > 9 lambda_min. Hits and patches are at most 20,000 and 1,000, evenly spaced in the order of time.
     """
-    points = evenly(hits, MAX_HITS)
-    found = patches(points, evenly(points, MAX_PATCHES))
+    points = thin_evenly(hits, MAX_HITS)
+    found = compute_neighbourhoods(points, thin_evenly(points, MAX_PATCHES))
     return np.sqrt(found.small[found.flat]), float(found.flat.mean())
 
 
@@ -55,7 +55,7 @@ def occupied_share(grid: OccupancyGrid) -> float:
     return float(occupied / (occupied + free))
 
 
-def corners(grid: OccupancyGrid) -> Floats:
+def find_corners(grid: OccupancyGrid) -> Floats:
     """Where (K, 2) in the world (m) the occupied cells show a corner.
 
     Laplacian of Gaussian (1 cell) of the 0/1 image, Harris response (window 1.5 cells, k = 0.05), peaks over an
@@ -82,17 +82,17 @@ def corners(grid: OccupancyGrid) -> Floats:
     return np.asarray([grid.origin_x, grid.origin_y] + (cells + 0.5) * grid.resolution_m)
 
 
-@once
-def mapped_corners(evidence: Evidence) -> Floats:
+@cached
+def find_mapped_corners(evidence: Evidence) -> Floats:
     """The corners of the map; none without a map."""
-    return np.zeros((0, 2)) if evidence.grid is None else corners(evidence.grid)
+    return np.zeros((0, 2)) if evidence.grid is None else find_corners(evidence.grid)
 
 
 def _corners(evidence: Evidence) -> Score:
-    return of_grid(lambda grid: number(len(mapped_corners(evidence)), int(grid.occupied().sum())))(evidence)
+    return with_grid(lambda grid: make_score(len(find_mapped_corners(evidence)), int(grid.occupied().sum())))(evidence)
 
 
-def enclosed_areas(grid: OccupancyGrid) -> Ints:
+def find_enclosed_areas(grid: OccupancyGrid) -> Ints:
     """Sizes (K,) in cells of the free areas shut in by anything not free, but for the largest, the drivable one.
 
     Areas of fewer than 4 cells and areas at the border of the grid do not count.
@@ -115,7 +115,7 @@ def cleared_share(hits: Floats, other: OccupancyGrid) -> tuple[float, int]:
 
     Free space is where it has cleared the cell (log-odds < -1) and has no occupied cell's centre within 0.1 m.
     """
-    log_odds, observed = looked_up(hits, other)
+    log_odds, observed = look_up_cells(hits, other)
     count = int(observed.sum())
     suspects = hits[observed & (log_odds < CLEARED)]
     walls = build_kd_tree(other.centres(other.occupied()))
@@ -128,22 +128,22 @@ def split_distances(first: OccupancyGrid, second: OccupancyGrid) -> Floats:
     cells = [grid.centres(grid.occupied()) for grid in (first, second)]
     if not all(map(len, cells)):
         return np.zeros(0)
-    shared = [cells[0][looked_up(cells[0], second)[1]], cells[1][looked_up(cells[1], first)[1]]]
-    return np.concatenate([nearest_m(shared[0], cells[1]), nearest_m(shared[1], cells[0])])
+    shared = [cells[0][look_up_cells(cells[0], second)[1]], cells[1][look_up_cells(cells[1], first)[1]]]
+    return np.concatenate([nearest_distances_m(shared[0], cells[1]), nearest_distances_m(shared[1], cells[0])])
 
 
-def hits(mapped: Mapped) -> Floats:
+def collect_hits(mapped: PlacedScans) -> Floats:
     """The hits (N, 2) of scans with known sensor poses, in the world (m)."""
     return np.concatenate([np.zeros((0, 2)), *(se2.transform(pose, scan.points()) for scan, pose in mapped)])
 
 
-@once
-def all_hits(evidence: Evidence) -> Floats:
+@cached
+def collect_all_hits(evidence: Evidence) -> Floats:
     """The hits (N, 2) of all mapped scans, in the world (m)."""
-    return hits(evidence.mapped)
+    return collect_hits(evidence.mapped)
 
 
-def looked_up(points: Floats, grid: OccupancyGrid) -> tuple[Floats, Bools]:
+def look_up_cells(points: Floats, grid: OccupancyGrid) -> tuple[Floats, Bools]:
     """Log-odds (N,) at points (N, 2), and which (N,) lie in observed cells."""
     cells = np.floor((points - [grid.origin_x, grid.origin_y]) / grid.resolution_m).astype(np.int64)
     rows, columns = cells[:, 1], cells[:, 0]
@@ -153,7 +153,7 @@ def looked_up(points: Floats, grid: OccupancyGrid) -> tuple[Floats, Bools]:
     return grid.log_odds[rows, columns].astype(np.float64), np.asarray(inside & grid.observed[rows, columns])
 
 
-def of_grid(measure: Callable[[OccupancyGrid], Score]) -> Callable[[Evidence], Score]:
+def with_grid(measure: Callable[[OccupancyGrid], Score]) -> Callable[[Evidence], Score]:
     """The same measure of evidence, which says why where there is no map or nothing in it."""
 
     def compute(evidence: Evidence) -> Score:
@@ -169,45 +169,45 @@ def of_grid(measure: Callable[[OccupancyGrid], Score]) -> Callable[[Evidence], S
 
 def _of_thicknesses(statistic: Callable[[Floats], np.floating | float]) -> Callable[[Evidence], Score]:
     def compute(evidence: Evidence) -> Score:
-        if len(all_hits(evidence)) == 0:
+        if len(collect_all_hits(evidence)) == 0:
             return Score(None, 0, NO_HIT)
         found, share = _thicknesses(evidence)
         if share < MIN_WALL_SHARE:
             return Score(None, len(found), f"only {100.0 * share:.0f} % of the hits lie along a wall")
-        return number(statistic(found), len(found))
+        return make_score(statistic(found), len(found))
 
     return compute
 
 
 def _wall_share(evidence: Evidence) -> Score:
-    points = all_hits(evidence)
+    points = collect_all_hits(evidence)
     if len(points) == 0:
         return Score(None, 0, NO_HIT)
-    return number(100.0 * _thicknesses(evidence)[1], min(len(points), MAX_PATCHES))
+    return make_score(100.0 * _thicknesses(evidence)[1], min(len(points), MAX_PATCHES))
 
 
-@once
+@cached
 def _thicknesses(evidence: Evidence) -> tuple[Floats, float]:
-    return thicknesses(all_hits(evidence))
+    return wall_thicknesses(collect_all_hits(evidence))
 
 
 def _enclosed(grid: OccupancyGrid) -> Score:
-    return number(len(enclosed_areas(grid)), int(grid.free().sum()))
+    return make_score(len(find_enclosed_areas(grid)), int(grid.free().sum()))
 
 
 def _enclosed_m2(grid: OccupancyGrid) -> Score:
-    return number(enclosed_areas(grid).sum() * grid.resolution_m**2, int(grid.free().sum()))
+    return make_score(find_enclosed_areas(grid).sum() * grid.resolution_m**2, int(grid.free().sum()))
 
 
 def _cleared(evidence: Evidence) -> Score:
     first, second, middle = evidence.first_half, evidence.second_half, len(evidence.mapped) // 2
     if first is None or second is None:
         return Score(None, 0, "no maps of both halves of the run")
-    one, shared_one = cleared_share(hits(evidence.mapped[:middle]), second)
-    other, shared_other = cleared_share(hits(evidence.mapped[middle:]), first)
+    one, shared_one = cleared_share(collect_hits(evidence.mapped[:middle]), second)
+    other, shared_other = cleared_share(collect_hits(evidence.mapped[middle:]), first)
     if min(shared_one, shared_other) < MIN_SHARED:
         return Score(None, shared_one + shared_other, "both halves of the run hardly see the same places")
-    return number(50.0 * (one + other), shared_one + shared_other)
+    return make_score(50.0 * (one + other), shared_one + shared_other)
 
 
 def _split(evidence: Evidence) -> Score:
@@ -216,7 +216,7 @@ def _split(evidence: Evidence) -> Score:
     distances = split_distances(evidence.first_half, evidence.second_half)
     if len(distances) < MIN_SHARED:
         return Score(None, len(distances), "both halves of the run hardly see the same places")
-    return number(distances.mean(), len(distances))
+    return make_score(distances.mean(), len(distances))
 
 
 def _cells(grid: OccupancyGrid) -> int:
@@ -232,7 +232,7 @@ _ROWS = (
            "Mean entropy of the occupancy over the cells that a beam has touched.", "Blanco et al., RSS 2008 (map "
            "entropy); per observed cell: evalkit",
            f"scans scattered over fresh cells, which lower it, so that in a bare room it tells nothing; {WARP}",
-           of_grid(lambda grid: number(entropy(grid), int(grid.observed.sum()))), 4),
+           with_grid(lambda grid: make_score(map_entropy(grid), int(grid.observed.sum()))), 4),
     Metric("wall_thickness_m", "wall thickness", "m", "lower", "map consistency",
            f"{WALL} (lambda_max > 9 lambda_min), all mapped scans laid together; mean over at most 1,000 places. A "
            "wall w wide gives w / sqrt(12).", "after Razlaw et al., ECMR 2015 (mean plane variance)",
@@ -258,17 +258,17 @@ _ROWS = (
     Metric("occupied_percent", "occupied share", "%", "", "map consistency",
            "Occupied cells (p > 0.65), of occupied and free (p < 0.196) ones.", FILATOV,
            "most errors: smearing can raise or lower it",
-           of_grid(lambda grid: number(100.0 * occupied_share(grid), _cells(grid))), 2),
+           with_grid(lambda grid: make_score(100.0 * occupied_share(grid), _cells(grid))), 2),
     Metric("corners", "corners", "", "lower", "map consistency",
            "Corners of the occupied cells: Harris peaks on their Laplacian of Gaussian, at most one within 0.2 m.",
            FILATOV, f"walls smeared until their corners vanish; {WARP}",
            _corners, 0),
     Metric("enclosed_areas", "enclosed areas", "", "lower", "map consistency",
            "Free areas of at least 4 cells shut in by occupied or unknown cells, without the largest and without those "
-           "at the grid's border.", FILATOV, f"copies that leave no gap between them; {WARP}", of_grid(_enclosed), 0),
+           "at the grid's border.", FILATOV, f"copies that leave no gap between them; {WARP}", with_grid(_enclosed), 0),
     Metric("enclosed_m2", "enclosed area", "m2", "lower", "map consistency",
            "Total size of the enclosed areas.", FILATOV, f"copies that leave no gap between them; {WARP}",
-           of_grid(_enclosed_m2), 2),
+           with_grid(_enclosed_m2), 2),
 )  # fmt: skip
 
 NOTHING_DRAWN = ("no map: ...", "the map has no occupied or no free cell")
@@ -276,7 +276,7 @@ NOTHING_DRAWN = ("no map: ...", "the map has no occupied or no free cell")
 
 _APART = ("no maps of both halves of the run", "both halves of the run hardly see the same places")
 
-METRICS = standing_on(
+METRICS = with_support(
     _ROWS,
     {
         "map_entropy": ("observed cells", NOTHING_DRAWN),

@@ -11,8 +11,8 @@ from evalkit.core import se2
 from evalkit.core.arrays import Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats, Stamps
-from evalkit.metrics.table import Matched, Metric, number, standing_on
-from evalkit.metrics.trajectory import UNMATCHED, of_matched, rms
+from evalkit.metrics.table import MatchedPoses, Metric, make_score, with_support
+from evalkit.metrics.trajectory import UNMATCHED, rms, with_matched_poses
 
 LENGTHS_M = (1.0, 2.0, 5.0, 10.0, 20.0)
 START_EVERY_M = 0.1
@@ -21,18 +21,18 @@ TURN = 2.0 * np.pi
 START_EVERY_TURN = np.radians(10.0)
 
 
-def travelled_m(matched: Matched) -> Floats:
+def travelled_m(matched: MatchedPoses) -> Floats:
     """Metres (N,) the truth has gone since the first pose."""
     steps = np.linalg.norm(np.diff(matched.truth[:, :2], axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def turned(matched: Matched) -> Floats:
+def turned_rad(matched: MatchedPoses) -> Floats:
     """Radians (N,) the truth has turned since the first pose, left and right both counted as positive."""
     return np.concatenate([[0.0], np.cumsum(np.abs(se2.wrap(np.diff(matched.truth[:, 2]))))])
 
 
-def segments(progress: Floats, length: float, start_every: float) -> tuple[Ints, Ints]:
+def find_segments(progress: Floats, length: float, start_every: float) -> tuple[Ints, Ints]:
     """First and last indices (K,) of all segments of at least a length along ``progress`` (N,), which never falls.
 
     A segment starts at the first pose at or beyond each multiple of ``start_every``, so that standing still counts
@@ -46,7 +46,7 @@ def segments(progress: Floats, length: float, start_every: float) -> tuple[Ints,
     return first[reached], last[reached]
 
 
-def pairs_in_time(stamps_ns: Stamps, apart_s: float) -> tuple[Ints, Ints]:
+def find_pairs_in_time(stamps_ns: Stamps, apart_s: float) -> tuple[Ints, Ints]:
     """First and last indices (K,) of all pairs of stamps (N,) so far apart in time, to half a typical step.
 
     All pairs, overlapping ones too: each stamp with the one nearest to ``apart_s`` later, where that is near enough.
@@ -60,7 +60,7 @@ def pairs_in_time(stamps_ns: Stamps, apart_s: float) -> tuple[Ints, Ints]:
     return first[kept], last[kept]
 
 
-def relative_errors(matched: Matched, first: Ints, last: Ints) -> Floats:
+def relative_errors(matched: MatchedPoses, first: Ints, last: Ints) -> Floats:
     """The motions (K, 3) by which the estimate's step from ``first`` to ``last`` differs from the true one.
 
     Sturm et al., IROS 2012, relative pose error: (Q_i^-1 Q_j)^-1 (P_i^-1 P_j).
@@ -70,12 +70,12 @@ def relative_errors(matched: Matched, first: Ints, last: Ints) -> Floats:
     return se2.between(true, estimated)
 
 
-def segment_errors(matched: Matched, lengths_m: tuple[float, ...]) -> Floats:
+def segment_errors(matched: MatchedPoses, lengths_m: tuple[float, ...]) -> Floats:
     """Per segment (K, 3): metres of translation error, radians of rotation error, metres the truth went."""
     progress = travelled_m(matched)
     rows = [np.zeros((0, 3))]
     for length in lengths_m:
-        first, last = segments(progress, length, START_EVERY_M)
+        first, last = find_segments(progress, length, START_EVERY_M)
         errors = relative_errors(matched, first, last)
         rows.append(np.stack([_norms(errors), np.abs(errors[:, 2]), progress[last] - progress[first]], axis=1))
     return np.concatenate(rows)
@@ -85,66 +85,66 @@ def _norms(motions: Floats) -> Floats:
     return np.asarray(np.linalg.norm(motions[:, :2], axis=1))
 
 
-def _steps(matched: Matched) -> Floats:
+def _steps(matched: MatchedPoses) -> Floats:
     count = len(matched.stamps_ns)
     return relative_errors(matched, np.arange(count - 1), np.arange(1, count))
 
 
-def _step_m(matched: Matched) -> Score:
-    return number(rms(_norms(_steps(matched))), len(matched.stamps_ns) - 1)
+def _step_m(matched: MatchedPoses) -> Score:
+    return make_score(rms(_norms(_steps(matched))), len(matched.stamps_ns) - 1)
 
 
-def _step_deg(matched: Matched) -> Score:
-    return number(np.degrees(rms(_steps(matched)[:, 2])), len(matched.stamps_ns) - 1)
+def _step_deg(matched: MatchedPoses) -> Score:
+    return make_score(np.degrees(rms(_steps(matched)[:, 2])), len(matched.stamps_ns) - 1)
 
 
-def _second(matched: Matched, column: Literal["m", "deg"]) -> Score:
-    first, last = pairs_in_time(matched.stamps_ns, STEP_S)
+def _second(matched: MatchedPoses, column: Literal["m", "deg"]) -> Score:
+    first, last = find_pairs_in_time(matched.stamps_ns, STEP_S)
     if len(first) == 0:
         return Score(None, 0, f"no two matched poses are {STEP_S:g} s apart")
     errors = relative_errors(matched, first, last)
-    return number(rms(_norms(errors)) if column == "m" else np.degrees(rms(errors[:, 2])), len(first))
+    return make_score(rms(_norms(errors)) if column == "m" else np.degrees(rms(errors[:, 2])), len(first))
 
 
-def _too_short(matched: Matched, length_m: float) -> Score:
+def _too_short(matched: MatchedPoses, length_m: float) -> Score:
     path = travelled_m(matched)[-1]
     return Score(None, 0, f"a path of {path:.1f} m is too short for segments of {length_m:g} m")
 
 
-def _percent(lengths_m: tuple[float, ...], matched: Matched) -> Score:
+def _percent(lengths_m: tuple[float, ...], matched: MatchedPoses) -> Score:
     rows = segment_errors(matched, lengths_m)
     if len(rows) == 0:
         return _too_short(matched, min(lengths_m))
-    return number(100.0 * np.mean(rows[:, 0] / rows[:, 2]), len(rows))
+    return make_score(100.0 * np.mean(rows[:, 0] / rows[:, 2]), len(rows))
 
 
-def _deg_per_m(matched: Matched) -> Score:
+def _deg_per_m(matched: MatchedPoses) -> Score:
     rows = segment_errors(matched, LENGTHS_M)
     if len(rows) == 0:
         return _too_short(matched, min(LENGTHS_M))
-    return number(np.degrees(np.mean(rows[:, 1] / rows[:, 2])), len(rows))
+    return make_score(np.degrees(np.mean(rows[:, 1] / rows[:, 2])), len(rows))
 
 
-def _metre_rms(matched: Matched) -> Score:
+def _metre_rms(matched: MatchedPoses) -> Score:
     rows = segment_errors(matched, (1.0,))
-    return number(rms(rows[:, 0]), len(rows)) if len(rows) else _too_short(matched, 1.0)
+    return make_score(rms(rows[:, 0]), len(rows)) if len(rows) else _too_short(matched, 1.0)
 
 
-def _deg_per_turn(matched: Matched) -> Score:
-    progress = turned(matched)
-    first, last = segments(progress, TURN, START_EVERY_TURN)
+def _deg_per_turn(matched: MatchedPoses) -> Score:
+    progress = turned_rad(matched)
+    first, last = find_segments(progress, TURN, START_EVERY_TURN)
     if len(first) == 0:
         return Score(None, 0, f"a path that turns {np.degrees(progress[-1]):.0f} deg has no segment of 360 deg")
     errors = np.abs(relative_errors(matched, first, last)[:, 2])
-    return number(np.degrees(np.mean(errors * TURN / (progress[last] - progress[first]))), len(first))
+    return make_score(np.degrees(np.mean(errors * TURN / (progress[last] - progress[first]))), len(first))
 
 
-def _end_percent(matched: Matched) -> Score:
+def _end_percent(matched: MatchedPoses) -> Score:
     path = travelled_m(matched)[-1]
     if path < 1.0:
         return Score(None, 0, f"a path of {path:.1f} m is too short (1 m needed)")
     last = len(matched.stamps_ns) - 1
-    return number(100.0 * _norms(relative_errors(matched, np.array([0]), np.array([last])))[0] / path, last + 1)
+    return make_score(100.0 * _norms(relative_errors(matched, np.array([0]), np.array([last])))[0] / path, last + 1)
 
 
 KITTI = "Geiger et al., CVPR 2012 (KITTI odometry benchmark), with shorter lengths for rooms"
@@ -161,42 +161,43 @@ _ROWS = (
            "Translation error over segments of 1, 2, 5, 10 and 20 m of true path (those that fit), in percent of the "
            f"segment, mean over all of them; {START}.", KITTI,
            "how the errors add up over the whole path; lengths that do not fit; scans that were not answered",
-           of_matched(partial(_percent, LENGTHS_M)), 2, headline=True),
+           with_matched_poses(partial(_percent, LENGTHS_M)), 2, headline=True),
     *(Metric(f"drift_{length:g}m_percent", f"drift over {length:g} m", "%", "lower", "drift",
              f"Translation error over segments of {length:g} m of true path, in percent, mean; {START}.", KITTI,
              "errors slower or quicker than this length; scans that were not answered",
-             of_matched(partial(_percent, (length,))), 2) for length in LENGTHS_M),
+             with_matched_poses(partial(_percent, (length,))), 2) for length in LENGTHS_M),
     Metric("drift_deg_per_m", "heading drift per metre", "deg/m", "lower", "drift",
            f"Rotation error over the same segments of all lengths, per metre, mean; {START}.", KITTI,
-           "errors of translation; how the errors add up over the whole path", of_matched(_deg_per_m)),
+           "errors of translation; how the errors add up over the whole path", with_matched_poses(_deg_per_m)),
     Metric("drift_deg_per_turn", "heading drift per turn", "deg", "lower", "drift",
            "Rotation error over segments in which the truth turns 360 deg, left and right both counted as positive, "
            "scaled to exactly 360 deg, mean; segments start every 10 deg.", "evalkit, after KITTI",
            "errors that cancel between a left and a right turn; a shaking truth counts as turning",
-           of_matched(_deg_per_turn), 2),
+           with_matched_poses(_deg_per_turn), 2),
     Metric("end_error_percent", "end-point error", "%", "lower", "drift",
            "Translation error of the motion from the first matched pose to the last, in percent of the true path.",
            "common practice for loops; Sturm et al., IROS 2012 (relative pose error)",
-           "everything between start and end; errors that cancel, as on a closed loop", of_matched(_end_percent), 2),
+           "everything between start and end; errors that cancel, as on a closed loop",
+           with_matched_poses(_end_percent), 2),
     Metric("rpe_step_m", "RPE, step", "m", "lower", "drift",
            "Root mean square translation error from each matched pose to the next (consecutive pairs).", RPE,
-           "slow drift, which hides below the noise of one step", of_matched(_step_m), 4),
+           "slow drift, which hides below the noise of one step", with_matched_poses(_step_m), 4),
     Metric("rpe_step_deg", "RPE, step, heading", "deg", "lower", "drift",
            "Root mean square rotation error from each matched pose to the next (consecutive pairs).", RPE,
-           "slow drift, which hides below the noise of one step", of_matched(_step_deg)),
+           "slow drift, which hides below the noise of one step", with_matched_poses(_step_deg)),
     *(Metric(f"rpe_1s_{unit}", f"RPE, 1 s{heading}", unit, "lower", "drift",
              f"Root mean square {what} error between all matched poses 1 s apart (to half a step), overlapping pairs "
              "too.", RPE, "drift much slower than a second; a faster robot has more of it",
-             of_matched(partial(_second, column=unit)), digits)
+             with_matched_poses(partial(_second, column=unit)), digits)
       for unit, what, heading, digits in _SECONDS),
     Metric("rpe_1m_m", "RPE, 1 m", "m", "lower", "drift",
            f"Root mean square translation error over segments of 1 m of true path; {START}.", RPE,
-           "drift much slower than a metre; scans that were not answered", of_matched(_metre_rms)),
+           "drift much slower than a metre; scans that were not answered", with_matched_poses(_metre_rms)),
 )  # fmt: skip
 
 _TOO_SHORT = (*UNMATCHED, "a path of ... m is too short for segments of ... m")
 
-METRICS = standing_on(
+METRICS = with_support(
     _ROWS,
     {
         "drift_deg_per_turn": (

@@ -15,8 +15,8 @@ from evalkit.core.run_result import RunResult, Score
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.table import Evidence, Mapped, Matched, Placed
-from evalkit.metrics.trajectory import errors_m, match
+from evalkit.metrics.table import Evidence, MatchedPoses, PlacedScan, PlacedScans
+from evalkit.metrics.trajectory import compute_errors_m, match_trajectories
 from evalkit.plugins.protocols import Mapper, Sequence
 
 MAX_PAIRS = 100
@@ -42,15 +42,15 @@ def score(run: RunResult, sequence: Sequence, make_mapper: Callable[[], Mapper],
     evidence = with_map(without_map(run, sequence), sequence, make_mapper, scans)
     world_from_start = _world_from_start(evidence)
     true = evidence.truth.trajectory
-    errors = None if true is None else errors_m(run.estimate.moved(world_from_start, "world"), true)
-    scores = metrics.score(evidence, metrics.all_metrics())
+    errors = None if true is None else compute_errors_m(run.estimate.moved(world_from_start, "world"), true)
+    scores = metrics.compute_scores(evidence, metrics.all_metrics())
     return Scored(scores, world_from_start, evidence.grid, errors, _in_words(evidence.matched))
 
 
 def without_map(run: RunResult, sequence: Sequence) -> Evidence:
     """What a run shows without its scans looked at again: enough for drift and runtime."""
     truth = sequence.truth()
-    matched = match(run.estimate, truth.trajectory) if truth.trajectory is not None else None
+    matched = match_trajectories(run.estimate, truth.trajectory) if truth.trajectory is not None else None
     return Evidence(run, truth, matched, None, ())
 
 
@@ -70,7 +70,7 @@ def with_map(
     return replace(drawn, first_half=first, second_half=second)
 
 
-def draw(mapped: Mapped, make_mapper: Callable[[], Mapper]) -> tuple[OccupancyGrid | None, str]:
+def draw(mapped: PlacedScans, make_mapper: Callable[[], Mapper]) -> tuple[OccupancyGrid | None, str]:
     """The map of scans with known sensor poses, or None and why there is none.
 
     A trajectory that ran away can be beyond any map; its other scores shall stand nevertheless.
@@ -87,18 +87,18 @@ def draw(mapped: Mapped, make_mapper: Callable[[], Mapper]) -> tuple[OccupancyGr
 
 
 def _world_from_start(evidence: Evidence) -> Pose:
-    return evidence.matched.world_from_start if isinstance(evidence.matched, Matched) else Pose()
+    return evidence.matched.world_from_start if isinstance(evidence.matched, MatchedPoses) else Pose()
 
 
-def _in_words(matched: Matched | str | None) -> str:
-    if isinstance(matched, Matched):
+def _in_words(matched: MatchedPoses | str | None) -> str:
+    if isinstance(matched, MatchedPoses):
         return f"{matched.alignment} over {len(matched.stamps_ns):,} poses; {matched.rule}"
     return matched or ""
 
 
 def _placed(
     sequence: Sequence, world_from_base: Trajectory, most: int
-) -> tuple[Mapped, tuple[tuple[Placed, Placed], ...]]:
+) -> tuple[PlacedScans, tuple[tuple[PlacedScan, PlacedScan], ...]]:
     """At most that many scans and at most ``MAX_PAIRS`` pairs of successive ones, with where the sensor was.
 
     Both are evenly spaced over the whole sequence, the same for every method; what a run has not answered is
@@ -107,7 +107,7 @@ def _placed(
     expected = len(sequence)
     chosen, earlier = _evenly(expected, most), _evenly(expected - 1, MAX_PAIRS)
     wanted = {*chosen, *earlier, *(index + 1 for index in earlier)}
-    placed: dict[int, Placed] = {}
+    placed: dict[int, PlacedScan] = {}
     for index, frame in enumerate(sequence.frames()):
         if index > max(wanted, default=-1):
             break

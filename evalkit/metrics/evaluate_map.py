@@ -30,7 +30,7 @@ def score(run: RunResult, grid: OccupancyGrid, sequence: Sequence) -> Scored:
     table = metrics.all_metrics()
     against_truth = [one for one in table if one.group == "map against truth" and one.name not in OF_PROBABILITIES]
     meaningful = [*against_truth, *(one for one in table if one.name in OF_THE_MAP_ALONE)]
-    scores = {one.name: Score(None, 0, NO_TRAJECTORY) for one in table} | metrics.score(evidence, meaningful)
+    scores = {one.name: Score(None, 0, NO_TRAJECTORY) for one in table} | metrics.compute_scores(evidence, meaningful)
     for name in OF_PROBABILITIES:
         scores[name] = replace(scores[name], reason=NO_PROBABILITIES)
     return Scored(scores, Pose(), grid, None, FRAME)

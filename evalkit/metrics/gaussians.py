@@ -10,7 +10,7 @@ import numpy as np
 from evalkit.core.arrays import Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.table import Evidence, Metric, number, once, standing_on
+from evalkit.metrics.table import Evidence, Metric, cached, make_score, with_support
 
 VOXEL_M = 1.0
 MIN_CELLS = 5
@@ -28,7 +28,7 @@ class Voxels:
     covariances: Floats
 
 
-def voxels(points: Floats, size_m: float = VOXEL_M, at_least: int = MIN_CELLS) -> Voxels:
+def fit_voxels(points: Floats, size_m: float = VOXEL_M, at_least: int = MIN_CELLS) -> Voxels:
     """The Gaussians of points (N, 2) in squares of that size, one corner of one at the origin."""
     squares_of = np.floor(points / size_m).astype(np.int64)
     flat = squares_of[:, 0] * _FAR + squares_of[:, 1]
@@ -45,7 +45,7 @@ def voxels(points: Floats, size_m: float = VOXEL_M, at_least: int = MIN_CELLS) -
     return Voxels(keys[kept], means[kept], squares[kept] / counts[kept][:, None, None])
 
 
-def wasserstein(means: Floats, covariances: Floats, others: Floats, other_covariances: Floats) -> Floats:
+def wasserstein_distances(means: Floats, covariances: Floats, others: Floats, other_covariances: Floats) -> Floats:
     """Wasserstein-2 distance (K,) between Gaussians of the plane, in the unit of the means (K, 2).
 
     W2^2 = |mu1 - mu2|^2 + tr(S1 + S2 - 2 (S1^1/2 S2 S1^1/2)^1/2); for 2 x 2 matrices the trace of that root is
@@ -59,13 +59,15 @@ def wasserstein(means: Floats, covariances: Floats, others: Floats, other_covari
     return np.asarray(np.sqrt(np.maximum(apart + traces - 2.0 * root, 0.0)))
 
 
-def distances(mapped: Floats, true: Floats, size_m: float = VOXEL_M) -> tuple[Ints, Floats]:
+def voxel_distances(mapped: Floats, true: Floats, size_m: float = VOXEL_M) -> tuple[Ints, Floats]:
     """Column and row (K, 2) of the voxels in which both clouds have a Gaussian, and how far apart they are (K,)."""
-    ours, theirs = voxels(mapped, size_m), voxels(true, size_m)
+    ours, theirs = fit_voxels(mapped, size_m), fit_voxels(true, size_m)
     index = {(int(column), int(row)): place for place, (column, row) in enumerate(theirs.at)}
     pairs = [(i, index[int(c), int(r)]) for i, (c, r) in enumerate(ours.at) if (int(c), int(r)) in index]
     one, other = np.array(pairs, dtype=np.int64).reshape(-1, 2).T
-    apart = wasserstein(ours.means[one], ours.covariances[one], theirs.means[other], theirs.covariances[other])
+    apart = wasserstein_distances(
+        ours.means[one], ours.covariances[one], theirs.means[other], theirs.covariances[other]
+    )
     return ours.at[one], apart
 
 
@@ -94,18 +96,18 @@ def _scored(measure: Callable[[Ints, Floats], float]) -> Callable[[Evidence], Sc
         value = measure(at, apart)
         if np.isnan(value):
             return Score(None, len(apart), "no square with walls has two neighbours with walls")
-        return number(value, len(apart))
+        return make_score(value, len(apart))
 
     return compute
 
 
-@once
+@cached
 def _distances(evidence: Evidence) -> tuple[Ints, Floats]:
     ours, theirs = (
         np.zeros((0, 2)) if grid is None else grid.centres(grid.occupied())
         for grid in (evidence.grid, evidence.truth.grid)
     )
-    return distances(ours, theirs)
+    return voxel_distances(ours, theirs)
 
 
 MAPEVAL = "Hu et al., MapEval, RA-L 2025; there with Cholesky factors in place of the matrix root: not comparable"
@@ -122,7 +124,7 @@ _ROWS = (
            _scored(spatial_consistency)),
 )  # fmt: skip
 
-METRICS = standing_on(
+METRICS = with_support(
     _ROWS,
     {
         "*": (

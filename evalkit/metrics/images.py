@@ -11,8 +11,8 @@ from evalkit.core.arrays import Bools, Ints
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.maps import cells_of
-from evalkit.metrics.table import Evidence, Metric, number, standing_on
+from evalkit.metrics.maps import find_cells
+from evalkit.metrics.table import Evidence, Metric, make_score, with_support
 
 Cell = TypeVar("Cell", bound=np.generic)
 
@@ -45,7 +45,7 @@ def ssim(one: Floats, other: Floats) -> Floats:
     )
 
 
-def pictures(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[Floats, Floats, Bools, Bools]:
+def resample_to_common_cells(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[Floats, Floats, Bools, Bools]:
     """The probabilities (H, W) of both maps on the cells of the coarser one, and where each has observed.
 
     A cell holds the mean over the observed cells whose centre lies in it, 0.5 where there is none. Of the plane, what
@@ -53,7 +53,7 @@ def pictures(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[Floats, Floats
     """
     grids = mapped, true
     lattice = max(true, mapped, key=lambda grid: grid.resolution_m)
-    places = [cells_of(grid, lattice) for grid in grids]
+    places = [find_cells(grid, lattice) for grid in grids]
     top, left = (max(int(each[axis][0]) for each in places) for axis in (0, 1))
     bottom, right = (min(int(each[axis][-1]) for each in places) + 1 for axis in (0, 1))
     shape = max(bottom - top, 0), max(right - left, 0)
@@ -74,7 +74,7 @@ def _resampled(grid: OccupancyGrid, rows: Ints, columns: Ints, shape: tuple[int,
     return np.where(counts > 0, sums / np.maximum(counts, 1), 0.5), np.asarray(counts > 0)
 
 
-def best_shift(one: Floats, other: Floats, reach: int = REACH_CELLS) -> tuple[int, int]:
+def find_best_shift(one: Floats, other: Floats, reach: int = REACH_CELLS) -> tuple[int, int]:
     """Rows and columns by which to roll one picture (H, W) onto the other: where they correlate most.
 
     Of equals the shortest.
@@ -94,15 +94,15 @@ def _moved(picture: NDArray[Cell], step: tuple[int, int]) -> NDArray[Cell]:
     return picture[rows, columns]
 
 
-def similarity(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[float, int]:
+def mean_similarity(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[float, int]:
     """Mean structural similarity over the cells that both maps have observed, and how many they are.
 
     The map is moved by up to 3 whole cells to where both correlate most first. (nan, 0) without a common cell.
     """
-    p, q, seen, known = pictures(mapped, true)
+    p, q, seen, known = resample_to_common_cells(mapped, true)
     if not p.size:
         return float("nan"), 0
-    step = best_shift(p, q)
+    step = find_best_shift(p, q)
     back = -step[0], -step[1]
     both = _moved(seen, step) & _moved(known, back)
     if not both.any():
@@ -116,10 +116,10 @@ def _similarity(evidence: Evidence) -> Score:
         return Score(None, 0, "no true map")
     if mapped is None:
         return Score(None, 0, f"no map: {evidence.no_grid}")
-    value, cells = similarity(mapped, true)
+    value, cells = mean_similarity(mapped, true)
     if cells < MIN_CELLS:
         return Score(None, cells, f"both maps have observed only {cells} common cells")
-    return number(value, cells)
+    return make_score(value, cells)
 
 
 _ROWS = (
@@ -131,7 +131,7 @@ _ROWS = (
            "than it should: read it last", _similarity),
 )  # fmt: skip
 
-METRICS = standing_on(
+METRICS = with_support(
     _ROWS,
     {
         "*": (

@@ -9,9 +9,9 @@ from evalkit.core import se2
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.consistency import NO_HIT, corners, mapped_corners
+from evalkit.metrics.consistency import NO_HIT, find_corners, find_mapped_corners
 from evalkit.metrics.neighbourhoods import build_kd_tree
-from evalkit.metrics.table import DIVERGED, Evidence, Mapped, Metric, number, standing_on
+from evalkit.metrics.table import DIVERGED, Evidence, Metric, PlacedScans, make_score, with_support
 
 CUTOFF_M = 0.5
 ORDER = 1.0
@@ -38,7 +38,7 @@ def ospa(one: ArrayLike, other: ArrayLike, cutoff_m: float = CUTOFF_M, order: fl
     return float(((paired + cutoff_m**order * (most - least)) / most) ** (1.0 / order))
 
 
-def signed_offsets(mapped: Mapped, true: OccupancyGrid, within_m: float = BESIDE_M) -> Floats:
+def signed_offsets(mapped: PlacedScans, true: OccupancyGrid, within_m: float = BESIDE_M) -> Floats:
     """How far behind the nearest true wall cell each hit (K,) lies, seen from the sensor (m; below zero: before it).
 
     Hits without a wall within ``within_m`` are left out.
@@ -63,10 +63,10 @@ def _corners(evidence: Evidence) -> Score:
         return Score(None, 0, "no true map")
     if evidence.grid is None:
         return Score(None, 0, f"no map: {evidence.no_grid}")
-    ours, theirs = mapped_corners(evidence), corners(true)
+    ours, theirs = find_mapped_corners(evidence), find_corners(true)
     if not len(theirs):
         return Score(None, len(ours), "the true map shows no corner")
-    return number(ospa(ours, theirs), len(ours) + len(theirs))
+    return make_score(ospa(ours, theirs), len(ours) + len(theirs))
 
 
 def _offset(evidence: Evidence) -> Score:
@@ -78,7 +78,7 @@ def _offset(evidence: Evidence) -> Score:
     found = signed_offsets(evidence.mapped, true)
     if len(found) < MIN_HITS:
         return Score(None, len(found), f"only {len(found)} hits are within {BESIDE_M:g} m of a true wall")
-    return number(found.mean(), len(found))
+    return make_score(found.mean(), len(found))
 
 
 _ROWS = (
@@ -93,7 +93,7 @@ _ROWS = (
            "in the true map too, which depend on its cell size", _corners),
 )  # fmt: skip
 
-METRICS = standing_on(
+METRICS = with_support(
     _ROWS,
     {
         "map_wall_offset_m": (

@@ -13,7 +13,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.neighbourhoods import build_kd_tree
-from evalkit.metrics.table import DIVERGED, Evidence, Metric, number, once, standing_on
+from evalkit.metrics.table import DIVERGED, Evidence, Metric, cached, make_score, with_support
 
 TOLERANCE_M = 0.1
 INLIER_M = 0.2
@@ -23,7 +23,7 @@ _EDGE = 1e-6  # cells: a centre this near below an edge lies on it
 
 
 @dataclass(frozen=True, eq=False)
-class Walls:
+class WallDistances:
     """Occupied cells of two maps: centres (N, 2) and (M, 2) in the world (m), and how far each is from the other map.
 
     ``to_true`` (N,), ``to_mapped`` (M,): distance from each centre to the nearest one of the other map (m).
@@ -37,47 +37,47 @@ class Walls:
     lattice: OccupancyGrid
 
 
-def walls(mapped: OccupancyGrid, true: OccupancyGrid) -> Walls:
+def compare_walls(mapped: OccupancyGrid, true: OccupancyGrid) -> WallDistances:
     """The occupied cells of both grids, which need not share origin or resolution; neither may be without any."""
     ours, theirs = mapped.centres(mapped.occupied()), true.centres(true.occupied())
     coarser = max(true, mapped, key=lambda grid: grid.resolution_m)
-    return Walls(ours, theirs, nearest_m(ours, theirs), nearest_m(theirs, ours), coarser)
+    return WallDistances(ours, theirs, nearest_distances_m(ours, theirs), nearest_distances_m(theirs, ours), coarser)
 
 
-def nearest_m(points: ArrayLike, others: ArrayLike) -> Floats:
+def nearest_distances_m(points: ArrayLike, others: ArrayLike) -> Floats:
     """Distance (N,) from each point (N, 2) to the nearest of the others (M, 2), M > 0."""
     return np.asarray(build_kd_tree(np.asarray(others)).query(np.asarray(points))[0], dtype=np.float64)
 
 
-def precision(found: Walls, tolerance_m: float = TOLERANCE_M) -> float:
+def precision(found: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:
     """The share of mapped cells within the tolerance of a true one."""
     return float(np.mean(found.to_true <= tolerance_m + _SLACK_M))
 
 
-def recall(found: Walls, tolerance_m: float = TOLERANCE_M) -> float:
+def recall(found: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:
     """The share of true cells within the tolerance of a mapped one."""
     return float(np.mean(found.to_mapped <= tolerance_m + _SLACK_M))
 
 
-def f1(found: Walls, tolerance_m: float = TOLERANCE_M) -> float:
+def f1(found: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:
     """The harmonic mean of precision and recall; 0 where both are."""
     p, r = precision(found, tolerance_m), recall(found, tolerance_m)
     return 2.0 * p * r / (p + r) if p + r > 0.0 else 0.0
 
 
-def chamfer(found: Walls) -> float:
+def chamfer(found: WallDistances) -> float:
     """Half the sum of both mean distances (m)."""
     return float(0.5 * (found.to_true.mean() + found.to_mapped.mean()))
 
 
-def iou(found: Walls) -> float:
+def iou(found: WallDistances) -> float:
     """Cells with a wall in both maps, of cells with a wall in either, on the lattice of the coarser grid."""
     ours, theirs = _keys(found.mapped, found.lattice), _keys(found.true, found.lattice)
     both = len(np.intersect1d(ours, theirs, assume_unique=True))
     return both / (len(ours) + len(theirs) - both)
 
 
-def iou_within(found: Walls, tolerance_m: float = TOLERANCE_M) -> float:
+def iou_within(found: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:
     """Cells with a wall in either map within the tolerance of a wall in the other, of all, on the same lattice."""
     near = [
         found.mapped[found.to_true <= tolerance_m + _SLACK_M],
@@ -87,7 +87,7 @@ def iou_within(found: Walls, tolerance_m: float = TOLERANCE_M) -> float:
     return len(np.union1d(_keys(near[0], found.lattice), _keys(near[1], found.lattice))) / either
 
 
-def accuracy(found: Walls, inlier_m: float = INLIER_M) -> float:
+def accuracy(found: WallDistances, inlier_m: float = INLIER_M) -> float:
     """Root mean square distance (m) of the mapped cells within ``inlier_m`` of a true one; nan without any."""
     inliers = found.to_true[found.to_true <= inlier_m + _SLACK_M]
     return float(np.sqrt(np.mean(inliers**2))) if len(inliers) else float("nan")
@@ -98,27 +98,29 @@ def _keys(points: Floats, lattice: OccupancyGrid) -> Ints:
     return np.unique(cells[:, 0] * (1 << 32) + cells[:, 1])
 
 
-def _scored(measure: Callable[[Walls], float], without_walls: float | None = None) -> Callable[[Evidence], Score]:
+def _scored(
+    measure: Callable[[WallDistances], float], without_walls: float | None = None
+) -> Callable[[Evidence], Score]:
     """A measure of evidence; ``without_walls``: its value where the map has no wall at all."""
 
     def compute(evidence: Evidence) -> Score:
         found = _walls(evidence)
         if isinstance(found, str):
             return Score(without_walls if found == NO_WALL else None, 0, found)
-        return number(measure(found), len(found.mapped) + len(found.true))
+        return make_score(measure(found), len(found.mapped) + len(found.true))
 
     return compute
 
 
-@once
-def _walls(evidence: Evidence) -> Walls | str:
+@cached
+def _walls(evidence: Evidence) -> WallDistances | str:
     """The walls of both maps, or why there are none to compare."""
     true, mapped = evidence.truth.grid, evidence.grid
     if true is None or not true.occupied().any():
         return "no true map" if true is None else "the true map has no wall"
     if mapped is None:
         return f"no map: {evidence.no_grid}"
-    return walls(mapped, true) if mapped.occupied().any() else NO_WALL
+    return compare_walls(mapped, true) if mapped.occupied().any() else NO_WALL
 
 
 def _accuracy(evidence: Evidence) -> Score:
@@ -129,16 +131,16 @@ def _accuracy(evidence: Evidence) -> Score:
 _NO_INLIER = f"no wall of the map is within {INLIER_M:g} m of a true one"
 
 
-def coverage(mapped: OccupancyGrid, true: OccupancyGrid) -> float:
+def map_coverage(mapped: OccupancyGrid, true: OccupancyGrid) -> float:
     """The share of the observed cells of the true map whose centre lies in an observed cell of the other."""
-    rows, columns = cells_of(true, mapped)
+    rows, columns = find_cells(true, mapped)
     height, width = mapped.shape
     met = np.ix_((rows >= 0) & (rows < height), (columns >= 0) & (columns < width))
     seen = mapped.observed[np.ix_(rows[met[0].ravel()], columns[met[1].ravel()])]
     return float((true.observed[met] & seen).sum() / true.observed.sum())
 
 
-def cells_of(grid: OccupancyGrid, other: OccupancyGrid) -> tuple[Ints, Ints]:
+def find_cells(grid: OccupancyGrid, other: OccupancyGrid) -> tuple[Ints, Ints]:
     """In which row of another grid each row (H,) of a grid has its centres, and in which column each column (W,)."""
     found = []
     for own, theirs, count in zip(
@@ -155,7 +157,7 @@ def _coverage(evidence: Evidence) -> Score:
         return Score(None, 0, "no true map" if true is None else "nothing of the true map is observed")
     if mapped is None:
         return Score(None, 0, f"no map: {evidence.no_grid}")
-    return number(100.0 * coverage(mapped, true), int(true.observed.sum()))
+    return make_score(100.0 * map_coverage(mapped, true), int(true.observed.sum()))
 
 
 F1 = "precision and recall with a distance tolerance, as for boundaries in Martin et al., PAMI 26(5), 2004"
@@ -209,7 +211,7 @@ _ROWS = (
            "evalkit", "whether what is there is right", _coverage, 1),
 )  # fmt: skip
 
-METRICS = standing_on(
+METRICS = with_support(
     _ROWS,
     {
         "map_coverage_percent": (

@@ -20,7 +20,7 @@ MIN_HITS = 5
 
 
 @dataclass(frozen=True, eq=False)
-class Patches:
+class Neighbourhoods:
     """Per neighbourhood (K,): how many points, the variances along its short and its long axis (m2), and which way.
 
     ``direction``: of the long axis, in radians within [0, pi).
@@ -37,7 +37,7 @@ class Patches:
         return np.asarray((self.counts >= MIN_HITS) & (self.large > FLATNESS * self.small))
 
 
-def patches(points: Floats, middles: Floats, radius_m: float = PATCH_M) -> Patches:
+def compute_neighbourhoods(points: Floats, middles: Floats, radius_m: float = PATCH_M) -> Neighbourhoods:
     """The patches of points (N, 2) around middles (K, 2), K > 0; one without any point has variances of nan."""
     balls = build_kd_tree(points).query_ball_point(middles, radius_m, return_sorted=False)
     neighbours = [np.asarray(ball, dtype=np.int64) for ball in balls]
@@ -47,7 +47,7 @@ def patches(points: Floats, middles: Floats, radius_m: float = PATCH_M) -> Patch
     if some.any():
         offsets = points[np.concatenate(neighbours)] - np.repeat(middles, counts, axis=0)
         small[some], large[some], direction[some] = _ellipses(offsets, counts[some])
-    return Patches(counts, small, large, direction)
+    return Neighbourhoods(counts, small, large, direction)
 
 
 def build_kd_tree(points: Floats) -> cKDTree:
@@ -57,7 +57,7 @@ def build_kd_tree(points: Floats) -> cKDTree:
     return cKDTree(points)
 
 
-def evenly(points: Floats, most: int) -> Floats:
+def thin_evenly(points: Floats, most: int) -> Floats:
     """At most that many of the rows (N, ...), evenly spaced, first and last among them."""
     return np.asarray(points[np.unique(np.linspace(0, len(points) - 1, min(most, len(points))).astype(int))])
 

@@ -7,13 +7,13 @@ import numpy as np
 from evalkit.core.arrays import Bools, Ints
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
-from evalkit.metrics.consistency import NOTHING_DRAWN, WARP, of_grid, thicknesses
-from evalkit.metrics.table import Evidence, Metric, number, standing_on
+from evalkit.metrics.consistency import NOTHING_DRAWN, WARP, wall_thicknesses, with_grid
+from evalkit.metrics.table import Evidence, Metric, make_score, with_support
 
 _EDGE = 1e-6  # cells: a centre this near to an edge lies on it
 
 
-def true_states(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[Bools, Bools]:
+def find_true_states(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[Bools, Bools]:
     """Which cells (H, W) of a map are occupied in truth, and which are free; the others are not known.
 
     Occupied: the centre of an occupied cell of the true map lies in the cell or on its edge. Free: the centre of a free
@@ -32,7 +32,7 @@ def log_loss(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[float, int]:
     A proper score (Good, 1952): it is least, in the mean, for the right probabilities; a map that knows nothing has ln
     2. (nan, 0) where no such cell is.
     """
-    occupied, free = true_states(mapped, true)
+    occupied, free = find_true_states(mapped, true)
     known = mapped.observed & (occupied | free)
     if not known.any():
         return float("nan"), 0
@@ -50,7 +50,7 @@ def wall_width_m(mapped: OccupancyGrid, threshold: float = 0.65) -> float:
     centres = mapped.centres(mapped.occupied(threshold))
     if len(centres) == 0:
         return float("nan")
-    spread, _ = thicknesses(centres)
+    spread, _ = wall_thicknesses(centres)
     return float(np.sqrt(12.0 * spread**2 + mapped.resolution_m**2).mean()) if len(spread) else float("nan")
 
 
@@ -83,12 +83,14 @@ def _log_loss(evidence: Evidence) -> Score:
     if true.resolution_m > mapped.resolution_m * (1.0 + _EDGE):
         return Score(None, 0, f"the true map's cells of {true.resolution_m:g} m are coarser than the map's")
     value, cells = log_loss(mapped, true)
-    return number(value, cells) if cells else Score(None, 0, "nothing that the map has observed is known to be true")
+    return (
+        make_score(value, cells) if cells else Score(None, 0, "nothing that the map has observed is known to be true")
+    )
 
 
 def _wall_width(grid: OccupancyGrid) -> Score:
     width, cells = wall_width_m(grid), int(grid.occupied().sum())
-    return Score(None, cells, "no occupied cells lie along a line") if np.isnan(width) else number(width, cells)
+    return Score(None, cells, "no occupied cells lie along a line") if np.isnan(width) else make_score(width, cells)
 
 
 _ROWS = (
@@ -101,10 +103,10 @@ _ROWS = (
            "How thick walls are drawn: where occupied cells lie along a line, the width of a band of cells that "
            "spreads as they do; mean over at most 1,000 places.", "evalkit",
            f"walls that smearing has washed out of the map; the cell size, which is the least value; {WARP}",
-           of_grid(_wall_width)),
+           with_grid(_wall_width)),
 )  # fmt: skip
 
-METRICS = standing_on(
+METRICS = with_support(
     _ROWS,
     {
         "map_log_loss": (

@@ -8,8 +8,8 @@ from evalkit.core import se2
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.table import Evidence, Metric, number, standing_on
-from evalkit.metrics.trajectory import MAX_GAP_S, UNMATCHED, bracketed
+from evalkit.metrics.table import Evidence, Metric, make_score, with_support
+from evalkit.metrics.trajectory import MAX_GAP_S, UNMATCHED, can_interpolate
 
 _NEAREST = 1e-6
 """A point so near to the centroid, as a share of the cloud's reach, has no direction to be turned away from."""
@@ -36,7 +36,7 @@ def pair_errors(evidence: Evidence, truth: Trajectory, world_from_start: Floats)
     found = []
     for (earlier, world_from_earlier), (later, world_from_later) in evidence.successive:
         stamps, points = np.array([earlier.stamp_ns, later.stamp_ns]), later.points()
-        if len(points) < 2 or not bracketed(truth.stamps_ns, stamps, MAX_GAP_S).all():
+        if len(points) < 2 or not can_interpolate(truth.stamps_ns, stamps, MAX_GAP_S).all():
             continue
         world_from_base = se2.compose(world_from_start, evidence.run.estimate.at(stamps))
         base_from_sensor = se2.between(world_from_base, np.stack([world_from_earlier, world_from_later]))
@@ -53,7 +53,7 @@ def _median(evidence: Evidence) -> Score:
     if truth is None or matched is None:
         return Score(None, 0, "no true trajectory")
     values = pair_errors(evidence, truth, matched.world_from_start.row)
-    return number(np.median(values), len(values)) if len(values) else Score(None, 0, _NONE)
+    return make_score(np.median(values), len(values)) if len(values) else Score(None, 0, _NONE)
 
 
 _NONE = "no two successive scans with hits have true poses"
@@ -67,7 +67,7 @@ _ROWS = (
            5),
 )  # fmt: skip
 
-METRICS = standing_on(
+METRICS = with_support(
     _ROWS,
     {
         "*": (

@@ -14,7 +14,7 @@ from evalkit.core.arrays import Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.neighbourhoods import build_kd_tree
-from evalkit.metrics.table import Evidence, Mapped, Metric, Placed, number, once, standing_on
+from evalkit.metrics.table import Evidence, Metric, PlacedScan, PlacedScans, cached, make_score, with_support
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -33,13 +33,13 @@ MAX_STEP_M = 2.0
 """Scans farther apart (median) than this are no longer neighbours."""
 
 
-def nearest(source: Floats, target: cKDTree, max_pair_m: float = MAX_PAIR_M) -> tuple[Floats, Ints]:
+def find_nearest(source: Floats, target: cKDTree, max_pair_m: float = MAX_PAIR_M) -> tuple[Floats, Ints]:
     """Distance and index (N,) of the target point nearest to each source point (N, 2); inf where none is so near."""
     distances, indices = target.query(source, distance_upper_bound=max_pair_m)
     return np.asarray(distances, dtype=np.float64), np.asarray(indices, dtype=np.int64)
 
 
-def one_to_one(distances: Floats, nearest: Ints) -> Floats:
+def keep_one_to_one(distances: Floats, nearest: Ints) -> Floats:
     """Distances (K,) of the pairs that stay when each target point keeps only its closest source point (paper)."""
     order = np.argsort(distances, kind="stable")
     order = order[np.isfinite(distances[order])]
@@ -47,7 +47,7 @@ def one_to_one(distances: Floats, nearest: Ints) -> Floats:
     return distances[order][closest]
 
 
-def scan_to_scan(successive: Iterable[tuple[Placed, Placed]]) -> Floats:
+def scan_to_scan_residuals(successive: Iterable[tuple[PlacedScan, PlacedScan]]) -> Floats:
     """Per pair of scans (K, 2): mean distance (m) of the points paired, and the share of the later scan that is paired.
 
     A pair with fewer than ten pairs of points has a distance of nan, and one with an empty scan is left out.
@@ -55,7 +55,7 @@ def scan_to_scan(successive: Iterable[tuple[Placed, Placed]]) -> Floats:
     return _residuals((_points(later), build_kd_tree(_points(earlier))) for earlier, later in successive)
 
 
-def scan_to_map(mapped: Mapped) -> Floats:
+def scan_to_map_residuals(mapped: PlacedScans) -> Floats:
     """Per measured scan (K, 2): mean distance (m) of its pairs with the last keyframes, and the share of it paired.
 
     A keyframe is a scan whose sensor moved 0.5 m or 20 deg from the keyframe before; ten make the local map.
@@ -63,12 +63,12 @@ def scan_to_map(mapped: Mapped) -> Floats:
     return _residuals(_against_local_map(mapped))
 
 
-def step_m(pairs: Iterable[tuple[Placed, Placed]]) -> float:
+def median_step_m(pairs: Iterable[tuple[PlacedScan, PlacedScan]]) -> float:
     """Median distance the sensor went from one scan of a pair to the other."""
     return float(np.median([np.hypot(*(later[:2] - earlier[:2])) for (_, earlier), (_, later) in pairs]))
 
 
-def keyframes(poses: Floats) -> Ints:
+def find_keyframes(poses: Floats) -> Ints:
     """Indices (K,) of the poses (N, 3) that moved 0.5 m or 20 deg from the keyframe before; the first is one."""
     found = [0]
     for index in range(1, len(poses)):
@@ -78,8 +78,8 @@ def keyframes(poses: Floats) -> Ints:
     return np.array(found, dtype=np.int64)
 
 
-def _against_local_map(mapped: Mapped) -> Iterator[tuple[Floats, cKDTree]]:
-    frames = keyframes(np.array([pose for _, pose in mapped]))
+def _against_local_map(mapped: PlacedScans) -> Iterator[tuple[Floats, cKDTree]]:
+    frames = find_keyframes(np.array([pose for _, pose in mapped]))
     tree, until = build_kd_tree(np.zeros((0, 2))), 0
     for index in _measured(len(mapped)):
         before = int(np.searchsorted(frames, index))  # keyframes strictly before this scan
@@ -94,7 +94,7 @@ def _measured(count: int) -> list[int]:
     return [int(i) for i in np.unique(np.linspace(1, count - 1, min(MAX_SCANS, count - 1)).astype(int))]
 
 
-def _points(placed: Placed) -> Floats:
+def _points(placed: PlacedScan) -> Floats:
     scan, world_from_sensor = placed
     return se2.transform(world_from_sensor, scan.points())
 
@@ -104,8 +104,8 @@ def _residuals(clouds: Iterator[tuple[Floats, cKDTree]]) -> Floats:
     for source, target in clouds:
         if len(source) == 0 or target.n == 0:
             continue
-        distances, indices = nearest(source, target)
-        pairs = one_to_one(distances, indices)
+        distances, indices = find_nearest(source, target)
+        pairs = keep_one_to_one(distances, indices)
         mean = pairs.mean() if len(pairs) >= MIN_PAIRS else np.nan
         rows.append(np.array([[mean, np.isfinite(distances).mean()]]))
     return np.concatenate(rows)
@@ -114,24 +114,24 @@ def _residuals(clouds: Iterator[tuple[Floats, cKDTree]]) -> Floats:
 def _successive(evidence: Evidence) -> Score:
     if not evidence.successive:
         return Score(None, 0, "no two scans in a row were answered")
-    step = step_m(evidence.successive)
+    step = median_step_m(evidence.successive)
     if step > MAX_STEP_M:
         return Score(None, 0, f"successive scans are {step:.1f} m apart: too far to lie on each other")
-    return _median(scan_to_scan(evidence.successive), 0)
+    return _median(scan_to_scan_residuals(evidence.successive), 0)
 
 
 def _mapped(column: int, evidence: Evidence) -> Score:
     if len(evidence.mapped) < 2:
         return Score(None, 0, "fewer than two mapped scans")
-    step = step_m(pairwise(evidence.mapped))
+    step = median_step_m(pairwise(evidence.mapped))
     if step > MAX_STEP_M:
         return Score(None, 0, f"mapped scans are {step:.1f} m apart: too far to lie on each other")
     return _median(_to_map(evidence), column)
 
 
-@once
+@cached
 def _to_map(evidence: Evidence) -> Floats:
-    return scan_to_map(evidence.mapped)
+    return scan_to_map_residuals(evidence.mapped)
 
 
 def _median(residuals: Floats, column: int) -> Score:
@@ -139,7 +139,7 @@ def _median(residuals: Floats, column: int) -> Score:
     values = values[np.isfinite(values)]
     if len(values) == 0:
         return Score(None, 0, f"no scan has {MIN_PAIRS} pairs within {MAX_PAIR_M:g} m")
-    return number(np.median(values) * (100.0 if column else 1.0), len(values))
+    return make_score(np.median(values) * (100.0 if column else 1.0), len(values))
 
 
 def _own(stage: str, field: Literal["error", "iterations"], evidence: Evidence) -> Score:
@@ -147,7 +147,7 @@ def _own(stage: str, field: Literal["error", "iterations"], evidence: Evidence) 
     told = np.isfinite(values) if field == "error" else values > 0.0
     if not told.any():
         return Score(None, 0, "the back end tells none")
-    return number(np.median(values[told]), int(told.sum()))
+    return make_score(np.median(values[told]), int(told.sum()))
 
 
 def _share(field: Literal["accepted", "converged"], evidence: Evidence) -> Score:
@@ -157,7 +157,7 @@ def _share(field: Literal["accepted", "converged"], evidence: Evidence) -> Score
     told = last[last >= 0]
     if len(told) == 0:
         return Score(None, 0, "not told by the back end")
-    return number(100.0 * np.mean(told == 0), len(told))
+    return make_score(100.0 * np.mean(told == 0), len(told))
 
 
 PAPER = "the paper, eq. 5 and figure 9; the same pairs for every back end: evalkit"
@@ -199,7 +199,7 @@ _ROWS = (
 _FAR = "... scans are ... m apart: too far to lie on each other"
 _FEW = "no scan has ... pairs within ... m"
 
-METRICS = standing_on(
+METRICS = with_support(
     _ROWS,
     {
         "s2s_m": ("pairs of successive scans", ("no two scans in a row were answered", _FAR, _FEW)),

@@ -14,8 +14,8 @@ from evalkit.core.ground_truth import Relations
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.table import DIVERGED, Evidence, Metric, number, standing_on
-from evalkit.metrics.trajectory import bracketed
+from evalkit.metrics.table import DIVERGED, Evidence, Metric, make_score, with_support
+from evalkit.metrics.trajectory import can_interpolate
 
 Part = Literal["short", "long", "all"]
 
@@ -57,16 +57,18 @@ def cartographer_errors(estimated: ArrayLike, measured: ArrayLike) -> Floats:
     return se2.compose(estimated, se2.inverse(measured))
 
 
-def estimated_motions(estimate: Trajectory, relations: Relations, max_gap_s: float = MAX_GAP_S) -> tuple[Floats, Bools]:
+def compute_estimated_motions(
+    estimate: Trajectory, relations: Relations, max_gap_s: float = MAX_GAP_S
+) -> tuple[Floats, Bools]:
     """The estimate's ``first_from_second`` (K, 3), and which relations (M,) it can answer at all."""
-    answered = bracketed(estimate.stamps_ns, relations.first_ns, max_gap_s) & bracketed(
+    answered = can_interpolate(estimate.stamps_ns, relations.first_ns, max_gap_s) & can_interpolate(
         estimate.stamps_ns, relations.second_ns, max_gap_s
     )
     world_from_first = estimate.at(relations.first_ns[answered])
     return se2.between(world_from_first, estimate.at(relations.second_ns[answered])), answered
 
 
-def in_part(relations: Relations, part: Part) -> Bools:
+def select_part(relations: Relations, part: Part) -> Bools:
     """Which relations (M,) span less than 10 s ("short"), 10 s or more ("long"), or anything ("all")."""
     short = np.abs(relations.second_ns - relations.first_ns) < SHORT_S * 1e9
     return np.asarray({"short": short, "long": ~short, "all": np.ones_like(short)}[part])
@@ -95,15 +97,15 @@ def _scored(
         relations = evidence.truth.relations
         if relations is None or len(relations) == 0:
             return Score(None, 0, "no measured relations")
-        wanted = in_part(relations, part)
-        motions, answered = estimated_motions(evidence.run.estimate, relations)
+        wanted = select_part(relations, part)
+        motions, answered = compute_estimated_motions(evidence.run.estimate, relations)
         measured = relations.first_from_second[answered]
         errors = form(motions, measured)[wanted[answered], column]
         if len(errors) == 0:
             kind = "" if part == "all" else f"{part} "
             return Score(None, 0, f"the estimate answers none of {wanted.sum()} {kind}relations")
         errors = np.degrees(errors) if column else errors
-        return number(statistic(errors**2 if squared else errors), len(errors))
+        return make_score(statistic(errors**2 if squared else errors), len(errors))
 
     return compute
 
@@ -112,7 +114,7 @@ def _answered(evidence: Evidence) -> Score:
     relations = evidence.truth.relations
     if relations is None or len(relations) == 0:
         return Score(None, 0, "no measured relations")
-    return number(100.0 * estimated_motions(evidence.run.estimate, relations)[1].mean(), len(relations))
+    return make_score(100.0 * compute_estimated_motions(evidence.run.estimate, relations)[1].mean(), len(relations))
 
 
 _SPANS: dict[Part, str] = {
@@ -179,7 +181,7 @@ _ROWS = (
            "whether the answers are right", _answered, 1),
 )  # fmt: skip
 
-METRICS = standing_on(
+METRICS = with_support(
     _ROWS,
     {
         "relations_answered_percent": ("relations", ("no measured relations",)),

@@ -12,8 +12,8 @@ from evalkit.core.ground_truth import Relations
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.relations import estimated_motions, symmetric_errors
-from evalkit.metrics.table import DIVERGED, Evidence, Metric, number, standing_on
+from evalkit.metrics.relations import compute_estimated_motions, symmetric_errors
+from evalkit.metrics.table import DIVERGED, Evidence, Metric, make_score, with_support
 
 NEAR_M = 1.0
 COVERED_M = 100.0
@@ -26,7 +26,7 @@ MAX_OFF_RAD = 0.02
 """An automatic relation farther off than either is an outlier (Cartographer's defaults)."""
 
 
-def between_visits(reference: Trajectory, near_m: float = NEAR_M, covered_m: float | None = None) -> Relations:
+def find_revisits(reference: Trajectory, near_m: float = NEAR_M, covered_m: float | None = None) -> Relations:
     """The reference's motions between two visits of a place: the nearest pose of each later pass within ``near_m``.
 
     ``covered_m``: so much path lies between the visits at least; by default 100 m as in Cartographer's automatic
@@ -75,14 +75,14 @@ def _scored(measure: Callable[[Floats], float]) -> Callable[[Evidence], Score]:
         reference = evidence.truth.trajectory
         if reference is None or len(reference) < 2:
             return Score(None, 0, "no true trajectory")
-        visits = between_visits(reference)
+        visits = find_revisits(reference)
         if len(visits) == 0:
             return Score(None, 0, "the true path never comes back to where it was")
-        motions, answered = estimated_motions(evidence.run.estimate, visits)
+        motions, answered = compute_estimated_motions(evidence.run.estimate, visits)
         if not answered.any():
             return Score(None, 0, f"the estimate answers none of {len(visits)} returns")
         errors = symmetric_errors(motions, visits.first_from_second[answered])
-        return number(measure(errors), len(errors))
+        return make_score(measure(errors), len(errors))
 
     return compute
 
@@ -107,7 +107,7 @@ _ROWS = (
            _scored(lambda errors: 100.0 * float(within_limits(errors).mean())), 1),
 )  # fmt: skip
 
-METRICS = standing_on(
+METRICS = with_support(
     _ROWS,
     {
         "*": (

@@ -9,7 +9,7 @@ import numpy as np
 
 from evalkit.core.run_result import RunResult, Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.table import Evidence, Metric, number, standing_on
+from evalkit.metrics.table import Evidence, Metric, make_score, with_support
 
 UNTOLD = {
     "cpu_ns": "no CPU time was measured",
@@ -30,7 +30,7 @@ def _milliseconds(field: str, statistic: Callable[[Floats], np.floating], eviden
         return Score(None, 0, "the run answered no scan")
     if field in UNTOLD and not steps[field].any():
         return Score(None, len(steps), UNTOLD[field])
-    return number(statistic(steps[field] * 1e-6), len(steps))
+    return make_score(statistic(steps[field] * 1e-6), len(steps))
 
 
 def _conversion_percent(evidence: Evidence) -> Score:
@@ -38,7 +38,7 @@ def _conversion_percent(evidence: Evidence) -> Score:
     total = steps["cpu_ns"].sum()
     if total == 0:
         return Score(None, len(steps), UNTOLD["cpu_ns"])
-    return number(100.0 * steps["conversion_ns"].sum() / total, len(steps))
+    return make_score(100.0 * steps["conversion_ns"].sum() / total, len(steps))
 
 
 def _real_time_factor(evidence: Evidence) -> Score:
@@ -48,7 +48,7 @@ def _real_time_factor(evidence: Evidence) -> Score:
     mean = run.steps["cpu_ns"].mean() or run.steps["device_ns"].mean()
     if mean == 0:
         return Score(None, len(run.steps), UNTOLD["cpu_ns"])
-    return number(period_ns(run) / mean, len(run.steps))
+    return make_score(period_ns(run) / mean, len(run.steps))
 
 
 def _late_percent(evidence: Evidence) -> Score:
@@ -57,13 +57,13 @@ def _late_percent(evidence: Evidence) -> Score:
         return Score(None, len(run.steps), "fewer than two scans were answered")
     if not run.steps["wall_ns"].any():
         return Score(None, len(run.steps), UNTOLD["wall_ns"])
-    return number(100.0 * np.mean(run.steps["wall_ns"] > period_ns(run)), len(run.steps))
+    return make_score(100.0 * np.mean(run.steps["wall_ns"] > period_ns(run)), len(run.steps))
 
 
 def _memory(evidence: Evidence) -> Score:
     if evidence.run.peak_memory_bytes == 0:
         return Score(None, 0, "memory was not measured")
-    return number(evidence.run.peak_memory_bytes / 2**20, 1)
+    return make_score(evidence.run.peak_memory_bytes / 2**20, 1)
 
 
 def _percentile(percent: int) -> Callable[[Floats], np.floating]:
@@ -118,7 +118,7 @@ _ROWS = (
 
 _NONE = "the run answered no scan"
 
-METRICS = standing_on(
+METRICS = with_support(
     _ROWS,
     {
         "cpu_*": ("scans answered", (_NONE, UNTOLD["cpu_ns"])),

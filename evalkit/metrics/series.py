@@ -10,7 +10,7 @@ from evalkit.core.arrays import Ints
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
 from evalkit.metrics import drift, relations
-from evalkit.metrics.trajectory import match
+from evalkit.metrics.trajectory import match_trajectories
 from evalkit.stats.bootstrap import MIN_VALUES, Series, Statistic
 
 
@@ -34,11 +34,11 @@ def _cpu_times(statistic: Statistic) -> Callable[[Trial], Series | None]:
 
 def _segment_errors(trial: Trial) -> Series | None:
     """Return the errors of segments of all lengths in percent, by their start; not evenly spaced in time."""
-    matched = match(trial.run.estimate, trial.truth.trajectory)
+    matched = match_trajectories(trial.run.estimate, trial.truth.trajectory)
     if isinstance(matched, str):
         return None
     progress = drift.travelled_m(matched)
-    starts = [drift.segments(progress, length, drift.START_EVERY_M)[0] for length in drift.LENGTHS_M]
+    starts = [drift.find_segments(progress, length, drift.START_EVERY_M)[0] for length in drift.LENGTHS_M]
     rows = drift.segment_errors(matched, drift.LENGTHS_M)
     if len(rows) == 0:
         return None
@@ -58,9 +58,9 @@ def _relation_errors(part: relations.Part) -> Callable[[Trial], Series | None]:
         known = trial.truth.relations
         if known is None or len(known) == 0:
             return None
-        motions, answered = relations.estimated_motions(trial.run.estimate, known)
+        motions, answered = relations.compute_estimated_motions(trial.run.estimate, known)
         errors = relations.symmetric_errors(motions, known.first_from_second[answered])[:, 0]
-        wanted = relations.in_part(known, part)[answered]
+        wanted = relations.select_part(known, part)[answered]
         order = np.argsort(known.first_ns[answered][wanted], kind="stable")
         return Series(np.flatnonzero(answered)[wanted][order], errors[wanted][order], "mean", None)
 

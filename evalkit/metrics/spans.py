@@ -12,10 +12,10 @@ from evalkit.core.measured_distances import Place, Span
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.consistency import hits
+from evalkit.metrics.consistency import collect_hits
 from evalkit.metrics.relations import MAX_GAP_S
-from evalkit.metrics.table import DIVERGED, Evidence, Matched, Metric, number, standing_on
-from evalkit.metrics.trajectory import bracketed, rms
+from evalkit.metrics.table import DIVERGED, Evidence, MatchedPoses, Metric, make_score, with_support
+from evalkit.metrics.trajectory import can_interpolate, rms
 
 REACH_M = 0.3
 ASIDE_M = 0.15
@@ -26,7 +26,7 @@ _NO_TAPE = "no distance was measured with a tape"
 
 
 @dataclass(frozen=True, eq=False)
-class Taped:
+class SpanLengths:
     """Distances in the estimate (K,), by tape (K,), and the tape's standard deviations (K,), all in metres."""
 
     estimated_m: Floats
@@ -34,14 +34,14 @@ class Taped:
     sigma_m: Floats
 
 
-def taped(spans: tuple[Span, ...], world_from_base: Trajectory, points: Floats) -> Taped:
+def measure_spans(spans: tuple[Span, ...], world_from_base: Trajectory, points: Floats) -> SpanLengths:
     """The spans that the estimate answers; ``points`` (N, 2): the mapped hits, in which walls are looked for."""
     found = [(_length(span, world_from_base, points), span.metres, span.sigma_m) for span in spans]
     rows = np.array([row for row in found if row[0] is not None], dtype=np.float64).reshape(-1, 3)
-    return Taped(rows[:, 0], rows[:, 1], rows[:, 2])
+    return SpanLengths(rows[:, 0], rows[:, 1], rows[:, 2])
 
 
-def stretch(found: Taped) -> float:
+def fit_stretch(found: SpanLengths) -> float:
     """By which share the estimate is longer than the tape says: the best scale in weighted least squares, minus 1."""
     weights = found.sigma_m**-2.0
     scale = np.sum(weights * found.measured_m * found.estimated_m) / np.sum(weights * found.measured_m**2)
@@ -64,7 +64,7 @@ def _length(span: Span, world_from_base: Trajectory, points: Floats) -> float | 
 def _point(place: Place, world_from_base: Trajectory) -> Floats | None:
     if place.stamp_ns is None:
         return np.array([place.x, place.y])
-    if not bracketed(world_from_base.stamps_ns, [place.stamp_ns], MAX_GAP_S)[0]:
+    if not can_interpolate(world_from_base.stamps_ns, [place.stamp_ns], MAX_GAP_S)[0]:
         return None
     return np.asarray(se2.transform(world_from_base.at([place.stamp_ns])[0], [[place.x, place.y]])[0])
 
@@ -80,7 +80,7 @@ def _to_wall(place: Place, end: Floats, direction: Floats, points: Floats) -> fl
     return float(np.median(near)) if len(near) >= MIN_HITS else None
 
 
-def _of_tape(measure: Callable[[Taped], float]) -> Callable[[Evidence], Score]:
+def _of_tape(measure: Callable[[SpanLengths], float]) -> Callable[[Evidence], Score]:
     def compute(evidence: Evidence) -> Score:
         spans = evidence.truth.spans
         if not spans:
@@ -88,7 +88,7 @@ def _of_tape(measure: Callable[[Taped], float]) -> Callable[[Evidence], Score]:
         found = _found(evidence)
         if len(found.measured_m) == 0:
             return Score(None, 0, f"the estimate answers none of {len(spans)} measured distances")
-        return number(measure(found), len(found.measured_m))
+        return make_score(measure(found), len(found.measured_m))
 
     return compute
 
@@ -97,14 +97,14 @@ def _answered(evidence: Evidence) -> Score:
     spans = evidence.truth.spans
     if not spans:
         return Score(None, 0, _NO_TAPE)
-    return number(100.0 * len(_found(evidence).measured_m) / len(spans), len(spans))
+    return make_score(100.0 * len(_found(evidence).measured_m) / len(spans), len(spans))
 
 
-def _found(evidence: Evidence) -> Taped:
+def _found(evidence: Evidence) -> SpanLengths:
     estimate = evidence.run.estimate
-    if isinstance(evidence.matched, Matched):
+    if isinstance(evidence.matched, MatchedPoses):
         estimate = estimate.moved(evidence.matched.world_from_start, "world")
-    return taped(evidence.truth.spans, estimate, hits(evidence.mapped))
+    return measure_spans(evidence.truth.spans, estimate, collect_hits(evidence.mapped))
 
 
 TAPE = "tape measure, as for the Revo LDS in Hess et al., ICRA 2016"
@@ -121,7 +121,8 @@ _ROWS = (
     Metric("span_stretch_percent", "stretch by tape", "%", "", "relations",
            "By how much the estimate is longer than the tape says, in percent: the scale that fits all distances best, "
            f"weighted by their standard deviations; 0 is right. {ENDS}.", TAPE,
-           "errors that stretch one distance and shorten another", _of_tape(lambda found: 100.0 * stretch(found)), 2),
+           "errors that stretch one distance and shorten another",
+           _of_tape(lambda found: 100.0 * fit_stretch(found)), 2),
     Metric("span_worst_sigmas", "distances by tape, worst", "sigma", "lower", "relations",
            f"Largest difference of a distance in the estimate and by tape, in standard deviations of the tape. {ENDS}.",
            TAPE, "all but the worst distance",
@@ -131,7 +132,7 @@ _ROWS = (
            "whether they are right", _answered, 1),
 )  # fmt: skip
 
-METRICS = standing_on(
+METRICS = with_support(
     _ROWS,
     {
         "span_answered_percent": ("distances measured", (_NO_TAPE,)),

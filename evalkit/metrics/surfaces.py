@@ -10,9 +10,9 @@ from evalkit.core import se2
 from evalkit.core.arrays import Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.consistency import NO_HIT, WARP, all_hits
-from evalkit.metrics.neighbourhoods import MIN_HITS, PATCH_M, build_kd_tree, evenly, patches
-from evalkit.metrics.table import DIVERGED, Evidence, Mapped, Metric, number, once, standing_on
+from evalkit.metrics.consistency import NO_HIT, WARP, collect_all_hits
+from evalkit.metrics.neighbourhoods import MIN_HITS, PATCH_M, build_kd_tree, compute_neighbourhoods, thin_evenly
+from evalkit.metrics.table import DIVERGED, Evidence, Metric, PlacedScans, cached, make_score, with_support
 
 MAX_SCANS = 100
 PLACES_A_SCAN = 40
@@ -45,7 +45,7 @@ _REACH = round((FARTHEST_M + 0.1) / BIN_M)
 
 
 @dataclass(frozen=True, eq=False)
-class Pieces:
+class WallPieces:
     """Pieces of wall of single scans in the world: middle (K, 2) in m, ``direction`` (K,) within [0, pi), the sensor
     (K, 2) that saw each."""
 
@@ -56,27 +56,27 @@ class Pieces:
     def __len__(self) -> int:
         return len(self.middles)
 
-    def at(self, chosen: Ints) -> Pieces:
+    def at(self, chosen: Ints) -> WallPieces:
         """Some of the pieces, by index."""
-        return Pieces(self.middles[chosen], self.direction[chosen], self.sensors[chosen])
+        return WallPieces(self.middles[chosen], self.direction[chosen], self.sensors[chosen])
 
 
-def pieces_of_wall(mapped: Mapped) -> Pieces:
+def find_wall_pieces(mapped: PlacedScans) -> WallPieces:
     """The places of at most 100 scans, 40 of each, around which that scan's hits within 0.5 m lie along a line."""
     middles, directions, sensors = [np.zeros((0, 2))], [np.zeros(0)], [np.zeros((0, 2))]
     for index in np.unique(np.linspace(0, len(mapped) - 1, min(MAX_SCANS, len(mapped))).astype(int)):
         scan, world_from_sensor = mapped[int(index)]
         points = se2.transform(world_from_sensor, scan.points())
         if len(points):
-            places = evenly(points, PLACES_A_SCAN)
-            seen = patches(points, places)
+            places = thin_evenly(points, PLACES_A_SCAN)
+            seen = compute_neighbourhoods(points, places)
             middles.append(places[seen.flat])
             directions.append(seen.direction[seen.flat])
             sensors.append(np.broadcast_to(world_from_sensor[:2], middles[-1].shape))
-    return Pieces(np.concatenate(middles), np.concatenate(directions), np.concatenate(sensors))
+    return WallPieces(np.concatenate(middles), np.concatenate(directions), np.concatenate(sensors))
 
 
-def orthogonal(directions: Floats) -> tuple[Ints, Ints]:
+def find_orthogonal_families(directions: Floats) -> tuple[Ints, Ints]:
     """Indices of two families of directions (K,), K > 0, at right angles to each other, so that the smaller is largest.
 
     Of equals the pair with more members in all.
@@ -96,26 +96,26 @@ def mean_variance(hits: Floats, middles: Floats) -> tuple[float, int]:
 
     (nan, 0) where none has.
     """
-    found = patches(hits, middles, PATCH_M)
+    found = compute_neighbourhoods(hits, middles, PATCH_M)
     small = found.small[found.counts >= MIN_HITS]
     return (float(small.mean()) if len(small) else float("nan")), len(small)
 
 
-def orthogonal_variance(hits: Floats, pieces: Pieces) -> tuple[float, int]:
+def orthogonal_variance(hits: Floats, pieces: WallPieces) -> tuple[float, int]:
     """Mean lambda_min (m2) of the hits around pieces of wall, summed over two orthogonal families, and of how many.
 
     The support is that of the smaller family; (nan, 0) without any piece.
     """
     if len(pieces) == 0:
         return float("nan"), 0
-    families = orthogonal(pieces.direction)
+    families = find_orthogonal_families(pieces.direction)
     if not all(map(len, families)):
         return float("nan"), 0
-    found = [mean_variance(hits, evenly(pieces.middles[family], MAX_PLACES)) for family in families]
+    found = [mean_variance(hits, thin_evenly(pieces.middles[family], MAX_PLACES)) for family in families]
     return sum(value for value, _ in found), min(count for _, count in found)
 
 
-def second_copies(hits: Floats, sensors: Floats, pieces: Pieces) -> Floats:
+def find_second_copies(hits: Floats, sensors: Floats, pieces: WallPieces) -> Floats:
     """How far (K,) from each stretch of wall its second copy stands (m); nan where there is none.
 
     ``sensors`` (N, 2): where each of the hits (N, 2) was seen from. Of pieces that lie on or beside one another, as the
@@ -128,7 +128,7 @@ def second_copies(hits: Floats, sensors: Floats, pieces: Pieces) -> Floats:
     return np.array([_second_mode(density) for density in _profiles(hits, sensors, stretches)])
 
 
-def _apart(pieces: Pieces) -> Ints:
+def _apart(pieces: WallPieces) -> Ints:
     """Indices of pieces no two of which lie within 0.25 m along and 0.5 m across, in nearly the same direction."""
     if len(pieces) == 0:
         return np.zeros(0, dtype=np.int64)
@@ -146,7 +146,7 @@ def _apart(pieces: Pieces) -> Ints:
     return np.array(kept, dtype=np.int64)
 
 
-def _profiles(hits: Floats, sensors: Floats, stretches: Pieces) -> Floats:
+def _profiles(hits: Floats, sensors: Floats, stretches: WallPieces) -> Floats:
     """Per stretch (K, B): the smoothed histogram of hits across it, towards the sensor that saw it, in bins of 1 cm."""
     from scipy import ndimage
 
@@ -182,50 +182,52 @@ def _second_mode(density: Floats) -> float:
     return float("nan")
 
 
-@once
-def pieces(evidence: Evidence) -> Pieces:
+@cached
+def find_all_wall_pieces(evidence: Evidence) -> WallPieces:
     """The pieces of wall of single mapped scans."""
-    return pieces_of_wall(evidence.mapped)
+    return find_wall_pieces(evidence.mapped)
 
 
-@once
+@cached
 def _copies(evidence: Evidence) -> Floats:
-    points = all_hits(evidence)
+    points = collect_all_hits(evidence)
     sensors = np.repeat(
         np.array([world_from_sensor[:2] for _, world_from_sensor in evidence.mapped]),
         [int(scan.hits.sum()) for scan, _ in evidence.mapped],
         axis=0,
     )
-    return second_copies(evenly(points, MAX_CROSSED), evenly(sensors, MAX_CROSSED), pieces(evidence))
+    return find_second_copies(
+        thin_evenly(points, MAX_CROSSED), thin_evenly(sensors, MAX_CROSSED), find_all_wall_pieces(evidence)
+    )
 
 
 def _mean_variance(evidence: Evidence) -> Score:
-    points = all_hits(evidence)
+    points = collect_all_hits(evidence)
     if len(points) == 0:
         return Score(None, 0, NO_HIT)
-    value, places = mean_variance(evenly(points, MAX_HITS), evenly(points, 2 * MAX_PLACES))
+    value, places = mean_variance(thin_evenly(points, MAX_HITS), thin_evenly(points, 2 * MAX_PLACES))
     if places < MIN_PLACES:
         return Score(None, places, f"only {places} places have {MIN_HITS} hits within {PATCH_M:g} m")
-    return number(CM2 * value, places)
+    return make_score(CM2 * value, places)
 
 
 def _orthogonal(evidence: Evidence) -> Score:
-    points = all_hits(evidence)
+    points = collect_all_hits(evidence)
     if len(points) == 0:
         return Score(None, 0, NO_HIT)
-    value, places = orthogonal_variance(evenly(points, MAX_HITS), pieces(evidence))
+    value, places = orthogonal_variance(thin_evenly(points, MAX_HITS), find_all_wall_pieces(evidence))
     if places < MIN_PLACES:
         return Score(None, places, "single scans hardly show walls at right angles to each other")
-    return number(CM2 * value, places)
+    return make_score(CM2 * value, places)
 
 
 def _ghost_percent(evidence: Evidence) -> Score:
-    if len(all_hits(evidence)) == 0:
+    if len(collect_all_hits(evidence)) == 0:
         return Score(None, 0, NO_HIT)
     copies = _copies(evidence)
     if len(copies) < MIN_STRETCHES:
         return Score(None, len(copies), f"single scans show only {len(copies)} stretches of wall")
-    return number(100.0 * float(np.isfinite(copies).mean()), len(copies))
+    return make_score(100.0 * float(np.isfinite(copies).mean()), len(copies))
 
 
 def _ghost_distance(evidence: Evidence) -> Score:
@@ -234,7 +236,7 @@ def _ghost_distance(evidence: Evidence) -> Score:
         return found
     copies = _copies(evidence)
     copies = copies[np.isfinite(copies)]
-    return number(np.median(copies), len(copies)) if len(copies) else Score(None, 0, "no wall has a second copy")
+    return make_score(np.median(copies), len(copies)) if len(copies) else Score(None, 0, "no wall has a second copy")
 
 
 KORNILOVA = "Kornilova and Ferrer, 2021, arXiv 2106.11351 (mutually orthogonal metric), in the plane"
@@ -268,7 +270,7 @@ _ROWS = (
 
 _GHOSTS = (NO_HIT, "single scans show only ... stretches of wall")
 
-METRICS = standing_on(
+METRICS = with_support(
     _ROWS,
     {
         "mpv_cm2": ("places with five hits around", (NO_HIT, "only ... places have ... hits within ... m", DIVERGED)),

@@ -19,14 +19,14 @@ from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats, Stamps
 
 Group = Literal["drift", "relations", "residuals", "runtime", "map against truth", "map consistency"]
-Placed = tuple[Scan, Floats]
+PlacedScan = tuple[Scan, Floats]
 """A scan, deskewed, and ``world_from_sensor`` (3,)."""
 
-Mapped = tuple[Placed, ...]
+PlacedScans = tuple[PlacedScan, ...]
 
 
 @dataclass(frozen=True, eq=False)
-class Matched:
+class MatchedPoses:
     """Estimate and truth at the same times: ``stamps_ns`` (N,), both (N, 3) ``world_from_base``, estimate aligned.
 
     ``world_from_start``: the alignment. ``alignment`` and ``rule`` say in words how it was found and what was matched.
@@ -53,20 +53,20 @@ class Evidence:
 
     run: RunResult
     truth: Truth
-    matched: Matched | str | None
+    matched: MatchedPoses | str | None
     grid: OccupancyGrid | None
-    mapped: Mapped
+    mapped: PlacedScans
     first_half: OccupancyGrid | None = None
     second_half: OccupancyGrid | None = None
     no_grid: str = "the run answered no scan"
-    successive: tuple[tuple[Placed, Placed], ...] = ()
+    successive: tuple[tuple[PlacedScan, PlacedScan], ...] = ()
 
 
 @dataclass(frozen=True)
 class Metric:
     """A metric's card and its function.
 
-    ``better`` is "" where neither direction is better. ``blind_to`` completes "it is blind to ...". ``digits``:
+    ``better`` is "" where neither direction is better. ``limitations`` completes "it is blind to ...". ``digits``:
     decimals in tables. ``headline``: shown in the first table of a report. ``compute`` answers a Score and never raises
     for lack of evidence: it says why instead. ``support``: what the number stands on; the score tells how many.
     ``no_value``: the reasons it gives for having none; "..." stands for what differs from case to case.
@@ -79,7 +79,7 @@ class Metric:
     group: Group
     definition: str
     source: str
-    blind_to: str
+    limitations: str
     compute: Callable[[Evidence], Score]
     digits: int = 3
     headline: bool = False
@@ -93,7 +93,7 @@ Standing = Mapping[str, tuple[str, tuple[str, ...]]]
 """What metrics stand on and why they may have no value, by pattern of their names ("ate_*")."""
 
 
-def standing_on(metrics: Iterable[Metric], told: Standing) -> tuple[Metric, ...]:
+def with_support(metrics: Iterable[Metric], told: Standing) -> tuple[Metric, ...]:
     """The metrics with ``support`` and ``no_value`` of the first pattern that their name fits, if one does."""
 
     def one(metric: Metric) -> Metric:
@@ -106,7 +106,7 @@ def standing_on(metrics: Iterable[Metric], told: Standing) -> tuple[Metric, ...]
 Found = TypeVar("Found")
 
 
-def once(look: Callable[[Evidence], Found]) -> Callable[[Evidence], Found]:
+def cached(look: Callable[[Evidence], Found]) -> Callable[[Evidence], Found]:
     """The same look at evidence, taken once however many metrics share it, and forgotten with the evidence."""
     taken: WeakKeyDictionary[Evidence, Found] = WeakKeyDictionary()
 
@@ -119,7 +119,7 @@ def once(look: Callable[[Evidence], Found]) -> Callable[[Evidence], Found]:
     return looked
 
 
-def number(value: float | np.floating, support: int) -> Score:
+def make_score(value: float | np.floating, support: int) -> Score:
     """The score of a computed number; without value where the estimate is so far off that it is not finite."""
     if not np.isfinite(value):
         return Score(None, support, DIVERGED)

@@ -74,7 +74,7 @@ def _differences(comparison: Comparison, sequence: str) -> Iterator[dict[str, An
 
 
 def _metric(metric: Metric) -> dict[str, Any]:
-    names = ("name", "label", "unit", "better", "group", "definition", "source", "blind_to", "digits", "headline")
+    names = ("name", "label", "unit", "better", "group", "definition", "source", "limitations", "digits", "headline")
     return {name: getattr(metric, name) for name in names}
 
 

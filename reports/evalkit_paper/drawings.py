@@ -13,10 +13,10 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.consistency import hits
+from evalkit.metrics.consistency import collect_hits
 from evalkit.metrics.evaluate import draw
-from evalkit.metrics.maps import f1, walls
-from evalkit.metrics.table import Mapped
+from evalkit.metrics.maps import compare_walls, f1
+from evalkit.metrics.table import PlacedScans
 from evalkit.metrics.trajectory import rms
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Value
@@ -55,7 +55,7 @@ def lab(
     return kept(grid) | {
         "path": world_from_base.poses[:, :2],
         "ate_m": rms(trajectory_following.position_errors_m(found.estimate, truth.trajectory)),
-        "f1": f1(walls(grid, truth.grid)),
+        "f1": f1(compare_walls(grid, truth.grid)),
     }
 
 
@@ -80,7 +80,7 @@ def recording(*, name: str, backend: str, parameters: Mapping[str, Any]) -> dict
     first, second = (_grid(half) for half in halves)
     wrong = [
         points[faults.contradicted(points, other)]
-        for points, other in ((hits(halves[0]), second), (hits(halves[1]), first))
+        for points, other in ((collect_hits(halves[0]), second), (collect_hits(halves[1]), first))
     ]
     places_ = np.concatenate(wrong)
     return kept(_grid(mapped)) | {
@@ -88,7 +88,7 @@ def recording(*, name: str, backend: str, parameters: Mapping[str, Any]) -> dict
         "yaw_dps": trajectory_following.yaw_rates_dps(found.stamps_ns, _odometry(found)),
         **{stage: found.errors[stage] for stage in trajectory_following.STAGES},
         "path": found.poses[:, :2],
-        "hits": sum(len(hits(half)) for half in halves),
+        "hits": sum(len(collect_hits(half)) for half in halves),
         "contradicted": len(places_),
         "places": places_[:: max(len(places_) // MAX_SHOWN, 1)],
     }
@@ -133,7 +133,7 @@ def grid_of(result: Mapping[str, Any]) -> OccupancyGrid:
     return OccupancyGrid(result["log_odds"], result["observed"], *result["lattice"])
 
 
-def _mapped(found: trajectory_following.Followed, world_from_base: Trajectory, most: int) -> Mapped:
+def _mapped(found: trajectory_following.Followed, world_from_base: Trajectory, most: int) -> PlacedScans:
     """At most so many scans, evenly, the motion within them undone by the odometry, with where the sensor was."""
     chosen = np.unique(np.linspace(0, len(found.frames) - 1, min(most, len(found.frames))).astype(int)).tolist()
     return tuple(
@@ -145,7 +145,7 @@ def _mapped(found: trajectory_following.Followed, world_from_base: Trajectory, m
     )
 
 
-def _grid(mapped: Mapped) -> OccupancyGrid:
+def _grid(mapped: PlacedScans) -> OccupancyGrid:
     grid, why = draw(mapped, registry.mapper("log-odds").make)
     if grid is None:
         raise ValueError(f"no map: {why}")

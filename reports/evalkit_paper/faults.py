@@ -13,7 +13,7 @@ from evalkit.core.arrays import Bools
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.se2 import Floats
 from evalkit.metrics.consistency import CLEARED, NOISE_M
-from evalkit.metrics.maps import nearest_m
+from evalkit.metrics.maps import nearest_distances_m
 
 GHOST_M = 0.2
 """An occupied cell this far from every true wall is a ghost: four times the range noise (1 sigma)."""
@@ -52,9 +52,9 @@ def faults(mapped: OccupancyGrid, true: OccupancyGrid) -> Faults:
     """Where a map differs from the true one, which need not share origin or resolution; both must have walls."""
     occupied, walls = mapped.occupied(), true.centres(true.occupied())
     off = np.zeros(mapped.shape)
-    off[occupied] = nearest_m(mapped.centres(occupied), walls)
+    off[occupied] = nearest_distances_m(mapped.centres(occupied), walls)
     ghosts = occupied & (off > GHOST_M)
-    missing = walls[nearest_m(walls, mapped.centres(occupied)) > GHOST_M]
+    missing = walls[nearest_distances_m(walls, mapped.centres(occupied)) > GHOST_M]
     return Faults(
         occupied, ghosts, occupied & (off > SMEAR_M) & ~ghosts, missing[_looked_up(mapped.free(), mapped, missing)]
     )
@@ -67,7 +67,7 @@ def clusters(points: Floats, walls: Floats) -> tuple[Cluster, ...]:
     near = cKDTree(points).query_pairs(TOGETHER_M, output_type="ndarray").astype(np.int32)  # old SciPy takes no other
     links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(points), len(points)))
     count, labels = connected_components(links, directed=False)
-    off = nearest_m(points, walls)
+    off = nearest_distances_m(points, walls)
     found = [_cluster(points[labels == label], off[labels == label]) for label in range(count)]
     return tuple(sorted(found, key=lambda cluster: -cluster.cells))
 
@@ -83,7 +83,7 @@ def contradicted(hits: Floats, other: OccupancyGrid) -> Bools:
     suspects = _looked_up(cleared, other, hits)
     walls = other.centres(other.occupied())
     if suspects.any() and len(walls):
-        suspects[suspects] = nearest_m(hits[suspects], walls) > NOISE_M
+        suspects[suspects] = nearest_distances_m(hits[suspects], walls) > NOISE_M
     return suspects
 
 

@@ -16,11 +16,11 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.consistency import entropy, hits, thicknesses
-from evalkit.metrics.maps import Walls, chamfer, f1, iou, nearest_m, precision, recall, walls
+from evalkit.metrics.consistency import collect_hits, map_entropy, wall_thicknesses
+from evalkit.metrics.maps import WallDistances, chamfer, compare_walls, f1, iou, nearest_distances_m, precision, recall
 from evalkit.metrics.occupancy import log_loss, wall_width_m
-from evalkit.metrics.table import Mapped
-from evalkit.metrics.trajectory import match, position_errors, rms
+from evalkit.metrics.table import PlacedScans
+from evalkit.metrics.trajectory import match_trajectories, position_errors, rms
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Value, resolved
@@ -54,7 +54,7 @@ class Drive:
     poses: Floats
     ate_m: float
 
-    def placed(self, scans: int, deskewed: bool = True) -> Mapped:
+    def placed(self, scans: int, deskewed: bool = True) -> PlacedScans:
         """At most so many scans, evenly spaced, with where the sensor was; the motion within is undone by the poses."""
         chosen = np.unique(np.linspace(0, len(self.frames) - 1, min(scans, len(self.frames))).astype(int))
         return tuple(self._placed(int(index), deskewed) for index in chosen)
@@ -87,7 +87,7 @@ def drive(world: str, seed: int, laps: float, poses: str = "true", **sensor: Val
         raise ValueError(f"{world}: no true trajectory")
     if poses == "true":
         return Drive(frames, truth, truth.trajectory.poses, 0.0)
-    found = match(_estimated(frames), truth.trajectory)
+    found = match_trajectories(_estimated(frames), truth.trajectory)
     if isinstance(found, str):
         raise ValueError(f"{world}: {found}")
     return Drive(frames, truth, found.estimate, rms(position_errors(found)))
@@ -102,7 +102,7 @@ def measured(
     """
     sequence = drive(world, seed, laps, poses, **(sensor or {}))
     fine = _made(world, laps=laps, resolution_m=FINE_M).truth().grid
-    drawn: dict[tuple[int, bool], Mapped] = {}
+    drawn: dict[tuple[int, bool], PlacedScans] = {}
     rows: dict[str, list[Any]] = {name: [] for name in MEASURES}
     mappers = []
     for variant in variants:
@@ -116,7 +116,7 @@ def measured(
         for measure, values in zip(MEASURES[:5], by_threshold, strict=True):
             rows[measure].append(values)
         rows["log_loss"].append(log_loss(grid, fine)[0] if fine is not None else np.nan)
-        rows["entropy"].append(entropy(grid))
+        rows["entropy"].append(map_entropy(grid))
     return {name: np.array(values) for name, values in rows.items()} | {"ate_m": sequence.ate_m, "mappers": mappers}
 
 
@@ -182,12 +182,12 @@ def _estimated(frames: Iterable[Frame]) -> Trajectory:
     return Trajectory(np.array(stamps), np.array(poses))
 
 
-def _map(full: Variant, placed: Mapped) -> tuple[str, OccupancyGrid]:
+def _map(full: Variant, placed: PlacedScans) -> tuple[str, OccupancyGrid]:
     name = COMPILED[0] if compiled(full) else COMPILED[1]
     return name, _drawn(name, full, placed)
 
 
-def _drawn(name: str, full: Variant, placed: Mapped) -> OccupancyGrid:
+def _drawn(name: str, full: Variant, placed: PlacedScans) -> OccupancyGrid:
     spec = registry.mapper(name)
     known = {parameter.name for parameter in spec.parameters}
     mapper = spec.make(**resolved(name, spec.parameters, {k: v for k, v in full.items() if k in known}))
@@ -202,7 +202,9 @@ def _against(grid: OccupancyGrid, true: OccupancyGrid, threshold: float) -> tupl
     if not len(mapped):
         return 0.0, np.nan, 0.0, np.nan, np.nan
     coarser = max(true, grid, key=lambda each: each.resolution_m)
-    found = Walls(mapped, theirs, nearest_m(mapped, theirs), nearest_m(theirs, mapped), coarser)
+    found = WallDistances(
+        mapped, theirs, nearest_distances_m(mapped, theirs), nearest_distances_m(theirs, mapped), coarser
+    )
     return f1(found), precision(found), recall(found), chamfer(found), wall_width_m(grid, threshold)
 
 
@@ -211,10 +213,10 @@ def _of_drift(sequence: Drive, motion: Floats) -> tuple[float, ...]:
     poses = se2.compose(se2.fraction(motion, share), sequence.poses)
     placed = Drive(sequence.frames, sequence.truth, poses, 0.0).placed(int(DEFAULT["scans"]))
     _, grid = _map(DEFAULT, placed)
-    found = walls(grid, sequence.true)
+    found = compare_walls(grid, sequence.true)
     far = float(found.to_true.mean()), float(np.percentile(found.to_true, 95))
-    thick = float(thicknesses(hits(placed))[0].mean())
-    return f1(found), *far, iou(found), entropy(grid), thick
+    thick = float(wall_thicknesses(collect_hits(placed))[0].mean())
+    return f1(found), *far, iou(found), map_entropy(grid), thick
 
 
 def _extent(grid: OccupancyGrid) -> tuple[float, float, float, float]:

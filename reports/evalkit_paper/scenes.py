@@ -13,7 +13,7 @@ from evalkit.core.arrays import Ints
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
-from evalkit.metrics.maps import nearest_m
+from evalkit.metrics.maps import nearest_distances_m
 from evalkit_baselines.paper.icp import Icp
 
 CELL_M = 0.1
@@ -53,7 +53,7 @@ def place(walls: Floats, plan: Floats) -> Placed:
     rival = max((value for pose, value in _others(walls, near, low, tried, coarse)), default=0.0)
     icp = Icp(epsilon=1e-6, one_to_one=False, max_correspondence_m=0.5, max_iterations=100)
     answer = icp.register(Cloud(plan), Cloud(walls), coarse).target_from_source
-    distances = nearest_m(answer.transform(walls), plan)
+    distances = nearest_distances_m(answer.transform(walls), plan)
     return Placed(answer, float(distances.mean()), float(np.mean(distances <= WITHIN_M)), rival / score)
 
 

@@ -15,7 +15,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.trajectory import match
+from evalkit.metrics.trajectory import match_trajectories
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Registration, Sequence, Value
@@ -119,7 +119,7 @@ def position_errors_m(estimate: Trajectory, truth: Trajectory) -> Floats:
 
 def aligned(estimate: Trajectory, truth: Trajectory) -> Trajectory:
     """The estimate in the truth's frame, by least squares over all positions; ValueError says why it cannot be."""
-    matched = match(estimate, truth)
+    matched = match_trajectories(estimate, truth)
     if isinstance(matched, str):
         raise ValueError(matched)
     return estimate.moved(matched.world_from_start, "world")

@@ -17,7 +17,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Scan
-from evalkit.metrics.table import Evidence, Placed
+from evalkit.metrics.table import Evidence, PlacedScan
 
 CELLS, SIZE_M, ROOM_M = 1000, 0.05, 5.0
 BEAMS, SCANS = 720, 300
@@ -38,7 +38,7 @@ def floor(noise_cells: float, seed: int) -> OccupancyGrid:
     return OccupancyGrid(log_odds.astype(np.float32), np.ones_like(walls), SIZE_M, 0.0, 0.0)
 
 
-def scans(sigma_m: float) -> tuple[Placed, ...]:
+def scans(sigma_m: float) -> tuple[PlacedScan, ...]:
     """A scan of its own room from each of so many places, room by room."""
     rng = np.random.default_rng(1)
     angles = np.linspace(-np.pi, np.pi, BEAMS, endpoint=False)

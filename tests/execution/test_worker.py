@@ -62,7 +62,7 @@ def test_an_odometry_has_no_residuals_and_a_registration_has_those_of_both_stage
 
 def shares(outcome, steps):
     run = RunResult("b", "s", outcome.status, outcome.reason, steps, outcome.expected)
-    found = metrics.score(Evidence(run, Truth("none"), None, None, ()))
+    found = metrics.compute_scores(Evidence(run, Truth("none"), None, None, ()))
     return found["guess_kept_percent"], found["not_converged_percent"]
 
 

@@ -8,7 +8,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Scan
 from evalkit.metrics import clouds
-from evalkit.metrics.neighbourhoods import patches
+from evalkit.metrics.neighbourhoods import compute_neighbourhoods
 from evalkit.metrics.table import Evidence
 
 
@@ -29,7 +29,7 @@ def scan_of(points):
 
 def test_entropy_is_that_of_the_gaussian_by_its_determinant() -> None:
     points = np.random.default_rng(1).normal(0.0, [0.2, 0.05], (3000, 2))
-    found = patches(points, np.zeros((1, 2)), 9.0)
+    found = compute_neighbourhoods(points, np.zeros((1, 2)), 9.0)
     values, enough = clouds.entropies(found)
     expected = 0.5 * np.log(np.linalg.det(2.0 * np.pi * np.e * np.cov(points.T, bias=True)))
     assert values[0] == pytest.approx(expected)
@@ -61,7 +61,7 @@ def test_walls_that_share_no_place_have_nothing_to_compare() -> None:
 
 
 def test_directions_all_round_have_the_entropy_of_a_half_turn() -> None:
-    assert clouds.spread_of_directions(np.linspace(0.0, np.pi, 5000, endpoint=False)) == pytest.approx(np.log(np.pi))
+    assert clouds.direction_entropy(np.linspace(0.0, np.pi, 5000, endpoint=False)) == pytest.approx(np.log(np.pi))
 
 
 @pytest.mark.parametrize("turn", [0.0, 0.3, 3.1])
@@ -69,7 +69,7 @@ def test_two_bundles_of_directions_have_the_entropy_of_their_widths(turn) -> Non
     width = np.radians(30.0)
     bundle = np.random.default_rng(0).uniform(0.0, width, 4000)
     both = np.concatenate([bundle, bundle + np.pi / 2.0]) + turn
-    assert clouds.spread_of_directions(both) == pytest.approx(np.log(2.0 * width), abs=0.08)
+    assert clouds.direction_entropy(both) == pytest.approx(np.log(2.0 * width), abs=0.08)
 
 
 def test_scans_that_turn_smear_the_directions_of_their_walls() -> None:

@@ -13,7 +13,7 @@ from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats
 from evalkit.metrics import consistency
-from evalkit.metrics.table import Evidence, Mapped
+from evalkit.metrics.table import Evidence, PlacedScans
 
 
 def grid(occupied: Bools, free: Bools | None = None, resolution_m: float = 0.05) -> OccupancyGrid:
@@ -43,7 +43,7 @@ def scores(
     whole: OccupancyGrid | None,
     first: OccupancyGrid | None = None,
     second: OccupancyGrid | None = None,
-    mapped: Mapped = (),
+    mapped: PlacedScans = (),
 ) -> dict[str, Score]:
     run = RunResult("b", "s", "complete", "", np.zeros(0, STEP), 0)
     evidence = Evidence(run, Truth("none"), None, whole, mapped, first, second)
@@ -54,7 +54,7 @@ def test_entropy_is_that_of_the_observed_cells_alone() -> None:
     log_odds = np.array([[0.0, np.log(3.0)], [-np.log(3.0), 0.0]], np.float32)
     observed = np.array([[True, True], [True, False]])
     quarter = -(0.25 * np.log(0.25) + 0.75 * np.log(0.75))
-    found = consistency.entropy(OccupancyGrid(log_odds, observed, 0.05, 0.0, 0.0))
+    found = consistency.map_entropy(OccupancyGrid(log_odds, observed, 0.05, 0.0, 0.0))
     assert found == pytest.approx((np.log(2.0) + 2 * quarter) / 3, rel=1e-6)
 
 
@@ -66,23 +66,23 @@ def wall_hits(width_m: float, count: int = 20_000) -> Floats:
 
 @pytest.mark.parametrize("width_m", [0.02, 0.1, 0.2])
 def test_a_wall_of_width_w_is_w_over_root_twelve_thick(width_m: float) -> None:
-    found, share = consistency.thicknesses(wall_hits(width_m))
+    found, share = consistency.wall_thicknesses(wall_hits(width_m))
     assert found.mean() == pytest.approx(width_m / np.sqrt(12.0), rel=0.01)
     assert share > 0.97  # at its ends a thick wall is no line
 
 
 def test_thickness_depends_neither_on_the_frame_nor_on_how_many_hits_there_are() -> None:
     hits = wall_hits(0.1)
-    here = consistency.thicknesses(hits)[0].mean()
-    assert consistency.thicknesses(se2.transform([3.0, 4.0, 1.0], hits))[0].mean() == pytest.approx(here)
-    assert consistency.thicknesses(hits[::4])[0].mean() == pytest.approx(here, rel=0.02)
+    here = consistency.wall_thicknesses(hits)[0].mean()
+    assert consistency.wall_thicknesses(se2.transform([3.0, 4.0, 1.0], hits))[0].mean() == pytest.approx(here)
+    assert consistency.wall_thicknesses(hits[::4])[0].mean() == pytest.approx(here, rel=0.02)
 
 
 def test_a_wall_drawn_twice_a_little_apart_is_thicker() -> None:
     once = wall_hits(0.0)
     twice = np.concatenate([once[::2], np.add(once[1::2], [0.0, 0.15])])
-    assert consistency.thicknesses(once)[0].max() == pytest.approx(0.0, abs=1e-9)
-    assert consistency.thicknesses(twice)[0].mean() == pytest.approx(0.075, rel=0.01)
+    assert consistency.wall_thicknesses(once)[0].max() == pytest.approx(0.0, abs=1e-9)
+    assert consistency.wall_thicknesses(twice)[0].mean() == pytest.approx(0.075, rel=0.01)
 
 
 def test_scattered_hits_are_no_wall() -> None:
@@ -96,11 +96,11 @@ def test_scattered_hits_are_no_wall() -> None:
 @pytest.mark.parametrize("thick", [2, 3, 4])
 def test_a_square_room_has_four_corners_and_a_copy_beside_it_four_more(thick: int) -> None:
     one = square(60, thick)
-    assert len(consistency.corners(grid(one))) == 4
+    assert len(consistency.find_corners(grid(one))) == 4
     two = np.concatenate([one, one])
-    assert len(consistency.corners(grid(two))) == 8
-    assert len(consistency.corners(grid(np.pad(one, 13)))) == 4
-    assert len(consistency.corners(grid(band(thick) & False))) == 0
+    assert len(consistency.find_corners(grid(two))) == 8
+    assert len(consistency.find_corners(grid(np.pad(one, 13)))) == 4
+    assert len(consistency.find_corners(grid(band(thick) & False))) == 0
 
 
 def test_slivers_between_copies_of_a_wall_are_counted_without_the_room_and_the_border() -> None:
@@ -109,7 +109,7 @@ def test_slivers_between_copies_of_a_wall_are_counted_without_the_room_and_the_b
     free[52:108, 52:116] = ~occupied[52:108, 52:116]
     free[0, :10] = True
     # one sliver on either side of the room, 4 columns wide and 56 rows high; the room is 50 columns wide
-    assert consistency.enclosed_areas(grid(occupied, free)).tolist() == [224, 224]
+    assert consistency.find_enclosed_areas(grid(occupied, free)).tolist() == [224, 224]
     found = scores(grid(occupied, free))
     assert found["enclosed_areas"].value == 2
     assert found["enclosed_m2"].value == pytest.approx(2 * 224 * 0.05**2)
@@ -122,7 +122,7 @@ def test_unknown_cells_enclose_and_three_cells_are_no_area() -> None:
     free[25, 4:7] = True
     occupied = np.zeros_like(free)
     occupied[2, 2] = True
-    assert consistency.enclosed_areas(grid(occupied, free & ~occupied)).tolist() == [4]
+    assert consistency.find_enclosed_areas(grid(occupied, free & ~occupied)).tolist() == [4]
 
 
 def test_occupied_share_leaves_the_unknown_out() -> None:

@@ -10,7 +10,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics import drift
-from evalkit.metrics.table import Evidence, Matched
+from evalkit.metrics.table import Evidence, MatchedPoses
 
 
 def path(steps: Floats, start: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Floats:
@@ -21,17 +21,17 @@ def path(steps: Floats, start: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> 
     return np.array(poses)
 
 
-def matched(estimate: Floats, truth: Floats) -> Matched:
-    return Matched(np.arange(len(truth)) * 100_000_000, estimate, truth, "none", "equal stamps")
+def matched(estimate: Floats, truth: Floats) -> MatchedPoses:
+    return MatchedPoses(np.arange(len(truth)) * 100_000_000, estimate, truth, "none", "equal stamps")
 
 
-def score(name: str, found: Matched) -> Score:
+def score(name: str, found: MatchedPoses) -> Score:
     run = RunResult("b", "s", "complete", "", np.zeros(0, STEP), 0)
     (metric,) = (metric for metric in drift.METRICS if metric.name == name)
     return metric.compute(Evidence(run, Truth("exact"), found, None, ()))
 
 
-def value(name: str, found: Matched) -> float:
+def value(name: str, found: MatchedPoses) -> float:
     answer = score(name, found).value
     assert answer is not None
     return answer
@@ -159,7 +159,7 @@ def test_a_path_that_is_too_short_says_so() -> None:
 
 def test_pairs_a_second_apart_are_found_by_time_and_not_by_count() -> None:
     stamps = np.array([0, 400, 800, 1210, 1400, 5000, 6010]) * 1_000_000
-    first, last = drift.pairs_in_time(stamps, 1.0)
+    first, last = drift.find_pairs_in_time(stamps, 1.0)
     assert list(zip(first.tolist(), last.tolist(), strict=True)) == [(0, 2), (1, 4), (5, 6)]
     still = matched(np.zeros((5, 3)), np.zeros((5, 3)))
     assert score("rpe_1s_m", still).reason == "no two matched poses are 1 s apart"

@@ -140,7 +140,7 @@ def test_the_scans_drawn_are_the_same_for_every_method(straight, listener):
 
 def test_a_residual_from_scan_to_scan_is_that_of_scans_in_a_row_however_few_are_drawn(straight, monkeypatch):
     seen = []
-    monkeypatch.setattr(evaluate.metrics, "score", lambda evidence, _: seen.append(evidence) or {})
+    monkeypatch.setattr(evaluate.metrics, "compute_scores", lambda evidence, _: seen.append(evidence) or {})
     run = perfect()
     evaluate.score(RunResult("b", "s", "complete", "", np.delete(run.steps, 4), SCANS), straight, log_odds, 3)
     pairs = [(a.stamp_ns // 100_000_000, b.stamp_ns // 100_000_000) for (a, _), (b, _) in seen[0].successive]

@@ -19,7 +19,7 @@ def covariance(short, long, degrees):
 
 def one(mean, cov, other_mean, other_cov):
     rows = [np.array([value], dtype=float) for value in (mean, cov, other_mean, other_cov)]
-    return float(gaussians.wasserstein(*rows)[0])
+    return float(gaussians.wasserstein_distances(*rows)[0])
 
 
 def test_the_distance_is_that_of_the_matrix_root() -> None:
@@ -46,7 +46,7 @@ def test_spreads_on_the_same_axes_differ_by_their_standard_deviations() -> None:
 
 def test_voxels_are_counted_as_numpy_counts_them() -> None:
     points = np.random.default_rng(2).uniform(-2.0, 2.0, (300, 2))
-    found = gaussians.voxels(points)
+    found = gaussians.fit_voxels(points)
     assert len(found.at) == 16
     for at, mean, cov in zip(found.at, found.means, found.covariances, strict=True):
         inside = points[(np.floor(points) == at).all(axis=1)]

@@ -78,7 +78,9 @@ def test_maps_that_do_not_meet_are_not_compared() -> None:
 def test_what_one_map_shows_beyond_the_other_is_not_compared() -> None:
     """Both fill their grids, 2 cells apart: what they share is the same, and nothing stands beyond a border."""
     world = np.random.default_rng(3).random((40, 44))
-    value, cells = images.similarity(grid(world[:, 2:42], origin=(0.1, 0.0)), grid(world[:, :40]))
+    value, cells = images.mean_similarity(grid(world[:, 2:42], origin=(0.1, 0.0)), grid(world[:, :40]))
     assert (round(value, 9), cells) == (1.0, 38 * 40)
-    value, cells = images.similarity(grid(world[:, 2:42]), grid(world[:, :40]))  # the same, said to stand elsewhere
+    value, cells = images.mean_similarity(
+        grid(world[:, 2:42]), grid(world[:, :40])
+    )  # the same, said to stand elsewhere
     assert (round(value, 9), cells) == (1.0, 38 * 40)

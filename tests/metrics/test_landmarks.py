@@ -90,4 +90,4 @@ def test_the_corners_of_the_true_map_are_where_they_are() -> None:
     assert scores((), grid, grid)["map_corner_ospa_m"].value == 0.0
     assert scores((), grid, moved)["map_corner_ospa_m"].value == pytest.approx(0.1)
     inner = np.array([(x, y) for x in (0.15, 3.85) for y in (3.15, 6.85)])
-    assert landmarks.ospa(landmarks.corners(grid), inner) < 0.05
+    assert landmarks.ospa(landmarks.find_corners(grid), inner) < 0.05

@@ -14,8 +14,8 @@ from evalkit import metrics
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.table import Evidence, Metric, number, once
-from evalkit.metrics.trajectory import match
+from evalkit.metrics.table import Evidence, Metric, cached, make_score
+from evalkit.metrics.trajectory import match_trajectories
 
 
 def run(poses: list[tuple[float, float, float]]) -> RunResult:
@@ -27,7 +27,7 @@ def run(poses: list[tuple[float, float, float]]) -> RunResult:
 
 
 def evidence(of: RunResult, truth: Truth) -> Evidence:
-    return Evidence(of, truth, match(of.estimate, truth.trajectory), None, ())
+    return Evidence(of, truth, match_trajectories(of.estimate, truth.trajectory), None, ())
 
 
 def test_names_are_unique_and_every_card_is_filled_in() -> None:
@@ -37,7 +37,7 @@ def test_names_are_unique_and_every_card_is_filled_in() -> None:
         assert metric.label, metric.name
         assert metric.definition.endswith("."), metric.name
         assert metric.source, metric.name
-        assert metric.blind_to, metric.name
+        assert metric.limitations, metric.name
 
 
 def test_names_end_in_the_unit_of_their_numbers() -> None:
@@ -63,14 +63,14 @@ def test_about_ten_metrics_lead_and_each_has_a_direction() -> None:
 
 def test_a_run_that_answered_nothing_gets_a_reason_from_every_metric_but_what_it_answered() -> None:
     truth = Truth("exact", Trajectory(np.arange(5) * 100_000_000, np.zeros((5, 3))))
-    found = metrics.score(evidence(run([]), truth))
+    found = metrics.compute_scores(evidence(run([]), truth))
     assert list(found) == [metric.name for metric in metrics.METRICS]
     told = {name: score.value for name, score in found.items() if score.value is not None}
     assert told == {"answered_percent": 0.0, "covered_percent": 0.0}
 
 
 def test_a_sequence_without_truth_gets_a_reason_from_every_metric_that_needs_it() -> None:
-    found = metrics.score(evidence(run([(0.0, 0, 0), (1.0, 0, 0)]), Truth("none")))
+    found = metrics.compute_scores(evidence(run([(0.0, 0, 0), (1.0, 0, 0)]), Truth("none")))
     reasons = {"ate_rmse_m": "no true trajectory", "drift_percent": "no true trajectory"}
     reasons |= {"relations_all_mean_m": "no measured relations", "map_f1": "no true map"}
     assert {name: found[name].reason for name in reasons} == reasons
@@ -80,25 +80,25 @@ def test_a_sequence_without_truth_gets_a_reason_from_every_metric_that_needs_it(
 @pytest.mark.filterwarnings("error")
 def test_an_estimate_that_flew_away_is_answered_without_a_warning() -> None:
     truth = Truth("exact", Trajectory(np.arange(3) * 100_000_000, np.array([[0.0, 0, 0], [1, 0, 0], [2, 1, 0]])))
-    found = metrics.score(evidence(run([(0.0, 0, 0), (1e200, 0, 0), (-1e300, 3, 0)]), truth))
+    found = metrics.compute_scores(evidence(run([(0.0, 0, 0), (1e200, 0, 0), (-1e300, 3, 0)]), truth))
     assert found["ate_rmse_m"] == Score(None, 3, "not finite: the estimate has diverged")
 
 
 def test_a_strangers_metric_is_scored_like_our_own() -> None:
-    card: Metric = replace(metrics.METRICS[0], name="scans", compute=lambda seen: number(len(seen.run.steps), 1))
+    card: Metric = replace(metrics.METRICS[0], name="scans", compute=lambda seen: make_score(len(seen.run.steps), 1))
     of = run([(0.0, 0, 0)])
-    assert metrics.score(evidence(of, Truth("none")), [card]) == {"scans": Score(1.0, 1)}
+    assert metrics.compute_scores(evidence(of, Truth("none")), [card]) == {"scans": Score(1.0, 1)}
 
 
 def test_a_number_that_is_not_finite_is_no_score() -> None:
-    assert number(math.nan, 7).value is None
-    assert number(np.float64(2.0), 7) == Score(2.0, 7)
+    assert make_score(math.nan, 7).value is None
+    assert make_score(np.float64(2.0), 7) == Score(2.0, 7)
 
 
 def test_a_look_that_metrics_share_is_taken_once_and_forgotten_with_its_evidence() -> None:
     looks = []
 
-    @once
+    @cached
     def look(seen: Evidence) -> int:
         looks.append(seen.run.expected)
         return len(looks)

@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from evalkit.metrics.neighbourhoods import evenly, patches
+from evalkit.metrics.neighbourhoods import compute_neighbourhoods, thin_evenly
 
 
 def test_the_ellipse_of_each_patch_is_that_of_numpys_covariance() -> None:
     rng = np.random.default_rng(0)
     points, middles = rng.uniform(0.0, 2.0, (400, 2)), rng.uniform(0.0, 2.0, (20, 2))
-    found = patches(points, middles, 0.4)
+    found = compute_neighbourhoods(points, middles, 0.4)
     for place, middle in enumerate(middles):
         near = points[np.linalg.norm(points - middle, axis=1) <= 0.4]
         values, vectors = np.linalg.eigh(np.cov(near.T, bias=True))
@@ -21,7 +21,7 @@ def test_the_ellipse_of_each_patch_is_that_of_numpys_covariance() -> None:
 
 def test_a_place_without_points_is_no_wall() -> None:
     line = np.column_stack([np.linspace(0.0, 1.0, 50), np.zeros(50)])
-    found = patches(line, np.array([[0.5, 0.0], [9.0, 9.0]]))
+    found = compute_neighbourhoods(line, np.array([[0.5, 0.0], [9.0, 9.0]]))
     assert found.flat.tolist() == [True, False]
     assert np.isnan(found.small[1])
 
@@ -30,9 +30,11 @@ def test_the_direction_of_a_wall_is_that_it_was_drawn_in() -> None:
     angles = np.radians([0.0, 30.0, 90.0, 150.0])
     for angle in angles:
         line = np.outer(np.linspace(-1.0, 1.0, 99), [np.cos(angle), np.sin(angle)])
-        assert np.sin(patches(line, np.zeros((1, 2))).direction[0] - angle) == pytest.approx(0.0, abs=1e-9)
+        assert np.sin(compute_neighbourhoods(line, np.zeros((1, 2))).direction[0] - angle) == pytest.approx(
+            0.0, abs=1e-9
+        )
 
 
 def test_evenly_keeps_the_first_and_the_last() -> None:
-    assert evenly(np.arange(10), 4).tolist() == [0, 3, 6, 9]
-    assert evenly(np.arange(3), 9).tolist() == [0, 1, 2]
+    assert thin_evenly(np.arange(10), 4).tolist() == [0, 3, 6, 9]
+    assert thin_evenly(np.arange(3), 9).tolist() == [0, 1, 2]

@@ -9,7 +9,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.metrics import occupancy
-from evalkit.metrics.occupancy import log_loss, true_states, wall_width_m
+from evalkit.metrics.occupancy import find_true_states, log_loss, wall_width_m
 from evalkit.metrics.table import Evidence
 
 
@@ -20,21 +20,21 @@ def grid(rows, resolution_m=0.1, x=0.0, y=0.0, observed=None):
 
 def test_a_true_cell_of_half_the_size_marks_the_cell_its_centre_is_in():
     true = grid([[-5, 0, 0, 5]], resolution_m=0.05)  # centres 0.025 free, 0.175 occupied
-    occupied, free = true_states(grid([[1, 1, 1]]), true)
+    occupied, free = find_true_states(grid([[1, 1, 1]]), true)
     assert occupied.tolist() == [[False, True, False]]
     assert free.tolist() == [[True, False, False]]
 
 
 def test_a_centre_on_an_edge_counts_for_both_sides_and_a_wall_before_free_space():
     true = grid([[5, -5]], resolution_m=0.05, x=0.075)  # centres 0.1, on the edge, and 0.15
-    occupied, free = true_states(grid([[1, 1]]), true)
+    occupied, free = find_true_states(grid([[1, 1]]), true)
     assert occupied.tolist() == [[True, True]]
     assert not free.any()
 
 
 def test_the_truth_must_not_be_coarser():
     with pytest.raises(ValueError, match="coarser"):
-        true_states(grid([[1.0]], 0.05), grid([[5.0]], 0.1))
+        find_true_states(grid([[1.0]], 0.05), grid([[5.0]], 0.1))
 
 
 def test_log_loss_is_the_mean_surprise_and_ln_2_where_nothing_is_known():

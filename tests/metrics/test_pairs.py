@@ -13,8 +13,8 @@ from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Scan
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import pairs
-from evalkit.metrics.table import Evidence, Matched
-from evalkit.metrics.trajectory import match
+from evalkit.metrics.table import Evidence, MatchedPoses
+from evalkit.metrics.trajectory import match_trajectories
 
 ANGLES = np.linspace(0.0, 2.0 * np.pi, 90, endpoint=False)
 CIRCLE = 4.0 * np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
@@ -58,8 +58,8 @@ def scored(estimated_step, sensor=(0.1, 0.0, 0.5)):
     steps["stamp_ns"] = stamps
     steps["x"], steps["y"], steps["theta"] = np.array(estimate).T
     run, truth = RunResult("b", "s", "complete", "", steps, 11), Truth("exact", Trajectory(stamps, np.array(true)))
-    matched = match(run.estimate, truth.trajectory)
-    assert isinstance(matched, Matched)
+    matched = match_trajectories(run.estimate, truth.trajectory)
+    assert isinstance(matched, MatchedPoses)
     start = matched.world_from_start.row
     scan = [Scan(int(stamp), np.full(90, 4.0), ANGLES, 0.0, 10.0) for stamp in stamps]
     placed = [(s, se2.compose(se2.compose(start, e), base_from_sensor)) for s, e in zip(scan, estimate, strict=True)]

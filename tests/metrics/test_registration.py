@@ -15,7 +15,7 @@ from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats
 from evalkit.metrics import registration
-from evalkit.metrics.table import Evidence, Mapped
+from evalkit.metrics.table import Evidence, PlacedScans
 
 ANGLES = np.linspace(-np.pi, np.pi, 400, endpoint=False)
 
@@ -29,12 +29,12 @@ def room(x: float, y: float, theta: float, half_m: float = 3.0) -> Scan:
     return Scan(0, np.minimum(to_x, to_y), ANGLES, 0.0, 20.0)
 
 
-def mapped_at(poses: Floats, shown: Floats | None = None) -> Mapped:
+def mapped_at(poses: Floats, shown: Floats | None = None) -> PlacedScans:
     """Scans taken at poses (N, 3), mapped as if taken at ``shown`` (N, 3)."""
     return tuple((room(*pose), place) for pose, place in zip(poses, poses if shown is None else shown, strict=True))
 
 
-def scores(mapped: Mapped, steps: NDArray[np.void] | None = None) -> dict[str, Score]:
+def scores(mapped: PlacedScans, steps: NDArray[np.void] | None = None) -> dict[str, Score]:
     record = np.zeros(0, STEP) if steps is None else steps
     run = RunResult("b", "s", "complete", "", record, len(record))
     evidence = Evidence(run, Truth("exact"), None, None, mapped, successive=tuple(pairwise(mapped)))
@@ -44,7 +44,7 @@ def scores(mapped: Mapped, steps: NDArray[np.void] | None = None) -> dict[str, S
 def test_each_target_keeps_its_closest_source_and_no_other() -> None:
     source = np.array([[0.0, 0.1], [0.0, 0.2], [1.0, 0.3], [5.0, 5.0]])
     target = cKDTree([[0.0, 0.0], [1.0, 0.0], [9.0, 9.0]])
-    assert registration.one_to_one(*registration.nearest(source, target)) == pytest.approx([0.1, 0.3])
+    assert registration.keep_one_to_one(*registration.find_nearest(source, target)) == pytest.approx([0.1, 0.3])
 
 
 def test_one_to_one_pairs_are_those_of_brute_force() -> None:
@@ -56,7 +56,7 @@ def test_one_to_one_pairs_are_those_of_brute_force() -> None:
         column = int(row.argmin())
         if row[column] < 0.05:
             best[column] = min(best.get(column, np.inf), row[column])
-    found = registration.one_to_one(*registration.nearest(source, cKDTree(target), 0.05))
+    found = registration.keep_one_to_one(*registration.find_nearest(source, cKDTree(target), 0.05))
     assert sorted(found) == pytest.approx(sorted(best.values()))
     assert len(found) > 5
 
@@ -91,9 +91,9 @@ def test_a_wall_seen_three_centimetres_off_has_a_residual_of_three_centimetres()
 
 def test_a_keyframe_is_half_a_metre_or_twenty_degrees_on() -> None:
     straight = np.column_stack([np.arange(0, 2.05, 0.25), np.zeros((9, 2))])
-    assert registration.keyframes(straight).tolist() == [0, 2, 4, 6, 8]
+    assert registration.find_keyframes(straight).tolist() == [0, 2, 4, 6, 8]
     turning = np.column_stack([np.zeros((9, 2)), np.radians(np.arange(0, 85, 10.0) * 1.001)])
-    assert registration.keyframes(turning).tolist() == [0, 2, 4, 6, 8]
+    assert registration.find_keyframes(turning).tolist() == [0, 2, 4, 6, 8]
 
 
 def test_scans_too_far_apart_or_too_few_say_so() -> None:

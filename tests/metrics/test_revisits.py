@@ -30,7 +30,7 @@ def scores(estimate, truth):
 
 
 def test_two_laps_of_a_circle_meet_once_at_every_place_of_the_first() -> None:
-    found = revisits.between_visits(laps(1.9), near_m=0.5)
+    found = revisits.find_revisits(laps(1.9), near_m=0.5)
     assert len(found) == pytest.approx(0.9 * 2.0 * np.pi * 3.0 / 0.2, abs=4)
     same_place = found.second_ns - found.first_ns == 40_000_000_000
     assert same_place.mean() > 0.95  # but for the last half metre, which nears what it does not reach
@@ -38,7 +38,7 @@ def test_two_laps_of_a_circle_meet_once_at_every_place_of_the_first() -> None:
 
 
 def test_each_later_pass_counts_once_and_the_near_past_not_at_all() -> None:
-    three = revisits.between_visits(laps(2.9), near_m=0.5, covered_m=10.0)
+    three = revisits.find_revisits(laps(2.9), near_m=0.5, covered_m=10.0)
     gaps = np.unique(np.round((three.second_ns - three.first_ns) / 4e10).astype(int), return_counts=True)
     assert gaps[0].tolist() == [1, 2]
     assert gaps[1].tolist() == pytest.approx([1.9 * 94.2, 0.9 * 94.2], abs=5)

@@ -9,7 +9,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Scan
 from evalkit.metrics import spans
-from evalkit.metrics.table import Evidence, Matched
+from evalkit.metrics.table import Evidence, MatchedPoses
 
 SECOND = 1_000_000_000
 
@@ -48,9 +48,9 @@ def test_a_stretch_of_the_whole_map_is_seen_and_told() -> None:
 
 
 def test_the_scale_weighs_each_tape_by_its_variance() -> None:
-    found = spans.Taped(np.array([1.1, 2.0]), np.array([1.0, 2.0]), np.array([0.1, 0.2]))
+    found = spans.SpanLengths(np.array([1.1, 2.0]), np.array([1.0, 2.0]), np.array([0.1, 0.2]))
     # weights 100 and 25: (100 * 1.1 + 25 * 4) / (100 * 1 + 25 * 4) - 1
-    assert spans.stretch(found) == pytest.approx(0.05)
+    assert spans.fit_stretch(found) == pytest.approx(0.05)
 
 
 def test_points_seen_from_the_robot_end_a_tape_as_well() -> None:
@@ -78,7 +78,7 @@ def test_a_wall_in_the_world_is_looked_for_where_the_alignment_puts_the_estimate
     tape = Span("robot to wall", at(0), Place(13.0, 5.0), 3.0)
     scan, _ = room(5.0)
     world = Pose(10.0, 5.0, 0.0)
-    matched = Matched(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)), "given", "", world)
+    matched = MatchedPoses(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)), "given", "", world)
     found = scores(run_of([0.0, 0.0]), [tape], ((scan, world.row),), matched)
     assert found["span_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
 

@@ -7,8 +7,8 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Scan
 from evalkit.metrics import surfaces
-from evalkit.metrics.neighbourhoods import patches
-from evalkit.metrics.surfaces import Pieces
+from evalkit.metrics.neighbourhoods import compute_neighbourhoods
+from evalkit.metrics.surfaces import WallPieces
 from evalkit.metrics.table import Evidence
 
 
@@ -70,7 +70,7 @@ def test_orthogonal_walls_add_their_variances_and_a_wall_between_them_does_not_c
 
 def test_families_are_those_at_right_angles_with_most_pieces_each() -> None:
     directions = np.radians([0.0] * 50 + [30.0] * 8 + [120.0] * 9 + [93.0] * 3)
-    level, upright = surfaces.orthogonal(directions)
+    level, upright = surfaces.find_orthogonal_families(directions)
     assert {len(level), len(upright)} == {8, 9}
 
 
@@ -84,7 +84,9 @@ def test_mean_variance_is_that_of_brute_force() -> None:
             small.append(np.linalg.eigvalsh(np.cov(near.T, bias=True))[0])
     value, places = surfaces.mean_variance(points, middles)
     assert (places, value) == (len(small), pytest.approx(np.mean(small)))
-    assert patches(points, middles).counts.min() < 5 < patches(points, middles).counts.max()
+    assert (
+        compute_neighbourhoods(points, middles).counts.min() < 5 < compute_neighbourhoods(points, middles).counts.max()
+    )
 
 
 def test_what_shows_no_wall_says_so() -> None:
@@ -95,8 +97,8 @@ def test_what_shows_no_wall_says_so() -> None:
     assert dots["ghost_wall_percent"].reason.startswith("single scans show only")
     assert (
         len(
-            surfaces.second_copies(
-                np.zeros((0, 2)), np.zeros((0, 2)), Pieces(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 2)))
+            surfaces.find_second_copies(
+                np.zeros((0, 2)), np.zeros((0, 2)), WallPieces(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 2)))
             )
         )
         == 0

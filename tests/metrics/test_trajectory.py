@@ -12,7 +12,7 @@ from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import trajectory
-from evalkit.metrics.table import Evidence, Matched
+from evalkit.metrics.table import Evidence, MatchedPoses
 
 SECOND = 1_000_000_000
 
@@ -34,9 +34,9 @@ def disturbed(truth: Trajectory, seed: int = 1, sigma_m: float = 0.05) -> Trajec
     return Trajectory(truth.stamps_ns, start_from_base, "start")
 
 
-def matched(estimate: Trajectory, truth: Trajectory, **how: object) -> Matched:
-    found = trajectory.match(estimate, truth, **how)  # type: ignore[arg-type]
-    assert isinstance(found, Matched)
+def matched(estimate: Trajectory, truth: Trajectory, **how: object) -> MatchedPoses:
+    found = trajectory.match_trajectories(estimate, truth, **how)  # type: ignore[arg-type]
+    assert isinstance(found, MatchedPoses)
     return found
 
 
@@ -50,7 +50,7 @@ def evidence_of(estimate: Trajectory, truth: Trajectory | None, expected: int) -
     for column, name in enumerate(("x", "y", "theta")):
         steps[name] = estimate.poses[:, column]
     run = RunResult("b", "s", "complete", "", steps, expected)
-    return Evidence(run, Truth("exact", truth), trajectory.match(estimate, truth), None, ())
+    return Evidence(run, Truth("exact", truth), trajectory.match_trajectories(estimate, truth), None, ())
 
 
 def values(evidence: Evidence) -> dict[str, float | None]:
@@ -60,13 +60,13 @@ def values(evidence: Evidence) -> dict[str, float | None]:
 def test_rigid_finds_the_motion_that_was_applied() -> None:
     points = np.random.default_rng(0).normal(size=(20, 2))
     motion = np.array([4.0, 5.0, np.radians(150.0)])
-    assert trajectory.rigid(points, se2.transform(motion, points)) == pytest.approx(motion)
+    assert trajectory.align_rigidly(points, se2.transform(motion, points)) == pytest.approx(motion)
 
 
 def test_rigid_is_the_least_squares_optimum() -> None:
     rng = np.random.default_rng(0)
     source, target = rng.normal(size=(30, 2)), rng.normal(size=(30, 2))
-    best = trajectory.rigid(source, target)
+    best = trajectory.align_rigidly(source, target)
 
     def cost(row: Floats) -> float:
         return float(np.sum((se2.transform(row, source) - target) ** 2))
@@ -144,7 +144,7 @@ def test_a_dense_estimate_is_interpolated_at_the_stamps_of_a_sparse_truth() -> N
 def test_nothing_is_interpolated_across_a_long_gap() -> None:
     stamps = np.array([0, 1, 2, 7, 8], dtype=np.int64) * SECOND
     at = np.array([-1, 0, 1, 1.5, 2, 4, 7, 7.9, 8, 9]) * SECOND
-    inside = trajectory.bracketed(stamps, at.astype(np.int64), 1.0)
+    inside = trajectory.can_interpolate(stamps, at.astype(np.int64), 1.0)
     assert inside.tolist() == [False, True, True, True, True, False, True, True, True, False]
 
 
@@ -161,9 +161,9 @@ def test_what_cannot_be_matched_says_why() -> None:
     truth = wandering()
     nothing = Trajectory(np.zeros(0, np.int64), np.zeros((0, 3)))
     later = Trajectory(truth.stamps_ns + 3600 * SECOND, truth.poses)
-    assert trajectory.match(truth, None) == "no true trajectory"
-    assert trajectory.match(nothing, truth) == "the run answered no scan"
-    assert trajectory.match(later, truth) == "estimate and truth meet at 0 times, at least 2 are needed"
+    assert trajectory.match_trajectories(truth, None) == "no true trajectory"
+    assert trajectory.match_trajectories(nothing, truth) == "the run answered no scan"
+    assert trajectory.match_trajectories(later, truth) == "estimate and truth meet at 0 times, at least 2 are needed"
 
 
 def test_errors_over_time_are_nan_where_the_truth_is_not_known() -> None:
@@ -171,7 +171,7 @@ def test_errors_over_time_are_nan_where_the_truth_is_not_known() -> None:
     stamps = np.array([0, 1, 1.5, 5, 9]) * SECOND
     poses = np.array([[0.0, 0, 0], [1, 0.2, 0], [1.5, 0, 0], [5, 0, 0], [9, 0, 0]])
     estimate = Trajectory(stamps.astype(np.int64), poses)
-    errors = trajectory.errors_m(estimate, truth)
+    errors = trajectory.compute_errors_m(estimate, truth)
     assert errors == pytest.approx([np.nan, 0.2, 0.0, np.nan, 0.0], nan_ok=True)
 
 
@@ -187,4 +187,4 @@ def test_a_hole_in_the_answers_is_not_covered() -> None:
     stamps = np.array([0, 1, 2, 6, 7, 8, 9, 10]) * SECOND
     poses = np.zeros((8, 3))
     whole = Trajectory(np.arange(11) * SECOND, np.zeros((11, 3)))
-    assert trajectory.covered(Trajectory(stamps, poses), whole) == pytest.approx(0.6)
+    assert trajectory.covered_share(Trajectory(stamps, poses), whole) == pytest.approx(0.6)

@@ -21,7 +21,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.trajectory import MAX_GAP_S, bracketed
+from evalkit.metrics.trajectory import MAX_GAP_S, can_interpolate
 from evalkit.odometry import planar3d
 from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text
@@ -110,7 +110,7 @@ def _seen(label: str, dataset: str, parameters: str, pairs: int) -> tuple[Seen, 
 def _along(frames: list[Frame], truth: Trajectory, pairs: int) -> tuple[Seen, ...]:
     """The first scan of a pair, and of those after it the farthest that is still near."""
     stamps = _stamps(frames)
-    known = np.flatnonzero(bracketed(truth.stamps_ns, stamps, MAX_GAP_S))
+    known = np.flatnonzero(can_interpolate(truth.stamps_ns, stamps, MAX_GAP_S))
     poses = np.full((len(frames), 3), np.nan)
     poses[known] = truth.at(stamps[known])
     found = []

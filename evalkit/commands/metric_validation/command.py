@@ -142,7 +142,7 @@ def _card(metric: Metric) -> dict[str, Any]:
     return {
         "name": metric.name, "label": metric.label, "unit": metric.unit, "better": metric.better,
         "group": metric.group, "definition": metric.definition, "source": metric.source,
-        "blind_to": metric.blind_to, "support": metric.support, "no_value": list(metric.no_value),
+        "limitations": metric.limitations, "support": metric.support, "no_value": list(metric.no_value),
         "follows_the_true_error": None if trust is None else interval(trust.overall),
     }  # fmt: skip
 
@@ -159,7 +159,7 @@ def _lines(metric: Metric) -> list[str]:
         f"  group       {metric.group}",
         f"  definition  {metric.definition}",
         f"  source      {metric.source}",
-        f"  blind to    {metric.blind_to}",
+        f"  blind to    {metric.limitations}",
         f"  stands on   {metric.support or 'not told by its package'}",
         *(f"  no value    {reason}" for reason in metric.no_value),
     ]

@@ -31,7 +31,7 @@ from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import timed
 from evalkit.metrics.table import Evidence
-from evalkit.metrics.trajectory import match
+from evalkit.metrics.trajectory import match_trajectories
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import NoAnswer, Odometry, Value, resolved
@@ -290,8 +290,8 @@ def _measured(sequence: LoadedSequence, stamps_ns: Ints, poses: Floats) -> dict[
     steps["stamp_ns"] = stamps_ns
     steps["x"], steps["y"], steps["theta"] = poses.T
     run = RunResult("", "", "complete", "", steps, len(sequence.frames))
-    evidence = Evidence(run, sequence.truth, match(run.estimate, sequence.truth.trajectory), None, ())
-    found = metrics.score(evidence, (metric for metric in metrics.METRICS if metric.name in MEASURES))
+    evidence = Evidence(run, sequence.truth, match_trajectories(run.estimate, sequence.truth.trajectory), None, ())
+    found = metrics.compute_scores(evidence, (metric for metric in metrics.METRICS if metric.name in MEASURES))
     return {name: found[name].value for name in MEASURES}
 
 

@@ -102,12 +102,12 @@ def _scored(
     table = {metric.name: metric for metric in metrics.all_metrics() if metric.name in names}
     evidence = scoring.without_map(run, sequence)
     plain = [metric for metric in table.values() if metric.group not in DRAWN and metric.name not in OF_SCANS]
-    found = metrics.score(evidence, plain)
+    found = metrics.compute_scores(evidence, plain)
     drawn = [metric for metric in table.values() if metric not in plain or _lacks_scans(metric, found)]
     if drawn:
         halves = any(metric.group == "map consistency" for metric in drawn)
         evidence = scoring.with_map(evidence, sequence, make_mapper, scans, halves)
-        found |= metrics.score(evidence, drawn)
+        found |= metrics.compute_scores(evidence, drawn)
     return {name: found[name] for name in names}
 
 

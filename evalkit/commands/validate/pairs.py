@@ -15,7 +15,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame, Scan
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.trajectory import MAX_GAP_S, bracketed
+from evalkit.metrics.trajectory import MAX_GAP_S, can_interpolate
 from evalkit.odometry import frontend
 from evalkit.plugins.protocols import Odometry, Sequence
 
@@ -84,7 +84,7 @@ def radius_m(question: Question) -> float:
 def _motion(first: Frame, last: Frame, truth: Trajectory | None) -> Pose | None:
     """``first_from_last`` by the truth, else by the wheels, else None."""
     stamps = np.array([first.scan.stamp_ns, last.scan.stamp_ns])
-    if truth is not None and bracketed(truth.stamps_ns, stamps, MAX_GAP_S).all():
+    if truth is not None and can_interpolate(truth.stamps_ns, stamps, MAX_GAP_S).all():
         return Pose.of(se2.between(*truth.at(stamps)))
     if first.odom_from_base is None or last.odom_from_base is None:
         return None

@@ -18,7 +18,7 @@ from evalkit.core.se2 import Floats
 from evalkit.execution.job_store import Result
 from evalkit.execution.sandbox import ENDED
 from evalkit.metrics.runtime import period_ns
-from evalkit.metrics.trajectory import MAX_GAP_S, bracketed, rms
+from evalkit.metrics.trajectory import MAX_GAP_S, can_interpolate, rms
 from evalkit.stats.bootstrap import block_length, bootstrap_interval, paired_difference_interval
 from evalkit.stats.intervals import Interval
 
@@ -92,7 +92,7 @@ def errors(trial: Trial) -> Errors:
     if truth is None or trial.errors_m is None or len(stamps) < 3:
         return Errors(stamps, nothing, nothing)
     rpe, gap = nothing.copy(), max(1, round(1e9 / max(period_ns(run), 1.0)))
-    known = np.flatnonzero(bracketed(truth.stamps_ns, stamps, MAX_GAP_S))
+    known = np.flatnonzero(can_interpolate(truth.stamps_ns, stamps, MAX_GAP_S))
     first = np.intersect1d(known, known - gap)
     true = se2.between(truth.at(stamps[first]), truth.at(stamps[first + gap]))
     poses = run.estimate.poses

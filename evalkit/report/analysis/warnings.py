@@ -27,7 +27,7 @@ def of_evidence(found: Standing) -> list[str]:
     """What the deciding metric cannot tell: sentences."""
     caveats = []
     if by_maps(found):
-        blind = plain(found.metric.blind_to)
+        blind = plain(found.metric.limitations)
         caveats.append(f"There is no truth here: {found.metric.label} compares maps only, and is blind to {blind}.")
         caveats += _trust(found.metric)
     if found.ranked and not found.repeated:

@@ -19,8 +19,8 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.consistency import CLEARED, looked_up
-from evalkit.metrics.maps import nearest_m
+from evalkit.metrics.consistency import CLEARED, look_up_cells
+from evalkit.metrics.maps import nearest_distances_m
 from evalkit.plugins.protocols import Sequence
 from evalkit.report.html.array_encoding import NONE, Steps, packed, quantised, restored
 from evalkit.report.html.maps import Window, pixel_m
@@ -214,7 +214,7 @@ def ghosts(mapped: OccupancyGrid, true: OccupancyGrid) -> Floats:
     ours, theirs = mapped.centres(mapped.occupied()), true.centres(true.occupied())
     if not len(ours) or not len(theirs):
         return ours
-    return np.asarray(ours[nearest_m(ours, theirs) > GHOST_M])
+    return np.asarray(ours[nearest_distances_m(ours, theirs) > GHOST_M])
 
 
 def violations(points: Floats, grid: OccupancyGrid) -> Floats:
@@ -222,7 +222,7 @@ def violations(points: Floats, grid: OccupancyGrid) -> Floats:
 
     Free is what consistency calls cleared, log-odds below -1, without an occupied cell within ``GHOST_M``.
     """
-    log_odds, observed = looked_up(points, grid)
+    log_odds, observed = look_up_cells(points, grid)
     suspects = points[observed & (log_odds < CLEARED)]
     walls = grid.centres(grid.occupied())
     if len(walls) and len(suspects):

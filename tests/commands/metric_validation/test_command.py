@@ -21,7 +21,7 @@ from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import evaluate
 from evalkit.metrics.table import Evidence
-from evalkit.metrics.trajectory import match
+from evalkit.metrics.trajectory import match_trajectories
 from evalkit.report.html.document import render
 
 
@@ -81,12 +81,12 @@ def poor():
         run = RunResult("b", "s", "failed", "it broke", rows, 0)
         for truth in (Truth("none"), Truth("exact", stood), Truth("exact", stood, grid=empty)):
             for grid in (None, empty):
-                yield Evidence(run, truth, match(run.estimate, truth.trajectory), grid, (), grid, grid)
+                yield Evidence(run, truth, match_trajectories(run.estimate, truth.trajectory), grid, (), grid, grid)
 
 
 def test_a_reason_that_a_metric_gives_stands_on_its_card():
     for evidence in poor():
-        for metric, score in zip(metrics.METRICS, metrics.score(evidence).values(), strict=True):
+        for metric, score in zip(metrics.METRICS, metrics.compute_scores(evidence).values(), strict=True):
             if score.value is None:
                 patterns = [reason.replace("...", "*") for reason in metric.no_value]
                 assert any(fnmatchcase(score.reason, pattern) for pattern in patterns), (metric.name, score.reason)
@@ -132,7 +132,7 @@ def test_a_clean_run_of_given_poses_has_no_error():
     sequence = map_rebuilding.recording("room", 0)
     run = map_rebuilding.run_of(sequence, map_rebuilding.true_poses(sequence))
     evidence = evaluate.without_map(run, sequence)
-    assert metrics.score(evidence)["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
+    assert metrics.compute_scores(evidence)["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_self_test_fails_where_a_mistake_does_not_show(monkeypatch):
