@@ -32,12 +32,13 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.core import belief, se2
+from evalkit.core import se2
 from evalkit.core.errors import NotInstalled
+from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
-from evalkit.core.timing import conversion
+from evalkit.core.timing import Cost, Stopwatch
 from evalkit.odometry import planar3d
 from evalkit.plugins.protocols import BackendSpec, Parameter
 
@@ -84,23 +85,23 @@ class KissIcpOdometry:
         self._last: _Answered | None = None
         self._step, self._step_ns = Pose(), 1
 
-    def update(self, frame: Frame) -> Pose:
-        """``start_from_base`` when the first beam was fired."""
+    def update(self, frame: Frame) -> OdometryEstimate:
+        """Process one scan; ``accepted`` is reported from the second scan on."""
+        conversion = Stopwatch()
         if self._kiss is None:
             self._kiss = self._fresh(frame)
         first, first_from_end = self._predicted(frame)
-        with conversion():
+        with conversion:
             points, beams = self._points(frame)
         predicted = end = first @ first_from_end
         if len(points) >= self._settings.min_points:
-            end = self._registered(points, self._times(frame, beams, first_from_end), first, first_from_end)
-        if self._last is not None:
-            belief.tell(
-                max(abs(end.x - predicted.x), abs(end.y - predicted.y), abs(end.theta - predicted.theta)) > UNMOVED
-            )
-        answer = Pose() if self._last is None else end @ first_from_end.inverse()
-        self._remember(frame, answer, end)
-        return answer
+            times = self._times(frame, beams, first_from_end)
+            end = self._register(points, times, first, first_from_end, conversion)
+        moved = max(abs(end.x - predicted.x), abs(end.y - predicted.y), abs(end.theta - predicted.theta)) > UNMOVED
+        accepted = None if self._last is None else moved
+        pose = Pose() if self._last is None else end @ first_from_end.inverse()
+        self._remember(frame, pose, end)
+        return OdometryEstimate(pose, accepted=accepted, cost=Cost(conversion.cpu_ns))
 
     def _fresh(self, frame: Frame) -> Any:
         """KISS-ICP with all its settings; built on the first scan, which tells the lidar's range."""
@@ -158,9 +159,11 @@ class KissIcpOdometry:
         still = not np.any(first_from_end.row)
         return np.zeros(0) if still or frame.scan.duration_ns == 0 else beams / (len(frame.scan.ranges) - 1)
 
-    def _registered(self, points: Floats, times: Floats, first: Pose, first_from_end: Pose) -> Pose:
+    def _register(
+        self, points: Floats, times: Floats, first: Pose, first_from_end: Pose, conversion: Stopwatch
+    ) -> Pose:
         """``start_from_end`` after KISS-ICP's step from the prediction."""
-        with conversion():
+        with conversion:
             if len(times):  # KISS-ICP stretches the times it is given: these two are the first beam's and the last's
                 times = np.concatenate([times, [0.0, 1.0]])
                 points = np.concatenate([points, np.full((2, 3), BEYOND_M)])
@@ -168,7 +171,7 @@ class KissIcpOdometry:
             self._kiss.last_pose = planar3d.matrix_4x4(first)
             self._kiss.last_delta = planar3d.matrix_4x4(first_from_end)
         self._kiss.register_frame(points, times)
-        with conversion():
+        with conversion:
             return planar3d.pose_2d(self._kiss.last_pose)
 
     def _remember(self, frame: Frame, answer: Pose, end: Pose) -> None:

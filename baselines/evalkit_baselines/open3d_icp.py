@@ -33,7 +33,7 @@ from evalkit.core.errors import NotInstalled
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
-from evalkit.core.timing import conversion
+from evalkit.core.timing import Cost, Stopwatch
 from evalkit.odometry import planar3d
 from evalkit.plugins.protocols import BackendSpec, Parameter
 
@@ -43,8 +43,8 @@ INSTALL_SYSTEM = "apt-get install -y --no-install-recommends libgl1 libegl1 libx
 OLDEST = (0, 20)
 MIN_PAIRS = 3  # two pairs fix a planar pose exactly, so they fit whatever they are
 
-Describe = Callable[[Any, Any, Cloud], None]
-"""Adds to a bare Open3D cloud what a method needs: arguments are the library, its cloud, and evalkit's."""
+Describe = Callable[[Any, Any, Cloud, Stopwatch], None]
+"""Adds normals or covariances to an Open3D cloud; arguments: library, its cloud, evalkit's cloud, conversion time."""
 
 
 class Open3DRegistration:
@@ -80,32 +80,34 @@ class Open3DRegistration:
         Not converged, with the guess as the answer, where fewer than three points have a partner or where the answer
         left the plane: pairs on one line let a rotation by half a turn about that line fit as well.
         """
+        conversion = Stopwatch()
         if min(len(target), len(source)) < MIN_PAIRS:
-            return _unmatched(guess, 0)
+            return _unmatched(guess, 0, conversion)
         fixed = self._targets.get(target)
         if fixed is None:
-            fixed = self._targets[target] = self._lifted(target, self._describe_target)
-        moving = self._lifted(source, self._describe_source)
-        with conversion():
+            fixed = self._targets[target] = self._lifted(target, self._describe_target, conversion)
+        moving = self._lifted(source, self._describe_source, conversion)
+        with conversion:
             initial = planar3d.matrix_4x4(guess)
         result = self._method(moving, fixed, self._max_correspondence_m, initial, self._estimation, self._criteria)
-        with conversion():
+        with conversion:
             pairs = len(result.correspondence_set)
         if pairs < MIN_PAIRS:
-            return _unmatched(guess, pairs)
+            return _unmatched(guess, pairs, conversion)
         try:
-            with conversion():
+            with conversion:
                 answer = planar3d.pose_2d(result.transformation)
         except ValueError:  # turned over
-            return _unmatched(guess, 0)
-        return Match(answer, converged=True, iterations=0, error=float(result.inlier_rmse), inliers=pairs)
+            return _unmatched(guess, 0, conversion)
+        cost = Cost(conversion.cpu_ns)
+        return Match(answer, converged=True, iterations=0, error=float(result.inlier_rmse), inliers=pairs, cost=cost)
 
-    def _lifted(self, cloud: Cloud, describe: Describe) -> Any:
-        with conversion():
+    def _lifted(self, cloud: Cloud, describe: Describe, conversion: Stopwatch) -> Any:
+        with conversion:
             space = self._open3d.geometry.PointCloud(
                 self._open3d.utility.Vector3dVector(planar3d.points_3d(cloud.points))
             )
-        describe(self._open3d, space, cloud)
+        describe(self._open3d, space, cloud, conversion)
         return space
 
 
@@ -124,9 +126,9 @@ def point_to_plane(
     open3d = _imported()
     methods = open3d.pipelines.registration
 
-    def with_normals(library: Any, space: Any, cloud: Cloud) -> None:
+    def with_normals(library: Any, space: Any, cloud: Cloud, conversion: Stopwatch) -> None:
         normals = planar3d.normals(cloud.points, normal_neighbours, normal_radius_m)
-        with conversion():
+        with conversion:
             space.normals = library.utility.Vector3dVector(planar3d.points_3d(normals))
 
     estimation = methods.TransformationEstimationPointToPlane(_loss(methods, kernel, kernel_width_m))
@@ -140,11 +142,11 @@ def generalized(
     open3d = _imported()
     methods = open3d.pipelines.registration
 
-    def with_covariances(library: Any, space: Any, cloud: Cloud) -> None:
+    def with_covariances(library: Any, space: Any, cloud: Cloud, conversion: Stopwatch) -> None:
         covariances = planar3d.covariances_3d(
             planar3d.normals(cloud.points, normal_neighbours, normal_radius_m), epsilon
         )
-        with conversion():
+        with conversion:
             space.covariances = library.utility.Matrix3dVector(covariances)
 
     estimation = methods.TransformationEstimationForGeneralizedICP(epsilon, _loss(methods, kernel, kernel_width_m))
@@ -165,11 +167,11 @@ def open3d_missing() -> str:
     return f"open3d needs system libraries that are not here ({', '.join(absent)}): {INSTALL_SYSTEM}" if absent else ""
 
 
-def _unmatched(guess: Pose, pairs: int) -> Match:
-    return Match(guess, converged=False, iterations=0, error=math.nan, inliers=pairs)
+def _unmatched(guess: Pose, pairs: int, conversion: Stopwatch) -> Match:
+    return Match(guess, converged=False, iterations=0, error=math.nan, inliers=pairs, cost=Cost(conversion.cpu_ns))
 
 
-def _bare(_library: Any, _space: Any, _cloud: Cloud) -> None:
+def _bare(_library: Any, _space: Any, _cloud: Cloud, _conversion: Stopwatch) -> None:
     """Point-to-point needs nothing but points."""
 
 

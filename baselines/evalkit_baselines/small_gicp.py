@@ -34,15 +34,15 @@ from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
-from evalkit.core.timing import conversion
+from evalkit.core.timing import Cost, Stopwatch
 from evalkit.odometry import planar3d
 from evalkit.plugins.protocols import BackendSpec, Parameter
 
 INSTALL = "pip install 'evalkit[small-gicp]'"
 MIN_PAIRS = 3  # two pairs fix a planar pose exactly, so they fit whatever they are
 
-Prepare = Callable[[Any, Cloud], tuple[Any, Any]]
-"""The library's cloud and tree of a target."""
+Prepare = Callable[[Any, Cloud, Stopwatch], tuple[Any, Any]]
+"""Builds the library's cloud and tree of a target; arguments: library, target, conversion time."""
 
 
 class SmallGicpRegistration:
@@ -72,25 +72,27 @@ class SmallGicpRegistration:
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """The motion ``target_from_source``; the guess, not converged, where fewer than three points have a partner."""
+        conversion = Stopwatch()
         if min(len(target), len(source)) < MIN_PAIRS:
-            return _unmatched(guess, 0)
+            return _unmatched(guess, 0, conversion)
         if target not in self._targets:
-            self._targets[target] = self._prepare(self._library, target)
+            self._targets[target] = self._prepare(self._library, target, conversion)
         cloud, tree = self._targets[target]
-        with conversion():
+        with conversion:
             moving = self._library.PointCloud(planar3d.points_3d(source.points))
             initial = planar3d.matrix_4x4(guess)
         result = self._library.align(cloud, moving, tree, init_T_target_source=initial, **self._settings)
         pairs = int(result.num_inliers)
         if pairs < MIN_PAIRS:
-            return _unmatched(guess, pairs)
+            return _unmatched(guess, pairs, conversion)
         try:
-            with conversion():
+            with conversion:
                 answer = planar3d.pose_2d(result.T_target_source)
         except ValueError:  # left the plane
-            return _unmatched(guess, 0)
+            return _unmatched(guess, 0, conversion)
         error = math.sqrt(2.0 * max(float(result.error), 0.0) / pairs)
-        return Match(answer, bool(result.converged), int(result.iterations), error, pairs)
+        cost = Cost(conversion.cpu_ns)
+        return Match(answer, bool(result.converged), int(result.iterations), error, pairs, cost=cost)
 
 
 def point_to_point(**stop: Any) -> SmallGicpRegistration:
@@ -101,8 +103,8 @@ def point_to_point(**stop: Any) -> SmallGicpRegistration:
 def point_to_plane(normal_neighbours: int, layer_m: float, **stop: Any) -> SmallGicpRegistration:
     """small_gicp's point-to-plane ICP on a target extruded to three layers."""
 
-    def extruded(library: Any, target: Cloud) -> tuple[Any, Any]:
-        with conversion():
+    def extruded(library: Any, target: Cloud, conversion: Stopwatch) -> tuple[Any, Any]:
+        with conversion:
             cloud = library.PointCloud(layers(target.points, layer_m))
         tree = library.KdTree(cloud, num_threads=1)
         library.estimate_normals_covariances(cloud, tree, num_neighbors=normal_neighbours, num_threads=1)
@@ -123,14 +125,14 @@ def small_gicp_missing() -> str:
     return "" if importlib.util.find_spec("small_gicp") else f"not installed: {INSTALL}"
 
 
-def _flat(library: Any, target: Cloud) -> tuple[Any, Any]:
-    with conversion():
+def _flat(library: Any, target: Cloud, conversion: Stopwatch) -> tuple[Any, Any]:
+    with conversion:
         cloud = library.PointCloud(planar3d.points_3d(target.points))
     return cloud, library.KdTree(cloud, num_threads=1)
 
 
-def _unmatched(guess: Pose, pairs: int) -> Match:
-    return Match(guess, converged=False, iterations=0, error=math.nan, inliers=pairs)
+def _unmatched(guess: Pose, pairs: int, conversion: Stopwatch) -> Match:
+    return Match(guess, converged=False, iterations=0, error=math.nan, inliers=pairs, cost=Cost(conversion.cpu_ns))
 
 
 def _imported() -> Any:

@@ -7,6 +7,7 @@ standing still until the wheels are heard again.
 from __future__ import annotations
 
 from evalkit.core.errors import DataMissing
+from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.plugins.protocols import BackendSpec
@@ -19,7 +20,7 @@ class WheelOdometry:
         self._odom_from_start: Pose | None = None
         self._start_from_base = Pose()
 
-    def update(self, frame: Frame) -> Pose:
+    def update(self, frame: Frame) -> OdometryEstimate:
         """``start_from_base`` when the first beam was fired; the last answer again in a gap of the odometry.
 
         DataMissing where the recording begins without odometry.
@@ -35,7 +36,7 @@ class WheelOdometry:
                 "the recording has no wheel odometry at its first scan",
                 "there is no bar to beat here",
             )
-        return self._start_from_base
+        return OdometryEstimate(self._start_from_base)
 
 
 SPEC = BackendSpec(

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 from evalkit.core.arrays import Ints
 from evalkit.core.pose import Pose
+from evalkit.core.timing import NO_COST, Cost
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Iteration:
-    """One step of an iterative registration: the error (m) and pairs before it, the pose after it, the pairs if traced.
+    """One step of an iterative registration: error (m) and number of pairs before the step, pose after it.
 
-    ``pairs`` (K, 2): indices into source and target, or None.
+    ``pairs`` (K, 2): indices into source and target, None where they are not traced.
     """
 
     error: float
@@ -23,10 +24,11 @@ class Iteration:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Match:
-    """A registration's answer. Not converging is an answer, not an error.
+    """Answer of a registration. A registration that does not converge returns an answer too and raises no error.
 
-    ``error``: the back end's own final error in metres (nan where it has none). ``inliers``: pairs it stands on.
-    ``history``: one entry per iteration where the back end can tell.
+    ``error``: final error in metres as the back end defines it (nan where it has none). ``inliers``: number of pairs
+    behind the answer. ``history``: one entry per iteration, empty where the back end has no trace. ``cost``: what only
+    the back end itself can measure.
     """
 
     target_from_source: Pose
@@ -35,3 +37,4 @@ class Match:
     error: float
     inliers: int
     history: tuple[Iteration, ...] = ()
+    cost: Cost = NO_COST

@@ -1,14 +1,14 @@
-"""The timed region: wall time, CPU time and the share of it spent on converting values.
+"""Time of one call to a back end: wall time, CPU time, and the part of it spent on converting values.
 
-CPU time is that of the whole process, so a back end that starts threads cannot hide them. A back end whose work is
-done outside this process tells here what that work cost.
+CPU time is the time of the whole process, so it includes the threads that a back end starts. What the harness cannot
+measure from outside (conversions, work in another process or on a device) the back end reports as the ``Cost`` of its
+answer.
 """
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal, TypeVar
 
@@ -17,66 +17,73 @@ Clock = Literal["wall", "cpu"]
 
 
 @dataclass(frozen=True, slots=True)
-class Timing:
-    """One timed call: nanoseconds of wall clock, of CPU, and of CPU inside ``conversion()`` (part of the CPU time).
+class Cost:
+    """What a back end reports about the cost of one answer.
 
-    ``device_ns``: what the back end itself says it took. 0: not measured.
+    ``conversion_ns``: CPU time spent on converting evalkit's values to a library's types and back (see ``Stopwatch``).
+    ``program_cpu_ns``: CPU time of another process of this machine. ``device_ns``: time that the implementation itself
+    measured where it runs. ``withheld``: clocks whose reading has no meaning because the answer was computed elsewhere.
+    """
+
+    conversion_ns: int = 0
+    program_cpu_ns: int = 0
+    device_ns: int = 0
+    withheld: frozenset[Clock] = frozenset()
+
+    def __add__(self, other: Cost) -> Cost:
+        return Cost(
+            self.conversion_ns + other.conversion_ns,
+            self.program_cpu_ns + other.program_cpu_ns,
+            self.device_ns + other.device_ns,
+            self.withheld | other.withheld,
+        )
+
+
+NO_COST = Cost()
+
+
+@dataclass(frozen=True, slots=True)
+class CallTiming:
+    """Time of one call in nanoseconds; 0 where not measured.
+
+    ``conversion_ns`` is a part of ``cpu_ns``. ``device_ns``: time reported by the back end itself.
     """
 
     wall_ns: int
     cpu_ns: int
-    conversion_ns: int
-    device_ns: int = 0
-
-
-@dataclass(slots=True)
-class _Told:
-    """What was told during the present call; read only by timed()."""
-
     conversion_ns: int = 0
-    program_ns: int = 0
     device_ns: int = 0
-    withheld: tuple[Clock, ...] = ()
+
+    def including(self, cost: Cost) -> CallTiming:
+        """This timing together with the cost that the back end reports."""
+        return CallTiming(
+            0 if "wall" in cost.withheld else self.wall_ns,
+            0 if "cpu" in cost.withheld else self.cpu_ns + cost.program_cpu_ns,
+            cost.conversion_ns,
+            cost.device_ns,
+        )
 
 
-_told = _Told()
+class Stopwatch:
+    """Sum of the process's CPU time over ``with`` blocks; ``with stopwatch:`` must not be nested.
+
+    A back end measures its conversions with a fresh stopwatch per call and reports ``Cost(stopwatch.cpu_ns)``.
+    """
+
+    def __init__(self) -> None:
+        self.cpu_ns = 0
+        self._start_ns = 0
+
+    def __enter__(self) -> None:
+        self._start_ns = time.process_time_ns()
+
+    def __exit__(self, *_error: object) -> None:
+        self.cpu_ns += time.process_time_ns() - self._start_ns
 
 
-def timed(call: Callable[[], Answer]) -> tuple[Answer, Timing]:
-    """The call's answer and what it cost; nothing else happens between the two readings."""
-    global _told  # noqa: PLW0603 - a clock is the one thing that is the same for everybody in a process
-    _told = told = _Told()
+def timed(call: Callable[[], Answer]) -> tuple[Answer, CallTiming]:
+    """Call a function and measure it; return its answer and the time. Nothing else runs between the two readings."""
     wall, cpu = time.perf_counter_ns(), time.process_time_ns()
     answer = call()
     cpu, wall = time.process_time_ns() - cpu, time.perf_counter_ns() - wall
-    return answer, Timing(
-        0 if "wall" in told.withheld else wall,
-        0 if "cpu" in told.withheld else cpu + told.program_ns,
-        told.conversion_ns,
-        told.device_ns,
-    )
-
-
-@contextmanager
-def conversion() -> Iterator[None]:
-    """Marks work that only turns evalkit's values into a library's and back, so that reports show it apart."""
-    start = time.process_time_ns()
-    try:
-        yield
-    finally:
-        _told.conversion_ns += time.process_time_ns() - start
-
-
-def program(cpu_ns: int) -> None:
-    """Adds the CPU time that a program of this machine spent on the present answer."""
-    _told.program_ns += cpu_ns
-
-
-def device(elapsed_ns: int) -> None:
-    """Adds the time the back end itself says it took for the present answer, measured where it runs."""
-    _told.device_ns += elapsed_ns
-
-
-def withhold(*clocks: Clock) -> None:
-    """Says of which clocks the present call's time tells nothing: its answer was computed elsewhere."""
-    _told.withheld = clocks
+    return answer, CallTiming(wall, cpu)

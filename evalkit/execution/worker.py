@@ -7,36 +7,37 @@ Every scan's answer is on disk before the next scan begins, so whatever ends thi
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import sys
 import time
 import traceback
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import numpy as np
 
-from evalkit.core import belief
-from evalkit.core.errors import BackendFailed, BadData, DataMissing, EvalkitError, NotInstalled, plain
-from evalkit.core.match import Match
-from evalkit.core.pose import Pose
+from evalkit.core.errors import BackendFailed, DataMissing, EvalkitError, NotInstalled, plain
+from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.run_result import STEP, Status
 from evalkit.core.scan import Frame
-from evalkit.core.timing import Timing, timed
+from evalkit.core.timing import CallTiming
 from evalkit.execution import parent_watch
 from evalkit.odometry import frontend
+from evalkit.odometry.run_odometry import run_odometry
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import DatasetSpec, NoAnswer, Odometry, Sequence, Value
+from evalkit.plugins.protocols import DatasetSpec, Odometry, Sequence, Value
 
 WARM_UP_SCANS = 5
-"""Scans shown to a back end of its own before the clock starts; their cost is in no number."""
+"""Number of scans that a separate instance of the back end processes before the timed run; not part of any number."""
 
 MIN_ANSWERED = 0.95
-"""Who leaves out more of the scans than this share has not followed the sequence: the run has failed."""
+"""Smallest share of scans with an answer; a run with fewer has failed."""
+
+NOT_REPORTED = -1
+"""Value of ``accepted`` and ``converged`` in a ``STEP`` record where the odometry does not report a stage."""
 
 
 @dataclass(frozen=True)
@@ -60,43 +61,6 @@ class Outcome:
     peak_memory_bytes: int
     warm_up_scans: int
     notes: dict[str, int]
-
-
-class Residuals:
-    """The last scan's matches, as the front end or the odometry itself tells of them."""
-
-    def __init__(self) -> None:
-        self.row: dict[str, float] = {}
-        self.clear()
-
-    def clear(self) -> None:
-        """Forgets the last scan."""
-        nothing = {
-            "error": np.nan,
-            "iterations": 0,
-            "inliers": 0,
-            "accepted": belief.UNTOLD,
-            "converged": belief.UNTOLD,
-        }
-        self.row = {f"{stage}_{name}": value for stage in ("s2s", "s2m") for name, value in nothing.items()}
-        belief.heard()
-        belief.heard_of_stages()
-
-    def hear(self, stage: frontend.Stage, match: Match, accepted: bool) -> None:
-        """Takes in one stage's answer."""
-        self.row[f"{stage}_error"] = match.error
-        self.row[f"{stage}_iterations"] = match.iterations
-        self.row[f"{stage}_inliers"] = match.inliers
-        self.row[f"{stage}_accepted"] = accepted
-        self.row[f"{stage}_converged"] = bool(match.converged)
-
-    def ask(self) -> None:
-        """Takes in what an odometry has told of its answer by itself."""
-        told = belief.heard()
-        if told != belief.UNTOLD:
-            self.row["s2m_accepted"] = told
-        for stage, registered in belief.heard_of_stages().items():
-            self.row.update({f"{stage}_{name}": value for name, value in registered._asdict().items()})
 
 
 def main() -> int:
@@ -130,11 +94,10 @@ def perform(request: Request, folder: Path) -> Outcome:
         begun = {"expected": expected, "every": _every(dataset, request)}
         _leave(folder / "begun.json", begun)  # for a back end that ends this process in its warm-up
         warm = _warm_up(frontend.odometry(spec, request.backend_parameters), sequence)
-        residuals = Residuals()
-        method = frontend.odometry(spec, request.backend_parameters, residuals.hear)
+        odometry = frontend.odometry(spec, request.backend_parameters)
         _leave(folder / "begun.json", begun | {"warm_up_scans": warm})
         with (folder / "steps.bin").open("ab", buffering=0) as file:
-            follow(method, sequence, request, residuals, file)
+            record_run(odometry, sequence, request, file)
         notes = dict(sequence.notes())
     except NotInstalled as error:
         status, reason = "not-installed", str(error)
@@ -162,65 +125,50 @@ def _leave(path: Path, content: dict[str, Any]) -> None:
     partial.replace(path)
 
 
-def _warm_up(method: Odometry, sequence: Sequence) -> int:
-    """How many scans a back end of its own saw: imports, first allocations and thread pools are paid here."""
-    seen = 0
-    for frame in sequence.frames():
-        with contextlib.suppress(NoAnswer):
-            method.update(frame)
-        seen += 1
-        if seen == WARM_UP_SCANS:
-            break
-    return seen
+def _warm_up(odometry: Odometry, sequence: Sequence) -> int:
+    """Run a separate odometry over the first scans; imports, first allocations and thread pools happen here.
 
-
-def follow(method: Odometry, sequence: Sequence, request: Request, residuals: Residuals, steps: BinaryIO) -> None:
-    """Writes a ``STEP`` record for every scan the back end answers; BackendFailed where it leaves out too many.
-
-    A record's ``harness_ns`` is what the harness took around the scan before.
+    Returns the number of scans.
     """
-    around = asked = unanswered = 0
-    why = ""
-    for frame in _in_order(sequence, request.dataset):
-        begun = time.perf_counter_ns()
-        asked += 1
-        residuals.clear()
-        try:
-            pose, timing = timed(lambda frame=frame: method.update(frame))  # type: ignore[misc]
-        except NoAnswer as reason:
-            unanswered, why = unanswered + 1, str(reason)
-            continue
-        residuals.ask()
-        steps.write(_record(frame, pose, timing, residuals, around))
-        around = time.perf_counter_ns() - begun - timing.wall_ns
-    if unanswered > (1.0 - MIN_ANSWERED) * asked:
-        what = f"no answer for {unanswered} of {asked} scans"
-        raise BackendFailed(request.backend, what, f"why the last time: {why}")
+    return sum(1 for _ in run_odometry(odometry, islice(sequence.frames(), WARM_UP_SCANS)))
 
 
-def _in_order(sequence: Sequence, dataset: str) -> Iterator[Frame]:
-    """The frames; BadData where their stamps do not increase."""
-    last_ns: int | None = None
-    for index, frame in enumerate(sequence.frames()):
-        if last_ns is not None and frame.scan.stamp_ns <= last_ns:
-            found = f"stamp {frame.scan.stamp_ns} ns is not later than the one before, {last_ns} ns"
-            raise BadData(dataset, f"scan {index + 1}", found, "give the scans in the order of time")
-        last_ns = frame.scan.stamp_ns
-        yield frame
+def record_run(odometry: Odometry, sequence: Sequence, request: Request, steps: BinaryIO) -> None:
+    """Write a ``STEP`` record for every answered scan; raises BackendFailed where too many scans have no answer.
+
+    A record's ``harness_ns`` is the time that the harness spent around the previous scan.
+    """
+    scans = unanswered = around_ns = 0
+    reason = ""
+    begun_ns = time.perf_counter_ns()
+    for step in run_odometry(odometry, sequence.frames(), request.dataset):
+        scans += 1
+        if step.estimate is None:
+            unanswered, reason = unanswered + 1, step.reason
+        else:
+            steps.write(_record(step.frame, step.estimate, step.timing, around_ns))
+            around_ns = time.perf_counter_ns() - begun_ns - step.timing.wall_ns
+        begun_ns = time.perf_counter_ns()
+    if unanswered > (1.0 - MIN_ANSWERED) * scans:
+        what = f"no answer for {unanswered} of {scans} scans"
+        raise BackendFailed(request.backend, what, f"reason for the last one: {reason}")
 
 
-def _record(frame: Frame, pose: object, timing: Timing, residuals: Residuals, around_ns: int) -> bytes:
-    if not isinstance(pose, Pose):
-        raise TypeError(f"update() answered a {type(pose).__name__}, expected an evalkit.Pose")
-    if not np.isfinite(pose.row).all():  # a Pose of a third party's own making need not have been checked
-        raise ValueError(f"update() answered a pose that is not finite: ({pose.x}, {pose.y}, {pose.theta})")
+def _record(frame: Frame, estimate: OdometryEstimate, timing: CallTiming, around_ns: int) -> bytes:
     record = np.zeros((), dtype=STEP)
     record["stamp_ns"] = frame.scan.stamp_ns
-    record["x"], record["y"], record["theta"] = pose.x, pose.y, pose.theta
+    record["x"], record["y"], record["theta"] = estimate.pose.row
     record["wall_ns"], record["cpu_ns"], record["conversion_ns"] = timing.wall_ns, timing.cpu_ns, timing.conversion_ns
     record["harness_ns"], record["device_ns"] = around_ns, timing.device_ns
-    for name, value in residuals.row.items():
-        record[name] = value
+    for name in ("s2s", "s2m"):
+        stage = estimate.stages.get(name)
+        record[f"{name}_error"] = np.nan if stage is None else stage.residual_m
+        record[f"{name}_iterations"] = 0 if stage is None else stage.iterations
+        record[f"{name}_inliers"] = 0 if stage is None else stage.inliers
+        record[f"{name}_accepted"] = NOT_REPORTED if stage is None else stage.accepted
+        record[f"{name}_converged"] = NOT_REPORTED if stage is None else stage.converged
+    if not estimate.stages and estimate.accepted is not None:
+        record["s2m_accepted"] = estimate.accepted
     return record.tobytes()
 
 

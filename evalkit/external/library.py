@@ -19,10 +19,11 @@ import numpy as np
 
 from evalkit.core.errors import BackendFailed
 from evalkit.core.match import Iteration, Match
+from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats
-from evalkit.core.timing import conversion
+from evalkit.core.timing import Cost, Stopwatch
 from evalkit.execution.parent_watch import signal_name
 from evalkit.external import abi, elf
 from evalkit.external.declaration import absent, broken, declaration, digest_of, listed, settings, spec, split, text
@@ -63,11 +64,12 @@ class LibraryRegistration:
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """The library's answer; BackendFailed where it reports an error or its answer is no pose."""
         history: list[Iteration] = []
+        conversion = Stopwatch()
 
         def heard(_listener: object, error_m: float, inliers: int, pose: Any) -> None:
             history.append(Iteration(error_m, inliers, _pose(pose.contents)))
 
-        with conversion():
+        with conversion:
             onto, points, start, answer = _flat(target.points), _flat(source.points), _row(guess), abi.Match()
             answer.target_from_source.x = np.nan  # to be noticed if it stays
             trace = abi.Trace(heard) if self._trace else abi.Trace()
@@ -75,11 +77,12 @@ class LibraryRegistration:
             "evalkit_register", _doubles(onto), len(target), _doubles(points), len(source),
             ctypes.byref(start), trace, None, ctypes.byref(answer),
         )  # fmt: skip
-        with conversion():
+        with conversion:
             pose = self._instance.finite(answer.target_from_source)
-            return Match(
-                pose, bool(answer.converged), answer.iterations, answer.error_m, answer.inliers, tuple(history)
-            )
+        return Match(
+            pose, bool(answer.converged), answer.iterations, answer.error_m, answer.inliers, tuple(history),
+            Cost(conversion.cpu_ns),
+        )  # fmt: skip
 
 
 class LibraryOdometry:
@@ -88,9 +91,10 @@ class LibraryOdometry:
     def __init__(self, name: str, file: Path, **parameters: Value) -> None:
         self._instance = Instance(name, file, parameters)
 
-    def update(self, frame: Frame) -> Pose:
+    def update(self, frame: Frame) -> OdometryEstimate:
         """The library's answer; BackendFailed where it reports an error or its answer is no pose."""
-        with conversion():
+        conversion = Stopwatch()
+        with conversion:
             scan = frame.scan
             ranges, angles = _flat(scan.ranges), _flat(scan.angles)
             question = abi.Frame(
@@ -100,8 +104,9 @@ class LibraryOdometry:
             )  # fmt: skip
             answer = abi.Pose(np.nan, np.nan, np.nan)  # to be noticed if it stays
         self._instance.call("evalkit_update", ctypes.byref(question), ctypes.byref(answer))
-        with conversion():
-            return self._instance.finite(answer)
+        with conversion:
+            pose = self._instance.finite(answer)
+        return OdometryEstimate(pose, cost=Cost(conversion.cpu_ns))
 
 
 class Instance:

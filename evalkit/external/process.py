@@ -6,18 +6,20 @@ import shlex
 import shutil
 import sys
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from evalkit.core import timing
 from evalkit.core.errors import BackendFailed, BadParameter
 from evalkit.core.match import Match
+from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats
+from evalkit.core.timing import Cost, Stopwatch
 from evalkit.external import elf
 from evalkit.external.declaration import Declaration, absent, broken, declaration, digest_of, spec
 from evalkit.external.program import Program
@@ -62,7 +64,8 @@ class ProgramRegistration:
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """The program's answer; BackendFailed where there is none or it is no match."""
-        with timing.conversion():
+        conversion = Stopwatch()
+        with conversion:
             question = self._talk.program.line(
                 {
                     "ask": "register",
@@ -71,9 +74,12 @@ class ProgramRegistration:
                     "target": target.points.ravel().tolist(),
                 }
             )
-        line = self._talk.timed(question)
-        with timing.conversion():
-            return self._talk.match(self._talk.heard(line))
+        line, program_cpu_ns = self._talk.timed(question)
+        with conversion:
+            answer = self._talk.program.read(line)
+            device_ns = self._talk.device_ns(answer)
+            match = self._talk.match(answer)
+        return replace(match, cost=self._talk.cost(conversion.cpu_ns, program_cpu_ns, device_ns))
 
 
 class ProgramOdometry:
@@ -82,9 +88,10 @@ class ProgramOdometry:
     def __init__(self, talk: Talk) -> None:
         self._talk = talk
 
-    def update(self, frame: Frame) -> Pose:
+    def update(self, frame: Frame) -> OdometryEstimate:
         """The program's answer; BackendFailed where there is none or it is no pose."""
-        with timing.conversion():
+        conversion = Stopwatch()
+        with conversion:
             scan = frame.scan
             question = self._talk.program.line(
                 {
@@ -100,9 +107,12 @@ class ProgramOdometry:
                     "ranges": _ranges(scan.ranges),
                 }
             )
-        line = self._talk.timed(question)
-        with timing.conversion():
-            return self._talk.pose(self._talk.heard(line))
+        line, program_cpu_ns = self._talk.timed(question)
+        with conversion:
+            answer = self._talk.program.read(line)
+            device_ns = self._talk.device_ns(answer)
+            pose = self._talk.pose(answer)
+        return OdometryEstimate(pose, cost=self._talk.cost(conversion.cpu_ns, program_cpu_ns, device_ns))
 
 
 class Talk:
@@ -122,22 +132,21 @@ class Talk:
         self.program.answer_timeout_s = answer_timeout_s
         self.program.ask({"ask": "create", "parameters": dict(parameters)})
 
-    def timed(self, question: bytes) -> bytes:
-        """The line answered, and the program's CPU time told to the clock."""
+    def timed(self, question: bytes) -> tuple[bytes, int]:
+        """The line answered to a line, and the CPU time (ns) that the program spent on it."""
         before = self.program.cpu_ns()
         line = self.program.told(question)
-        if self._elsewhere:
-            timing.withhold("cpu")
-        else:
-            timing.program(self.program.cpu_ns() - before)
-        return line
+        return line, self.program.cpu_ns() - before
 
-    def heard(self, line: bytes) -> dict[str, Any]:
-        """The answer in a line, and the time the program says it took told to the clock."""
-        answer = self.program.read(line)
-        if "elapsed_ns" in answer:
-            timing.device(int(self.number(answer, "elapsed_ns")))
-        return answer
+    def device_ns(self, answer: dict[str, Any]) -> int:
+        """The time that the program itself reports with an answer, 0 where it reports none."""
+        return int(self.number(answer, "elapsed_ns")) if "elapsed_ns" in answer else 0
+
+    def cost(self, conversion_ns: int, program_cpu_ns: int, device_ns: int) -> Cost:
+        """The cost of one answer; the CPU time of this machine has no meaning for work done on a device."""
+        if self._elsewhere:
+            return Cost(conversion_ns, device_ns=device_ns, withheld=frozenset({"cpu"}))
+        return Cost(conversion_ns, program_cpu_ns, device_ns)
 
     def number(self, answer: dict[str, Any], key: str, *, optional: bool = False, most: float = 2.0**63) -> float:
         """A number (or true, false) of an answer, less than ``most``; nan where it is optional and not told."""

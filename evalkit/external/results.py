@@ -7,13 +7,16 @@ from pathlib import Path
 
 import numpy as np
 
+from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
-from evalkit.core.timing import withhold
+from evalkit.core.timing import Cost
 from evalkit.external import maps
 from evalkit.external.declaration import UNTOLD, digest_of, settings, split
 from evalkit.io.tum import read_tum
 from evalkit.plugins.protocols import BackendSpec, NoAnswer, Parameter
+
+COMPUTED_ELSEWHERE = Cost(withheld=frozenset({"wall", "cpu"}))
 
 PARAMETERS = (
     Parameter("poses_of", "base", "", "whose poses the file holds", choices=("base", "sensor")),
@@ -56,16 +59,15 @@ class PosesFromFile:
         self._max_gap_ns, self._tolerance_ns = round(max_gap_s * 1e9), round(tolerance_s * 1e9)
         self._world_from_start: Pose | None = None
 
-    def update(self, frame: Frame) -> Pose:
-        """``start_from_base`` when the first beam was fired; NoAnswer where the file has no pose near."""
-        withhold("wall", "cpu")
+    def update(self, frame: Frame) -> OdometryEstimate:
+        """Look the pose up; raises NoAnswer where the file has no pose near the scan's first beam."""
         world_from_base = self._at(frame.scan.stamp_ns)
         if self._of_sensor:
             world_from_base = world_from_base @ frame.base_from_sensor.inverse()
         if self._world_from_start is None:
             self._world_from_start = world_from_base
-            return Pose()
-        return self._world_from_start.inverse() @ world_from_base
+            return OdometryEstimate(Pose(), cost=COMPUTED_ELSEWHERE)
+        return OdometryEstimate(self._world_from_start.inverse() @ world_from_base, cost=COMPUTED_ELSEWHERE)
 
     def _at(self, stamp_ns: int) -> Pose:
         stamps = self._trajectory.stamps_ns

@@ -7,24 +7,21 @@ therefore differ in the registration alone.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from evalkit.core import se2
-from evalkit.core.match import Match
+from evalkit.core.odometry_estimate import OdometryEstimate, Stage, StageEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats
+from evalkit.core.timing import NO_COST, Cost
 from evalkit.odometry.local_map import GridMap, KeyframeMap, VoxelMap, voxel_means
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import BackendSpec, Odometry, Parameter, Registration, Value, resolved, with_defaults
-
-Stage = Literal["s2s", "s2m"]
-OnMatch = Callable[[Stage, Match, bool], None]
-"""Hears of a stage, its answer, and whether that was accepted or the guess kept."""
 
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter("prior", "odometry", "", "where the first guess comes from; without odometry: constant velocity",
@@ -102,10 +99,8 @@ def complete_parameters(owner: str, spec: BackendSpec, given: Mapping[str, objec
     return resolved(owner, (*known, *(p for p in extra if p.name not in names)), given)
 
 
-def odometry(
-    spec: BackendSpec, parameters: Mapping[str, Value], on_match: OnMatch = lambda _stage, _match, _accepted: None
-) -> Odometry:
-    """A fresh odometry of a back end with complete parameters; ``on_match`` hears every stage's answer."""
+def odometry(spec: BackendSpec, parameters: Mapping[str, Value]) -> Odometry:
+    """Make a fresh odometry of a back end with complete parameters."""
     if spec.kind == "map":
         raise TypeError("a map answers no scan: it cannot be made an odometry")
     if spec.kind == "odometry":
@@ -114,7 +109,7 @@ def odometry(
     own = {p.name: parameters[p.name] for p in spec.parameters}
     first = {**own, **{k.removeprefix(STAGE_ONE): v for k, v in parameters.items() if k.startswith(STAGE_ONE)}}
     settings = Settings(**{p.name: parameters[p.name] for p in PARAMETERS})  # type: ignore[arg-type]  # checked by name
-    return FrontEnd(spec.make(**first), spec.make(**own), settings, on_match)
+    return FrontEnd(spec.make(**first), spec.make(**own), settings)
 
 
 class LocalMap(Protocol):
@@ -129,36 +124,47 @@ class LocalMap(Protocol):
         ...
 
 
+class _StageAnswer(NamedTuple):
+    """Pose after a stage (the guess where its answer is not accepted), its estimate and its cost."""
+
+    pose: Pose
+    estimate: StageEstimate
+    cost: Cost
+
+
 class FrontEnd:
     """The paper's two-stage front end as an Odometry; poses are ``start_from_base`` at the first beam of each scan."""
 
-    def __init__(
-        self, scan_to_scan: Registration, scan_to_map: Registration, settings: Settings, on_match: OnMatch
-    ) -> None:
-        self._scan_to_scan, self._scan_to_map = scan_to_scan, scan_to_map
-        self._settings, self._on_match = settings, on_match
+    def __init__(self, scan_to_scan: Registration, scan_to_map: Registration, settings: Settings) -> None:
+        self._registrations: dict[Stage, Registration] = {"s2s": scan_to_scan, "s2m": scan_to_map}
+        self._settings = settings
         self._local_map = _local_map(settings)
         self._motion = Motion(settings.prior)
         self._last: Cloud | None = None
         self._start_from_keyframe = Pose()
 
-    def update(self, frame: Frame) -> Pose:
-        """``start_from_base`` at the scan's first beam."""
+    def update(self, frame: Frame) -> OdometryEstimate:
+        """Register a scan with the previous one, then with the local map, as far as the settings say so."""
         start_from_last, last_from_base = self._motion.predict(frame)
         source = self._source(frame)
-        if self._last is None:
-            start_from_base = Pose()
-            self._local_map.add(source.points, start_from_base, frame.base_from_sensor)
-        else:
+        stages: dict[Stage, _StageAnswer] = {}
+        start_from_base = Pose()
+        if self._last is not None:
             if self._settings.scan_to_scan:
-                last_from_base = self._accepted("s2s", self._scan_to_scan, self._last, source, last_from_base)
+                stages["s2s"] = self._register("s2s", self._last, source, last_from_base)
+                last_from_base = stages["s2s"].pose
             start_from_base = start_from_last @ last_from_base
             if self._settings.scan_to_map:
                 local_map = self._local_map.cloud(start_from_base)
-                start_from_base = self._accepted("s2m", self._scan_to_map, local_map, source, start_from_base)
+                stages["s2m"] = self._register("s2m", local_map, source, start_from_base)
+                start_from_base = stages["s2m"].pose
         self._keep(source, start_from_base, frame.base_from_sensor)
         self._motion.settle(frame, start_from_base)
-        return start_from_base
+        estimates = {name: stage.estimate for name, stage in stages.items()}
+        accepted = any(stage.accepted for stage in estimates.values()) if estimates else None
+        return OdometryEstimate(
+            start_from_base, estimates, accepted, sum((stage.cost for stage in stages.values()), NO_COST)
+        )
 
     def _source(self, frame: Frame) -> Cloud:
         moved = self._motion.within(frame) if self._settings.deskew else None
@@ -170,14 +176,14 @@ class FrontEnd:
             points = voxel_means(points, self._settings.source_voxel_m)
         return Cloud(points, "base")
 
-    def _accepted(self, stage: Stage, registration: Registration, target: Cloud, source: Cloud, guess: Pose) -> Pose:
-        match = registration.register(target, source, guess)
+    def _register(self, stage: Stage, target: Cloud, source: Cloud, guess: Pose) -> _StageAnswer:
+        match = self._registrations[stage].register(target, source, guess)
         accepted = match.inliers >= self._settings.min_inliers
-        self._on_match(stage, match, accepted)
-        return match.target_from_source if accepted else guess
+        estimate = StageEstimate(accepted, bool(match.converged), match.iterations, match.error, match.inliers)
+        return _StageAnswer(match.target_from_source if accepted else guess, estimate, match.cost)
 
     def _keep(self, source: Cloud, start_from_base: Pose, base_from_sensor: Pose) -> None:
-        if self._last is not None and self._is_keyframe(start_from_base):
+        if self._last is None or self._is_keyframe(start_from_base):
             self._local_map.add(source.points, start_from_base, base_from_sensor)
             self._start_from_keyframe = start_from_base
         self._last = source

@@ -14,6 +14,7 @@ from evalkit.core.errors import BadParameter, UnknownName
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.match import Match
+from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame, Scan
 
@@ -42,10 +43,10 @@ class Registration(Protocol):
 class Odometry(Protocol):
     """Follows a sensor through one sequence; a fresh object per sequence."""
 
-    def update(self, frame: Frame) -> Pose:
-        """``start_from_base`` when the frame's first beam was fired; the first answer is the identity.
+    def update(self, frame: Frame) -> OdometryEstimate:
+        """Process one frame. The estimate's pose is ``start_from_base`` at the first beam; the first is the identity.
 
-        May raise NoAnswer and go on with the next frame.
+        Raises NoAnswer where this frame has no estimate; the next frame follows as usual.
         """
         ...
 

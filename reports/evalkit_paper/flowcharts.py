@@ -22,8 +22,8 @@ Words = Mapping[str, str]
 PIPELINE: Words = {
     "Motion.predict": "first guess: odometry since the last scan",
     "FrontEnd._source": "points of the scan (eq. 1)",
-    "FrontEnd._accepted s2s": "register with the last scan",
-    "FrontEnd._accepted s2m": "register with the local map",
+    "FrontEnd._register s2s": "register with the last scan",
+    "FrontEnd._register s2m": "register with the local map",
     "FrontEnd._keep": "keep for the next scans",
     "LogOddsGrid.update": "draw into the log-odds grid",
 }
@@ -40,11 +40,11 @@ TWO_STAGES: Words = {
     "Motion.within": "undo the motion within the scan",
     "near": "keep points within the local radius",
     "voxel_means": "one mean per voxel",
-    "FrontEnd._accepted s2s": "ICP with the last scan (S2S)",
+    "FrontEnd._register s2s": "ICP with the last scan (S2S)",
     "KeyframeMap.cloud": "local map: last keyframes",
     "VoxelMap.cloud": "local map: lasting voxels",
     "GridMap.cloud": "local map: occupied cells",
-    "FrontEnd._accepted s2m": "ICP with the local map (S2M)",
+    "FrontEnd._register s2m": "ICP with the local map (S2M)",
     "FrontEnd._is_keyframe": "new keyframe?",
     "KeyframeMap.add": "add its points to the local map",
     "VoxelMap.add": "add its points to the local map",
@@ -146,7 +146,7 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
     """The chapter's one section."""
     del settings
     root = Call.read(results[JOB]["calls"])
-    register = "FrontEnd._accepted s2m" if "FrontEnd._accepted s2m" in _keys(root) else "FrontEnd._accepted s2s"
+    register = "FrontEnd._register s2m" if "FrontEnd._register s2m" in _keys(root) else "FrontEnd._register s2s"
     drawings = (
         ("Figure 2: the pipeline", PIPELINE, "", "scan, wheel odometry", "pose and map"),
         ("Figure 3: registration", REGISTRATION, register, "source P, reference Q, guess", "R, t"),

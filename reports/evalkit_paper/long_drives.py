@@ -25,7 +25,7 @@ def grown(
     sequence = registry.dataset(world).make(seed=seed, laps=laps)
     spec = registry.backend(backend)
     method = frontend.odometry(spec, frontend.complete_parameters(backend, spec, parameters))
-    poses = np.array([method.update(frame).row for frame in sequence.frames()])
+    poses = np.array([method.update(frame).pose.row for frame in sequence.frames()])
     trajectory = sequence.truth().trajectory
     if trajectory is None:
         raise ValueError(f"{world}: has no true trajectory")

@@ -178,7 +178,7 @@ def _estimated(frames: Iterable[Frame]) -> Trajectory:
     if spec.missing():
         spec, parameters = registry.backend("paper-tight"), {}
     odometry = frontend.odometry(spec, frontend.complete_parameters("paper-tight", spec, parameters))
-    stamps, poses = zip(*((frame.scan.stamp_ns, odometry.update(frame).row) for frame in frames), strict=True)
+    stamps, poses = zip(*((frame.scan.stamp_ns, odometry.update(frame).pose.row) for frame in frames), strict=True)
     return Trajectory(np.array(stamps), np.array(poses))
 
 

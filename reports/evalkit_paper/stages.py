@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from types import FrameType
 from typing import Any
 
-from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
@@ -79,7 +78,7 @@ def _call(frame: FrameType) -> Call | None:
     name = frame.f_code.co_qualname
     if frame.f_globals.get("__name__") not in RECORDED or "<" in name or name.endswith(("__init__", "__post_init__")):
         return None
-    return Call(name, str(frame.f_locals.get("stage", "")) if name == "FrontEnd._accepted" else "")
+    return Call(name, str(frame.f_locals.get("stage", "")) if name == "FrontEnd._register" else "")
 
 
 def drive(
@@ -95,7 +94,7 @@ def drive(
     drawn = registry.mapper("log-odds").make(**mapper)
 
     def scan(frame: Frame) -> None:
-        start_from_base: Pose = odometry.update(frame)
+        start_from_base = odometry.update(frame).pose
         deskewed = frame.scan.deskewed(frame.base_from_sensor, frame.start_from_end)
         drawn.update(deskewed, start_from_base @ frame.base_from_sensor)
 

@@ -92,11 +92,9 @@ def follow(
         made.append(Watched(spec.make(**{**own, "trace": True}), every_pair))
         return made[-1]
 
-    heard: dict[str, Match] = {}
     odometry = frontend.odometry(
         replace(spec, make=make),
         frontend.complete_parameters(backend, spec, parameters),
-        lambda stage, answer, _accepted: heard.update({stage: answer}),
     )
     frames = tuple(sequence.frames())
     poses = np.zeros((len(frames), 3))
@@ -104,11 +102,12 @@ def follow(
     iterations = {stage: np.full(len(frames), np.nan) for stage in STAGES}
     started = time.process_time()
     for index, frame in enumerate(frames):
-        heard.clear()
-        poses[index] = odometry.update(frame).row
+        estimate = odometry.update(frame)
+        reported = {str(name): stage for name, stage in estimate.stages.items()}
+        poses[index] = estimate.pose.row
         for stage, watched in zip(STAGES, made, strict=True):
-            if stage in heard:
-                errors[stage][index], iterations[stage][index] = watched.errors, heard[stage].iterations
+            if stage in reported:
+                errors[stage][index], iterations[stage][index] = watched.errors, reported[stage].iterations
     return Followed(frames, poses, errors, iterations, time.process_time() - started)
 
 

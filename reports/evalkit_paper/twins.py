@@ -43,4 +43,4 @@ def _poses(
     own = {key: value for key, value in parameters.items() if key in known or key.startswith(frontend.STAGE_ONE)}
     odometry = frontend.odometry(spec, frontend.complete_parameters(name, spec, own))
     frames = islice(registry.dataset(dataset).make(**sequence).frames(), scans)
-    return np.array([odometry.update(frame).row for frame in frames])
+    return np.array([odometry.update(frame).pose.row for frame in frames])

@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from evalkit.core import belief
 from evalkit.core.errors import BadParameter, NotInstalled
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame, Scan
@@ -249,51 +248,41 @@ def test_the_pipeline_follows_a_sequence_as_the_twin_behind_the_front_end_does(o
     ]
     twin = frontend.odometry(paper.SPEC, frontend.complete_parameters("paper", paper.SPEC, {}))
     pipeline = made(embedded.PIPELINE)
-    worst = max(np.abs((twin.update(f).inverse() @ pipeline.update(f)).row).max() for f in frames)
+    worst = max(np.abs((twin.update(f).pose.inverse() @ pipeline.update(f).pose).row).max() for f in frames)
     assert worst < 1e-8
     narrow, wide = made(embedded.PIPELINE, precision="float"), made(embedded.PIPELINE)
-    off = max(np.abs((wide.update(f).inverse() @ narrow.update(f)).row).max() for f in frames)
+    off = max(np.abs((wide.update(f).pose.inverse() @ narrow.update(f).pose).row).max() for f in frames)
     assert 0.0 < off < 0.02  # m and rad: where the stop rule is met decides what comes after
 
 
 @needs_core
-def test_the_pipeline_tells_of_both_stages_what_the_front_end_hears_of_the_twin():
-    heard = {}
-    twin = frontend.odometry(
-        paper.SPEC,
-        frontend.complete_parameters("paper", paper.SPEC, {"min_inliers": 60}),
-        lambda stage, match, accepted: heard.update({stage: (match, accepted)}),
-    )
+def test_the_pipeline_reports_both_stages_as_the_front_end_does_for_the_twin():
+    twin = frontend.odometry(paper.SPEC, frontend.complete_parameters("paper", paper.SPEC, {"min_inliers": 60}))
     pipeline = made(embedded.PIPELINE, min_inliers=60)
     nothing = np.full(50, np.inf)
-    belief.heard()  # what other tests left, as below
-    belief.heard_of_stages()
     for index, frame in enumerate(lab(12)):
         if index in (5, 6):  # a scan of which nothing, and one of which not enough came back
             ranges = nothing if index == 5 else np.concatenate([nothing, frame.scan.ranges[:40]])
             scan = Scan(frame.scan.stamp_ns, ranges, frame.scan.angles[: len(ranges)], 0.15, 12.0)
             frame = Frame(scan, frame.base_from_sensor, frame.odom_from_base)  # noqa: PLW2901
-        heard.clear()
-        twin.update(frame)
-        pipeline.update(frame)
-        told = belief.heard_of_stages()
-        assert belief.heard() == belief.UNTOLD
-        assert len(told) == (2 if index else 0)
-        assert index != 5 or not any(stage.accepted for stage in told.values())
-        for name, stage in told.items():
-            match, accepted = heard[name]
-            assert stage[:3] == (accepted, match.converged, match.iterations)
-            assert stage.inliers == match.inliers
-            assert stage.error == pytest.approx(match.error, abs=1e-8, nan_ok=True)
+        expected, reported = twin.update(frame), pipeline.update(frame)
+        assert reported.accepted == expected.accepted
+        assert len(reported.stages) == (2 if index else 0)
+        assert index != 5 or not any(stage.accepted for stage in reported.stages.values())
+        for name, stage in reported.stages.items():
+            theirs = expected.stages[name]
+            assert (stage.accepted, stage.converged) == (theirs.accepted, theirs.converged)
+            assert (stage.iterations, stage.inliers) == (theirs.iterations, theirs.inliers)
+            assert stage.residual_m == pytest.approx(theirs.residual_m, abs=1e-8, nan_ok=True)
 
 
 @needs_core
 def test_a_scan_without_beams_is_answered_with_the_guess_and_one_too_long_is_refused():
     pipeline = made(embedded.PIPELINE, beams=300)
     walls = Scan(0, np.full(300, 2.0), np.linspace(0.0, 6.0, 300), 0.0, 12.0)
-    assert pipeline.update(Frame(walls, odom_from_base=Pose())) == Pose()
+    assert pipeline.update(Frame(walls, odom_from_base=Pose())).pose == Pose()
     none = Scan(1, np.zeros(0), np.zeros(0), 0.0, 12.0)
-    assert pipeline.update(Frame(none, odom_from_base=Pose(0.1, 0.0, 0.0))).x == pytest.approx(0.1)
+    assert pipeline.update(Frame(none, odom_from_base=Pose(0.1, 0.0, 0.0))).pose.x == pytest.approx(0.1)
     long = Scan(2, np.full(301, 2.0), np.zeros(301), 0.0, 12.0)
     with pytest.raises(ValueError, match="more points or beams than the capacity"):
         pipeline.update(Frame(long))

@@ -1,9 +1,9 @@
-"""The timed region, on a clock that only moves when told."""
+"""Timing of a call, on a clock that moves only by command."""
 
 import pytest
 
 from evalkit.core import timing
-from evalkit.core.timing import Timing, conversion, timed
+from evalkit.core.timing import CallTiming, Cost, Stopwatch, timed
 
 
 class Hands:
@@ -36,35 +36,48 @@ def test_a_call_costs_its_wall_and_cpu_time_and_answers(hands):
         return "answer"
 
     hands.work(7, 7)
-    assert timed(call) == ("answer", Timing(500, 300, 0))
+    assert timed(call) == ("answer", CallTiming(500, 300))
 
 
-def test_conversions_within_the_call_are_summed_and_those_before_are_not(hands):
-    def convert(cpu):
-        with conversion():
-            hands.work(cpu, cpu)
-
-    def call():
-        convert(10)
+def test_a_stopwatch_sums_the_cpu_time_of_its_blocks_and_nothing_between_them(hands):
+    conversion = Stopwatch()
+    hands.work(1_000, 1_000)
+    for cpu in (10, 20):
+        with conversion:
+            hands.work(99, cpu)
         hands.work(100, 100)
-        convert(20)
-
-    convert(1_000)
-    assert timed(call)[1] == Timing(130, 130, 30)
-    assert timed(call)[1] == Timing(130, 130, 30)
+    assert conversion.cpu_ns == 30
 
 
-def test_a_conversion_that_fails_is_counted_and_its_error_is_told(hands):
-    def convert():
-        with conversion():
+def test_a_stopwatch_counts_a_block_that_fails_and_lets_its_error_pass(hands):
+    conversion = Stopwatch()
+
+    def fail():
+        with conversion:
             hands.work(40, 40)
             raise ValueError("no such thing")
 
-    def call():
-        with pytest.raises(ValueError, match="no such thing"):
-            convert()
+    with pytest.raises(ValueError, match="no such thing"):
+        fail()
+    assert conversion.cpu_ns == 40
 
-    assert timed(call)[1].conversion_ns == 40
+
+@pytest.mark.parametrize(
+    ("cost", "timing"),
+    [
+        (Cost(), CallTiming(500, 300)),
+        (Cost(conversion_ns=30), CallTiming(500, 300, 30)),
+        (Cost(30, program_cpu_ns=200, device_ns=80), CallTiming(500, 500, 30, 80)),
+        (Cost(30, device_ns=80, withheld=frozenset({"cpu"})), CallTiming(500, 0, 30, 80)),
+        (Cost(withheld=frozenset({"wall", "cpu"})), CallTiming(0, 0)),
+    ],
+)
+def test_a_timing_includes_the_reported_cost(cost, timing):
+    assert CallTiming(500, 300).including(cost) == timing
+
+
+def test_costs_add_up():
+    assert Cost(1, 2, 3) + Cost(10, 20, 30, frozenset({"cpu"})) == Cost(11, 22, 33, frozenset({"cpu"}))
 
 
 def test_a_failing_call_fails_as_it_is():

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from evalkit import metrics
-from evalkit.core import belief
 from evalkit.core.ground_truth import Truth
+from evalkit.core.odometry_estimate import OdometryEstimate, StageEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import RunResult, Score
 from evalkit.execution import worker
@@ -86,9 +86,7 @@ class Doubtful:
 
     def update(self, frame):
         self.scans += 1
-        if self.scans > 1:
-            belief.tell(self.scans % 2 == 0)
-        return Pose()
+        return OdometryEstimate(Pose(), accepted=self.scans % 2 == 0 if self.scans > 1 else None)
 
 
 def test_an_odometry_can_tell_of_its_own_answers(tmp_path, monkeypatch):
@@ -104,9 +102,8 @@ class TwoStaged:
     """Tells of both its stages as the front end hears of its own."""
 
     def update(self, frame):
-        belief.tell_stage("s2s", belief.Registered(True, True, 7, 0.02, 90))
-        belief.tell_stage("s2m", belief.Registered(False, False, 40, 0.05, 12))
-        return Pose()
+        stages = {"s2s": StageEstimate(True, True, 7, 0.02, 90), "s2m": StageEstimate(False, False, 40, 0.05, 12)}
+        return OdometryEstimate(Pose(), stages)
 
 
 def test_an_odometry_can_tell_of_its_own_stages(tmp_path, monkeypatch):

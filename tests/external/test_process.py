@@ -220,7 +220,7 @@ def test_no_return_is_null_and_invalid_is_nan_in_the_question(program):
     name = program("say(pose=[float([v is None for v in q['ranges']].index(True)), q['ranges'].index('nan'), 0.0])")
     follower = registry.backend(name).make(answer_timeout_s=5.0)
     scan = Scan(0, np.array([1.0, np.inf, np.nan]), np.zeros(3), 0.1, 9.0)
-    assert follower.update(Frame(scan, odom_from_base=Pose())).row.tolist() == [1.0, 2.0, 0.0]
+    assert follower.update(Frame(scan, odom_from_base=Pose())).pose.row.tolist() == [1.0, 2.0, 0.0]
 
 
 def test_a_question_is_one_line_of_ascii_in_the_order_of_the_protocol(tmp_path):

@@ -14,6 +14,7 @@ import numpy as np
 
 from evalkit.core.errors import NotInstalled
 from evalkit.core.match import Match
+from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.odometry import planar3d
@@ -273,34 +274,37 @@ class Wheels:
     def __init__(self) -> None:
         self.begin = None
 
-    def update(self, frame: Frame) -> Pose:
+    def pose(self, frame: Frame) -> Pose:
         if self.begin is None:
             self.begin = frame.odom_from_base
         return self.begin.inverse() @ frame.odom_from_base
 
+    def update(self, frame: Frame) -> OdometryEstimate:
+        return OdometryEstimate(self.pose(frame))
+
 
 class StartsElsewhere(Wheels):
-    def update(self, frame):
+    def pose(self, frame):
         return frame.odom_from_base
 
 
 class Stands(Wheels):
-    def update(self, frame):
+    def pose(self, frame):
         return Pose()
 
 
 class LastBeam(Wheels):
-    def update(self, frame):
-        answer = super().update(frame)
+    def pose(self, frame):
+        answer = super().pose(frame)
         return answer @ frame.start_from_end if answer != Pose() else answer
 
 
 class OfTheSensor(Wheels):
     """Follows the lidar instead of the base."""
 
-    def update(self, frame):
+    def pose(self, frame):
         mount = frame.base_from_sensor
-        return mount.inverse() @ super().update(frame) @ mount
+        return mount.inverse() @ super().pose(frame) @ mount
 
 
 class OfOtherScans(Wheels):
@@ -308,44 +312,44 @@ class OfOtherScans(Wheels):
 
     before = Pose()
 
-    def update(self, frame):
-        answer, self.before = self.before, super().update(frame)
+    def pose(self, frame):
+        answer, self.before = self.before, super().pose(frame)
         return answer
 
 
 class TurnsRight(Wheels):
-    def update(self, frame):
-        answer = super().update(frame)
+    def pose(self, frame):
+        answer = super().pose(frame)
         return Pose(answer.x, answer.y, -answer.theta)
 
 
 class DegreesOdometry(Wheels):
-    def update(self, frame):
-        answer = super().update(frame)
+    def pose(self, frame):
+        answer = super().pose(frame)
         return Pose(answer.x, answer.y, math.degrees(answer.theta))
 
 
 class MillimetresOdometry(Wheels):
-    def update(self, frame):
-        answer = super().update(frame)
+    def pose(self, frame):
+        answer = super().pose(frame)
         return Pose(1000.0 * answer.x, 1000.0 * answer.y, answer.theta)
 
 
 class Backwards(Wheels):
-    def update(self, frame):
-        return super().update(frame).inverse()
+    def pose(self, frame):
+        return super().pose(frame).inverse()
 
 
 class NeedsHits(Wheels):
-    def update(self, frame):
+    def pose(self, frame):
         frame.scan.points().max(axis=0)
-        return super().update(frame)
+        return super().pose(frame)
 
 
 class DividesByTime(Wheels):
-    def update(self, frame):
+    def pose(self, frame):
         _ = 1 / frame.scan.time_increment_ns
-        return super().update(frame)
+        return super().pose(frame)
 
 
 class Shared(Wheels):
@@ -353,21 +357,21 @@ class Shared(Wheels):
 
     steps = 0
 
-    def update(self, frame):
+    def pose(self, frame):
         Shared.steps += 1
-        return super().update(frame) @ Pose(1e-9 * Shared.steps)
+        return super().pose(frame) @ Pose(1e-9 * Shared.steps)
 
 
 class WritesScans(Wheels):
-    def update(self, frame):
+    def pose(self, frame):
         frame.scan.ranges[~frame.scan.hits] = 0.0
-        return super().update(frame)
+        return super().pose(frame)
 
 
 class LeaksScans(Wheels):
-    def update(self, frame):
+    def pose(self, frame):
         self.kept = [*getattr(self, "kept", []), np.ones(100_000)]
-        return super().update(frame)
+        return super().pose(frame)
 
 
 class Seldom(Wheels):
@@ -375,8 +379,8 @@ class Seldom(Wheels):
 
     count = 0
 
-    def update(self, frame):
-        answer = super().update(frame)
+    def pose(self, frame):
+        answer = super().pose(frame)
         self.count += 1
         if self.count % 3 == 2:
             raise NoAnswer("every third scan is left out")

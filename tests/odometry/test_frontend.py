@@ -1,6 +1,7 @@
 """The two-stage front end, driven by registrations whose answers are known."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,8 +9,10 @@ import pytest
 from evalkit.core import se2
 from evalkit.core.errors import BadParameter, UnknownName
 from evalkit.core.match import Match
+from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
+from evalkit.core.timing import Cost
 from evalkit.odometry import frontend
 from evalkit.odometry.frontend import complete_parameters, odometry, parameters_of
 from evalkit.plugins.protocols import BackendSpec, Parameter
@@ -71,14 +74,14 @@ def spec(make, **changes):
     return BackendSpec(make, "registration", "for a test", "none", "MIT", **changes)
 
 
-def made(registration, on_match=lambda stage, match, accepted: None, **given):
+def made(registration, **given):
     """An odometry around one registration object, which serves both stages."""
     described = spec(lambda: registration)
-    return odometry(described, complete_parameters("test", described, given), on_match)
+    return odometry(described, complete_parameters("test", described, given))
 
 
 def followed(method, frames):
-    return np.array([method.update(item).row for item in frames])
+    return np.array([method.update(item).pose.row for item in frames])
 
 
 def rows(poses):
@@ -100,7 +103,7 @@ def test_a_perfect_registration_gives_the_exact_trajectory(stages):
 
 def test_the_first_answer_is_the_identity_wherever_the_odometry_stands():
     method = made(ByIndex())
-    assert method.update(frame(Pose(), odom=Pose(8.0, 9.0, 1.0))) == Pose()
+    assert method.update(frame(Pose(), odom=Pose(8.0, 9.0, 1.0))) == OdometryEstimate(Pose())
 
 
 def test_an_answer_on_too_few_pairs_is_not_accepted():
@@ -111,13 +114,24 @@ def test_an_answer_on_too_few_pairs_is_not_accepted():
     assert accepted[1].tolist() == [70.0, 80.0, 1.0]
 
 
-def test_who_listens_hears_which_answers_were_accepted():
-    heard = []
-    method = made(ByIndex(inliers=9), lambda stage, match, accepted: heard.append((stage, accepted)), min_inliers=9)
-    doubter = made(ByIndex(inliers=8), lambda stage, match, accepted: heard.append((stage, accepted)), min_inliers=9)
-    for each in (method, doubter):
-        followed(each, [frame(PATH[0], 0), frame(PATH[1], 1)])
-    assert heard == [("s2s", True), ("s2m", True), ("s2s", False), ("s2m", False)]
+@pytest.mark.parametrize(("inliers", "accepted"), [(9, True), (8, False)])
+def test_an_estimate_reports_which_stages_were_accepted(inliers, accepted):
+    method = made(ByIndex(inliers=inliers), min_inliers=9)
+    method.update(frame(PATH[0], 0))
+    estimate = method.update(frame(PATH[1], 1))
+    assert [(name, stage.accepted) for name, stage in estimate.stages.items()] == [("s2s", accepted), ("s2m", accepted)]
+    assert estimate.accepted is accepted
+
+
+def test_an_estimate_sums_the_cost_of_both_stages():
+    class Costly(ByIndex):
+        def register(self, target, source, guess):
+            cost = Cost(conversion_ns=3, program_cpu_ns=5, device_ns=7)
+            return replace(super().register(target, source, guess), cost=cost)
+
+    method = made(Costly())
+    costs = [method.update(frame(pose, i)).cost for i, pose in enumerate(PATH[:2])]
+    assert costs == [Cost(), Cost(6, 10, 14)]
 
 
 def test_a_back_end_without_any_stage_is_its_prior():
@@ -173,14 +187,11 @@ def test_the_second_stage_starts_from_the_answer_of_the_first():
     np.testing.assert_allclose(rows(registration.guesses), rows(expected), atol=1e-9)
 
 
-def test_both_stages_are_heard_in_order():
-    heard = []
-    method = made(ByIndex(inliers=33), lambda stage, match, accepted: heard.append((stage, match.inliers)))
-    method.update(frame(PATH[0], 0))
-    assert heard == []
-    method.update(frame(PATH[1], 1))
-    method.update(frame(PATH[2], 2))
-    assert heard == [("s2s", 33), ("s2m", 33)] * 2
+def test_both_stages_are_reported_in_order_from_the_second_scan_on():
+    method = made(ByIndex(inliers=33))
+    estimates = [method.update(frame(pose, i)) for i, pose in enumerate(PATH[:3])]
+    reported = [[(name, stage.inliers) for name, stage in estimate.stages.items()] for estimate in estimates]
+    assert reported == [[], *[[("s2s", 33), ("s2m", 33)]] * 2]
 
 
 # motion within a scan

@@ -55,9 +55,9 @@ def test_a_tree_of_calls_survives_the_way_through_json():
 @pytest.mark.parametrize(
     ("words", "settings", "gone"),
     [
-        (PIPELINE, {"scan_to_scan": False}, {"FrontEnd._accepted s2s"}),
-        (PIPELINE, {"scan_to_map": False}, {"FrontEnd._accepted s2m"}),
-        (TWO_STAGES, {"scan_to_map": False}, {"FrontEnd._accepted s2m", "KeyframeMap.cloud"}),
+        (PIPELINE, {"scan_to_scan": False}, {"FrontEnd._register s2s"}),
+        (PIPELINE, {"scan_to_map": False}, {"FrontEnd._register s2m"}),
+        (TWO_STAGES, {"scan_to_map": False}, {"FrontEnd._register s2m", "KeyframeMap.cloud"}),
         (TWO_STAGES, {"deskew": False}, {"Motion.within"}),
         (TWO_STAGES, {"local_radius_m": 0.0}, {"near"}),
         (REGISTRATION, {"one_to_one": False}, {"closest_only"}),
@@ -80,7 +80,7 @@ def test_a_box_stands_on_the_page_for_every_stage_that_ran():
     (section,) = flowcharts.CHAPTER.sections(chosen, results)
     figures = section.blocks[1].figures
     assert [figure.title[:8] for figure in figures] == ["Figure 2", "Figure 3", "Figure 4", "Figure 5"]
-    drawn = path(Call.read(results["stages"]["calls"]), REGISTRATION, "FrontEnd._accepted s2m")
+    drawn = path(Call.read(results["stages"]["calls"]), REGISTRATION, "FrontEnd._register s2m")
     assert drawn.times > 1
     assert [REGISTRATION[key] for key in drawn.stages[drawn.first :]] == [
         REGISTRATION[key] for key in ("Association.of", "closest_only", "rigid", "Icp._error")

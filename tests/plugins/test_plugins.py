@@ -48,7 +48,7 @@ def made(name):
 
 def driven(name, sequence):
     method = made(name)
-    return np.array([method.update(frame).row for frame in sequence.frames()])
+    return np.array([method.update(frame).pose.row for frame in sequence.frames()])
 
 
 def seen_from_start(sequence):
@@ -99,9 +99,9 @@ def test_two_instances_know_nothing_of_each_other(name, drive):
     frames = list(itertools.islice(drive.frames(), 12))
     frames, others = frames[:6], frames[6:]
     alone, one, other = made(name), made(name), made(name)
-    expected = [alone.update(frame) for frame in frames]
+    expected = [alone.update(frame).pose for frame in frames]
     for index, frame in enumerate(frames):
-        assert one.update(frame) == expected[index]
+        assert one.update(frame).pose == expected[index]
         other.update(others[index])
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from evalkit.core.errors import DataMissing
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
+from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
@@ -170,7 +171,9 @@ class Faulty:
         """``start_from_base``, or worse."""
         self._seen += 1
         answer = self._fault() if self._seen > self._at else None
-        return answer if answer is not None else Pose((self._seen - 1) * STEP_M, 0.0, 0.0)
+        if answer is None:
+            answer = Pose((self._seen - 1) * STEP_M, 0.0, 0.0)
+        return OdometryEstimate(answer) if isinstance(answer, Pose) else answer
 
 
 class Lots:
@@ -180,11 +183,11 @@ class Lots:
         self._drawn = np.random.default_rng()
         self._begun = False
 
-    def update(self, frame: Frame) -> Pose:
+    def update(self, frame: Frame) -> OdometryEstimate:
         """Somewhere within 40 cm of the start."""
         pose = Pose(*self._drawn.uniform(-0.2, 0.2, 2), 0.0) if self._begun else Pose()
         self._begun = True
-        return pose
+        return OdometryEstimate(pose)
 
 
 class Straight:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.plugins.protocols import BackendSpec, Parameter
@@ -16,18 +17,18 @@ class Stretched:
         self._stretch = 1.0 + abs(math.log10(gain))
         self._start: Pose | None = None
 
-    def update(self, frame: Frame) -> Pose:
+    def update(self, frame: Frame) -> OdometryEstimate:
         """``start_from_base``."""
         at = frame.odom_from_base or Pose()
         self._start = self._start or at
         moved = self._start.inverse() @ at
-        return Pose(self._stretch * moved.x, self._stretch * moved.y, moved.theta)
+        return OdometryEstimate(Pose(self._stretch * moved.x, self._stretch * moved.y, moved.theta))
 
 
 class Hopeless(Stretched):
     """An Odometry that always raises."""
 
-    def update(self, frame: Frame) -> Pose:
+    def update(self, frame: Frame) -> OdometryEstimate:
         """Nothing."""
         raise RuntimeError("hopeless")
 

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.core import belief
+from evalkit.core.odometry_estimate import OdometryEstimate, Stage, StageEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
-from evalkit.core.timing import conversion
+from evalkit.core.timing import Cost, Stopwatch
 from evalkit.odometry import frontend
 from evalkit.plugins.protocols import Parameter
 from evalkit_baselines.embedded import registration
@@ -27,6 +27,12 @@ PARAMETERS: tuple[Parameter, ...] = (
     *(p for p in registration.PARAMETERS if p.name != "trace"),
     *(p for p in frontend.PARAMETERS if p.name in FRONT_END),
 )
+
+
+NOT_RUN, ACCEPTED = -1, 1
+"""Values of the core's ``ek_belief``; 0: the guess was kept."""
+
+_StageAnswer = tuple[int, bool, int, float, int]
 
 
 class CompiledPipeline:
@@ -51,9 +57,10 @@ class CompiledPipeline:
             beams=parameters["beams"],
         )
 
-    def update(self, frame: Frame) -> Pose:
-        """``start_from_base`` when the scan's first beam was fired."""
-        with conversion():
+    def update(self, frame: Frame) -> OdometryEstimate:
+        """Process one scan in the core."""
+        conversion = Stopwatch()
+        with conversion:
             ranges, angles = self._beams(frame.scan)
         row, scan_to_scan, scan_to_map = self._pipeline.update(
             stamp_ns=frame.scan.stamp_ns,
@@ -65,10 +72,12 @@ class CompiledPipeline:
             base_from_sensor=_row(frame.base_from_sensor),
             range_limits=(frame.scan.range_min_m, frame.scan.range_max_m),
         )
-        with conversion():
-            _tell("s2s", *scan_to_scan)
-            _tell("s2m", *scan_to_map)
-        return Pose(*row)
+        with conversion:
+            answers: dict[Stage, _StageAnswer] = {"s2s": scan_to_scan, "s2m": scan_to_map}
+            stages = {name: _stage_estimate(*answer) for name, answer in answers.items() if answer[0] != NOT_RUN}
+            accepted = any(stage.accepted for stage in stages.values()) if stages else None
+            pose = Pose(*row)
+        return OdometryEstimate(pose, stages, accepted, Cost(conversion.cpu_ns))
 
     def _beams(self, scan: Scan) -> tuple[Any, Any]:
         """Ranges and angles (B,); an invalid one for a scan of none, which the core would refuse."""
@@ -77,10 +86,8 @@ class CompiledPipeline:
         return real(scan.ranges, self._core), real(scan.angles, self._core)
 
 
-def _tell(stage: frontend.Stage, told: int, converged: bool, iterations: int, error: float, inliers: int) -> None:
-    if told != belief.UNTOLD:  # the stage was asked
-        accepted = told == belief.ACCEPTED
-        belief.tell_stage(stage, belief.Registered(accepted, converged, iterations, error, inliers))
+def _stage_estimate(state: int, converged: bool, iterations: int, error: float, inliers: int) -> StageEstimate:
+    return StageEstimate(state == ACCEPTED, converged, iterations, error, inliers)
 
 
 def _row(pose: Pose | None) -> tuple[float, float, float] | None:

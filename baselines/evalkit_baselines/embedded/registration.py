@@ -9,7 +9,7 @@ from typing import Any
 from evalkit.core.match import Iteration, Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
-from evalkit.core.timing import conversion
+from evalkit.core.timing import Cost, Stopwatch
 from evalkit.plugins.protocols import Parameter
 from evalkit_baselines.embedded.compiled import Precision, core, real
 from evalkit_baselines.paper import icp
@@ -47,19 +47,20 @@ class CompiledIcp:
         """The motion ``target_from_source``; with too few pairs the guess, not converged, with error nan."""
         if not len(target) or not len(source):
             return Match(guess, False, 0, math.nan, 0)
-        index = self._recent.of(target, self._index)
-        with conversion():
+        conversion = Stopwatch()
+        index = self._recent.of(target, lambda cloud: self._index(cloud, conversion))
+        with conversion:
             points = real(source.points, self._core)
         row, converged, iterations, error, inliers, history = self._icp.register(
             index, points, (guess.x, guess.y, guess.theta), self._trace
         )
-        with conversion():
-            told = tuple(self._iteration(*told) for told in history)
+        with conversion:
+            trace = tuple(self._iteration(*one) for one in history)
             answer = guess if inliers < self._min_pairs else Pose(*row)  # to the bit, in single precision too
-        return Match(answer, converged, iterations, error, inliers, told)
+        return Match(answer, converged, iterations, error, inliers, trace, Cost(conversion.cpu_ns))
 
-    def _index(self, target: Cloud) -> Any:
-        with conversion():
+    def _index(self, target: Cloud, conversion: Stopwatch) -> Any:
+        with conversion:
             points = real(target.points, self._core)
         return self._core.Index(points)
 

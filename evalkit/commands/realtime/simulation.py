@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
@@ -19,22 +19,18 @@ from evalkit.commands.realtime.virtual_clock import (
     linear_cost,
     schedule,
 )
-from evalkit.core import belief
 from evalkit.core.arrays import Ints
-from evalkit.core.belief import Stage
 from evalkit.core.errors import BackendFailed, NotInstalled
 from evalkit.core.ground_truth import Truth
-from evalkit.core.match import Match
-from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
-from evalkit.core.timing import timed
 from evalkit.metrics.table import Evidence
 from evalkit.metrics.trajectory import match_trajectories
 from evalkit.odometry import frontend
+from evalkit.odometry.run_odometry import run_odometry
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import NoAnswer, Odometry, Value, resolved
+from evalkit.plugins.protocols import Odometry, Value, resolved
 
 WARM_UP_SCANS = 5
 GAPS = (1, 2, 4, 8, 16)
@@ -56,9 +52,9 @@ class Method:
             raise NotInstalled(name, "not installed", why)
         return cls(name, frontend.complete_parameters(name, spec, given))
 
-    def fresh(self, on_match: frontend.OnMatch = lambda _stage, _match, _accepted: None) -> Odometry:
+    def fresh(self) -> Odometry:
         """An odometry that has seen nothing."""
-        return frontend.odometry(registry.backend(self.name), self.parameters, on_match)
+        return frontend.odometry(registry.backend(self.name), self.parameters)
 
 
 @dataclass(frozen=True, eq=False)
@@ -214,34 +210,15 @@ class _Followed:
 
 
 def _follow(method: Method, frames: Sequence[Frame]) -> _Followed:
-    iterations = 0
-
-    def hear(_stage: Stage, found: Match, _accepted: bool) -> None:
-        nonlocal iterations
-        iterations += found.iterations
-
-    odometry = method.fresh(hear)
     answers, costs = np.full((len(frames), 3), np.nan), np.zeros(len(frames), dtype=np.int64)
     work = np.zeros(len(frames), dtype=np.int64)
-    for index, frame in enumerate(frames):
-        iterations = 0
-        answer, timing = timed(_asked(odometry, frame))
-        iterations += sum(stage.iterations for stage in belief.heard_of_stages().values())
-        costs[index] = timing.cpu_ns or timing.device_ns
-        work[index] = iterations * int(frame.scan.hits.sum())
-        if answer is not None:
-            answers[index] = answer.row
+    for index, step in enumerate(run_odometry(method.fresh(), frames)):
+        costs[index] = step.timing.cpu_ns or step.timing.device_ns
+        if step.estimate is not None:
+            iterations = sum(stage.iterations for stage in step.estimate.stages.values())
+            work[index] = iterations * int(step.frame.scan.hits.sum())
+            answers[index] = step.estimate.pose.row
     return _Followed(answers, costs, work)
-
-
-def _asked(odometry: Odometry, frame: Frame) -> Callable[[], Pose | None]:
-    def ask() -> Pose | None:
-        try:
-            return odometry.update(frame)
-        except NoAnswer:
-            return None
-
-    return ask
 
 
 def _driven(method: Method, frames: Sequence[Frame]) -> _Followed | str:

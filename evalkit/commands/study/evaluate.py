@@ -16,7 +16,7 @@ import numpy as np
 from evalkit import metrics
 from evalkit.core.errors import EvalkitError, plain
 from evalkit.core.run_result import STEP, RunResult, Score, Status
-from evalkit.execution.worker import Request, Residuals, follow
+from evalkit.execution.worker import Request, record_run
 from evalkit.metrics import evaluate as scoring
 from evalkit.metrics import pairs, spans
 from evalkit.metrics.table import Metric
@@ -82,10 +82,9 @@ def _run(request: Request, sequence: protocols.Sequence) -> RunResult:
     steps = io.BytesIO()
     status: Status = "complete"
     reason = ""
-    residuals = Residuals()
     try:
-        method = frontend.odometry(registry.backend(request.backend), request.backend_parameters, residuals.hear)
-        follow(method, sequence, request, residuals, steps)
+        odometry = frontend.odometry(registry.backend(request.backend), request.backend_parameters)
+        record_run(odometry, sequence, request, steps)
     except EvalkitError as error:
         status, reason = "failed", str(error)
     except Exception as error:  # noqa: BLE001 - whatever a third party's code raises is a result to report

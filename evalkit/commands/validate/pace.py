@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Mapping
 from itertools import islice
 from typing import Any
@@ -14,8 +13,9 @@ from evalkit.commands.validate.equivalence.lockstep import Side
 from evalkit.commands.validate.pairs import pairs
 from evalkit.commands.validate.probes import Data, Named
 from evalkit.core.match import Match
+from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.scan import Frame
-from evalkit.core.timing import Timing, timed
+from evalkit.core.timing import NO_COST, CallTiming, timed
 from evalkit.execution.job_store import Result
 from evalkit.execution.sandbox import at
 from evalkit.odometry import frontend
@@ -67,12 +67,14 @@ def _side(named: Named) -> Side:
     return Side(named["name"], spec, frontend.complete_parameters(named["name"], spec, named["given"]))
 
 
-def _followed(side: Side) -> Callable[[Frame], Callable[[], None]]:
+def _followed(side: Side) -> Callable[[Frame], Callable[[], OdometryEstimate | None]]:
     odometry: Odometry = frontend.odometry(side.spec, side.parameters)
 
-    def update(frame: Frame) -> None:
-        with contextlib.suppress(NoAnswer):
-            odometry.update(frame)
+    def update(frame: Frame) -> OdometryEstimate | None:
+        try:
+            return odometry.update(frame)
+        except NoAnswer:
+            return None
 
     return lambda frame: lambda: update(frame)
 
@@ -82,10 +84,11 @@ def _timed(
 ) -> list[Mapping[str, int]]:
     """What one question costs each, forwards and backwards in turn."""
     order = range(len(calls)) if number % 2 else reversed(range(len(calls)))
-    found: dict[int, Timing] = {}
+    found: dict[int, CallTiming] = {}
     for which in order:
         at(f"{sides[which].label}, question {number + 1}")
-        _, found[which] = timed(calls[which](asked))
+        answer, timing = timed(calls[which](asked))
+        found[which] = timing.including(NO_COST if answer is None else answer.cost)
     return [{clock: getattr(found[which], clock) for clock in CLOCKS} for which in range(len(calls))]
 
 

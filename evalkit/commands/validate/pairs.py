@@ -65,7 +65,7 @@ class TwoScans:
         """Where the second scan was; neither iterations nor pairs are told."""
         odometry: Odometry = frontend.odometry(self._side.spec, self._side.parameters)
         odometry.update(_frame(target, 0, Pose()))
-        pose = odometry.update(_frame(source, PERIOD_NS, guess))
+        pose = odometry.update(_frame(source, PERIOD_NS, guess)).pose
         return Match(pose, True, 0, float("nan"), 0)
 
 

@@ -173,7 +173,7 @@ def _rounded(frame: Frame, rng: np.random.Generator) -> Frame:
 
 def _answer(odometry: Odometry, frame: Frame) -> Pose | None:
     try:
-        return odometry.update(frame)
+        return odometry.update(frame).pose
     except NoAnswer:
         return None
 

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from evalkit.commands.realtime import simulation
 from evalkit.commands.realtime.simulation import LoadedSequence, Measured, Method, ladder, paced, profile
 from evalkit.commands.realtime.virtual_clock import CostProfile
 from evalkit.core.errors import BackendFailed
+from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
-from evalkit.core.timing import Timing
+from evalkit.core.timing import CallTiming
+from evalkit.odometry import run_odometry
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import NoAnswer
 
@@ -26,9 +27,9 @@ def invented(monkeypatch):
 
     def timed(call):
         costs.append(costs.pop(0))
-        return call(), Timing(costs[-1], costs[-1], 0)
+        return call(), CallTiming(costs[-1], costs[-1])
 
-    monkeypatch.setattr(simulation, "timed", timed)
+    monkeypatch.setattr(run_odometry, "timed", timed)
     return costs
 
 
@@ -96,7 +97,7 @@ class Shy:
         self.asked += 1
         if self.asked % 2:
             raise NoAnswer("not this one")
-        return Pose()
+        return OdometryEstimate(Pose())
 
 
 class Lost:
@@ -106,7 +107,7 @@ class Lost:
 
 @pytest.mark.parametrize(("odometry", "why"), [(Lost, "RuntimeError: lost"), (Shy, "")])
 def test_who_fails_is_lost_and_who_leaves_scans_out_is_measured_on_the_others(sequence, monkeypatch, odometry, why):
-    monkeypatch.setattr(Method, "fresh", lambda self, on_match=None: odometry())
+    monkeypatch.setattr(Method, "fresh", lambda self: odometry())
     (rung,) = ladder(Method("shy", {}), sequence, even(sequence, 1e6), (1.0,), "drop")
     assert rung.lost == why
     assert (rung.at_hand["ate_rmse_m"] is None) == bool(why)

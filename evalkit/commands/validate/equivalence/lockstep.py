@@ -15,6 +15,7 @@ import numpy as np
 from evalkit.commands.validate.rules.rule import raised
 from evalkit.core.errors import BackendFailed
 from evalkit.core.match import Match
+from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.odometry import frontend
@@ -82,28 +83,20 @@ class Step:
     failure: str = ""
 
 
-class _Overheard:
-    """A registration whose last question is remembered."""
+Call = tuple[Cloud, Cloud, Pose, Match]
+"""Target, source, guess and answer of one registration."""
 
-    def __init__(self, registration: Registration, heard: _Heard) -> None:
-        self._registration, self._heard = registration, heard
+
+class _RecordingRegistration:
+    """A registration that appends its calls to a list."""
+
+    def __init__(self, registration: Registration, calls: list[Call]) -> None:
+        self._registration, self._calls = registration, calls
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
-        self._heard.last = (target, source, guess)
-        return self._registration.register(target, source, guess)
-
-
-class _Heard:
-    """What the first back end was asked in the current scan, and what it answered."""
-
-    def __init__(self) -> None:
-        self.scan = 0
-        self.last: tuple[Cloud, Cloud, Pose] | None = None
-        self.answered: list[tuple[Question, Match]] = []
-
-    def hear(self, stage: frontend.Stage, match: Match, _accepted: bool) -> None:
-        if self.last is not None:
-            self.answered.append((Question(self.scan, stage, *self.last), match))
+        match = self._registration.register(target, source, guess)
+        self._calls.append((target, source, guess, match))
+        return match
 
 
 def exchanges(a: Side, b: Side, sequence: Sequence, scans: int, disturbed: bool = True) -> Iterator[Exchange]:
@@ -112,23 +105,26 @@ def exchanges(a: Side, b: Side, sequence: Sequence, scans: int, disturbed: bool 
     ``disturbed``: each scan's last question is asked again with a guess that is off, since rules about outliers and
     limits show only on a long way; its stage ends in "-disturbed".
     """
-    heard = _Heard()
+    calls: list[Call] = []
 
-    def overheard(**parameters: Value) -> _Overheard:
-        return _Overheard(a.spec.make(**parameters), heard)
+    def make(**parameters: Value) -> _RecordingRegistration:
+        return _RecordingRegistration(a.spec.make(**parameters), calls)
 
-    runner = frontend.odometry(replace(a.spec, make=overheard), a.parameters, heard.hear)
+    runner = frontend.odometry(replace(a.spec, make=make), a.parameters)
     others, again = b.registrations(), a.registrations()
     rng = np.random.default_rng(0)
     for scan, frame in enumerate(islice(sequence.frames(), scans), start=1):
-        heard.scan = scan
-        heard.answered.clear()
-        _followed(a.label, runner, frame, scan)
-        for question, match in heard.answered:
+        calls.clear()
+        estimate = _update(a.label, runner, frame, scan)
+        answered = [
+            (Question(scan, stage, target, source, guess), match)
+            for stage, (target, source, guess, match) in (zip(estimate.stages, calls, strict=True) if estimate else ())
+        ]
+        for question, match in answered:
             yield asked(others[question.stage], question, match)
-        if disturbed and heard.answered:
-            stage = heard.answered[-1][0].stage
-            question = _disturbed(heard.answered[-1][0], rng)
+        if disturbed and answered:
+            stage = answered[-1][0].stage
+            question = _disturbed(answered[-1][0], rng)
             try:
                 match = again[stage].register(question.target, question.source, question.guess)
             except Exception as error:  # a third party's code: what it raises is not ours to let through
@@ -159,9 +155,10 @@ def steps(a: Side, b: Side, sequence: Sequence, scans: int) -> Iterator[Step]:
     """The poses of two odometries, each following the first ``scans`` scans by itself."""
     first, second = (frontend.odometry(side.spec, side.parameters) for side in (a, b))
     for scan, frame in enumerate(islice(sequence.frames(), scans), start=1):
-        pose = _followed(a.label, first, frame, scan)
+        estimate = _update(a.label, first, frame, scan)
+        pose = None if estimate is None else estimate.pose
         try:
-            yield Step(scan, pose, second.update(frame))
+            yield Step(scan, pose, second.update(frame).pose)
         except NoAnswer as reason:
             yield Step(scan, pose, None, f"no answer: {reason}")
         except Exception as error:  # noqa: BLE001 - a third party's crash is a difference to report
@@ -169,7 +166,7 @@ def steps(a: Side, b: Side, sequence: Sequence, scans: int) -> Iterator[Step]:
             return
 
 
-def _followed(label: str, odometry: Odometry, frame: Frame, scan: int) -> Pose | None:
+def _update(label: str, odometry: Odometry, frame: Frame, scan: int) -> OdometryEstimate | None:
     try:
         return odometry.update(frame)
     except NoAnswer:

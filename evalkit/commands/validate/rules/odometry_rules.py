@@ -16,6 +16,7 @@ from evalkit.core.errors import EvalkitError
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
+from evalkit.odometry.run_odometry import checked_estimate
 from evalkit.plugins.protocols import NoAnswer, Odometry, Role
 
 ON_TRACK_M = 0.25
@@ -61,13 +62,12 @@ def last(answers: Floats) -> Pose:
     return Pose.of(answers[-1])
 
 
-def sound(pose: object) -> Pose:
-    """The same pose, if it is a finite one; Broken otherwise."""
-    if not isinstance(pose, Pose):
-        raise Broken(f"update() answers a {type(pose).__name__}, expected an evalkit.Pose")
-    if not np.isfinite(pose.row).all():
-        raise Broken(f"update() answers {pose!r}, which is not finite")
-    return pose
+def sound(answer: object) -> Pose:
+    """The pose of an estimate, if it is a finite one; Broken otherwise."""
+    try:
+        return checked_estimate(answer).pose
+    except (TypeError, ValueError) as error:
+        raise Broken(str(error)) from error
 
 
 def starts(bench: Bench) -> str:

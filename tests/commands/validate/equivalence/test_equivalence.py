@@ -18,6 +18,7 @@ from evalkit.core import se2
 from evalkit.core.errors import BackendFailed, EvalkitError, UnknownName
 from evalkit.core.ground_truth import Truth
 from evalkit.core.match import Match
+from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.plugins import registry
@@ -345,7 +346,8 @@ class Wanderer:
         self._asked += 1
         if self._asked == self._silent_at:
             raise NoAnswer("too dark")
-        return self._change(Pose(0.1 * (self._asked - 1), 0.02 * self._asked - 0.02, 0.05 * (self._asked - 1)))
+        pose = Pose(0.1 * (self._asked - 1), 0.02 * self._asked - 0.02, 0.05 * (self._asked - 1))
+        return OdometryEstimate(self._change(pose))
 
 
 def wanderer(**options: object) -> BackendSpec:

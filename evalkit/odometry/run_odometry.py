@@ -1,0 +1,76 @@
+"""Run an odometry over frames: order check, timing, scans without an answer, check of each answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from evalkit.core.errors import BadData
+from evalkit.core.odometry_estimate import OdometryEstimate
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame
+from evalkit.core.timing import CallTiming, timed
+from evalkit.plugins.protocols import NoAnswer, Odometry
+
+
+@dataclass(frozen=True, slots=True)
+class OdometryStep:
+    """One scan: its frame, the estimate and the time of the call.
+
+    ``estimate`` is None where the odometry raised ``NoAnswer``; ``reason`` then says why.
+    """
+
+    frame: Frame
+    estimate: OdometryEstimate | None
+    timing: CallTiming
+    reason: str = ""
+
+
+def run_odometry(odometry: Odometry, frames: Iterable[Frame], source: str = "frames") -> Iterator[OdometryStep]:
+    """Yield one step per frame; the odometry is called when the step is requested.
+
+    ``source`` names the frames in errors. Raises BadData where stamps do not increase, TypeError or ValueError where
+    ``update`` returns something else than a finite ``OdometryEstimate``, and whatever ``update`` raises.
+    """
+    for frame in in_order(frames, source):
+        answer, timing = timed(_update(odometry, frame))
+        if isinstance(answer, NoAnswer):
+            yield OdometryStep(frame, None, timing, str(answer))
+        else:
+            estimate = checked_estimate(answer)
+            yield OdometryStep(frame, estimate, timing.including(estimate.cost))
+
+
+def in_order(frames: Iterable[Frame], source: str) -> Iterator[Frame]:
+    """Yield the frames; raises BadData where their stamps do not increase."""
+    last_ns: int | None = None
+    for index, frame in enumerate(frames):
+        if last_ns is not None and frame.scan.stamp_ns <= last_ns:
+            found = f"stamp {frame.scan.stamp_ns} ns is not later than the one before, {last_ns} ns"
+            raise BadData(source, f"scan {index + 1}", found, "give the scans in the order of time")
+        last_ns = frame.scan.stamp_ns
+        yield frame
+
+
+def checked_estimate(answer: object) -> OdometryEstimate:
+    """Return the answer of ``update``; raises TypeError for another type, ValueError for a pose that is not finite."""
+    if not isinstance(answer, OdometryEstimate):
+        raise TypeError(f"update() returned a {type(answer).__name__}, expected an evalkit.OdometryEstimate")
+    pose: object = answer.pose
+    if not isinstance(pose, Pose):
+        raise TypeError(f"update() returned a pose of type {type(pose).__name__}, expected an evalkit.Pose")
+    if not np.isfinite(pose.row).all():  # a subclass of Pose may skip the check
+        raise ValueError(f"update() returned a pose that is not finite: ({pose.x}, {pose.y}, {pose.theta})")
+    return answer
+
+
+def _update(odometry: Odometry, frame: Frame) -> Callable[[], OdometryEstimate | NoAnswer]:
+    def update() -> OdometryEstimate | NoAnswer:
+        try:
+            return odometry.update(frame)
+        except NoAnswer as reason:
+            return reason
+
+    return update

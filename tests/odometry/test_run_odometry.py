@@ -1,0 +1,77 @@
+"""Running an odometry over frames: order, answers, scans without an answer."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from evalkit.core.errors import BadData
+from evalkit.core.odometry_estimate import OdometryEstimate
+from evalkit.core.pose import Pose
+from evalkit.core.scan import Frame, Scan
+from evalkit.core.timing import Cost
+from evalkit.odometry.run_odometry import checked_estimate, run_odometry
+from evalkit.plugins.protocols import NoAnswer
+
+FRAMES = [Frame(Scan(stamp, np.array([1.0]), np.array([0.0]), 0.1, 9.0)) for stamp in (10, 20, 30)]
+
+
+class Scripted:
+    """Returns or raises what the list says, in turn."""
+
+    def __init__(self, *answers):
+        self.answers = list(answers)
+
+    def update(self, frame):
+        answer = self.answers.pop(0)
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+
+class UncheckedPose(Pose):
+    def __post_init__(self):
+        pass
+
+
+def test_every_frame_gives_a_step_with_its_estimate_and_the_time_of_the_call():
+    estimates = [OdometryEstimate(Pose(x), cost=Cost(device_ns=5)) for x in (0.0, 1.0, 2.0)]
+    steps = list(run_odometry(Scripted(*estimates), FRAMES))
+    assert [step.estimate for step in steps] == estimates
+    assert [step.frame for step in steps] == FRAMES
+    assert all(step.timing.wall_ns > 0 and step.timing.device_ns == 5 for step in steps)
+
+
+def test_a_scan_without_an_answer_is_a_step_with_the_reason():
+    odometry = Scripted(OdometryEstimate(Pose()), NoAnswer("too dark"), OdometryEstimate(Pose(1.0)))
+    steps = list(run_odometry(odometry, FRAMES))
+    assert [step.estimate is None for step in steps] == [False, True, False]
+    assert [step.reason for step in steps] == ["", "too dark", ""]
+
+
+def test_stamps_that_do_not_increase_are_bad_data():
+    frames = [*FRAMES, replace(FRAMES[0], scan=replace(FRAMES[0].scan, stamp_ns=30))]
+    odometry = Scripted(*[OdometryEstimate(Pose())] * 4)
+    with pytest.raises(BadData, match="log: scan 4: stamp 30 ns is not later than the one before, 30 ns"):
+        list(run_odometry(odometry, frames, "log"))
+    assert len(odometry.answers) == 1  # the odometry does not see the frame
+
+
+def test_other_exceptions_pass():
+    with pytest.raises(RuntimeError, match="lost the plot"):
+        list(run_odometry(Scripted(RuntimeError("lost the plot")), FRAMES))
+
+
+@pytest.mark.parametrize(
+    ("answer", "error", "message"),
+    [
+        (Pose(), TypeError, "returned a Pose, expected an evalkit.OdometryEstimate"),
+        (None, TypeError, "returned a NoneType"),
+        (OdometryEstimate(np.eye(3)), TypeError, "returned a pose of type ndarray, expected an evalkit.Pose"),
+        (OdometryEstimate(UncheckedPose(math.nan)), ValueError, r"not finite: \(nan, 0.0, 0.0\)"),
+    ],
+)
+def test_an_answer_of_another_kind_is_refused(answer, error, message):
+    with pytest.raises(error, match=message):
+        checked_estimate(answer)
