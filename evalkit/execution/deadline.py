@@ -1,4 +1,4 @@
-"""A call under a limit of time that holds in C as well, with a note that outlives its process."""
+"""A time limit that also ends C code, with a note on disk that outlives the process."""
 
 from __future__ import annotations
 
@@ -7,22 +7,29 @@ import faulthandler
 import re
 import threading
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
-LATE = "not finished after"
-"""How the reason of a call that was ended for its time begins."""
-
-_WATCH = threading.Lock()  # a process has one; a cluster's worker may have many threads
+_WATCH = threading.Lock()  # one limit per process; a cluster's worker may have many threads
 
 _PLACE = re.compile(r'File "([^"]*)", line (\d+) in (\S+)')
 
 
-@contextlib.contextmanager
-def noted(note: Path, limit_s: float) -> Iterator[None]:
-    """While it lasts the file ``note`` is there; after ``limit_s`` (0: never) the process ends and says in it where.
+@dataclass(frozen=True)
+class Note:
+    """What a note shows about a call: whether it started, and why it was ended ("" if the limit did not end it)."""
 
-    The watch is kept by a thread of the interpreter's own in C: it needs no lock that foreign code may hold. There is
-    one in a process: a second call under a limit waits for the first.
+    started: bool
+    timeout: str = ""
+
+
+@contextlib.contextmanager
+def time_limit(note: Path, limit_s: float) -> Iterator[None]:
+    """Keeps the file ``note`` while the block runs; after ``limit_s`` (0: no limit), writes there where the block was
+    and ends the process.
+
+    A C thread of the interpreter watches the time, without any lock that foreign code may hold. A process has one such
+    thread: a second block with a limit waits for the first.
     """
     try:
         with _WATCH if limit_s else contextlib.nullcontext(), note.open("w", encoding="utf-8") as file:
@@ -37,16 +44,16 @@ def noted(note: Path, limit_s: float) -> Iterator[None]:
         note.unlink(missing_ok=True)
 
 
-def taken(note: Path, limit_s: float) -> str | None:
-    """What a note left behind tells, which is removed: why the call was ended, "" where it was not; None: no note."""
+def take_note(note: Path, limit_s: float) -> Note:
+    """Reads and removes the note that a process left when it ended."""
     try:
-        said = note.read_text(encoding="utf-8", errors="replace")
+        text = note.read_text(encoding="utf-8", errors="replace")
     except OSError:
-        return None
+        return Note(started=False)
     note.unlink(missing_ok=True)
-    if not said:
-        return ""
-    *_, own = said.split("Thread 0x")  # the thread that called comes last, its innermost call first
-    place = _PLACE.search(own)
+    if not text:
+        return Note(started=True)
+    *_, calling = text.split("Thread 0x")  # the calling thread comes last, its innermost call first
+    place = _PLACE.search(calling)
     where = f"; it was in {place[3]} ({Path(place[1]).name}, line {place[2]})" if place else ""
-    return f"{LATE} {limit_s:g} s{where}"
+    return Note(started=True, timeout=f"not finished after {limit_s:g} s{where}")

@@ -7,12 +7,11 @@ import platform
 import threading
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import CancelledError, Executor, ProcessPoolExecutor
+from concurrent.futures import CancelledError, Executor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cache
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +22,9 @@ from evalkit import metrics
 from evalkit.config.experiment import Experiment, Limits, MapperChoice, RunSpec
 from evalkit.core.errors import StoreError
 from evalkit.core.run_result import STEP, RunResult, Score, Status
-from evalkit.execution import environment, parent_watch, run_process
+from evalkit.execution import environment, run_process
 from evalkit.execution.dask_cluster import TRIES
+from evalkit.execution.process_pool import start_pool
 from evalkit.execution.worker import Request
 from evalkit.metrics import evaluate, evaluate_map
 from evalkit.plugins import registry
@@ -100,7 +100,7 @@ class Scorers:
 
     def __init__(self, jobs: int) -> None:
         self._jobs, self._lock = jobs, threading.Lock()
-        self._pool = pool(jobs)
+        self._pool = start_pool(jobs)
 
     def __enter__(self) -> Scorers:
         return self
@@ -119,7 +119,7 @@ class Scorers:
             shared.submit(job, *arguments).result()
         except BrokenProcessPool:
             self._replace(shared)
-            with pool(1) as own:
+            with start_pool(1) as own:
                 if _breaks(own):
                     raise RuntimeError("no process to score in can be started here") from None
                 own.submit(job, *arguments).result()
@@ -128,12 +128,7 @@ class Scorers:
         with self._lock:
             if self._pool is broken:
                 broken.shutdown(wait=False, cancel_futures=True)
-                self._pool = pool(self._jobs)
-
-
-def pool(jobs: int) -> Executor:
-    """So many processes."""
-    return ProcessPoolExecutor(jobs, mp_context=get_context("spawn"), initializer=parent_watch.serve_parent)
+                self._pool = start_pool(self._jobs)
 
 
 def _breaks(processes: Executor) -> bool:

@@ -1,91 +1,92 @@
-"""A function that calls somebody else's code, in a process apart with limits: how that ended is its result.
+"""Run a task that calls foreign code in a child process with limits; a crash or a broken limit is a result.
 
-``python -m evalkit.execution.sandbox FOLDER`` reads what to call in the folder, and leaves what it gave there.
+``python -m evalkit.execution.sandbox FOLDER`` reads the task from the folder and writes its result there.
 """
 
 from __future__ import annotations
 
-import json
 import os
+import pickle
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from evalkit.execution import job_store, subprocesses
-from evalkit.execution.job_store import Job, Ledger, Result
+from evalkit.execution import subprocesses
+from evalkit.execution.task import AnyTask, Result, Task, make_task
+from evalkit.execution.task_store import TaskStore
 
-REQUEST, OUTPUT = "request.json", "output.txt"
+SYSTEM_PATH, REQUEST, OUTPUT = "path.pickle", "request.pickle", "output.txt"
 PLACE = "place.txt"
-WORD = "EVALKIT_PLACE"
-"""Environment variable of such a child: the file in which it leaves word of where it is."""
+PLACE_VARIABLE = "EVALKIT_PLACE"
+"""Environment variable of the child: the file where it writes what it does next."""
 
 ENDED = "ended"
-"""Key of a result that tells how the process ended instead."""
+"""The only key of a result whose process ended early; the value says how."""
 
 MODULE = "evalkit.execution.sandbox"
-FUNCTION = f"{MODULE}:run"
-GIVEN = Job("result", FUNCTION)  # the name under which the child leaves what it has
 
 
-def job(
-    name: str, function: str, arguments: Mapping[str, Any], limits: Mapping[str, Any], uses: tuple[str, ...]
-) -> Job:
-    """The job that calls "module:name" apart; ``limits``: ``limit_s`` and ``memory_mib``."""
-    own = {"function": function, "arguments": dict(arguments), **limits}
-    return Job(name, FUNCTION, own, (function.partition(":")[0], *uses))
+def sandboxed(task: AnyTask, limit_s: float, memory_mib: int) -> AnyTask:
+    """The task that runs another one in a sandbox; see ``run``."""
+    inside = make_task(
+        task.name, run, function=task.function, arguments=task.arguments, limit_s=limit_s, memory_mib=memory_mib
+    )
+    return inside.depending_on(task.function.__module__, *task.modules)
 
 
-def run(function: str, arguments: Mapping[str, Any], limit_s: float, memory_mib: int) -> Result:
-    """What "module:name" gives for the keywords, or {"ended": how its process ended, and where it was}.
+def run(function: Callable[..., Result], arguments: Mapping[str, Any], limit_s: float, memory_mib: int) -> Result:
+    """The function's result, or {"ended": how its process ended, and what it did then}.
 
-    ``limit_s``: wall clock in all; ``memory_mib``: what it and all it starts may hold.
+    ``limit_s``: wall clock time in all; ``memory_mib``: memory of the process and of all that it starts.
     """
+    task = Task("result", function, arguments)
     with tempfile.TemporaryDirectory(prefix="evalkit-validate-") as place:
         folder = Path(place)
         path = [str(Path(entry or ".").resolve()) for entry in sys.path]
-        request = {"function": function, "arguments": dict(arguments), "path": path}
-        (folder / REQUEST).write_text(json.dumps(request), encoding="utf-8")
+        (folder / SYSTEM_PATH).write_bytes(pickle.dumps(path))
+        (folder / REQUEST).write_bytes(pickle.dumps(task))
         with (folder / OUTPUT).open("ab") as output:
             process = subprocesses.started(MODULE, folder, output)
             try:
-                limit = _watched(process, limit_s, memory_mib)
+                broken_limit = _wait(process, limit_s, memory_mib)
             finally:
                 subprocesses.end_group(process, folder)
-        made = Ledger(folder).kept(GIVEN) if not limit else None
-        if made is not None:
-            return made
-        how = limit or subprocesses.last_words(process.returncode, folder / OUTPUT)
+        result = TaskStore(folder).load(task) if not broken_limit else None
+        if result is not None:
+            return result
+        how = broken_limit or subprocesses.last_words(process.returncode, folder / OUTPUT)
         at = (folder / PLACE).read_text(encoding="utf-8") if (folder / PLACE).exists() else ""
         return {ENDED: f"{how}; it was at {at}" if at else how}
 
 
-def at(place: str) -> None:
-    """Leaves word of what is asked next, for the case that it is the last."""
-    if WORD in os.environ:
-        Path(os.environ[WORD]).write_text(place, encoding="utf-8")
+def note_place(place: str) -> None:
+    """Writes down what the sandboxed code does next, in case the process ends there; nothing outside a sandbox."""
+    if PLACE_VARIABLE in os.environ:
+        Path(os.environ[PLACE_VARIABLE]).write_text(place, encoding="utf-8")
 
 
 def main() -> int:
-    """Calls what the folder named on the command line asks for."""
+    """Runs the task in the folder named on the command line."""
     folder = Path(sys.argv[1]).resolve()  # a back end may change the working directory
-    os.environ[WORD] = str(folder / PLACE)
-    request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
-    sys.path.extend(entry for entry in request["path"] if entry not in sys.path)
-    result, _ = job_store.call(request["function"], request["arguments"])
-    Ledger(folder).keep(GIVEN, result)
+    os.environ[PLACE_VARIABLE] = str(folder / PLACE)
+    path = pickle.loads((folder / SYSTEM_PATH).read_bytes())
+    sys.path.extend(entry for entry in path if entry not in sys.path)
+    task: AnyTask = pickle.loads((folder / REQUEST).read_bytes())
+    result, _ = task.run()
+    TaskStore(folder).save(task, result)
     return 0
 
 
-def _watched(process: subprocess.Popen[bytes], limit_s: float, memory_mib: int) -> str:
+def _wait(process: subprocess.Popen[bytes], limit_s: float, memory_mib: int) -> str:
     """Waits for the process's end; which limit it broke, or ""."""
-    begun, family = time.monotonic(), subprocesses.Family(process.pid)
+    started, family = time.monotonic(), subprocesses.Family(process.pid)
     while process.poll() is None:
         time.sleep(subprocesses.POLL_S)
-        if time.monotonic() - begun > limit_s:
+        if time.monotonic() - started > limit_s:
             return f"not finished after {limit_s:g} s"
         if family.usage().resident_bytes > memory_mib * 2**20:
             return f"used more than {memory_mib} MiB"

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import UTC, datetime
 from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from evalkit.execution import environment
-from evalkit.execution.job_store import Job, Ledger
+from evalkit.execution.task import AnyTask
+from evalkit.execution.task_runner import run_tasks
+from evalkit.execution.task_store import TaskStore
 from evalkit.report.html.document import Cell, Column, Command, Fold, Section, Table, Text, render
 from evalkit.results.store import reported
 from evalkit.terminal import progress
@@ -30,7 +33,7 @@ def make(file: Path, folder: Path | None, workers: int | None) -> Path:
     ran_on = environment.describe(("numpy", "scipy", "open3d-cpu", "kiss-icp", "small-gicp"), jobs=workers)
     try:
         with progress.jobs(err, len(every), workers) as done:
-            found = Ledger(folder / "results").run(every, workers, done)
+            found = run_tasks(TaskStore(folder / "results"), every, workers, done)
     except KeyboardInterrupt:
         err.print("interrupted; what is done is kept: the same command goes on from here")
         raise
@@ -44,9 +47,9 @@ def make(file: Path, folder: Path | None, workers: int | None) -> Path:
     return written
 
 
-def _within(chapter: str, job: Job) -> Job:
+def _within(chapter: str, job: AnyTask) -> AnyTask:
     """The job under a name of its own among all chapters."""
-    return Job(f"{chapter} {job.name}", job.function, job.arguments, job.uses)
+    return replace(job, name=f"{chapter} {job.name}")
 
 
 def _written(path: Path, body: str) -> Path:
@@ -57,7 +60,7 @@ def _written(path: Path, body: str) -> Path:
 
 
 def _provenance(
-    file: Path, folder: Path, settings: Mapping[str, Any], planned: Mapping[str, tuple[Job, ...]],
+    file: Path, folder: Path, settings: Mapping[str, Any], planned: Mapping[str, tuple[AnyTask, ...]],
     ran_on: Mapping[str, str],
 ) -> Section:  # fmt: skip
     """What was computed with what, where, and the command that does it again."""

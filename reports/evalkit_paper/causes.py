@@ -8,7 +8,7 @@ import numpy as np
 
 from evalkit.core import se2
 from evalkit.core.se2 import Floats
-from evalkit.execution.job_store import Result
+from evalkit.execution.task import Result
 from evalkit.report.html.document import Cell, Column, Table
 from evalkit_paper import lab_drives, spikes, steady_drives, trajectory_following
 from evalkit_paper.chapter import Results, Settings

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from evalkit.execution.job_store import Job, Result
+from evalkit.execution.task import AnyTask, Result
 from evalkit.plugins.protocols import Parameter, resolved
 from evalkit.report.html.document import Section
 
@@ -43,7 +43,7 @@ class Chapter:
 
     name: str
     parameters: tuple[Parameter, ...]
-    jobs: Callable[[Settings], tuple[Job, ...]]
+    jobs: Callable[[Settings], tuple[AnyTask, ...]]
     sections: Callable[[Settings, Results], tuple[Section, ...]]
     findings: Callable[[Settings, Results], tuple[Finding, ...]]
     read: Callable[[str, Mapping[str, object]], Settings] | None = None

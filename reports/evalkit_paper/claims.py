@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from evalkit.core.se2 import Floats
-from evalkit.execution.job_store import Job
+from evalkit.execution.task import AnyTask, make_task
 from evalkit.plugins.protocols import Parameter, Value
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve
@@ -55,27 +55,20 @@ PARAMETERS = (
 )
 
 
-def jobs(settings: Settings) -> tuple[Job, ...]:
+def jobs(settings: Settings) -> tuple[AnyTask, ...]:
     """A long drive for every method, world and seed, and drives among people."""
-    function, crowd = f"{long_drives.__name__}:grown", f"{long_drives.__name__}:crowded"
     long = [
-        Job(
-            _long(entry.label, world, seed),
-            function,
-            {"backend": entry.backend, "parameters": dict(entry.parameters), "world": world, "seed": seed,
-             "laps": settings["laps"], "marks": MARKS},
-            USES,
-        )
+        make_task(
+            _long(entry.label, world, seed), long_drives.grown, backend=entry.backend,
+            parameters=dict(entry.parameters), world=world, seed=seed, laps=settings["laps"], marks=MARKS,
+        ).depending_on(*USES)
         for entry in ENTRIES for world in WORLDS for seed in _seeds(settings)
     ]  # fmt: skip
     among = [
-        Job(
-            _among(people, seed),
-            crowd,
-            {"backend": "embedded", "parameters": {}, "world": "lab", "seed": seed, "laps": settings["crowd_laps"],
-             "people": people, "scans": MAP_SCANS, "wanted": list(CROWD_METRICS)},
-            USES,
-        )
+        make_task(
+            _among(people, seed), long_drives.crowded, backend="embedded", parameters={}, world="lab", seed=seed,
+            laps=settings["crowd_laps"], people=people, scans=MAP_SCANS, wanted=list(CROWD_METRICS),
+        ).depending_on(*USES)
         for people in CROWDS for seed in _seeds(settings)
     ]  # fmt: skip
     return (*long, *among)

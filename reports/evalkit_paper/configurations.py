@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.execution.job_store import Job
+from evalkit.execution.task import AnyTask, make_task
 from evalkit.metrics.trajectory import rms
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Parameter, Value
@@ -65,16 +65,16 @@ PARAMETERS = (
 )
 
 
-def jobs(settings: Settings) -> tuple[Job, ...]:
+def jobs(settings: Settings) -> tuple[AnyTask, ...]:
     """Every configuration for every seed."""
     return tuple(_job(settings, each, seed) for each in CONFIGURATIONS for seed in range(settings["seeds"]))
 
 
-def _job(settings: Settings, each: Configuration, seed: int) -> Job:
+def _job(settings: Settings, each: Configuration, seed: int) -> AnyTask:
     drive = {"seed": seed, **{name: settings[name] for name in ("laps", "speed_mps", "rate_hz")}}
-    arguments = {"backend": each.backend, "parameters": dict(each.parameters), "sequence": drive}
-    uses = ("evalkit_datasets.synthetic", "evalkit_baselines.paper")
-    return Job(f"{each.name}, seed {seed}", f"{__name__}:measured", arguments, uses)
+    return make_task(
+        f"{each.name}, seed {seed}", measured, backend=each.backend, parameters=dict(each.parameters), sequence=drive
+    ).depending_on("evalkit_datasets.synthetic", "evalkit_baselines.paper")
 
 
 def measured(*, backend: str, parameters: Mapping[str, Any], sequence: Mapping[str, Any]) -> dict[str, Any]:

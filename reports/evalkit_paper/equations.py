@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from evalkit.core.se2 import Floats
-from evalkit.execution.job_store import Job, Result
+from evalkit.execution.task import AnyTask, Result, make_task
 from evalkit.plugins.protocols import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve, Points
 from evalkit.report.html.document import Block, Cell, Figure, Figures, Section, Table, Text
-from evalkit_paper import equation_checks
+from evalkit_paper import equation_checks as checks
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings, Verdict
 
 ANCHOR = "equations"
@@ -25,24 +25,27 @@ PARAMETERS = (
 )
 
 
-def jobs(settings: Settings) -> tuple[Job, ...]:
+def jobs(settings: Settings) -> tuple[AnyTask, ...]:
     """One computation a check; each takes seconds."""
-    drive = {"sequence": settings["sequence"], "seed": 0, "laps": settings["laps"]}
-    uses = ("evalkit_datasets.synthetic",)
-
-    def job(name: str, function: str, **arguments: object) -> Job:
-        return Job(name, f"{equation_checks.__name__}:{function}", arguments, uses if "sequence" in arguments else ())
-
+    sequence, laps, seeds = settings["sequence"], settings["laps"], settings["seeds"]
+    on_sequence = (
+        make_task(
+            "stopped odometry", checks.stopped, sequence=sequence, seed=0, laps=laps, most=settings["pairs"],
+            guess="odometry",
+        ),
+        make_task(
+            "stopped off", checks.stopped, sequence=sequence, seed=0, laps=laps, most=settings["pairs"], guess="off"
+        ),
+        make_task("composed", checks.composed, sequence=sequence, seed=0, laps=laps),
+        make_task("subtracted", checks.subtracted, sequence=sequence, seed=0, laps=laps, every=settings["every"]),
+    )  # fmt: skip
     return (
-        job("transposed", "transposed", seeds=settings["seeds"]),
-        job("mirrored", "mirrored", walls=settings["walls"]),
-        job("stopped odometry", "stopped", **drive, most=settings["pairs"], guess="odometry"),
-        job("stopped off", "stopped", **drive, most=settings["pairs"], guess="off"),
-        job("evaluated", "evaluated", seeds=settings["seeds"]),
-        job("headings", "headings", count=3600),
-        job("composed", "composed", **drive),
-        job("subtracted", "subtracted", **drive, every=settings["every"]),
-        job("shared", "shared", seeds=settings["seeds"]),
+        make_task("transposed", checks.transposed, seeds=seeds),
+        make_task("mirrored", checks.mirrored, walls=settings["walls"]),
+        make_task("evaluated", checks.evaluated, seeds=seeds),
+        make_task("headings", checks.headings, count=3600),
+        make_task("shared", checks.shared, seeds=seeds),
+        *(task.depending_on("evalkit_datasets.synthetic") for task in on_sequence),
     )
 
 

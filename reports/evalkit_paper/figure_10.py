@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from evalkit.core.grid import OccupancyGrid
-from evalkit.execution.job_store import Job, Result
+from evalkit.execution.task import AnyTask, Result, make_task
 from evalkit.plugins.protocols import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Points
@@ -28,19 +28,19 @@ PARAMETERS = (
 )
 
 
-def jobs(settings: Settings) -> tuple[Job, ...]:
+def jobs(settings: Settings) -> tuple[AnyTask, ...]:
     """The true plan, a map a variant, and the recording's where its files are here."""
-    where = drawings.__name__
     sequence = {name: settings[name] for name in ("laps", "speed_mps", "turn_dps", "rate_hz", "seed")}
     uses = ("evalkit_datasets.synthetic", "evalkit_baselines.paper")
     maps = [
-        Job(each.name, f"{where}:lab",
-            {"backend": each.backend, "parameters": dict(each.parameters), "sequence": sequence,
-             "scans": settings["scans"]}, uses)
+        make_task(
+            each.name, drawings.lab, backend=each.backend, parameters=dict(each.parameters), sequence=sequence,
+            scans=settings["scans"],
+        ).depending_on(*uses)
         for each in VARIANTS
     ]  # fmt: skip
-    made = [Job("plan", f"{where}:plan", {"sequence": sequence}, uses), *maps]
-    return (*made, *(recorded_drive.jobs() if settings["recording"] else ()))
+    plan = make_task("plan", drawings.plan, sequence=sequence).depending_on(*uses)
+    return (plan, *maps, *(recorded_drive.jobs() if settings["recording"] else ()))
 
 
 def sections(settings: Settings, results: Results) -> tuple[Section, ...]:

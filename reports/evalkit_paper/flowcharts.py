@@ -6,16 +6,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from evalkit.execution.job_store import Job
+from evalkit.execution.task import AnyTask, make_task
 from evalkit.plugins.protocols import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Box
 from evalkit.report.html.document import Figure, Figures, Section, Text
+from evalkit_paper import stages
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
 from evalkit_paper.stages import Call
 
 ANCHOR = "figures-2-to-5"
-JOB = "stages"
+RECORDED = "stages"
 
 Words = Mapping[str, str]
 
@@ -131,21 +132,20 @@ _FRONT_END = ("scan_to_scan", "scan_to_map", "deskew", "one_to_one", "local_radi
 _MAPPER = ("traversal", "once_per_scan")
 
 
-def jobs(settings: Settings) -> tuple[Job, ...]:
+def jobs(settings: Settings) -> tuple[AnyTask, ...]:
     """The one recording."""
-    arguments = {
-        "sequence": {"laps": settings["laps"], "rate_hz": settings["rate_hz"]},
-        "parameters": {"keyframe_distance_m": 0.1, **{name: settings[name] for name in _FRONT_END}},
-        "mapper": {name: settings[name] for name in _MAPPER},
-    }
-    uses = ("evalkit_datasets.synthetic", "evalkit_baselines.paper")
-    return (Job(JOB, "evalkit_paper.stages:drive", arguments, uses),)
+    recording = make_task(
+        RECORDED, stages.drive, sequence={"laps": settings["laps"], "rate_hz": settings["rate_hz"]},
+        parameters={"keyframe_distance_m": 0.1, **{name: settings[name] for name in _FRONT_END}},
+        mapper={name: settings[name] for name in _MAPPER},
+    )  # fmt: skip
+    return (recording.depending_on("evalkit_datasets.synthetic", "evalkit_baselines.paper"),)
 
 
 def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
     """The chapter's one section."""
     del settings
-    root = Call.read(results[JOB]["calls"])
+    root = Call.read(results[RECORDED]["calls"])
     register = "FrontEnd._register s2m" if "FrontEnd._register s2m" in _keys(root) else "FrontEnd._register s2s"
     drawings = (
         ("Figure 2: the pipeline", PIPELINE, "", "scan, wheel odometry", "pose and map"),
@@ -158,7 +158,7 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
         for title, words, below, begin, end in drawings
     ]
     told = (
-        f"Recorded, not drawn by hand: the functions that scan {results[JOB]['scan'] + 1} of a drive through the "
+        f"Recorded, not drawn by hand: the functions that scan {results[RECORDED]['scan'] + 1} of a drive through the "
         "laboratory called, in the order they ran. A stage that is switched off in this chapter's settings leaves its "
         "figure; a round that was repeated is drawn once, with how often it ran."
     )
@@ -172,7 +172,7 @@ def _keys(root: Call) -> set[str]:
 def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     """The lines of Figures 1 to 5."""
     del settings
-    root = Call.read(results[JOB]["calls"])
+    root = Call.read(results[RECORDED]["calls"])
     counts = [len(path(root, words).stages) for words in (PIPELINE, TWO_STAGES, MAPPING)]
     return (
         Finding(

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from evalkit.core.se2 import Floats
-from evalkit.execution.job_store import Job
+from evalkit.execution.task import AnyTask, make_task
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Sequence, Value
 from evalkit_paper import spikes, trajectory_following
@@ -62,25 +62,22 @@ def causes(settings: Mapping[str, Any]) -> tuple[Cause, ...]:
     )
 
 
-def job(settings: Mapping[str, Any], cause: Cause, rate_hz: float) -> Job:
+def job(settings: Mapping[str, Any], cause: Cause, rate_hz: float) -> AnyTask:
     """The computation of one drive."""
     sequence = {"seed": settings["seed"], "speed_mps": settings["speed_mps"], "rate_hz": rate_hz, **cause.sequence}
-    arguments = {
-        "sequence": sequence,
-        "parameters": dict(cause.parameters),
-        "marked": cause.marked,
-        "every_pair": cause.marked == "start",
-    }
-    return Job(name(cause, rate_hz), f"{__name__}:drive", arguments, USES)
+    return make_task(
+        name(cause, rate_hz), drive, sequence=sequence, parameters=dict(cause.parameters), marked=cause.marked,
+        every_pair=cause.marked == "start",
+    ).depending_on(*USES)  # fmt: skip
 
 
-def turn_job(settings: Mapping[str, Any], turn_dps: float, rate_hz: float) -> Job:
+def turn_job(settings: Mapping[str, Any], turn_dps: float, rate_hz: float) -> AnyTask:
     """The computation of a drive whose turns have one yaw rate."""
     sequence = {
         "seed": settings["seed"], "speed_mps": settings["speed_mps"], "rate_hz": rate_hz, "turn_dps": turn_dps,
         "laps": settings["yaw_laps"],
     }  # fmt: skip
-    return Job(turn_name(turn_dps, rate_hz), f"{__name__}:turn", {"sequence": sequence}, USES)
+    return make_task(turn_name(turn_dps, rate_hz), turn, sequence=sequence).depending_on(*USES)
 
 
 def turn_name(turn_dps: float, rate_hz: float) -> str:

@@ -11,7 +11,7 @@ import numpy as np
 
 from evalkit.commands.realtime.virtual_clock import Rule, first_broken
 from evalkit.core.se2 import Floats
-from evalkit.execution.job_store import Result
+from evalkit.execution.task import Result
 
 RULE = Rule()
 

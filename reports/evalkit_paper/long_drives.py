@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.commands.study.evaluate import evaluate
+from evalkit.commands.study.evaluate import RunScores, evaluate
 from evalkit.core import se2
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
@@ -40,7 +40,7 @@ def grown(
 def crowded(
     backend: str, parameters: Mapping[str, Value], world: str, seed: int, laps: float, people: int, scans: int,
     wanted: Sequence[str],
-) -> dict[str, Any]:  # fmt: skip
+) -> RunScores:  # fmt: skip
     """The wanted metrics of a drive among so many people who walk about."""
     spec, sequence, mapper = registry.backend(backend), registry.dataset(world), registry.mapper("embedded-log-odds")
     drive: dict[str, Value] = {p.name: p.default for p in sequence.parameters}

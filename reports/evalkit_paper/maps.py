@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from evalkit.execution.job_store import Job
+from evalkit.execution.task import AnyTask, Parameters, R, Task, make_task
 from evalkit.plugins.protocols import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve
@@ -38,33 +38,35 @@ NUMERIC: Mapping[str, tuple[str, str, Axis]] = {
 }
 
 
-def jobs(settings: Settings) -> tuple[Job, ...]:
+def jobs(settings: Settings) -> tuple[AnyTask, ...]:
     """A job for every world, seed and kind of poses, then drift, pictures, no-returns and the twins."""
     variants = [dict(variant) for variant in mapping.variants(bool(settings["interactions"]))]
     laps = settings["laps"]
     seeds = range(int(settings["seeds"]))
     main = [
-        _job(f"{world} seed {seed} {poses}", "measured",
+        _task(f"{world} seed {seed} {poses}", mapping.measured,
              world=world, seed=seed, laps=laps, poses=poses, variants=variants)
         for world in _worlds(settings) for seed in seeds for poses in HERE
     ]  # fmt: skip
     drift = [
-        _job(f"drift seed {seed}", "drifted", world="lab", seed=seed, laps=laps, metres=DRIFT_M, degrees=DRIFT_DEG)
+        _task(
+            f"drift seed {seed}", mapping.drifted, world="lab", seed=seed, laps=laps, metres=DRIFT_M, degrees=DRIFT_DEG
+        )
         for seed in seeds
     ]
     clear = [
-        _job(f"no returns seed {seed}", "measured", world=NO_RETURN_WORLD, seed=seed, laps=min(laps, 0.5),
+        _task(f"no returns seed {seed}", mapping.measured, world=NO_RETURN_WORLD, seed=seed, laps=min(laps, 0.5),
              poses="true", variants=[{}, {"clear_no_returns": True}])
         for seed in seeds
     ]  # fmt: skip
     sizes = [{"resolution_m": size} for size in PICTURED]
     silent = [
-        _job(f"no noise seed {seed}", "measured", world="lab", seed=seed, laps=laps, poses="true", variants=sizes,
-             sensor={"noise_m": 0.0})
+        _task(f"no noise seed {seed}", mapping.measured, world="lab", seed=seed, laps=laps, poses="true",
+              variants=sizes, sensor={"noise_m": 0.0})
         for seed in seeds
     ]  # fmt: skip
-    drawn = _job("pictures", "pictures", world="lab", seed=0, laps=laps, poses="estimated", variants=sizes)
-    twins = _job("twins", "twins", world="lab", seed=0, laps=min(laps, 0.3),
+    drawn = _task("pictures", mapping.pictures, world="lab", seed=0, laps=laps, poses="estimated", variants=sizes)
+    twins = _task("twins", mapping.twins, world="lab", seed=0, laps=min(laps, 0.3),
                  variants=[{}, {"resolution_m": 0.1}, {"l_free": -0.405}, {"l_min": -10.0, "l_max": 10.0}])  # fmt: skip
     return (*main, *drift, *clear, *silent, drawn, twins)
 
@@ -118,8 +120,10 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
 CHAPTER = Chapter("maps", PARAMETERS, jobs, sections, findings)
 
 
-def _job(name: str, function: str, **arguments: Any) -> Job:
-    return Job(name, f"{mapping.__name__}:{function}", arguments, USES)
+def _task(
+    name: str, function: Callable[Parameters, R], /, *args: Parameters.args, **kwargs: Parameters.kwargs
+) -> Task[R]:
+    return make_task(name, function, *args, **kwargs).depending_on(*USES)
 
 
 def _worlds(settings: Settings) -> list[str]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from evalkit.core.errors import BadExperiment, UnknownName
-from evalkit.execution.job_store import Job, Result
+from evalkit.execution.task import AnyTask, Result
 from evalkit.io.toml import load_toml
 from evalkit.report.html.document import Cell, Column, Document, Section, Table, Text, Tone
 from evalkit_paper.chapter import Chapter, Finding, Settings, Verdict
@@ -38,7 +38,7 @@ def read(file: Path, chapters: Sequence[Chapter]) -> dict[str, Settings]:
     return {name: known[name].settings(f"{file}: [{name}]", table) for name, table in content.items()}
 
 
-def jobs(settings: Mapping[str, Settings], chapters: Sequence[Chapter]) -> dict[str, tuple[Job, ...]]:
+def jobs(settings: Mapping[str, Settings], chapters: Sequence[Chapter]) -> dict[str, tuple[AnyTask, ...]]:
     """What every chosen chapter must have computed, by the chapter's name."""
     return {chapter.name: chapter.jobs(settings[chapter.name]) for chapter in chapters if chapter.name in settings}
 

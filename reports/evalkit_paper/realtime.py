@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from evalkit.commands.realtime import simulation
 from evalkit.commands.realtime.virtual_clock import first_broken
 from evalkit.core.se2 import Floats
-from evalkit.execution.job_store import Job
+from evalkit.execution.task import AnyTask, make_task
 from evalkit.plugins.protocols import Parameter, Value
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve
@@ -61,19 +62,16 @@ PARAMETERS = (
 )
 
 
-def jobs(settings: Settings) -> tuple[Job, ...]:
+def jobs(settings: Settings) -> tuple[AnyTask, ...]:
     """One job for every method, rate and seed: its costs here, and its ladder of device factors."""
     return tuple(
-        Job(
-            _name(entry.label, rate, seed), "evalkit.commands.realtime.simulation:paced",
-            {
-                "backend": entry.backend, "parameters": dict(entry.parameters), "dataset": settings["world"],
-                "dataset_parameters": {"seed": seed, "rate_hz": rate, "laps": settings["laps"]},
-                "factors": _factors(settings), "policies": ["queue-of-one", *(["drop"] * (entry.label in BOTH))],
-                "repetitions": settings["repetitions"], "bridged": entry.bridged,
-            },
-            (entry.uses, "evalkit_datasets.synthetic"),
-        )
+        make_task(
+            _name(entry.label, rate, seed), simulation.paced, backend=entry.backend,
+            parameters=dict(entry.parameters), dataset=settings["world"],
+            dataset_parameters={"seed": seed, "rate_hz": rate, "laps": settings["laps"]}, factors=_factors(settings),
+            policies=["queue-of-one", "drop"] if entry.label in BOTH else ["queue-of-one"],
+            repetitions=settings["repetitions"], bridged=entry.bridged,
+        ).depending_on(entry.uses, "evalkit_datasets.synthetic")
         for entry in _entries(settings) for rate in _rates(settings) for seed in range(int(settings["seeds"]))
     )  # fmt: skip
 

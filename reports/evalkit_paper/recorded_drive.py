@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from evalkit.core.pose import Pose
-from evalkit.execution.job_store import Job, Result
+from evalkit.execution.task import AnyTask, Result, make_task
 from evalkit.plugins import registry
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve, Points, Span
@@ -37,19 +37,18 @@ def missing() -> str:
     return registry.dataset(RECORDING).missing()
 
 
-def jobs() -> tuple[Job, ...]:
+def jobs() -> tuple[AnyTask, ...]:
     """A map a variant and the floor's; none where the recording is not here."""
     if missing():
         return ()
     maps = (
-        Job(name(each), f"{drawings.__name__}:recording",
-            {"name": RECORDING, "backend": each.backend, "parameters": dict(each.parameters)}, USES)
+        make_task(
+            name(each), drawings.recording, name=RECORDING, backend=each.backend, parameters=dict(each.parameters)
+        ).depending_on(*USES)
         for each in VARIANTS
-    )  # fmt: skip
-    return (
-        *maps,
-        Job(FLOOR, f"{drawings.__name__}:floor", {"name": RECORDING, "backend": drawings.TIGHT.backend}, USES),
     )
+    floor = make_task(FLOOR, drawings.floor, name=RECORDING, backend=drawings.TIGHT.backend)
+    return (*maps, floor.depending_on(*USES))
 
 
 def name(each: Variant) -> str:

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from evalkit.execution.job_store import Job
+from evalkit.execution.task import AnyTask
 from evalkit.plugins.protocols import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve, Span
@@ -42,7 +42,7 @@ PARAMETERS = (
 )  # fmt: skip
 
 
-def jobs(settings: Settings) -> tuple[Job, ...]:
+def jobs(settings: Settings) -> tuple[AnyTask, ...]:
     """Every cause at every rate, and every yaw rate."""
     rates = steady_drives.numbers(settings["rates_hz"])
     drives = [lab_drives.job(settings, cause, rate) for rate in rates for cause in lab_drives.causes(settings)]

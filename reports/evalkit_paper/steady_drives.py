@@ -8,7 +8,7 @@ import numpy as np
 
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
-from evalkit.execution.job_store import Result
+from evalkit.execution.task import Result
 from evalkit_paper import lab_drives, spikes
 from evalkit_paper.chapter import Results, Settings
 from evalkit_paper.spikes import Band

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
+from typing import cast
 
 from evalkit.commands.study.config import read
 from evalkit.commands.study.curves import curve_blocks, envelope_blocks
 from evalkit.commands.study.effect_tables import effect_blocks
 from evalkit.commands.study.envelope import panels, sentences
+from evalkit.commands.study.evaluate import RunScores
 from evalkit.commands.study.formatting import fitted, limit_words, main_words, pair_words
 from evalkit.commands.study.page import cpu_minutes, design_blocks, point_blocks, summary
 from evalkit.commands.study.plan import Study
 from evalkit.commands.study.result import Outcome
-from evalkit.execution.job_store import Job
-from evalkit.plugins.protocols import Parameter
+from evalkit.execution.task import AnyTask, make_task
+from evalkit.plugins.protocols import Parameter, Value
 from evalkit.report.html.document import Block, Fold, Section, Text
+from evalkit_paper import twins
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
 
 TWIN = "paper"
@@ -30,10 +33,10 @@ STUDY = "study"
 ENVELOPE = "study-envelope"
 
 
-def jobs(settings: Settings) -> tuple[Job, ...]:
+def jobs(settings: Settings) -> tuple[AnyTask, ...]:
     """Every run of the study, and the points at which core and twin are held against each other."""
     study = plan(settings)
-    return () if study.missing else (*study.jobs(), *_twins(study, settings))
+    return () if study.missing else (*study.tasks(), *_twins(study, settings))
 
 
 def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
@@ -120,31 +123,29 @@ def twin_words(settings: Settings, results: Results) -> str:
     )
 
 
-def _twins(study: Study, settings: Settings) -> tuple[Job, ...]:
+def _twins(study: Study, settings: Settings) -> tuple[AnyTask, ...]:
     """Points evenly spread over the designs, asked of both."""
     points = list(study.points.values())
     count = min(int(settings["twins"]), len(points))
     chosen = [points[number * len(points) // count] for number in range(count)]
-    seed = {} if study.seeds(chosen[0].key)[0] is None else {"seed": study.seeds(chosen[0].key)[0]}
+    first = study.seeds(chosen[0].key)[0]
+    seed: dict[str, Value] = {} if first is None else {"seed": first}
     return tuple(
-        Job(
+        make_task(
             f"twin {point.key}",
-            "evalkit_paper.twins:apart",
-            {
-                "backends": [TWIN, study.backend],
-                "parameters": dict(point.method),
-                "dataset": study.dataset,
-                "sequence": {**point.sequence, **seed},
-                "scans": int(settings["twin_scans"]),
-            },
-            ("evalkit_baselines.paper", "evalkit_baselines.embedded"),
-        )
+            twins.apart,
+            backends=(TWIN, study.backend),
+            parameters=dict(point.method),
+            dataset=study.dataset,
+            sequence={**point.sequence, **seed},
+            scans=int(settings["twin_scans"]),
+        ).depending_on("evalkit_baselines.paper", "evalkit_baselines.embedded")
         for point in chosen
     )
 
 
 def _outcome(study: Study, results: Results) -> Outcome:
-    return Outcome(study, {job.name: results[job.name] for job in study.jobs()})
+    return Outcome(study, {task.name: cast(RunScores, results[task.name]) for task in study.tasks()})
 
 
 @lru_cache(maxsize=4)

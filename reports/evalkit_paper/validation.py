@@ -10,7 +10,7 @@ import numpy as np
 from evalkit.core.arrays import Bools
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
-from evalkit.execution.job_store import Job, Result
+from evalkit.execution.task import AnyTask, Result, make_task
 from evalkit.plugins.protocols import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve, Points
@@ -92,19 +92,18 @@ class Fit:
         return int(np.argmin(np.mean(apart * apart, axis=1)))
 
 
-def jobs(settings: Settings) -> tuple[Job, ...]:
+def jobs(settings: Settings) -> tuple[AnyTask, ...]:
     """Every reading in both rooms in batches of seeds, the spans, and the basin."""
     batches = [
-        Job(
-            f"{room} | {reading} | {begin}",
-            f"{table_1.__name__}:runs",
-            {"room": room, "reading": reading, "begin": begin, "end": min(begin + AT_ONCE, settings["seeds"])},
+        make_task(
+            f"{room} | {reading} | {begin}", table_1.runs, room=room, reading=reading, begin=begin,
+            end=min(begin + AT_ONCE, settings["seeds"]),
         )
         for room in ROOMS
         for reading in READINGS
         for begin in range(0, settings["seeds"], AT_ONCE)
-    ]
-    spans = [Job(f"spans {room}", f"{table_1.__name__}:spans", {"room": room}) for room in ROOMS]
+    ]  # fmt: skip
+    spans = [make_task(f"spans {room}", table_1.spans, room=room) for room in ROOMS]
     return (*batches, *spans, *validation_basin.jobs(settings))
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from evalkit.core.arrays import Ints
-from evalkit.execution.job_store import Job
+from evalkit.execution.task import AnyTask, make_task
 from evalkit.plugins.protocols import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis
@@ -48,20 +48,17 @@ VARIANTS = (
 )
 
 
-def jobs(settings: Settings) -> tuple[Job, ...]:
+def jobs(settings: Settings) -> tuple[AnyTask, ...]:
     """One job a variant and turn."""
-    given = {
-        "room": "first",
-        "distances_m": list(DISTANCES_M),
-        "seeds": settings["basin_seeds"],
-        "within_m": settings["within_m"],
-        "within_deg": settings["within_deg"],
-    }
     return tuple(
-        Job(_name(variant, turn), f"{table_1.__name__}:basin", {**given, **variant.arguments, "turn_deg": turn})
+        make_task(
+            _name(variant, turn), table_1.basin, room="first", distances_m=list(DISTANCES_M), turn_deg=turn,
+            seeds=settings["basin_seeds"], within_m=settings["within_m"], within_deg=settings["within_deg"],
+            **variant.arguments,
+        )
         for variant in VARIANTS
         for turn in TURNS_DEG
-    )
+    )  # fmt: skip
 
 
 def blocks(settings: Settings, results: Results) -> list[Block]:

@@ -24,8 +24,8 @@ AROUND = (
     ("the disk full", "test_cli.py", "disk_that"),
     ("the clock set", "execution/test_scheduler.py", "clock_that_is_set"),
     ("two runners in one folder", "execution/test_scheduler.py", "two_at_once"),
-    ("a study's point that hangs, in Python and in C", "execution/test_job_store.py", "hangs"),
-    ("a study killed", "execution/test_job_store.py", "killed_study"),
+    ("a study's point that hangs, in Python and in C", "execution/test_task_runner.py", "hangs"),
+    ("a study killed", "execution/test_task_runner.py", "killed_study"),
     (
         "a cluster's worker killed, a run that ends its workers",
         "execution/test_executors.py",

@@ -1,5 +1,6 @@
 """Foreign code in a process apart: its result, its crash, its hang and its hunger are all results."""
 
+import importlib
 import os
 import signal
 import time
@@ -10,8 +11,7 @@ import pytest
 
 from evalkit.execution import sandbox
 from evalkit.execution.sandbox import ENDED
-
-LIMITS = {"limit_s": 20.0, "memory_mib": 500}
+from evalkit.execution.task import make_task
 
 
 @pytest.fixture(autouse=True)
@@ -25,7 +25,7 @@ def doubled(row):
 
 
 def die(how):
-    sandbox.at("the seventh question")
+    sandbox.note_place("the seventh question")
     os.kill(os.getpid(), getattr(signal, how))
 
 
@@ -34,12 +34,12 @@ def refuse():
 
 
 def sleep():
-    sandbox.at("a long one")
+    sandbox.note_place("a long one")
     time.sleep(60.0)
 
 
 def run(function, limit_s=20.0, **arguments):
-    return sandbox.run(f"test_sandbox:{function}", arguments, limit_s, 500)
+    return sandbox.run(getattr(importlib.import_module("test_sandbox"), function), arguments, limit_s, 500)
 
 
 def test_a_result_comes_back_with_its_arrays():
@@ -62,12 +62,12 @@ def test_a_hang_is_ended():
 
 def test_word_is_left_only_in_such_a_process(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    sandbox.at("nowhere")
+    sandbox.note_place("nowhere")
     assert not list(tmp_path.iterdir())
 
 
 def test_a_job_changes_with_what_it_calls_and_with_its_limits():
-    one = sandbox.job("x", "evalkit.commands.validate.probes:rules", {"name": "paper"}, LIMITS, ())
-    assert one.key != sandbox.job("x", "evalkit.commands.validate.probes:rules", {"name": "lib"}, LIMITS, ()).key
-    limits = {"limit_s": 1.0}
-    assert one.key != sandbox.job("x", "evalkit.commands.validate.probes:rules", {"name": "paper"}, limits, ()).key
+    function = importlib.import_module("test_sandbox").doubled
+    one, other = (make_task("x", function, row=row) for row in ([1.0], [2.0]))
+    assert sandbox.sandboxed(one, 20.0, 500).key != sandbox.sandboxed(other, 20.0, 500).key
+    assert sandbox.sandboxed(one, 20.0, 500).key != sandbox.sandboxed(one, 1.0, 500).key

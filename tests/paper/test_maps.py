@@ -5,7 +5,6 @@ import pytest
 
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
-from evalkit.execution.job_store import call
 from evalkit_paper import faults, figure_10, recorded_drive, scenes
 
 SIZE = 40  # cells of 0.1 m
@@ -74,7 +73,7 @@ def test_a_map_is_found_again_on_the_plan_it_was_cut_from():
 
 def small_page(settings):
     chosen = figure_10.CHAPTER.settings("test", settings)
-    results = {job.name: call(job.function, dict(job.arguments))[0] for job in figure_10.CHAPTER.jobs(chosen)}
+    results = {job.name: job.run()[0] for job in figure_10.CHAPTER.jobs(chosen)}
     return figure_10.CHAPTER.sections(chosen, results), figure_10.CHAPTER.findings(chosen, results)
 
 
@@ -98,7 +97,7 @@ def test_the_page_shows_plan_and_maps_and_says_how_to_get_a_recording_that_is_no
 @pytest.mark.skipif(bool(recorded_drive.missing()), reason="the recording is not here")
 def test_the_recording_spikes_in_its_turns_and_lies_where_its_odometry_says():
     jobs = recorded_drive.jobs()
-    results = {job.name: call(job.function, dict(job.arguments))[0] for job in jobs}
+    results = {job.name: job.run()[0] for job in jobs}
     shares = [results[recorded_drive.name(each)]["contradicted"] for each in recorded_drive.VARIANTS]
     assert shares == sorted(shares, reverse=True)  # odometry, paper, paper-tight
     shown = [block.kind for block in recorded_drive.blocks(results)]

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 
-from evalkit.execution.job_store import call
 from evalkit.plugins import registry
 from evalkit_paper import causes, lab_drives, residuals, spikes, trajectory_following
 from evalkit_paper.spikes import Band
@@ -95,7 +94,7 @@ QUICK = {
 @pytest.mark.slow
 def test_quick_turns_spike_and_undoing_the_motion_in_the_scan_ends_it():
     settings = residuals.CHAPTER.settings("test", QUICK)
-    results = {job.name: call(job.function, dict(job.arguments))[0] for job in residuals.CHAPTER.jobs(settings)}
+    results = {job.name: job.run()[0] for job in residuals.CHAPTER.jobs(settings)}
     rows = {row.cause.name: row for row in causes.rows(settings, results, "s2s")}
     assert rows["quick turns"].hit == rows["quick turns"].count == 1
     assert rows["quick turns, deskewed"].hit == rows["slow turns"].hit == 0

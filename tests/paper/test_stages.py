@@ -2,7 +2,6 @@
 
 import pytest
 
-from evalkit.execution.job_store import call
 from evalkit_paper import flowcharts, stages
 from evalkit_paper.flowcharts import MAPPING, PIPELINE, REGISTRATION, TWO_STAGES, path
 from evalkit_paper.stages import Call
@@ -11,7 +10,7 @@ from evalkit_paper.stages import Call
 def recording(**settings):
     chosen = flowcharts.CHAPTER.settings("test", {"laps": 0.02, **settings})
     (job,) = flowcharts.CHAPTER.jobs(chosen)
-    return chosen, {job.name: call(job.function, dict(job.arguments))[0]}
+    return chosen, {job.name: job.run()[0]}
 
 
 def ran(words, below="", **settings):

@@ -20,7 +20,7 @@ def chapter():
     settings = validation.CHAPTER.settings("test", {"seeds": SEEDS, "basin_seeds": 2})
     results = {}
     for job in validation.CHAPTER.jobs(settings):
-        name = job.function.partition(":")[2]
+        name = job.function.__name__
         if name == "basin":  # counted here as if every start up to 40 deg succeeded: the real ones have a test below
             good = job.arguments["turn_deg"] <= 40.0
             full, none = np.full(len(validation_basin.DISTANCES_M), 2), np.zeros(len(validation_basin.DISTANCES_M), int)

@@ -82,12 +82,12 @@ def _registrations() -> list[str]:
 
 def _asked(entrants: list[Any], trials: list[Any], folder: Path, workers: int) -> list[Any]:
     from evalkit.commands.basin import trials as attempts  # noqa: PLC0415 - as above
-    from evalkit.execution.job_store import Ledger  # noqa: PLC0415 - only who asks pays for it
+    from evalkit.execution.task_store import TaskStore  # noqa: PLC0415 - loaded only where a basin is computed
 
     count = sum(not each.reason for each in entrants) * sum(-(-one.offsets // attempts.AT_ONCE) for one in trials)
     try:
         with progress.jobs(err, count, workers) as done:
-            return attempts.ask(entrants, trials, Ledger(folder), workers, done)
+            return attempts.ask(entrants, trials, TaskStore(folder), workers, done)
     except KeyboardInterrupt:
         err.print("interrupted; what is done is kept: the same command goes on from here")
         raise

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -15,7 +15,9 @@ from evalkit.commands.validate.rules.rule import raised
 from evalkit.core.arrays import Bools
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
-from evalkit.execution.job_store import Job, JobsFailed, Ledger, OnDone
+from evalkit.execution.task import Task, make_task
+from evalkit.execution.task_runner import OnDone, TaskFailure, TasksFailed, run_tasks
+from evalkit.execution.task_store import TaskStore
 from evalkit.plugins import registry
 from evalkit.plugins.address import address_of, spec_at
 from evalkit.plugins.code_hash import fingerprint, of_files
@@ -79,41 +81,45 @@ class Trials:
         return rows[of], np.array([pair.world_from_target.row for pair in seen])[of]
 
 
-def jobs(label: str, spec: BackendSpec, values: Mapping[str, Value], trials: Trials) -> tuple[Job, ...]:
-    """The jobs that ask one back end; together their answers are those of all attempts."""
+class Answers(TypedDict):
+    """What a back end answers to attempts [begin, end).
+
+    ``rows`` (N, 3): nan without an answer; ``claimed`` (N,): whether it reports convergence; ``reason``: the first
+    exception it raised, or "".
+    """
+
+    rows: Floats
+    claimed: Bools
+    reason: str
+
+
+def make_tasks(label: str, spec: BackendSpec, values: Mapping[str, Value], trials: Trials) -> tuple[Task[Answers], ...]:
+    """The tasks of one back end; together their answers are those of all attempts."""
     modules = (registry.plug_in_of("backends", label).module, *([trials.recorded.module] if trials.recorded else []))
     files = of_files(trials.recorded.parameters) if trials.recorded else ""
     code = fingerprint(modules, ("numpy", "scipy", *spec.requires)) + spec.digest + files
     return tuple(
-        Job(
-            f"{label} {trials.place} {begin}",
-            f"{__name__}:answers",
-            {
-                "backend": label,
-                "values": dict(values),
-                "trials": vars(trials),
-                "begin": begin,
-                "end": min(begin + AT_ONCE, trials.offsets),
-                "code": code,
-            },
+        make_task(
+            f"{label} {trials.place} {begin}", answers, backend=label, values=dict(values), trials=trials, begin=begin,
+            end=min(begin + AT_ONCE, trials.offsets), code=code,
         )
         for begin in range(0, trials.offsets, AT_ONCE)
-    )
+    )  # fmt: skip
 
 
 def answers(
-    *, backend: str, values: Mapping[str, Value], trials: Mapping[str, Any], begin: int, end: int, code: str
-) -> dict[str, Any]:
-    """What a back end answers to attempts [begin, end): "rows" (N, 3) with nan for none, "claimed" (N,), and "reason".
-
-    ``code`` changes with the back end's own code, so that old answers are not taken for new ones. "reason": what it
-    raised first, "" if nothing.
-    """
-    del code
+    *,
+    backend: str,
+    values: Mapping[str, Value],
+    trials: Trials,
+    begin: int,
+    end: int,
+    code: str,  # noqa: ARG001 - part of the task's key
+) -> Answers:
+    """Registers attempts [begin, end) with a back end; ``code`` is a digest of the back end's sources."""
     registration: Registration = spec_of(backend).make(**values)
-    asked = Trials(**trials)
-    seen = asked.seen()
-    guesses = convergence.guesses(asked.drawn(), *asked.truths(seen))
+    seen = trials.seen()
+    guesses = convergence.guesses(trials.drawn(), *trials.truths(seen))
     rows, claimed, reason = np.full((end - begin, 3), np.nan), np.zeros(end - begin, dtype=np.bool_), ""
     for number in range(begin, end):
         pair = seen[number % len(seen)]
@@ -167,36 +173,45 @@ def entrant(label: str, given: Mapping[str, str]) -> Entrant:
 
 
 def ask(
-    entrants: Sequence[Entrant], trials: Sequence[Trials], ledger: Ledger, workers: int, done: OnDone
+    entrants: Sequence[Entrant], trials: Sequence[Trials], store: TaskStore, workers: int, done: OnDone
 ) -> list[Outcome]:
     """What all answer to the same questions, everywhere; whoever ends its process has no answer there and a reason."""
     planned = {
-        (number, one.place): jobs(each.label, each.spec, each.values, one)
+        (number, one.place): make_tasks(each.label, each.spec, each.values, one)
         for number, each in enumerate(entrants)
         for one in trials
         if not each.reason
     }
-    reasons: Mapping[str, str] = {}
-    every = [job for group in planned.values() for job in group]
+    failures: Mapping[str, TaskFailure] = {}
+    every = [task for group in planned.values() for task in group]
     try:
-        ledger.run(every, workers, done)
-    except JobsFailed as failed:
-        reasons = failed.reasons
+        run_tasks(store, every, workers, done)
+    except TasksFailed as failed:
+        failures = failed.failures
     return [
-        _outcome(each, one, planned.get((number, one.place), ()), ledger, reasons)
+        _outcome(each, one, planned.get((number, one.place), ()), store, failures)
         for one in trials
         for number, each in enumerate(entrants)
     ]
 
 
-def _outcome(each: Entrant, one: Trials, group: Sequence[Job], ledger: Ledger, reasons: Mapping[str, str]) -> Outcome:
+def _outcome(
+    each: Entrant,
+    one: Trials,
+    group: Sequence[Task[Answers]],
+    store: TaskStore,
+    failures: Mapping[str, TaskFailure],
+) -> Outcome:
     rows, claimed, reason = np.full((one.offsets, 3), np.nan), np.zeros(one.offsets, dtype=np.bool_), each.reason
-    for job in group:
-        part = np.s_[job.arguments["begin"] : job.arguments["end"]]
-        found = ledger.kept(job)
-        if found is not None:
-            rows[part], claimed[part] = found["rows"], found["claimed"]
-        reason = reason or (reasons.get(job.name, "no result was kept") if found is None else found["reason"])
+    for task in group:
+        part = np.s_[task.arguments["begin"] : task.arguments["end"]]
+        answered = store.load(task)
+        if answered is None:
+            failure = failures.get(task.name, TaskFailure("no result was stored"))
+            reason = reason or failure.reason
+        else:
+            rows[part], claimed[part] = answered["rows"], answered["claimed"]
+            reason = reason or answered["reason"]
     return Outcome(each.label, one, reason, rows, claimed)
 
 

@@ -18,7 +18,7 @@ from evalkit.terminal import options, progress
 from evalkit.terminal.options import Json, Out, err, out
 
 if TYPE_CHECKING:
-    from evalkit.execution.job_store import Job, Result
+    from evalkit.execution.task import AnyTask, Result
     from evalkit.metrics.table import Metric
     from evalkit.metrics.validated import Trust
 
@@ -175,13 +175,14 @@ def _number(found: Any) -> str:
     return "-" if found is None else f"{found.value:.2f}"
 
 
-def _made(jobs: list[Job], folder: Path, workers: int | None) -> dict[str, Result]:
-    from evalkit.execution.job_store import Ledger  # noqa: PLC0415 - only who asks pays for it
+def _made(jobs: list[AnyTask], folder: Path, workers: int | None) -> dict[str, Result]:
+    from evalkit.execution.task_runner import run_tasks  # noqa: PLC0415 - loaded only if something is computed
+    from evalkit.execution.task_store import TaskStore  # noqa: PLC0415 - as above
 
     at_once = workers or environment.physical_cores()
     try:
         with progress.jobs(err, len(jobs), at_once) as done:
-            return Ledger(folder / "results").run(jobs, at_once, done)
+            return run_tasks(TaskStore(folder / "results"), jobs, at_once, done)
     except KeyboardInterrupt:
         err.print("interrupted; what is done is kept: the same command goes on from here")
         raise

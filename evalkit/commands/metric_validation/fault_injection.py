@@ -17,7 +17,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import RunResult
 from evalkit.core.scan import Frame, Scan
-from evalkit.execution.job_store import Job
+from evalkit.execution.task import AnyTask, make_task
 from evalkit.metrics.table import Metric
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Sequence
@@ -131,11 +131,12 @@ PLANTS: dict[str, Plant] = {
 }
 
 
-def job(plant: str, world: str, seed: int, mapper: str, scans: int) -> Job:
+def job(plant: str, world: str, seed: int, mapper: str, scans: int) -> AnyTask:
     """The job of one mistake, or of none."""
     plug_ins = (registry.plug_in_of("datasets", world).module, registry.plug_in_of("mappers", mapper).module)
-    arguments = {"plant": plant, "world": world, "seed": seed, "mapper": mapper, "scans": scans}
-    return Job(f"planted {plant}", "evalkit.commands.metric_validation.fault_injection:planted", arguments, plug_ins)
+    return make_task(
+        f"planted {plant}", planted, plant=plant, world=world, seed=seed, mapper=mapper, scans=scans
+    ).depending_on(*plug_ins)
 
 
 def planted(plant: str, world: str, seed: int, mapper: str, scans: int) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from evalkit.commands.metric_validation.perturbation import WAYS
 from evalkit.core import se2
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.se2 import Floats
-from evalkit.execution.job_store import Job
+from evalkit.execution.task import AnyTask, make_task
 from evalkit.metrics import evaluate
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Mapper, Value, resolved
@@ -26,13 +26,12 @@ SWIFT: dict[str, Value] = {"rate_hz": 5.0, "speed_mps": 0.6}
 CLEAN = "clean"
 
 
-def job(world: str, way: str, sizes: Sequence[float], seed: int, mapper: str, scans: int) -> Job:
+def job(world: str, way: str, sizes: Sequence[float], seed: int, mapper: str, scans: int) -> AnyTask:
     """The job of one way to spoil one world's trajectory, with the plug-ins it stands on."""
     plug_ins = (registry.plug_in_of("datasets", world).module, registry.plug_in_of("mappers", mapper).module)
-    arguments = {
-        "world": world, "way": way, "sizes": list(sizes), "seed": seed, "mapper": mapper, "scans": scans,
-    }  # fmt: skip
-    return Job(f"{world} {way}", "evalkit.commands.metric_validation.map_rebuilding:spoiled", arguments, plug_ins)
+    return make_task(
+        f"{world} {way}", spoiled, world=world, way=way, sizes=list(sizes), seed=seed, mapper=mapper, scans=scans
+    ).depending_on(*plug_ins)
 
 
 def spoiled(world: str, way: str, sizes: list[float], seed: int, mapper: str, scans: int) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from evalkit.commands.metric_validation.fault_injection import NO_MISTAKE, PLANT
 from evalkit.commands.metric_validation.map_rebuilding import CLEAN
 from evalkit.commands.metric_validation.perturbation import WAYS
 from evalkit.commands.metric_validation.rank_agreement import Row
-from evalkit.execution.job_store import Job, Result
+from evalkit.execution.task import AnyTask, Result
 from evalkit.stats.intervals import Interval
 
 WORLDS = ("lab", "office", "room")
@@ -46,18 +46,18 @@ class Asked:
     plants_in: str = "lab"
 
 
-def jobs(asked: Asked) -> list[Job]:
+def jobs(asked: Asked) -> list[AnyTask]:
     """A job for every world and way, and for every planted mistake."""
     return [*_spoiling(asked), *planting(asked)]
 
 
-def planting(asked: Asked) -> list[Job]:
+def planting(asked: Asked) -> list[AnyTask]:
     """A job for every planted mistake, and for the run without one."""
     at = (asked.plants_in, asked.seed, asked.mapper, asked.scans)
     return [fault_injection.job(plant, *at) for plant in (NO_MISTAKE, *PLANTS)]
 
 
-def _spoiling(asked: Asked) -> list[Job]:
+def _spoiling(asked: Asked) -> list[AnyTask]:
     return [
         map_rebuilding.job(world, way, sizes(way, asked.sizes), asked.seed, asked.mapper, asked.scans)
         for world in asked.worlds

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
 
 from evalkit.commands.realtime.virtual_clock import POLICIES, Policy, Rule, first_broken
 from evalkit.core.errors import DataMissing
-from evalkit.execution.job_store import Job, Ledger
+from evalkit.execution.task import Task, make_task
+from evalkit.execution.task_runner import run_tasks
+from evalkit.execution.task_store import TaskStore
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import Value, resolved
 from evalkit.terminal import options, progress
 from evalkit.terminal.options import Json, err, out
+
+if TYPE_CHECKING:
+    from evalkit.commands.realtime.simulation import PacedResult
 
 RULE = Rule()
 
@@ -43,13 +49,12 @@ def realtime(
     The measured costs are kept: the same command again drops the same scans.
     """
     known = _factors(factors)
-    asked = _arguments(backend, on, options.settings(setting or []), options.settings(set_on or [], "--set-on"))
-    arguments = asked | {
-        "factors": known, "policies": [_policy(policy)], "repetitions": repetitions, "bridged": odometry,
-    }  # fmt: skip
-    job = Job(f"{backend} on {on}", "evalkit.commands.realtime.simulation:paced", arguments)
+    ladder = _Ladder(known, _policy(policy), repetitions, odometry)
+    given, given_on = options.settings(setting or []), options.settings(set_on or [], "--set-on")
+    task = _task(backend, on, given, given_on, ladder)
+    store = TaskStore(folder or Path("reports") / "build" / "realtime")
     with progress.jobs(err, 1, 1) as done:
-        found = Ledger(folder or Path("reports") / "build" / "realtime").run([job], 1, done)[job.name]
+        found = run_tasks(store, [task], 1, done)[task.name]
     rows = _rows(found)
     if as_json:
         options.print_json(_told(backend, on, found, rows))
@@ -57,9 +62,19 @@ def realtime(
         _show(backend, on, found, rows)
 
 
-def _arguments(backend: str, on: str, given: dict[str, str], given_on: dict[str, str]) -> dict[str, Any]:
-    """What is asked for, checked before anything is measured."""
-    from evalkit.commands.realtime.simulation import Method  # noqa: PLC0415 - loads scipy: only who measures pays for it
+@dataclass(frozen=True)
+class _Ladder:
+    """The device factors to simulate and how; see ``simulation.paced``."""
+
+    factors: list[float]
+    policy: Policy
+    repetitions: int
+    bridged: bool
+
+
+def _task(backend: str, on: str, given: dict[str, str], given_on: dict[str, str], ladder: _Ladder) -> Task[PacedResult]:
+    """The task that measures and simulates, with its arguments checked."""
+    from evalkit.commands.realtime.simulation import Method, paced  # noqa: PLC0415 - loads scipy
 
     parameters = from_text(backend, frontend.parameters_of(registry.backend(backend)), given)
     Method.of(backend, parameters)
@@ -67,13 +82,11 @@ def _arguments(backend: str, on: str, given: dict[str, str], given_on: dict[str,
     of_sequence: dict[str, Value] = resolved(on, spec.parameters, from_text(on, spec.parameters, given_on))
     if why := spec.missing(**of_sequence):
         raise DataMissing(on, "is not here", why)
-    return {
-        "backend": backend,
-        "parameters": parameters,
-        "dataset": on,
-        "dataset_parameters": of_sequence,
-        "code": registry.run_fingerprint(backend, on),
-    }
+    return make_task(
+        f"{backend} on {on}", paced, backend=backend, parameters=parameters, dataset=on,
+        dataset_parameters=of_sequence, factors=ladder.factors, policies=[ladder.policy],
+        repetitions=ladder.repetitions, bridged=ladder.bridged, code=registry.run_fingerprint(backend, on),
+    )  # fmt: skip
 
 
 def _factors(text: str) -> list[float]:
@@ -93,7 +106,7 @@ def _policy(text: str) -> Policy:
     raise typer.BadParameter(f"--policy: found '{text}', expected one of: {', '.join(POLICIES)}")
 
 
-def _rows(found: Any) -> list[dict[str, Any]]:
+def _rows(found: PacedResult) -> list[dict[str, Any]]:
     """Every rung with whether it is broken, against the one of a device that takes no time."""
     reference = found["rungs"][0]["at_hand"]["ate_rmse_m"]
     return [rung | {"broken": _broken(rung, reference)} for rung in found["rungs"]]
@@ -104,7 +117,7 @@ def _broken(rung: dict[str, Any], reference: float | None) -> bool:
     return reference is None or RULE.broken(None if rung["lost"] else ate, reference)
 
 
-def _told(backend: str, on: str, found: Any, rows: list[dict[str, Any]]) -> dict[str, Any]:
+def _told(backend: str, on: str, found: PacedResult, rows: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "backend": backend,
         "sequence": on,
@@ -122,7 +135,7 @@ def _breaks(rows: list[dict[str, Any]]) -> float | None:
     return first_broken([row["factor"] for row in rows], [row["broken"] for row in rows])
 
 
-def _show(backend: str, on: str, found: Any, rows: list[dict[str, Any]]) -> None:
+def _show(backend: str, on: str, found: PacedResult, rows: list[dict[str, Any]]) -> None:
     told = _told(backend, on, found, rows)
     columns = ("device factor", "answered", "dropped %", "late %", "age p95 ms", "ATE of answers m", "ATE at hand m")
     table = Table(*columns, "", title=f"{backend} on {on}", title_justify="left", expand=out.is_terminal)

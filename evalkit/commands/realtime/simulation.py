@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -150,6 +150,23 @@ def ladder(
     return tuple(rungs)
 
 
+class PacedResult(TypedDict):
+    """A cost profile and its ladder, as a task's result.
+
+    ``costs_ns`` and ``work`` (N,) of every scan; ``linear``: None if the back end does not report iterations;
+    ``rungs``: ``Rung`` as dictionaries, for every policy from factor 0 up.
+    """
+
+    costs_ns: Ints
+    work: Ints
+    gaps: Ints
+    growth: Floats
+    period_ns: float
+    headroom: float
+    linear: dict[str, Any] | None
+    rungs: list[dict[str, Any]]
+
+
 def paced(
     backend: str,
     parameters: Mapping[str, Value],
@@ -159,13 +176,11 @@ def paced(
     policies: Sequence[Policy] = ("queue-of-one",),
     repetitions: int = 3,
     bridged: bool = True,
-    code: str = "",  # noqa: ARG001 - read by the ledger alone, which takes it for a part of the question
-) -> dict[str, Any]:
-    """A back end's cost profile on a sequence and its ladder of device factors: JSON values and arrays, for a ledger.
+    code: str = "",  # noqa: ARG001 - part of the task's key
+) -> PacedResult:
+    """Measures a back end's cost profile on a sequence and simulates its ladder of device factors.
 
-    ``code``: a digest of what back end and sequence are made of (``registry.run_fingerprint``), for the ledger's key.
-    Keys: ``costs_ns`` and ``work`` (N,), ``gaps`` and ``growth``, ``period_ns``, ``headroom``, ``linear`` (None where
-    the back end tells no iterations) and ``rungs``, for every policy from factor 0 up.
+    ``code``: a digest of the sources of back end and data set (``registry.run_fingerprint``), for the task's key.
     """
     method = Method.of(backend, parameters)
     spec = registry.dataset(dataset)

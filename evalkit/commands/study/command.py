@@ -34,7 +34,7 @@ def study(
 ) -> None:
     """Study the factors of a file: effects, interactions, operating envelope; killed, the same command goes on."""
     from evalkit.commands.study.config import read  # noqa: PLC0415 - as above
-    from evalkit.commands.study.result import Outcome, computed  # noqa: PLC0415 - loads scipy.stats
+    from evalkit.commands.study.result import Outcome, run_study_tasks  # noqa: PLC0415 - loads scipy.stats
 
     options.modules_from_here()
     plan = read(file, f"evalkit study {shlex.quote(str(file))}")
@@ -49,10 +49,10 @@ def study(
     if cluster:
         cluster = replace(cluster, timed=any(response.metric.group == "runtime" for response in plan.responses))
     ran_on = environment.describe(jobs=workers)
-    asked = plan.jobs()
+    asked = plan.tasks()
     try:
         with progress.jobs(err, len(asked), workers) as done:
-            outcome = Outcome(plan, computed(asked, folder / "results", workers, done, cluster))
+            outcome = Outcome(plan, run_study_tasks(asked, folder / "results", workers, done, cluster))
     except KeyboardInterrupt:
         err.print("interrupted; finished points are kept: the same command goes on from here")
         raise
@@ -68,15 +68,14 @@ def study(
 
 def _point(plan: Study, key: str, as_json: bool) -> None:
     """Prints the scores of one point, computed now, and the experiment that runs it."""
-    from evalkit.commands.study.evaluate import evaluate  # noqa: PLC0415 - as above
     from evalkit.commands.study.experiment_lines import experiment_lines  # noqa: PLC0415 - with the study's modules
 
     if key not in plan.points:
         raise UnknownName("point", key, plan.points, plan.command)
     found = {}
     for seed in plan.seeds(key):
-        job = plan.job(plan.points[key], seed)
-        found[job.name] = evaluate(**job.arguments)
+        task = plan.task(plan.points[key], seed)
+        found[task.name], _ = task.run()
     if as_json:
         options.print_json(found)
         return

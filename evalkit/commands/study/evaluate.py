@@ -9,7 +9,7 @@ import traceback
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import lru_cache, partial
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
@@ -34,6 +34,22 @@ KEPT_SEQUENCES = 2
 """So many sequences stay in memory: points of one sequence follow each other."""
 
 
+class RunScores(TypedDict):
+    """The scores of one run.
+
+    ``status`` and ``reason`` as in ``RunResult``; ``answered`` of ``expected`` scans; ``cpu_s``: CPU time in all;
+    ``scores``: values by metric, None without a value, for which ``why`` has the reason.
+    """
+
+    status: str
+    reason: str
+    answered: int
+    expected: int
+    cpu_s: float
+    scores: dict[str, float | None]
+    why: dict[str, str]
+
+
 def evaluate(
     backend: str,
     parameters: Mapping[str, Value],
@@ -43,11 +59,11 @@ def evaluate(
     mapper_parameters: Mapping[str, Value],
     scans: int,
     metrics: Sequence[str],
-    code: str,  # noqa: ARG001 - part of the result's key: what the plug-ins consist of
-) -> dict[str, Any]:
-    """The named scores of one run with complete parameters: a back end that fails is a result with its reason.
+    code: str,  # noqa: ARG001 - part of the task's key
+) -> RunScores:
+    """Runs a back end on a sequence with complete parameters and computes the named scores.
 
-    ``scores``: values by metric, None where there is none and ``why`` tells the reason. ``cpu_s``: what it cost in all.
+    ``scans``: scans per map; ``code``: a digest of the plug-ins' sources. A failure of the back end is a result.
     """
     begun = time.process_time()
     driven = _sequence(dataset, json.dumps(dict(sequence), sort_keys=True))

@@ -10,17 +10,17 @@ from functools import cached_property
 from typing import Literal
 
 from evalkit.commands.study.design import Model
+from evalkit.commands.study.evaluate import RunScores, evaluate
 from evalkit.commands.study.factors import Factor, Level, Scale
 from evalkit.config.experiment import Limits
 from evalkit.core.se2 import Floats
-from evalkit.execution.job_store import Job
+from evalkit.execution.task import Task, make_task
 from evalkit.metrics.table import Metric
 from evalkit.plugins import registry
 from evalkit.plugins.code_hash import of_files
 from evalkit.plugins.protocols import Value
 
 Kind = Literal["optimal", "fractional", "sobol", "latin", "curves", "grid"]
-POINT = "evalkit.commands.study.evaluate:evaluate"
 
 
 @dataclass(frozen=True)
@@ -147,26 +147,20 @@ class Study:
                 found.setdefault(point.key, {}).update(dict.fromkeys(design.runs(point)))
         return {key: tuple(seeds) for key, seeds in found.items()}
 
-    def jobs(self) -> tuple[Job, ...]:
-        """Every run of the study, those on one sequence next to each other: it is simulated once for them."""
-        made = [self.job(point, seed) for key, point in self.points.items() for seed in self.seeds(key)]
-        return tuple(sorted(made, key=lambda job: json.dumps(job.arguments["sequence"], sort_keys=True)))
+    def tasks(self) -> tuple[Task[RunScores], ...]:
+        """Every run of the study; runs on one sequence are neighbours, so that it is simulated once."""
+        tasks = [self.task(point, seed) for key, point in self.points.items() for seed in self.seeds(key)]
+        return tuple(sorted(tasks, key=lambda task: json.dumps(task.arguments["sequence"], sort_keys=True)))
 
-    def job(self, point: Point, seed: int | None) -> Job:
+    def task(self, point: Point, seed: int | None) -> Task[RunScores]:
         """One run: a point with one seed."""
         sequence = dict(point.sequence) if seed is None else {**point.sequence, "seed": seed}
-        arguments = {
-            "backend": self.backend,
-            "parameters": dict(point.method),
-            "dataset": self.dataset,
-            "sequence": sequence,
-            "mapper": self.mapper,
-            "mapper_parameters": dict(point.mapper),
-            "scans": self.scans,
-            "metrics": [response.name for response in self.responses],
-            "code": self.code + of_files(sequence),
-        }
-        return Job(job_name(point.key, seed), POINT, arguments, limit_s=self.limit_s)
+        return make_task(
+            task_name(point.key, seed), evaluate, backend=self.backend, parameters=dict(point.method),
+            dataset=self.dataset, sequence=sequence, mapper=self.mapper, mapper_parameters=dict(point.mapper),
+            scans=self.scans, metrics=[response.name for response in self.responses],
+            code=self.code + of_files(sequence),
+        ).limited(self.limit_s)  # fmt: skip
 
     @cached_property
     def code(self) -> str:
@@ -174,6 +168,6 @@ class Study:
         return registry.run_fingerprint(self.backend, self.dataset) + registry.score_fingerprint(self.mapper)
 
 
-def job_name(key: str, seed: int | None) -> str:
+def task_name(key: str, seed: int | None) -> str:
     """What a run is called: the point's key and the seed."""
     return key if seed is None else f"{key} seed {seed}"

@@ -10,11 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from evalkit.commands.study.effects import Fit
-from evalkit.commands.study.plan import Design, Point, Response, Study, job_name
+from evalkit.commands.study.evaluate import RunScores
+from evalkit.commands.study.plan import Design, Point, Response, Study, task_name
 from evalkit.core.se2 import Floats
 from evalkit.execution.dask_cluster import Cluster
-from evalkit.execution.deadline import LATE
-from evalkit.execution.job_store import Job, JobsFailed, Ledger, OnDone, Result
+from evalkit.execution.task import Task
+from evalkit.execution.task_runner import OnDone, TaskFailure, TasksFailed, run_tasks
+from evalkit.execution.task_store import TaskStore
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,16 +24,15 @@ class Outcome:
     """A study with the results of its jobs by name."""
 
     study: Study
-    results: Mapping[str, Result]
+    results: Mapping[str, RunScores]
 
-    def result(self, key: str, seed: int | None) -> Result:
+    def result(self, key: str, seed: int | None) -> RunScores:
         """The result of one run."""
-        return self.results[job_name(key, seed)]
+        return self.results[task_name(key, seed)]
 
     def value(self, response: Response, key: str, seed: int | None) -> float | None:
         """What a metric answered, None where it had no answer."""
-        found: float | None = self.result(key, seed)["scores"][response.name]
-        return found
+        return self.result(key, seed)["scores"][response.name]
 
     def lost(self, key: str, seed: int | None) -> str:
         """Why a run counts as lost, "" if it does not: it failed, or a response is beyond its bound."""
@@ -66,7 +67,7 @@ class Outcome:
             return str(error)
 
 
-def why_lost(result: Result, responses: Sequence[Response]) -> str:
+def why_lost(result: RunScores, responses: Sequence[Response]) -> str:
     """Why a result counts as lost, "" if it does not: it failed, or a response is beyond its bound."""
     if result["status"] != "complete":
         return f"{result['status']}: {result['reason']}"
@@ -79,9 +80,9 @@ def why_lost(result: Result, responses: Sequence[Response]) -> str:
     return ""
 
 
-def bounded(result: Result, response: Response) -> float:
+def bounded(result: RunScores, response: Response) -> float:
     """A response with its bound where the result is beyond it, without an answer or failed; nan without a bound."""
-    value: float | None = result["scores"][response.name]
+    value = result["scores"][response.name]
     if value is None or result["status"] != "complete" or response.worse(value):
         return np.nan if response.lost is None else response.lost
     return value
@@ -94,25 +95,29 @@ def on_scale(response: Response, values: Floats) -> Floats:
     return np.log(values, out=np.full_like(values, np.nan), where=values > 0.0)
 
 
-def computed(
-    jobs: Sequence[Job], folder: Path, workers: int, done: OnDone, cluster: Cluster | None = None
-) -> dict[str, Result]:
-    """The results of a study's jobs, kept in a folder; a job that ended its process is a crashed run, or a late one."""
-    ledger = Ledger(folder)
+def run_study_tasks(
+    tasks: Sequence[Task[RunScores]], folder: Path, workers: int, on_done: OnDone, cluster: Cluster | None = None
+) -> dict[str, RunScores]:
+    """The results of a study's tasks, stored in a folder; a task that died or timed out is a run without scores."""
+    store = TaskStore(folder)
     try:
-        return ledger.run(jobs, workers, done, cluster)
-    except JobsFailed as failed:
-        reasons: Mapping[str, str] = failed.reasons
-        return {job.name: ledger.kept(job) or _crashed(job, reasons.get(job.name, "")) for job in jobs}
+        return run_tasks(store, tasks, workers, on_done, cluster)
+    except TasksFailed as failed:
+        failures = failed.failures
+        return {
+            task.name: store.load(task) or _failed_run(task, failures.get(task.name, TaskFailure(""))) for task in tasks
+        }
 
 
-def _crashed(job: Job, reason: str) -> Result:
-    names = job.arguments["metrics"]
-    nothing = {"answered": 0, "expected": 0, "cpu_s": 0.0}
+def _failed_run(task: Task[RunScores], failure: TaskFailure) -> RunScores:
+    """The scores of a run that has none."""
+    metrics = task.arguments["metrics"]
     return {
-        "status": "timeout" if reason.startswith(LATE) else "crashed",
-        "reason": reason,
-        **nothing,
-        "scores": dict.fromkeys(names),
-        "why": dict.fromkeys(names, reason),
+        "status": "timeout" if failure.timed_out else "crashed",
+        "reason": failure.reason,
+        "answered": 0,
+        "expected": 0,
+        "cpu_s": 0.0,
+        "scores": dict.fromkeys(metrics),
+        "why": dict.fromkeys(metrics, failure.reason),
     }

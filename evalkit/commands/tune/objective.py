@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from evalkit.commands.study.evaluate import RunScores
 from evalkit.commands.study.plan import Response
 from evalkit.commands.study.result import bounded, why_lost
 from evalkit.commands.tune.plan import COST
 from evalkit.commands.tune.space import Candidate
 from evalkit.core.se2 import Floats
-from evalkit.execution.job_store import Result
 from evalkit.stats.bootstrap import bootstrap_interval
 from evalkit.stats.intervals import Interval
 
@@ -54,7 +54,7 @@ class Tried:
         return self.losses, round(math.log(self.error), 9)
 
 
-def judged(candidate: Candidate, results: Sequence[Result], objective: Response) -> Tried:
+def judged(candidate: Candidate, results: Sequence[RunScores], objective: Response) -> Tried:
     """A point with the results of its runs; a back end has ``failed`` it where no run was completed."""
     errors = np.array([max(bounded(result, objective), 1e-12) for result in results])
     known = [cost for result in results if (cost := result["scores"][COST]) is not None]

@@ -6,14 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
+from evalkit.commands.study.evaluate import RunScores
 from evalkit.commands.study.plan import Response
 from evalkit.commands.tune.space import Candidate, Space
+from evalkit.commands.tune.trial import run_trial
 from evalkit.config.experiment import Limits, MapperChoice, Method, SequenceSpec
-from evalkit.execution.job_store import Job
+from evalkit.execution.task import Task, make_task
 from evalkit.plugins import registry
 from evalkit.plugins.code_hash import of_files
 
-TRIAL = "evalkit.commands.tune.trial:tried"
 COST = "cpu_median_ms"
 """What accuracy is held against: CPU time a scan."""
 
@@ -93,18 +94,14 @@ class Tuning:
         """The runs that default and best point are compared on: nothing was chosen by them."""
         return tuple(Run(one.sequence, seed) for one in self.training for seed in one.confirm)
 
-    def job(self, entrant: Entrant, candidate: Candidate, run: Run) -> Job:
+    def task(self, entrant: Entrant, candidate: Candidate, run: Run) -> Task[RunScores]:
         """One run of one point."""
-        arguments = {
-            "cpu_s": self.run_cpu_s,
-            "backend": entrant.method.backend,
-            "parameters": dict(candidate.values),
-            "dataset": run.sequence.dataset,
-            "sequence": run.sequence.seeded(run.seed),
-            "metrics": [self.objective.name, COST],
-            "code": self._code(entrant.method.backend, run.sequence.dataset) + of_files(run.sequence.parameters),
-        }
-        return Job(f"{entrant.label} | {run.label} | {candidate.name}", TRIAL, arguments, limit_s=self.limits.run_s)
+        return make_task(
+            f"{entrant.label} | {run.label} | {candidate.name}", run_trial, cpu_s=self.run_cpu_s,
+            backend=entrant.method.backend, parameters=dict(candidate.values), dataset=run.sequence.dataset,
+            sequence=run.sequence.seeded(run.seed), metrics=[self.objective.name, COST],
+            code=self._code(entrant.method.backend, run.sequence.dataset) + of_files(run.sequence.parameters),
+        ).limited(self.limits.run_s)  # fmt: skip
 
     def _code(self, backend: str, dataset: str) -> str:
         known = (backend, dataset)

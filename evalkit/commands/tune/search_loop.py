@@ -7,16 +7,19 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from evalkit.commands.study.result import computed
+from evalkit.commands.study.evaluate import RunScores
+from evalkit.commands.study.result import run_study_tasks
 from evalkit.commands.tune.objective import Tried, best, better, judged, ratio
 from evalkit.commands.tune.plan import Entrant, Run, Tuning
 from evalkit.commands.tune.search import Search
 from evalkit.commands.tune.space import Candidate
-from evalkit.execution.job_store import Job, Ledger, OnDone, Result
+from evalkit.execution.task import Task
+from evalkit.execution.task_runner import OnDone
+from evalkit.execution.task_store import TaskStore
 from evalkit.stats.intervals import Interval
 
-Compute = Callable[[Sequence[Job]], Mapping[str, Result]]
-"""What gives the results of jobs by name."""
+Compute = Callable[[Sequence[Task[RunScores]]], Mapping[str, RunScores]]
+"""Gives the results of tasks by name."""
 
 
 class Unmade(Exception):
@@ -80,20 +83,20 @@ def searched(tuning: Tuning, compute: Compute) -> tuple[Searched, ...]:
 
 def making(folder: Path, workers: int, done: OnDone) -> Compute:
     """Computes what is not kept in a folder, with so many processes."""
-    return lambda jobs: computed(jobs, folder, workers, done)
+    return lambda tasks: run_study_tasks(tasks, folder, workers, done)
 
 
 def collecting(folder: Path) -> Compute:
     """Takes what is kept in a folder; Unmade where something is not."""
-    ledger = Ledger(folder)
+    store = TaskStore(folder)
 
-    def kept(jobs: Sequence[Job]) -> Mapping[str, Result]:
-        found = {job.name: result for job in jobs if (result := ledger.kept(job)) is not None}
-        if len(found) < len(jobs):
-            raise Unmade(len(jobs) - len(found))
-        return found
+    def load(tasks: Sequence[Task[RunScores]]) -> Mapping[str, RunScores]:
+        results = {task.name: result for task in tasks if (result := store.load(task)) is not None}
+        if len(results) < len(tasks):
+            raise Unmade(len(tasks) - len(results))
+        return results
 
-    return kept
+    return load
 
 
 def expected_runs(tuning: Tuning) -> int:
@@ -120,9 +123,9 @@ def _asked(tuning: Tuning, entrants: Sequence[Entrant], tried: Mapping[str, Sequ
 
 def _judged(tuning: Tuning, compute: Compute, asked: Asked, runs: Sequence[Run]) -> list[tuple[Entrant, Tried]]:
     """Points with their results; jobs on one sequence stand next to each other: it is simulated once for them."""
-    jobs = [tuning.job(entrant, candidate, run) for entrant, candidate in asked for run in runs]
-    results = compute(sorted(jobs, key=lambda job: json.dumps(job.arguments["sequence"], sort_keys=True)))
-    names = iter(job.name for job in jobs)
+    tasks = [tuning.task(entrant, candidate, run) for entrant, candidate in asked for run in runs]
+    results = compute(sorted(tasks, key=lambda task: json.dumps(task.arguments["sequence"], sort_keys=True)))
+    names = iter(task.name for task in tasks)
     return [
         (entrant, judged(candidate, [results[next(names)] for _ in runs], tuning.objective))
         for entrant, candidate in asked

@@ -6,9 +6,8 @@ import signal
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import Any
 
-from evalkit.commands.study.evaluate import evaluate, prepared
+from evalkit.commands.study.evaluate import RunScores, evaluate, prepared
 from evalkit.plugins.protocols import Value
 
 NO_MAP = "log-odds"
@@ -21,7 +20,7 @@ class TookTooLong(Exception):
     """A run that has used up its CPU time; told as the reason why it failed."""
 
 
-def tried(
+def run_trial(
     cpu_s: float,
     backend: str,
     parameters: Mapping[str, Value],
@@ -29,7 +28,7 @@ def tried(
     sequence: Mapping[str, Value],
     metrics: Sequence[str],
     code: str,
-) -> dict[str, Any]:
+) -> RunScores:
     """The scores of a run, as of a study's point; one that takes more than ``cpu_s`` seconds of CPU time has failed.
 
     The simulation of the sequence is on nobody's account: of all who are tried on it, the first would pay for it.

@@ -17,8 +17,8 @@ from evalkit.commands.validate.equivalence.margins import Interval, interval
 from evalkit.core import se2
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
-from evalkit.execution.job_store import Result
 from evalkit.execution.sandbox import ENDED
+from evalkit.execution.task import Result
 
 STAGES = {"s2s": "scan to scan", "s2m": "scan to map"}
 

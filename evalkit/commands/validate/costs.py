@@ -11,8 +11,8 @@ from evalkit.commands.validate.acceptance import Level, Line, Outcome
 from evalkit.commands.validate.answers import Names
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
-from evalkit.execution.job_store import Result
 from evalkit.execution.sandbox import ENDED
+from evalkit.execution.task import Result
 from evalkit.external import elf
 
 MS = 1e-6

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from evalkit.commands.validate import answers, costs, paths
+from evalkit.commands.validate import answers, costs, pace, paths, probes
 from evalkit.commands.validate.acceptance import Claim, Dossier, Level
 from evalkit.commands.validate.answers import Names
 from evalkit.commands.validate.equivalence.comparison import FLOAT32
@@ -19,8 +19,10 @@ from evalkit.config.experiment import Experiment, Limits, SequenceSpec
 from evalkit.core.errors import BadParameter, NotInstalled
 from evalkit.core.run_result import Trial
 from evalkit.execution import environment, sandbox
-from evalkit.execution.job_store import Job, Ledger, OnDone, Result
 from evalkit.execution.scheduler import Engine, Progress
+from evalkit.execution.task import AnyTask, Parameters, Result, make_task
+from evalkit.execution.task_runner import OnDone, run_tasks
+from evalkit.execution.task_store import TaskStore
 from evalkit.external.declaration import split
 from evalkit.odometry import frontend
 from evalkit.plugins import code_hash, defaults, registry
@@ -28,7 +30,6 @@ from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import BackendSpec, Value
 from evalkit.results.store import Store
 
-ASKING, PACE = "evalkit.commands.validate.probes", "evalkit.commands.validate.pace"
 AUTO = "auto"
 CHOSEN = 'the first back end by name with the role "reference"'
 COPIES = 5
@@ -94,24 +95,24 @@ class Examination:
 
     def dossier(self, folder: Path, workers: int, watch: Watch) -> Dossier:
         """The dossier; what was computed before in the folder is taken from there."""
-        ledger, where = Ledger(folder / "jobs"), environment.describe(jobs=workers)
+        store, where = TaskStore(folder / "jobs"), environment.describe(jobs=workers)
         first = [self._rules()]
         with watch.jobs(1, 1) as done:
-            level0 = answers.rules(ledger.run(first, 1, done)["rules"])
+            level0 = answers.rules(run_tasks(store, first, 1, done)["rules"])
         if _hopeless(level0):
             return self._made(EXACT, "", (level0,), where)
         jobs = list(self._jobs())
         with watch.jobs(len(jobs), workers) as done:
-            found = ledger.run(jobs, workers, done)
+            found = run_tasks(store, jobs, workers, done)
         with watch.runs(self.plan, workers) as progress:
             trials = _placed(Engine(self.plan, Store(folder), progress, workers, resume=True, ran_on=where).trials())
         if answers.margin_of(_compared(found), self._margins()) == FLOAT32:
             copies = list(self._copies())
             with watch.jobs(len(copies), workers) as done:
-                found = {**found, **ledger.run(copies, workers, done)}
+                found = {**found, **run_tasks(store, copies, workers, done)}
         timed = list(self._timed())
         with watch.jobs(len(timed), 1) as done:  # alone: nothing else may run beside what is timed
-            taken = ledger.run(timed, 1, done)
+            taken = run_tasks(store, timed, 1, done)
         return self._levels(level0, found, trials, taken, where)
 
     def _levels(
@@ -174,45 +175,58 @@ class Examination:
                     {"label": place, "dataset": sequence.dataset, "parameters": sequence.seeded(seed)},
                 )
 
-    def _rules(self) -> Job:
+    def _rules(self) -> AnyTask:
         own = {p.name for p in registry.backend(self.mine).parameters}
         given = {name: value for name, value in self.given.items() if name in own}
-        arguments = {"name": self.mine, "given": given, "limit_s": 30.0, "digest": registry.backend(self.mine).digest}
-        return Job("rules", f"{ASKING}:rules", arguments, self._uses(self.mine))
+        rules = make_task(
+            "rules", probes.rules, name=self.mine, given=given, limit_s=30.0, digest=registry.backend(self.mine).digest
+        )
+        return rules.depending_on(*self._uses(self.mine))
 
-    def _jobs(self) -> Iterator[Job]:
+    def _jobs(self) -> Iterator[AnyTask]:
         """Levels 1 and 2, and the mappers of level 4."""
-        effort, both = self.asked.effort, {"a": self._named(self.twin), "b": self._named(self.mine)}
+        effort, twin, mine = self.asked.effort, self._named(self.twin), self._named(self.mine)
         for place, sequence, on in self._places():
             exact = registry.dataset(sequence.dataset).seeded  # a simulated truth has no error
-            asked = {"on": on, "count": effort.pairs, "exact": exact}
-            compared = {**both, **asked, "margins": self._margins()}
-            yield self._apart(f"pairs, {place}", f"{ASKING}:pairs_compared", compared, sequence)
-            scans = {**both, "on": on, "scans": effort.scans, "margins": self._margins()}
-            yield self._apart(f"scans, {place}", f"{ASKING}:scans_compared", scans, sequence)
+            yield self._sandboxed(
+                f"pairs, {place}", sequence, probes.pairs_compared,
+                a=twin, b=mine, on=on, count=effort.pairs, exact=exact, margins=self._margins(),
+            )  # fmt: skip
+            yield self._sandboxed(
+                f"scans, {place}", sequence, probes.scans_compared,
+                a=twin, b=mine, on=on, scans=effort.scans, margins=self._margins(),
+            )  # fmt: skip
             for name in self._references():
-                given = {"named": self._named(name), **asked}
-                yield self._apart(f"answers of {name}, {place}", f"{ASKING}:pair_answers", given, sequence)
+                yield self._sandboxed(
+                    f"answers of {name}, {place}", sequence, probes.pair_answers,
+                    named=self._named(name), on=on, count=effort.pairs, exact=exact,
+                )  # fmt: skip
         if all(self.mappers):
             for place, sequence, on in self._first_places():
-                given = {"a": self.mappers[1], "b": self.mappers[0], "on": on, "scans": effort.drawn}
-                yield self._apart(f"mapper, {place}", f"{ASKING}:maps_compared", given, sequence)
+                yield self._sandboxed(
+                    f"mapper, {place}", sequence, probes.maps_compared,
+                    a=self.mappers[1], b=self.mappers[0], on=on, scans=effort.drawn,
+                )  # fmt: skip
 
-    def _copies(self) -> Iterator[Job]:
+    def _copies(self) -> Iterator[AnyTask]:
         """The twin over copies that rounding has changed."""
         for place, sequence, on in self._places():
-            given = {"named": self._named(self.twin), "on": on, "times": COPIES}
-            yield self._apart(f"copies, {place}", f"{ASKING}:rounded_paths", given, sequence)
+            yield self._sandboxed(
+                f"copies, {place}", sequence, probes.rounded_paths, named=self._named(self.twin), on=on, times=COPIES
+            )
 
-    def _timed(self) -> Iterator[Job]:
+    def _timed(self) -> Iterator[AnyTask]:
         methods = [self._named(name) for name in self._everybody()]
         alone = [self._named(name) for name in self._everybody() if registry.backend(name).kind == "registration"]
         for place, sequence, on in self._first_places():
-            given = {"methods": methods, "on": on, "scans": self.asked.effort.timed}
-            yield self._apart(f"time, {place}", f"{PACE}:scans_paced", given, sequence)
+            yield self._sandboxed(
+                f"time, {place}", sequence, pace.scans_paced, methods=methods, on=on, scans=self.asked.effort.timed
+            )
             if self.mine in [one["name"] for one in alone]:
-                pairs = {"methods": alone, "on": on, "count": self.asked.effort.pairs}
-                yield self._apart(f"time of a pair, {place}", f"{PACE}:pairs_paced", pairs, sequence)
+                yield self._sandboxed(
+                    f"time of a pair, {place}", sequence, pace.pairs_paced,
+                    methods=alone, on=on, count=self.asked.effort.pairs,
+                )  # fmt: skip
 
     def _first_places(self) -> Iterator[tuple[str, SequenceSpec, dict[str, Any]]]:
         seen = set()
@@ -221,10 +235,14 @@ class Examination:
                 seen.add(sequence.label)
                 yield place, sequence, on
 
-    def _apart(self, name: str, function: str, arguments: Mapping[str, Any], sequence: SequenceSpec) -> Job:
-        limits = {"limit_s": self.asked.effort.limit_s, "memory_mib": self.asked.effort.memory_mib}
-        uses = (*self._uses(*self._everybody()), registry.plug_in_of("datasets", sequence.dataset).module)
-        return sandbox.job(name, function, arguments, limits, uses)
+    def _sandboxed(
+        self, name: str, sequence: SequenceSpec, function: Callable[Parameters, Result], /,
+        *args: Parameters.args, **kwargs: Parameters.kwargs,
+    ) -> AnyTask:  # fmt: skip
+        """The task that calls a probe in a sandbox."""
+        modules = (*self._uses(*self._everybody()), registry.plug_in_of("datasets", sequence.dataset).module)
+        probe = make_task(name, function, *args, **kwargs).depending_on(*modules)
+        return sandbox.sandboxed(probe, self.asked.effort.limit_s, self.asked.effort.memory_mib)
 
     def _named(self, name: str) -> dict[str, Any]:
         """A back end with what is given to it; the digest tells one build of a library from the next."""

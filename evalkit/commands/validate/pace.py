@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import islice
 from typing import Any
 
@@ -16,8 +16,8 @@ from evalkit.core.match import Match
 from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.scan import Frame
 from evalkit.core.timing import NO_COST, CallTiming, timed
-from evalkit.execution.job_store import Result
-from evalkit.execution.sandbox import at
+from evalkit.execution.sandbox import note_place
+from evalkit.execution.task import Result
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import NoAnswer, Odometry
@@ -28,13 +28,13 @@ WARM_UP = 5
 CLOCKS = ("wall_ns", "cpu_ns", "conversion_ns", "device_ns")
 
 
-def scans_paced(methods: list[Named], on: Data, scans: int) -> Result:
+def scans_paced(methods: Sequence[Named], on: Data, scans: int) -> Result:
     """Times (C, N) of every scan through every back end, by every clock; ``period_ns``: between the sensor's scans."""
     sequence = registry.dataset(on["dataset"]).make(**on["parameters"])
     frames = list(islice(sequence.frames(), scans))
     sides = [_side(named) for named in methods]
     for side in sides:
-        at(f"{side.label}, warming up")
+        note_place(f"{side.label}, warming up")
         follow = _followed(side)
         for frame in frames[:WARM_UP]:
             follow(frame)()
@@ -44,7 +44,7 @@ def scans_paced(methods: list[Named], on: Data, scans: int) -> Result:
     return {**_columns(taken), "period_ns": float(np.median(np.diff(stamps)))}
 
 
-def pairs_paced(methods: list[Named], on: Data, count: int) -> Result:
+def pairs_paced(methods: Sequence[Named], on: Data, count: int) -> Result:
     """Times (C, N) of one registration of every pair of scans; whatever is built over the target is in it."""
     sequence = registry.dataset(on["dataset"]).make(**on["parameters"])
     questions = [pair.question for pair in pairs(sequence, count, exact=False)]
@@ -86,7 +86,7 @@ def _timed(
     order = range(len(calls)) if number % 2 else reversed(range(len(calls)))
     found: dict[int, CallTiming] = {}
     for which in order:
-        at(f"{sides[which].label}, question {number + 1}")
+        note_place(f"{sides[which].label}, question {number + 1}")
         answer, timing = timed(calls[which](asked))
         found[which] = timing.including(NO_COST if answer is None else answer.cost)
     return [{clock: getattr(found[which], clock) for clock in CLOCKS} for which in range(len(calls))]

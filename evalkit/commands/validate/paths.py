@@ -15,8 +15,8 @@ from evalkit.commands.validate.equivalence.map_cells import Layers
 from evalkit.core import se2
 from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
-from evalkit.execution.job_store import Result
 from evalkit.execution.sandbox import ENDED
+from evalkit.execution.task import Result
 from evalkit.metrics.runtime import period_ns
 from evalkit.metrics.trajectory import MAX_GAP_S, can_interpolate, rms
 from evalkit.stats.bootstrap import block_length, bootstrap_interval, paired_difference_interval

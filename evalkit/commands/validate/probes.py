@@ -21,8 +21,8 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
-from evalkit.execution.job_store import Result
-from evalkit.execution.sandbox import at
+from evalkit.execution.sandbox import note_place
+from evalkit.execution.task import Result
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import NoAnswer, Odometry, Sequence, Value
@@ -55,7 +55,7 @@ def pairs_compared(a: Named, b: Named, on: Data, count: int, exact: bool, margin
     exchanges = []
     for pair in asked:
         question = pair.question
-        at(f"{on['label']}, pair {question.scan} ({question.stage})")
+        note_place(f"{on['label']}, pair {question.scan} ({question.stage})")
         mine = first.register(question.target, question.source, question.guess)
         exchanges.append(lockstep.asked(second, question, mine))
     answers = [one.a.target_from_source for one in exchanges]
@@ -78,7 +78,7 @@ def pair_answers(named: Named, on: Data, count: int, exact: bool) -> Result:
     rows: list[Pose | None] = []
     for pair in _pairs(on, count, exact):
         question = pair.question
-        at(f"{on['label']}, pair {question.scan} ({question.stage})")
+        note_place(f"{on['label']}, pair {question.scan} ({question.stage})")
         try:
             rows.append(asker.register(question.target, question.source, question.guess).target_from_source)
         except Exception:  # noqa: BLE001 - a third party's code; no answer is one of its answers
@@ -92,12 +92,12 @@ def scans_compared(a: Named, b: Named, on: Data, scans: int, margins: list[str])
     if all(side.spec.kind == "registration" for side in sides):
         exchanges = []
         for exchange in lockstep.exchanges(*sides, sequence, scans):
-            at(f"{on['label']}, scan {exchange.question.scan}")
+            note_place(f"{on['label']}, scan {exchange.question.scan}")
             exchanges.append(exchange)
         return {**_judged(sides, on["label"], exchanges, margins), **_apart(exchanges)}
     steps = []
     for step in lockstep.steps(*sides, sequence, scans):
-        at(f"{on['label']}, scan {step.scan}")
+        note_place(f"{on['label']}, scan {step.scan}")
         steps.append(step)
     known = {word: equivalence.step_margin(margin(word), sequence, scans) for word in margins}
     both = [(one.scan, difference(one.a, one.b)) for one in steps if one.a is not None and one.b is not None]
@@ -121,7 +121,7 @@ def rounded_paths(named: Named, on: Data, times: int) -> Result:
     frames = list(_sequence(on).frames())
     paths = []
     for copy in range(times):
-        at(f"{on['label']}, copy {copy + 1}")
+        note_place(f"{on['label']}, copy {copy + 1}")
         odometry = frontend.odometry(side.spec, side.parameters)
         paths.append(_rows(_answer(odometry, _rounded(frame, rng)) for frame in frames))
     return {"stamps_ns": np.array([frame.scan.stamp_ns for frame in frames]), "paths": np.array(paths)}
@@ -130,7 +130,7 @@ def rounded_paths(named: Named, on: Data, times: int) -> Result:
 def maps_compared(a: str, b: str, on: Data, scans: int) -> Result:
     """Two mappers drawing the same scans, cell by cell, from where no beam meets a corner of cells but by chance."""
     spec, sequence = registry.dataset(on["dataset"]), _sequence(on)
-    at(f"{on['label']}: {a} and {b}")
+    note_place(f"{on['label']}: {a} and {b}")
     placed = replace(spec, make=lambda: _Placed(sequence), parameters=())
     found = equivalence.mapper_equivalence(a, b, placed, scans=scans)
     return {"cells": found.as_json()}

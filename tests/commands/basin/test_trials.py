@@ -29,7 +29,7 @@ class Raises:
 def asked(monkeypatch, make, begin=0, end=40):
     spec = BackendSpec(make, "registration", "", "", "")
     monkeypatch.setattr(attempts, "spec_of", lambda _name: spec)
-    return attempts.answers(backend="x", values={}, trials=vars(TRIALS), begin=begin, end=end, code="")
+    return attempts.answers(backend="x", values={}, trials=TRIALS, begin=begin, end=end, code="")
 
 
 def test_who_keeps_the_guess_is_off_by_the_offset(monkeypatch):
@@ -63,13 +63,13 @@ def test_every_place_and_seed_draws_its_own_scans():
 def test_jobs_cover_all_attempts_once(monkeypatch):
     monkeypatch.setattr(attempts, "AT_ONCE", 16)
     spec = attempts.spec_of("paper")
-    jobs = attempts.jobs("paper", spec, {}, TRIALS)
+    jobs = attempts.make_tasks("paper", spec, {}, TRIALS)
     assert [(job.arguments["begin"], job.arguments["end"]) for job in jobs] == [(0, 16), (16, 32), (32, 40)]
 
 
 def test_the_papers_icp_converges_from_near_and_not_from_far():
     trials = replace(TRIALS, place="room", beams=360, offsets=24)
-    found = attempts.answers(backend="paper-tight", values={}, trials=vars(trials), begin=0, end=24, code="")
+    found = attempts.answers(backend="paper-tight", values={}, trials=trials, begin=0, end=24, code="")
     left = attempts.convergence.off(found["rows"], *trials.truths(trials.seen()))
     drawn = trials.drawn()
     near = (np.hypot(*drawn[:, :2].T) < 0.3) & (np.abs(drawn[:, 2]) < np.radians(5.0))

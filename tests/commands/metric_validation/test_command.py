@@ -99,7 +99,7 @@ def values(error):
 
 def answer(job):
     """What a job would give in a world where every metric follows the error."""
-    if job.function.endswith(":planted"):
+    if job.function.__name__ == "planted":
         return {"scores": values(0.0 if job.arguments["plant"] == NO_MISTAKE else 9.0)}
     sizes = job.arguments["sizes"] or [0.0]
     return {"rows": [{"size": size, **values(size), "ate_rmse_m": size} for size in sizes]}

@@ -90,7 +90,7 @@ def test_points_between_levels_keep_to_the_range_and_to_names():
 
 
 def test_every_run_is_a_job_once_and_those_on_one_sequence_are_neighbours():
-    jobs = study().jobs()
+    jobs = study().tasks()
     assert len({job.name for job in jobs}) == len(jobs)
     seeds = [job.arguments["sequence"]["seed"] for job in jobs]
     assert seeds == sorted(seeds)

@@ -5,7 +5,7 @@ import pytest
 
 from evalkit.commands.study.envelope import below, largest_box, panels, sentences
 from evalkit.commands.study.factors import Factor, Level
-from evalkit.commands.study.plan import Design, EnvelopeChoice, Point, Response, Study, job_name
+from evalkit.commands.study.plan import Design, EnvelopeChoice, Point, Response, Study, task_name
 from evalkit.commands.study.result import Outcome
 from evalkit.metrics import METRICS
 
@@ -33,7 +33,7 @@ def outcome(error, seeds=(0, 1), status=lambda *_: "complete"):
                 for seed in seeds:
                     value = error(speed.number, turn.number, deskew.label == "on", seed)
                     how = status(speed.number, turn.number, deskew.label == "on", seed)
-                    results[job_name(points[-1].key, seed)] = {
+                    results[task_name(points[-1].key, seed)] = {
                         "status": how, "reason": "" if how == "complete" else "it broke",
                         "scores": {"ate_rmse_m": value}, "why": {}, "cpu_s": 0.1,
                     }  # fmt: skip

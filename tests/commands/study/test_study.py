@@ -1,6 +1,7 @@
 """The study command: a page, the same numbers for programs, points that can be computed again, and a killed run."""
 
 import csv
+import importlib
 import json
 import os
 import signal
@@ -16,8 +17,8 @@ from typer.testing import CliRunner
 from evalkit.cli import app
 from evalkit.commands.study.config import study
 from evalkit.commands.study.evaluate import evaluate
-from evalkit.commands.study.result import Outcome, computed
-from evalkit.execution.job_store import Job
+from evalkit.commands.study.result import Outcome, run_study_tasks
+from evalkit.execution.task import make_task
 
 STUDY = """
 title = "A small study"
@@ -106,11 +107,11 @@ def test_an_unknown_point_is_refused_and_the_known_ones_are_listed(file):
 
 def test_a_back_end_that_fails_is_a_result_with_its_reason(strangers):
     made = study(tomllib.loads(STUDY), "s.toml", "")
-    found = evaluate(**{**made.jobs()[0].arguments, "backend": "faulty", "parameters": {"fault": "raise", "at": 3}})
+    found = evaluate(**{**made.tasks()[0].arguments, "backend": "faulty", "parameters": {"fault": "raise", "at": 3}})
     assert found["status"] == "failed"
     assert found["reason"].startswith("RuntimeError: lost the plot")
     assert found["answered"] == 3
-    outcome = Outcome(made, {job.name: found for job in made.jobs()})
+    outcome = Outcome(made, {job.name: found for job in made.tasks()})
     design, response = made.designs[0], made.responses[0]
     assert outcome.counts(design) == (8, 8)
     assert (outcome.table(design, response) == 0.5).all()
@@ -153,7 +154,7 @@ def hang(metrics):
 def test_a_run_that_hangs_is_a_lost_run_with_its_reason(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(Path(__file__).parent))
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
-    job = Job("p seed 0", "test_study:hang", {"metrics": ["ate_rmse_m"]}, limit_s=1.0)
-    (result,) = computed([job], tmp_path, 1, lambda _name, _seconds: None).values()
+    job = make_task("p seed 0", importlib.import_module("test_study").hang, metrics=["ate_rmse_m"]).limited(1.0)
+    (result,) = run_study_tasks([job], tmp_path, 1, lambda _name, _seconds: None).values()
     assert (result["status"], result["scores"]) == ("timeout", {"ate_rmse_m": None})
     assert result["reason"].startswith("not finished after 1 s; it was in ")

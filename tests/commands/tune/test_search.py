@@ -261,7 +261,7 @@ def test_a_run_that_takes_too_long_has_failed_with_its_reason(strangers, monkeyp
     parameters = {"fault": "spin", "at": 1}
     sequence = {p.name: p.default for p in registry.dataset("straight").parameters}
     begun = time.monotonic()
-    told = trial.tried(0.2, "faulty", parameters, "straight", sequence, ["ate_rmse_m"], "")
+    told = trial.run_trial(0.2, "faulty", parameters, "straight", sequence, ["ate_rmse_m"], "")
     assert told["status"] == "failed"
     assert "more than 0.2 s of CPU time" in told["reason"]
     assert time.monotonic() - begun < 60.0  # it would have spun for ever
@@ -290,7 +290,7 @@ def test_who_is_first_on_a_sequence_does_not_pay_for_its_simulation(strangers, m
     slow = SlowAtFirst(registry.dataset("straight").make(**sequence))
     monkeypatch.setattr(evaluate, "_sequence", lambda *_: slow)
     parameters = {p.name: p.default for p in registry.backend("wheel-odometry").parameters}
-    told = trial.tried(1.0, "wheel-odometry", parameters, "straight", sequence, ["ate_rmse_m", "pair_error"], "")
+    told = trial.run_trial(1.0, "wheel-odometry", parameters, "straight", sequence, ["ate_rmse_m", "pair_error"], "")
     assert told["status"] == "complete", told["reason"]
     assert told["scores"]["pair_error"] is not None, told["why"]
 
@@ -298,6 +298,6 @@ def test_who_is_first_on_a_sequence_does_not_pay_for_its_simulation(strangers, m
 def test_keys_of_jobs_change_with_what_they_stand_on():
     made = plan()
     entrant, run = made.entrants[0], made.search_runs[0]
-    keys = {made.job(entrant, one, run).key for one in Search(entrant.space, 4).next([], None)}
+    keys = {made.task(entrant, one, run).key for one in Search(entrant.space, 4).next([], None)}
     assert len(keys) == 2
-    assert json.dumps(dict(made.job(entrant, entrant.space.start(), run).arguments))
+    assert json.dumps(dict(made.task(entrant, entrant.space.start(), run).arguments))

@@ -1,4 +1,4 @@
-"""A job's result in the folder of a study."""
+"""A task's result in the folder of a study."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ import numpy as np
 import stored_run
 from bounds import Finding, folder, held
 
-from evalkit.execution.job_store import Job, Ledger
+from evalkit.execution.task import Task
+from evalkit.execution.task_store import TaskStore
 from evalkit.io import untrusted_io
 
-JOB = Job("fuzz", "math:sqrt")
+TASK = Task("fuzz", untrusted_io.read_arrays)
 
 
 def seeds() -> list[bytes]:
     """A result with a number and an array."""
     with tempfile.TemporaryDirectory() as place:
-        ledger = Ledger(Path(place))
-        ledger.keep(JOB, {"value": 1.5, "array": np.arange(3.0)})
-        return [ledger.path(JOB).read_bytes()]
+        store = TaskStore(Path(place))
+        store.save(TASK, {"value": 1.5, "array": np.arange(3.0)})
+        return [store.path(TASK).read_bytes()]
 
 
 def swollen() -> list[bytes]:
@@ -31,9 +32,9 @@ def swollen() -> list[bytes]:
 def one(data: bytes) -> None:
     """Asks for a result; what is damaged counts as absent."""
     untrusted_io.MAX_BYTES = 2**24  # as for a stored run
-    ledger = Ledger(folder())
-    ledger.path(JOB).write_bytes(data)
+    store = TaskStore(folder())
+    store.path(TASK).write_bytes(data)
     found: list[object] = []
-    held(lambda: found.append(ledger.kept(JOB)), len(data), "")
+    held(lambda: found.append(store.load(TASK)), len(data), "")
     if not isinstance(found[0], (dict, type(None))):
         raise Finding(f"a result that is a {type(found[0]).__name__}")

@@ -60,4 +60,4 @@ def swollen() -> list[bytes]:
 
 def one(data: bytes) -> None:
     """Reads a study, and makes its jobs."""
-    held_file(lambda path: read(path, "evalkit study fuzz.toml").jobs(), data, "fuzz.toml")
+    held_file(lambda path: read(path, "evalkit study fuzz.toml").tasks(), data, "fuzz.toml")

@@ -1,6 +1,7 @@
-"""The ledger of a study: what is done stays done."""
+"""The task runner: stored results, time limits, and tasks that end their process."""
 
 import ctypes
+import importlib
 import itertools
 import os
 import signal
@@ -9,16 +10,16 @@ import sys
 import threading
 import time
 from concurrent.futures import Future
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from evalkit.execution import deadline
-from evalkit.execution import job_store as ledger
 from evalkit.execution.dask_cluster import Cluster, NoCluster, Slot
-from evalkit.execution.job_store import Job, JobsFailed, Ledger
+from evalkit.execution.task import make_task
+from evalkit.execution.task_runner import TasksFailed, on_worker, run_tasks
+from evalkit.execution.task_store import TaskStore
 
 
 def square(number, log=""):
@@ -52,18 +53,20 @@ def doze(number, log):
 
 @pytest.fixture
 def squares(monkeypatch):
-    """Jobs whose function the worker processes can import."""
+    """Tasks whose function the worker processes can import."""
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
     monkeypatch.syspath_prepend(str(Path(__file__).parent))
 
+    module = importlib.import_module("test_task_runner")
+
     def make(name, function, **arguments):
-        return Job(name, f"test_job_store:{function}", arguments)
+        return make_task(name, getattr(module, function), **arguments)
 
     return make
 
 
 def test_results_come_by_name_in_the_order_of_the_jobs(squares, tmp_path):
-    found = Ledger(tmp_path).run([squares("three", "square", number=3), squares("two", "square", number=2)])
+    found = run_tasks(TaskStore(tmp_path), [squares("three", "square", number=3), squares("two", "square", number=2)])
     assert list(found) == ["three", "two"]
     assert found["three"]["square"] == 9
     assert found["three"]["row"].tolist() == [0, 1, 2]
@@ -71,9 +74,9 @@ def test_results_come_by_name_in_the_order_of_the_jobs(squares, tmp_path):
 
 def test_what_is_kept_is_not_computed_again(squares, tmp_path):
     log = tmp_path / "log"
-    jobs = [squares(f"n{n}", "square", number=n, log=str(log)) for n in range(4)]
-    Ledger(tmp_path / "kept").run(jobs[:2])
-    again = Ledger(tmp_path / "kept").run(jobs)
+    tasks = [squares(f"n{n}", "square", number=n, log=str(log)) for n in range(4)]
+    run_tasks(TaskStore(tmp_path / "kept"), tasks[:2])
+    again = run_tasks(TaskStore(tmp_path / "kept"), tasks)
     assert sorted(log.read_text().split()) == ["0", "1", "2", "3"]
     assert [result["square"] for result in again.values()] == [0, 1, 4, 9]
 
@@ -83,36 +86,36 @@ def test_other_arguments_are_another_result(squares):
 
 
 def test_a_damaged_result_is_computed_again(squares, tmp_path):
-    ledger, job = Ledger(tmp_path), squares("n", "square", number=5)
-    ledger.run([job])
-    ledger.path(job).write_bytes(ledger.path(job).read_bytes()[:40])
-    assert ledger.run([job])["n"]["square"] == 25
+    store, task = TaskStore(tmp_path), squares("n", "square", number=5)
+    run_tasks(store, [task])
+    store.path(task).write_bytes(store.path(task).read_bytes()[:40])
+    assert run_tasks(store, [task])["n"]["square"] == 25
 
 
 def test_a_job_that_raises_is_named_and_costs_no_other(squares, tmp_path):
-    jobs = [squares("bad", "refuse", why="no such wall"), squares("good", "square", number=2)]
-    with pytest.raises(JobsFailed, match="bad failed: ValueError: no such wall"):
-        Ledger(tmp_path).run(jobs)
-    assert Ledger(tmp_path).kept(jobs[1])["square"] == 4
+    tasks = [squares("bad", "refuse", why="no such wall"), squares("good", "square", number=2)]
+    with pytest.raises(TasksFailed, match="bad failed: ValueError: no such wall"):
+        run_tasks(TaskStore(tmp_path), tasks)
+    assert TaskStore(tmp_path).load(tasks[1])["square"] == 4
     assert not list(tmp_path.glob("*.running"))
 
 
 def test_a_job_that_ends_its_process_is_named_and_costs_no_other(squares, tmp_path):
-    jobs = [squares("deadly", "die"), *(squares(f"n{n}", "square", number=n) for n in range(3))]
-    with pytest.raises(JobsFailed, match="deadly failed: it ended its process"):
-        Ledger(tmp_path).run(jobs)
-    assert all(Ledger(tmp_path).kept(job) for job in jobs[1:])
+    tasks = [squares("deadly", "die"), *(squares(f"n{n}", "square", number=n) for n in range(3))]
+    with pytest.raises(TasksFailed, match="deadly failed: it ended its process"):
+        run_tasks(TaskStore(tmp_path), tasks)
+    assert all(TaskStore(tmp_path).load(task) for task in tasks[1:])
 
 
 @pytest.mark.parametrize("how", ["sleeps", "spins", "holds"])
 def test_a_job_that_hangs_is_ended_once_named_and_costs_no_other(squares, tmp_path, how):
-    hanging = replace(squares("hanging", "hang", how=how), limit_s=1.0)
-    jobs = [hanging, *(squares(f"n{n}", "square", number=n) for n in range(3))]
+    hanging = squares("hanging", "hang", how=how).limited(1.0)
+    tasks = [hanging, *(squares(f"n{n}", "square", number=n) for n in range(3))]
     begun = time.monotonic()
-    with pytest.raises(JobsFailed, match="hanging failed: not finished after 1 s; it was in "):
-        Ledger(tmp_path).run(jobs)
+    with pytest.raises(TasksFailed, match="hanging failed: not finished after 1 s; it was in "):
+        run_tasks(TaskStore(tmp_path), tasks)
     assert time.monotonic() - begun < 300  # and not 600
-    assert all(Ledger(tmp_path).kept(job) for job in jobs[1:])
+    assert all(TaskStore(tmp_path).load(task) for task in tasks[1:])
     assert not list(tmp_path.glob("*.running"))
 
 
@@ -121,12 +124,12 @@ def test_of_two_calls_in_one_process_the_second_waits_for_the_watch(tmp_path):
 
     def second():
         inside.wait()
-        with deadline.noted(tmp_path / "second", 60.0):
+        with deadline.time_limit(tmp_path / "second", 60.0):
             order.append("second")
 
     thread = threading.Thread(target=second)
     thread.start()
-    with deadline.noted(tmp_path / "first", 60.0):
+    with deadline.time_limit(tmp_path / "first", 60.0):
         inside.set()
         thread.join(0.2)
         order.append("first")
@@ -136,22 +139,24 @@ def test_of_two_calls_in_one_process_the_second_waits_for_the_watch(tmp_path):
 
 
 def test_a_limit_changes_no_result(squares):
-    job = squares("n", "square", number=1)
-    assert replace(job, limit_s=5.0).key == job.key
+    task = squares("n", "square", number=1)
+    assert task.limited(5.0).key == task.key
 
 
 def test_two_jobs_of_one_name_are_refused(squares, tmp_path):
     with pytest.raises(ValueError, match="two are named 'n'"):
-        Ledger(tmp_path).run([squares("n", "square", number=1), squares("n", "square", number=2)])
+        run_tasks(TaskStore(tmp_path), [squares("n", "square", number=1), squares("n", "square", number=2)])
 
 
 def test_a_killed_study_goes_on_without_repeating(squares, tmp_path):
     script = tmp_path / "study.py"
     script.write_text(
-        "from pathlib import Path\nfrom evalkit.execution.job_store import Job, Ledger\n"
+        "from pathlib import Path\nfrom test_task_runner import doze\n"
+        "from evalkit.execution.task import make_task\nfrom evalkit.execution.task_runner import run_tasks\n"
+        "from evalkit.execution.task_store import TaskStore\n"
         f"log, folder = {str(tmp_path / 'log')!r}, Path({str(tmp_path / 'kept')!r})\n"
-        "jobs = [Job(f'n{n}', 'test_job_store:doze', {'number': n, 'log': log}) for n in range(6)]\n"
-        "if __name__ == '__main__':\n    Ledger(folder).run(jobs)\n"
+        "tasks = [make_task(f'n{n}', doze, number=n, log=log) for n in range(6)]\n"
+        "if __name__ == '__main__':\n    run_tasks(TaskStore(folder), tasks)\n"
     )
     study = subprocess.Popen([sys.executable, script], start_new_session=True)
     deadline = time.monotonic() + 60
@@ -167,31 +172,31 @@ def test_a_killed_study_goes_on_without_repeating(squares, tmp_path):
 
 
 def test_a_worker_with_other_code_is_no_failure_of_its_jobs(squares, tmp_path):
-    job = squares("three", "square", number=3)
+    task = squares("three", "square", number=3)
 
     class Stale(Cluster):
         def answers(self, calls):
             for call in calls:
                 outcome = Future()
                 try:
-                    ledger.on_worker(job, "three-of-other-code", Slot("", "", 1))
+                    on_worker(task, "three-of-other-code", Slot("", "", 1))
                 except NoCluster as error:
                     outcome.set_exception(error)
                 yield call, outcome
 
     with pytest.raises(NoCluster, match="the code on this worker is another one; install the same versions"):
-        Ledger(tmp_path).run([job], cluster=Stale())
+        run_tasks(TaskStore(tmp_path), [task], cluster=Stale())
 
 
 def test_a_clusters_workers_compute_the_same_and_who_ends_them_twice_is_named(squares, tmp_path):
     pytest.importorskip("distributed")
-    jobs = [squares("three", "square", number=3), squares("deadly", "die"), squares("bad", "refuse", why="no")]
-    jobs.append(squares("slow", "give_up"))
-    with pytest.raises(JobsFailed) as failed:
-        Ledger(tmp_path).run(jobs, cluster=Cluster(workers=1))
-    assert failed.value.reasons["deadly"].startswith("WorkerLost: lost its worker twice (tcp://")
-    assert failed.value.reasons["bad"] == "ValueError: no"
-    assert failed.value.reasons["slow"] == "TimeoutError: no answer"  # its own, and not the cluster's
-    kept = Ledger(tmp_path).kept(jobs[0])
+    tasks = [squares("three", "square", number=3), squares("deadly", "die"), squares("bad", "refuse", why="no")]
+    tasks.append(squares("slow", "give_up"))
+    with pytest.raises(TasksFailed) as failed:
+        run_tasks(TaskStore(tmp_path), tasks, cluster=Cluster(workers=1))
+    assert failed.value.failures["deadly"].reason.startswith("WorkerLost: lost its worker twice (tcp://")
+    assert failed.value.failures["bad"].reason == "ValueError: no"
+    assert failed.value.failures["slow"].reason == "TimeoutError: no answer"  # its own, and not the cluster's
+    kept = TaskStore(tmp_path).load(tasks[0])
     assert kept["square"] == 9
     assert kept["row"].tolist() == [0, 1, 2]

@@ -1,0 +1,202 @@
+"""Run tasks in worker processes or on a cluster and store each result at once, so that an interrupted run resumes."""
+
+from __future__ import annotations
+
+import os
+import platform
+import tempfile
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import Future, as_completed
+from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
+from contextlib import closing
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Generic
+
+from evalkit.core.errors import EvalkitError, StoreError, plain
+from evalkit.execution import deadline, environment
+from evalkit.execution.dask_cluster import Call, Cluster, NoCluster, Slot
+from evalkit.execution.process_pool import start_pool
+from evalkit.execution.task import R, Task
+from evalkit.execution.task_store import TaskStore
+from evalkit.results.store import REMEDY
+
+OnDone = Callable[[str, float], None]
+"""Called for each finished task with its name and the seconds it took, 0 if its result was stored already."""
+
+Computed = tuple[Task[R], Future[tuple[R, float]]]
+"""A task and the future of its result and of the seconds it took."""
+
+
+@dataclass(frozen=True)
+class TaskFailure:
+    """Why a task has no result; ``timed_out``: its time limit ended it."""
+
+    reason: str
+    timed_out: bool = False
+
+
+class TasksFailed(EvalkitError):
+    """Some tasks have no result; all others are stored: ``TasksFailed(folder, failures by task name)``."""
+
+    def __init__(self, folder: str, failures: Mapping[str, TaskFailure]) -> None:
+        super().__init__(folder, failures)
+        self.failures = failures
+
+    def __str__(self) -> str:
+        name, failure = next(iter(self.failures.items()))
+        others = f" and {len(self.failures) - 1} more" if len(self.failures) > 1 else ""
+        what = f"{self.args[0]}: {name}{others} failed: {failure.reason}"
+        return plain(f"{what}; the finished ones are kept, the same command goes on")
+
+
+def run_tasks(
+    store: TaskStore,
+    tasks: Iterable[Task[R]],
+    workers: int = 1,
+    on_done: OnDone = lambda _name, _seconds: None,
+    cluster: Cluster | None = None,
+) -> dict[str, R]:
+    """The result of every task by name: loaded from the store, or computed by so many processes and stored.
+
+    With a ``cluster``, its workers compute instead. A process that dies fails only the task that ended it: tasks of a
+    broken pool run once more, each in a process of its own, except those that a time limit ended.
+
+    Raises TasksFailed after all other tasks are stored, StoreError if the folder cannot be written, NoCluster if the
+    code on a worker differs from the code here.
+    """
+    every = list(tasks)
+    _refuse_duplicates([task.name for task in every])
+    collector = _Collector[R](store, on_done)
+    collector.load(every)
+    missing = [task for task in every if task.name not in collector.results]
+    if cluster:
+        _run_on_cluster(missing, cluster, collector)
+    else:
+        _run_locally(missing, workers, collector)
+    if collector.failures:
+        raise TasksFailed(str(store.folder), collector.failures)
+    return {task.name: collector.results[task.name] for task in every}
+
+
+@dataclass(frozen=True)
+class _Collector(Generic[R]):
+    """The results and failures so far, by task name."""
+
+    store: TaskStore
+    on_done: OnDone
+    results: dict[str, R] = field(default_factory=dict)
+    failures: dict[str, TaskFailure] = field(default_factory=dict)
+
+    def load(self, tasks: Sequence[Task[R]]) -> None:
+        """Takes the results that are stored already."""
+        for task in tasks:
+            if (stored := self.store.load(task)) is not None:
+                self.results[task.name] = stored
+                self.on_done(task.name, 0.0)
+
+    def collect(self, computed: Iterator[Computed[R]]) -> list[Task[R]]:
+        """Takes in computed tasks; the tasks whose process died."""
+        lost = []
+        for task, future in computed:
+            try:
+                result, seconds = future.result()
+            except BrokenProcessPool:
+                lost.append(task)
+            except NoCluster:  # a worker's fault is no failure of a task
+                raise
+            except Exception as error:  # noqa: BLE001 - an exception of one task must not stop the others
+                self.failures[task.name] = TaskFailure(f"{type(error).__name__}: {error}")
+            else:
+                self._save(task, result, seconds)
+        return lost
+
+    def _save(self, task: Task[R], result: R, seconds: float) -> None:
+        self.store.save(task, result)
+        stored = self.store.load(task)  # as a resumed run will see it
+        if stored is None:
+            raise StoreError(str(self.store.path(task)), "was written but cannot be read back", REMEDY)
+        self.results[task.name] = stored
+        self.on_done(task.name, seconds)
+
+
+def _run_locally(tasks: list[Task[R]], workers: int, collector: _Collector[R]) -> None:
+    """Runs tasks in local processes; a task whose process died runs again in a process of its own.
+
+    A task that its time limit ended does not run again. Tasks that had not started when a process died start over.
+    """
+    waiting = tasks
+    while waiting:
+        lost = collector.collect(_computed(waiting, collector.store, workers))
+        notes = {task.name: deadline.take_note(collector.store.note(task), task.limit_s) for task in lost}
+        started = [task for task in lost if notes[task.name].started] or lost  # or no process started any task
+        for task in started:
+            timeout = notes[task.name].timeout
+            failure = TaskFailure(timeout, timed_out=True) if timeout else _run_alone(task, collector)
+            if failure is not None:
+                collector.failures[task.name] = failure
+        names = {task.name for task in started}
+        waiting = [task for task in lost if task.name not in names]
+
+
+def _run_alone(task: Task[R], collector: _Collector[R]) -> TaskFailure | None:
+    """Runs a task in a process of its own; why that process died, None if it did not."""
+    if not collector.collect(_computed([task], collector.store, 1)):
+        return None
+    timeout = deadline.take_note(collector.store.note(task), task.limit_s).timeout
+    return TaskFailure(timeout or "it ended its process", timed_out=bool(timeout))
+
+
+def _run_on_cluster(tasks: list[Task[R]], cluster: Cluster, collector: _Collector[R]) -> None:
+    """Runs tasks on a cluster's workers; the cluster itself repeats a task that lost its worker."""
+    by_key = {task.key: task for task in tasks}
+    calls = (Call(key, on_worker, (task, key)) for key, task in by_key.items())
+    with closing(cluster.answers(calls)) as answers:
+        collector.collect((by_key[call.name], future) for call, future in answers)
+
+
+def on_worker(task: Task[R], key: str, _slot: Slot) -> tuple[R, float]:
+    """Runs a task on a cluster's worker; its time limit ends the worker.
+
+    Raises NoCluster if the code on the worker differs from the code that computed ``key``.
+    """
+    if task.key != key:
+        what = "the code on this worker is another one"
+        raise NoCluster(platform.node(), what, "install the same versions on every worker, and restart them")
+    with tempfile.TemporaryDirectory(prefix="evalkit-") as folder:
+        return _run_with_note(task, Path(folder) / "note")
+
+
+def _run_with_note(task: Task[R], note: Path) -> tuple[R, float]:
+    with deadline.time_limit(note, task.limit_s):
+        return task.run()
+
+
+def _computed(tasks: list[Task[R]], store: TaskStore, workers: int) -> Iterator[Computed[R]]:
+    """The tasks in the order they finish, computed by processes with one thread and one core each."""
+    if not tasks:
+        return
+    store.create()
+    os.environ.update(environment.SINGLE_THREAD)  # inherited by the processes
+    pool = start_pool(workers, environment.core_of_each(workers))
+    try:
+        futures = {_submit(pool, task, store.note(task)): task for task in tasks}
+        for future in as_completed(futures):
+            yield futures[future], future
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _submit(pool: ProcessPoolExecutor, task: Task[R], note: Path) -> Future[tuple[R, float]]:
+    try:
+        return pool.submit(_run_with_note, task, note)
+    except BrokenProcessPool as error:  # an earlier task has ended its process already
+        future: Future[tuple[R, float]] = Future()
+        future.set_exception(error)
+        return future
+
+
+def _refuse_duplicates(names: list[str]) -> None:
+    duplicates = sorted({name for name in names if names.count(name) > 1}) if len(set(names)) < len(names) else []
+    if duplicates:
+        raise ValueError(f"tasks: two are named {duplicates[0]!r}")

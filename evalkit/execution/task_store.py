@@ -1,0 +1,58 @@
+"""A folder with the results of tasks, one file each; a file is written completely or not at all."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from evalkit.execution.task import R, Result, Task
+from evalkit.io import untrusted_io
+from evalkit.results.store import reported
+
+
+@dataclass(frozen=True)
+class TaskStore:
+    """The stored results of tasks in ``folder``."""
+
+    folder: Path
+
+    def create(self) -> None:
+        """Creates the folder. Raises StoreError if it cannot be written."""
+        with reported(self.folder):
+            self.folder.mkdir(parents=True, exist_ok=True)
+
+    def load(self, task: Task[R]) -> R | None:
+        """The stored result of a task, None if there is none that can be read."""
+        try:
+            arrays = untrusted_io.read_arrays(self.path(task))
+            content = untrusted_io.parse_json(str(arrays.pop("json")))
+        except (OSError, ValueError, KeyError):
+            return None
+        return cast(R, content | arrays) if isinstance(content, dict) else None
+
+    def path(self, task: Task[Result]) -> Path:
+        """The file of a task's result."""
+        return self.folder / f"{task.key}.npz"
+
+    def note(self, task: Task[Result]) -> Path:
+        """The file that exists while this process has the task computed."""
+        return self.folder / f"{task.key}.{os.getpid()}.running"
+
+    def save(self, task: Task[R], result: R) -> None:
+        """Writes the result of a task. Raises StoreError if the folder cannot be written."""
+        members: dict[str, Any] = {name: value for name, value in result.items() if isinstance(value, np.ndarray)}
+        rest = {name: value for name, value in result.items() if name not in members}
+        body = io.BytesIO()
+        np.savez_compressed(body, **members, json=np.array(json.dumps(rest)))
+        path = self.path(task)
+        part = path.with_name(f"{path.name}.{os.getpid()}.part")
+        self.create()
+        with reported(self.folder):
+            part.write_bytes(body.getvalue())
+            part.replace(path)
