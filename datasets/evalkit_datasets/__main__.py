@@ -69,12 +69,12 @@ def example_(
     as_json: options.Json = False,
 ) -> None:
     """Write a simulated drive as a ROS 2 bag, its true trajectory beside it: for who has no recording at hand."""
-    from evalkit_datasets import example  # noqa: PLC0415 - only who wants one pays for it
+    from evalkit_datasets import example_bag  # noqa: PLC0415 - only who wants one pays for it
 
-    if world not in example.WORLDS:
-        raise UnknownName("world", world, example.WORLDS)
-    given = from_text(world, example.WORLDS[world].parameters, options.settings(setting or []))
-    made = example.write(bag, world, given)
+    if world not in example_bag.WORLDS:
+        raise UnknownName("world", world, example_bag.WORLDS)
+    given = from_text(world, example_bag.WORLDS[world].parameters, options.settings(setting or []))
+    made = example_bag.write(bag, world, given)
     if as_json:
         options.print_json(asdict(made) | {"bag": str(made.bag), "truth": str(made.truth)})
         return

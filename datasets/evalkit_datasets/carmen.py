@@ -18,9 +18,9 @@ from evalkit.core.se2 import Floats, Stamps, between
 from evalkit.core.trajectory import Trajectory
 from evalkit.io.timestamps import order_stamps
 from evalkit.plugins.protocols import DatasetSpec, Parameter
-from evalkit_datasets import carmen_lines, recording
-from evalkit_datasets.carmen_lines import Log, Reading
-from evalkit_datasets.reordering import by_rank
+from evalkit_datasets import carmen_parser, reader_common
+from evalkit_datasets.buffers import sort_by_rank
+from evalkit_datasets.carmen_parser import Log, Reading
 
 CODES_M = (32.767,)
 """Ranges that mean no return wherever they occur, below every sensible ``range_max_m``."""
@@ -79,18 +79,20 @@ class Carmen:
         how: str = "",
         spans: str = "",
     ) -> None:
-        self._path = recording.existing("carmen", path)
+        self._path = reader_common.existing("carmen", path)
         self._range_max_m = range_max_m
         self._layout = start_deg, step_deg
         log = Log(self._layout)
         found = self._found(log)
         self._counts = {"damaged lines left out": log.damaged, "rear-laser lines left out": log.rear}
         whole = self._in_order(log, found)
-        self._taken = whole[recording.selection(start, every, limit)]
+        self._taken = whole[reader_common.selection(start, every, limit)]
         if not len(self._taken):
             raise BadData(str(path), "", f"start {start} lies beyond its {len(whole)} scans", "start earlier")
         self._base_from_sensor = (
-            _mounting(log, found) if base_from_sensor == "auto" else recording.sensor_pose("carmen", base_from_sensor)
+            _mounting(log, found)
+            if base_from_sensor == "auto"
+            else reader_common.sensor_pose("carmen", base_from_sensor)
         )
         self._codes = _no_return_codes(whole)
         self._odometry = self._odometry_at_scans(log, found, odometry)
@@ -103,11 +105,11 @@ class Carmen:
     def frames(self) -> Iterator[Frame]:
         """The scans in order of time, read from the log as they are asked for."""
         ranks = np.argsort(self._taken.lines)
-        lines = carmen_lines.readings_at(self._path, self._layout, self._taken.lines[ranks])
-        readings = by_rank(zip(ranks.tolist(), lines, strict=True))
+        lines = carmen_parser.readings_at(self._path, self._layout, self._taken.lines[ranks])
+        readings = sort_by_rank(zip(ranks.tolist(), lines, strict=True))
         for stamp, reading, row in zip(self._taken.stamps_ns, readings, self._odometry, strict=True):
             scan = Scan(int(stamp), self._clean(reading.ranges), reading.angles, 0.0, self._range_max_m)
-            yield Frame(scan, self._base_from_sensor, recording.pose_or_none(row))
+            yield Frame(scan, self._base_from_sensor, reader_common.pose_or_none(row))
 
     def truth(self) -> Truth:
         """Relations and reference trajectory of the files given; the log's own poses where they are corrected ones."""
@@ -115,13 +117,13 @@ class Carmen:
 
     def notes(self) -> Mapping[str, int]:
         """Defects met and handled, counted by name."""
-        return recording.counted(self._counts)
+        return reader_common.counted(self._counts)
 
     def _found(self, log: Log) -> _Scans:
         """All scans in the order of the file; the other lines go into the log."""
         stamps, lines, invalid = array("q"), array("q"), array("q")
         laser, robot, longest = array("d"), array("d"), array("d")
-        for number, reading in carmen_lines.readings(self._path, log):
+        for number, reading in carmen_parser.readings(self._path, log):
             stamps.append(reading.stamp_ns)
             lines.append(number)
             laser.extend(reading.laser)
@@ -205,14 +207,14 @@ class Carmen:
         self._counts |= {
             "odometry out of order": order.backwards,
             "odometry with a repeated stamp left out": order.repeated,
-            **recording.odometry_counts(odometry, self._taken.stamps_ns),
+            **reader_common.odometry_counts(odometry, self._taken.stamps_ns),
         }
-        return recording.odometry_at(odometry, self._taken.stamps_ns)
+        return reader_common.odometry_at(odometry, self._taken.stamps_ns)
 
     def _known(self, log: Log, whole: _Scans, relations: str, reference: str, spans: str, how: str) -> Truth:
         span = int(whole.stamps_ns[0]), int(whole.stamps_ns[-1])
         how = how or _how(relations, reference, spans, log.poses_from)
-        truth, counts = recording.truth_from_files(self._taken.stamps_ns, span, relations, reference, how, spans)
+        truth, counts = reader_common.truth_from_files(self._taken.stamps_ns, span, relations, reference, how, spans)
         self._counts |= counts
         if truth.trajectory is not None or not log.poses_from:
             return truth
@@ -261,7 +263,7 @@ def _how(relations: str, reference: str, spans: str, poses_from: str) -> str:
 
 
 def _missing(path: str = "", **given: object) -> str:
-    return recording.missing_files("carmen", [("path", path), *recording.truth_files(given)])
+    return reader_common.missing_files("carmen", [("path", path), *reader_common.truth_files(given)])
 
 
 SPEC = DatasetSpec(
@@ -274,14 +276,14 @@ SPEC = DatasetSpec(
     suffixes=(".log", ".clf", ".log.gz", ".clf.gz", ".gfs"),
     parameters=(
         Parameter("path", "", "", "the log"),
-        *recording.TRUTH,
+        *reader_common.TRUTH,
         Parameter("odometry", "auto", "", "what serves as wheel odometry",
                   choices=("auto", "odom-lines", "scan-poses", "none")),
         Parameter("range_max_m", 50.0, "m", "this range and longer means no return", low=0.1),
         Parameter("base_from_sensor", "auto", "", "where the laser sits: 'auto' or 'x y theta' in m, m, rad"),
         Parameter("start_deg", -90.0, "deg", "angle of the first beam of a FLASER line", low=-360.0, high=360.0),
         Parameter("step_deg", 0.0, "deg", "angle between its beams; 0: by their number", low=0.0, high=10.0),
-        *recording.SELECTION,
+        *reader_common.SELECTION,
     ),
     missing=_missing,
     thinned_by="every",

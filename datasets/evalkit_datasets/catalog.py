@@ -23,7 +23,7 @@ FETCH = "evalkit datasets fetch"
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
+class CatalogFile:
     """The card of one file. ``path``: below the data folder. ``bytes``: 0 where not known.
 
     Checked by ``sha256`` or, where only that is known, by the id of its git blob. Without ``url`` it cannot be
@@ -51,13 +51,13 @@ class Entry:
 
 
 @cache
-def entries() -> Mapping[str, Entry]:
+def entries() -> Mapping[str, CatalogFile]:
     """All files by name."""
     text = resources.files("evalkit_datasets").joinpath("catalog.toml").read_text(encoding="utf-8")
     return MappingProxyType({name: _entry(name, card) for name, card in parse_toml(text)["files"].items()})
 
 
-def entry(name: str) -> Entry:
+def entry(name: str) -> CatalogFile:
     """The card of a file; UnknownName lists the known ones."""
     if name not in entries():
         raise UnknownName("recorded file", name, entries())
@@ -71,7 +71,7 @@ def cache_folder() -> Path:
     return Path(pooch.os_cache("evalkit"))
 
 
-def found(card: Entry) -> Path | None:
+def found(card: CatalogFile) -> Path | None:
     """Where the file is on this machine, not yet verified; None where it is not."""
     return next((path for path in _places(card) if path.is_file()), None)
 
@@ -98,7 +98,7 @@ def missing(dataset: str, names: Iterable[str]) -> str:
     return f"{(underived or absent)[0].name}{more}: {what}; {remedy if underived else f'fetch it: {FETCH} {dataset}'}"
 
 
-def verify(card: Entry, path: Path) -> None:
+def verify(card: CatalogFile, path: Path) -> None:
     """Nothing where the file's content is the catalogued one, BadData otherwise."""
     size = path.stat().st_size
     if card.bytes and size != card.bytes:
@@ -114,17 +114,17 @@ def verify(card: Entry, path: Path) -> None:
         raise BadData(str(path), "", f"{kind} {seen[:12]}... instead of {known[:12]}...", _other_copy(card))
 
 
-def _entry(name: str, card: Mapping[str, object]) -> Entry:
+def _entry(name: str, card: Mapping[str, object]) -> CatalogFile:
     lists = {key: tuple(value) for key, value in card.items() if isinstance(value, list)}
-    return Entry(name=name, **{**card, **lists})  # type: ignore[arg-type]  # the test of the catalogue checks the types
+    return CatalogFile(name=name, **{**card, **lists})  # type: ignore[arg-type]  # the test of the catalogue checks the types
 
 
-def _places(card: Entry) -> list[Path]:
+def _places(card: CatalogFile) -> list[Path]:
     folder = os.environ.get(VARIABLE)
     return [Path(place) / card.path for place in (folder, cache_folder()) if place]
 
 
-def _absence(card: Entry) -> tuple[str, str]:
+def _absence(card: CatalogFile) -> tuple[str, str]:
     """What is absent, and the exact way to get it."""
     folder = os.environ.get(VARIABLE)
     searched = f"{VARIABLE}={folder}" if folder else f"{VARIABLE} (not set)"
@@ -134,7 +134,7 @@ def _absence(card: Entry) -> tuple[str, str]:
     return f"{what}, and it has no public address ({card.derived})", without_address(card)
 
 
-def without_address(card: Entry) -> str:
+def without_address(card: CatalogFile) -> str:
     """What to do about a file that cannot be downloaded."""
     own = f"set {VARIABLE} to a folder that holds {card.path}"
     if not card.instead:
@@ -142,5 +142,5 @@ def without_address(card: Entry) -> str:
     return f"{own}, or fetch in its place: {FETCH} {' '.join(card.instead)}"
 
 
-def _other_copy(card: Entry) -> str:
+def _other_copy(card: CatalogFile) -> str:
     return f"remove it and fetch it again: {FETCH} {card.name}" if card.url else "replace it by a good copy"

@@ -8,7 +8,7 @@ from typing import Any, BinaryIO
 
 from evalkit.core.errors import BadData, DataMissing
 from evalkit_datasets import catalog
-from evalkit_datasets.catalog import Entry
+from evalkit_datasets.catalog import CatalogFile
 
 MAX_BYTES = 2**32
 """Of a file whose size the catalogue does not know."""
@@ -43,7 +43,7 @@ def fetch(name: str, progress: Progress = _silent) -> Path:
     return target
 
 
-def _damaged(card: Entry, path: Path) -> bool:
+def _damaged(card: CatalogFile, path: Path) -> bool:
     try:
         catalog.verify(card, path)
     except BadData:
@@ -51,7 +51,7 @@ def _damaged(card: Entry, path: Path) -> bool:
     return False
 
 
-def _accept(card: Entry, part: Path) -> None:
+def _accept(card: CatalogFile, part: Path) -> None:
     """Deletes what is not the catalogued file and says so."""
     try:
         catalog.verify(card, part)
@@ -63,7 +63,7 @@ def _accept(card: Entry, part: Path) -> None:
         ) from None
 
 
-def _download(card: Entry, part: Path, progress: Progress) -> None:
+def _download(card: CatalogFile, part: Path, progress: Progress) -> None:
     """Fills the part file up to the whole; a server that knows no ranges sends all of it again."""
     begun = part.stat().st_size if part.is_file() else 0
     if card.bytes and begun >= card.bytes:
@@ -87,7 +87,7 @@ def _download(card: Entry, part: Path, progress: Progress) -> None:
         ) from error
 
 
-def _request(card: Entry, file: BinaryIO, begun: int, progress: Progress) -> None:
+def _request(card: CatalogFile, file: BinaryIO, begun: int, progress: Progress) -> None:
     import pooch  # noqa: PLC0415 - heavy, and only downloads need it
 
     sink = _Counted(file, card.bytes, progress)

@@ -11,7 +11,7 @@ from evalkit.core.se2 import Floats, Stamps
 
 
 @dataclass(frozen=True)
-class Lidar:
+class LidarModel:
     """A lidar that turns clockwise and fires at a steady pace; the defaults are the paper's RPLIDAR A2M8.
 
     8,000 samples a second at 5 to 15 revolutions a second give the paper's 1,600 to 533 beams; the limits are the

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from evalkit.core.se2 import Floats
 from evalkit.core.world import World
-from evalkit_datasets.robot import Drive
+from evalkit_datasets.robot import RouteDrive
 
 RADIUS_M = 0.25
 """A person is a disc this wide each side."""
@@ -45,7 +45,7 @@ class Walk:
 
 
 def walks(
-    people: int, world: World, drive: Drive, speed_mps: float, generator: np.random.Generator
+    people: int, world: World, drive: RouteDrive, speed_mps: float, generator: np.random.Generator
 ) -> tuple[Walk, ...]:
     """The ways of so many people for as long as a drive lasts: from place to place near its route, not through walls.
 
@@ -54,7 +54,7 @@ def walks(
     return tuple(_walk(world, drive, speed_mps, generator) for _ in range(people))
 
 
-def _walk(world: World, drive: Drive, speed_mps: float, generator: np.random.Generator) -> Walk:
+def _walk(world: World, drive: RouteDrive, speed_mps: float, generator: np.random.Generator) -> Walk:
     places = _places(world, drive, generator)
     begin = max((next(places) for _ in range(20)), key=lambda place: _berth(drive, place, place, 0.0, 1.0))
     points, seconds = [begin], [0.0]
@@ -78,7 +78,7 @@ def _walk(world: World, drive: Drive, speed_mps: float, generator: np.random.Gen
     return Walk(np.array(points), np.array(seconds))
 
 
-def _places(world: World, drive: Drive, generator: np.random.Generator) -> Iterator[Floats]:
+def _places(world: World, drive: RouteDrive, generator: np.random.Generator) -> Iterator[Floats]:
     """Places (2,) a person can stand at, in sight of the route."""
     while True:
         on_route = drive.route.at(generator.uniform(0.0, drive.route.length_m, 1))[0, :2]
@@ -93,7 +93,7 @@ def _clear(world: World, start: Floats, end: Floats) -> bool:
     return bool(world.clearance(start + steps[:, None] * (end - start)).min() > RADIUS_M)
 
 
-def _berth(drive: Drive, start: Floats, end: Floats, begins_s: float, ends_s: float) -> float:
+def _berth(drive: RouteDrive, start: Floats, end: Floats, begins_s: float, ends_s: float) -> float:
     """How near (m) the robot's base comes to somebody who walks from start to end meanwhile."""
     stamps = np.arange(int(begins_s * 1e9), int(ends_s * 1e9) + _LOOK_NS, _LOOK_NS)
     share = np.clip((stamps * 1e-9 - begins_s) / (ends_s - begins_s), 0.0, 1.0)

@@ -13,7 +13,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.trajectory import Trajectory
 from evalkit.io import map_server
 from evalkit.plugins.protocols import DatasetSpec, Parameter, Published
-from evalkit_datasets import catalog, recording
+from evalkit_datasets import catalog, reader_common
 from evalkit_datasets.carmen import Carmen
 from evalkit_datasets.rosbag import RosBag
 
@@ -135,7 +135,7 @@ FR079 = DatasetSpec(
         _published("RBPF (GMapping)", 0.061, 0.044),
         _published("graph mapping", 0.056, 0.042),
     ),
-    parameters=recording.SELECTION,
+    parameters=reader_common.SELECTION,
     missing=partial(_missing, "fr079"),
     thinned_by="every",
     excerpts={"full": {"limit": 600}, "quick": {"limit": 90}},
@@ -154,7 +154,7 @@ INTEL = DatasetSpec(
         _published("RBPF (GMapping)", 0.070, 0.083),
         _published("graph mapping", 0.031, 0.026),
     ),
-    parameters=recording.SELECTION,
+    parameters=reader_common.SELECTION,
     missing=partial(_missing, "intel"),
     thinned_by="every",
 )
@@ -167,7 +167,7 @@ TURTLEBOT4 = DatasetSpec(
     citation=_card("turtlebot4", "citation"),
     licence=_card("turtlebot4", "licence"),
     defects=_defects("turtlebot4"),
-    parameters=recording.SELECTION,
+    parameters=reader_common.SELECTION,
     missing=partial(_missing, "turtlebot4"),
     thinned_by="every",
 )
@@ -180,7 +180,7 @@ WHEELCHAIR = DatasetSpec(
     citation=_card("wheelchair", "citation"),
     licence=_card("wheelchair", "licence"),
     defects=_defects("wheelchair"),
-    parameters=(_topic("/right_scan", "/left_scan", "/rear_scan"), *recording.SELECTION),
+    parameters=(_topic("/right_scan", "/left_scan", "/rear_scan"), *reader_common.SELECTION),
     missing=partial(_missing, "wheelchair"),
     thinned_by="every",
 )
@@ -193,7 +193,7 @@ STATIC = DatasetSpec(
     citation=_card("static", "citation"),
     licence=_card("static", "licence"),
     defects=_defects("static"),
-    parameters=(_topic("/front_scan", "/rear_scan"), *recording.SELECTION),
+    parameters=(_topic("/front_scan", "/rear_scan"), *reader_common.SELECTION),
     missing=partial(_missing, "static"),
     thinned_by="every",
 )
@@ -206,7 +206,7 @@ BACKPACK = DatasetSpec(
     citation=_card("backpack", "citation"),
     licence=_card("backpack", "licence"),
     defects=_defects("backpack"),
-    parameters=recording.SELECTION,
+    parameters=reader_common.SELECTION,
     missing=partial(_missing, "backpack"),
     thinned_by="every",
 )

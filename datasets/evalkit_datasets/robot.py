@@ -100,7 +100,7 @@ class Route:
 
 
 @dataclass(frozen=True)
-class Drive:
+class RouteDrive:
     """One drive along a route from rest to rest: steady acceleration, steady speed, steady braking.
 
     ``laps`` may be any share of a lap; time starts at 0. ``most_yaw_rate`` (rad/s): the drive slows down where a curve
@@ -119,7 +119,7 @@ class Drive:
                 raise ValueError(f"{name}: expected a positive number, got {getattr(self, name)}")
 
     @classmethod
-    def turning_at(cls, route: Route, speed_mps: float, laps: float, yaw_rate: float) -> Drive:
+    def turning_at(cls, route: Route, speed_mps: float, laps: float, yaw_rate: float) -> RouteDrive:
         """The drive whose turns all go at ``yaw_rate`` (rad/s): turns are tightened to it, then slowed down to it."""
         return cls(route.tightened(speed_mps / yaw_rate), speed_mps, laps, most_yaw_rate=yaw_rate)
 
@@ -197,7 +197,7 @@ class Drive:
 
 
 @dataclass(frozen=True)
-class WheelOdometry:
+class WheelOdometryModel:
     """Wheel encoders and a gyroscope at 100 Hz: the paper names them without figures, so these are assumed.
 
     ``scale``: 1 sigma of the wheels' scale error, a share, drawn once a run. ``velocity_noise_mps``: of every reading.
@@ -212,7 +212,7 @@ class WheelOdometry:
     slips: Episodes = NEVER
     slip_mps: float = 0.5
 
-    def poses(self, drive: Drive, stamps_ns: ArrayLike, generator: np.random.Generator) -> Floats:
+    def poses(self, drive: RouteDrive, stamps_ns: ArrayLike, generator: np.random.Generator) -> Floats:
         """What dead reckoning answers, ``odom_from_base`` (N, 3) at times (N,) of a drive: the identity at time 0.
 
         A reading holds until the next one; its velocities are integrated exactly on SE(2), also between readings.
@@ -233,7 +233,7 @@ class WheelOdometry:
         return np.column_stack([poses[:, :2], se2.wrap(poses[:, 2])])[places]
 
     def _travelled(
-        self, drive: Drive, times: Stamps, noise: Floats, scale: float, bias: float, start: Floats
+        self, drive: RouteDrive, times: Stamps, noise: Floats, scale: float, bias: float, start: Floats
     ) -> Floats:
         """``odom_from_base`` (N, 3) at times (N,) from its value at the first on, headings not wrapped.
 

@@ -21,10 +21,9 @@ from evalkit.core.se2 import Floats, Stamps, between, compose
 from evalkit.core.trajectory import Trajectory
 from evalkit.io.timestamps import order_stamps
 from evalkit.plugins.protocols import DatasetSpec, Parameter
-from evalkit_datasets import bag, recording
-from evalkit_datasets.bag import Contents, Scans, Sweep
-from evalkit_datasets.reordering import by_rank
-from evalkit_datasets.samples import Samples
+from evalkit_datasets import reader_common, rosbag_parser
+from evalkit_datasets.buffers import PoseBuffer, sort_by_rank
+from evalkit_datasets.rosbag_parser import Contents, Scans, Sweep
 from evalkit_datasets.transforms import Mounting
 
 BASE_FRAMES = ("base_link", "base_footprint", "base")
@@ -52,9 +51,9 @@ class RosBag:
         how: str = "",
         spans: str = "",
     ) -> None:
-        self._path = recording.existing("rosbag", path)
-        which = recording.selection(start, every, limit)
-        whole, contents = bag.read(self._path, topic, which)
+        self._path = reader_common.existing("rosbag", path)
+        which = reader_common.selection(start, every, limit)
+        whole, contents = rosbag_parser.read(self._path, topic, which)
         self._counts = self._counted(whole, contents)
         self._scans = whole.chosen(which)
         if not len(self._scans):
@@ -64,14 +63,14 @@ class RosBag:
         self._mounting = (
             self._mounting_on(contents, base, bool(base_frame))
             if base_from_sensor == "auto"
-            else Mounting(recording.sensor_pose("rosbag", base_from_sensor))
+            else Mounting(reader_common.sensor_pose("rosbag", base_from_sensor))
         )
         if self._odometry is not None and child != base:
             self._odometry = self._moved_to_base(contents, self._odometry, child, base)
         self._poses, self._motions = self._at_scans()
         how = how or ("files given by the user" if relations or reference or spans else "none")
         span = int(whole.stamps_ns[0]), int(whole.stamps_ns[-1])
-        self._truth, cut = recording.truth_from_files(self.stamps_ns, span, relations, reference, how, spans)
+        self._truth, cut = reader_common.truth_from_files(self.stamps_ns, span, relations, reference, how, spans)
         self._counts |= cut
         self._counts["invalid ranges (nan, zero, negative or under the minimum)"] = int(self._scans.invalid.sum())
 
@@ -85,7 +84,7 @@ class RosBag:
 
     def frames(self) -> Iterator[Frame]:
         """The scans in order of time, read from the file as they are asked for."""
-        sweeps = by_rank(bag.sweeps(self._path, self._scans))
+        sweeps = sort_by_rank(rosbag_parser.sweeps(self._path, self._scans))
         for sweep, pose, motion in zip(sweeps, self._poses, self._motions, strict=True):
             angles = sweep.angles()
             if self._mounting.mirrored:
@@ -93,7 +92,10 @@ class RosBag:
             limits = sweep.range_min_m, sweep.range_max_m
             scan = Scan(sweep.stamp_ns, _clean(sweep), angles, *limits, sweep.time_increment_ns)
             yield Frame(
-                scan, self._mounting.base_from_sensor, recording.pose_or_none(pose), recording.pose_or_none(motion)
+                scan,
+                self._mounting.base_from_sensor,
+                reader_common.pose_or_none(pose),
+                reader_common.pose_or_none(motion),
             )
 
     def truth(self) -> Truth:
@@ -102,7 +104,7 @@ class RosBag:
 
     def notes(self) -> Mapping[str, int]:
         """Defects met and handled, counted by name."""
-        return recording.counted(self._counts)
+        return reader_common.counted(self._counts)
 
     def _counted(self, whole: Scans, contents: Contents) -> dict[str, int]:
         if not len(whole):
@@ -110,7 +112,7 @@ class RosBag:
                 str(self._path),
                 "",
                 f"none of its {contents.damaged} laser messages makes sense (angles, limits or number of beams)",
-                bag.FETCH_AGAIN,
+                rosbag_parser.FETCH_AGAIN,
             )
         return {
             "scans out of order": whole.backwards,
@@ -191,11 +193,11 @@ class RosBag:
         nothing = np.full((len(self), 3), np.nan)
         if self._odometry is None:
             return nothing, nothing
-        self._counts |= recording.odometry_counts(self._odometry, self.stamps_ns)
+        self._counts |= reader_common.odometry_counts(self._odometry, self.stamps_ns)
         ends = self.stamps_ns + self._scans.durations_ns
-        poses = recording.odometry_at(self._odometry, self.stamps_ns)
-        motions = recording.odometry_at(self._odometry, ends)
-        for some in recording.blocks(len(self)):
+        poses = reader_common.odometry_at(self._odometry, self.stamps_ns)
+        motions = reader_common.odometry_at(self._odometry, ends)
+        for some in reader_common.blocks(len(self)):
             motions[some] = between(poses[some], motions[some])
         motions[~_covered(self._odometry, self.stamps_ns, ends)] = np.nan
         return poses, motions
@@ -213,20 +215,20 @@ def _covered(odometry: Trajectory, begins: Stamps, ends: Stamps) -> Bools:
 
 def _odometry_frames(contents: Contents, base_frame: str) -> tuple[str, str]:
     """The two frames of the transform that is odometry: from "odom" to the base asked for, or the likeliest one."""
-    children = [child for parent, child in contents.tree.moving if parent == bag.ODOMETRY_FRAME]
+    children = [child for parent, child in contents.tree.moving if parent == rosbag_parser.ODOMETRY_FRAME]
     for name in (base_frame, *BASE_FRAMES, *sorted(children)):
         if name in children:
-            return bag.ODOMETRY_FRAME, name
-    return bag.ODOMETRY_FRAME, ""
+            return rosbag_parser.ODOMETRY_FRAME, name
+    return rosbag_parser.ODOMETRY_FRAME, ""
 
 
-def _samples(contents: Contents, parent: str, child: str) -> list[Samples]:
+def _samples(contents: Contents, parent: str, child: str) -> list[PoseBuffer]:
     """What tf tells of two frames; nothing where it is silent."""
     path = contents.tree.paths.get((parent, child))
     return [] if path is None else [path]
 
 
-def _joined(parts: list[Samples]) -> Trajectory:
+def _joined(parts: list[PoseBuffer]) -> Trajectory:
     """All poses in order of time, of equal times the first."""
     if len(parts) == 1 and (np.diff(parts[0].stamps_ns) > 0).all():  # as it should be
         return Trajectory(parts[0].stamps_ns, parts[0].poses, "odom", "base")
@@ -236,7 +238,7 @@ def _joined(parts: list[Samples]) -> Trajectory:
 
 
 def _missing(path: str = "", **given: object) -> str:
-    return recording.missing_files("rosbag", [("path", path), *recording.truth_files(given)])
+    return reader_common.missing_files("rosbag", [("path", path), *reader_common.truth_files(given)])
 
 
 SPEC = DatasetSpec(
@@ -250,11 +252,11 @@ SPEC = DatasetSpec(
     parameters=(
         Parameter("path", "", "", "the bag: a .bag, .db3 or .mcap file, or the folder of a ROS 2 bag"),
         Parameter("topic", "", "", "the laser's topic; empty: the only one there is"),
-        *recording.TRUTH,
+        *reader_common.TRUTH,
         Parameter("odometry", "auto", "", "'auto', a topic of nav_msgs/Odometry, 'tf' or 'none'"),
         Parameter("base_frame", "", "", "the frame poses are given for; empty: the odometry's, else base_link"),
         Parameter("base_from_sensor", "auto", "", "where the lidar sits: 'auto' (tf) or 'x y theta' in m, m, rad"),
-        *recording.SELECTION,
+        *reader_common.SELECTION,
     ),
     missing=_missing,
     thinned_by="every",

@@ -18,9 +18,9 @@ from evalkit.plugins.protocols import DatasetSpec, Excerpt, Parameter, Value, re
 from evalkit_datasets import floorplans
 from evalkit_datasets.disturbances import NEVER, Episodes
 from evalkit_datasets.floorplans import FloorPlan
-from evalkit_datasets.lidar import Lidar
+from evalkit_datasets.lidar import LidarModel
 from evalkit_datasets.pedestrians import Walk, walks
-from evalkit_datasets.robot import Drive, Route, WheelOdometry
+from evalkit_datasets.robot import Route, RouteDrive, WheelOdometryModel
 from evalkit_datasets.true_map import build_true_grid
 
 _SCANS_AT_ONCE = 32  # simulated together: keeps the memory of a run small beside the back end's own
@@ -40,9 +40,9 @@ class Synthetic:
     def __init__(
         self,
         plan: FloorPlan,
-        drive: Drive,
-        lidar: Lidar,
-        odometry: WheelOdometry,
+        drive: RouteDrive,
+        lidar: LidarModel,
+        odometry: WheelOdometryModel,
         base_from_sensor: Pose,
         seed: int = 0,
         resolution_m: float = 0.05,
@@ -188,8 +188,8 @@ def sequence(plan: Callable[[], FloorPlan], base_from_sensor: Pose, **parameters
     return Synthetic(
         drawn,
         _drive(drawn.route, number["speed_mps"], number["laps"], float(np.radians(number["turn_dps"]))),
-        Lidar(number["rate_hz"], number["noise_m"], number["dropout"]),
-        WheelOdometry(
+        LidarModel(number["rate_hz"], number["noise_m"], number["dropout"]),
+        WheelOdometryModel(
             number["odometry_scale"],
             number["velocity_noise_mps"],
             float(np.radians(number["gyro_bias_dps"])),
@@ -206,8 +206,8 @@ def sequence(plan: Callable[[], FloorPlan], base_from_sensor: Pose, **parameters
     )
 
 
-def _drive(route: Route, speed_mps: float, laps: float, yaw_rate: float) -> Drive:
-    return Drive.turning_at(route, speed_mps, laps, yaw_rate) if yaw_rate else Drive(route, speed_mps, laps)
+def _drive(route: Route, speed_mps: float, laps: float, yaw_rate: float) -> RouteDrive:
+    return RouteDrive.turning_at(route, speed_mps, laps, yaw_rate) if yaw_rate else RouteDrive(route, speed_mps, laps)
 
 
 def _spec(

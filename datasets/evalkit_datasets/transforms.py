@@ -10,7 +10,7 @@ import numpy as np
 
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
-from evalkit_datasets.samples import Samples
+from evalkit_datasets.buffers import PoseBuffer
 
 MAX_TILT_RAD = math.radians(30.0)
 
@@ -24,7 +24,7 @@ class Mounting:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Edge:
+class Transform:
     """One transform ``parent_from_child`` (4, 4) at one time."""
 
     stamp_ns: int
@@ -34,27 +34,29 @@ class Edge:
 
 
 @dataclass(eq=False)
-class Tree:
+class TransformTree:
     """Transforms by child frame, static ones before moving ones; a frame may be published under several parents.
 
     ``near_ns``: of those that move only the one nearest to this time is kept, None: all are. ``followed``: parents
     whose moving children keep their planar poses, too, in ``paths``.
     """
 
-    static: dict[str, dict[str, Edge]] = field(default_factory=dict)
-    moving: dict[tuple[str, str], list[Edge]] = field(default_factory=dict)
+    static: dict[str, dict[str, Transform]] = field(default_factory=dict)
+    moving: dict[tuple[str, str], list[Transform]] = field(default_factory=dict)
     near_ns: int | None = None
     followed: frozenset[str] = frozenset()
-    paths: dict[tuple[str, str], Samples] = field(default_factory=dict)
+    paths: dict[tuple[str, str], PoseBuffer] = field(default_factory=dict)
 
-    def add(self, edge: Edge, static: bool) -> None:
+    def add(self, edge: Transform, static: bool) -> None:
         """Takes in one transform; of static ones the last said counts, as in tf2."""
         if static:
             self.static.setdefault(edge.child, {})[edge.parent] = edge
             return
         pair = edge.parent, edge.child
         if edge.parent in self.followed:
-            self.paths.setdefault(pair, Samples()).append(edge.stamp_ns, planar(edge.parent_from_child).row)
+            self.paths.setdefault(pair, PoseBuffer()).append(
+                edge.stamp_ns, planar_pose_from_matrix(edge.parent_from_child).row
+            )
         kept = self.moving.setdefault(pair, [])
         if self.near_ns is None or not kept:
             kept.append(edge)
@@ -78,7 +80,7 @@ class Tree:
         tilt = math.acos(abs(upright))
         if tilt > MAX_TILT_RAD:
             raise ValueError(f"'{sensor}' is tilted by {math.degrees(tilt):.0f} deg to the plane of '{base}'")
-        return Mounting(planar(matrix), upright < 0.0)
+        return Mounting(planar_pose_from_matrix(matrix), upright < 0.0)
 
     def _between(self, base: str, sensor: str, stamp_ns: int) -> Floats | None:
         """``base_from_sensor`` (4, 4) along the tree, breadth first."""
@@ -99,7 +101,7 @@ class Tree:
             yield from _from(frame, [min(edges, key=lambda edge: abs(edge.stamp_ns - stamp_ns))])
 
 
-def _from(frame: str, edges: Iterable[Edge]) -> Iterable[tuple[str, Floats]]:
+def _from(frame: str, edges: Iterable[Transform]) -> Iterable[tuple[str, Floats]]:
     for edge in edges:
         if edge.parent == frame:
             yield edge.child, edge.parent_from_child
@@ -107,12 +109,14 @@ def _from(frame: str, edges: Iterable[Edge]) -> Iterable[tuple[str, Floats]]:
             yield edge.parent, np.asarray(np.linalg.inv(edge.parent_from_child), dtype=np.float64)
 
 
-def planar(matrix: Floats) -> Pose:
+def planar_pose_from_matrix(matrix: Floats) -> Pose:
     """x, y and the direction of the x axis, seen from above, of a transform (4, 4)."""
     return Pose(float(matrix[0, 3]), float(matrix[1, 3]), math.atan2(matrix[1, 0], matrix[0, 0]))
 
 
-def matrix_of(translation: tuple[float, float, float], quaternion: tuple[float, float, float, float]) -> Floats:
+def matrix_from_quaternion(
+    translation: tuple[float, float, float], quaternion: tuple[float, float, float, float]
+) -> Floats:
     """The transform (4, 4) of a translation (m) and a quaternion (x, y, z, w); ValueError where it is no rotation."""
     length = math.sqrt(sum(part * part for part in quaternion))
     if not (math.isfinite(sum(translation)) and abs(length - 1.0) < 0.05):

@@ -11,8 +11,8 @@ import numpy as np
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats
 from evalkit_datasets import floorplans
-from evalkit_datasets.lidar import Lidar
-from evalkit_datasets.robot import Drive, WheelOdometry
+from evalkit_datasets.lidar import LidarModel
+from evalkit_datasets.robot import RouteDrive, WheelOdometryModel
 from evalkit_datasets.synthetic import LAB, Synthetic
 
 KINDS = ("sqlite3", "mcap", "ros1")
@@ -26,8 +26,8 @@ def drive(scans: int, beams: int) -> Synthetic:
     plan = floorplans.lab()
     laps = scans / RATE_HZ * SPEED_MPS / plan.route.length_m
     sensor = LAB.make(laps=0.02).base_from_sensor
-    lidar = Lidar(RATE_HZ, samples_per_s=round(beams * RATE_HZ))
-    return Synthetic(plan, Drive(plan.route, SPEED_MPS, laps), lidar, WheelOdometry(), sensor)
+    lidar = LidarModel(RATE_HZ, samples_per_s=round(beams * RATE_HZ))
+    return Synthetic(plan, RouteDrive(plan.route, SPEED_MPS, laps), lidar, WheelOdometryModel(), sensor)
 
 
 def write(folder: Path, kind: str, scans: int, beams: int = 90) -> Path:

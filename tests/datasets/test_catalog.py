@@ -8,7 +8,7 @@ import pytest
 
 from evalkit.core.errors import BadData, DataMissing, UnknownName
 from evalkit_datasets import catalog, recorded
-from evalkit_datasets.catalog import Entry
+from evalkit_datasets.catalog import CatalogFile
 
 
 @pytest.fixture
@@ -21,7 +21,7 @@ def folders(tmp_path, monkeypatch):
 
 def card(content=b"hello", **changes):
     known = {"sha256": hashlib.sha256(content).hexdigest(), "bytes": len(content), **changes}
-    return Entry("a.log", "set/a.log", "a log", "MIT", "somebody", **known)
+    return CatalogFile("a.log", "set/a.log", "a log", "MIT", "somebody", **known)
 
 
 def put(folder, content):
@@ -34,8 +34,8 @@ def put(folder, content):
 @pytest.mark.parametrize("name", list(catalog.entries()))
 def test_every_card_is_complete(name):
     entry = catalog.entry(name)
-    kinds = {field.name: field.type for field in fields(Entry)}
-    for field in fields(Entry):
+    kinds = {field.name: field.type for field in fields(CatalogFile)}
+    for field in fields(CatalogFile):
         expected = {"str": str, "int": int, "tuple[str, ...]": tuple}[kinds[field.name]]
         assert isinstance(getattr(entry, field.name), expected), field.name
     assert entry.summary

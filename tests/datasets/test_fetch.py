@@ -10,7 +10,7 @@ import pytest
 
 from evalkit.core.errors import BadData, DataMissing
 from evalkit_datasets import catalog
-from evalkit_datasets.catalog import Entry
+from evalkit_datasets.catalog import CatalogFile
 from evalkit_datasets.fetch import fetch
 
 CONTENT = bytes(range(256)) * 2000
@@ -58,7 +58,9 @@ def known(server, tmp_path, monkeypatch):
 
     def catalogued(path="/file", **changes):
         url = f"http://127.0.0.1:{server.server_port}{path}" if path else ""
-        card = Entry("a.log", "set/a.log", "", "", "", hashlib.sha256(CONTENT).hexdigest(), bytes=len(CONTENT), url=url)
+        card = CatalogFile(
+            "a.log", "set/a.log", "", "", "", hashlib.sha256(CONTENT).hexdigest(), bytes=len(CONTENT), url=url
+        )
         monkeypatch.setattr(catalog, "entries", lambda: MappingProxyType({"a.log": replace(card, **changes)}))
         return tmp_path / "cache" / "set" / "a.log"
 
@@ -173,5 +175,5 @@ def test_a_server_that_sends_more_than_the_file_has_does_not_fill_the_disk(known
 )
 def test_a_file_of_the_catalogue_lies_below_the_data_folder(path):
     with pytest.raises(ValueError, match="path: expected one below the data folder"):
-        Entry("a.log", path, "", "", "")
+        CatalogFile("a.log", path, "", "", "")
     assert {entry.path for entry in catalog.entries().values()}

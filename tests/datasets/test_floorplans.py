@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from evalkit_datasets import floorplans
-from evalkit_datasets.robot import Drive
+from evalkit_datasets.robot import RouteDrive
 
 PLANS = {name: getattr(floorplans, name)() for name in ("room", "lab", "loop", "corridor", "office")}
 
@@ -25,7 +25,7 @@ def test_a_route_is_as_long_as_its_description_says(name, length_m):
     ("name", "fastest_dps"), [("room", 69), ("lab", 69), ("loop", 69), ("corridor", 43), ("office", 69)]
 )
 def test_a_route_turns_as_fast_as_its_description_says(name, fastest_dps):
-    assert np.degrees(Drive(PLANS[name].route, 0.3).top_yaw_rate) == pytest.approx(fastest_dps, abs=0.5)
+    assert np.degrees(RouteDrive(PLANS[name].route, 0.3).top_yaw_rate) == pytest.approx(fastest_dps, abs=0.5)
 
 
 @pytest.mark.parametrize("name", ["room", "lab", "loop"])

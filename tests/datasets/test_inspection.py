@@ -15,13 +15,13 @@ from evalkit.config import experiment
 from evalkit.core.errors import BadData
 from evalkit_datasets.inspection import driving as driven
 from evalkit_datasets.inspection.command import inspect
-from evalkit_datasets.inspection.driving import driving, turning
-from evalkit_datasets.inspection.examination import examine
+from evalkit_datasets.inspection.inspector import inspect_recording
+from evalkit_datasets.inspection.odometry_stats import compare_turns, measure_odometry
 from evalkit_datasets.inspection.page import document
-from evalkit_datasets.inspection.range_stats import no_return_codes, returns
-from evalkit_datasets.inspection.streams import Laser, Wheels
-from evalkit_datasets.inspection.suggested_config import best_lidar, prescribe
-from evalkit_datasets.inspection.timing import clock, timing
+from evalkit_datasets.inspection.range_stats import find_no_return_codes, measure_ranges
+from evalkit_datasets.inspection.streams import LaserStream, OdometryStream
+from evalkit_datasets.inspection.suggested_config import best_lidar, suggest_config
+from evalkit_datasets.inspection.timing import measure_clock_offset, measure_timing
 
 DATA = Path(os.environ.get("EVALKIT_DATA") or "absent")
 S = 10**9
@@ -35,7 +35,7 @@ def laser(ranges, stamps=None, high=np.nan, step=0.0174533):
     rows = [np.asarray(row, dtype=float) for row in ranges]
     times = np.arange(len(rows)) * S // 10 if stamps is None else stamps
     angles = -math.pi / 2 + step * np.arange(len(rows[0]))
-    return Laser("/scan", "LaserScan", "laser", times, None, rows, angles, np.nan, high)
+    return LaserStream("/scan", "LaserScan", "laser", times, None, rows, angles, np.nan, high)
 
 
 def walls(count=60, beams=180, seed=0):
@@ -48,7 +48,7 @@ def walls(count=60, beams=180, seed=0):
 
 
 def test_rate_jitter_gaps_and_disorder_of_stamps():
-    found = timing(seconds(0.0, 0.1, 0.2, 0.2, 0.9, 1.0, 0.3, 1.1))
+    found = measure_timing(seconds(0.0, 0.1, 0.2, 0.2, 0.9, 1.0, 0.3, 1.1))
     assert (found.count, found.backwards, found.repeated) == (8, 1, 1)
     assert found.period_s == pytest.approx(0.1)
     assert found.rate_hz == pytest.approx(10.0)
@@ -59,12 +59,12 @@ def test_rate_jitter_gaps_and_disorder_of_stamps():
 
 def test_jitter_is_the_standard_deviation_of_normal_periods():
     periods = 0.1 + 0.003 * np.random.default_rng(1).standard_normal(4000)
-    assert timing(seconds(*np.cumsum(periods))).jitter_s == pytest.approx(0.003, rel=0.05)
+    assert measure_timing(seconds(*np.cumsum(periods))).jitter_s == pytest.approx(0.003, rel=0.05)
 
 
 def test_a_clock_that_is_ahead_and_runs_away():
     recorded = seconds(*np.arange(0.0, 100.0, 0.1))
-    found = clock(recorded + np.int64(0.25 * S) + (recorded * 40e-6).astype(np.int64), recorded)
+    found = measure_clock_offset(recorded + np.int64(0.25 * S) + (recorded * 40e-6).astype(np.int64), recorded)
     assert found.median_s == pytest.approx(0.252, abs=1e-4)
     assert found.drift_ppm == pytest.approx(40.0, abs=0.1)
 
@@ -76,7 +76,7 @@ def test_a_clock_that_is_ahead_and_runs_away():
 def test_a_no_return_code_above_all_ranges_is_found(code):
     rows = walls()
     rows[np.random.default_rng(2).random(rows.shape) < 0.03] = code
-    (found,) = no_return_codes(rows)
+    (found,) = find_no_return_codes(rows)
     assert found.low_m == found.high_m == code
     assert found.share == pytest.approx(0.03, abs=0.005)
 
@@ -84,20 +84,20 @@ def test_a_no_return_code_above_all_ranges_is_found(code):
 def test_a_cluster_of_codes_is_one_code():
     rows = walls()
     rows[:, ::20] = np.random.default_rng(3).choice([51.06, 51.12, 51.25], rows[:, ::20].shape)
-    (found,) = no_return_codes(rows)
+    (found,) = find_no_return_codes(rows)
     assert (found.low_m, found.high_m) == (51.06, 51.25)
 
 
 def test_walls_even_far_ones_are_no_codes():
     rows = walls()
-    assert no_return_codes(rows) == ()
+    assert find_no_return_codes(rows) == ()
     rows[:, 90:94] = 20.0  # a door at the end of a corridor, seen in four directions
-    assert no_return_codes(rows) == ()
+    assert find_no_return_codes(rows) == ()
 
 
 def test_shares_of_what_is_no_hit():
     row = [0.0, -1.0, np.nan, np.inf, 12.0, 13.0, 1.0, 2.0, 3.0, 4.0]
-    found = returns(laser([row, row], high=12.0))
+    found = measure_ranges(laser([row, row], high=12.0))
     assert (found.zero, found.negative, found.nan, found.infinite) == (0.1, 0.1, 0.1, 0.1)
     assert (found.at_maximum, found.beyond_maximum, found.hits) == (0.1, 0.1, pytest.approx(0.4))
     assert found.repeated == 1
@@ -105,9 +105,9 @@ def test_shares_of_what_is_no_hit():
 
 def test_ranges_tell_the_step_they_are_written_in_and_whether_the_robot_stands():
     still = np.repeat(walls(1), 60, axis=0)
-    assert returns(laser(walls())).step_m == 0.01
-    assert returns(laser(still)).still == 1.0
-    assert returns(laser(walls())).still == 0.0
+    assert measure_ranges(laser(walls())).step_m == 0.01
+    assert measure_ranges(laser(still)).still == 1.0
+    assert measure_ranges(laser(walls())).still == 0.0
 
 
 # --- odometry
@@ -121,12 +121,12 @@ def arc(count=200, speed=0.3, rate=0.4, noise=0.0, stop=20):
     poses = np.stack([radius * np.sin(heading), radius * (1 - np.cos(heading)), heading], axis=-1)
     poses += noise * np.random.default_rng(4).standard_normal(poses.shape)
     assert distance[-1] > 0
-    return Wheels("/odom", "odom", "base_link", np.arange(count) * S // 10, poses,
+    return OdometryStream("/odom", "odom", "base_link", np.arange(count) * S // 10, poses,
                   np.stack([speed * moving, rate * moving], axis=-1))  # fmt: skip
 
 
 def test_an_arc_driven_by_wheels_is_like_wheels():
-    found = driving(arc())
+    found = measure_odometry(arc())
     assert found.path_m == pytest.approx(179 * 0.03, rel=1e-3)
     assert found.turned_deg == pytest.approx(math.degrees(179 * 0.04), rel=1e-6)
     assert found.sideways < 1e-9
@@ -138,13 +138,13 @@ def test_an_arc_driven_by_wheels_is_like_wheels():
 
 
 def test_noisy_poses_are_not_like_wheels():
-    assert not driving(arc(noise=0.002)).like_wheels
+    assert not measure_odometry(arc(noise=0.002)).like_wheels
 
 
 def test_a_jump_is_told_with_its_time_and_size():
     wheels = arc()
     wheels.poses[100:, 0] += 2.0
-    found = driving(wheels)
+    found = measure_odometry(wheels)
     assert found.jump_count == 1
     assert found.jumps[0].at_s == pytest.approx(10.0)
     assert found.jumps[0].step_m == pytest.approx(2.0, abs=0.05)
@@ -160,14 +160,14 @@ def test_the_scans_judge_the_turns_of_the_odometry(sign):
         way = directions + turn
         rows.append(3.0 + np.cos(2 * way) + 0.5 * np.sin(5 * way) + 0.3 * np.cos(11 * way + 1.0))
     poses = np.stack([np.zeros(40), np.zeros(40), sign * turns], axis=-1)
-    wheels = Wheels("/odom", "odom", "base_link", np.arange(40) * S // 10, poses)
-    found = turning(wheels, laser(rows))
+    wheels = OdometryStream("/odom", "odom", "base_link", np.arange(40) * S // 10, poses)
+    found = compare_turns(wheels, laser(rows))
     assert found is not None
     assert found.scale == pytest.approx(1.0 / sign, rel=0.02)
 
 
 def test_turns_are_not_judged_by_too_few_pairs():
-    assert turning(arc(count=5, stop=0), laser(walls(5))) is None
+    assert compare_turns(arc(count=5, stop=0), laser(walls(5))) is None
     assert driven.MIN_PAIRS > 5
 
 
@@ -200,8 +200,8 @@ def said(found):
 
 def test_a_prescription_is_an_experiment_that_reads_and_a_code_it_does_not_know_sets_range_max(tmp_path):
     path = log(tmp_path, *drive(code=30.0))
-    found = examine(path)
-    advice = prescribe(found)
+    found = inspect_recording(path)
+    advice = suggest_config(found)
     assert "30 m is no range but a no-return" in said(found)
     assert (advice.parameters["range_max_m"], advice.scans, advice.problem) == (30.0, 60, "")
     plan = experiment.plan(tomllib.loads(advice.table + '[[method]]\nuse = "wheel-odometry"\n'), "made", "made", "x")
@@ -212,43 +212,43 @@ def test_a_prescription_is_an_experiment_that_reads_and_a_code_it_does_not_know_
 def test_a_corrected_log_is_told_from_odometry_and_holds_its_reference(tmp_path):
     rows = walls(30)
     lines = [flaser(f"{1000 + at}", rows[at], (0.9 * at, 0.01 * at, 0.0), "pippo") for at in range(30)]
-    found = examine(log(tmp_path, *lines, "NEFF 0.5"))
+    found = inspect_recording(log(tmp_path, *lines, "NEFF 0.5"))
     assert found.truth_inside == "GMapping's poses"
     assert "no odometry but GMapping's poses" in said(found)
     assert "4 significant digits" in said(found)
     assert "0.90 m apart" in said(found)
-    assert "GMapping" in prescribe(found).truth
+    assert "GMapping" in suggest_config(found).truth
 
 
 def test_relations_beside_a_log_are_used_if_they_share_its_time(tmp_path):
     path = log(tmp_path, *drive())
     (tmp_path / "other.relations").write_text("5.0 6.0 1 0 0 0 0 0\n", encoding="utf-8")
     (tmp_path / "truth.relations").write_text("1000.5 1002.0 1 0 0 0 0 0\n", encoding="utf-8")
-    assert prescribe(examine(path)).parameters["relations"] == str(tmp_path / "truth.relations")
+    assert suggest_config(inspect_recording(path)).parameters["relations"] == str(tmp_path / "truth.relations")
 
 
 def test_a_log_without_a_scan_is_a_problem_and_prescribes_nothing(tmp_path):
-    found = examine(log(tmp_path, "ODOM 0 0 0 0 0 0 1.0 h 1.0", "ODOM 1 0 0 0 0 0 2.0 h 2.0"))
+    found = inspect_recording(log(tmp_path, "ODOM 0 0 0 0 0 0 1.0 h 1.0", "ODOM 1 0 0 0 0 0 2.0 h 2.0"))
     assert found.findings[0].level == "problem"
-    assert prescribe(found) is None
+    assert suggest_config(found) is None
 
 
 def test_bad_files_say_what_their_readers_say(tmp_path):
     (tmp_path / "torn.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(40))
     with pytest.raises(BadData, match="not a readable bag"):
-        examine(tmp_path / "torn.bag")
+        inspect_recording(tmp_path / "torn.bag")
     (tmp_path / "torn.log.gz").write_bytes(b"\x1f\x8b" + bytes(40))
     with pytest.raises(BadData, match="gzip"):
-        examine(tmp_path / "torn.log.gz")
+        inspect_recording(tmp_path / "torn.log.gz")
     (tmp_path / "picture.png").write_bytes(bytes(range(256)) * 20)
     with pytest.raises(BadData, match="give a bag"):
-        examine(tmp_path / "picture.png")
+        inspect_recording(tmp_path / "picture.png")
     (tmp_path / "true.tum").write_text("1.0 0 0 0 0 0 0 1\n")
     with pytest.raises(BadData, match="goes beside a recording: evalkit compare RECORDING --reference FILE"):
-        examine(tmp_path / "true.tum")
+        inspect_recording(tmp_path / "true.tum")
     (tmp_path / "empty").mkdir()
     with pytest.raises(BadData, match=r"without metadata\.yaml"):
-        examine(tmp_path / "empty")
+        inspect_recording(tmp_path / "empty")
 
 
 def test_the_command_prints_json_and_writes_a_page(tmp_path):
@@ -277,7 +277,7 @@ def recorded(*names):
 
 
 def test_the_wheelchairs_clock_zeros_and_missing_frames_are_found():
-    found = examine(recorded("bags", "wheelchair-3xhokuyo.bag"))
+    found = inspect_recording(recorded("bags", "wheelchair-3xhokuyo.bag"))
     assert [lidar.topic for lidar in found.lidars] == ["/left_scan", "/rear_scan", "/right_scan"]
     assert all(lidar.beams == 768 and lidar.field_of_view_deg == pytest.approx(270, abs=1) for lidar in found.lidars)
     assert all(lidar.clock.median_s == pytest.approx(0.24, abs=0.01) for lidar in found.lidars)
@@ -287,13 +287,13 @@ def test_the_wheelchairs_clock_zeros_and_missing_frames_are_found():
 
 
 def test_the_standing_robot_is_seen_to_stand():
-    found = examine(recorded("bags", "static-2xhokuyo.bag"))
+    found = inspect_recording(recorded("bags", "static-2xhokuyo.bag"))
     assert all(lidar.returns.still > 0.99 for lidar in found.lidars)
     assert "the robot stands still" in said(found)
 
 
 def test_the_turtlebots_lidar_is_turned_and_its_two_bases_are_told():
-    found = examine(recorded("turtlebot4-rplidar", "macfirst_floor_take_2"))
+    found = inspect_recording(recorded("turtlebot4-rplidar", "macfirst_floor_take_2"))
     (seat,) = found.frames.mountings
     assert (seat.x_m, seat.y_m, seat.theta_deg) == pytest.approx((0.004, 0.0, 90.0), abs=1e-3)
     assert found.lidars[0].returns.infinite == pytest.approx(0.23, abs=0.005)
@@ -306,8 +306,8 @@ def test_the_turtlebots_lidar_is_turned_and_its_two_bases_are_told():
 
 @pytest.mark.slow
 def test_pseudo_odometry_is_refused():
-    found = examine(recorded("fr079", "fr079-fullrate.clf.gz"))
-    advice = prescribe(found)
+    found = inspect_recording(recorded("fr079", "fr079-fullrate.clf.gz"))
+    advice = suggest_config(found)
     assert "slips sideways" in said(found)
     assert "1211.00 to 1211.51 s" in said(found)
     assert advice.parameters["odometry"] == "none"
@@ -319,7 +319,7 @@ def test_pseudo_odometry_is_refused():
 
 
 def test_raw_odometry_of_wheels_is_told_from_pseudo_odometry():
-    found = examine(recorded("intel", "intel-merged.clf.gz"))
+    found = inspect_recording(recorded("intel", "intel-merged.clf.gz"))
     assert all(one.like_wheels for one in found.drivings)
     assert found.lidars[0].returns.codes[0].low_m == 81.83
     assert found.lidars[0].timing.gaps[0].length_s == pytest.approx(28.3, abs=0.1)
@@ -327,7 +327,7 @@ def test_raw_odometry_of_wheels_is_told_from_pseudo_odometry():
 
 @pytest.mark.parametrize(("name", "code"), [("aces", 50.0), ("freiburg-101", 81.91), ("intel", 81.83)])
 def test_corrected_logs_are_told_by_their_signs(name, code):
-    found = examine(recorded("radish-corrected", f"{name}-corrected.log.gz"))
+    found = inspect_recording(recorded("radish-corrected", f"{name}-corrected.log.gz"))
     assert found.truth_inside == "GMapping's poses"
     assert found.lidars[0].returns.codes[0].high_m == code
     for trap in ("6 significant digits", "m apart (median)", "stamps go backwards"):

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from evalkit.core.scan import Scan
-from evalkit_datasets.lidar import Lidar
+from evalkit_datasets.lidar import LidarModel
 
 
 def measured(lidar, ranges, seed=0):
@@ -12,12 +12,12 @@ def measured(lidar, ranges, seed=0):
 
 @pytest.mark.parametrize(("rate_hz", "beams"), [(5.0, 1600), (10.0, 800), (15.0, 533)])
 def test_a_revolution_has_as_many_beams_as_the_paper_says(rate_hz, beams):
-    assert Lidar(rate_hz).beams == len(Lidar(rate_hz).angles()) == beams
+    assert LidarModel(rate_hz).beams == len(LidarModel(rate_hz).angles()) == beams
 
 
 @pytest.mark.parametrize("rate_hz", [5.0, 7.3, 15.0])
 def test_beams_turn_clockwise_once_round(rate_hz):
-    lidar = Lidar(rate_hz)
+    lidar = LidarModel(rate_hz)
     steps = np.diff(lidar.angles())
     np.testing.assert_allclose(steps, -2.0 * np.pi * rate_hz / 8000.0, rtol=1e-9)
     gap = 2.0 * np.pi + steps.sum()  # from the last beam to the next revolution's first
@@ -25,7 +25,7 @@ def test_beams_turn_clockwise_once_round(rate_hz):
 
 
 def test_every_beam_has_its_own_time():
-    lidar = Lidar(10.0)
+    lidar = LidarModel(10.0)
     stamps = lidar.stamps(1_000_000_000)
     np.testing.assert_array_equal(stamps, np.arange(10) * 100_000_000)
     beams = lidar.beam_stamps(stamps)
@@ -35,7 +35,7 @@ def test_every_beam_has_its_own_time():
 
 
 def test_a_revolution_that_does_not_end_in_time_is_not_begun():
-    lidar = Lidar(5.0)
+    lidar = LidarModel(5.0)
     assert len(lidar.stamps(1599 * 125_000)) == 1
     assert len(lidar.stamps(1599 * 125_000 - 1)) == 0
     assert len(lidar.stamps(200_000_000 + 1599 * 125_000)) == 2
@@ -44,19 +44,19 @@ def test_a_revolution_that_does_not_end_in_time_is_not_begun():
 def test_without_noise_and_dropouts_the_truth_comes_through():
     true = np.array([0.149, 0.15, 3.0, 12.0, 12.001, np.inf])
     np.testing.assert_array_equal(
-        measured(Lidar(noise_m=0.0, dropout=0.0), true), [np.nan, 0.15, 3.0, 12.0, np.inf, np.inf]
+        measured(LidarModel(noise_m=0.0, dropout=0.0), true), [np.nan, 0.15, 3.0, 12.0, np.inf, np.inf]
     )
 
 
 def test_range_noise_has_the_papers_spread():
     count = 200_000
-    error = measured(Lidar(dropout=0.0), np.full(count, 5.0)) - 5.0
+    error = measured(LidarModel(dropout=0.0), np.full(count, 5.0)) - 5.0
     assert abs(error.mean()) < 4.0 * 0.0483 / np.sqrt(count)
     assert abs(error.std() - 0.0483) < 4.0 * 0.0483 / np.sqrt(2.0 * count)
 
 
 def test_a_noisy_range_that_leaves_the_limits_becomes_no_return_or_invalid():
-    far, near = measured(Lidar(dropout=0.0), np.full((2, 10_000), [[12.0], [0.15]]))
+    far, near = measured(LidarModel(dropout=0.0), np.full((2, 10_000), [[12.0], [0.15]]))
     for found, lost in ((far, np.isposinf(far)), (near, np.isnan(near))):
         assert 0.48 < lost.mean() < 0.52
         Scan(0, found, np.zeros(len(found)), 0.15, 12.0)  # what is left lies within the limits
@@ -64,19 +64,19 @@ def test_a_noisy_range_that_leaves_the_limits_becomes_no_return_or_invalid():
 
 def test_dropouts_are_invalid_and_as_many_as_asked_for():
     count = 100_000
-    lost = np.isnan(measured(Lidar(dropout=0.01), np.full(count, 5.0)))
+    lost = np.isnan(measured(LidarModel(dropout=0.01), np.full(count, 5.0)))
     assert abs(lost.mean() - 0.01) < 4.0 * np.sqrt(0.01 * 0.99 / count)
 
 
 def test_noise_and_dropouts_do_not_disturb_each_other():
     true = np.full(5000, 5.0)
-    quiet, noisy = measured(Lidar(noise_m=0.0), true), measured(Lidar(noise_m=0.1), true)
+    quiet, noisy = measured(LidarModel(noise_m=0.0), true), measured(LidarModel(noise_m=0.1), true)
     np.testing.assert_array_equal(np.isnan(quiet), np.isnan(noisy))
-    whole, holed = measured(Lidar(dropout=0.0), true), measured(Lidar(dropout=0.5), true)
+    whole, holed = measured(LidarModel(dropout=0.0), true), measured(LidarModel(dropout=0.5), true)
     np.testing.assert_array_equal(whole[np.isfinite(holed)], holed[np.isfinite(holed)])
 
 
 @pytest.mark.parametrize("wrong", [{"rate_hz": 0.0}, {"noise_m": -0.1}, {"dropout": 1.5}])
 def test_an_impossible_lidar_is_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
-        Lidar(**wrong)
+        LidarModel(**wrong)

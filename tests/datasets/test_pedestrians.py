@@ -5,7 +5,7 @@ import pytest
 
 from evalkit_datasets import floorplans
 from evalkit_datasets.pedestrians import FROM_ROBOT_M, RADIUS_M, Walk, walks
-from evalkit_datasets.robot import Drive
+from evalkit_datasets.robot import RouteDrive
 
 S = 1_000_000_000
 
@@ -13,7 +13,7 @@ S = 1_000_000_000
 @pytest.fixture(scope="module")
 def lab():
     plan = floorplans.lab()
-    drive = Drive(plan.route, 0.3, 0.5)
+    drive = RouteDrive(plan.route, 0.3, 0.5)
     return plan, drive, walks(3, plan.world, drive, 1.2, np.random.default_rng(4))
 
 

@@ -7,7 +7,7 @@ from evalkit.core import se2
 from evalkit.core.pose import Pose
 from evalkit.io.tum import read_tum
 from evalkit.plugins import registry
-from evalkit_datasets import carmen_lines, catalog, recorded
+from evalkit_datasets import carmen_parser, catalog, recorded
 
 NAMES = list(recorded.FILES)
 
@@ -132,7 +132,7 @@ def test_intel_gmapping_on_the_relations_depends_on_how_poses_are_carried(beyond
     """
     relations = sequence_of("intel").truth().relations
     gmapping = read_tum(catalog.located("intel-gmapping.tum")).trajectory
-    log, _ = carmen_lines.read(catalog.located("intel-merged.clf.gz"))
+    log, _ = carmen_parser.read(catalog.located("intel-merged.clf.gz"))
     stamps, odometry = log.odometry.stamps_ns, log.odometry.poses
 
     def carried(times):

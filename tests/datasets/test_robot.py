@@ -4,10 +4,10 @@ import pytest
 from evalkit.core import se2
 from evalkit_datasets import robot
 from evalkit_datasets.disturbances import Episodes
-from evalkit_datasets.robot import Drive, Route, WheelOdometry
+from evalkit_datasets.robot import Route, RouteDrive, WheelOdometryModel
 
 SQUARE = Route.through([(0, 0, 1), (4, 0, 1), (4, 4, 1), (0, 4, 1)])
-FAULTLESS = WheelOdometry(0.0, 0.0, 0.0, 0.0)
+FAULTLESS = WheelOdometryModel(0.0, 0.0, 0.0, 0.0)
 
 
 def every(drive, step_ns=10_000_000):
@@ -50,20 +50,20 @@ def test_corners_too_round_for_their_sides_are_refused():
 
 
 def test_a_drive_ramps_up_cruises_and_stops():
-    drive = Drive(SQUARE, speed_mps=1.0, laps=10.0 / SQUARE.length_m, acceleration_mps2=0.5)
+    drive = RouteDrive(SQUARE, speed_mps=1.0, laps=10.0 / SQUARE.length_m, acceleration_mps2=0.5)
     assert drive.duration_ns == pytest.approx(12e9, abs=2)
     seconds = np.array([0.0, 1.0, 2.0, 7.0, 10.0, 11.0, 12.0])
     np.testing.assert_allclose(drive.distance((seconds * 1e9).astype(int)), [0, 0.25, 1, 6, 9, 9.75, 10], atol=1e-8)
 
 
 def test_a_drive_too_short_for_its_speed_turns_the_ramps_at_the_middle():
-    drive = Drive(SQUARE, speed_mps=5.0, laps=2.0 / SQUARE.length_m, acceleration_mps2=0.5)
+    drive = RouteDrive(SQUARE, speed_mps=5.0, laps=2.0 / SQUARE.length_m, acceleration_mps2=0.5)
     assert drive.top_speed_mps == pytest.approx(1.0)
     np.testing.assert_allclose(drive.distance([2_000_000_000, 4_000_000_000]), [1.0, 2.0], atol=1e-8)
 
 
 def test_a_drive_keeps_to_its_speed_and_its_yaw_rate():
-    drive = Drive(SQUARE, speed_mps=0.3, laps=1.3)
+    drive = RouteDrive(SQUARE, speed_mps=0.3, laps=1.3)
     steps = se2.between(drive.pose(every(drive))[:-1], drive.pose(every(drive))[1:]) / 0.01
     assert np.hypot(steps[:, 0], steps[:, 1]).max() <= 0.3 + 1e-9
     assert np.abs(steps[:, 2]).max() <= drive.top_yaw_rate + 1e-9
@@ -73,39 +73,39 @@ def test_a_drive_keeps_to_its_speed_and_its_yaw_rate():
 @pytest.mark.parametrize("wrong", [{"speed_mps": 0.0}, {"laps": -1.0}, {"acceleration_mps2": 0.0}])
 def test_a_drive_that_goes_nowhere_is_refused(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
-        Drive(**{"route": SQUARE, "speed_mps": 1.0} | wrong)
+        RouteDrive(**{"route": SQUARE, "speed_mps": 1.0} | wrong)
 
 
 def test_odometry_without_errors_is_the_truth():
-    drive = Drive(SQUARE, speed_mps=0.5, laps=2.2)
+    drive = RouteDrive(SQUARE, speed_mps=0.5, laps=2.2)
     stamps = every(drive, 33_333_333)  # between the readings
     true = se2.between(drive.pose([0]), drive.pose(stamps))
     np.testing.assert_allclose(odometry(FAULTLESS, drive, stamps), true, atol=1e-9)
 
 
 def test_a_scale_error_alone_scales_the_path_and_leaves_the_heading():
-    drive = Drive(SQUARE, speed_mps=0.5)
+    drive = RouteDrive(SQUARE, speed_mps=0.5)
     stamps = every(drive)
     true = se2.between(drive.pose([0]), drive.pose(stamps))
-    found = odometry(WheelOdometry(0.1, 0.0, 0.0, 0.0), drive, stamps)
+    found = odometry(WheelOdometryModel(0.1, 0.0, 0.0, 0.0), drive, stamps)
     share = found[100, 0] / true[100, 0]
     assert share != pytest.approx(1.0, abs=1e-6)
     np.testing.assert_allclose(found, true * [share, share, 1.0], atol=1e-9)
 
 
 def test_a_gyro_bias_alone_turns_the_heading_in_proportion_to_time():
-    drive = Drive(SQUARE, speed_mps=0.5)
+    drive = RouteDrive(SQUARE, speed_mps=0.5)
     stamps = every(drive)
-    found = odometry(WheelOdometry(0.0, 0.0, 0.01, 0.0), drive, stamps)
+    found = odometry(WheelOdometryModel(0.0, 0.0, 0.01, 0.0), drive, stamps)
     error = se2.wrap(found[:, 2] - se2.between(drive.pose([0]), drive.pose(stamps))[:, 2])
     assert abs(error[-1]) > 1e-4
     np.testing.assert_allclose(error, error[-1] * stamps / stamps[-1], atol=1e-9)
 
 
 def test_slipping_wheels_see_a_way_that_was_not_driven():
-    drive = Drive(SQUARE, speed_mps=0.5, laps=0.06)  # straight on
+    drive = RouteDrive(SQUARE, speed_mps=0.5, laps=0.06)  # straight on
     stamps = every(drive)
-    slipping = WheelOdometry(0.0, 0.0, 0.0, 0.0, Episodes(every_s=1.0, lasts_s=0.2), slip_mps=0.4)
+    slipping = WheelOdometryModel(0.0, 0.0, 0.0, 0.0, Episodes(every_s=1.0, lasts_s=0.2), slip_mps=0.4)
     too_far = odometry(slipping, drive, stamps)[:, 0] - odometry(FAULTLESS, drive, stamps)[:, 0]
     seconds = stamps * 1e-9
     slips = np.clip(seconds[:, None] - [0.5, 1.5, 2.5, 3.5], 0.0, 0.2).sum(axis=1)
@@ -113,7 +113,7 @@ def test_slipping_wheels_see_a_way_that_was_not_driven():
 
 
 def test_errors_of_many_runs_spread_as_asked_for():
-    drive = Drive(SQUARE, speed_mps=1.0, laps=0.25)
+    drive = RouteDrive(SQUARE, speed_mps=1.0, laps=0.25)
     end = [drive.duration_ns]
     seconds, runs = end[0] * 1e-9, 400
     true = se2.between(drive.pose([0]), drive.pose(end))[0]
@@ -122,25 +122,27 @@ def test_errors_of_many_runs_spread_as_asked_for():
         return np.std([odometry(errors, drive, end, seed)[0, column] - true[column] for seed in range(runs)])
 
     within = 4.0 / np.sqrt(2.0 * runs)  # four standard errors of a standard deviation
-    assert spread(WheelOdometry(0.0, 0.0, 0.004, 0.0), 2) == pytest.approx(0.004 * seconds, rel=within)
-    assert spread(WheelOdometry(0.0, 0.0, 0.0, 0.01), 2) == pytest.approx(0.01 * np.sqrt(0.01 * seconds), rel=within)
-    assert spread(WheelOdometry(0.01, 0.0, 0.0, 0.0), 0) == pytest.approx(0.01 * true[0], rel=within)
+    assert spread(WheelOdometryModel(0.0, 0.0, 0.004, 0.0), 2) == pytest.approx(0.004 * seconds, rel=within)
+    assert spread(WheelOdometryModel(0.0, 0.0, 0.0, 0.01), 2) == pytest.approx(
+        0.01 * np.sqrt(0.01 * seconds), rel=within
+    )
+    assert spread(WheelOdometryModel(0.01, 0.0, 0.0, 0.0), 0) == pytest.approx(0.01 * true[0], rel=within)
 
 
 def test_the_same_seed_gives_the_same_odometry_and_another_seed_another():
-    drive = Drive(SQUARE, speed_mps=0.5)
-    first, again, other = (odometry(WheelOdometry(), drive, every(drive), seed) for seed in (3, 3, 4))
+    drive = RouteDrive(SQUARE, speed_mps=0.5)
+    first, again, other = (odometry(WheelOdometryModel(), drive, every(drive), seed) for seed in (3, 3, 4))
     assert first.tobytes() == again.tobytes()
     assert not np.allclose(first, other)
     np.testing.assert_array_equal(first[0], [0.0, 0.0, 0.0])
 
 
 def test_asking_at_more_times_does_not_change_the_answers():
-    drive = Drive(SQUARE, speed_mps=0.5)
+    drive = RouteDrive(SQUARE, speed_mps=0.5)
     few, many = every(drive, 100_000_000), every(drive, 7_000_000)
     both = np.union1d(few, many)
-    found = odometry(WheelOdometry(), drive, both)[np.searchsorted(both, few)]
-    np.testing.assert_allclose(found, odometry(WheelOdometry(), drive, few), atol=1e-5)
+    found = odometry(WheelOdometryModel(), drive, both)[np.searchsorted(both, few)]
+    np.testing.assert_allclose(found, odometry(WheelOdometryModel(), drive, few), atol=1e-5)
 
 
 CORNERED = Route.through([(0, 0, 0.5), (6, 0, 0.25), (6, 4, 5.0), (4, 6, 0.25), (0, 6, 0.25)])
@@ -162,7 +164,7 @@ def test_a_tightened_route_keeps_its_corners_and_its_gentle_curves():
 
 @pytest.mark.parametrize("degrees", [20.0, 90.0, 180.0])
 def test_a_drive_turns_every_corner_at_the_yaw_rate_asked_for(degrees):
-    drive = Drive.turning_at(CORNERED, 0.3, 1.0, np.radians(degrees))
+    drive = RouteDrive.turning_at(CORNERED, 0.3, 1.0, np.radians(degrees))
     found = np.degrees(yaw_rates(drive))
     assert found.max() == pytest.approx(degrees, rel=1e-6)
     assert np.degrees(drive.top_yaw_rate) == pytest.approx(degrees)
@@ -172,7 +174,7 @@ def test_a_drive_turns_every_corner_at_the_yaw_rate_asked_for(degrees):
 
 
 def test_a_drive_that_slows_down_does_so_steadily():
-    drive = Drive(SQUARE, speed_mps=2.0, laps=2.0, most_yaw_rate=0.5)  # radius 1 m: 0.5 m/s through the arcs
+    drive = RouteDrive(SQUARE, speed_mps=2.0, laps=2.0, most_yaw_rate=0.5)  # radius 1 m: 0.5 m/s through the arcs
     poses = drive.pose(every(drive))
     speed = np.hypot(*se2.between(poses[:-1], poses[1:])[:, :2].T) / 0.01
     assert np.abs(np.diff(speed)).max() < 0.5 * 0.01 * 1.01
@@ -181,9 +183,9 @@ def test_a_drive_that_slows_down_does_so_steadily():
 
 
 def test_odometry_is_the_same_however_many_readings_are_integrated_at_once(monkeypatch):
-    drive = Drive(SQUARE, 0.5)
+    drive = RouteDrive(SQUARE, 0.5)
     stamps = np.array([0, 3, 10_000_000, 999_999_999, 1_000_000_000, 1_000_000_001, drive.duration_ns])
-    errors = WheelOdometry(slips=Episodes(2.0, 0.5))
+    errors = WheelOdometryModel(slips=Episodes(2.0, 0.5))
     whole = errors.poses(drive, stamps, np.random.default_rng(1))
     for ticks in (13, 100):
         monkeypatch.setattr(robot, "_TICKS_AT_ONCE", ticks)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evalkit.core.pose import Pose
-from evalkit_datasets.transforms import Edge, Mounting, Tree, matrix_of
+from evalkit_datasets.transforms import Mounting, Transform, TransformTree, matrix_from_quaternion
 
 LEVEL = (0.0, 0.0, 0.0, 1.0)
 
@@ -20,11 +20,11 @@ def yaw(angle):
 
 
 def tree(*static, moving=()):
-    made = Tree()
+    made = TransformTree()
     for parent, child, place, turn in static:
-        made.add(Edge(0, parent, child, matrix_of(place, turn)), static=True)
+        made.add(Transform(0, parent, child, matrix_from_quaternion(place, turn)), static=True)
     for stamp, parent, child, place, turn in moving:
-        made.add(Edge(stamp, parent, child, matrix_of(place, turn)), static=False)
+        made.add(Transform(stamp, parent, child, matrix_from_quaternion(place, turn)), static=False)
     return made
 
 
@@ -49,9 +49,11 @@ def test_mirrored_angles_and_the_planar_pose_put_a_beam_where_space_has_it():
     rng = np.random.default_rng(3)
     for _ in range(20):
         heading, angle = rng.uniform(-3, 3, 2)
-        turned = matrix_of((0.4, -0.2, 0.5), yaw(heading)) @ matrix_of((0, 0, 0), about((1, 0, 0), math.pi))
-        made = Tree()
-        made.add(Edge(0, "base", "lidar", turned), static=True)
+        turned = matrix_from_quaternion((0.4, -0.2, 0.5), yaw(heading)) @ matrix_from_quaternion(
+            (0, 0, 0), about((1, 0, 0), math.pi)
+        )
+        made = TransformTree()
+        made.add(Transform(0, "base", "lidar", turned), static=True)
         found = made.mounting("base", "lidar", 0)
         in_space = turned @ [2 * math.cos(angle), 2 * math.sin(angle), 0, 1]
         flat = found.base_from_sensor.transform([[2 * math.cos(-angle), 2 * math.sin(-angle)]])
@@ -82,4 +84,4 @@ def test_frames_that_do_not_hang_together_have_no_mounting():
 @pytest.mark.parametrize(("place", "turn"), [((0, 0, 0), (0, 0, 0, 0)), ((math.nan, 0, 0), LEVEL)])
 def test_what_is_no_transform_is_refused(place, turn):
     with pytest.raises(ValueError, match="no transform"):
-        matrix_of(place, turn)
+        matrix_from_quaternion(place, turn)

@@ -8,8 +8,7 @@ from typer.testing import CliRunner
 
 from evalkit.core.errors import BadParameter, StoreError, UnknownName
 from evalkit.io.tum import read_tum
-from evalkit_datasets import __main__ as command
-from evalkit_datasets import example
+from evalkit_datasets import command, example_bag
 from evalkit_datasets.rosbag import RosBag
 
 SHORT = {"laps": 0.03, "rate_hz": 5.0}
@@ -17,11 +16,11 @@ SHORT = {"laps": 0.03, "rate_hz": 5.0}
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    return example.write(tmp_path_factory.mktemp("bags") / "new" / "drive", "lab", SHORT)
+    return example_bag.write(tmp_path_factory.mktemp("bags") / "new" / "drive", "lab", SHORT)
 
 
 def test_the_bag_reads_back_as_the_scans_wheels_and_mounting_that_were_simulated(made):
-    simulated = list(example.WORLDS["lab"].make(**SHORT).frames())
+    simulated = list(example_bag.WORLDS["lab"].make(**SHORT).frames())
     read = list(RosBag(str(made.bag)).frames())
     assert len(read) == len(simulated) == made.scans
     for one, other in zip(read, simulated, strict=True):
@@ -33,7 +32,7 @@ def test_the_bag_reads_back_as_the_scans_wheels_and_mounting_that_were_simulated
 
 
 def test_the_truth_beside_it_is_the_simulations_at_the_bags_own_stamps(made):
-    true = example.WORLDS["lab"].make(**SHORT).truth().trajectory
+    true = example_bag.WORLDS["lab"].make(**SHORT).truth().trajectory
     written = read_tum(made.truth).trajectory
     assert made.truth.name == "drive.tum"
     assert np.array_equal(written.stamps_ns, true.stamps_ns + 10**9)
@@ -42,17 +41,17 @@ def test_the_truth_beside_it_is_the_simulations_at_the_bags_own_stamps(made):
 
 def test_nothing_that_exists_is_replaced(made):
     with pytest.raises(StoreError, match="drive: exists already; remove it"):
-        example.write(made.bag, "lab", {})
+        example_bag.write(made.bag, "lab", {})
     made.bag.with_name("other.tum").touch()
     with pytest.raises(StoreError, match="exists already; remove it"):
-        example.write(made.bag.with_name("other"), "lab", {})
+        example_bag.write(made.bag.with_name("other"), "lab", {})
 
 
 def test_a_world_or_setting_that_does_not_exist_is_answered_with_those_that_do(tmp_path):
     with pytest.raises(UnknownName, match="known: corridor, lab, loop, office, room"):
-        example.write(tmp_path / "drive", "moon", {})
+        example_bag.write(tmp_path / "drive", "moon", {})
     with pytest.raises(BadParameter, match="laps"):
-        example.write(tmp_path / "drive", "room", {"laps": 0.0})
+        example_bag.write(tmp_path / "drive", "room", {"laps": 0.0})
     assert not list(tmp_path.iterdir())
 
 

@@ -30,7 +30,7 @@ LONGEST = 1_000
 """Characters of a message beyond those of the file's name."""
 
 
-class Finding(AssertionError):
+class InspectionFinding(AssertionError):
     """A promise that an input broke."""
 
 
@@ -68,22 +68,22 @@ def held(call: Callable[[], object], size: int, named: str, resident: bool = Fal
     except EvalkitError as error:
         _check(error, named, (RecursionError,) if resident else (RecursionError, MemoryError))
     except TooSlow:
-        raise Finding(f"more than {_allowed(size):g} s of CPU time for {size} bytes") from None
+        raise InspectionFinding(f"more than {_allowed(size):g} s of CPU time for {size} bytes") from None
 
 
 def _check(error: EvalkitError, named: str, never: tuple[type[BaseException], ...]) -> None:
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, never):
-            raise Finding(f"{type(cause).__name__} behind: {str(error)[:300]}") from error
+            raise InspectionFinding(f"{type(cause).__name__} behind: {str(error)[:300]}") from error
         cause = cause.__cause__
     told = str(error)
     if named not in told:
-        raise Finding(f"does not name {named}: {told[:300]!r}")
+        raise InspectionFinding(f"does not name {named}: {told[:300]!r}")
     if len(told) > LONGEST + len(str(folder())):
-        raise Finding(f"{len(told)} characters: {told[:300]!r}")
+        raise InspectionFinding(f"{len(told)} characters: {told[:300]!r}")
     if not told.isprintable():
-        raise Finding(f"not printable on one line: {told[:300]!r}")
+        raise InspectionFinding(f"not printable on one line: {told[:300]!r}")
 
 
 @contextlib.contextmanager
@@ -116,7 +116,7 @@ def _filled(more: int) -> Iterator[None]:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     yield
     if (grown := 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)) > more:
-        raise Finding(f"{grown} bytes of memory")
+        raise InspectionFinding(f"{grown} bytes of memory")
 
 
 @contextlib.contextmanager

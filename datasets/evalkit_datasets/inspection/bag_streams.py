@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from evalkit.core.se2 import Floats, Stamps
-from evalkit_datasets import bag
-from evalkit_datasets.bag import Contents, Sweep
-from evalkit_datasets.inspection.streams import Laser, Streams, Topic, Wheels
-from evalkit_datasets.transforms import Tree, planar
+from evalkit_datasets import rosbag_parser
+from evalkit_datasets.inspection.streams import LaserStream, OdometryStream, RecordingStreams, Topic
+from evalkit_datasets.rosbag_parser import Contents, Sweep
+from evalkit_datasets.transforms import TransformTree, planar_pose_from_matrix
 
-WANTED = {*bag.LASER, bag.ODOMETRY, *bag.TRANSFORMS}
+WANTED = {*rosbag_parser.LASER, rosbag_parser.ODOMETRY, *rosbag_parser.TRANSFORMS}
 TWO_FRAMES = 2  # from "odom" to a child that moves
 
 
@@ -29,11 +29,11 @@ class _Taken:
     twists: list[tuple[float, float]] = field(default_factory=list)
 
 
-def read(path: Path) -> Streams:
+def read(path: Path) -> RecordingStreams:
     """The streams of a bag; BadData as the reader of bags says it."""
     taken: dict[str, _Taken] = {}
     tree = Contents()
-    with bag.opened(path) as reader:
+    with rosbag_parser.opened(path) as reader:
         seconds = max((reader.end_time - reader.start_time) * 1e-9, 0.0)
         topics = [
             Topic(name, str(about.msgtype), int(about.msgcount), _rate(int(about.msgcount), seconds))
@@ -42,13 +42,13 @@ def read(path: Path) -> Streams:
         wanted = [connection for connection in reader.connections if connection.msgtype in WANTED]
         for connection, recorded_ns, raw in reader.messages(connections=wanted):
             message = reader.deserialize(raw, connection.msgtype)
-            if connection.msgtype in bag.TRANSFORMS:
-                bag.take_transforms(tree, message, connection.topic.endswith("tf_static"))
+            if connection.msgtype in rosbag_parser.TRANSFORMS:
+                rosbag_parser.take_transforms(tree, message, connection.topic.endswith("tf_static"))
                 continue
             own = taken.setdefault(connection.topic, _Taken(connection.msgtype))
             _take(own, connection.topic, message, int(recorded_ns))
-    wheels = [_wheels(own) for own in taken.values() if own.kind == bag.ODOMETRY and own.contents.odometry]
-    return Streams(
+    wheels = [_wheels(own) for own in taken.values() if own.kind == rosbag_parser.ODOMETRY and own.contents.odometry]
+    return RecordingStreams(
         path,
         "ROS 1 bag" if path.suffix == ".bag" else "ROS 2 bag",
         topics,
@@ -65,22 +65,22 @@ def _rate(count: int, seconds: float) -> float:
 
 def _take(own: _Taken, topic: str, message: Any, recorded_ns: int) -> None:
     before = sum(map(len, own.contents.odometry.values()))
-    if own.kind != bag.ODOMETRY:
-        sweep = bag.take_sweep(own.contents, message, own.kind == bag.LASER[1], recorded_ns)
+    if own.kind != rosbag_parser.ODOMETRY:
+        sweep = rosbag_parser.take_sweep(own.contents, message, own.kind == rosbag_parser.LASER[1], recorded_ns)
         if sweep is not None:
             own.sweeps.append(sweep)
             own.recorded_ns.append(recorded_ns)
         return
-    bag.take_odometry(own.contents, topic, message)
+    rosbag_parser.take_odometry(own.contents, topic, message)
     if sum(map(len, own.contents.odometry.values())) > before:  # else damaged, and counted as such
         own.recorded_ns.append(recorded_ns)
         own.twists.append((float(message.twist.twist.linear.x), float(message.twist.twist.angular.z)))
 
 
-def _laser(topic: str, own: _Taken) -> Laser:
+def _laser(topic: str, own: _Taken) -> LaserStream:
     sweeps = own.sweeps
     first = sweeps[0]
-    return Laser(
+    return LaserStream(
         topic,
         own.kind.split("/")[-1],
         first.frame,
@@ -96,11 +96,11 @@ def _laser(topic: str, own: _Taken) -> Laser:
     )
 
 
-def _wheels(own: _Taken) -> Wheels:
+def _wheels(own: _Taken) -> OdometryStream:
     """The odometry of a topic; where its messages change frames, those of the first frames only."""
     (topic, parent, child), samples = next(iter(own.contents.odometry.items()))
     whole = len(own.contents.odometry) == 1
-    return Wheels(
+    return OdometryStream(
         topic,
         parent,
         child,
@@ -111,11 +111,11 @@ def _wheels(own: _Taken) -> Wheels:
     )
 
 
-def _by_transforms(tree: Tree) -> list[Wheels]:
+def _by_transforms(tree: TransformTree) -> list[OdometryStream]:
     """What tf says of a base that moves in "odom"."""
     return [
-        Wheels("tf", parent, child, _stamps([edge.stamp_ns for edge in edges]),
-               _rows([planar(edge.parent_from_child).row for edge in edges]))
+        OdometryStream("tf", parent, child, _stamps([edge.stamp_ns for edge in edges]),
+               _rows([planar_pose_from_matrix(edge.parent_from_child).row for edge in edges]))
         for (parent, child), edges in sorted(tree.moving.items())
         if parent == "odom" and len(edges) >= TWO_FRAMES
     ]  # fmt: skip

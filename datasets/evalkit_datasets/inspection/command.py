@@ -16,8 +16,8 @@ from evalkit.core.errors import BadData
 from evalkit.results.store import reported
 from evalkit.terminal import progress
 from evalkit.terminal.options import Json, out, print_json
-from evalkit_datasets.inspection.examination import Examination, examine
-from evalkit_datasets.inspection.suggested_config import Prescription, prescribe
+from evalkit_datasets.inspection.inspector import Inspection, inspect_recording
+from evalkit_datasets.inspection.suggested_config import SuggestedConfig, suggest_config
 
 
 def inspect(
@@ -30,8 +30,8 @@ def inspect(
     """Tell what a recording holds, what is wrong with it, and which lines would run it; 1 if nothing would."""
     if not file.exists():
         raise BadData(str(file), "", "no such file or folder", "give the path of a bag or a log")
-    found = examine(file)
-    advice = prescribe(found)
+    found = inspect_recording(file)
+    advice = suggest_config(found)
     page = None if folder is None else _write(folder, found, advice)
     if as_json:
         print_json(content(found, advice) | {"page": str(page) if page else None})
@@ -43,7 +43,7 @@ def inspect(
         raise typer.Exit(1)
 
 
-def content(found: Examination, advice: Prescription | None) -> dict[str, Any]:
+def content(found: Inspection, advice: SuggestedConfig | None) -> dict[str, Any]:
     """All that was measured as dictionaries, lists, numbers and texts; what is not a number is null."""
     whole: dict[str, Any] = _plain(
         {
@@ -73,7 +73,7 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _write(folder: Path, found: Examination, advice: Prescription | None) -> Path:
+def _write(folder: Path, found: Inspection, advice: SuggestedConfig | None) -> Path:
     """Writes ``index.html`` and ``inspection.json``; the page's path."""
     from evalkit.report.html.document import render  # noqa: PLC0415 - loads jinja2: only who draws pays for it
     from evalkit_datasets.inspection.page import document  # noqa: PLC0415 - loads matplotlib
@@ -85,7 +85,7 @@ def _write(folder: Path, found: Examination, advice: Prescription | None) -> Pat
     return folder / "index.html"
 
 
-def _show(found: Examination, advice: Prescription | None) -> None:
+def _show(found: Inspection, advice: SuggestedConfig | None) -> None:
     out.print(f"{found.path.name}: {found.kind}, {found.bytes / 1e6:.1f} MB", markup=False, highlight=False)
     progress.show(out, _lidars(found))
     for one in found.drivings:
@@ -109,7 +109,7 @@ def _show(found: Examination, advice: Prescription | None) -> None:
     out.print(f"{told}\n\n{advice.table}\n{advice.command}", markup=False, highlight=False)
 
 
-def _lidars(found: Examination) -> Table:
+def _lidars(found: Inspection) -> Table:
     table = Table("lidar", "frame", "scans", "duration [s]", "rate [Hz]", "jitter [ms]", "beams", "view [deg]",
                   "limits [m]", "hits [%]", "invalid [%]", "gaps")  # fmt: skip
     for one in found.lidars:

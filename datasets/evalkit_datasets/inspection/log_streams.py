@@ -10,9 +10,9 @@ import numpy as np
 from evalkit.core.errors import BadData
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.io.timestamps import parse_stamp_ns
-from evalkit_datasets import carmen_lines
-from evalkit_datasets.carmen_lines import Log, Reading
-from evalkit_datasets.inspection.streams import Laser, Streams, Topic, Wheels
+from evalkit_datasets import carmen_parser
+from evalkit_datasets.carmen_parser import Log, Reading
+from evalkit_datasets.inspection.streams import LaserStream, OdometryStream, RecordingStreams, Topic
 
 NO_RECORDING = {
     ".tum": "a trajectory (.tum) goes beside a recording: evalkit compare RECORDING --reference FILE",
@@ -28,9 +28,9 @@ REMARKS = 5
 BESIDE = "robot pose beside each scan"
 
 
-def read(path: Path) -> Streams:
+def read(path: Path) -> RecordingStreams:
     """The streams of a log; BadData where it is no log or holds damaged gzip."""
-    log, readings = carmen_lines.read(path)
+    log, readings = carmen_parser.read(path)
     if not (readings or len(log.odometry) or log.damaged):
         what = "no line begins with FLASER, ROBOTLASER1, LASER_READING or ODOM"
         remedy = NO_RECORDING.get(path.suffix, "give a bag (.bag, .db3, .mcap, or the folder of one) or a CARMEN log")
@@ -38,7 +38,7 @@ def read(path: Path) -> Streams:
     kinds: Counter[str] = Counter()
     remarks: list[str] = []
     tails: list[tuple[bytes, bytes]] = []
-    for line in carmen_lines.lines_of(path):
+    for line in carmen_parser.lines_of(path):
         words = line.split()
         if not words:
             continue
@@ -54,15 +54,15 @@ def read(path: Path) -> Streams:
     topics = [Topic(kind, _meaning(kind), count, count * rate) for kind, count in kinds.most_common(12)]
     digits = max((_digits(ipc) for ipc, _ in tails), default=0)
     told = [remark for remark in remarks if " " in remark][:REMARKS]
-    return Streams(
+    return RecordingStreams(
         path, "CARMEN log", topics, lasers, _wheels(log, readings), poses_from=log.poses_from, digits=digits,
         damaged=log.damaged, remarks=told,
     )  # fmt: skip
 
 
-def _laser(readings: list[Reading], tails: list[tuple[bytes, bytes]]) -> Laser:
+def _laser(readings: list[Reading], tails: list[tuple[bytes, bytes]]) -> LaserStream:
     stamps = np.array([reading.stamp_ns for reading in readings], dtype=np.int64)
-    return Laser(
+    return LaserStream(
         "FLASER / ROBOTLASER1",
         "laser lines",
         "laser",
@@ -85,14 +85,14 @@ def _logger(tails: list[tuple[bytes, bytes]], scans: int) -> Stamps | None:
         return None
 
 
-def _wheels(log: Log, readings: list[Reading]) -> list[Wheels]:
+def _wheels(log: Log, readings: list[Reading]) -> list[OdometryStream]:
     found = []
     if len(log.odometry):
-        found.append(Wheels("ODOM lines", "odom", "base", log.odometry.stamps_ns, log.odometry.poses))
+        found.append(OdometryStream("ODOM lines", "odom", "base", log.odometry.stamps_ns, log.odometry.poses))
     poses = [reading.robot for reading in readings]
     if len(set(poses)) > 1:
         stamps = np.array([reading.stamp_ns for reading in readings], dtype=np.int64)
-        found.append(Wheels(BESIDE, "odom", "base", stamps, _rows(poses)))
+        found.append(OdometryStream(BESIDE, "odom", "base", stamps, _rows(poses)))
     return found
 
 

@@ -25,31 +25,31 @@ from evalkit.report.html.document import (
     Tone,
 )
 from evalkit.report.html.palette import HUES
-from evalkit_datasets.inspection.driving import Driving
-from evalkit_datasets.inspection.examination import Examination
-from evalkit_datasets.inspection.findings import Level, Lidar, times
-from evalkit_datasets.inspection.streams import Laser
-from evalkit_datasets.inspection.suggested_config import Prescription
+from evalkit_datasets.inspection.findings import Level, LidarStats, times
+from evalkit_datasets.inspection.inspector import Inspection
+from evalkit_datasets.inspection.odometry_stats import OdometryStats
+from evalkit_datasets.inspection.streams import LaserStream
+from evalkit_datasets.inspection.suggested_config import SuggestedConfig
 
 TONES: dict[Level, Tone] = {"problem": "bad", "warning": "warn", "note": ""}
 SHOWN = 2000  # points of a line or a scan: more cannot be seen
 
 
-def document(found: Examination, advice: Prescription | None) -> Document:
+def document(found: Inspection, advice: SuggestedConfig | None) -> Document:
     """The whole page."""
     sections = [
         Section("What to know", list(_findings(found)), "findings"),
         Section("How to run it", list(_prescription(advice)), "run"),
         Section("Lidars", [_lidar_table(found.lidars), *_lidar_figures(found)], "lidars"),
         Section("Odometry", list(_odometry(found)), "odometry"),
-        Section("Frames and topics", list(_frames(found)), "frames"),
+        Section("FrameTree and topics", list(_frames(found)), "frames"),
     ]
     counts = {level: sum(one.level == level for one in found.findings) for level in TONES}
     lead = ", ".join(times(count, level) for level, count in counts.items() if count) or "nothing to remark"
     return Document("evalkit inspect", found.path.name, f"{lead}.", sections, facts(found))
 
 
-def facts(found: Examination) -> tuple[tuple[str, str], ...]:
+def facts(found: Inspection) -> tuple[tuple[str, str], ...]:
     """The recording in a few pairs of name and text."""
     spans = [lidar.timing for lidar in found.lidars]
     seconds = max((one.duration_s for one in spans), default=0.0)
@@ -62,7 +62,7 @@ def facts(found: Examination) -> tuple[tuple[str, str], ...]:
     )
 
 
-def _findings(found: Examination) -> Iterator[Block]:
+def _findings(found: Inspection) -> Iterator[Block]:
     rows: list[list[Cell | str]] = [
         [Cell(f.level, tone=TONES[f.level]), f.about, f.what, f.advice] for f in found.findings
     ]
@@ -71,7 +71,7 @@ def _findings(found: Examination) -> Iterator[Block]:
         yield Fold("What the file says of itself", [Bullets(found.remarks)])
 
 
-def _prescription(advice: Prescription | None) -> Iterator[Block]:
+def _prescription(advice: SuggestedConfig | None) -> Iterator[Block]:
     if advice is None:
         yield Text("There is no laser scan in it: nothing can be run.", "warn")
         return
@@ -89,7 +89,7 @@ def _prescription(advice: Prescription | None) -> Iterator[Block]:
         yield Fold("Known of this recording", [Bullets(advice.defects)])
 
 
-def _lidar_table(lidars: tuple[Lidar, ...]) -> Table:
+def _lidar_table(lidars: tuple[LidarStats, ...]) -> Table:
     columns = (
         "lidar", Column("scans", number=True), Column("beams", number=True), Column("field of view", "deg", True),
         Column("limits", "m"), Column("rate", "Hz", True), Column("jitter", "ms", True), Column("hits", "%", True),
@@ -99,7 +99,7 @@ def _lidar_table(lidars: tuple[Lidar, ...]) -> Table:
     return Table(columns, [_lidar_row(lidar) for lidar in lidars], caption="Shares are of all beams.")
 
 
-def _lidar_row(lidar: Lidar) -> list[str | Cell]:
+def _lidar_row(lidar: LidarStats) -> list[str | Cell]:
     low, high = (f"{limit:g}" if limit is not None else "?" for limit in (lidar.range_min_m, lidar.range_max_m))
     seen = lidar.returns
     nothing = seen.infinite + seen.at_maximum + seen.beyond_maximum + sum(code.share for code in seen.codes)
@@ -111,7 +111,7 @@ def _lidar_row(lidar: Lidar) -> list[str | Cell]:
     ]  # fmt: skip
 
 
-def _lidar_figures(found: Examination) -> Iterator[Block]:
+def _lidar_figures(found: Inspection) -> Iterator[Block]:
     for lidar, laser in zip(found.lidars, found.streams.lasers, strict=True):
         drawn = [
             Figure(_first_scan(laser), f"{lidar.topic}: a scan from the middle", "In the lidar's frame."),
@@ -126,7 +126,7 @@ def _lidar_figures(found: Examination) -> Iterator[Block]:
         yield Figures(drawn)
 
 
-def _first_scan(laser: Laser) -> bytes:
+def _first_scan(laser: LaserStream) -> bytes:
     ranges = laser.ranges[len(laser.ranges) // 2]
     same = len(laser.angles) == len(ranges)
     first, last = float(laser.angles[0]), float(laser.angles[-1])
@@ -138,13 +138,13 @@ def _first_scan(laser: Laser) -> bytes:
     return charts.scatter(layers, Axis("x [m]"), Axis("y [m]"))
 
 
-def _ranges(laser: Laser, lidar: Lidar) -> bytes:
+def _ranges(laser: LaserStream, lidar: LidarStats) -> bytes:
     some = np.concatenate(laser.ranges[:: max(len(laser.ranges) // 500, 1)])
     levels = {"declared maximum": lidar.range_max_m} if lidar.range_max_m is not None else {}
     return charts.histogram({lidar.topic: some[np.isfinite(some)]}, Axis("range [m]"), 80, levels)
 
 
-def _directions(laser: Laser, lidar: Lidar) -> bytes:
+def _directions(laser: LaserStream, lidar: LidarStats) -> bytes:
     table = np.array([row for row in laser.ranges if len(row) == len(laser.angles)])
     low, high = lidar.range_min_m or 1e-9, lidar.range_max_m or np.inf
     plain = np.isfinite(table) & (table >= low) & (table < high)
@@ -154,13 +154,13 @@ def _directions(laser: Laser, lidar: Lidar) -> bytes:
     return charts.lines([curve], Axis("direction [deg]"), Axis("hits [%]", low=0.0, high=102.0))
 
 
-def _periods(laser: Laser) -> bytes:
+def _periods(laser: LaserStream) -> bytes:
     distinct = np.unique(laser.stamps_ns)
     curve = Curve("period", (distinct[1:] - distinct[0]) * 1e-9, np.diff(distinct) * 1e-9)
     return charts.lines([curve], Axis("time [s]"), Axis("since the scan before [s]", low=0.0))
 
 
-def _offsets(laser: Laser) -> bytes:
+def _offsets(laser: LaserStream) -> bytes:
     recorded = laser.recorded_ns if laser.recorded_ns is not None else laser.stamps_ns
     seconds: Floats = np.asarray((recorded - recorded[0]) * 1e-9, dtype=np.float64)
     ahead: Floats = np.asarray((laser.stamps_ns - recorded) * 1e-9, dtype=np.float64)
@@ -170,7 +170,7 @@ def _offsets(laser: Laser) -> bytes:
     )  # fmt: skip
 
 
-def _odometry(found: Examination) -> Iterator[Block]:
+def _odometry(found: Inspection) -> Iterator[Block]:
     if not found.drivings:
         yield Text("None.")
         return
@@ -192,7 +192,7 @@ def _odometry(found: Examination) -> Iterator[Block]:
     )
 
 
-def _odometry_row(found: Examination, one: Driving) -> list[str | Cell]:
+def _odometry_row(found: Inspection, one: OdometryStats) -> list[str | Cell]:
     turn = found.turnings.get(f"{one.topic} {one.child}")
     return [
         one.topic, f"{one.parent} to {one.child}", str(one.timing.count),
@@ -202,10 +202,10 @@ def _odometry_row(found: Examination, one: Driving) -> list[str | Cell]:
     ]  # fmt: skip
 
 
-def _frames(found: Examination) -> Iterator[Block]:
+def _frames(found: Inspection) -> Iterator[Block]:
     for seat in found.frames.mountings:
         where = seat.problem or f"x {seat.x_m:.3f} m, y {seat.y_m:.3f} m, turned {seat.theta_deg:.1f} deg"
-        yield Text(f"Lidar '{seat.sensor}' on '{seat.base}': {where}.")
+        yield Text(f"LidarStats '{seat.sensor}' on '{seat.base}': {where}.")
     if found.frames.links:
         rows = [[k.parent, k.child, "static" if k.static else "moving", str(k.messages)] for k in found.frames.links]
         yield Fold(f"tf tree: {times(len(found.frames.names), 'frame')}, roots {', '.join(found.frames.roots)}",

@@ -9,7 +9,7 @@ import numpy as np
 
 from evalkit.core.arrays import Bools, Ints
 from evalkit.core.se2 import Floats, Stamps
-from evalkit_datasets.inspection.streams import Laser
+from evalkit_datasets.inspection.streams import LaserStream
 
 KNOWN_CODES: tuple[tuple[float, float, str], ...] = (
     (81.83, 0.005, "SICK LMS, centimetres, 13 bits"),
@@ -42,7 +42,7 @@ STEPS_M = (0.05, 0.01, 0.005, 0.001)
 
 
 @dataclass(frozen=True, slots=True)
-class Code:
+class NoReturnCode:
     """Values within [low, high] m that seem to mean no return: their share of the beams, and what speaks for it."""
 
     low_m: float
@@ -52,7 +52,7 @@ class Code:
 
 
 @dataclass(frozen=True, slots=True)
-class Returns:
+class RangeStats:
     """Shares of all beams (0 to 1), and ranges (m) of those that are plain hits.
 
     ``codes``: finite values that seem to mean no return, whether the format says so or not. ``step_m``: the finest
@@ -69,7 +69,7 @@ class Returns:
     under_minimum: float
     at_maximum: float
     beyond_maximum: float
-    codes: tuple[Code, ...]
+    codes: tuple[NoReturnCode, ...]
     shortest_m: float
     median_m: float
     p99_m: float
@@ -84,7 +84,7 @@ class Returns:
         return self.nan + self.zero + self.negative + self.under_minimum
 
 
-def returns(laser: Laser) -> Returns:
+def measure_ranges(laser: LaserStream) -> RangeStats:
     """The returns of a lidar with at least one scan."""
     everything = np.concatenate(laser.ranges)
     beams = len(everything)
@@ -92,12 +92,12 @@ def returns(laser: Laser) -> Returns:
     high = laser.range_max_m if np.isfinite(laser.range_max_m) else np.inf
     finite = np.isfinite(everything)
     positive = everything[finite & (everything > 0.0)]
-    codes = no_return_codes(laser.ranges, high)
+    codes = find_no_return_codes(laser.ranges, high)
     plain = positive[(positive >= low) & (positive < high)]
     for code in codes:
         plain = plain[(plain < code.low_m) | (plain > code.high_m)]
     hits = np.percentile(plain, [0, 50, 99, 100]) if len(plain) else np.full(4, np.nan)
-    return Returns(
+    return RangeStats(
         beams=tuple(sorted({len(row) for row in laser.ranges})),
         hits=len(plain) / beams,
         infinite=_share(np.isposinf(everything)),
@@ -118,7 +118,7 @@ def returns(laser: Laser) -> Returns:
     )
 
 
-def no_return_codes(ranges: Sequence[Floats], range_max_m: float = np.inf) -> tuple[Code, ...]:
+def find_no_return_codes(ranges: Sequence[Floats], range_max_m: float = np.inf) -> tuple[NoReturnCode, ...]:
     """The finite values below a declared maximum that seem to mean no return, from the longest down.
 
     A code is frequent, comes from many directions, and either nothing lies within half a metre below it or it is
@@ -139,7 +139,7 @@ def no_return_codes(ranges: Sequence[Floats], range_max_m: float = np.inf) -> tu
         why = _why(values, counts, first, last)
         if why and directions >= MIN_BEAMS:
             low, high = float(values[first]), float(values[last])
-            found.append(Code(low, high, float(within.mean()), why))
+            found.append(NoReturnCode(low, high, float(within.mean()), why))
     return tuple(reversed(found))
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from evalkit.core.se2 import Floats, Stamps
-from evalkit_datasets.transforms import Tree
+from evalkit_datasets.transforms import TransformTree
 
 
 @dataclass(frozen=True, slots=True)
@@ -21,7 +21,7 @@ class Topic:
 
 
 @dataclass(frozen=True, eq=False)
-class Laser:
+class LaserStream:
     """All scans of one lidar in the order of the file, as sent.
 
     ``stamps_ns`` (N,): the headers' times; ``recorded_ns`` (N,): when each was written down, None where untold.
@@ -44,7 +44,7 @@ class Laser:
 
 
 @dataclass(frozen=True, eq=False)
-class Wheels:
+class OdometryStream:
     """One odometry in the order of the file: poses (N, 3) ``parent_from_child``, twists (N, 2) in m/s, rad/s."""
 
     topic: str
@@ -57,7 +57,7 @@ class Wheels:
 
 
 @dataclass(frozen=True, eq=False)
-class Streams:
+class RecordingStreams:
     """A recording. ``poses_from``: who made the poses inside where they are corrected ones, "" else.
 
     ``digits``: the most significant digits any scan's stamp is written with, 0 where stamps are binary. ``remarks``:
@@ -67,9 +67,9 @@ class Streams:
     path: Path
     kind: str
     topics: Sequence[Topic]
-    lasers: Sequence[Laser]
-    wheels: Sequence[Wheels]
-    tree: Tree = field(default_factory=Tree)
+    lasers: Sequence[LaserStream]
+    wheels: Sequence[OdometryStream]
+    tree: TransformTree = field(default_factory=TransformTree)
     poses_from: str = ""
     digits: int = 0
     damaged: int = 0

@@ -14,15 +14,15 @@ from evalkit.core.pose import Pose
 from evalkit.plugins.protocols import Value
 from evalkit_datasets import catalog, recorded
 from evalkit_datasets.carmen import Carmen
-from evalkit_datasets.inspection.examination import Examination, worth
-from evalkit_datasets.inspection.findings import Lidar, is_known
+from evalkit_datasets.inspection.findings import LidarStats, is_known
+from evalkit_datasets.inspection.inspector import Inspection, worth
 from evalkit_datasets.rosbag import RosBag
 
 TILT_WORDS = ("vertical",)
 
 
 @dataclass(frozen=True)
-class Prescription:
+class SuggestedConfig:
     """What would run it. ``table``: of an experiment; ``command``: of the terminal; ``reasons``: for every choice.
 
     ``scans`` and ``notes``: what the reader said when it was tried; ``problem``: why it does not run, "" where it does.
@@ -42,7 +42,7 @@ class Prescription:
     defects: tuple[str, ...] = ()
 
 
-def prescribe(found: Examination) -> Prescription | None:
+def suggest_config(found: Inspection) -> SuggestedConfig | None:
     """What would run it, None where there is no laser scan in it."""
     if not found.lidars:
         return None
@@ -61,13 +61,13 @@ def prescribe(found: Examination) -> Prescription | None:
     dataset, defects = _catalogued(found.path)
     if dataset:
         reasons.append(f'it is the catalogued recording: use = "{dataset}" runs it with its own settings and truth')
-    return Prescription(
+    return SuggestedConfig(
         reader, parameters, _table(reader, found.path, parameters), _command(parameters), tuple(reasons),
         tried.scans, tried.truth, tried.notes, tried.problem, dataset, defects,
     )  # fmt: skip
 
 
-def best_lidar(found: Examination) -> tuple[Lidar, str]:
+def best_lidar(found: Inspection) -> tuple[LidarStats, str]:
     """The lidar to take, and why; of at least one."""
     tilted = {seat.sensor for seat in found.frames.mountings if seat.problem}
     level = [one for one in found.lidars if one.frame not in tilted and not _by_name_tilted(one)] or list(found.lidars)
@@ -84,11 +84,11 @@ def best_lidar(found: Examination) -> tuple[Lidar, str]:
     return best, f"it measures the most directions ({seen}); others: {others}"
 
 
-def _by_name_tilted(lidar: Lidar) -> bool:
+def _by_name_tilted(lidar: LidarStats) -> bool:
     return any(word in lidar.topic.lower() for word in TILT_WORDS)
 
 
-def _bag_choices(found: Examination) -> tuple[dict[str, Value], list[str]]:
+def _bag_choices(found: Inspection) -> tuple[dict[str, Value], list[str]]:
     lidar, why = best_lidar(found)
     parameters: dict[str, Value] = {"topic": lidar.topic}
     reasons = [f"topic {lidar.topic}: {why}"]
@@ -108,7 +108,7 @@ def _bag_choices(found: Examination) -> tuple[dict[str, Value], list[str]]:
     return parameters, reasons
 
 
-def _log_choices(found: Examination) -> tuple[dict[str, Value], list[str]]:
+def _log_choices(found: Inspection) -> tuple[dict[str, Value], list[str]]:
     parameters: dict[str, Value] = {}
     reasons = []
     codes = [code.low_m for code in found.lidars[0].returns.codes if code.low_m < 50.0]
@@ -122,7 +122,7 @@ def _log_choices(found: Examination) -> tuple[dict[str, Value], list[str]]:
     return parameters, reasons
 
 
-def _truth_beside(found: Examination) -> tuple[dict[str, Value], list[str]]:
+def _truth_beside(found: Inspection) -> tuple[dict[str, Value], list[str]]:
     """Relations and reference trajectories in the same folder that share the recording's time, the best-named first."""
     folder, stem = found.path.parent, found.path.name.split(".")[0].split("-")[0]
     reader = "carmen" if found.kind == "CARMEN log" else "rosbag"
@@ -139,7 +139,7 @@ def _truth_beside(found: Examination) -> tuple[dict[str, Value], list[str]]:
     return parameters, reasons
 
 
-def _least(found: Examination) -> dict[str, Value]:
+def _least(found: Inspection) -> dict[str, Value]:
     parameters: dict[str, Value] = {"path": str(found.path), "odometry": "none"}
     return parameters if found.kind == "CARMEN log" else parameters | {"topic": found.lidars[0].topic}
 

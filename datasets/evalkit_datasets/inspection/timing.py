@@ -23,7 +23,7 @@ class Gap:
 
 
 @dataclass(frozen=True, slots=True)
-class Timing:
+class StreamTiming:
     """Rate and regularity of a stream, in order of time.
 
     ``period_s``: median; ``jitter_s``: half of what lies between the 16th and 84th percentile of the periods, one
@@ -50,7 +50,7 @@ class Timing:
 
 
 @dataclass(frozen=True, slots=True)
-class Clock:
+class ClockOffset:
     """A stamp minus the time of recording (s): median, 5th and 95th percentile, extremes, drift."""
 
     median_s: float
@@ -61,7 +61,7 @@ class Clock:
     drift_ppm: float
 
 
-def timing(stamps_ns: Stamps) -> Timing:
+def measure_timing(stamps_ns: Stamps) -> StreamTiming:
     """The timing of stamps (N,) in the order of the file; N at least 1."""
     distinct = np.unique(stamps_ns)
     periods = np.diff(distinct) * 1e-9
@@ -70,7 +70,7 @@ def timing(stamps_ns: Stamps) -> Timing:
     usual = max(period, float(periods.mean())) if len(periods) else 0.0  # messages may come in bunches
     silent = np.flatnonzero(periods > GAP_PERIODS * usual)
     longest = silent[np.argsort(-periods[silent], kind="stable")][:LISTED_GAPS]
-    return Timing(
+    return StreamTiming(
         len(stamps_ns),
         int(distinct[0]),
         int(distinct[-1]),
@@ -85,11 +85,11 @@ def timing(stamps_ns: Stamps) -> Timing:
     )
 
 
-def clock(stamps_ns: Stamps, recorded_ns: Stamps) -> Clock:
+def measure_clock_offset(stamps_ns: Stamps, recorded_ns: Stamps) -> ClockOffset:
     """How stamps (N,) go with the clock of the recorder (N,); N at least 1."""
     offsets = (stamps_ns - recorded_ns) * 1e-9
     low, middle, high = np.percentile(offsets, [5, 50, 95])
     seconds = (recorded_ns - recorded_ns[0]) * 1e-9
     spread = float(seconds.std())
     slope = float(np.polyfit(seconds, offsets - middle, 1)[0]) if spread > 1.0 else 0.0
-    return Clock(float(middle), float(low), float(high), float(offsets.min()), float(offsets.max()), 1e6 * slope)
+    return ClockOffset(float(middle), float(low), float(high), float(offsets.min()), float(offsets.max()), 1e6 * slope)

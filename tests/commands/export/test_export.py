@@ -277,10 +277,10 @@ def test_a_bag_is_the_recording_again_for_evalkits_own_reader(finished):
 
 
 def test_the_doctor_finds_in_a_bag_what_was_put_there(finished):
-    from evalkit_datasets.inspection.examination import examine
-    from evalkit_datasets.inspection.suggested_config import prescribe
+    from evalkit_datasets.inspection.inspector import inspect_recording
+    from evalkit_datasets.inspection.suggested_config import suggest_config
 
-    found = examine(exported(finished, "mcap", "--method", "wheel")[0])
+    found = inspect_recording(exported(finished, "mcap", "--method", "wheel")[0])
     (lidar,), (seat,), (driven,) = found.lidars, found.frames.mountings, found.drivings
     assert (lidar.timing.count, lidar.beams, lidar.returns.nan) == (N, 61, pytest.approx(1 / 61))
     assert lidar.timing.rate_hz == pytest.approx(10.0)
@@ -288,7 +288,7 @@ def test_the_doctor_finds_in_a_bag_what_was_put_there(finished):
     assert (seat.base, seat.x_m, seat.theta_deg) == ("base_link", pytest.approx(0.1), pytest.approx(90.0))
     assert driven.path_m == pytest.approx(29 * 4.0 * np.sin(0.025))
     assert driven.twist.constant
-    advice = prescribe(found)
+    advice = suggest_config(found)
     assert (advice.parameters["topic"], advice.scans, advice.problem) == ("/scan", N, "")
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import stored_run
-from bounds import Finding, folder, held
+from bounds import InspectionFinding, folder, held
 
 from evalkit.execution.task import Task
 from evalkit.execution.task_store import TaskStore
@@ -37,4 +37,4 @@ def one(data: bytes) -> None:
     found: list[object] = []
     held(lambda: found.append(store.load(TASK)), len(data), "")
     if not isinstance(found[0], (dict, type(None))):
-        raise Finding(f"a result that is a {type(found[0]).__name__}")
+        raise InspectionFinding(f"a result that is a {type(found[0]).__name__}")

@@ -7,7 +7,7 @@ import json
 import zipfile
 
 import numpy as np
-from bounds import Finding, folder, held
+from bounds import InspectionFinding, folder, held
 
 from evalkit.core.run_result import STEP
 from evalkit.io import untrusted_io
@@ -81,4 +81,4 @@ def one(data: bytes) -> None:
     held(lambda: (store.load_run("key"), store.load_scores("key")), len(data), "")
     made = store.load_made("key")
     if not isinstance(made, dict):
-        raise Finding(f"made.json gave {made!r}")
+        raise InspectionFinding(f"made.json gave {made!r}")

@@ -6,13 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from evalkit_datasets.inspection.streams import Laser
+from evalkit_datasets.inspection.streams import LaserStream
 from evalkit_datasets.rosbag import BASE_FRAMES
-from evalkit_datasets.transforms import Tree
+from evalkit_datasets.transforms import TransformTree
 
 
 @dataclass(frozen=True, slots=True)
-class Link:
+class FrameLink:
     """One transform of the tree: static, or moving with so many messages."""
 
     parent: str
@@ -22,7 +22,7 @@ class Link:
 
 
 @dataclass(frozen=True, slots=True)
-class Seat:
+class LidarMounting:
     """Where a lidar sits on a base, seen from above (m, m, deg). ``problem``: why it cannot be used, "" else."""
 
     base: str
@@ -35,20 +35,20 @@ class Seat:
 
 
 @dataclass(frozen=True)
-class Frames:
+class FrameTree:
     """``roots``: frames without a parent; ``contested``: frames with several, and these; ``mountings``: of lidars."""
 
     names: tuple[str, ...] = ()
     roots: tuple[str, ...] = ()
-    links: tuple[Link, ...] = ()
+    links: tuple[FrameLink, ...] = ()
     contested: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    mountings: tuple[Seat, ...] = ()
+    mountings: tuple[LidarMounting, ...] = ()
 
 
-def frames(tree: Tree, lasers: Sequence[Laser]) -> Frames:
+def build_frame_tree(tree: TransformTree, lasers: Sequence[LaserStream]) -> FrameTree:
     """The tree as it is, and the place of each lidar on the first base frame that leads to it."""
-    static = [Link(parent, child, True, 1) for child, parents in tree.static.items() for parent in parents]
-    moving = [Link(parent, child, False, len(edges)) for (parent, child), edges in tree.moving.items()]
+    static = [FrameLink(parent, child, True, 1) for child, parents in tree.static.items() for parent in parents]
+    moving = [FrameLink(parent, child, False, len(edges)) for (parent, child), edges in tree.moving.items()]
     links = tuple(sorted([*static, *moving], key=lambda link: (link.static, link.parent, link.child)))
     names = tuple(tree.frames())
     parents: dict[str, list[str]] = {}
@@ -56,17 +56,17 @@ def frames(tree: Tree, lasers: Sequence[Laser]) -> Frames:
         parents.setdefault(link.child, []).append(link.parent)
     contested = {child: tuple(dict.fromkeys(own)) for child, own in parents.items() if len(set(own)) > 1}
     seats = [seat for laser in lasers if (seat := _seat(tree, laser)) is not None]
-    return Frames(names, tuple(name for name in names if name not in parents), links, contested, tuple(seats))
+    return FrameTree(names, tuple(name for name in names if name not in parents), links, contested, tuple(seats))
 
 
-def _seat(tree: Tree, laser: Laser) -> Seat | None:
+def _seat(tree: TransformTree, laser: LaserStream) -> LidarMounting | None:
     """None where no base frame leads to the lidar."""
     for base in BASE_FRAMES:
         try:
             found = tree.mounting(base, laser.frame, int(laser.stamps_ns[0]))
         except ValueError as error:
-            return Seat(base, laser.frame, problem=str(error))
+            return LidarMounting(base, laser.frame, problem=str(error))
         if found is not None and base in tree.frames():
             pose = found.base_from_sensor
-            return Seat(base, laser.frame, pose.x, pose.y, math.degrees(pose.theta), found.mirrored)
+            return LidarMounting(base, laser.frame, pose.x, pose.y, math.degrees(pose.theta), found.mirrored)
     return None

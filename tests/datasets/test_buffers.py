@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from evalkit_datasets.reordering import by_rank
+from evalkit_datasets.buffers import sort_by_rank
 
 
 @dataclass(frozen=True)
@@ -18,12 +18,12 @@ def readings(ranks):
     return [(rank, Reading(f"scan {rank}", np.array([rank, np.nan, np.inf]))) for rank in ranks]
 
 
-@pytest.mark.parametrize("most_ahead", [0, 1, 3, 100])
+@pytest.mark.parametrize("max_ahead", [0, 1, 3, 100])
 @pytest.mark.parametrize(
     "ranks", [[0, 1, 2, 3], [3, 2, 1, 0], [4, 5, 6, 0, 1, 2, 3], np.random.default_rng(0).permutation(50).tolist()]
 )
-def test_every_scan_comes_in_its_turn_with_its_own_ranges_in_memory_or_on_disk(ranks, most_ahead):
-    found = list(by_rank(readings(ranks), most_ahead))
+def test_every_scan_comes_in_its_turn_with_its_own_ranges_in_memory_or_on_disk(ranks, max_ahead):
+    found = list(sort_by_rank(readings(ranks), max_ahead))
     assert [scan.name for scan in found] == [f"scan {rank}" for rank in range(len(ranks))]
     for rank, scan in enumerate(found):
         np.testing.assert_array_equal(scan.ranges, [rank, np.nan, np.inf])
@@ -37,7 +37,7 @@ def test_what_is_in_order_is_handed_on_before_the_next_is_read():
             read.append(rank)
             yield rank, scan
 
-    for seen, _ in enumerate(by_rank(reading())):
+    for seen, _ in enumerate(sort_by_rank(reading())):
         assert read == list(range(seen + 1))
 
 
@@ -56,9 +56,9 @@ def test_no_more_than_so_many_scans_out_of_turn_keep_their_ranges_in_memory():
             most.append(len(alive))
 
     most = []
-    assert len(list(by_rank(watched(40), most_ahead=4))) == 40
+    assert len(list(sort_by_rank(watched(40), max_ahead=4))) == 40
     assert max(most) <= 6
 
 
 def test_after_a_scan_that_is_missing_nothing_follows():
-    assert [scan.name for scan in by_rank(readings([0, 2, 3]))] == ["scan 0"]
+    assert [scan.name for scan in sort_by_rank(readings([0, 2, 3]))] == ["scan 0"]

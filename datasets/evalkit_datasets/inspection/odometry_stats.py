@@ -10,8 +10,8 @@ import numpy as np
 from evalkit.core import se2
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats, Stamps
-from evalkit_datasets.inspection.streams import Laser, Wheels
-from evalkit_datasets.inspection.timing import Clock, Timing, clock, timing
+from evalkit_datasets.inspection.streams import LaserStream, OdometryStream
+from evalkit_datasets.inspection.timing import ClockOffset, StreamTiming, measure_clock_offset, measure_timing
 
 STILL = (0.005, 0.005)
 """Slower than this (m/s, rad/s) is standing."""
@@ -26,7 +26,7 @@ BIN_NS = 500_000_000
 """Speeds are taken over so long: neighbouring stamps may be a fraction of a millisecond apart."""
 
 SIDEWAYS = 0.02
-"""Wheels do not slip sideways by more than this share of a step; poses of filters and matchers do."""
+"""OdometryStream do not slip sideways by more than this share of a step; poses of filters and matchers do."""
 
 NEVER_STILL = 0.002
 """Odometry of wheels that stand does not change in any digit; noise always does."""
@@ -45,7 +45,7 @@ class Jump:
 
 
 @dataclass(frozen=True, slots=True)
-class Twist:
+class TwistComparison:
     """How the speeds in the messages go with the motion of the poses. ``constant``: they never change at all.
 
     ``scale`` and ``turn_scale``: speed of the poses by the speed told (1: they agree), nan where nothing moves.
@@ -57,7 +57,7 @@ class Twist:
 
 
 @dataclass(frozen=True, slots=True)
-class Driving:
+class OdometryStats:
     """One odometry. ``first`` and ``net``: where it begins, and its last pose as seen from there (m, m, deg).
 
     ``standing``: share of the time at less than 5 mm/s and 0.3 deg/s. ``exactly_still``: share of the steps in which
@@ -68,8 +68,8 @@ class Driving:
     topic: str
     parent: str
     child: str
-    timing: Timing
-    clock: Clock | None
+    timing: StreamTiming
+    clock: ClockOffset | None
     path_m: float
     turned_deg: float
     first: tuple[float, float, float]
@@ -82,7 +82,7 @@ class Driving:
     largest_turn_deg: float
     jump_count: int
     jumps: tuple[Jump, ...]
-    twist: Twist | None
+    twist: TwistComparison | None
 
     @property
     def like_wheels(self) -> bool:
@@ -90,7 +90,7 @@ class Driving:
         return not (self.sideways > SIDEWAYS and self.exactly_still < NEVER_STILL)
 
 
-def driving(wheels: Wheels) -> Driving:
+def measure_odometry(wheels: OdometryStream) -> OdometryStats:
     """The quality of an odometry with at least one pose."""
     stamps, first = np.unique(wheels.stamps_ns, return_index=True)
     poses = wheels.poses[first]
@@ -100,12 +100,12 @@ def driving(wheels: Wheels) -> Driving:
     jumps = _jumps(stamps, metres, turns, seconds)
     _, speeds, rates = _speeds(stamps, poses)
     net = se2.between(poses[0], poses[-1])
-    return Driving(
+    return OdometryStats(
         wheels.topic,
         wheels.parent,
         wheels.child,
-        timing(wheels.stamps_ns),
-        None if wheels.recorded_ns is None else clock(wheels.stamps_ns, wheels.recorded_ns),
+        measure_timing(wheels.stamps_ns),
+        None if wheels.recorded_ns is None else measure_clock_offset(wheels.stamps_ns, wheels.recorded_ns),
         float(metres.sum()),
         math.degrees(float(turns.sum())),
         _degrees(poses[0]),
@@ -123,7 +123,7 @@ def driving(wheels: Wheels) -> Driving:
 
 
 @dataclass(frozen=True, slots=True)
-class Turning:
+class TurnComparison:
     """The turns of an odometry against those the scans see by themselves, over ``pairs`` pairs of scans.
 
     ``scale``: turn of the scans by turn of the odometry (1: they agree, -1: it turns the wrong way);
@@ -146,7 +146,7 @@ MIN_PAIRS = 8
 CLIP_M = 10.0
 
 
-def turning(wheels: Wheels, laser: Laser) -> Turning | None:
+def compare_turns(wheels: OdometryStream, laser: LaserStream) -> TurnComparison | None:
     """How the turns of both compare; None where fewer than eight pairs of scans turn on the spot.
 
     Turning on the spot shifts a scan along its angles: the shift with the least median difference of ranges is the
@@ -172,7 +172,7 @@ def turning(wheels: Wheels, laser: Laser) -> Turning | None:
         return None
     odometry, scans = np.array(said), np.array(seen)
     low, high = np.degrees(np.percentile(scans - odometry, [16, 84]))
-    return Turning(len(said), float(np.median(scans / odometry)), 0.5 * float(high - low))
+    return TurnComparison(len(said), float(np.median(scans / odometry)), 0.5 * float(high - low))
 
 
 def _pairs(times: Stamps, poses: Floats, middle_m: float) -> list[tuple[int, int]]:
@@ -249,7 +249,7 @@ def _sideways(steps: Floats) -> float:
     return float(np.median(np.abs(across)) / np.median(np.abs(along))) if moving.sum() >= 20 else float("nan")
 
 
-def _twist(wheels: Wheels) -> Twist | None:
+def _twist(wheels: OdometryStream) -> TwistComparison | None:
     if wheels.twists is None or len(wheels.twists) != len(wheels.stamps_ns):
         return None
     stamps, first = np.unique(wheels.stamps_ns, return_index=True)
@@ -259,7 +259,7 @@ def _twist(wheels: Wheels) -> Twist | None:
         return None
     middles = starts + BIN_NS // 2
     at = np.stack([np.interp(middles, stamps, column) for column in told.T], axis=-1)
-    return Twist(bool((told == told[0]).all()), _ratio(speeds, at[:, 0], 0.05), _ratio(rates, at[:, 1], 0.1))
+    return TwistComparison(bool((told == told[0]).all()), _ratio(speeds, at[:, 0], 0.05), _ratio(rates, at[:, 1], 0.1))
 
 
 def _ratio(poses: Floats, told: Floats, least: float) -> float:

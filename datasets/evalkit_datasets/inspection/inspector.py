@@ -7,52 +7,52 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from evalkit_datasets import bag
+from evalkit_datasets import rosbag_parser
 from evalkit_datasets.inspection import bag_streams, findings, log_streams
-from evalkit_datasets.inspection.driving import Driving, Turning, driving, turning
-from evalkit_datasets.inspection.findings import Finding, Lidar
-from evalkit_datasets.inspection.frames import Frames, frames
-from evalkit_datasets.inspection.range_stats import returns
-from evalkit_datasets.inspection.streams import Laser, Streams, Topic
-from evalkit_datasets.inspection.timing import clock, timing
+from evalkit_datasets.inspection.findings import InspectionFinding, LidarStats
+from evalkit_datasets.inspection.frame_tree import FrameTree, build_frame_tree
+from evalkit_datasets.inspection.odometry_stats import OdometryStats, TurnComparison, compare_turns, measure_odometry
+from evalkit_datasets.inspection.range_stats import measure_ranges
+from evalkit_datasets.inspection.streams import LaserStream, RecordingStreams, Topic
+from evalkit_datasets.inspection.timing import measure_clock_offset, measure_timing
 
 TRUTH_WORDS = ("ground_truth", "groundtruth", "gt", "mocap", "vicon", "optitrack", "reference")
 
 
 @dataclass(frozen=True, eq=False)
-class Examination:
+class Inspection:
     """All that was measured. ``turnings``: by the topic of the odometry, against the best lidar."""
 
     path: Path
     kind: str
     bytes: int
     topics: tuple[Topic, ...]
-    lidars: tuple[Lidar, ...]
-    drivings: tuple[Driving, ...]
-    turnings: Mapping[str, Turning]
-    frames: Frames
+    lidars: tuple[LidarStats, ...]
+    drivings: tuple[OdometryStats, ...]
+    turnings: Mapping[str, TurnComparison]
+    frames: FrameTree
     poses_from: str
     truth_inside: str
     remarks: tuple[str, ...]
-    findings: tuple[Finding, ...]
-    streams: Streams
+    findings: tuple[InspectionFinding, ...]
+    streams: RecordingStreams
 
 
-def examine(path: Path) -> Examination:
+def inspect_recording(path: Path) -> Inspection:
     """A bag (ROS 1 or 2) or a CARMEN log, examined; BadData or DataMissing as its reader says it."""
-    is_bag = path.is_dir() or path.suffix in bag.ENDINGS
+    is_bag = path.is_dir() or path.suffix in rosbag_parser.ENDINGS
     streams = bag_streams.read(path) if is_bag else log_streams.read(path)
     lidars = tuple(_lidar(laser) for laser in streams.lasers)
-    drivings = tuple(driving(wheels) for wheels in streams.wheels)
+    drivings = tuple(measure_odometry(wheels) for wheels in streams.wheels)
     best = max(range(len(lidars)), key=lambda at: worth(lidars[at]), default=None)
     turns = {}
     for wheels in streams.wheels if best is not None else ():
-        found = turning(wheels, streams.lasers[best or 0])
+        found = compare_turns(wheels, streams.lasers[best or 0])
         if found is not None:
             turns[f"{wheels.topic} {wheels.child}"] = found
-    tree = frames(streams.tree, streams.lasers)
+    tree = build_frame_tree(streams.tree, streams.lasers)
     inside = _truth_inside(streams)
-    return Examination(
+    return Inspection(
         path, streams.kind, _bytes(path), tuple(streams.topics), lidars, drivings, turns, tree, streams.poses_from,
         inside, tuple(streams.remarks),
         findings.of(streams, inside, lidars, drivings, turns, tree),
@@ -60,7 +60,7 @@ def examine(path: Path) -> Examination:
     )  # fmt: skip
 
 
-def worth(lidar: Lidar) -> float:
+def worth(lidar: LidarStats) -> float:
     """Directions (deg) a lidar really measures, times how often: what decides between several."""
     return lidar.field_of_view_deg * lidar.returns.hits * min(lidar.timing.rate_hz, 10.0)
 
@@ -70,9 +70,9 @@ def span_deg(angles: Sequence[float]) -> float:
     return min(math.degrees(abs(angles[-1] - angles[0])) * len(angles) / max(len(angles) - 1, 1), 360.0)
 
 
-def _lidar(laser: Laser) -> Lidar:
+def _lidar(laser: LaserStream) -> LidarStats:
     angles = laser.angles.tolist()
-    return Lidar(
+    return LidarStats(
         laser.topic,
         laser.kind,
         laser.frame,
@@ -83,9 +83,9 @@ def _lidar(laser: Laser) -> Lidar:
         laser.range_min_m if math.isfinite(laser.range_min_m) else None,
         laser.range_max_m if math.isfinite(laser.range_max_m) else None,
         laser.time_increment_ns * 1e-9 * (len(angles) - 1),
-        timing(laser.stamps_ns),
-        None if laser.recorded_ns is None else clock(laser.stamps_ns, laser.recorded_ns),
-        returns(laser),
+        measure_timing(laser.stamps_ns),
+        None if laser.recorded_ns is None else measure_clock_offset(laser.stamps_ns, laser.recorded_ns),
+        measure_ranges(laser),
         laser.damaged,
         laser.unstamped,
     )
@@ -96,7 +96,7 @@ def _bytes(path: Path) -> int:
     return sum(file.stat().st_size for file in files)
 
 
-def _truth_inside(streams: Streams) -> str:
+def _truth_inside(streams: RecordingStreams) -> str:
     if streams.poses_from:
         return {"gmapping": "GMapping's poses", "graph": "graph-optimised poses"}[streams.poses_from]
     named = [t.name for t in streams.topics if any(word in t.name.lower().split("/") for word in TRUTH_WORDS)]

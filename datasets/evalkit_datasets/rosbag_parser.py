@@ -16,8 +16,8 @@ from evalkit.core.arrays import Bools, Ints
 from evalkit.core.errors import BadData, EvalkitError
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.io.timestamps import order_stamps
-from evalkit_datasets.samples import Samples
-from evalkit_datasets.transforms import Edge, Tree, matrix_of, planar
+from evalkit_datasets.buffers import PoseBuffer
+from evalkit_datasets.transforms import Transform, TransformTree, matrix_from_quaternion, planar_pose_from_matrix
 
 LASER = ("sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan")
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -71,8 +71,8 @@ class Contents:
     that are none.
     """
 
-    odometry: dict[tuple[str, str, str], Samples] = field(default_factory=dict)
-    tree: Tree = field(default_factory=Tree)
+    odometry: dict[tuple[str, str, str], PoseBuffer] = field(default_factory=dict)
+    tree: TransformTree = field(default_factory=TransformTree)
     unstamped: int = 0
     damaged: int = 0
 
@@ -286,7 +286,9 @@ def take_odometry(contents: Contents, topic: str, message: Any) -> None:
     matrix = _matrix(contents, message.pose.pose.position, message.pose.pose.orientation)
     if matrix is not None:
         key = topic, _name(message.header.frame_id), _name(message.child_frame_id)
-        contents.odometry.setdefault(key, Samples()).append(_stamp(message.header), planar(matrix).row)
+        contents.odometry.setdefault(key, PoseBuffer()).append(
+            _stamp(message.header), planar_pose_from_matrix(matrix).row
+        )
 
 
 def take_transforms(contents: Contents, message: Any, static: bool) -> None:
@@ -295,12 +297,14 @@ def take_transforms(contents: Contents, message: Any, static: bool) -> None:
         matrix = _matrix(contents, said.transform.translation, said.transform.rotation)
         if matrix is not None:
             parent, child = _name(said.header.frame_id), _name(said.child_frame_id)
-            contents.tree.add(Edge(_stamp(said.header), parent, child, matrix), static)
+            contents.tree.add(Transform(_stamp(said.header), parent, child, matrix), static)
 
 
 def _matrix(contents: Contents, position: Any, rotation: Any) -> Floats | None:
     try:
-        return matrix_of((position.x, position.y, position.z), (rotation.x, rotation.y, rotation.z, rotation.w))
+        return matrix_from_quaternion(
+            (position.x, position.y, position.z), (rotation.x, rotation.y, rotation.z, rotation.w)
+        )
     except ValueError:
         contents.damaged += 1
         return None

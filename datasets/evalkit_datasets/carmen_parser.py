@@ -18,7 +18,7 @@ from evalkit.core.errors import BadData
 from evalkit.core.se2 import Floats
 from evalkit.io.text_lines import iter_lines
 from evalkit.io.timestamps import parse_stamp_ns
-from evalkit_datasets.samples import Samples
+from evalkit_datasets.buffers import PoseBuffer
 
 STEP_DEG = {180: 1.0, 181: 1.0, 360: 0.5, 361: 0.5}
 """Degrees between beams by how many there are: a SICK LMS starting at -90 deg. A FLASER line does not say."""
@@ -49,7 +49,7 @@ class Log:
     """
 
     layout: Layout = (-90.0, 0.0)
-    odometry: Samples = field(default_factory=Samples)
+    odometry: PoseBuffer = field(default_factory=PoseBuffer)
     parameters: dict[str, str] = field(default_factory=dict)
     damaged: int = 0
     damage: tuple[int, str] = (0, "")
