@@ -32,6 +32,7 @@ from evalkit.commands.validate.equivalence_command import equiv
 from evalkit.config import adhoc_experiment, experiment
 from evalkit.config.experiment import Experiment
 from evalkit.core.errors import EvalkitError, NotInstalled
+from evalkit.core.run_result import NOT_EXECUTED
 from evalkit.execution import environment
 from evalkit.execution.executors import There
 from evalkit.execution.scheduler import Engine
@@ -39,7 +40,6 @@ from evalkit.plugins import registry
 from evalkit.results.store import Store, reported
 from evalkit.terminal import inventory, options, progress, run_summary
 from evalkit.terminal.options import AccuracyOnly, Collect, Jobs, Json, Making, Out, Rerun, Resume, Scheduler, err, out
-from evalkit.terminal.run_summary import ABSENT, Row
 
 app = typer.Typer(
     help="Which scan matcher, on my robot, and is my own one right? Compare 2D lidar registration back ends.",
@@ -123,8 +123,8 @@ def run(
     store = Store(folder or _folder(plan))
     how = Making.of(jobs, resume, rerun, collect, engine, scheduler)
     with _engine(plan, store, how) as asked, closing(asked.ended()) as all_ended:
-        rows = {ended.planned.key: Row.of(ended) for ended in all_ended}
-    run_summary.tell([rows[item.key] for item in asked.planned], plan.title, store, None, as_json)
+        runs = {run.spec.key: run_summary.without_steps(run) for run in all_ended}
+    run_summary.print_summary([runs[spec.key] for spec in asked.planned], plan.title, store, None, as_json)
 
 
 @app.command()
@@ -201,13 +201,13 @@ def _report(plan: Experiment, folder: Path | None, how: Making, as_json: bool) -
     started = datetime.now(UTC)
     store = Store(folder or _folder(plan))
     with _engine(plan, store, how) as asked:
-        trials = asked.trials()
-    made = [store.load_made(trial.key) for trial in trials if trial.run.status not in ABSENT]
+        records = asked.records()
+    made = [record.result.provenance for record in records if record.result.status not in NOT_EXECUTED]
     ran_on = {**asked.ran_on, **environment.kept(made, started), **environment.machines(made)}
-    comparison = pages.comparison_of(plan, trials, started, datetime.now(UTC), ran_on)
+    comparison = pages.comparison_of(plan, records, started, datetime.now(UTC), ran_on)
     with reported(store.folder):
         page = pages.write(comparison, store.folder)
-    run_summary.tell([Row.of_trial(trial) for trial in trials], plan.title, store, page, as_json)
+    run_summary.print_summary(records, plan.title, store, page, as_json)
 
 
 @contextmanager

@@ -16,18 +16,20 @@ from typing import Any
 import numpy as np
 import pytest
 
+from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, RunResult, Score, Status, Trial
+from evalkit.core.run_result import STEP, Cause, RunResult, RunStatus, Score, Scores
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
-from evalkit.execution.worker import Outcome, Request, perform
+from evalkit.execution.worker import Request, perform
 from evalkit.metrics.table import Group, Metric
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import DatasetSpec, Published
 from evalkit.report import Comparison, MethodCard, SequenceCard, Setting
+from evalkit.results.run_record import RunRecord
 from evalkit.results.store import read_steps
 
 Build = Callable[..., Comparison]
@@ -64,20 +66,20 @@ def metric_table() -> tuple[Metric, ...]:
     )
 
 
-def make_trial(
+def make_record(
     method: str,
     sequence: str,
     scores: Mapping[str, float | None],
     *,
     seed: int | None = 0,
-    status: Status = "complete",
+    status: RunStatus = "complete",
     reason: str = "",
     answered: int = 60,
     expected: int = 60,
     error_m: float = 0.02,
     ms: float = 1.0,
     truth: bool = True,
-) -> Trial:
+) -> RunRecord:
     """A run around a rectangle whose estimate walks away from the truth by ``error_m``."""
     stamps = np.arange(expected) * 100_000_000
     poses = _lap(np.linspace(0.0, 1.0, expected))
@@ -91,24 +93,24 @@ def make_trial(
     steps["wall_ns"] = steps["cpu_ns"]
     steps["s2s_error"] = np.nan if method.startswith("wheel") else rng.gamma(9, 0.002, answered)
     steps["s2m_error"] = np.nan if method.startswith("wheel") else rng.gamma(9, 0.003, answered)
-    run = RunResult(method, sequence, status, reason, steps, expected, 120_000_000, 5, {"scans out of order": 2})
-    return Trial(
-        key=f"{method}-{sequence}-{seed}".replace("<", "_").replace(">", "_").replace("/", "_"),
-        method=method,
-        backend=method,
-        backend_parameters={"keyframes": 10},
-        sequence=sequence,
-        dataset=sequence,
-        dataset_parameters={"rate_hz": 10.0},
-        seed=seed,
-        command=f"evalkit report demo.toml --sequence '{sequence}' --method '{method}'"
-        + ("" if seed is None else f" --seed {seed}"),
-        run=run,
-        truth=_truth(stamps, poses) if truth else Truth("none"),
-        scores={n: Score(v, answered) if v is not None else Score(None, 0, f"no {n} here") for n, v in scores.items()},
-        world_from_start=Pose(),
-        grid=_grid(error_m) if answered else None,
-        errors_m=_errors(np.hypot(off[:answered, 0], off[:answered, 1]), scores) if truth and answered else None,
+    cause = next(cause for cause in Cause if cause.status == status)
+    result = RunResult(steps, expected, cause, reason, 120_000_000, 5, {"scans out of order": 2})
+    key = f"{method}-{sequence}-{seed}".replace("<", "_").replace(">", "_").replace("/", "_")
+    spec = RunSpec(
+        key,
+        Method(method, method, {"keyframes": 10}),
+        SequenceSpec(sequence, sequence, {"rate_hz": 10.0}, (seed,)),
+        seed,
+    )
+    command = f"evalkit report demo.toml --sequence '{sequence}' --method '{method}'"
+    by_metric = {n: Score(v, answered) if v is not None else Score(None, 0, f"no {n} here") for n, v in scores.items()}
+    errors = _errors(np.hypot(off[:answered, 0], off[:answered, 1]), scores) if truth and answered else None
+    return RunRecord(
+        spec,
+        result,
+        Scores(by_metric, Pose(), "", _grid(error_m) if answered else None, errors),
+        _truth(stamps, poses) if truth else Truth("none"),
+        command + ("" if seed is None else f" --seed {seed}"),
     )
 
 
@@ -118,13 +120,13 @@ def _errors(errors_m: np.ndarray, scores: Mapping[str, float | None]) -> np.ndar
     return errors_m if ate is None else errors_m * ate / np.sqrt(np.mean(errors_m**2))
 
 
-def make_comparison(trials: Sequence[Trial], **changes: object) -> Comparison:
-    """A comparison of those trials with plain cards; the methods "paper" and "wheel" have their roles."""
+def make_comparison(records: Sequence[RunRecord], **changes: object) -> Comparison:
+    """A comparison of those records with plain cards; the methods "paper" and "wheel" have their roles."""
     roles = {"paper": "reference", "wheel": "baseline"}
     made = Comparison(
         title="Demo",
         description="Nine ways to follow a lidar.",
-        trials=tuple(trials),
+        records=tuple(records),
         metrics=metric_table(),
         methods={
             label: MethodCard(
@@ -135,11 +137,11 @@ def make_comparison(trials: Sequence[Trial], **changes: object) -> Comparison:
                 "wheel odometry",
                 role=roles.get(label, ""),  # type: ignore[arg-type]
             )
-            for label in dict.fromkeys(trial.method for trial in trials)
+            for label in dict.fromkeys(record.method for record in records)
         },
         sequences={
             label: SequenceCard(f"A sequence called {label}.", "360 beams, 10 Hz", "exact: simulated", "Author", "MIT")
-            for label in dict.fromkeys(trial.sequence for trial in trials)
+            for label in dict.fromkeys(record.sequence for record in records)
         },
         environment={"processor": "a processor", "threads per run": "1"},
         command="evalkit report demo.toml",
@@ -152,21 +154,21 @@ def make_comparison(trials: Sequence[Trial], **changes: object) -> Comparison:
 
 
 @pytest.fixture
-def trial() -> Callable[..., Trial]:
-    """``trial(method, sequence, scores, ...)``."""
-    return make_trial
+def record() -> Callable[..., RunRecord]:
+    """``record(method, sequence, scores, ...)``."""
+    return make_record
 
 
 @pytest.fixture
 def build() -> Build:
-    """``build(trials, ...)``: a comparison of them."""
+    """``build(records, ...)``: a comparison of them."""
     return make_comparison
 
 
 @pytest.fixture(scope="session")
 def demo() -> Comparison:
     """Two sequences, three seeds and one run, with every way to end and a name that tries to be a script."""
-    trials = []
+    records = []
     for seed in range(3):
         for name, ate, ms in (("paper", 0.066, 0.3), ("plane", 0.011, 4.2), ("wheel", 0.39, 0.01), ("lost", 2.5, 9.0)):
             value = ate * (1 + 0.03 * seed)
@@ -176,13 +178,13 @@ def demo() -> Comparison:
                 "s2m_m": None if name == "wheel" else 0.02,
                 "wall_thickness_m": 0.02, "split_distance_m": 0.05, "guess_kept_percent": 0.0,
             }  # fmt: skip
-            trials.append(make_trial(name, "room", scores, seed=seed, error_m=ate, ms=ms))
-        ends: tuple[tuple[Status, str, int], ...] = (
+            records.append(make_record(name, "room", scores, seed=seed, error_m=ate, ms=ms))
+        ends: tuple[tuple[RunStatus, str, int], ...] = (
             ("complete", "", 60), ("crashed", "signal 11 (segmentation fault)", 31), ("timeout", "900 s passed", 45),
         )  # fmt: skip
         status, reason, answered = ends[seed]
-        trials.append(
-            make_trial(
+        records.append(
+            make_record(
                 "<script>alert(1)</script>",
                 "room",
                 {"ate_rmse_m": 0.05, "cpu_median_ms": 50.0},
@@ -194,8 +196,8 @@ def demo() -> Comparison:
                 ms=50.0,
             )
         )
-        trials.append(
-            make_trial(
+        records.append(
+            make_record(
                 "absent",
                 "room",
                 {},
@@ -207,12 +209,12 @@ def demo() -> Comparison:
         )
     for name, error in (("paper", 0.27), ("plane", 0.051), ("lost", 0.062)):
         scores = {"ate_rmse_m": None, "relations_mean_m": error, "relations_sd_m": error, "cpu_median_ms": 1.0}
-        trials.append(make_trial(name, "fr079", scores, seed=None, error_m=error, truth=False))
-    trials.append(
-        make_trial("wheel", "fr079", {}, seed=None, status="failed", reason="no odometry was recorded", answered=0)
+        records.append(make_record(name, "fr079", scores, seed=None, error_m=error, truth=False))
+    records.append(
+        make_record("wheel", "fr079", {}, seed=None, status="failed", reason="no odometry was recorded", answered=0)
     )
-    trials.append(
-        make_trial(
+    records.append(
+        make_record(
             "plane",
             "intel",
             {},
@@ -223,7 +225,7 @@ def demo() -> Comparison:
             reason="intel: no such folder; run: evalkit data get intel",
         )
     )
-    made = make_comparison(trials)
+    made = make_comparison(records)
     paper = "Kuemmerle et al. 2009, https://example.org/relations"
     published = (Published("scan matching", 0.258, 0.427, paper), Published("graph mapping", 0.056, 0.042, paper))
     cards = {**made.sequences, "fr079": replace(made.sequences["fr079"], published=published, defects=("odd",))}
@@ -293,7 +295,7 @@ def followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     """``followed(name, **parameters)``: outcome and steps of a back end in a square room, in this process."""
     room = DatasetSpec(SquareRoom, "", "", "", "", "")  # type: ignore[arg-type]  # nobody asks for its truth
 
-    def follow(name: str, **parameters: Any) -> tuple[Outcome, Any]:
+    def follow(name: str, **parameters: Any) -> tuple[RunResult, Any]:
         complete = frontend.complete_parameters(name, registry.backend(name), parameters)
         folder = Path(mkdtemp(dir=tmp_path))
         with monkeypatch.context() as patched:

@@ -211,7 +211,7 @@ def test_an_interrupt_keeps_what_is_done_and_leaves_no_process(experiment, tmp_p
     assert process.returncode not in (0, 2)
     assert "interrupted; finished runs are kept: the same command with --resume goes on from here" in err
     assert "Traceback" not in err
-    assert [run.parent.name.rsplit("-", 1)[0] for run in folder.glob("runs/*/run.json")] == ["straight-none"]
+    assert [run.parent.name.rsplit("-", 1)[0] for run in folder.glob("runs/*/result.json")] == ["straight-none"]
     assert not list(folder.glob("runs/straight-raise-*"))
     assert not [other for other in psutil.process_iter(["cmdline"]) if str(folder) in str(other.info["cmdline"])]
 
@@ -241,7 +241,7 @@ def test_a_runner_that_is_killed_loses_nothing_and_leaves_nobody(experiment, tmp
                     "--method", "raise")  # fmt: skip
     again.communicate(timeout=60.0)
     assert (done.read_bytes(), done.stat().st_mtime_ns) == kept
-    assert len(list(folder.glob("runs/*/run.json"))) == 2
+    assert len(list(folder.glob("runs/*/result.json"))) == 2
     deadline = time.monotonic() + 10.0
     while workers(folder) and time.monotonic() < deadline:
         time.sleep(0.1)

@@ -110,7 +110,7 @@ def test_the_tables_for_programs_have_a_row_for_every_run(folder, trials):
 @pytest.mark.parametrize("name", HERE)
 def test_the_trajectory_for_other_tools_is_the_runs_own(folder, trials, name):
     key = trials[name]["key"]
-    run = Store(folder).load_run(key)
+    run = Store(folder).load_result(key)
     read = read_tum(folder / "trajectories" / f"{key}.tum").trajectory
     assert np.array_equal(read.stamps_ns, run.steps["stamp_ns"])
     assert np.allclose(read.poses, run.estimate.poses, atol=1e-8)
@@ -119,7 +119,7 @@ def test_the_trajectory_for_other_tools_is_the_runs_own(folder, trials, name):
 
 def test_the_map_for_other_tools_has_the_runs_walls(folder, trials):
     key = trials["paper"]["key"]
-    grid = Store(folder).load_scores(key)["grid"]
+    grid = Store(folder).load_scores(key).grid
     read = map_server.read_map(folder / "maps" / f"{key}.yaml")
     assert read.shape == grid.shape
     assert (read.resolution_m, read.origin_x, read.origin_y) == (grid.resolution_m, grid.origin_x, grid.origin_y)
@@ -144,5 +144,5 @@ def test_the_same_inputs_give_the_same_numbers(folder, results, tmp_path):
     for trial in (trial for trial in results["trials"] if trial["method"] in again_too):
         again = Store(tmp_path / "out").load_scores(trial["key"])
         ours = {name: score["value"] for name, score in trial["scores"].items() if name not in timed}
-        assert {name: score.value for name, score in again["scores"].items() if name not in timed} == ours
+        assert {name: score.value for name, score in again.by_metric.items() if name not in timed} == ours
     assert timed

@@ -82,6 +82,11 @@ class RunSpec:
     sequence: SequenceSpec
     seed: int | None
 
+    @property
+    def dataset_parameters(self) -> dict[str, Value]:
+        """All parameters of the data set, with the seed."""
+        return self.sequence.seeded(self.seed)
+
 
 @dataclass(frozen=True)
 class Experiment:

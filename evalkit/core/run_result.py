@@ -1,27 +1,87 @@
-"""One run from worker to page: status, steps, cost and scores."""
+"""The result of a run: status, cause, steps and cost; and its scores."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from enum import StrEnum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from evalkit.core.arrays import freeze
 from evalkit.core.grid import OccupancyGrid
-from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 
-Status = Literal[
-    "complete", "failed", "crashed", "timeout", "out-of-memory", "not-installed", "data-missing", "skipped"
-]
+
+class RunStatus(StrEnum):
+    """How a run ended, in one word. A skipped run was not executed."""
+
+    COMPLETE = "complete"
+    FAILED = "failed"
+    CRASHED = "crashed"
+    TIMEOUT = "timeout"
+    OUT_OF_MEMORY = "out-of-memory"
+    NOT_INSTALLED = "not-installed"
+    DATA_MISSING = "data-missing"
+    SKIPPED = "skipped"
 
 
-"""How a run ended; "skipped": it was not made, and may be."""
+class Cause(StrEnum):
+    """Why a run ended. Every cause belongs to one status."""
+
+    COMPLETED = "completed"
+    EXCEPTION = "exception"
+    EXIT_CODE = "exit code"
+    NO_OUTCOME = "no outcome"
+    INTERRUPTED = "interrupted"
+    SCORING_FAILED = "scoring failed"
+    WORKER_FAILED = "worker failed"
+    SIGNAL = "signal"
+    QUARANTINED = "quarantined"
+    TIME_LIMIT = "time limit"
+    CPU_TIME_LIMIT = "CPU time limit"
+    MEMORY_LIMIT = "memory limit"
+    MEMORY_ERROR = "memory error"
+    NOT_INSTALLED = "not installed"
+    DATA_MISSING = "data missing"
+    NOT_RUN = "not run"
+    UNREADABLE = "unreadable"
+
+    @property
+    def status(self) -> RunStatus:
+        """The status of a run with this cause."""
+        return _STATUS_OF_CAUSE[self]
+
+
+_STATUS_OF_CAUSE = {
+    Cause.COMPLETED: RunStatus.COMPLETE,
+    Cause.EXCEPTION: RunStatus.FAILED,
+    Cause.EXIT_CODE: RunStatus.FAILED,
+    Cause.NO_OUTCOME: RunStatus.FAILED,
+    Cause.INTERRUPTED: RunStatus.FAILED,
+    Cause.SCORING_FAILED: RunStatus.FAILED,
+    Cause.WORKER_FAILED: RunStatus.FAILED,
+    Cause.SIGNAL: RunStatus.CRASHED,
+    Cause.QUARANTINED: RunStatus.CRASHED,
+    Cause.TIME_LIMIT: RunStatus.TIMEOUT,
+    Cause.CPU_TIME_LIMIT: RunStatus.TIMEOUT,
+    Cause.MEMORY_LIMIT: RunStatus.OUT_OF_MEMORY,
+    Cause.MEMORY_ERROR: RunStatus.OUT_OF_MEMORY,
+    Cause.NOT_INSTALLED: RunStatus.NOT_INSTALLED,
+    Cause.DATA_MISSING: RunStatus.DATA_MISSING,
+    Cause.NOT_RUN: RunStatus.SKIPPED,
+    Cause.UNREADABLE: RunStatus.SKIPPED,
+}
+
+BROKEN = frozenset({RunStatus.FAILED, RunStatus.CRASHED, RunStatus.TIMEOUT, RunStatus.OUT_OF_MEMORY})
+"""Statuses of runs that could have completed and did not."""
+
+NOT_EXECUTED = frozenset({RunStatus.NOT_INSTALLED, RunStatus.DATA_MISSING, RunStatus.SKIPPED})
+"""Statuses of runs that did not start."""
 
 
 STEP = np.dtype(
@@ -37,36 +97,57 @@ STEP = np.dtype(
 
 """One scan of a run: answer ``start_from_base``, cost in ns, residuals in m (nan where a stage does not exist).
 
-``device_ns`` is what the back end itself says it took; a cost of 0 is one nobody measured. ``accepted``: 1 where the
-stage's answer was taken, 0 where its guess was kept; ``converged``: 1 or 0; both -1 where there is no such stage or
-nobody tells. An odometry that tells of itself is a second stage.
+``device_ns``: time reported by the back end itself. A cost of 0 was not measured. ``accepted``: 1 where the answer of
+the stage was accepted, 0 where its initial guess was kept; ``converged``: 1 or 0; both -1 where the stage does not
+exist or does not report it. The reports of an odometry about itself fill the second stage (``s2m``).
 """
+
+
+NO_STEPS = np.zeros(0, dtype=STEP)
 
 
 @dataclass(frozen=True, eq=False)
 class RunResult:
-    """One back end over one sequence: what it answered, what it cost, and how it ended.
+    """How one run went: what the back end answered, what it cost, and why the run ended.
 
-    ``steps`` (N,) of dtype ``STEP``: every scan answered before the end, kept whatever the status.
-    ``expected``: scans in the sequence. ``peak_memory_bytes``: resident set of the run's process at its highest.
-    ``every``: the sequence holds one in so many of the sensor's scans.
+    ``steps`` (N,) of dtype ``STEP``: every scan answered before the end, whatever the status.
+    ``expected``: number of scans in the sequence, 0 where it was not opened. ``reason``: the cause in words, with
+    details; required unless the run completed. ``peak_memory_bytes``: largest resident set of the run's process.
+    ``warm_up_scans``: scans given to a separate instance of the back end before timing starts. ``notes``: counts
+    reported by the reader of the sequence. ``every``: the sequence holds one in ``every`` scans of the sensor.
+    ``provenance``: when and on which machine the run was executed, with which versions and limits (JSON values).
     """
 
-    backend: str
-    sequence: str
-    status: Status
-    reason: str
     steps: NDArray[np.void]
     expected: int
+    cause: Cause = Cause.COMPLETED
+    reason: str = ""
     peak_memory_bytes: int = 0
     warm_up_scans: int = 0
     notes: Mapping[str, int] = field(default_factory=dict)
     every: int = 1
+    provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         freeze(self, "steps", self.steps, (None,), STEP)
-        if self.status != "complete" and not self.reason:
+        if self.cause != Cause.COMPLETED and not self.reason:
             raise ValueError(f"reason: a run that is {self.status} needs one")
+
+    @property
+    def status(self) -> RunStatus:
+        """The status that belongs to the cause."""
+        return self.cause.status
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether the run reached the end of its sequence."""
+        return self.cause == Cause.COMPLETED
+
+    @property
+    def is_scorable(self) -> bool:
+        """Whether metrics are computed for the run: it answered a scan or completed, and may be scored."""
+        excluded = (Cause.QUARANTINED, Cause.SCORING_FAILED)
+        return (len(self.steps) > 0 or self.is_complete) and self.cause not in excluded
 
     @property
     def estimate(self) -> Trajectory:
@@ -78,7 +159,7 @@ class RunResult:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """One number of a run with what it stands on; ``value`` None means not meaningful here, and ``reason`` says why."""
+    """The value of one metric and its support. Where ``value`` is None, ``reason`` says why it is not meaningful."""
 
     value: float | None
     support: int = 0
@@ -92,31 +173,17 @@ class Score:
 
 
 @dataclass(frozen=True, eq=False)
-class Trial:
-    """One row of a comparison: a method over a sequence, run, scored and mapped.
+class Scores:
+    """The evaluation of one run.
 
-    ``method`` and ``sequence``: the labels in tables (``sequence`` without the seed). ``key``: content key of the
-    results folder. ``command``: reproduces this row alone. ``world_from_start``: the alignment used for drawing and
-    for the map. ``grid``: the map of the estimated trajectory, None where there is none. ``errors_m`` (N,): distance to
-    the truth at each of ``run.steps`` after alignment, nan where unmatched; None without a true trajectory.
-    ``alignment``: in words how estimate and truth were matched, or why not; "" without a true trajectory.
-    ``processor``: of the machine the run was made on; "" where nobody knows.
+    ``by_metric``: one score per metric. ``world_from_start``: alignment used for errors, maps and drawings.
+    ``alignment``: in words, how estimate and ground truth were aligned, or why not; "" without a true trajectory.
+    ``grid``: the map built from the estimated trajectory, None where there is none. ``errors_m`` (N,): distance to
+    the truth at each of the run's steps after alignment, nan where unmatched; None without a true trajectory.
     """
 
-    key: str
-    method: str
-    backend: str
-    backend_parameters: Mapping[str, bool | int | float | str]
-    sequence: str
-    dataset: str
-    dataset_parameters: Mapping[str, bool | int | float | str]
-    seed: int | None
-    command: str
-    run: RunResult
-    truth: Truth
-    scores: Mapping[str, Score]
+    by_metric: Mapping[str, Score] = field(default_factory=dict)
     world_from_start: Pose = field(default_factory=Pose)
+    alignment: str = ""
     grid: OccupancyGrid | None = None
     errors_m: Floats | None = None
-    alignment: str = ""
-    processor: str = ""

@@ -80,7 +80,7 @@ def kept(made: Iterable[Mapping[str, Any]], started: datetime) -> dict[str, str]
 
     ``made``: a record for every run, as the store keeps it.
     """
-    times = [(_time(record.get("made")), record) for record in made]
+    times = [(_time(record.get("executed_at")), record) for record in made]
     earlier = [(time, record) for time, record in times if time is None or time < started]
     if not earlier:
         return {}

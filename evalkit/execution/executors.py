@@ -21,9 +21,10 @@ from filelock import FileLock, Timeout
 
 from evalkit.config.experiment import RunSpec
 from evalkit.core.errors import StoreError
+from evalkit.core.run_result import Cause
 from evalkit.execution import dask_cluster, environment, run_archive, run_task
 from evalkit.execution.dask_cluster import Call, Cluster, Slot, WorkerLost
-from evalkit.execution.run_task import Bench, Ended, Recipe, Scorers
+from evalkit.execution.run_task import Bench, FinishedRun, Recipe, Scorers
 from evalkit.plugins import registry
 from evalkit.results.store import Store
 
@@ -39,7 +40,7 @@ class Progress(Protocol):
         """A run has answered so many scans; a cluster's workers do not tell."""
         ...
 
-    def finished(self, ended: Ended) -> None:
+    def finished(self, ended: FinishedRun) -> None:
         """A run is done, scored and stored."""
         ...
 
@@ -47,7 +48,9 @@ class Progress(Protocol):
 class Place(Protocol):
     """Decides where runs are made, and nothing else about them."""
 
-    def ended(self, store: Store, recipe: Recipe, todo: Sequence[RunSpec], progress: Progress) -> Generator[Ended]:
+    def ended(
+        self, store: Store, recipe: Recipe, todo: Sequence[RunSpec], progress: Progress
+    ) -> Generator[FinishedRun]:
         """Every run as it ends, with what came of it in the store; ``todo``: what needs to be made or scored.
 
         Raises what stops the whole: a results folder that cannot be written, a cluster that is gone.
@@ -61,12 +64,14 @@ class Here:
 
     jobs: int
 
-    def ended(self, store: Store, recipe: Recipe, todo: Sequence[RunSpec], progress: Progress) -> Generator[Ended]:
+    def ended(
+        self, store: Store, recipe: Recipe, todo: Sequence[RunSpec], progress: Progress
+    ) -> Generator[FinishedRun]:
         """As Place says."""
         os.environ.update(environment.SINGLE_THREAD)  # inherited by the scoring processes, as by the runs
         cores, stop = _cores(self.jobs), threading.Event()
 
-        def one(planned: RunSpec) -> Ended:
+        def one(planned: RunSpec) -> FinishedRun:
             """What is raised here stops all the others at once."""
             if stop.is_set():
                 raise CancelledError
@@ -74,7 +79,7 @@ class Here:
             try:
                 progress.begun(planned)
                 bench = Bench(core, scorers, lambda scans: progress.answered(planned, scans), stop)
-                return run_task.made(store, recipe, planned, bench)
+                return run_task.execute_run(store, recipe, planned, bench)
             except BaseException:
                 stop.set()
                 raise
@@ -102,7 +107,9 @@ class There:
 
     workers: Cluster
 
-    def ended(self, store: Store, recipe: Recipe, todo: Sequence[RunSpec], progress: Progress) -> Generator[Ended]:
+    def ended(
+        self, store: Store, recipe: Recipe, todo: Sequence[RunSpec], progress: Progress
+    ) -> Generator[FinishedRun]:
         """As Place says."""
         folder = uuid.uuid5(uuid.NAMESPACE_URL, store.folder.absolute().as_uri()).hex
         by_name = {planned.key: planned for planned in todo}
@@ -121,11 +128,10 @@ class There:
                 try:
                     ended, content = outcome.result()
                 except WorkerLost as error:
-                    kept = run_task.quarantined(store, recipe, planned, str(error))
-                    yield Ended(planned, kept.status, kept.reason)
+                    yield FinishedRun(planned, run_task.quarantine(store, recipe, planned, str(error)))
                 except Exception as error:  # noqa: BLE001 - one worker's fault must not stop the others
                     why = f"the worker could not make it: {type(error).__name__}: {error}"
-                    yield Ended(planned, "failed", why, stored=False)
+                    yield FinishedRun(planned, run_task.empty_result(Cause.WORKER_FAILED, why))
                 else:
                     run_archive.unpacked(store, planned.key, content)
                     store.forget_tries(planned.key)  # of who was lost here before
@@ -134,7 +140,7 @@ class There:
 
 def on_worker(
     planned: RunSpec, recipe: Recipe, code: str, given: bytes, folder: str, slot: Slot
-) -> tuple[Ended, bytes]:
+) -> tuple[FinishedRun, bytes]:
     """How a run ended on this worker, and all the store shall keep of it.
 
     ``given``: what the store holds of it already. ``code``: what its key stands on; StoreError where ours differs.
@@ -153,7 +159,7 @@ def on_worker(
         with _own_core() as core:
             bench = Bench(core, _scorers(recipe.scored_by), lambda _scans: None, _Cancelled(worker))
             told = {**recipe.ran_on, **environment.machine(), "runs at a time": str(slot.beside)}
-            ended = run_task.made(store, replace(recipe, ran_on=told), planned, bench)
+            ended = run_task.execute_run(store, replace(recipe, ran_on=told), planned, bench)
         return ended, run_archive.packed(store, planned.key)
     finally:
         shutil.rmtree(store.folder, ignore_errors=True)

@@ -10,17 +10,17 @@ import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, BinaryIO, get_args
+from typing import Any, BinaryIO
 
 from evalkit.config.experiment import Limits
-from evalkit.core.run_result import STEP, RunResult, Status
+from evalkit.core.run_result import STEP, Cause, RunResult
 from evalkit.execution import subprocesses
 from evalkit.execution.worker import Request
 from evalkit.io import untrusted_io
 from evalkit.results.store import STEPS, reported, whole_records
 
 OUTCOME = "outcome.json"
-KNOWN = {"status": str, "reason": str, "expected": int, "peak_memory_bytes": int, "warm_up_scans": int, "notes": dict,
+KNOWN = {"cause": str, "reason": str, "expected": int, "peak_memory_bytes": int, "warm_up_scans": int, "notes": dict,
          "every": int, "reading": bool}  # fmt: skip
 """What a run may tell of itself, and of what type: its folder is open to the back end."""
 
@@ -30,14 +30,13 @@ BEGUN = "begun.json"
 
 def run(
     request: Request,
-    labels: tuple[str, str],
     folder: Path,
     limits: Limits,
     heard: Callable[[int], None],
     stop: threading.Event,
     threads: int = 1,
 ) -> RunResult:
-    """What became of a request; ``labels``: method and sequence.
+    """The result of a request.
 
     ``heard`` is told how many scans are answered; ``stop`` ends the run early; ``threads`` may be started by libraries.
     """
@@ -52,7 +51,7 @@ def run(
         finally:
             subprocesses.end_group(process, folder)
             subprocesses.cut(folder / OUTPUT)  # it may have said much since the last look
-        return watch.result(labels, ended)
+        return watch.result(ended)
 
 
 class _Watch:
@@ -66,7 +65,7 @@ class _Watch:
         self._begun: dict[str, Any] = {}
         self._peak = 0
 
-    def until_the_end(self, heard: Callable[[int], None], stop: threading.Event) -> tuple[Status, str] | None:
+    def until_the_end(self, heard: Callable[[int], None], stop: threading.Event) -> tuple[Cause, str] | None:
         """Waits for the process's end or its outcome, or says which limit it broke.
 
         A process that has left its outcome has nothing to do any more, whatever still keeps it from ending.
@@ -87,26 +86,25 @@ class _Watch:
                 answered = size
                 heard(size // STEP.itemsize)
             if stop.is_set():
-                return "failed", "interrupted"
+                return Cause.INTERRUPTED, "interrupted"
             spent = Spent(now - begun, now - last_answer, cpu_s, cpu_s - cpu_at_answer_s, self._peak)
             if broken := _broken(self._limits, spent, answered // STEP.itemsize):
                 return broken
         return None
 
-    def result(self, labels: tuple[str, str], ended: tuple[Status, str] | None) -> RunResult:
-        """What became of it, once its process has ended."""
+    def result(self, ended: tuple[Cause, str] | None) -> RunResult:
+        """How the run went, once its process has ended. ``ended``: the limit that ended it, if one did."""
         self._answers.seek(0)
         steps = whole_records(self._answers.read())
-        nothing: dict[str, Any] = {"expected": 0, "warm_up_scans": 0, "notes": {}, "peak_memory_bytes": 0}
-        outcome = nothing | self._begun | _read(self._folder / BEGUN) | _read(self._folder / OUTCOME)
-        outcome.pop("reading", None)
-        outcome["peak_memory_bytes"] = max(outcome["peak_memory_bytes"], self._peak)
-        told = outcome.get("status") in get_args(Status) and "reason" in outcome
-        if not told or (outcome["status"] != "complete" and not outcome["reason"]):
+        values: dict[str, Any] = {"expected": 0, "peak_memory_bytes": 0}
+        values |= self._begun | _read(self._folder / BEGUN) | _read(self._folder / OUTCOME)
+        values.pop("reading", None)
+        values["peak_memory_bytes"] = max(values["peak_memory_bytes"], self._peak)
+        cause, reason = values.pop("cause", None), values.pop("reason", "")
+        if cause not in set(Cause) or (cause != Cause.COMPLETED and not reason):
             ended = ended or _how_it_died(self._process.returncode, self._folder)
-        if ended is not None:
-            outcome["status"], outcome["reason"] = ended
-        return RunResult(backend=labels[0], sequence=labels[1], steps=steps, **outcome)
+        cause, reason = ended or (Cause(cause), reason)
+        return RunResult(steps, cause=cause, reason=reason, **values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,18 +118,18 @@ class Spent:
     peak_bytes: int
 
 
-def _broken(limits: Limits, spent: Spent, answered: int) -> tuple[Status, str] | None:
-    """The status and the reason of the first limit that is broken."""
+def _broken(limits: Limits, spent: Spent, answered: int) -> tuple[Cause, str] | None:
+    """The cause and the reason of the first limit that is broken."""
     if spent.peak_bytes > limits.memory_mib * 2**20:
-        return "out-of-memory", f"used more than {limits.memory_mib} MiB"
+        return Cause.MEMORY_LIMIT, f"used more than {limits.memory_mib} MiB"
     if spent.run_s > limits.run_s:
-        return "timeout", f"not finished after {limits.run_s:g} s"
+        return Cause.TIME_LIMIT, f"not finished after {limits.run_s:g} s"
     if spent.scan_s > limits.scan_s:
-        return "timeout", f"no answer for {limits.scan_s:g} s after scan {answered}"
+        return Cause.TIME_LIMIT, f"no answer for {limits.scan_s:g} s after scan {answered}"
     if spent.run_cpu_s > limits.run_cpu_s:
-        return "timeout", f"not finished after {limits.run_cpu_s:g} s of CPU time"
+        return Cause.CPU_TIME_LIMIT, f"not finished after {limits.run_cpu_s:g} s of CPU time"
     if spent.scan_cpu_s > limits.scan_cpu_s:
-        return "timeout", f"no answer for {limits.scan_cpu_s:g} s of CPU time after scan {answered}"
+        return Cause.CPU_TIME_LIMIT, f"no answer for {limits.scan_cpu_s:g} s of CPU time after scan {answered}"
     return None
 
 
@@ -144,9 +142,9 @@ def _read(path: Path) -> dict[str, Any]:
     return {name: value for name, value in known.items() if type(value) is KNOWN.get(name)}
 
 
-def _how_it_died(code: int, folder: Path) -> tuple[Status, str]:
+def _how_it_died(code: int, folder: Path) -> tuple[Cause, str]:
     if not (folder / "request.json").exists():
-        return "failed", "the run's folder was removed while it ran"
+        return Cause.NO_OUTCOME, "the run's folder was removed while it ran"
     if (folder / OUTCOME).exists():
-        return "failed", f"what it left in {OUTCOME} tells no outcome"
-    return "crashed" if code < 0 else "failed", subprocesses.last_words(code, folder / OUTPUT)
+        return Cause.NO_OUTCOME, f"what it left in {OUTCOME} tells no outcome"
+    return Cause.SIGNAL if code < 0 else Cause.EXIT_CODE, subprocesses.last_words(code, folder / OUTPUT)

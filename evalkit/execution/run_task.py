@@ -21,42 +21,32 @@ from numpy.typing import NDArray
 from evalkit import metrics
 from evalkit.config.experiment import Experiment, Limits, MapperChoice, RunSpec
 from evalkit.core.errors import StoreError
-from evalkit.core.run_result import STEP, RunResult, Score, Status
+from evalkit.core.run_result import NO_STEPS, Cause, RunResult, RunStatus, Score
 from evalkit.execution import environment, run_process
 from evalkit.execution.dask_cluster import TRIES
 from evalkit.execution.process_pool import start_pool
 from evalkit.execution.worker import Request
 from evalkit.metrics import evaluate, evaluate_map
 from evalkit.plugins import registry
-from evalkit.results.store import HowItEnded, Store
+from evalkit.results.store import Store
 
-DONE: tuple[Status, ...] = ("complete", "failed", "crashed")
-"""Statuses that ``resume`` accepts as done: the same would come of it again."""
+FINAL = (RunStatus.COMPLETE, RunStatus.FAILED, RunStatus.CRASHED)
+"""Statuses that ``--resume`` treats as final."""
 
-LIMITED: tuple[Status, ...] = ("timeout", "out-of-memory")
-"""Statuses that ``resume`` accepts as done under the limits they were made with, and no others."""
-
-QUARANTINED = "quarantined: "
-"""How the reason of such a run begins; its status is "crashed"."""
+LIMITED = (RunStatus.TIMEOUT, RunStatus.OUT_OF_MEMORY)
+"""Statuses that ``--resume`` treats as final under the limits they were made with, and no others."""
 
 COSTS = ("wall_ns", "cpu_ns", "conversion_ns", "harness_ns", "device_ns")
 NOT_TIMED = "not timed: made where times do not count"
 
 
 @dataclass(frozen=True)
-class Ended:
-    """How a planned run ended.
+class FinishedRun:
+    """A run that needs nothing more. ``seconds``: what it took with its scoring; 0 if it was kept or not executed."""
 
-    ``seconds``: what it took with its scoring; 0 if it was kept or could not be made. ``expected``: scans in its
-    sequence, 0 where that was not opened. ``stored``: whether the store holds what came of it.
-    """
-
-    planned: RunSpec
-    status: Status
-    reason: str
+    spec: RunSpec
+    result: RunResult
     seconds: float = 0.0
-    expected: int = 0
-    stored: bool = True
 
 
 @dataclass(frozen=True)
@@ -72,13 +62,13 @@ class Recipe:
     scored_by: str
     timed: bool = True
     resume: bool = False
-    rerun: frozenset[Status] = frozenset()
+    rerun: frozenset[RunStatus] = frozenset()
     collect: bool = False
     ran_on: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
     def of(
-        cls, plan: Experiment, resume: bool, rerun: frozenset[Status], collect: bool, ran_on: Mapping[str, str]
+        cls, plan: Experiment, resume: bool, rerun: frozenset[RunStatus], collect: bool, ran_on: Mapping[str, str]
     ) -> Recipe:
         """The recipe of a plan."""
         scored_by = f"{registry.score_fingerprint(plan.mapper.name)} {plan.mapper}"
@@ -140,152 +130,139 @@ def _breaks(processes: Executor) -> bool:
     return False
 
 
-def settled(store: Store, recipe: Recipe, planned: RunSpec) -> Ended | None:
-    """How a run ended that needs neither making nor scoring any more, or cannot be made; None where it does."""
-    for status, why in absent(planned):
-        return Ended(planned, status, why, stored=False)
+def cached_run(store: Store, recipe: Recipe, spec: RunSpec) -> FinishedRun | None:
+    """The run if it cannot be executed, or needs neither executing nor scoring any more; None where it does."""
+    if (unavailable := unavailable_result(spec)) is not None:
+        return FinishedRun(spec, unavailable)
     if not (recipe.resume or recipe.collect):
         return None
-    known = _acceptable(store, recipe, planned)
-    if known is None:
-        if recipe.collect:
-            why = "not made yet; the same command without --collect makes it"
-            return Ended(planned, "skipped", why, stored=False)
+    result = _final_result(store, recipe, spec)
+    if result is None and recipe.collect:
+        return FinishedRun(
+            spec, empty_result(Cause.NOT_RUN, "not made yet; the same command without --collect makes it")
+        )
+    if result is None or (result.is_scorable and store.scored_by(spec.key) != recipe.scored_by):
         return None
-    if scorable(known.status, known.reason, known.answered) and store.scored_by(planned.key) != recipe.scored_by:
-        return None
-    return Ended(planned, known.status, known.reason, expected=known.expected)
+    return FinishedRun(spec, result)
 
 
-def made(store: Store, recipe: Recipe, planned: RunSpec, bench: Bench) -> Ended:
-    """How a run ended that is made, unless a stored one will do, and scored; all of it is in the store.
+def execute_run(store: Store, recipe: Recipe, spec: RunSpec, bench: Bench) -> FinishedRun:
+    """Execute a run, unless a stored one will do, and score it; all of it is in the store.
 
-    Whatever goes wrong is a status with a reason, but StoreError: a results folder that cannot be written; and
+    Whatever goes wrong is a cause with a reason, but StoreError: a results folder that cannot be written; and
     CancelledError where it was stopped.
     """
     begun = time.monotonic()
-    run = store.load_run(planned.key) if _acceptable(store, recipe, planned) else None
-    if run is None and recipe.collect:
-        return Ended(planned, "skipped", "what is stored of it cannot be read", stored=False)
-    if run is None:
-        run = _run(store, recipe, planned, bench)
-    status, reason = run.status, run.reason
+    result = _final_result(store, recipe, spec)
+    if result is None and recipe.collect:
+        return FinishedRun(spec, empty_result(Cause.UNREADABLE, "what is stored of it cannot be read"))
+    if result is None:
+        result = _run(store, recipe, spec, bench)
     if bench.stop.is_set():
         raise CancelledError
-    if scorable(status, reason, len(run.steps)):
-        status, reason = _scored(store, recipe, planned, run, bench)
-    return Ended(planned, status, reason, max(time.monotonic() - begun, 1e-9), run.expected)
+    if result.is_scorable:
+        result = _scored(store, recipe, spec, result, bench)
+    return FinishedRun(spec, result, max(time.monotonic() - begun, 1e-9))
 
 
-def absent(planned: RunSpec) -> list[tuple[Status, str]]:
-    """Why a run cannot be made, for want of data or of a library: nothing or the first reason of each."""
-    reasons: list[tuple[Status, str]] = [
-        ("data-missing", planned.sequence.missing),
-        ("not-installed", planned.method.missing),
-    ]
-    return [(status, reason) for status, reason in reasons if reason]
+def unavailable_result(spec: RunSpec) -> RunResult | None:
+    """The result of a run whose data or library is not here; None where both are."""
+    if spec.sequence.missing:
+        return empty_result(Cause.DATA_MISSING, spec.sequence.missing)
+    if spec.method.missing:
+        return empty_result(Cause.NOT_INSTALLED, spec.method.missing)
+    return None
 
 
-def unmade(planned: RunSpec, status: Status, reason: str) -> RunResult:
-    """A run without an answer."""
-    return RunResult(planned.method.label, planned.sequence.label, status, reason, np.zeros(0, dtype=STEP), expected=0)
+def empty_result(cause: Cause, reason: str) -> RunResult:
+    """The result of a run without an answer."""
+    return RunResult(NO_STEPS, 0, cause, reason)
 
 
-def quarantined(store: Store, recipe: Recipe, planned: RunSpec, why: str, run: RunResult | None = None) -> RunResult:
-    """A run that nobody shall try again unasked, kept in the store; ``run``: what it answered before."""
-    reason = f"{QUARANTINED}{why}; --rerun crashed tries again"
-    kept = replace(run or unmade(planned, "crashed", reason), status="crashed", reason=reason)
-    store.forget(planned.key, "scores.json")
-    store.save_run(planned.key, kept, _how_made(recipe, planned, None))
-    store.forget_tries(planned.key)
-    return kept
+def quarantine(store: Store, recipe: Recipe, spec: RunSpec, why: str, result: RunResult | None = None) -> RunResult:
+    """Store a run that is not executed again unless asked for; ``result``: what it answered before."""
+    reason = f"quarantined: {why}; --rerun crashed tries again"
+    result = replace(
+        result or empty_result(Cause.QUARANTINED, reason), cause=Cause.QUARANTINED, reason=reason,
+        provenance=_provenance(recipe, spec, None),
+    )  # fmt: skip
+    store.forget(spec.key, "scores.json")
+    store.save_result(spec, result)
+    store.forget_tries(spec.key)
+    return result
 
 
-def _acceptable(store: Store, recipe: Recipe, planned: RunSpec) -> HowItEnded | None:
-    """How the stored run ended, if it will do; what was absent may have come."""
-    if not (recipe.resume or recipe.collect) or (known := store.how_it_ended(planned.key)) is None:
+def _final_result(store: Store, recipe: Recipe, spec: RunSpec) -> RunResult | None:
+    """The stored result if it is final; what was not available may be now."""
+    if not (recipe.resume or recipe.collect) or (result := store.load_result(spec.key)) is None or recipe.collect:
+        return result if recipe.resume or recipe.collect else None
+    if result.status in recipe.rerun or (recipe.timed and not result.provenance.get("timed", True)):
         return None
-    if recipe.collect:
-        return known
-    how = store.load_made(planned.key)
-    if known.status in recipe.rerun or (recipe.timed and not how.get("timed", True)):
-        return None
-    same_limits = how.get("limits") == asdict(recipe.limits)
-    return known if known.status in DONE or (known.status in LIMITED and same_limits) else None
+    same_limits = result.provenance.get("limits") == asdict(recipe.limits)
+    return result if result.status in FINAL or (result.status in LIMITED and same_limits) else None
 
 
-def scorable(status: Status, reason: str, answered: int) -> bool:
-    """Whether a run that ended so has scores."""
-    return (answered > 0 or status == "complete") and not reason.startswith(QUARANTINED)
-
-
-def _run(store: Store, recipe: Recipe, planned: RunSpec, bench: Bench) -> RunResult:
+def _run(store: Store, recipe: Recipe, spec: RunSpec, bench: Bench) -> RunResult:
     """A new run, stored."""
-    lost = store.tries(planned.key) if recipe.resume and "crashed" not in recipe.rerun else []
+    lost = store.tries(spec.key) if recipe.resume and "crashed" not in recipe.rerun else []
     if len(lost) >= TRIES:
-        return quarantined(store, recipe, planned, f"evalkit was ended twice while it ran ({', '.join(lost)})")
+        return quarantine(store, recipe, spec, f"evalkit was ended twice while it ran ({', '.join(lost)})")
     request = Request(
-        planned.method.backend,
-        dict(planned.method.parameters),
-        planned.sequence.dataset,
-        planned.sequence.seeded(planned.seed),
+        spec.method.backend,
+        dict(spec.method.parameters),
+        spec.sequence.dataset,
+        spec.dataset_parameters,
         bench.core,
     )
-    labels = planned.method.label, planned.sequence.label
-    folder = store.fresh(planned.key)
-    store.note_tries(planned.key, [*lost, f"process {os.getpid()} on {platform.node()}"])
+    folder = store.fresh(spec.key)
+    store.note_tries(spec.key, [*lost, f"process {os.getpid()} on {platform.node()}"])
     try:
-        run = run_process.run(request, labels, folder, recipe.limits, bench.heard, bench.stop)
+        run = run_process.run(request, folder, recipe.limits, bench.heard, bench.stop)
     finally:
-        store.forget_tries(planned.key)  # whoever comes here has not been ended by it
+        store.forget_tries(spec.key)  # whoever comes here has not been ended by it
     if not recipe.timed:
         run = replace(run, steps=_without_times(run.steps))
     if bench.stop.is_set():
         raise CancelledError
-    store.save_run(planned.key, run, _how_made(recipe, planned, bench.core))
+    run = replace(run, provenance=_provenance(recipe, spec, bench.core))
+    store.save_result(spec, run)
     return run
 
 
-def _scored(store: Store, recipe: Recipe, planned: RunSpec, run: RunResult, bench: Bench) -> tuple[Status, str]:
-    """Scores a run in a process of its own; its status and reason after that."""
-    if store.scored_by(planned.key) == recipe.scored_by:
-        return run.status, run.reason
-    store.forget(planned.key, "scores.json")  # of other code: nobody may take them for this run's where scoring fails
+def _scored(store: Store, recipe: Recipe, spec: RunSpec, result: RunResult, bench: Bench) -> RunResult:
+    """Score a run in a process of its own; returns its result, changed where the scoring failed."""
+    if store.scored_by(spec.key) == recipe.scored_by:
+        return result
+    store.forget(spec.key, "scores.json")  # of other code
     try:
-        bench.scorers.do(score_stored, store.folder, planned, run, recipe, bench.core)
+        bench.scorers.do(score_stored, store.folder, spec, result, recipe, bench.core)
     except StoreError:
         raise
     except BrokenProcessPool as error:
-        kept = quarantined(store, recipe, planned, f"it ended the process that scored it twice ({error})", run)
-        return kept.status, kept.reason
-    except Exception as error:  # noqa: BLE001 - a run that cannot be scored must not take the others with it
-        return "failed", f"scoring failed: {type(error).__name__}: {error}"
-    if store.scored_by(planned.key) is None:
-        return "failed", f"scoring failed: {store.run_folder(planned.key)}: scores were written but cannot be read back"
-    return run.status, run.reason
+        return quarantine(store, recipe, spec, f"it ended the process that scored it twice ({error})", result)
+    except Exception as error:  # noqa: BLE001 - a run that cannot be scored must not stop the others
+        reason = f"scoring failed: {type(error).__name__}: {error}"
+        return replace(result, cause=Cause.SCORING_FAILED, reason=reason)
+    if store.scored_by(spec.key) is None:
+        reason = f"scoring failed: {store.run_folder(spec.key)}: scores were written but cannot be read back"
+        return replace(result, cause=Cause.SCORING_FAILED, reason=reason)
+    return result
 
 
-def score_stored(folder: Path, planned: RunSpec, run: RunResult, recipe: Recipe, core: int | None) -> None:
+def score_stored(folder: Path, spec: RunSpec, run: RunResult, recipe: Recipe, core: int | None) -> None:
     """Scores one run and keeps the result in the store; runs in a process of the scoring pool, on the run's core."""
     if core is not None:
         os.sched_setaffinity(0, {core})
     mapper = recipe.mapper
-    entrant, drawn_by = registry.backend(planned.method.backend), registry.mapper(mapper.name)
-    sequence = registry.dataset(planned.sequence.dataset).make(**planned.sequence.seeded(planned.seed))
+    entrant, drawn_by = registry.backend(spec.method.backend), registry.mapper(mapper.name)
+    sequence = registry.dataset(spec.sequence.dataset).make(**spec.dataset_parameters)
     if entrant.kind == "map":
-        scored = evaluate_map.score(run, entrant.make(**planned.method.parameters), sequence)
+        scores = evaluate_map.score(run, entrant.make(**spec.method.parameters), sequence)
     else:
-        scored = evaluate.score(run, sequence, lambda: drawn_by.make(**mapper.parameters), mapper.scans)
-    scores = scored.scores
+        scores = evaluate.score(run, sequence, lambda: drawn_by.make(**mapper.parameters), mapper.scans)
     if not recipe.timed and not run.steps["wall_ns"].any():
-        scores = {name: _untimed(name, score) for name, score in scores.items()}
-    content = {
-        "fingerprint": recipe.scored_by,
-        "world_from_start": scored.world_from_start.row.tolist(),
-        "alignment": scored.alignment,
-        "scores": {name: asdict(score) for name, score in scores.items()},
-    }
-    Store(folder).save_scores(planned.key, content, scored.grid, scored.errors_m)
+        scores = replace(scores, by_metric={name: _untimed(name, score) for name, score in scores.by_metric.items()})
+    Store(folder).save_scores(spec.key, scores, recipe.scored_by)
 
 
 def _untimed(name: str, score: Score) -> Score:
@@ -305,11 +282,11 @@ def _without_times(steps: NDArray[np.void]) -> NDArray[np.void]:
     return bare
 
 
-def _how_made(recipe: Recipe, planned: RunSpec, core: int | None) -> dict[str, Any]:
+def _provenance(recipe: Recipe, spec: RunSpec, core: int | None) -> dict[str, Any]:
     where = {name: recipe.ran_on.get(name, "unknown") for name in environment.KEPT_WITH_RUNS}
-    libraries = ("numpy", "scipy", *registry.entrant(planned.method.backend).requires)
+    libraries = ("numpy", "scipy", *registry.entrant(spec.method.backend).requires)
     return {
-        "made": datetime.now(UTC).isoformat(),
+        "executed_at": datetime.now(UTC).isoformat(),
         **where,
         "core": core,
         "versions": environment.versions(libraries),

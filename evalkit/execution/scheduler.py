@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing, nullcontext
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 from evalkit.config.experiment import Experiment, RunSpec
 from evalkit.core.errors import StoreError
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import Status, Trial
+from evalkit.core.run_result import RunStatus, Scores
 from evalkit.execution import run_task
 from evalkit.execution.executors import Here, Place, Progress
-from evalkit.execution.run_task import Ended, Recipe
+from evalkit.execution.run_task import FinishedRun, Recipe
 from evalkit.plugins import registry
+from evalkit.results.run_record import RunRecord
 from evalkit.results.store import REMEDY, Store
 
 __all__ = ["Engine", "Progress"]
@@ -35,7 +35,7 @@ class Engine:
     jobs: int = 1
     resume: bool = False
     ran_on: Mapping[str, str] = field(default_factory=dict)
-    rerun: frozenset[Status] = frozenset()
+    rerun: frozenset[RunStatus] = frozenset()
     collect: bool = False
     place: Place | None = None
 
@@ -44,7 +44,7 @@ class Engine:
         """Every run, in the plan's order."""
         return tuple(self.plan.runs())
 
-    def ended(self) -> Generator[Ended]:
+    def ended(self) -> Generator[FinishedRun]:
         """Every run as it ends, made, scored and stored; what is done already comes first. None stays in memory.
 
         A run that fails is a row with a reason; only a results folder that cannot be written stops the whole.
@@ -52,26 +52,26 @@ class Engine:
         with nullcontext() if self.collect else self.store.writer():
             yield from self._ended(self.planned, self.progress)
 
-    def trials(self) -> tuple[Trial, ...]:
+    def records(self) -> tuple[RunRecord, ...]:
         """Every run of the plan with all its answers, maps and scores, in the plan's order: what a report draws."""
         truths: dict[str, Truth] = {}
-        rows: dict[str, Trial] = {}
+        rows: dict[str, RunRecord] = {}
         with nullcontext() if self.collect else self.store.writer():
             for progress in (self.progress, _Unheard()):  # what turns out to be damaged is made once more
                 missing = [item for item in self.planned if item.key not in rows]
                 with closing(self._ended(missing, progress)) as all_ended:
                     for ended in all_ended:
-                        if (trial := self._trial(ended, truths)) is not None:
-                            rows[trial.key] = trial
+                        if (record := self._record(ended, truths)) is not None:
+                            rows[record.key] = record
         if unread := [item.key for item in self.planned if item.key not in rows]:
             raise StoreError(str(self.store.run_folder(unread[0])), "was written but cannot be read back", REMEDY)
         return tuple(rows[item.key] for item in self.planned)
 
-    def _ended(self, planned: Sequence[RunSpec], progress: Progress) -> Generator[Ended]:
+    def _ended(self, planned: Sequence[RunSpec], progress: Progress) -> Generator[FinishedRun]:
         recipe = Recipe.of(self.plan, self.resume, self.rerun, self.collect, self.ran_on)
         todo = []
         for item in planned:
-            if (ended := run_task.settled(self.store, recipe, item)) is None:
+            if (ended := run_task.cached_run(self.store, recipe, item)) is None:
                 todo.append(item)
                 continue
             progress.finished(ended)
@@ -84,45 +84,13 @@ class Engine:
                 progress.finished(ended)
                 yield ended
 
-    def _trial(self, ended: Ended, truths: dict[str, Truth]) -> Trial | None:
-        """A row, read from the store; None where that is damaged, which is then forgotten."""
-        planned = ended.planned
-        content = self._content(ended)
-        if content is None:
-            return None
-        return Trial(
-            key=planned.key,
-            method=planned.method.label,
-            backend=planned.method.backend,
-            backend_parameters=planned.method.parameters,
-            sequence=planned.sequence.label,
-            dataset=planned.sequence.dataset,
-            dataset_parameters=planned.sequence.seeded(planned.seed),
-            seed=planned.seed,
-            command=self.plan.command(planned),
-            truth=_truth(planned, truths),
-            **content,
-        )
-
-    def _content(self, ended: Ended) -> Mapping[str, Any] | None:
-        """What the store keeps of a run."""
-        key = ended.planned.key
-        if not ended.stored:
-            return {"scores": {}, "run": run_task.unmade(ended.planned, ended.status, ended.reason)}
-        run = self.store.load_run(key)
-        if run is None:
-            self.store.forget(key, "run.json", "scores.json")
-            return None
-        scores: Mapping[str, Any] | None = {"scores": {}}
-        if (run.status, run.reason) != (ended.status, ended.reason):  # it could not be scored
-            run = replace(run, status=ended.status, reason=ended.reason)
-        elif run_task.scorable(run.status, run.reason, len(run.steps)):
-            scores = self.store.load_scores(key)
+    def _record(self, run: FinishedRun, truths: dict[str, Truth]) -> RunRecord | None:
+        """The run with its scores and truth; None where its scores are damaged, which are then removed."""
+        scores = self.store.load_scores(run.spec.key) if run.result.is_scorable else Scores()
         if scores is None:
-            self.store.forget(key, "scores.json")
+            self.store.forget(run.spec.key, "scores.json")
             return None
-        kept = {name: value for name, value in scores.items() if name != "fingerprint"}
-        return {**kept, "run": run, "processor": str(self.store.load_made(key).get("processor", ""))}
+        return RunRecord(run.spec, run.result, scores, _truth(run.spec, truths), self.plan.command(run.spec))
 
 
 class _Unheard:
@@ -132,7 +100,7 @@ class _Unheard:
 
     def answered(self, planned: RunSpec, scans: int) -> None: ...
 
-    def finished(self, ended: Ended) -> None: ...
+    def finished(self, run: FinishedRun) -> None: ...
 
 
 def _truth(planned: RunSpec, known: dict[str, Truth]) -> Truth:
@@ -141,9 +109,7 @@ def _truth(planned: RunSpec, known: dict[str, Truth]) -> Truth:
     sequence = f"{planned.sequence.label} {planned.seed}"
     if sequence not in known:
         try:
-            known[sequence] = (
-                registry.dataset(planned.sequence.dataset).make(**planned.sequence.seeded(planned.seed)).truth()
-            )
+            known[sequence] = registry.dataset(planned.sequence.dataset).make(**planned.dataset_parameters).truth()
         except Exception as error:  # noqa: BLE001 - a reader's fault, of which each of its runs has told already
             known[sequence] = Truth(f"cannot be read: {error}")
     return known[sequence]

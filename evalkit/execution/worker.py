@@ -12,7 +12,7 @@ import os
 import sys
 import time
 import traceback
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -21,7 +21,7 @@ import numpy as np
 
 from evalkit.core.errors import BackendFailed, DataMissing, EvalkitError, NotInstalled, plain
 from evalkit.core.odometry_estimate import OdometryEstimate
-from evalkit.core.run_result import STEP, Status
+from evalkit.core.run_result import NO_STEPS, STEP, Cause, RunResult
 from evalkit.core.scan import Frame
 from evalkit.core.timing import CallTiming
 from evalkit.execution import parent_watch
@@ -51,18 +51,6 @@ class Request:
     core: int | None = None
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """How a run ended, as the worker itself saw it."""
-
-    status: Status
-    reason: str
-    expected: int
-    peak_memory_bytes: int
-    warm_up_scans: int
-    notes: dict[str, int]
-
-
 def main() -> int:
     """Runs the request of the folder named on the command line; the outcome is in ``outcome.json``."""
     parent_watch.end_with_parent()
@@ -70,16 +58,20 @@ def main() -> int:
     request = Request(**json.loads((folder / "request.json").read_text(encoding="utf-8")))
     if request.core is not None and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {request.core})
-    _leave(folder / "outcome.json", asdict(perform(request, folder)))
+    result = perform(request, folder)
+    _leave(folder / "outcome.json", {name: value for name, value in vars(result).items() if name != "steps"})
     return 0
 
 
-def perform(request: Request, folder: Path) -> Outcome:
-    """Runs the back end over the sequence, appending one ``STEP`` record per scan to ``steps.bin``."""
+def perform(request: Request, folder: Path) -> RunResult:
+    """Run the back end over the sequence; append one ``STEP`` record per scan to ``steps.bin``.
+
+    Returns how the run went, without its steps.
+    """
     notes: dict[str, int] = {}
     expected = warm = 0
-    status: Status = "complete"
-    reason = ""
+    every = 1
+    cause, reason = Cause.COMPLETED, ""
     try:
         spec = registry.backend(request.backend)
         if why := spec.missing():
@@ -89,9 +81,10 @@ def perform(request: Request, folder: Path) -> Outcome:
         sequence: Sequence = dataset.make(**request.dataset_parameters)
         if spec.kind == "map":
             spec.make(**request.backend_parameters)  # one that cannot be read has failed
-            return Outcome(status, plain(reason), expected, _peak_memory_bytes(), warm, notes)
+            return RunResult(NO_STEPS, expected, peak_memory_bytes=_peak_memory_bytes())
         expected = len(sequence)
-        begun = {"expected": expected, "every": _every(dataset, request)}
+        every = _every(dataset, request)
+        begun = {"expected": expected, "every": every}
         _leave(folder / "begun.json", begun)  # for a back end that ends this process in its warm-up
         warm = _warm_up(frontend.odometry(spec, request.backend_parameters), sequence)
         odometry = frontend.odometry(spec, request.backend_parameters)
@@ -99,19 +92,23 @@ def perform(request: Request, folder: Path) -> Outcome:
         with (folder / "steps.bin").open("ab", buffering=0) as file:
             record_run(odometry, sequence, request, file)
         notes = dict(sequence.notes())
-    except NotInstalled as error:
-        status, reason = "not-installed", str(error)
-    except DataMissing as error:
-        status, reason = "data-missing", str(error)
-    except EvalkitError as error:
-        status, reason = "failed", str(error)
-    except MemoryError as error:
-        traceback.print_exc()
-        status, reason = "out-of-memory", f"the system gave no more memory: {error or 'MemoryError'}"
-    except Exception as error:  # noqa: BLE001 - whatever a third party's code raises is a result to report
-        traceback.print_exc()
-        status, reason = "failed", f"{type(error).__name__}: {error}"
-    return Outcome(status, plain(reason), expected, _peak_memory_bytes(), warm, notes)
+    except Exception as error:  # noqa: BLE001 - an exception of a third party's code is a result to report
+        cause, reason = cause_of(error)
+    return RunResult(NO_STEPS, expected, cause, plain(reason), _peak_memory_bytes(), warm, notes, every)
+
+
+def cause_of(error: Exception) -> tuple[Cause, str]:
+    """The cause and the reason of a run that raised; prints the traceback of an error that is not evalkit's own."""
+    if isinstance(error, NotInstalled):
+        return Cause.NOT_INSTALLED, str(error)
+    if isinstance(error, DataMissing):
+        return Cause.DATA_MISSING, str(error)
+    if isinstance(error, EvalkitError):
+        return Cause.EXCEPTION, str(error)
+    traceback.print_exception(error)
+    if isinstance(error, MemoryError):
+        return Cause.MEMORY_ERROR, f"the system gave no more memory: {error or 'MemoryError'}"
+    return Cause.EXCEPTION, f"{type(error).__name__}: {error}"
 
 
 def _every(dataset: DatasetSpec, request: Request) -> int:

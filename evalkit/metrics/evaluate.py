@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,9 +11,8 @@ from evalkit import metrics
 from evalkit.core import se2
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import RunResult, Score
+from evalkit.core.run_result import RunResult, Scores
 from evalkit.core.scan import Frame
-from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.table import Evidence, MatchedPoses, PlacedScan, PlacedScans
 from evalkit.metrics.trajectory import compute_errors_m, match_trajectories
@@ -23,28 +22,14 @@ MAX_PAIRS = 100
 """So many pairs of successive scans are kept for the metrics that look from one scan to the next."""
 
 
-@dataclass(frozen=True, eq=False)
-class Scored:
-    """What scoring makes of a run. ``world_from_start``: alignment used for errors, maps and drawings.
-
-    ``alignment``: in words how that was found, or why it was not; "" without a true trajectory.
-    """
-
-    scores: dict[str, Score]
-    world_from_start: Pose
-    grid: OccupancyGrid | None
-    errors_m: Floats | None
-    alignment: str = ""
-
-
-def score(run: RunResult, sequence: Sequence, make_mapper: Callable[[], Mapper], scans: int) -> Scored:
+def score(run: RunResult, sequence: Sequence, make_mapper: Callable[[], Mapper], scans: int) -> Scores:
     """The scores, the map and the error over time of a run, failed runs as far as they came."""
     evidence = with_map(without_map(run, sequence), sequence, make_mapper, scans)
     world_from_start = _world_from_start(evidence)
     true = evidence.truth.trajectory
     errors = None if true is None else compute_errors_m(run.estimate.moved(world_from_start, "world"), true)
     scores = metrics.compute_scores(evidence, metrics.all_metrics())
-    return Scored(scores, world_from_start, evidence.grid, errors, _in_words(evidence.matched))
+    return Scores(scores, world_from_start, _in_words(evidence.matched), evidence.grid, errors)
 
 
 def without_map(run: RunResult, sequence: Sequence) -> Evidence:

@@ -7,8 +7,7 @@ from dataclasses import replace
 from evalkit import metrics
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import RunResult, Score
-from evalkit.metrics.evaluate import Scored
+from evalkit.core.run_result import RunResult, Score, Scores
 from evalkit.metrics.table import Evidence
 from evalkit.plugins.protocols import Sequence
 
@@ -24,7 +23,7 @@ NO_PROBABILITIES = "a map file tells occupied, free and unknown, not how probabl
 FRAME = "the map stands where its file and its settings say"
 
 
-def score(run: RunResult, grid: OccupancyGrid, sequence: Sequence) -> Scored:
+def score(run: RunResult, grid: OccupancyGrid, sequence: Sequence) -> Scores:
     """The scores of a map in the world's frame; what needs a trajectory says that there is none."""
     evidence = Evidence(run, sequence.truth(), NO_TRAJECTORY, grid, (), no_grid=NO_TRAJECTORY)
     table = metrics.all_metrics()
@@ -33,4 +32,4 @@ def score(run: RunResult, grid: OccupancyGrid, sequence: Sequence) -> Scored:
     scores = {one.name: Score(None, 0, NO_TRAJECTORY) for one in table} | metrics.compute_scores(evidence, meaningful)
     for name in OF_PROBABILITIES:
         scores[name] = replace(scores[name], reason=NO_PROBABILITIES)
-    return Scored(scores, Pose(), grid, None, FRAME)
+    return Scores(scores, Pose(), FRAME, grid)

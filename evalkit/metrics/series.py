@@ -3,38 +3,59 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Protocol
 
 import numpy as np
 
 from evalkit.core.arrays import Ints
-from evalkit.core.run_result import Trial
+from evalkit.core.ground_truth import Truth
+from evalkit.core.run_result import RunResult, Scores
 from evalkit.core.se2 import Floats
 from evalkit.metrics import drift, relations
 from evalkit.metrics.trajectory import match_trajectories
 from evalkit.stats.bootstrap import MIN_VALUES, Series, Statistic
 
 
-def _position_errors(trial: Trial) -> Series | None:
+class ScoredRun(Protocol):
+    """A run with its scores and ground truth."""
+
+    @property
+    def result(self) -> RunResult:
+        """How the run went."""
+        ...
+
+    @property
+    def scores(self) -> Scores:
+        """Its evaluation."""
+        ...
+
+    @property
+    def truth(self) -> Truth:
+        """The ground truth of its sequence."""
+        ...
+
+
+def _position_errors(run: ScoredRun) -> Series | None:
     """Return the distances to the truth, scan by scan, where the truth is known."""
-    if trial.errors_m is None or len(trial.errors_m) != len(trial.run.steps):
+    if run.scores.errors_m is None or len(run.scores.errors_m) != len(run.result.steps):
         return None
-    known = np.isfinite(trial.errors_m)
-    return _time_series(trial.run.steps["stamp_ns"][known], trial.errors_m[known], "rms")
+    known = np.isfinite(run.scores.errors_m)
+    return _time_series(run.result.steps["stamp_ns"][known], run.scores.errors_m[known], "rms")
 
 
-def _cpu_times(statistic: Statistic) -> Callable[[Trial], Series | None]:
+def _cpu_times(statistic: Statistic) -> Callable[[ScoredRun], Series | None]:
     """Return a function for the CPU times in milliseconds, scan by scan, where they were measured."""
 
-    def series(trial: Trial) -> Series | None:
-        steps = trial.run.steps
+    def series(run: ScoredRun) -> Series | None:
+        steps = run.result.steps
         return _time_series(steps["stamp_ns"], steps["cpu_ns"] * 1e-6, statistic) if steps["cpu_ns"].any() else None
 
     return series
 
 
-def _segment_errors(trial: Trial) -> Series | None:
+def _segment_errors(run: ScoredRun) -> Series | None:
     """Return the errors of segments of all lengths in percent, by their start; not evenly spaced in time."""
-    matched = match_trajectories(trial.run.estimate, trial.truth.trajectory)
+    matched = match_trajectories(run.result.estimate, run.truth.trajectory)
     if isinstance(matched, str):
         return None
     progress = drift.travelled_m(matched)
@@ -51,14 +72,14 @@ def _segment_errors(trial: Trial) -> Series | None:
     return Series(keys[order], percent[order], "mean", max(span_s / len(rows), 1e-3))
 
 
-def _relation_errors(part: relations.Part) -> Callable[[Trial], Series | None]:
+def _relation_errors(part: relations.Part) -> Callable[[ScoredRun], Series | None]:
     """Return a function for the translation errors of measured motions, by the first of their two times."""
 
-    def series(trial: Trial) -> Series | None:
-        known = trial.truth.relations
+    def series(run: ScoredRun) -> Series | None:
+        known = run.truth.relations
         if known is None or len(known) == 0:
             return None
-        motions, answered = relations.compute_estimated_motions(trial.run.estimate, known)
+        motions, answered = relations.compute_estimated_motions(run.result.estimate, known)
         errors = relations.symmetric_errors(motions, known.first_from_second[answered])[:, 0]
         wanted = relations.select_part(known, part)[answered]
         order = np.argsort(known.first_ns[answered][wanted], kind="stable")
@@ -73,11 +94,11 @@ def _time_series(stamps_ns: Ints, values: Floats, statistic: Statistic) -> Serie
     return Series(stamps_ns, values, statistic, float(np.median(np.diff(stamps_ns))) * 1e-9)
 
 
-SERIES: Mapping[str, Callable[[Trial], Series | None]] = {
+SERIES: Mapping[str, Callable[[ScoredRun], Series | None]] = {
     "ate_rmse_m": _position_errors,
     "drift_percent": _segment_errors,
     **{f"relations_{part}_mean_m": _relation_errors(part) for part in ("all", "short", "long")},
     "cpu_median_ms": _cpu_times("median"),
     "real_time_factor": _cpu_times("inverse"),
 }
-"""The series of a trial by the name of the metric; None where the trial does not have it."""
+"""The series of a record by the name of the metric; None where the record does not have it."""

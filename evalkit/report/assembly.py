@@ -1,4 +1,4 @@
-"""A plan and its trials made one comparison: cards from the specs, and what was held equal, in sentences."""
+"""A plan and its records made one comparison: cards from the specs, and what was held equal, in sentences."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, metadata, packages_distributions
 
 from evalkit.config.experiment import Experiment, Limits, MapperChoice, Method, SequenceSpec
-from evalkit.core.run_result import Trial
 from evalkit.execution import environment
 from evalkit.metrics import all_metrics
 from evalkit.odometry.frontend import parameters_of
@@ -16,18 +15,19 @@ from evalkit.plugins import registry
 from evalkit.plugins.protocols import GUESS_NOT_TOLD, Parameter, Value
 from evalkit.plugins.protocols import Sequence as Recording
 from evalkit.report.analysis.comparison import Comparison, MethodCard, SequenceCard, Setting
+from evalkit.results.run_record import RunRecord
 
 LIBRARIES = ("numpy", "scipy")
 
 
 def comparison_of(
     plan: Experiment,
-    trials: Sequence[Trial],
+    records: Sequence[RunRecord],
     started: datetime,
     finished: datetime,
     ran_on: Mapping[str, str] | None = None,
 ) -> Comparison:
-    """The comparison of a plan's trials, scored by every registered metric.
+    """The comparison of a plan's records, scored by every registered metric.
 
     ``ran_on``: the environment as it was before the first run; without it, as it is now.
     """
@@ -37,16 +37,16 @@ def comparison_of(
     return Comparison(
         title=plan.title,
         description=plan.description,
-        trials=in_order(plan, trials),
+        records=in_order(plan, records),
         metrics=all_metrics(),
         methods={method.label: method_card(method) for method in plan.methods},
-        sequences={sequence.label: sequence_card(sequence, trials) for sequence in plan.sequences},
+        sequences={sequence.label: sequence_card(sequence, records) for sequence in plan.sequences},
         environment={**where, **environment.versions(libraries)},
         command=f"evalkit {plan.source}",
         started=started,
         finished=finished,
         mapper=mapper_text(plan.mapper),
-        fairness=(*fairness(trials, where), limits_text(plan.limits)),
+        fairness=(*fairness(records, where), limits_text(plan.limits)),
         scans={sequence.label: scans_of(sequence) for sequence in plan.sequences if not sequence.missing},
     )
 
@@ -57,16 +57,16 @@ def scans_of(sequence: SequenceSpec) -> Callable[[], Recording]:
     return lambda: registry.dataset(sequence.dataset).make(**sequence.seeded(seed))
 
 
-def in_order(plan: Experiment, trials: Sequence[Trial]) -> tuple[Trial, ...]:
-    """The trials by sequence, seed and method as the plan names them, whatever the order they were run in."""
+def in_order(plan: Experiment, records: Sequence[RunRecord]) -> tuple[RunRecord, ...]:
+    """The records by sequence, seed and method as the plan names them, whatever the order they were run in."""
     entrants = [method.label for method in plan.methods]
     sequences = {sequence.label: (row, sequence.seeds) for row, sequence in enumerate(plan.sequences)}
 
-    def place(trial: Trial) -> tuple[int, int, int]:
-        row, seeds = sequences[trial.sequence]
-        return row, seeds.index(trial.seed), entrants.index(trial.method)
+    def place(record: RunRecord) -> tuple[int, int, int]:
+        row, seeds = sequences[record.sequence]
+        return row, seeds.index(record.seed), entrants.index(record.method)
 
-    return tuple(sorted(trials, key=place))
+    return tuple(sorted(records, key=place))
 
 
 def distribution(requirement: str) -> str:
@@ -102,10 +102,10 @@ def settings_of(given: Mapping[str, Value], parameters: Sequence[Parameter], oth
     )
 
 
-def sequence_card(sequence: SequenceSpec, trials: Sequence[Trial]) -> SequenceCard:
+def sequence_card(sequence: SequenceSpec, records: Sequence[RunRecord]) -> SequenceCard:
     """The card of a sequence; the truth is told as its runs met it, else as the data set promises it."""
     spec = registry.dataset(sequence.dataset)
-    met = dict.fromkeys(t.truth.how for t in trials if t.sequence == sequence.label and len(t.run.steps))
+    met = dict.fromkeys(t.truth.how for t in records if t.sequence == sequence.label and len(t.result.steps))
     return SequenceCard(
         spec.summary,
         spec.sensor,
@@ -124,12 +124,12 @@ def mapper_text(mapper: MapperChoice) -> str:
     return f"{mapper.name} ({_settings(mapper.parameters)}) from at most {mapper.scans} scans, evenly spaced."
 
 
-def fairness(trials: Sequence[Trial], environment: Mapping[str, str]) -> tuple[str, ...]:
+def fairness(records: Sequence[RunRecord], environment: Mapping[str, str]) -> tuple[str, ...]:
     """What was held equal between methods, and what was not; ``environment``: what they ran on."""
-    warm = sorted({trial.run.warm_up_scans for trial in trials if len(trial.run.steps)})
+    warm = sorted({record.result.warm_up_scans for record in records if len(record.result.steps)})
     warmed = f"the first {'/'.join(map(str, warm))} scans" if warm else "the first scans"
     at_once = environment.get("runs at a time", "")
-    given = any(trial.run.status == "complete" and not len(trial.run.steps) for trial in trials)
+    given = any(record.result.is_complete and not len(record.result.steps) for record in records)
     elsewhere = "; a map made elsewhere is held against the truth as it is" if given else ""
     shared = "; those at the same time share caches and memory, and slow each other" if at_once != "1" else ""
     return (

@@ -12,13 +12,13 @@ from dataclasses import asdict
 from importlib.resources import files
 from typing import Any
 
-from evalkit.core.run_result import Trial
 from evalkit.metrics.table import Metric
 from evalkit.report.analysis.cells import interval
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.pairwise import pairs
 from evalkit.report.analysis.standings import standing
 from evalkit.report.analysis.verdict import Verdict
+from evalkit.results.run_record import RunRecord
 from evalkit.results.store import digest
 
 NAME, VERSION = "evalkit-results", 1
@@ -41,7 +41,7 @@ def results(comparison: Comparison, overview: Sequence[str], verdicts: Sequence[
         "sequences": {label: asdict(card) for label, card in comparison.sequences.items()},
         "overview": list(overview),
         "verdicts": [asdict(verdict) for verdict in verdicts],
-        "trials": [_trial(trial) for trial in comparison.trials],
+        "trials": [_trial(record) for record in comparison.records],
         "intervals": [row for label in comparison.sequence_labels for row in _intervals(comparison, label)],
         "differences": [row for label in comparison.sequence_labels for row in _differences(comparison, label)],
     }
@@ -78,19 +78,19 @@ def _metric(metric: Metric) -> dict[str, Any]:
     return {name: getattr(metric, name) for name in names}
 
 
-def _trial(trial: Trial) -> dict[str, Any]:
-    run = trial.run
+def _trial(record: RunRecord) -> dict[str, Any]:
+    run = record.result
     return {
-        "key": trial.key,
-        "method": trial.method,
-        "backend": trial.backend,
-        "backend_parameters": dict(trial.backend_parameters),
-        "sequence": trial.sequence,
-        "dataset": trial.dataset,
-        "dataset_parameters": dict(trial.dataset_parameters),
-        "seed": trial.seed,
-        "command": trial.command,
-        "alignment": trial.alignment,
+        "key": record.key,
+        "method": record.method,
+        "backend": record.spec.method.backend,
+        "backend_parameters": dict(record.spec.method.parameters),
+        "sequence": record.sequence,
+        "dataset": record.spec.sequence.dataset,
+        "dataset_parameters": dict(record.spec.dataset_parameters),
+        "seed": record.seed,
+        "command": record.command,
+        "alignment": record.scores.alignment,
         "status": run.status,
         "reason": run.reason,
         "scans_answered": len(run.steps),
@@ -101,6 +101,6 @@ def _trial(trial: Trial) -> dict[str, Any]:
         "notes": {name: int(count) for name, count in run.notes.items()},
         "scores": {
             name: {"value": score.value, "support": int(score.support), "reason": score.reason}
-            for name, score in trial.scores.items()
+            for name, score in record.scores.by_metric.items()
         },
     }

@@ -11,45 +11,45 @@ from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.standings import standing
 
 
-def trials(comparison: Comparison) -> pd.DataFrame:
-    """One row per trial: who, over what, how it ended, and one column per metric (empty where not meaningful)."""
+def records(comparison: Comparison) -> pd.DataFrame:
+    """One row per record: who, over what, how it ended, and one column per metric (empty where not meaningful)."""
     rows = []
-    for trial in comparison.trials:
+    for record in comparison.records:
         row: dict[str, object] = {
-            "key": trial.key,
-            "method": trial.method,
-            "sequence": trial.sequence,
-            "seed": trial.seed,
-            "status": trial.run.status,
-            "reason": trial.run.reason,
-            "scans_answered": len(trial.run.steps),
-            "scans_expected": trial.run.expected,
+            "key": record.key,
+            "method": record.method,
+            "sequence": record.sequence,
+            "seed": record.seed,
+            "status": record.result.status,
+            "reason": record.result.reason,
+            "scans_answered": len(record.result.steps),
+            "scans_expected": record.result.expected,
         }
         for metric in comparison.metrics:
-            score = trial.scores.get(metric.name)
+            score = record.scores.by_metric.get(metric.name)
             row[metric.name] = None if score is None else score.value
-        rows.append(row | {"command": trial.command})
+        rows.append(row | {"command": record.command})
     return pd.DataFrame(rows).astype({"seed": "Int64"}) if rows else pd.DataFrame()
 
 
 def scores(comparison: Comparison) -> pd.DataFrame:
-    """One row per trial and metric: value, support, and the reason where there is no value."""
+    """One row per record and metric: value, support, and the reason where there is no value."""
     rows = [
         {
-            "key": trial.key,
-            "method": trial.method,
-            "sequence": trial.sequence,
-            "seed": trial.seed,
-            "status": trial.run.status,
+            "key": record.key,
+            "method": record.method,
+            "sequence": record.sequence,
+            "seed": record.seed,
+            "status": record.result.status,
             "metric": metric.name,
             "unit": metric.unit,
             "value": score.value,
             "support": score.support,
             "reason": score.reason,
         }
-        for trial in comparison.trials
+        for record in comparison.records
         for metric in comparison.metrics
-        if (score := trial.scores.get(metric.name)) is not None
+        if (score := record.scores.by_metric.get(metric.name)) is not None
     ]
     return pd.DataFrame(rows).astype({"seed": "Int64"}) if rows else pd.DataFrame()
 
@@ -92,7 +92,7 @@ def summary(comparison: Comparison) -> pd.DataFrame:
 def write_csv(comparison: Comparison, folder: Path) -> tuple[Path, ...]:
     """The files trials.csv, scores.csv and summary.csv in a folder; numbers in full precision."""
     written = []
-    for name, table in (("trials", trials), ("scores", scores), ("summary", summary)):
+    for name, table in (("trials", records), ("scores", scores), ("summary", summary)):
         path = folder / f"{name}.csv"
         table(comparison).to_csv(path, index=False)
         written.append(path)

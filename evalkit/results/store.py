@@ -15,34 +15,30 @@ import os
 import shutil
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from filelock import FileLock, Timeout
 from numpy.typing import NDArray
 
+from evalkit.config.experiment import RunSpec
 from evalkit.core.errors import StoreError
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, RunResult, Score, Status
+from evalkit.core.run_result import STEP, Cause, RunResult, Score, Scores
 from evalkit.io import untrusted_io
 from evalkit.io.tum import format_tum
 
 LOCK = ".writer.lock"
 STEPS = "steps.bin"
+RESULT = "result.json"
+SCORES = "scores.json"
+
+_RESULT_FIELDS = tuple(field.name for field in fields(RunResult) if field.name != "steps")
 
 REMEDY = "free some space or name another folder with --out"
-
-
-class HowItEnded(NamedTuple):
-    """A stored run in short: scans answered, and how many there are."""
-
-    status: Status
-    reason: str
-    answered: int
-    expected: int
 
 
 class Store:
@@ -99,39 +95,31 @@ class Store:
             partial.write_bytes(content)
             partial.replace(path)
 
-    def save_run(self, key: str, run: RunResult, made: Mapping[str, Any]) -> None:
-        """Keeps how a run ended and how it was ``made``: when, on what, which limits. Its steps should be there."""
-        steps = self.run_folder(key) / STEPS
-        if not steps.exists() or read_steps(steps).tobytes() != run.steps.tobytes():  # removed, or times left out
-            self.write_bytes(steps, run.steps.tobytes())
-        self.write_text(self.run_folder(key) / "made.json", json.dumps(made, indent=1))
-        record = {name: value for name, value in asdict(run).items() if name != "steps"} | {"answers": len(run.steps)}
-        self.write_text(self.run_folder(key) / "run.json", json.dumps(record, indent=1))
-        self.write_text(
-            self.folder / "trajectories" / f"{key}.tum",
-            format_tum(run.estimate, f"evalkit: {run.backend} on {run.sequence}"),
-        )
+    def save_result(self, spec: RunSpec, result: RunResult) -> None:
+        """Write how a run went, and its trajectory for other tools."""
+        folder = self.run_folder(spec.key)
+        steps = folder / STEPS
+        if not steps.exists() or read_steps(steps).tobytes() != result.steps.tobytes():  # removed, or times left out
+            self.write_bytes(steps, result.steps.tobytes())
+        record = {
+            "method": spec.method.label, "sequence": spec.sequence.label, "seed": spec.seed, "status": result.status,
+            "answered": len(result.steps), **{name: getattr(result, name) for name in _RESULT_FIELDS},
+        }  # fmt: skip
+        self.write_text(folder / RESULT, json.dumps(record, indent=1))
+        text = format_tum(result.estimate, f"evalkit: {spec.method.label} on {spec.sequence.label}")
+        self.write_text(self.folder / "trajectories" / f"{spec.key}.tum", text)
 
-    def load_run(self, key: str) -> RunResult | None:
-        """A finished run, or None."""
+    def load_result(self, key: str) -> RunResult | None:
+        """The result of a stored run; None where there is none, or where it is damaged: it is run again."""
         folder = self.run_folder(key)
         try:
-            record = untrusted_io.parse_json((folder / "run.json").read_bytes())
+            record = untrusted_io.parse_json((folder / RESULT).read_bytes())
             steps = read_steps(folder / STEPS)
-            return RunResult(steps=steps, **record) if record.pop("answers") == len(steps) else None
-        except (OSError, ValueError, TypeError, KeyError, AttributeError):  # absent or half-written: it is made again
-            return None
-
-    def how_it_ended(self, key: str) -> HowItEnded | None:
-        """The same in short, without reading its answers: a plan may have thousands of runs."""
-        folder = self.run_folder(key)
-        try:
-            record = untrusted_io.parse_json((folder / "run.json").read_bytes())
-            answered = (folder / STEPS).stat().st_size // STEP.itemsize
-            if record["answers"] != answered:
+            if record["answered"] != len(steps):
                 return None
-            return HowItEnded(record["status"], record["reason"], answered, record["expected"])
-        except (OSError, ValueError, TypeError, KeyError):
+            values = {name: record[name] for name in _RESULT_FIELDS} | {"cause": Cause(record["cause"])}
+            return RunResult(steps, **values)
+        except (OSError, ValueError, TypeError, KeyError, AttributeError):
             return None
 
     def forget(self, key: str, *names: str) -> None:
@@ -160,33 +148,32 @@ class Store:
     def _tries(self, key: str) -> Path:
         return self.folder / "tries" / f"{key}.json"
 
-    def load_made(self, key: str) -> dict[str, Any]:
-        """When a run was made ("made", ISO 8601), on what, and under which limits; empty where nobody knows."""
-        try:
-            content = untrusted_io.parse_json((self.run_folder(key) / "made.json").read_bytes())
-        except (OSError, ValueError):  # made before this was kept, or half-written
-            return {}
-        return content if isinstance(content, dict) else {}
-
-    def save_scores(self, key: str, content: Mapping[str, Any], grid: OccupancyGrid | None, errors_m: Any) -> None:
-        """Keeps what scoring made of a run, its map also for map_server."""
+    def save_scores(self, key: str, scores: Scores, fingerprint: str) -> None:
+        """Write the scores of a run, and its map for map_server. ``fingerprint``: the scoring code and the mapper."""
         folder = self.run_folder(key)
+        grid = scores.grid
         with reported(folder):
-            for name in ("scores.json", "grid.npz", "errors.npy"):  # scores.json first and written last: it vouches
+            for name in (SCORES, "grid.npz", "errors.npy"):  # SCORES is removed first and written last: it vouches
                 (folder / name).unlink(missing_ok=True)
             if grid is not None:
                 np.savez_compressed(folder / "grid.npz", log_odds=grid.log_odds, observed=grid.observed,
                                     frame=[grid.resolution_m, grid.origin_x, grid.origin_y])  # fmt: skip
                 self.write_map(self.folder / "maps" / key, grid)
-            else:  # an earlier run's would stand beside a page that shows none
+            else:  # remove the map of an earlier run
                 for ending in (".pgm", ".yaml"):
                     (self.folder / "maps" / f"{key}{ending}").unlink(missing_ok=True)
-            if errors_m is not None:
-                np.save(folder / "errors.npy", errors_m)
-        self.write_text(folder / "scores.json", json.dumps(content, indent=1))
+            if scores.errors_m is not None:
+                np.save(folder / "errors.npy", scores.errors_m)
+        content = {
+            "fingerprint": fingerprint,
+            "world_from_start": scores.world_from_start.row.tolist(),
+            "alignment": scores.alignment,
+            "scores": {name: asdict(score) for name, score in scores.by_metric.items()},
+        }
+        self.write_text(folder / SCORES, json.dumps(content, indent=1))
 
     def scored_by(self, key: str) -> str | None:
-        """What the stored scores of a run stand on, None where there are none."""
+        """The fingerprint of the stored scores of a run; None where there are none."""
         return self._scores(key).get("fingerprint")
 
     def score_values(self, key: str) -> dict[str, float | None]:
@@ -195,25 +182,25 @@ class Store:
 
     def _scores(self, key: str) -> dict[str, Any]:
         try:
-            content = untrusted_io.parse_json((self.run_folder(key) / "scores.json").read_bytes())
+            content = untrusted_io.parse_json((self.run_folder(key) / SCORES).read_bytes())
         except (OSError, ValueError):
             return {}
         return content if isinstance(content, dict) else {}
 
-    def load_scores(self, key: str) -> dict[str, Any] | None:
-        """What scoring made of a run ("scores" as Score values), or None."""
+    def load_scores(self, key: str) -> Scores | None:
+        """The scores of a stored run; None where there are none, or where they are damaged."""
         folder = self.run_folder(key)
         try:
-            content: dict[str, Any] = untrusted_io.parse_json((folder / "scores.json").read_bytes())
-            content["scores"] = {name: Score(**score) for name, score in content["scores"].items()}
-            content["world_from_start"] = Pose.of(content["world_from_start"])
-            content["grid"] = _load_grid(folder / "grid.npz")
-            content["errors_m"] = (
-                untrusted_io.read_array(folder / "errors.npy") if (folder / "errors.npy").exists() else None
+            content = untrusted_io.parse_json((folder / SCORES).read_bytes())
+            return Scores(
+                {name: Score(**score) for name, score in content["scores"].items()},
+                Pose.of(content["world_from_start"]),
+                content["alignment"],
+                _load_grid(folder / "grid.npz"),
+                untrusted_io.read_array(folder / "errors.npy") if (folder / "errors.npy").exists() else None,
             )
-        except (OSError, ValueError, TypeError, KeyError, AttributeError, OverflowError):  # absent or damaged
+        except (OSError, ValueError, TypeError, KeyError, AttributeError, OverflowError):
             return None
-        return content
 
     def write_map(self, stem: Path, grid: OccupancyGrid) -> None:
         """A map_server map: PGM (row 0 on top; 254 free, 0 occupied, 205 unknown) and YAML with every digit."""

@@ -6,12 +6,12 @@ import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import Annotated
 
 import typer
 from rich.console import Console
 
-from evalkit.core.run_result import Status
+from evalkit.core.run_result import BROKEN, RunStatus
 from evalkit.execution import environment
 from evalkit.execution.dask_cluster import Cluster
 
@@ -43,17 +43,13 @@ AccuracyOnly = Annotated[
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
-FAILED: tuple[Status, ...] = ("failed", "crashed", "timeout", "out-of-memory")
-"""The statuses of runs that could have completed and did not."""
-
-
 @dataclass(frozen=True)
 class Making:
     """How runs are made: see the options of the same names."""
 
     jobs: int
     resume: bool
-    rerun: frozenset[Status]
+    rerun: frozenset[RunStatus]
     collect: bool
     cluster: Cluster | None = None
 
@@ -68,12 +64,12 @@ class Making:
         scheduler: str = "",
     ) -> Making:
         """What the command line says; a status or an engine that is none is a usage error."""
-        again: set[Status] = set()
+        again: set[RunStatus] = set()
         for name in rerun or []:
-            found = [status for status in get_args(Status) if status == name]
+            found = [status for status in RunStatus if status == name]
             if not found:
-                raise typer.BadParameter(f"--rerun: found '{name}', expected one of: {', '.join(get_args(Status))}")
-            again.update(FAILED if name == "failed" else found)
+                raise typer.BadParameter(f"--rerun: found '{name}', expected one of: {', '.join(RunStatus)}")
+            again.update(BROKEN if name == "failed" else found)
         at_once = jobs or environment.physical_cores()
         return cls(at_once, resume or bool(rerun), frozenset(again), collect, cluster(engine, scheduler, at_once))
 

@@ -17,7 +17,7 @@ from rich.table import Table
 from evalkit.config.experiment import Experiment, RunSpec
 
 if TYPE_CHECKING:
-    from evalkit.execution.run_task import Ended  # loads every metric
+    from evalkit.execution.run_task import FinishedRun  # loads every metric
 
 WIDE = 10_000
 """Columns of a table that is piped: one line a row, whatever it holds."""
@@ -65,14 +65,14 @@ class RunLines:
     def answered(self, planned: RunSpec, scans: int) -> None:
         """A run has answered so many scans; a line each would be too many."""
 
-    def finished(self, ended: Ended) -> None:
+    def finished(self, run: FinishedRun) -> None:
         """A run is done: its line, and the time left."""
         self._done += 1
-        self._left.finished(ended.planned.sequence.label, ended.planned.method.label, ended.seconds)
-        self._tell(ended)
+        self._left.finished(run.spec.sequence.label, run.spec.method.label, run.seconds)
+        self._tell(run)
 
-    def _tell(self, ended: Ended) -> None:
-        self._console.print(f"[{self._done}/{self._total}] {_line(ended)}, {self._time_left()}", markup=False)
+    def _tell(self, run: FinishedRun) -> None:
+        self._console.print(f"[{self._done}/{self._total}] {_line(run)}, {self._time_left()}", markup=False)
 
     def _time_left(self) -> str:
         left = self._left.seconds()
@@ -82,7 +82,7 @@ class RunLines:
 class Silence(RunLines):
     """Nothing."""
 
-    def finished(self, ended: Ended) -> None:
+    def finished(self, run: FinishedRun) -> None:
         """Tells nobody."""
 
 
@@ -100,10 +100,10 @@ class RunBar(RunLines):
         at = escape(f"{planned.sequence.label} / {planned.method.label}: scan {scans:,}")
         self.bar.update(self._task, description=f"{self._time_left()}  {at}")
 
-    def _tell(self, ended: Ended) -> None:
+    def _tell(self, run: FinishedRun) -> None:
         self.bar.update(self._task, completed=self._done, description=self._time_left())
-        if ended.status != "complete":
-            self._console.print(_line(ended), markup=False)
+        if not run.result.is_complete:
+            self._console.print(_line(run), markup=False)
 
 
 @contextmanager
@@ -194,11 +194,11 @@ def missing(plan: Experiment) -> list[str]:
     return [f"missing here: {', '.join(lacking[reason])}: {reason}" for reason in by_system]
 
 
-def _line(ended: Ended) -> str:
-    planned = ended.planned
-    seed = "" if planned.seed is None else f" seed {planned.seed}"
-    reason = f" ({ended.reason})" if ended.reason else ""
-    return f"{planned.sequence.label}{seed} / {planned.method.label}: {ended.status}{reason}, {ended.seconds:.1f} s"
+def _line(run: FinishedRun) -> str:
+    spec, result = run.spec, run.result
+    seed = "" if spec.seed is None else f" seed {spec.seed}"
+    reason = f" ({result.reason})" if result.reason else ""
+    return f"{spec.sequence.label}{seed} / {spec.method.label}: {result.status}{reason}, {run.seconds:.1f} s"
 
 
 def _clock(seconds: float) -> str:

@@ -45,9 +45,7 @@ def run(bag: Path) -> Run:
     """Wheel odometry over a bag, in a process of its own."""
     request = Request("wheel-odometry", {}, "rosbag", {"path": str(bag)})
     with tempfile.TemporaryDirectory() as folder:
-        made = run_process.run(
-            request, ("wheel-odometry", bag.name), Path(folder), PATIENT, lambda _: None, threading.Event()
-        )
+        made = run_process.run(request, Path(folder), PATIENT, lambda _: None, threading.Event())
     if made.status != "complete":
         sys.exit(f"{bag.name}: {made.status}: {made.reason}")
     size = sum(file.stat().st_size for file in ([bag] if bag.is_file() else bag.iterdir()))

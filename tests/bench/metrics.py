@@ -57,7 +57,7 @@ def timed() -> dict[str, dict[str, float]]:
     mapped, steps = scans(0.02), np.zeros(0, STEP)
     true = Truth("exact", grid=floor(0.0, 0))
     halves = floor(1.0, 3), floor(1.0, 4)
-    evidence = Evidence(RunResult("b", "s", "complete", "", steps, 0), true, None, floor(1.0, 2), mapped, *halves)
+    evidence = Evidence(RunResult(steps, 0), true, None, floor(1.0, 2), mapped, *halves)
     found: dict[str, dict[str, float]] = {group: {} for group in GROUPS}
     for metric in metrics.METRICS:
         if metric.group in GROUPS:

@@ -42,8 +42,8 @@ def made(backend: str, **changes: object) -> RunResult:
     parameters = {p.name: p.default for p in lab.parameters} | changes
     request = Request(backend, frontend.complete_parameters(backend, spec, {}), "lab", parameters)
     with tempfile.TemporaryDirectory() as folder:
-        run = run_process.run(request, (backend, "lab"), Path(folder), Limits(), lambda _: None, threading.Event())
-    if run.status != "complete":
+        run = run_process.run(request, Path(folder), Limits(), lambda _: None, threading.Event())
+    if not run.is_complete:
         sys.exit(f"{backend}: {run.status}: {run.reason}")
     return run
 

@@ -23,7 +23,7 @@ from evalkit.config.experiment import Experiment
 from evalkit.execution import run_archive
 from evalkit.execution.dask_cluster import Call, Cluster, Slot, _local
 from evalkit.execution.executors import There
-from evalkit.execution.run_task import Ended
+from evalkit.execution.run_task import FinishedRun
 from evalkit.execution.scheduler import Engine
 from evalkit.results.store import Store
 
@@ -37,7 +37,7 @@ class Unheard:
     def answered(self, planned: object, scans: int) -> None:
         """Nothing."""
 
-    def finished(self, ended: Ended) -> None:
+    def finished(self, run: FinishedRun) -> None:
         """Nothing."""
 
 
@@ -81,7 +81,7 @@ def planning(folder: Path) -> None:
                 shutil.copytree(made, full.run_folder(run.key), copy_function=os.link)
     with taken("what is done of 10,000, all made", 10_000):
         ended = list(Engine(big, full, Unheard(), collect=True).ended())
-    print("  statuses:", {one.status for one in ended})
+    print("  statuses:", {one.result.status for one in ended})
     print(f"  peak of this process: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
 
 
@@ -92,7 +92,7 @@ def store(folder: Path) -> None:
     list(Engine(one, kept, Unheard()).ended())
     key = next(one.runs()).key
     files = [path for path in (folder / "one").rglob("*") if path.is_file() and not path.name.startswith(".")]
-    scans = kept.how_it_ended(key).answered
+    scans = kept.load_result(key).steps.size
     print(f"a run of {scans} scans: {len(files)} files, {sum(path.stat().st_size for path in files):,} bytes")
     body = run_archive.packed(kept, key)
     print(f"  packed for the way: {len(body):,} bytes")
@@ -141,7 +141,7 @@ def workers(folder: Path) -> None:
                 begun, used = time.perf_counter(), _cpu_s()
                 ended = list(Engine(many, Store(folder / f"{turn} {count}"), Unheard(), place=place).ended())
                 wall, used = time.perf_counter() - begun, _cpu_s() - used
-            assert {one.status for one in ended} == {"complete"}, {one.reason for one in ended}
+            assert {one.result.status for one in ended} == {"complete"}, {one.result.reason for one in ended}
             busy[count].append(sum(one.seconds for one in ended) / (wall * count))
             cpu[count].append(used / len(ended))
             print(

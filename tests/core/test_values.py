@@ -10,7 +10,7 @@ from evalkit.core import se2
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Relations
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, RunResult, Score
+from evalkit.core.run_result import STEP, Cause, RunResult, Score
 from evalkit.core.scan import Cloud, Frame, Scan
 from evalkit.core.trajectory import Trajectory
 
@@ -58,7 +58,7 @@ def occupancy(log_odds, observed, *place):
         (OccupancyGrid, (np.zeros((2, 3)), np.ones((2, 3)), 0.0, 0, 0), "resolution_m: .* got 0.0"),
         (Relations, ([0], [1, 2], np.zeros((1, 3))), r"second_ns: expected shape \(1,\)"),
         (Pose, (0.0, math.inf, 0.0), "pose: not finite"),
-        (RunResult, ("b", "s", "timeout", "", NOTHING, 3), "reason: a run that is timeout needs one"),
+        (RunResult, (NOTHING, 3, Cause.TIME_LIMIT, ""), "reason: a run that is timeout needs one"),
         (Score, (None,), "reason: a score without a value needs one"),
         (Score, (math.nan, 3), "value: not finite: nan; say None and why"),
     ],
@@ -84,7 +84,7 @@ def test_a_range_outside_the_limits_names_its_beam(bad):
         (trajectory([0], [[0, 0, 0]]), "stamps_ns"),
         (trajectory([0], [[0, 0, 0]]), "poses"),
         (occupancy(np.zeros((1, 1)), np.ones((1, 1)), 0.1, 0, 0), "log_odds"),
-        (RunResult("b", "s", "complete", "", np.zeros(1, dtype=STEP), 1), "steps"),
+        (RunResult(np.zeros(1, dtype=STEP), 1), "steps"),
     ],
 )
 def test_values_are_frozen_and_their_arrays_read_only(value, field):
@@ -238,7 +238,7 @@ def test_log_odds_without_bounds_are_probabilities_all_the_same():
 def test_a_runs_estimate_is_its_answers():
     steps = np.zeros(2, dtype=STEP)
     steps["stamp_ns"], steps["x"], steps["y"], steps["theta"] = [7, 9], [0, 1], [0, 2], [0, 0.5]
-    estimate = RunResult("icp", "room", "complete", "", steps, 2).estimate
+    estimate = RunResult(steps, 2).estimate
     assert estimate.stamps_ns.tolist() == [7, 9]
     assert estimate.poses.tolist() == [[0, 0, 0], [1, 2, 0.5]]
     assert (estimate.parent, estimate.child) == ("start", "base")

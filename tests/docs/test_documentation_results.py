@@ -119,7 +119,7 @@ def test_the_page_the_schema_and_a_report_with_everything_in_it_have_the_same_ke
     ("name", "free"),
     [
         ("request.json", {"backend_parameters", "dataset_parameters"}), ("begun.json", ()),
-        ("outcome.json", {"notes"}), ("run.json", {"notes"}), ("made.json", {"versions"}), ("scores.json", {"scores"}),
+        ("outcome.json", {"notes"}), ("result.json", {"notes", "provenance.versions"}), ("scores.json", {"scores"}),
     ],
 )  # fmt: skip
 def test_every_key_of_a_runs_own_files_is_on_the_page_and_every_key_of_the_page_in_them(small, name, free):

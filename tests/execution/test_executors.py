@@ -66,13 +66,13 @@ def there(workers):
 
 
 def rows(plan, folder, place=None, resume=False, heard=None, rerun=frozenset()):
-    made = Engine(plan, Store(folder), heard or Heard(), 2, resume, rerun=rerun, place=place).trials()
-    return {trial.method: trial for trial in made}
+    made = Engine(plan, Store(folder), heard or Heard(), 2, resume, rerun=rerun, place=place).records()
+    return {record.method: record for record in made}
 
 
 def reasons(made):
     """Why runs ended as they did."""
-    return [trial.run.reason for trial in made.values()]
+    return [record.result.reason for record in made.values()]
 
 
 def pids(workers):
@@ -88,21 +88,24 @@ def test_a_cluster_gives_the_rows_the_scores_and_the_bits_of_this_machine(worker
     timeless = [name for name in STEP.names if name not in COSTS]
     for one, other in zip(here.values(), away.values(), strict=True):
         assert one.key == other.key
-        assert (one.run.status, one.run.reason, one.run.expected) == (
-            other.run.status, other.run.reason, other.run.expected,
+        assert (one.result.status, one.result.reason, one.result.expected) == (
+            other.result.status, other.result.reason, other.result.expected,
         )  # fmt: skip
         for name in timeless:
-            assert one.run.steps[name].tobytes() == other.run.steps[name].tobytes(), name
-        assert (other.run.steps["cpu_ns"] > 0).all()
-        assert one.alignment == other.alignment
+            assert one.result.steps[name].tobytes() == other.result.steps[name].tobytes(), name
+        assert (other.result.steps["cpu_ns"] > 0).all()
+        assert one.scores.alignment == other.alignment
         assert one.scores.keys() == other.scores.keys()
         timed = {name for name in one.scores if name.startswith(("cpu_", "wall_", "harness_", "device_"))}
         for name in one.scores.keys() - timed - {"conversion_percent", "real_time_factor", "peak_memory_mib"}:
-            assert one.scores[name] == other.scores[name], name
-        assert (one.grid is None) == (other.grid is None)
-        if one.grid is not None:
-            assert one.grid.log_odds.tobytes() == other.grid.log_odds.tobytes()
-        assert np.array_equal(one.errors_m, other.errors_m, equal_nan=True) or one.errors_m is other.errors_m is None
+            assert one.scores.by_metric[name] == other.scores[name], name
+        assert (one.scores.grid is None) == (other.grid is None)
+        if one.scores.grid is not None:
+            assert one.scores.grid.log_odds.tobytes() == other.grid.log_odds.tobytes()
+        assert (
+            np.array_equal(one.scores.errors_m, other.errors_m, equal_nan=True)
+            or one.scores.errors_m is other.errors_m is None
+        )
     files = {path.relative_to(tmp_path / "here") for path in (tmp_path / "here").rglob("*.*") if path.is_file()}
     assert files == {path.relative_to(tmp_path / "away") for path in (tmp_path / "away").rglob("*.*") if path.is_file()}
     made = Store(tmp_path / "away").load_made(away["0 none"].key)
@@ -123,7 +126,7 @@ def test_a_worker_killed_while_it_runs_costs_no_row_and_no_more_than_two_runs_ar
 
     heard = Heard(kill)
     made = rows(waits, tmp_path, there(workers), heard=heard)
-    assert [trial.run.status for trial in made.values()] == [*["complete"] * 5, "failed"], reasons(made)
+    assert [record.result.status for record in made.values()] == [*["complete"] * 5, "failed"], reasons(made)
     assert killed[0] not in pids(workers)
     assert heard.most <= 3  # two threads, and one run that was lost
 
@@ -131,27 +134,27 @@ def test_a_worker_killed_while_it_runs_costs_no_row_and_no_more_than_two_runs_ar
 def test_a_run_that_ends_its_workers_is_quarantined_after_two_and_the_others_stand(workers, tmp_path):
     deadly = plan("none", "kill-parent", "none", "none")
     made = rows(deadly, tmp_path, there(workers))
-    assert [trial.run.status for trial in made.values()] == ["complete", "crashed", "complete", "complete"], reasons(
-        made
+    assert [record.result.status for record in made.values()] == ["complete", "crashed", "complete", "complete"], (
+        reasons(made)
     )
-    reason = made["1 kill-parent"].run.reason
+    reason = made["1 kill-parent"].result.reason
     assert reason.startswith("quarantined: lost its worker twice (tcp://127.0.0.1:")
     assert reason.endswith("); --rerun crashed tries again")
     assert reason.count("tcp://") == 2
     alive = pids(workers)
     again = rows(deadly, tmp_path, there(workers), resume=True)
-    assert again["1 kill-parent"].run.reason == reason
+    assert again["1 kill-parent"].result.reason == reason
     assert pids(workers) == alive
     only = deadly.only([], ["1 kill-parent"], [])
     last = rows(only, tmp_path, there(workers), resume=True, rerun=frozenset({"crashed"}))
-    assert last["1 kill-parent"].run.reason != reason  # other workers, the same end
+    assert last["1 kill-parent"].result.reason != reason  # other workers, the same end
 
 
 def test_who_was_lost_here_is_forgotten_once_a_worker_has_made_the_run(workers, tmp_path):
     store, asked = Store(tmp_path), plan("none", timed=False)
     key = next(iter(asked.runs())).key
     store.note_tries(key, ["process 1 on a", "process 2 on a"])
-    assert rows(asked, tmp_path, there(workers), resume=True)["0 none"].run.status == "complete"
+    assert rows(asked, tmp_path, there(workers), resume=True)["0 none"].result.status == "complete"
     assert store.tries(key) == []
 
 
@@ -159,7 +162,7 @@ def test_where_times_do_not_count_there_are_none(workers, tmp_path):
     untimed = rows(plan("none", timed=False), tmp_path, there(workers))["0 none"]
     assert untimed.scores["cpu_median_ms"].reason == "not timed: made where times do not count"
     assert untimed.scores["peak_memory_mib"].value > 0
-    assert not untimed.run.steps["wall_ns"].any()
+    assert not untimed.result.steps["wall_ns"].any()
     timed = rows(plan("none"), tmp_path, there(workers), resume=True)["0 none"]
     assert timed.scores["cpu_median_ms"].value > 0
 

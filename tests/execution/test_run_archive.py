@@ -6,9 +6,10 @@ from zipfile import ZipFile
 import numpy as np
 import pytest
 
+from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.errors import StoreError
 from evalkit.core.grid import OccupancyGrid
-from evalkit.core.run_result import STEP, RunResult
+from evalkit.core.run_result import STEP, RunResult, Scores
 from evalkit.execution import run_archive
 from evalkit.results.store import Store
 
@@ -21,11 +22,11 @@ def kept(tmp_path):
     steps = np.zeros(3, dtype=STEP)
     steps["stamp_ns"] = [0, 1, 2]
     (store.fresh(KEY) / "output.txt").write_bytes(b"x" * (run_archive.MAX_OUTPUT + 5) + b"last words")
-    store.save_run(KEY, RunResult("icp", "room", "complete", "", steps, 3), {"made": "2024-05-01T12:00:00+00:00"})
+    spec = RunSpec(KEY, Method("icp", "icp", {}), SequenceSpec("room", "room", {}, (0,)), 0)
+    store.save_result(spec, RunResult(steps, 3, provenance={"executed_at": "2024-05-01T12:00:00+00:00"}))
     grid = OccupancyGrid(np.ones((4, 5), dtype=np.float32), np.ones((4, 5), dtype=bool), 0.05, 0.0, 0.0)
-    content = {"fingerprint": "f", "world_from_start": [0.0, 0.0, 0.0], "scores": {}}
-    store.save_scores(KEY, content, grid, np.arange(3.0))
-    store.write_text(store.run_folder("room-s0-icp-01234567890") / "run.json", "another's")
+    store.save_scores(KEY, Scores(grid=grid, errors_m=np.arange(3.0)), "f")
+    store.write_text(store.run_folder("room-s0-icp-01234567890") / "result.json", "another's")
     return store
 
 

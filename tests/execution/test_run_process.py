@@ -37,7 +37,7 @@ def request(fault="none", at=AT, **dataset):
 
 def made(folder, wanted, limits=HASTE, heard=lambda _: None, stop=None):
     folder.mkdir()
-    return run_process.run(wanted, ("f", "s"), folder, limits, heard, stop or threading.Event())
+    return run_process.run(wanted, folder, limits, heard, stop or threading.Event())
 
 
 EXPECTED = (
@@ -192,7 +192,7 @@ def test_the_request_stays_beside_the_answers(strangers, tmp_path):
 
 def test_a_folder_that_cannot_be_written_is_the_users_to_mend(tmp_path):
     with pytest.raises(StoreError, match=r"absent: cannot be written \(No such file or directory\); free some space"):
-        run_process.run(request(), ("f", "s"), tmp_path / "absent", HASTE, lambda _: None, threading.Event())
+        run_process.run(request(), tmp_path / "absent", HASTE, lambda _: None, threading.Event())
 
 
 def test_looking_through_a_long_recording_is_no_scan_without_an_answer(tmp_path):

@@ -39,8 +39,8 @@ class Heard:
     def answered(self, planned, scans):
         self.scans = max(scans, self.scans)
 
-    def finished(self, ended):
-        self.ends.append(ended.planned.method.label)
+    def finished(self, run):
+        self.ends.append(run.spec.method.label)
 
 
 @pytest.fixture
@@ -61,15 +61,15 @@ def plan(*faults, sequence=None, mapper=None, **limits):
     return experiment.plan(content, "t.toml", "t", "report t.toml")
 
 
-def trials(plan, folder, jobs=2, resume=False, heard=None):
-    made = Engine(plan, Store(folder), heard or Heard(), jobs, resume).trials()
-    return {trial.method: trial for trial in made}
+def records(plan, folder, jobs=2, resume=False, heard=None):
+    made = Engine(plan, Store(folder), heard or Heard(), jobs, resume).records()
+    return {record.method: record for record in made}
 
 
 def written(folder):
     """When each run's answers and scores were written, by label."""
     runs = [
-        run for run in (folder / "runs").iterdir() if (run / "run.json").exists() and (run / "scores.json").exists()
+        run for run in (folder / "runs").iterdir() if (run / "result.json").exists() and (run / "scores.json").exists()
     ]
     return {
         run.name.split("-", 1)[1].rsplit("-", 1)[0]: tuple(
@@ -82,8 +82,8 @@ def written(folder):
 def test_every_run_is_a_row_whatever_becomes_of_it(tmp_path):
     heard = Heard()
     faults = ("none", "raise", "remove-folder", "segfault", "far", {"use": "absent"})
-    made = trials(plan(*faults), tmp_path, heard=heard)
-    assert {label: trial.run.status for label, trial in made.items()} == {
+    made = records(plan(*faults), tmp_path, heard=heard)
+    assert {label: record.result.status for label, record in made.items()} == {
         "none": "complete", "raise": "failed", "remove-folder": "failed", "segfault": "crashed", "far": "complete",
         "absent": "not-installed",
     }  # fmt: skip
@@ -91,91 +91,93 @@ def test_every_run_is_a_row_whatever_becomes_of_it(tmp_path):
     assert sorted(heard.ends) == sorted(made)
     assert heard.scans == 12
     good, broken, far = made["none"], made["raise"], made["far"]
-    assert good.scores["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
-    assert good.alignment == "least squares over 12 poses; 12 equal stamps"
+    assert good.scores.by_metric["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
+    assert good.scores.alignment == "least squares over 12 poses; 12 equal stamps"
     assert good.truth.how == broken.truth.how == "exact"
-    assert broken.scores["ate_rmse_m"].support == 8
-    assert far.scores["ate_rmse_m"].value > 1e5
-    assert far.grid is None
-    assert far.scores["map_entropy"].reason.startswith("no map: it cannot be drawn (log-odds: parameter 'resolution_m'")
-    assert made["absent"].run.reason == "the library 'nowhere' is not installed; pip install nowhere"
+    assert broken.scores.by_metric["ate_rmse_m"].support == 8
+    assert far.scores.by_metric["ate_rmse_m"].value > 1e5
+    assert far.scores.grid is None
+    assert far.scores.by_metric["map_entropy"].reason.startswith(
+        "no map: it cannot be drawn (log-odds: parameter 'resolution_m'"
+    )
+    assert made["absent"].result.reason == "the library 'nowhere' is not installed; pip install nowhere"
     assert not Store(tmp_path).run_folder(made["absent"].key).exists()
     assert multiprocessing.active_children() == []
 
 
 def test_resume_runs_only_what_is_missing_and_what_has_changed(tmp_path, quick):
-    first = trials(plan("none", "raise"), tmp_path)
+    first = records(plan("none", "raise"), tmp_path)
     before = written(tmp_path)
     heard = Heard()
     changed = {"use": "faulty", "label": "raise", "fault": "raise", "at": 6}
-    again = trials(plan("none", changed, "nan"), tmp_path, resume=True, heard=heard)
+    again = records(plan("none", changed, "nan"), tmp_path, resume=True, heard=heard)
     after = written(tmp_path)
     assert after["none"] == before["none"]
     assert again["none"].key == first["none"].key
     assert again["raise"].key != first["raise"].key
-    assert [len(again[label].run.steps) for label in ("none", "raise", "nan")] == [12, 6, 8]
-    assert dict(again["none"].scores) == dict(first["none"].scores)
+    assert [len(again[label].result.steps) for label in ("none", "raise", "nan")] == [12, 6, 8]
+    assert dict(again["none"].scores.by_metric) == dict(first["none"].scores.by_metric)
     assert np.array_equal(again["none"].errors_m, first["none"].errors_m)
     assert np.array_equal(again["none"].grid.log_odds, first["none"].grid.log_odds)
     assert sorted(heard.ends) == ["nan", "none", "raise"]
 
 
 def test_resume_repeats_a_time_out_when_the_limits_have_changed_and_only_then(tmp_path, quick):
-    first = trials(plan("hang", "raise", run_s=3.0), tmp_path)
-    assert [trial.run.status for trial in first.values()] == ["timeout", "failed"]
+    first = records(plan("hang", "raise", run_s=3.0), tmp_path)
+    assert [record.result.status for record in first.values()] == ["timeout", "failed"]
     stamps = {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()}
-    trials(plan("hang", "raise", run_s=3.0), tmp_path, resume=True)
+    records(plan("hang", "raise", run_s=3.0), tmp_path, resume=True)
     assert {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()} == stamps
-    trials(plan("hang", "raise", run_s=3.1), tmp_path, resume=True)
+    records(plan("hang", "raise", run_s=3.1), tmp_path, resume=True)
     changed = {name for name, run in run_files(tmp_path).items() if run.stat().st_mtime_ns != stamps[name]}
     assert changed == {"hang"}
 
 
 def test_a_status_named_is_made_again_and_no_other(tmp_path, quick):
-    trials(plan("none", "raise", "nan", "segfault"), tmp_path)
+    records(plan("none", "raise", "nan", "segfault"), tmp_path)
     stamps = {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()}
     again = frozenset({"crashed"})
-    made = Engine(plan("none", "raise", "nan", "segfault"), Store(tmp_path), Heard(), 1, True, rerun=again).trials()
-    assert [trial.run.status for trial in made] == ["complete", "failed", "failed", "crashed"]
+    made = Engine(plan("none", "raise", "nan", "segfault"), Store(tmp_path), Heard(), 1, True, rerun=again).records()
+    assert [record.result.status for record in made] == ["complete", "failed", "failed", "crashed"]
     changed = {name for name, run in run_files(tmp_path).items() if run.stat().st_mtime_ns != stamps[name]}
     assert changed == {"segfault"}
 
 
 def test_collecting_makes_no_run_and_says_what_is_missing(tmp_path, quick):
-    trials(plan("none", "raise"), tmp_path)
+    records(plan("none", "raise"), tmp_path)
     stamps = {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()}
-    made = Engine(plan("none", "nan", "raise"), Store(tmp_path), Heard(), 1, collect=True).trials()
-    assert [trial.run.status for trial in made] == ["complete", "skipped", "failed"]
-    assert made[0].scores["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
-    assert made[1].run.reason == "not made yet; the same command without --collect makes it"
+    made = Engine(plan("none", "nan", "raise"), Store(tmp_path), Heard(), 1, collect=True).records()
+    assert [record.result.status for record in made] == ["complete", "skipped", "failed"]
+    assert made[0].scores.by_metric["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
+    assert made[1].result.reason == "not made yet; the same command without --collect makes it"
     assert {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()} == stamps
 
 
 def test_two_at_once_do_not_share_a_results_folder(tmp_path, quick):
     store = Store(tmp_path)
     with store.writer(), pytest.raises(StoreError, match="another evalkit makes runs in this folder; wait for it"):
-        trials(plan("none"), tmp_path)
-    assert trials(plan("none"), tmp_path)["none"].run.status == "complete"
+        records(plan("none"), tmp_path)
+    assert records(plan("none"), tmp_path)["none"].result.status == "complete"
 
 
 def test_a_clock_that_is_set_while_runs_are_made_changes_nothing(tmp_path, quick, monkeypatch):
     now, jumps = time.time(), itertools.cycle((-86_400.0, 0.0, 86_400.0))
     monkeypatch.setattr(time, "time", lambda: now + next(jumps))
-    made = trials(plan("none", "hang", scan_s=1.5), tmp_path)
-    assert [trial.run.status for trial in made.values()] == ["complete", "timeout"]
+    made = records(plan("none", "hang", scan_s=1.5), tmp_path)
+    assert [record.result.status for record in made.values()] == ["complete", "timeout"]
 
 
 def run_files(folder):
     """Each run's record of how it ended, by label."""
-    return {path.parent.name.split("-")[1]: path for path in folder.glob("runs/*/run.json")}
+    return {path.parent.name.split("-")[1]: path for path in folder.glob("runs/*/result.json")}
 
 
 def test_every_run_keeps_when_on_what_and_under_which_limits_it_was_made(tmp_path, quick):
     ran_on = {"commit": "abc", "processor": "slow", "memory": "not kept"}
     before = datetime.now(UTC)
-    (trial,) = Engine(plan("none"), Store(tmp_path), Heard(), ran_on=ran_on).trials()
-    made = Store(tmp_path).load_made(trial.key)
-    assert before <= datetime.fromisoformat(made.pop("made")) <= datetime.now(UTC)
+    (record,) = Engine(plan("none"), Store(tmp_path), Heard(), ran_on=ran_on).records()
+    made = dict(Store(tmp_path).load_result(record.key).provenance)
+    assert before <= datetime.fromisoformat(made.pop("executed_at")) <= datetime.now(UTC)
     assert made.pop("limits") == asdict(Limits(run_s=60.0, scan_s=30.0))
     assert made.pop("core") == next(iter(environment.cores()), None)
     assert made.pop("versions") == environment.versions(("numpy", "scipy"))
@@ -203,37 +205,39 @@ def test_a_run_is_scored_on_its_own_core_which_is_given_back_afterwards(tmp_path
     one = SimpleQueue()
     one.put(only)
     monkeypatch.setattr(executors, "_cores", lambda jobs: one)
-    Engine(plan("none", "far"), Store(tmp_path), Told(), jobs=2).trials()
+    Engine(plan("none", "far"), Store(tmp_path), Told(), jobs=2).records()
     assert told == ["begun none", f"scored on {only}", "begun far", f"scored on {only}"]
 
 
 def test_without_resume_everything_is_run_again(tmp_path, quick):
-    trials(plan("none"), tmp_path)
+    records(plan("none"), tmp_path)
     before = written(tmp_path)
-    trials(plan("none"), tmp_path)
+    records(plan("none"), tmp_path)
     assert written(tmp_path)["none"][0] > before["none"][0]
 
 
 @pytest.mark.parametrize("what", ["code", "mapper"])
 def test_what_scores_stand_on_has_changed_so_they_are_made_anew_from_the_same_run(tmp_path, quick, monkeypatch, what):
-    trials(plan("none"), tmp_path)
+    records(plan("none"), tmp_path)
     (answers, scores) = written(tmp_path)["none"]
     mapper = {"resolution_m": 0.5} if what == "mapper" else None
     if what == "code":
         monkeypatch.setattr(registry, "score_fingerprint", lambda mapper: "another")
-    again = trials(plan("none", mapper=mapper), tmp_path, resume=True)["none"]
+    again = records(plan("none", mapper=mapper), tmp_path, resume=True)["none"]
     assert written(tmp_path)["none"][0] == answers
     assert written(tmp_path)["none"][1] > scores
-    assert again.grid.resolution_m == (0.5 if what == "mapper" else 0.25)
+    assert again.scores.grid.resolution_m == (0.5 if what == "mapper" else 0.25)
 
 
 def test_what_was_absent_is_tried_again(tmp_path, quick):
     file = tmp_path / "file"
-    absent = trials(plan("none", sequence={"file": str(file)}), tmp_path / "out")["none"]
-    assert (absent.run.status, absent.run.reason) == ("data-missing", f"{file} is gone")
+    absent = records(plan("none", sequence={"file": str(file)}), tmp_path / "out")["none"]
+    assert (absent.result.status, absent.result.reason) == ("data-missing", f"{file} is gone")
     assert absent.truth.how == "the data are not here"
     file.touch()
-    assert trials(plan("none", sequence={"file": str(file)}), tmp_path / "out", resume=True)["none"].run.reason == ""
+    assert (
+        records(plan("none", sequence={"file": str(file)}), tmp_path / "out", resume=True)["none"].result.reason == ""
+    )
 
 
 def test_a_file_that_vanishes_after_the_planning_is_a_row(tmp_path, quick):
@@ -241,27 +245,27 @@ def test_a_file_that_vanishes_after_the_planning_is_a_row(tmp_path, quick):
     file.touch()
     planned = plan("none", "raise", sequence={"file": str(file)})
     file.unlink()
-    for trial in trials(planned, tmp_path / "out").values():
-        assert trial.run.status == "data-missing"
-        assert trial.run.reason == f"straight: {file} is gone; bring it back"
-        assert trial.truth.how == f"cannot be read: straight: {file} is gone; bring it back"
+    for record in records(planned, tmp_path / "out").values():
+        assert record.result.status == "data-missing"
+        assert record.result.reason == f"straight: {file} is gone; bring it back"
+        assert record.truth.how == f"cannot be read: straight: {file} is gone; bring it back"
 
 
 def test_a_run_that_cannot_be_scored_is_a_failed_row_with_its_answers(tmp_path, quick):
-    trial = trials(plan("none", sequence={"breaks": True}), tmp_path)["none"]
-    assert trial.run.status == "failed"
-    assert trial.run.reason == "scoring failed: RuntimeError: the truth is out there"
-    assert len(trial.run.steps) == 12
-    assert trial.scores == {}
+    record = records(plan("none", sequence={"breaks": True}), tmp_path)["none"]
+    assert record.result.status == "failed"
+    assert record.result.reason == "scoring failed: RuntimeError: the truth is out there"
+    assert len(record.result.steps) == 12
+    assert record.scores.by_metric == {}
 
 
 def test_a_mapper_that_ends_its_process_costs_the_run_it_draws_and_no_other(tmp_path):
     mapper = {"use": "faulty-mapper", "fault": "sigkill", "only_past_m": 1e3}
-    made = trials(plan("far", "none", mapper=mapper), tmp_path, jobs=1)
-    assert [trial.run.status for trial in made.values()] == ["crashed", "complete"]
-    reason = made["far"].run.reason
+    made = records(plan("far", "none", mapper=mapper), tmp_path, jobs=1)
+    assert [record.result.status for record in made.values()] == ["crashed", "complete"]
+    reason = made["far"].result.reason
     assert reason.startswith("quarantined: it ended the process that scored it twice (")
-    assert len(made["far"].run.steps) == 12
+    assert len(made["far"].result.steps) == 12
     assert made["none"].scores["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
 
 
@@ -274,8 +278,8 @@ def test_a_run_quarantined_for_its_scoring_is_tried_again_only_when_that_is_aske
     monkeypatch.setattr(run_task, "score_stored", deadly)
     again = frozenset({"crashed"})
     for how, count in ({}, 2), ({"resume": True}, 2), ({"resume": True, "rerun": again}, 4):
-        (trial,) = Engine(plan("none"), Store(tmp_path), Heard(), **how).trials()
-        assert trial.run.reason.startswith("quarantined: it ended the process that scored it twice (")
+        (record,) = Engine(plan("none"), Store(tmp_path), Heard(), **how).records()
+        assert record.result.reason.startswith("quarantined: it ended the process that scored it twice (")
         assert len(asked) == count
 
 
@@ -285,10 +289,10 @@ def test_where_no_process_to_score_in_can_be_started_nothing_is_quarantined(tmp_
             raise BrokenProcessPool("no memory")
 
     monkeypatch.setattr(run_task, "pool", Broken)
-    trial = trials(plan("none"), tmp_path)["none"]
-    assert trial.run.reason == "scoring failed: RuntimeError: no process to score in can be started here"
+    record = records(plan("none"), tmp_path)["none"]
+    assert record.result.reason == "scoring failed: RuntimeError: no process to score in can be started here"
     monkeypatch.setattr(run_task, "pool", ThreadPoolExecutor)
-    assert trials(plan("none"), tmp_path, resume=True)["none"].run.status == "complete"
+    assert records(plan("none"), tmp_path, resume=True)["none"].result.status == "complete"
 
 
 def test_a_run_that_ends_evalkit_twice_is_quarantined_and_the_others_are_made(tmp_path, quick):
@@ -306,25 +310,25 @@ def test_a_run_that_ends_evalkit_twice_is_quarantined_and_the_others_are_made(tm
     assert (deadly["status"], other["status"]) == ("crashed", "complete")
 
 
-@pytest.mark.parametrize("full", ["save_run", "save_scores", "fresh"])
+@pytest.mark.parametrize("full", ["save_result", "save_scores", "fresh"])
 def test_a_results_folder_that_fills_up_stops_all_and_keeps_what_is_done(tmp_path, quick, monkeypatch, full):
     original = getattr(Store, full)
 
-    def guarded(self, key, *arguments):
-        if "-raise-" in key:
+    def guarded(self, run, *arguments):
+        if "-raise-" in getattr(run, "key", run):
             raise StoreError(str(self.folder), "cannot be written (No space left on device)", "free some space")
-        return original(self, key, *arguments)
+        return original(self, run, *arguments)
 
     monkeypatch.setattr(Store, full, guarded)
     heard = Heard()
     with pytest.raises(StoreError, match="No space left on device"):
-        trials(plan("none", "raise", "nan", "far"), tmp_path, jobs=1, heard=heard)
+        records(plan("none", "raise", "nan", "far"), tmp_path, jobs=1, heard=heard)
     assert heard.ends == ["none"]
     assert written(tmp_path).keys() == {"none"}
 
 
 def test_a_run_that_cannot_be_scored_anew_keeps_no_scores_of_other_code(tmp_path, quick, monkeypatch):
-    key = trials(plan("none"), tmp_path)["none"].key
+    key = records(plan("none"), tmp_path)["none"].key
     store, path = Store(tmp_path), tmp_path / "runs" / key / "scores.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "fingerprint": "other code"}))
     assert store.score_values(key)
@@ -334,6 +338,7 @@ def test_a_run_that_cannot_be_scored_anew_keeps_no_scores_of_other_code(tmp_path
 
     monkeypatch.setattr(run_task, "score_stored", refuse)
     assert (
-        trials(plan("none"), tmp_path, resume=True)["none"].run.reason == "scoring failed: ValueError: no such metric"
+        records(plan("none"), tmp_path, resume=True)["none"].result.reason
+        == "scoring failed: ValueError: no such metric"
     )
     assert store.score_values(key) == {}

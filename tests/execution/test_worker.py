@@ -1,6 +1,7 @@
 """A run as the worker makes it, in this process: what is timed, written and noted."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from evalkit import metrics
 from evalkit.core.ground_truth import Truth
 from evalkit.core.odometry_estimate import OdometryEstimate, StageEstimate
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import RunResult, Score
+from evalkit.core.run_result import Score
 from evalkit.execution import worker
 from evalkit.execution.worker import Request
 from evalkit.metrics.table import Evidence
@@ -61,7 +62,7 @@ def test_an_odometry_has_no_residuals_and_a_registration_has_those_of_both_stage
 
 
 def shares(outcome, steps):
-    run = RunResult("b", "s", outcome.status, outcome.reason, steps, outcome.expected)
+    run = replace(outcome, steps=steps)
     found = metrics.compute_scores(Evidence(run, Truth("none"), None, None, ()))
     return found["guess_kept_percent"], found["not_converged_percent"]
 

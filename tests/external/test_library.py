@@ -212,7 +212,7 @@ def test_a_library_that_fails_is_a_reason_in_its_own_words(small, followed, old,
 def test_a_library_that_crashes_takes_its_own_run_along_and_nothing_else(small, tmp_path):
     name = small("*answer = *frame->odom_from_base;", "(void)frame; *(volatile int *)answer = 0; __builtin_trap();")
     request = Request(name, {}, "room", {**defaults("room"), "laps": 0.02})
-    run = run_process.run(request, ("mine", "room"), tmp_path, Limits(60, 30, 2048), lambda _: None, threading.Event())
+    run = run_process.run(request, tmp_path, Limits(60, 30, 2048), lambda _: None, threading.Event())
     assert run.status == "crashed"
     assert "SIGILL" in run.reason or "SIGTRAP" in run.reason
 

@@ -54,7 +54,7 @@ def test_its_times_are_withheld(poses, followed):
     _, steps = followed(poses(STAMPS, followed.truth))
     assert not steps["wall_ns"].any()
     assert not steps["cpu_ns"].any()
-    run = RunResult("b", "s", "complete", "", steps, 40)
+    run = RunResult(steps, 40)
     scores = {m.name: m.compute(Evidence(run, Truth("none"), None, None, ())) for m in runtime.METRICS}
     names = ("wall_median_ms", "cpu_median_ms", "real_time_factor", "late_percent", "device_median_ms")
     assert [scores[name].value for name in names] == [None] * 5

@@ -45,7 +45,7 @@ def scores(
     second: OccupancyGrid | None = None,
     mapped: PlacedScans = (),
 ) -> dict[str, Score]:
-    run = RunResult("b", "s", "complete", "", np.zeros(0, STEP), 0)
+    run = RunResult(np.zeros(0, STEP), 0)
     evidence = Evidence(run, Truth("none"), None, whole, mapped, first, second)
     return {metric.name: metric.compute(evidence) for metric in consistency.METRICS}
 

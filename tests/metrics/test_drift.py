@@ -26,7 +26,7 @@ def matched(estimate: Floats, truth: Floats) -> MatchedPoses:
 
 
 def score(name: str, found: MatchedPoses) -> Score:
-    run = RunResult("b", "s", "complete", "", np.zeros(0, STEP), 0)
+    run = RunResult(np.zeros(0, STEP), 0)
     (metric,) = (metric for metric in drift.METRICS if metric.name == name)
     return metric.compute(Evidence(run, Truth("exact"), found, None, ()))
 

@@ -6,7 +6,7 @@ import pytest
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, RunResult
+from evalkit.core.run_result import STEP, Cause, RunResult
 from evalkit.core.scan import Scan
 from evalkit.metrics import evaluate
 from evalkit.plugins import registry
@@ -51,12 +51,12 @@ def log_odds():
     return spec.make(**resolved("mapper", spec.parameters, {}))
 
 
-def run_of(x, y=0.0, status="complete", reason=""):
+def run_of(x, y=0.0, cause=Cause.COMPLETED, reason=""):
     steps = np.zeros(len(x), dtype=STEP)
     steps["stamp_ns"] = np.arange(len(x)) * 100_000_000
     steps["x"], steps["y"] = x, y
     steps["wall_ns"] = steps["cpu_ns"] = 2_000_000
-    return RunResult("b", "s", status, reason, steps, SCANS)
+    return RunResult(steps, SCANS, cause, reason)
 
 
 def perfect():
@@ -68,8 +68,8 @@ def test_a_perfect_run_is_put_where_the_truth_is_and_has_no_error(straight):
     assert np.allclose(scored.world_from_start.row, [1.0, 0.0, 0.0], atol=1e-9)
     assert np.allclose(scored.errors_m, 0.0, atol=1e-9)
     assert scored.alignment == "least squares over 12 poses; 12 equal stamps"
-    assert scored.scores["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
-    assert scored.scores["cpu_median_ms"].value == pytest.approx(2.0)
+    assert scored.by_metric["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
+    assert scored.by_metric["cpu_median_ms"].value == pytest.approx(2.0)
     x, y = scored.grid.centres(scored.grid.occupied()).T
     assert min(x.min(), 8.0 - x.max(), y.min() + 2.0, 2.0 - y.max()) > -0.051  # the walls of the box, to a cell
 
@@ -82,11 +82,11 @@ def test_an_estimate_beyond_any_map_loses_its_map_and_nothing_else(straight, far
         scored = evaluate.score(run_of(x, -x), straight, log_odds, 400)
     assert scored.grid is None
     for name in ("map_entropy", "occupied_percent", "corners"):
-        assert scored.scores[name].value is None
-        assert scored.scores[name].reason.startswith("no map: it cannot be drawn (")
-    assert scored.scores["cpu_median_ms"].value == pytest.approx(2.0)
-    assert (scored.scores["ate_rmse_m"].value or np.inf) > 1e5
-    assert all(score.reason or np.isfinite(score.value) for score in scored.scores.values())
+        assert scored.by_metric[name].value is None
+        assert scored.by_metric[name].reason.startswith("no map: it cannot be drawn (")
+    assert scored.by_metric["cpu_median_ms"].value == pytest.approx(2.0)
+    assert (scored.by_metric["ate_rmse_m"].value or np.inf) > 1e5
+    assert all(score.reason or np.isfinite(score.value) for score in scored.by_metric.values())
 
 
 def test_a_mapper_that_raises_costs_the_map_alone(straight):
@@ -95,8 +95,8 @@ def test_a_mapper_that_raises_costs_the_map_alone(straight):
 
     scored = evaluate.score(perfect(), straight, broken, 400)
     assert scored.grid is None
-    assert scored.scores["map_entropy"].reason == "no map: it cannot be drawn (lost the plot)"
-    assert scored.scores["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
+    assert scored.by_metric["map_entropy"].reason == "no map: it cannot be drawn (lost the plot)"
+    assert scored.by_metric["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_mapper_gets_so_many_scans_evenly_and_each_half_of_them_again(straight, listener):
@@ -115,8 +115,8 @@ def test_free_space_is_hardly_violated_under_true_poses_and_clearly_under_those_
         steps = np.zeros(len(lab), dtype=STEP)
         steps["stamp_ns"] = lab.truth().trajectory.stamps_ns
         steps["x"], steps["y"], steps["theta"] = poses.T
-        scored = evaluate.score(RunResult("b", "lab", "complete", "", steps, len(lab)), lab, log_odds, 100)
-        violations.append(scored.scores["cleared_percent"].value)
+        scored = evaluate.score(RunResult(steps, len(lab)), lab, log_odds, 100)
+        violations.append(scored.by_metric["cleared_percent"].value)
     assert violations[0] < 5.0
     assert violations[1] > 4.0 * violations[0]
 
@@ -124,7 +124,7 @@ def test_free_space_is_hardly_violated_under_true_poses_and_clearly_under_those_
 def test_a_scan_without_an_answer_is_not_drawn_and_shifts_no_other(straight, listener):
     run = perfect()
     answered = np.delete(run.steps, 4)
-    evaluate.score(RunResult("b", "s", "complete", "", answered, SCANS), straight, listener, 400)
+    evaluate.score(RunResult(answered, SCANS), straight, listener, 400)
     assert [scan.stamp_ns for scan, _ in listener[0].scans] == answered["stamp_ns"].tolist()
     assert [pose.x for _, pose in listener[0].scans] == pytest.approx((1.0 + answered["x"]).tolist())
 
@@ -133,7 +133,7 @@ def test_the_scans_drawn_are_the_same_for_every_method(straight, listener):
     whole = perfect()
     for missing in ((), (2, 3), (0,), range(6, SCANS)):
         steps = np.delete(whole.steps, missing)
-        evaluate.score(RunResult("b", "s", "complete", "", steps, SCANS), straight, listener, 5)
+        evaluate.score(RunResult(steps, SCANS), straight, listener, 5)
         drawn = [scan.stamp_ns // 100_000_000 for scan, _ in listener[-3].scans]
         assert drawn == [scan for scan in (0, 2, 5, 8, 11) if scan not in missing]
 
@@ -142,7 +142,7 @@ def test_a_residual_from_scan_to_scan_is_that_of_scans_in_a_row_however_few_are_
     seen = []
     monkeypatch.setattr(evaluate.metrics, "compute_scores", lambda evidence, _: seen.append(evidence) or {})
     run = perfect()
-    evaluate.score(RunResult("b", "s", "complete", "", np.delete(run.steps, 4), SCANS), straight, log_odds, 3)
+    evaluate.score(RunResult(np.delete(run.steps, 4), SCANS), straight, log_odds, 3)
     pairs = [(a.stamp_ns // 100_000_000, b.stamp_ns // 100_000_000) for (a, _), (b, _) in seen[0].successive]
     assert pairs == [(k, k + 1) for k in range(SCANS - 1) if k not in (3, 4)]
     for (_, earlier), (_, later) in seen[0].successive:
@@ -151,16 +151,16 @@ def test_a_residual_from_scan_to_scan_is_that_of_scans_in_a_row_however_few_are_
 
 def test_a_run_that_broke_off_is_scored_as_far_as_it_came(straight, listener):
     x = 0.1 * np.arange(4)
-    scored = evaluate.score(run_of(x, status="crashed", reason="signal"), straight, listener, 400)
+    scored = evaluate.score(run_of(x, cause=Cause.SIGNAL, reason="signal"), straight, listener, 400)
     assert len(listener[0].scans) == len(scored.errors_m) == 4
 
 
 def test_a_run_without_answers_has_scores_that_say_so(straight, listener):
-    scored = evaluate.score(run_of(np.zeros(0), status="timeout", reason="slow"), straight, listener, 400)
+    scored = evaluate.score(run_of(np.zeros(0), cause=Cause.TIME_LIMIT, reason="slow"), straight, listener, 400)
     assert scored.grid is None
     assert listener == []
-    assert scored.scores["map_entropy"].reason == "no map: the run answered no scan"
-    assert scored.scores["ate_rmse_m"].value is None
+    assert scored.by_metric["map_entropy"].reason == "no map: the run answered no scan"
+    assert scored.by_metric["ate_rmse_m"].value is None
     assert scored.alignment == "the run answered no scan"
 
 

@@ -69,7 +69,7 @@ def grid(shift_cells):
 
 
 def scores(mapped, true):
-    run = RunResult("b", "s", "complete", "", np.zeros(0, STEP), 0)
+    run = RunResult(np.zeros(0, STEP), 0)
     evidence = Evidence(run, Truth("exact", grid=true), None, mapped, ())
     return {metric.name: metric.compute(evidence) for metric in gaussians.METRICS}
 

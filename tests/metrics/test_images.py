@@ -18,7 +18,7 @@ def grid(p, resolution_m=0.05, origin=(0.0, 0.0), observed=None):
 
 def scored(mapped, true):
     (metric,) = images.METRICS
-    run = RunResult("b", "s", "complete", "", np.zeros(0, STEP), 0)
+    run = RunResult(np.zeros(0, STEP), 0)
     return metric.compute(Evidence(run, Truth("exact", grid=true), None, mapped, ()))
 
 

@@ -65,7 +65,7 @@ def scan(side_m):
 
 
 def scores(mapped, true, grid=None):
-    run = RunResult("b", "s", "complete", "", np.zeros(0, STEP), 0)
+    run = RunResult(np.zeros(0, STEP), 0)
     evidence = Evidence(run, Truth("exact", grid=true), None, grid, mapped)
     return {metric.name: metric.compute(evidence) for metric in landmarks.METRICS}
 

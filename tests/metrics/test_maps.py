@@ -26,7 +26,7 @@ def wall(column: int, shape: tuple[int, int] = (40, 60)) -> Bools:
 
 
 def scores(mapped: OccupancyGrid | None, true: OccupancyGrid | None) -> dict[str, Score]:
-    run = RunResult("b", "s", "complete", "", np.zeros(0, STEP), 0)
+    run = RunResult(np.zeros(0, STEP), 0)
     evidence = Evidence(run, Truth("exact", grid=true), None, mapped, ())
     return {metric.name: metric.compute(evidence) for metric in maps.METRICS}
 

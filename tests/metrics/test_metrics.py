@@ -12,7 +12,7 @@ import pytest
 
 from evalkit import metrics
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import STEP, RunResult, Score
+from evalkit.core.run_result import STEP, Cause, RunResult, Score
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.table import Evidence, Metric, cached, make_score
 from evalkit.metrics.trajectory import match_trajectories
@@ -23,7 +23,7 @@ def run(poses: list[tuple[float, float, float]]) -> RunResult:
     steps["stamp_ns"] = np.arange(len(poses)) * 100_000_000
     for column, name in enumerate(("x", "y", "theta")):
         steps[name] = [pose[column] for pose in poses]
-    return RunResult("b", "s", "failed", "it broke", steps, 100)
+    return RunResult(steps, 100, Cause.EXCEPTION, "it broke")
 
 
 def evidence(of: RunResult, truth: Truth) -> Evidence:

@@ -70,9 +70,7 @@ def test_a_map_without_walls_has_no_width():
 
 
 def scores(mapped, true):
-    evidence = Evidence(
-        RunResult("b", "s", "complete", "", np.zeros(0, STEP), 0), Truth("t", grid=true), None, mapped, ()
-    )
+    evidence = Evidence(RunResult(np.zeros(0, STEP), 0), Truth("t", grid=true), None, mapped, ())
     return {metric.name: metric.compute(evidence) for metric in occupancy.METRICS}
 
 

@@ -57,7 +57,7 @@ def scored(estimated_step, sensor=(0.1, 0.0, 0.5)):
     steps = np.zeros(11, STEP)
     steps["stamp_ns"] = stamps
     steps["x"], steps["y"], steps["theta"] = np.array(estimate).T
-    run, truth = RunResult("b", "s", "complete", "", steps, 11), Truth("exact", Trajectory(stamps, np.array(true)))
+    run, truth = RunResult(steps, 11), Truth("exact", Trajectory(stamps, np.array(true)))
     matched = match_trajectories(run.estimate, truth.trajectory)
     assert isinstance(matched, MatchedPoses)
     start = matched.world_from_start.row
@@ -76,5 +76,5 @@ def test_steps_are_held_against_the_truth_of_the_sensor_that_made_the_scans() ->
 
 def test_without_a_truth_there_is_a_reason() -> None:
     (metric,) = pairs.METRICS
-    bare = Evidence(RunResult("b", "s", "complete", "", np.zeros(0, STEP), 0), Truth("none"), None, None, ())
+    bare = Evidence(RunResult(np.zeros(0, STEP), 0), Truth("none"), None, None, ())
     assert metric.compute(bare).reason == "no true trajectory"

@@ -36,7 +36,7 @@ def mapped_at(poses: Floats, shown: Floats | None = None) -> PlacedScans:
 
 def scores(mapped: PlacedScans, steps: NDArray[np.void] | None = None) -> dict[str, Score]:
     record = np.zeros(0, STEP) if steps is None else steps
-    run = RunResult("b", "s", "complete", "", record, len(record))
+    run = RunResult(record, len(record))
     evidence = Evidence(run, Truth("exact"), None, None, mapped, successive=tuple(pairwise(mapped)))
     return {metric.name: metric.compute(evidence) for metric in registration.METRICS}
 

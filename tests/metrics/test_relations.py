@@ -25,7 +25,7 @@ def evidence_of(estimate: Trajectory, measured: Relations | None) -> Evidence:
     steps["stamp_ns"] = estimate.stamps_ns
     for column, name in enumerate(("x", "y", "theta")):
         steps[name] = estimate.poses[:, column]
-    run = RunResult("b", "s", "complete", "", steps, len(steps))
+    run = RunResult(steps, len(steps))
     return Evidence(run, Truth("measured", relations=measured), None, None, ())
 
 

@@ -24,7 +24,7 @@ def scores(estimate, truth):
     steps = np.zeros(len(estimate), STEP)
     steps["stamp_ns"] = estimate.stamps_ns
     steps["x"], steps["y"], steps["theta"] = estimate.poses.T
-    run = RunResult("b", "s", "complete", "", steps, len(steps))
+    run = RunResult(steps, len(steps))
     evidence = Evidence(run, Truth("exact", truth), None, None, ())
     return {metric.name: metric.compute(evidence) for metric in revisits.METRICS}
 

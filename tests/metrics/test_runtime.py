@@ -19,7 +19,7 @@ def scores(cpu_ms: list[float], wall_ms: list[float], memory_bytes: int = 0, shi
     steps["wall_ns"] = np.array(wall_ms) * 1e6
     steps["conversion_ns"] = steps["cpu_ns"] // 10
     steps["harness_ns"] = 2_000_000
-    run = RunResult("b", "s", "complete", "", steps, len(steps), memory_bytes)
+    run = RunResult(steps, len(steps), peak_memory_bytes=memory_bytes)
     evidence = Evidence(run, Truth("exact"), None, None, ())
     return {metric.name: metric.compute(evidence) for metric in runtime.METRICS}
 
@@ -45,7 +45,7 @@ def test_the_clocks_origin_does_not_matter() -> None:
 def test_one_dropped_scan_does_not_change_the_sensors_period() -> None:
     steps = np.zeros(9, STEP)
     steps["stamp_ns"] = np.delete(np.arange(10), 4) * 100_000_000
-    assert runtime.period_ns(RunResult("b", "s", "complete", "", steps, 10)) == 100_000_000
+    assert runtime.period_ns(RunResult(steps, 10)) == 100_000_000
 
 
 def test_leaving_out_scans_does_not_make_the_sensor_slower() -> None:
@@ -53,7 +53,7 @@ def test_leaving_out_scans_does_not_make_the_sensor_slower() -> None:
     steps["stamp_ns"], steps["cpu_ns"], steps["wall_ns"] = np.arange(10) * 100_000_000, 50_000_000, 101_000_000
     found = []
     for every in (1, 2):
-        run = RunResult("b", "s", "complete", "", steps[::every], len(steps[::every]), every=every)
+        run = RunResult(steps[::every], len(steps[::every]), every=every)
         evidence = Evidence(run, Truth("exact"), None, None, ())
         found.append({metric.name: metric.compute(evidence).value for metric in runtime.METRICS})
     assert found[0]["real_time_factor"] == found[1]["real_time_factor"] == pytest.approx(2.0)

@@ -22,7 +22,7 @@ def run_of(x, scale=1.0):
     steps = np.zeros(len(x), STEP)
     steps["stamp_ns"] = np.arange(len(x)) * SECOND
     steps["x"] = scale * np.asarray(x)
-    return RunResult("b", "s", "complete", "", steps, len(x))
+    return RunResult(steps, len(x))
 
 
 def scores(run, taped, mapped=(), matched=None):

@@ -13,7 +13,7 @@ from evalkit.metrics.table import Evidence
 
 
 def scores(mapped):
-    evidence = Evidence(RunResult("b", "s", "complete", "", np.zeros(0, STEP), 0), Truth("none"), None, None, mapped)
+    evidence = Evidence(RunResult(np.zeros(0, STEP), 0), Truth("none"), None, None, mapped)
     return {metric.name: metric.compute(evidence) for metric in surfaces.METRICS}
 
 

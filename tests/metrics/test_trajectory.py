@@ -49,7 +49,7 @@ def evidence_of(estimate: Trajectory, truth: Trajectory | None, expected: int) -
     steps["stamp_ns"] = estimate.stamps_ns
     for column, name in enumerate(("x", "y", "theta")):
         steps[name] = estimate.poses[:, column]
-    run = RunResult("b", "s", "complete", "", steps, expected)
+    run = RunResult(steps, expected)
     return Evidence(run, Truth("exact", truth), trajectory.match_trajectories(estimate, truth), None, ())
 
 

@@ -44,7 +44,7 @@ def test_the_mapper_is_named_with_its_settings(plan):
 
 
 def test_warm_up_is_named_as_it_was(demo):
-    assert any("sees the first 5 scans before" in sentence for sentence in fairness(demo.trials, {}))
+    assert any("sees the first 5 scans before" in sentence for sentence in fairness(demo.records, {}))
 
 
 def test_a_requirement_nobody_answers_keeps_its_name():
@@ -59,16 +59,16 @@ def test_the_environment_is_the_one_before_the_first_run_with_the_versions_of_th
 
 
 def test_runs_at_a_time_are_told_where_known(demo):
-    assert fairness(demo.trials, {"runs at a time": "2"})[0].startswith(
+    assert fairness(demo.records, {"runs at a time": "2"})[0].startswith(
         "Runs at a time: 2; those at the same time share"
     )
-    assert fairness(demo.trials, {"runs at a time": "1"})[0] == "Runs at a time: 1."
-    assert not any("at a time" in sentence for sentence in fairness(demo.trials, {}))
+    assert fairness(demo.records, {"runs at a time": "1"})[0] == "Runs at a time: 1."
+    assert not any("at a time" in sentence for sentence in fairness(demo.records, {}))
 
 
-def test_a_sequence_tells_its_settings_and_the_truth_its_runs_met(plan, trial):
+def test_a_sequence_tells_its_settings_and_the_truth_its_runs_met(plan, record):
     sequence = plan.sequences[0]
-    met = replace(trial("paper", "room", {}), truth=Truth("exact: as met"))
+    met = replace(record("paper", "room", {}), truth=Truth("exact: as met"))
     card = sequence_card(sequence, [met])
     assert {setting.name: setting.value for setting in card.settings} == dict(sequence.parameters)
     assert card.truth == "exact: as met"
@@ -81,9 +81,9 @@ def test_an_odometry_that_does_not_say_what_it_starts_from_is_given_no_guess():
     assert BackendSpec(Truth, "odometry", "", "", "", guess="its own").guess == "its own"
 
 
-def test_trials_are_told_in_the_plans_order_though_every_second_repetition_ran_backwards(plan, trial):
+def test_trials_are_told_in_the_plans_order_though_every_second_repetition_ran_backwards(plan, record):
     sequence, labels = plan.sequences[0], [method.label for method in plan.methods]
-    run = [trial(who, sequence.label, {}, seed=seed) for seed in sequence.seeds for who in reversed(labels)]
+    run = [record(who, sequence.label, {}, seed=seed) for seed in sequence.seeds for who in reversed(labels)]
     told = in_order(plan, run)
     assert [(t.seed, t.method) for t in told] == [(seed, who) for seed in sequence.seeds for who in labels]
 

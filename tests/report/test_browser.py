@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from evalkit.core.pose import Pose
+from evalkit.core.run_result import NO_STEPS
 from evalkit.core.scan import Frame, Scan
 from evalkit.report import SequenceCard, write
 from evalkit.report.html.array_encoding import unpacked
@@ -38,12 +39,14 @@ class Room:
 
 @pytest.fixture(scope="module")
 def page_file(demo, tmp_path_factory):
-    same = [replace(trial, sequence=SCRIPT, key=f"again-{trial.key}") for trial in demo.trials[:4]]
+    same = [replace(record, sequence=SCRIPT, key=f"again-{record.key}") for record in demo.records[:4]]
     card = SequenceCard(f"A sequence called {SCRIPT}.", "360 beams", "exact", "Author", "MIT")
     same[3] = replace(
-        same[3], errors_m=None, run=replace(same[3].run, steps=same[3].run.steps[:0])
+        same[3], scores=replace(same[3].scores, errors_m=None), result=replace(same[3].result, steps=NO_STEPS)
     )  # "lost" is a map alone there
-    made = replace(demo, trials=(*demo.trials, *same), sequences={**demo.sequences, SCRIPT: card}, scans={"room": Room})
+    made = replace(
+        demo, records=(*demo.records, *same), sequences={**demo.sequences, SCRIPT: card}, scans={"room": Room}
+    )
     return write(made, tmp_path_factory.mktemp("browser"))
 
 

@@ -22,11 +22,12 @@ def test_noise_adds_nothing_to_a_path():
     assert path_m(Trajectory(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))) == 0.0
 
 
-def test_scans_seconds_rate_and_the_true_path_are_measured(trial, build):
-    made = trial("a", "room", {"ate_rmse_m": 0.1})
+def test_scans_seconds_rate_and_the_true_path_are_measured(record, build):
+    made = record("a", "room", {"ate_rmse_m": 0.1})
     way = _line(0.59)
-    made = replace(made, truth=replace(made.truth, trajectory=way), dataset_parameters={"beams": 360})
-    short = trial("b", "room", {}, status="crashed", reason="signal 11", answered=31)
+    spec = replace(made.spec, sequence=replace(made.spec.sequence, parameters={"beams": 360}))
+    made = replace(made, truth=replace(made.truth, trajectory=way), spec=spec)
+    short = record("b", "room", {}, status="crashed", reason="signal 11", answered=31)
     assert dict(driven(build([made, short]), "room")) == {
         "Scans answered": "31 of 60 to 60 of 60, by run",
         "Driven": "5.9 s",
@@ -36,32 +37,33 @@ def test_scans_seconds_rate_and_the_true_path_are_measured(trial, build):
     }
 
 
-def test_without_truth_the_path_is_an_estimate_that_is_named_and_never_the_odometry(trial, build):
+def test_without_truth_the_path_is_an_estimate_that_is_named_and_never_the_odometry(record, build):
     values = {"a": 0.1, "b": 0.2, "wheel": 0.3}
     names = ("split_distance_m", "mom_cm2", "cleared_percent", "s2m_m")
-    runs = [trial(n, "room", dict.fromkeys(names, v), seed=None, truth=False, error_m=0.0) for n, v in values.items()]
+    runs = [record(n, "room", dict.fromkeys(names, v), seed=None, truth=False, error_m=0.0) for n, v in values.items()]
     path = dict(driven(build(runs), "room"))["Path"]
     metres, unit, whose = path.partition(" m ")
     assert (unit, whose) == (" m ", "(estimate of a)")
     assert float(metres) == pytest.approx(20.7, abs=0.3)  # an ellipse of 4 and 2.5 m
 
 
-def test_where_nobody_knows_the_best_estimate_the_path_is_the_median_of_all(trial, build):
+def test_where_nobody_knows_the_best_estimate_the_path_is_the_median_of_all(record, build):
     runs = [
-        trial(n, "room", {"split_distance_m": v}, seed=None, truth=False)
+        record(n, "room", {"split_distance_m": v}, seed=None, truth=False)
         for n, v in (("wheel", 0.1), ("a", 0.2), ("b", 0.3))
     ]
     assert "(median of 2 estimates, " in dict(driven(build(runs), "room"))["Path"]
 
 
-def test_nothing_is_measured_where_nothing_ran(trial, build):
-    absent = trial("a", "room", {}, status="not-installed", reason="no module", answered=0)
+def test_nothing_is_measured_where_nothing_ran(record, build):
+    absent = record("a", "room", {}, status="not-installed", reason="no module", answered=0)
     assert driven(build([absent]), "room") == ()
 
 
-def test_each_way_of_aligning_is_told_once_with_its_runs(trial):
+def test_each_way_of_aligning_is_told_once_with_its_runs(record):
     words = ["least squares over 60 poses; 60 equal stamps"] * 2 + ["the run answered no scan", ""]
-    runs = [replace(trial("a", "room", {}, seed=seed), alignment=text) for seed, text in enumerate(words)]
+    made = [(record("a", "room", {}, seed=seed), text) for seed, text in enumerate(words)]
+    runs = [replace(run, scores=replace(run.scores, alignment=text)) for run, text in made]
     assert alignments(runs) == (
         "Aligned: least squares over 60 poses; matched: 60 equal stamps (2 runs)",
         "Not aligned: the run answered no scan (1 run)",

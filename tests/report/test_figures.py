@@ -4,36 +4,36 @@ from evalkit.report.html.figures import errors, residuals, runtimes, trajectorie
 from evalkit.report.html.palette import strokes
 
 
-def test_a_long_run_is_drawn_no_larger_than_its_line_can_show(trial):
-    short = [trial("a", "room", {}, answered=600, expected=600)]
-    long = [trial("a", "room", {}, answered=6000, expected=6000)]
+def test_a_long_run_is_drawn_no_larger_than_its_line_can_show(record):
+    short = [record("a", "room", {}, answered=600, expected=600)]
+    long = [record("a", "room", {}, answered=6000, expected=6000)]
     for draw in (trajectories, errors, residuals):
         assert len(draw(long, strokes(["a"])).svg) < 1.5 * len(draw(short, strokes(["a"])).svg)
 
 
-def test_who_leaves_the_frame_is_named(trial):
-    pair = [trial("near", "room", {}, error_m=0.02), trial("far", "room", {}, error_m=30.0)]
+def test_who_leaves_the_frame_is_named(record):
+    pair = [record("near", "room", {}, error_m=0.02), record("far", "room", {}, error_m=30.0)]
     drawn = trajectories(pair, strokes(["near", "far"]))
     assert drawn.admits == "far leaves the frame."
 
 
-def test_errors_of_very_different_size_share_a_logarithmic_axis(trial):
-    pair = [trial("near", "room", {}, error_m=0.02), trial("far", "room", {}, error_m=30.0)]
+def test_errors_of_very_different_size_share_a_logarithmic_axis(record):
+    pair = [record("near", "room", {}, error_m=0.02), record("far", "room", {}, error_m=30.0)]
     assert errors(pair, strokes(["near", "far"])).admits == "Logarithmic axis."
     assert errors(pair[:1], strokes(["near"])).admits == ""
 
 
-def test_nothing_is_drawn_of_runs_that_never_answered(trial):
-    none = [trial("a", "room", {}, status="failed", reason="no odometry", answered=0)]
+def test_nothing_is_drawn_of_runs_that_never_answered(record):
+    none = [record("a", "room", {}, status="failed", reason="no odometry", answered=0)]
     assert [draw(none, strokes(["a"])) for draw in (trajectories, errors, runtimes, residuals)] == [None] * 4
 
 
-def test_wheel_odometry_has_no_residuals(trial):
-    assert residuals([trial("wheel", "room", {})], strokes(["wheel"])) is None
+def test_wheel_odometry_has_no_residuals(record):
+    assert residuals([record("wheel", "room", {})], strokes(["wheel"])) is None
 
 
-def test_what_is_drawn_of_a_method_is_named_so_that_the_page_can_leave_it_out(trial):
-    runs = [trial(name, "room", {}) for name in ("a", "<b>")]
+def test_what_is_drawn_of_a_method_is_named_so_that_the_page_can_leave_it_out(record):
+    runs = [record(name, "room", {}) for name in ("a", "<b>")]
     for draw in (trajectories, errors, residuals, runtimes):
         svg = draw(runs, strokes(["a", "<b>"])).svg.decode()
         assert svg.count('id="of:a"') >= 2  # a line and a place in the legend, or a box and its name

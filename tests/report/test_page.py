@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.grid import OccupancyGrid
 from evalkit.metrics.validated import shipped
 from evalkit.report import MethodCard, SequenceCard, write
@@ -68,11 +69,12 @@ def test_names_that_try_to_be_scripts_stay_text(tags, html):
 EVIL = "</script><!--<script>alert(1)//--></style>\u2028\"'><img src=x onerror=alert(1)>{{7*7}}javascript:alert(1)"
 
 
-def test_whatever_comes_from_data_stays_text_wherever_it_stands(build, trial, tmp_path):
-    made = trial(EVIL, EVIL, {"ate_rmse_m": 0.1, "cpu_median_ms": 1.0}, status="failed", reason=EVIL, answered=30)
+def test_whatever_comes_from_data_stays_text_wherever_it_stands(build, record, tmp_path):
+    made = record(EVIL, EVIL, {"ate_rmse_m": 0.1, "cpu_median_ms": 1.0}, status="failed", reason=EVIL, answered=30)
     made = replace(
-        made, run=replace(made.run, notes={EVIL: 3}), truth=replace(made.truth, how=EVIL), alignment=EVIL, command=EVIL,
-        backend_parameters={EVIL: EVIL}, dataset_parameters={EVIL: EVIL}, key="key",
+        made, result=replace(made.result, notes={EVIL: 3}), truth=replace(made.truth, how=EVIL),
+        scores=replace(made.scores, alignment=EVIL), command=EVIL,
+        spec=RunSpec("key", Method(EVIL, EVIL, {EVIL: EVIL}), SequenceSpec(EVIL, EVIL, {EVIL: EVIL}, (0,)), 0),
     )  # fmt: skip
     card = MethodCard(EVIL, EVIL, EVIL, (), EVIL, missing=EVIL)
     sequence = SequenceCard(EVIL, EVIL, EVIL, EVIL, EVIL, defects=(EVIL,))
@@ -118,17 +120,17 @@ def test_links_within_the_page_lead_somewhere(tags):
 
 def test_every_run_has_its_command_and_its_files(tags, demo):
     links = {attributes.get("href") for _, attributes in tags.found}
-    for trial in demo.trials:
-        assert trial.command in tags.text
-        file = f"trajectories/{trial.key}.tum".replace("(", "%28").replace(")", "%29")
-        assert (file in links) == (len(trial.run.steps) > 0)
+    for record in demo.records:
+        assert record.command in tags.text
+        file = f"trajectories/{record.key}.tum".replace("(", "%28").replace(")", "%29")
+        assert (file in links) == (len(record.result.steps) > 0)
 
 
 def test_every_number_leads_to_its_runs(tags, demo):
     numbers = [a["href"] for tag, a in tags.found if tag == "a" and a.get("class") in ("run", "none")]
     assert {"#sequence-1-runs-1", "#sequence-2-runs-1"} <= set(numbers)
     rows = [a["id"] for tag, a in tags.found if tag == "tr" and "-runs-" in a.get("id", "")]
-    pairs = {(trial.method, trial.sequence) for trial in demo.trials}
+    pairs = {(record.method, record.sequence) for record in demo.records}
     assert len(rows) == len(pairs)
     assert {href[1:] for href in numbers} <= set(rows)
 
@@ -180,9 +182,9 @@ def test_what_decides_and_what_it_costs_stand_first(demo):
     assert names[1][:2] == ["relations_mean_m", "cpu_median_ms"]
 
 
-def test_where_a_true_map_is_known_consistency_leaves_the_first_table(trial, build):
+def test_where_a_true_map_is_known_consistency_leaves_the_first_table(record, build):
     def shown(truth):
-        runs = [trial(who, "room", {"map_f1": 0.9, "split_distance_m": 0.1}, truth=truth) for who in "ab"]
+        runs = [record(who, "room", {"map_f1": 0.9, "split_distance_m": 0.1}, truth=truth) for who in "ab"]
         return {metric.name for metric in headline(build(runs), "room").metrics}
 
     assert shown(True) == {"map_f1"}

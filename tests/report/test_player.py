@@ -9,6 +9,7 @@ import pytest
 from evalkit.core import se2
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
+from evalkit.core.run_result import NO_STEPS
 from evalkit.core.scan import Frame, Scan
 from evalkit.report.html import player as module
 from evalkit.report.html.array_encoding import unpacked
@@ -36,13 +37,13 @@ class Broken(Wall):
         raise OSError("no such disk")
 
 
-def lines(trials):
-    return strokes([trial.method for trial in trials])
+def lines(records):
+    return strokes([record.method for record in records])
 
 
 @pytest.fixture
-def runs(trial):
-    return [trial(name, "room", {}, error_m=error) for name, error in (("a", 0.02), ("b", 0.3))]
+def runs(record):
+    return [record(name, "room", {}, error_m=error) for name, error in (("a", 0.02), ("b", 0.3))]
 
 
 def content(made):
@@ -67,7 +68,7 @@ def test_the_motion_within_a_scan_is_undone():
 
 
 def test_a_placed_point_is_less_than_two_millimetres_off(runs):
-    stamps = runs[0].run.steps["stamp_ns"]
+    stamps = runs[0].result.steps["stamp_ns"]
     made = content(player(runs, Wall, WINDOW, lines(runs)))
     poses = unpacked(made["runs"][0]["poses"], (60, 3)) * [1e-3, 1e-3, 1e-5]
     drawn = placed(beams_at(Wall(), stamps, 10**6), poses, stamps)
@@ -134,21 +135,21 @@ def test_the_same_runs_twice_are_the_same_bytes(runs):
     assert made[0] == made[1]
 
 
-def test_a_run_that_ended_early_has_no_pose_after_its_end(trial):
-    whole = trial("a", "room", {})
-    short = trial("b", "room", {}, status="crashed", reason="signal 11", answered=31)
+def test_a_run_that_ended_early_has_no_pose_after_its_end(record):
+    whole = record("a", "room", {})
+    short = record("b", "room", {}, status="crashed", reason="signal 11", answered=31)
     made = content(player([whole, short], None, WINDOW, lines([whole, short])))
     poses = unpacked(made["runs"][1]["poses"], (60, 3))
     assert (poses[:31] > module.NONE).all()
     assert (poses[31:] == module.NONE).all()
     errors = unpacked(made["runs"][1]["error"], (60,)) * 1e-4
-    assert errors[:31] == pytest.approx(short.errors_m, abs=0.5e-4)
+    assert errors[:31] == pytest.approx(short.scores.errors_m, abs=0.5e-4)
 
 
 def test_a_pose_that_ran_away_or_is_no_number_is_not_there(runs):
-    steps = runs[1].run.steps.copy()
+    steps = runs[1].result.steps.copy()
     steps["x"][7], steps["y"][8], steps["theta"][9] = np.inf, np.nan, 1e9
-    gone = replace(runs[1], run=replace(runs[1].run, steps=steps))
+    gone = replace(runs[1], result=replace(runs[1].result, steps=steps))
     made = content(player([runs[0], gone], Wall, WINDOW, lines(runs)))
     poses = unpacked(made["runs"][1]["poses"], (60, 3))
     assert np.flatnonzero((poses == module.NONE).all(axis=1)).tolist() == [7, 8, 9]
@@ -166,7 +167,9 @@ def test_a_map_alone_is_shown_with_its_ghosts_and_has_no_path(runs):
     true = OccupancyGrid(log_odds, np.ones((40, 40), dtype=bool), 0.1, 0.0, 0.0)
     there = [replace(run, truth=replace(run.truth, grid=true)) for run in runs]
     shifted = OccupancyGrid(log_odds, np.ones((40, 40), dtype=bool), 0.1, 1.0, 0.0)
-    alone = replace(there[0], method="theirs", grid=shifted, run=replace(there[0].run, steps=there[0].run.steps[:0]))
+    spec = replace(there[0].spec, method=replace(there[0].spec.method, label="theirs"))
+    result, scores = replace(there[0].result, steps=NO_STEPS), replace(there[0].scores, grid=shifted)
+    alone = replace(there[0], spec=spec, result=result, scores=scores)
     made = player([*there, alone], None, WINDOW, lines([*there, alone]))
     (theirs,) = content(made)["maps"]
     cells = unpacked(theirs["ghosts"], (40, 2)) * 1e-3
@@ -176,10 +179,10 @@ def test_a_map_alone_is_shown_with_its_ghosts_and_has_no_path(runs):
     assert player([alone], None, WINDOW, lines([alone])) is None
 
 
-def test_who_answered_nothing_is_not_there(trial):
-    absent = trial("c", "room", {}, status="not-installed", reason="no module", answered=0)
+def test_who_answered_nothing_is_not_there(record):
+    absent = record("c", "room", {}, status="not-installed", reason="no module", answered=0)
     assert player([absent], None, WINDOW, lines([absent])) is None
-    present = trial("a", "room", {}, truth=False)
+    present = record("a", "room", {}, truth=False)
     made = player([present, absent], None, None, lines([present, absent]))
     assert made.methods == ("a",)
     assert content(made)["truth"] is None
@@ -199,8 +202,8 @@ class Noisy:
             yield Frame(Scan(index * 100_000_000, ranges, angles, 0.1, 12.0))
 
 
-def test_twenty_runs_on_twenty_sequences_stay_within_fifteen_megabytes(trial):
-    run = trial("a", "room", {}, answered=3000, expected=3000)
+def test_twenty_runs_on_twenty_sequences_stay_within_fifteen_megabytes(record):
+    run = record("a", "room", {}, answered=3000, expected=3000)
     made = player([run], Noisy, WINDOW, lines([run]), budget(20))
     assert len(made.content) * 20 < 12e6  # the rest is for drawings, maps and tables
     assert made.told.startswith("2,000 of 3,000 scans")

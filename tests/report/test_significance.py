@@ -1,4 +1,4 @@
-"""Intervals, paired differences and tests of a comparison, against answers known from how its trials were made."""
+"""Intervals, paired differences and tests of a comparison, against answers known from how its records were made."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import pytest
 
 from evalkit.metrics.series import SERIES
 from evalkit.report import results_json as record
-from evalkit.report.analysis.bootstrap import TrialBootstrap
+from evalkit.report.analysis.bootstrap import RecordBootstrap
 from evalkit.report.analysis.cells import apart, interval
 from evalkit.report.analysis.pairwise import pairs
 from evalkit.report.analysis.significance import evidence
@@ -28,24 +28,30 @@ def _of(comparison, method, metric=ATE, sequence="room"):
     return cell
 
 
-def _with_errors(trial, errors_m):
-    """A trial whose errors are these; its ATE is their root mean square."""
+def with_scores(record, **changes):
+    return replace(record, scores=replace(record.scores, **changes))
+
+
+def _with_errors(record, errors_m):
+    """A record whose errors are these; its ATE is their root mean square."""
     ate = float(np.sqrt(np.mean(errors_m**2)))
-    return replace(trial, errors_m=errors_m, scores={ATE: replace(trial.scores[ATE], value=ate)})
+    scores = {ATE: replace(record.scores.by_metric[ATE], value=ate)}
+    return with_scores(record, errors_m=errors_m, by_metric=scores)
 
 
-def test_a_constant_error_has_an_interval_without_width(trial, build):
-    comparison = build([_with_errors(trial("a", "room", {ATE: 1.0}), np.full(60, 0.25))])
+def test_a_constant_error_has_an_interval_without_width(record, build):
+    comparison = build([_with_errors(record("a", "room", {ATE: 1.0}), np.full(60, 0.25))])
     found = interval(_of(comparison, "a"))
     assert found is not None
     assert (found.value, found.low, found.high, found.support) == pytest.approx((0.25, 0.25, 0.25, 60))
 
 
-def test_both_are_drawn_from_the_same_stretches(trial, build):
+def test_both_are_drawn_from_the_same_stretches(record, build):
     """b errs twice as much as a on every scan: every draw of b is twice that of a, and the difference is a's own."""
     errors = np.random.default_rng(2).gamma(4.0, 0.01, 60)
     comparison = build([
-        _with_errors(trial("a", "room", {ATE: 1.0}), errors), _with_errors(trial("b", "room", {ATE: 1.0}), 2.0 * errors)
+        _with_errors(record("a", "room", {ATE: 1.0}), errors),
+        _with_errors(record("b", "room", {ATE: 1.0}), 2.0 * errors),
     ])  # fmt: skip
     own, between = interval(_of(comparison, "a")), apart(_of(comparison, "b"), _of(comparison, "a"))
     assert own is not None
@@ -54,18 +60,18 @@ def test_both_are_drawn_from_the_same_stretches(trial, build):
     assert between.by == "stretches"
 
 
-def test_pairs_use_only_scans_that_both_answered(trial, build):
-    a, b = trial("a", "room", {ATE: 0.02}), trial("b", "room", {ATE: 0.03})
+def test_pairs_use_only_scans_that_both_answered(record, build):
+    a, b = record("a", "room", {ATE: 0.02}), record("b", "room", {ATE: 0.03})
     partly = np.where(np.arange(60) < 40, 0.03, np.nan)
-    comparison = build([replace(a, errors_m=np.full(60, 0.02)), replace(b, errors_m=partly)])
-    bootstrap = TrialBootstrap(comparison.trials, SERIES)
-    assert [d and d.blocks for d in (bootstrap.draws(t, ATE) for t in comparison.trials)] == [5.0, 5.0]
-    assert len(bootstrap._shared_keys(comparison.trials[0], ATE)) == 40
+    comparison = build([with_scores(a, errors_m=np.full(60, 0.02)), with_scores(b, errors_m=partly)])
+    bootstrap = RecordBootstrap(comparison.records, SERIES)
+    assert [d and d.blocks for d in (bootstrap.draws(t, ATE) for t in comparison.records)] == [5.0, 5.0]
+    assert len(bootstrap._shared_keys(comparison.records[0], ATE)) == 40
 
 
-def test_errors_that_make_another_score_are_not_used(trial, build):
-    claimed = trial("a", "room", {ATE: 0.02})
-    comparison = build([replace(claimed, errors_m=3.0 * claimed.errors_m)])
+def test_errors_that_make_another_score_are_not_used(record, build):
+    claimed = record("a", "room", {ATE: 0.02})
+    comparison = build([with_scores(claimed, errors_m=3.0 * claimed.scores.errors_m)])
     assert interval(_of(comparison, "a")) is None
 
 
@@ -87,11 +93,11 @@ def test_draws_of_every_statistic_are_of_the_score(statistic, score):
     assert np.median(found.values) == pytest.approx(score, abs=0.5)
 
 
-def test_runs_without_errors_for_every_scan_are_compared_by_students_t(trial, build):
+def test_runs_without_errors_for_every_scan_are_compared_by_students_t(record, build):
     """Differences 0.1, 0.2, 0.3: mean 0.2, standard error 0.1 / sqrt(3), t(0.975, 2) = 4.3027."""
     values = {"a": (0.5, 0.5, 0.5), "b": (0.6, 0.7, 0.8)}
     comparison = build([
-        trial(who, "room", {"map_f1": v}, seed=seed) for who, own in values.items() for seed, v in enumerate(own)
+        record(who, "room", {"map_f1": v}, seed=seed) for who, own in values.items() for seed, v in enumerate(own)
     ])  # fmt: skip
     found = apart(_of(comparison, "b", "map_f1"), _of(comparison, "a", "map_f1"))
     assert found is not None
@@ -107,9 +113,9 @@ def test_the_same_results_give_the_same_numbers(demo):
     assert all(row["low"] <= row["high"] for row in once["intervals"])
 
 
-def test_the_table_of_pairs_says_what_the_verdict_says(trial, build):
+def test_the_table_of_pairs_says_what_the_verdict_says(record, build):
     comparison = build([
-        trial(who, "room", {ATE: ate}, seed=seed)
+        record(who, "room", {ATE: ate}, seed=seed)
         for who, ate in (("plane", 0.010), ("near", 0.0105), ("paper", 0.050)) for seed in (0, 1)
     ])  # fmt: skip
     found = pairs(comparison, "room")
@@ -121,7 +127,7 @@ def test_the_table_of_pairs_says_what_the_verdict_says(trial, build):
     assert said["near"][0] in ("too small to matter", "no difference shown")
 
 
-def _many(trial, build, sequences, failed=()):
+def _many(record, build, sequences, failed=()):
     """Three methods over so many sequences: a always best, b 10 % worse, c twice as bad; failures of a by name."""
     made = []
     for number in range(sequences):
@@ -129,13 +135,13 @@ def _many(trial, build, sequences, failed=()):
             broken = who == "a" and number in failed
             scores = {} if broken else {ATE: factor * (0.01 + 0.01 * number)}
             status = "crashed" if broken else "complete"
-            made.append(trial(who, f"s{number}", scores, status=status, reason="signal 11" if broken else ""))
+            made.append(record(who, f"s{number}", scores, status=status, reason="signal 11" if broken else ""))
     return build(made)
 
 
-def test_over_ten_sequences_the_test_and_the_ranks_agree_with_hand_calculation(trial, build):
+def test_over_ten_sequences_the_test_and_the_ranks_agree_with_hand_calculation(record, build):
     """All ten one way: p = 2 / 2^10 alone, 3 questions by Holm; ranks 1, 2, 3; CD = 2.343 sqrt(3 * 4 / 60) = 1.048."""
-    found = evidence(_many(trial, build, 10))
+    found = evidence(_many(record, build, 10))
     assert isinstance(found.ranks, FriedmanTest)
     assert found.ranks.mean_ranks == (1.0, 2.0, 3.0)
     assert found.ranks.critical_difference == pytest.approx(1.048, abs=1e-3)
@@ -146,14 +152,14 @@ def test_over_ten_sequences_the_test_and_the_ranks_agree_with_hand_calculation(t
     assert duel.detectable == pytest.approx(1.0, abs=1e-6)
 
 
-def test_five_runs_are_too_few_to_show_anything(trial, build):
-    found = evidence(_many(trial, build, 5))
+def test_five_runs_are_too_few_to_show_anything(record, build):
+    found = evidence(_many(record, build, 5))
     assert {duel.said for duel in found.duels} == {"too few runs to show anything"}
     assert found.ranks == NotTested("ranks with a critical difference need at least 8 sequences, found 5")
 
 
-def test_a_failed_run_is_the_worst_and_never_left_out(trial, build):
-    found = evidence(_many(trial, build, 10, failed=(0, 1, 2, 3, 4, 5)))
+def test_a_failed_run_is_the_worst_and_never_left_out(record, build):
+    found = evidence(_many(record, build, 10, failed=(0, 1, 2, 3, 4, 5)))
     record = {r.method: r for r in found.records}["a"]
     assert (record.finished, record.runs) == (4, 10)
     assert record.rank == pytest.approx((6 * 3 + 4 * 1) / 10)
@@ -162,9 +168,9 @@ def test_a_failed_run_is_the_worst_and_never_left_out(trial, build):
     assert duel.runs == 10
 
 
-def test_methods_that_agree_to_rounding_are_equal(trial, build):
+def test_methods_that_agree_to_rounding_are_equal(record, build):
     made = [
-        trial(who, f"s{number}", {ATE: (0.01 + 0.01 * number) * factor})
+        record(who, f"s{number}", {ATE: (0.01 + 0.01 * number) * factor})
         for number in range(10) for who, factor in (("a", 1.0), ("b", 1.0 + 1e-13))
     ]  # fmt: skip
     (duel,) = evidence(build(made)).duels

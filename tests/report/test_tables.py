@@ -20,19 +20,23 @@ def _rows(path):
 
 def test_trials_csv_holds_every_run_and_every_score(folder, demo):
     rows = _rows(folder / "trials.csv")
-    assert [row["key"] for row in rows] == [trial.key for trial in demo.trials]
-    for row, trial in zip(rows, demo.trials, strict=True):
-        assert (row["status"], row["reason"], row["command"]) == (trial.run.status, trial.run.reason, trial.command)
-        assert row["seed"] == ("" if trial.seed is None else str(trial.seed))
+    assert [row["key"] for row in rows] == [record.key for record in demo.records]
+    for row, record in zip(rows, demo.records, strict=True):
+        assert (row["status"], row["reason"], row["command"]) == (
+            record.result.status,
+            record.result.reason,
+            record.command,
+        )
+        assert row["seed"] == ("" if record.seed is None else str(record.seed))
         for metric in demo.metrics:
-            score = trial.scores.get(metric.name)
+            score = record.scores.by_metric.get(metric.name)
             value = None if score is None else score.value
             assert (float(row[metric.name]) if row[metric.name] else None) == value
 
 
 def test_scores_csv_keeps_the_reason_of_what_is_not_meaningful(folder, demo):
     rows = _rows(folder / "scores.csv")
-    assert len(rows) == sum(len(trial.scores) for trial in demo.trials)
+    assert len(rows) == sum(len(record.scores.by_metric) for record in demo.records)
     empty = [row for row in rows if not row["value"]]
     assert empty
     assert all(row["reason"] for row in empty)
@@ -51,12 +55,12 @@ def test_summary_csv_has_medians_over_complete_runs_only(folder):
 def test_results_json_holds_the_same_scores(folder, demo):
     results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
     assert results["schema"] == {"name": "evalkit-results", "version": 1}
-    for row, trial in zip(results["trials"], demo.trials, strict=True):
+    for row, record in zip(results["trials"], demo.records, strict=True):
         assert row["scores"] == {
             name: {"value": score.value, "support": score.support, "reason": score.reason}
-            for name, score in trial.scores.items()
+            for name, score in record.scores.by_metric.items()
         }
-        assert row["scans_answered"] == len(trial.run.steps)
+        assert row["scans_answered"] == len(record.result.steps)
 
 
 def test_results_json_obeys_the_schema_that_lies_beside_it(folder):
@@ -72,6 +76,6 @@ def test_the_same_comparison_writes_the_same_files(folder, demo, tmp_path):
         assert (again / path.name).read_bytes() == path.read_bytes(), path.name
 
 
-def test_a_comparison_refuses_a_run_that_stands_there_twice(trial, build):
+def test_a_comparison_refuses_a_run_that_stands_there_twice(record, build):
     with pytest.raises(ValueError, match="a over room with seed 0 stands there twice"):
-        build([trial("a", "room", {}), trial("a", "room", {})])
+        build([record("a", "room", {}), record("a", "room", {})])

@@ -20,12 +20,12 @@ def _overview(comparison):
     return [sentence.replace("\u00a0", " ") for sentence in overview(comparison, verdicts)]
 
 
-def _seeds(trial, name, values, metric="ate_rmse_m", **more):
-    return [trial(name, "room", {metric: value}, seed=seed, **more) for seed, value in enumerate(values)]
+def _seeds(record, name, values, metric="ate_rmse_m", **more):
+    return [record(name, "room", {metric: value}, seed=seed, **more) for seed, value in enumerate(values)]
 
 
-def test_a_clear_winner_is_named_with_its_lead(trial, build):
-    comparison = build([*_seeds(trial, "a", [0.010, 0.011, 0.012]), *_seeds(trial, "b", [0.020, 0.022, 0.024])])
+def test_a_clear_winner_is_named_with_its_lead(record, build):
+    comparison = build([*_seeds(record, "a", [0.010, 0.011, 0.012]), *_seeds(record, "b", [0.020, 0.022, 0.024])])
     found = verdict(comparison, "room")
     assert (found.outcome, found.leaders, found.counts) == ("winner", ("a",), True)
     said = _said(comparison)
@@ -35,8 +35,8 @@ def test_a_clear_winner_is_named_with_its_lead(trial, build):
     assert "2.0 times as much; the difference, on the same scans, is 0.0110 m (95 % interval 0.00" in said
 
 
-def test_a_lead_that_turns_in_one_seed_makes_no_winner(trial, build):
-    comparison = build([*_seeds(trial, "a", [0.010, 0.011, 0.025]), *_seeds(trial, "b", [0.019, 0.022, 0.024])])
+def test_a_lead_that_turns_in_one_seed_makes_no_winner(record, build):
+    comparison = build([*_seeds(record, "a", [0.010, 0.011, 0.025]), *_seeds(record, "b", [0.019, 0.022, 0.024])])
     assert verdict(comparison, "room").outcome == "level"
     assert "No difference shown on ATE RMSE between a 0.011 m (95 % interval " in _said(comparison)
     assert re.search(
@@ -45,55 +45,55 @@ def test_a_lead_that_turns_in_one_seed_makes_no_winner(trial, build):
     assert "which may be nothing; these runs would have shown a difference of 0.0" in _said(comparison)
 
 
-def test_a_lead_in_every_seed_wins_though_the_seeds_overlap(trial, build):
-    comparison = build([*_seeds(trial, "a", [0.010, 0.011, 0.020]), *_seeds(trial, "b", [0.019, 0.022, 0.024])])
+def test_a_lead_in_every_seed_wins_though_the_seeds_overlap(record, build):
+    comparison = build([*_seeds(record, "a", [0.010, 0.011, 0.020]), *_seeds(record, "b", [0.019, 0.022, 0.024])])
     assert (verdict(comparison, "room").outcome, verdict(comparison, "room").leaders) == ("winner", ("a",))
 
 
 @pytest.mark.parametrize(("other", "outcome"), [(1.049, "level"), (1.051, "winner")])
-def test_a_winner_is_better_by_five_percent(trial, build, other, outcome):
-    comparison = build([*_seeds(trial, "a", [1.0, 1.0]), *_seeds(trial, "b", [other, other])])
+def test_a_winner_is_better_by_five_percent(record, build, other, outcome):
+    comparison = build([*_seeds(record, "a", [1.0, 1.0]), *_seeds(record, "b", [other, other])])
     assert verdict(comparison, "room").outcome == outcome
 
 
-def test_a_millimetre_wins_nothing(trial, build):
-    comparison = build([*_seeds(trial, "a", [0.010, 0.011]), *_seeds(trial, "b", [0.0115, 0.0125])])
+def test_a_millimetre_wins_nothing(record, build):
+    comparison = build([*_seeds(record, "a", [0.010, 0.011]), *_seeds(record, "b", [0.0115, 0.0125])])
     assert verdict(comparison, "room").outcome == "level"
     assert "are less than 5 % or 2 mm apart" in _said(comparison)
 
 
-def test_relations_closer_than_their_own_noise_make_no_winner(trial, build):
-    near = build([trial(n, "room", {"relations_mean_m": v}, seed=None) for n, v in (("a", 0.051), ("b", 0.080))])
+def test_relations_closer_than_their_own_noise_make_no_winner(record, build):
+    near = build([record(n, "room", {"relations_mean_m": v}, seed=None) for n, v in (("a", 0.051), ("b", 0.080))])
     far = build(
-        [*_seeds(trial, "a", [0.05, 0.05], "relations_mean_m"), *_seeds(trial, "b", [0.09, 0.09], "relations_mean_m")]
+        [*_seeds(record, "a", [0.05, 0.05], "relations_mean_m"), *_seeds(record, "b", [0.09, 0.09], "relations_mean_m")]
     )
     assert verdict(near, "room").outcome == "level"
     assert "differ by less than the truth can tell (0.030 m)" in _said(near)
     assert verdict(far, "room").leaders == ("a",)
 
 
-def test_one_run_without_an_error_for_every_scan_shows_nothing(trial, build):
-    comparison = build([trial(n, "room", {"map_f1": v}, seed=None) for n, v in (("a", 0.9), ("b", 0.2))])
+def test_one_run_without_an_error_for_every_scan_shows_nothing(record, build):
+    comparison = build([record(n, "room", {"map_f1": v}, seed=None) for n, v in (("a", 0.9), ("b", 0.2))])
     assert verdict(comparison, "room").outcome == "level"
     assert "No difference shown on map F1 at 10 cm between a 0.900 and b 0.200: one run each" in _said(comparison)
 
 
-def test_two_seeds_that_scatter_as_much_as_they_differ_show_nothing(trial, build):
+def test_two_seeds_that_scatter_as_much_as_they_differ_show_nothing(record, build):
     """Student's t with one degree of freedom: 0.10 and 0.12 apart is 0.11 +- 12.7 x 0.01."""
-    near = build([*_seeds(trial, "a", [0.90, 0.92], "map_f1"), *_seeds(trial, "b", [0.80, 0.80], "map_f1")])
+    near = build([*_seeds(record, "a", [0.90, 0.92], "map_f1"), *_seeds(record, "b", [0.80, 0.80], "map_f1")])
     assert verdict(near, "room").outcome == "level"
     assert "run by run, b is worse by 0.1100 (95 % interval −0.0171 to 0.2371), which may be nothing" in _said(near)
 
 
-def test_the_same_gap_in_metres_of_drift_is_a_lead(trial, build):
-    comparison = build([trial(n, "room", {"ate_rmse_m": v}, seed=None) for n, v in (("a", 0.051), ("b", 0.080))])
+def test_the_same_gap_in_metres_of_drift_is_a_lead(record, build):
+    comparison = build([record(n, "room", {"ate_rmse_m": v}, seed=None) for n, v in (("a", 0.051), ("b", 0.080))])
     found = verdict(comparison, "room")
     assert (found.outcome, found.leaders) == ("ahead", ("a",))
 
 
-def test_one_run_each_wins_nothing(trial, build):
+def test_one_run_each_wins_nothing(record, build):
     pair = (("a", 0.051), ("b", 0.080), ("paper", 0.1))
-    comparison = build([trial(n, "room", {"ate_rmse_m": v}, seed=None) for n, v in pair])
+    comparison = build([record(n, "room", {"ate_rmse_m": v}, seed=None) for n, v in pair])
     assert "a is ahead in the one run there is, on ATE RMSE: 0.051 m (95 % interval " in _said(comparison)
     said = " ".join(_overview(comparison))
     assert "a is ahead in the one run of room." in said
@@ -101,44 +101,46 @@ def test_one_run_each_wins_nothing(trial, build):
     assert not {"wins", "winner", "loses"} & set(f"{said} {_said(comparison)}".split())
 
 
-def test_higher_wins_where_higher_is_better(trial, build):
-    comparison = build([*_seeds(trial, "a", [0.90, 0.91], "map_f1"), *_seeds(trial, "b", [0.70, 0.71], "map_f1")])
+def test_higher_wins_where_higher_is_better(record, build):
+    comparison = build([*_seeds(record, "a", [0.90, 0.91], "map_f1"), *_seeds(record, "b", [0.70, 0.71], "map_f1")])
     assert verdict(comparison, "room").leaders == ("a",)
 
 
-def test_whoever_lost_a_run_cannot_win_by_the_others(trial, build):
-    crash = trial("a", "room", {"ate_rmse_m": 0.001}, seed=1, status="crashed", reason="signal 11", answered=9)
-    a = [trial("a", "room", {"ate_rmse_m": 0.001}, seed=0), crash]
-    comparison = build([*a, *_seeds(trial, "b", [0.02, 0.03]), *_seeds(trial, "c", [0.5, 0.6])])
+def test_whoever_lost_a_run_cannot_win_by_the_others(record, build):
+    crash = record("a", "room", {"ate_rmse_m": 0.001}, seed=1, status="crashed", reason="signal 11", answered=9)
+    a = [record("a", "room", {"ate_rmse_m": 0.001}, seed=0), crash]
+    comparison = build([*a, *_seeds(record, "b", [0.02, 0.03]), *_seeds(record, "c", [0.5, 0.6])])
     assert verdict(comparison, "room").leaders == ("b",)
     assert _said(comparison).startswith("5 of 6 runs finished. Did not finish: a (1 of 2 crashed).")
 
 
-def test_a_score_that_is_not_meaningful_on_one_seed_cannot_win(trial, build):
-    comparison = build([*_seeds(trial, "a", [0.001, None]), *_seeds(trial, "b", [0.02, 0.03])])
+def test_a_score_that_is_not_meaningful_on_one_seed_cannot_win(record, build):
+    comparison = build([*_seeds(record, "a", [0.001, None]), *_seeds(record, "b", [0.02, 0.03])])
     assert verdict(comparison, "room").outcome == "unrivalled"
 
 
-def test_a_loss_of_the_papers_method_is_said_plainly(trial, build):
-    comparison = build([*_seeds(trial, "paper", [0.048, 0.050]), *_seeds(trial, "plane", [0.010, 0.010])])
+def test_a_loss_of_the_papers_method_is_said_plainly(record, build):
+    comparison = build([*_seeds(record, "paper", [0.048, 0.050]), *_seeds(record, "plane", [0.010, 0.010])])
     assert "The paper's method: paper loses, with 0.049 m against 0.010 m: 4.9 times as much." in _said(comparison)
     assert "The paper's method, paper, loses 1 of 1 (room)." in _overview(comparison)
 
 
-def test_worse_than_wheel_odometry_is_said(trial, build):
-    comparison = build([*_seeds(trial, "wheel", [0.4, 0.41]), *_seeds(trial, "a", [2, 3]), *_seeds(trial, "b", [1, 1])])
+def test_worse_than_wheel_odometry_is_said(record, build):
+    comparison = build(
+        [*_seeds(record, "wheel", [0.4, 0.41]), *_seeds(record, "a", [2, 3]), *_seeds(record, "b", [1, 1])]
+    )
     assert "Worse than wheel alone (0.405 m): a (2.500 m) and b (1.000 m)." in _said(comparison)
     assert "Worse than wheel alone: a on room and b on room." in _overview(comparison)
 
 
-def test_the_bar_does_not_compete_in_runtime(trial, build):
+def test_the_bar_does_not_compete_in_runtime(record, build):
     names = (("wheel", 0.01), ("a", 1.0), ("b", 5.0))
-    comparison = build([trial(n, "room", {"ate_rmse_m": v, "cpu_median_ms": v}, seed=None) for n, v in names])
+    comparison = build([record(n, "room", {"ate_rmse_m": v, "cpu_median_ms": v}, seed=None) for n, v in names])
     assert "CPU time per scan, median: best a (1.00 ms), worst b (5.00 ms)." in _said(comparison)
 
 
-def test_a_degenerate_sequence_is_named_and_not_counted(trial, build):
-    comparison = build([*_seeds(trial, "a", [0.01, 0.01]), *_seeds(trial, "b", [0.5, 0.5])])
+def test_a_degenerate_sequence_is_named_and_not_counted(record, build):
+    comparison = build([*_seeds(record, "a", [0.01, 0.01]), *_seeds(record, "b", [0.5, 0.5])])
     cards = {"room": replace(comparison.sequences["room"], degenerate="A corridor without ends.")}
     comparison = replace(comparison, sequences=cards)
     found = verdict(comparison, "room")
@@ -148,7 +150,7 @@ def test_a_degenerate_sequence_is_named_and_not_counted(trial, build):
     assert "Not counted as wins or losses: room (degenerate geometry)." in _overview(comparison)
 
 
-def _maps(trial, build, **measures):
+def _maps(record, build, **measures):
     """One run each without truth; per method halves apart (m), variance across walls (1000 cm2), cleared share and
     S2M residual (m)."""
     names = ("split_distance_m", "mom_cm2", "cleared_percent", "s2m_m")
@@ -157,12 +159,12 @@ def _maps(trial, build, **measures):
         pairs = zip(names, values, (1.0, 1000.0, 100.0, 1.0), strict=True)
         return {name: None if value is None else value * scale for name, value, scale in pairs}
 
-    return build([trial(n, "room", scaled(v), seed=None, truth=False) for n, v in measures.items()])
+    return build([record(n, "room", scaled(v), seed=None, truth=False) for n, v in measures.items()])
 
 
-def test_halves_close_together_alone_lead_nothing(trial, build):
+def test_halves_close_together_alone_lead_nothing(record, build):
     comparison = _maps(
-        trial, build, lost=(0.10, 0.09, 0.30, 0.08), a=(0.12, 0.02, 0.05, 0.03), b=(0.2, 0.03, 0.04, 0.04)
+        record, build, lost=(0.10, 0.09, 0.30, 0.08), a=(0.12, 0.02, 0.05, 0.03), b=(0.2, 0.03, 0.04, 0.04)
     )
     found = verdict(comparison, "room")
     assert (found.outcome, found.leaders, found.counts) == ("disagreement", (), False)
@@ -172,10 +174,10 @@ def test_halves_close_together_alone_lead_nothing(trial, build):
     ) in _said(comparison)
 
 
-def test_a_map_best_in_every_measure_is_ahead(trial, build):
+def test_a_map_best_in_every_measure_is_ahead(record, build):
     names, values = ("split_distance_m", "mom_cm2", "cleared_percent", "s2m_m"), {"a": 0.02, "b": 0.04}
     comparison = build([
-        trial(who, "room", dict.fromkeys(names, value), seed=seed, truth=False)
+        record(who, "room", dict.fromkeys(names, value), seed=seed, truth=False)
         for who, value in values.items() for seed in (0, 1)
     ])  # fmt: skip
     found = verdict(comparison, "room")
@@ -183,8 +185,8 @@ def test_a_map_best_in_every_measure_is_ahead(trial, build):
     assert "The other measures of the map do not contradict." in _said(comparison)
 
 
-def test_a_map_best_in_every_measure_of_one_run_is_told_but_shown_to_be_nothing(trial, build):
-    comparison = _maps(trial, build, a=(0.10, 0.02, 0.04, 0.03), b=(0.20, 0.02, 0.05, 0.04))
+def test_a_map_best_in_every_measure_of_one_run_is_told_but_shown_to_be_nothing(record, build):
+    comparison = _maps(record, build, a=(0.10, 0.02, 0.04, 0.03), b=(0.20, 0.02, 0.05, 0.04))
     found = verdict(comparison, "room")
     assert (found.outcome, found.leaders, found.counts) == ("level", ("a",), False)
     assert "one run each gives no interval. By every measure of the map a is best or level." in _said(comparison)
@@ -193,24 +195,24 @@ def test_a_map_best_in_every_measure_of_one_run_is_told_but_shown_to_be_nothing(
     assert f"ranked with a Spearman correlation of {trust.overall.value:.2f}" in _said(comparison)
 
 
-def test_a_measure_nobody_has_leaves_the_map_undecided(trial, build):
-    comparison = _maps(trial, build, a=(0.10, 0.02, None, 0.03), b=(0.20, 0.03, None, 0.04))
+def test_a_measure_nobody_has_leaves_the_map_undecided(record, build):
+    comparison = _maps(record, build, a=(0.10, 0.02, None, 0.03), b=(0.20, 0.03, None, 0.04))
     assert verdict(comparison, "room").outcome == "disagreement"
     assert "Nobody is named without truth: there is no value for free-space violation." in _said(comparison)
 
 
-def test_without_truth_worse_than_odometry_takes_every_measure(trial, build):
+def test_without_truth_worse_than_odometry_takes_every_measure(record, build):
     wheel = (0.10, 0.02, 0.04, 0.03)
-    one = _maps(trial, build, wheel=wheel, a=(0.20, 0.01, 0.05, 0.04))
-    every = _maps(trial, build, wheel=wheel, a=(0.20, 0.03, 0.05, 0.04))
+    one = _maps(record, build, wheel=wheel, a=(0.20, 0.01, 0.05, 0.04))
+    every = _maps(record, build, wheel=wheel, a=(0.20, 0.03, 0.05, 0.04))
     assert "than wheel alone" not in _said(one)
     assert "A worse map than wheel alone, by every measure: a." in _said(every)
 
 
-def test_scans_left_to_the_guess_are_told_and_most_of_them_bar_from_ranking(trial, build):
+def test_scans_left_to_the_guess_are_told_and_most_of_them_bar_from_ranking(record, build):
     shares = {"a": (0.01, 60.0), "b": (0.02, 12.0), "c": (0.03, 9.0)}
     comparison = build([
-        trial(who, "room", {"ate_rmse_m": ate, "guess_kept_percent": kept}, seed=seed)
+        record(who, "room", {"ate_rmse_m": ate, "guess_kept_percent": kept}, seed=seed)
         for who, (ate, kept) in shares.items() for seed in (0, 1)
     ])  # fmt: skip
     said = _said(comparison)
@@ -220,10 +222,10 @@ def test_scans_left_to_the_guess_are_told_and_most_of_them_bar_from_ranking(tria
     assert "c left" not in said
 
 
-def test_damaged_data_are_told_above_one_percent(trial, build):
+def test_damaged_data_are_told_above_one_percent(record, build):
     def noted(notes):
-        made = trial("a", "room", {"ate_rmse_m": 0.1})
-        return _said(build([replace(made, run=replace(made.run, notes=notes))]))
+        made = record("a", "room", {"ate_rmse_m": 0.1})
+        return _said(build([replace(made, result=replace(made.result, notes=notes))]))
 
     assert "damaged" not in noted({"scans out of order": 60, "rear-laser lines left out": 60})
     assert "The data are damaged: 30 damaged lines left out (50 % of the scans)." in noted(
@@ -251,9 +253,9 @@ def test_a_comparison_of_nothing_claims_nothing(build):
 
 
 @pytest.mark.parametrize("status", ["complete", "not-installed"])
-def test_where_only_odometry_ran_nobody_is_said_to_pass_it(trial, build, status):
-    alone = trial("wheel", "room", {"ate_rmse_m": 0.4}, status="complete")
-    other = trial("a", "room", {}, status="not-installed", reason="no module", answered=0)
+def test_where_only_odometry_ran_nobody_is_said_to_pass_it(record, build, status):
+    alone = record("wheel", "room", {"ate_rmse_m": 0.4}, status="complete")
+    other = record("a", "room", {}, status="not-installed", reason="no module", answered=0)
     comparison = build([alone] if status == "complete" else [other])
     said = " ".join(_overview(comparison))
     claims = ("nobody is clearly worse", "Of all runs", "Slower", "held against")
@@ -277,20 +279,25 @@ def test_lists_read_like_sentences():
     assert [joined(words) for words in ("", "a", "ab", "abc")] == ["none", "a", "a and b", "a, b and c"]
 
 
-def test_times_of_different_processors_are_not_put_in_one_order_unsaid(trial, build):
+def test_times_of_different_processors_are_not_put_in_one_order_unsaid(record, build):
     scores = {"ate_rmse_m": 0.01, "cpu_median_ms": 1.0}
-    on = [replace(trial(name, "room", scores), processor=cpu) for name, cpu in (("a", "X1"), ("b", "X2"), ("c", "X1"))]
+
+    def on_processor(run, processor):
+        return replace(run, result=replace(run.result, provenance={"processor": processor}))
+
+    processors = {"a": "X1", "b": "X2", "c": "X1"}
+    on = [on_processor(record(name, "room", scores), cpu) for name, cpu in processors.items()]
     said = "Times were not all measured on one kind of processor, and no order by time holds: "
     assert f"{said}those of a and c on X1 and those of b on X2." in _said(build(on))
-    assert said not in _said(build([replace(one, processor="X1") for one in on]))
-    untimed = on[1].run.steps.copy()
+    assert said not in _said(build([on_processor(one, "X1") for one in on]))
+    untimed = on[1].result.steps.copy()
     untimed["wall_ns"] = 0
-    assert said not in _said(build([on[0], replace(on[1], run=replace(on[1].run, steps=untimed)), on[2]]))
+    assert said not in _said(build([on[0], replace(on[1], result=replace(on[1].result, steps=untimed)), on[2]]))
 
 
-def test_a_leader_picked_after_the_fact_needs_a_lead_over_everybody(trial, build):
+def test_a_leader_picked_after_the_fact_needs_a_lead_over_everybody(record, build):
     runs = {"a": [0.010, 0.011, 0.012], "b": [0.0101, 0.0111, 0.0121], "c": [0.5, 0.51, 0.52]}
-    comparison = build([one for name, values in runs.items() for one in _seeds(trial, name, values)])
+    comparison = build([one for name, values in runs.items() for one in _seeds(record, name, values)])
     found = verdict(comparison, "room")
     assert (found.outcome, found.leaders) == ("level", ("a", "b"))  # far ahead of c alone is no lead
     assert any("against every other method" in sentence for sentence in _overview(comparison))

@@ -2,15 +2,17 @@
 
 import json
 import os
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.errors import StoreError
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, RunResult, Score, Status
+from evalkit.core.run_result import STEP, Cause, RunResult, Score, Scores
 from evalkit.core.trajectory import Trajectory
 from evalkit.io import map_server
 from evalkit.io.tum import format_tum, read_tum
@@ -32,10 +34,14 @@ def steps(count=5):
     return made
 
 
-def saved_run(store, status: Status = "complete", reason=""):
-    run = RunResult("icp", "room <1>", status, reason, steps(), 9, 123, 5, {"invalid ranges": 2})
+SPEC = RunSpec(KEY, Method("icp", "icp", {}), SequenceSpec("room <1>", "room", {}, (0,)), 0)
+
+
+def saved_run(store, cause=Cause.COMPLETED, reason=""):
+    provenance = {"executed_at": "2024-05-01T12:00:00+00:00"}
+    run = RunResult(steps(), 9, cause, reason, 123, 5, {"invalid ranges": 2}, 2, provenance)
     (store.fresh(KEY) / "steps.bin").write_bytes(run.steps.tobytes())
-    store.save_run(KEY, run, {"made": "2024-05-01T12:00:00+00:00"})
+    store.save_result(SPEC, run)
     return run
 
 
@@ -52,28 +58,29 @@ def same_grid(a, b):
     assert (a.resolution_m, a.origin_x, a.origin_y) == (b.resolution_m, b.origin_x, b.origin_y)
 
 
-CONTENT = {
-    "fingerprint": "f",
-    "world_from_start": [0.1, 1.0 / 3.0, -2.0],
-    "scores": {
-        "ate": {"value": 1.0 / 3.0, "support": 60, "reason": ""},
-        "f1": {"value": None, "support": 0, "reason": "no truth"},
-    },
-}
 ERRORS = np.array([0.1, np.nan, 1.0 / 3.0])
+BY_METRIC = {"ate": Score(1.0 / 3.0, 60), "f1": Score(None, 0, "no truth")}
+
+
+def scores(**changes):
+    kept = Scores(BY_METRIC, Pose(0.1, 1.0 / 3.0, -2.0), "least squares", grid(), ERRORS)
+    return replace(kept, **changes)
 
 
 # runs
 
 
-@pytest.mark.parametrize("ended", [("complete", ""), ("crashed", "ended by SIGSEGV")])
+@pytest.mark.parametrize("ended", [(Cause.COMPLETED, ""), (Cause.SIGNAL, "ended by SIGSEGV")])
 def test_a_run_comes_back_bit_by_bit(store, ended):
     kept = saved_run(store, *ended)
-    again = Store(store.folder).load_run(KEY)
+    again = Store(store.folder).load_result(KEY)
     assert again is not None
     assert again.steps.tobytes() == kept.steps.tobytes()
-    for name in ("backend", "sequence", "status", "reason", "expected", "peak_memory_bytes", "warm_up_scans", "notes"):
-        assert getattr(again, name) == getattr(kept, name)
+    for field in fields(RunResult):
+        if field.name != "steps":
+            assert getattr(again, field.name) == getattr(kept, field.name)
+    record = json.loads((store.run_folder(KEY) / "result.json").read_text())
+    assert (record["method"], record["sequence"], record["status"]) == ("icp", "room <1>", kept.status)
 
 
 def test_a_record_cut_short_is_left_out(tmp_path):
@@ -89,31 +96,30 @@ def test_a_record_cut_short_is_left_out(tmp_path):
 @pytest.mark.parametrize("keep", [0, 1, 40, -1])
 def test_a_half_written_run_is_no_run(store, keep):
     saved_run(store)
-    path = store.run_folder(KEY) / "run.json"
+    path = store.run_folder(KEY) / "result.json"
     path.write_bytes(path.read_bytes()[:keep])
-    assert store.load_run(KEY) is None
+    assert store.load_result(KEY) is None
 
 
 def test_a_run_whose_answers_were_cut_later_is_no_run(store):
     saved_run(store)
     path = store.run_folder(KEY) / "steps.bin"
     path.write_bytes(path.read_bytes()[: -STEP.itemsize])
-    assert store.load_run(KEY) is None
-    assert store.how_it_ended(KEY) is None
+    assert store.load_result(KEY) is None
 
 
-@pytest.mark.parametrize("record", [[], {"backend": "icp"}, {"unheard": 1}])
+@pytest.mark.parametrize("record", [[], {"method": "icp"}, {"unheard": 1}])
 def test_a_record_of_something_else_is_no_run(store, record):
     saved_run(store)
-    (store.run_folder(KEY) / "run.json").write_text(json.dumps(record))
-    assert store.load_run(KEY) is None
+    (store.run_folder(KEY) / "result.json").write_text(json.dumps(record))
+    assert store.load_result(KEY) is None
 
 
 def test_a_run_never_made_is_no_run_and_a_fresh_one_forgets_the_last(store):
-    assert store.load_run(KEY) is None
+    assert store.load_result(KEY) is None
     saved_run(store)
     assert list(store.fresh(KEY).iterdir()) == []
-    assert store.load_run(KEY) is None
+    assert store.load_result(KEY) is None
 
 
 # scores
@@ -121,22 +127,23 @@ def test_a_run_never_made_is_no_run_and_a_fresh_one_forgets_the_last(store):
 
 def test_scores_map_and_errors_come_back_bit_by_bit(store):
     saved_run(store)
-    store.save_scores(KEY, CONTENT, grid(), ERRORS)
+    store.save_scores(KEY, scores(), "f")
     again = Store(store.folder).load_scores(KEY)
     assert again is not None
-    assert again["scores"] == {"ate": Score(1.0 / 3.0, 60), "f1": Score(None, 0, "no truth")}
-    assert again["world_from_start"] == Pose(0.1, 1.0 / 3.0, -2.0)
-    assert again["fingerprint"] == "f"
-    assert again["errors_m"].tobytes() == ERRORS.tobytes()
-    same_grid(again["grid"], grid())
+    assert again.by_metric == BY_METRIC
+    assert again.world_from_start == Pose(0.1, 1.0 / 3.0, -2.0)
+    assert again.alignment == "least squares"
+    assert store.scored_by(KEY) == "f"
+    assert again.errors_m.tobytes() == ERRORS.tobytes()
+    same_grid(again.grid, grid())
 
 
 def test_new_scores_without_a_map_forget_the_old_one(store):
     saved_run(store)
-    store.save_scores(KEY, CONTENT, grid(), ERRORS)
-    store.save_scores(KEY, CONTENT, None, None)
+    store.save_scores(KEY, scores(), "f")
+    store.save_scores(KEY, scores(grid=None, errors_m=None), "f")
     again = store.load_scores(KEY)
-    assert (again["grid"], again["errors_m"]) == (None, None)
+    assert (again.grid, again.errors_m) == (None, None)
     assert not list((store.folder / "maps").glob(f"{KEY}.*"))
 
 
@@ -144,7 +151,7 @@ def test_new_scores_without_a_map_forget_the_old_one(store):
 @pytest.mark.parametrize("keep", [0, 60, -1])
 def test_a_damaged_file_means_scoring_again(store, name, keep):
     saved_run(store)
-    store.save_scores(KEY, CONTENT, grid(), ERRORS)
+    store.save_scores(KEY, scores(), "f")
     path = store.run_folder(KEY) / name
     path.write_bytes(path.read_bytes()[:keep])
     assert store.load_scores(KEY) is None
@@ -152,10 +159,10 @@ def test_a_damaged_file_means_scoring_again(store, name, keep):
 
 def test_scoring_cut_short_leaves_no_old_scores_behind(store, monkeypatch):
     saved_run(store)
-    store.save_scores(KEY, CONTENT, grid(), ERRORS)
+    store.save_scores(KEY, scores(), "f")
     monkeypatch.setattr(store, "write_map", lambda stem, grid: 1 / 0)
     with pytest.raises(ZeroDivisionError):
-        store.save_scores(KEY, CONTENT, grid(), ERRORS)
+        store.save_scores(KEY, scores(), "f")
     assert store.load_scores(KEY) is None
 
 
@@ -178,10 +185,12 @@ def test_a_folder_nobody_may_write_to_is_named():
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
 def test_a_full_disk_leaves_the_old_file_and_says_so(tmp_path):
-    store, path = Store(tmp_path / "out"), tmp_path / "run.json"
+    store, path = Store(tmp_path / "out"), tmp_path / "result.json"
     store.write_text(path, "old")
-    path.with_name("run.json.part").symlink_to("/dev/full")
-    with pytest.raises(StoreError, match=r"run.json: cannot be written \(No space left on device\); free some space"):
+    path.with_name("result.json.part").symlink_to("/dev/full")
+    with pytest.raises(
+        StoreError, match=r"result.json: cannot be written \(No space left on device\); free some space"
+    ):
         store.write_text(path, "new")
     assert path.read_text() == "old"
 
@@ -193,15 +202,15 @@ def test_a_map_that_finds_no_room_is_a_store_error(store, monkeypatch):
     saved_run(store)
     monkeypatch.setattr(np, "savez_compressed", full)
     with pytest.raises(StoreError, match=r"No space left on device"):
-        store.save_scores(KEY, CONTENT, grid(), None)
+        store.save_scores(KEY, scores(errors_m=None), "f")
     assert store.load_scores(KEY) is None
 
 
 def test_what_is_written_leaves_nothing_else_behind(store):
     saved_run(store)
-    store.save_scores(KEY, CONTENT, grid(), ERRORS)
+    store.save_scores(KEY, scores(), "f")
     names = sorted(str(path.relative_to(store.folder)) for path in store.folder.rglob("*") if path.is_file())
-    own = ("errors.npy", "grid.npz", "made.json", "run.json", "scores.json", "steps.bin")
+    own = ("errors.npy", "grid.npz", "result.json", "scores.json", "steps.bin")
     assert names == sorted(
         [*(f"runs/{KEY}/{name}" for name in own), f"maps/{KEY}.pgm", f"maps/{KEY}.yaml", f"trajectories/{KEY}.tum"]
     )

@@ -8,7 +8,8 @@ from rich.console import Console
 
 from evalkit.config import experiment
 from evalkit.config.experiment import Method, SequenceSpec
-from evalkit.execution.run_task import Ended
+from evalkit.core.run_result import NO_STEPS, Cause, RunResult
+from evalkit.execution.run_task import FinishedRun
 from evalkit.terminal.progress import JobLines, TimeLeft, jobs, missing, progress
 
 
@@ -53,7 +54,8 @@ def test_two_at_a_time_take_half_as_long_and_all_done_is_nothing_left(planned):
 
 def test_a_pipe_gets_one_plain_line_a_run_with_its_reason(planned):
     told = io.StringIO()
-    ends = [Ended(planned[0], "complete", "", 2.0), Ended(planned[1], "crashed", "signal [bold]11[/bold]", 2.0)]
+    crashed = RunResult(NO_STEPS, 0, Cause.SIGNAL, "signal [bold]11[/bold]")
+    ends = [FinishedRun(planned[0], RunResult(NO_STEPS, 0), 2.0), FinishedRun(planned[1], crashed, 2.0)]
     with progress(Console(file=told, soft_wrap=True), planned, 1) as shown:
         for item, ended in zip(planned, ends, strict=False):
             shown.begun(item)
@@ -82,9 +84,9 @@ def test_a_terminal_gets_a_line_only_for_what_did_not_complete(planned):
     told = io.StringIO()
     screen = Console(file=told, force_terminal=True, width=100, color_system=None)
     with progress(screen, planned, 1) as shown:
-        shown.finished(Ended(planned[0], "complete", ""))
+        shown.finished(FinishedRun(planned[0], RunResult(NO_STEPS, 0)))
         shown.answered(planned[1], 1234)
-        shown.finished(Ended(planned[1], "timeout", "[late]"))
+        shown.finished(FinishedRun(planned[1], RunResult(NO_STEPS, 0, Cause.TIME_LIMIT, "[late]")))
     assert "room seed 0 / slow: timeout ([late]), 0.0 s" in told.getvalue()
     assert "room seed 0 / fast: complete" not in told.getvalue()
 

@@ -11,9 +11,10 @@ import numpy as np
 
 from evalkit.commands.diff.snapshot import Finished, Place, Snapshot
 from evalkit.core.errors import StoreError
+from evalkit.core.run_result import NOT_EXECUTED
 from evalkit.metrics.table import Metric
 from evalkit.report.analysis.cells import Apart, Cell, apart
-from evalkit.report.analysis.standings import DECIDING, NOT_POSSIBLE, noise_floor
+from evalkit.report.analysis.standings import DECIDING, noise_floor
 from evalkit.stats.bootstrap import BootstrapDraws, Series, bootstrap_score
 
 Said = Literal["regression", "improvement", "within the limit", "no difference shown", "unchanged", "not comparable"]
@@ -300,7 +301,7 @@ def _notes(old: Snapshot, new: Snapshot, session: float) -> Iterator[str]:
     for one in (old, new):
         if one.unfinished:
             yield f"{one.folder}: {one.unfinished} runs were begun and did not end; they are left out"
-        missing = sum(run.status in NOT_POSSIBLE for run in one.runs.values())
+        missing = sum(run.status in NOT_EXECUTED for run in one.runs.values())
         if missing:
             yield f"{one.folder}: {missing} runs could not be made there"
 

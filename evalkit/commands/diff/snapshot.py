@@ -12,7 +12,7 @@ import numpy as np
 from evalkit.core.errors import StoreError
 from evalkit.io import untrusted_io
 from evalkit.report.results_json import NAME, VERSION
-from evalkit.results.store import read_steps
+from evalkit.results.store import RESULT, read_steps
 from evalkit.stats.bootstrap import Series
 
 AGAIN = "name a folder that `evalkit run` or `evalkit report` has written"
@@ -93,13 +93,14 @@ def _of_runs(folder: Path) -> Snapshot:
     runs: dict[Place, tuple[str, Finished]] = {}
     unfinished, processor = 0, ""
     for own in sorted((folder / "runs").glob("*")):
-        if not (own / "run.json").exists() or not (own / "request.json").exists():
+        if not (own / RESULT).exists() or not (own / "request.json").exists():
             unfinished += 1
             continue
-        made = _content(own / "made.json") if (own / "made.json").exists() else {}
-        when, processor = str(made.get("made", "")), str(made.get("processor", processor))
+        result = _content(own / RESULT)
+        provenance = result.get("provenance", {})
+        when, processor = str(provenance.get("executed_at", "")), str(provenance.get("processor", processor))
         try:
-            place, finished = _stored(own)
+            place, finished = _stored(own, result)
             if place not in runs or runs[place][0] <= when:
                 runs[place] = when, finished
         except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -107,14 +108,14 @@ def _of_runs(folder: Path) -> Snapshot:
     return Snapshot(str(folder), {place: run for place, (_, run) in runs.items()}, processor, unfinished)
 
 
-def _stored(own: Path) -> tuple[Place, Finished]:
+def _stored(own: Path, result: Mapping[str, Any]) -> tuple[Place, Finished]:
     """Where a stored run belongs, and how it ended."""
-    run, request = _content(own / "run.json"), _content(own / "request.json")
+    request = _content(own / "request.json")
     scored = _content(own / "scores.json")["scores"] if (own / "scores.json").exists() else {}
     parameters = dict(request.get("dataset_parameters", {}))
-    place = (run["backend"], run["sequence"], parameters.pop("seed", None))
+    place = (result["method"], result["sequence"], parameters.pop("seed", None))
     scores = {name: score["value"] for name, score in scored.items() if score["value"] is not None}
-    return place, Finished(run["status"], run["reason"], parameters, scores, _series(own))
+    return place, Finished(result["status"], result["reason"], parameters, scores, _series(own))
 
 
 def _series(own: Path) -> dict[str, Series]:

@@ -94,26 +94,26 @@ def _files(files: Iterator[tuple[str, bytes]], folder: Path) -> Iterator[Path]:
 
 
 def _maps(found: Results, folder: Path) -> Iterator[Path]:
-    for trial in found.trials:
-        if trial.grid is not None:
-            Store.existing(folder).write_map(folder / trial.key, trial.grid)
-            yield from (folder / f"{trial.key}.yaml", folder / f"{trial.key}.pgm")
+    for record in found.records:
+        if record.scores.grid is not None:
+            Store.existing(folder).write_map(folder / record.key, record.scores.grid)
+            yield from (folder / f"{record.key}.yaml", folder / f"{record.key}.pgm")
 
 
 def _bags(found: Results, folder: Path) -> Iterator[Path]:
     from evalkit.commands.export import mcap  # noqa: PLC0415 - only who exports bags pays for it
 
-    for trial in found.trials:
-        recording = found.recordings.get((trial.sequence, trial.seed))
+    for record in found.records:
+        recording = found.recordings.get((record.sequence, record.seed))
         if recording is not None:
-            yield mcap.write(folder, trial, recording)
+            yield mcap.write(folder, record, recording)
 
 
 def _recordings(found: Results, folder: Path) -> Iterator[Path]:
     from evalkit.commands.export import poses, rerun_file  # noqa: PLC0415 - rerun is big
 
     rerun_file.installed()
-    for place in dict.fromkeys((trial.sequence, trial.seed) for trial in found.trials):
-        own = [trial for trial in found.trials if (trial.sequence, trial.seed) == place]
+    for place in dict.fromkeys((record.sequence, record.seed) for record in found.records):
+        own = [record for record in found.records if (record.sequence, record.seed) == place]
         path = folder / f"{poses.run_name(*place)}.rrd"
         yield rerun_file.write(path, own, found.recordings.get(place), found.strokes)

@@ -14,10 +14,10 @@ from evalkit.commands.export.poses import world_poses
 from evalkit.core.errors import BadData
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import Trial
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.plugins.protocols import Sequence as Recording
+from evalkit.results.run_record import RunRecord
 
 WORLD, BASE, TRUTH, LASER = "world", "base_link", "truth", "laser"
 EARLIEST_NS = 10**9
@@ -42,16 +42,16 @@ Sent = tuple[int, str, Any]
 """When (ns), on which topic, what."""
 
 
-def write(folder: Path, trial: Trial, recording: Recording) -> Path:
+def write(folder: Path, record: RunRecord, recording: Recording) -> Path:
     """The folder of a bag (metadata.yaml and one .mcap) of one run; an old one of that name is replaced.
 
     Frames: world_from_base_link is the answer, world_from_truth the truth; /scan is in the lidar's frame.
     """
     maker = Messages()
-    path = folder / trial.key
+    path = folder / record.key
     shutil.rmtree(path, ignore_errors=True)
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_bag(path, maker, _sent(maker, trial, recording))
+    write_bag(path, maker, _sent(maker, record, recording))
     return path
 
 
@@ -81,14 +81,14 @@ def _offered(topic: str) -> list[Any]:
     ]  # fmt: skip
 
 
-def _sent(maker: Messages, trial: Trial, recording: Recording) -> Iterator[Sent]:
-    stamps, poses = world_poses(trial)
+def _sent(maker: Messages, record: RunRecord, recording: Recording) -> Iterator[Sent]:
+    stamps, poses = world_poses(record)
     shift = max(EARLIEST_NS - int(stamps[0]), 0)
     begin = int(stamps[0]) + shift
     yield begin, "/estimate", maker.path(stamps + shift, poses)
-    if trial.grid is not None:
-        yield begin, "/map", maker.grid(begin, trial.grid)
-    true = trial.truth.trajectory
+    if record.scores.grid is not None:
+        yield begin, "/map", maker.grid(begin, record.scores.grid)
+    true = record.truth.trajectory
     if true is not None and len(true):
         yield begin, "/truth", maker.path(true.stamps_ns + shift, true.poses)
         reached = stamps[(stamps >= true.stamps_ns[0]) & (stamps <= true.stamps_ns[-1])]

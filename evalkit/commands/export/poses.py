@@ -9,21 +9,21 @@ import numpy as np
 from evalkit.commands.export.latex import Files, file_name
 from evalkit.commands.export.results import Results
 from evalkit.core import se2
-from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
 from evalkit.io.tum import format_tum
+from evalkit.results.run_record import RunRecord
 
 
 def as_tum(results: Results) -> Files:
     """``<run>.tum``, start_from_base as answered, and ``<sequence>.truth.tum``."""
-    for trial in results.trials:
+    for record in results.records:
         yield (
-            f"{trial.key}.tum",
-            format_tum(trial.run.estimate, f"evalkit: {trial.method} on {trial.sequence}").encode(),
+            f"{record.key}.tum",
+            format_tum(record.result.estimate, f"evalkit: {record.method} on {record.sequence}").encode(),
         )
-    for name, trial, true in _truths(results):
-        yield f"{name}.truth.tum", format_tum(true, f"evalkit: truth on {trial.sequence}").encode()
+    for name, record, true in _truths(results):
+        yield f"{name}.truth.tum", format_tum(true, f"evalkit: truth on {record.sequence}").encode()
 
 
 def as_kitti(results: Results) -> Files:
@@ -31,14 +31,14 @@ def as_kitti(results: Results) -> Files:
 
     The format knows no times. Where the truth does not reach all scans, both hold only those it reaches.
     """
-    for trial in results.trials:
-        estimate, true = trial.run.estimate, trial.truth.trajectory
+    for record in results.records:
+        estimate, true = record.result.estimate, record.truth.trajectory
         if true is None or len(true) == 0:
-            yield f"{trial.key}.kitti.txt", _kitti(estimate.poses)
+            yield f"{record.key}.kitti.txt", _kitti(estimate.poses)
             continue
         reached = (estimate.stamps_ns >= true.stamps_ns[0]) & (estimate.stamps_ns <= true.stamps_ns[-1])
-        yield f"{trial.key}.kitti.txt", _kitti(estimate.poses[reached])
-        yield f"{trial.key}.truth.kitti.txt", _kitti(true.at(estimate.stamps_ns[reached]))
+        yield f"{record.key}.kitti.txt", _kitti(estimate.poses[reached])
+        yield f"{record.key}.truth.kitti.txt", _kitti(true.at(estimate.stamps_ns[reached]))
 
 
 def as_g2o(results: Results) -> Files:
@@ -46,17 +46,17 @@ def as_g2o(results: Results) -> Files:
 
     The edges carry the answers' own increments with the identity as information: nothing is known of their errors.
     """
-    for trial in results.trials:
-        yield f"{trial.key}.g2o", _g2o(trial.run.estimate.poses)
+    for record in results.records:
+        yield f"{record.key}.g2o", _g2o(record.result.estimate.poses)
 
 
-def _truths(results: Results) -> Iterator[tuple[str, Trial, Trajectory]]:
+def _truths(results: Results) -> Iterator[tuple[str, RunRecord, Trajectory]]:
     seen = set()
-    for trial in results.trials:
-        place = trial.sequence, trial.seed
-        if trial.truth.trajectory is not None and place not in seen:
+    for record in results.records:
+        place = record.sequence, record.seed
+        if record.truth.trajectory is not None and place not in seen:
             seen.add(place)
-            yield run_name(*place), trial, trial.truth.trajectory
+            yield run_name(*place), record, record.truth.trajectory
 
 
 def run_name(sequence: str, seed: int | None) -> str:
@@ -84,7 +84,7 @@ def _words(row: list[float]) -> str:
     return " ".join(f"{value:.12g}" for value in row)
 
 
-def world_poses(trial: Trial) -> tuple[Stamps, Floats]:
+def world_poses(record: RunRecord) -> tuple[Stamps, Floats]:
     """Stamps (N,) and poses (N, 3) of the base as answered, in the frame of the truth or, without one, of the map."""
-    estimate = trial.run.estimate
-    return estimate.stamps_ns, se2.compose(trial.world_from_start.row, estimate.poses)
+    estimate = record.result.estimate
+    return estimate.stamps_ns, se2.compose(record.scores.world_from_start.row, estimate.poses)

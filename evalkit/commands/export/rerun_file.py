@@ -13,10 +13,10 @@ import numpy as np
 from evalkit.commands.export.poses import world_poses
 from evalkit.core import se2
 from evalkit.core.errors import NotInstalled
-from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
 from evalkit.plugins.protocols import Sequence as Recording
 from evalkit.report.html.figures import Strokes
+from evalkit.results.run_record import RunRecord
 
 TIMELINE = "recording"
 MAX_SCANS = 500
@@ -31,7 +31,7 @@ def installed() -> Any:
         raise NotInstalled("rerun", f"cannot be imported ({error})", "pip install 'evalkit[rerun]'") from error
 
 
-def write(path: Path, trials: Sequence[Trial], recording: Recording | None, strokes: Strokes) -> Path:
+def write(path: Path, records: Sequence[RunRecord], recording: Recording | None, strokes: Strokes) -> Path:
     """The ``.rrd`` file of a sequence's runs of one seed; at least one.
 
     Entities: world/truth, world/<method> with path, base, scan and map, errors/<method>. Metres, z up; seconds
@@ -39,35 +39,37 @@ def write(path: Path, trials: Sequence[Trial], recording: Recording | None, stro
     """
     rerun = installed()
     path.parent.mkdir(parents=True, exist_ok=True)
-    begin = min(int(trial.run.steps["stamp_ns"][0]) for trial in trials)
+    begin = min(int(record.result.steps["stamp_ns"][0]) for record in records)
     stream = rerun.RecordingStream("evalkit", recording_id=path.stem, send_properties=False)
     stream.save(path)
     stream.log("world", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    true = next((trial.truth.trajectory for trial in trials if trial.truth.trajectory is not None), None)
+    true = next((record.truth.trajectory for record in records if record.truth.trajectory is not None), None)
     if true is not None and len(true):
         stream.log("world/truth", rerun.LineStrips3D([_lifted(true.poses[:, :2])], colors=[[0, 0, 0]]), static=True)
-    for trial in trials:
-        _log(rerun, stream, trial, recording, _rgb(strokes[trial.method].colour), begin)
+    for record in records:
+        _log(rerun, stream, record, recording, _rgb(strokes[record.method].colour), begin)
     stream.flush()
     stream.disconnect()
     return path
 
 
-def _log(rerun: Any, stream: Any, trial: Trial, recording: Recording | None, colour: list[int], begin: int) -> None:
-    name = re.sub(r"[^A-Za-z0-9_.-]+", "-", trial.method)
-    stamps, poses = world_poses(trial)
+def _log(
+    rerun: Any, stream: Any, record: RunRecord, recording: Recording | None, colour: list[int], begin: int
+) -> None:
+    name = re.sub(r"[^A-Za-z0-9_.-]+", "-", record.method)
+    stamps, poses = world_poses(record)
     stream.log(f"world/{name}/path", rerun.LineStrips3D([_lifted(poses[:, :2])], colors=[colour]), static=True)
-    if trial.grid is not None:
-        walls = _lifted(trial.grid.centres(trial.grid.occupied()))
-        dots = rerun.Points3D(walls, radii=0.5 * trial.grid.resolution_m, colors=[120, 120, 120])
+    if record.scores.grid is not None:
+        walls = _lifted(record.scores.grid.centres(record.scores.grid.occupied()))
+        dots = rerun.Points3D(walls, radii=0.5 * record.scores.grid.resolution_m, colors=[120, 120, 120])
         stream.log(f"world/{name}/map", dots, static=True)
     scans = _scans(recording, stamps.tolist())
     for at, (stamp, row) in enumerate(zip(stamps.tolist(), poses, strict=True)):
         stream.set_time(TIMELINE, duration=np.timedelta64(stamp - begin, "ns"))
         point = rerun.Points3D(_lifted(row[None, :2]), radii=0.08, colors=[colour])
         stream.log(f"world/{name}/base", point)
-        if trial.errors_m is not None and np.isfinite(trial.errors_m[at]):
-            stream.log(f"errors/{name}", rerun.Scalars(float(trial.errors_m[at])))
+        if record.scores.errors_m is not None and np.isfinite(record.scores.errors_m[at]):
+            stream.log(f"errors/{name}", rerun.Scalars(float(record.scores.errors_m[at])))
         if stamp in scans:
             seen = _lifted(se2.transform(row, scans[stamp]))
             stream.log(f"world/{name}/scan", rerun.Points3D(seen, radii=0.02, colors=[colour]))

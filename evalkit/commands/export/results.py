@@ -5,17 +5,18 @@ from __future__ import annotations
 import csv
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.errors import EvalkitError, StoreError, UnknownName
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import Trial
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Sequence as Recording
 from evalkit.report.html.palette import Stroke, strokes
 from evalkit.report.results_json import NAME, VERSION
+from evalkit.results.run_record import RunRecord
 from evalkit.results.store import Store
 
 AGAIN = "name a folder that `evalkit report` or `evalkit compare` has written, or make the report again"
@@ -52,7 +53,7 @@ class Heading:
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """A comparison. ``headings``: the metrics in tables; ``trials``: every run that answered a scan, with truth.
+    """A comparison. ``headings``: the metrics in tables; ``records``: every run that answered a scan, with truth.
 
     ``remarks``: what could not be had (a sequence whose files are not here, a run cut short), a sentence each.
     """
@@ -61,7 +62,7 @@ class Results:
     content: Mapping[str, Any]
     headings: tuple[Heading, ...]
     cells: tuple[Cell, ...]
-    trials: tuple[Trial, ...]
+    records: tuple[RunRecord, ...]
     recordings: Mapping[tuple[str, int | None], Recording]
     remarks: tuple[str, ...] = field(default=())
 
@@ -69,7 +70,7 @@ class Results:
     def strokes(self) -> Mapping[str, Stroke]:
         """The stroke of every method, as in the report."""
         cards: Mapping[str, Any] = self.content["methods"]
-        present = {trial["method"] for trial in self.content["trials"]}
+        present = {record["method"] for record in self.content["trials"]}
         known = [label for label in cards if label in present]
         return strokes(known, [label for label in known if cards[label]["role"] == "baseline"])
 
@@ -85,11 +86,11 @@ class Results:
         valued = {cell.sequence for cell in self.cells if cell.median is not None and cell.metric in shown}
         return tuple(label for label in self.sequences if label in valued)
 
-    def first(self, sequence: str) -> tuple[Trial, ...]:
+    def first(self, sequence: str) -> tuple[RunRecord, ...]:
         """The runs of a sequence's lowest seed: what a figure shows."""
-        own = [trial for trial in self.trials if trial.sequence == sequence]
-        lowest = min((trial.seed or 0 for trial in own), default=0)
-        return tuple(trial for trial in own if (trial.seed or 0) == lowest)
+        own = [record for record in self.records if record.sequence == sequence]
+        lowest = min((record.seed or 0 for record in own), default=0)
+        return tuple(record for record in own if (record.seed or 0) == lowest)
 
 
 def read(
@@ -110,7 +111,7 @@ def read(
     _known("method", methods, content["methods"])
     recordings, remarks = _recordings(wanted) if scans else ({}, [])
     found = [_trial(folder, one, recordings) for one in wanted if one["scans_answered"]]
-    trials = [one for one in found if isinstance(one, Trial)]
+    records = [one for one in found if isinstance(one, RunRecord)]
     remarks += [one for one in found if isinstance(one, str)]
     shown = {(one["sequence"], one["method"]) for one in wanted}
     cells = tuple(cell for cell in _cells(folder / "summary.csv") if (cell.sequence, cell.method) in shown)
@@ -119,7 +120,7 @@ def read(
     _known("metric", metrics, known)
     chosen = metrics or [name for name, one in known.items() if one["headline"]]
     headings = tuple(_heading(known[name]) for name in chosen if name in valued)
-    return Results(folder, content, headings, cells, tuple(trials), recordings, tuple(remarks))
+    return Results(folder, content, headings, cells, tuple(records), recordings, tuple(remarks))
 
 
 def _content(path: Path) -> dict[str, Any]:
@@ -176,10 +177,10 @@ def _recordings(wanted: Sequence[Mapping[str, Any]]) -> tuple[dict[tuple[str, in
     return made, list(remarks)
 
 
-def _trial(folder: Path, one: Mapping[str, Any], recordings: Mapping[Any, Recording]) -> Trial | str:
+def _trial(folder: Path, one: Mapping[str, Any], recordings: Mapping[Any, Recording]) -> RunRecord | str:
     """A run as it was left; or a text, where its files hold less than the report tells of it."""
     store = Store.existing(folder)
-    run, scored = store.load_run(one["key"]), store.load_scores(one["key"])
+    run, scored = store.load_result(one["key"]), store.load_scores(one["key"])
     answered = 0 if run is None else len(run.steps)
     if run is None or scored is None or answered != one["scans_answered"]:
         whole = answered == one["scans_answered"]
@@ -187,21 +188,9 @@ def _trial(folder: Path, one: Mapping[str, Any], recordings: Mapping[Any, Record
         who = f"{one['method']} over {one['sequence']}" + ("" if one["seed"] is None else f", seed {one['seed']}")
         return f"{who}: {what} in {folder / 'runs' / one['key']}, so it is left out; make the report again"
     recording = recordings.get((one["sequence"], one["seed"]))
-    return Trial(
-        key=one["key"],
-        method=one["method"],
-        backend=one["backend"],
-        backend_parameters=one["backend_parameters"],
-        sequence=one["sequence"],
-        dataset=one["dataset"],
-        dataset_parameters=one["dataset_parameters"],
-        seed=one["seed"],
-        command=one["command"],
-        run=run,
-        truth=recording.truth() if recording is not None else Truth("not here"),
-        scores=scored["scores"],
-        world_from_start=scored["world_from_start"],
-        grid=scored["grid"],
-        errors_m=scored["errors_m"],
-        alignment=one["alignment"],
-    )
+    method = Method(one["method"], one["backend"], one["backend_parameters"])
+    parameters = {name: value for name, value in one["dataset_parameters"].items() if name != "seed"}
+    sequence = SequenceSpec(one["sequence"], one["dataset"], parameters, (one["seed"],))
+    spec = RunSpec(one["key"], method, sequence, one["seed"])
+    truth = recording.truth() if recording is not None else Truth("not here")
+    return RunRecord(spec, run, replace(scored, alignment=one["alignment"]), truth, one["command"])

@@ -79,7 +79,7 @@ def run_of(sequence: Recording, world_from_base: Floats) -> RunResult:
     start_from_base = se2.between(world_from_base[0], world_from_base)
     for column, name in enumerate(("x", "y", "theta")):
         steps[name] = start_from_base[:, column]
-    return RunResult("given poses", "", "complete", "", steps, len(steps))
+    return RunResult(steps, len(steps))
 
 
 def maker(mapper: str, settings: Mapping[str, Value] | None = None) -> Callable[[], Mapper]:

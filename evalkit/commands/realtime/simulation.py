@@ -281,7 +281,7 @@ def _measured(sequence: LoadedSequence, stamps_ns: Ints, poses: Floats) -> dict[
     steps = np.zeros(len(stamps_ns), dtype=STEP)
     steps["stamp_ns"] = stamps_ns
     steps["x"], steps["y"], steps["theta"] = poses.T
-    run = RunResult("", "", "complete", "", steps, len(sequence.frames))
+    run = RunResult(steps, len(sequence.frames))
     evidence = Evidence(run, sequence.truth, match_trajectories(run.estimate, sequence.truth.trajectory), None, ())
     found = metrics.compute_scores(evidence, (metric for metric in metrics.METRICS if metric.name in MEASURES))
     return {name: found[name].value for name in MEASURES}

@@ -15,7 +15,7 @@ import numpy as np
 
 from evalkit import metrics
 from evalkit.core.errors import EvalkitError, plain
-from evalkit.core.run_result import STEP, RunResult, Score, Status
+from evalkit.core.run_result import STEP, Cause, RunResult, Score
 from evalkit.execution.worker import Request, record_run
 from evalkit.metrics import evaluate as scoring
 from evalkit.metrics import pairs, spans
@@ -96,18 +96,17 @@ def _sequence(dataset: str, parameters: str) -> protocols.Sequence:
 def _run(request: Request, sequence: protocols.Sequence) -> RunResult:
     """What the back end answers, as far as it comes."""
     steps = io.BytesIO()
-    status: Status = "complete"
-    reason = ""
+    cause, reason = Cause.COMPLETED, ""
     try:
         odometry = frontend.odometry(registry.backend(request.backend), request.backend_parameters)
         record_run(odometry, sequence, request, steps)
     except EvalkitError as error:
-        status, reason = "failed", str(error)
+        cause, reason = Cause.EXCEPTION, str(error)
     except Exception as error:  # noqa: BLE001 - whatever a third party's code raises is a result to report
         told = traceback.extract_tb(error.__traceback__)[-1]
-        status, reason = "failed", f"{type(error).__name__}: {error} ({told.name})"
+        cause, reason = Cause.EXCEPTION, f"{type(error).__name__}: {error} ({told.name})"
     answered = np.frombuffer(steps.getvalue(), dtype=STEP)
-    return RunResult(request.backend, request.dataset, status, plain(reason), answered, len(sequence))
+    return RunResult(answered, len(sequence), cause, plain(reason))
 
 
 def _scored(

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from evalkit.core.run_result import RunStatus
 from evalkit.execution import environment
 from evalkit.results.store import Store, write_texts
 from evalkit.terminal import options, progress
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from evalkit.commands.tune.result import Tuned
     from evalkit.commands.tune.search_loop import Searched
     from evalkit.config.experiment import Experiment
-    from evalkit.core.run_result import Trial
+    from evalkit.results.run_record import RunRecord
 
 BUDGET = 24
 FILE = ".toml"
@@ -59,8 +60,8 @@ def tune(
     text = experiment_text(tuning, found)
     plan = held_out_plan(text, shlex.quote(str(experiment)))
     write_texts(folder, {experiment.name: text})
-    trials = _judged(plan, Store(folder / "report"), workers, ran_on, collect)
-    comparison = comparison_of(plan, trials, started, datetime.now(UTC), ran_on)
+    records = _judged(plan, Store(folder / "report"), workers, ran_on, collect)
+    comparison = comparison_of(plan, records, started, datetime.now(UTC), ran_on)
     report = f"evalkit report {shlex.quote(str(experiment))} --resume --out {shlex.quote(str(folder / 'report'))}"
     _end(Tuned(tuning, found, comparison, ran_on, report), folder, as_json)
 
@@ -107,7 +108,9 @@ def _searched(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tupl
         raise
 
 
-def _judged(plan: Experiment, store: Store, workers: int, ran_on: dict[str, str], collect: bool) -> tuple[Trial, ...]:
+def _judged(
+    plan: Experiment, store: Store, workers: int, ran_on: dict[str, str], collect: bool
+) -> tuple[RunRecord, ...]:
     """Default and tuned rows on the held-out sequences, each run in a process of its own; what is done is kept."""
     from evalkit.execution.scheduler import Engine  # noqa: PLC0415 - with the search's modules
 
@@ -115,7 +118,7 @@ def _judged(plan: Experiment, store: Store, workers: int, ran_on: dict[str, str]
         err.print(line, markup=False, highlight=False)
     try:
         with progress.progress(err, list(plan.runs()), workers) as shown:
-            return Engine(plan, store, shown, workers, True, ran_on, collect=collect).trials()
+            return Engine(plan, store, shown, workers, True, ran_on, collect=collect).records()
     except KeyboardInterrupt:
         err.print("interrupted; finished runs are kept: the same command goes on from here")
         raise
@@ -133,7 +136,7 @@ def _end(told: Tuned, folder: Path, as_json: bool) -> None:
         "index.html": render(pages.document(told)),
     })  # fmt: skip
     page = folder / "index.html"
-    skipped = sum(trial.run.status == "skipped" for trial in told.comparison.trials)
+    skipped = sum(record.result.status == RunStatus.SKIPPED for record in told.comparison.records)
     if as_json:
         options.print_json(content | {"page": str(page)})
     else:

@@ -7,10 +7,11 @@ from dataclasses import dataclass
 
 from evalkit.commands.tune.plan import TUNED
 from evalkit.commands.tune.search_loop import Searched
+from evalkit.core.run_result import NOT_EXECUTED, RunStatus
 from evalkit.report.analysis.cells import Apart, Cell, apart
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.significance import Duel, duels
-from evalkit.report.analysis.standings import NOT_POSSIBLE, Standing, deciding, difference
+from evalkit.report.analysis.standings import Standing, deciding, difference
 
 
 @dataclass(frozen=True)
@@ -85,5 +86,5 @@ def _on_sequence(comparison: Comparison, sequence: str, label: str) -> OnSequenc
 
 
 def _lost(comparison: Comparison, label: str) -> int:
-    own = [trial.run.status for trial in comparison.trials if trial.method == label]
-    return sum(status != "complete" and status not in NOT_POSSIBLE for status in own)
+    own = [record.result.status for record in comparison.records if record.method == label]
+    return sum(status != RunStatus.COMPLETE and status not in NOT_EXECUTED for status in own)

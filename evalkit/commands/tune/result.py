@@ -40,8 +40,8 @@ class Tuned:
         """Who completed no run at all, in the search or held out."""
         never = [one.entrant.label for one in self.found if one.failed]
         statuses: dict[str, list[str]] = {}
-        for trial in self.comparison.trials:
-            statuses.setdefault(trial.method, []).append(STATUS[trial.run.status])
+        for record in self.comparison.records:
+            statuses.setdefault(record.method, []).append(STATUS[record.result.status])
         never += [label for label, told in statuses.items() if all(each in FAILED for each in told)]
         return tuple(dict.fromkeys(never))
 

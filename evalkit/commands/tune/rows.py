@@ -7,9 +7,10 @@ from collections.abc import Sequence
 
 from evalkit.commands.tune.held_out import Held, OnSequence
 from evalkit.commands.tune.result import Tuned
+from evalkit.core.run_result import NOT_EXECUTED, RunStatus
 from evalkit.report.analysis.cells import Cell as Score
 from evalkit.report.analysis.cells import interval
-from evalkit.report.analysis.standings import NOT_POSSIBLE, STATUS, Standing, deciding
+from evalkit.report.analysis.standings import STATUS, Standing, deciding
 from evalkit.report.html.document import Block, Cell, Column, Table, Text
 
 
@@ -46,15 +47,15 @@ def _heading(name: str, found: Standing | None) -> Column:
 
 def _score(told: Tuned, label: str, sequence: str, found: Standing | None) -> Cell:
     score: Score | None = None if found is None else found.of(label)
-    own = [trial for trial in told.comparison.trials if (trial.method, trial.sequence) == (label, sequence)]
+    own = [record for record in told.comparison.records if (record.method, record.sequence) == (label, sequence)]
     if score is None or not score.values:
-        statuses = dict.fromkeys(STATUS[trial.run.status] for trial in own if trial.run.status != "complete")
-        why = score.reason if score is not None else "; ".join(trial.run.reason for trial in own[:1])
+        statuses = dict.fromkeys(STATUS[record.result.status] for record in own if not record.result.is_complete)
+        why = score.reason if score is not None else "; ".join(record.result.reason for record in own[:1])
         return Cell(", ".join(statuses) or "no value", sort=math.inf, tone="warn", tip=why)
     middle, between = score.median or 0.0, interval(score)
     shown = number(middle) if between is None else f"{number(middle)} ({number(between.low)} to {number(between.high)})"
-    made = [trial.run.status for trial in own if trial.run.status not in NOT_POSSIBLE]
-    lost = sum(status != "complete" for status in made)
+    made = [record.result.status for record in own if record.result.status not in NOT_EXECUTED]
+    lost = sum(status != RunStatus.COMPLETE for status in made)
     text = f"{shown}, {lost} of {len(made)} lost" if lost else shown
     return Cell(text, sort=middle, tone="warn" if lost else "", tip=f"{len(score.values)} runs")
 

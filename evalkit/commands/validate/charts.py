@@ -14,13 +14,13 @@ from evalkit.commands.validate.equivalence.map_cells import Layers
 from evalkit.commands.validate.paths import distances
 from evalkit.core import se2
 from evalkit.core.grid import OccupancyGrid
-from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
 from evalkit.execution.sandbox import ENDED
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve, Points
 from evalkit.report.html.document import Figure
 from evalkit.report.html.palette import TRUTH, strokes
+from evalkit.results.run_record import RunRecord
 
 MIN_M = 1e-17
 """Nothing nearer is drawn farther to the left: there are no numbers between 0 and this that mean a difference."""
@@ -75,7 +75,7 @@ def of_paths(level: Level, mine: str, twin: str) -> Iterator[Figure]:
     """Level 3: the paths, and the distance between both over time."""
     drawn: dict[str, list[Curve]] = {}
     for place, runs in level.shown["trials"].items():
-        if mine in runs and twin in runs and len(runs[mine].run.steps) and len(runs[twin].run.steps):
+        if mine in runs and twin in runs and len(runs[mine].result.steps) and len(runs[twin].result.steps):
             seconds, apart = distances(runs[mine], runs[twin])
             sequence, _, seed = place.partition(", ")
             drawn.setdefault(sequence, []).append(Curve(seed or sequence, seconds[1:], np.maximum(apart[1:], MIN_M)))
@@ -95,7 +95,7 @@ def of_paths(level: Level, mine: str, twin: str) -> Iterator[Figure]:
 def of_maps(level: Level, mine: str, twin: str) -> Iterator[Figure]:
     """Level 4: both maps on the same cells, and where they differ."""
     for place, runs in _first(level.shown["trials"]).items():
-        grids = [runs[name].grid for name in (mine, twin) if name in runs]
+        grids = [runs[name].scores.grid for name in (mine, twin) if name in runs]
         if len(grids) == 2 and grids[0] is not None and grids[1] is not None:
             layers = Layers.of(grids[1], grids[0])
             yield _map(layers, layers.b, layers.observed_b, f"{place}: {mine}", grids[0])
@@ -133,16 +133,16 @@ def _shares(series: Mapping[str, Floats], asked: int) -> list[Curve]:
     return curves
 
 
-def _walked(runs: Mapping[str, Trial], mine: str, twin: str) -> Iterator[Points]:
+def _walked(runs: Mapping[str, RunRecord], mine: str, twin: str) -> Iterator[Points]:
     truth = next(iter(runs.values())).truth.trajectory
     if truth is not None:
         yield Points("truth", truth.poses[:, :2], TRUTH, 2.2, joined=True, alpha=0.35)
     drawn = strokes([mine, twin, *sorted(name for name in runs if name not in (mine, twin))])
     order = [name for name in runs if name not in (mine, twin)] + [name for name in (twin, mine) if name in runs]
     for name in order:
-        run = runs[name].run
+        run = runs[name].result
         if len(run.steps):
-            path = run.estimate.moved(runs[name].world_from_start).poses[:, :2]
+            path = run.estimate.moved(runs[name].scores.world_from_start).poses[:, :2]
             yield Points(name, path, drawn[name].colour, 1.2, joined=True)
 
 

@@ -9,18 +9,18 @@ import numpy as np
 
 from evalkit.commands.validate.acceptance import Level, Line, Outcome
 from evalkit.commands.validate.answers import Names
-from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
 from evalkit.execution.sandbox import ENDED
 from evalkit.execution.task import Result
 from evalkit.external import elf
+from evalkit.results.run_record import RunRecord
 
 MS = 1e-6
 
 
 def costs(
     paced: Mapping[str, Result], alone: Mapping[str, Result], labels: Sequence[str], registrations: Sequence[str],
-    trials: Mapping[str, Mapping[str, Trial]], names: Names, compiled: Sequence[Path] = (),
+    records: Mapping[str, Mapping[str, RunRecord]], names: Names, compiled: Sequence[Path] = (),
 ) -> Level:  # fmt: skip
     """Level 5; ``paced`` and ``alone``: whole scans, and single registrations, by place; ``labels``: their rows.
 
@@ -40,7 +40,7 @@ def costs(
                 for other in registrations
                 if other != names.mine
             ]
-    lines += _memory(trials, names)
+    lines += _memory(records, names)
     lines += [line for file in compiled for line in _static(file)]
     question = "What does a scan cost, beside the others in one process, and does it keep up with the sensor?"
     shown = {"paced": dict(paced), "alone": dict(alone), "labels": list(labels), "registrations": list(registrations)}
@@ -92,11 +92,11 @@ def _ratio(what: str, place: str, result: Result, labels: Sequence[str], mine: s
     return Line(name, place, "told", "", told)
 
 
-def _memory(trials: Mapping[str, Mapping[str, Trial]], names: Names) -> list[Line]:
+def _memory(records: Mapping[str, Mapping[str, RunRecord]], names: Names) -> list[Line]:
     """Peak resident memory of whole runs; what interpreter and data need is in every one of them."""
     lines = []
-    for place, runs in trials.items():
-        sizes = {label: trial.run.peak_memory_bytes / 2**20 for label, trial in runs.items()}
+    for place, runs in records.items():
+        sizes = {label: record.result.peak_memory_bytes / 2**20 for label, record in runs.items()}
         if sizes.get(names.mine):
             rest = ", ".join(f"{label} {size:.0f}" for label, size in sizes.items() if label != names.mine and size)
             told = f"{sizes[names.mine]:.0f} MiB with interpreter and data ({rest} MiB)"

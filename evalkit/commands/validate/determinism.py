@@ -63,10 +63,8 @@ def determinism(
             for repetition in range(repetitions):
                 folder = Path(place) / f"{number}-{repetition}"
                 folder.mkdir()
-                run = run_process.run(
-                    request, (backend, dataset), folder, limits or Limits(), lambda _: None, threading.Event(), number
-                )
-                if run.status != "complete":
+                run = run_process.run(request, folder, limits or Limits(), lambda _: None, threading.Event(), number)
+                if not run.is_complete:
                     return Determinism(backend, "no answer", np.nan, 0, {}, f"{run.status}: {run.reason}")
                 made.setdefault(number, []).append(run)
     return judged(backend, made)

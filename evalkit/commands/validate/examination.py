@@ -17,7 +17,6 @@ from evalkit.commands.validate.probes import EXACT
 from evalkit.config import experiment
 from evalkit.config.experiment import Experiment, Limits, SequenceSpec
 from evalkit.core.errors import BadParameter, NotInstalled
-from evalkit.core.run_result import Trial
 from evalkit.execution import environment, sandbox
 from evalkit.execution.scheduler import Engine, Progress
 from evalkit.execution.task import AnyTask, Parameters, Result, make_task
@@ -28,6 +27,7 @@ from evalkit.odometry import frontend
 from evalkit.plugins import code_hash, defaults, registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.protocols import BackendSpec, Value
+from evalkit.results.run_record import RunRecord
 from evalkit.results.store import Store
 
 AUTO = "auto"
@@ -105,7 +105,7 @@ class Examination:
         with watch.jobs(len(jobs), workers) as done:
             found = run_tasks(store, jobs, workers, done)
         with watch.runs(self.plan, workers) as progress:
-            trials = _placed(Engine(self.plan, Store(folder), progress, workers, resume=True, ran_on=where).trials())
+            records = _placed(Engine(self.plan, Store(folder), progress, workers, resume=True, ran_on=where).records())
         if answers.margin_of(_compared(found), self._margins()) == FLOAT32:
             copies = list(self._copies())
             with watch.jobs(len(copies), workers) as done:
@@ -113,10 +113,10 @@ class Examination:
         timed = list(self._timed())
         with watch.jobs(len(timed), 1) as done:  # alone: nothing else may run beside what is timed
             taken = run_tasks(store, timed, 1, done)
-        return self._levels(level0, found, trials, taken, where)
+        return self._levels(level0, found, records, taken, where)
 
     def _levels(
-        self, level0: Level, found: Mapping[str, Result], trials: paths.Trials, taken: Mapping[str, Result],
+        self, level0: Level, found: Mapping[str, Result], records: paths.Trials, taken: Mapping[str, Result],
         where: Mapping[str, str],
     ) -> Dossier:  # fmt: skip
         pairs, scans = _of("pairs", found), _of("scans", found)
@@ -133,10 +133,10 @@ class Examination:
             level0,
             answers.pairs(pairs, {name: of for name, of in others.items() if of}, names),
             answers.scans(scans, names),
-            paths.paths(trials, allowed, _of("copies", found), names),
-            paths.maps(trials, allowed, _of("mapper", found), self.mappers, names),
+            paths.paths(records, allowed, _of("copies", found), names),
+            paths.maps(records, allowed, _of("mapper", found), self.mappers, names),
             costs.costs(_of("time", taken), _of("time of a pair", taken), self._labels(), self._registrations(),
-                        trials, names, compiled(self.asked.backend)),
+                        records, names, compiled(self.asked.backend)),
         )  # fmt: skip
         return self._made(margin, answers.within(both, margin), levels, where)
 
@@ -357,9 +357,9 @@ def _of(kind: str, found: Mapping[str, Result]) -> dict[str, Result]:
     return {name.removeprefix(start): result for name, result in found.items() if name.startswith(start)}
 
 
-def _placed(trials: tuple[Trial, ...]) -> dict[str, dict[str, Trial]]:
-    placed: dict[str, dict[str, Trial]] = {}
-    for trial in trials:
-        place = trial.sequence if trial.seed is None else f"{trial.sequence}, seed {trial.seed}"
-        placed.setdefault(place, {})[trial.method] = trial
+def _placed(records: tuple[RunRecord, ...]) -> dict[str, dict[str, RunRecord]]:
+    placed: dict[str, dict[str, RunRecord]] = {}
+    for record in records:
+        place = record.sequence if record.seed is None else f"{record.sequence}, seed {record.seed}"
+        placed.setdefault(place, {})[record.method] = record
     return placed

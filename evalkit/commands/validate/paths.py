@@ -13,12 +13,12 @@ from evalkit.commands.validate.acceptance import Level, Line
 from evalkit.commands.validate.answers import Names, ended, words
 from evalkit.commands.validate.equivalence.map_cells import Layers
 from evalkit.core import se2
-from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
 from evalkit.execution.sandbox import ENDED
 from evalkit.execution.task import Result
 from evalkit.metrics.runtime import period_ns
 from evalkit.metrics.trajectory import MAX_GAP_S, can_interpolate, rms
+from evalkit.results.run_record import RunRecord
 from evalkit.stats.bootstrap import block_length, bootstrap_interval, paired_difference_interval
 from evalkit.stats.intervals import Interval
 
@@ -31,7 +31,7 @@ MIN_M = 1e-12
 FEWEST = 10
 """Scans whose truth must be known for an interval."""
 
-Trials = Mapping[str, Mapping[str, Trial]]
+Trials = Mapping[str, Mapping[str, RunRecord]]
 """Runs by place ("room, seed 0") and by method."""
 
 Margins = Mapping[str, tuple[float, float]]
@@ -47,10 +47,10 @@ class Errors:
     rpe: Floats
 
 
-def paths(trials: Trials, margins: Margins, rounded: Mapping[str, Result], names: Names) -> Level:
+def paths(records: Trials, margins: Margins, rounded: Mapping[str, Result], names: Names) -> Level:
     """Level 3; ``rounded``: the twin's paths over copies of a sequence that rounding has changed, for float32."""
-    lines: list[Line | None] = [*_whole({place: runs[names.mine] for place, runs in trials.items()})]
-    both = {place: runs for place, runs in trials.items() if _answered(runs, names.mine, names.twin)}
+    lines: list[Line | None] = [*_whole({place: runs[names.mine] for place, runs in records.items()})]
+    both = {place: runs for place, runs in records.items() if _answered(runs, names.mine, names.twin)}
     lines += [_same_path(place, runs, margins.get(place), names) for place, runs in both.items()]
     lines += [
         _as_rounded(place, both[place], result, margins.get(place), names)
@@ -62,18 +62,18 @@ def paths(trials: Trials, margins: Margins, rounded: Mapping[str, Result], names
         lines += [_as_good(sequence, here, names, what) for what in TITLES]
         lines += [_against(sequence, here, names, other) for other in names.against]
     question = f"Does a whole run end where {names.twin}'s does, and is it as near to the truth?"
-    return Level(3, "trajectories", question, tuple(line for line in lines if line), {"trials": trials})
+    return Level(3, "trajectories", question, tuple(line for line in lines if line), {"trials": records})
 
 
 def maps(
-    trials: Trials, margins: Margins, drawn: Mapping[str, Result], mappers: tuple[str, str], names: Names
+    records: Trials, margins: Margins, drawn: Mapping[str, Result], mappers: tuple[str, str], names: Names
 ) -> Level:
     """Level 4; ``drawn``: comparisons of its own mapper with the twin's, by place."""
     both = {
         place: runs
-        for place, runs in trials.items()
-        if _answered(runs, names.mine, names.twin) and runs[names.mine].grid is not None
-        and runs[names.twin].grid is not None
+        for place, runs in records.items()
+        if _answered(runs, names.mine, names.twin) and runs[names.mine].scores.grid is not None
+        and runs[names.twin].scores.grid is not None
     }  # fmt: skip
     lines: list[Line | None] = [_same_map(place, runs, margins.get(place), names) for place, runs in both.items()]
     lines += [_f1(sequence, both, names) for sequence in dict.fromkeys(map(_sequence, both))]
@@ -81,15 +81,15 @@ def maps(
     if not mappers[0]:
         lines.append(Line("its own mapper", "", "not applicable", "", "it comes with none; name one with --mapper"))
     question = f"Is the map drawn of its path {names.twin}'s map, cell by cell, and as true?"
-    return Level(4, "maps", question, tuple(line for line in lines if line), {"trials": trials})
+    return Level(4, "maps", question, tuple(line for line in lines if line), {"trials": records})
 
 
-def errors(trial: Trial) -> Errors:
+def errors(record: RunRecord) -> Errors:
     """Errors of a run against the truth, nan where the truth is not known."""
-    run, truth = trial.run, trial.truth.trajectory
+    run, truth = record.result, record.truth.trajectory
     stamps = run.steps["stamp_ns"]
     nothing = np.full(len(stamps), np.nan)
-    if truth is None or trial.errors_m is None or len(stamps) < 3:
+    if truth is None or record.scores.errors_m is None or len(stamps) < 3:
         return Errors(stamps, nothing, nothing)
     rpe, gap = nothing.copy(), max(1, round(1e9 / max(period_ns(run), 1.0)))
     known = np.flatnonzero(can_interpolate(truth.stamps_ns, stamps, MAX_GAP_S))
@@ -98,15 +98,15 @@ def errors(trial: Trial) -> Errors:
     poses = run.estimate.poses
     apart = se2.between(true, se2.between(poses[first], poses[first + gap]))
     rpe[first] = np.hypot(apart[:, 0], apart[:, 1])
-    return Errors(stamps, np.asarray(trial.errors_m), rpe)
+    return Errors(stamps, np.asarray(record.scores.errors_m), rpe)
 
 
-def distances(mine: Trial, theirs: Trial) -> tuple[Floats, Floats]:
+def distances(mine: RunRecord, theirs: RunRecord) -> tuple[Floats, Floats]:
     """Seconds (N,) since the first scan both answered, and how far apart (m) both were then, from the same start."""
-    stamps, a, b = np.intersect1d(mine.run.steps["stamp_ns"], theirs.run.steps["stamp_ns"], return_indices=True)
+    stamps, a, b = np.intersect1d(mine.result.steps["stamp_ns"], theirs.result.steps["stamp_ns"], return_indices=True)
     if not len(stamps):
         return np.zeros(0), np.zeros(0)
-    apart = mine.run.estimate.poses[a, :2] - theirs.run.estimate.poses[b, :2]
+    apart = mine.result.estimate.poses[a, :2] - theirs.result.estimate.poses[b, :2]
     return (stamps - stamps[0]) * 1e-9, np.asarray(np.linalg.norm(apart, axis=1))
 
 
@@ -114,33 +114,35 @@ def _sequence(place: str) -> str:
     return place.partition(",")[0]
 
 
-def _answered(runs: Mapping[str, Trial], *labels: str) -> bool:
-    return all(label in runs and len(runs[label].run.steps) > 2 for label in labels)
+def _answered(runs: Mapping[str, RunRecord], *labels: str) -> bool:
+    return all(label in runs and len(runs[label].result.steps) > 2 for label in labels)
 
 
-def _whole(runs: Mapping[str, Trial]) -> list[Line]:
+def _whole(runs: Mapping[str, RunRecord]) -> list[Line]:
     """One line for all runs that came to their end, one for each that did not."""
-    ended_well = [place for place, trial in runs.items() if trial.run.status == "complete"]
+    ended_well = [place for place, record in runs.items() if record.result.is_complete]
     lines = []
-    for place, trial in runs.items():
-        run = trial.run
+    for place, record in runs.items():
+        run = record.result
         if place not in ended_well:
             told = f"{run.status}: {run.reason}"
             answered = f"{len(run.steps)} of {run.expected} scans answered"
             lines.append(Line("runs to the end", place, "failed", "always", told, detail=answered))
     if ended_well:
-        scans = sum(len(runs[place].run.steps) for place in ended_well)
+        scans = sum(len(runs[place].result.steps) for place in ended_well)
         told = f"{len(ended_well)} of {len(runs)} runs complete, {scans} scans answered"
         lines.append(Line("runs to the end", "", "passed", "always", told, detail="; ".join(ended_well)))
     return lines
 
 
-def _same_path(place: str, runs: Mapping[str, Trial], margin: tuple[float, float] | None, names: Names) -> Line | None:
+def _same_path(
+    place: str, runs: Mapping[str, RunRecord], margin: tuple[float, float] | None, names: Names
+) -> Line | None:
     """In double precision nothing but rounding parts two equal methods; in single precision a tie may lead far."""
     if margin is None:
         return None
     seconds, apart = distances(runs[names.mine], runs[names.twin])
-    bound, reason = _bound(margin, len(apart), runs[names.twin].run.estimate.path_m)
+    bound, reason = _bound(margin, len(apart), runs[names.twin].result.estimate.path_m)
     worst = int(np.argmax(apart))
     beyond = np.flatnonzero(apart > bound)
     told = f"largest distance {apart[worst]:.2g} m, at {seconds[worst]:.1f} s; at the end {apart[-1]:.2g} m"
@@ -159,14 +161,14 @@ def _bound(margin: tuple[float, float], scans: int, path_m: float) -> tuple[floa
 
 
 def _as_rounded(
-    place: str, runs: Mapping[str, Trial], result: Result, margin: tuple[float, float] | None, names: Names
+    place: str, runs: Mapping[str, RunRecord], result: Result, margin: tuple[float, float] | None, names: Names
 ) -> Line:
     """Whether the path lies no farther from the twin's than rounding may lead."""
     name = f"as near to {names.twin}'s path as rounding allows"
     if ENDED in result:
         return ended(name, place, result, names)
     _, apart = distances(runs[names.mine], runs[names.twin])
-    own = runs[names.twin].run.estimate
+    own = runs[names.twin].result.estimate
     _, i, j = np.intersect1d(own.stamps_ns, result["stamps_ns"], return_indices=True)
     moved = [rms(np.linalg.norm(path[j, :2] - own.poses[i, :2], axis=1)) for path in result["paths"]]
     known = np.array([one for one in moved if np.isfinite(one)])
@@ -194,7 +196,7 @@ def _one_more(known: Floats) -> float:
     return math.exp(float(logarithms.mean()) + float(reach))
 
 
-def _pooled(here: Sequence[Mapping[str, Trial]], a: str, b: str, what: str) -> tuple[Floats, Floats, int]:
+def _pooled(here: Sequence[Mapping[str, RunRecord]], a: str, b: str, what: str) -> tuple[Floats, Floats, int]:
     """Errors (N,) of two methods at the same scans of all runs, and the scans in a block of ten seconds."""
     mine, theirs, block = [], [], 1
     for runs in here:
@@ -204,14 +206,14 @@ def _pooled(here: Sequence[Mapping[str, Trial]], a: str, b: str, what: str) -> t
         known = np.isfinite(pair).all(axis=0)
         mine.append(pair[0, known])
         theirs.append(pair[1, known])
-        block = max(block, block_length(max(len(i), 1), period_ns(runs[a].run) * 1e-9))
+        block = max(block, block_length(max(len(i), 1), period_ns(runs[a].result) * 1e-9))
     return np.concatenate(mine), np.concatenate(theirs), block
 
 
 TITLES = {"ate": "error of the path (ATE RMSE)", "rpe": "error of a second's motion (RPE RMSE)"}
 
 
-def _as_good(sequence: str, here: Sequence[Mapping[str, Trial]], names: Names, what: str) -> Line:
+def _as_good(sequence: str, here: Sequence[Mapping[str, RunRecord]], names: Names, what: str) -> Line:
     """Whether the error is no worse than the twin's, by more than a share of what the twin's own leaves open."""
     mine, theirs, block = _pooled(here, names.mine, names.twin, what)
     if len(mine) < FEWEST:
@@ -231,11 +233,11 @@ def _as_good(sequence: str, here: Sequence[Mapping[str, Trial]], names: Names, w
     return Line(name, sequence, "passed" if good else "failed", "as-good", told, reason)
 
 
-def _against(sequence: str, here: Sequence[Mapping[str, Trial]], names: Names, other: str) -> Line | None:
+def _against(sequence: str, here: Sequence[Mapping[str, RunRecord]], names: Names, other: str) -> Line | None:
     """How the error compares with another method's; decides nothing."""
     shared = [runs for runs in here if _answered(runs, names.mine, other)]
     if not shared:
-        ends = dict.fromkeys(runs[other].run.reason for runs in here if other in runs and runs[other].run.reason)
+        ends = dict.fromkeys(runs[other].result.reason for runs in here if other in runs and runs[other].result.reason)
         return Line(f"beside {other}", sequence, "not applicable", "", f"no run of it: {'; '.join(ends)}")
     mine, theirs, block = _pooled(shared, names.mine, other, "ate")
     if len(mine) < FEWEST:
@@ -246,8 +248,10 @@ def _against(sequence: str, here: Sequence[Mapping[str, Trial]], names: Names, o
     return Line(f"beside {other}", sequence, "told", "", told)
 
 
-def _same_map(place: str, runs: Mapping[str, Trial], margin: tuple[float, float] | None, names: Names) -> Line | None:
-    mine, theirs = runs[names.mine].grid, runs[names.twin].grid
+def _same_map(
+    place: str, runs: Mapping[str, RunRecord], margin: tuple[float, float] | None, names: Names
+) -> Line | None:
+    mine, theirs = runs[names.mine].scores.grid, runs[names.twin].scores.grid
     if mine is None or theirs is None:
         return None
     layers = Layers.of(theirs, mine)
@@ -258,7 +262,7 @@ def _same_map(place: str, runs: Mapping[str, Trial], margin: tuple[float, float]
     name = f"the map of {names.twin}, drawn by the same mapper"
     if margin is None or names.margin == "float32":
         return Line(name, place, "told", "", told)
-    bound, _ = _bound(margin, len(runs[names.twin].run.steps), runs[names.twin].run.estimate.path_m)
+    bound, _ = _bound(margin, len(runs[names.twin].result.steps), runs[names.twin].result.estimate.path_m)
     allowed = math.ceil(seen * bound / theirs.resolution_m)
     reason = (
         f"{allowed} of them: a path {bound:.2g} m off moves that share of {theirs.resolution_m:g} m cells over a border"
@@ -269,9 +273,10 @@ def _same_map(place: str, runs: Mapping[str, Trial], margin: tuple[float, float]
 def _f1(sequence: str, both: Trials, names: Names) -> Line | None:
     """Whether the walls are as true as the twin's: over seeds, against how much the twin's own score varies."""
     scores = [
-        [runs[label].scores["map_f1"].value for label in (names.mine, names.twin)]
+        [runs[label].scores.by_metric["map_f1"].value for label in (names.mine, names.twin)]
         for place, runs in both.items()
-        if _sequence(place) == sequence and all("map_f1" in runs[label].scores for label in (names.mine, names.twin))
+        if _sequence(place) == sequence
+        and all("map_f1" in runs[label].scores.by_metric for label in (names.mine, names.twin))
     ]
     known = np.array([pair for pair in scores if None not in pair], dtype=np.float64)
     if not len(known):

@@ -24,7 +24,7 @@ MAX_GUESSED = 50.0
 class Cell:
     """One metric of one method over one sequence.
 
-    ``values``: one per complete run that has a score, in the order of the trials. ``partial``: the same for runs that
+    ``values``: one per complete run that has a score, in the order of the records. ``partial``: the same for runs that
     ended early; they never enter a median. ``reason``: why there is no value, "" where there is one. ``seeds``: those
     of ``values``; ``drawn``: what each might as well have been, None where nobody can tell. ``guessed_percent``: scans
     it left to the guess, 0 where unknown.

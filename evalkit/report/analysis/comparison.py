@@ -1,4 +1,4 @@
-"""What a report is made from: the trials, the metrics they were scored with, and a card for everyone who took part."""
+"""What a report is made from: the records, the metrics they were scored with, and a card for everyone who took part."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ from datetime import datetime
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-from evalkit.core.run_result import Trial
 from evalkit.metrics.series import SERIES
 from evalkit.metrics.table import Metric
 from evalkit.plugins.protocols import Published, Role, Sequence, Value
-from evalkit.report.analysis.bootstrap import TrialBootstrap
+from evalkit.report.analysis.bootstrap import RecordBootstrap
+from evalkit.results.run_record import RunRecord
 
 if TYPE_CHECKING:
     from evalkit.report.analysis.standings import Standing
@@ -67,8 +67,8 @@ class SequenceCard:
 class Comparison:
     """Everything one report tells.
 
-    ``trials``: one per method, sequence and seed, failed ones included. ``methods``, ``sequences``: cards by
-    the labels in the trials; rows and sections keep the order of the cards. ``environment``: what it ran on (CPU,
+    ``records``: one per method, sequence and seed, failed ones included. ``methods``, ``sequences``: cards by
+    the labels in the records; rows and sections keep the order of the cards. ``environment``: what it ran on (CPU,
     threads, versions, commit). ``command``: reproduces the whole report. ``mapper``: what drew every map, with its
     settings. ``fairness``: what was held equal and what was not (guess, threads, warm-up), one sentence each.
     ``scans``: what makes a sequence again as its lowest seed met it, for the page's player.
@@ -76,7 +76,7 @@ class Comparison:
 
     title: str
     description: str
-    trials: tuple[Trial, ...]
+    records: tuple[RunRecord, ...]
     metrics: tuple[Metric, ...]
     methods: Mapping[str, MethodCard]
     sequences: Mapping[str, SequenceCard]
@@ -89,47 +89,47 @@ class Comparison:
     scans: Mapping[str, Callable[[], Sequence]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for name in ("trials", "metrics", "fairness"):
+        for name in ("records", "metrics", "fairness"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         seen: set[tuple[str, str, int | None]] = set()
-        for trial in self.trials:
-            if trial.method not in self.methods:
-                raise ValueError(f"methods: no card for '{trial.method}'")
-            if trial.sequence not in self.sequences:
-                raise ValueError(f"sequences: no card for '{trial.sequence}'")
-            row = (trial.method, trial.sequence, trial.seed)
+        for record in self.records:
+            if record.method not in self.methods:
+                raise ValueError(f"methods: no card for '{record.method}'")
+            if record.sequence not in self.sequences:
+                raise ValueError(f"sequences: no card for '{record.sequence}'")
+            row = (record.method, record.sequence, record.seed)
             if row in seen:
                 raise ValueError(f"trials: {row[0]} over {row[1]} with seed {row[2]} stands there twice")
             seen.add(row)
 
     @cached_property
-    def bootstrap(self) -> TrialBootstrap:
-        """Bootstrap draws of the trials' scores, computed once and cached."""
-        return TrialBootstrap(self.trials, SERIES)
+    def bootstrap(self) -> RecordBootstrap:
+        """Bootstrap draws of the records' scores, computed once and cached."""
+        return RecordBootstrap(self.records, SERIES)
 
     @cached_property
     def standings(self) -> dict[tuple[str, str], Standing]:
         """Standings already made, by sequence and metric: each is asked for many times."""
         return {}
 
-    def of_sequence(self, sequence: str) -> tuple[Trial, ...]:
-        """The trials over one sequence, in order."""
-        return tuple(trial for trial in self.trials if trial.sequence == sequence)
+    def of_sequence(self, sequence: str) -> tuple[RunRecord, ...]:
+        """The records over one sequence, in order."""
+        return tuple(record for record in self.records if record.sequence == sequence)
 
     @property
     def method_labels(self) -> tuple[str, ...]:
-        """The labels of the methods that have trials, in the order of their cards."""
-        present = {trial.method for trial in self.trials}
+        """The labels of the methods that have records, in the order of their cards."""
+        present = {record.method for record in self.records}
         return tuple(label for label in self.methods if label in present)
 
     @property
     def sequence_labels(self) -> tuple[str, ...]:
-        """The labels of the sequences that have trials, in the order of their cards."""
-        present = {trial.sequence for trial in self.trials}
+        """The labels of the sequences that have records, in the order of their cards."""
+        present = {record.sequence for record in self.records}
         return tuple(label for label in self.sequences if label in present)
 
-    def by_method(self, sequence: str) -> dict[str, tuple[Trial, ...]]:
-        """The trials over one sequence under their methods, in the order of the cards, lowest seed first."""
-        trials = sorted(self.of_sequence(sequence), key=lambda trial: -1 if trial.seed is None else trial.seed)
-        grouped = {label: tuple(t for t in trials if t.method == label) for label in self.methods}
+    def by_method(self, sequence: str) -> dict[str, tuple[RunRecord, ...]]:
+        """The records over one sequence under their methods, in the order of the cards, lowest seed first."""
+        records = sorted(self.of_sequence(sequence), key=lambda record: -1 if record.seed is None else record.seed)
+        grouped = {label: tuple(t for t in records if t.method == label) for label in self.methods}
         return {label: own for label, own in grouped.items() if own}

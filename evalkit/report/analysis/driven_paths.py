@@ -7,11 +7,11 @@ from statistics import median
 
 import numpy as np
 
-from evalkit.core.run_result import Trial
 from evalkit.core.trajectory import Trajectory
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.map_agreement import disagrees
 from evalkit.report.analysis.standings import deciding
+from evalkit.results.run_record import RunRecord
 
 STEP_M = 0.05
 """A path is summed over poses at least so far apart, so that the noise of one that stands still adds nothing."""
@@ -19,18 +19,20 @@ STEP_M = 0.05
 
 def driven(comparison: Comparison, sequence: str) -> tuple[tuple[str, str], ...]:
     """Name and text of each thing measured, over all seeds; empty where nobody answered a scan."""
-    answered = [trial for trial in comparison.of_sequence(sequence) if len(trial.run.steps)]
+    answered = [record for record in comparison.of_sequence(sequence) if len(record.result.steps)]
     if not answered:
         return ()
     longest = list(_longest(answered).values())
     facts = [("Scans answered", _scans(answered))]
-    facts.append(("Driven", f"{_span([t.run.estimate.duration_s for t in longest], 1)} s"))
+    facts.append(("Driven", f"{_span([t.result.estimate.duration_s for t in longest], 1)} s"))
     if path := _path(comparison, sequence, longest):
         facts.append(("Path", path))
-    rates = [_rate_hz(trial) for trial in longest if len(trial.run.steps) > 1]
+    rates = [_rate_hz(record) for record in longest if len(record.result.steps) > 1]
     if rates:
         facts.append(("Scan rate", f"{_span(rates, 1)} Hz (median)"))
-    beams = dict.fromkeys(str(t.dataset_parameters["beams"]) for t in longest if t.dataset_parameters.get("beams"))
+    beams = dict.fromkeys(
+        str(t.spec.dataset_parameters["beams"]) for t in longest if t.spec.dataset_parameters.get("beams")
+    )
     if beams:
         facts.append(("Beams", ", ".join(beams)))
     return tuple(facts)
@@ -49,12 +51,12 @@ def path_m(trajectory: Trajectory) -> float:
     return total + float(np.hypot(*(positions[-1] - last)))
 
 
-def alignments(trials: Sequence[Trial]) -> tuple[str, ...]:
+def alignments(records: Sequence[RunRecord]) -> tuple[str, ...]:
     """How estimates were aligned and matched with the truth: each distinct way once, with its number of runs."""
     counts: dict[str, int] = {}
-    for trial in trials:
-        if trial.alignment:
-            counts[trial.alignment] = counts.get(trial.alignment, 0) + 1
+    for record in records:
+        if record.scores.alignment:
+            counts[record.scores.alignment] = counts.get(record.scores.alignment, 0) + 1
     return tuple(f"{_aligned(text)} ({count} run{'s' if count > 1 else ''})" for text, count in counts.items())
 
 
@@ -63,27 +65,27 @@ def _aligned(text: str) -> str:
     return f"Aligned: {alignment}; matched: {rule}" if rule else f"Not aligned: {alignment}"
 
 
-def _longest(trials: Sequence[Trial]) -> dict[int | None, Trial]:
+def _longest(records: Sequence[RunRecord]) -> dict[int | None, RunRecord]:
     """Per seed the run that answered most scans: the data are the same for all."""
-    longest: dict[int | None, Trial] = {}
-    for trial in trials:
-        if trial.seed not in longest or len(trial.run.steps) > len(longest[trial.seed].run.steps):
-            longest[trial.seed] = trial
+    longest: dict[int | None, RunRecord] = {}
+    for record in records:
+        if record.seed not in longest or len(record.result.steps) > len(longest[record.seed].result.steps):
+            longest[record.seed] = record
     return longest
 
 
-def _scans(trials: Sequence[Trial]) -> str:
-    counts = sorted({(len(trial.run.steps), trial.run.expected) for trial in trials})
+def _scans(records: Sequence[RunRecord]) -> str:
+    counts = sorted({(len(record.result.steps), record.result.expected) for record in records})
     texts = [f"{answered:,} of {expected:,}" for answered, expected in counts]
     return texts[0] if len(texts) == 1 else f"{texts[0]} to {texts[-1]}, by run"
 
 
-def _path(comparison: Comparison, sequence: str, longest: Sequence[Trial]) -> str:
+def _path(comparison: Comparison, sequence: str, longest: Sequence[RunRecord]) -> str:
     """The true path while scans came; else that of the best estimate that registers scans, named; "" without any.
 
     Where nobody knows which estimate is best, it is the median of all.
     """
-    true = [found for trial in longest if (found := _true_path_m(trial)) is not None]
+    true = [found for record in longest if (found := _true_path_m(record)) is not None]
     if true:
         return f"{_span(true, 1)} m (true trajectory)"
     decision = deciding(comparison, sequence)
@@ -93,22 +95,22 @@ def _path(comparison: Comparison, sequence: str, longest: Sequence[Trial]) -> st
         return ""
     grouped = comparison.by_method(sequence)
     if disagrees(comparison, decision):
-        estimates = [path_m(trial.run.estimate) for label in ranked for trial in grouped[label]]
+        estimates = [path_m(record.result.estimate) for label in ranked for record in grouped[label]]
         return f"{median(estimates):,.1f} m (median of {len(estimates)} estimates, {_span(estimates, 1)} m)"
-    estimates = [path_m(trial.run.estimate) for trial in grouped[ranked[0]]]
+    estimates = [path_m(record.result.estimate) for record in grouped[ranked[0]]]
     return f"{_span(estimates, 1)} m (estimate of {ranked[0]})"
 
 
-def _true_path_m(trial: Trial) -> float | None:
-    trajectory, stamps = trial.truth.trajectory, trial.run.steps["stamp_ns"]
+def _true_path_m(record: RunRecord) -> float | None:
+    trajectory, stamps = record.truth.trajectory, record.result.steps["stamp_ns"]
     if trajectory is None:
         return None
     inside = (trajectory.stamps_ns >= stamps[0]) & (trajectory.stamps_ns <= stamps[-1])
     return path_m(Trajectory(trajectory.stamps_ns[inside], trajectory.poses[inside])) if inside.sum() > 1 else None
 
 
-def _rate_hz(trial: Trial) -> float:
-    return 1e9 / float(np.median(np.diff(trial.run.steps["stamp_ns"])))
+def _rate_hz(record: RunRecord) -> float:
+    return 1e9 / float(np.median(np.diff(record.result.steps["stamp_ns"])))
 
 
 def _span(values: Sequence[float], digits: int) -> str:

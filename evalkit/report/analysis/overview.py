@@ -7,19 +7,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from evalkit.core.run_result import Trial
 from evalkit.metrics.runtime import period_ns
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.map_agreement import behind_bar
 from evalkit.report.analysis.standings import deciding, method_of, unfinished
 from evalkit.report.analysis.verdict import Verdict, success
 from evalkit.report.html.formatting import joined
+from evalkit.results.run_record import RunRecord
 
 
 def overview(comparison: Comparison, verdicts: Sequence[Verdict]) -> tuple[str, ...]:
     """The whole comparison in a few sentences: success, wins, the paper's method, the bar, speed, what is unsaid."""
     sentences = [
-        success(comparison.trials),
+        success(comparison.records),
         _tally(verdicts),
         *(_paper_tally(label, verdicts) for label in method_of(comparison, "reference")),
         _bar_tally(comparison),
@@ -78,7 +78,7 @@ def _paper_tally(label: str, verdicts: Sequence[Verdict]) -> str:
 def _bar_tally(comparison: Comparison) -> str:
     """Who is worse than the bar; "" where nobody else answered, for then nobody was held against it."""
     bars = method_of(comparison, "baseline")
-    if not any(len(trial.run.steps) for trial in comparison.trials if trial.method not in bars):
+    if not any(len(record.result.steps) for record in comparison.records if record.method not in bars):
         return ""
     if not bars:
         return "Wheel odometry alone is not among the methods, so nobody was held against it."
@@ -102,8 +102,8 @@ def _bar_tally(comparison: Comparison) -> str:
 def _keeping_up(comparison: Comparison) -> str:
     """Who is slower than the sensor, of those who register and answered; "" where nobody did."""
     bars = method_of(comparison, "baseline")
-    timed = [t for t in comparison.trials if t.method not in bars and len(t.run.steps) > 1]
-    timed = [trial for trial in timed if trial.run.steps["wall_ns"].any()]
+    timed = [t for t in comparison.records if t.method not in bars and len(t.result.steps) > 1]
+    timed = [record for record in timed if record.result.steps["wall_ns"].any()]
     if not timed:
         return ""
     where: dict[str, list[str]] = {}
@@ -115,12 +115,12 @@ def _keeping_up(comparison: Comparison) -> str:
     return f"Slower than the sensor in more than 1 % of the scans: {listed}."
 
 
-def late_share(trial: Trial) -> float:
+def late_share(record: RunRecord) -> float:
     """The share of a run's scans whose wall time exceeded the sensor's period; 0 without scans."""
-    steps = trial.run.steps
+    steps = record.result.steps
     if len(steps) < 2:
         return 0.0
-    return float(np.mean(steps["wall_ns"] > period_ns(trial.run)))
+    return float(np.mean(steps["wall_ns"] > period_ns(record.result)))
 
 
 def _set_aside(comparison: Comparison, verdicts: Sequence[Verdict]) -> str:
@@ -134,8 +134,8 @@ def _set_aside(comparison: Comparison, verdicts: Sequence[Verdict]) -> str:
 
 
 def _evidence(comparison: Comparison) -> str:
-    answered = [trial for trial in comparison.trials if len(trial.run.steps)]
-    runs = Counter((trial.method, trial.sequence) for trial in answered)
+    answered = [record for record in comparison.records if len(record.result.steps)]
+    runs = Counter((record.method, record.sequence) for record in answered)
     if not runs:
         return ""
     most = max(runs.values())

@@ -9,10 +9,11 @@ from statistics import median
 
 import numpy as np
 
-from evalkit.core.run_result import Trial
+from evalkit.core.run_result import NOT_EXECUTED
 from evalkit.core.se2 import Floats
 from evalkit.report.analysis.comparison import Comparison
-from evalkit.report.analysis.standings import MARGIN_SHARE, NOT_POSSIBLE, WITH_TRUTH, Standing, deciding, method_of
+from evalkit.report.analysis.standings import MARGIN_SHARE, WITH_TRUTH, Standing, deciding, method_of
+from evalkit.results.run_record import RunRecord
 from evalkit.stats.intervals import Interval, wilson_interval
 from evalkit.stats.paired_tests import (
     SignedRankTest,
@@ -118,21 +119,21 @@ def _counted(comparison: Comparison, sequence: str) -> Standing | None:
 def _errors(comparison: Comparison, counted: Sequence[Standing], method: str) -> Runs:
     metric = {found.sequence: found.metric.name for found in counted}
     return {
-        (trial.sequence, trial.seed): _error(trial, metric[trial.sequence])
-        for trial in comparison.trials
-        if trial.method == method and trial.sequence in metric and _could_err(trial)
+        (record.sequence, record.seed): _error(record, metric[record.sequence])
+        for record in comparison.records
+        if record.method == method and record.sequence in metric and _could_err(record)
     }
 
 
-def _could_err(trial: Trial) -> bool:
+def _could_err(record: RunRecord) -> bool:
     """Whether a run could have an error at all: it was possible here, and is more than a map without trajectory."""
-    a_map_alone = trial.run.status == "complete" and not len(trial.run.steps)
-    return trial.run.status not in NOT_POSSIBLE and not a_map_alone
+    a_map_alone = record.result.is_complete and not len(record.result.steps)
+    return record.result.status not in NOT_EXECUTED and not a_map_alone
 
 
-def _error(trial: Trial, metric: str) -> float:
-    value = trial.scores[metric].value if metric in trial.scores else None
-    return math.inf if trial.run.status != "complete" or value is None else value
+def _error(record: RunRecord, metric: str) -> float:
+    value = record.scores.by_metric[metric].value if metric in record.scores.by_metric else None
+    return math.inf if not record.result.is_complete or value is None else value
 
 
 def _table(counted: Sequence[Standing], errors: Mapping[str, Runs]) -> tuple[Floats, tuple[str, ...]]:
@@ -159,8 +160,8 @@ def _mean_ranks(table: Floats) -> list[float]:
 
 
 def _record(comparison: Comparison, who: str, errors: Runs, rank: float | None, metres: set[str]) -> Record:
-    started = [t for t in comparison.trials if t.method == who and t.run.status not in NOT_POSSIBLE]
-    finished = sum(trial.run.status == "complete" for trial in started)
+    started = [t for t in comparison.records if t.method == who and t.result.status not in NOT_EXECUTED]
+    finished = sum(record.result.is_complete for record in started)
     share = wilson_interval(finished, len(started)) if started else None
     measured = [error for (sequence, _), error in errors.items() if sequence in metres]
     reach = success_quantiles(measured) if measured else ()

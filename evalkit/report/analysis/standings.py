@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Literal
 
-from evalkit.core.run_result import Status, Trial
+from evalkit.core.run_result import RunStatus
 from evalkit.metrics.table import Group, Metric
-from evalkit.report.analysis.bootstrap import TrialBootstrap
+from evalkit.report.analysis.bootstrap import RecordBootstrap
 from evalkit.report.analysis.cells import Cell, apart
 from evalkit.report.analysis.comparison import Comparison
+from evalkit.results.run_record import RunRecord
 
 # The published relations are only good to this much themselves, whatever two methods differ by.
 RELATIONS_FLOOR = {"m": 0.03, "deg": 0.4, "°": 0.4}
@@ -29,18 +30,15 @@ WITH_TRUTH: tuple[Group, ...] = DECIDING[:3]
 # What the bar cannot compete in, because it registers nothing.
 WITHOUT_BAR: tuple[Group, ...] = ("residuals", "runtime")
 
-# What no method can be blamed for.
-NOT_POSSIBLE: tuple[Status, ...] = ("not-installed", "data-missing", "skipped")
-
-STATUS: dict[Status, str] = {
-    "complete": "complete",
-    "failed": "failed",
-    "crashed": "crashed",
-    "timeout": "timed out",
-    "out-of-memory": "out of memory",
-    "not-installed": "not installed",
-    "data-missing": "data missing",
-    "skipped": "not run yet",
+STATUS: dict[RunStatus, str] = {
+    RunStatus.COMPLETE: "complete",
+    RunStatus.FAILED: "failed",
+    RunStatus.CRASHED: "crashed",
+    RunStatus.TIMEOUT: "timed out",
+    RunStatus.OUT_OF_MEMORY: "out of memory",
+    RunStatus.NOT_INSTALLED: "not installed",
+    RunStatus.DATA_MISSING: "data missing",
+    RunStatus.SKIPPED: "not run yet",
 }
 
 Level = Literal["clear", "within the noise floor", "no interval", "not shown", "within the margin"]
@@ -162,20 +160,20 @@ def method_of(comparison: Comparison, role: str) -> tuple[str, ...]:
     return tuple(label for label in comparison.method_labels if comparison.methods[label].role == role)
 
 
-def unfinished(trials: Sequence[Trial]) -> tuple[Trial, ...]:
-    """The trials that did not complete, in order."""
-    return tuple(trial for trial in trials if trial.run.status != "complete")
+def unfinished(records: Sequence[RunRecord]) -> tuple[RunRecord, ...]:
+    """The records that did not complete, in order."""
+    return tuple(record for record in records if not record.result.is_complete)
 
 
-def guessed_percent(trials: Sequence[Trial]) -> float:
+def guessed_percent(records: Sequence[RunRecord]) -> float:
     """The share of scans (%) that a method left to the guess, the median over its runs; 0 where unknown."""
-    scores = [trial.scores[GUESSED].value for trial in trials if GUESSED in trial.scores]
+    scores = [record.scores.by_metric[GUESSED].value for record in records if GUESSED in record.scores.by_metric]
     known = [value for value in scores if value is not None]
     return median(known) if known else 0.0
 
 
 def _standing(comparison: Comparison, sequence: str, metric: Metric) -> Standing:
-    cells = tuple(_cell(trials, metric, comparison.bootstrap) for trials in comparison.by_method(sequence).values())
+    cells = tuple(_cell(records, metric, comparison.bootstrap) for records in comparison.by_method(sequence).values())
     bars = method_of(comparison, "baseline") if metric.group in WITHOUT_BAR else ()
     ranked = ranking(metric, [cell for cell in cells if cell.method not in bars])
     level = tuple(cell for cell in ranked if cell is ranked[0] or difference(metric, ranked[0], cell) != "clear")
@@ -188,32 +186,32 @@ def _differences(one: Cell, other: Cell) -> list[float]:
     return [value - theirs[seed] for seed, value in zip(one.seeds, one.values, strict=True) if seed in theirs]
 
 
-def _cell(trials: Sequence[Trial], metric: Metric, bootstrap: TrialBootstrap) -> Cell:
-    complete = [trial for trial in trials if trial.run.status == "complete"]
-    scored = [(t, t.scores[metric.name]) for t in complete if metric.name in t.scores]
+def _cell(records: Sequence[RunRecord], metric: Metric, bootstrap: RecordBootstrap) -> Cell:
+    complete = [record for record in records if record.result.is_complete]
+    scored = [(t, t.scores.by_metric[metric.name]) for t in complete if metric.name in t.scores.by_metric]
     known = [(t, score.value, score.support) for t, score in scored if score.value is not None]
-    ended = [t.scores[metric.name].value for t in unfinished(trials) if metric.name in t.scores]
+    ended = [t.scores.by_metric[metric.name].value for t in unfinished(records) if metric.name in t.scores.by_metric]
     return Cell(
-        trials[0].method,
+        records[0].method,
         tuple(value for _, value, _ in known),
         tuple(value for value in ended if value is not None),
         len(complete),
-        len(trials),
+        len(records),
         int(median(support for *_, support in known)) if known else 0,
-        "" if known else _why_none(trials, metric),
+        "" if known else _why_none(records, metric),
         tuple(t.seed for t, *_ in known),
         guessed_percent(complete),
         tuple(bootstrap.draws(t, metric.name) for t, *_ in known),
     )
 
 
-def _why_none(trials: Sequence[Trial], metric: Metric) -> str:
+def _why_none(records: Sequence[RunRecord], metric: Metric) -> str:
     reasons = [
-        trial.scores[metric.name].reason
-        for trial in trials
-        if trial.run.status == "complete" and metric.name in trial.scores
+        record.scores.by_metric[metric.name].reason
+        for record in records
+        if record.result.is_complete and metric.name in record.scores.by_metric
     ]
-    reasons += [f"{STATUS[trial.run.status]}: {trial.run.reason}" for trial in unfinished(trials)]
+    reasons += [f"{STATUS[record.result.status]}: {record.result.reason}" for record in unfinished(records)]
     return "; ".join(dict.fromkeys(reasons)) or "not scored"
 
 

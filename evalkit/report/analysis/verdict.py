@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Literal
 
-from evalkit.core.run_result import Trial
+from evalkit.core.run_result import NOT_EXECUTED
 from evalkit.metrics.table import Metric
 from evalkit.report.analysis import warnings
 from evalkit.report.analysis.cells import Cell, apart
@@ -16,7 +16,6 @@ from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.map_agreement import MEASURES, behind_bar, by_maps, consensus, disagrees
 from evalkit.report.analysis.standings import (
     MARGIN_SHARE,
-    NOT_POSSIBLE,
     STATUS,
     WITH_TRUTH,
     Standing,
@@ -27,6 +26,7 @@ from evalkit.report.analysis.standings import (
     unfinished,
 )
 from evalkit.report.html.formatting import amount, difference, figure, gap, joined, plain, told
+from evalkit.results.run_record import RunRecord
 
 Outcome = Literal["winner", "ahead", "level", "unrivalled", "disagreement", "degenerate", "nothing"]
 SAME = {"stretches": "on the same scans", "runs": "run by run"}
@@ -53,9 +53,9 @@ def verdict(comparison: Comparison, sequence: str) -> Verdict:
     """The verdict over one sequence: success first, then who leads, then the paper's method, the bar and the cost."""
     found = deciding(comparison, sequence)
     degenerate = comparison.sequences[sequence].degenerate
-    trials = comparison.of_sequence(sequence)
+    records = comparison.of_sequence(sequence)
     outcome = _outcome(comparison, found, degenerate)
-    sentences = [success(trials), warnings.of_data(trials)]
+    sentences = [success(records), warnings.of_data(records)]
     if degenerate:
         sentences.append(f"Degenerate by design: {plain(degenerate)}. The order below is no ranking.")
     if found is None:
@@ -64,22 +64,22 @@ def verdict(comparison: Comparison, sequence: str) -> Verdict:
         sentences += [_told(comparison, found, outcome), warnings.of_guesses(comparison, sequence)]
         sentences += [_paper(comparison, found) if outcome not in ("degenerate", "disagreement") else ""]
         sentences += [_bar(comparison, found), *warnings.of_evidence(found)]
-    sentences += [_cost(comparison, sequence), warnings.of_times(trials)]
+    sentences += [_cost(comparison, sequence), warnings.of_times(records)]
     counts = outcome in LED and found is not None and found.metric.group in WITH_TRUTH
     leaders = _leading(comparison, found) if found and outcome in LED else ()
     repeated = found is not None and found.repeated
     return Verdict(sequence, outcome, counts, leaders, tuple(s for s in sentences if s), repeated)
 
 
-def success(trials: Sequence[Trial]) -> str:
+def success(records: Sequence[RunRecord]) -> str:
     """How many runs finished; then what could not start here, and what did not finish, by method."""
-    if not trials:
+    if not records:
         return "There was nothing to run."
-    missing = unfinished(trials)
-    absent = [trial for trial in missing if trial.run.status in NOT_POSSIBLE]
-    broken = [trial for trial in missing if trial.run.status not in NOT_POSSIBLE]
-    expected = Counter(trial.method for trial in trials)
-    sentences = [f"{len(trials) - len(missing)} of {len(trials)} runs finished."]
+    missing = unfinished(records)
+    absent = [record for record in missing if record.result.status in NOT_EXECUTED]
+    broken = [record for record in missing if record.result.status not in NOT_EXECUTED]
+    expected = Counter(record.method for record in records)
+    sentences = [f"{len(records) - len(missing)} of {len(records)} runs finished."]
     if broken:
         sentences.append(f"Did not finish: {_ends(broken, expected)}.")
     if absent:
@@ -87,10 +87,10 @@ def success(trials: Sequence[Trial]) -> str:
     return " ".join(sentences)
 
 
-def _ends(trials: Sequence[Trial], expected: Mapping[str, int]) -> str:
+def _ends(records: Sequence[RunRecord], expected: Mapping[str, int]) -> str:
     ends: dict[str, Counter[str]] = {}
-    for trial in trials:
-        ends.setdefault(trial.method, Counter())[STATUS[trial.run.status]] += 1
+    for record in records:
+        ends.setdefault(record.method, Counter())[STATUS[record.result.status]] += 1
     return joined(
         f"{who} ({', '.join(f'{count} of {expected[who]} {end}' for end, count in counts.items())})"
         for who, counts in ends.items()

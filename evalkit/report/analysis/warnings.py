@@ -6,7 +6,6 @@ import re
 from collections import defaultdict
 from collections.abc import Sequence
 
-from evalkit.core.run_result import Trial
 from evalkit.metrics.table import Metric
 from evalkit.metrics.validated import shipped
 from evalkit.report.analysis.cells import MAX_GUESSED
@@ -14,6 +13,7 @@ from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.map_agreement import by_maps
 from evalkit.report.analysis.standings import Standing, guessed_percent
 from evalkit.report.html.formatting import bounds, joined, plain
+from evalkit.results.run_record import RunRecord
 
 # Notes that tell of scans that never reached anybody; readers name them by these words.
 LOST_SCANS = re.compile(r"^(?!reference).*\b(damaged|skipped|dropped)\b|^scans .*left out")
@@ -47,12 +47,12 @@ def _trust(metric: Metric) -> list[str]:
     ]
 
 
-def of_data(trials: Sequence[Trial]) -> str:
+def of_data(records: Sequence[RunRecord]) -> str:
     """A sentence on scans that were damaged or left out, if they are more than 1 % of a run's scans; else ""."""
     worst: dict[str, tuple[int, float]] = {}
-    for trial in trials:
-        for name, count in trial.run.notes.items():
-            percent = 100.0 * count / max(trial.run.expected, 1)
+    for record in records:
+        for name, count in record.result.notes.items():
+            percent = 100.0 * count / max(record.result.expected, 1)
             if LOST_SCANS.search(name) and percent > worst.get(name, (0, MAX_LOST_PERCENT))[1]:
                 worst[name] = (int(count), percent)
     if not worst:
@@ -61,12 +61,14 @@ def of_data(trials: Sequence[Trial]) -> str:
     return f"The data are damaged: {listed}."
 
 
-def of_times(trials: Sequence[Trial]) -> str:
+def of_times(records: Sequence[RunRecord]) -> str:
     """A sentence on times that were measured on different processors, which no ranking can compare; else ""."""
-    timed = [trial for trial in trials if len(trial.run.steps) and trial.run.steps["wall_ns"].any()]
+    timed = [record for record in records if len(record.result.steps) and record.result.steps["wall_ns"].any()]
     by_processor: dict[str, list[str]] = defaultdict(list)
-    for trial in timed:
-        by_processor[trial.processor or "a processor nobody noted"].append(trial.method)
+    for record in timed:
+        by_processor[str(record.result.provenance.get("processor", "")) or "a processor nobody noted"].append(
+            record.method
+        )
     if len(by_processor) < 2:
         return ""
     who = joined(f"those of {joined(dict.fromkeys(them))} on {where}" for where, them in sorted(by_processor.items()))
@@ -76,7 +78,7 @@ def of_times(trials: Sequence[Trial]) -> str:
 def of_guesses(comparison: Comparison, sequence: str) -> str:
     """Sentences on who left more than 10 % of the scans to the guess, and who cannot be ranked for it; else ""."""
     grouped = comparison.by_method(sequence).items()
-    shares = {who: guessed_percent([t for t in own if t.run.status == "complete"]) for who, own in grouped}
+    shares = {who: guessed_percent([t for t in own if t.result.is_complete]) for who, own in grouped}
     named = {who: share for who, share in shares.items() if share > NAMED_GUESSED}
     if not named:
         return ""

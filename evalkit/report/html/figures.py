@@ -17,10 +17,10 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from evalkit.core import se2
-from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats
 from evalkit.metrics.runtime import period_ns
 from evalkit.report.html.palette import TRUTH, Stroke
+from evalkit.results.run_record import RunRecord
 
 POINTS = 600  # of a drawn line: more cannot be seen at this size
 STRETCHES = 150  # of a noisy line: more cannot be told apart
@@ -65,12 +65,12 @@ class Drawing:
     pdf: Callable[[], bytes] = bytes
 
 
-def trajectories(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
+def trajectories(records: Sequence[RunRecord], strokes: Strokes) -> Drawing | None:
     """The paths seen from above, aligned to the truth (black) where there is one; None if nobody moved a scan."""
-    paths = {trial.method: world_path(trial) for trial in trials if len(trial.run.steps)}
+    paths = {record.method: world_path(record) for record in records if len(record.result.steps)}
     if not paths:
         return None
-    true = next((t.truth.trajectory.poses[:, :2] for t in trials if t.truth.trajectory is not None), None)
+    true = next((t.truth.trajectory.poses[:, :2] for t in records if t.truth.trajectory is not None), None)
     low, high = _frame([true] if true is not None else list(paths.values()))
     outside = [label for label, path in paths.items() if ((path < low) | (path > high)).any()]
 
@@ -85,12 +85,12 @@ def trajectories(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
     return _drawing(draw, f"{', '.join(outside)} leaves the frame." if outside else "")
 
 
-def errors(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
+def errors(records: Sequence[RunRecord], strokes: Strokes) -> Drawing | None:
     """The distance to the truth over time, the largest of each stretch; None where there is no true trajectory."""
     lines = {}
-    for trial in trials:
-        if trial.errors_m is not None and np.isfinite(trial.errors_m).any():
-            lines[trial.method] = _binned(_seconds(trial), trial.errors_m, np.max, POINTS)
+    for record in records:
+        if record.scores.errors_m is not None and np.isfinite(record.scores.errors_m).any():
+            lines[record.method] = _binned(_seconds(record), record.scores.errors_m, np.max, POINTS)
     if not lines:
         return None
     finals = [float(np.median(values)) for _, values in lines.values()]
@@ -109,17 +109,17 @@ def errors(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
     return _drawing(draw, "Logarithmic axis." if wide else "")
 
 
-def runtimes(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
+def runtimes(records: Sequence[RunRecord], strokes: Strokes) -> Drawing | None:
     """CPU time per scan: box 25 to 75 %, whiskers 5 to 95 %, dot the longest; line: the scan period."""
     boxes, periods = [], []
-    for trial in trials:
-        steps = trial.run.steps
+    for record in records:
+        steps = record.result.steps
         if len(steps) < 2:
             continue
         milliseconds = np.maximum(steps["cpu_ns"], 1) * 1e-6
         low, q1, middle, q3, high = np.percentile(milliseconds, [5, 25, 50, 75, 95])
-        boxes.append((trial.method, low, q1, middle, q3, high, milliseconds.max()))
-        periods.append(period_ns(trial.run) * 1e-6)
+        boxes.append((record.method, low, q1, middle, q3, high, milliseconds.max()))
+        periods.append(period_ns(record.result) * 1e-6)
     if not boxes:
         return None
 
@@ -139,15 +139,15 @@ def runtimes(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
     return _drawing(draw, legend=False)
 
 
-def residuals(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
+def residuals(records: Sequence[RunRecord], strokes: Strokes) -> Drawing | None:
     """What the registrations say of themselves over time, scan-to-scan and scan-to-map; None if nobody tells."""
     stages = (("s2s_error", "scan to scan [m]"), ("s2m_error", "scan to map [m]"))
     lines: dict[str, dict[str, tuple[Floats, Floats]]] = {stage: {} for stage, _ in stages}
-    for trial in trials:
+    for record in records:
         for stage, _ in stages:
-            values = np.asarray(trial.run.steps[stage], dtype=np.float64)
+            values = np.asarray(record.result.steps[stage], dtype=np.float64)
             if np.isfinite(values).any():
-                lines[stage][trial.method] = _binned(_seconds(trial), values, np.median, STRETCHES)
+                lines[stage][record.method] = _binned(_seconds(record), values, np.median, STRETCHES)
     told = [(stage, title) for stage, title in stages if lines[stage]]
     if not told:
         return None
@@ -163,12 +163,12 @@ def residuals(trials: Sequence[Trial], strokes: Strokes) -> Drawing | None:
     return _drawing(draw, panels=len(told))
 
 
-def world_path(trial: Trial) -> Floats:
+def world_path(record: RunRecord) -> Floats:
     """The positions (N, 2) a run answered, in the frame of the truth (m); finite ones only."""
-    steps = trial.run.steps
+    steps = record.result.steps
     poses = np.stack([steps["x"], steps["y"], steps["theta"]], axis=-1).astype(np.float64)
     poses = poses[np.isfinite(poses).all(axis=1)]
-    return se2.compose(trial.world_from_start.row, poses)[:, :2]
+    return se2.compose(record.scores.world_from_start.row, poses)[:, :2]
 
 
 def _drawing(draw: Callable[..., None], admits: str = "", panels: int = 1, legend: bool = True) -> Drawing:
@@ -241,8 +241,8 @@ def _plain_log(axes: Axes, which: str) -> None:
     axis.set_minor_formatter("")
 
 
-def _seconds(trial: Trial) -> Floats:
-    stamps = trial.run.steps["stamp_ns"]
+def _seconds(record: RunRecord) -> Floats:
+    stamps = record.result.steps["stamp_ns"]
     return np.asarray((stamps - stamps[0]) * 1e-9)
 
 

@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from evalkit.core.grid import OccupancyGrid
-from evalkit.core.run_result import Trial
 from evalkit.metrics.table import Metric
 from evalkit.metrics.validated import shipped
 from evalkit.report.analysis.comparison import Comparison, SequenceCard
@@ -23,6 +22,7 @@ from evalkit.report.html.formatting import bounds, figure
 from evalkit.report.html.maps import Window, picture, window
 from evalkit.report.html.palette import Stroke, strokes
 from evalkit.report.html.player import Player, budget, player
+from evalkit.results.run_record import RunRecord
 
 MAP_CAPTION_GROUPS = ("map against truth", "map consistency")
 
@@ -59,7 +59,7 @@ class Section:
     notes: Mapping[str, int]
     driven: tuple[tuple[str, str], ...]
     alignments: tuple[str, ...]
-    trials: tuple[Trial, ...]
+    records: tuple[RunRecord, ...]
 
 
 def render(comparison: Comparison, overview: Sequence[str], verdicts: Sequence[Verdict]) -> str:
@@ -86,7 +86,7 @@ def render(comparison: Comparison, overview: Sequence[str], verdicts: Sequence[V
         strokes=lines,
         places={label: place for place, label in enumerate(comparison.methods, start=1)},
         status=STATUS,
-        finished=sum(trial.run.status == "complete" for trial in comparison.trials),
+        finished=sum(record.result.is_complete for record in comparison.records),
     )
 
 
@@ -98,11 +98,11 @@ def sentence(text: str) -> str:
 def section(comparison: Comparison, verdict: Verdict, number: int, lines: Mapping[str, Stroke]) -> Section:
     """One sequence, drawn from each method's first run."""
     grouped = comparison.by_method(verdict.sequence)
-    trials = tuple(trial for own in grouped.values() for trial in own)
+    records = tuple(record for own in grouped.values() for record in own)
     first = tuple(own[0] for own in grouped.values())
-    grids = [trial.grid for trial in first if trial.grid is not None]
+    grids = [record.scores.grid for record in first if record.scores.grid is not None]
     shown = window(grids, true_grid(first)) if grids else None
-    seeds = sorted({trial.seed for trial in first if trial.seed is not None})
+    seeds = sorted({record.seed for record in first if record.seed is not None})
     scans, paper = comparison.scans.get(verdict.sequence), next(iter(method_of(comparison, "reference")), "")
     return Section(
         label=verdict.sequence,
@@ -120,15 +120,15 @@ def section(comparison: Comparison, verdict: Verdict, number: int, lines: Mappin
         absent=view_models.absent(comparison, verdict.sequence),
         methods=tuple(grouped),
         published=view_models.published(comparison, verdict.sequence),
-        failures=view_models.failures(trials),
-        notes=view_models.notes(trials),
+        failures=view_models.failures(records),
+        notes=view_models.notes(records),
         driven=driven(comparison, verdict.sequence),
-        alignments=alignments(trials),
-        trials=trials,
+        alignments=alignments(records),
+        records=records,
     )
 
 
-def drawings(trials: Sequence[Trial], lines: Mapping[str, Stroke]) -> list[Picture]:
+def drawings(records: Sequence[RunRecord], lines: Mapping[str, Stroke]) -> list[Picture]:
     """The figures of a sequence; those without anything to draw are left out."""
     planned = (
         (figures.trajectories, "Trajectories", "Seen from above, aligned to the truth where there is one."),
@@ -144,7 +144,7 @@ def drawings(trials: Sequence[Trial], lines: Mapping[str, Stroke]) -> list[Pictu
             "What each method says of itself, by its own definition. Each point is the median of a stretch.",
         ),
     )
-    made = ((draw(trials, lines), title, caption) for draw, title, caption in planned)
+    made = ((draw(records, lines), title, caption) for draw, title, caption in planned)
     return [
         Picture(_uri("svg+xml", drawing.svg), title, f"{caption} {drawing.admits}".strip())
         for drawing, title, caption in made
@@ -152,39 +152,41 @@ def drawings(trials: Sequence[Trial], lines: Mapping[str, Stroke]) -> list[Pictu
     ]
 
 
-def true_grid(trials: Sequence[Trial]) -> OccupancyGrid | None:
+def true_grid(records: Sequence[RunRecord]) -> OccupancyGrid | None:
     """The true map of a sequence, None where nobody knows it."""
-    return next((trial.truth.grid for trial in trials if trial.truth.grid is not None), None)
+    return next((record.truth.grid for record in records if record.truth.grid is not None), None)
 
 
-def map_tiles(comparison: Comparison, trials: Sequence[Trial], shown: Window) -> tuple[Picture, ...]:
+def map_tiles(comparison: Comparison, records: Sequence[RunRecord], shown: Window) -> tuple[Picture, ...]:
     """The maps in one window, the true one first."""
-    metric = _map_metric(comparison, trials)
-    true = true_grid(trials)
+    metric = _map_metric(comparison, records)
+    true = true_grid(records)
     tiles = [Picture(_uri("png", picture(true, shown)), "truth", "")] if true is not None else []
-    for trial in trials:
-        if trial.grid is not None:
-            uri = _uri("png", picture(trial.grid, shown))
-            tiles.append(Picture(uri, trial.method, _map_caption(trial, metric)))
+    for record in records:
+        if record.scores.grid is not None:
+            uri = _uri("png", picture(record.scores.grid, shown))
+            tiles.append(Picture(uri, record.method, _map_caption(record, metric)))
     return tuple(tiles)
 
 
-def _map_metric(comparison: Comparison, trials: Sequence[Trial]) -> Metric | None:
+def _map_metric(comparison: Comparison, records: Sequence[RunRecord]) -> Metric | None:
     for group in MAP_CAPTION_GROUPS:
         for metric in comparison.metrics:
-            scores = [trial.scores[metric.name] for trial in trials if metric.name in trial.scores]
+            scores = [
+                record.scores.by_metric[metric.name] for record in records if metric.name in record.scores.by_metric
+            ]
             if metric.group == group and metric.headline and any(score.value is not None for score in scores):
                 return metric
     return None
 
 
-def _map_caption(trial: Trial, metric: Metric | None) -> str:
+def _map_caption(record: RunRecord, metric: Metric | None) -> str:
     parts = []
-    score = trial.scores.get(metric.name) if metric else None
+    score = record.scores.by_metric.get(metric.name) if metric else None
     if metric and score and score.value is not None:
         parts.append(f"{metric.label} {view_models.printed(metric, score.value)} {metric.unit}".rstrip())
-    if trial.run.status != "complete":
-        parts.append(STATUS[trial.run.status])
+    if not record.result.is_complete:
+        parts.append(STATUS[record.result.status])
     return ", ".join(parts)
 
 

@@ -16,7 +16,6 @@ from scipy.spatial import cKDTree
 from evalkit.core import se2
 from evalkit.core.arrays import Ints
 from evalkit.core.grid import OccupancyGrid
-from evalkit.core.run_result import Trial
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.consistency import CLEARED, look_up_cells
@@ -25,6 +24,7 @@ from evalkit.plugins.protocols import Sequence
 from evalkit.report.html.array_encoding import NONE, Steps, packed, quantised, restored
 from evalkit.report.html.maps import Window, pixel_m
 from evalkit.report.html.palette import Stroke
+from evalkit.results.run_record import RunRecord
 
 METRE, RADIAN, RESIDUAL, MILLISECOND = 1e-3, 1e-5, 1e-4, 1_000_000
 """Steps of positions and ranges (m), of angles (rad), of residuals and errors (m), of times (ns)."""
@@ -75,7 +75,7 @@ class Player:
 
 
 def player(
-    trials: Several[Trial],
+    records: Several[RunRecord],
     scans: Callable[[], Sequence] | None,
     shown: Window | None,
     lines: Mapping[str, Stroke],
@@ -87,14 +87,14 @@ def player(
     ``scans`` makes the sequence again; without it, or where it fails, everything but the scans is there. ``preferred``
     places the scans at first.
     """
-    answered = [trial for trial in trials if len(trial.run.steps)]
+    answered = [record for record in records if len(record.result.steps)]
     if not answered:
         return None
-    stamps = np.unique(np.concatenate([trial.run.steps["stamp_ns"] for trial in answered]))
-    rows = chosen(disagreement(np.stack([world_poses(trial, stamps) for trial in answered])), MAX_SCANS)
+    stamps = np.unique(np.concatenate([record.result.steps["stamp_ns"] for record in answered]))
+    rows = chosen(disagreement(np.stack([world_poses(record, stamps) for record in answered])), MAX_SCANS)
     kept = stamps[rows]
     beams, why = _beams_of(scans, kept, most_ranges)
-    alone = [trial for trial in trials if not len(trial.run.steps) and trial.grid is not None]
+    alone = [record for record in records if not len(record.result.steps) and record.scores.grid is not None]
     true = next((t.truth.trajectory for t in answered if t.truth.trajectory is not None), None)
     content: dict[str, Any] = {
         "times": packed(quantised((kept - kept[0]) / MILLISECOND, 1.0)),
@@ -102,12 +102,12 @@ def player(
         "of": len(stamps),
         "beams": None if beams is None else _packed_beams(beams),
         "truth": None if true is None else packed(pose_steps(_at(true, kept))),
-        "runs": [_run(trial, kept, beams, lines) for trial in answered],
-        "maps": [{"label": trial.method} | _map(trial) for trial in alone],
+        "runs": [_run(record, kept, beams, lines) for record in answered],
+        "maps": [{"label": record.method} | _map(record) for record in alone],
         "window": None if shown is None else [shown.x_min, shown.x_max, shown.y_min, shown.y_max],
-        "pixels": _pixels(trials, shown),
+        "pixels": _pixels(records, shown),
     }
-    labels = tuple(trial.method for trial in answered)
+    labels = tuple(record.method for record in answered)
     first, second = _two(content["runs"], preferred)
     return Player(
         content=json.dumps(content, separators=(",", ":"), allow_nan=False),
@@ -115,10 +115,10 @@ def player(
         quantities=tuple((key, name) for key, name in QUANTITIES if any(run[key] for run in content["runs"])),
         has_truth=true is not None,
         has_true_map="" in content["pixels"],
-        told=_told(len(stamps), len(kept), beams, why, [trial.method for trial in alone]),
+        told=_told(len(stamps), len(kept), beams, why, [record.method for record in alone]),
         preferred=first,
         rival=second,
-        maps=tuple(trial.method for trial in alone),
+        maps=tuple(record.method for record in alone),
     )
 
 
@@ -127,13 +127,13 @@ def budget(sequences: int) -> int:
     return min(MAX_RANGES, MAX_ON_PAGE // max(sequences, 1))
 
 
-def world_poses(trial: Trial, stamps: Stamps) -> Floats:
+def world_poses(record: RunRecord, stamps: Stamps) -> Floats:
     """The poses ``world_from_base`` (N, 3) a run answered at those times, nan where it did not."""
-    steps = trial.run.steps
+    steps = record.result.steps
     poses = np.stack([steps["x"], steps["y"], steps["theta"]], axis=-1).astype(np.float64)
     poses[~(np.abs(poses) < FARTHEST_M).all(axis=1)] = np.nan
     found = np.full((len(stamps), 3), np.nan)
-    found[np.searchsorted(stamps, steps["stamp_ns"])] = se2.compose(trial.world_from_start.row, poses)
+    found[np.searchsorted(stamps, steps["stamp_ns"])] = se2.compose(record.scores.world_from_start.row, poses)
     return found
 
 
@@ -264,49 +264,49 @@ def _packed_beams(beams: Beams) -> dict[str, Any]:
     }
 
 
-def _run(trial: Trial, stamps: Stamps, beams: Beams | None, lines: Mapping[str, Stroke]) -> dict[str, Any]:
-    rows = np.searchsorted(trial.run.steps["stamp_ns"], stamps)
-    rows[rows == len(trial.run.steps)] = 0
-    there = trial.run.steps["stamp_ns"][rows] == stamps
+def _run(record: RunRecord, stamps: Stamps, beams: Beams | None, lines: Mapping[str, Stroke]) -> dict[str, Any]:
+    rows = np.searchsorted(record.result.steps["stamp_ns"], stamps)
+    rows[rows == len(record.result.steps)] = 0
+    there = record.result.steps["stamp_ns"][rows] == stamps
 
     def series(values: Floats | None) -> str | None:
         if values is None or not np.isfinite(values).any():
             return None
         return packed(quantised(np.where(there, np.asarray(values, dtype=np.float64)[rows], np.nan), RESIDUAL))
 
-    steps = pose_steps(world_poses(trial, trial.run.steps["stamp_ns"])[rows])
+    steps = pose_steps(world_poses(record, record.result.steps["stamp_ns"])[rows])
     steps[~there] = NONE
-    stroke = lines[trial.method]
+    stroke = lines[record.method]
     return {
-        "label": trial.method,
+        "label": record.method,
         "colour": stroke.colour,
         "dash": list(stroke.dash),
         "poses": packed(steps),
-        "s2s": series(trial.run.steps["s2s_error"]),
-        "s2m": series(trial.run.steps["s2m_error"]),
-        "error": series(trial.errors_m),
-        **_map(trial),
-        "violations": _cells(_violations_of(trial, _poses(steps), stamps, beams)),
+        "s2s": series(record.result.steps["s2s_error"]),
+        "s2m": series(record.result.steps["s2m_error"]),
+        "error": series(record.scores.errors_m),
+        **_map(record),
+        "violations": _cells(_violations_of(record, _poses(steps), stamps, beams)),
     }
 
 
-def _map(trial: Trial) -> dict[str, Any]:
+def _map(record: RunRecord) -> dict[str, Any]:
     """The side of the map's cells (m) and its ghost walls."""
-    side = METRE if trial.grid is None else trial.grid.resolution_m
-    return {"cell": side, "ghosts": _cells(_ghosts_of(trial))}
+    side = METRE if record.scores.grid is None else record.scores.grid.resolution_m
+    return {"cell": side, "ghosts": _cells(_ghosts_of(record))}
 
 
-def _ghosts_of(trial: Trial) -> Floats | None:
-    if trial.grid is None or trial.truth.grid is None:
+def _ghosts_of(record: RunRecord) -> Floats | None:
+    if record.scores.grid is None or record.truth.grid is None:
         return None
-    return ghosts(trial.grid, trial.truth.grid)
+    return ghosts(record.scores.grid, record.truth.grid)
 
 
-def _violations_of(trial: Trial, poses: Floats, stamps: Stamps, beams: Beams | None) -> Floats | None:
-    if trial.grid is None or beams is None:
+def _violations_of(record: RunRecord, poses: Floats, stamps: Stamps, beams: Beams | None) -> Floats | None:
+    if record.scores.grid is None or beams is None:
         return None
     points = placed(beams, poses, stamps).reshape(-1, 2)
-    return violations(points[np.isfinite(points).all(axis=1)], trial.grid)
+    return violations(points[np.isfinite(points).all(axis=1)], record.scores.grid)
 
 
 def _cells(centres: Floats | None) -> str | None:
@@ -325,12 +325,12 @@ def _at(true: Trajectory, stamps: Stamps) -> Floats:
     return found
 
 
-def _pixels(trials: Several[Trial], shown: Window | None) -> Mapping[str, float]:
+def _pixels(records: Several[RunRecord], shown: Window | None) -> Mapping[str, float]:
     """Metres per pixel of each map's picture, "" for the true one."""
     if shown is None:
         return {}
-    grids = {trial.method: trial.grid for trial in trials if trial.grid is not None}
-    true = next((trial.truth.grid for trial in trials if trial.truth.grid is not None), None)
+    grids = {record.method: record.scores.grid for record in records if record.scores.grid is not None}
+    true = next((record.truth.grid for record in records if record.truth.grid is not None), None)
     return {label: pixel_m(grid, shown) for label, grid in (grids | ({} if true is None else {"": true})).items()}
 
 

@@ -6,13 +6,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import median
 
-from evalkit.core.run_result import Status, Trial
+from evalkit.core.run_result import NOT_EXECUTED, RunStatus
 from evalkit.metrics.table import Metric
 from evalkit.plugins.protocols import Published
 from evalkit.report.analysis.cells import Cell, interval
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.map_agreement import disagrees, is_behind_bar
-from evalkit.report.analysis.standings import NOT_POSSIBLE, STATUS, Standing, deciding, standing, unfinished
+from evalkit.report.analysis.standings import STATUS, Standing, deciding, standing, unfinished
+from evalkit.results.run_record import RunRecord
 from evalkit.stats.intervals import wilson_interval
 
 
@@ -104,9 +105,9 @@ def headline(comparison: Comparison, sequence: str) -> Table:
     return Table(tuple(one.metric for one in present), tuple(rows), _absent(found))
 
 
-def share(trials: Sequence[Trial]) -> str:
+def share(records: Sequence[RunRecord]) -> str:
     """The 95 % interval of the share of runs that finish, of those that could start; "" where none could."""
-    started = [trial for trial in trials if trial.run.status not in NOT_POSSIBLE]
+    started = [record for record in records if record.result.status not in NOT_EXECUTED]
     if not started:
         return ""
     found = wilson_interval(len(started) - len(unfinished(started)), len(started))
@@ -180,11 +181,11 @@ def printed(metric: Metric, value: float) -> str:
     return f"{value:.{metric.digits}f}".replace("-", "\u2212")
 
 
-def failures(trials: Sequence[Trial]) -> tuple[Failure, ...]:
+def failures(records: Sequence[RunRecord]) -> tuple[Failure, ...]:
     """The runs that did not complete, those of one method with one reason together."""
-    together: dict[tuple[str, Status, str], list[Trial]] = {}
-    for trial in unfinished(trials):
-        together.setdefault((trial.method, trial.run.status, trial.run.reason), []).append(trial)
+    together: dict[tuple[str, RunStatus, str], list[RunRecord]] = {}
+    for record in unfinished(records):
+        together.setdefault((record.method, record.result.status, record.result.reason), []).append(record)
     return tuple(
         Failure(who, _seeds(alike), STATUS[status], _progress(alike), reason)
         for (who, status, reason), alike in together.items()
@@ -215,11 +216,11 @@ def published(comparison: Comparison, sequence: str) -> tuple[Metric, tuple[Refe
     return metric, tuple(sorted(references, key=lambda row: row.sort))
 
 
-def notes(trials: Sequence[Trial]) -> dict[str, int]:
+def notes(records: Sequence[RunRecord]) -> dict[str, int]:
     """Defects counted while reading a sequence: the highest count over its runs."""
     counts: dict[str, int] = {}
-    for trial in trials:
-        for name, count in trial.run.notes.items():
+    for record in records:
+        for name, count in record.result.notes.items():
             counts[name] = max(counts.get(name, 0), int(count))
     return {name: count for name, count in counts.items() if count}
 
@@ -227,19 +228,19 @@ def notes(trials: Sequence[Trial]) -> dict[str, int]:
 def _headline_metrics(comparison: Comparison, sequence: str) -> list[Metric]:
     decision = deciding(comparison, sequence)
     first = decision.metric.name if decision else ""
-    mapped = any(trial.truth.grid is not None for trial in comparison.of_sequence(sequence))
+    mapped = any(record.truth.grid is not None for record in comparison.of_sequence(sequence))
     shown = [m for m in comparison.metrics if m.headline and not (mapped and m.group == "map consistency")]
     return sorted(shown, key=lambda metric: (metric.name != first, metric.group != "runtime"))
 
 
-def _row(comparison: Comparison, label: str, trials: Sequence[Trial], present: Sequence[Standing]) -> Row:
+def _row(comparison: Comparison, label: str, records: Sequence[RunRecord], present: Sequence[Standing]) -> Row:
     cells = [(found, cell) for found in present if (cell := found.of(label)) is not None]
-    complete = len(trials) - len(unfinished(trials))
-    decision = deciding(comparison, trials[0].sequence)
+    complete = len(records) - len(unfinished(records))
+    decision = deciding(comparison, records[0].sequence)
     behind = decision is not None and is_behind_bar(comparison, decision, label)
-    degenerate = bool(comparison.sequences[trials[0].sequence].degenerate)
+    degenerate = bool(comparison.sequences[records[0].sequence].degenerate)
     numbers = tuple(number(found, cell, degenerate) for found, cell in cells)
-    return Row(label, complete, len(trials), share(trials), numbers, failures(trials), behind)
+    return Row(label, complete, len(records), share(records), numbers, failures(records), behind)
 
 
 def _glanced(comparison: Comparison, found: Standing | None, method: str) -> Number:
@@ -272,13 +273,15 @@ def _counterpart(comparison: Comparison, rows: Sequence[Published]) -> Metric | 
     return None
 
 
-def _seeds(trials: Sequence[Trial]) -> str:
-    seeds = [str(trial.seed) for trial in trials if trial.seed is not None]
+def _seeds(records: Sequence[RunRecord]) -> str:
+    seeds = [str(record.seed) for record in records if record.seed is not None]
     if not seeds:
         return ""
     return f"seed{'s' if len(seeds) > 1 else ''} {', '.join(seeds)}"
 
 
-def _progress(trials: Sequence[Trial]) -> str:
-    counts = dict.fromkeys(f"{len(t.run.steps)} of {t.run.expected} scans" for t in trials if len(t.run.steps))
+def _progress(records: Sequence[RunRecord]) -> str:
+    counts = dict.fromkeys(
+        f"{len(t.result.steps)} of {t.result.expected} scans" for t in records if len(t.result.steps)
+    )
     return f"after {' / '.join(counts)}" if counts else ""

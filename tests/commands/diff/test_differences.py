@@ -142,9 +142,11 @@ def test_markdown_is_a_table_with_the_worst_first():
 
 
 @pytest.fixture
-def folder(tmp_path, trial, build):
+def folder(tmp_path, record, build):
     def made(name, factor=1.0):
-        runs = [trial("a", "room", {ATE: factor * ate, TIME: 1.0}, seed=seed) for seed, ate in enumerate((0.02, 0.021))]
+        runs = [
+            record("a", "room", {ATE: factor * ate, TIME: 1.0}, seed=seed) for seed, ate in enumerate((0.02, 0.021))
+        ]
         write(build(runs), tmp_path / name)
         return tmp_path / name
 
@@ -184,19 +186,19 @@ def test_folders_that_cannot_be_read_say_why(folder, tmp_path):
         read(path.parent)
 
 
-def test_a_folder_of_runs_without_a_report_is_read_too(tmp_path, trial):
-    made = trial("a", "room", {ATE: 0.02}, seed=3)
+def test_a_folder_of_runs_without_a_report_is_read_too(tmp_path, record):
+    made = record("a", "room", {ATE: 0.02}, seed=3)
     own = tmp_path / "runs" / "room-s3-a-0123456789"
     own.mkdir(parents=True)
     (own / "request.json").write_text(json.dumps({"dataset_parameters": {"laps": 1.0, "seed": 3}}), encoding="utf-8")
-    (own / "run.json").write_text(
-        json.dumps({"backend": "a", "sequence": "room", "status": "complete", "reason": ""}), encoding="utf-8"
+    (own / "result.json").write_text(
+        json.dumps({"method": "a", "sequence": "room", "status": "complete", "reason": ""}), encoding="utf-8"
     )
     (own / "scores.json").write_text(
         json.dumps({"scores": {ATE: {"value": 0.02, "support": 60, "reason": ""}}}), encoding="utf-8"
     )
-    (own / "steps.bin").write_bytes(made.run.steps.tobytes())
-    np.save(own / "errors.npy", made.errors_m)
+    (own / "steps.bin").write_bytes(made.result.steps.tobytes())
+    np.save(own / "errors.npy", made.scores.errors_m)
     (tmp_path / "runs" / "room-s4-a-0123456789").mkdir()
     found = read(tmp_path)
     run = found.runs[("a", "room", 3)]

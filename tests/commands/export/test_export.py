@@ -6,7 +6,7 @@ import shutil
 import subprocess
 import sys
 from collections import Counter
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,16 +17,18 @@ from evalkit import report
 from evalkit.cli import app
 from evalkit.commands.export import latex, mcap, rerun_file
 from evalkit.commands.export.results import read
+from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.errors import DataMissing, NotInstalled, StoreError, UnknownName
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, RunResult, Score, Trial
+from evalkit.core.run_result import STEP, RunResult, Score, Scores
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import DatasetSpec
 from evalkit.report.html.formatting import as_markdown
+from evalkit.results.run_record import RunRecord
 from evalkit.results.store import Store
 
 N = 30
@@ -59,7 +61,7 @@ class Lap:
         return {}
 
 
-def trial_of(name, seed=0):
+def record_of(name, seed=0):
     steps = np.zeros(N, dtype=STEP)
     steps["stamp_ns"], steps["cpu_ns"] = STAMPS, 2_000_000
     steps["x"], steps["y"], steps["theta"] = TRUE[:, 0] + OFF[name] * np.arange(N), TRUE[:, 1], TRUE[:, 2]
@@ -71,22 +73,21 @@ def trial_of(name, seed=0):
     log_odds = np.zeros((8, 12), dtype=np.float32)
     log_odds[0], log_odds[1:4, 3:9] = 3.0, -3.0  # a wall at the lowest y
     grid = OccupancyGrid(log_odds, log_odds != 0.0, 0.0125, -1.0625, 2.5)
-    run = RunResult(name, AWKWARD, "complete", "", steps, N)
-    return Trial(f"{name}-s{seed}", name, name, {}, AWKWARD, "lap", {"seed": seed}, seed, "evalkit run x", run,
-                 Lap().truth(), scores, Pose(), grid, errors, "none")  # fmt: skip
+    run = RunResult(steps, N)
+    spec = RunSpec(f"{name}-s{seed}", Method(name, name, {}), SequenceSpec(AWKWARD, "lap", {}, (seed,)), seed)
+    return RunRecord(spec, run, Scores(scores, Pose(), "none", grid, errors), Lap().truth(), "evalkit run x")
 
 
 @pytest.fixture
 def finished(tmp_path, build, monkeypatch):
     """A results folder of two methods over an arc, as a report leaves it."""
     monkeypatch.setattr(registry, "dataset", lambda _name: DatasetSpec(lambda **_: Lap(), "", "", "", "", ""))
-    trials = [trial_of("paper"), trial_of("wheel")]
+    records = [record_of("paper"), record_of("wheel")]
     store = Store(tmp_path / "results")
-    for trial in trials:
-        store.save_run(trial.key, trial.run, {})
-        content = {"scores": {name: asdict(one) for name, one in trial.scores.items()}, "world_from_start": [0, 0, 0]}
-        store.save_scores(trial.key, content, trial.grid, trial.errors_m)
-    report.write(build(trials), store.folder)
+    for record in records:
+        store.save_result(record.spec, record.result)
+        store.save_scores(record.key, record.scores.by_metric, "")
+    report.write(build(records), store.folder)
     return store.folder
 
 
@@ -112,7 +113,7 @@ def test_csv_and_json_hold_the_wanted_rows_of_what_the_report_wrote_and_keep_the
     assert (heading.split(",")[1], row.split(",")[1]) == ("method", "wheel")
     content = json.loads(part["results.json"].read_text(encoding="utf-8"))
     jsonschema.validate(content, json.loads(part["results.schema.json"].read_text(encoding="utf-8")))
-    assert [trial["method"] for trial in content["trials"]] == list(content["methods"]) == ["wheel"]
+    assert [record["method"] for record in content["trials"]] == list(content["methods"]) == ["wheel"]
     assert content["verdicts"] == content["overview"] == []  # they compare it with who is left out
 
 
@@ -178,7 +179,7 @@ def nav2(path):
 def test_a_map_read_by_nav2s_rules_is_the_grid_it_was_made_of(finished):
     path = next(path for path in exported(finished, "map") if path.name == "paper-s0.yaml")
     cells, resolution, x, y = nav2(path)
-    grid = trial_of("paper").grid
+    grid = record_of("paper").scores.grid
     assert (resolution, x, y) == (0.0125, -1.0625, 2.5)
     assert np.array_equal(cells == 100, grid.occupied())
     assert np.array_equal(cells == 0, grid.free())
@@ -317,11 +318,11 @@ def test_an_mcap_file_read_by_the_mcap_library_holds_the_answer_the_truth_and_th
 
 def test_a_recording_that_begins_at_zero_is_moved_to_where_ros_knows_times(finished):
     found = read(finished, methods=["paper"])
-    (trial,) = found.trials
-    early = RunResult("paper", AWKWARD, "complete", "", trial.run.steps.copy(), N)
+    (record,) = found.records
+    early = RunResult(record.result.steps.copy(), N)
     early.steps.flags.writeable = True
     early.steps["stamp_ns"] -= T0
-    sent = list(mcap._sent(mcap.Messages(), replace(trial, run=early, truth=Truth("none")), Nothing()))
+    sent = list(mcap._sent(mcap.Messages(), replace(record, result=early, truth=Truth("none")), Nothing()))
     assert min(stamp for stamp, _, _ in sent) == 10**9
 
 
@@ -365,7 +366,7 @@ def test_a_sequence_whose_files_are_not_here_is_a_remark_and_the_rest_is_written
     found = read(finished)
     assert len(found.remarks) == 1
     assert "fetch it" in found.remarks[0]
-    assert [trial.truth.trajectory for trial in found.trials] == [None, None]
+    assert [record.truth.trajectory for record in found.records] == [None, None]
     assert "50-more-x-trajectories.pdf" in dict(latex.drawings(found, "pdf"))
 
 
@@ -374,7 +375,7 @@ def test_a_sequence_whose_files_are_not_here_is_a_remark_and_the_rest_is_written
     [
         ("steps.bin", 500, "of its 30 answers are in"),
         ("steps.bin", 0, "0 of its 30 answers are in"),
-        ("run.json", 20, "0 of its 30 answers are in"),
+        ("result.json", 20, "0 of its 30 answers are in"),
         ("scores.json", 20, "its alignment and map are not in"),
         ("grid.npz", 30, "its alignment and map are not in"),
     ],
@@ -383,7 +384,7 @@ def test_a_run_cut_short_is_left_out_and_said_and_the_others_are_written(finishe
     path = finished / "runs" / "paper-s0" / name
     path.write_bytes(path.read_bytes()[:left])
     found = read(finished)
-    assert [trial.method for trial in found.trials] == ["wheel"]
+    assert [record.method for record in found.records] == ["wheel"]
     (remark,) = found.remarks
     assert remark.startswith(f"paper over {AWKWARD}")
     assert said in remark

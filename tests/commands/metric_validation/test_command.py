@@ -17,7 +17,7 @@ from evalkit.commands.metric_validation.rank_agreement import reference_free
 from evalkit.core.errors import UnknownName
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import STEP, RunResult
+from evalkit.core.run_result import STEP, Cause, RunResult
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import evaluate
 from evalkit.metrics.table import Evidence
@@ -78,7 +78,7 @@ def poor():
     empty = OccupancyGrid(np.zeros((2, 2), np.float32), np.zeros((2, 2), np.bool_), 0.05, 0.0, 0.0)
     stood = Trajectory(steps["stamp_ns"], np.zeros((3, 3)))
     for rows in (steps[:0], steps):
-        run = RunResult("b", "s", "failed", "it broke", rows, 0)
+        run = RunResult(rows, 0, Cause.EXCEPTION, "it broke")
         for truth in (Truth("none"), Truth("exact", stood), Truth("exact", stood, grid=empty)):
             for grid in (None, empty):
                 yield Evidence(run, truth, match_trajectories(run.estimate, truth.trajectory), grid, (), grid, grid)

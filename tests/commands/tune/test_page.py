@@ -6,11 +6,10 @@ import math
 import numpy as np
 import pytest
 
-from evalkit.commands.tune import page, search_loop
+from evalkit.commands.tune import page, results_json, search_loop
 from evalkit.commands.tune.charts import on_frontier
 from evalkit.commands.tune.config import tuning
 from evalkit.commands.tune.result import Tuned
-from evalkit.commands.tune.results_json import record
 from evalkit.report.html.document import render
 
 ATE = "ate_rmse_m"
@@ -45,13 +44,15 @@ def found():
     return search_loop.searched(plan(), lambda jobs: {job.name: computed(job) for job in jobs})
 
 
-def told(build, trial, tuned_ate, lost=0, status="failed"):
-    trials = []
+def told(build, record, tuned_ate, lost=0, status="failed"):
+    records = []
     for seed in SEEDS:
-        trials.append(trial("a", "room", {ATE: 0.10 + 0.001 * seed}, seed=seed, error_m=0.1))
+        records.append(record("a", "room", {ATE: 0.10 + 0.001 * seed}, seed=seed, error_m=0.1))
         ended = {"status": status, "reason": "lost the plot"} if seed < lost else {}
-        trials.append(trial("a tuned", "room", {ATE: tuned_ate + 0.001 * seed}, seed=seed, error_m=tuned_ate, **ended))
-    return Tuned(plan(), found(), build(trials), {"processor": "some"}, "evalkit report tuned.toml --resume")
+        records.append(
+            record("a tuned", "room", {ATE: tuned_ate + 0.001 * seed}, seed=seed, error_m=tuned_ate, **ended)
+        )
+    return Tuned(plan(), found(), build(records), {"processor": "some"}, "evalkit report tuned.toml --resume")
 
 
 @pytest.mark.parametrize(
@@ -63,28 +64,28 @@ def told(build, trial, tuned_ate, lost=0, status="failed"):
         (0.05, 3, "overfitted: it loses 3 held-out runs, the default 0", True),
     ],
 )
-def test_what_is_worse_or_lost_on_held_out_runs_is_overfitted(build, trial, tuned_ate, lost, verdict, overfitted):
-    result = told(build, trial, tuned_ate, lost)
+def test_what_is_worse_or_lost_on_held_out_runs_is_overfitted(build, record, tuned_ate, lost, verdict, overfitted):
+    result = told(build, record, tuned_ate, lost)
     held = result.held["a"]
     assert (held.verdict, held.overfitted) == (verdict, overfitted)
     assert verdict in render(page.document(result))
 
 
 @pytest.mark.parametrize(("status", "said"), [("failed", True), ("skipped", False)])
-def test_a_run_that_is_not_made_yet_is_not_told_as_lost(build, trial, status, said):
-    assert ("3 of 10 lost" in render(page.document(told(build, trial, 0.05, 3, status)))) is said
+def test_a_run_that_is_not_made_yet_is_not_told_as_lost(build, record, status, said):
+    assert ("3 of 10 lost" in render(page.document(told(build, record, 0.05, 3, status)))) is said
 
 
-def test_the_test_over_runs_is_wilcoxons(build, trial):
-    duel = told(build, trial, 0.05).held["a"].duel
+def test_the_test_over_runs_is_wilcoxons(build, record):
+    duel = told(build, record, 0.05).held["a"].duel
     assert duel is not None
     assert (duel.runs, duel.better, duel.worse) == (10, 10, 0)
     assert duel.p == pytest.approx(2.0**-9)  # all ten runs in one direction
     assert duel.ratio == pytest.approx(0.0545 / 0.1045, rel=0.02)
 
 
-def test_the_record_holds_every_point_and_what_was_spent(build, trial):
-    whole = json.loads(json.dumps(record(told(build, trial, 0.05)), allow_nan=False))
+def test_the_record_holds_every_point_and_what_was_spent(build, record):
+    whole = json.loads(json.dumps(results_json.record(told(build, record, 0.05)), allow_nan=False))
     (backend,) = whole["backends"]
     assert whole["budget"] == {"points": 8, "seed": 0, "search_runs": 2, "confirming_runs": 4, "run_cpu_s": 60.0}
     assert len(backend["points"]) == backend["spent"]["points"] == 8
@@ -104,5 +105,5 @@ def test_a_point_that_loses_runs_is_on_no_frontier():
     assert math.isclose(one.default.error, 0.1 * math.sqrt(1.01))
 
 
-def test_a_name_that_is_a_script_stays_a_name(build, trial):
-    assert "<script>alert(1)" not in render(page.document(told(build, trial, 0.05)))
+def test_a_name_that_is_a_script_stays_a_name(build, record):
+    assert "<script>alert(1)" not in render(page.document(told(build, record, 0.05)))

@@ -10,7 +10,7 @@ from evalkit.core.run_result import STEP, RunResult
 def run(*xs):
     steps = np.zeros(len(xs), dtype=STEP)
     steps["stamp_ns"], steps["x"] = np.arange(len(xs)), xs
-    return RunResult("b", "s", "complete", "", steps, len(xs))
+    return RunResult(steps, len(xs))
 
 
 SAME, OTHER = run(0.0, 1.0), run(0.0, 1.0 + 2**-40)

@@ -7,27 +7,29 @@ import json
 import zipfile
 
 import numpy as np
-from bounds import InspectionFinding, folder, held
+from bounds import folder, held
 
 from evalkit.core.run_result import STEP
 from evalkit.io import untrusted_io
-from evalkit.results.store import STEPS, Store
+from evalkit.results.store import RESULT, SCORES, STEPS, Store
 
-FILES = ("run.json", STEPS, "scores.json", "grid.npz", "errors.npy", "made.json")
+FILES = (RESULT, STEPS, SCORES, "grid.npz", "errors.npy")
 """Which of them an input stands for is told by its first byte; the others are sound."""
 
 
 def _sound() -> dict[str, bytes]:
-    run = {"backend": "b", "sequence": "s", "status": "complete", "reason": "", "expected": 2, "notes": {}}
+    run = {"status": "complete", "cause": "completed", "reason": "", "expected": 2, "peak_memory_bytes": 0,
+           "warm_up_scans": 0, "notes": {}, "every": 1, "provenance": {}, "answered": 2}  # fmt: skip
     steps = np.zeros(2, dtype=STEP)
     steps["stamp_ns"] = [0, 1]
-    scores = {"scores": {"ate": {"value": 1.0, "support": 2, "reason": ""}}, "world_from_start": [0, 0, 0]}
+    scores = {"scores": {"ate": {"value": 1.0, "support": 2, "reason": ""}}, "world_from_start": [0, 0, 0],
+              "alignment": ""}  # fmt: skip
     grid, errors = io.BytesIO(), io.BytesIO()
     cells = np.zeros((3, 2), dtype=np.float32)
     np.savez_compressed(grid, log_odds=cells, observed=cells > 0, frame=[0.05, 0.0, 0.0])
     np.save(errors, np.zeros(2))
     texts = [json.dumps(run).encode(), steps.tobytes(), json.dumps(scores).encode()]
-    return dict(zip(FILES, [*texts, grid.getvalue(), errors.getvalue(), b'{"made": "2024"}'], strict=True))
+    return dict(zip(FILES, [*texts, grid.getvalue(), errors.getvalue()], strict=True))
 
 
 def seeds() -> list[bytes]:
@@ -56,8 +58,8 @@ def swollen() -> list[bytes]:
         b"\x04" + _npy(huge),
         b"\x04" + _npy(objects) + b"\x80\x04N.",
         b"\x04" + _npy("{" * 5_000),
-        *(bytes([number]) + b"[" * 100_000 for number in (0, 2, 5)),
-        *(bytes([number]) + b'{"a":' * 100_000 for number in (0, 2, 5)),
+        *(bytes([number]) + b"[" * 100_000 for number in (0, 2)),
+        *(bytes([number]) + b'{"a":' * 100_000 for number in (0, 2)),
         b"\x00" + b"9" * 100_000,
         b'\x02{"scores": {"a": {"value": 1e999}}, "world_from_start": [NaN, 0, 0]}',
         b'\x02{"scores": {}, "world_from_start": [1' + b"0" * 400 + b", 0, 0]}",
@@ -78,7 +80,4 @@ def one(data: bytes) -> None:
     (place / name).write_bytes(data[1:])
     untrusted_io.MAX_BYTES = 2**24  # what a sound archive of that size takes is no finding
     store = Store.existing(folder())
-    held(lambda: (store.load_run("key"), store.load_scores("key")), len(data), "")
-    made = store.load_made("key")
-    if not isinstance(made, dict):
-        raise InspectionFinding(f"made.json gave {made!r}")
+    held(lambda: (store.load_result("key"), store.load_scores("key")), len(data), "")
