@@ -6,18 +6,18 @@ VENV   := .venv
 BIN    := $(VENV)/bin
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help install report report-quick test check bench faults paper paper-quick tune docs fuzz clean distclean
+.PHONY: help install report report-quick test check bench faults paper paper-quick metric-validation tune docs fuzz clean distclean
 
 help:  ## this list
-	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-14s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
+	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-17s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
 install: $(VENV)/evalkit  ## the environment in .venv, with Open3D and KISS-ICP (EXTRAS= leaves them out)
 
 report: $(VENV)/evalkit  ## the whole comparison: reports/build/default/index.html
-	$(BIN)/evalkit report reports/default.toml --resume
+	$(BIN)/evalkit compare reports/default.toml --resume
 
 report-quick: $(VENV)/evalkit  ## the small one, under 90 seconds: reports/build/quick/index.html
-	$(BIN)/evalkit report reports/quick.toml --resume
+	$(BIN)/evalkit compare reports/quick.toml --resume
 
 test: $(VENV)/test  ## the tests
 	$(BIN)/pytest -n auto --maxprocesses 4 --dist loadfile
@@ -44,10 +44,14 @@ fuzz: $(VENV)/test  ## every reader of foreign bytes, a minute each (longer word
 	$(BIN)/python tests/fuzz/run.py --seconds 60
 
 paper: $(VENV)/evalkit  ## the paper reproduced, and its study: reports/build/paper/index.html
-	$(BIN)/evalkit paper reports/paper.toml
+	$(BIN)/python -m evalkit_paper reports/paper.toml
 
 paper-quick: $(VENV)/evalkit  ## the small one, under 2 minutes: reports/build/paper-quick/index.html
-	$(BIN)/evalkit paper reports/paper-quick.toml
+	$(BIN)/python -m evalkit_paper reports/paper-quick.toml
+
+metric-validation: $(VENV)/evalkit  ## how far each map metric follows the true error: reports/build/metrics/index.html
+	$(BIN)/python -m evalkit.commands.metric_validation validate
+	$(BIN)/python -m evalkit.commands.metric_validation selftest
 
 tune: $(VENV)/evalkit  ## back ends tuned with one budget, judged elsewhere: reports/build/tune/index.html
 	$(BIN)/evalkit tune reports/tune.toml

@@ -102,7 +102,7 @@ def make_record(
         SequenceSpec(sequence, sequence, {"rate_hz": 10.0}, (seed,)),
         seed,
     )
-    command = f"evalkit report demo.toml --sequence '{sequence}' --method '{method}'"
+    command = f"evalkit compare demo.toml --sequence '{sequence}' --method '{method}'"
     by_metric = {n: Score(v, answered) if v is not None else Score(None, 0, f"no {n} here") for n, v in scores.items()}
     errors = _errors(np.hypot(off[:answered, 0], off[:answered, 1]), scores) if truth and answered else None
     return RunRecord(
@@ -144,7 +144,7 @@ def make_comparison(records: Sequence[RunRecord], **changes: object) -> Comparis
             for label in dict.fromkeys(record.sequence for record in records)
         },
         environment={"processor": "a processor", "threads per run": "1"},
-        command="evalkit report demo.toml",
+        command="evalkit compare demo.toml",
         started=datetime(2024, 5, 1, 8, 0, tzinfo=UTC),
         finished=datetime(2024, 5, 1, 9, 30, tzinfo=UTC),
         mapper="log-odds (resolution_m 0.05)",

@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -13,8 +14,13 @@ from pathlib import Path
 import numpy as np
 import psutil
 import pytest
+import typer
 
-from evalkit import __version__, cli
+from evalkit import __version__, cli, metrics
+from evalkit.cli import COMMANDS
+from evalkit.core.errors import NotInstalled
+from evalkit.plugins import registry
+from evalkit.terminal.command_spec import CommandSpec
 
 pytestmark = pytest.mark.usefixtures("strangers")
 
@@ -60,7 +66,7 @@ def test_a_program_that_is_broken_is_a_failed_run_and_one_that_is_absent_is_not_
     for use, code, status in ((f"exec:{sys.executable} -c pass", 1, "failed"), ("exec:./nowhere", 0, "not-installed")):
         path = tmp_path / "small.toml"
         path.write_text(f'[[method]]\nuse = "{use}"\n{MAPPER}[[sequence]]\nuse = "straight"\n')
-        exit_code, out, _ = evalkit("run", path, "-o", tmp_path / status, "-j", 1, "--json")
+        exit_code, out, _ = evalkit("compare", "--no-page", path, "-o", tmp_path / status, "-j", 1, "--json")
         (row,) = json.loads(out)["runs"]
         assert (exit_code, row["status"]) == (code, status)
     assert "no program found" in row["reason"]
@@ -68,16 +74,16 @@ def test_a_program_that_is_broken_is_a_failed_run_and_one_that_is_absent_is_not_
 
 def test_without_a_command_the_help_names_them_all(evalkit):
     _, out, err = evalkit()
-    assert all(command in out + err for command in ("list", "run", "report", "compare"))
+    assert all(command in out + err for command in COMMANDS)
 
 
 def test_completion_for_bash_knows_the_commands(evalkit, monkeypatch):
     monkeypatch.setattr("shellingham.detect_shell", lambda: ("bash", "/bin/bash"))  # there may be none above us
     assert "complete -o default -F _evalkit_completion evalkit" in evalkit("--show-completion")[1]
-    asked = {"_EVALKIT_COMPLETE": "complete_bash", "COMP_WORDS": "evalkit rep", "COMP_CWORD": "1"}
+    asked = {"_EVALKIT_COMPLETE": "complete_bash", "COMP_WORDS": "evalkit comp", "COMP_CWORD": "1"}
     for name, value in asked.items():
         monkeypatch.setenv(name, value)
-    assert evalkit()[1].split() == ["report"]
+    assert evalkit()[1].split() == ["compare"]
 
 
 # --- list
@@ -105,7 +111,7 @@ def test_the_list_tells_what_is_missing_and_why(evalkit):
 
 
 def test_the_list_for_programs(evalkit):
-    code, out, _ = evalkit("list", "--json")
+    code, out, _ = evalkit("list", "all", "--json")
     listed = json.loads(out)
     assert code == 0
     assert sorted(listed) == ["backends", "datasets", "mappers", "metrics"]
@@ -113,10 +119,136 @@ def test_the_list_for_programs(evalkit):
     assert absent["missing"] == "the library 'nowhere' is not installed; pip install nowhere"
 
 
-def test_an_unknown_kind_is_refused_with_the_known_ones(evalkit):
+def test_an_unknown_name_is_refused_with_the_known_kinds(evalkit):
+    code, _, err = evalkit("list", "backend")
+    assert code == 2
+    assert "no metric named 'backend' (did you mean 'backends'?)" in " ".join(err.split())
     code, _, err = evalkit("list", "robots")
     assert code == 2
-    assert "expected one of: all, backends, mappers, datasets, metrics" in " ".join(err.replace("│", " ").split())
+    for kind in ("all", "backends", "mappers", "datasets", "metrics"):
+        assert f"{kind}," in err
+
+
+def test_the_list_names_every_metric_with_unit_and_direction(evalkit):
+    listed = json.loads(evalkit("list", "metrics", "--json")[1])["metrics"]
+    assert [row["name"] for row in listed][: len(metrics.METRICS)] == [metric.name for metric in metrics.METRICS]
+    by_name = {row["name"]: row for row in listed}
+    assert (by_name["ate_rmse_m"]["unit"], by_name["ate_rmse_m"]["better"]) == ("m", "lower")
+    group = json.loads(evalkit("list", "metrics", "--json", "--group", "relations")[1])["metrics"]
+    assert {row["group"] for row in group} == {"relations"}
+    assert "span_stretch_percent" in evalkit("list", "metrics")[1]
+
+
+def test_the_card_of_a_metric_holds_all_its_facts(evalkit):
+    text = evalkit("list", "wall_thickness_m")[1]
+    parts = (
+        "wall thickness [m], lower is better",
+        "blind to",
+        "stands on   places where hits lie along a line",
+        "no value    only ... % of the hits lie along a wall",
+        "follows the true error (Spearman)",
+    )
+    for part in parts:
+        assert part in text
+    card = json.loads(evalkit("list", "map_entropy", "--json")[1])
+    assert card["follows_the_true_error"]["support"] > 90
+    assert json.loads(evalkit("list", "ate_rmse_m", "--json")[1])["follows_the_true_error"] is None
+
+
+def test_an_unknown_metric_or_group_is_refused_with_the_closest_name(evalkit):
+    code, _, err = evalkit("list", "map_entropi")
+    assert (code, "did you mean 'map_entropy'" in " ".join(err.split())) == (2, True)
+    code, _, err = evalkit("list", "metrics", "--group", "relation")
+    assert (code, "relations" in err) == (2, True)
+    assert evalkit("list", "backends", "--group", "relations")[0] == 2
+
+
+# --- loading
+
+
+def modules_after(*words):
+    """The modules that a command of evalkit imports, in a process of its own."""
+    program = (
+        "import json, sys, evalkit.cli\ntry:\n evalkit.cli.main()\nfinally:\n print('\\n' + json.dumps([*sys.modules]))"
+    )
+    ended = subprocess.run([sys.executable, "-c", program, *words], capture_output=True, text=True, check=True)
+    return set(json.loads(ended.stdout.splitlines()[-1]))
+
+
+HEAVY = {"scipy", "pandas", "matplotlib", "jinja2", "rosbags", "evalkit.metrics", "evalkit.execution.scheduler"}
+
+
+@pytest.mark.parametrize("words", [["--version"], ["--help"], ["list"], ["inspect", "--help"], ["compare", "--help"]])
+def test_what_computes_nothing_imports_no_heavy_library(words):
+    heavy = HEAVY if words[0] != "compare" else HEAVY - {"scipy", "evalkit.metrics", "evalkit.execution.scheduler"}
+    assert not heavy & modules_after(*words)
+
+
+def test_the_summary_of_a_command_is_the_first_line_of_its_docstring():
+    for name in (*COMMANDS, *registry.names("commands")):
+        spec = COMMANDS.get(name) or registry.load("commands", name, CommandSpec)
+        function = spec.load()
+        text = function.info.help if isinstance(function, typer.Typer) else function.__doc__
+        assert text.splitlines()[0] == spec.summary, name
+
+
+def test_the_help_shows_every_command_in_its_panel(evalkit):
+    out = evalkit("--help")[1]
+    panels = re.findall(r"─ (.+?) ─+╮\n(.*?)╰", out, re.DOTALL)
+    names = {title: re.findall(r"^│ ([a-z]+) ", text, re.MULTILINE) for title, text in panels[1:]}
+    assert names == {
+        "Start": ["compare", "inspect"],
+        "My implementation": ["validate"],
+        "Questions": ["basin", "realtime", "study", "tune"],
+        "Results": ["diff", "export"],
+        "Reference": ["list", "datasets"],
+    }
+
+
+def test_a_plugin_command_that_does_not_load_is_shown_with_the_reason_and_breaks_no_other(evalkit, monkeypatch):
+    names, load = registry.names, registry.load
+
+    def broken(kind, name, wanted):
+        if name == "broken":
+            raise NotInstalled(name, "its plug-in m:f does not load (no licence)", "reinstall its package")
+        return load(kind, name, wanted)
+
+    monkeypatch.setattr(registry, "names", lambda kind: [*names(kind), *(["broken"] if kind == "commands" else [])])
+    monkeypatch.setattr(registry, "load", broken)
+    code, out, _ = evalkit("--help")
+    assert code == 0
+    assert "does not load (no licence)" in " ".join(out.replace("│", " ").split())
+    assert evalkit("--version")[0] == 0
+    assert evalkit("list", "mappers")[0] == 0
+    code, _, err = evalkit("broken")
+    assert (code, "does not load (no licence)" in err) == (2, True)
+
+
+# --- completion
+
+
+def completed(monkeypatch, evalkit, line):
+    monkeypatch.setenv("_EVALKIT_COMPLETE", "complete_bash")
+    monkeypatch.setenv("COMP_WORDS", line)
+    monkeypatch.setenv("COMP_CWORD", str(len(line.split(" ")) - 1))
+    return set(evalkit()[1].split())
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("evalkit validate pap", {"paper", "paper-literal", "paper-map", "paper-map-line", "paper-tight"}),
+        ("evalkit compare drive.bag --backends paper,kiss", {"paper,kiss-icp"}),
+        ("evalkit basin --on turt", {"turtlebot4"}),
+        ("evalkit list map_entr", {"map_entropy"}),
+        ("evalkit list me", {"metrics"}),
+        ("evalkit export --format mc", {"mcap"}),
+        ("evalkit export --metric ate_rm", {"ate_rmse_m"}),
+        ("evalkit compare --engine da", {"dask"}),
+    ],
+)
+def test_the_shell_completes_names(monkeypatch, evalkit, line, expected):
+    assert completed(monkeypatch, evalkit, line) == expected
 
 
 # --- names are checked before anything runs
@@ -132,19 +264,19 @@ def test_an_unknown_kind_is_refused_with_the_known_ones(evalkit):
         (("--resume", "--seed", "3"), "", "no seed named '3'; known: none"),
     ],
 )
-@pytest.mark.parametrize("command", ["run", "report"])
+@pytest.mark.parametrize("command", [["--no-page"], []])
 def test_unknown_names_end_with_the_known_ones_and_nothing_was_run(
     evalkit, experiment, tmp_path, command, words, more, message
 ):
     folder = tmp_path / "out"
-    code, out, err = evalkit(command, experiment("none", more=more), "--out", folder, *words)
+    code, out, err = evalkit("compare", *command, experiment("none", more=more), "--out", folder, *words)
     assert (code, out) == (2, "")
     assert message in err.replace("\n", "")
     assert not folder.exists()
 
 
 def test_an_experiment_that_is_not_there(evalkit, tmp_path):
-    code, _, err = evalkit("run", tmp_path / "absent.toml")
+    code, _, err = evalkit("compare", "--no-page", tmp_path / "absent.toml")
     assert code == 2
     assert "absent.toml: no such file" in err
 
@@ -153,7 +285,9 @@ def test_an_experiment_that_is_not_there(evalkit, tmp_path):
 
 
 def test_a_failed_run_is_exit_code_1_and_a_plain_line_and_the_others_stand(evalkit, experiment, tmp_path):
-    code, out, err = evalkit("run", experiment("none", "raise"), "--out", tmp_path / "out", "-j", 2, "--json")
+    code, out, err = evalkit(
+        "compare", "--no-page", experiment("none", "raise"), "--out", tmp_path / "out", "-j", 2, "--json"
+    )
     assert code == 1
     assert "\x1b" not in err
     lines = err.splitlines()
@@ -170,7 +304,7 @@ def test_a_failed_run_is_exit_code_1_and_a_plain_line_and_the_others_stand(evalk
 
 def test_what_cannot_run_here_is_no_failure(evalkit, experiment, tmp_path):
     path = experiment(more='[[method]]\nuse = "absent"\n')
-    code, out, err = evalkit("run", path, "--out", tmp_path / "out")
+    code, out, err = evalkit("compare", "--no-page", path, "--out", tmp_path / "out")
     assert (code, out) == (0, "0 runs complete, 0 failed, 1 not possible here: absent\n")
     assert err.splitlines()[0] == "missing here: absent: the library 'nowhere' is not installed; pip install nowhere"
     assert "not-installed (the library 'nowhere' is not installed; pip install nowhere)" in err
@@ -178,7 +312,7 @@ def test_what_cannot_run_here_is_no_failure(evalkit, experiment, tmp_path):
 
 def test_a_results_folder_that_is_a_file_is_exit_code_2(evalkit, experiment, tmp_path):
     (tmp_path / "out").touch()
-    code, _, err = evalkit("run", experiment("none"), "--out", tmp_path / "out")
+    code, _, err = evalkit("compare", "--no-page", experiment("none"), "--out", tmp_path / "out")
     assert code == 2
     assert "cannot be written" in err
     assert "name another folder with --out" in err
@@ -188,7 +322,17 @@ def test_a_results_folder_that_is_a_file_is_exit_code_2(evalkit, experiment, tmp
 
 
 def started(path, folder, *words, **how):
-    command = [sys.executable, "-c", "from evalkit.cli import main; main()", "run", path, "--out", folder, *words]
+    command = [
+        sys.executable,
+        "-c",
+        "from evalkit.cli import main; main()",
+        "compare",
+        "--no-page",
+        path,
+        "--out",
+        folder,
+        *words,
+    ]
     return subprocess.Popen(
         list(map(str, command)),
         stdout=subprocess.PIPE,
@@ -209,7 +353,7 @@ def test_an_interrupt_keeps_what_is_done_and_leaves_no_process(experiment, tmp_p
     os.killpg(process.pid, ending)  # as a terminal does: to all in the foreground
     _, err = process.communicate(timeout=60.0)
     assert process.returncode not in (0, 2)
-    assert "interrupted; finished runs are kept: the same command with --resume goes on from here" in err
+    assert "interrupted; finished runs are kept: repeat the command with --resume to continue" in err
     assert "Traceback" not in err
     assert [run.parent.name.rsplit("-", 1)[0] for run in folder.glob("runs/*/result.json")] == ["straight-none"]
     assert not list(folder.glob("runs/straight-raise-*"))
@@ -292,14 +436,14 @@ def test_a_disk_that_is_full_stops_all_and_what_was_done_is_there_when_there_is_
 
 
 def test_what_is_missing_is_exit_code_3_and_a_status_to_make_again_must_be_one(evalkit, experiment, tmp_path):
-    assert evalkit("run", experiment("none"), "--out", tmp_path / "out")[0] == 0
-    code, out, _ = evalkit("run", experiment("none", "raise"), "--out", tmp_path / "out", "--collect")
+    assert evalkit("compare", "--no-page", experiment("none"), "--out", tmp_path / "out")[0] == 0
+    code, out, _ = evalkit("compare", "--no-page", experiment("none", "raise"), "--out", tmp_path / "out", "--collect")
     assert code == 3
     assert out.splitlines() == [
         "1 runs complete, 0 failed, 0 not possible here",
         "1 not made yet: raise on straight",
     ]
-    code, _, err = evalkit("run", experiment("none"), "--out", tmp_path / "out", "--rerun", "sleepy")
+    code, _, err = evalkit("compare", "--no-page", experiment("none"), "--out", tmp_path / "out", "--rerun", "sleepy")
     assert code == 2
     assert "found 'sleepy', expected one of: complete, failed, crashed" in " ".join(err.replace("│", " ").split())
 

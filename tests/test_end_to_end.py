@@ -44,7 +44,7 @@ def evalkit(*words):
 def folder(tmp_path_factory):
     """A finished report's folder."""
     root = tmp_path_factory.mktemp("report")
-    assert evalkit("report", experiment(root / "small.toml", METHODS, LAPS), "--out", root / "out") == 0
+    assert evalkit("compare", experiment(root / "small.toml", METHODS, LAPS), "--out", root / "out") == 0
     return root / "out"
 
 
@@ -129,7 +129,7 @@ def test_the_map_for_other_tools_has_the_runs_walls(folder, trials):
 def test_resuming_a_finished_report_runs_nothing_and_says_the_same(folder, results):
     before = {path: path.stat().st_mtime_ns for path in folder.glob("runs/*/*")}
     file = folder.parent / "small.toml"
-    assert evalkit("report", file, "--out", folder, "--resume") == 0
+    assert evalkit("compare", file, "--out", folder, "--resume") == 0
     assert {path: path.stat().st_mtime_ns for path in folder.glob("runs/*/*")} == before
     again = json.loads((folder / "results.json").read_text(encoding="utf-8"))
     assert again["trials"] == results["trials"]
@@ -139,7 +139,10 @@ def test_the_same_inputs_give_the_same_numbers(folder, results, tmp_path):
     """All but what is measured in seconds or bytes, to the bit, one at a time or two."""
     again_too = ("paper", "wheel-odometry")
     chosen = [word for name in again_too for word in ("--method", name)]
-    assert evalkit("run", folder.parent / "small.toml", "--out", tmp_path / "out", "-j", "1", *chosen) == 0
+    assert (
+        evalkit("compare", "--no-page", folder.parent / "small.toml", "--out", tmp_path / "out", "-j", "1", *chosen)
+        == 0
+    )
     timed = {metric["name"] for metric in results["metrics"] if metric["group"] == "runtime"}
     for trial in (trial for trial in results["trials"] if trial["method"] in again_too):
         again = Store(tmp_path / "out").load_scores(trial["key"])

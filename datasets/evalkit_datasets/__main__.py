@@ -20,7 +20,7 @@ from evalkit.terminal import options, progress
 from evalkit_datasets import catalog, recorded
 from evalkit_datasets.fetch import fetch
 
-app = typer.Typer(help="Recorded data: where it is, and how to get it.", no_args_is_help=True, add_completion=False)
+app = typer.Typer(help="List, download and generate recordings.", no_args_is_help=True, add_completion=False)
 out = Console(soft_wrap=True)
 err = Console(stderr=True, soft_wrap=True)
 

@@ -6,7 +6,6 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy import ndimage
 
 from evalkit.core.arrays import Bools, Ints
 from evalkit.core.grid import OccupancyGrid
@@ -32,6 +31,8 @@ def build_true_grid(world: World, resolution_m: float, seen_from: ArrayLike, ran
 def _build_cached(
     segments: bytes, circles: bytes, resolution_m: float, seen_from: bytes, range_m: float
 ) -> OccupancyGrid:
+    from scipy import ndimage  # noqa: PLC0415 - the specs of data sets are listed without SciPy
+
     world = World(np.frombuffer(segments).reshape(-1, 4), np.frombuffer(circles).reshape(-1, 3))
     positions = np.frombuffer(seen_from).reshape(-1, 2)
     corner = np.floor(positions.min(axis=0) / resolution_m - range_m / resolution_m - 2.0)

@@ -127,9 +127,8 @@ class Experiment:
         """What reproduces one run alone, in a folder of its own: this plan's results and page stay."""
         seed = "" if planned.seed is None else f" --seed {planned.seed}"
         sequence, method = shlex.quote(planned.sequence.label), shlex.quote(planned.method.label)
-        source = f"run {rest}" if (rest := self.source.removeprefix("report ")) != self.source else self.source
         folder = shlex.quote(f"reports/build/{self.name}-one")
-        return f"evalkit {source} --sequence {sequence} --method {method}{seed} --out {folder}"
+        return f"evalkit {self.source} --sequence {sequence} --method {method}{seed} --no-page --out {folder}"
 
     def untimed(self) -> Experiment:
         """The plan of the same runs whose times do not count."""
@@ -153,7 +152,7 @@ class Experiment:
 def read(path: Path) -> Experiment:
     """The plan of an experiment file (TOML); BadExperiment names the file, the key and what was found."""
     content = load_toml(path, "an experiment (*.toml)")
-    return plan(content, str(path), path.stem, f"report {shlex.quote(str(path))}")
+    return plan(content, str(path), path.stem, f"compare {shlex.quote(str(path))}")
 
 
 def plan(content: Mapping[str, Any], file: str, name: str, source: str) -> Experiment:

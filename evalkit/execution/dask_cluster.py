@@ -248,7 +248,7 @@ class _Hall:
             self._hosts[address] = about[0]
 
 
-GO_ON = "finished ones are kept: start workers, and the same command with --resume goes on from here"
+GO_ON = "finished runs are kept: start workers, and repeat the command with --resume"
 
 
 def _strike(call: Call, slot: Slot) -> Future[Any] | None:

@@ -47,7 +47,7 @@ class Validation:
 
 @cache
 def shipped() -> Validation:
-    """What ``evalkit metrics validate`` found for the metrics of this version."""
+    """What ``make metric-validation`` found for the metrics of this version."""
     return of(json.loads(files("evalkit.metrics").joinpath(FILE).read_text(encoding="utf-8")))
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import cKDTree
 
 from evalkit.core import se2
 from evalkit.core.pose import Pose
@@ -33,6 +32,8 @@ def normals(points: ArrayLike, neighbours: int, radius_m: float) -> Floats:
     normal is the direction of least variance. Fewer than three points, or points that coincide, make no wall. The sign
     is arbitrary: no sensor position is known here.
     """
+    from scipy.spatial import cKDTree  # noqa: PLC0415 - the specs of back ends are listed without SciPy
+
     rows = np.asarray(points, dtype=np.float64)
     if len(rows) < MIN_FOR_A_LINE:
         return np.zeros((len(rows), 2))

@@ -1,9 +1,10 @@
-"""What several commands share: their consoles, ``NAME=VALUE`` settings, JSON on standard output."""
+"""Options that several commands share, their shell completion, the consoles, and JSON output."""
 
 from __future__ import annotations
 
 import json
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -14,38 +15,112 @@ from rich.console import Console
 from evalkit.core.run_result import BROKEN, RunStatus
 from evalkit.execution import environment
 from evalkit.execution.dask_cluster import Cluster
+from evalkit.plugins import registry
 
 out = Console(soft_wrap=True)
 err = Console(stderr=True, soft_wrap=True)
 
 ENGINES = ("local", "dask")
+EXECUTION = "Execution"
+"""The panel of the options that say how runs are executed."""
 
+
+def complete(kind: str) -> Callable[[str], list[str]]:
+    """Return a shell completion of the registered names of a kind: "backends", "mappers" or "datasets"."""
+
+    def names(incomplete: str) -> list[str]:
+        return [name for name in registry.names(kind) if name.startswith(incomplete)]
+
+    return names
+
+
+def complete_list(kind: str) -> Callable[[str], list[str]]:
+    """Return a shell completion of the registered names of a kind, in a list separated by commas."""
+
+    def names(incomplete: str) -> list[str]:
+        before, comma, last = incomplete.rpartition(",")
+        return [f"{before}{comma}{name}" for name in complete(kind)(last)]
+
+    return names
+
+
+def complete_metric(incomplete: str) -> list[str]:
+    """Return the names of metrics that start with a text."""
+    from evalkit.metrics import all_metrics  # noqa: PLC0415 - loads scipy
+
+    return [metric.name for metric in all_metrics() if metric.name.startswith(incomplete)]
+
+
+Backend = Annotated[
+    str,
+    typer.Argument(
+        help="A registered name, module:SPEC, lib:./libmine.so or 'exec:ssh board ./my_icp'.",
+        show_default=False, autocompletion=complete("backends"),
+    ),
+]  # fmt: skip
+Backends = Annotated[
+    list[str] | None,
+    typer.Argument(
+        help="Registered names, module:SPEC, lib:./libmine.so or 'exec:ssh board ./my_icp'.",
+        show_default="all", autocompletion=complete("backends"),
+    ),
+]  # fmt: skip
+Settings = Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE of every back end (repeatable).")]
+On = Annotated[
+    list[str] | None,
+    typer.Option(
+        help="A data set with its parameters, 'NAME laps=0.3' (repeatable).", show_default=False,
+        autocompletion=complete("datasets"),
+    ),
+]  # fmt: skip
+Sequences = Annotated[list[str] | None, typer.Option(help="Only this sequence (repeatable).", show_default="all")]
+Methods = Annotated[list[str] | None, typer.Option(help="Only this method (repeatable).", show_default="all")]
+Seeds = Annotated[list[int] | None, typer.Option(help="Only this seed (repeatable).", show_default="all")]
 Out = Annotated[Path | None, typer.Option("--out", "-o", help="Results folder.", show_default="reports/build/NAME")]
-Jobs = Annotated[int | None, typer.Option("--jobs", "-j", min=1, help="Runs at a time.", show_default="physical cores")]
-Resume = Annotated[bool, typer.Option("--resume", help="Keep what is done, run only what is missing.")]
+Jobs = Annotated[
+    int | None,
+    typer.Option(
+        "--jobs", "-j", min=1, help="Parallel runs.", show_default="physical cores", rich_help_panel=EXECUTION
+    ),
+]
+Resume = Annotated[
+    bool, typer.Option("--resume", help="Keep finished runs, and run only what is missing.", rich_help_panel=EXECUTION)
+]
 Rerun = Annotated[
     list[str] | None,
     typer.Option(
-        help="Keep what is done, but make runs with this status again (repeatable); failed: whatever the way.",
-        show_default=False,
+        help="Keep finished runs except those with this status (repeatable); failed: any kind of failure.",
+        show_default=False, rich_help_panel=EXECUTION,
     ),
+]  # fmt: skip
+Collect = Annotated[
+    bool, typer.Option("--collect", help="Run nothing; report what is finished and missing.", rich_help_panel=EXECUTION)
 ]
-Collect = Annotated[bool, typer.Option("--collect", help="Make no run: what is done, and what is missing.")]
 Engine = Annotated[
-    str, typer.Option(help=f"Where runs are made: {', '.join(ENGINES)}: on this machine, or by workers of a cluster.")
-]
+    str,
+    typer.Option(
+        help="local: run on this machine; dask: run on the workers of a Dask cluster.", rich_help_panel=EXECUTION,
+        autocompletion=lambda: list(ENGINES),
+    ),
+]  # fmt: skip
 Scheduler = Annotated[
-    str, typer.Option(help="A Dask scheduler, tcp://HOST:PORT.", show_default="a cluster of processes here")
-]
+    str,
+    typer.Option(
+        help="A Dask scheduler, tcp://HOST:PORT.", show_default="a new cluster on this machine",
+        rich_help_panel=EXECUTION,
+    ),
+]  # fmt: skip
 AccuracyOnly = Annotated[
-    bool, typer.Option("--accuracy-only", help="Times do not count: runs may be made beside others.")
+    bool,
+    typer.Option("--accuracy-only", help="Discard times, so that runs may share a core.", rich_help_panel=EXECUTION),
 ]
+Markdown = Annotated[bool, typer.Option("--markdown", help="Print Markdown, for a pull request.")]
 Json = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 
 @dataclass(frozen=True)
-class Making:
-    """How runs are made: see the options of the same names."""
+class RunOptions:
+    """How runs are executed; the fields are the options of the same names."""
 
     jobs: int
     resume: bool
@@ -62,20 +137,20 @@ class Making:
         collect: bool,
         engine: str = "local",
         scheduler: str = "",
-    ) -> Making:
-        """What the command line says; a status or an engine that is none is a usage error."""
+    ) -> RunOptions:
+        """Return the checked options. Raises typer.BadParameter for an unknown status or engine."""
         again: set[RunStatus] = set()
         for name in rerun or []:
-            found = [status for status in RunStatus if status == name]
-            if not found:
+            known = [status for status in RunStatus if status == name]
+            if not known:
                 raise typer.BadParameter(f"--rerun: found '{name}', expected one of: {', '.join(RunStatus)}")
-            again.update(BROKEN if name == "failed" else found)
-        at_once = jobs or environment.physical_cores()
-        return cls(at_once, resume or bool(rerun), frozenset(again), collect, cluster(engine, scheduler, at_once))
+            again.update(BROKEN if name == "failed" else known)
+        workers = jobs or environment.physical_cores()
+        return cls(workers, resume or bool(rerun), frozenset(again), collect, cluster(engine, scheduler, workers))
 
 
 def cluster(engine: str, scheduler: str, jobs: int) -> Cluster | None:
-    """The cluster that is asked for, None for this machine; what contradicts itself is a usage error."""
+    """Return the requested cluster, None for this machine. Raises typer.BadParameter if the options contradict."""
     if engine not in ENGINES:
         raise typer.BadParameter(f"--engine: found '{engine}', expected one of: {', '.join(ENGINES)}")
     if engine == "local" and scheduler:
@@ -84,7 +159,7 @@ def cluster(engine: str, scheduler: str, jobs: int) -> Cluster | None:
 
 
 def settings(items: list[str], option: str = "--set") -> dict[str, str]:
-    """``["a=1", "b=x"]`` as a dictionary; what has no "=" is a usage error that names the option."""
+    """Return ``["a=1", "b=x"]`` as a dictionary. Raises typer.BadParameter for an item without "="."""
     for item in items:
         if "=" not in item:
             raise typer.BadParameter(f"{option}: found '{item}', expected NAME=VALUE")
@@ -92,10 +167,10 @@ def settings(items: list[str], option: str = "--set") -> dict[str, str]:
 
 
 def print_json(content: object) -> None:
-    """JSON on standard output, as it is."""
+    """Write JSON to standard output, without markup or wrapping."""
     sys.stdout.write(json.dumps(content, indent=1) + "\n")
 
 
-def modules_from_here() -> None:
-    """A module under development stands in the working directory: ``module:SPEC`` finds it there."""
+def add_working_directory() -> None:
+    """Put the working directory on ``sys.path``, so that ``module:SPEC`` finds a module under development."""
     sys.path.append(str(Path.cwd()))

@@ -177,6 +177,16 @@ def jobs(console: Console, total: int, workers: int) -> Iterator[JobLines]:
         yield shown
 
 
+@contextmanager
+def say_what_is_kept(console: Console, what: str, option: str = "") -> Iterator[None]:
+    """On an interrupt, print how to continue, and raise it again. ``what`` is kept; ``option``: " with --resume"."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        console.print(f"interrupted; {what} are kept: repeat the command{option} to continue")
+        raise
+
+
 def show(console: Console, table: Table) -> None:
     """Prints a table: fitted to a terminal, one line a row elsewhere."""
     (console if console.is_terminal else Console(width=WIDE)).print(table)

@@ -31,12 +31,8 @@ def make(file: Path, folder: Path | None, workers: int | None) -> Path:
     folder = folder or Path("reports") / "build" / file.stem
     workers = workers or environment.physical_cores()
     ran_on = environment.describe(("numpy", "scipy", "open3d-cpu", "kiss-icp", "small-gicp"), jobs=workers)
-    try:
-        with progress.jobs(err, len(every), workers) as done:
-            found = run_tasks(TaskStore(folder / "results"), every, workers, done)
-    except KeyboardInterrupt:
-        err.print("interrupted; what is done is kept: the same command goes on from here")
-        raise
+    with progress.say_what_is_kept(err, "finished jobs"), progress.jobs(err, len(every), workers) as done:
+        found = run_tasks(TaskStore(folder / "results"), every, workers, done)
     results = {
         chapter: {job.name: found[_within(chapter, job).name] for job in own} for chapter, own in planned.items()
     }
@@ -77,7 +73,7 @@ def _provenance(
         (
             Text(f"{count:,} computations; each is kept in {folder / 'results'} under a key of its function, its "
                  "arguments and the sources it stands on, and is computed again when one of them changes."),
-            Command(f"evalkit paper {shlex.quote(str(file))}"),
+            Command(f"python -m evalkit_paper {shlex.quote(str(file))}"),
             machine,
             Fold("Settings of every chapter", (Table(columns, rows),)),
         ),

@@ -1,4 +1,4 @@
-"""``evalkit paper FILE``: the page that holds the paper against this software."""
+"""``python -m evalkit_paper FILE``: reproduce the paper's tables, figures and claims."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def paper(
         int | None, typer.Option("--jobs", "-j", min=1, help="At a time.", show_default="physical cores")
     ] = None,
 ) -> None:
-    """Reproduce the paper: every table, figure and claim beside what is measured here; what is done is kept."""
-    from evalkit_paper.build import make  # noqa: PLC0415 - only who asks pays for its imports
+    """Reproduce the paper: compare every table, figure and claim with a measurement. Finished parts are kept."""
+    from evalkit_paper.build import make  # noqa: PLC0415 - loads matplotlib
 
     out.print(str(make(file, folder, workers)), markup=False, highlight=False)

@@ -51,7 +51,7 @@ def plan(methods: int, sequences: int, seeds: int, laps: float = 0.3) -> Experim
             for k in range(sequences)
         ],
     }
-    return experiment.plan(content, "scale.toml", "scale", "report scale.toml")
+    return experiment.plan(content, "scale.toml", "scale", "compare scale.toml")
 
 
 @contextmanager

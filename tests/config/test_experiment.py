@@ -26,7 +26,7 @@ def read(tmp_path, text):
 
 def planned(methods=({"use": "wheel-odometry"},), sequences=({"use": "room"},), **tables):
     content = {"method": list(methods), "sequence": list(sequences), **tables}
-    return experiment.plan(content, "exp.toml", "exp", "report exp.toml")
+    return experiment.plan(content, "exp.toml", "exp", "compare exp.toml")
 
 
 def only_key(**changes):
@@ -211,9 +211,9 @@ def test_a_recording_stays_whatever_seeds_are_chosen(wide):
 @pytest.mark.parametrize(
     ("choice", "message"),
     [
-        ((["rom"], [], []), r"report exp.toml: no sequence named 'rom' \(did you mean 'room'\?\); known: carmen, lab"),
-        (([], ["papers"], []), "report exp.toml: no method named 'papers'.*known: the <odd> one's, wheel-odometry"),
-        (([], [], [0, 5]), "report exp.toml: no seed named '5'; known: 0, 1, 2"),
+        ((["rom"], [], []), r"compare exp.toml: no sequence named 'rom' \(did you mean 'room'\?\); known: carmen, lab"),
+        (([], ["papers"], []), "compare exp.toml: no method named 'papers'.*known: the <odd> one's, wheel-odometry"),
+        (([], [], [0, 5]), "compare exp.toml: no seed named '5'; known: 0, 1, 2"),
     ],
 )
 def test_a_part_that_is_none_is_refused(wide, choice, message):
@@ -224,7 +224,8 @@ def test_a_part_that_is_none_is_refused(wide, choice, message):
 def test_the_command_of_a_run_is_that_run_alone(wide):
     for item in wide.runs():
         words = shlex.split(wide.command(item))
-        assert words[:3] == ["evalkit", "run", "exp.toml"]
+        assert words[:3] == ["evalkit", "compare", "exp.toml"]
+        words.remove("--no-page")
         given = {name: [] for name in ("--sequence", "--method", "--seed", "--out")}
         for name, value in zip(words[3::2], words[4::2], strict=True):
             given[name].append(value)

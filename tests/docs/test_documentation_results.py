@@ -87,7 +87,7 @@ def small(tmp_path_factory):
     folder = tmp_path_factory.mktemp("results")
     with contextlib.chdir(folder):
         run(WRITES)
-    result = CliRunner().invoke(app, ["report", str(folder / "small.toml"), "--out", str(folder / "small")])
+    result = CliRunner().invoke(app, ["compare", str(folder / "small.toml"), "--out", str(folder / "small")])
     assert result.exit_code == 0, result.output
     return folder / "small"
 

@@ -29,7 +29,7 @@ def test_every_data_set_is_named():
 
 def test_its_experiment_is_a_valid_one():
     content = tomllib.loads(README.split("```toml\n")[1].split("```")[0])
-    plan = experiment.plan(content, "README.md", "readme", "report my.toml")
+    plan = experiment.plan(content, "README.md", "readme", "compare my.toml")
     assert [method.label for method in plan.methods] == ["wheel-odometry", "paper, 1e-5"]
     assert plan.methods[1].parameters["keyframes"] == 20
     assert len(list(plan.runs())) == 6

@@ -49,7 +49,7 @@ def plan(*faults, timed=True, **sequence):
         "mapper": {"resolution_m": 0.25},
         "limits": {"run_s": 60.0, "scan_s": 30.0},
     }
-    return experiment.plan(content, "t.toml", "t", "report t.toml")
+    return experiment.plan(content, "t.toml", "t", "compare t.toml")
 
 
 @pytest.fixture(scope="module")
@@ -205,7 +205,17 @@ def test_whatever_ends_evalkit_no_worker_is_left_behind(strangers, tmp_path, num
     (tmp_path / "small.toml").write_text(
         '[[method]]\nuse = "faulty"\nfault = "hang"\n[mapper]\nresolution_m = 0.25\n[[sequence]]\nuse = "straight"\n'
     )
-    words = ["run", str(tmp_path / "small.toml"), "--out", str(tmp_path / "out"), "--engine", "dask", "-j", "1"]
+    words = [
+        "compare",
+        "--no-page",
+        str(tmp_path / "small.toml"),
+        "--out",
+        str(tmp_path / "out"),
+        "--engine",
+        "dask",
+        "-j",
+        "1",
+    ]
     mine = subprocess.Popen(
         [sys.executable, "-c", "from evalkit.cli import main; main()", *words],
         env={**os.environ, "EVALKIT_TEST": str(tmp_path)}, stderr=subprocess.PIPE, start_new_session=True,

@@ -58,7 +58,7 @@ def plan(*faults, sequence=None, mapper=None, **limits):
         "mapper": mapper or {"resolution_m": 0.25},
         "limits": {"run_s": 60.0, "scan_s": 30.0, **limits},
     }
-    return experiment.plan(content, "t.toml", "t", "report t.toml")
+    return experiment.plan(content, "t.toml", "t", "compare t.toml")
 
 
 def records(plan, folder, jobs=2, resume=False, heard=None):
@@ -302,7 +302,7 @@ def test_a_run_that_ends_evalkit_twice_is_quarantined_and_the_others_are_made(tm
         '[mapper]\nresolution_m = 0.25\n[[sequence]]\nuse = "straight"\n'
     )
     words = [str(tmp_path / "t.toml"), "--out", str(tmp_path / "out"), "-j", "1", "--resume", "--json"]
-    command = [sys.executable, "-c", "from evalkit.cli import main; main()", "run", *words]
+    command = [sys.executable, "-c", "from evalkit.cli import main; main()", "compare", "--no-page", *words]
     first, second, third = (subprocess.run(command, capture_output=True, text=True, check=False) for _ in range(3))
     assert (first.returncode, second.returncode, third.returncode) == (-9, -9, 1)
     deadly, other = json.loads(third.stdout)["runs"]

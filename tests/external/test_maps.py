@@ -39,7 +39,7 @@ def run(tmp_path, monkeypatch, capsys):
         path = tmp_path / "maps.toml"
         entrants = "".join(f"[[method]]\nuse = {json.dumps(use)}\n" for use in uses)
         path.write_text(entrants + COARSE + f'[[sequence]]\nuse = "room"\n{DRIVE}')
-        words = ["evalkit", command, str(path), "-o", str(tmp_path / "out"), "-j", "1", "--json"]
+        words = ["evalkit", "compare", *command, str(path), "-o", str(tmp_path / "out"), "-j", "1", "--json"]
         monkeypatch.setattr(sys, "argv", words)
         with pytest.raises(SystemExit) as ended:
             cli.main()
@@ -62,7 +62,7 @@ def wall(shape=(30, 40)):
 def test_the_true_map_itself_scores_perfectly_and_says_nothing_that_needs_a_trajectory(saved, run):
     drive = {p.name: p.default for p in registry.dataset("room").parameters} | {"laps": 0.02}
     use = saved(registry.dataset("room").make(**drive).truth().grid)
-    code, answer = run("report", "wheel-odometry", use, f"{use} x_m=0.5")
+    code, answer = run([], "wheel-odometry", use, f"{use} x_m=0.5")
     _, theirs, shifted = answer["runs"]
     assert (code, theirs["status"]) == (0, "complete")
     found = theirs["scores"]
@@ -105,7 +105,7 @@ def test_a_map_or_an_image_that_is_not_there_is_absent_and_one_that_is_damaged_h
     use = saved(wall())
     image = tmp_path / "elsewhere" / "map.pgm"
     image.write_bytes(b"P5 3 2 255\n\0")
-    code, answer = run("run", use, "file:nowhere.yaml")
+    code, answer = run(["--no-page"], use, "file:nowhere.yaml")
     damaged, absent = answer["runs"]
     assert (code, damaged["status"], absent["status"]) == (1, "failed", "not-installed")
     assert "1 pixels for 3 x 2" in damaged["reason"]

@@ -157,7 +157,7 @@ def test_a_program_that_does_not_introduce_itself_has_failed(program, followed, 
 def test_a_program_that_does_not_introduce_itself_may_have_settings_all_the_same(program):
     name = program(hello="sys.exit(7)")
     content = {"method": [{"use": name, "max_iterations": 3}], "sequence": [{"use": "room"}]}
-    (method,) = experiment.plan(content, "x.toml", "x", "report x.toml").methods
+    (method,) = experiment.plan(content, "x.toml", "x", "compare x.toml").methods
     assert method.missing == ""
     assert "ended with code 7 instead of answering" in registry.backend(name).broken
 
@@ -193,7 +193,7 @@ def test_its_parameters_are_set_in_an_experiment_and_reach_it(program, followed)
     path = Path(name.split()[-1])
     path.write_text(path.read_text().replace("        say()\n", "        s = q['parameters']; say()\n"))
     plan = experiment.plan(
-        {"method": [{"use": name, "offset_m": 2}], "sequence": [{"use": "room"}]}, "x.toml", "x", "report x.toml"
+        {"method": [{"use": name, "offset_m": 2}], "sequence": [{"use": "room"}]}, "x.toml", "x", "compare x.toml"
     )
     (method,) = plan.methods
     assert (method.label, method.missing) == (name, "")
@@ -204,7 +204,7 @@ def test_its_parameters_are_set_in_an_experiment_and_reach_it(program, followed)
 
 def test_an_absent_program_with_parameters_is_still_a_row_with_a_reason():
     content = {"method": [{"use": "exec:./nowhere", "max_iterations": 3}], "sequence": [{"use": "room"}]}
-    (method,) = experiment.plan(content, "x.toml", "x", "report x.toml").methods
+    (method,) = experiment.plan(content, "x.toml", "x", "compare x.toml").methods
     assert "no program found" in method.missing
 
 

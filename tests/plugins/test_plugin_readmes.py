@@ -43,7 +43,7 @@ def evalkit(environment, *words):
 def runs(environment, folder, experiment):
     file = folder / "experiment.toml"
     file.write_text(experiment, encoding="utf-8")
-    answer = evalkit(environment, "run", file, "--out", folder / "out", "--json")
+    answer = evalkit(environment, "compare", "--no-page", file, "--out", folder / "out", "--json")
     assert answer.returncode == 0, answer.stderr
     return json.loads(answer.stdout)["runs"]
 

@@ -19,13 +19,13 @@ def plan():
         "method": [{"use": "wheel-odometry"}, {"use": "paper", "label": "ours", "keyframes": 7}],
         "sequence": [{"use": "room", "seeds": [0]}, {"use": "corridor", "seeds": [0]}],
     }
-    return experiment.plan(content, "two.toml", "two", "report two.toml")
+    return experiment.plan(content, "two.toml", "two", "compare two.toml")
 
 
 def test_cards_tell_every_setting_a_method_runs_with(plan):
     noon = datetime(2024, 5, 1, 12, tzinfo=UTC)
     made = comparison_of(plan, [], noon, noon)
-    assert made.command == "evalkit report two.toml"
+    assert made.command == "evalkit compare two.toml"
     assert [card.role for card in made.methods.values()] == ["baseline", "reference"]
     settings = {setting.name: setting for setting in made.methods["ours"].settings}
     assert {name: setting.value for name, setting in settings.items()} == dict(plan.methods[1].parameters)

@@ -20,7 +20,7 @@ def planned():
         "method": [{"use": "wheel-odometry", "label": "fast"}, {"use": "paper", "label": "slow"}],
         "sequence": [{"use": "room", "seeds": [0, 1]}, {"use": "lab"}],
     }
-    return list(experiment.plan(content, "x.toml", "x", "report x.toml").runs())
+    return list(experiment.plan(content, "x.toml", "x", "compare x.toml").runs())
 
 
 def test_nothing_is_known_before_the_first_run_ends(planned):
@@ -68,7 +68,7 @@ def test_a_pipe_gets_one_plain_line_a_run_with_its_reason(planned):
 
 def test_what_is_missing_is_one_line_a_reason_and_what_the_system_lacks_comes_first(planned):
     content = {"method": [{"use": "wheel-odometry"}], "sequence": [{"use": "room"}]}
-    plan = experiment.plan(content, "x.toml", "x", "report x.toml")
+    plan = experiment.plan(content, "x.toml", "x", "compare x.toml")
     assert missing(plan) == []
     pip, apt = "not installed: pip install x", "needs libGL:\napt-get install libgl1"
     entrants = [Method(label, "", {}, why) for label, why in (("a", pip), ("b", apt), ("c", apt), ("d", ""))]

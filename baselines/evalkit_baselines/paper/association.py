@@ -5,15 +5,17 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable
-from typing import Generic, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeVar
 from weakref import ref
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from evalkit.core.arrays import Ints
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 Built = TypeVar("Built")
 

@@ -22,10 +22,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import TYPE_CHECKING, Literal, TypeAlias
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from evalkit.core import se2
 from evalkit.core.arrays import Ints
@@ -36,7 +35,10 @@ from evalkit.core.se2 import Floats
 from evalkit.plugins.protocols import Parameter, resolved
 from evalkit_baselines.paper.association import Association, Recent
 
-Target = tuple[cKDTree, Floats | None]  # with the normals (M, 2) of metric "line"
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
+
+Target: TypeAlias = "tuple[cKDTree, Floats | None]"  # with the normals (M, 2) of metric "line"
 
 PARAMETERS = (
     Parameter("epsilon", 1e-4, "m (mean-squared: m^2)", "stop when the error changes by less", low=0.0),
@@ -111,6 +113,8 @@ class Icp:
         return Match(last.target_from_source, converged, len(history), last.error, last.inliers, tuple(history))
 
     def _index(self, target: Cloud) -> Target:
+        from scipy.spatial import cKDTree  # noqa: PLC0415 - the spec of a back end is listed without SciPy
+
         tree = cKDTree(target.points, leafsize=16, balanced_tree=False)  # the quickest to build, no slower to ask
         return tree, line_normals(tree, self.line_neighbours) if self.metric == "line" else None
 

@@ -27,7 +27,10 @@ def inspect(
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Tell what a recording holds, what is wrong with it, and which lines would run it; 1 if nothing would."""
+    """Inspect a recording: its contents, its defects, and the command that runs it.
+
+    Exit code 1 if no command can run it.
+    """
     if not file.exists():
         raise BadData(str(file), "", "no such file or folder", "give the path of a bag or a log")
     found = inspect_recording(file)

@@ -17,7 +17,7 @@ from evalkit_datasets.inspection.streams import LaserStream, OdometryStream, Rec
 NO_RECORDING = {
     ".tum": "a trajectory (.tum) goes beside a recording: evalkit compare RECORDING --reference FILE",
     ".relations": "relations go beside a recording: evalkit compare RECORDING --relations FILE",
-    ".toml": "an experiment is run with evalkit report FILE, distances by tape go beside a recording: --spans FILE",
+    ".toml": "an experiment is run with evalkit compare FILE, distances by tape go beside a recording: --spans FILE",
     ".yaml": "a map is compared as the method file:MAP.yaml",
     ".pgm": "a map is compared as the method file:MAP.yaml",
 }

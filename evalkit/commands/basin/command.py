@@ -22,14 +22,10 @@ if TYPE_CHECKING:
 
 
 def basin(
-    backend: Annotated[
-        list[str] | None, typer.Argument(help="Registered names, or module:SPEC.", show_default="all")
-    ] = None,
+    backend: options.Backends = None,
     scene: Annotated[list[str] | None, typer.Option(help="Only this scene (repeatable).", show_default="all")] = None,
-    on: Annotated[
-        list[str] | None, typer.Option(help="Scans of a data set, 'fr079 limit=600' (repeatable).", show_default=False)
-    ] = None,
-    setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE for every back end.")] = None,
+    on: options.On = None,
+    setting: options.Settings = None,
     offsets: Annotated[int, typer.Option(min=10, help="Wrong guesses a back end and scene.")] = 1024,
     distance: Annotated[float, typer.Option(min=0.01, help="The farthest guess (m).")] = 1.0,
     turn: Annotated[float, typer.Option(min=0.1, max=180.0, help="The most turned guess (deg).")] = 45.0,
@@ -43,7 +39,10 @@ def basin(
     jobs: Jobs = None,
     as_json: Json = False,
 ) -> None:
-    """Measure convergence basins: success over the offset of the guess, scene by scene; a page and a JSON file."""
+    """Measure convergence basins: success against the error of the initial guess.
+
+    Write a page and a JSON file. Exit code 1 if a back end raised an error or ended its process.
+    """
     from evalkit.commands.basin import page as basin_page  # noqa: PLC0415 - loads matplotlib and scipy.stats
     from evalkit.commands.basin import scenes, sequences  # noqa: PLC0415 - as above
     from evalkit.commands.basin import trials as attempts  # noqa: PLC0415 - as above
@@ -51,7 +50,7 @@ def basin(
     from evalkit.commands.basin.result import result  # noqa: PLC0415 - as above
     from evalkit.report.html.document import render  # noqa: PLC0415 - as above
 
-    options.modules_from_here()
+    options.add_working_directory()
     given = options.settings(setting or [])
     entrants = [attempts.entrant(name, given) for name in dict.fromkeys(backend or _registrations())]
     names = scene or ([] if on else list(scenes.PLACES))
@@ -85,12 +84,8 @@ def _asked(entrants: list[Any], trials: list[Any], folder: Path, workers: int) -
     from evalkit.execution.task_store import TaskStore  # noqa: PLC0415 - loaded only where a basin is computed
 
     count = sum(not each.reason for each in entrants) * sum(-(-one.offsets // attempts.AT_ONCE) for one in trials)
-    try:
-        with progress.jobs(err, count, workers) as done:
-            return attempts.ask(entrants, trials, TaskStore(folder), workers, done)
-    except KeyboardInterrupt:
-        err.print("interrupted; what is done is kept: the same command goes on from here")
-        raise
+    with progress.say_what_is_kept(err, "finished jobs"), progress.jobs(err, count, workers) as done:
+        return attempts.ask(entrants, trials, TaskStore(folder), workers, done)
 
 
 def _write(folder: Path, content: dict[str, Any], page: str) -> Path:

@@ -70,6 +70,13 @@ def before() -> dict[str, str]:
     return environment.describe(("numpy", "scipy", "open3d", "kiss-icp", "small-gicp", "rosbags"))
 
 
+def is_benchmark(path: Path) -> bool:
+    """Return whether a path is a benchmark's file, or a folder of files that is no results folder."""
+    if not path.is_dir():
+        return path.suffix == ".json"
+    return not (path / "results.json").exists() and not (path / "runs").exists() and any(path.glob("*.json"))
+
+
 def read(path: Path) -> dict[str, Benchmark]:
     """The benchmarks of a file, or of all files of a folder, by name; BadData where there is none."""
     files = sorted(path.glob("*.json")) if path.is_dir() else [path]

@@ -1,7 +1,8 @@
-"""``evalkit diff``: what changed between two results folders."""
+"""``evalkit diff``: compare two results folders, or two sets of benchmarks."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -9,12 +10,13 @@ import typer
 from rich.table import Table
 from rich.text import Text
 
+from evalkit.commands.diff import benchmark
 from evalkit.terminal import options, progress
 from evalkit.terminal.options import Json, out
 
 
 def share(text: str) -> float:
-    """The share that "5%", "5 %" or "0.05" says; anything else or below zero is a usage error."""
+    """Return the share written as "5%", "5 %" or "0.05". Raises typer.BadParameter for any other text."""
     number = text.strip().removesuffix("%")
     try:
         value = float(number) / (100.0 if text.strip().endswith("%") else 1.0)
@@ -26,34 +28,79 @@ def share(text: str) -> float:
 
 
 def diff(
-    old: Annotated[Path, typer.Argument(help="The results folder before.", show_default=False)],
-    new: Annotated[Path, typer.Argument(help="The results folder after.", show_default=False)],
-    limit_ate: Annotated[str, typer.Option(help="So much more error is no regression.")] = "5%",
-    limit_time: Annotated[str, typer.Option(help="So much more CPU time is no regression.")] = "10%",
-    everything: Annotated[bool, typer.Option("--all", help="List what did not change, too.")] = False,
-    markdown: Annotated[bool, typer.Option("--markdown", help="Markdown for a pull request.")] = False,
+    old: Annotated[Path, typer.Argument(help="The results before: a folder, or benchmarks.", show_default=False)],
+    new: Annotated[Path, typer.Argument(help="The results after.", show_default=False)],
+    limit_ate: Annotated[str, typer.Option(help="Tolerated increase of the error.")] = "5%",
+    limit_time: Annotated[str, typer.Option(help="Tolerated increase of CPU time.")] = "10%",
+    limit: Annotated[str, typer.Option(help="Benchmarks: tolerated increase of time or size.")] = "10%",
+    across_machines: Annotated[
+        bool, typer.Option("--across-machines", help="Benchmarks: accept different processors.")
+    ] = False,
+    everything: Annotated[bool, typer.Option("--all", help="List unchanged values as well.")] = False,
+    markdown: options.Markdown = False,
     as_json: Json = False,
 ) -> None:
-    """Tell what changed between two results folders: 1 if anything is worse by more than the noise and the limits."""
-    from evalkit.commands.diff import differences, snapshot  # noqa: PLC0415
-    from evalkit.commands.diff import text as change_text  # noqa: PLC0415
-    from evalkit.metrics import all_metrics  # noqa: PLC0415 - scipy: only who compares pays for it
+    """Compare two results folders, or two sets of benchmarks.
 
-    limits = differences.Limits(share(limit_ate), share(limit_time))
+    Benchmarks are the JSON files of ``make bench``, or a folder of them. Exit code 1 if anything is worse by more than
+    the noise and the limits.
+    """
+    if benchmark.is_benchmark(old):
+        _diff_benchmarks(old, new, share(limit), across_machines, everything, markdown, as_json)
+    else:
+        _diff_results(old, new, (share(limit_ate), share(limit_time)), everything, markdown, as_json)
+
+
+def _diff_results(
+    old: Path, new: Path, shares: tuple[float, float], everything: bool, markdown: bool, as_json: bool
+) -> None:
+    from evalkit.commands.diff import differences, snapshot  # noqa: PLC0415 - loads scipy
+    from evalkit.commands.diff import text as change_text  # noqa: PLC0415 - as above
+    from evalkit.metrics import all_metrics  # noqa: PLC0415 - as above
+
     metrics = {metric.name: metric for metric in all_metrics()}
+    limits = differences.Limits(*shares)
     found = differences.difference(snapshot.read(old), snapshot.read(new), tuple(metrics.values()), limits)
     if as_json:
         options.print_json(found.as_json())
     elif markdown:
-        out.print(change_text.markdown(found, metrics), markup=False, highlight=False, emoji=False, end="")
+        _print_markdown(change_text.markdown(found, metrics))
     else:
-        table = Table(*change_text.COLUMNS, expand=out.is_terminal)
-        rows = change_text.rows(found, metrics, everything)
-        for row in rows:
-            table.add_row(*map(Text, row))
-        if rows:
-            progress.show(out, table)
-        for line in (*change_text.remarks(found), change_text.verdict(found)):
-            out.print(line, markup=False, highlight=False, emoji=False)
+        lines = (*change_text.remarks(found), change_text.verdict(found))
+        _print_table(change_text.COLUMNS, change_text.rows(found, metrics, everything), lines)
     if found.regressions:
         raise typer.Exit(1)
+
+
+def _diff_benchmarks(
+    old: Path, new: Path, limit: float, across_machines: bool, everything: bool, markdown: bool, as_json: bool
+) -> None:
+    from evalkit.commands.diff import benchmark_comparison  # noqa: PLC0415 - loads scipy
+
+    if everything:
+        raise typer.BadParameter("--all: benchmarks are always listed in full")
+    found = benchmark_comparison.compared(benchmark.read(old), benchmark.read(new), limit, across_machines)
+    if as_json:
+        options.print_json(found.as_json())
+    elif markdown:
+        _print_markdown(benchmark_comparison.markdown(found))
+    else:
+        lines = (*found.apart, benchmark_comparison.verdict(found))
+        _print_table(benchmark_comparison.COLUMNS, benchmark_comparison.rows(found), lines)
+    if found.regressions:
+        raise typer.Exit(1)
+
+
+def _print_markdown(text: str) -> None:
+    out.print(text, markup=False, highlight=False, emoji=False, end="")
+
+
+def _print_table(columns: Sequence[str], rows: Iterable[Sequence[str]], lines: Iterable[str]) -> None:
+    """Print a table, unless it is empty, and the lines below it."""
+    table = Table(*columns, expand=out.is_terminal)
+    for row in rows:
+        table.add_row(*map(Text, row))
+    if table.row_count:
+        progress.show(out, table)
+    for line in lines:
+        out.print(line, markup=False, highlight=False, emoji=False)

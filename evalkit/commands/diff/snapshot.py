@@ -15,7 +15,7 @@ from evalkit.report.results_json import NAME, VERSION
 from evalkit.results.store import RESULT, read_steps
 from evalkit.stats.bootstrap import Series
 
-AGAIN = "name a folder that `evalkit run` or `evalkit report` has written"
+AGAIN = "name a folder that `evalkit compare` has written"
 
 Place = tuple[str, str, int | None]
 """Method, sequence and seed."""
@@ -50,7 +50,7 @@ class Snapshot:
 
 
 def read(folder: Path) -> Snapshot:
-    """A results folder as `evalkit report` (results.json) or `evalkit run` (only runs) left it.
+    """Read a results folder, with a report (results.json) or without (only runs).
 
     StoreError says what is missing, of another version or half-written.
     """

@@ -24,17 +24,32 @@ WITH_SCANS = {"pdf", "svg", "tum", "kitti", "mcap", "rerun"}
 def export(
     results: Annotated[Path, typer.Argument(help="A results folder.", show_default=False)],
     forms: Annotated[
-        list[str], typer.Option("--format", "-f", help=f"all, {', '.join(FORMATS)} (repeatable).", show_default=False)
+        list[str],
+        typer.Option(
+            "--format",
+            "-f",
+            help=f"all, {', '.join(FORMATS)} (repeatable).",
+            show_default=False,
+            autocompletion=lambda: [*FORMATS, "all"],
+        ),
     ],
     folder: Annotated[Path, typer.Option("--out", "-o", help="Where to write.")] = Path("export"),
-    sequence: Annotated[list[str] | None, typer.Option(help="Only this sequence (repeatable).")] = None,
-    method: Annotated[list[str] | None, typer.Option(help="Only this method (repeatable).")] = None,
+    sequence: options.Sequences = None,
+    method: options.Methods = None,
     metric: Annotated[
-        list[str] | None, typer.Option(help="A column of the tables (repeatable).", show_default="the headline ones")
+        list[str] | None,
+        typer.Option(
+            help="A column of the tables (repeatable).",
+            show_default="the headline metrics",
+            autocompletion=options.complete_metric,
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """Write a finished comparison for programs, papers, other evaluators (TUM, KITTI, g2o), ROS, rerun."""
+    """Export a finished comparison to other file formats.
+
+    Tables (CSV, JSON, LaTeX, Markdown), figures, trajectories (TUM, KITTI, g2o), maps, ROS 2 bags and rerun files.
+    """
     from evalkit.commands.export import results as finished  # noqa: PLC0415 - only who exports pays for it
 
     wanted = _wanted(forms)

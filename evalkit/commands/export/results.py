@@ -19,7 +19,7 @@ from evalkit.report.results_json import NAME, VERSION
 from evalkit.results.run_record import RunRecord
 from evalkit.results.store import Store
 
-AGAIN = "name a folder that `evalkit report` or `evalkit compare` has written, or make the report again"
+AGAIN = "name a folder that `evalkit compare` has written, or write the report again"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,7 @@
-"""``evalkit metrics``: the card of every metric, and how far those without a truth can be trusted."""
+"""Measure how map metrics follow the true error, and inject faults that the metrics must show.
+
+Run it as ``python -m evalkit.commands.metric_validation validate`` or ``... selftest``.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from evalkit.core.errors import UnknownName
 from evalkit.execution import environment
 from evalkit.results.store import write_texts
 from evalkit.terminal import options, progress
@@ -19,57 +21,14 @@ from evalkit.terminal.options import Json, Out, err, out
 
 if TYPE_CHECKING:
     from evalkit.execution.task import AnyTask, Result
-    from evalkit.metrics.table import Metric
-    from evalkit.metrics.validated import Trust
 
-metrics = typer.Typer(help="What each number means, what it is blind to, and how far it can be trusted.")
-
-ARROWS = {"lower": "lower is better", "higher": "higher is better", "": "neither direction is better"}
+app = typer.Typer(help="Validate the metrics themselves.", no_args_is_help=True, add_completion=False)
 
 Mapper = Annotated[str, typer.Option(help="What draws the maps.")]
-Workers = Annotated[
-    int | None, typer.Option("--jobs", "-j", min=1, help="At a time.", show_default="physical cores")
-]  # fmt: skip
 Seed = Annotated[int, typer.Option(min=0, help="Draws the worlds' noise and the random ways to go wrong.")]
 
 
-@metrics.command("list")
-def list_(
-    group: Annotated[str, typer.Option(help="Only this group.", show_default="all")] = "", as_json: Json = False
-) -> None:
-    """Every metric: its name, unit, direction and group."""
-    from rich.markup import escape  # noqa: PLC0415 - only where a table is printed
-    from rich.table import Table  # noqa: PLC0415 - as above
-
-    every = _metrics()
-    groups = dict.fromkeys(metric.group for metric in every)
-    if group and group not in groups:
-        raise UnknownName("group of metrics", group, groups)
-    chosen = [metric for metric in every if group in ("", metric.group)]
-    if as_json:
-        options.print_json([_card(metric) for metric in chosen])
-        return
-    table = Table("name", "label", "unit", "better", "group", expand=out.is_terminal)
-    for metric in chosen:
-        table.add_row(*map(escape, (metric.name, metric.label, metric.unit or "-", metric.better or "-", metric.group)))
-    progress.show(out, table)
-
-
-@metrics.command()
-def show(name: Annotated[str, typer.Argument(help="A metric.", show_default=False)], as_json: Json = False) -> None:
-    """The card of a metric: definition, source, what it is blind to, what it stands on, when it has no value."""
-    known = {metric.name: metric for metric in _metrics()}
-    if name not in known:
-        raise UnknownName("metric", name, known)
-    card = _card(known[name])
-    if as_json:
-        options.print_json(card)
-        return
-    for line in _lines(known[name]):
-        out.print(line, markup=False, highlight=False)
-
-
-@metrics.command()
+@app.command()
 def validate(
     world: Annotated[
         list[str] | None, typer.Option(help="A data set (repeatable).", show_default="lab, office, room")
@@ -80,7 +39,7 @@ def validate(
     seed: Seed = 0,
     quick: Annotated[bool, typer.Option("--quick", help="One world, two sizes, few scans: seconds.")] = False,
     folder: Out = None,
-    jobs: Workers = None,
+    jobs: options.Jobs = None,
     as_json: Json = False,
 ) -> None:
     """Measure how metrics without a truth follow the true error of maps that are spoiled in known ways."""
@@ -107,13 +66,13 @@ def validate(
     _judge(content["planted"])
 
 
-@metrics.command()
+@app.command()
 def selftest(
     world: Annotated[str, typer.Option(help="A data set with a true trajectory.")] = "lab",
     mapper: Mapper = "log-odds",
     seed: Seed = 0,
     folder: Out = None,
-    jobs: Workers = None,
+    jobs: options.Jobs = None,
     as_json: Json = False,
 ) -> None:
     """Plant mistakes between a sequence and its scores; exit code 1 if one of them is not plain in the numbers."""
@@ -129,68 +88,18 @@ def selftest(
     _judge(found)
 
 
-def _metrics() -> tuple[Metric, ...]:
-    from evalkit.metrics import all_metrics  # noqa: PLC0415 - loads scipy
-
-    return all_metrics()
-
-
-def _card(metric: Metric) -> dict[str, Any]:
-    from evalkit.commands.metric_validation.measured import interval  # noqa: PLC0415 - loads scipy.stats
-
-    trust = _trust(metric)
-    return {
-        "name": metric.name, "label": metric.label, "unit": metric.unit, "better": metric.better,
-        "group": metric.group, "definition": metric.definition, "source": metric.source,
-        "limitations": metric.limitations, "support": metric.support, "no_value": list(metric.no_value),
-        "follows_the_true_error": None if trust is None else interval(trust.overall),
-    }  # fmt: skip
-
-
-def _trust(metric: Metric) -> Trust | None:
-    from evalkit.metrics.validated import shipped  # noqa: PLC0415 - only where a card is shown
-
-    return shipped().of(metric.name)
-
-
-def _lines(metric: Metric) -> list[str]:
-    lines = [
-        f"{metric.name}: {metric.label} [{metric.unit or '-'}], {ARROWS[metric.better]}",
-        f"  group       {metric.group}",
-        f"  definition  {metric.definition}",
-        f"  source      {metric.source}",
-        f"  blind to    {metric.limitations}",
-        f"  stands on   {metric.support or 'not told by its package'}",
-        *(f"  no value    {reason}" for reason in metric.no_value),
-    ]
-    trust = _trust(metric)
-    if trust is not None:
-        ways = ", ".join(f"{way} {_number(one)}" for way, one in trust.by_way.items())
-        worlds = ", ".join(f"{world} {_number(one)}" for world, one in trust.by_world.items())
-        lines.append(f"  follows the true error (Spearman)  {_number(trust.overall)}: {ways}; {worlds}")
-    return lines
-
-
-def _number(found: Any) -> str:
-    return "-" if found is None else f"{found.value:.2f}"
-
-
 def _made(jobs: list[AnyTask], folder: Path, workers: int | None) -> dict[str, Result]:
     from evalkit.execution.task_runner import run_tasks  # noqa: PLC0415 - loaded only if something is computed
     from evalkit.execution.task_store import TaskStore  # noqa: PLC0415 - as above
 
     at_once = workers or environment.physical_cores()
-    try:
-        with progress.jobs(err, len(jobs), at_once) as done:
-            return run_tasks(TaskStore(folder / "results"), jobs, at_once, done)
-    except KeyboardInterrupt:
-        err.print("interrupted; what is done is kept: the same command goes on from here")
-        raise
+    with progress.say_what_is_kept(err, "finished jobs"), progress.jobs(err, len(jobs), at_once) as done:
+        return run_tasks(TaskStore(folder / "results"), jobs, at_once, done)
 
 
 def _how() -> dict[str, Any]:
     return {
-        "command": shlex.join(["evalkit", *sys.argv[1:]]),
+        "command": shlex.join(["python", "-m", "evalkit.commands.metric_validation", *sys.argv[1:]]),
         "made": datetime.now(UTC).strftime("%Y-%m-%d"),
         "versions": environment.versions(("evalkit", "numpy", "scipy")),
     }

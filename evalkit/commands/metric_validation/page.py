@@ -1,4 +1,4 @@
-"""The page of ``evalkit metrics validate``: how metrics follow the true error, and where planted mistakes show."""
+"""The page of ``make metric-validation``: how metrics follow the true error, and where planted mistakes show."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def document(content: Mapping[str, Any]) -> Document:
         "spoiled in known ways, their maps drawn again, and every metric is held against the true error."
     )
     sections = (_trust(content), _scatter(content), _planted(content), _how(content))
-    return Document("evalkit metrics validate", "Numbers a person trusts", lead, sections, facts)
+    return Document("Validation of the metrics", "Numbers a person trusts", lead, sections, facts)
 
 
 def _trust(content: Mapping[str, Any]) -> Section:

@@ -44,9 +44,9 @@ def realtime(
     folder: options.Out = Path("reports") / "build" / "realtime",
     as_json: Json = False,
 ) -> None:
-    """Measure what each scan costs here, then drop the scans a slower device would drop: drift against device factor.
+    """Simulate a slower device and measure the drift caused by dropped scans.
 
-    The measured costs are kept: the same command again drops the same scans.
+    The time per scan is measured on this machine once and kept: the same command again drops the same scans.
     """
     known = _factors(factors)
     ladder = _Ladder(known, _policy(policy), repetitions, odometry)

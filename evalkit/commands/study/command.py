@@ -25,18 +25,19 @@ def study(
     file: Annotated[Path, typer.Argument(help="A study file (*.toml).", show_default=False)],
     point: Annotated[str, typer.Option(help="Compute this point alone, by its key.", show_default=False)] = "",
     folder: Out = None,
-    jobs: Annotated[
-        int | None, typer.Option("--jobs", "-j", min=1, help="At a time.", show_default="physical cores")
-    ] = None,
+    jobs: options.Jobs = None,
     engine: options.Engine = "local",
     scheduler: Scheduler = "",
     as_json: Json = False,
 ) -> None:
-    """Study the factors of a file: effects, interactions, operating envelope; killed, the same command goes on."""
+    """Run a designed experiment: main effects, interactions, operating envelope.
+
+    Finished points are kept: repeat the command to continue an interrupted study.
+    """
     from evalkit.commands.study.config import read  # noqa: PLC0415 - as above
     from evalkit.commands.study.result import Outcome, run_study_tasks  # noqa: PLC0415 - loads scipy.stats
 
-    options.modules_from_here()
+    options.add_working_directory()
     plan = read(file, f"evalkit study {shlex.quote(str(file))}")
     if plan.missing:
         raise NotInstalled(str(file), "cannot be run here", plan.missing)
@@ -50,12 +51,8 @@ def study(
         cluster = replace(cluster, timed=any(response.metric.group == "runtime" for response in plan.responses))
     ran_on = environment.describe(jobs=workers)
     asked = plan.tasks()
-    try:
-        with progress.jobs(err, len(asked), workers) as done:
-            outcome = Outcome(plan, run_study_tasks(asked, folder / "results", workers, done, cluster))
-    except KeyboardInterrupt:
-        err.print("interrupted; finished points are kept: the same command goes on from here")
-        raise
+    with progress.say_what_is_kept(err, "finished points"), progress.jobs(err, len(asked), workers) as done:
+        outcome = Outcome(plan, run_study_tasks(asked, folder / "results", workers, done, cluster))
     page = _written(outcome, folder, ran_on)
     lost = sum(bool(outcome.lost(key, seed)) for key in plan.points for seed in plan.seeds(key))
     if as_json:

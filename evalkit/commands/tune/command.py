@@ -44,12 +44,15 @@ def tune(
     collect: Collect = False,
     as_json: Json = False,
 ) -> None:
-    """Tune back ends fairly: the same budget on training worlds, judged on others; killed, the same command goes on."""
+    """Tune back ends with equal budgets and compare them on held-out sequences.
+
+    Finished runs are kept: repeat the command to continue an interrupted search.
+    """
     from evalkit.commands.tune.result import Tuned  # noqa: PLC0415 - loads matplotlib and scipy.stats
     from evalkit.commands.tune.tuned import experiment_text, held_out_plan  # noqa: PLC0415 - as above
     from evalkit.report import comparison_of  # noqa: PLC0415 - as below
 
-    options.modules_from_here()
+    options.add_working_directory()
     tuning = _tuning(what, on or [], held_out or [], budget, setting or [])
     folder = folder or Path("reports") / "build" / tuning.name
     workers = jobs or environment.physical_cores()
@@ -62,7 +65,7 @@ def tune(
     write_texts(folder, {experiment.name: text})
     records = _judged(plan, Store(folder / "report"), workers, ran_on, collect)
     comparison = comparison_of(plan, records, started, datetime.now(UTC), ran_on)
-    report = f"evalkit report {shlex.quote(str(experiment))} --resume --out {shlex.quote(str(folder / 'report'))}"
+    report = f"evalkit compare {shlex.quote(str(experiment))} --resume --out {shlex.quote(str(folder / 'report'))}"
     _end(Tuned(tuning, found, comparison, ran_on, report), folder, as_json)
 
 
@@ -100,12 +103,11 @@ def _searched(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tupl
             told = f"the search is not done: {unmade.missing} runs of the next points are missing; the same command"
             out.print(f"{told} without --collect goes on", markup=False, highlight=False)
             raise typer.Exit(3) from None
-    try:
-        with progress.jobs(err, search_loop.expected_runs(tuning), workers) as done:
-            return search_loop.searched(tuning, search_loop.making(results, workers, done))
-    except KeyboardInterrupt:
-        err.print("interrupted; finished runs are kept: the same command goes on from here")
-        raise
+    with (
+        progress.say_what_is_kept(err, "finished runs"),
+        progress.jobs(err, search_loop.expected_runs(tuning), workers) as done,
+    ):
+        return search_loop.searched(tuning, search_loop.making(results, workers, done))
 
 
 def _judged(
@@ -116,12 +118,8 @@ def _judged(
 
     for line in progress.missing(plan):
         err.print(line, markup=False, highlight=False)
-    try:
-        with progress.progress(err, list(plan.runs()), workers) as shown:
-            return Engine(plan, store, shown, workers, True, ran_on, collect=collect).records()
-    except KeyboardInterrupt:
-        err.print("interrupted; finished runs are kept: the same command goes on from here")
-        raise
+    with progress.say_what_is_kept(err, "finished runs"), progress.progress(err, list(plan.runs()), workers) as shown:
+        return Engine(plan, store, shown, workers, True, ran_on, collect=collect).records()
 
 
 def _end(told: Tuned, folder: Path, as_json: bool) -> None:

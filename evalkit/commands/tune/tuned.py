@@ -43,8 +43,8 @@ def experiment_text(tuning: Tuning, found: Sequence[Searched]) -> str:
 
 
 def held_out_plan(text: str, file: str) -> Experiment:
-    """The plan of that text, as ``evalkit report FILE`` reads it."""
-    return experiment.plan(parse_toml(text), file, "tuned", f"report {file}")
+    """The plan of that text, as ``evalkit compare FILE`` reads it."""
+    return experiment.plan(parse_toml(text), file, "tuned", f"compare {file}")
 
 
 def _method(method: Method, label: str, values: Mapping[str, Value]) -> list[str]:

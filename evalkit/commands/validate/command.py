@@ -1,4 +1,4 @@
-"""``evalkit validate``: the whole dossier of an implementation, held against its twin on every level."""
+"""``evalkit validate``: validate an implementation against a reference, level by level."""
 
 from __future__ import annotations
 
@@ -10,80 +10,157 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
 from rich.text import Text
 
+from evalkit.commands.validate import single_level
 from evalkit.commands.validate.acceptance import Claim, Dossier
 from evalkit.config.experiment import Experiment
 from evalkit.core.errors import BadParameter
 from evalkit.execution import environment
 from evalkit.execution.scheduler import Progress
-from evalkit.plugins import registry
+from evalkit.plugins import defaults, registry
+from evalkit.plugins.protocols import Excerpt
 from evalkit.results.store import Store
 from evalkit.terminal import options, progress
 from evalkit.terminal.options import Jobs, Json, err, out
 
-FULL_ON = ("room laps=0.6", "lab laps=0.6", "fr079 limit=600")
-QUICK_ON = ("room laps=0.15", "lab laps=0.15", "fr079 limit=90")
+if TYPE_CHECKING:
+    from evalkit.commands.validate.examination import Asked
+
 MOST = 4
 """Lines of a level that are printed; the page has all."""
 
-AGAINST = ("open3d-icp", "kiss-icp")
-
-Target = Annotated[
-    str,
-    typer.Argument(
-        help="A registered name, module:SPEC, lib:./libmine.so or 'exec:ssh board ./my_icp'.", show_default=False
-    ),
-]
+RULES, LOCKSTEP, DETERMINISM = "Only rules", "Only lockstep", "Only determinism"
+LEVELS = ("rules", "registrations", "lockstep", "determinism")
+"""The levels that can be asked for alone."""
 
 
 def validate(
-    backend: Target,
-    twin: Annotated[str, typer.Option(help="What it shall be equal to.", show_default="paper, by its role")] = "",
+    backends: options.Backends = None,
+    only: Annotated[
+        str,
+        typer.Option(
+            help=f"Only this level: {', '.join(LEVELS)}.", show_default="all", autocompletion=lambda: list(LEVELS)
+        ),
+    ] = "",
+    reference: Annotated[
+        str,
+        typer.Option(
+            help="What it is compared with.", show_default="by its role", autocompletion=options.complete("backends")
+        ),
+    ] = "",
     against: Annotated[
-        list[str] | None, typer.Option(help="A reference beside it.", show_default="open3d-icp, kiss-icp")
+        list[str] | None,
+        typer.Option(
+            help="A further back end beside it (repeatable).",
+            show_default=False,
+            autocompletion=options.complete("backends"),
+        ),
     ] = None,
-    on: Annotated[
-        list[str] | None, typer.Option(help="'lab laps=0.3' (repeatable).", show_default="room, lab, fr079")
+    on: options.On = None,
+    seeds: Annotated[
+        int | None, typer.Option(min=1, help="Seeds of synthetic sequences.", show_default="3, quick: 1")
     ] = None,
-    seeds: Annotated[int | None, typer.Option(min=1, help="Of synthetic ones.", show_default="3, quick: 1")] = None,
-    claim: Annotated[str, typer.Option(help="equal: the twin's very answers; as-good: no worse.")] = "equal",
+    claim: Annotated[str, typer.Option(help="equal: the same answers; as-good: no worse.")] = "equal",
     margin: Annotated[str, typer.Option(help="auto, exact (1e-9), float32 (computed) or metres.")] = "auto",
-    share: Annotated[float, typer.Option(min=0.01, max=1.0, help="Of the noise's own spread, that is no worse.")] = 0.5,
-    setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE, for the twin too.")] = None,
-    set_twin: Annotated[list[str] | None, typer.Option(help="NAME=VALUE for the twin.")] = None,
-    mapper: Annotated[str, typer.Option(help="Its own mapper.", show_default="of the same module")] = "",
-    quick: Annotated[bool, typer.Option("--quick", help="Under a minute.")] = False,
-    fresh: Annotated[bool, typer.Option("--fresh", help="Compute all again, measure times again.")] = False,
+    share: Annotated[
+        float, typer.Option(min=0.01, max=1.0, help="as-good: the tolerated share of the spread by noise.")
+    ] = 0.5,
+    setting: Annotated[
+        list[str] | None, typer.Option("--set", help="NAME=VALUE of the back end, and of the reference if it has it.")
+    ] = None,
+    set_reference: Annotated[list[str] | None, typer.Option(help="NAME=VALUE of the reference.")] = None,
+    mapper: Annotated[
+        str,
+        typer.Option(
+            help="The mapper of the back end.",
+            show_default="of the same module",
+            autocompletion=options.complete("mappers"),
+        ),
+    ] = "",
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer questions: under a minute.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Discard earlier results, and measure times again.")] = False,
+    rule: Annotated[
+        list[str] | None, typer.Option(help="Only this rule (repeatable).", show_default="all", rich_help_panel=RULES)
+    ] = None,
+    limit: Annotated[float, typer.Option(min=0.1, help="Time limit of a rule (s).", rich_help_panel=RULES)] = 30.0,
+    scans: Annotated[int, typer.Option(min=3, help="Scans compared.", rich_help_panel=LOCKSTEP)] = 30,
+    margin_rad: Annotated[
+        float | None,
+        typer.Option(help="Margin of angles (rad).", show_default="metres at 1 m", rich_help_panel=LOCKSTEP),
+    ] = None,
+    margin_log_odds: Annotated[
+        float, typer.Option(help="Margin of log-odds, for mappers.", rich_help_panel=LOCKSTEP)
+    ] = 1e-5,
+    disturb: Annotated[
+        bool, typer.Option(help="Repeat with disturbed initial guesses.", rich_help_panel=LOCKSTEP)
+    ] = True,
+    threads: Annotated[
+        int, typer.Option(min=2, help="Threads of libraries, beside one.", rich_help_panel=DETERMINISM)
+    ] = 2,
+    repetitions: Annotated[int, typer.Option(min=2, help="Runs of each.", rich_help_panel=DETERMINISM)] = 2,
     folder: Annotated[
-        Path | None, typer.Option("--out", "-o", help="Folder.", show_default="reports/build/validate-NAME")
+        Path | None, typer.Option("--out", "-o", help="Results folder.", show_default="reports/build/validate-NAME")
     ] = None,
     jobs: Jobs = None,
     as_json: Json = False,
 ) -> None:
-    """Validate an implementation: is it right, how fast, and where does it first differ from its twin? 0 yes, 1 no."""
-    from evalkit.commands.validate import examination  # noqa: PLC0415 - loads scipy.stats: only who validates pays for it
+    """Validate an implementation against a reference, level by level.
 
-    _modules_from_here(backend, twin, *(against or []))
+    The levels are rules, registrations, scans in lockstep, trajectories, maps, and time and memory. Exit code 1 if a
+    level fails. BACKENDS is one back end; --only determinism takes several. --only lockstep takes a mapper as well.
+    """
+    if only not in ("", *LEVELS):
+        raise BadParameter("validate", "only", only, ", ".join(LEVELS))
+    names = backends or []
+    _add_working_directory(*names, reference, *(against or []))
+    if only == "determinism":
+        single_level.run_determinism(names, _one(on), threads, repetitions, as_json)
+        return
+    if len(names) != 1:
+        raise typer.BadParameter(f"found {len(names)} back ends, expected one")
+    given, given_reference = options.settings(setting or []), options.settings(set_reference or [], "--set-reference")
+    if only == "rules":
+        single_level.run_rules(names[0], given, rule or (), limit, as_json)
+        return
+    if only == "lockstep":
+        single_level.run_lockstep(
+            reference or _default_reference(names[0]), names[0], _one(on), (given_reference, given), _margin(margin),
+            margin_rad, margin_log_odds, scans, disturb, as_json,
+        )  # fmt: skip
+        return
+    from evalkit.commands.validate import examination  # noqa: PLC0415 - loads scipy.stats
+
     asked = examination.Asked(
-        backend=backend, given=options.settings(setting or []), twin=twin,
-        given_twin=options.settings(set_twin or [], "--set-twin"), against=tuple(against or AGAINST),
-        on=tuple(on or (QUICK_ON if quick else FULL_ON)), seeds=seeds or (1 if quick else 3), claim=_claim(claim),
-        margin=_margin(margin), share=share, mapper=mapper, effort=examination.QUICK if quick else examination.FULL,
+        backend=names[0], given=given, twin=reference,
+        given_twin=given_reference, against=tuple(against or defaults.backends_with_role("peer")),
+        on=tuple(on or _excerpts("quick" if quick else "full")), seeds=seeds or (1 if quick else 3),
+        claim=_claim(claim), margin=_margin(margin), share=share, mapper=mapper,
+        effort=examination.QUICK if quick else examination.FULL,
     )  # fmt: skip
+    _examine(asked, folder, jobs, fresh, only == "registrations", as_json)
+
+
+def _examine(
+    asked: Asked, folder: Path | None, jobs: int | None, fresh: bool, registrations: bool, as_json: bool
+) -> None:
+    """Examine all levels, or the registrations alone; write the page and print the outcome."""
+    from evalkit.commands.validate import examination  # noqa: PLC0415 - loads scipy.stats
+
     examined = examination.examination(asked)
-    place = folder or Path("reports") / "build" / f"validate-{_word(backend)}"
+    place = folder or Path("reports") / "build" / f"validate-{_word(asked.backend)}"
     if fresh:
-        for kept in ("jobs", "runs"):  # no more than what is made here: the folder may be somebody's own
-            shutil.rmtree(place / kept, ignore_errors=True)
+        for name in ("jobs", "runs"):  # only the folders of this command: others may stand beside them
+            shutil.rmtree(place / name, ignore_errors=True)
     for name, why in examined.absent.items():
         err.print(f"missing here: {name}: {why}", markup=False, highlight=False)
     watch = examination.Watch(lambda total, workers: progress.jobs(err, total, workers), _runs)
-    found = examined.dossier(place, jobs or environment.physical_cores(), watch)
+    compute = examined.registrations if registrations else examined.dossier
+    found = compute(place, jobs or environment.physical_cores(), watch)
     page = _write(found, place, "evalkit " + shlex.join(sys.argv[1:]))
     if as_json:
         options.print_json(found.as_json())
@@ -91,6 +168,25 @@ def validate(
         _tell(found, page)
     if not found.passed:
         raise typer.Exit(1)
+
+
+def _one(on: list[str] | None) -> str:
+    """Return the one sequence of a level that takes one."""
+    if len(on or ()) > 1:
+        raise typer.BadParameter(f"--on: found {len(on or ())} sequences, expected one")
+    return on[0] if on else defaults.simulated_dataset()
+
+
+def _excerpts(size: Excerpt) -> list[str]:
+    """Return the excerpts that the data sets declare, each as "NAME KEY=VALUE"."""
+    declared = defaults.excerpts(size).items()
+    return [" ".join((name, *(f"{key}={value}" for key, value in given.items()))) for name, given in declared]
+
+
+def _default_reference(backend: str) -> str:
+    """Return the reference of a back end, or of a mapper."""
+    is_mapper = backend in registry.names("mappers")
+    return defaults.reference_mapper() if is_mapper else defaults.reference_backend()
 
 
 @contextmanager
@@ -142,9 +238,9 @@ def _margin(word: str) -> str:
     return word
 
 
-def _modules_from_here(*names: str) -> None:
+def _add_working_directory(*names: str) -> None:
     """A module under development stands in the working directory, for this process and for those it starts."""
-    options.modules_from_here()
+    options.add_working_directory()
     if any(":" in name and name.partition(":")[0] not in registry.names("schemes") for name in names):
         path = [entry for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]
         os.environ["PYTHONPATH"] = os.pathsep.join([*path, str(Path.cwd())])

@@ -115,6 +115,18 @@ class Examination:
             taken = run_tasks(store, timed, 1, done)
         return self._levels(level0, found, records, taken, where)
 
+    def registrations(self, folder: Path, workers: int, watch: Watch) -> Dossier:
+        """Return the dossier of the registrations alone; results that exist in the folder are reused."""
+        jobs = [job for job in self._jobs() if job.name.startswith(("pairs, ", "answers of "))]
+        with watch.jobs(len(jobs), workers) as done:
+            found = run_tasks(TaskStore(folder / "jobs"), jobs, workers, done)
+        both = _compared(found)
+        margin = answers.margin_of(both, self._margins())
+        others = {name: of for name in self.against if (of := _of(f"answers of {name}", found))}
+        names = Names(self.mine, self.twin_label, margin, self.asked.share, self.against)
+        level = answers.pairs(_of("pairs", found), others, names)
+        return self._made(margin, answers.within(both, margin), (level,), environment.describe(jobs=workers))
+
     def _levels(
         self, level0: Level, found: Mapping[str, Result], records: paths.Trials, taken: Mapping[str, Result],
         where: Mapping[str, str],
@@ -268,7 +280,7 @@ class Examination:
 
 def examination(asked: Asked) -> Examination:
     """Everything checked before anything is computed; NotInstalled, UnknownName or BadParameter say what is wrong."""
-    twin, why = (asked.twin, "named with --twin") if asked.twin else (defaults.reference_backend(), CHOSEN)
+    twin, why = (asked.twin, "named with --reference") if asked.twin else (defaults.reference_backend(), CHOSEN)
     for name in (asked.backend, twin):
         if why_not := _unfit(registry.backend(name)):
             raise NotInstalled(name, "cannot be validated here", why_not)

@@ -41,7 +41,7 @@ NOWHERE = (np.nan, np.nan, np.nan)
 
 
 def rules(name: str, given: Mapping[str, Value], limit_s: float, digest: str = "") -> Result:  # noqa: ARG001
-    """What the rules of ``evalkit check`` find; it has processes of its own. ``digest``: of the build that is asked."""
+    """Check the rules, in processes of their own. ``digest``: of the build that is asked."""
     found = conformance.check(name, given, limit_s)
     return {"verdicts": [[one.rule, one.sentence, one.outcome, one.observed] for one in found.verdicts]}
 

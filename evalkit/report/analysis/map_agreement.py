@@ -18,7 +18,7 @@ MEASURES: Mapping[str, str] = {
 """A lost trajectory can do well in one of these, hardly in all: metric, and what its best has.
 
 The first three see a map in different ways (its walls twice, its hits across walls, its free space), and each ranks
-maps as their true error does with a correlation of at least 0.9 in every world tried (``evalkit metrics validate``).
+maps as their true error does with a correlation of at least 0.9 in every world tried (``make metric-validation``).
 """
 
 

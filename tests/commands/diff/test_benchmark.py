@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from evalkit.cli import app
 from evalkit.commands.diff import benchmark
 from evalkit.commands.diff.benchmark import Benchmark, Series
-from evalkit.commands.diff.benchmark_command import bench
 from evalkit.commands.diff.benchmark_comparison import compared, enough
 from evalkit.core.errors import BadData
 
@@ -118,9 +118,9 @@ def test_what_one_side_alone_has_is_named():
 def test_the_command_ends_with_one_where_something_became_slower(tmp_path, middle, code):
     old = benchmark.keep("speed", [Series("a|b", "ms", samples(1.0))], RAN_ON, tmp_path / "old")
     benchmark.keep("speed", [Series("a|b", "ms", samples(middle, seed=1))], RAN_ON, tmp_path / "new")
-    arguments = ["compare", str(old), str(tmp_path / "new")]
-    assert CliRunner().invoke(bench, arguments).exit_code == code
-    told = CliRunner().invoke(bench, [*arguments, "--markdown"])
+    arguments = ["diff", str(old), str(tmp_path / "new")]
+    assert CliRunner().invoke(app, arguments).exit_code == code
+    told = CliRunner().invoke(app, [*arguments, "--markdown"])
     assert told.exit_code == code
     assert "| speed | a/b | 0.9974 ms |" in told.stdout
-    assert json.loads(CliRunner().invoke(bench, [*arguments, "--json"]).stdout)["regressions"] == code
+    assert json.loads(CliRunner().invoke(app, [*arguments, "--json"]).stdout)["regressions"] == code

@@ -75,7 +75,7 @@ def record_of(name, seed=0):
     grid = OccupancyGrid(log_odds, log_odds != 0.0, 0.0125, -1.0625, 2.5)
     run = RunResult(steps, N)
     spec = RunSpec(f"{name}-s{seed}", Method(name, name, {}), SequenceSpec(AWKWARD, "lap", {}, (seed,)), seed)
-    return RunRecord(spec, run, Scores(scores, Pose(), "none", grid, errors), Lap().truth(), "evalkit run x")
+    return RunRecord(spec, run, Scores(scores, Pose(), "none", grid, errors), Lap().truth(), "evalkit compare x")
 
 
 @pytest.fixture

@@ -1,4 +1,4 @@
-"""``evalkit metrics``: cards that can be read, a hint for a name that is none, and a quick validation."""
+"""The cards of the metrics, the self-test, and a quick validation of the metrics."""
 
 import json
 from fnmatch import fnmatchcase
@@ -8,13 +8,12 @@ import pytest
 from typer.testing import CliRunner
 
 from evalkit import metrics
-from evalkit.cli import app
 from evalkit.commands.metric_validation import command as commands
 from evalkit.commands.metric_validation import map_rebuilding
 from evalkit.commands.metric_validation import measured as trust
+from evalkit.commands.metric_validation.command import app
 from evalkit.commands.metric_validation.fault_injection import NO_MISTAKE, PLANTS
 from evalkit.commands.metric_validation.rank_agreement import reference_free
-from evalkit.core.errors import UnknownName
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, Cause, RunResult
@@ -26,42 +25,9 @@ from evalkit.report.html.document import render
 
 
 def told(*words):
-    result = CliRunner().invoke(app, ["metrics", *words], catch_exceptions=False)
+    result = CliRunner().invoke(app, [*words], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     return result.output
-
-
-def test_the_list_names_every_metric_with_unit_and_direction():
-    rows = json.loads(told("list", "--json"))
-    assert [row["name"] for row in rows][: len(metrics.METRICS)] == [metric.name for metric in metrics.METRICS]
-    of = {row["name"]: row for row in rows}
-    assert (of["ate_rmse_m"]["unit"], of["ate_rmse_m"]["better"]) == ("m", "lower")
-    alone = json.loads(told("list", "--json", "--group", "relations"))
-    assert {row["group"] for row in alone} == {"relations"}
-    assert "span_stretch_percent" in told("list")
-
-
-def test_a_card_tells_all_there_is_to_know():
-    text = told("show", "wall_thickness_m")
-    parts = (
-        "wall thickness [m], lower is better",
-        "blind to",
-        "stands on   places where hits lie along a line",
-        "no value    only ... % of the hits lie along a wall",
-        "follows the true error (Spearman)",
-    )
-    for part in parts:
-        assert part in text
-    card = json.loads(told("show", "map_entropy", "--json"))
-    assert card["follows_the_true_error"]["support"] > 90
-    assert json.loads(told("show", "ate_rmse_m", "--json"))["follows_the_true_error"] is None
-
-
-def test_a_name_that_is_none_gets_the_one_that_was_meant():
-    with pytest.raises(UnknownName, match="did you mean 'map_entropy'"):
-        CliRunner().invoke(app, ["metrics", "show", "map_entropi"], catch_exceptions=False)
-    with pytest.raises(UnknownName, match="relations"):
-        CliRunner().invoke(app, ["metrics", "list", "--group", "relation"], catch_exceptions=False)
 
 
 def test_every_own_metric_says_what_it_stands_on():
@@ -140,7 +106,7 @@ def test_the_self_test_fails_where_a_mistake_does_not_show(monkeypatch):
     assert [row["caught"] for row in json.loads(told("selftest", "--json"))] == [True] * len(PLANTS)
     blind = {"scores": values(0.0)}
     monkeypatch.setattr(commands, "_made", lambda jobs, *_: {job.name: blind for job in jobs})
-    result = CliRunner().invoke(app, ["metrics", "selftest"], catch_exceptions=False)
+    result = CliRunner().invoke(app, ["selftest"], catch_exceptions=False)
     assert result.exit_code == 1
     assert "nothing" in result.output
 

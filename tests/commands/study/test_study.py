@@ -92,7 +92,9 @@ def test_a_study_leaves_a_page_and_its_numbers_and_every_point_comes_again(file,
     told = run(file, "--point", rows[0]["key"]).output
     experiment = tmp_path / "one.toml"
     experiment.write_text(told[told.index("title = ") :])
-    report = CliRunner().invoke(app, ["run", str(experiment), "--out", str(tmp_path / "one"), "--json"])
+    report = CliRunner().invoke(
+        app, ["compare", "--no-page", str(experiment), "--out", str(tmp_path / "one"), "--json"]
+    )
     assert report.exit_code == 0, report.output
     scores = json.loads(report.output[report.output.index("{\n") :])["runs"][0]["scores"]
     assert scores["ate_rmse_m"] == computed["ate_rmse_m"]

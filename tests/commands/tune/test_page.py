@@ -52,7 +52,7 @@ def told(build, record, tuned_ate, lost=0, status="failed"):
         records.append(
             record("a tuned", "room", {ATE: tuned_ate + 0.001 * seed}, seed=seed, error_m=tuned_ate, **ended)
         )
-    return Tuned(plan(), found(), build(records), {"processor": "some"}, "evalkit report tuned.toml --resume")
+    return Tuned(plan(), found(), build(records), {"processor": "some"}, "evalkit compare tuned.toml --resume")
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ def test_the_misset_is_tuned_the_perfect_keeps_its_default_and_the_hopeless_is_a
     assert "default kept: no point was better in the search" in page
     assert "failed: no run of no point was completed" in page
     assert "RuntimeError: hopeless" in page
-    again = CliRunner().invoke(app, ["report", str(out / "tuned.toml"), "--collect", "--out", str(out / "report")])
+    again = CliRunner().invoke(app, ["compare", str(out / "tuned.toml"), "--collect", "--out", str(out / "report")])
     assert "3 runs complete, 1 failed" in again.output  # the held-out runs are the report's own
 
 

@@ -171,7 +171,7 @@ class TiesToTheHigher(Icp):
 
 def command(*words: str) -> int:
     try:
-        app(["equiv", *words], standalone_mode=True)
+        app(["validate", words[1], "--only", "lockstep", "--reference", words[0], *words[2:]], standalone_mode=True)
     except SystemExit as end:
         return int(end.code or 0)
     except EvalkitError:  # main() makes it exit code 2
@@ -406,9 +406,9 @@ def test_everything_found_can_be_written_as_json():
 def test_the_command_ends_with_0_for_equivalent_1_for_different_and_2_for_usage(capsys):
     assert command("paper", "paper", "--scans", "4") == 0
     assert "A = paper, B = paper: equivalent on room" in capsys.readouterr().out
-    assert command("paper", "paper", "--scans", "4", "--set-b", "one_to_one=false", "--json") == 1
+    assert command("paper", "paper", "--scans", "4", "--set", "one_to_one=false", "--json") == 1
     assert json.loads(capsys.readouterr().out)["first"]["kind"] == "outlier rule"
-    assert command("log-odds", "log-odds", "--mapper", "--scans", "3", "--set-b", "l_free=-0.4") == 1
+    assert command("log-odds", "log-odds", "--scans", "3", "--set", "l_free=-0.4") == 1
     assert "increment" in capsys.readouterr().out
     assert command("paper", "papper") == 2
     assert command("paper", "paper", "--margin", "float16") == 2

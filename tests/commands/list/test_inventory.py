@@ -1,37 +1,35 @@
-"""What evalkit knows by name: one broken plug-in is a row with a reason and hides no other."""
+"""The inventory: one broken plug-in is an entry with a reason and hides no other."""
 
 import pytest
 
-from evalkit.metrics import METRICS
+from evalkit.commands.list import inventory
 from evalkit.plugins import registry
-from evalkit.terminal import inventory
 
 pytestmark = pytest.mark.usefixtures("strangers")
 
 
 def rows(kind):
-    return {entry.name: entry for entry in inventory.KINDS[kind]()}
+    return {entry.name: entry for entry in inventory.find_entries(kind)}
 
 
 def test_every_registered_name_has_a_row():
     for kind in ("backends", "mappers", "datasets"):
         assert list(rows(kind)) == registry.names(kind)
-    assert list(rows("metrics"))[: len(METRICS)] == [metric.name for metric in METRICS]
 
 
-def test_an_absent_library_is_told_with_the_command_that_mends_it():
+def test_an_absent_library_is_listed_with_the_command_that_installs_it():
     assert rows("backends")["absent"].missing == "the library 'nowhere' is not installed; pip install nowhere"
     assert rows("backends")["faulty"].missing == rows("backends")["paper"].missing == ""
 
 
-def test_a_plugin_that_does_not_load_is_a_row_with_the_reason():
+def test_a_plugin_that_does_not_load_is_an_entry_with_the_reason():
     assert rows("backends")["unloadable"].missing == (
         "unloadable: its plug-in evalkit_faults_broken:SPEC does not load (the licence server does not answer); "
         "reinstall its package"
     )
 
 
-def test_a_plugin_that_fails_to_say_what_it_misses_is_a_row_with_the_reason(monkeypatch):
+def test_a_plugin_whose_check_of_its_needs_fails_is_an_entry_with_the_reason(monkeypatch):
     def broken(name):
         raise OSError("no such device")
 
@@ -46,7 +44,3 @@ def test_a_registration_can_be_set_in_its_own_and_the_front_ends_parameters_an_o
 
 def test_a_reader_misses_nothing_before_it_has_a_file():
     assert rows("datasets")["carmen"].missing == rows("datasets")["straight"].missing == ""
-
-
-def test_a_metric_tells_unit_and_direction():
-    assert rows("metrics")["ate_rmse_m"].summary.endswith("[m], lower is better")

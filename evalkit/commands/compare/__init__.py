@@ -1,0 +1,1 @@
+"""``evalkit compare``: run methods on sequences, and write the report."""

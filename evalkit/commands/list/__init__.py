@@ -1,0 +1,1 @@
+"""``evalkit list``: the registered plug-ins and the metrics."""
