@@ -3,28 +3,28 @@
 from __future__ import annotations
 
 from evalkit_paper import (
-    claims,
-    configurations,
-    equations,
-    figure_10,
-    flowcharts,
-    maps,
-    realtime,
-    residuals,
-    study,
-    validation,
+    claims_chapter,
+    equation_chapter,
+    figure_10_chapter,
+    flowchart_chapter,
+    map_chapter,
+    realtime_chapter,
+    residual_chapter,
+    stage_configurations,
+    study_chapter,
+    validation_chapter,
 )
 from evalkit_paper.chapter import Chapter
 
 CHAPTERS: tuple[Chapter, ...] = (
-    flowcharts.CHAPTER,
-    validation.CHAPTER,
-    equations.CHAPTER,
-    configurations.CHAPTER,
-    residuals.CHAPTER,
-    figure_10.CHAPTER,
-    study.CHAPTER,
-    maps.CHAPTER,
-    realtime.CHAPTER,
-    claims.CHAPTER,
+    flowchart_chapter.CHAPTER,
+    validation_chapter.CHAPTER,
+    equation_chapter.CHAPTER,
+    stage_configurations.CHAPTER,
+    residual_chapter.CHAPTER,
+    figure_10_chapter.CHAPTER,
+    study_chapter.CHAPTER,
+    map_chapter.CHAPTER,
+    realtime_chapter.CHAPTER,
+    claims_chapter.CHAPTER,
 )

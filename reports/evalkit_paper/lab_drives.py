@@ -12,7 +12,7 @@ from evalkit.core.se2 import Floats
 from evalkit.execution.task import AnyTask, make_task
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Sequence, Value
-from evalkit_paper import spikes, trajectory_following
+from evalkit_paper import spikes, stage_errors
 
 QUICK_DPS = 60.0
 """A turn is quick from this yaw rate on."""
@@ -102,17 +102,17 @@ def drive(
     "events" (E, 2) in s, "ate_m".
     """
     lab = registry.dataset("lab").make(**sequence)
-    found = trajectory_following.follow(lab, "paper", parameters, every_pair)
+    found = stage_errors.follow(lab, "paper", parameters, every_pair)
     truth = lab.truth().trajectory
     if truth is None:
         raise ValueError("lab: no true trajectory")
     times = np.asarray(found.stamps_ns * 1e-9, dtype=np.float64)
-    yaw = trajectory_following.yaw_rates_dps(truth.stamps_ns, truth.poses)
-    errors = trajectory_following.position_errors_m(found.estimate, truth)
+    yaw = stage_errors.yaw_rates_dps(truth.stamps_ns, truth.poses)
+    errors = stage_errors.position_errors_m(found.estimate, truth)
     return {
         "times_s": times,
         "yaw_dps": yaw,
-        **{stage: found.errors[stage] for stage in trajectory_following.STAGES},
+        **{stage: found.errors[stage] for stage in stage_errors.STAGES},
         "true": truth.poses,
         "estimate": found.poses,
         "events": np.reshape(_events(marked, times, yaw, lab, sequence), (-1, 2)),
@@ -157,11 +157,11 @@ def turn(*, sequence: Mapping[str, Any]) -> dict[str, Any]:
     Without the second stage and without undoing the motion in the scan.
     """
     lab = registry.dataset("lab").make(**sequence)
-    found = trajectory_following.follow(lab, "paper", {"scan_to_map": False, "deskew": False})
+    found = stage_errors.follow(lab, "paper", {"scan_to_map": False, "deskew": False})
     truth = lab.truth().trajectory
     if truth is None:
         raise ValueError("lab: no true trajectory")
-    yaw = trajectory_following.yaw_rates_dps(truth.stamps_ns, truth.poses)
+    yaw = stage_errors.yaw_rates_dps(truth.stamps_ns, truth.poses)
     residual = found.errors["s2s"][:, 0]
     steady = spikes.band(residual, yaw < 0.5 * sequence["turn_dps"])
     turning = np.isfinite(residual) & (yaw > 0.5 * sequence["turn_dps"])

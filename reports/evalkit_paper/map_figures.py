@@ -10,10 +10,10 @@ import numpy as np
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve, Points
 from evalkit.report.html.document import Bullets, Column, Figure, Figures, Table, Text
-from evalkit_paper import map_choice, mapping
+from evalkit_paper import map_measurements, map_recommendation
 from evalkit_paper.chapter import Results, Settings
+from evalkit_paper.map_measurements import THRESHOLDS, TOLD
 from evalkit_paper.map_study import Study, named, of_factor, percent
-from evalkit_paper.mapping import THRESHOLDS, TOLD
 
 PICTURED = (0.025, 0.05, 0.1, 0.2)
 DRIFT_M = (0.0, 0.05, 0.1, 0.2, 0.4)
@@ -41,9 +41,9 @@ def interactions(study: Study) -> list[Any]:
 
 
 def _heat(study: Study, numbers: Sequence[int], x: Axis, key: str, title: str) -> Figure:
-    numbers = sorted(numbers, key=lambda n: float(mapping.complete(study.variants[n])[key]))
+    numbers = sorted(numbers, key=lambda n: float(map_measurements.complete(study.variants[n])[key]))
     values = np.array([[study.f1(n, t).mean() for n in numbers] for t in range(len(THRESHOLDS))])
-    columns = [float(mapping.complete(study.variants[n])[key]) for n in numbers]
+    columns = [float(map_measurements.complete(study.variants[n])[key]) for n in numbers]
     svg = charts.heat(
         values, x, Axis("occupied above P"), columns, THRESHOLDS, Axis("F1 at 10 cm", low=0.5, high=1.0),
         lambda value: f"{value:.3f}",
@@ -112,7 +112,7 @@ def recommendation(study: Study, settings: Settings) -> list[Any]:
     )  # fmt: skip
     seen_on = "seed 0" if held_out == 1 else f"seeds 0 to {held_out - 1}"
     on = f"Chosen on {seen_on}, held out: seed {held_out}." if held_out else "One seed: none held out."
-    return [Text(f"{map_choice.RULE} {on}"), Table(columns, rows, sortable=False)]
+    return [Text(f"{map_recommendation.RULE} {on}"), Table(columns, rows, sortable=False)]
 
 
 def pictures(result: Mapping[str, Any]) -> list[Any]:
@@ -141,12 +141,12 @@ def drift(settings: Settings, results: Results) -> list[Any]:
         curves = [
             Curve(name, np.array(amounts), relative[:, :, m].mean(axis=0), relative[:, :, m].min(axis=0),
                   relative[:, :, m].max(axis=0), marks=True)
-            for m, name in enumerate(mapping.DRIFT_MEASURES)
+            for m, name in enumerate(map_measurements.DRIFT_MEASURES)
         ]  # fmt: skip
         svg = charts.lines(curves, Axis(f"drift at the end [{unit}]"), Axis("times the value without drift"))
         figures.append(Figure(svg, f"Drift of up to {amounts[-1]:g} {unit}", "Mean over the seeds, least to greatest."))
         at_end = relative.mean(axis=0)[-1]
-        changes = zip(mapping.DRIFT_MEASURES, at_end, strict=True)
+        changes = zip(map_measurements.DRIFT_MEASURES, at_end, strict=True)
         told.append(
             f"{amounts[-1]:g} {unit}: " + ", ".join(f"{name} {percent(value)}" for name, value in changes) + "."
         )

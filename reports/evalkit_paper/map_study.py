@@ -11,9 +11,9 @@ import numpy as np
 
 from evalkit.core.arrays import Ints
 from evalkit.core.se2 import Floats
-from evalkit_paper import mapping
-from evalkit_paper.map_choice import Choice, recommended
-from evalkit_paper.mapping import TOLD, Variant
+from evalkit_paper import map_measurements
+from evalkit_paper.map_measurements import TOLD, Variant
+from evalkit_paper.map_recommendation import Choice, recommended
 
 HERE = ("true", "estimated")
 """The kinds of poses."""
@@ -57,7 +57,7 @@ class Study:
     def number(self, variant: Variant) -> int:
         """Where a variant stands; KeyError where it was not measured."""
         try:
-            return self.variants.index(mapping.departures(variant))
+            return self.variants.index(map_measurements.departures(variant))
         except ValueError:
             raise KeyError(named(variant)) from None
 
@@ -102,12 +102,12 @@ class Study:
 
 def of_factor(study: Study, factor: str) -> list[int]:
     """The variants of one factor, in its order."""
-    return [study.number(variant) for variant in mapping.factors()[factor]]
+    return [study.number(variant) for variant in map_measurements.factors()[factor]]
 
 
 def named(variant: Variant) -> str:
     """What differs from the paper's settings, in words."""
-    own = mapping.departures(variant)
+    own = map_measurements.departures(variant)
     words = [FLAGS[name] if name in FLAGS else WORDS[name].format(value) for name, value in own.items()]
     return ", ".join(words) or "paper's settings"
 
@@ -118,5 +118,5 @@ def percent(ratio: float) -> str:
 
 
 def _departures(variant: Variant) -> int:
-    names = {"bounds" if name in ("l_min", "l_max") else name for name in mapping.departures(variant)}
+    names = {"bounds" if name in ("l_min", "l_max") else name for name in map_measurements.departures(variant)}
     return len(names)

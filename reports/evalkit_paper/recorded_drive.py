@@ -13,10 +13,10 @@ from evalkit.plugins import registry
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve, Points, Span
 from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Heading, Table, Text
-from evalkit_paper import drawings, scenes, spikes, trajectory_following
+from evalkit_paper import lab_maps, plan_fit, spikes, stage_errors
 from evalkit_paper.chapter import Results
-from evalkit_paper.drawings import Variant
-from evalkit_paper.pictures import GHOST, PATH, cut, extent, image
+from evalkit_paper.lab_maps import Variant
+from evalkit_paper.map_pictures import GHOST, PATH, cut, extent, image
 
 RECORDING = "turtlebot4"
 TURNING_DPS = 20.0
@@ -27,7 +27,7 @@ DRIVING_MPS = 0.05
 UNIQUE = 0.9
 """A second best place that fits this well makes the best one a guess."""
 
-VARIANTS = (drawings.ODOMETRY, drawings.PAPER, drawings.TIGHT)
+VARIANTS = (lab_maps.ODOMETRY, lab_maps.PAPER, lab_maps.TIGHT)
 FLOOR = "floor"
 USES = ("evalkit_datasets.recorded", "evalkit_baselines.paper")
 
@@ -43,11 +43,11 @@ def jobs() -> tuple[AnyTask, ...]:
         return ()
     maps = (
         make_task(
-            name(each), drawings.recording, name=RECORDING, backend=each.backend, parameters=dict(each.parameters)
+            name(each), lab_maps.recording, name=RECORDING, backend=each.backend, parameters=dict(each.parameters)
         ).depending_on(*USES)
         for each in VARIANTS
     )
-    floor = make_task(FLOOR, drawings.floor, name=RECORDING, backend=drawings.TIGHT.backend)
+    floor = make_task(FLOOR, lab_maps.floor, name=RECORDING, backend=lab_maps.TIGHT.backend)
     return (*maps, floor.depending_on(*USES))
 
 
@@ -58,7 +58,7 @@ def name(each: Variant) -> str:
 
 def blocks(results: Results) -> Iterator[Block]:
     """What the recording shows, or how to get it."""
-    if name(drawings.ODOMETRY) not in results:
+    if name(lab_maps.ODOMETRY) not in results:
         yield Text(f"The recording is not on this machine: {missing()}", "warn")
         return
     yield Text(
@@ -66,7 +66,7 @@ def blocks(results: Results) -> Iterator[Block]:
         "no true trajectory, so nothing is scored: what can be told without is how the two halves of the drive "
         "contradict each other (hits of one half where the other has cleared the cell and has no wall within 0.1 m)."
     )
-    yield _over_time(results[name(drawings.PAPER)])
+    yield _over_time(results[name(lab_maps.PAPER)])
     yield Figures([_map(results[name(each)], each.name) for each in VARIANTS])
     yield _contradictions(results)
     yield from _floor(results[FLOOR])
@@ -79,7 +79,7 @@ def turns_told(result: Result) -> str:
     calm = (yaw < CALM_DPS) & (speeds > DRIVING_MPS)
     turns = spikes.events(times, yaw >= TURNING_DPS)
     told = []
-    for stage in trajectory_following.STAGES:
+    for stage in stage_errors.STAGES:
         residual = result[stage][:, 0]
         found = spikes.spikes(residual, spikes.band(residual, calm))
         inside = sum(any(spikes.within(spike, times, turn) for turn in turns) for spike in found)
@@ -93,10 +93,10 @@ def _over_time(result: Result) -> Figure:
     groups = [
         ([Curve(f"{stage.upper()} residual", times, result[stage][:, 0], stroke=charts.stroke(number))],
          Axis(f"{stage.upper()} [m]", low=0.0))
-        for number, stage in enumerate(trajectory_following.STAGES)
+        for number, stage in enumerate(stage_errors.STAGES)
     ]  # fmt: skip
     groups.append(([Curve("yaw rate", times, yaw, stroke=charts.stroke(2))], Axis("[deg/s]", low=0.0)))
-    told = [f"{stage.upper()} {_medians(result, stage)}" for stage in trajectory_following.STAGES]
+    told = [f"{stage.upper()} {_medians(result, stage)}" for stage in stage_errors.STAGES]
     return Figure(
         charts.panels(groups, Axis("time [s]"), spans, height=1.7),
         "TurtleBot 4: S2S, S2M and yaw rate over time with 'paper', deskewed by odometry",
@@ -112,7 +112,7 @@ def _medians(result: Result, stage: str) -> str:
 
 
 def _map(result: Result, title: str) -> Figure:
-    grid = drawings.grid_of(result)
+    grid = lab_maps.grid_of(result)
     layers = [
         Points("contradicted by the other half", result["places"], GHOST, 1.0, alpha=0.6),
         Points("path", result["path"], PATH, 0.8, joined=True),
@@ -137,7 +137,7 @@ def _contradictions(results: Results) -> Table:
         result = results[name(each)]
         numbers: tuple[tuple[Any, str], ...] = (
             (result["hits"], "{:,}"), (result["contradicted"], "{:,}"), (_share(result), "{:.1f}"),
-            (drawings.grid_of(result).occupied().sum(), "{:,}"),
+            (lab_maps.grid_of(result).occupied().sum(), "{:,}"),
         )  # fmt: skip
         rows.append((each.name, *(Cell(form.format(value), float(value)) for value, form in numbers)))
     return Table(columns, rows, "The same scans and the same mapper for all.")
@@ -149,7 +149,7 @@ def _floor(result: Result) -> Iterator[Block]:
         yield Text("The map shipped with the recording is not here (mac_1st_floor_final.pgm and .yaml).", "note")
         return
     yield Text(_placed_told(result))
-    grid = drawings.grid_of(result)
+    grid = lab_maps.grid_of(result)
     layers = [
         Points("walls of the recording's map", result["walls"], GHOST, 1.0, alpha=0.7),
         Points("path", result["path"], PATH, 1.0, joined=True),
@@ -173,9 +173,9 @@ def _placed_told(result: Result) -> str:
     )
     return (
         "The recording comes with a map of its floor; how their frames relate is not documented. The map along "
-        f"'{drawings.TIGHT.name}' was tried on it everywhere and at every {scenes.STEP_DEG:g} deg, then fitted by ICP: "
+        f"'{lab_maps.TIGHT.name}' was tried on it everywhere and at every {plan_fit.STEP_DEG:g} deg, then fitted by ICP: "
         f"its walls lie {result['mean_m']:.2f} m from the floor's on average, {100.0 * result['within']:.0f} % of them "
-        f"within {scenes.WITHIN_M:g} m, with the start at ({found.x:.2f}, {found.y:.2f}) m and "
+        f"within {plan_fit.WITHIN_M:g} m, with the start at ({found.x:.2f}, {found.y:.2f}) m and "
         f"{np.degrees(found.theta):.0f} deg. The best place elsewhere fits {100.0 * result['rival']:.0f} % as well: "
         f"{place}. The recording's odometry starts {np.hypot(apart.x, apart.y):.2f} m and "
         f"{abs(np.degrees(apart.theta)):.0f} deg from there in its own frame. Nothing is scored: the floor was "

@@ -18,7 +18,7 @@ from evalkit.commands.study.result import Outcome
 from evalkit.execution.task import AnyTask, make_task
 from evalkit.plugins.protocols import Parameter, Value
 from evalkit.report.html.document import Block, Fold, Section, Text
-from evalkit_paper import twins
+from evalkit_paper import core_agreement
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
 
 TWIN = "paper"
@@ -133,7 +133,7 @@ def _twins(study: Study, settings: Settings) -> tuple[AnyTask, ...]:
     return tuple(
         make_task(
             f"twin {point.key}",
-            twins.apart,
+            core_agreement.apart,
             backends=(TWIN, study.backend),
             parameters=dict(point.method),
             dataset=study.dataset,

@@ -10,7 +10,7 @@ from evalkit.core import se2
 from evalkit.core.se2 import Floats
 from evalkit.execution.task import Result
 from evalkit.report.html.document import Cell, Column, Table
-from evalkit_paper import lab_drives, spikes, steady_drives, trajectory_following
+from evalkit_paper import lab_drives, spikes, stage_errors, steady_bands
 from evalkit_paper.chapter import Results, Settings
 from evalkit_paper.lab_drives import Cause
 from evalkit_paper.spikes import Band
@@ -66,8 +66,8 @@ def _cost_m(result: Result, span: tuple[float, float]) -> float:
 
 def rows(settings: Settings, results: Results, stage: str) -> Iterator[Row]:
     """Every drive at every rate, for one stage."""
-    for rate in steady_drives.rates(settings):
-        limits = steady_drives.band(settings, results, rate, stage)
+    for rate in steady_bands.rates(settings):
+        limits = steady_bands.band(settings, results, rate, stage)
         for cause in lab_drives.causes(settings):
             result = results[lab_drives.name(cause, rate)]
             yield Row(cause, rate, result, result[stage][:, 0], limits)
@@ -76,15 +76,14 @@ def rows(settings: Settings, results: Results, stage: str) -> Iterator[Row]:
 def definition(settings: Settings, results: Results) -> str:
     """What a spike is, and the bands it is told by."""
     bands = "; ".join(
-        f"{rate:g} Hz "
-        + " and ".join(_band_told(settings, results, rate, stage) for stage in trajectory_following.STAGES)
-        for rate in steady_drives.rates(settings)
+        f"{rate:g} Hz " + " and ".join(_band_told(settings, results, rate, stage) for stage in stage_errors.STAGES)
+        for rate in steady_bands.rates(settings)
     )
     return (
         f"A spike is a run of scans above the steady band (median + {spikes.STEADY_SIGMAS:g} robust sigma) of which at "
         f"least one is above median + {spikes.SPIKE_SIGMAS:g} sigma. Median and sigma (1.4826 x median absolute "
-        f"deviation) are those of the straight parts (yaw rate under {steady_drives.CALM_DPS:g} deg/s, from "
-        f"{steady_drives.SETTLED_S:g} s on) of the drive with slow turns at the same rate ({bands}). "
+        f"deviation) are those of the straight parts (yaw rate under {steady_bands.CALM_DPS:g} deg/s, from "
+        f"{steady_bands.SETTLED_S:g} s on) of the drive with slow turns at the same rate ({bands}). "
         f"A spike is assigned to an event when it peaks from the scan before the event until {spikes.SETTLES_S:g} s "
         f"after; events are known from the truth and the schedule, never from the residual. A turn is quick from "
         f"{lab_drives.QUICK_DPS:g} deg/s on; "
@@ -93,7 +92,7 @@ def definition(settings: Settings, results: Results) -> str:
 
 
 def _band_told(settings: Settings, results: Results, rate: float, stage: str) -> str:
-    limits = steady_drives.band(settings, results, rate, stage)
+    limits = steady_bands.band(settings, results, rate, stage)
     return f"{stage.upper()} {MM * limits.median:.1f} +- {MM * limits.sigma:.1f} mm"
 
 

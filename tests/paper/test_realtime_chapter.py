@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from evalkit.report.html.document import Document, render
-from evalkit_paper import realtime
-from evalkit_paper.ladders import Ladder
+from evalkit_paper import realtime_chapter
+from evalkit_paper.device_ladders import Ladder
 
 SETTINGS = {"seeds": 2, "laps": 0.1, "rates_hz": "10", "methods": "own", "largest_factor": 100}
 
@@ -51,14 +51,14 @@ def invented(job):
 
 @pytest.mark.parametrize("changed", [{}, {"methods": "all"}])
 def test_the_chapter_draws_whatever_is_found(changed):
-    settings = realtime.CHAPTER.settings("test", SETTINGS | changed)
-    jobs = realtime.CHAPTER.jobs(settings)
+    settings = realtime_chapter.CHAPTER.settings("test", SETTINGS | changed)
+    jobs = realtime_chapter.CHAPTER.jobs(settings)
     assert len({job.name for job in jobs}) == len(jobs)
     assert jobs[0].arguments["factors"] == [1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0]
     results = {job.name: invented(job) for job in jobs}
-    (section,) = realtime.CHAPTER.sections(settings, results)
+    (section,) = realtime_chapter.CHAPTER.sections(settings, results)
     page = render(Document("test", "test", "", (section,)))
     assert "No board is measured" in page
-    (finding,) = realtime.CHAPTER.findings(settings, results)
+    (finding,) = realtime_chapter.CHAPTER.findings(settings, results)
     assert finding.verdict == "not reproducible in software"
     assert "breaks at 50" in finding.measured  # 11 cm at 50, 5 cm at 20

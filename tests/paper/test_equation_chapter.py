@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evalkit.report.html.document import Document, render
-from evalkit_paper import equation_checks, equations
+from evalkit_paper import equation_chapter, equation_checks
 from evalkit_paper.equation_checks import as_printed, guarded, without_guard
 
 DRIVE = {"sequence": "room", "seed": 0, "laps": 0.1}
@@ -87,7 +87,7 @@ def test_the_heading_of_equation_7_is_right_as_printed():
 
 
 def test_every_line_of_the_chapter_tells_what_was_computed():
-    chapter = equations.CHAPTER
+    chapter = equation_chapter.CHAPTER
     settings = chapter.settings("test", {"seeds": 3, "walls": 50, "sequence": "room", "laps": 0.1, "pairs": 5})
     results = {}
     for job in chapter.jobs(settings):

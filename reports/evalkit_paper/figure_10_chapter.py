@@ -10,12 +10,12 @@ from evalkit.plugins.protocols import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Points
 from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text
-from evalkit_paper import drawings, faults, recorded_drive
+from evalkit_paper import lab_maps, map_faults, recorded_drive
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
-from evalkit_paper.pictures import GHOST, PATH, SMEAR, TRUE, WIPED, extent, image
+from evalkit_paper.map_pictures import GHOST, PATH, SMEAR, TRUE, WIPED, extent, image
 
 ANCHOR = "figure-10"
-VARIANTS = (drawings.ODOMETRY, drawings.LITERAL, drawings.PAPER, drawings.TIGHT)
+VARIANTS = (lab_maps.ODOMETRY, lab_maps.LITERAL, lab_maps.PAPER, lab_maps.TIGHT)
 
 PARAMETERS = (
     Parameter("laps", 2.0, "", "of the laboratory", low=0.05, high=10.0),
@@ -34,12 +34,12 @@ def jobs(settings: Settings) -> tuple[AnyTask, ...]:
     uses = ("evalkit_datasets.synthetic", "evalkit_baselines.paper")
     maps = [
         make_task(
-            each.name, drawings.lab, backend=each.backend, parameters=dict(each.parameters), sequence=sequence,
+            each.name, lab_maps.lab, backend=each.backend, parameters=dict(each.parameters), sequence=sequence,
             scans=settings["scans"],
         ).depending_on(*uses)
         for each in VARIANTS
     ]  # fmt: skip
-    plan = make_task("plan", drawings.plan, sequence=sequence).depending_on(*uses)
+    plan = make_task("plan", lab_maps.plan, sequence=sequence).depending_on(*uses)
     return (plan, *maps, *(recorded_drive.jobs() if settings["recording"] else ()))
 
 
@@ -56,15 +56,15 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
 def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     """The line of Figure 10."""
     del settings
-    true = drawings.grid_of(results["plan"])
+    true = lab_maps.grid_of(results["plan"])
     ghosts = {each.name: _ghosts(results[each.name], true) for each in VARIANTS}
     told = ", ".join(f"{name} {count[0]} of {count[1]}" for name, count in ghosts.items())
     share = {name: count[0] / max(count[1], 1) for name, count in ghosts.items()}
-    better = share["paper"] < share[drawings.ODOMETRY.name]
+    better = share["paper"] < share[lab_maps.ODOMETRY.name]
     return (
         Finding(
             "Figure 10", "a map that agrees with the place, ghost walls and smear after turns",
-            f"cells more than {faults.GHOST_M:g} m off every true wall: {told}",
+            f"cells more than {map_faults.GHOST_M:g} m off every true wall: {told}",
             "reproduced" if better else "not determined by the text",
             "the place itself is a photo: the simulated plan and a recording's floor map stand in for it",
             ANCHOR,
@@ -73,7 +73,7 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
 
 
 def _ghosts(result: Result, true: OccupancyGrid) -> tuple[int, int]:
-    found = faults.faults(drawings.grid_of(result), true)
+    found = map_faults.faults(lab_maps.grid_of(result), true)
     return int(found.ghosts.sum()), int(found.occupied.sum())
 
 
@@ -81,7 +81,7 @@ def _ghosts(result: Result, true: OccupancyGrid) -> tuple[int, int]:
 
 
 def _lab(settings: Settings, results: Results) -> Iterator[Block]:
-    true = drawings.grid_of(results["plan"])
+    true = lab_maps.grid_of(results["plan"])
     yield Text(
         f"{settings['laps']:g} laps of the laboratory at {settings['speed_mps']:g} m/s and {settings['rate_hz']:g} Hz "
         f"with turns of {settings['turn_dps']:g} deg/s; each map is drawn from the same {settings['scans']} scans "
@@ -93,8 +93,8 @@ def _lab(settings: Settings, results: Results) -> Iterator[Block]:
         *(_map(results[each.name], true, each.name) for each in VARIANTS),
     ])  # fmt: skip
     yield Text(
-        f"Red: ghosts, occupied cells farther than {faults.GHOST_M:g} m (four sigma of the range noise) from every "
-        f"true wall. Orange: smear, {faults.SMEAR_M:g} to {faults.GHOST_M:g} m. Blue dots: true walls the map says are "
+        f"Red: ghosts, occupied cells farther than {map_faults.GHOST_M:g} m (four sigma of the range noise) from every "
+        f"true wall. Orange: smear, {map_faults.SMEAR_M:g} to {map_faults.GHOST_M:g} m. Blue dots: true walls the map says are "
         "free, with none drawn near. Light blue: the true walls.", "note",
     )  # fmt: skip
     yield _summary(results, true)
@@ -112,7 +112,7 @@ def _summary(results: Results, true: OccupancyGrid) -> Table:
     rows: list[Sequence[Cell | str]] = []
     for each in VARIANTS:
         result = results[each.name]
-        found = faults.faults(drawings.grid_of(result), true)
+        found = map_faults.faults(lab_maps.grid_of(result), true)
         occupied, ghosts, smeared = (int(mask.sum()) for mask in (found.occupied, found.ghosts, found.smeared))
         numbers = (
             (result["ate_m"], "{:.3f}"), (result["f1"], "{:.3f}"), (occupied, "{:,}"), (ghosts, "{:,}"),
@@ -132,8 +132,8 @@ def _places(results: Results, true: OccupancyGrid) -> Table:
     )  # fmt: skip
     rows: list[Sequence[Cell | str]] = []
     for each in VARIANTS:
-        grid = drawings.grid_of(results[each.name])
-        found = faults.clusters(grid.centres(faults.faults(grid, true).ghosts), walls)
+        grid = lab_maps.grid_of(results[each.name])
+        found = map_faults.clusters(grid.centres(map_faults.faults(grid, true).ghosts), walls)
         for cluster in found[:5]:
             numbers = (cluster.x, cluster.y, cluster.reach_m, cluster.off_m)
             rows.append((
@@ -149,8 +149,8 @@ def _plan(true: OccupancyGrid) -> bytes:
 
 
 def _map(result: Result, true: OccupancyGrid, name: str) -> Figure:
-    grid = drawings.grid_of(result)
-    found = faults.faults(grid, true)
+    grid = lab_maps.grid_of(result)
+    found = map_faults.faults(grid, true)
     layers = [
         Points("true walls", true.centres(true.occupied()), TRUE, 1.3, alpha=0.7),
         Points("path", result["path"], PATH, 0.8, joined=True),

@@ -4,8 +4,8 @@ import pytest
 
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
-from evalkit_paper import configurations
-from evalkit_paper.configurations import CHAPTER, CONFIGURATIONS
+from evalkit_paper import stage_configurations
+from evalkit_paper.stage_configurations import CHAPTER, CONFIGURATIONS
 
 
 def test_every_configuration_is_one_the_front_end_takes():
@@ -19,7 +19,7 @@ def test_names_of_configurations_differ():
 
 
 def test_without_a_stage_nothing_is_iterated_and_the_answer_is_the_odometry():
-    odometry = configurations.measured(
+    odometry = stage_configurations.measured(
         backend="paper",
         parameters=dict(CONFIGURATIONS[0].parameters),
         sequence={"laps": 0.05, "rate_hz": 5.0, "velocity_noise_mps": 0.0, "odometry_scale": 0.0, "gyro_noise_dps": 0.0,

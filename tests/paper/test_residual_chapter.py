@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evalkit.plugins import registry
-from evalkit_paper import causes, lab_drives, residuals, spikes, trajectory_following
+from evalkit_paper import lab_drives, residual_chapter, spike_causes, spikes, stage_errors
 from evalkit_paper.spikes import Band
 
 S = 1.0
@@ -46,20 +46,20 @@ def test_events_are_the_runs_of_marks():
 
 
 def test_the_three_errors_of_known_distances():
-    assert trajectory_following.readings(np.array([3.0, 4.0])) == (3.5, pytest.approx(np.sqrt(12.5)), 12.5)
+    assert stage_errors.readings(np.array([3.0, 4.0])) == (3.5, pytest.approx(np.sqrt(12.5)), 12.5)
 
 
 def test_following_answers_what_the_front_end_answers_and_reads_its_own_error():
     lab = registry.dataset("lab").make(laps=0.03, rate_hz=5.0, noise_m=0.01)
-    found = trajectory_following.follow(lab, "paper", {}, every_pair=True)
+    found = stage_errors.follow(lab, "paper", {}, every_pair=True)
     spec = registry.backend("paper")
-    plain = trajectory_following.frontend.odometry(
+    plain = stage_errors.frontend.odometry(
         spec,
-        trajectory_following.frontend.complete_parameters("paper", spec, {}),
+        stage_errors.frontend.complete_parameters("paper", spec, {}),
     )
     estimates = [plain.update(frame) for frame in lab.frames()]
     np.testing.assert_array_equal(found.poses, [estimate.pose.row for estimate in estimates])
-    for stage in trajectory_following.STAGES:
+    for stage in stage_errors.STAGES:
         errors = [estimate.stages[stage].residual_m for estimate in estimates[1:]]
         np.testing.assert_allclose(found.errors[stage][1:, 0], errors, atol=1e-12)
         assert np.isnan(found.errors[stage][0]).all()
@@ -69,7 +69,7 @@ def test_following_answers_what_the_front_end_answers_and_reads_its_own_error():
 def test_yaw_rates_are_those_of_the_quicker_step():
     poses = np.array([[0, 0, 0.0], [0, 0, 0.1], [0, 0, 0.4], [0, 0, 0.4]])
     stamps = np.arange(4) * 500_000_000
-    np.testing.assert_allclose(trajectory_following.yaw_rates_dps(stamps, poses), np.degrees([0.2, 0.6, 0.6, 0.0]))
+    np.testing.assert_allclose(stage_errors.yaw_rates_dps(stamps, poses), np.degrees([0.2, 0.6, 0.6, 0.0]))
 
 
 def test_lost_scans_are_told_by_their_gaps_and_slips_by_their_schedule():
@@ -93,12 +93,12 @@ QUICK = {
 
 @pytest.mark.slow
 def test_quick_turns_spike_and_undoing_the_motion_in_the_scan_ends_it():
-    settings = residuals.CHAPTER.settings("test", QUICK)
-    results = {job.name: job.run()[0] for job in residuals.CHAPTER.jobs(settings)}
-    rows = {row.cause.name: row for row in causes.rows(settings, results, "s2s")}
+    settings = residual_chapter.CHAPTER.settings("test", QUICK)
+    results = {job.name: job.run()[0] for job in residual_chapter.CHAPTER.jobs(settings)}
+    rows = {row.cause.name: row for row in spike_causes.rows(settings, results, "s2s")}
     assert rows["quick turns"].hit == rows["quick turns"].count == 1
     assert rows["quick turns, deskewed"].hit == rows["slow turns"].hit == 0
-    steady, spikes_found = residuals.CHAPTER.findings(settings, results)
+    steady, spikes_found = residual_chapter.CHAPTER.findings(settings, results)
     assert (steady.verdict, spikes_found.verdict) == ("reproduced with a correction", "reproduced")
-    (section,) = residuals.CHAPTER.sections(settings, results)
+    (section,) = residual_chapter.CHAPTER.sections(settings, results)
     assert section.anchor == steady.anchor

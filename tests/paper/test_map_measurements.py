@@ -5,7 +5,7 @@ import pytest
 
 from evalkit.plugins import registry
 from evalkit.report.html.document import Document, render
-from evalkit_paper import mapping, maps
+from evalkit_paper import map_chapter, map_measurements
 from evalkit_paper.map_study import named
 
 LAPS = 0.05
@@ -14,21 +14,21 @@ SETTINGS = {"worlds": "lab", "seeds": 2, "laps": 0.1, "interactions": True}
 
 @pytest.fixture(scope="module")
 def sequence():
-    return mapping.drive("lab", 0, LAPS)
+    return map_measurements.drive("lab", 0, LAPS)
 
 
 def test_every_map_is_measured_once_and_the_papers_settings_come_first():
-    variants = mapping.variants(True)
+    variants = map_measurements.variants(True)
     assert variants[0] == {}
     words = [named(variant) for variant in variants]
     assert len(set(words)) == len(words)
     assert words[0] == "paper's settings"
-    assert all({} in map(mapping.departures, own) for own in mapping.factors().values())
+    assert all({} in map(map_measurements.departures, own) for own in map_measurements.factors().values())
 
 
 def test_the_defaults_are_those_of_the_mapper():
     own = {parameter.name: parameter.default for parameter in registry.mapper("log-odds").parameters}
-    assert {name: mapping.DEFAULT[name] for name in own} == own
+    assert {name: map_measurements.DEFAULT[name] for name in own} == own
 
 
 def test_scans_are_spread_over_the_whole_drive(sequence):
@@ -40,39 +40,39 @@ def test_scans_are_spread_over_the_whole_drive(sequence):
 
 
 def test_undoing_the_motion_by_true_poses_puts_hits_without_noise_on_the_walls():
-    silent = mapping.drive("lab", 0, LAPS, noise_m=0.0, dropout=0.0)
+    silent = map_measurements.drive("lab", 0, LAPS, noise_m=0.0, dropout=0.0)
     scan, world_from_sensor = silent.placed(3)[1]
-    hits = mapping.se2.transform(world_from_sensor, scan.points())
+    hits = map_measurements.se2.transform(world_from_sensor, scan.points())
     walls = silent.true.centres(silent.true.occupied())
-    assert mapping.nearest_m(hits, walls).max() < 0.05  # half a cell's diagonal and the grid of the truth
+    assert map_measurements.nearest_m(hits, walls).max() < 0.05  # half a cell's diagonal and the grid of the truth
     kept, _ = silent.placed(3, deskewed=False)[1]
     assert not np.allclose(kept.points(), scan.points(), atol=1e-3)
 
 
 def test_ranges_without_noise_give_hardly_a_wall_that_is_not_there():
-    found = mapping.measured("lab", 0, LAPS, "true", [{}], {"noise_m": 0.0})
-    assert found["precision"][0, mapping.TOLD] > 0.98
+    found = map_measurements.measured("lab", 0, LAPS, "true", [{}], {"noise_m": 0.0})
+    assert found["precision"][0, map_measurements.TOLD] > 0.98
     assert found["ate_m"] == 0.0
 
 
 def test_estimated_poses_cost_something_and_are_told():
-    assert 0.0 < mapping.measured("lab", 0, LAPS, "estimated", [{}])["ate_m"] < 0.05
+    assert 0.0 < map_measurements.measured("lab", 0, LAPS, "estimated", [{}])["ate_m"] < 0.05
 
 
 def test_no_drift_changes_nothing_and_more_moves_walls_further_off():
-    found = mapping.drifted("lab", 0, LAPS, [0.0, 0.1, 0.4], [0.0, 4.0])
+    found = map_measurements.drifted("lab", 0, LAPS, [0.0, 0.1, 0.4], [0.0, 4.0])
     assert found["metres"][0].tolist() == found["degrees"][0].tolist()
-    distances = found["metres"][:, mapping.DRIFT_MEASURES.index("mean distance to wall")]
+    distances = found["metres"][:, map_measurements.DRIFT_MEASURES.index("mean distance to wall")]
     assert (np.diff(distances) > 0).all()
 
 
 def test_both_mappers_draw_the_same():
     if registry.mapper("embedded-log-odds").missing():
         pytest.skip("the compiled core was not built")
-    found = mapping.twins("lab", 0, LAPS, [{}, {"l_free": -0.405}])
+    found = map_measurements.twins("lab", 0, LAPS, [{}, {"l_free": -0.405}])
     assert found["log_odds"] < 1e-4
     assert found["observed by one only"] == 0
-    assert not mapping.compiled({"traversal": "bresenham"})
+    assert not map_measurements.compiled({"traversal": "bresenham"})
 
 
 def invented(job):
@@ -80,10 +80,10 @@ def invented(job):
     rng = np.random.default_rng(0)
     asked = job.arguments
     if job.function.__name__ == "measured":
-        shape = (len(asked["variants"]), len(mapping.THRESHOLDS))
-        names = [mapping.COMPILED[not mapping.compiled(v)] for v in asked["variants"]]
-        thresholded = {name: rng.uniform(0.5, 0.9, shape) for name in mapping.MEASURES[:5]}
-        plain = {name: rng.uniform(0.1, 0.2, shape[0]) for name in mapping.MEASURES[5:]}
+        shape = (len(asked["variants"]), len(map_measurements.THRESHOLDS))
+        names = [map_measurements.COMPILED[not map_measurements.compiled(v)] for v in asked["variants"]]
+        thresholded = {name: rng.uniform(0.5, 0.9, shape) for name in map_measurements.MEASURES[:5]}
+        plain = {name: rng.uniform(0.1, 0.2, shape[0]) for name in map_measurements.MEASURES[5:]}
         return thresholded | plain | {"ate_m": 0.01, "mappers": names}
     if job.function.__name__ == "drifted":
         return {key: rng.uniform(0.5, 1.0, (len(asked[key]), 6)) for key in ("metres", "degrees")}
@@ -95,11 +95,11 @@ def invented(job):
 
 @pytest.mark.parametrize("changed", [{}, {"seeds": 1, "interactions": False}])
 def test_the_chapter_draws_whatever_is_found(changed):
-    settings = maps.CHAPTER.settings("test", SETTINGS | changed)
-    jobs = maps.CHAPTER.jobs(settings)
+    settings = map_chapter.CHAPTER.settings("test", SETTINGS | changed)
+    jobs = map_chapter.CHAPTER.jobs(settings)
     assert len({job.name for job in jobs}) == len(jobs)
     results = {job.name: invented(job) for job in jobs}
-    (section,) = maps.CHAPTER.sections(settings, results)
+    (section,) = map_chapter.CHAPTER.sections(settings, results)
     page = render(Document("test", "test", "", (section,)))
     assert "recommended" in page
-    assert {finding.anchor for finding in maps.CHAPTER.findings(settings, results)} == {section.target}
+    assert {finding.anchor for finding in map_chapter.CHAPTER.findings(settings, results)} == {section.target}

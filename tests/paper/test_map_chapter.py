@@ -5,7 +5,7 @@ import pytest
 
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
-from evalkit_paper import faults, figure_10, recorded_drive, scenes
+from evalkit_paper import figure_10_chapter, map_faults, plan_fit, recorded_drive
 
 SIZE = 40  # cells of 0.1 m
 
@@ -20,33 +20,33 @@ def room(*, walls=(), free=True):
 
 
 def test_a_perfect_map_has_no_faults():
-    found = faults.faults(room(), room())
+    found = map_faults.faults(room(), room())
     assert not found.ghosts.any()
     assert not found.smeared.any()
     assert len(found.wiped) == 0
 
 
 def test_a_wall_that_is_not_there_is_a_ghost_and_one_drawn_too_thick_a_smear():
-    found = faults.faults(room(walls=[(20, 20), (20, 21), (2, 10)]), room())
+    found = map_faults.faults(room(walls=[(20, 20), (20, 21), (2, 10)]), room())
     assert np.argwhere(found.ghosts).tolist() == [[20, 20], [20, 21]]
     assert np.argwhere(found.smeared).tolist() == [[2, 10]]  # 0.2 m off
 
 
 def test_a_true_wall_on_free_cells_was_wiped_out():
-    found = faults.faults(room(), room(walls=[(20, 20)]))
+    found = map_faults.faults(room(), room(walls=[(20, 20)]))
     np.testing.assert_allclose(found.wiped, [[2.05, 2.05]])
-    assert len(faults.faults(room(free=False), room(walls=[(20, 20)])).wiped) == 0  # unknown is not wiped out
+    assert len(map_faults.faults(room(free=False), room(walls=[(20, 20)])).wiped) == 0  # unknown is not wiped out
 
 
 def test_cells_that_lie_together_are_one_fault_with_a_place():
-    found = faults.clusters(np.array([[1.0, 1.0], [1.1, 1.0], [1.2, 1.0], [3.0, 3.0]]), np.array([[1.0, 0.5]]))
+    found = map_faults.clusters(np.array([[1.0, 1.0], [1.1, 1.0], [1.2, 1.0], [3.0, 3.0]]), np.array([[1.0, 0.5]]))
     assert [(each.cells, round(each.x, 3), round(each.y, 3)) for each in found] == [(3, 1.1, 1.0), (1, 3.0, 3.0)]
     assert (found[0].reach_m, found[0].off_m) == (pytest.approx(0.2), pytest.approx(np.hypot(0.2, 0.5)))
 
 
 def test_hits_in_what_another_map_holds_free_contradict_it():
     hits = np.array([[2.05, 2.05], [0.05, 2.0], [0.12, 2.0], [9.0, 9.0]])
-    assert faults.contradicted(hits, room()).tolist() == [True, False, False, False]
+    assert map_faults.contradicted(hits, room()).tolist() == [True, False, False, False]
 
 
 def test_a_map_is_found_again_on_the_plan_it_was_cut_from():
@@ -62,7 +62,7 @@ def test_a_map_is_found_again_on_the_plan_it_was_cut_from():
     )
     true = Pose(12.3, -7.4, 2.0)
     cut = plan[np.hypot(plan[:, 0] - 2.0, plan[:, 1] - 1.0) < 3.0]
-    found = scenes.place(true.inverse().transform(cut + rng.normal(0.0, 0.01, cut.shape)), plan)
+    found = plan_fit.place(true.inverse().transform(cut + rng.normal(0.0, 0.01, cut.shape)), plan)
     off = true.inverse() @ found.plan_from_map
     assert np.hypot(off.x, off.y) < 0.05
     assert abs(off.theta) < 0.01
@@ -72,9 +72,9 @@ def test_a_map_is_found_again_on_the_plan_it_was_cut_from():
 
 
 def small_page(settings):
-    chosen = figure_10.CHAPTER.settings("test", settings)
-    results = {job.name: job.run()[0] for job in figure_10.CHAPTER.jobs(chosen)}
-    return figure_10.CHAPTER.sections(chosen, results), figure_10.CHAPTER.findings(chosen, results)
+    chosen = figure_10_chapter.CHAPTER.settings("test", settings)
+    results = {job.name: job.run()[0] for job in figure_10_chapter.CHAPTER.jobs(chosen)}
+    return figure_10_chapter.CHAPTER.sections(chosen, results), figure_10_chapter.CHAPTER.findings(chosen, results)
 
 
 def test_the_page_shows_plan_and_maps_and_says_how_to_get_a_recording_that_is_not_here(monkeypatch):

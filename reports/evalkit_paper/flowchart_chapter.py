@@ -11,9 +11,9 @@ from evalkit.plugins.protocols import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Box
 from evalkit.report.html.document import Figure, Figures, Section, Text
-from evalkit_paper import stages
+from evalkit_paper import call_trace as stages
+from evalkit_paper.call_trace import Call
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
-from evalkit_paper.stages import Call
 
 ANCHOR = "figures-2-to-5"
 RECORDED = "stages"

@@ -7,9 +7,9 @@ import pytest
 
 from evalkit.core.pose import Pose
 from evalkit.report.html.document import Document, render
-from evalkit_paper import table_1, validation, validation_basin
+from evalkit_paper import table_1, validation_basin, validation_chapter
 from evalkit_paper.table_1 import APPLIED, PRINTED, READINGS, ROOMS
-from evalkit_paper.validation import Fit
+from evalkit_paper.validation_chapter import Fit
 
 SEEDS = 8
 READING = "mean distance"
@@ -17,9 +17,9 @@ READING = "mean distance"
 
 @pytest.fixture(scope="module")
 def chapter():
-    settings = validation.CHAPTER.settings("test", {"seeds": SEEDS, "basin_seeds": 2})
+    settings = validation_chapter.CHAPTER.settings("test", {"seeds": SEEDS, "basin_seeds": 2})
     results = {}
-    for job in validation.CHAPTER.jobs(settings):
+    for job in validation_chapter.CHAPTER.jobs(settings):
         name = job.function.__name__
         if name == "basin":  # counted here as if every start up to 40 deg succeeded: the real ones have a test below
             good = job.arguments["turn_deg"] <= 40.0
@@ -47,9 +47,9 @@ def test_the_scan_is_the_room_moved_back_with_the_papers_noise():
 def test_the_reading_that_fits_is_found_by_computation(chapter):
     settings, results = chapter
     for room in ROOMS:
-        known = validation.fits(settings, results, room)
-        assert validation.best(known).reading.startswith(READING)
-        assert validation.best(known).largest[0] < validation.WELL
+        known = validation_chapter.fits(settings, results, room)
+        assert validation_chapter.best(known).reading.startswith(READING)
+        assert validation_chapter.best(known).largest[0] < validation_chapter.WELL
         for reading in READINGS:
             if not reading.startswith("mean distance") or "many" in reading:
                 assert known[reading].largest[0] > 4.0
@@ -104,12 +104,12 @@ def test_the_basin_is_whole_near_the_truth_and_empty_at_a_quarter_turn():
 
 
 def test_the_page_names_the_reading_and_shows_every_figure(chapter):
-    sections = validation.CHAPTER.sections(*chapter)
+    sections = validation_chapter.CHAPTER.sections(*chapter)
     page = render(Document("", "", "", sections))
     assert f"Best fit: {READING}" in page
     for figure in ("Figure 6", "Figure 7", "Figure 8: before", "Figure 8: after", "Without the filter"):
         assert figure in page
     anchors = {section.target for section in sections}
-    findings = validation.CHAPTER.findings(*chapter)
+    findings = validation_chapter.CHAPTER.findings(*chapter)
     assert {finding.anchor for finding in findings} <= anchors
     assert findings[0].verdict == "reproduced with a correction"

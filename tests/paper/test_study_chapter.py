@@ -3,8 +3,8 @@
 import pytest
 
 from evalkit.plugins import registry
-from evalkit_paper.study import CHAPTER
-from evalkit_paper.twins import apart
+from evalkit_paper.core_agreement import apart
+from evalkit_paper.study_chapter import CHAPTER
 
 STUDY = """
 title = "A small study"

@@ -12,11 +12,11 @@ from evalkit.plugins.protocols import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve
 from evalkit.report.html.document import Cell, Column, Figure, Figures, Section, Table, Text, Tone
-from evalkit_paper import map_figures, mapping
+from evalkit_paper import map_figures, map_measurements
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
 from evalkit_paper.map_figures import CELL_SIZE, DRIFT_DEG, DRIFT_M, PICTURED
+from evalkit_paper.map_measurements import THRESHOLDS, TOLD
 from evalkit_paper.map_study import HERE, Study, named, of_factor
-from evalkit_paper.mapping import THRESHOLDS, TOLD
 
 USES = ("evalkit_baselines.embedded", "evalkit_baselines.paper", "evalkit_datasets.synthetic")
 ANCHOR = "maps"
@@ -40,33 +40,41 @@ NUMERIC: Mapping[str, tuple[str, str, Axis]] = {
 
 def jobs(settings: Settings) -> tuple[AnyTask, ...]:
     """A job for every world, seed and kind of poses, then drift, pictures, no-returns and the twins."""
-    variants = [dict(variant) for variant in mapping.variants(bool(settings["interactions"]))]
+    variants = [dict(variant) for variant in map_measurements.variants(bool(settings["interactions"]))]
     laps = settings["laps"]
     seeds = range(int(settings["seeds"]))
     main = [
-        _task(f"{world} seed {seed} {poses}", mapping.measured,
+        _task(f"{world} seed {seed} {poses}", map_measurements.measured,
              world=world, seed=seed, laps=laps, poses=poses, variants=variants)
         for world in _worlds(settings) for seed in seeds for poses in HERE
     ]  # fmt: skip
     drift = [
         _task(
-            f"drift seed {seed}", mapping.drifted, world="lab", seed=seed, laps=laps, metres=DRIFT_M, degrees=DRIFT_DEG
+            f"drift seed {seed}",
+            map_measurements.drifted,
+            world="lab",
+            seed=seed,
+            laps=laps,
+            metres=DRIFT_M,
+            degrees=DRIFT_DEG,
         )
         for seed in seeds
     ]
     clear = [
-        _task(f"no returns seed {seed}", mapping.measured, world=NO_RETURN_WORLD, seed=seed, laps=min(laps, 0.5),
+        _task(f"no returns seed {seed}", map_measurements.measured, world=NO_RETURN_WORLD, seed=seed, laps=min(laps, 0.5),
              poses="true", variants=[{}, {"clear_no_returns": True}])
         for seed in seeds
     ]  # fmt: skip
     sizes = [{"resolution_m": size} for size in PICTURED]
     silent = [
-        _task(f"no noise seed {seed}", mapping.measured, world="lab", seed=seed, laps=laps, poses="true",
+        _task(f"no noise seed {seed}", map_measurements.measured, world="lab", seed=seed, laps=laps, poses="true",
               variants=sizes, sensor={"noise_m": 0.0})
         for seed in seeds
     ]  # fmt: skip
-    drawn = _task("pictures", mapping.pictures, world="lab", seed=0, laps=laps, poses="estimated", variants=sizes)
-    twins = _task("twins", mapping.twins, world="lab", seed=0, laps=min(laps, 0.3),
+    drawn = _task(
+        "pictures", map_measurements.pictures, world="lab", seed=0, laps=laps, poses="estimated", variants=sizes
+    )
+    twins = _task("twins", map_measurements.twins, world="lab", seed=0, laps=min(laps, 0.3),
                  variants=[{}, {"resolution_m": 0.1}, {"l_free": -0.405}, {"l_min": -10.0, "l_max": 10.0}])  # fmt: skip
     return (*main, *drift, *clear, *silent, drawn, twins)
 
@@ -134,7 +142,7 @@ def _study(settings: Settings, results: Results) -> Study:
     units = [
         (world, seed, poses) for world in _worlds(settings) for seed in range(int(settings["seeds"])) for poses in HERE
     ]
-    known = mapping.variants(bool(settings["interactions"]))
+    known = map_measurements.variants(bool(settings["interactions"]))
     return Study(known, tuple(units), [results[f"{world} seed {seed} {poses}"] for world, seed, poses in units])
 
 
@@ -182,7 +190,7 @@ def _lead(study: Study, results: Results) -> list[Text]:
 def _against(study: Study, factor: str) -> Figure:
     key, title, axis = NUMERIC[factor]
     numbers = of_factor(study, factor)
-    x = np.array([float(mapping.complete(study.variants[number])[key]) for number in numbers])
+    x = np.array([float(map_measurements.complete(study.variants[number])[key]) for number in numbers])
     order = np.argsort(x)
     curves = [
         Curve(label, x[order], values.mean(axis=1)[order], values.min(axis=1)[order], values.max(axis=1)[order],
@@ -216,7 +224,7 @@ def _by_sequence(study: Study, numbers: Sequence[int]) -> dict[str, Any]:
 
 def _effects(study: Study, settings: Settings, results: Results) -> Table:
     rows = [_effect(study, 0)]
-    for factor in mapping.factors():
+    for factor in map_measurements.factors():
         rows += [_effect(study, number) for number in of_factor(study, factor) if number]
     ignored, cleared = (
         np.array([results[f"no returns seed {s}"]["f1"][v, TOLD] for s in range(int(settings["seeds"]))])

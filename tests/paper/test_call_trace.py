@@ -2,14 +2,14 @@
 
 import pytest
 
-from evalkit_paper import flowcharts, stages
-from evalkit_paper.flowcharts import MAPPING, PIPELINE, REGISTRATION, TWO_STAGES, path
-from evalkit_paper.stages import Call
+from evalkit_paper import call_trace, flowchart_chapter
+from evalkit_paper.call_trace import Call
+from evalkit_paper.flowchart_chapter import MAPPING, PIPELINE, REGISTRATION, TWO_STAGES, path
 
 
 def recording(**settings):
-    chosen = flowcharts.CHAPTER.settings("test", {"laps": 0.02, **settings})
-    (job,) = flowcharts.CHAPTER.jobs(chosen)
+    chosen = flowchart_chapter.CHAPTER.settings("test", {"laps": 0.02, **settings})
+    (job,) = flowchart_chapter.CHAPTER.jobs(chosen)
     return chosen, {job.name: job.run()[0]}
 
 
@@ -42,7 +42,7 @@ def test_what_is_below_a_stage_comes_after_it_and_what_is_not_named_is_looked_th
 
 
 def test_calls_are_recorded_below_their_callers():
-    root = stages.recorded(lambda: stages.frontend.near(stages.frontend.np.zeros((2, 2)), 1.0))
+    root = call_trace.recorded(lambda: call_trace.frontend.near(call_trace.frontend.np.zeros((2, 2)), 1.0))
     assert [each.name for each in root.within()] == ["", "near"]
 
 
@@ -76,7 +76,7 @@ def test_another_choice_is_another_stage():
 
 def test_a_box_stands_on_the_page_for_every_stage_that_ran():
     chosen, results = recording()
-    (section,) = flowcharts.CHAPTER.sections(chosen, results)
+    (section,) = flowchart_chapter.CHAPTER.sections(chosen, results)
     figures = section.blocks[1].figures
     assert [figure.title[:8] for figure in figures] == ["Figure 2", "Figure 3", "Figure 4", "Figure 5"]
     drawn = path(Call.read(results["stages"]["calls"]), REGISTRATION, "FrontEnd._register s2m")
@@ -84,4 +84,4 @@ def test_a_box_stands_on_the_page_for_every_stage_that_ran():
     assert [REGISTRATION[key] for key in drawn.stages[drawn.first :]] == [
         REGISTRATION[key] for key in ("Association.of", "closest_only", "rigid", "Icp._error")
     ]
-    assert len(flowcharts.CHAPTER.findings(chosen, results)) == 2
+    assert len(flowchart_chapter.CHAPTER.findings(chosen, results)) == 2

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from evalkit_paper.map_choice import Choice, recommended
+from evalkit_paper.map_recommendation import Choice, recommended
 
 
 def choose(f1, loss, departures, peers=None):

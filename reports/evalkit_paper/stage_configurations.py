@@ -13,7 +13,7 @@ from evalkit.metrics.trajectory import rms
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Parameter, Value
 from evalkit.report.html.document import Cell, Column, Section, Table, Text, Tone
-from evalkit_paper import trajectory_following
+from evalkit_paper import stage_errors
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
 
 ANCHOR = "two-stages"
@@ -80,14 +80,14 @@ def _job(settings: Settings, each: Configuration, seed: int) -> AnyTask:
 def measured(*, backend: str, parameters: Mapping[str, Any], sequence: Mapping[str, Any]) -> dict[str, Any]:
     """One configuration over one drive: "ate_m", "final_percent", "path_m"; "s2s", "s2m" (mean iterations or None)."""
     lab = registry.dataset("lab").make(**sequence)
-    found = trajectory_following.follow(lab, backend, parameters)
+    found = stage_errors.follow(lab, backend, parameters)
     truth = lab.truth().trajectory
     if truth is None:
         raise ValueError("lab: no true trajectory")
-    counts = {stage: found.iterations[stage][1:] for stage in trajectory_following.STAGES}
+    counts = {stage: found.iterations[stage][1:] for stage in stage_errors.STAGES}
     return {
-        "ate_m": rms(trajectory_following.position_errors_m(found.estimate, truth)),
-        "final_percent": trajectory_following.final_percent(found.estimate, truth),
+        "ate_m": rms(stage_errors.position_errors_m(found.estimate, truth)),
+        "final_percent": stage_errors.final_percent(found.estimate, truth),
         "path_m": truth.path_m,
         **{stage: None if np.isnan(each).all() else float(np.nanmean(each)) for stage, each in counts.items()},
     }
@@ -119,7 +119,7 @@ def _row(settings: Settings, results: Results, each: Configuration, best: float)
     mean = float(np.mean(ate))
     tone: Tone = "bad" if mean > odometry else "good" if mean <= 1.5 * best else ""
     spread = f" ({min(ate):.3f} to {max(ate):.3f})" if len(ate) > 1 else ""
-    iterations = [_of(settings, results, each, stage) for stage in trajectory_following.STAGES]
+    iterations = [_of(settings, results, each, stage) for stage in stage_errors.STAGES]
     return [
         each.name, "yes" if each.printed else "",
         Cell(f"{mean:.3f}{spread}", mean, tone), Cell(f"{np.mean(final):.2f}", float(np.mean(final))),

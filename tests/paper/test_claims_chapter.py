@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evalkit_paper import claims, long_drives
+from evalkit_paper import claims_chapter, long_drives
 
 
 def test_wheels_without_errors_stay_on_the_way(monkeypatch):
@@ -22,14 +22,14 @@ def test_the_mean_error_up_to_a_mark_is_that_of_all_scans_before_it():
 
 @pytest.fixture
 def settings():
-    return claims.CHAPTER.settings("t", {"seeds": 2, "laps": 2.0})
+    return claims_chapter.CHAPTER.settings("t", {"seeds": 2, "laps": 2.0})
 
 
 def made(settings, percent):
     """Results in which every method is off by so many percent of the way, and people cost 1 cm each."""
-    way = np.linspace(1.0, 100.0, claims.MARKS)
+    way = np.linspace(1.0, 100.0, claims_chapter.MARKS)
     results = {}
-    for job in claims.CHAPTER.jobs(settings):
+    for job in claims_chapter.CHAPTER.jobs(settings):
         if job.function.__name__ == "grown":
             share = percent[job.name.partition(" | ")[0]] / 100.0
             results[job.name] = {"path_m": way, "end_m": share * way, "rmse_m": share * way}
@@ -48,17 +48,17 @@ def made(settings, percent):
     ],
 )
 def test_the_verdict_follows_what_was_measured(settings, literal, reading, verdict):
-    wheels, printed, read, tight = (entry.label for entry in claims.ENTRIES)
+    wheels, printed, read, tight = (entry.label for entry in claims_chapter.ENTRIES)
     results = made(settings, {wheels: 5.0, printed: literal, read: reading, tight: 0.1})
-    loops, crowd = claims.CHAPTER.findings(settings, results)
+    loops, crowd = claims_chapter.CHAPTER.findings(settings, results)
     assert loops.verdict == verdict
     assert f"{read}: {reading:.2f} ({reading:.2f} to {reading:.2f}) %" in loops.measured
     assert "with 10 people in the lab ATE RMSE 0.100 m against 0.000 m with nobody" in crowd.measured
 
 
 def test_a_drift_in_proportion_to_the_way_grows_as_its_first_power(settings):
-    results = made(settings, {entry.label: 1.0 for entry in claims.ENTRIES})
-    section = claims.CHAPTER.sections(settings, results)[0]
+    results = made(settings, {entry.label: 1.0 for entry in claims_chapter.ENTRIES})
+    section = claims_chapter.CHAPTER.sections(settings, results)[0]
     (table,) = (block for block in section.blocks if block.kind == "table")
     assert all(row[-1].text == "1.0" for row in table.rows)
     assert {row[3].text for row in table.rows} == {"1.00"}

@@ -20,7 +20,7 @@ from evalkit.metrics.table import PlacedScans
 from evalkit.metrics.trajectory import rms
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Value
-from evalkit_paper import faults, scenes, trajectory_following
+from evalkit_paper import map_faults, plan_fit, stage_errors
 
 
 @dataclass(frozen=True)
@@ -49,12 +49,12 @@ def lab(
     truth = drive.truth()
     if truth.trajectory is None or truth.grid is None:
         raise ValueError("lab: no truth")
-    found = trajectory_following.follow(drive, backend, parameters)
-    world_from_base = trajectory_following.aligned(found.estimate, truth.trajectory)
+    found = stage_errors.follow(drive, backend, parameters)
+    world_from_base = stage_errors.aligned(found.estimate, truth.trajectory)
     grid = _grid(_mapped(found, world_from_base, scans))
     return kept(grid) | {
         "path": world_from_base.poses[:, :2],
-        "ate_m": rms(trajectory_following.position_errors_m(found.estimate, truth.trajectory)),
+        "ate_m": rms(stage_errors.position_errors_m(found.estimate, truth.trajectory)),
         "f1": f1(compare_walls(grid, truth.grid)),
     }
 
@@ -73,20 +73,20 @@ def recording(*, name: str, backend: str, parameters: Mapping[str, Any]) -> dict
     "times_s", "yaw_dps" (by the odometry) and "s2s", "s2m" (N, 6); "hits" of them "contradicted", "places" (K, 2) of
     the contradicted ones.
     """
-    found = trajectory_following.follow(registry.dataset(name).make(), backend, parameters)
+    found = stage_errors.follow(registry.dataset(name).make(), backend, parameters)
     mapped = _mapped(found, found.estimate, len(found.frames))
     middle = len(mapped) // 2
     halves = mapped[:middle], mapped[middle:]
     first, second = (_grid(half) for half in halves)
     wrong = [
-        points[faults.contradicted(points, other)]
+        points[map_faults.contradicted(points, other)]
         for points, other in ((collect_hits(halves[0]), second), (collect_hits(halves[1]), first))
     ]
     places_ = np.concatenate(wrong)
     return kept(_grid(mapped)) | {
         "times_s": (found.stamps_ns - found.stamps_ns[0]) * 1e-9,
-        "yaw_dps": trajectory_following.yaw_rates_dps(found.stamps_ns, _odometry(found)),
-        **{stage: found.errors[stage] for stage in trajectory_following.STAGES},
+        "yaw_dps": stage_errors.yaw_rates_dps(found.stamps_ns, _odometry(found)),
+        **{stage: found.errors[stage] for stage in stage_errors.STAGES},
         "path": found.poses[:, :2],
         "hits": sum(len(collect_hits(half)) for half in halves),
         "contradicted": len(places_),
@@ -104,10 +104,10 @@ def floor(*, name: str, backend: str) -> dict[str, Any]:
     known = sequence.truth().plan
     if known is None:
         return {}
-    found = trajectory_following.follow(sequence, backend, {})
+    found = stage_errors.follow(sequence, backend, {})
     grid = _grid(_mapped(found, found.estimate, len(found.frames)))
     points = grid.centres(grid.occupied())
-    placed = scenes.place(points, known.centres(known.occupied()))
+    placed = plan_fit.place(points, known.centres(known.occupied()))
     return kept(known) | {
         "walls": placed.plan_from_map.transform(points),
         "path": placed.plan_from_map.transform(found.poses[:, :2]),
@@ -133,7 +133,7 @@ def grid_of(result: Mapping[str, Any]) -> OccupancyGrid:
     return OccupancyGrid(result["log_odds"], result["observed"], *result["lattice"])
 
 
-def _mapped(found: trajectory_following.Followed, world_from_base: Trajectory, most: int) -> PlacedScans:
+def _mapped(found: stage_errors.Followed, world_from_base: Trajectory, most: int) -> PlacedScans:
     """At most so many scans, evenly, the motion within them undone by the odometry, with where the sensor was."""
     chosen = np.unique(np.linspace(0, len(found.frames) - 1, min(most, len(found.frames))).astype(int)).tolist()
     return tuple(
@@ -152,5 +152,5 @@ def _grid(mapped: PlacedScans) -> OccupancyGrid:
     return grid
 
 
-def _odometry(found: trajectory_following.Followed) -> Floats:
+def _odometry(found: stage_errors.Followed) -> Floats:
     return np.array([(frame.odom_from_base or Pose()).row for frame in found.frames])

@@ -17,7 +17,7 @@ from evalkit.report.html.charts import Axis, Curve
 from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Fold, Section, Table, Text
 from evalkit.report.html.palette import BAR, Stroke
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
-from evalkit_paper.ladders import RULE, Ladder
+from evalkit_paper.device_ladders import RULE, Ladder
 
 ANCHOR = "real-time"
 WHEELS = "wheel-odometry"

@@ -12,10 +12,10 @@ from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve, Span
 from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text
 from evalkit.report.html.palette import BAR, Stroke
-from evalkit_paper import causes, lab_drives, spikes, steady_drives, trajectory_following
-from evalkit_paper.causes import MM
+from evalkit_paper import lab_drives, spike_causes, spikes, stage_errors, steady_bands
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
 from evalkit_paper.lab_drives import Cause
+from evalkit_paper.spike_causes import MM
 
 PRINTED_M = (0.02, 0.03)
 """Figure 9 of the paper: where its steady residuals lie."""
@@ -44,10 +44,10 @@ PARAMETERS = (
 
 def jobs(settings: Settings) -> tuple[AnyTask, ...]:
     """Every cause at every rate, and every yaw rate."""
-    rates = steady_drives.numbers(settings["rates_hz"])
+    rates = steady_bands.numbers(settings["rates_hz"])
     drives = [lab_drives.job(settings, cause, rate) for rate in rates for cause in lab_drives.causes(settings)]
     turns = [
-        lab_drives.turn_job(settings, dps, rate) for rate in rates for dps in steady_drives.numbers(settings["yaw_dps"])
+        lab_drives.turn_job(settings, dps, rate) for rate in rates for dps in steady_bands.numbers(settings["yaw_dps"])
     ]
     return (*drives, *turns)
 
@@ -61,14 +61,14 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
             "nothing undoes the motion within a scan unless a drive is called deskewed. A scan's residual is what its "
             "last iteration leaves over."
         ),
-        Figures([_over_time(settings, results, rate) for rate in steady_drives.numbers(settings["rates_hz"])]),
+        Figures([_over_time(settings, results, rate) for rate in steady_bands.numbers(settings["rates_hz"])]),
         Heading("Which error is steady at 0.02 to 0.03?"),
         _readings_table(settings, results),
         Text(_reading_told(settings, results)),
         Heading("What makes it spike"),
-        Text(causes.definition(settings, results)),
-        causes.table(settings, results),
-        Text(causes.told(settings, results)),
+        Text(spike_causes.definition(settings, results)),
+        spike_causes.table(settings, results),
+        Text(spike_causes.told(settings, results)),
         Figures([*_cause_figures(settings, results)], small=True),
         Heading("Height of the spike over yaw rate"),
         *_turn_blocks(settings, results),
@@ -80,14 +80,14 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     """The line of Figure 9 and of what the text says of its spikes."""
     fits = _fits(settings, results)
     best = min(fits, key=lambda reading: fits[reading])
-    rates = steady_drives.rates(settings)
+    rates = steady_bands.rates(settings)
     measured = [
-        f"{stage.upper()} {steady_drives.spread(medians)} m"
-        for stage in trajectory_following.STAGES
-        if (medians := [steady_drives.medians(settings, results, rate, stage)[0] for rate in rates])
+        f"{stage.upper()} {steady_bands.spread(medians)} m"
+        for stage in stage_errors.STAGES
+        if (medians := [steady_bands.medians(settings, results, rate, stage)[0] for rate in rates])
     ]
-    shown = steady_drives.shown(settings)
-    struck = {row.cause.name: row for row in causes.rows(settings, results, "s2s") if row.rate == shown}
+    shown = steady_bands.shown(settings)
+    struck = {row.cause.name: row for row in spike_causes.rows(settings, results, "s2s") if row.rate == shown}
     return (
         Finding(
             "Figure 9, steady part", "S2S and S2M at 0.02 to 0.03",
@@ -101,7 +101,7 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     )  # fmt: skip
 
 
-def _spikes_finding(rate: float, struck: Mapping[str, causes.Row]) -> Finding:
+def _spikes_finding(rate: float, struck: Mapping[str, spike_causes.Row]) -> Finding:
     turns, deskewed = struck["quick turns"], struck["quick turns, deskewed"]
     others = "; ".join(
         f"{name} {row.hit} of {row.count}" for name, row in struck.items() if row.cause.marked != "start"
@@ -125,31 +125,29 @@ def _off(value: float) -> float:
 def _fits(settings: Settings, results: Results) -> dict[str, float]:
     """How far every reading is off what is printed, in factors of e, over both stages and all rates."""
     medians = [
-        steady_drives.medians(settings, results, rate, stage)
-        for rate in steady_drives.rates(settings)
-        for stage in trajectory_following.STAGES
+        steady_bands.medians(settings, results, rate, stage)
+        for rate in steady_bands.rates(settings)
+        for stage in stage_errors.STAGES
     ]
     return {
         reading: float(np.mean([_off(values[index]) for values in medians]))
-        for index, reading in enumerate(trajectory_following.READINGS)
+        for index, reading in enumerate(stage_errors.READINGS)
     }
 
 
 def _readings_table(settings: Settings, results: Results) -> Table:
-    fits, rates = _fits(settings, results), steady_drives.rates(settings)
+    fits, rates = _fits(settings, results), steady_bands.rates(settings)
     columns: list[Column | str] = ["Reading of the error"]
     columns += [
-        Column(f"{stage.upper()} at {rate:g} Hz", number=True)
-        for stage in trajectory_following.STAGES
-        for rate in rates
+        Column(f"{stage.upper()} at {rate:g} Hz", number=True) for stage in stage_errors.STAGES for rate in rates
     ]
     columns.append(Column("off by", "factors of e", number=True, tip="mean distance of the logarithms; 0 within"))
     rows: list[list[Cell | str]] = []
-    for index, reading in enumerate(trajectory_following.READINGS):
+    for index, reading in enumerate(stage_errors.READINGS):
         unit = "m^2" if "mean square" in reading and "root" not in reading else "m"
         values = [
-            steady_drives.medians(settings, results, rate, stage)[index]
-            for stage in trajectory_following.STAGES
+            steady_bands.medians(settings, results, rate, stage)[index]
+            for stage in stage_errors.STAGES
             for rate in rates
         ]
         cells = [Cell(f"{value:.4f}", value, "good" if _off(value) == 0.0 else "") for value in values]
@@ -194,28 +192,28 @@ def _panels(results: Results, cause: Cause, rate: float, title: str, caption: st
         Curve("the paper's range" if index == 0 else "", ends, np.full(2, level), stroke=Stroke(BAR, (4.0, 2.0)))
         for index, level in enumerate(PRINTED_M)
     ]
-    top = max(0.06, 1.05 * float(np.nanmax([np.nanmax(result[stage][:, 0]) for stage in trajectory_following.STAGES])))
+    top = max(0.06, 1.05 * float(np.nanmax([np.nanmax(result[stage][:, 0]) for stage in stage_errors.STAGES])))
     groups = [
         ([Curve(f"{stage.upper()} residual", times, result[stage][:, 0], stroke=charts.stroke(number)), *printed],
          Axis(f"{stage.upper()} [m]", low=0.0, high=top))
-        for number, stage in enumerate(trajectory_following.STAGES)
+        for number, stage in enumerate(stage_errors.STAGES)
     ]  # fmt: skip
     groups.append(([Curve("yaw rate", times, result["yaw_dps"], stroke=charts.stroke(2))], Axis("[deg/s]", low=0.0)))
     return Figure(charts.panels(groups, Axis("time [s]"), spans, height=1.7), title, caption)
 
 
 def _cause_figures(settings: Settings, results: Results) -> Iterator[Figure]:
-    rate = steady_drives.shown(settings)
+    rate = steady_bands.shown(settings)
     for cause in lab_drives.causes(settings):
         if cause.name != "quick turns":
             yield _panels(results, cause, rate, f"{cause.name}, {rate:g} Hz", "")
 
 
 def _turn_blocks(settings: Settings, results: Results) -> Iterator[Block]:
-    yaw_rates = steady_drives.numbers(settings["yaw_dps"])
+    yaw_rates = steady_bands.numbers(settings["yaw_dps"])
     curves: list[Curve] = []
     rows: list[list[Cell | str]] = []
-    for rate in steady_drives.rates(settings):
+    for rate in steady_bands.rates(settings):
         found = [results[lab_drives.turn_name(dps, rate)] for dps in yaw_rates]
         ratio = [each["peak"] / each["median"] for each in found]
         curves.append(Curve(f"{rate:g} Hz", np.array(yaw_rates), np.array(ratio), marks=True))
