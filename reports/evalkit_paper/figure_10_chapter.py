@@ -94,7 +94,8 @@ def _lab(settings: Settings, results: Results) -> Iterator[Block]:
     ])  # fmt: skip
     yield Text(
         f"Red: ghosts, occupied cells farther than {map_faults.GHOST_M:g} m (four sigma of the range noise) from every "
-        f"true wall. Orange: smear, {map_faults.SMEAR_M:g} to {map_faults.GHOST_M:g} m. Blue dots: true walls the map says are "
+        f"true wall. Orange: smear, {map_faults.SMEAR_M:g} to {map_faults.GHOST_M:g} m. Blue dots: true walls the map "
+        "says are "
         "free, with none drawn near. Light blue: the true walls.", "note",
     )  # fmt: skip
     yield _summary(results, true)

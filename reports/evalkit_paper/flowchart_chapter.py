@@ -11,7 +11,7 @@ from evalkit.plugins.protocols import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Box
 from evalkit.report.html.document import Figure, Figures, Section, Text
-from evalkit_paper import call_trace as stages
+from evalkit_paper import call_trace
 from evalkit_paper.call_trace import Call
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
 
@@ -135,7 +135,7 @@ _MAPPER = ("traversal", "once_per_scan")
 def jobs(settings: Settings) -> tuple[AnyTask, ...]:
     """The one recording."""
     recording = make_task(
-        RECORDED, stages.drive, sequence={"laps": settings["laps"], "rate_hz": settings["rate_hz"]},
+        RECORDED, call_trace.drive, sequence={"laps": settings["laps"], "rate_hz": settings["rate_hz"]},
         parameters={"keyframe_distance_m": 0.1, **{name: settings[name] for name in _FRONT_END}},
         mapper={name: settings[name] for name in _MAPPER},
     )  # fmt: skip

@@ -173,7 +173,8 @@ def _placed_told(result: Result) -> str:
     )
     return (
         "The recording comes with a map of its floor; how their frames relate is not documented. The map along "
-        f"'{lab_maps.TIGHT.name}' was tried on it everywhere and at every {plan_fit.STEP_DEG:g} deg, then fitted by ICP: "
+        f"'{lab_maps.TIGHT.name}' was tried on it everywhere and at every {plan_fit.STEP_DEG:g} deg, then fitted by "
+        "ICP: "
         f"its walls lie {result['mean_m']:.2f} m from the floor's on average, {100.0 * result['within']:.0f} % of them "
         f"within {plan_fit.WITHIN_M:g} m, with the start at ({found.x:.2f}, {found.y:.2f}) m and "
         f"{np.degrees(found.theta):.0f} deg. The best place elsewhere fits {100.0 * result['rival']:.0f} % as well: "
