@@ -1,4 +1,4 @@
-"""Which stages a scan goes through, recorded from the running code: what Figures 2 to 5 are drawn from."""
+"""Record which functions one scan calls: the data behind the flow charts of Figures 2 to 5."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ RECORDED = frozenset(
         "evalkit_baselines.paper.icp",
     }
 )  # fmt: skip
-"""Calls of functions of these modules are recorded; what others call counts as called by those that called them."""
+"""Modules whose function calls are recorded; calls made through other modules are attributed to the caller."""
 
 
 @dataclass
 class Call:
-    """A function that ran: its name within its module, of which stage of the front end, and what it called in turn."""
+    """One recorded call: qualified function name, stage of the front end, and nested calls."""
 
     name: str
     stage: str = ""
@@ -35,30 +35,30 @@ class Call:
         """Name and stage."""
         return f"{self.name} {self.stage}".rstrip()
 
-    def within(self) -> Iterator[Call]:
-        """This call and all below it, in the order they began."""
+    def walk(self) -> Iterator[Call]:
+        """This call and all nested calls, in calling order."""
         yield self
         for call in self.calls:
-            yield from call.within()
+            yield from call.walk()
 
-    def told(self) -> dict[str, Any]:
-        """As JSON values."""
-        return {"name": self.name, "stage": self.stage, "calls": [call.told() for call in self.calls]}
+    def to_json(self) -> dict[str, Any]:
+        """Convert to JSON values."""
+        return {"name": self.name, "stage": self.stage, "calls": [call.to_json() for call in self.calls]}
 
     @classmethod
-    def read(cls, told: Mapping[str, Any]) -> Call:
-        """The call ``told`` tells of."""
-        return cls(told["name"], told["stage"], [cls.read(call) for call in told["calls"]])
+    def from_json(cls, to_json: Mapping[str, Any]) -> Call:
+        """Read a call from the JSON values of ``to_json``."""
+        return cls(to_json["name"], to_json["stage"], [cls.from_json(call) for call in to_json["calls"]])
 
 
-def recorded(action: Callable[[], object]) -> Call:
-    """What an action calls, as a tree below a nameless root."""
+def record_calls(action: Callable[[], object]) -> Call:
+    """Run an action and return its calls as a tree below a nameless root."""
     root = Call("")
     open_calls: list[Call | None] = [root]
 
-    def hear(frame: FrameType, event: str, _argument: object) -> None:
+    def on_event(frame: FrameType, event: str, _argument: object) -> None:
         if event == "call":
-            call = _call(frame)
+            call = _recorded_call(frame)
             if call is not None:
                 next(each for each in reversed(open_calls) if each is not None).calls.append(call)
             open_calls.append(call)
@@ -66,7 +66,7 @@ def recorded(action: Callable[[], object]) -> Call:
             open_calls.pop()
 
     before = sys.getprofile()
-    sys.setprofile(hear)
+    sys.setprofile(on_event)
     try:
         action()
     finally:
@@ -74,7 +74,7 @@ def recorded(action: Callable[[], object]) -> Call:
     return root
 
 
-def _call(frame: FrameType) -> Call | None:
+def _recorded_call(frame: FrameType) -> Call | None:
     name = frame.f_code.co_qualname
     if frame.f_globals.get("__name__") not in RECORDED or "<" in name or name.endswith(("__init__", "__post_init__")):
         return None
@@ -84,9 +84,9 @@ def _call(frame: FrameType) -> Call | None:
 def drive(
     *, sequence: Mapping[str, Any], parameters: Mapping[str, Any], mapper: Mapping[str, Any]
 ) -> dict[str, Any]:  # fmt: skip
-    """What one scan of a drive through the laboratory goes through: of all scans the one that asked for most.
+    """Calls of one scan of a drive through the laboratory: the scan that called the most different functions.
 
-    "scan": its number; "calls": the tree of ``Call`` of the front end, then of the mapper.
+    Keys: "scan", its number; "calls", the tree of ``Call`` of the front end, then of the mapper.
     """
     lab = registry.dataset("lab").make(**sequence)
     spec = registry.backend("paper")
@@ -98,6 +98,6 @@ def drive(
         deskewed = frame.scan.deskewed(frame.base_from_sensor, frame.start_from_end)
         drawn.update(deskewed, start_from_base @ frame.base_from_sensor)
 
-    found = [recorded(lambda frame=frame: scan(frame)) for frame in lab.frames()]  # type: ignore[misc]  # bound now
-    best = max(range(len(found)), key=lambda index: len({call.key for call in found[index].within()}))
-    return {"scan": best, "calls": found[best].told()}
+    found = [record_calls(lambda frame=frame: scan(frame)) for frame in lab.frames()]  # type: ignore[misc]  # bound now
+    best = max(range(len(found)), key=lambda index: len({call.key for call in found[index].walk()}))
+    return {"scan": best, "calls": found[best].to_json()}

@@ -1,4 +1,4 @@
-"""How far the compiled core's answers are from its NumPy twin's over a drive: what lets a study run on the core."""
+"""Difference between the poses of the compiled core and of the NumPy reference over a drive."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ def apart(
     sequence: Mapping[str, Value],
     scans: int,
 ) -> dict[str, Any]:
-    """The largest distance (m) and turn (rad) between two back ends' poses over the first scans, and their number.
+    """Largest distance (m) and angle (rad) between the poses of two back ends over the first scans, and their number.
 
-    Both get the same complete parameters; what only one of them has keeps its default.
+    Both get the same parameters; a parameter that only one of them has keeps its default.
     """
     one, other = (_poses(name, parameters, dataset, sequence, scans) for name in backends)
     difference = se2.between(one, other)

@@ -1,4 +1,4 @@
-"""The chapter on the paper's equations: as printed, as they must be, and what a literal implementation would do."""
+"""Chapter on the paper's equations: as printed, corrected, and the effect of a literal implementation."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PARAMETERS = (
 
 
 def jobs(settings: Settings) -> tuple[AnyTask, ...]:
-    """One computation a check; each takes seconds."""
+    """One computation per check; each takes seconds."""
     sequence, laps, seeds = settings["sequence"], settings["laps"], settings["seeds"]
     on_sequence = (
         make_task(
@@ -50,18 +50,18 @@ def jobs(settings: Settings) -> tuple[AnyTask, ...]:
 
 
 def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
-    """The table of equations, and a drawing where one shows more than a number."""
+    """Table of equations, with figures where a number is not enough."""
     blocks: list[Block] = [
         Text(
-            "Every line is backed by a computation made for this page; the same checks run as tests of the software. "
-            "The mistakes stand in this page's own code, none in the method that is compared."
+            "Every row is computed for this page; the same checks run as tests of the software. The wrong formulae "
+            "exist "
+            "only in this page's code, not in the method that is compared."
         ),
-        _table(results),
-        Figures((_transposed(results["transposed"]), _composed(results["composed"]))),
-        Figures((_map(results["subtracted"], "added"), _map(results["subtracted"], "taken"))),
+        _equation_table(results),
+        Figures((_convergence_figure(results["transposed"]), _path_figure(results["composed"]))),
+        Figures((_map_figure(results["subtracted"], "added"), _map_figure(results["subtracted"], "subtracted"))),
         Text(
-            f"The scans are those of '{settings['sequence']}', {settings['laps']:g} laps, seed 0; the scene is the "
-            "first one of Table 1.",
+            f"Scans: '{settings['sequence']}', {settings['laps']:g} laps, seed 0. Scene: the first room of Table 1.",
             "note",
         ),
     ]
@@ -69,137 +69,141 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
 
 
 VERDICTS: tuple[tuple[str, Verdict, str], ...] = (
-    ("Eq. 4, rotation", "reproduced with a correction", "transposed in print"),
+    ("Eq. 4, rotation", "reproduced with a correction", "printed transposed"),
     ("Eq. 4, single wall", "reproduced with a correction", "the guard against reflections is missing"),
-    ("Eq. 5, error", "not determined by the text", "the printed error is not the one Table 1 lists"),
-    ("Eq. 7, heading", "reproduced", "right as printed"),
-    ("Eq. 9, composition", "reproduced with a correction", "right only for steps in the world's frame"),
-    ("Eq. 11, l_free", "reproduced with a correction", "the printed value is negative already"),
+    ("Eq. 5, error", "not determined by the text", "the printed error is not the error of Table 1"),
+    ("Eq. 7, heading", "reproduced", "correct as printed"),
+    ("Eq. 9, composition", "reproduced with a correction", "correct only for steps in the world frame"),
+    ("Eq. 11, l_free", "reproduced with a correction", "the printed value is already negative"),
 )
 
 
 def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
-    """A line for every equation that cannot be meant as printed, and for one that can."""
+    """Findings on the equations that are wrong as printed, and on one that is correct."""
     del settings
-    told = {name.text: (printed, literally) for name, printed, _, literally in _rows(results)}
+    told = {name.text: (printed, literally) for name, printed, _, literally in _equation_rows(results)}
     return tuple(Finding(item, *told[item], verdict, why, ANCHOR) for item, verdict, why in VERDICTS)
 
 
-def _table(results: Results) -> Table:
+def _equation_table(results: Results) -> Table:
     columns = ("Equation", "As printed", "Correct", "If implemented literally")
-    return Table(columns, _rows(results), sortable=False)
+    return Table(columns, _equation_rows(results), sortable=False)
 
 
-def _rows(results: Results) -> list[tuple[Cell, str, str, str]]:
+def _equation_rows(results: Results) -> list[tuple[Cell, str, str, str]]:
     rows = (
         ("Eq. 2, subsets", "matched subsets of equal size, N' <= N",
-         "of several points that share a reference point only the closest stays", _shared(results["shared"])),
+         "of several points with the same reference point only the closest is kept",
+         _describe_subsets(results["shared"])),
         ("Eq. 4, rotation", "R = U V^T of K = U S V^T", "R = V diag(1, det(V U^T)) U^T",
-         _never(results["transposed"])),
+         _describe_transpose(results["transposed"])),
         ("Eq. 4, single wall", "no guard against reflections", "the diagonal with the determinant, or one angle",
-         _mirrors(results["mirrored"])),
-        ("Eq. 5, error", "mean squared distance, change below 1e-4", "mean distance (m), the one Table 1 lists",
-         _stops(results["stopped odometry"], results["stopped off"])),
-        ("Eq. 5, when", "not said whether before or after the step", "after the step, over the same pairs",
-         _before(results["evaluated"])),
+         _describe_mirrors(results["mirrored"])),
+        ("Eq. 5, error", "mean squared distance, change below 1e-4", "mean distance (m), the error of Table 1",
+         _describe_stop_rules(results["stopped odometry"], results["stopped off"])),
+        ("Eq. 5, when", "before or after the step is not stated", "after the step, over the same pairs",
+         _describe_before_step(results["evaluated"])),
         ("Eq. 7, heading", "theta = atan2(r21, r11)", "the same",
-         _right(results["headings"])),
+         _describe_heading(results["headings"])),
         ("Eq. 9, composition", "T_k = dT T_(k-1)",
-         "on the left for a dT in the world's frame, on the right for one in the body's", _thrown(results["composed"])),
-        ("Eq. 11, l_free", "l_free = ln(0.3 / 0.7), subtracted", "it is negative (-0.847): added",
-         _marked(results["subtracted"])),
+         "on the left for dT in the world frame, on the right for dT in the body frame",
+         _describe_composition(results["composed"])),
+        ("Eq. 11, l_free", "l_free = ln(0.3 / 0.7), subtracted", "negative (-0.847), therefore added",
+         _describe_l_free(results["subtracted"])),
     )  # fmt: skip
     return [(Cell(name), printed, correct, literally) for name, printed, correct, literally in rows]
 
 
-def _shared(found: Result) -> str:
+def _describe_subsets(found: Result) -> str:
     return (
-        f"Without the filter {found['pairs_all']:.0f} points of the first scan meet only {found['targets_all']:.0f} "
-        f"reference points: the subsets differ in size. With it {found['pairs_one']:.0f} pairs of {found['points']} "
-        "stay, one to one."
+        f"Without the filter {found['pairs_all']:.0f} points of the first scan use only {found['targets_all']:.0f} "
+        f"reference points: the subsets differ in size. With it {found['pairs_one']:.0f} one-to-one pairs of "
+        f"{found['points']} points remain."
     )
 
 
-def _never(found: Result) -> str:
+def _describe_transpose(found: Result) -> str:
     return (
-        f"It is the transpose, so each step turns the wrong way: {found['printed_reached']} of {found['seeds']} seeds "
-        f"reach the truth within 40 iterations, with the right one {found['correct_reached']}; mean distance left "
+        f"The transpose turns each step the wrong way: {found['printed_reached']} of {found['seeds']} seeds reach the "
+        f"true motion within 40 iterations, {found['correct_reached']} with the correct formula; final mean distance "
         f"{found['printed'][:, -1].mean():.2f} m against {found['correct'][:, -1].mean():.3f} m."
     )
 
 
-def _mirrors(found: Result) -> str:
+def _describe_mirrors(found: Result) -> str:
     return (
-        f"{found['unguarded']} of {found['walls']:,} noisy walls come back mirrored, with the guard "
-        f"{found['guarded']}; a point 1 m before the wall lands {found['worst_m']:.1f} m away, behind it."
+        f"{found['unguarded']} of {found['walls']:,} noisy walls are mirrored, {found['guarded']} with the guard; a "
+        "point "
+        f"1 m in front of the wall moves {found['worst_m']:.1f} m, behind it."
     )
 
 
-def _stops(near: Result, far: Result) -> str:
+def _describe_stop_rules(near: Result, far: Result) -> str:
     printed, tight, off = near["rules"]["printed"], near["rules"]["tight"], far["rules"]
     return (
         f"On successive scans from the odometry's guess it stops after {np.median(printed['iterations']):.0f} "
-        f"iterations (iterated to the end: {np.median(tight['iterations']):.0f}), for the mean square is "
-        f"{np.median(printed['first_square']):.1g} m^2 from the start and can hardly change by 1e-4. From a guess "
-        f"{100 * np.median(far['guess_m']):.0f} cm and {np.median(far['guess_deg']):.0f} deg off it leaves "
+        f"iterations (with epsilon 1e-6: {np.median(tight['iterations']):.0f}), because the mean square is only "
+        f"{np.median(printed['first_square']):.1g} m^2 at the start and hardly changes by 1e-4. From a guess "
+        f"{100 * np.median(far['guess_m']):.0f} cm and {np.median(far['guess_deg']):.0f} deg off the remaining error "
+        "is "
         f"{100 * np.median(off['printed']['error_m']):.1f} cm and {np.median(off['printed']['error_deg']):.2f} deg; "
-        f"iterated to the end {100 * np.median(off['tight']['error_m']):.1f} cm and "
+        f"with epsilon 1e-6 {100 * np.median(off['tight']['error_m']):.1f} cm and "
         f"{np.median(off['tight']['error_deg']):.2f} deg."
     )
 
 
-def _before(found: Result) -> str:
+def _describe_before_step(found: Result) -> str:
     more = found["before"] - found["after"]
-    return f"Before the step takes {more.mean():+.2f} iterations on Table 1's scene ({len(more)} seeds)."
+    return f"Computed before the step: {more.mean():+.2f} iterations on Table 1's scene ({len(more)} seeds)."
 
 
-def _right(found: Result) -> str:
-    return f"Right: at most {max(found['worst_rad'], 1e-16):.0e} rad off over {found['count']:,} headings."
+def _describe_heading(found: Result) -> str:
+    return f"Correct: error at most {max(found['worst_rad'], 1e-16):.0e} rad over {found['count']:,} headings."
 
 
-def _thrown(found: Result) -> str:
+def _describe_composition(found: Result) -> str:
     return (
-        f"Exact body-frame steps put on the left end {found['left_error_m']:.1f} m from the truth after "
+        f"Exact body-frame steps composed on the left end {found['left_error_m']:.1f} m from the true position after "
         f"{found['path_m']:.1f} m with turns up to {found['turned_deg']:.0f} deg; on the right "
         f"{found['right_error_m']:.0e} m."
     )
 
 
-def _marked(found: Result) -> str:
+def _describe_l_free(found: Result) -> str:
     return (
-        f"{100 * found['taken_wrong']:.0f} % of {found['cells']:,} truly free cells are marked occupied; added, "
-        f"{100 * found['added_wrong']:.1f} % are."
+        f"{100 * found['subtracted_wrong']:.0f} % of {found['cells']:,} truly free cells are marked occupied; "
+        f"{100 * found['added_wrong']:.1f} % if it is added."
     )
 
 
-def _transposed(found: Result) -> Figure:
+def _convergence_figure(found: Result) -> Figure:
     curves = [
-        _band("R = U V^T as printed", found["printed"]),
-        _band("R = V diag(1, det) U^T", found["correct"]),
+        _range_curve("R = U V^T as printed", found["printed"]),
+        _range_curve("R = V diag(1, det) U^T", found["correct"]),
     ]
     body = charts.lines(curves, Axis("iteration", low=1.0), Axis("mean distance [m]", "log"))
-    return Figure(body, "Equation 4 on Table 1's scene", "Mean over the seeds; bands from the least to the greatest.")
+    return Figure(body, "Equation 4 on Table 1's scene", "Mean over the seeds; bands: minimum to maximum.")
 
 
-def _band(label: str, profiles: Floats) -> Curve:
+def _range_curve(label: str, profiles: Floats) -> Curve:
     iterations = np.arange(1.0, profiles.shape[1] + 1)
     return Curve(label, iterations, profiles.mean(axis=0), profiles.min(axis=0), profiles.max(axis=0))
 
 
-def _composed(found: Result) -> Figure:
+def _path_figure(found: Result) -> Figure:
     layers = (
         Points("truth", found["true"], "#000000", 3.0, joined=True),
         Points("steps on the right", found["right"], "#56b4e9", 1.2, joined=True),
         Points("steps on the left (eq. 9)", found["left"], "#d55e00", 1.5, joined=True),
     )
     body = charts.scatter(layers, Axis("x [m]"), Axis("y [m]"))
-    return Figure(body, "Equation 9 with body-frame steps", "The same exact steps, put together on either side.")
+    return Figure(body, "Equation 9 with body-frame steps", "The same exact steps, composed on either side.")
 
 
-def _map(found: Result, name: str) -> Figure:
+def _map_figure(found: Result, name: str) -> Figure:
     left, right, bottom, top = found["extent_m"]
     body = charts.picture(1.0 - found[name][::-1], (left, right, bottom, top))
-    title = {"added": "l_free added", "taken": "l_free subtracted, as printed"}[name]
+    title = {"added": "l_free added", "subtracted": "l_free subtracted, as printed"}[name]
     wrong = 100 * found[f"{name}_wrong"]
     return Figure(body, title, f"Black: occupied. {wrong:.1f} % of the truly free cells are marked occupied.")
 

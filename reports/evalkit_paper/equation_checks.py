@@ -1,4 +1,4 @@
-"""What the paper's equations do if implemented as printed: each computed beside the corrected one."""
+"""Compute the effect of each of the paper's equations as printed beside the corrected one."""
 
 from __future__ import annotations
 
@@ -28,29 +28,29 @@ Rotation = Callable[[Floats], Floats]
 
 WELL_OFF_M = 0.05
 WELL_OFF_DEG = 2.0
-"""How far a guess on real scans is put off before the stop rules are compared."""
+"""Offset of the guess on scans in the comparison of stop rules."""
 
 
-def as_printed(K: Floats) -> Floats:
+def rotation_as_printed(K: Floats) -> Floats:
     """Equation 4 as printed: R = U V^T of K = U S V^T."""
     U, _, Vt = np.linalg.svd(K)
     return np.asarray(U @ Vt)
 
 
-def without_guard(K: Floats) -> Floats:
-    """R = V U^T: the right way round, but a reflection where the determinant says so."""
+def rotation_without_guard(K: Floats) -> Floats:
+    """R = V U^T: correct orientation, but possibly a reflection (negative determinant)."""
     U, _, Vt = np.linalg.svd(K)
     return np.asarray(Vt.T @ U.T)
 
 
-def guarded(K: Floats) -> Floats:
+def rotation_with_guard(K: Floats) -> Floats:
     """R = V diag(1, det(V U^T)) U^T: never a reflection."""
     U, _, Vt = np.linalg.svd(K)
     return np.asarray(Vt.T @ np.diag([1.0, np.linalg.det(Vt.T @ U.T)]) @ U.T)
 
 
-def steps(target: Floats, source: Floats, rotation: Rotation, iterations: int) -> tuple[Floats, Floats]:
-    """ICP with a rotation of one's choice: mean distances (I,) after each step, and the homogeneous motion (3, 3)."""
+def icp_with_rotation(target: Floats, source: Floats, rotation: Rotation, iterations: int) -> tuple[Floats, Floats]:
+    """ICP with a given rotation formula: mean distances (I,) after each step, and the homogeneous motion (3, 3)."""
     tree, moved, motion, errors = cKDTree(target), source.copy(), np.eye(3), []
     for _ in range(iterations):
         distance, nearest = map(np.asarray, tree.query(moved))
@@ -67,17 +67,19 @@ def steps(target: Floats, source: Floats, rotation: Rotation, iterations: int) -
 
 
 def transposed(*, seeds: int) -> dict[str, Any]:
-    """Equation 4 as printed on Table 1's scene: mean distances (S, 40) "printed" and "correct", and who reached it.
+    """Equation 4 as printed and corrected on Table 1's scene: mean distances (S, 40) "printed" and "correct".
 
-    "printed_reached" and "correct_reached": how many seeds end within 0.1 m and 2 deg of the truth.
+    "printed_reached" and "correct_reached": number of seeds that end within 0.1 m and 2 deg of the true motion.
     """
     room = ROOMS["first"]
     found: dict[str, Any] = {}
-    for name, rotation in (("printed", as_printed), ("correct", guarded)):
+    for name, rotation in (("printed", rotation_as_printed), ("correct", rotation_with_guard)):
         errors, reached = [], 0
         for seed in range(seeds):
-            profile, motion = steps(room.points(), table_1.scan(room, seed), rotation, table_1.MAX_ITERATIONS)
-            metres, degrees = _apart(Pose.of(se2.from_matrix(motion)), table_1.APPLIED)
+            profile, motion = icp_with_rotation(
+                room.points(), table_1.scan(room, seed), rotation, table_1.MAX_ITERATIONS
+            )
+            metres, degrees = _distance_and_angle(Pose.of(se2.from_matrix(motion)), table_1.APPLIED)
             reached += metres < 0.1 and degrees < 2.0
             errors.append(profile)
         found |= {name: np.array(errors), f"{name}_reached": reached}
@@ -85,9 +87,9 @@ def transposed(*, seeds: int) -> dict[str, Any]:
 
 
 def mirrored(*, walls: int, points: int = 50, noise_m: float = table_1.SIGMA_M) -> dict[str, Any]:
-    """How many of so many single walls (3 m, seen twice with noise) come back mirrored, without the guard and with it.
+    """Count single walls (3 m, measured twice with noise) that are mirrored, without and with the guard.
 
-    "worst_m": how far the mirror throws a point that stands 1 m before the wall; "exact": a wall without noise.
+    "worst_m": largest displacement of a point 1 m in front of the wall; "exact_determinant": for a wall without noise.
     """
     rng, counts, worst_m = np.random.default_rng(0), {"unguarded": 0, "guarded": 0}, 0.0
     along = np.linspace(-1.5, 1.5, points)
@@ -95,12 +97,12 @@ def mirrored(*, walls: int, points: int = 50, noise_m: float = table_1.SIGMA_M) 
     for _ in range(walls):
         source, target = (wall + rng.normal(0.0, noise_m, wall.shape) for _ in range(2))
         K = (source - source.mean(axis=0)).T @ (target - target.mean(axis=0))
-        for name, rotation in (("unguarded", without_guard), ("guarded", guarded)):
+        for name, rotation in (("unguarded", rotation_without_guard), ("guarded", rotation_with_guard)):
             R = rotation(K)
             if np.linalg.det(R) < 0.0:
                 counts[name] += 1
                 worst_m = max(worst_m, float(np.hypot(*(R @ [0.0, 1.0] - [0.0, 1.0]))))
-    exact = float(np.linalg.det(without_guard(wall.T @ wall)))
+    exact = float(np.linalg.det(rotation_without_guard(wall.T @ wall)))
     return {**counts, "walls": walls, "worst_m": worst_m, "exact_determinant": exact}
 
 
@@ -113,12 +115,14 @@ STOP_RULES: Mapping[str, Mapping[str, Any]] = {
 
 
 def stopped(*, sequence: str, seed: int, laps: float, most: int, guess: str) -> dict[str, Any]:
-    """Three stop rules on successive simulated scans, from the odometry's guess ("odometry") or a worse one ("off").
+    """Compare three stop rules on successive simulated scans, from the odometry's guess ("odometry") or a worse one
+    ("off").
 
-    By rule the lists "iterations", "error_m" and "error_deg" (to the truth), "first_square" and "last_square" (m^2, of
-    the pairs after the first and the last step); "guess_m" and "guess_deg": how far the guesses were off.
+    "rules": for each rule the lists "iterations", "error_m" and "error_deg" (against ground truth), "first_square" and
+    "last_square" (m^2, of the pairs after the first and the last step). "guess_m" and "guess_deg": errors of the
+    guesses.
     """
-    drive = _drive(sequence, seed, laps)
+    drive = _make_drive(sequence, seed, laps)
     frames, truth = list(drive.frames())[: most + 1], _true_poses(drive)[: most + 1]
     sensors = [Pose.of(pose) @ frame.base_from_sensor for pose, frame in zip(truth, frames, strict=True)]
     clouds = [Cloud(frame.scan.points()) for frame in frames]
@@ -128,40 +132,40 @@ def stopped(*, sequence: str, seed: int, laps: float, most: int, guess: str) -> 
     offs = []
     for first in range(len(frames) - 1):
         true = sensors[first].inverse() @ sensors[first + 1]
-        start = _told_by_wheels(*frames[first : first + 2]) if guess == "odometry" else true @ _put_off(rng)
-        offs.append(_apart(start, true))
+        start = _odometry_motion(*frames[first : first + 2]) if guess == "odometry" else true @ _random_offset(rng)
+        offs.append(_distance_and_angle(start, true))
         for name, rule in rules.items():
             match = rule.register(clouds[first], clouds[first + 1], start)
             squares = match.history[0].error ** 2, match.error**2
-            found[name].append([match.iterations, *_apart(match.target_from_source, true), *squares])
+            found[name].append([match.iterations, *_distance_and_angle(match.target_from_source, true), *squares])
     keys = ("iterations", "error_m", "error_deg", "first_square", "last_square")
     listed = {name: dict(zip(keys, np.array(rows).T.tolist(), strict=True)) for name, rows in found.items()}
     far, turned = np.array(offs).T.tolist()
     return {"rules": listed, "pairs": len(offs), "guess_m": far, "guess_deg": turned}
 
 
-def _put_off(rng: np.random.Generator) -> Pose:
+def _random_offset(rng: np.random.Generator) -> Pose:
     bearing, side = rng.uniform(0.0, 2.0 * np.pi), rng.choice([-1.0, 1.0])
     shift = WELL_OFF_M * np.array([math.cos(bearing), math.sin(bearing)])
     return Pose(float(shift[0]), float(shift[1]), math.radians(WELL_OFF_DEG) * float(side))
 
 
-def _told_by_wheels(first: Frame, second: Frame) -> Pose:
-    """What the wheel odometry says of ``first_from_second``, between the sensor's poses."""
+def _odometry_motion(first: Frame, second: Frame) -> Pose:
+    """``first_from_second`` of the sensor from wheel odometry."""
     if first.odom_from_base is None or second.odom_from_base is None:
         raise ValueError("odometry: the sequence has none")
     between = first.odom_from_base.inverse() @ second.odom_from_base
     return first.base_from_sensor.inverse() @ between @ second.base_from_sensor
 
 
-def _apart(found: Pose, true: Pose) -> tuple[float, float]:
-    """How far apart two poses are, in metres and degrees."""
+def _distance_and_angle(found: Pose, true: Pose) -> tuple[float, float]:
+    """Distance (m) and angle (deg) between two poses."""
     left = true.inverse() @ found
     return math.hypot(left.x, left.y), abs(math.degrees(left.theta))
 
 
 def evaluated(*, seeds: int) -> dict[str, Any]:
-    """Iterations (S,) on Table 1's scene with the error taken "after" the step and "before" it."""
+    """Iterations (S,) on Table 1's scene with the error computed "after" the step and "before" it."""
     found = {}
     for when, reading in (("after", "mean distance"), ("before", "mean distance, before the step")):
         found[when] = table_1.runs(room="first", reading=reading, begin=0, end=seeds)["rows"][:, 0]
@@ -169,12 +173,12 @@ def evaluated(*, seeds: int) -> dict[str, Any]:
 
 
 def composed(*, sequence: str, seed: int, laps: float) -> dict[str, Any]:
-    """A short drive put together from exact body-frame steps, on the left (eq. 9) and on the right: positions (N, 2).
+    """Compose the exact body-frame steps of a short drive on the left (eq. 9) and on the right.
 
-    "true", "left" and "right"; "left_error_m" and "right_error_m": at the end; "turned_deg": the most the heading was
-    off the start's.
+    "true", "left" and "right": positions (N, 2); "left_error_m" and "right_error_m": errors at the end; "turned_deg":
+    largest change of heading from the start.
     """
-    drive = _drive(sequence, seed, laps)
+    drive = _make_drive(sequence, seed, laps)
     truth = _true_poses(drive)
     path = se2.between(truth[:1], truth)
     body_steps = se2.between(path[:-1], path[1:])
@@ -193,23 +197,23 @@ def composed(*, sequence: str, seed: int, laps: float) -> dict[str, Any]:
 
 
 def subtracted(*, sequence: str, seed: int, laps: float, every: int) -> dict[str, Any]:
-    """The printed l_free = ln(0.3 / 0.7) subtracted instead of added, with true poses: two maps and what they say.
+    """Map with true poses, with the printed l_free = ln(0.3 / 0.7) added and subtracted.
 
-    "added" and "taken": probabilities (H, W), first row lowest, 0.5 where nothing was seen; "extent_m"; "added_wrong"
-    and "taken_wrong": shares of the truly free cells that the map says are occupied; "cells": how many those are.
+    "added" and "subtracted": probabilities (H, W), lowest y first, 0.5 where unobserved; "extent_m"; "added_wrong" and
+    "subtracted_wrong": share of truly free cells that are occupied on the map; "cells": number of truly free cells.
     """
-    drive = _drive(sequence, seed, laps)
+    drive = _make_drive(sequence, seed, laps)
     truth = _true_poses(drive)
-    added, taken = LogOddsGrid(), LogOddsGrid()
-    taken.l_free = -added.l_free  # the mistake under test: the parameter itself refuses this value
+    added, wrong = LogOddsGrid(), LogOddsGrid()
+    wrong.l_free = -added.l_free  # the error under test: the parameter refuses this value
     for frame, pose in list(zip(drive.frames(), truth, strict=True))[::every]:
-        for grid in (added, taken):
+        for grid in (added, wrong):
             grid.update(frame.scan, Pose.of(pose) @ frame.base_from_sensor)
-    maps = {"added": added.grid(), "taken": taken.grid()}
+    maps = {"added": added.grid(), "subtracted": wrong.grid()}
     one = maps["added"]
     rows, columns = one.shape
     right, top = one.origin_x + columns * one.resolution_m, one.origin_y + rows * one.resolution_m
-    free = _truly_free(drive, one)
+    free = _find_truly_free(drive, one)
     return {
         **{name: grid.probability() for name, grid in maps.items()},
         **{f"{name}_wrong": float(grid.occupied()[free].mean()) for name, grid in maps.items()},
@@ -219,7 +223,7 @@ def subtracted(*, sequence: str, seed: int, laps: float, every: int) -> dict[str
 
 
 def headings(*, count: int) -> dict[str, Any]:
-    """Equation 7, atan2(r21, r11), over so many headings all round: "worst_rad" it is off by."""
+    """Largest error "worst_rad" of equation 7, atan2(r21, r11), over ``count`` headings."""
     rows = np.zeros((count, 3))
     rows[:, 2] = np.linspace(-np.pi, np.pi, count, endpoint=False)
     found = se2.from_matrix(se2.to_matrix(rows))[:, 2]
@@ -227,10 +231,10 @@ def headings(*, count: int) -> dict[str, Any]:
 
 
 def shared(*, seeds: int) -> dict[str, Any]:
-    """Table 1's first association with and without the one-to-one filter: sizes of both subsets, means over seeds.
+    """First association on Table 1's scene with and without the one-to-one filter, means over seeds.
 
-    "points": of the scan; "pairs_all" and "targets_all": pairs without the filter and how many reference points they
-    use; "pairs_one" and "targets_one": with it.
+    "points": points of the scan; "pairs_all" and "targets_all": pairs without the filter and reference points they use;
+    "pairs_one" and "targets_one": the same with the filter.
     """
     room, counts = ROOMS["first"], {}
     target = Cloud(room.points())
@@ -243,7 +247,7 @@ def shared(*, seeds: int) -> dict[str, Any]:
     return {**counts, "points": len(target)}
 
 
-def _drive(sequence: str, seed: int, laps: float) -> Sequence:
+def _make_drive(sequence: str, seed: int, laps: float) -> Sequence:
     return registry.dataset(sequence).make(seed=seed, laps=laps)
 
 
@@ -254,8 +258,8 @@ def _true_poses(drive: Sequence) -> Floats:
     return trajectory.poses
 
 
-def _truly_free(drive: Sequence, like: OccupancyGrid) -> Bools:
-    """The cells (H, W) of a map that were seen and that the true map calls free, looked up at their centres."""
+def _find_truly_free(drive: Sequence, like: OccupancyGrid) -> Bools:
+    """Observed cells (H, W) of a map whose centres are free on the true map."""
     true = drive.truth().grid
     if true is None:
         raise ValueError("truth: the sequence has no true map")

@@ -1,4 +1,4 @@
-"""Figure 10: maps beside the true plan, with what is wrong with them marked, and the same of a recording."""
+"""Figure 10: maps beside the true floor plan with their faults marked, in simulation and for a recording."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from evalkit.report.html.charts import Points
 from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text
 from evalkit_paper import lab_maps, map_faults, recorded_drive
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
-from evalkit_paper.map_pictures import GHOST, PATH, SMEAR, TRUE, WIPED, extent, image
+from evalkit_paper.map_pictures import GHOST, MISSING, PATH, SMEAR, TRUE, grid_extent, render_image
 
 ANCHOR = "figure-10"
 VARIANTS = (lab_maps.ODOMETRY, lab_maps.LITERAL, lab_maps.PAPER, lab_maps.TIGHT)
@@ -29,7 +29,7 @@ PARAMETERS = (
 
 
 def jobs(settings: Settings) -> tuple[AnyTask, ...]:
-    """The true plan, a map a variant, and the recording's where its files are here."""
+    """The true map, a map for each variant, and the maps of the recording if its files are available."""
     sequence = {name: settings[name] for name in ("laps", "speed_mps", "turn_dps", "rate_hz", "seed")}
     uses = ("evalkit_datasets.synthetic", "evalkit_baselines.paper")
     maps = [
@@ -44,8 +44,8 @@ def jobs(settings: Settings) -> tuple[AnyTask, ...]:
 
 
 def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
-    """The laboratory's section and the recording's."""
-    lab = Section("Figure 10: the map beside the plan", [*_lab(settings, results)], ANCHOR)
+    """The sections on the laboratory and on the recording."""
+    lab = Section("Figure 10: the map beside the plan", [*_lab_blocks(settings, results)], ANCHOR)
     if not settings["recording"]:
         return (lab,)
     return lab, Section(
@@ -54,10 +54,10 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
 
 
 def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
-    """The line of Figure 10."""
+    """The finding on Figure 10."""
     del settings
     true = lab_maps.grid_of(results["plan"])
-    ghosts = {each.name: _ghosts(results[each.name], true) for each in VARIANTS}
+    ghosts = {each.name: _count_ghosts(results[each.name], true) for each in VARIANTS}
     told = ", ".join(f"{name} {count[0]} of {count[1]}" for name, count in ghosts.items())
     share = {name: count[0] / max(count[1], 1) for name, count in ghosts.items()}
     better = share["paper"] < share[lab_maps.ODOMETRY.name]
@@ -66,77 +66,76 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
             "Figure 10", "a map that agrees with the place, ghost walls and smear after turns",
             f"cells more than {map_faults.GHOST_M:g} m off every true wall: {told}",
             "reproduced" if better else "not determined by the text",
-            "the place itself is a photo: the simulated plan and a recording's floor map stand in for it",
+            "the paper shows a photo of the place: a simulated plan and the floor map of a recording replace it",
             ANCHOR,
         ),
     )  # fmt: skip
 
 
-def _ghosts(result: Result, true: OccupancyGrid) -> tuple[int, int]:
-    found = map_faults.faults(lab_maps.grid_of(result), true)
+def _count_ghosts(result: Result, true: OccupancyGrid) -> tuple[int, int]:
+    found = map_faults.find_faults(lab_maps.grid_of(result), true)
     return int(found.ghosts.sum()), int(found.occupied.sum())
 
 
-# the laboratory
+# --- the laboratory
 
 
-def _lab(settings: Settings, results: Results) -> Iterator[Block]:
+def _lab_blocks(settings: Settings, results: Results) -> Iterator[Block]:
     true = lab_maps.grid_of(results["plan"])
     yield Text(
         f"{settings['laps']:g} laps of the laboratory at {settings['speed_mps']:g} m/s and {settings['rate_hz']:g} Hz "
         f"with turns of {settings['turn_dps']:g} deg/s; each map is drawn from the same {settings['scans']} scans "
-        "along what its back end answered, and laid on the plan by least squares over the trajectory. The paper shows "
-        "a photo of its place; this is the plan itself."
+        "along the poses of its back end, and aligned to the plan by least squares over the trajectory. The paper "
+        "shows a photo of the place; here the plan itself is known."
     )
     yield Figures([
-        Figure(_plan(true), "The plan: what a perfect lidar would draw on this drive"),
-        *(_map(results[each.name], true, each.name) for each in VARIANTS),
+        Figure(_render_plan(true), "The plan: the map of a perfect lidar on this drive"),
+        *(_map_figure(results[each.name], true, each.name) for each in VARIANTS),
     ])  # fmt: skip
     yield Text(
         f"Red: ghosts, occupied cells farther than {map_faults.GHOST_M:g} m (four sigma of the range noise) from every "
-        f"true wall. Orange: smear, {map_faults.SMEAR_M:g} to {map_faults.GHOST_M:g} m. Blue dots: true walls the map "
-        "says are "
-        "free, with none drawn near. Light blue: the true walls.", "note",
+        f"true wall. Orange: smeared cells, {map_faults.SMEAR_M:g} to {map_faults.GHOST_M:g} m from it. Blue dots: "
+        "true walls that are free on the map, with no occupied cell near. Light blue: the true walls.", "note",
     )  # fmt: skip
-    yield _summary(results, true)
+    yield _summary_table(results, true)
     yield Heading("Where the ghosts are")
-    yield _places(results, true)
+    yield _ghost_table(results, true)
 
 
-def _summary(results: Results, true: OccupancyGrid) -> Table:
+def _summary_table(results: Results, true: OccupancyGrid) -> Table:
     columns = (
         "Map drawn along", Column("ATE", "m", number=True), Column("F1 at 10 cm", number=True),
         Column("occupied cells", number=True), Column("ghosts", "cells", number=True),
         Column("ghosts", "%", number=True), Column("smear", "%", number=True),
-        Column("walls wiped out", "cells", number=True),
+        Column("missing walls", "cells", number=True),
     )  # fmt: skip
     rows: list[Sequence[Cell | str]] = []
     for each in VARIANTS:
         result = results[each.name]
-        found = map_faults.faults(lab_maps.grid_of(result), true)
+        found = map_faults.find_faults(lab_maps.grid_of(result), true)
         occupied, ghosts, smeared = (int(mask.sum()) for mask in (found.occupied, found.ghosts, found.smeared))
         numbers = (
             (result["ate_m"], "{:.3f}"), (result["f1"], "{:.3f}"), (occupied, "{:,}"), (ghosts, "{:,}"),
             (100.0 * ghosts / max(occupied, 1), "{:.1f}"), (100.0 * smeared / max(occupied, 1), "{:.1f}"),
-            (len(found.wiped), "{:,}"),
+            (len(found.missing), "{:,}"),
         )  # fmt: skip
         rows.append((each.name, *(Cell(form.format(value), float(value)) for value, form in numbers)))
     return Table(columns, rows)
 
 
-def _places(results: Results, true: OccupancyGrid) -> Table:
-    """The largest ghosts of every map."""
+def _ghost_table(results: Results, true: OccupancyGrid) -> Table:
+    """Table of the largest ghosts of every map."""
     walls = true.centres(true.occupied())
     columns = (
         "Map drawn along", Column("cells", number=True), Column("x", "m", number=True), Column("y", "m", number=True),
-        Column("reach", "m", number=True), Column("off the nearest wall", "m", number=True, tip="at most"),
+        Column("extent", "m", number=True), Column("distance to a wall", "m", number=True, tip="largest"),
     )  # fmt: skip
     rows: list[Sequence[Cell | str]] = []
     for each in VARIANTS:
         grid = lab_maps.grid_of(results[each.name])
-        found = map_faults.clusters(grid.centres(map_faults.faults(grid, true).ghosts), walls)
+        found = map_faults.find_clusters(grid.centres(map_faults.find_faults(grid, true).ghosts), walls)
         for cluster in found[:5]:
-            numbers = (cluster.x, cluster.y, cluster.reach_m, cluster.off_m)
+            numbers = (cluster.x, cluster.y, cluster.extent_m, cluster.wall_distance_m)
             rows.append((
                 each.name, Cell(str(cluster.cells), cluster.cells), *(Cell(f"{value:.2f}", value) for value in numbers)
             ))  # fmt: skip
@@ -145,21 +144,21 @@ def _places(results: Results, true: OccupancyGrid) -> Table:
     return Table(columns, rows, "The five largest groups of ghosts of every map, in the plan's frame.")
 
 
-def _plan(true: OccupancyGrid) -> bytes:
-    return charts.picture(image(true), extent(true))
+def _render_plan(true: OccupancyGrid) -> bytes:
+    return charts.picture(render_image(true), grid_extent(true))
 
 
-def _map(result: Result, true: OccupancyGrid, name: str) -> Figure:
+def _map_figure(result: Result, true: OccupancyGrid, name: str) -> Figure:
     grid = lab_maps.grid_of(result)
-    found = map_faults.faults(grid, true)
+    found = map_faults.find_faults(grid, true)
     layers = [
         Points("true walls", true.centres(true.occupied()), TRUE, 1.3, alpha=0.7),
         Points("path", result["path"], PATH, 0.8, joined=True),
-        Points("wall wiped out", found.wiped, WIPED, 2.0),
+        Points("missing wall", found.missing, MISSING, 2.0),
     ]
-    marked = image(grid, {SMEAR: found.smeared, GHOST: found.ghosts})
+    marked = render_image(grid, {SMEAR: found.smeared, GHOST: found.ghosts})
     return Figure(
-        charts.picture(marked, extent(grid), layers), f"Along {name}",
+        charts.picture(marked, grid_extent(grid), layers), f"Along {name}",
         f"ATE {result['ate_m']:.3f} m; {found.ghosts.sum():,} ghost and {found.smeared.sum():,} smeared cells",
     )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""Figures 2 to 5: the pipeline and its flow charts, drawn from the stages a recorded scan went through."""
+"""Figures 2 to 5: pipeline and flow charts, drawn from the recorded function calls of one scan."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PIPELINE: Words = {
     "FrontEnd._register s2s": "register with the last scan",
     "FrontEnd._register s2m": "register with the local map",
     "FrontEnd._keep": "keep for the next scans",
-    "LogOddsGrid.update": "draw into the log-odds grid",
+    "LogOddsGrid.update": "add to the log-odds grid",
 }
 REGISTRATION: Words = {
     "Recent.of": "index the reference Q",
@@ -49,25 +49,25 @@ TWO_STAGES: Words = {
     "FrontEnd._is_keyframe": "new keyframe?",
     "KeyframeMap.add": "add its points to the local map",
     "VoxelMap.add": "add its points to the local map",
-    "GridMap.add": "draw it into the local map",
-    "Motion.settle": "the pose: answer, and start of the next",
+    "GridMap.add": "add it to the local map",
+    "Motion.settle": "pose: result, and start of the next scan",
 }
 MAPPING: Words = {
-    "LogOddsGrid.update": "ends of the beams in the world",
-    "LogOddsGrid._window": "cells they reach",
+    "LogOddsGrid.update": "end points of the beams in the world",
+    "LogOddsGrid._window": "window of cells around them",
     "exact": "cells each beam passes (Amanatides, Woo)",
     "bresenham": "cells each beam passes (Bresenham)",
-    "LogOddsGrid._once": "once a scan: occupied before free",
+    "LogOddsGrid._once": "once per scan: occupied before free",
     "LogOddsGrid._every": "every beam counts",
     "LogOddsGrid._add": "add l_occ and l_free, clamp (eq. 11)",
 }
 LAST = frozenset({"LogOddsGrid._add"})
-"""What these do themselves comes after what they call."""
+"""Functions whose own work comes after the calls they make."""
 
 
 @dataclass(frozen=True, slots=True)
 class Path:
-    """Stages in the order they ran; [first, last] ran ``times`` times over (``times`` 1: nothing was repeated)."""
+    """Stages in the order they ran; stages [first, last] ran ``times`` times."""
 
     stages: Sequence[str]
     first: int = 0
@@ -76,8 +76,8 @@ class Path:
 
 
 def path(root: Call, words: Words, below: str = "") -> Path:
-    """The stages among ``words`` that ran, below the first call of ``below``; a repeated round is told once."""
-    start = next((call for call in root.within() if call.key == below), None) if below else root
+    """Stages of ``words`` that ran below the first call of ``below``; a repeated round appears once."""
+    start = next((call for call in root.walk() if call.key == below), None) if below else root
     ran = list(_in_order(start, words)) if start is not None else []
     first = next((index for index, key in enumerate(ran) if ran.count(key) > 1), None)
     if first is None:
@@ -97,7 +97,7 @@ def _in_order(call: Call, words: Words) -> Sequence[str]:
 
 
 def chart(drawn: Path, words: Words, begin: str, end: str, again: str = "") -> bytes:
-    """The flow chart of a path from its beginning to its end; ``again`` asks whether its round is over."""
+    """Render the flow chart of a path; ``again`` is the question that ends its repeated round."""
     texts = [begin, *(words[key] for key in drawn.stages), end]
     boxes = [Box(str(row), text, 0.0, float(row), _kind(row, len(texts), text)) for row, text in enumerate(texts)]
     arrows = [(str(row), str(row + 1), "yes" if texts[row].endswith("?") else "") for row in range(len(texts) - 1)]
@@ -116,16 +116,16 @@ def _kind(row: int, count: int, text: str) -> Literal["step", "choice", "end"]:
 
 
 PARAMETERS = (
-    Parameter("laps", 0.03, "", "of the laboratory, to find a scan that goes through all stages", low=0.02, high=1.0),
+    Parameter("laps", 0.03, "", "laps of the laboratory, to find a scan that runs all stages", low=0.02, high=1.0),
     Parameter("rate_hz", 5.0, "Hz", "revolutions a second", low=5.0, high=15.0),
     Parameter("scan_to_scan", True, "", "the first stage"),
     Parameter("scan_to_map", True, "", "the second stage"),
     Parameter("deskew", True, "", "undo the motion within a scan"),
     Parameter("one_to_one", True, "", "the one-to-one filter"),
-    Parameter("local_radius_m", 12.0, "m", "points farther away are left out; 0: none", low=0.0),
+    Parameter("local_radius_m", 12.0, "m", "ignore points farther away; 0: keep all", low=0.0),
     Parameter("local_map", "keyframes", "", "the local map", choices=("keyframes", "scans", "grid")),
-    Parameter("traversal", "exact", "", "which cells a beam passes", choices=("exact", "bresenham")),
-    Parameter("once_per_scan", True, "", "a scan adds to a cell once"),
+    Parameter("traversal", "exact", "", "cells that a beam passes", choices=("exact", "bresenham")),
+    Parameter("once_per_scan", True, "", "a scan changes a cell once"),
 )
 
 _FRONT_END = ("scan_to_scan", "scan_to_map", "deskew", "one_to_one", "local_radius_m", "local_map")
@@ -133,7 +133,7 @@ _MAPPER = ("traversal", "once_per_scan")
 
 
 def jobs(settings: Settings) -> tuple[AnyTask, ...]:
-    """The one recording."""
+    """The one computation."""
     recording = make_task(
         RECORDED, call_trace.drive, sequence={"laps": settings["laps"], "rate_hz": settings["rate_hz"]},
         parameters={"keyframe_distance_m": 0.1, **{name: settings[name] for name in _FRONT_END}},
@@ -143,9 +143,9 @@ def jobs(settings: Settings) -> tuple[AnyTask, ...]:
 
 
 def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
-    """The chapter's one section."""
+    """The section of this chapter."""
     del settings
-    root = Call.read(results[RECORDED]["calls"])
+    root = Call.from_json(results[RECORDED]["calls"])
     register = "FrontEnd._register s2m" if "FrontEnd._register s2m" in _keys(root) else "FrontEnd._register s2s"
     drawings = (
         ("Figure 2: the pipeline", PIPELINE, "", "scan, wheel odometry", "pose and map"),
@@ -158,21 +158,21 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
         for title, words, below, begin, end in drawings
     ]
     told = (
-        f"Recorded, not drawn by hand: the functions that scan {results[RECORDED]['scan'] + 1} of a drive through the "
-        "laboratory called, in the order they ran. A stage that is switched off in this chapter's settings leaves its "
-        "figure; a round that was repeated is drawn once, with how often it ran."
+        f"Recorded from the running code, not drawn by hand: the calls of scan {results[RECORDED]['scan'] + 1} of a "
+        "drive through the laboratory, in order. A stage that is switched off in this chapter's settings is missing "
+        "from its figure; a repeated round is drawn once, with its number of repetitions."
     )
     return (Section("Figures 2 to 5: pipeline and flow charts", (Text(told), Figures(figures, small=True)), ANCHOR),)
 
 
 def _keys(root: Call) -> set[str]:
-    return {call.key for call in root.within()}
+    return {call.key for call in root.walk()}
 
 
 def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
-    """The lines of Figures 1 to 5."""
+    """The findings on Figures 1 to 5."""
     del settings
-    root = Call.read(results[RECORDED]["calls"])
+    root = Call.from_json(results[RECORDED]["calls"])
     counts = [len(path(root, words).stages) for words in (PIPELINE, TWO_STAGES, MAPPING)]
     return (
         Finding(
@@ -183,7 +183,7 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
             "Figures 2 to 5", "pipeline, registration, two stages, mapping as flow charts",
             f"drawn from {len(_keys(root)) - 1} functions recorded in one scan: {counts[0]} stages of the pipeline, "
             f"{counts[1]} of both registrations, {counts[2]} of the mapping",
-            "reproduced", "the stages are those the code runs; what the paper's charts leave open is in the settings",
+            "reproduced", "the stages are those the code runs; what the paper's charts leave open is a setting",
             ANCHOR,
         ),
     )  # fmt: skip

@@ -1,4 +1,4 @@
-"""The drives of Figure 9: the paper's vehicle through the laboratory, once for every cause of a spike."""
+"""Drives of Figure 9: the paper's vehicle in the laboratory, one drive for each possible cause of a spike."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ from evalkit.plugins.protocols import Sequence, Value
 from evalkit_paper import spikes, stage_errors
 
 QUICK_DPS = 60.0
-"""A turn is quick from this yaw rate on."""
+"""Yaw rate (deg/s) from which a turn is quick."""
 
 TURNED = 0.5 * QUICK_DPS
-"""Scans were lost in a turn where this was the mean yaw rate meanwhile (deg/s)."""
+"""Mean yaw rate (deg/s) from which lost scans count as lost in a turn."""
 
 START_S = 5.0
-"""How long a drive begins: the local map is only a few scans then."""
+"""Duration (s) of the start of a drive: the local map holds only a few scans."""
 
 HIDDEN = 0.1
-"""A share of beams this large that meet people is an event."""
+"""Share of beams hidden by people from which a scan is an event."""
 
 
 @dataclass(frozen=True)
 class Cause:
-    """What may make a spike: the sequence's and the front end's parameters that differ, and what marks its events.
+    """A possible cause of spikes: parameters of the sequence and of the front end, and the kind of its events.
 
     ``marked``: "turns", "slips", "gaps", "gaps in turns", "people" or "start".
     """
@@ -41,7 +41,7 @@ class Cause:
 
 
 def causes(settings: Mapping[str, Any]) -> tuple[Cause, ...]:
-    """Every drive of a rate; the first is the one in which nothing happens."""
+    """All causes; the first is the drive without disturbances."""
     slow: dict[str, Value] = {"turn_dps": settings["slow_dps"], "laps": settings["laps"]}
     quick: dict[str, Value] = {"turn_dps": settings["turn_dps"], "laps": settings["turn_laps"]}
     every, lasts = settings["every_s"], settings["lasts_s"]
@@ -63,7 +63,7 @@ def causes(settings: Mapping[str, Any]) -> tuple[Cause, ...]:
 
 
 def job(settings: Mapping[str, Any], cause: Cause, rate_hz: float) -> AnyTask:
-    """The computation of one drive."""
+    """Computation of one drive."""
     sequence = {"seed": settings["seed"], "speed_mps": settings["speed_mps"], "rate_hz": rate_hz, **cause.sequence}
     return make_task(
         name(cause, rate_hz), drive, sequence=sequence, parameters=dict(cause.parameters), marked=cause.marked,
@@ -72,7 +72,7 @@ def job(settings: Mapping[str, Any], cause: Cause, rate_hz: float) -> AnyTask:
 
 
 def turn_job(settings: Mapping[str, Any], turn_dps: float, rate_hz: float) -> AnyTask:
-    """The computation of a drive whose turns have one yaw rate."""
+    """Computation of a drive whose turns have one yaw rate."""
     sequence = {
         "seed": settings["seed"], "speed_mps": settings["speed_mps"], "rate_hz": rate_hz, "turn_dps": turn_dps,
         "laps": settings["yaw_laps"],
@@ -81,12 +81,12 @@ def turn_job(settings: Mapping[str, Any], turn_dps: float, rate_hz: float) -> An
 
 
 def turn_name(turn_dps: float, rate_hz: float) -> str:
-    """What the result of a drive at one yaw rate is asked for by."""
+    """Name of the result of a drive at one yaw rate."""
     return f"turns of {turn_dps:g} deg per s at {rate_hz:g} Hz"
 
 
 def name(cause: Cause, rate_hz: float) -> str:
-    """What the result of a drive is asked for by."""
+    """Name of the result of a drive."""
     return f"{cause.name} at {rate_hz:g} Hz"
 
 
@@ -98,11 +98,11 @@ def drive(
 ) -> dict[str, Any]:  # fmt: skip
     """One drive through the laboratory with ``paper``.
 
-    "times_s" (N,), "yaw_dps" (N,), "s2s" and "s2m" (N, 6) in ``following.READINGS``, "true" and "estimate" (N, 3),
-    "events" (E, 2) in s, "ate_m".
+    Keys: "times_s" (N,), "yaw_dps" (N,), "s2s" and "s2m" (N, 6) in the order of ``stage_errors.READINGS``,
+    "true" and "estimate" (N, 3), "events" (E, 2) in s, "ate_m".
     """
     lab = registry.dataset("lab").make(**sequence)
-    found = stage_errors.follow(lab, "paper", parameters, every_pair)
+    found = stage_errors.run_with_errors(lab, "paper", parameters, every_pair)
     truth = lab.truth().trajectory
     if truth is None:
         raise ValueError("lab: no true trajectory")
@@ -123,9 +123,9 @@ def drive(
 def _events(
     marked: str, times: Floats, yaw: Floats, lab: Sequence, sequence: Mapping[str, Any]
 ) -> list[tuple[float, float]]:  # fmt: skip
-    """When something happened (s): known from the truth or from the schedule, never from the residuals."""
+    """Begin and end (s) of the events: from ground truth or schedule, never from the residuals."""
     if marked == "turns":
-        return spikes.events(times, yaw >= QUICK_DPS)
+        return spikes.find_events(times, yaw >= QUICK_DPS)
     if marked == "slips":
         begins = np.arange(0.5 * sequence["slip_every_s"], times[-1], sequence["slip_every_s"])
         return [(float(begin), float(begin) + sequence["slip_s"]) for begin in begins]
@@ -136,12 +136,12 @@ def _events(
             gaps if marked == "gaps" else [gap for gap, turned in zip(gaps, yaw[after], strict=True) if turned > TURNED]
         )
     if marked == "people":
-        return spikes.events(times, hidden(lab, sequence) >= HIDDEN)
+        return spikes.find_events(times, hidden(lab, sequence) >= HIDDEN)
     return [(0.0, START_S)]
 
 
 def hidden(busy: Sequence, sequence: Mapping[str, Any]) -> Floats:
-    """The share of beams (N,) of each scan that meet people: those that differ from the empty laboratory's."""
+    """Share (N,) of beams of each scan that hit people: those that differ from the empty laboratory."""
     empty = registry.dataset("lab").make(**{**sequence, "people": 0})
     return np.array(
         [
@@ -152,18 +152,18 @@ def hidden(busy: Sequence, sequence: Mapping[str, Any]) -> Floats:
 
 
 def turn(*, sequence: Mapping[str, Any]) -> dict[str, Any]:
-    """How high the scan-to-scan residual rises in the quickest turns of a drive, and where it is on straight parts (m).
+    """Peak of the scan-to-scan residual in turns, and its steady median and sigma (m).
 
-    Without the second stage and without undoing the motion in the scan.
+    Without the second stage and without deskewing.
     """
     lab = registry.dataset("lab").make(**sequence)
-    found = stage_errors.follow(lab, "paper", {"scan_to_map": False, "deskew": False})
+    found = stage_errors.run_with_errors(lab, "paper", {"scan_to_map": False, "deskew": False})
     truth = lab.truth().trajectory
     if truth is None:
         raise ValueError("lab: no true trajectory")
     yaw = stage_errors.yaw_rates_dps(truth.stamps_ns, truth.poses)
     residual = found.errors["s2s"][:, 0]
-    steady = spikes.band(residual, yaw < 0.5 * sequence["turn_dps"])
+    steady = spikes.compute_band(residual, yaw < 0.5 * sequence["turn_dps"])
     turning = np.isfinite(residual) & (yaw > 0.5 * sequence["turn_dps"])
     return {
         "peak": float(residual[turning].max()) if turning.any() else None,

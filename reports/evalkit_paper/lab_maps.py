@@ -1,4 +1,4 @@
-"""Maps of Figure 10: drawn along what a back end answered, of the laboratory and of a recording, as results of jobs."""
+"""Maps of Figure 10 along the poses of a back end: of the laboratory and of a recording."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from evalkit_paper import map_faults, plan_fit, stage_errors
 
 @dataclass(frozen=True)
 class Variant:
-    """What a map is drawn along."""
+    """A back end whose poses a map is drawn along."""
 
     name: str
     backend: str = "paper"
@@ -38,21 +38,21 @@ PAPER = Variant("paper")
 TIGHT = Variant("paper-tight", "paper-tight")
 
 MAX_SHOWN = 4000
-"""So many contradicted hits are kept for the drawing, evenly."""
+"""Maximum number of contradicted hits in the figure, evenly spaced."""
 
 
 def lab(
     *, backend: str, parameters: Mapping[str, Any], sequence: Mapping[str, Any], scans: int
 ) -> dict[str, Any]:  # fmt: skip
-    """A map of the laboratory in the truth's frame, aligned by the trajectory: ``kept`` grid, "path", "ate_m", "f1"."""
+    """Map the laboratory in the frame of the ground truth. Keys: those of ``grid_to_json``, "path", "ate_m", "f1"."""
     drive = registry.dataset("lab").make(**sequence)
     truth = drive.truth()
     if truth.trajectory is None or truth.grid is None:
         raise ValueError("lab: no truth")
-    found = stage_errors.follow(drive, backend, parameters)
-    world_from_base = stage_errors.aligned(found.estimate, truth.trajectory)
-    grid = _grid(_mapped(found, world_from_base, scans))
-    return kept(grid) | {
+    found = stage_errors.run_with_errors(drive, backend, parameters)
+    world_from_base = stage_errors.align(found.estimate, truth.trajectory)
+    grid = _build_map(_select_scans(found, world_from_base, scans))
+    return grid_to_json(grid) | {
         "path": world_from_base.poses[:, :2],
         "ate_m": rms(stage_errors.position_errors_m(found.estimate, truth.trajectory)),
         "f1": f1(compare_walls(grid, truth.grid)),
@@ -60,55 +60,55 @@ def lab(
 
 
 def plan(*, sequence: Mapping[str, Any]) -> dict[str, Any]:
-    """The true map of the laboratory."""
+    """True map of the laboratory."""
     grid = registry.dataset("lab").make(**sequence).truth().grid
     if grid is None:
         raise ValueError("lab: no true map")
-    return kept(grid)
+    return grid_to_json(grid)
 
 
 def recording(*, name: str, backend: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """A map of a recording in the frame of its start, residuals over time, and what its halves hold against each other.
+    """Map a recording in the frame of its first pose, with residuals over time and contradictions between its halves.
 
-    "times_s", "yaw_dps" (by the odometry) and "s2s", "s2m" (N, 6); "hits" of them "contradicted", "places" (K, 2) of
-    the contradicted ones.
+    Keys: "times_s", "yaw_dps" (from odometry), "s2s" and "s2m" (N, 6); "hits" and "contradicted", their numbers;
+    "places" (K, 2), positions (m) of contradicted hits.
     """
-    found = stage_errors.follow(registry.dataset(name).make(), backend, parameters)
-    mapped = _mapped(found, found.estimate, len(found.frames))
+    found = stage_errors.run_with_errors(registry.dataset(name).make(), backend, parameters)
+    mapped = _select_scans(found, found.estimate, len(found.frames))
     middle = len(mapped) // 2
     halves = mapped[:middle], mapped[middle:]
-    first, second = (_grid(half) for half in halves)
+    first, second = (_build_map(half) for half in halves)
     wrong = [
-        points[map_faults.contradicted(points, other)]
+        points[map_faults.find_contradicted(points, other)]
         for points, other in ((collect_hits(halves[0]), second), (collect_hits(halves[1]), first))
     ]
-    places_ = np.concatenate(wrong)
-    return kept(_grid(mapped)) | {
+    places = np.concatenate(wrong)
+    return grid_to_json(_build_map(mapped)) | {
         "times_s": (found.stamps_ns - found.stamps_ns[0]) * 1e-9,
-        "yaw_dps": stage_errors.yaw_rates_dps(found.stamps_ns, _odometry(found)),
+        "yaw_dps": stage_errors.yaw_rates_dps(found.stamps_ns, _odometry_poses(found)),
         **{stage: found.errors[stage] for stage in stage_errors.STAGES},
         "path": found.poses[:, :2],
         "hits": sum(len(collect_hits(half)) for half in halves),
-        "contradicted": len(places_),
-        "places": places_[:: max(len(places_) // MAX_SHOWN, 1)],
+        "contradicted": len(places),
+        "places": places[:: max(len(places) // MAX_SHOWN, 1)],
     }
 
 
 def floor(*, name: str, backend: str) -> dict[str, Any]:
-    """The map shipped with a recording, and where the recording's own map fits on it best.
+    """Fit a recording's own map on the map that comes with it.
 
-    ``kept`` grid, "walls" (N, 2) of the recording's map laid on it, ``places.Placed``, and where its "odometry"
-    starts; {} without such a map.
+    Keys: those of ``grid_to_json``, "walls" (N, 2) of the fitted map, the fields of ``plan_fit.PlanFit``, and
+    "odometry", the first odometry pose; {} if the recording has no map.
     """
     sequence = registry.dataset(name).make()
     known = sequence.truth().plan
     if known is None:
         return {}
-    found = stage_errors.follow(sequence, backend, {})
-    grid = _grid(_mapped(found, found.estimate, len(found.frames)))
+    found = stage_errors.run_with_errors(sequence, backend, {})
+    grid = _build_map(_select_scans(found, found.estimate, len(found.frames)))
     points = grid.centres(grid.occupied())
-    placed = plan_fit.place(points, known.centres(known.occupied()))
-    return kept(known) | {
+    placed = plan_fit.fit_on_plan(points, known.centres(known.occupied()))
+    return grid_to_json(known) | {
         "walls": placed.plan_from_map.transform(points),
         "path": placed.plan_from_map.transform(found.poses[:, :2]),
         "pose": placed.plan_from_map.row,
@@ -119,8 +119,8 @@ def floor(*, name: str, backend: str) -> dict[str, Any]:
     }
 
 
-def kept(grid: OccupancyGrid) -> dict[str, Any]:
-    """A grid as a job's result."""
+def grid_to_json(grid: OccupancyGrid) -> dict[str, Any]:
+    """Convert a grid to the values of a result."""
     return {
         "log_odds": np.asarray(grid.log_odds),
         "observed": np.asarray(grid.observed),
@@ -129,13 +129,13 @@ def kept(grid: OccupancyGrid) -> dict[str, Any]:
 
 
 def grid_of(result: Mapping[str, Any]) -> OccupancyGrid:
-    """The grid ``kept`` in a result."""
+    """Read the grid from a result of ``grid_to_json``."""
     return OccupancyGrid(result["log_odds"], result["observed"], *result["lattice"])
 
 
-def _mapped(found: stage_errors.Followed, world_from_base: Trajectory, most: int) -> PlacedScans:
-    """At most so many scans, evenly, the motion within them undone by the odometry, with where the sensor was."""
-    chosen = np.unique(np.linspace(0, len(found.frames) - 1, min(most, len(found.frames))).astype(int)).tolist()
+def _select_scans(found: stage_errors.StageErrors, world_from_base: Trajectory, max_scans: int) -> PlacedScans:
+    """At most ``max_scans`` evenly spaced scans, deskewed by odometry, with their sensor poses."""
+    chosen = np.unique(np.linspace(0, len(found.frames) - 1, min(max_scans, len(found.frames))).astype(int)).tolist()
     return tuple(
         (
             found.frames[index].scan.deskewed(found.frames[index].base_from_sensor, found.frames[index].start_from_end),
@@ -145,12 +145,12 @@ def _mapped(found: stage_errors.Followed, world_from_base: Trajectory, most: int
     )
 
 
-def _grid(mapped: PlacedScans) -> OccupancyGrid:
+def _build_map(mapped: PlacedScans) -> OccupancyGrid:
     grid, why = draw(mapped, registry.mapper("log-odds").make)
     if grid is None:
         raise ValueError(f"no map: {why}")
     return grid
 
 
-def _odometry(found: stage_errors.Followed) -> Floats:
+def _odometry_poses(found: stage_errors.StageErrors) -> Floats:
     return np.array([(frame.odom_from_base or Pose()).row for frame in found.frames])

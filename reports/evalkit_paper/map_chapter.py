@@ -61,8 +61,8 @@ def jobs(settings: Settings) -> tuple[AnyTask, ...]:
         for seed in seeds
     ]
     clear = [
-        _task(f"no returns seed {seed}", map_measurements.measured, world=NO_RETURN_WORLD, seed=seed, laps=min(laps, 0.5),
-             poses="true", variants=[{}, {"clear_no_returns": True}])
+        _task(f"no returns seed {seed}", map_measurements.measured, world=NO_RETURN_WORLD, seed=seed,
+             laps=min(laps, 0.5), poses="true", variants=[{}, {"clear_no_returns": True}])
         for seed in seeds
     ]  # fmt: skip
     sizes = [{"resolution_m": size} for size in PICTURED]

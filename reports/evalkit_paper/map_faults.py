@@ -1,4 +1,4 @@
-"""What is wrong with a map, and where: walls that are not there, walls drawn thick, walls that were wiped out."""
+"""Find faults of a map: ghost walls, smeared walls, missing walls."""
 
 from __future__ import annotations
 
@@ -16,55 +16,56 @@ from evalkit.metrics.consistency import CLEARED, NOISE_M
 from evalkit.metrics.maps import nearest_distances_m
 
 GHOST_M = 0.2
-"""An occupied cell this far from every true wall is a ghost: four times the range noise (1 sigma)."""
+"""An occupied cell farther than this (m) from every true wall is a ghost: four times the range noise (1 sigma)."""
 
 SMEAR_M = 0.1
 TOGETHER_M = 0.15
-"""Ghosts nearer to each other than this are one."""
+"""Ghost cells nearer to each other than this (m) form one cluster."""
 
 
 @dataclass(frozen=True, eq=False)
 class Faults:
-    """Faults of a map by its cells (H, W), and true walls it says are free.
+    """Faults of a map as masks (H, W), and true walls that are free on the map.
 
-    ``ghosts``: occupied, farther than ``GHOST_M`` from any true wall. ``smeared``: occupied, farther than ``SMEAR_M``.
-    ``wiped`` (K, 2): centres (m) of true wall cells that are free on the map, with none occupied within ``GHOST_M``.
+    ``ghosts``: occupied and farther than ``GHOST_M`` from any true wall. ``smeared``: occupied and farther than
+    ``SMEAR_M``. ``missing`` (K, 2): centres (m) of true wall cells that are free on the map, with no occupied cell
+    within ``GHOST_M``.
     """
 
     occupied: Bools
     ghosts: Bools
     smeared: Bools
-    wiped: Floats
+    missing: Floats
 
 
 @dataclass(frozen=True, slots=True)
 class Cluster:
-    """Cells that lie together: how many, their middle (m), their reach (m), and how far off a true wall at most (m)."""
+    """Connected cells: count, centre (m), extent (m), and largest distance to a true wall (m)."""
 
     cells: int
     x: float
     y: float
-    reach_m: float
-    off_m: float
+    extent_m: float
+    wall_distance_m: float
 
 
-def faults(mapped: OccupancyGrid, true: OccupancyGrid) -> Faults:
-    """Where a map differs from the true one, which need not share origin or resolution; both must have walls."""
+def find_faults(mapped: OccupancyGrid, true: OccupancyGrid) -> Faults:
+    """Find the faults of a map. The true map may have another origin and resolution; both must have walls."""
     occupied, walls = mapped.occupied(), true.centres(true.occupied())
     off = np.zeros(mapped.shape)
     off[occupied] = nearest_distances_m(mapped.centres(occupied), walls)
     ghosts = occupied & (off > GHOST_M)
-    missing = walls[nearest_distances_m(walls, mapped.centres(occupied)) > GHOST_M]
+    unseen = walls[nearest_distances_m(walls, mapped.centres(occupied)) > GHOST_M]
     return Faults(
-        occupied, ghosts, occupied & (off > SMEAR_M) & ~ghosts, missing[_looked_up(mapped.free(), mapped, missing)]
+        occupied, ghosts, occupied & (off > SMEAR_M) & ~ghosts, unseen[_lookup(mapped.free(), mapped, unseen)]
     )
 
 
-def clusters(points: Floats, walls: Floats) -> tuple[Cluster, ...]:
-    """Points (N, 2) that lie together, most first; ``walls`` (M, 2), M > 0, are what they stand off from."""
+def find_clusters(points: Floats, walls: Floats) -> tuple[Cluster, ...]:
+    """Group points (N, 2) into clusters, largest first; ``walls`` (M, 2), M > 0, are the true walls."""
     if not len(points):
         return ()
-    near = cKDTree(points).query_pairs(TOGETHER_M, output_type="ndarray").astype(np.int32)  # old SciPy takes no other
+    near = cKDTree(points).query_pairs(TOGETHER_M, output_type="ndarray").astype(np.int32)  # required by old SciPy
     links = coo_array((np.ones(len(near)), (near[:, 0], near[:, 1])), shape=(len(points), len(points)))
     count, labels = connected_components(links, directed=False)
     off = nearest_distances_m(points, walls)
@@ -77,18 +78,18 @@ def _cluster(points: Floats, off: Floats) -> Cluster:
     return Cluster(len(points), x, y, float(np.hypot(*np.ptp(points, axis=0))), float(off.max()))
 
 
-def contradicted(hits: Floats, other: OccupancyGrid) -> Bools:
-    """Which hits (N, 2) lie in free space of another map: a cell it has cleared, and no occupied one within 0.1 m."""
+def find_contradicted(hits: Floats, other: OccupancyGrid) -> Bools:
+    """Which hits (N, 2) lie in free space of another map: a cleared cell with no occupied cell within 0.1 m."""
     cleared = other.observed & (other.log_odds < CLEARED)
-    suspects = _looked_up(cleared, other, hits)
+    suspects = _lookup(cleared, other, hits)
     walls = other.centres(other.occupied())
     if suspects.any() and len(walls):
         suspects[suspects] = nearest_distances_m(hits[suspects], walls) > NOISE_M
     return suspects
 
 
-def _looked_up(marked: Bools, grid: OccupancyGrid, points: Floats) -> Bools:
-    """Whether the cells points (N, 2) fall in are marked; False outside."""
+def _lookup(marked: Bools, grid: OccupancyGrid, points: Floats) -> Bools:
+    """Whether the cells of points (N, 2) are marked; False outside the grid."""
     columns, rows = np.floor((points - [grid.origin_x, grid.origin_y]) / grid.resolution_m).astype(np.int64).T
     height, width = grid.shape
     inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)

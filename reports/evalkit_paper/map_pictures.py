@@ -1,4 +1,4 @@
-"""Occupancy grids as pictures, with marks in colours."""
+"""Occupancy grids as images with coloured marks."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ Extent = tuple[float, float, float, float]
 """Left, right, bottom, top (m)."""
 
 FREE, UNKNOWN, WALL = (1.0, 1.0, 1.0), (0.86, 0.88, 0.9), (0.12, 0.13, 0.15)
-GHOST, SMEAR, WIPED, TRUE, PATH = "#d1242f", "#e69f00", "#0072b2", "#56b4e9", "#009e73"
+GHOST, SMEAR, MISSING, TRUE, PATH = "#d1242f", "#e69f00", "#0072b2", "#56b4e9", "#009e73"
 RGB = {GHOST: (0.82, 0.14, 0.18), SMEAR: (0.9, 0.62, 0.0)}
 
 
-def extent(grid: OccupancyGrid) -> Extent:
-    """Where a map's picture lies in the world."""
+def grid_extent(grid: OccupancyGrid) -> Extent:
+    """Extent of a map in the world (m)."""
     rows, columns = grid.shape
     right, top = grid.origin_x + columns * grid.resolution_m, grid.origin_y + rows * grid.resolution_m
     return grid.origin_x, right, grid.origin_y, top
 
 
-def image(grid: OccupancyGrid, marks: Mapping[str, Bools] | None = None) -> Floats:
-    """The map in colours (H, W, 3), first row on top."""
+def render_image(grid: OccupancyGrid, marks: Mapping[str, Bools] | None = None) -> Floats:
+    """Render a map as RGB (H, W, 3), highest y first."""
     colours = np.full((*grid.shape, 3), UNKNOWN)
     colours[grid.free()] = FREE
     colours[grid.occupied()] = WALL
@@ -35,9 +35,9 @@ def image(grid: OccupancyGrid, marks: Mapping[str, Bools] | None = None) -> Floa
     return np.flipud(colours)
 
 
-def cut(grid: OccupancyGrid, window: Extent) -> Floats:
-    """The part of a map's image within (left, right, bottom, top), to whole cells."""
+def crop_image(grid: OccupancyGrid, window: Extent) -> Floats:
+    """Crop a map's image to an extent, rounded to whole cells."""
     rows, _ = grid.shape
     left, right = (round((value - grid.origin_x) / grid.resolution_m) for value in window[:2])
     bottom, top = (round((value - grid.origin_y) / grid.resolution_m) for value in window[2:])
-    return image(grid)[rows - top : rows - bottom, left:right]
+    return render_image(grid)[rows - top : rows - bottom, left:right]

@@ -44,10 +44,12 @@ PARAMETERS = (
 
 def jobs(settings: Settings) -> tuple[AnyTask, ...]:
     """Every cause at every rate, and every yaw rate."""
-    rates = steady_bands.numbers(settings["rates_hz"])
+    rates = steady_bands.parse_numbers(settings["rates_hz"])
     drives = [lab_drives.job(settings, cause, rate) for rate in rates for cause in lab_drives.causes(settings)]
     turns = [
-        lab_drives.turn_job(settings, dps, rate) for rate in rates for dps in steady_bands.numbers(settings["yaw_dps"])
+        lab_drives.turn_job(settings, dps, rate)
+        for rate in rates
+        for dps in steady_bands.parse_numbers(settings["yaw_dps"])
     ]
     return (*drives, *turns)
 
@@ -61,14 +63,14 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
             "nothing undoes the motion within a scan unless a drive is called deskewed. A scan's residual is what its "
             "last iteration leaves over."
         ),
-        Figures([_over_time(settings, results, rate) for rate in steady_bands.numbers(settings["rates_hz"])]),
+        Figures([_over_time(settings, results, rate) for rate in steady_bands.parse_numbers(settings["rates_hz"])]),
         Heading("Which error is steady at 0.02 to 0.03?"),
         _readings_table(settings, results),
         Text(_reading_told(settings, results)),
         Heading("What makes it spike"),
-        Text(spike_causes.definition(settings, results)),
+        Text(spike_causes.define_spike(settings, results)),
         spike_causes.table(settings, results),
-        Text(spike_causes.told(settings, results)),
+        Text(spike_causes.summarize(settings, results)),
         Figures([*_cause_figures(settings, results)], small=True),
         Heading("Height of the spike over yaw rate"),
         *_turn_blocks(settings, results),
@@ -82,12 +84,12 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     best = min(fits, key=lambda reading: fits[reading])
     rates = steady_bands.rates(settings)
     measured = [
-        f"{stage.upper()} {steady_bands.spread(medians)} m"
+        f"{stage.upper()} {steady_bands.format_range(medians)} m"
         for stage in stage_errors.STAGES
         if (medians := [steady_bands.medians(settings, results, rate, stage)[0] for rate in rates])
     ]
-    shown = steady_bands.shown(settings)
-    struck = {row.cause.name: row for row in spike_causes.rows(settings, results, "s2s") if row.rate == shown}
+    shown = steady_bands.figure_rate(settings)
+    struck = {row.cause.name: row for row in spike_causes.cause_spikes(settings, results, "s2s") if row.rate == shown}
     return (
         Finding(
             "Figure 9, steady part", "S2S and S2M at 0.02 to 0.03",
@@ -101,7 +103,7 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     )  # fmt: skip
 
 
-def _spikes_finding(rate: float, struck: Mapping[str, spike_causes.Row]) -> Finding:
+def _spikes_finding(rate: float, struck: Mapping[str, spike_causes.CauseSpikes]) -> Finding:
     turns, deskewed = struck["quick turns"], struck["quick turns, deskewed"]
     others = "; ".join(
         f"{name} {row.hit} of {row.count}" for name, row in struck.items() if row.cause.marked != "start"
@@ -203,14 +205,14 @@ def _panels(results: Results, cause: Cause, rate: float, title: str, caption: st
 
 
 def _cause_figures(settings: Settings, results: Results) -> Iterator[Figure]:
-    rate = steady_bands.shown(settings)
+    rate = steady_bands.figure_rate(settings)
     for cause in lab_drives.causes(settings):
         if cause.name != "quick turns":
             yield _panels(results, cause, rate, f"{cause.name}, {rate:g} Hz", "")
 
 
 def _turn_blocks(settings: Settings, results: Results) -> Iterator[Block]:
-    yaw_rates = steady_bands.numbers(settings["yaw_dps"])
+    yaw_rates = steady_bands.parse_numbers(settings["yaw_dps"])
     curves: list[Curve] = []
     rows: list[list[Cell | str]] = []
     for rate in steady_bands.rates(settings):

@@ -80,7 +80,7 @@ def _job(settings: Settings, each: Configuration, seed: int) -> AnyTask:
 def measured(*, backend: str, parameters: Mapping[str, Any], sequence: Mapping[str, Any]) -> dict[str, Any]:
     """One configuration over one drive: "ate_m", "final_percent", "path_m"; "s2s", "s2m" (mean iterations or None)."""
     lab = registry.dataset("lab").make(**sequence)
-    found = stage_errors.follow(lab, backend, parameters)
+    found = stage_errors.run_with_errors(lab, backend, parameters)
     truth = lab.truth().trajectory
     if truth is None:
         raise ValueError("lab: no true trajectory")

@@ -1,4 +1,4 @@
-"""Follows a sequence with a back end and keeps what both stages of the registration leave over, in every reading."""
+"""Run an odometry over a sequence and record the final error of both stages, in every reading of "error"."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ READINGS = (
     "mean distance", "root mean square", "mean square",
     "mean distance, every pair", "root mean square, every pair", "mean square, every pair",
 )  # fmt: skip
-"""Ways to read "error" (m; squares m^2): over the one-to-one pairs of the stop rule, and over every nearest pair."""
+"""Readings of "error" (m; squares m^2): over the one-to-one pairs of the stop rule, and over every nearest pair."""
 
 STAGES = ("s2s", "s2m")
 
 
 @dataclass(frozen=True, eq=False)
-class Followed:
-    """What came of a sequence: ``poses`` (N, 3) ``start_from_base``; per stage ``errors`` (N, 6) in the order of
-    ``READINGS`` and ``iterations`` (N,), nan where the stage did not run; ``cpu_s`` of all updates together.
+class StageErrors:
+    """Result of a run: ``poses`` (N, 3) ``start_from_base``; per stage ``errors`` (N, 6) in the order of ``READINGS``
+    and ``iterations`` (N,), nan where the stage did not run; ``cpu_s`` of all updates.
     """
 
     frames: tuple[Frame, ...]
@@ -44,52 +44,52 @@ class Followed:
 
     @property
     def stamps_ns(self) -> Stamps:
-        """When the first beams were fired (N,)."""
+        """Time (N,) of the first beam of each scan."""
         return np.array([frame.scan.stamp_ns for frame in self.frames], dtype=np.int64)
 
     @property
     def estimate(self) -> Trajectory:
-        """The answers as a trajectory."""
+        """The poses as a trajectory."""
         return Trajectory(self.stamps_ns, self.poses, "start", "base")
 
 
-class Watched:
-    """A registration that notes the errors of its last answer in every reading."""
+class RecordingRegistration:
+    """A registration that records the errors of its last match in every reading."""
 
     def __init__(self, inner: Icp, every_pair: bool) -> None:
         self._inner, self._every_pair = inner, every_pair
         self.errors = np.full(len(READINGS), np.nan)
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
-        """The answer of the registration within."""
+        """Register with the inner registration."""
         found = self._inner.register(target, source, guess)
         self.errors = np.full(len(READINGS), np.nan)
         pairs = found.history[-1].pairs if found.history else None
         if pairs is not None and len(pairs):
             moved = found.target_from_source.transform(source.points)
-            self.errors[:3] = readings(np.hypot(*(moved[pairs[:, 0]] - target.points[pairs[:, 1]]).T))
+            self.errors[:3] = compute_readings(np.hypot(*(moved[pairs[:, 0]] - target.points[pairs[:, 1]]).T))
             if self._every_pair:
                 nearest, _ = cKDTree(target.points).query(moved)
                 limit = self._inner.max_correspondence_m or np.inf
-                self.errors[3:] = readings(np.asarray(nearest)[np.asarray(nearest) <= limit])
+                self.errors[3:] = compute_readings(np.asarray(nearest)[np.asarray(nearest) <= limit])
         return found
 
 
-def readings(distances: Floats) -> tuple[float, float, float]:
+def compute_readings(distances: Floats) -> tuple[float, float, float]:
     """Mean, root mean square and mean square of distances (K,), K > 0."""
     square = float(np.mean(distances**2))
     return float(distances.mean()), float(np.sqrt(square)), square
 
 
-def follow(
+def run_with_errors(
     sequence: Sequence, backend: str, parameters: Mapping[str, Value], every_pair: bool = False
-) -> Followed:  # fmt: skip
-    """One of the paper's readings over a sequence behind evalkit's front end."""
+) -> StageErrors:  # fmt: skip
+    """Run one of the paper's readings over a sequence, with evalkit's front end."""
     spec = registry.backend(backend)
-    made: list[Watched] = []  # the front end makes its first stage first
+    made: list[RecordingRegistration] = []  # the front end creates the first stage first
 
     def make(**own: Value) -> Registration:
-        made.append(Watched(spec.make(**{**own, "trace": True}), every_pair))
+        made.append(RecordingRegistration(spec.make(**{**own, "trace": True}), every_pair))
         return made[-1]
 
     odometry = frontend.odometry(
@@ -108,16 +108,16 @@ def follow(
         for stage, watched in zip(STAGES, made, strict=True):
             if stage in reported:
                 errors[stage][index], iterations[stage][index] = watched.errors, reported[stage].iterations
-    return Followed(frames, poses, errors, iterations, time.process_time() - started)
+    return StageErrors(frames, poses, errors, iterations, time.process_time() - started)
 
 
 def position_errors_m(estimate: Trajectory, truth: Trajectory) -> Floats:
-    """Distances (N,) to the truth at the same stamps after the alignment of least squares (m)."""
-    return np.asarray(np.hypot(*(aligned(estimate, truth).poses - truth.poses)[:, :2].T))
+    """Position errors (N,) (m) at the same stamps after least-squares alignment."""
+    return np.asarray(np.hypot(*(align(estimate, truth).poses - truth.poses)[:, :2].T))
 
 
-def aligned(estimate: Trajectory, truth: Trajectory) -> Trajectory:
-    """The estimate in the truth's frame, by least squares over all positions; ValueError says why it cannot be."""
+def align(estimate: Trajectory, truth: Trajectory) -> Trajectory:
+    """Align the estimate to the ground truth by least squares over all positions. Raises ValueError if impossible."""
     matched = match_trajectories(estimate, truth)
     if isinstance(matched, str):
         raise ValueError(matched)
@@ -125,12 +125,12 @@ def aligned(estimate: Trajectory, truth: Trajectory) -> Trajectory:
 
 
 def final_percent(estimate: Trajectory, truth: Trajectory) -> float:
-    """How far the last pose is off, both starting at the same pose, in percent of the path."""
+    """Error of the last pose in percent of the path, with the first poses aligned."""
     ours, theirs = (se2.between(each.poses[0], each.poses[-1]) for each in (estimate, truth))
     return float(100.0 * np.hypot(*(ours - theirs)[:2]) / truth.path_m)
 
 
 def yaw_rates_dps(stamps_ns: Stamps, poses: Floats) -> Floats:
-    """How fast (N,) a base turns about each stamp, in deg/s: the quicker of the steps before and after it."""
+    """Yaw rates (N,) in deg/s: the larger of the steps before and after each stamp."""
     steps = np.abs(np.degrees(se2.between(poses[:-1], poses[1:])[:, 2])) / (np.diff(stamps_ns) * 1e-9)
     return np.asarray(np.maximum(np.append(steps, 0.0), np.append(0.0, steps)), dtype=np.float64)

@@ -15,7 +15,7 @@ def recording(**settings):
 
 def ran(words, below="", **settings):
     _, results = recording(**settings)
-    return set(path(Call.read(results["stages"]["calls"]), words, below).stages)
+    return set(path(Call.from_json(results["stages"]["calls"]), words, below).stages)
 
 
 def tree(*names):
@@ -42,13 +42,13 @@ def test_what_is_below_a_stage_comes_after_it_and_what_is_not_named_is_looked_th
 
 
 def test_calls_are_recorded_below_their_callers():
-    root = call_trace.recorded(lambda: call_trace.frontend.near(call_trace.frontend.np.zeros((2, 2)), 1.0))
-    assert [each.name for each in root.within()] == ["", "near"]
+    root = call_trace.record_calls(lambda: call_trace.frontend.near(call_trace.frontend.np.zeros((2, 2)), 1.0))
+    assert [each.name for each in root.walk()] == ["", "near"]
 
 
 def test_a_tree_of_calls_survives_the_way_through_json():
     root = tree("a", " b", "c")
-    assert Call.read(root.told()).told() == root.told()
+    assert Call.from_json(root.to_json()).to_json() == root.to_json()
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def test_a_box_stands_on_the_page_for_every_stage_that_ran():
     (section,) = flowchart_chapter.CHAPTER.sections(chosen, results)
     figures = section.blocks[1].figures
     assert [figure.title[:8] for figure in figures] == ["Figure 2", "Figure 3", "Figure 4", "Figure 5"]
-    drawn = path(Call.read(results["stages"]["calls"]), REGISTRATION, "FrontEnd._register s2m")
+    drawn = path(Call.from_json(results["stages"]["calls"]), REGISTRATION, "FrontEnd._register s2m")
     assert drawn.times > 1
     assert [REGISTRATION[key] for key in drawn.stages[drawn.first :]] == [
         REGISTRATION[key] for key in ("Association.of", "closest_only", "rigid", "Icp._error")

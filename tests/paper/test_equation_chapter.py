@@ -7,7 +7,7 @@ import pytest
 
 from evalkit.report.html.document import Document, render
 from evalkit_paper import equation_chapter, equation_checks
-from evalkit_paper.equation_checks import as_printed, guarded, without_guard
+from evalkit_paper.equation_checks import rotation_as_printed, rotation_with_guard, rotation_without_guard
 
 DRIVE = {"sequence": "room", "seed": 0, "laps": 0.1}
 
@@ -19,8 +19,8 @@ def turned(points, angle):
 def test_the_printed_rotation_is_the_transpose_of_the_right_one():
     source = np.random.default_rng(0).normal(size=(20, 2))
     K = source.T @ turned(source, 0.4)
-    np.testing.assert_allclose(as_printed(K), guarded(K).T, atol=1e-12)
-    assert np.arctan2(guarded(K)[1, 0], guarded(K)[0, 0]) == pytest.approx(0.4)
+    np.testing.assert_allclose(rotation_as_printed(K), rotation_with_guard(K).T, atol=1e-12)
+    assert np.arctan2(rotation_with_guard(K)[1, 0], rotation_with_guard(K)[0, 0]) == pytest.approx(0.4)
 
 
 def test_with_the_printed_rotation_icp_does_not_converge():
@@ -40,7 +40,7 @@ def test_without_the_guard_about_half_of_noisy_walls_are_mirrored_and_with_it_no
 def test_the_guard_changes_nothing_where_nothing_is_mirrored():
     source = np.random.default_rng(1).normal(size=(20, 2))
     K = source.T @ turned(source, -1.0)
-    np.testing.assert_allclose(without_guard(K), guarded(K), atol=1e-12)
+    np.testing.assert_allclose(rotation_without_guard(K), rotation_with_guard(K), atol=1e-12)
 
 
 def test_the_mean_square_stops_after_two_iterations_from_the_odometrys_guess():
@@ -72,7 +72,7 @@ def test_body_steps_on_the_left_throw_the_pose_away_and_on_the_right_they_do_not
 def test_subtracting_a_negative_l_free_marks_free_space_occupied():
     found = equation_checks.subtracted(**DRIVE, every=5)
     assert found["cells"] > 10_000
-    assert found["taken_wrong"] > 0.99
+    assert found["subtracted_wrong"] > 0.99
     assert found["added_wrong"] < 0.02
 
 
@@ -86,7 +86,7 @@ def test_the_heading_of_equation_7_is_right_as_printed():
     assert equation_checks.headings(count=360)["worst_rad"] < 1e-12
 
 
-def test_every_line_of_the_chapter_tells_what_was_computed():
+def test_every_finding_is_on_the_page_and_no_number_is_missing():
     chapter = equation_chapter.CHAPTER
     settings = chapter.settings("test", {"seeds": 3, "walls": 50, "sequence": "room", "laps": 0.1, "pairs": 5})
     results = {}
@@ -97,5 +97,5 @@ def test_every_line_of_the_chapter_tells_what_was_computed():
     for finding in chapter.findings(settings, results):
         assert finding.anchor == "equations"
         assert finding.item.split(",")[0] in page
-    assert "0 of 3 seeds reach the truth" in page
+    assert "0 of 3 seeds reach the true motion" in page
     assert not re.search(r"\bnan\b", re.sub(r"base64,[^\"]*", "", page))

@@ -20,36 +20,36 @@ def room(*, walls=(), free=True):
 
 
 def test_a_perfect_map_has_no_faults():
-    found = map_faults.faults(room(), room())
+    found = map_faults.find_faults(room(), room())
     assert not found.ghosts.any()
     assert not found.smeared.any()
-    assert len(found.wiped) == 0
+    assert len(found.missing) == 0
 
 
 def test_a_wall_that_is_not_there_is_a_ghost_and_one_drawn_too_thick_a_smear():
-    found = map_faults.faults(room(walls=[(20, 20), (20, 21), (2, 10)]), room())
+    found = map_faults.find_faults(room(walls=[(20, 20), (20, 21), (2, 10)]), room())
     assert np.argwhere(found.ghosts).tolist() == [[20, 20], [20, 21]]
     assert np.argwhere(found.smeared).tolist() == [[2, 10]]  # 0.2 m off
 
 
-def test_a_true_wall_on_free_cells_was_wiped_out():
-    found = map_faults.faults(room(), room(walls=[(20, 20)]))
-    np.testing.assert_allclose(found.wiped, [[2.05, 2.05]])
-    assert len(map_faults.faults(room(free=False), room(walls=[(20, 20)])).wiped) == 0  # unknown is not wiped out
+def test_a_true_wall_on_free_cells_is_missing():
+    found = map_faults.find_faults(room(), room(walls=[(20, 20)]))
+    np.testing.assert_allclose(found.missing, [[2.05, 2.05]])
+    assert len(map_faults.find_faults(room(free=False), room(walls=[(20, 20)])).missing) == 0  # unknown is not missing
 
 
 def test_cells_that_lie_together_are_one_fault_with_a_place():
-    found = map_faults.clusters(np.array([[1.0, 1.0], [1.1, 1.0], [1.2, 1.0], [3.0, 3.0]]), np.array([[1.0, 0.5]]))
+    found = map_faults.find_clusters(np.array([[1.0, 1.0], [1.1, 1.0], [1.2, 1.0], [3.0, 3.0]]), np.array([[1.0, 0.5]]))
     assert [(each.cells, round(each.x, 3), round(each.y, 3)) for each in found] == [(3, 1.1, 1.0), (1, 3.0, 3.0)]
-    assert (found[0].reach_m, found[0].off_m) == (pytest.approx(0.2), pytest.approx(np.hypot(0.2, 0.5)))
+    assert (found[0].extent_m, found[0].wall_distance_m) == (pytest.approx(0.2), pytest.approx(np.hypot(0.2, 0.5)))
 
 
 def test_hits_in_what_another_map_holds_free_contradict_it():
     hits = np.array([[2.05, 2.05], [0.05, 2.0], [0.12, 2.0], [9.0, 9.0]])
-    assert map_faults.contradicted(hits, room()).tolist() == [True, False, False, False]
+    assert map_faults.find_contradicted(hits, room()).tolist() == [True, False, False, False]
 
 
-def test_a_map_is_found_again_on_the_plan_it_was_cut_from():
+def test_a_cropped_map_is_found_on_its_plan():
     rng = np.random.default_rng(3)
     steps = np.arange(0.0, 6.0, 0.05)
     plan = np.concatenate(
@@ -62,7 +62,7 @@ def test_a_map_is_found_again_on_the_plan_it_was_cut_from():
     )
     true = Pose(12.3, -7.4, 2.0)
     cut = plan[np.hypot(plan[:, 0] - 2.0, plan[:, 1] - 1.0) < 3.0]
-    found = plan_fit.place(true.inverse().transform(cut + rng.normal(0.0, 0.01, cut.shape)), plan)
+    found = plan_fit.fit_on_plan(true.inverse().transform(cut + rng.normal(0.0, 0.01, cut.shape)), plan)
     off = true.inverse() @ found.plan_from_map
     assert np.hypot(off.x, off.y) < 0.05
     assert abs(off.theta) < 0.01
@@ -88,17 +88,17 @@ def test_the_page_shows_plan_and_maps_and_says_how_to_get_a_recording_that_is_no
         "Along paper-tight",
     ]
     assert [block.body for block in recorded.blocks] == [
-        "The recording is not on this machine: not here; fetch it: so and so"
+        "The recording is not available on this machine: not here; fetch it: so and so"
     ]
     assert finding.anchor == lab.anchor
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(bool(recorded_drive.missing()), reason="the recording is not here")
-def test_the_recording_spikes_in_its_turns_and_lies_where_its_odometry_says():
+def test_the_recording_contradicts_itself_least_with_the_best_method_and_fits_its_floor_map():
     jobs = recorded_drive.jobs()
     results = {job.name: job.run()[0] for job in jobs}
-    shares = [results[recorded_drive.name(each)]["contradicted"] for each in recorded_drive.VARIANTS]
+    shares = [results[recorded_drive.result_name(each)]["contradicted"] for each in recorded_drive.VARIANTS]
     assert shares == sorted(shares, reverse=True)  # odometry, paper, paper-tight
     shown = [block.kind for block in recorded_drive.blocks(results)]
     assert shown[:4] == ["text", "figure", "figures", "table"]

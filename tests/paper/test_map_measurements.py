@@ -44,7 +44,9 @@ def test_undoing_the_motion_by_true_poses_puts_hits_without_noise_on_the_walls()
     scan, world_from_sensor = silent.placed(3)[1]
     hits = map_measurements.se2.transform(world_from_sensor, scan.points())
     walls = silent.true.centres(silent.true.occupied())
-    assert map_measurements.nearest_m(hits, walls).max() < 0.05  # half a cell's diagonal and the grid of the truth
+    assert (
+        map_measurements.nearest_distances_m(hits, walls).max() < 0.05
+    )  # half a cell's diagonal and the grid of the truth
     kept, _ = silent.placed(3, deskewed=False)[1]
     assert not np.allclose(kept.points(), scan.points(), atol=1e-3)
 

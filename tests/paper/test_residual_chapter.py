@@ -14,44 +14,44 @@ CALM = Band(1.0, 0.1)  # a spike exceeds 1.5, is over at 1.2
 def test_a_band_is_median_and_robust_spread_of_the_calm_scans():
     values = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 900.0, np.nan])
     calm = np.array([True, True, True, True, True, False, True])
-    found = spikes.band(values, calm)
+    found = spikes.compute_band(values, calm)
     assert (found.median, found.sigma) == (3.0, pytest.approx(1.4826))
 
 
 def test_a_spike_lasts_from_the_first_scan_above_the_band_to_the_last():
     values = np.array([1.0, 1.3, 1.8, 1.6, 1.25, 1.1, 1.4, 1.0])
-    (found,) = spikes.spikes(values, CALM)  # 1.4 leaves the band but is no spike
-    assert (found.first, found.last, found.peak, found.height, found.over) == (1, 4, 2, 1.8, True)
-    assert spikes.lasted_s(found, np.arange(8.0)) == 4.0
+    (found,) = spikes.find_spikes(values, CALM)  # 1.4 leaves the band but is no spike
+    assert (found.first, found.last, found.peak, found.height, found.ended) == (1, 4, 2, 1.8, True)
+    assert spikes.duration_s(found, np.arange(8.0)) == 4.0
 
 
-def test_a_spike_that_never_comes_back_says_so():
-    (found,) = spikes.spikes(np.array([np.nan, 1.0, 1.7, 1.9]), CALM)
-    assert not found.over
-    assert spikes.lasted_s(found, np.arange(4.0)) == 1.0
+def test_a_spike_at_the_end_of_a_drive_has_not_ended():
+    (found,) = spikes.find_spikes(np.array([np.nan, 1.0, 1.7, 1.9]), CALM)
+    assert not found.ended
+    assert spikes.duration_s(found, np.arange(4.0)) == 1.0
 
 
 def test_a_spike_belongs_to_the_event_it_peaks_in_or_soon_after():
     times = np.arange(0.0, 10.0, 0.1)
-    (found,) = spikes.spikes(np.where(np.arange(100) == 50, 2.0, 1.0), CALM)  # at 5.0 s
-    assert spikes.within(found, times, (4.2, 4.5))
-    assert spikes.within(found, times, (5.05, 5.5))
-    assert not spikes.within(found, times, (3.0, 3.5))
-    assert not spikes.within(found, times, (5.3, 5.5))
+    (found,) = spikes.find_spikes(np.where(np.arange(100) == 50, 2.0, 1.0), CALM)  # at 5.0 s
+    assert spikes.belongs_to(found, times, (4.2, 4.5))
+    assert spikes.belongs_to(found, times, (5.05, 5.5))
+    assert not spikes.belongs_to(found, times, (3.0, 3.5))
+    assert not spikes.belongs_to(found, times, (5.3, 5.5))
 
 
 def test_events_are_the_runs_of_marks():
     marked = np.array([True, False, True, True, False, True])
-    assert spikes.events(np.arange(6.0), marked) == [(0.0, 0.0), (2.0, 3.0), (5.0, 5.0)]
+    assert spikes.find_events(np.arange(6.0), marked) == [(0.0, 0.0), (2.0, 3.0), (5.0, 5.0)]
 
 
 def test_the_three_errors_of_known_distances():
-    assert stage_errors.readings(np.array([3.0, 4.0])) == (3.5, pytest.approx(np.sqrt(12.5)), 12.5)
+    assert stage_errors.compute_readings(np.array([3.0, 4.0])) == (3.5, pytest.approx(np.sqrt(12.5)), 12.5)
 
 
-def test_following_answers_what_the_front_end_answers_and_reads_its_own_error():
+def test_recorded_errors_and_poses_equal_those_of_the_front_end():
     lab = registry.dataset("lab").make(laps=0.03, rate_hz=5.0, noise_m=0.01)
-    found = stage_errors.follow(lab, "paper", {}, every_pair=True)
+    found = stage_errors.run_with_errors(lab, "paper", {}, every_pair=True)
     spec = registry.backend("paper")
     plain = stage_errors.frontend.odometry(
         spec,
@@ -72,7 +72,7 @@ def test_yaw_rates_are_those_of_the_quicker_step():
     np.testing.assert_allclose(stage_errors.yaw_rates_dps(stamps, poses), np.degrees([0.2, 0.6, 0.6, 0.0]))
 
 
-def test_lost_scans_are_told_by_their_gaps_and_slips_by_their_schedule():
+def test_lost_scans_are_found_by_their_gaps_and_slips_by_their_schedule():
     times = np.array([0.0, 0.1, 0.2, 0.7, 0.8])
     assert lab_drives._events("gaps", times, np.zeros(5), None, {"rate_hz": 10.0}) == [(0.2, 0.7)]
     assert lab_drives._events("gaps in turns", times, np.zeros(5), None, {"rate_hz": 10.0}) == []
@@ -95,7 +95,7 @@ QUICK = {
 def test_quick_turns_spike_and_undoing_the_motion_in_the_scan_ends_it():
     settings = residual_chapter.CHAPTER.settings("test", QUICK)
     results = {job.name: job.run()[0] for job in residual_chapter.CHAPTER.jobs(settings)}
-    rows = {row.cause.name: row for row in spike_causes.rows(settings, results, "s2s")}
+    rows = {row.cause.name: row for row in spike_causes.cause_spikes(settings, results, "s2s")}
     assert rows["quick turns"].hit == rows["quick turns"].count == 1
     assert rows["quick turns, deskewed"].hit == rows["slow turns"].hit == 0
     steady, spikes_found = residual_chapter.CHAPTER.findings(settings, results)
