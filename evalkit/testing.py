@@ -12,7 +12,7 @@ from evalkit.commands.validate.equivalence.comparison import NotEquivalent, asse
 from evalkit.commands.validate.rules import dataset_rules
 from evalkit.commands.validate.rules import runner as conformance
 from evalkit.commands.validate.rules.rule import Conformance, Verdict
-from evalkit.plugins.protocols import BackendSpec, DatasetSpec
+from evalkit.plugins.specs import BackendSpec, DatasetSpec
 
 __all__ = ["ConformanceError", "NotEquivalent", "assert_equivalent", "check_backend", "check_dataset"]
 

@@ -27,7 +27,7 @@ from evalkit.execution.worker import Request, perform
 from evalkit.metrics.table import Group, Metric
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import DatasetSpec, Published
+from evalkit.plugins.specs import DatasetSpec, Published
 from evalkit.report import Comparison, MethodCard, SequenceCard, Setting
 from evalkit.results.run_record import RunRecord
 from evalkit.results.store import read_steps

@@ -12,7 +12,8 @@ from evalkit.commands.validate.rules import dataset_rules
 from evalkit.commands.validate.rules.rule import Verdict, verdict
 from evalkit.core.errors import BadParameter, DataMissing, NotInstalled
 from evalkit.core.match import Match
-from evalkit.plugins.protocols import BackendSpec, resolved
+from evalkit.plugins.parameters import resolve_parameters
+from evalkit.plugins.specs import RegistrationSpec
 from evalkit.testing import ConformanceError, check_backend, check_dataset
 
 sys.path.append(str(Path(__file__).parent / "misfits"))  # as a package under development would be
@@ -27,7 +28,7 @@ class Perfect:
         return Match(guess, True, 1, 0.0, len(source))
 
 
-OF_THIS_FILE = BackendSpec(make=Perfect, kind="registration", summary="", citation="", licence="MIT")
+OF_THIS_FILE = RegistrationSpec(make=Perfect, summary="", citation="", licence="MIT")
 
 
 def test_a_sound_back_end_passes_whether_named_or_given():
@@ -89,7 +90,7 @@ def test_the_error_survives_the_way_between_processes():
 )
 def test_each_fault_of_a_data_set_is_caught_by_the_rule_named_for_it(make, rule, said):
     spec = datasets.spec(make)
-    one = verdict(dataset_rules.RULES[rule], dataset_rules.Bench(spec, resolved("", spec.parameters, {}), 50))
+    one = verdict(dataset_rules.RULES[rule], dataset_rules.Bench(spec, resolve_parameters("", spec.parameters, {}), 50))
     assert one.outcome == "failed"
     assert one.observed.startswith(said)
 

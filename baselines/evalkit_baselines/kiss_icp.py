@@ -40,7 +40,8 @@ from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import Cost, Stopwatch
 from evalkit.odometry import planar3d
-from evalkit.plugins.protocols import BackendSpec, Parameter
+from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.specs import OdometrySpec
 
 INSTALL = "pip install 'evalkit[kiss-icp]'"
 UNMOVED = 1e-12  # metres and radians: what writing a pose as a matrix and back may change
@@ -205,9 +206,8 @@ def _end_ns(frame: Frame) -> int:
     return frame.scan.stamp_ns + frame.scan.duration_ns
 
 
-SPEC = BackendSpec(
+SPEC = OdometrySpec(
     make=make,
-    kind="odometry",
     summary="KISS-ICP: adaptive point-to-point odometry on a voxel map",
     citation="Vizzo, Guadagnino, Mersch, Wiesmann, Behley and Stachniss, KISS-ICP, RA-L 2023",
     licence="MIT",

@@ -35,7 +35,8 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.timing import Cost, Stopwatch
 from evalkit.odometry import planar3d
-from evalkit.plugins.protocols import BackendSpec, Parameter
+from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.specs import RegistrationSpec
 
 INSTALL = "pip install 'evalkit[open3d]'"
 SYSTEM_LIBRARIES = ("libGL.so.1", "libEGL.so.1", "libX11.so.6", "libusb-1.0.so.0")
@@ -225,9 +226,8 @@ _WALLS = (
 )
 _OPEN3D = "Zhou, Park and Koltun, Open3D: a modern library for 3D data processing, arXiv:1801.09847, 2018"
 
-POINT_TO_POINT = BackendSpec(
+POINT_TO_POINT = RegistrationSpec(
     make=point_to_point,
-    kind="registration",
     summary="Open3D point-to-point ICP",
     citation=f"Besl and McKay, PAMI 1992; {_OPEN3D}",
     licence="MIT",
@@ -237,9 +237,8 @@ POINT_TO_POINT = BackendSpec(
     missing=open3d_missing,
 )
 
-POINT_TO_PLANE = BackendSpec(
+POINT_TO_PLANE = RegistrationSpec(
     make=point_to_plane,
-    kind="registration",
     summary="Open3D point-to-plane ICP with normals made in the plane",
     citation=f"Chen and Medioni, IVC 1992; {_OPEN3D}",
     licence="MIT",
@@ -248,9 +247,8 @@ POINT_TO_PLANE = BackendSpec(
     missing=open3d_missing,
 )
 
-GENERALIZED = BackendSpec(
+GENERALIZED = RegistrationSpec(
     make=generalized,
-    kind="registration",
     summary="Open3D generalised ICP with covariances made in the plane",
     citation=f"Segal, Haehnel and Thrun, RSS 2009; {_OPEN3D}",
     licence="MIT",

@@ -36,7 +36,8 @@ from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import Cost, Stopwatch
 from evalkit.odometry import planar3d
-from evalkit.plugins.protocols import BackendSpec, Parameter
+from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.specs import RegistrationSpec
 
 INSTALL = "pip install 'evalkit[small-gicp]'"
 MIN_PAIRS = 3  # two pairs fix a planar pose exactly, so they fit whatever they are
@@ -151,9 +152,8 @@ _STOP = (
 )
 _LIBRARY = "Koide, small_gicp: efficient and parallel algorithms for point cloud registration, JOSS 9(100), 2024"
 
-POINT_TO_PLANE = BackendSpec(
+POINT_TO_PLANE = RegistrationSpec(
     make=point_to_plane,
-    kind="registration",
     summary="small_gicp point-to-plane ICP on walls of three layers",
     citation=f"Chen and Medioni, IVC 1992; {_LIBRARY}",
     licence="MIT",
@@ -166,9 +166,8 @@ POINT_TO_PLANE = BackendSpec(
     missing=small_gicp_missing,
 )
 
-POINT_TO_POINT = BackendSpec(
+POINT_TO_POINT = RegistrationSpec(
     make=point_to_point,
-    kind="registration",
     summary="small_gicp point-to-point ICP",
     citation=f"Besl and McKay, PAMI 1992; {_LIBRARY}",
     licence="MIT",

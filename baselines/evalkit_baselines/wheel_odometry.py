@@ -10,7 +10,7 @@ from evalkit.core.errors import DataMissing
 from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
-from evalkit.plugins.protocols import BackendSpec
+from evalkit.plugins.specs import OdometrySpec
 
 
 class WheelOdometry:
@@ -39,9 +39,8 @@ class WheelOdometry:
         return OdometryEstimate(self._start_from_base)
 
 
-SPEC = BackendSpec(
+SPEC = OdometrySpec(
     make=WheelOdometry,
-    kind="odometry",
     summary="wheel odometry alone, no scan is looked at",
     citation="none: the recording's own odometry",
     licence="MIT",

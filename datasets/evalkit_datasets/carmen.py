@@ -17,7 +17,8 @@ from evalkit.core.scan import Frame, Scan
 from evalkit.core.se2 import Floats, Stamps, between
 from evalkit.core.trajectory import Trajectory
 from evalkit.io.timestamps import order_stamps
-from evalkit.plugins.protocols import DatasetSpec, Parameter
+from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.specs import DatasetSpec
 from evalkit_datasets import carmen_parser, reader_common
 from evalkit_datasets.buffers import sort_by_rank
 from evalkit_datasets.carmen_parser import Log, Reading

@@ -12,7 +12,7 @@ import numpy as np
 from evalkit.core.errors import StoreError, UnknownName
 from evalkit.core.trajectory import Trajectory
 from evalkit.io.tum import format_tum
-from evalkit.plugins.protocols import Value, resolved
+from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.results.store import reported
 from evalkit_datasets import synthetic
 from evalkit_datasets.synthetic import Synthetic
@@ -51,7 +51,8 @@ def write(bag: Path, world: str, given: Mapping[str, object]) -> Example:
         if path.exists():
             raise StoreError(str(path), "exists already", "remove it, or give another name")
     spec = WORLDS[world]
-    drive = cast(Synthetic, spec.make(**resolved(world, spec.parameters, {**SHORT, **given})))  # as all WORLDS make
+    parameters = resolve_parameters(world, spec.parameters, {**SHORT, **given})
+    drive = cast(Synthetic, spec.make(**parameters))  # as all WORLDS make
     with reported(bag):
         return _written(bag, true, drive)
 

@@ -17,7 +17,7 @@ from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
 from evalkit.io.timestamps import format_stamp
 from evalkit.io.tum import read_tum
-from evalkit.plugins.protocols import Parameter
+from evalkit.plugins.parameters import Parameter
 from evalkit_datasets import relations, spans
 
 HOLD_NS = 50_000_000

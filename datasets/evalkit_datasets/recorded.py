@@ -12,7 +12,8 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.trajectory import Trajectory
 from evalkit.io import map_server
-from evalkit.plugins.protocols import DatasetSpec, Parameter, Published
+from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.specs import DatasetSpec, Published
 from evalkit_datasets import catalog, reader_common
 from evalkit_datasets.carmen import Carmen
 from evalkit_datasets.rosbag import RosBag

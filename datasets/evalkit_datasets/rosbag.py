@@ -20,7 +20,8 @@ from evalkit.core.scan import Frame, Scan
 from evalkit.core.se2 import Floats, Stamps, between, compose
 from evalkit.core.trajectory import Trajectory
 from evalkit.io.timestamps import order_stamps
-from evalkit.plugins.protocols import DatasetSpec, Parameter
+from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.specs import DatasetSpec
 from evalkit_datasets import reader_common, rosbag_parser
 from evalkit_datasets.buffers import PoseBuffer, sort_by_rank
 from evalkit_datasets.rosbag_parser import Contents, Scans, Sweep

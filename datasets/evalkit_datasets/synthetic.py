@@ -14,7 +14,8 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
-from evalkit.plugins.protocols import DatasetSpec, Excerpt, Parameter, Value, resolved, with_defaults
+from evalkit.plugins.parameters import Parameter, Value, resolve_parameters, with_defaults
+from evalkit.plugins.specs import DatasetSpec, Excerpt
 from evalkit_datasets import floorplans
 from evalkit_datasets.disturbances import NEVER, Episodes
 from evalkit_datasets.floorplans import FloorPlan
@@ -182,7 +183,7 @@ PARAMETERS = (
 
 def sequence(plan: Callable[[], FloorPlan], base_from_sensor: Pose, **parameters: object) -> Synthetic:
     """The sequence of a floor plan with given ``PARAMETERS``; the rest keep their defaults."""
-    value = resolved(plan.__name__, PARAMETERS, parameters)
+    value = resolve_parameters(plan.__name__, PARAMETERS, parameters)
     number = {name: float(setting) for name, setting in value.items()}
     drawn = plan()
     return Synthetic(

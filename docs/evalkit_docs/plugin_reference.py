@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter
+from evalkit.plugins.parameters import Parameter, Value
+from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec, RegistrationSpec
 from evalkit_docs.markup import code, facts, fold, heading, page, table, text
 
 COLUMNS = ("name", "default", "unit", "limits", "meaning")
@@ -53,8 +54,10 @@ def parameters(given: Iterable[Parameter]) -> str:
 
 
 def _back_end(name: str, spec: BackendSpec) -> str:
+    frontend: Mapping[str, Value] = spec.frontend if isinstance(spec, RegistrationSpec) else {}
+    first_stage: Mapping[str, Value] = spec.scan_to_scan if isinstance(spec, RegistrationSpec) else {}
     own = {parameter.name for parameter in spec.parameters}
-    other = {key: value for key, value in spec.frontend.items() if key not in own}
+    other = {key: value for key, value in frontend.items() if key not in own}
     rows = [
         ("What", text(spec.summary)),
         ("Kind", text(spec.kind)),
@@ -63,7 +66,7 @@ def _back_end(name: str, spec: BackendSpec) -> str:
         ("Licence", text(spec.licence)),
         ("Needs", text(", ".join(spec.requires))),
         ("Front end", ", ".join(code(f"{key} = {_value(value)}") for key, value in other.items())),
-        ("First stage", ", ".join(code(f"{key} = {_value(value)}") for key, value in spec.scan_to_scan.items())),
+        ("First stage", ", ".join(code(f"{key} = {_value(value)}") for key, value in first_stage.items())),
     ]
     return page(heading(2, name, name), facts(rows), parameters(spec.parameters)).rstrip()
 

@@ -13,7 +13,7 @@ from evalkit.core.errors import BadData, EvalkitError, NotInstalled
 from evalkit.core.scan import Frame
 from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text
-from evalkit.plugins.protocols import DatasetSpec
+from evalkit.plugins.specs import DatasetSpec
 
 
 def plan(

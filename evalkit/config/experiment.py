@@ -18,7 +18,7 @@ from evalkit.core.errors import BadExperiment, BadParameter, EvalkitError, Unkno
 from evalkit.io.toml import load_toml
 from evalkit.odometry import frontend
 from evalkit.plugins import code_hash, registry
-from evalkit.plugins.protocols import Value, resolved
+from evalkit.plugins.parameters import Value, resolve_parameters
 
 Item = TypeVar("Item")
 
@@ -185,7 +185,7 @@ def _method(table: Mapping[str, Any], file: str, place: str) -> Method:
     use = _required(table, "use", file, place)
     label = _label(table, use, file, place)
     given = _flat({key: value for key, value in table.items() if key not in ("use", "label")})
-    spec = _registered(registry.entrant, use, file, place)
+    spec = _registered(registry.find_backend, use, file, place)
     return Method(label, use, frontend.complete_parameters(f"{place} ({label})", spec, given), spec.missing())
 
 
@@ -199,7 +199,7 @@ def _sequence(table: Mapping[str, Any], file: str, place: str) -> SequenceSpec:
     if "seed" in given and spec.seeded:
         raise BadExperiment(file, f"{place} ({label})", "found 'seed'; write seeds = [0, 1, ...]")
     seeds = _seeds(table.get("seeds", [0]), file, f"{place} ({label})") if spec.seeded else (None,)
-    parameters = resolved(f"{place} ({label})", spec.parameters, given)
+    parameters = resolve_parameters(f"{place} ({label})", spec.parameters, given)
     if spec.seeded:
         parameters.pop("seed")
     try:
@@ -220,7 +220,7 @@ def _mapper(table: object, file: str) -> MapperChoice:
         raise BadExperiment(file, "mapper", f"'scans': found {brief(scans)}, expected a whole number of at least 2")
     given = {key: value for key, value in table.items() if key not in ("use", "scans")}
     spec = _registered(registry.mapper, name, file, "mapper")
-    return MapperChoice(name, resolved("mapper", spec.parameters, given), scans)
+    return MapperChoice(name, resolve_parameters("mapper", spec.parameters, given), scans)
 
 
 def _limits(table: object, file: str) -> Limits:

@@ -28,6 +28,7 @@ from evalkit.execution.process_pool import start_pool
 from evalkit.execution.worker import Request
 from evalkit.metrics import evaluate, evaluate_map
 from evalkit.plugins import registry
+from evalkit.plugins.specs import MapSpec
 from evalkit.results.store import Store
 
 FINAL = (RunStatus.COMPLETE, RunStatus.FAILED, RunStatus.CRASHED)
@@ -256,7 +257,7 @@ def score_stored(folder: Path, spec: RunSpec, run: RunResult, recipe: Recipe, co
     mapper = recipe.mapper
     entrant, drawn_by = registry.backend(spec.method.backend), registry.mapper(mapper.name)
     sequence = registry.dataset(spec.sequence.dataset).make(**spec.dataset_parameters)
-    if entrant.kind == "map":
+    if isinstance(entrant, MapSpec):
         scores = evaluate_map.score(run, entrant.make(**spec.method.parameters), sequence)
     else:
         scores = evaluate.score(run, sequence, lambda: drawn_by.make(**mapper.parameters), mapper.scans)
@@ -284,7 +285,7 @@ def _without_times(steps: NDArray[np.void]) -> NDArray[np.void]:
 
 def _provenance(recipe: Recipe, spec: RunSpec, core: int | None) -> dict[str, Any]:
     where = {name: recipe.ran_on.get(name, "unknown") for name in environment.KEPT_WITH_RUNS}
-    libraries = ("numpy", "scipy", *registry.entrant(spec.method.backend).requires)
+    libraries = ("numpy", "scipy", *registry.find_backend(spec.method.backend).requires)
     return {
         "executed_at": datetime.now(UTC).isoformat(),
         **where,

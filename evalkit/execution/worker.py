@@ -28,7 +28,9 @@ from evalkit.execution import parent_watch
 from evalkit.odometry import frontend
 from evalkit.odometry.run_odometry import run_odometry
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import DatasetSpec, Odometry, Sequence, Value
+from evalkit.plugins.parameters import Value
+from evalkit.plugins.protocols import Odometry, Sequence
+from evalkit.plugins.specs import DatasetSpec, MapSpec
 
 WARM_UP_SCANS = 5
 """Number of scans that a separate instance of the back end processes before the timed run; not part of any number."""
@@ -79,15 +81,15 @@ def perform(request: Request, folder: Path) -> RunResult:
         _leave(folder / "begun.json", {"reading": True})
         dataset = registry.dataset(request.dataset)
         sequence: Sequence = dataset.make(**request.dataset_parameters)
-        if spec.kind == "map":
+        if isinstance(spec, MapSpec):
             spec.make(**request.backend_parameters)  # one that cannot be read has failed
             return RunResult(NO_STEPS, expected, peak_memory_bytes=_peak_memory_bytes())
         expected = len(sequence)
         every = _every(dataset, request)
         begun = {"expected": expected, "every": every}
         _leave(folder / "begun.json", begun)  # for a back end that ends this process in its warm-up
-        warm = _warm_up(frontend.odometry(spec, request.backend_parameters), sequence)
-        odometry = frontend.odometry(spec, request.backend_parameters)
+        warm = _warm_up(frontend.make_odometry(spec, request.backend_parameters), sequence)
+        odometry = frontend.make_odometry(spec, request.backend_parameters)
         _leave(folder / "begun.json", begun | {"warm_up_scans": warm})
         with (folder / "steps.bin").open("ab", buffering=0) as file:
             record_run(odometry, sequence, request, file)

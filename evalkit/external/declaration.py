@@ -9,20 +9,28 @@ import shlex
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from evalkit.core.errors import BackendFailed, BadParameter, brief
 from evalkit.odometry import frontend
-from evalkit.plugins.protocols import BackendSpec, Odometry, Parameter, Registration, Value, with_defaults
+from evalkit.plugins.parameters import Parameter, Value, with_defaults
+from evalkit.plugins.protocols import Odometry
+from evalkit.plugins.specs import BackendSpec, OdometrySpec, RegistrationSpec
 
 UNTOLD = "not told: it is somebody else's"
+
+SPEC_TYPES: dict[object, type[RegistrationSpec | OdometrySpec]] = {
+    "registration": RegistrationSpec,
+    "odometry": OdometrySpec,
+}
+"""Kinds that a declaration can name."""
 
 
 @dataclass(frozen=True)
 class Declaration:
     """Kind, one line of summary, what can be set, and the device it runs on ("": this machine)."""
 
-    kind: Literal["registration", "odometry"]
+    spec_type: type[RegistrationSpec | OdometrySpec]
     summary: str
     parameters: tuple[Parameter, ...]
     device: str = ""
@@ -36,18 +44,19 @@ def declaration(name: str, content: Mapping[str, Any]) -> Declaration:
     if "failed" in content:
         raise BackendFailed(name, *content["failed"])
     kind = content.get("kind")
-    if kind not in ("registration", "odometry"):
+    if kind not in SPEC_TYPES:
         raise _malformed(name, "kind", kind, "'registration' or 'odometry'")
     listed = content.get("parameters", [])
     if not isinstance(listed, list):
         raise _malformed(name, "parameters", listed, "a list")
     parameters = tuple(_parameter(name, entry) for entry in listed)
-    reserved = {p.name for p in frontend.PARAMETERS} if kind == "registration" else set()
+    spec_type = SPEC_TYPES[kind]
+    reserved = {p.name for p in frontend.PARAMETERS} if spec_type is RegistrationSpec else set()
     for index, parameter in enumerate(parameters):
         if parameter.name in reserved or parameter.name in {p.name for p in parameters[:index]}:
             raise _malformed(name, "parameters", parameter.name, "names of its own, each once")
     summary = _text(name, content, "summary") or "somebody else's: it does not say what it is"
-    return Declaration(kind, summary, parameters, _text(name, content, "device"))
+    return Declaration(spec_type, summary, parameters, _text(name, content, "device"))
 
 
 def listed(text: str) -> list[dict[str, Value]]:
@@ -94,18 +103,18 @@ def settings(name: str, parameters: tuple[Parameter, ...], words: list[str]) -> 
             raise BadParameter(name, word, word, "NAME=VALUE behind the file's name")
     chosen = dict(word.split("=", 1) for word in words)
     known = {parameter.name: parameter for parameter in parameters}
-    typed = {key: known[key].checked(name, _like(known[key], word)) for key, word in chosen.items() if key in known}
+    typed = {key: known[key].check(name, _like(known[key], word)) for key, word in chosen.items() if key in known}
     unknown = {key: word for key, word in chosen.items() if key not in known}
     return with_defaults(parameters, **typed, **unknown)  # which refuses the unknown by name
 
 
 def spec(
-    declared: Declaration, parameters: tuple[Parameter, ...], make: Callable[..., Registration | Odometry], digest: str
+    declared: Declaration, parameters: tuple[Parameter, ...], make: Callable[..., Any], digest: str
 ) -> BackendSpec:
     """The spec of an implementation that is here; ``parameters``: those it declares and those of evalkit's side."""
     summary = declared.summary + (f" (on {declared.device})" if declared.device else "")
-    made = BackendSpec(make, declared.kind, summary, UNTOLD, UNTOLD, parameters=parameters, digest=digest)
-    return replace(made, guess="its own") if declared.kind == "odometry" else made
+    made = declared.spec_type(make, summary, UNTOLD, UNTOLD, parameters=parameters, digest=digest)
+    return replace(made, guess="its own") if declared.spec_type is OdometrySpec else made
 
 
 def absent(name: str, why: str, digest: str = "") -> BackendSpec:
@@ -122,7 +131,7 @@ def _unusable(name: str, why: str) -> BackendSpec:
     def make(**_parameters: Value) -> Odometry:
         raise BackendFailed(name, "cannot be used", why)
 
-    return BackendSpec(make, "odometry", "cannot be used here", UNTOLD, UNTOLD)
+    return OdometrySpec(make, "cannot be used here", UNTOLD, UNTOLD)
 
 
 def digest_of(*files: Path, words: str = "") -> str:

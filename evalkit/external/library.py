@@ -27,7 +27,8 @@ from evalkit.core.timing import Cost, Stopwatch
 from evalkit.execution.parent_watch import signal_name
 from evalkit.external import abi, elf
 from evalkit.external.declaration import absent, broken, declaration, digest_of, listed, settings, spec, split, text
-from evalkit.plugins.protocols import BackendSpec, Parameter, Value
+from evalkit.plugins.parameters import Parameter, Value
+from evalkit.plugins.specs import BackendSpec, RegistrationSpec
 
 LOOK_S = 20.0
 """How long loading a library and asking what it is may take."""
@@ -49,8 +50,8 @@ def scheme(rest: str) -> BackendSpec:
         declared = declaration(name, _asked(name, file, digest))
     except BackendFailed as error:
         return broken(name, "; ".join(error.args[1:]), digest)
-    own = (TRACE,) if declared.kind == "registration" else ()
-    make = LibraryRegistration if declared.kind == "registration" else LibraryOdometry
+    own = (TRACE,) if declared.spec_type is RegistrationSpec else ()
+    make = LibraryRegistration if declared.spec_type is RegistrationSpec else LibraryOdometry
     return spec(declared, settings(name, (*declared.parameters, *own), words), partial(make, name, file), digest)
 
 

@@ -13,7 +13,8 @@ from evalkit.core.pose import Pose
 from evalkit.external.declaration import UNTOLD, digest_of, settings
 from evalkit.io import map_server
 from evalkit.metrics.consistency import look_up_cells
-from evalkit.plugins.protocols import BackendSpec, Parameter
+from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.specs import BackendSpec, MapSpec
 
 SUFFIXES = (".yaml", ".yml")
 
@@ -27,16 +28,14 @@ PARAMETERS = (
 def spec(name: str, file: Path, words: list[str]) -> BackendSpec:
     """The method of a map_server file and its ``NAME=VALUE`` words."""
     image = map_server.find_map_image(file)
-    return BackendSpec(
+    return MapSpec(
         make=partial(made, file),
-        kind="map",
         summary=f"a map made elsewhere, read from {file.name}: not drawn by the common mapper",
         citation=UNTOLD,
         licence=UNTOLD,
         guess="unknown: it was made elsewhere",
         parameters=settings(name, PARAMETERS, words),
         missing=lambda: _absent(file, image),
-        recorded=True,
         digest=digest_of(file, *([image] if image else [])),
     )
 

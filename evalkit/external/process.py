@@ -23,7 +23,8 @@ from evalkit.core.timing import Cost, Stopwatch
 from evalkit.external import elf
 from evalkit.external.declaration import Declaration, absent, broken, declaration, digest_of, spec
 from evalkit.external.program import Program
-from evalkit.plugins.protocols import BackendSpec, Parameter, Value
+from evalkit.plugins.parameters import Parameter, Value
+from evalkit.plugins.specs import BackendSpec, RegistrationSpec
 
 VERSION = 1
 MAX_COUNTED = 2.0**31
@@ -181,7 +182,7 @@ def _make(
     name: str, argv: list[str], declared: Declaration, *, answer_timeout_s: float, **parameters: Value
 ) -> ProgramRegistration | ProgramOdometry:
     talk = Talk(name, argv, declared, answer_timeout_s, parameters)
-    return ProgramRegistration(talk) if declared.kind == "registration" else ProgramOdometry(talk)
+    return ProgramRegistration(talk) if declared.spec_type is RegistrationSpec else ProgramOdometry(talk)
 
 
 def _greeted(program: Program) -> dict[str, Any]:

@@ -14,7 +14,9 @@ from evalkit.core.timing import Cost
 from evalkit.external import maps
 from evalkit.external.declaration import UNTOLD, digest_of, settings, split
 from evalkit.io.tum import read_tum
-from evalkit.plugins.protocols import BackendSpec, NoAnswer, Parameter
+from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.protocols import NoAnswer
+from evalkit.plugins.specs import BackendSpec, RecordedOdometrySpec
 
 COMPUTED_ELSEWHERE = Cost(withheld=frozenset({"wall", "cpu"}))
 
@@ -33,16 +35,14 @@ def scheme(rest: str) -> BackendSpec:
     file = Path(path).resolve()
     if file.suffix in maps.SUFFIXES:
         return maps.spec(name, file, words)
-    return BackendSpec(
+    return RecordedOdometrySpec(
         make=partial(PosesFromFile, file),
-        kind="odometry",
         summary=f"poses computed elsewhere, read from {file.name}",
         citation=UNTOLD,
         licence=UNTOLD,
         guess="unknown: it was computed elsewhere",
         parameters=settings(name, PARAMETERS, words),
         missing=lambda: "" if file.is_file() else f"no such file: {file.name}; mend its path",
-        recorded=True,
         digest=digest_of(file),
     )
 

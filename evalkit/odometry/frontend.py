@@ -20,96 +20,92 @@ from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import NO_COST, Cost
 from evalkit.odometry.local_map import GridMap, KeyframeMap, VoxelMap, voxel_means
-from evalkit.plugins import registry
-from evalkit.plugins.protocols import BackendSpec, Odometry, Parameter, Registration, Value, resolved, with_defaults
-
-PARAMETERS: tuple[Parameter, ...] = (
-    Parameter("prior", "odometry", "", "where the first guess comes from; without odometry: constant velocity",
-              choices=("odometry", "constant-velocity", "none")),
-    Parameter("scan_to_scan", True, "", "register each scan with the one before"),
-    Parameter("scan_to_map", True, "", "register each scan with the local map, starting from stage one's answer"),
-    Parameter("deskew", True, "", "undo the motion within a scan by the prior's velocity"),
-    Parameter("local_radius_m", 0.0, "m", "use only points this near to the base; 0: all", low=0.0),
-    Parameter("source_voxel_m", 0.0, "m", "one mean of the scan per cell this wide; 0: off", low=0.0),
-    Parameter("local_map", "keyframes", "", "the points of the last keyframes or of the last scans, one lasting map of "
-              "voxels, or the occupied cells of a grid drawn from every scan",
-              choices=("keyframes", "scans", "voxels", "grid")),
-    Parameter("keyframes", 10, "", "how many keyframes (or scans) make the local map", low=1),
-    Parameter("keyframe_distance_m", 0.5, "m", "a new keyframe after this distance", low=0.0),
-    Parameter("keyframe_angle_deg", 20.0, "deg", "or after this turn", low=0.0),
-    Parameter("local_map_voxel_m", 0.0, "m", "one mean of the local map per cell this wide; 0: off", low=0.0),
-    Parameter("local_map_radius_m", 15.0, "m", "voxels and grid only: how far around the base they are matched against",
-              low=1.0),
-    Parameter("local_map_cell_m", 0.05, "m", "grid only: side of a cell", low=0.005, high=10.0),
-    Parameter("local_map_probability", 0.5, "", "grid only: a cell more probable than this is matched against",
-              low=0.0, high=1.0),
-    Parameter("min_inliers", 10, "", "an answer standing on fewer pairs is not accepted; the guess is kept", low=0),
-)  # fmt: skip
+from evalkit.plugins import defaults, registry
+from evalkit.plugins.parameters import (
+    Parameter,
+    Value,
+    declared_parameters,
+    parameter,
+    resolve_parameters,
+    with_defaults,
+)
+from evalkit.plugins.protocols import Odometry, Registration
+from evalkit.plugins.specs import FIRST_STAGE, BackendSpec, OdometrySpec, RegistrationSpec, first_stage
 
 EVERY_SCAN = ("scans", "grid")
-"""LocalMaps that take in every scan, not only keyframes."""
-
-GRID_MAPPER = "log-odds"
-"""What draws the local map "grid": the paper's mapper."""
-
-STAGE_ONE = "s2s."
-"""Prefix of a registration parameter that shall differ in the first stage only."""
+"""Local maps that take every scan; the others take keyframes only."""
 
 
 @dataclass(frozen=True)
-class Settings:
-    """The front end's parameters, as in ``PARAMETERS``."""
+class FrontEndSettings:
+    """Parameters of the front end."""
 
-    prior: str
-    scan_to_scan: bool
-    scan_to_map: bool
-    deskew: bool
-    local_radius_m: float
-    source_voxel_m: float
-    local_map: str
-    keyframes: int
-    keyframe_distance_m: float
-    keyframe_angle_deg: float
-    local_map_voxel_m: float
-    local_map_radius_m: float
-    local_map_cell_m: float
-    local_map_probability: float
-    min_inliers: int
+    prior: str = parameter(
+        "odometry",
+        "",
+        "where the first guess comes from; without odometry: constant velocity",
+        choices=("odometry", "constant-velocity", "none"),
+    )
+    scan_to_scan: bool = parameter(True, "", "register each scan with the one before")
+    scan_to_map: bool = parameter(True, "", "register each scan with the local map, starting from stage one's answer")
+    deskew: bool = parameter(True, "", "undo the motion within a scan by the prior's velocity")
+    local_radius_m: float = parameter(0.0, "m", "use only points this near to the base; 0: all", low=0.0)
+    source_voxel_m: float = parameter(0.0, "m", "one mean of the scan per cell this wide; 0: off", low=0.0)
+    local_map: str = parameter(
+        "keyframes",
+        "",
+        "the points of the last keyframes or of the last scans, one lasting map of voxels, or the "
+        "occupied cells of a grid drawn from every scan",
+        choices=("keyframes", "scans", "voxels", "grid"),
+    )
+    keyframes: int = parameter(10, "", "how many keyframes (or scans) make the local map", low=1)
+    keyframe_distance_m: float = parameter(0.5, "m", "a new keyframe after this distance", low=0.0)
+    keyframe_angle_deg: float = parameter(20.0, "deg", "or after this turn", low=0.0)
+    local_map_voxel_m: float = parameter(0.0, "m", "one mean of the local map per cell this wide; 0: off", low=0.0)
+    local_map_radius_m: float = parameter(
+        15.0, "m", "voxels and grid only: how far around the base they are matched against", low=1.0
+    )
+    local_map_cell_m: float = parameter(0.05, "m", "grid only: side of a cell", low=0.005, high=10.0)
+    local_map_probability: float = parameter(
+        0.5, "", "grid only: a cell more probable than this is matched against", low=0.0, high=1.0
+    )
+    min_inliers: int = parameter(
+        10, "", "an answer standing on fewer pairs is not accepted; the guess is kept", low=0
+    )  # fmt: skip
 
 
-def parameters_of(spec: BackendSpec) -> tuple[Parameter, ...]:
-    """Everything that can be set on a back end: its own parameters and, for a registration, the front end's."""
-    if spec.kind != "registration":
+PARAMETERS = declared_parameters(FrontEndSettings)
+
+
+def settable_parameters(spec: BackendSpec) -> tuple[Parameter, ...]:
+    """All parameters that can be set on a back end: its own and, for a registration, those of the front end."""
+    if not isinstance(spec, RegistrationSpec):
         return spec.parameters
-    differing = (p for p in spec.parameters if p.name in spec.scan_to_scan)
-    stage_one = (_prefixed(p, spec.scan_to_scan[p.name]) for p in differing)
-    return (*spec.parameters, *stage_one, *with_defaults(PARAMETERS, **spec.frontend))
+    return (*spec.parameters, *spec.first_stage_parameters(), *with_defaults(PARAMETERS, **spec.frontend))
 
 
 def complete_parameters(owner: str, spec: BackendSpec, given: Mapping[str, object]) -> dict[str, Value]:
-    """All parameters of a back end with the given values; unknown names and wrong types are refused.
+    """Return all parameters of a back end with the given values.
 
-    ``s2s.NAME`` sets the registration's parameter NAME for the first stage only.
+    ``s2s.NAME`` sets the registration's parameter NAME for the scan-to-scan stage only. Raises UnknownName or
+    BadParameter. The parameters of a back end that is missing or broken are unknown: its values are returned as given.
     """
-    known = parameters_of(spec)
-    if not spec.parameters and (spec.broken or spec.missing()):  # it cannot say what could be set on it
+    known = settable_parameters(spec)
+    if not spec.parameters and (spec.broken or spec.missing()):
         return {name: value for name, value in given.items() if isinstance(value, (bool, int, float, str))}
-    extra = [_prefixed(p, p.default) for p in spec.parameters if STAGE_ONE + p.name in given]
+    extra = [first_stage(p, p.default) for p in spec.parameters if FIRST_STAGE + p.name in given]
     names = {parameter.name for parameter in known}
-    return resolved(owner, (*known, *(p for p in extra if p.name not in names)), given)
+    return resolve_parameters(owner, (*known, *(p for p in extra if p.name not in names)), given)
 
 
-def odometry(spec: BackendSpec, parameters: Mapping[str, Value]) -> Odometry:
-    """Make a fresh odometry of a back end with complete parameters."""
-    if spec.kind == "map":
-        raise TypeError("a map answers no scan: it cannot be made an odometry")
-    if spec.kind == "odometry":
-        made: Odometry = spec.make(**parameters)
-        return made
-    own = {p.name: parameters[p.name] for p in spec.parameters}
-    first = {**own, **{k.removeprefix(STAGE_ONE): v for k, v in parameters.items() if k.startswith(STAGE_ONE)}}
-    settings = Settings(**{p.name: parameters[p.name] for p in PARAMETERS})  # type: ignore[arg-type]  # checked by name
-    return FrontEnd(spec.make(**first), spec.make(**own), settings)
+def make_odometry(spec: BackendSpec, parameters: Mapping[str, Value]) -> Odometry:
+    """Make a new odometry of a back end from complete parameters; raises TypeError for a map, which has none."""
+    if isinstance(spec, RegistrationSpec):
+        settings = FrontEndSettings(**{p.name: parameters[p.name] for p in PARAMETERS})  # type: ignore[arg-type]  # by name
+        return FrontEnd(*spec.make_stages(parameters), settings)
+    if isinstance(spec, OdometrySpec):
+        return spec.make(**parameters)
+    raise TypeError(f"a {spec.kind} cannot be made an odometry")
 
 
 class LocalMap(Protocol):
@@ -135,7 +131,7 @@ class _StageAnswer(NamedTuple):
 class FrontEnd:
     """The paper's two-stage front end as an Odometry; poses are ``start_from_base`` at the first beam of each scan."""
 
-    def __init__(self, scan_to_scan: Registration, scan_to_map: Registration, settings: Settings) -> None:
+    def __init__(self, scan_to_scan: Registration, scan_to_map: Registration, settings: FrontEndSettings) -> None:
         self._registrations: dict[Stage, Registration] = {"s2s": scan_to_scan, "s2m": scan_to_map}
         self._settings = settings
         self._local_map = _local_map(settings)
@@ -201,11 +197,11 @@ def near(points: Floats, radius_m: float) -> Floats:
     return np.asarray(points[np.hypot(points[:, 0], points[:, 1]) <= radius_m])
 
 
-def _local_map(settings: Settings) -> LocalMap:
+def _local_map(settings: FrontEndSettings) -> LocalMap:
     if settings.local_map == "voxels":
         return VoxelMap(settings.local_map_voxel_m, settings.local_map_radius_m)
     if settings.local_map == "grid":
-        mapper = registry.mapper(GRID_MAPPER).make(resolution_m=settings.local_map_cell_m)
+        mapper = registry.mapper(defaults.default_mapper()).make(resolution_m=settings.local_map_cell_m)
         return GridMap(mapper, settings.local_map_probability, settings.local_map_radius_m)
     return KeyframeMap(settings.keyframes, settings.local_map_voxel_m)
 
@@ -253,10 +249,3 @@ class Motion:
             return Pose()
         share = min(elapsed_ns / self._step_ns, 2.0)  # a long gap says nothing about the speed
         return Pose.of(se2.fraction(self._step.row, np.array([share]))[0])
-
-
-def _prefixed(parameter: Parameter, default: Value) -> Parameter:
-    return Parameter(
-        STAGE_ONE + parameter.name, default, parameter.unit, f"first stage only: {parameter.meaning}",
-        parameter.low, parameter.high, parameter.choices,
-    )  # fmt: skip

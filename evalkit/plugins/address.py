@@ -13,7 +13,7 @@ from typing import TypeVar
 
 from evalkit.core.errors import NotInstalled
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import BackendSpec, DatasetSpec
+from evalkit.plugins.specs import BackendSpec, DatasetSpec
 
 Spec = TypeVar("Spec", BackendSpec, DatasetSpec)
 

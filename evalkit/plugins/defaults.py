@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 
 from evalkit.core.errors import NotInstalled
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import Excerpt, Role, Value
+from evalkit.plugins.parameters import Value
+from evalkit.plugins.specs import Excerpt, Role
 
 
 def reference_backend() -> str:
     """The first back end by name whose role is "reference" and that runs here; NotInstalled if there is none."""
     for name in backends_with_role("reference"):
-        if not registry.entrant(name).missing():
+        if not registry.find_backend(name).missing():
             return name
     raise NotInstalled("reference", 'no installed back end has the role "reference"', "name a back end explicitly")
 
 
 def backends_with_role(role: Role) -> list[str]:
     """The registered back ends with a role, by name, also those that cannot run here."""
-    return [name for name in registry.names("backends") if registry.entrant(name).role == role]
+    return [name for name in registry.names("backends") if registry.find_backend(name).role == role]
 
 
 def mapper_of(backend: str) -> str:
@@ -29,12 +31,13 @@ def mapper_of(backend: str) -> str:
     return next((name for name in mappers if registry.plug_in_of("mappers", name).module == home), "")
 
 
-def reference_mapper() -> str:
-    """The mapper of the reference back end; NotInstalled if there is none."""
-    name = mapper_of(reference_backend())
-    if not name:
-        raise NotInstalled("mapper", "the reference back end brings no mapper", "name a mapper explicitly")
-    return name
+def default_mapper() -> str:
+    """The first mapper by name that declares itself the default; raises NotInstalled if there is none."""
+    for name in registry.names("mappers"):
+        with contextlib.suppress(NotInstalled):  # a plug-in that does not load
+            if registry.mapper(name).default:
+                return name
+    raise NotInstalled("mapper", "no installed mapper is declared as the default", "name a mapper explicitly")
 
 
 def excerpts(size: Excerpt) -> dict[str, Mapping[str, Value]]:

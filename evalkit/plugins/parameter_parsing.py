@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from evalkit.core.errors import BadParameter
-from evalkit.plugins.protocols import Parameter, Value
+from evalkit.plugins.parameters import Parameter, Value
 
 WORDS: dict[type, str] = {int: "a whole number", float: "a number"}
 """What is asked for where a text is none of its type."""

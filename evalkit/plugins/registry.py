@@ -17,7 +17,9 @@ from typing import TypeVar
 
 from evalkit.core.errors import EvalkitError, NotInstalled, UnknownName
 from evalkit.plugins.code_hash import fingerprint
-from evalkit.plugins.protocols import BackendSpec, DatasetSpec, MapperSpec, Odometry, Value
+from evalkit.plugins.parameters import Value
+from evalkit.plugins.protocols import Odometry
+from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec, OdometrySpec
 
 Spec = TypeVar("Spec")
 
@@ -47,25 +49,25 @@ def backend(name: str) -> BackendSpec:
     return made
 
 
-def entrant(name: str) -> BackendSpec:
-    """The back end of a name, as ``backend``; of a plug-in that does not load one whose ``missing()`` says why."""
+def find_backend(name: str) -> BackendSpec:
+    """Like ``backend``, but a plug-in that does not load gives a spec whose ``missing()`` returns the reason."""
     try:
         spec = backend(name)
         spec.missing()
     except NotInstalled as error:
-        why = str(error)
+        reason = str(error)
     except EvalkitError:
         raise
-    except Exception as error:  # noqa: BLE001 - a third party's code; it must not take the others along
-        why = f"its plug-in failed: {type(error).__name__}: {error}"
+    except Exception as error:  # noqa: BLE001 - third-party code; the other plug-ins stay usable
+        reason = f"its plug-in failed: {type(error).__name__}: {error}"
     else:
         return spec
 
     def make(**_parameters: Value) -> Odometry:
-        raise NotInstalled(name, "cannot be used", why)
+        raise NotInstalled(name, "cannot be used", reason)
 
-    untold = "not told: its plug-in does not load"
-    return BackendSpec(make, "odometry", untold, untold, untold, missing=lambda: why)
+    unknown = "not told: its plug-in does not load"
+    return OdometrySpec(make, unknown, unknown, unknown, missing=lambda: reason)
 
 
 def mapper(name: str) -> MapperSpec:

@@ -10,10 +10,11 @@ from importlib.metadata import PackageNotFoundError, metadata, packages_distribu
 from evalkit.config.experiment import Experiment, Limits, MapperChoice, Method, SequenceSpec
 from evalkit.execution import environment
 from evalkit.metrics import all_metrics
-from evalkit.odometry.frontend import parameters_of
+from evalkit.odometry.frontend import settable_parameters
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import GUESS_NOT_TOLD, Parameter, Value
+from evalkit.plugins.parameters import Parameter, Value
 from evalkit.plugins.protocols import Sequence as Recording
+from evalkit.plugins.specs import GUESS_NOT_REPORTED
 from evalkit.report.analysis.comparison import Comparison, MethodCard, SequenceCard, Setting
 from evalkit.results.run_record import RunRecord
 
@@ -31,7 +32,7 @@ def comparison_of(
 
     ``ran_on``: the environment as it was before the first run; without it, as it is now.
     """
-    specs = [registry.entrant(method.backend) for method in plan.methods]
+    specs = [registry.find_backend(method.backend) for method in plan.methods]
     where = dict(ran_on or environment.describe())
     libraries = dict.fromkeys((*LIBRARIES, *(distribution(name) for spec in specs for name in spec.requires)))
     return Comparison(
@@ -85,9 +86,9 @@ def _distributions() -> Mapping[str, Sequence[str]]:
 
 def method_card(method: Method) -> MethodCard:
     """The card of a method, with every setting it ran with."""
-    spec = registry.entrant(method.backend)
-    settings = settings_of(method.parameters, parameters_of(spec), "set for this method")
-    guess = "" if spec.guess == GUESS_NOT_TOLD else spec.guess
+    spec = registry.find_backend(method.backend)
+    settings = settings_of(method.parameters, settable_parameters(spec), "set for this method")
+    guess = "" if spec.guess == GUESS_NOT_REPORTED else spec.guess
     return MethodCard(spec.summary, spec.citation, spec.licence, settings, guess, method.missing, spec.role)
 
 

@@ -90,7 +90,7 @@ def drive(
     """
     lab = registry.dataset("lab").make(**sequence)
     spec = registry.backend("paper")
-    odometry = frontend.odometry(spec, frontend.complete_parameters("paper", spec, parameters))
+    odometry = frontend.make_odometry(spec, frontend.complete_parameters("paper", spec, parameters))
     drawn = registry.mapper("log-odds").make(**mapper)
 
     def scan(frame: Frame) -> None:

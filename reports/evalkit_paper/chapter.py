@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from evalkit.execution.task import AnyTask, Result
-from evalkit.plugins.protocols import Parameter, resolved
+from evalkit.plugins.parameters import Parameter, resolve_parameters
 from evalkit.report.html.document import Section
 
 Verdict = Literal[
@@ -50,4 +50,4 @@ class Chapter:
 
     def settings(self, owner: str, table: Mapping[str, object]) -> Settings:
         """The chapter's table with defaults filled in; BadParameter and UnknownName name the key."""
-        return self.read(owner, table) if self.read else resolved(owner, self.parameters, table)
+        return self.read(owner, table) if self.read else resolve_parameters(owner, self.parameters, table)

@@ -9,7 +9,7 @@ import numpy as np
 
 from evalkit.core.se2 import Floats
 from evalkit.execution.task import AnyTask, make_task
-from evalkit.plugins.protocols import Parameter, Value
+from evalkit.plugins.parameters import Parameter, Value
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve
 from evalkit.report.html.document import Cell, Column, Figure, Figures, Section, Table, Text

@@ -12,7 +12,8 @@ from evalkit.core import se2
 from evalkit.core.se2 import Floats
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import Value
+from evalkit.plugins.parameters import Value
+from evalkit.plugins.specs import FIRST_STAGE
 
 
 def apart(
@@ -39,8 +40,8 @@ def _poses(
     name: str, parameters: Mapping[str, Value], dataset: str, sequence: Mapping[str, Value], scans: int
 ) -> Floats:
     spec = registry.backend(name)
-    known = {parameter.name for parameter in frontend.parameters_of(spec)}
-    own = {key: value for key, value in parameters.items() if key in known or key.startswith(frontend.STAGE_ONE)}
-    odometry = frontend.odometry(spec, frontend.complete_parameters(name, spec, own))
+    known = {parameter.name for parameter in frontend.settable_parameters(spec)}
+    own = {key: value for key, value in parameters.items() if key in known or key.startswith(FIRST_STAGE)}
+    odometry = frontend.make_odometry(spec, frontend.complete_parameters(name, spec, own))
     frames = islice(registry.dataset(dataset).make(**sequence).frames(), scans)
     return np.array([odometry.update(frame).pose.row for frame in frames])

@@ -6,7 +6,7 @@ import numpy as np
 
 from evalkit.core.se2 import Floats
 from evalkit.execution.task import AnyTask, Result, make_task
-from evalkit.plugins.protocols import Parameter
+from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve, Points
 from evalkit.report.html.document import Block, Cell, Figure, Figures, Section, Table, Text

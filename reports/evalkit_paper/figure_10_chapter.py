@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 
 from evalkit.core.grid import OccupancyGrid
 from evalkit.execution.task import AnyTask, Result, make_task
-from evalkit.plugins.protocols import Parameter
+from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Points
 from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text

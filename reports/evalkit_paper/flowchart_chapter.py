@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from evalkit.execution.task import AnyTask, make_task
-from evalkit.plugins.protocols import Parameter
+from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Box
 from evalkit.report.html.document import Figure, Figures, Section, Text

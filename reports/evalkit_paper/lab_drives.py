@@ -11,7 +11,8 @@ import numpy as np
 from evalkit.core.se2 import Floats
 from evalkit.execution.task import AnyTask, make_task
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import Sequence, Value
+from evalkit.plugins.parameters import Value
+from evalkit.plugins.protocols import Sequence
 from evalkit_paper import spikes, stage_errors
 
 QUICK_DPS = 60.0

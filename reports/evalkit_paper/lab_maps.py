@@ -19,7 +19,7 @@ from evalkit.metrics.maps import compare_walls, f1
 from evalkit.metrics.table import PlacedScans
 from evalkit.metrics.trajectory import rms
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import Value
+from evalkit.plugins.parameters import Value
 from evalkit_paper import map_faults, plan_fit, stage_errors
 
 

@@ -11,7 +11,7 @@ from evalkit.commands.study.evaluate import RunScores, evaluate
 from evalkit.core import se2
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import Value
+from evalkit.plugins.parameters import Value
 
 
 def grown(
@@ -24,7 +24,7 @@ def grown(
     """
     sequence = registry.dataset(world).make(seed=seed, laps=laps)
     spec = registry.backend(backend)
-    method = frontend.odometry(spec, frontend.complete_parameters(backend, spec, parameters))
+    method = frontend.make_odometry(spec, frontend.complete_parameters(backend, spec, parameters))
     poses = np.array([method.update(frame).pose.row for frame in sequence.frames()])
     trajectory = sequence.truth().trajectory
     if trajectory is None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from evalkit.execution.task import AnyTask, Parameters, R, Task, make_task
-from evalkit.plugins.protocols import Parameter
+from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve
 from evalkit.report.html.document import Cell, Column, Figure, Figures, Section, Table, Text, Tone

@@ -23,7 +23,7 @@ from evalkit.metrics.table import PlacedScans
 from evalkit.metrics.trajectory import match_trajectories, position_errors, rms
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import Value, resolved
+from evalkit.plugins.parameters import Value, resolve_parameters
 
 Variant = Mapping[str, Value]
 """What differs from ``DEFAULT``: parameters of the mapper, "scans" and "deskewed"."""
@@ -169,7 +169,7 @@ def compiled(variant: Variant) -> bool:
 
 def _made(world: str, **parameters: Value) -> Any:
     spec = registry.dataset(world)
-    return spec.make(**resolved(world, spec.parameters, {"rate_hz": 10.0, **parameters}))
+    return spec.make(**resolve_parameters(world, spec.parameters, {"rate_hz": 10.0, **parameters}))
 
 
 def _estimated(frames: Iterable[Frame]) -> Trajectory:
@@ -177,7 +177,7 @@ def _estimated(frames: Iterable[Frame]) -> Trajectory:
     spec, parameters = registry.backend("embedded"), {"epsilon": 1e-6}
     if spec.missing():
         spec, parameters = registry.backend("paper-tight"), {}
-    odometry = frontend.odometry(spec, frontend.complete_parameters("paper-tight", spec, parameters))
+    odometry = frontend.make_odometry(spec, frontend.complete_parameters("paper-tight", spec, parameters))
     stamps, poses = zip(*((frame.scan.stamp_ns, odometry.update(frame).pose.row) for frame in frames), strict=True)
     return Trajectory(np.array(stamps), np.array(poses))
 
@@ -190,7 +190,7 @@ def _map(full: Variant, placed: PlacedScans) -> tuple[str, OccupancyGrid]:
 def _drawn(name: str, full: Variant, placed: PlacedScans) -> OccupancyGrid:
     spec = registry.mapper(name)
     known = {parameter.name for parameter in spec.parameters}
-    mapper = spec.make(**resolved(name, spec.parameters, {k: v for k, v in full.items() if k in known}))
+    mapper = spec.make(**resolve_parameters(name, spec.parameters, {k: v for k, v in full.items() if k in known}))
     for scan, world_from_sensor in placed:
         mapper.update(scan, Pose.of(world_from_sensor))
     return mapper.grid()

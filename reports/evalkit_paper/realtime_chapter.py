@@ -11,7 +11,7 @@ from evalkit.commands.realtime import simulation
 from evalkit.commands.realtime.virtual_clock import first_broken
 from evalkit.core.se2 import Floats
 from evalkit.execution.task import AnyTask, make_task
-from evalkit.plugins.protocols import Parameter, Value
+from evalkit.plugins.parameters import Parameter, Value
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve
 from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Fold, Section, Table, Text

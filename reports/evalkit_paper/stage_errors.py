@@ -18,7 +18,8 @@ from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.trajectory import match_trajectories
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import Registration, Sequence, Value
+from evalkit.plugins.parameters import Value
+from evalkit.plugins.protocols import Registration, Sequence
 from evalkit_baselines.paper.icp import Icp
 
 READINGS = (
@@ -92,7 +93,7 @@ def run_with_errors(
         made.append(RecordingRegistration(spec.make(**{**own, "trace": True}), every_pair))
         return made[-1]
 
-    odometry = frontend.odometry(
+    odometry = frontend.make_odometry(
         replace(spec, make=make),
         frontend.complete_parameters(backend, spec, parameters),
     )

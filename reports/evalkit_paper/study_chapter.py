@@ -16,7 +16,7 @@ from evalkit.commands.study.page import cpu_minutes, design_blocks, point_blocks
 from evalkit.commands.study.plan import Study
 from evalkit.commands.study.result import Outcome
 from evalkit.execution.task import AnyTask, make_task
-from evalkit.plugins.protocols import Parameter, Value
+from evalkit.plugins.parameters import Parameter, Value
 from evalkit.report.html.document import Block, Fold, Section, Text
 from evalkit_paper import core_agreement
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings

@@ -9,7 +9,7 @@ import numpy as np
 
 from evalkit.core.arrays import Ints
 from evalkit.execution.task import AnyTask, make_task
-from evalkit.plugins.protocols import Parameter
+from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis
 from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Fold, Table, Text

@@ -13,7 +13,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame, Scan
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import resolved
+from evalkit.plugins.parameters import resolve_parameters
 from evalkit_baselines import embedded, paper
 from evalkit_baselines.embedded import compiled
 from evalkit_baselines.paper.grid import LogOddsGrid
@@ -40,7 +40,7 @@ VARIANTS = (
 
 
 def made(spec, **parameters):
-    return spec.make(**resolved("embedded", spec.parameters, parameters))
+    return spec.make(**resolve_parameters("embedded", spec.parameters, parameters))
 
 
 def room(n, rng, noise_m=0.02):
@@ -246,7 +246,7 @@ def test_the_pipeline_follows_a_sequence_as_the_twin_behind_the_front_end_does(o
         else Frame(f.scan, f.base_from_sensor)
         for f in lab(90)
     ]
-    twin = frontend.odometry(paper.SPEC, frontend.complete_parameters("paper", paper.SPEC, {}))
+    twin = frontend.make_odometry(paper.SPEC, frontend.complete_parameters("paper", paper.SPEC, {}))
     pipeline = made(embedded.PIPELINE)
     worst = max(np.abs((twin.update(f).pose.inverse() @ pipeline.update(f).pose).row).max() for f in frames)
     assert worst < 1e-8
@@ -257,7 +257,7 @@ def test_the_pipeline_follows_a_sequence_as_the_twin_behind_the_front_end_does(o
 
 @needs_core
 def test_the_pipeline_reports_both_stages_as_the_front_end_does_for_the_twin():
-    twin = frontend.odometry(paper.SPEC, frontend.complete_parameters("paper", paper.SPEC, {"min_inliers": 60}))
+    twin = frontend.make_odometry(paper.SPEC, frontend.complete_parameters("paper", paper.SPEC, {"min_inliers": 60}))
     pipeline = made(embedded.PIPELINE, min_inliers=60)
     nothing = np.full(50, np.inf)
     for index, frame in enumerate(lab(12)):

@@ -10,7 +10,7 @@ from evalkit.core import se2
 from evalkit.core.errors import NotInstalled
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
-from evalkit.plugins.protocols import resolved
+from evalkit.plugins.parameters import resolve_parameters
 from evalkit_baselines import kiss_icp
 
 needs_kiss_icp = pytest.mark.skipif(bool(why := kiss_icp.kiss_icp_missing()), reason=why or "kiss-icp is here")
@@ -56,7 +56,7 @@ def drive(steps, odometry_scale=1.0, walls=WALLS):
 
 
 def answers(frames, **parameters):
-    follower = kiss_icp.SPEC.make(**resolved("kiss-icp", kiss_icp.SPEC.parameters, parameters))
+    follower = kiss_icp.SPEC.make(**resolve_parameters("kiss-icp", kiss_icp.SPEC.parameters, parameters))
     return np.array([follower.update(frame).pose.row for frame in frames])
 
 
@@ -153,7 +153,7 @@ def test_a_scan_of_too_few_points_or_without_a_pair_is_reported_as_not_accepted(
     frames[8] = Frame(replace(frames[8].scan, ranges=np.full(BEAMS, np.inf)), MOUNT, frames[8].odom_from_base)
     lost = replace(frames[-1].scan, stamp_ns=frames[-1].scan.stamp_ns + PERIOD_NS)
     frames.append(Frame(lost, MOUNT, Pose(500.0, 500.0, 1.0)))
-    follower = kiss_icp.SPEC.make(**resolved("kiss-icp", kiss_icp.SPEC.parameters, {}))
+    follower = kiss_icp.SPEC.make(**resolve_parameters("kiss-icp", kiss_icp.SPEC.parameters, {}))
     accepted = [follower.update(frame).accepted for frame in frames]
     assert accepted[0] is None
     assert accepted[8] is accepted[-1] is False

@@ -9,7 +9,7 @@ from evalkit.core.errors import NotInstalled
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.odometry import planar3d
-from evalkit.plugins.protocols import resolved
+from evalkit.plugins.parameters import resolve_parameters
 from evalkit_baselines import open3d_icp
 
 METHODS = {
@@ -24,7 +24,7 @@ needs_open3d = pytest.mark.skipif(bool(why := open3d_icp.open3d_missing()), reas
 
 def backend(method, **parameters):
     spec = METHODS[method]
-    return spec.make(**resolved(method, spec.parameters, parameters))
+    return spec.make(**resolve_parameters(method, spec.parameters, parameters))
 
 
 def room(n=1200, noise_m=0.0, seed=0):

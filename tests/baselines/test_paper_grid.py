@@ -10,7 +10,7 @@ import pytest
 from evalkit.core.errors import BadParameter
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Scan
-from evalkit.plugins.protocols import resolved
+from evalkit.plugins.parameters import resolve_parameters
 from evalkit_baselines import paper
 from evalkit_baselines.paper import grid as paper_grid
 from evalkit_baselines.paper.grid import LogOddsGrid, bresenham, exact
@@ -288,7 +288,7 @@ def test_a_trajectory_that_ran_away_is_stopped_with_advice():
 
 
 def test_the_defaults_of_the_class_are_those_of_its_parameters():
-    made = paper.MAPPER.make(**resolved("log-odds", paper_grid.PARAMETERS, {}))
+    made = paper.MAPPER.make(**resolve_parameters("log-odds", paper_grid.PARAMETERS, {}))
     assert repr(made) == repr(LogOddsGrid())
     assert paper.MAPPER.parameters == paper_grid.PARAMETERS
 

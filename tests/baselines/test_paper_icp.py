@@ -12,7 +12,7 @@ from evalkit.core import se2
 from evalkit.core.errors import BadParameter
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
-from evalkit.plugins.protocols import resolved
+from evalkit.plugins.parameters import resolve_parameters
 from evalkit_baselines import paper
 from evalkit_baselines.paper import icp
 from evalkit_baselines.paper.association import Association, Recent
@@ -283,7 +283,7 @@ def test_points_all_in_one_place_only_translate():
 
 
 def test_the_defaults_of_the_class_are_those_of_its_parameters():
-    assert Icp() == paper.SPEC.make(**resolved("icp", icp.PARAMETERS, {}))
+    assert Icp() == paper.SPEC.make(**resolve_parameters("icp", icp.PARAMETERS, {}))
 
 
 def test_a_wrong_parameter_is_refused_by_name():
@@ -293,7 +293,7 @@ def test_a_wrong_parameter_is_refused_by_name():
 
 def test_the_four_readings_differ_only_where_they_say():
     def settings(spec) -> dict[str, Any]:
-        return resolved("paper", spec.parameters, {})
+        return resolve_parameters("paper", spec.parameters, {})
 
     plain = settings(paper.SPEC)
     for spec, other in (

@@ -9,7 +9,7 @@ from evalkit.core.errors import NotInstalled
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.odometry import planar3d
-from evalkit.plugins.protocols import resolved
+from evalkit.plugins.parameters import resolve_parameters
 from evalkit_baselines import small_gicp
 
 METHODS = {"point-to-point": small_gicp.POINT_TO_POINT, "point-to-plane": small_gicp.POINT_TO_PLANE}
@@ -20,7 +20,7 @@ needs_small_gicp = pytest.mark.skipif(bool(why := small_gicp.small_gicp_missing(
 
 def backend(method, **parameters):
     spec = METHODS[method]
-    return spec.make(**resolved(method, spec.parameters, parameters))
+    return spec.make(**resolve_parameters(method, spec.parameters, parameters))
 
 
 def room(n=1200, noise_m=0.0, seed=0):
@@ -125,4 +125,4 @@ def test_an_absent_library_is_a_reason_and_an_error_that_says_what_to_install(mo
     assert spec.missing() == "not installed: pip install 'evalkit[small-gicp]'"
     monkeypatch.setitem(sys.modules, "small_gicp", None)
     with pytest.raises(NotInstalled, match=r"small_gicp: does not load .*; pip install"):
-        spec.make(**resolved("small-gicp", spec.parameters, {}))
+        spec.make(**resolve_parameters("small-gicp", spec.parameters, {}))

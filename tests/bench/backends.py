@@ -16,6 +16,7 @@ from evalkit.execution.environment import SINGLE_THREAD
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Registration
+from evalkit.plugins.specs import RegistrationSpec
 
 REFERENCE = "paper-tight"
 
@@ -35,7 +36,7 @@ def registrations() -> dict[str, Registration]:
     made: dict[str, Registration] = {}
     for name in registry.names("backends"):
         spec = registry.backend(name)
-        if spec.kind == "registration" and not spec.missing():
+        if isinstance(spec, RegistrationSpec) and not spec.missing():
             parameters = frontend.complete_parameters(name, spec, {})
             made[name] = spec.make(**{p.name: parameters[p.name] for p in spec.parameters})
     return made

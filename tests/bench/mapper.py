@@ -17,7 +17,8 @@ from evalkit import Pose, Scan
 from evalkit.commands.diff import benchmark
 from evalkit.commands.diff.benchmark import Series
 from evalkit.execution.environment import SINGLE_THREAD
-from evalkit.plugins.protocols import MapperSpec, resolved
+from evalkit.plugins.parameters import resolve_parameters
+from evalkit.plugins.specs import MapperSpec
 from evalkit_baselines import embedded, paper
 from evalkit_baselines.embedded.compiled import compiled_missing, core
 
@@ -40,7 +41,7 @@ def scenes() -> dict[str, Scan]:
 
 def made(spec: MapperSpec) -> Any:
     """A mapper with its defaults."""
-    return spec.make(**resolved("bench", spec.parameters, {}))
+    return spec.make(**resolve_parameters("bench", spec.parameters, {}))
 
 
 def calls_for(scan: Scan) -> tuple[dict[str, Callable[[], Any]], int]:

@@ -6,7 +6,8 @@ import pytest
 
 from evalkit.core import se2
 from evalkit.core.errors import BadParameter, UnknownName
-from evalkit.plugins.protocols import DatasetSpec, resolved
+from evalkit.plugins.parameters import resolve_parameters
+from evalkit.plugins.specs import DatasetSpec
 from evalkit_datasets import synthetic
 
 SPECS = {name: getattr(synthetic, name.upper()) for name in ("room", "lab", "loop", "corridor", "office")}
@@ -53,7 +54,7 @@ def test_a_spec_makes_a_sequence_from_its_own_defaults(name):
     assert isinstance(spec, DatasetSpec)
     assert spec.seeded
     assert spec.missing() == ""
-    made = spec.make(**resolved(name, spec.parameters, {}))
+    made = spec.make(**resolve_parameters(name, spec.parameters, {}))
     assert len(made) == len(whole(name))
     assert (made.drive.laps, made.lidar, made.odometry) == (
         whole(name).drive.laps,

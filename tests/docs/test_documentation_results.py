@@ -14,7 +14,7 @@ from typer.testing import CliRunner
 from evalkit.cli import app
 from evalkit.core.run_result import STEP
 from evalkit.metrics import validated
-from evalkit.plugins.protocols import Published
+from evalkit.plugins.specs import Published
 from evalkit.report import results_json
 from evalkit.report.analysis import overview, verdict
 

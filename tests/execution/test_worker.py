@@ -16,7 +16,7 @@ from evalkit.execution.worker import Request
 from evalkit.metrics.table import Evidence
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import BackendSpec
+from evalkit.plugins.specs import OdometrySpec
 from evalkit.results.store import read_steps
 
 pytestmark = pytest.mark.usefixtures("strangers")
@@ -91,7 +91,7 @@ class Doubtful:
 
 
 def test_an_odometry_can_tell_of_its_own_answers(tmp_path, monkeypatch):
-    spec = BackendSpec(Doubtful, "odometry", "for a test", "none", "MIT")
+    spec = OdometrySpec(Doubtful, "for a test", "none", "MIT")
     monkeypatch.setattr(registry, "backend", lambda name: spec)
     outcome, steps = perform(tmp_path)
     assert steps["s2m_accepted"].tolist() == [-1, *[1, 0] * 5, 1]
@@ -108,7 +108,7 @@ class TwoStaged:
 
 
 def test_an_odometry_can_tell_of_its_own_stages(tmp_path, monkeypatch):
-    monkeypatch.setattr(registry, "backend", lambda name: BackendSpec(TwoStaged, "odometry", "a test", "none", "MIT"))
+    monkeypatch.setattr(registry, "backend", lambda name: OdometrySpec(TwoStaged, "a test", "none", "MIT"))
     _, steps = perform(tmp_path)
     assert set(steps[["s2s_iterations", "s2s_inliers", "s2s_accepted", "s2s_converged"]].tolist()) == {(7, 90, 1, 1)}
     assert set(steps[["s2m_iterations", "s2m_inliers", "s2m_accepted", "s2m_converged"]].tolist()) == {(40, 12, 0, 0)}

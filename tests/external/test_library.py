@@ -18,7 +18,7 @@ from evalkit.execution import run_process
 from evalkit.execution.worker import Request
 from evalkit.external import INCLUDE, elf, library
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import resolved
+from evalkit.plugins.parameters import resolve_parameters
 
 EXAMPLES = INCLUDE / "examples"
 STRICT = ["-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
@@ -112,7 +112,7 @@ def test_an_odometry_from_outside_undoes_the_drift_of_the_wheels(cpp_library, fo
 def made(name, **given):
     spec = registry.backend(name)
     assert not spec.missing() + spec.broken
-    return spec.make(**resolved(name, spec.parameters, given))
+    return spec.make(**resolve_parameters(name, spec.parameters, given))
 
 
 def test_one_method_gives_one_answer_in_three_wrappings(c_library, c_program, python_program):

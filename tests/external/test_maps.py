@@ -13,7 +13,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.external import maps
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import resolved
+from evalkit.plugins.parameters import resolve_parameters
 from evalkit.results.store import Store
 
 DRIVE = "laps = 0.02\n"
@@ -50,7 +50,7 @@ def run(tmp_path, monkeypatch, capsys):
 
 def made(name, **given):
     spec = registry.backend(name)
-    return spec.make(**resolved(name, spec.parameters, given))
+    return spec.make(**resolve_parameters(name, spec.parameters, given))
 
 
 def wall(shape=(30, 40)):

@@ -13,7 +13,8 @@ from evalkit.io.tum import format_tum, read_tum
 from evalkit.metrics import runtime
 from evalkit.metrics.table import Evidence
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import NoAnswer, resolved
+from evalkit.plugins.parameters import resolve_parameters
+from evalkit.plugins.protocols import NoAnswer
 
 STAMPS = np.arange(40) * 100_000_000
 
@@ -36,7 +37,7 @@ def rows_of(steps):
 
 def made(name, **given):
     spec = registry.backend(name)
-    return spec.make(**resolved(name, spec.parameters, given))
+    return spec.make(**resolve_parameters(name, spec.parameters, given))
 
 
 def at(stamp_ns, base_from_sensor=None):

@@ -10,7 +10,7 @@ from evalkit.core.run_result import STEP, Cause, RunResult
 from evalkit.core.scan import Scan
 from evalkit.metrics import evaluate
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import resolved
+from evalkit.plugins.parameters import resolve_parameters
 
 SCANS = 12
 
@@ -48,7 +48,7 @@ def straight(strangers):
 
 def log_odds():
     spec = registry.mapper("log-odds")
-    return spec.make(**resolved("mapper", spec.parameters, {}))
+    return spec.make(**resolve_parameters("mapper", spec.parameters, {}))
 
 
 def run_of(x, y=0.0, cause=Cause.COMPLETED, reason=""):
@@ -108,7 +108,7 @@ def test_the_mapper_gets_so_many_scans_evenly_and_each_half_of_them_again(straig
 
 def test_free_space_is_hardly_violated_under_true_poses_and_clearly_under_those_of_the_wheels():
     spec = registry.dataset("lab")
-    lab = spec.make(**resolved("lab", spec.parameters, {"laps": 0.5, "seed": 1, "rate_hz": 5.0}))
+    lab = spec.make(**resolve_parameters("lab", spec.parameters, {"laps": 0.5, "seed": 1, "rate_hz": 5.0}))
     wheels = [frame.odom_from_base.row for frame in lab.frames()]
     violations = []
     for poses in (lab.truth().trajectory.poses, np.array(wheels)):

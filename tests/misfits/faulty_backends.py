@@ -18,7 +18,9 @@ from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.odometry import planar3d
-from evalkit.plugins.protocols import BackendSpec, NoAnswer, Parameter
+from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.protocols import NoAnswer
+from evalkit.plugins.specs import BackendSpec, OdometrySpec, RegistrationSpec
 from evalkit_baselines.paper.icp import Icp
 
 
@@ -387,8 +389,8 @@ class Seldom(Wheels):
         return answer
 
 
-def spec(make, kind="registration", **more) -> BackendSpec:
-    return BackendSpec(make=make, kind=kind, summary="", citation="", licence="MIT", **more)
+def spec(make, kind=RegistrationSpec, **more) -> BackendSpec:
+    return kind(make=make, summary="", citation="", licence="MIT", **more)
 
 
 def parameterised(stop: int) -> Sound:
@@ -400,5 +402,5 @@ SEGFAULT, ALWAYS_SEGFAULT, EXITS, HANGS, HOGS = map(spec, (Segfault, AlwaysSegfa
 LEAKS, ABSENT, RAISES, MATRIX = map(spec, (Leaks, Absent, Raises, Matrix))
 PARAMETERISED = spec(parameterised, parameters=(Parameter("stop", 1, "", "13 ends badly", low=1),))
 MISSING = spec(Sound, missing=lambda: "not installed: pip install nothing")
-WHEELS = spec(Wheels, "odometry", role="baseline")
+WHEELS = spec(Wheels, OdometrySpec, role="baseline")
 NO_SPEC = 3

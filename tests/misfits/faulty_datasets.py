@@ -10,7 +10,8 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
-from evalkit.plugins.protocols import DatasetSpec, Parameter
+from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.specs import DatasetSpec
 
 STEP_NS = 100_000_000
 

@@ -14,8 +14,9 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.timing import Cost
 from evalkit.odometry import frontend
-from evalkit.odometry.frontend import complete_parameters, odometry, parameters_of
-from evalkit.plugins.protocols import BackendSpec, Parameter
+from evalkit.odometry.frontend import complete_parameters, make_odometry, settable_parameters
+from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.specs import OdometrySpec, RegistrationSpec
 
 LANDMARKS = np.random.default_rng(5).uniform(-4.0, 4.0, (60, 2))
 BASE_FROM_SENSOR = Pose(0.2, -0.1, math.radians(40.0))
@@ -71,13 +72,13 @@ def frame(start_from_base, index=0, *, stamp_ns=None, odom=None, moved=None, tol
 
 
 def spec(make, **changes):
-    return BackendSpec(make, "registration", "for a test", "none", "MIT", **changes)
+    return RegistrationSpec(make, "for a test", "none", "MIT", **changes)
 
 
 def made(registration, **given):
     """An odometry around one registration object, which serves both stages."""
     described = spec(lambda: registration)
-    return odometry(described, complete_parameters("test", described, given))
+    return make_odometry(described, complete_parameters("test", described, given))
 
 
 def followed(method, frames):
@@ -296,7 +297,7 @@ def asked_for(described, given):
         parameters=described.parameters,
         scan_to_scan=described.scan_to_scan,
     )
-    odometry(told, complete_parameters("test", told, given))
+    make_odometry(told, complete_parameters("test", told, given))
     return calls
 
 
@@ -310,7 +311,7 @@ def test_a_back_end_may_come_with_a_first_stage_of_its_own():
     eager = spec(ByIndex, parameters=(GAIN, BIAS), scan_to_scan={"gain": 9.0})
     assert asked_for(eager, {"bias": 1}) == [{"gain": 9.0, "bias": 1}, {"gain": 1.0, "bias": 1}]
     assert asked_for(eager, {"s2s.gain": 5.0})[0]["gain"] == 5.0
-    assert [p.name for p in parameters_of(eager)][:3] == ["gain", "bias", "s2s.gain"]
+    assert [p.name for p in settable_parameters(eager)][:3] == ["gain", "bias", "s2s.gain"]
 
 
 def test_a_back_ends_own_front_end_settings_are_defaults():
@@ -337,8 +338,8 @@ def test_unknown_and_unfit_parameters_are_refused(given, error, message):
 
 def test_an_odometry_is_made_as_it_is_and_has_no_front_end():
     calls = []
-    own = BackendSpec(lambda **p: calls.append(p) or "made", "odometry", "", "", "MIT", parameters=(GAIN,))
-    assert odometry(own, complete_parameters("test", own, {})) == "made"
+    own = OdometrySpec(lambda **p: calls.append(p) or "made", "", "", "MIT", parameters=(GAIN,))
+    assert make_odometry(own, complete_parameters("test", own, {})) == "made"
     assert calls == [{"gain": 1.0}]
     with pytest.raises(UnknownName, match="no parameter named 'keyframes'; known: gain"):
         complete_parameters("test", own, {"keyframes": 3})

@@ -53,7 +53,7 @@ def test_recorded_errors_and_poses_equal_those_of_the_front_end():
     lab = registry.dataset("lab").make(laps=0.03, rate_hz=5.0, noise_m=0.01)
     found = stage_errors.run_with_errors(lab, "paper", {}, every_pair=True)
     spec = registry.backend("paper")
-    plain = stage_errors.frontend.odometry(
+    plain = stage_errors.frontend.make_odometry(
         spec,
         stage_errors.frontend.complete_parameters("paper", spec, {}),
     )

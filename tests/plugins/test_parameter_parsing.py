@@ -4,7 +4,7 @@ import pytest
 
 from evalkit.core.errors import BadParameter
 from evalkit.plugins.parameter_parsing import from_text
-from evalkit.plugins.protocols import Parameter
+from evalkit.plugins.parameters import Parameter
 
 FLAG = Parameter("flag", False, "", "on or off")
 PARAMETERS = (FLAG, Parameter("count", 1, "", "how many"), Parameter("far", 1.0, "m", "how far"),
@@ -24,7 +24,7 @@ def test_a_word_of_no_such_type_is_named():
 def test_only_true_and_false_are_yes_and_no():
     assert [from_text("x", PARAMETERS, {"flag": text})["flag"] for text in ("true", "False")] == [True, False]
     with pytest.raises(BadParameter, match="parameter 'flag': found 'no', expected true or false"):
-        FLAG.checked("x", from_text("x", PARAMETERS, {"flag": "no"})["flag"])
+        FLAG.check("x", from_text("x", PARAMETERS, {"flag": "no"})["flag"])
 
 
 def test_unknown_names_are_left_to_be_refused_with_the_known_ones():

@@ -11,7 +11,8 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Scan
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter, resolved
+from evalkit.plugins.parameters import Parameter, resolve_parameters
+from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec
 
 SHIPPED = ("evalkit_baselines", "evalkit_datasets")
 
@@ -28,7 +29,7 @@ SYNTHETIC = [name for name in DATASETS if registry.dataset(name).seeded]
 
 def sequence(name, **parameters):
     spec = registry.dataset(name)
-    return spec.make(**resolved(name, spec.parameters, parameters))
+    return spec.make(**resolve_parameters(name, spec.parameters, parameters))
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +44,7 @@ def made(name):
     spec = registry.backend(name)
     if why := spec.missing():
         pytest.skip(why)
-    return frontend.odometry(spec, frontend.complete_parameters(name, spec, {}))
+    return frontend.make_odometry(spec, frontend.complete_parameters(name, spec, {}))
 
 
 def driven(name, sequence):
@@ -126,7 +127,7 @@ def test_a_spec_tells_what_it_is_and_what_every_parameter_means(kind, name, of):
     for parameter in spec.parameters:
         assert isinstance(parameter, Parameter)
         assert parameter.meaning, parameter.name
-        assert parameter.checked(name, parameter.default) == parameter.default
+        assert parameter.check(name, parameter.default) == parameter.default
         suffixed = parameter.name.rsplit("_", 1)[-1]
         expected = {"m": "m", "deg": "deg", "hz": "Hz", "mps": "m/s", "dps": "deg/s", "s": "s"}
         assert parameter.unit == expected.get(suffixed, parameter.unit), parameter.name
@@ -144,7 +145,7 @@ def test_every_shipped_name_is_found():
 @pytest.mark.parametrize("name", MAPPERS)
 def test_a_mapper_frees_the_cells_before_the_end_of_a_beam_and_fills_its_end(name):
     spec = registry.mapper(name)
-    mapper = spec.make(**resolved(name, spec.parameters, {"resolution_m": 0.1}))
+    mapper = spec.make(**resolve_parameters(name, spec.parameters, {"resolution_m": 0.1}))
     beam = Scan(0, [1.0], [0.0], 0.1, 10.0)
     mapper.update(beam, Pose(0.05, 2.05, math.pi / 2))  # up the column of cells at x = 0
     grid = mapper.grid()
@@ -194,7 +195,7 @@ def test_a_recording_is_the_same_again_and_in_order_or_says_how_to_get_it(name):
     if spec.suffixes:
         assert "path" in {parameter.name for parameter in spec.parameters}
         return
-    parameters = resolved(name, spec.parameters, {"limit": 20})
+    parameters = resolve_parameters(name, spec.parameters, {"limit": 20})
     if why := spec.missing(**parameters):
         assert "evalkit" in why or "EVALKIT_DATA" in why
         pytest.skip(why)

@@ -10,7 +10,7 @@ import pytest
 import evalkit
 from evalkit.core.errors import NotInstalled, UnknownName
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import BackendSpec, DatasetSpec, MapperSpec
+from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec, OdometrySpec
 
 HEAVY = (
     "pandas",
@@ -102,7 +102,7 @@ def test_a_broken_plug_in_is_told_from_an_unknown_one(points, value, parts):
 
 
 def test_a_strangers_plug_in_is_found_as_the_shipped_ones_are(points, monkeypatch):
-    spec = BackendSpec(object, "odometry", "a stranger", "none", "MIT")
+    spec = OdometrySpec(object, "a stranger", "none", "MIT")
     monkeypatch.setattr(evalkit, "STRANGER", spec, raising=False)
     points.append(EntryPoint("mine", "evalkit:STRANGER", "evalkit.backends"))
     assert registry.backend("mine") is spec
@@ -119,7 +119,7 @@ def test_a_plug_in_whose_import_crashes_or_hangs_does_not_take_us_along(stranger
     monkeypatch.setattr(registry, "LOADING_S", 2.0)
     registry._fatal.cache_clear()
     points.append(EntryPoint("theirs", f"{module}:SPEC", "evalkit.backends"))
-    assert registry.entrant("theirs").missing() == (
+    assert registry.find_backend("theirs").missing() == (
         f"theirs: its plug-in {module}:SPEC does not load ({why}); mend or remove its package"
     )
 
@@ -146,14 +146,14 @@ def test_results_stand_on_the_code_of_both_plug_ins():
 
 
 def test_an_entrant_is_the_back_end_and_of_a_broken_plugin_one_that_says_why(strangers, monkeypatch):
-    assert registry.entrant("paper") is registry.backend("paper")
-    assert "the licence server does not answer" in registry.entrant("unloadable").missing()
+    assert registry.find_backend("paper") is registry.backend("paper")
+    assert "the licence server does not answer" in registry.find_backend("unloadable").missing()
 
     def broken(name):
         raise OSError("no such device")
 
     monkeypatch.setattr(registry, "backend", broken)
-    spec = registry.entrant("paper")
+    spec = registry.find_backend("paper")
     assert spec.missing() == "its plug-in failed: OSError: no such device"
     with pytest.raises(NotInstalled, match="cannot be used; its plug-in failed"):
         spec.make()

@@ -7,7 +7,7 @@ import pytest
 
 from evalkit.config import experiment
 from evalkit.core.ground_truth import Truth
-from evalkit.plugins.protocols import BackendSpec
+from evalkit.plugins.specs import OdometrySpec, RegistrationSpec
 from evalkit.report import comparison_of
 from evalkit.report.assembly import distribution, fairness, in_order, sequence_card
 
@@ -76,9 +76,9 @@ def test_a_sequence_tells_its_settings_and_the_truth_its_runs_met(plan, record):
 
 
 def test_an_odometry_that_does_not_say_what_it_starts_from_is_given_no_guess():
-    kinds = {kind: BackendSpec(Truth, kind, "", "", "").guess for kind in ("registration", "odometry")}
-    assert kinds == {"registration": "wheel odometry where recorded, else constant velocity", "odometry": "not told"}
-    assert BackendSpec(Truth, "odometry", "", "", "", guess="its own").guess == "its own"
+    assert RegistrationSpec(Truth, "", "", "").guess == "wheel odometry where recorded, else constant velocity"
+    assert OdometrySpec(Truth, "", "", "").guess == "not told"
+    assert OdometrySpec(Truth, "", "", "", guess="its own").guess == "its own"
 
 
 def test_trials_are_told_in_the_plans_order_though_every_second_repetition_ran_backwards(plan, record):

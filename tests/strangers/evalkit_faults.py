@@ -23,7 +23,8 @@ from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
-from evalkit.plugins.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter
+from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.specs import DatasetSpec, MapperSpec, OdometrySpec
 
 STEP_M = 0.1
 STEP_NS = 100_000_000
@@ -256,26 +257,23 @@ class FaultyMapper:
 
 FAULT = Parameter("fault", "none", "", "what goes wrong", choices=tuple(FAULTS))
 
-FAULTY = BackendSpec(
+FAULTY = OdometrySpec(
     make=Faulty,
-    kind="odometry",
     summary="goes wrong in the way it is told",
     citation="Murphy",
     licence="MIT",
     parameters=(FAULT, Parameter("at", 8, "scans", "after how many good answers", low=0)),
 )
 
-LOTS = BackendSpec(
+LOTS = OdometrySpec(
     make=Lots,
-    kind="odometry",
     summary="draws lots",
     citation="Murphy",
     licence="MIT",
 )
 
-ABSENT = BackendSpec(
+ABSENT = OdometrySpec(
     make=Faulty,
-    kind="odometry",
     summary="needs what is not here",
     citation="Murphy",
     licence="MIT",

@@ -7,7 +7,8 @@ import math
 from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
-from evalkit.plugins.protocols import BackendSpec, Parameter
+from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.specs import BackendSpec, OdometrySpec
 
 
 class Stretched:
@@ -35,7 +36,7 @@ class Hopeless(Stretched):
 
 def _spec(make: type[Stretched], default: float) -> BackendSpec:
     gain = Parameter("gain", default, "", "best at 1", low=0.1, high=10.0)
-    return BackendSpec(make, "odometry", "stretched wheels", "none", "MIT", parameters=(gain,))
+    return OdometrySpec(make, "stretched wheels", "none", "MIT", parameters=(gain,))
 
 
 MISSET = _spec(Stretched, 4.0)

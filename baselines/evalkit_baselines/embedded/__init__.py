@@ -6,7 +6,7 @@ the core is made of and what made it fast stands in the README beside this file.
 
 from functools import partial
 
-from evalkit.plugins.protocols import BackendSpec, MapperSpec
+from evalkit.plugins.specs import MapperSpec, OdometrySpec, RegistrationSpec
 from evalkit_baselines.embedded import mapper, pipeline, registration
 from evalkit_baselines.embedded.compiled import compiled_missing
 from evalkit_baselines.embedded.mapper import CompiledGrid
@@ -14,9 +14,8 @@ from evalkit_baselines.embedded.pipeline import CompiledPipeline
 from evalkit_baselines.embedded.registration import CompiledIcp
 from evalkit_baselines.paper import CITATION
 
-SPEC = BackendSpec(
+SPEC = RegistrationSpec(
     make=partial(CompiledIcp, "double"),
-    kind="registration",
     summary="the paper's ICP in C99, double precision: what 'paper' computes, compiled",
     citation=CITATION,
     licence="MIT",
@@ -24,9 +23,8 @@ SPEC = BackendSpec(
     missing=compiled_missing,
 )
 
-FLOAT = BackendSpec(
+FLOAT = RegistrationSpec(
     make=partial(CompiledIcp, "float"),
-    kind="registration",
     summary="the paper's ICP in C99, single precision: what a board without double arithmetic computes",
     citation=CITATION,
     licence="MIT",
@@ -34,9 +32,8 @@ FLOAT = BackendSpec(
     missing=compiled_missing,
 )
 
-PIPELINE = BackendSpec(
+PIPELINE = OdometrySpec(
     make=CompiledPipeline,
-    kind="odometry",
     summary="the paper's whole way from scan to pose in C99: projection, both stages and keyframes in one call",
     citation=CITATION,
     licence="MIT",

@@ -13,7 +13,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats
-from evalkit.plugins.protocols import Parameter
+from evalkit.plugins.parameters import Parameter
 from evalkit_baselines.embedded.compiled import core, real
 from evalkit_baselines.paper import grid
 from evalkit_baselines.paper.grid import CHUNK, MAX_CELLS

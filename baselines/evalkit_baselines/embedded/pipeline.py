@@ -12,7 +12,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.timing import Cost, Stopwatch
 from evalkit.odometry import frontend
-from evalkit.plugins.protocols import Parameter
+from evalkit.plugins.parameters import Parameter
 from evalkit_baselines.embedded import registration
 from evalkit_baselines.embedded.compiled import core, real
 

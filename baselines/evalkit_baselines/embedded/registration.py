@@ -10,7 +10,7 @@ from evalkit.core.match import Iteration, Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.timing import Cost, Stopwatch
-from evalkit.plugins.protocols import Parameter
+from evalkit.plugins.parameters import Parameter
 from evalkit_baselines.embedded.compiled import Precision, core, real
 from evalkit_baselines.paper import icp
 from evalkit_baselines.paper.association import Recent

@@ -16,7 +16,8 @@ chosen on the recordings fr079 and intel, the same for both; how the largest dis
 
 from collections.abc import Mapping
 
-from evalkit.plugins.protocols import BackendSpec, MapperSpec, Value, with_defaults
+from evalkit.plugins.parameters import Value, with_defaults
+from evalkit.plugins.specs import BackendSpec, MapperSpec, RegistrationSpec
 from evalkit_baselines.paper import grid, icp
 from evalkit_baselines.paper.grid import LogOddsGrid
 from evalkit_baselines.paper.icp import Icp
@@ -25,9 +26,8 @@ CITATION = "Occupancy grid mapping based on ICP for indoor autonomous vehicles"
 
 
 def _reading(summary: str, frontend: Mapping[str, Value] | None = None, **defaults: Value) -> BackendSpec:
-    return BackendSpec(
+    return RegistrationSpec(
         make=Icp,
-        kind="registration",
         summary=summary,
         citation=CITATION,
         licence="MIT",
@@ -70,4 +70,5 @@ MAPPER = MapperSpec(
     citation=f"{CITATION}; traversal: Amanatides and Woo 1987",
     licence="MIT",
     parameters=grid.PARAMETERS,
+    default=True,
 )

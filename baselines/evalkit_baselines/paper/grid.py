@@ -15,7 +15,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats
-from evalkit.plugins.protocols import Parameter, resolved
+from evalkit.plugins.parameters import Parameter, resolve_parameters
 
 CHUNK = 256  # cells: the array grows in steps of this, so that copying stays rare
 MAX_CELLS = 64_000_000  # 400 m x 400 m at 5 cm, 320 MB: a trajectory that ran away must not take the machine along
@@ -68,7 +68,7 @@ class LogOddsGrid:
 
     def __post_init__(self) -> None:
         given = {parameter.name: getattr(self, parameter.name) for parameter in PARAMETERS}
-        for name, value in resolved("log-odds", PARAMETERS, given).items():
+        for name, value in resolve_parameters("log-odds", PARAMETERS, given).items():
             setattr(self, name, value)
 
     def update(self, scan: Scan, world_from_sensor: Pose) -> None:

@@ -32,7 +32,7 @@ from evalkit.core.match import Iteration, Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
-from evalkit.plugins.protocols import Parameter, resolved
+from evalkit.plugins.parameters import Parameter, resolve_parameters
 from evalkit_baselines.paper.association import Association, Recent
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ class Icp:
 
     def __post_init__(self) -> None:
         given = {parameter.name: getattr(self, parameter.name) for parameter in PARAMETERS}
-        for name, value in resolved("paper ICP", PARAMETERS, given).items():
+        for name, value in resolve_parameters("paper ICP", PARAMETERS, given).items():
             object.__setattr__(self, name, value)
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from evalkit.core.errors import BadData, DataMissing, EvalkitError
 from evalkit.core.pose import Pose
-from evalkit.plugins.protocols import Value
+from evalkit.plugins.parameters import Value
 from evalkit_datasets import catalog, recorded
 from evalkit_datasets.carmen import Carmen
 from evalkit_datasets.inspection.findings import LidarStats, is_known

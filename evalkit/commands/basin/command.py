@@ -13,6 +13,7 @@ import typer
 
 from evalkit.execution import environment
 from evalkit.plugins import registry
+from evalkit.plugins.specs import RegistrationSpec
 from evalkit.results.store import write_texts
 from evalkit.terminal import options, progress
 from evalkit.terminal.options import Jobs, Json, Out, err, out
@@ -75,8 +76,8 @@ def basin(
 
 def _registrations() -> list[str]:
     """Every registered back end but those that follow whole sequences; what does not load stays, to be told."""
-    specs = {name: registry.entrant(name) for name in registry.names("backends")}
-    return [name for name, spec in specs.items() if spec.kind == "registration" or spec.missing()]
+    specs = {name: registry.find_backend(name) for name in registry.names("backends")}
+    return [name for name, spec in specs.items() if isinstance(spec, RegistrationSpec) or spec.missing()]
 
 
 def _asked(entrants: list[Any], trials: list[Any], folder: Path, workers: int) -> list[Any]:

@@ -25,7 +25,7 @@ from evalkit.metrics.trajectory import MAX_GAP_S, can_interpolate
 from evalkit.odometry import planar3d
 from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text
-from evalkit.plugins.protocols import resolved
+from evalkit.plugins.parameters import resolve_parameters
 
 MIN_M, MIN_RAD = 0.05, math.radians(2.0)
 """Less than this between two scans of a pair, and the robot stands: one place would count twice."""
@@ -59,7 +59,7 @@ class Recorded:
             if "=" not in word:
                 raise BadParameter(name, word, word, "NAME=VALUE behind the data set's name")
         given = from_text(name, spec.parameters, {key: value for key, _, value in (w.partition("=") for w in words)})
-        values = resolved(name, spec.parameters, given)
+        values = resolve_parameters(name, spec.parameters, given)
         if missing := spec.missing(**values):
             what, _, remedy = missing.removeprefix(f"{name}: ").partition("; ")
             raise DataMissing(name, what, remedy)

@@ -22,7 +22,9 @@ from evalkit.plugins import registry
 from evalkit.plugins.address import address_of, spec_at
 from evalkit.plugins.code_hash import fingerprint, of_files
 from evalkit.plugins.parameter_parsing import from_text
-from evalkit.plugins.protocols import BackendSpec, Registration, Value, resolved
+from evalkit.plugins.parameters import Value, resolve_parameters
+from evalkit.plugins.protocols import Registration
+from evalkit.plugins.specs import BackendSpec, RegistrationSpec
 
 AT_ONCE = 512
 """Attempts in one job: a few seconds of a compiled back end."""
@@ -164,12 +166,12 @@ class Entrant:
 def entrant(label: str, given: Mapping[str, str]) -> Entrant:
     """A back end by registered name or "module:SPEC" with parameters as text; UnknownName and BadParameter as usual."""
     address = address_of(label)
-    spec = spec_of(label) if address.module else registry.entrant(label)
+    spec = spec_of(label) if address.module else registry.find_backend(label)
     if missing := spec.missing():
         return Entrant(label, spec, {}, missing)
-    if spec.kind != "registration":
+    if not isinstance(spec, RegistrationSpec):
         return Entrant(label, spec, {}, "follows whole sequences: it cannot be asked about one pair of scans")
-    return Entrant(label, spec, resolved(label, spec.parameters, from_text(label, spec.parameters, given)))
+    return Entrant(label, spec, resolve_parameters(label, spec.parameters, from_text(label, spec.parameters, given)))
 
 
 def ask(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from evalkit.core.errors import NotInstalled
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import Parameter, Value
+from evalkit.plugins.parameters import Parameter, Value
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ def find_entries(kind: str) -> list[Entry]:
 
 def _backend(name: str) -> Entry:
     spec = registry.backend(name)
-    return Entry(name, spec.summary, spec.missing(), _defaults(frontend.parameters_of(spec)))
+    return Entry(name, spec.summary, spec.missing(), _defaults(frontend.settable_parameters(spec)))
 
 
 def _mapper(name: str) -> Entry:

@@ -17,7 +17,8 @@ from evalkit.core.se2 import Floats
 from evalkit.execution.task import AnyTask, make_task
 from evalkit.metrics import evaluate
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import Mapper, Value, resolved
+from evalkit.plugins.parameters import Value, resolve_parameters
+from evalkit.plugins.protocols import Mapper
 from evalkit.plugins.protocols import Sequence as Recording
 
 SWIFT: dict[str, Value] = {"rate_hz": 5.0, "speed_mps": 0.6}
@@ -61,7 +62,7 @@ def recording(world: str, seed: int) -> Recording:
     spec = registry.dataset(world)
     known = {parameter.name for parameter in spec.parameters}
     given = {name: value for name, value in {**SWIFT, "seed": seed}.items() if name in known}
-    return spec.make(**resolved(world, spec.parameters, given))
+    return spec.make(**resolve_parameters(world, spec.parameters, given))
 
 
 def true_poses(sequence: Recording) -> Floats:
@@ -85,5 +86,5 @@ def run_of(sequence: Recording, world_from_base: Floats) -> RunResult:
 def maker(mapper: str, settings: Mapping[str, Value] | None = None) -> Callable[[], Mapper]:
     """What makes a fresh mapper of a name."""
     spec = registry.mapper(mapper)
-    values = resolved(mapper, spec.parameters, settings or {})
+    values = resolve_parameters(mapper, spec.parameters, settings or {})
     return lambda: spec.make(**values)

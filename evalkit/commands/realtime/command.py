@@ -18,7 +18,7 @@ from evalkit.execution.task_store import TaskStore
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text
-from evalkit.plugins.protocols import Value, resolved
+from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.terminal import options, progress
 from evalkit.terminal.options import Json, err, out
 
@@ -76,10 +76,10 @@ def _task(backend: str, on: str, given: dict[str, str], given_on: dict[str, str]
     """The task that measures and simulates, with its arguments checked."""
     from evalkit.commands.realtime.simulation import Method, paced  # noqa: PLC0415 - loads scipy
 
-    parameters = from_text(backend, frontend.parameters_of(registry.backend(backend)), given)
+    parameters = from_text(backend, frontend.settable_parameters(registry.backend(backend)), given)
     Method.of(backend, parameters)
     spec = registry.dataset(on)
-    of_sequence: dict[str, Value] = resolved(on, spec.parameters, from_text(on, spec.parameters, given_on))
+    of_sequence: dict[str, Value] = resolve_parameters(on, spec.parameters, from_text(on, spec.parameters, given_on))
     if why := spec.missing(**of_sequence):
         raise DataMissing(on, "is not here", why)
     return make_task(

@@ -30,7 +30,8 @@ from evalkit.metrics.trajectory import match_trajectories
 from evalkit.odometry import frontend
 from evalkit.odometry.run_odometry import run_odometry
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import Odometry, Value, resolved
+from evalkit.plugins.parameters import Value, resolve_parameters
+from evalkit.plugins.protocols import Odometry
 
 WARM_UP_SCANS = 5
 GAPS = (1, 2, 4, 8, 16)
@@ -54,7 +55,7 @@ class Method:
 
     def fresh(self) -> Odometry:
         """An odometry that has seen nothing."""
-        return frontend.odometry(registry.backend(self.name), self.parameters)
+        return frontend.make_odometry(registry.backend(self.name), self.parameters)
 
 
 @dataclass(frozen=True, eq=False)
@@ -184,7 +185,7 @@ def paced(
     """
     method = Method.of(backend, parameters)
     spec = registry.dataset(dataset)
-    recorded = spec.make(**resolved(dataset, spec.parameters, dataset_parameters))
+    recorded = spec.make(**resolve_parameters(dataset, spec.parameters, dataset_parameters))
     sequence = LoadedSequence(tuple(recorded.frames()), recorded.truth(), bridged)
     measured = profile(method, sequence.frames, repetitions)
     rungs = [

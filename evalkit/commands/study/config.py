@@ -16,7 +16,7 @@ from evalkit.io.toml import load_toml
 from evalkit.metrics import all_metrics
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import Value, resolved
+from evalkit.plugins.parameters import Value, resolve_parameters
 
 ROOMS = ("method", "sequence", "mapper", "limits")
 TOP = ("title", "description", "seeds", *ROOMS, "response", "factor", "design", "envelope")
@@ -77,7 +77,7 @@ class _Base:
         plan = experiment.plan(tables, file, "study", "study")
         self.file, self.method, self.sequence, self.mapper = file, plan.methods[0], plan.sequences[0], plan.mapper
         self.limit_s = plan.limits.run_s
-        self._spec = registry.entrant(self.method.backend)
+        self._spec = registry.find_backend(self.method.backend)
         self._made: set[str] = set()
         self.settings: Settings = {
             **{f"method.{name}": value for name, value in self.method.parameters.items()},
@@ -106,7 +106,7 @@ class _Base:
                 levels,
                 frontend.complete_parameters("method", self._spec, rooms["method"]),
                 self._sequence(rooms["sequence"]),
-                resolved("mapper", registry.mapper(self.mapper.name).parameters, rooms["mapper"]),
+                resolve_parameters("mapper", registry.mapper(self.mapper.name).parameters, rooms["mapper"]),
             )
         except (UnknownName, BadParameter) as error:
             raise BadExperiment(self.file, place, str(error)) from error
@@ -114,7 +114,7 @@ class _Base:
     def _sequence(self, given: Mapping[str, Value]) -> dict[str, Value]:
         """All parameters but the seed; a simulated sequence is made once, to see that it can be."""
         spec = registry.dataset(self.sequence.dataset)
-        complete = resolved("sequence", spec.parameters, given)
+        complete = resolve_parameters("sequence", spec.parameters, given)
         if not spec.seeded:
             return complete
         complete.pop("seed")

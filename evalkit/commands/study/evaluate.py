@@ -22,7 +22,7 @@ from evalkit.metrics import pairs, spans
 from evalkit.metrics.table import Metric
 from evalkit.odometry import frontend
 from evalkit.plugins import protocols, registry
-from evalkit.plugins.protocols import Value
+from evalkit.plugins.parameters import Value
 
 DRAWN = ("map against truth", "map consistency")
 """Groups of metrics that look at a map."""
@@ -98,7 +98,7 @@ def _run(request: Request, sequence: protocols.Sequence) -> RunResult:
     steps = io.BytesIO()
     cause, reason = Cause.COMPLETED, ""
     try:
-        odometry = frontend.odometry(registry.backend(request.backend), request.backend_parameters)
+        odometry = frontend.make_odometry(registry.backend(request.backend), request.backend_parameters)
         record_run(odometry, sequence, request, steps)
     except EvalkitError as error:
         cause, reason = Cause.EXCEPTION, str(error)

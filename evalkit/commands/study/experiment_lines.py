@@ -6,7 +6,7 @@ import json
 from collections.abc import Mapping
 
 from evalkit.commands.study.plan import Study
-from evalkit.plugins.protocols import Value
+from evalkit.plugins.parameters import Value
 
 
 def experiment_lines(study: Study, key: str) -> str:

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from evalkit.commands.study.design import Axis
 from evalkit.core.errors import BadExperiment, brief
-from evalkit.plugins.protocols import Value
+from evalkit.plugins.parameters import Value
 
 Scale = Literal["linear", "log"]
 Settings = Mapping[str, Value]

@@ -18,7 +18,7 @@ from evalkit.execution.task import Task, make_task
 from evalkit.metrics.table import Metric
 from evalkit.plugins import registry
 from evalkit.plugins.code_hash import of_files
-from evalkit.plugins.protocols import Value
+from evalkit.plugins.parameters import Value
 
 Kind = Literal["optimal", "fractional", "sobol", "latin", "curves", "grid"]
 

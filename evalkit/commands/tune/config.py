@@ -17,7 +17,7 @@ from evalkit.io.toml import load_toml
 from evalkit.metrics import all_metrics, spans
 from evalkit.plugins import registry
 from evalkit.plugins.parameter_parsing import from_text
-from evalkit.plugins.protocols import Parameter, Value
+from evalkit.plugins.parameters import Parameter, Value
 
 TOP = ("title", "description", "points", "seed", "run_cpu_s", "objective", "mapper", "limits", "method",
        "training", "held-out")  # fmt: skip
@@ -163,7 +163,7 @@ def _identities(sequence: SequenceSpec, more: Sequence[int]) -> set[tuple[str, i
 
 
 def _entrant(table: Mapping[str, Any], method: Method, file: str, place: str) -> Entrant:
-    spec = registry.entrant(method.backend)
+    spec = registry.find_backend(method.backend)
     default = method.parameters
     parameters = () if method.missing else own(spec)
     search = table.get("search")
@@ -204,7 +204,7 @@ def _factor(
 
 def _checked(parameter: Parameter, value: Value, file: str, where: str) -> None:
     try:
-        parameter.checked("levels", value)
+        parameter.check("levels", value)
     except BadParameter as error:
         raise BadExperiment(file, where, str(error)) from error
 

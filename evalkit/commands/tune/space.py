@@ -14,7 +14,8 @@ from evalkit.commands.study.factors import Factor, Level
 from evalkit.core.se2 import Floats
 from evalkit.external.library import TRACE
 from evalkit.odometry import frontend
-from evalkit.plugins.protocols import BackendSpec, Parameter, Value
+from evalkit.plugins.parameters import Parameter, Value
+from evalkit.plugins.specs import FIRST_STAGE, BackendSpec
 
 METHOD = "method."
 DECADE = 10.0
@@ -91,7 +92,7 @@ def own(spec: BackendSpec) -> tuple[Parameter, ...]:
 
     An odometry that brings its own front end declares such settings under the same names; they stay as they are too.
     """
-    known = frontend.parameters_of(spec)
+    known = frontend.settable_parameters(spec)
     return tuple(p for p in known if p.name not in SHARED)
 
 
@@ -114,7 +115,7 @@ def derived(parameters: Sequence[Parameter], default: Mapping[str, Value]) -> tu
 
 def _values(parameter: Parameter, default: Value) -> Sequence[Value] | str:
     """The levels of a parameter, or why there are none."""
-    if parameter.name.removeprefix(frontend.STAGE_ONE) == TRACE.name:
+    if parameter.name.removeprefix(FIRST_STAGE) == TRACE.name:
         return "tells more, finds nothing else"
     if isinstance(default, bool):
         return (False, True)

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
 from evalkit.commands.study.evaluate import RunScores, evaluate, prepared
-from evalkit.plugins.protocols import Value
+from evalkit.plugins.parameters import Value
 
 NO_MAP = "log-odds"
 """The mapper a point is asked to name; no map is drawn for errors of a trajectory and for CPU time."""

@@ -12,7 +12,7 @@ from evalkit.commands.tune.search_loop import Searched
 from evalkit.config import experiment
 from evalkit.config.experiment import Experiment, Method, SequenceSpec
 from evalkit.io.toml import parse_toml
-from evalkit.plugins.protocols import Value
+from evalkit.plugins.parameters import Value
 
 
 def experiment_text(tuning: Tuning, found: Sequence[Searched]) -> str:

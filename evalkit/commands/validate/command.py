@@ -23,7 +23,7 @@ from evalkit.core.errors import BadParameter
 from evalkit.execution import environment
 from evalkit.execution.scheduler import Progress
 from evalkit.plugins import defaults, registry
-from evalkit.plugins.protocols import Excerpt
+from evalkit.plugins.specs import Excerpt
 from evalkit.results.store import Store
 from evalkit.terminal import options, progress
 from evalkit.terminal.options import Jobs, Json, err, out
@@ -186,7 +186,7 @@ def _excerpts(size: Excerpt) -> list[str]:
 def _default_reference(backend: str) -> str:
     """Return the reference of a back end, or of a mapper."""
     is_mapper = backend in registry.names("mappers")
-    return defaults.reference_mapper() if is_mapper else defaults.reference_backend()
+    return defaults.default_mapper() if is_mapper else defaults.reference_backend()
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from evalkit.execution import run_process
 from evalkit.execution.worker import Request
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import Value, resolved
+from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.results.store import digest
 
 Verdict = Literal["bit-equal", "thread-dependent", "not deterministic", "no answer"]
@@ -55,7 +55,7 @@ def determinism(
         backend,
         frontend.complete_parameters(backend, spec, {}),
         dataset,
-        resolved(dataset, sequence.parameters, settings),
+        resolve_parameters(dataset, sequence.parameters, settings),
     )
     made: dict[int, list[RunResult]] = {}
     with tempfile.TemporaryDirectory(prefix="evalkit-determinism-") as place:

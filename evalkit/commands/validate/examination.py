@@ -26,7 +26,8 @@ from evalkit.external.declaration import split
 from evalkit.odometry import frontend
 from evalkit.plugins import code_hash, defaults, registry
 from evalkit.plugins.parameter_parsing import from_text
-from evalkit.plugins.protocols import BackendSpec, Value
+from evalkit.plugins.parameters import Value
+from evalkit.plugins.specs import BackendSpec, RegistrationSpec
 from evalkit.results.run_record import RunRecord
 from evalkit.results.store import Store
 
@@ -229,7 +230,7 @@ class Examination:
 
     def _timed(self) -> Iterator[AnyTask]:
         methods = [self._named(name) for name in self._everybody()]
-        alone = [self._named(name) for name in self._everybody() if registry.backend(name).kind == "registration"]
+        alone = [self._named(name) for name in self._registrations()]
         for place, sequence, on in self._first_places():
             yield self._sandboxed(
                 f"time, {place}", sequence, pace.scans_paced, methods=methods, on=on, scans=self.asked.effort.timed
@@ -275,7 +276,7 @@ class Examination:
         return [self.mine if name == self.mine else name for name in self._everybody()]
 
     def _registrations(self) -> list[str]:
-        return [name for name in self._everybody() if registry.backend(name).kind == "registration"]
+        return [name for name in self._everybody() if isinstance(registry.backend(name), RegistrationSpec)]
 
 
 def examination(asked: Asked) -> Examination:
@@ -288,7 +289,7 @@ def examination(asked: Asked) -> Examination:
     shared = {name: word for name, word in asked.given.items() if name in _parameters(twin)}
     given_twin = _typed(twin, {**shared, **asked.given_twin})
     wanted = [name for name in dict.fromkeys(asked.against) if name not in (asked.backend, twin)]
-    absent = {name: missing for name in wanted if (missing := _unfit(registry.entrant(name)))}
+    absent = {name: missing for name in wanted if (missing := _unfit(registry.find_backend(name)))}
     here = [name for name in wanted if name not in absent]
     bars = [name for name in defaults.backends_with_role("baseline") if name not in (asked.backend, twin, *here)]
     mapper = asked.mapper or defaults.mapper_of(asked.backend)
@@ -345,11 +346,11 @@ def _sequence(text: str, seeds: int) -> dict[str, Any]:
 
 
 def _typed(name: str, given: Mapping[str, str]) -> dict[str, Value]:
-    return from_text(name, frontend.parameters_of(registry.backend(name)), given)
+    return from_text(name, frontend.settable_parameters(registry.backend(name)), given)
 
 
 def _parameters(name: str) -> set[str]:
-    return {parameter.name for parameter in frontend.parameters_of(registry.backend(name))}
+    return {parameter.name for parameter in frontend.settable_parameters(registry.backend(name))}
 
 
 def _hopeless(level0: Level) -> bool:

@@ -68,7 +68,7 @@ def _side(named: Named) -> Side:
 
 
 def _followed(side: Side) -> Callable[[Frame], Callable[[], OdometryEstimate | None]]:
-    odometry: Odometry = frontend.odometry(side.spec, side.parameters)
+    odometry: Odometry = frontend.make_odometry(side.spec, side.parameters)
 
     def update(frame: Frame) -> OdometryEstimate | None:
         try:

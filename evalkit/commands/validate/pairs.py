@@ -63,7 +63,7 @@ class TwoScans:
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """Where the second scan was; neither iterations nor pairs are told."""
-        odometry: Odometry = frontend.odometry(self._side.spec, self._side.parameters)
+        odometry: Odometry = frontend.make_odometry(self._side.spec, self._side.parameters)
         odometry.update(_frame(target, 0, Pose()))
         pose = odometry.update(_frame(source, PERIOD_NS, guess)).pose
         return Match(pose, True, 0, float("nan"), 0)

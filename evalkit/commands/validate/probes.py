@@ -25,7 +25,9 @@ from evalkit.execution.sandbox import note_place
 from evalkit.execution.task import Result
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import NoAnswer, Odometry, Sequence, Value
+from evalkit.plugins.parameters import Value
+from evalkit.plugins.protocols import NoAnswer, Odometry, Sequence
+from evalkit.plugins.specs import RegistrationSpec
 
 Named = Mapping[str, Any]
 """A back end: its "name", and what is "given" to it."""
@@ -49,7 +51,7 @@ def rules(name: str, given: Mapping[str, Value], limit_s: float, digest: str = "
 def pairs_compared(a: Named, b: Named, on: Data, count: int, exact: bool, margins: list[str]) -> Result:
     """Both back ends asked about pairs of scans: every answer, what noise leaves of it, and where they part."""
     sides = _side(a), _side(b)
-    alone = all(side.spec.kind == "registration" for side in sides)
+    alone = all(isinstance(side.spec, RegistrationSpec) for side in sides)
     first, second = (side.registrations()["s2m"] if alone else TwoScans(side) for side in sides)
     asked = _pairs(on, count, exact)
     exchanges = []
@@ -73,7 +75,7 @@ def pairs_compared(a: Named, b: Named, on: Data, count: int, exact: bool, margin
 def pair_answers(named: Named, on: Data, count: int, exact: bool) -> Result:
     """What one back end answers to the same pairs: ``rows`` (N, 3), nan where it has no answer."""
     side = _side(named)
-    alone = side.spec.kind == "registration"
+    alone = isinstance(side.spec, RegistrationSpec)
     asker = side.registrations()["s2m"] if alone else TwoScans(side)
     rows: list[Pose | None] = []
     for pair in _pairs(on, count, exact):
@@ -89,7 +91,7 @@ def pair_answers(named: Named, on: Data, count: int, exact: bool) -> Result:
 def scans_compared(a: Named, b: Named, on: Data, scans: int, margins: list[str]) -> Result:
     """Both back ends over the first scans of a sequence: registrations in lockstep, odometries each by itself."""
     sides, sequence = (_side(a), _side(b)), _sequence(on)
-    if all(side.spec.kind == "registration" for side in sides):
+    if all(isinstance(side.spec, RegistrationSpec) for side in sides):
         exchanges = []
         for exchange in lockstep.exchanges(*sides, sequence, scans):
             note_place(f"{on['label']}, scan {exchange.question.scan}")
@@ -122,7 +124,7 @@ def rounded_paths(named: Named, on: Data, times: int) -> Result:
     paths = []
     for copy in range(times):
         note_place(f"{on['label']}, copy {copy + 1}")
-        odometry = frontend.odometry(side.spec, side.parameters)
+        odometry = frontend.make_odometry(side.spec, side.parameters)
         paths.append(_rows(_answer(odometry, _rounded(frame, rng)) for frame in frames))
     return {"stamps_ns": np.array([frame.scan.stamp_ns for frame in frames]), "paths": np.array(paths)}
 

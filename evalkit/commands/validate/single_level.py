@@ -79,7 +79,7 @@ def run_determinism(backends: Iterable[str], on: str, threads: int, repetitions:
     sequence = registry.dataset(dataset)
     short = {"laps": 0.1} if {p.name for p in sequence.parameters} >= {"laps"} else {}
     parameters = short | dict(from_text(dataset, sequence.parameters, texts))
-    names = list(backends) or [name for name in registry.names("backends") if not registry.entrant(name).missing()]
+    names = list(backends) or [name for name in registry.names("backends") if not registry.find_backend(name).missing()]
     table = Table("back end", "answers", "apart [m]", "scans", "why", expand=out.is_terminal)
     found = []
     for name in names:

@@ -10,7 +10,9 @@ from typing import TYPE_CHECKING
 
 from evalkit.metrics.series import SERIES
 from evalkit.metrics.table import Metric
-from evalkit.plugins.protocols import Published, Role, Sequence, Value
+from evalkit.plugins.parameters import Value
+from evalkit.plugins.protocols import Sequence
+from evalkit.plugins.specs import Published, Role
 from evalkit.report.analysis.bootstrap import RecordBootstrap
 from evalkit.results.run_record import RunRecord
 

@@ -8,7 +8,7 @@ from statistics import median
 
 from evalkit.core.run_result import NOT_EXECUTED, RunStatus
 from evalkit.metrics.table import Metric
-from evalkit.plugins.protocols import Published
+from evalkit.plugins.specs import Published
 from evalkit.report.analysis.cells import Cell, interval
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.map_agreement import disagrees, is_behind_bar

@@ -3,7 +3,7 @@
 import os
 
 from evalkit.core.match import Match
-from evalkit.plugins.protocols import BackendSpec
+from evalkit.plugins.specs import RegistrationSpec
 
 
 class KeepsGuess:
@@ -21,6 +21,6 @@ class EndsItsProcess:
         os._exit(3)
 
 
-KEEPS = BackendSpec(KeepsGuess, "registration", "", "", "")
-RAISES = BackendSpec(Raises, "registration", "", "", "")
-ENDS = BackendSpec(EndsItsProcess, "registration", "", "", "")
+KEEPS = RegistrationSpec(KeepsGuess, "", "", "")
+RAISES = RegistrationSpec(Raises, "", "", "")
+ENDS = RegistrationSpec(EndsItsProcess, "", "", "")

@@ -13,7 +13,8 @@ from evalkit.core.ground_truth import Relations, Truth
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
-from evalkit.plugins.protocols import DatasetSpec, Parameter
+from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.specs import DatasetSpec
 
 STEP_M = 0.08
 STAMPS = np.arange(60) * 100_000_000

@@ -9,7 +9,7 @@ from evalkit.commands.basin import trials as attempts
 from evalkit.commands.basin.trials import Trials
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
-from evalkit.plugins.protocols import BackendSpec
+from evalkit.plugins.specs import RegistrationSpec
 
 TRIALS = Trials("corridor", 40, 4, 90, 0.02, 1.0, 0.5, seed=3)
 
@@ -27,7 +27,7 @@ class Raises:
 
 
 def asked(monkeypatch, make, begin=0, end=40):
-    spec = BackendSpec(make, "registration", "", "", "")
+    spec = RegistrationSpec(make, "", "", "")
     monkeypatch.setattr(attempts, "spec_of", lambda _name: spec)
     return attempts.answers(backend="x", values={}, trials=TRIALS, begin=begin, end=end, code="")
 

@@ -26,7 +26,7 @@ from evalkit.core.run_result import STEP, RunResult, Score, Scores
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import DatasetSpec
+from evalkit.plugins.specs import DatasetSpec
 from evalkit.report.html.formatting import as_markdown
 from evalkit.results.run_record import RunRecord
 from evalkit.results.store import Store

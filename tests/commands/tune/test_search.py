@@ -19,7 +19,7 @@ from evalkit.commands.tune.tuned import experiment_text, held_out_plan
 from evalkit.core.errors import BadExperiment
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import Parameter
+from evalkit.plugins.parameters import Parameter
 
 FILE = """
 points = 16
@@ -167,7 +167,7 @@ def test_steps_stay_within_the_bounds_and_repeat_no_point():
 
 
 def test_settings_of_the_front_end_are_nobodys_own():
-    names = {parameter.name for name in ("paper", "kiss-icp") for parameter in own(registry.entrant(name))}
+    names = {parameter.name for name in ("paper", "kiss-icp") for parameter in own(registry.find_backend(name))}
     assert not names & {"prior", "deskew", "local_map", "keyframes", "min_inliers"}
     with pytest.raises(BadExperiment, match=r"method 1 \(embedded\): search.keyframes: .*all methods alike"):
         plan(FILE.replace("search.max_iterations", "search.keyframes"))

@@ -60,7 +60,7 @@ def _introduced(program: Program, line: bytes) -> None:
     declared = declaration("exec:fuzz", program.read(line))
     settings("exec:fuzz", declared.parameters, [])
     for parameter in declared.parameters:
-        parameter.checked("exec:fuzz", parameter.default)
+        parameter.check("exec:fuzz", parameter.default)
 
 
 def _matched(program: Program, line: bytes) -> None:

@@ -29,7 +29,9 @@ from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.address import address_of, spec_at
 from evalkit.plugins.parameter_parsing import from_text
-from evalkit.plugins.protocols import BackendSpec, DatasetSpec, MapperSpec, Parameter, Sequence, Value, resolved
+from evalkit.plugins.parameters import Parameter, Value, resolve_parameters
+from evalkit.plugins.protocols import Sequence
+from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec, RegistrationSpec
 
 Known = Margin | Literal["float32"]
 Given = Mapping[str, object]
@@ -67,7 +69,7 @@ def equivalence(
     """
     sides = side("A", a, set_a or {}), side("B", b, set_b or {})
     name, sequence = _sequence(on, set_on or {})
-    if all(one.spec.kind == "registration" for one in sides):
+    if all(isinstance(one.spec, RegistrationSpec) for one in sides):
         exchanges = list(lockstep.exchanges(*sides, sequence, scans, disturbed))
         found = of_exchanges(sides, name, exchanges, margin)
     else:
@@ -96,7 +98,7 @@ def mapper_equivalence(
     known = Margin(origin="a grid is float32 by its type") if margin == FLOAT32 else margin
     (label_a, spec_a), (label_b, spec_b) = _mapper("A", a), _mapper("B", b)
     known_a, known_b = (
-        resolved(label, spec.parameters, given or {})
+        resolve_parameters(label, spec.parameters, given or {})
         for label, spec, given in ((label_a, spec_a, set_a), (label_b, spec_b, set_b))
     )
     name, sequence = _sequence(on, set_on or {})
@@ -178,7 +180,7 @@ def _mapper_parameters(name: str) -> tuple[Parameter, ...]:
 
 
 def _backend_parameters(name: str) -> tuple[Parameter, ...]:
-    return frontend.parameters_of(spec_at(address_of(name), BackendSpec, registry.backend))
+    return frontend.settable_parameters(spec_at(address_of(name), BackendSpec, registry.backend))
 
 
 def of_exchanges(sides: tuple[Side, Side], name: str, exchanges: list[Exchange], margin: Known) -> Equivalence:
@@ -273,7 +275,7 @@ def _counted(found: list[Divergence]) -> dict[str, int]:
 def _sequence(on: str | DatasetSpec, given: Given) -> tuple[str, Sequence]:
     name = on if isinstance(on, str) else "the sequence"
     spec = registry.dataset(on) if isinstance(on, str) else on
-    known: dict[str, Value] = resolved(name, spec.parameters, given)
+    known: dict[str, Value] = resolve_parameters(name, spec.parameters, given)
     if why := spec.missing(**{key: value for key, value in known.items() if key != "seed"}):
         raise DataMissing(name, "cannot be read here", why)
     return name, spec.make(**known)

@@ -19,7 +19,9 @@ from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.odometry import frontend
-from evalkit.plugins.protocols import BackendSpec, NoAnswer, Odometry, Registration, Sequence, Value
+from evalkit.plugins.parameters import Value
+from evalkit.plugins.protocols import NoAnswer, Odometry, Registration, Sequence
+from evalkit.plugins.specs import BackendSpec, RegistrationSpec
 
 DISTURBED = "-disturbed"
 """Ending of the stage of a question whose guess is off."""
@@ -40,11 +42,10 @@ class Side:
     parameters: Mapping[str, Value]
 
     def registrations(self) -> dict[str, Registration]:
-        """A fresh registration for each stage of the front end."""
-        own = {p.name: self.parameters[p.name] for p in self.spec.parameters}
-        prefix = frontend.STAGE_ONE
-        first = {k.removeprefix(prefix): v for k, v in self.parameters.items() if k.startswith(prefix)}
-        return {"s2s": self.spec.make(**{**own, **first}), "s2m": self.spec.make(**own)}
+        """A fresh registration for each stage of the front end; raises TypeError where the side is no registration."""
+        if not isinstance(self.spec, RegistrationSpec):
+            raise TypeError(f"{self.label}: a {self.spec.kind} has no registrations")
+        return dict(zip(("s2s", "s2m"), self.spec.make_stages(self.parameters), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,7 +111,7 @@ def exchanges(a: Side, b: Side, sequence: Sequence, scans: int, disturbed: bool 
     def make(**parameters: Value) -> _RecordingRegistration:
         return _RecordingRegistration(a.spec.make(**parameters), calls)
 
-    runner = frontend.odometry(replace(a.spec, make=make), a.parameters)
+    runner = frontend.make_odometry(replace(a.spec, make=make), a.parameters)
     others, again = b.registrations(), a.registrations()
     rng = np.random.default_rng(0)
     for scan, frame in enumerate(islice(sequence.frames(), scans), start=1):
@@ -153,7 +154,7 @@ def asked(registration: Registration, question: Question, a: Match) -> Exchange:
 
 def steps(a: Side, b: Side, sequence: Sequence, scans: int) -> Iterator[Step]:
     """The poses of two odometries, each following the first ``scans`` scans by itself."""
-    first, second = (frontend.odometry(side.spec, side.parameters) for side in (a, b))
+    first, second = (frontend.make_odometry(side.spec, side.parameters) for side in (a, b))
     for scan, frame in enumerate(islice(sequence.frames(), scans), start=1):
         estimate = _update(a.label, first, frame, scan)
         pose = None if estimate is None else estimate.pose

@@ -15,7 +15,9 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.plugins import registry
 from evalkit.plugins.address import address_of, spec_at
-from evalkit.plugins.protocols import DatasetSpec, Sequence, Value, resolved
+from evalkit.plugins.parameters import Value, resolve_parameters
+from evalkit.plugins.protocols import Sequence
+from evalkit.plugins.specs import DatasetSpec
 
 COVERED = 0.5
 """Share of the frames that the truth must reach: recordings may begin before their reference does."""
@@ -54,7 +56,7 @@ def check(dataset: str | DatasetSpec, frames: int, parameters: Mapping[str, obje
     """
     address = address_of(dataset)
     spec = spec_at(address, DatasetSpec, registry.dataset)
-    complete = resolved(address.label, spec.parameters, parameters)
+    complete = resolve_parameters(address.label, spec.parameters, parameters)
     if why := spec.missing(**{name: value for name, value in complete.items() if name != "seed"}):
         raise DataMissing(address.label, "cannot be checked here", why)
     bench = Bench(spec, complete, frames)

@@ -17,7 +17,8 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.odometry.run_odometry import checked_estimate
-from evalkit.plugins.protocols import NoAnswer, Odometry, Role
+from evalkit.plugins.protocols import NoAnswer, Odometry
+from evalkit.plugins.specs import Role
 
 ON_TRACK_M = 0.25
 """At the end of 0.6 m and 0.6 rad: two voxels of a usual map, its turn felt half a room away."""

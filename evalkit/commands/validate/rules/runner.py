@@ -18,7 +18,8 @@ from evalkit.core.errors import BackendFailed, NotInstalled, UnknownName
 from evalkit.execution import subprocesses
 from evalkit.plugins import registry
 from evalkit.plugins.address import Address, address_of, spec_at
-from evalkit.plugins.protocols import BackendSpec, Value, resolved
+from evalkit.plugins.parameters import Value, resolve_parameters
+from evalkit.plugins.specs import BackendSpec
 
 PATIENCE = 3
 """After so many ends of the process the rest is not asked any more."""
@@ -58,7 +59,7 @@ def check(
         raise BackendFailed(address.label, "holds results made elsewhere: there is no behaviour to check", RECORDED)
     if why := spec.missing():
         raise NotInstalled(address.label, "cannot be checked here", why)
-    complete = resolved(address.label, spec.parameters, parameters or {})
+    complete = resolve_parameters(address.label, spec.parameters, parameters or {})
     rules = _chosen(RULES[spec.kind], only)
     return Conformance(address.label, _Examination(address, rules, complete, limit_s, memory_mib, heard).verdicts())
 

@@ -20,7 +20,8 @@ from evalkit.core.errors import NotInstalled
 from evalkit.execution import parent_watch
 from evalkit.plugins import registry
 from evalkit.plugins.address import Address, spec_at
-from evalkit.plugins.protocols import BackendSpec, Value
+from evalkit.plugins.parameters import Value
+from evalkit.plugins.specs import BackendSpec, RegistrationSpec
 
 REQUEST = "request.json"
 VERDICTS = "verdicts.jsonl"
@@ -66,7 +67,7 @@ def main() -> int:
 
 def _bench(spec: BackendSpec, parameters: Mapping[str, Value]) -> object:
     make = partial(spec.make, **parameters)
-    if spec.kind == "registration":
+    if isinstance(spec, RegistrationSpec):
         return registration_rules.Bench(make)
     return odometry_rules.Bench(make, spec.role)
 

@@ -22,7 +22,8 @@ from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import BackendSpec, DatasetSpec, NoAnswer
+from evalkit.plugins.protocols import NoAnswer
+from evalkit.plugins.specs import BackendSpec, DatasetSpec, OdometrySpec
 from evalkit_baselines import open3d_icp, paper
 from evalkit_baselines.paper import icp
 from evalkit_baselines.paper.icp import Icp
@@ -351,7 +352,7 @@ class Wanderer:
 
 
 def wanderer(**options: object) -> BackendSpec:
-    return BackendSpec(lambda: Wanderer(**options), "odometry", "", "", "MIT")
+    return OdometrySpec(lambda: Wanderer(**options), "", "", "MIT")
 
 
 WANDERERS = {

@@ -13,7 +13,7 @@ from evalkit.core.errors import BackendFailed
 from evalkit.core.ground_truth import Truth
 from evalkit.core.scan import Frame
 from evalkit.plugins import registry
-from evalkit.plugins.protocols import DatasetSpec
+from evalkit.plugins.specs import DatasetSpec
 from evalkit_baselines import paper
 from evalkit_baselines.paper.grid import LogOddsGrid
 

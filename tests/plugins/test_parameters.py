@@ -5,7 +5,8 @@ import math
 import pytest
 
 from evalkit.core.errors import BadParameter, UnknownName
-from evalkit.plugins.protocols import Parameter, nothing_missing, resolved, with_defaults
+from evalkit.plugins.parameters import Parameter, resolve_parameters, with_defaults
+from evalkit.plugins.specs import nothing_missing
 
 FLAG = Parameter("flag", True, "", "on or off")
 COUNT = Parameter("count", 3, "", "how many", low=1, high=9)
@@ -19,7 +20,7 @@ ALL = (FLAG, COUNT, WIDTH, KIND)
     [(FLAG, False, False), (COUNT, 1, 1), (COUNT, 9, 9), (WIDTH, 2, 2.0), (WIDTH, 0.0, 0.0), (KIND, "far", "far")],
 )
 def test_a_fitting_value_comes_back_in_the_defaults_type(parameter, value, expected):
-    found = parameter.checked("icp", value)
+    found = parameter.check("icp", value)
     assert (found, type(found)) == (expected, type(parameter.default))
 
 
@@ -42,24 +43,24 @@ def test_a_fitting_value_comes_back_in_the_defaults_type(parameter, value, expec
 )
 def test_any_other_value_is_refused_by_name(parameter, value, message):
     with pytest.raises(BadParameter) as caught:
-        parameter.checked("icp", value)
+        parameter.check("icp", value)
     assert str(caught.value) == message
 
 
 def test_what_is_not_given_keeps_its_default():
-    assert resolved("icp", ALL, {"width": 1}) == {"flag": True, "count": 3, "width": 1.0, "kind": "near"}
+    assert resolve_parameters("icp", ALL, {"width": 1}) == {"flag": True, "count": 3, "width": 1.0, "kind": "near"}
 
 
 def test_an_unknown_parameter_is_met_with_the_near_one():
     with pytest.raises(UnknownName) as caught:
-        resolved("icp", ALL, {"widht": 1.0})
+        resolve_parameters("icp", ALL, {"widht": 1.0})
     known = "known: count, flag, kind, width"
     assert str(caught.value) == f"icp: no parameter named 'widht' (did you mean 'width'?); {known}"
 
 
 def test_a_variant_differs_in_its_defaults_alone():
     variant = with_defaults(ALL, count=7)
-    assert resolved("icp", variant, {}) == {"flag": True, "count": 7, "width": 0.5, "kind": "near"}
+    assert resolve_parameters("icp", variant, {}) == {"flag": True, "count": 7, "width": 0.5, "kind": "near"}
     assert variant[1].high == COUNT.high
     assert COUNT.default == 3
     with pytest.raises(UnknownName, match="no parameter named 'cuont'"):

@@ -1,0 +1,101 @@
+"""Parameters of plug-ins: declaration, check of given values, defaults.
+
+A plug-in declares its parameters once, as the fields of a dataclass::
+
+    @dataclass(frozen=True)
+    class Settings:
+        max_iterations: int = parameter(40, "", "largest number of iterations", low=1)
+
+and derives the table of its spec from them with ``declared_parameters(Settings)``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+from evalkit.core.errors import BadParameter, UnknownName
+
+Value = bool | int | float | str
+
+_KEY = "evalkit parameter"
+_EXPECTED: dict[type, str] = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One parameter of a plug-in; the type of ``default`` is the type of its values.
+
+    ``low``, ``high``: inclusive bounds of a number. ``choices``: the values allowed for a text, () for any.
+    """
+
+    name: str
+    default: Value
+    unit: str
+    meaning: str
+    low: float = -math.inf
+    high: float = math.inf
+    choices: tuple[str, ...] = ()
+
+    def check(self, owner: str, value: object) -> Value:
+        """Return the value in the type of the default; raises BadParameter for another type or a value out of range."""
+        wanted = type(self.default)
+        if wanted is float and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if not isinstance(value, wanted) or isinstance(value, bool) != (wanted is bool):
+            raise BadParameter(owner, self.name, value, f"{_EXPECTED[wanted]} ({self.meaning})")
+        if isinstance(value, (int, float)) and not self.low <= value <= self.high:
+            raise BadParameter(
+                owner, self.name, value, f"a number within [{self.low:g}, {self.high:g}] {self.unit}".rstrip()
+            )
+        if self.choices and value not in self.choices:
+            raise BadParameter(owner, self.name, value, f"one of {', '.join(self.choices)}")
+        return value
+
+
+def parameter(
+    default: Value,
+    unit: str,
+    meaning: str,
+    low: float = -math.inf,
+    high: float = math.inf,
+    choices: tuple[str, ...] = (),
+) -> Any:
+    """A dataclass field that declares a parameter; arguments as in ``Parameter``, the name is the field's."""
+    declared = Parameter("", default, unit, meaning, low, high, choices)
+    return field(default=default, metadata={_KEY: declared})
+
+
+def declared_parameters(settings: type) -> tuple[Parameter, ...]:
+    """The parameters that a dataclass declares with ``parameter``, in the order of its fields."""
+    declared = ((item.name, item.metadata[_KEY]) for item in fields(settings) if _KEY in item.metadata)
+    return tuple(replace(found, name=name) for name, found in declared)
+
+
+def check_fields(owner: str, settings: object) -> None:
+    """Check the declared fields of a dataclass instance and convert them to their types; raises BadParameter."""
+    for declared in declared_parameters(type(settings)):
+        object.__setattr__(settings, declared.name, declared.check(owner, getattr(settings, declared.name)))
+
+
+def resolve_parameters(owner: str, parameters: tuple[Parameter, ...], given: Mapping[str, object]) -> dict[str, Value]:
+    """Return every parameter with its given value or its default.
+
+    Raises UnknownName for a name that is not declared and BadParameter for a value that does not fit.
+    """
+    known = {parameter.name: parameter for parameter in parameters}
+    for name in given:
+        if name not in known:
+            raise UnknownName("parameter", name, known, owner)
+    return {name: known[name].check(owner, given.get(name, known[name].default)) for name in known}
+
+
+def with_defaults(parameters: tuple[Parameter, ...], **defaults: Value) -> tuple[Parameter, ...]:
+    """Return the same parameters with other defaults; raises UnknownName for a name that is not among them."""
+    names = [parameter.name for parameter in parameters]
+    for name in defaults:
+        if name not in names:
+            raise UnknownName("parameter", name, names)
+    return tuple(replace(p, default=defaults.get(p.name, p.default)) for p in parameters)

@@ -1,0 +1,189 @@
+"""Specs: what a plug-in is, how to make it, what can be set on it and what it needs.
+
+A spec stands beside its class as a module-level value and is importable without the library that the class uses.
+A kind of back end is a subclass of ``BackendSpec``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar, Literal
+
+from evalkit.core.grid import OccupancyGrid
+from evalkit.plugins.parameters import Parameter, Value
+from evalkit.plugins.protocols import Mapper, Odometry, Registration, Sequence
+
+GUESS_NOT_REPORTED = "not told"
+
+Kind = Literal["registration", "odometry", "map"]
+
+Role = Literal["", "reference", "baseline", "peer"]
+"""What a back end is to the others.
+
+"reference": the readable implementation that others are validated against. "baseline": every other method must beat it.
+"peer": an established implementation, shown beside a validated one for context.
+"""
+
+Excerpt = Literal["full", "quick"]
+
+FIRST_STAGE = "s2s."
+"""Prefix of a registration's parameter that applies to the scan-to-scan stage only."""
+
+
+def nothing_missing(**_parameters: Value) -> str:
+    """The ``missing`` of a plug-in that needs nothing beyond evalkit."""
+    return ""
+
+
+@dataclass(frozen=True)
+class BackendSpec:
+    """What all kinds of back end have in common.
+
+    ``make(**parameters)`` makes it. ``role``: see ``Role``. ``requires``: distributions whose versions belong to a
+    result. ``missing()`` returns why it cannot run here and how to change that, or "". ``broken``: why it does not work
+    although it is here (a program that gives no description of itself), or ""; its runs fail with this reason.
+    ``digest``: changes with the parts that are not Python source (a shared library, a program, a file of results).
+    ``guess``: what its registration starts from, for the report.
+    """
+
+    make: Callable[..., Any]
+    summary: str
+    citation: str
+    licence: str
+    guess: str = GUESS_NOT_REPORTED
+    role: Role = ""
+    requires: tuple[str, ...] = ()
+    parameters: tuple[Parameter, ...] = ()
+    missing: Callable[[], str] = nothing_missing
+    broken: str = ""
+    digest: str = ""
+
+    kind: ClassVar[Kind]
+    recorded: ClassVar[bool] = False
+    """True where the answers were computed elsewhere, so that only the scans of that recording have one."""
+
+
+@dataclass(frozen=True)
+class RegistrationSpec(BackendSpec):
+    """A back end that registers clouds; evalkit's front end makes it an odometry.
+
+    ``frontend``: front-end settings with another default for this back end. ``scan_to_scan``: its own parameters with
+    another default in the scan-to-scan stage.
+    """
+
+    make: Callable[..., Registration]
+    guess: str = "wheel odometry where recorded, else constant velocity"
+    frontend: Mapping[str, Value] = field(default_factory=dict)
+    scan_to_scan: Mapping[str, Value] = field(default_factory=dict)
+
+    kind: ClassVar[Kind] = "registration"
+
+    def first_stage_parameters(self) -> tuple[Parameter, ...]:
+        """The parameters ``s2s.NAME`` whose defaults differ in the scan-to-scan stage."""
+        return tuple(
+            first_stage(each, self.scan_to_scan[each.name])
+            for each in self.parameters
+            if each.name in self.scan_to_scan
+        )
+
+    def make_stages(self, parameters: Mapping[str, Value]) -> tuple[Registration, Registration]:
+        """Make the registrations of both stages, scan-to-scan first, from complete parameters."""
+        own = {each.name: parameters[each.name] for each in self.parameters}
+        first = {key.removeprefix(FIRST_STAGE): v for key, v in parameters.items() if key.startswith(FIRST_STAGE)}
+        return self.make(**{**own, **first}), self.make(**own)
+
+
+@dataclass(frozen=True)
+class OdometrySpec(BackendSpec):
+    """A back end that is an odometry itself."""
+
+    make: Callable[..., Odometry]
+
+    kind: ClassVar[Kind] = "odometry"
+
+
+@dataclass(frozen=True)
+class RecordedOdometrySpec(OdometrySpec):
+    """An odometry that returns poses computed elsewhere."""
+
+    recorded: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class MapSpec(BackendSpec):
+    """A map made elsewhere, in the world's frame: it is scored as a map and answers no scan."""
+
+    make: Callable[..., OccupancyGrid]
+
+    kind: ClassVar[Kind] = "map"
+    recorded: ClassVar[bool] = True
+
+
+@dataclass(frozen=True)
+class MapperSpec:
+    """A mapper: ``make(**parameters)`` makes a new Mapper.
+
+    ``default``: evalkit draws with this mapper where none is named.
+    """
+
+    make: Callable[..., Mapper]
+    summary: str
+    citation: str
+    licence: str
+    requires: tuple[str, ...] = ()
+    parameters: tuple[Parameter, ...] = ()
+    missing: Callable[[], str] = nothing_missing
+    default: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Published:
+    """A number that others published for the same recording: mean and standard deviation in the unit of ``metric``.
+
+    ``metric``: the name of the metric it is compared with; "" for the first relation metric in metres.
+    ``spread_metric``: the name of the metric that corresponds to ``spread``, "" for none.
+    """
+
+    label: str
+    value: float
+    spread: float | None
+    source: str
+    metric: str = ""
+    spread_metric: str = ""
+
+
+@dataclass(frozen=True)
+class DatasetSpec:
+    """A data set or a reader: ``make(**parameters)`` makes a Sequence.
+
+    ``seeded``: has a parameter ``seed`` that makes repetitions differ. ``suffixes``: endings of the files that a reader
+    opens (then it has a parameter ``path``). ``truth``: how the ground truth was made. ``defects``: known errors in the
+    data. ``degenerate``: why the geometry cannot fix the pose, "" where it can. ``published``: numbers that others
+    published for it. ``missing(**parameters)`` returns which files are not here and how to get them, or "".
+    ``thinned_by``: name of the parameter n that takes every n-th scan of the sensor, "" where every scan is taken;
+    without it the sensor seems slower than it is. ``excerpts``: parameters of a part of the data that is long enough to
+    validate an implementation on; commands without a sequence on their command line use the data sets that have one.
+    """
+
+    make: Callable[..., Sequence]
+    summary: str
+    sensor: str
+    truth: str
+    citation: str
+    licence: str
+    defects: tuple[str, ...] = ()
+    degenerate: str = ""
+    published: tuple[Published, ...] = ()
+    seeded: bool = False
+    suffixes: tuple[str, ...] = ()
+    parameters: tuple[Parameter, ...] = ()
+    missing: Callable[..., str] = nothing_missing
+    thinned_by: str = ""
+    excerpts: Mapping[Excerpt, Mapping[str, Value]] = field(default_factory=dict)
+
+
+def first_stage(parameter: Parameter, default: Value) -> Parameter:
+    """The parameter of the scan-to-scan stage that corresponds to a registration's parameter."""
+    meaning = f"first stage only: {parameter.meaning}"
+    return replace(parameter, name=FIRST_STAGE + parameter.name, default=default, meaning=meaning)
