@@ -1,9 +1,13 @@
 """The C library and its binding by themselves: its own tests under sanitizers, and what the binding refuses."""
 
+import math
 import shutil
+import struct
 import subprocess
 import threading
+from dataclasses import replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +16,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 
-from evalkit_baselines.embedded import compiled
+from evalkit.odometry import frontend
+from evalkit.plugins import registry
+from evalkit_baselines import embedded
+from evalkit_baselines.embedded import compiled, mapper, pipeline, registration
 
 FOLDER = Path(compiled.__file__).parent
 TOOLS = [tool for tool in ("cmake", "ctest", "cc") if shutil.which(tool) is None]
@@ -25,6 +32,8 @@ PARAMETERS = {
 }  # fmt: skip
 MAP = {"resolution": 0.05, "l_occ": 0.8, "l_free": -0.8, "l_min": -5.0, "l_max": 5.0, "range_max": 12.0}
 EXTENT = (-64, -64, 128, 128)
+TABLES = (registration.PARAMETERS, frontend.PARAMETERS, mapper.PARAMETERS)
+LAB = {p.name: p.default for p in registry.dataset("lab").parameters} | {"laps": 0.12, "seed": 5}
 
 
 @pytest.mark.slow
@@ -291,3 +300,54 @@ def test_another_project_finds_the_installed_core_and_takes_the_memory_the_readm
 
 def _bytes(count):
     return f"{count / 1e6:.1f} MB" if count >= 1e6 else f"{count / 1e3:.0f} kB"
+
+
+@needs_core
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_the_defaults_of_the_core_are_those_of_python(precision):
+    values = compiled.core(precision).defaults()
+    icp, front_end, grid = ({p.name: p.default for p in table} for table in TABLES)
+    icp["error"], icp["error_before"] = registration.ERRORS.index(icp["error"]), icp.pop("error_at") == "before"
+    del icp["trace"]  # no parameter of the core
+    for stage in ("icp", "scan_to_scan", "scan_to_map"):
+        assert values[stage] == pytest.approx(icp, rel=1e-6)
+    stages = {name: front_end[name] for name in pipeline.FRONT_END}
+    stages["keyframe_angle_rad"] = math.radians(stages.pop("keyframe_angle_deg"))
+    assert values["frontend"] == pytest.approx(stages, rel=1e-6)
+    assert values["grid"] == pytest.approx(grid, rel=1e-6)
+
+
+def write_scan_log(path, frames):
+    """Write frames in the format of ek/scanlog.h and return them with ranges and angles rounded to float32."""
+    first = frames[0]
+    rounded = []
+    with path.open("wb") as file:
+        file.write(
+            b"EKSL" + struct.pack("<2I2d", 1, len(first.scan.ranges), first.scan.range_min_m, first.scan.range_max_m)
+        )
+        file.write(first.base_from_sensor.row.tobytes())
+        for frame in frames:
+            ranges, angles = frame.scan.ranges.astype("<f4"), frame.scan.angles.astype("<f4")
+            file.write(struct.pack("<2q2I", frame.scan.stamp_ns, frame.scan.time_increment_ns, len(ranges), 3))
+            file.write(frame.odom_from_base.row.tobytes() + frame.start_from_end.row.tobytes())
+            file.write(ranges.tobytes() + angles.tobytes())
+            scan = replace(frame.scan, ranges=ranges.astype(float), angles=angles.astype(float))
+            rounded.append(replace(frame, scan=scan))
+    return rounded
+
+
+@needs_core
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_evalkit_run_gives_the_poses_of_the_method_embedded(tmp_path):
+    program, log, poses = tmp_path / "evalkit-run", tmp_path / "log", tmp_path / "poses.tum"
+    sources = [str(FOLDER / "main.c"), *map(str, sorted((FOLDER / "src").glob("*.c")))]
+    flags = ["-std=c99", "-O2", "-ffp-contract=off", f"-I{FOLDER / 'include'}"]
+    subprocess.run(["cc", *flags, *sources, "-lm", "-o", str(program)], check=True)
+    frames = write_scan_log(log, list(islice(registry.dataset("lab").make(**LAB).frames(), 90)))
+    subprocess.run([str(program), str(log), str(poses)], check=True)
+    odometry = frontend.make_odometry(embedded.SPEC, frontend.complete_parameters("embedded", embedded.SPEC, {}))
+    expected = [odometry.update(frame).pose.row for frame in frames]
+    written = np.loadtxt(poses)
+    found = np.column_stack([written[:, 1:3], 2.0 * np.arctan2(written[:, 6], written[:, 7])])
+    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-7)
+    assert np.hypot(*np.diff(found[:, :2], axis=0).T).sum() > 1.0  # a drive, not a robot at rest

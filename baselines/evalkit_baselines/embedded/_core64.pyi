@@ -19,6 +19,13 @@ Extent = tuple[int, int, int, int]
 REAL: str
 """The dtype of all arrays."""
 
+def defaults() -> dict[str, dict[str, float]]:
+    """Default parameters of "icp", "scan_to_scan", "scan_to_map", "frontend" and "grid".
+
+    Names and units are those of the Python parameters, except ``error`` and ``error_before`` (see ``Icp``) and
+    ``keyframe_angle_rad``.
+    """
+
 class Index:
     """Immutable index for exact nearest neighbours among points (N, 2) in metres."""
 

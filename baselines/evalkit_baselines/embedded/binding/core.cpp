@@ -3,6 +3,7 @@
 #include <nanobind/stl/optional.h>
 #include <nanobind/stl/tuple.h>
 
+#include "defaults.hpp"
 #include "grid.hpp"
 #include "pipeline.hpp"
 
@@ -11,6 +12,7 @@ NB_MODULE(CORE, module)
     using namespace EK_NAME(binding);
     using namespace nanobind::literals;
     module.attr("REAL") = sizeof(ek_real) == 8 ? "float64" : "float32";
+    module.def("defaults", &defaults);
 
     nb::class_<Index>(module, "Index")
         .def(nb::init<const Points &>(), "points"_a.noconvert())

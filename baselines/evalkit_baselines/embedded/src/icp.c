@@ -13,7 +13,7 @@ ek_icp_parameters ek_icp_default(void)
     parameters.max_iterations = 40;
     parameters.min_pairs = 3;
     parameters.epsilon = EK_R(1e-4);
-    parameters.max_correspondence = EK_R(0.5);
+    parameters.max_correspondence = EK_R(0.3);
     parameters.error = EK_ERROR_MEAN;
     parameters.error_before = 0;
     parameters.one_to_one = 1;

@@ -70,7 +70,7 @@ typedef struct {
 #define ek_icp_init EK_NAME(icp_init)
 #define ek_icp_register EK_NAME(icp_register)
 
-/* Default parameters: 40 iterations, epsilon 1e-4 on the mean distance after the step, one-to-one, 0.5 m, 3 pairs. */
+/* Default parameters: 40 iterations, epsilon 1e-4 on the mean distance after the step, one-to-one, 0.3 m, 3 pairs. */
 ek_icp_parameters ek_icp_default(void);
 
 /* Check parameters: EK_OUT_OF_RANGE if one is outside its range or not finite, otherwise EK_OK. */
