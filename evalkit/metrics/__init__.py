@@ -1,7 +1,7 @@
-"""The metrics: pure functions of what a run left behind, and one table of them.
+"""All metrics: pure functions of a run, listed in one table.
 
-A metric is one function and one row of the ``METRICS`` table at the end of its module; the tables are joined here in
-the order of a report.
+A metric is one function and one row of the ``METRICS`` table at the end of its module. This module joins these tables
+in the order of a report.
 """
 
 from __future__ import annotations
@@ -53,18 +53,21 @@ METRICS: tuple[Metric, ...] = (
 
 
 def all_metrics() -> tuple[Metric, ...]:
-    """evalkit's own metrics, then those of other packages, found under the entry points ``evalkit.metrics``."""
+    """Return the metrics of evalkit, followed by the entry points ``evalkit.metrics`` of other packages."""
     return (*METRICS, *(registry.load("metrics", name, Metric) for name in registry.names("metrics")))
 
 
 def compute_scores(evidence: Evidence, table: Iterable[Metric] = METRICS) -> dict[str, Score]:
-    """Every metric's score by name, in the table's order; what is not meaningful says why."""
-    with np.errstate(over="ignore", invalid="ignore"):  # a diverged estimate is answered with a reason
+    """Return the score of every metric by name, in the order of the table.
+
+    A metric that raises an exception has a score without value and with the exception as its reason.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):  # a diverged estimate yields a score with a reason
         return {metric.name: _compute_score(metric, evidence) for metric in table}
 
 
 def _compute_score(metric: Metric, evidence: Evidence) -> Score:
     try:
         return metric.compute(evidence)
-    except Exception as error:  # noqa: BLE001 - may be a third party's, and may not take the other scores with it
+    except Exception as error:  # noqa: BLE001 - a plug-in's metric must not prevent the other scores
         return Score(None, 0, f"could not be computed: {type(error).__name__}: {error}")

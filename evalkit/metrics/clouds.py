@@ -1,4 +1,4 @@
-"""Judges the hits of all scans laid together, without a map and without a truth: how sharp, and which way walls run."""
+"""Metrics of the hits of all scans, without map and ground truth: entropies and wall directions."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from evalkit.core.arrays import Bools
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.consistency import NO_HIT, WARP, collect_all_hits, collect_hits
+from evalkit.metrics.consistency import NO_HIT, NO_OVERLAP, WARP, collect_all_hits, collect_hits
 from evalkit.metrics.neighbourhoods import MIN_HITS, PATCH_M, Neighbourhoods, compute_neighbourhoods, thin_evenly
 from evalkit.metrics.surfaces import find_all_wall_pieces
 from evalkit.metrics.table import Evidence, Metric, make_score, with_support
@@ -15,7 +15,7 @@ from evalkit.metrics.table import Evidence, Metric, make_score, with_support
 MAX_HITS = 20_000
 MAX_PLACES = 1000
 MIN_M = 1e-3
-"""A neighbourhood is at least so thick: exact lines would be infinitely sharp."""
+"""Smallest standard deviation of a neighbourhood: exact lines would have an infinite entropy."""
 
 BINS = 1800
 KERNEL_RAD = np.radians(1.0)
@@ -23,29 +23,32 @@ MIN_SHARED = 100
 MIN_SHARE = 0.05
 
 
-def entropies(found: Neighbourhoods) -> tuple[Floats, Bools]:
-    """Entropy (K,) in nats of the Gaussian of each patch, and which (K,) have the five points that it takes.
+def entropies(places: Neighbourhoods) -> tuple[Floats, Bools]:
+    """Return the entropy (K,) in nats of the Gaussian of each neighbourhood, and which (K,) have at least five points.
 
-    h = 1/2 ln |2 pi e Sigma| (Razlaw et al., ECMR 2015), here with the 2 x 2 covariance, no axis below 1 mm.
+    h = 1/2 ln |2 pi e Sigma| (Razlaw et al., ECMR 2015), here with the 2 x 2 covariance; standard deviations are at
+    least 1 mm.
     """
-    enough = found.counts >= MIN_HITS
-    least = MIN_M**2
-    determinant = np.maximum(found.small, least) * np.maximum(found.large, least)
+    enough = places.counts >= MIN_HITS
+    determinant = np.maximum(places.small, MIN_M**2) * np.maximum(places.large, MIN_M**2)
     return np.log(2.0 * np.pi * np.e) + 0.5 * np.log(determinant), np.asarray(enough)
 
 
 def mean_map_entropy(points: Floats, radius_m: float = PATCH_M) -> tuple[float, int, float]:
-    """Mean entropy (nat) over at most 1,000 places of points (N, 2), N > 0, at how many, and at what share of all."""
+    """Return the mean entropy (nat) over at most 1,000 places of points (N, 2), N > 0.
+
+    With the number of these places, and their share of all examined places.
+    """
     points = thin_evenly(points, MAX_HITS)
     values, enough = entropies(compute_neighbourhoods(points, thin_evenly(points, MAX_PLACES), radius_m))
     return (float(values[enough].mean()) if enough.any() else 0.0), int(enough.sum()), float(enough.mean())
 
 
 def joint_minus_separate(first: Floats, second: Floats, radius_m: float = PATCH_M) -> tuple[float, int]:
-    """By how many nats the entropy of clouds (N, 2), (M, 2) laid together exceeds their own, and at how many places.
+    """Return the mean excess (nat) of the joint entropy of two clouds (N, 2), (M, 2) over their separate entropies.
 
-    CorAl (Adolfsson et al., ECMR 2021) with one radius: what the scene itself has of entropy cancels. Only places count
-    at which both clouds have five points within the radius.
+    With the number of places. CorAl (Adolfsson et al., ECMR 2021) with one radius: the entropy of the scene itself
+    cancels. Only places where both clouds have five points within the radius count.
     """
     first, second = thin_evenly(first, MAX_HITS // 2), thin_evenly(second, MAX_HITS // 2)
     both = np.concatenate([first, second])
@@ -60,10 +63,10 @@ def joint_minus_separate(first: Floats, second: Floats, radius_m: float = PATCH_
 
 
 def direction_entropy(directions: Floats) -> float:
-    """The differential entropy (nat) of directions (K,) that repeat every half turn: ln pi if all are as frequent.
+    """Return the differential entropy (nat) of directions (K,) with period pi: ln pi if all are equally frequent.
 
-    Of their density under a Gaussian kernel of 1 deg, on a grid so fine that the frame does not matter; all the same
-    direction gives the entropy of the kernel, 1/2 ln(2 pi e) + ln(pi / 180).
+    Of the density under a Gaussian kernel of 1 deg, on a grid fine enough to be independent of the frame. Identical
+    directions give the entropy of the kernel, 1/2 ln(2 pi e) + ln(pi / 180).
     """
     counts = np.bincount((directions % np.pi / np.pi * BINS).astype(int) % BINS, minlength=BINS)
     spacing = np.pi / BINS
@@ -92,46 +95,48 @@ def _joint(evidence: Evidence) -> Score:
         return Score(None, 0, NO_HIT)
     value, places = joint_minus_separate(first, second)
     if places < MIN_SHARED:
-        return Score(None, places, "both halves of the run hardly see the same places")
+        return Score(None, places, NO_OVERLAP)
     return make_score(value, places)
 
 
 def _directions(evidence: Evidence) -> Score:
     found = find_all_wall_pieces(evidence).direction
     if len(found) < MIN_SHARED:
-        return Score(None, len(found), f"the scans show only {len(found)} pieces of wall, {MIN_SHARED} are needed")
+        return Score(
+            None, len(found), f"the scans contain {len(found)} pieces of wall, at least {MIN_SHARED} are needed"
+        )
     return make_score(direction_entropy(found), len(found))
 
 
 _ROWS = (
     Metric("mme_nat", "mean map entropy of points", "nat", "lower", "map consistency",
-           f"Entropy 1/2 ln |2 pi e Sigma| of the hits within {PATCH_M:g} m of one, all mapped scans laid together; "
-           f"mean over those of at most 1,000 places that have {MIN_HITS} of them.",
+           f"Entropy 1/2 ln |2 pi e Sigma| of the hits of all mapped scans within {PATCH_M:g} m of a hit; mean over "
+           f"those of at most 1,000 places that have {MIN_HITS} hits.",
            "Razlaw et al., ECMR 2015 (mean map entropy), in the plane",
-           f"errors so large that they scatter the hits, for which it can even fall; {WARP}", _mean_map_entropy),
+           f"errors so large that they scatter the hits, which can even lower it; {WARP}", _mean_map_entropy),
     Metric("coral_nat", "entropy added by the other half", "nat", "lower", "map consistency",
-           "Entropy of the hits of both halves of the run together minus that of each half alone, at places that both "
-           f"see ({MIN_HITS} hits of either within {PATCH_M:g} m); mean. What the scene itself has cancels.",
+           "Mean entropy of the hits of both halves of the run together minus that of each half alone, at places "
+           f"observed in both ({MIN_HITS} hits of each within {PATCH_M:g} m). The entropy of the scene cancels.",
            "Adolfsson et al., ECMR 2021 (CorAl), with one radius and for the halves of a run",
-           f"drift within places seen in one half only, errors that smear both halves alike; {WARP}", _joint),
+           f"drift within places observed in one half only; errors that blur both halves equally; {WARP}", _joint),
     Metric("direction_spread_nat", "angular fragmentation", "nat", "lower", "map consistency",
-           "Differential entropy of the directions in which walls run in the single scans, in the world, modulo 180 "
-           "deg, smoothed by 1 deg: ln pi = 1.14 if every direction is as frequent, less the fewer there are.",
+           "Differential entropy of the directions of walls in single scans, in the world, modulo 180 deg, smoothed by "
+           "1 deg: ln pi = 1.14 if all directions are equally frequent, less for fewer directions.",
            "evalkit",
-           "every error of position; places whose walls run all ways anyway", _directions),
+           "errors of position; places with walls in all directions", _directions),
 )  # fmt: skip
 
 METRICS = with_support(
     _ROWS,
     {
-        "mme_nat": ("places with five hits around", (NO_HIT, "only ... % of the hits have ... others within ... m")),
+        "mme_nat": ("places with at least five hits", (NO_HIT, "only ... % of the hits have ... others within ... m")),
         "coral_nat": (
-            "places that both halves of the run see",
-            (NO_HIT, "both halves of the run hardly see the same places"),
+            "places observed in both halves of the run",
+            (NO_HIT, NO_OVERLAP),
         ),
         "direction_spread_nat": (
             "pieces of wall in single scans",
-            ("the scans show only ... pieces of wall, ... are needed",),
+            ("the scans contain ... pieces of wall, at least ... are needed",),
         ),
     },
 )

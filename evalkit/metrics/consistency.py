@@ -1,4 +1,4 @@
-"""Judges a map by itself, without a truth: sharp or smeared, single or doubled walls."""
+"""Map metrics without ground truth: entropy, wall thickness, corners, enclosed areas, agreement of two halves."""
 
 from __future__ import annotations
 
@@ -13,52 +13,68 @@ from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.maps import nearest_distances_m
 from evalkit.metrics.neighbourhoods import build_kd_tree, compute_neighbourhoods, thin_evenly
-from evalkit.metrics.table import DIVERGED, Evidence, Metric, PlacedScans, cached, make_score, with_support
+from evalkit.metrics.table import (
+    DIVERGED,
+    Evidence,
+    Metric,
+    MissingMap,
+    PlacedScans,
+    cached,
+    make_score,
+    with_grid,
+    with_support,
+)
 
 MAX_HITS = 20_000
-MAX_PATCHES = 1000
+MAX_PLACES = 1000
 MIN_WALL_SHARE = 0.05
 CORNER_APART_M = 0.2
 CORNER_RESPONSE = 1.8e-5
-"""In units of (occupied - free)^4: right angles of walls 2 to 5 cells thick give 2e-5 to 1e-4, slanted walls less."""
+"""In units of (occupied - free)^4. Right angles of walls 2 to 5 cells thick give 2e-5 to 1e-4, slanted walls less."""
 _RIM = 8
-"""Empty cells around the picture in which corners are looked for."""
+"""Empty cells added around the image in which corners are detected."""
 MIN_AREA_CELLS = 4
 CLEARED = -1.0
 NOISE_M = 0.1
-"""A hit this near to a wall of the other map is noise of the ranges: cells beside a wall are cleared all the same."""
+"""A hit at most this far from a wall of the other map counts as range noise, although its cell may be cleared."""
 MIN_SHARED = 100
 NO_HIT = "no mapped scan has a hit"
+NO_OVERLAP = "the two halves of the run observed almost no common places"
+_NO_CELLS = "the map has no occupied or no free cell"
+_NO_HALVES = "the two halves of the run have no maps"
 
 
 def map_entropy(grid: OccupancyGrid) -> float:
-    """Mean entropy of the observed cells, in nats: 0 where all is certain, ln 2 where nothing is known."""
+    """Return the mean entropy of the observed cells in nats: 0 if all are certain, ln 2 if nothing is known."""
     p = grid.probability()[grid.observed]
     p = np.clip(p, 1e-12, 1.0 - 1e-12)
     return float(-np.mean(p * np.log(p) + (1.0 - p) * np.log(1.0 - p)))
 
 
 def wall_thicknesses(hits: Floats) -> tuple[Floats, float]:
-    """Wall thickness (K,) in metres where hits (N, 2), N > 0, lie along a line, and the share of patches where they do.
+    """Return the wall thickness (K,) in metres where hits (N, 2), N > 0, lie along a line, and the share of such
+    places.
 
-    A patch is all hits within 0.5 m of one; its thickness is sqrt(lambda_min) of their covariance, where lambda_max
-    > 9 lambda_min. Hits and patches are at most 20,000 and 1,000, evenly spaced in the order of time.
+    The thickness is sqrt(lambda_min) of the hits within 0.5 m of a hit, where lambda_max > 9 lambda_min. At most 20,000
+    hits and 1,000 places, evenly spaced in the order of time.
     """
     points = thin_evenly(hits, MAX_HITS)
-    found = compute_neighbourhoods(points, thin_evenly(points, MAX_PATCHES))
-    return np.sqrt(found.small[found.flat]), float(found.flat.mean())
+    places = compute_neighbourhoods(points, thin_evenly(points, MAX_PLACES))
+    return np.sqrt(places.small[places.flat]), float(places.flat.mean())
 
 
 def occupied_share(grid: OccupancyGrid) -> float:
-    """Occupied cells, of occupied and free ones; at least one cell must be either."""
+    """Return the number of occupied cells divided by the number of occupied and free cells, of which there is at least
+    one.
+    """
     occupied, free = grid.occupied().sum(), grid.free().sum()
     return float(occupied / (occupied + free))
 
 
 def find_corners(grid: OccupancyGrid) -> Floats:
-    """Where (K, 2) in the world (m) the occupied cells show a corner.
+    """Return the corners (K, 2) of the occupied cells in the world (m).
 
-    Laplacian of Gaussian (1 cell) of the 0/1 image, Harris response (window 1.5 cells, k = 0.05), peaks over an
+    Laplacian of Gaussian (1 cell) of the 0/1 image, Harris response (window 1.5 cells, k = 0.05), peaks above an
     absolute threshold, at most one within 0.2 m.
     """
     from scipy import ndimage
@@ -84,16 +100,16 @@ def find_corners(grid: OccupancyGrid) -> Floats:
 
 @cached
 def find_mapped_corners(evidence: Evidence) -> Floats:
-    """The corners of the map; none without a map."""
-    return np.zeros((0, 2)) if evidence.grid is None else find_corners(evidence.grid)
+    """Return the corners (K, 2) of the map (m); none without a map."""
+    return np.zeros((0, 2)) if isinstance(evidence.grid, MissingMap) else find_corners(evidence.grid)
 
 
 def _corners(evidence: Evidence) -> Score:
-    return with_grid(lambda grid: make_score(len(find_mapped_corners(evidence)), int(grid.occupied().sum())))(evidence)
+    return with_cells(lambda grid: make_score(len(find_mapped_corners(evidence)), int(grid.occupied().sum())))(evidence)
 
 
 def find_enclosed_areas(grid: OccupancyGrid) -> Ints:
-    """Sizes (K,) in cells of the free areas shut in by anything not free, but for the largest, the drivable one.
+    """Return the sizes (K,) in cells of the free areas enclosed by cells that are not free, without the largest area.
 
     Areas of fewer than 4 cells and areas at the border of the grid do not count.
     """
@@ -111,9 +127,9 @@ def find_enclosed_areas(grid: OccupancyGrid) -> Ints:
 
 
 def cleared_share(hits: Floats, other: OccupancyGrid) -> tuple[float, int]:
-    """The share of hits (N, 2) in free space of the other map, and of how many: those in cells it has observed.
+    """Return the share of hits (N, 2) in free space of the other map, and the number of hits in cells it has observed.
 
-    Free space is where it has cleared the cell (log-odds < -1) and has no occupied cell's centre within 0.1 m.
+    Free space: cells with log-odds < -1, without the centre of an occupied cell within 0.1 m.
     """
     log_odds, observed = look_up_cells(hits, other)
     count = int(observed.sum())
@@ -124,7 +140,10 @@ def cleared_share(hits: Floats, other: OccupancyGrid) -> tuple[float, int]:
 
 
 def split_distances(first: OccupancyGrid, second: OccupancyGrid) -> Floats:
-    """Distance (N,) from the occupied cells of each map, where the other has observed, to the other's nearest one."""
+    """Return the distance (N,) from the occupied cells of each map to the nearest occupied cell of the other.
+
+    Only cells that the other map has observed count.
+    """
     cells = [grid.centres(grid.occupied()) for grid in (first, second)]
     if not all(map(len, cells)):
         return np.zeros(0)
@@ -133,18 +152,18 @@ def split_distances(first: OccupancyGrid, second: OccupancyGrid) -> Floats:
 
 
 def collect_hits(mapped: PlacedScans) -> Floats:
-    """The hits (N, 2) of scans with known sensor poses, in the world (m)."""
+    """Return the hits (N, 2) of scans with known sensor poses, in the world (m)."""
     return np.concatenate([np.zeros((0, 2)), *(se2.transform(pose, scan.points()) for scan, pose in mapped)])
 
 
 @cached
 def collect_all_hits(evidence: Evidence) -> Floats:
-    """The hits (N, 2) of all mapped scans, in the world (m)."""
+    """Return the hits (N, 2) of all mapped scans, in the world (m)."""
     return collect_hits(evidence.mapped)
 
 
 def look_up_cells(points: Floats, grid: OccupancyGrid) -> tuple[Floats, Bools]:
-    """Log-odds (N,) at points (N, 2), and which (N,) lie in observed cells."""
+    """Return the log-odds (N,) at points (N, 2), and which points (N,) lie in observed cells."""
     cells = np.floor((points - [grid.origin_x, grid.origin_y]) / grid.resolution_m).astype(np.int64)
     rows, columns = cells[:, 1], cells[:, 0]
     height, width = grid.shape
@@ -153,18 +172,15 @@ def look_up_cells(points: Floats, grid: OccupancyGrid) -> tuple[Floats, Bools]:
     return grid.log_odds[rows, columns].astype(np.float64), np.asarray(inside & grid.observed[rows, columns])
 
 
-def with_grid(measure: Callable[[OccupancyGrid], Score]) -> Callable[[Evidence], Score]:
-    """The same measure of evidence, which says why where there is no map or nothing in it."""
+def with_cells(measure: Callable[[OccupancyGrid], Score]) -> Callable[[Evidence], Score]:
+    """Return ``measure`` of a map with occupied and free cells as a function of the evidence."""
 
-    def compute(evidence: Evidence) -> Score:
-        grid = evidence.grid
-        if grid is None:
-            return Score(None, 0, f"no map: {evidence.no_grid}")
+    def check(grid: OccupancyGrid) -> Score:
         if not grid.occupied().any() or not grid.free().any():
-            return Score(None, 0, "the map has no occupied or no free cell")
+            return Score(None, 0, _NO_CELLS)
         return measure(grid)
 
-    return compute
+    return with_grid(check)
 
 
 def _of_thicknesses(statistic: Callable[[Floats], np.floating | float]) -> Callable[[Evidence], Score]:
@@ -183,7 +199,7 @@ def _wall_share(evidence: Evidence) -> Score:
     points = collect_all_hits(evidence)
     if len(points) == 0:
         return Score(None, 0, NO_HIT)
-    return make_score(100.0 * _thicknesses(evidence)[1], min(len(points), MAX_PATCHES))
+    return make_score(100.0 * _thicknesses(evidence)[1], min(len(points), MAX_PLACES))
 
 
 @cached
@@ -201,21 +217,22 @@ def _enclosed_m2(grid: OccupancyGrid) -> Score:
 
 def _cleared(evidence: Evidence) -> Score:
     first, second, middle = evidence.first_half, evidence.second_half, len(evidence.mapped) // 2
-    if first is None or second is None:
-        return Score(None, 0, "no maps of both halves of the run")
+    if isinstance(first, MissingMap) or isinstance(second, MissingMap):
+        return Score(None, 0, _NO_HALVES)
     one, shared_one = cleared_share(collect_hits(evidence.mapped[:middle]), second)
     other, shared_other = cleared_share(collect_hits(evidence.mapped[middle:]), first)
     if min(shared_one, shared_other) < MIN_SHARED:
-        return Score(None, shared_one + shared_other, "both halves of the run hardly see the same places")
+        return Score(None, shared_one + shared_other, NO_OVERLAP)
     return make_score(50.0 * (one + other), shared_one + shared_other)
 
 
 def _split(evidence: Evidence) -> Score:
-    if evidence.first_half is None or evidence.second_half is None:
-        return Score(None, 0, "no maps of both halves of the run")
-    distances = split_distances(evidence.first_half, evidence.second_half)
+    first, second = evidence.first_half, evidence.second_half
+    if isinstance(first, MissingMap) or isinstance(second, MissingMap):
+        return Score(None, 0, _NO_HALVES)
+    distances = split_distances(first, second)
     if len(distances) < MIN_SHARED:
-        return Score(None, len(distances), "both halves of the run hardly see the same places")
+        return Score(None, len(distances), NO_OVERLAP)
     return make_score(distances.mean(), len(distances))
 
 
@@ -224,71 +241,73 @@ def _cells(grid: OccupancyGrid) -> int:
 
 
 FILATOV = "after Filatov et al., arXiv 1708.02354, 2017; thresholds and units frozen by evalkit"
-WARP = "a smooth warp of the whole map; it compares maps of the same scans by the same mapper only"
-WALL = "Spread across the wall of the hits within 0.5 m of one, sqrt(lambda_min), where they lie along a line"
+WARP = "a smooth warp of the whole map; only maps of the same scans by the same mapper are comparable"
+WALL = "Spread sqrt(lambda_min) across the wall of the hits within 0.5 m of a hit, where they lie along a line"
 
 _ROWS = (
     Metric("map_entropy", "map entropy", "nat", "lower", "map consistency",
-           "Mean entropy of the occupancy over the cells that a beam has touched.", "Blanco et al., RSS 2008 (map "
+           "Mean entropy of the occupancy over the observed cells.", "Blanco et al., RSS 2008 (map "
            "entropy); per observed cell: evalkit",
-           f"scans scattered over fresh cells, which lower it, so that in a bare room it tells nothing; {WARP}",
-           with_grid(lambda grid: make_score(map_entropy(grid), int(grid.observed.sum()))), 4),
+           f"scans scattered over unobserved cells, which lower it, so that it is uninformative in a bare room; {WARP}",
+           with_cells(lambda grid: make_score(map_entropy(grid), int(grid.observed.sum()))), 4),
     Metric("wall_thickness_m", "wall thickness", "m", "lower", "map consistency",
-           f"{WALL} (lambda_max > 9 lambda_min), all mapped scans laid together; mean over at most 1,000 places. A "
-           "wall w wide gives w / sqrt(12).", "after Razlaw et al., ECMR 2015 (mean plane variance)",
-           f"walls doubled so far apart that they no longer count as a line; {WARP}",
+           f"{WALL} (lambda_max > 9 lambda_min), over all mapped scans; mean over at most 1,000 places. A wall of "
+           "width w gives w / sqrt(12).", "after Razlaw et al., ECMR 2015 (mean plane variance)",
+           f"duplicated walls so far apart that they do not count as a line; {WARP}",
            _of_thicknesses(np.mean)),
     Metric("wall_thickness_p95_m", "wall thickness, 95 %", "m", "lower", "map consistency",
            f"{WALL}; 95th percentile.", "as wall thickness",
-           f"walls doubled so far apart that they no longer count as a line; {WARP}",
+           f"duplicated walls so far apart that they do not count as a line; {WARP}",
            _of_thicknesses(lambda found: np.percentile(found, 95))),
     Metric("wall_share_percent", "hits along a wall", "%", "higher", "map consistency",
-           "Places at which the hits within 0.5 m lie along a line, of all places looked at.", "as wall thickness",
-           f"how thick the walls are; furniture and corners lower it; {WARP}", _wall_share, 1),
-    Metric("split_distance_m", "halves of the run apart", "m", "lower", "map consistency",
-           "Distance from the occupied cells of the map of one half of the run, where the other half has looked, to "
-           "the nearest occupied cell of the other half's map; mean over both directions.", "evalkit",
-           f"drift within places seen in one half only; {WARP}", _split, headline=True),
+           "Share of the examined places at which the hits within 0.5 m lie along a line.", "as wall thickness",
+           f"the thickness of the walls; furniture and corners lower it; {WARP}", _wall_share, 1),
+    Metric("split_distance_m", "distance between the halves of the run", "m", "lower", "map consistency",
+           "Mean distance from the occupied cells of the map of one half of the run, observed in the other half, to "
+           "the nearest occupied cell of the other half's map; over both directions.", "evalkit",
+           f"drift within places observed in one half only; {WARP}", _split, headline=True),
     Metric("cleared_percent", "free-space violation", "%", "lower", "map consistency",
-           "Hits of one half of the run in cells the other half has cleared (log-odds < -1), without a cell it holds "
-           "occupied within 10 cm, of those in cells it has observed; mean of both directions.", "evalkit",
-           "walls doubled less than 10 cm apart; drift along a wall. Sensor noise and people walking raise it: at 5 cm "
-           "(1 sigma) of noise perfect poses still give 2 to 6 %; " + WARP,
+           "Share of the hits of one half of the run, in cells observed in the other half, that lie in cleared cells "
+           "(log-odds < -1) without an occupied cell within 10 cm; mean of both directions.", "evalkit",
+           "walls duplicated less than 10 cm apart; drift along a wall. Sensor noise and pedestrians raise it: with 5 "
+           "cm (1 sigma) of noise, perfect poses give 2 to 6 %; " + WARP,
            _cleared, 2),
     Metric("occupied_percent", "occupied share", "%", "", "map consistency",
-           "Occupied cells (p > 0.65), of occupied and free (p < 0.196) ones.", FILATOV,
-           "most errors: smearing can raise or lower it",
-           with_grid(lambda grid: make_score(100.0 * occupied_share(grid), _cells(grid))), 2),
+           "Number of occupied cells (p > 0.65) divided by the number of occupied and free (p < 0.196) cells.", FILATOV,
+           "most errors: blurred walls can raise or lower it",
+           with_cells(lambda grid: make_score(100.0 * occupied_share(grid), _cells(grid))), 2),
     Metric("corners", "corners", "", "lower", "map consistency",
-           "Corners of the occupied cells: Harris peaks on their Laplacian of Gaussian, at most one within 0.2 m.",
-           FILATOV, f"walls smeared until their corners vanish; {WARP}",
+           "Number of corners of the occupied cells: Harris peaks of their Laplacian of Gaussian, at most one in 0.2 "
+           "m.",
+           FILATOV, f"walls so blurred that they have no corners; {WARP}",
            _corners, 0),
     Metric("enclosed_areas", "enclosed areas", "", "lower", "map consistency",
-           "Free areas of at least 4 cells shut in by occupied or unknown cells, without the largest and without those "
-           "at the grid's border.", FILATOV, f"copies that leave no gap between them; {WARP}", with_grid(_enclosed), 0),
+           "Number of free areas of at least 4 cells enclosed by occupied or unknown cells, without the largest area "
+           "and without areas at the border of the grid.",
+           FILATOV, f"duplicated walls without a gap between them; {WARP}", with_cells(_enclosed), 0),
     Metric("enclosed_m2", "enclosed area", "m2", "lower", "map consistency",
-           "Total size of the enclosed areas.", FILATOV, f"copies that leave no gap between them; {WARP}",
-           with_grid(_enclosed_m2), 2),
+           "Total size of the enclosed areas.", FILATOV, f"duplicated walls without a gap between them; {WARP}",
+           with_cells(_enclosed_m2), 2),
 )  # fmt: skip
 
-NOTHING_DRAWN = ("no map: ...", "the map has no occupied or no free cell")
-"""Why a metric of the map may have no value."""
+NO_MAP = ("no map: ...", _NO_CELLS)
+"""Reasons for a missing value of a metric of the map."""
 
-_APART = ("no maps of both halves of the run", "both halves of the run hardly see the same places")
+_HALVES = (_NO_HALVES, NO_OVERLAP)
 
 METRICS = with_support(
     _ROWS,
     {
-        "map_entropy": ("observed cells", NOTHING_DRAWN),
+        "map_entropy": ("observed cells", NO_MAP),
         "wall_thickness*": (
             "places where hits lie along a line",
             (NO_HIT, "only ... % of the hits lie along a wall", DIVERGED),
         ),
-        "wall_share_percent": ("places looked at", (NO_HIT, DIVERGED)),
-        "split_distance_m": ("occupied cells where the other half has looked", _APART),
-        "cleared_percent": ("hits in cells the other half has observed", _APART),
-        "occupied_percent": ("occupied and free cells", NOTHING_DRAWN),
-        "corners": ("occupied cells", NOTHING_DRAWN),
-        "enclosed_*": ("free cells", NOTHING_DRAWN),
+        "wall_share_percent": ("places examined", (NO_HIT, DIVERGED)),
+        "split_distance_m": ("occupied cells observed in the other half", _HALVES),
+        "cleared_percent": ("hits in cells observed in the other half", _HALVES),
+        "occupied_percent": ("occupied and free cells", NO_MAP),
+        "corners": ("occupied cells", NO_MAP),
+        "enclosed_*": ("free cells", NO_MAP),
     },
 )

@@ -1,4 +1,4 @@
-"""How fast an estimate leaves the truth: relative errors from pose to pose, per metre, per turn, start to end."""
+"""Relative errors of an estimate: from pose to pose, per metre, per turn, from start to end."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ START_EVERY_TURN = np.radians(10.0)
 
 
 def travelled_m(matched: MatchedPoses) -> Floats:
-    """Metres (N,) the truth has gone since the first pose."""
+    """Return the true path length (N,) in metres since the first pose."""
     steps = np.linalg.norm(np.diff(matched.truth[:, :2], axis=0), axis=1)
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
 def turned_rad(matched: MatchedPoses) -> Floats:
-    """Radians (N,) the truth has turned since the first pose, left and right both counted as positive."""
+    """Return the true rotation (N,) in radians since the first pose, left and right turns both counted as positive."""
     return np.concatenate([[0.0], np.cumsum(np.abs(se2.wrap(np.diff(matched.truth[:, 2]))))])
 
 
 def find_segments(progress: Floats, length: float, start_every: float) -> tuple[Ints, Ints]:
-    """First and last indices (K,) of all segments of at least a length along ``progress`` (N,), which never falls.
+    """Return first and last indices (K,) of all segments of at least ``length`` along ``progress`` (N,).
 
-    A segment starts at the first pose at or beyond each multiple of ``start_every``, so that standing still counts
-    once, and ends at the first pose at least ``length`` on.
+    ``progress`` must not decrease. A segment starts at the first pose at or beyond each multiple of ``start_every``, so
+    that a standstill counts once, and ends at the first pose at least ``length`` farther.
     """
     slack = 1e-9  # sums of steps are not exact
     goals = np.arange(0.0, progress[-1] - length + slack, start_every)
@@ -47,9 +47,9 @@ def find_segments(progress: Floats, length: float, start_every: float) -> tuple[
 
 
 def find_pairs_in_time(stamps_ns: Stamps, apart_s: float) -> tuple[Ints, Ints]:
-    """First and last indices (K,) of all pairs of stamps (N,) so far apart in time, to half a typical step.
+    """Return first and last indices (K,) of all pairs of stamps (N,) ``apart_s`` apart, to half a typical step.
 
-    All pairs, overlapping ones too: each stamp with the one nearest to ``apart_s`` later, where that is near enough.
+    All pairs, including overlapping ones: each stamp with the stamp nearest to ``apart_s`` later.
     """
     wanted = stamps_ns + round(apart_s * 1e9)
     after = np.searchsorted(stamps_ns, wanted).clip(1, max(len(stamps_ns) - 1, 1))
@@ -61,9 +61,9 @@ def find_pairs_in_time(stamps_ns: Stamps, apart_s: float) -> tuple[Ints, Ints]:
 
 
 def relative_errors(matched: MatchedPoses, first: Ints, last: Ints) -> Floats:
-    """The motions (K, 3) by which the estimate's step from ``first`` to ``last`` differs from the true one.
+    """Return the motions (K, 3) between the true and the estimated step from ``first`` to ``last``.
 
-    Sturm et al., IROS 2012, relative pose error: (Q_i^-1 Q_j)^-1 (P_i^-1 P_j).
+    Relative pose error (Sturm et al., IROS 2012): (Q_i^-1 Q_j)^-1 (P_i^-1 P_j).
     """
     true = se2.between(matched.truth[first], matched.truth[last])
     estimated = se2.between(matched.estimate[first], matched.estimate[last])
@@ -71,7 +71,7 @@ def relative_errors(matched: MatchedPoses, first: Ints, last: Ints) -> Floats:
 
 
 def segment_errors(matched: MatchedPoses, lengths_m: tuple[float, ...]) -> Floats:
-    """Per segment (K, 3): metres of translation error, radians of rotation error, metres the truth went."""
+    """Return for each segment (K, 3): translation error (m), rotation error (rad), true path length (m)."""
     progress = travelled_m(matched)
     rows = [np.zeros((0, 3))]
     for length in lengths_m:
@@ -149,7 +149,7 @@ def _end_percent(matched: MatchedPoses) -> Score:
 
 KITTI = "Geiger et al., CVPR 2012 (KITTI odometry benchmark), with shorter lengths for rooms"
 RPE = "Sturm et al., IROS 2012 (relative pose error)"
-START = f"segments start every {START_EVERY_M:g} m of true path and are divided by what the truth really went"
+START = f"segments start every {START_EVERY_M:g} m of true path and are divided by their true length"
 
 _SECONDS: tuple[tuple[Literal["m", "deg"], str, str, int], ...] = (
     ("m", "translation", "", 4),
@@ -160,39 +160,39 @@ _ROWS = (
     Metric("drift_percent", "drift per metre", "%", "lower", "drift",
            "Translation error over segments of 1, 2, 5, 10 and 20 m of true path (those that fit), in percent of the "
            f"segment, mean over all of them; {START}.", KITTI,
-           "how the errors add up over the whole path; lengths that do not fit; scans that were not answered",
+           "how errors accumulate over the whole path; lengths that do not fit; scans without a pose",
            with_matched_poses(partial(_percent, LENGTHS_M)), 2, headline=True),
     *(Metric(f"drift_{length:g}m_percent", f"drift over {length:g} m", "%", "lower", "drift",
              f"Translation error over segments of {length:g} m of true path, in percent, mean; {START}.", KITTI,
-             "errors slower or quicker than this length; scans that were not answered",
+             "errors on longer or shorter scales; scans without a pose",
              with_matched_poses(partial(_percent, (length,))), 2) for length in LENGTHS_M),
     Metric("drift_deg_per_m", "heading drift per metre", "deg/m", "lower", "drift",
            f"Rotation error over the same segments of all lengths, per metre, mean; {START}.", KITTI,
-           "errors of translation; how the errors add up over the whole path", with_matched_poses(_deg_per_m)),
+           "errors of translation; how errors accumulate over the whole path", with_matched_poses(_deg_per_m)),
     Metric("drift_deg_per_turn", "heading drift per turn", "deg", "lower", "drift",
-           "Rotation error over segments in which the truth turns 360 deg, left and right both counted as positive, "
+           "Rotation error over segments with 360 deg of true rotation, left and right both counted as positive, "
            "scaled to exactly 360 deg, mean; segments start every 10 deg.", "evalkit, after KITTI",
-           "errors that cancel between a left and a right turn; a shaking truth counts as turning",
+           "errors that cancel between a left and a right turn; noise of the ground truth counts as turning",
            with_matched_poses(_deg_per_turn), 2),
     Metric("end_error_percent", "end-point error", "%", "lower", "drift",
            "Translation error of the motion from the first matched pose to the last, in percent of the true path.",
            "common practice for loops; Sturm et al., IROS 2012 (relative pose error)",
-           "everything between start and end; errors that cancel, as on a closed loop",
+           "errors between start and end; errors that cancel, as on a closed loop",
            with_matched_poses(_end_percent), 2),
     Metric("rpe_step_m", "RPE, step", "m", "lower", "drift",
            "Root mean square translation error from each matched pose to the next (consecutive pairs).", RPE,
-           "slow drift, which hides below the noise of one step", with_matched_poses(_step_m), 4),
+           "slow drift, which is smaller than the noise of one step", with_matched_poses(_step_m), 4),
     Metric("rpe_step_deg", "RPE, step, heading", "deg", "lower", "drift",
            "Root mean square rotation error from each matched pose to the next (consecutive pairs).", RPE,
-           "slow drift, which hides below the noise of one step", with_matched_poses(_step_deg)),
+           "slow drift, which is smaller than the noise of one step", with_matched_poses(_step_deg)),
     *(Metric(f"rpe_1s_{unit}", f"RPE, 1 s{heading}", unit, "lower", "drift",
-             f"Root mean square {what} error between all matched poses 1 s apart (to half a step), overlapping pairs "
-             "too.", RPE, "drift much slower than a second; a faster robot has more of it",
+             f"Root mean square {what} error between all matched poses 1 s apart (to half a step), including "
+             "overlapping pairs.", RPE, "drift over much more than a second; depends on the speed of the robot",
              with_matched_poses(partial(_second, column=unit)), digits)
       for unit, what, heading, digits in _SECONDS),
     Metric("rpe_1m_m", "RPE, 1 m", "m", "lower", "drift",
            f"Root mean square translation error over segments of 1 m of true path; {START}.", RPE,
-           "drift much slower than a metre; scans that were not answered", with_matched_poses(_metre_rms)),
+           "drift over much more than a metre; scans without a pose", with_matched_poses(_metre_rms)),
 )  # fmt: skip
 
 _TOO_SHORT = (*UNMATCHED, "a path of ... m is too short for segments of ... m")
@@ -205,7 +205,7 @@ METRICS = with_support(
             (*UNMATCHED, "a path that turns ... deg has no segment of 360 deg"),
         ),
         "end_error_percent": (
-            "poses matched with the truth",
+            "poses matched with the ground truth",
             (*UNMATCHED, "a path of ... m is too short (1 m needed)"),
         ),
         "rpe_1s_*": ("pairs of matched poses 1 s apart", (*UNMATCHED, "no two matched poses are ... s apart")),

@@ -14,7 +14,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import RunResult, Scores
 from evalkit.core.scan import Frame
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.table import Evidence, MatchedPoses, PlacedScan, PlacedScans
+from evalkit.metrics.table import NO_POSES, Evidence, MatchedPoses, MissingMap, PlacedScan, PlacedScans
 from evalkit.metrics.trajectory import compute_errors_m, match_trajectories
 from evalkit.plugins.protocols import Mapper, Sequence
 
@@ -29,14 +29,14 @@ def score(run: RunResult, sequence: Sequence, make_mapper: Callable[[], Mapper],
     true = evidence.truth.trajectory
     errors = None if true is None else compute_errors_m(run.estimate.moved(world_from_start, "world"), true)
     scores = metrics.compute_scores(evidence, metrics.all_metrics())
-    return Scores(scores, world_from_start, _in_words(evidence.matched), evidence.grid, errors)
+    grid = None if isinstance(evidence.grid, MissingMap) else evidence.grid
+    return Scores(scores, world_from_start, _describe_alignment(evidence), grid, errors)
 
 
 def without_map(run: RunResult, sequence: Sequence) -> Evidence:
     """What a run shows without its scans looked at again: enough for drift and runtime."""
     truth = sequence.truth()
-    matched = match_trajectories(run.estimate, truth.trajectory) if truth.trajectory is not None else None
-    return Evidence(run, truth, matched, None, ())
+    return Evidence(run, truth, match_trajectories(run.estimate, truth.trajectory))
 
 
 def with_map(
@@ -45,40 +45,40 @@ def with_map(
     """The same with its map; ``halves``: with those of its two halves too, which some consistency metrics compare."""
     world_from_base = evidence.run.estimate.moved(_world_from_start(evidence), "world")
     mapped, successive = _placed(sequence, world_from_base, scans)
-    grid, no_grid = draw(mapped, make_mapper)
-    drawn = replace(evidence, grid=grid, mapped=mapped, no_grid=no_grid, successive=successive)
+    with_grid = replace(evidence, grid=render_map(mapped, make_mapper), mapped=mapped, successive=successive)
     if not halves:
-        return drawn
+        return with_grid
     middle = len(mapped) // 2
-    first, _ = draw(mapped[:middle], make_mapper)
-    second, _ = draw(mapped[middle:], make_mapper)
-    return replace(drawn, first_half=first, second_half=second)
+    first, second = render_map(mapped[:middle], make_mapper), render_map(mapped[middle:], make_mapper)
+    return replace(with_grid, first_half=first, second_half=second)
 
 
-def draw(mapped: PlacedScans, make_mapper: Callable[[], Mapper]) -> tuple[OccupancyGrid | None, str]:
-    """The map of scans with known sensor poses, or None and why there is none.
+def render_map(mapped: PlacedScans, make_mapper: Callable[[], Mapper]) -> OccupancyGrid | MissingMap:
+    """Return the map of scans with known sensor poses.
 
-    A trajectory that ran away can be beyond any map; its other scores shall stand nevertheless.
+    A map may be impossible, for example because a diverged trajectory exceeds its largest size; the other scores of the
+    run are computed nevertheless.
     """
     if not mapped:
-        return None, "the run answered no scan"
+        return MissingMap(NO_POSES)
     mapper = make_mapper()
     try:
         for scan, world_from_sensor in mapped:
             mapper.update(scan, Pose.of(world_from_sensor))
-        return mapper.grid(), ""
-    except Exception as error:  # noqa: BLE001 - a mapper is a third party's code
-        return None, f"it cannot be drawn ({error})"
+        return mapper.grid()
+    except Exception as error:  # noqa: BLE001 - a mapper is third-party code
+        return MissingMap(f"the mapper failed ({error})")
 
 
 def _world_from_start(evidence: Evidence) -> Pose:
     return evidence.matched.world_from_start if isinstance(evidence.matched, MatchedPoses) else Pose()
 
 
-def _in_words(matched: MatchedPoses | str | None) -> str:
+def _describe_alignment(evidence: Evidence) -> str:
+    matched = evidence.matched
     if isinstance(matched, MatchedPoses):
         return f"{matched.alignment} over {len(matched.stamps_ns):,} poses; {matched.rule}"
-    return matched or ""
+    return "" if evidence.truth.trajectory is None else matched.reason
 
 
 def _placed(

@@ -8,7 +8,7 @@ from evalkit import metrics
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import RunResult, Score, Scores
-from evalkit.metrics.table import Evidence
+from evalkit.metrics.table import Evidence, Unmatched
 from evalkit.plugins.protocols import Sequence
 
 OF_THE_MAP_ALONE = ("occupied_percent", "corners", "enclosed_areas", "enclosed_m2", "wall_width_m")
@@ -25,7 +25,7 @@ FRAME = "the map stands where its file and its settings say"
 
 def score(run: RunResult, grid: OccupancyGrid, sequence: Sequence) -> Scores:
     """The scores of a map in the world's frame; what needs a trajectory says that there is none."""
-    evidence = Evidence(run, sequence.truth(), NO_TRAJECTORY, grid, (), no_grid=NO_TRAJECTORY)
+    evidence = Evidence(run, sequence.truth(), Unmatched(NO_TRAJECTORY), grid)
     table = metrics.all_metrics()
     against_truth = [one for one in table if one.group == "map against truth" and one.name not in OF_PROBABILITIES]
     meaningful = [*against_truth, *(one for one in table if one.name in OF_THE_MAP_ALONE)]

@@ -1,4 +1,4 @@
-"""Holds the map of an estimate against the true map voxel by voxel, each a Gaussian, by the exact distance of both."""
+"""Compare the map with the ground-truth map voxel by voxel, each as a Gaussian, by the exact Wasserstein distance."""
 
 from __future__ import annotations
 
@@ -8,20 +8,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from evalkit.core.arrays import Ints
+from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.table import Evidence, Metric, cached, make_score, with_support
+from evalkit.metrics.table import NO_TRUE_MAP, Evidence, Metric, make_score, with_support, with_true_grid
 
 VOXEL_M = 1.0
 MIN_CELLS = 5
 MIN_VOXELS = 3
 _FAR = 1 << 32
-"""More rows than any map has: column and row in one number."""
+"""Larger than the number of rows of any map: encodes column and row as one number."""
 
 
 @dataclass(frozen=True, eq=False)
 class Voxels:
-    """Per voxel: its column and row (K, 2), the mean (K, 2) of its points in m, their covariance (K, 2, 2) in m2."""
+    """Gaussians of K voxels.
+
+    ``at`` (K, 2): column and row. ``means`` (K, 2): in m. ``covariances`` (K, 2, 2): in m2.
+    """
 
     at: Ints
     means: Floats
@@ -29,7 +33,7 @@ class Voxels:
 
 
 def fit_voxels(points: Floats, size_m: float = VOXEL_M, at_least: int = MIN_CELLS) -> Voxels:
-    """The Gaussians of points (N, 2) in squares of that size, one corner of one at the origin."""
+    """Return the Gaussians of points (N, 2) in squares of ``size_m``; one square has a corner at the origin."""
     squares_of = np.floor(points / size_m).astype(np.int64)
     flat = squares_of[:, 0] * _FAR + squares_of[:, 1]
     found, which, counts = np.unique(flat, return_inverse=True, return_counts=True)
@@ -46,7 +50,7 @@ def fit_voxels(points: Floats, size_m: float = VOXEL_M, at_least: int = MIN_CELL
 
 
 def wasserstein_distances(means: Floats, covariances: Floats, others: Floats, other_covariances: Floats) -> Floats:
-    """Wasserstein-2 distance (K,) between Gaussians of the plane, in the unit of the means (K, 2).
+    """Return the Wasserstein-2 distance (K,) between Gaussians of the plane, in the unit of the means (K, 2).
 
     W2^2 = |mu1 - mu2|^2 + tr(S1 + S2 - 2 (S1^1/2 S2 S1^1/2)^1/2); for 2 x 2 matrices the trace of that root is
     sqrt(tr(S1 S2) + 2 sqrt(det S1 det S2)).
@@ -60,7 +64,7 @@ def wasserstein_distances(means: Floats, covariances: Floats, others: Floats, ot
 
 
 def voxel_distances(mapped: Floats, true: Floats, size_m: float = VOXEL_M) -> tuple[Ints, Floats]:
-    """Column and row (K, 2) of the voxels in which both clouds have a Gaussian, and how far apart they are (K,)."""
+    """Return column and row (K, 2) of the voxels with a Gaussian in both clouds, and their distances (K,)."""
     ours, theirs = fit_voxels(mapped, size_m), fit_voxels(true, size_m)
     index = {(int(column), int(row)): place for place, (column, row) in enumerate(theirs.at)}
     pairs = [(i, index[int(c), int(r)]) for i, (c, r) in enumerate(ours.at) if (int(c), int(r)) in index]
@@ -72,9 +76,10 @@ def voxel_distances(mapped: Floats, true: Floats, size_m: float = VOXEL_M) -> tu
 
 
 def spatial_consistency(at: Ints, apart: Floats) -> float:
-    """Standard deviation over mean of the distances (K,) among each voxel and its up to 8 neighbours, mean over voxels.
+    """Return the standard deviation divided by the mean of the distances (K,) around each voxel, averaged over voxels.
 
-    Voxels with fewer than three distances around them are left out; nan if all are.
+    Around a voxel: itself and its up to 8 neighbours. Voxels with fewer than three distances around them are omitted;
+    nan if all are.
     """
     near = np.abs(at[:, None, :] - at[None, :, :]).max(axis=-1) <= 1
     counts = near.sum(axis=1)
@@ -85,42 +90,31 @@ def spatial_consistency(at: Ints, apart: Floats) -> float:
 
 
 def _scored(measure: Callable[[Ints, Floats], float]) -> Callable[[Evidence], Score]:
-    def compute(evidence: Evidence) -> Score:
-        if evidence.truth.grid is None:
-            return Score(None, 0, "no true map")
-        if evidence.grid is None:
-            return Score(None, 0, f"no map: {evidence.no_grid}")
-        at, apart = _distances(evidence)
+    def measure_grids(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
+        at, apart = voxel_distances(mapped.centres(mapped.occupied()), true.centres(true.occupied()))
         if len(apart) < MIN_VOXELS:
-            return Score(None, len(apart), f"the maps share {len(apart)} squares with walls, {MIN_VOXELS} are needed")
-        value = measure(at, apart)
-        if np.isnan(value):
-            return Score(None, len(apart), "no square with walls has two neighbours with walls")
-        return make_score(value, len(apart))
+            reason = f"the maps share {len(apart)} squares with walls, at least {MIN_VOXELS} are needed"
+            return Score(None, len(apart), reason)
+        return make_score(measure(at, apart), len(apart), _NO_NEIGHBOURS)
 
-    return compute
+    return with_true_grid(measure_grids)
 
 
-@cached
-def _distances(evidence: Evidence) -> tuple[Ints, Floats]:
-    ours, theirs = (
-        np.zeros((0, 2)) if grid is None else grid.centres(grid.occupied())
-        for grid in (evidence.grid, evidence.truth.grid)
-    )
-    return voxel_distances(ours, theirs)
+_NO_NEIGHBOURS = "no square with walls has two neighbours with walls"
 
 
-MAPEVAL = "Hu et al., MapEval, RA-L 2025; there with Cholesky factors in place of the matrix root: not comparable"
+MAPEVAL = "Hu et al., MapEval, RA-L 2025; with Cholesky factors instead of the matrix root there: not comparable"
 SQUARES = f"squares of {VOXEL_M:g} m in which both maps have {MIN_CELLS} wall cells"
 
 _ROWS = (
     Metric("map_awd_m", "Wasserstein distance of the walls", "m", "lower", "map against truth",
-           f"Wasserstein-2 distance between the Gaussians of the wall cells of both maps, mean over {SQUARES}.",
-           MAPEVAL, "walls in squares where one map has none; which cell is wrong within a square",
+           f"Mean Wasserstein-2 distance between the Gaussians of the wall cells of both maps, over {SQUARES}.",
+           MAPEVAL, "walls in squares without walls in the other map; the position of an error within a square",
            _scored(lambda _, apart: float(apart.mean()))),
-    Metric("map_scs", "spatial consistency of that", "", "lower", "map against truth",
-           "Standard deviation over mean of those distances among a square and its neighbours, mean over squares: how "
-           "uneven the error is from place to place.", MAPEVAL, "how large the error is: an even one scores 0",
+    Metric("map_scs", "spatial consistency of the Wasserstein distance", "", "lower", "map against truth",
+           "Standard deviation divided by the mean of the Wasserstein distances of a square and its neighbours, "
+           "averaged over squares: how uneven the error is.",
+           MAPEVAL, "the size of the error: a uniform error scores 0",
            _scored(spatial_consistency)),
 )  # fmt: skip
 
@@ -130,10 +124,10 @@ METRICS = with_support(
         "*": (
             "squares with walls in both maps",
             (
-                "no true map",
+                NO_TRUE_MAP,
                 "no map: ...",
-                "the maps share ... squares with walls, ... are needed",
-                "no square with walls has two neighbours with walls",
+                "the maps share ... squares with walls, at least ... are needed",
+                _NO_NEIGHBOURS,
             ),
         )
     },

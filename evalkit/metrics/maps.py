@@ -1,4 +1,4 @@
-"""Holds the map of an estimate against the true map: which walls are there, and how far off."""
+"""Compare the occupied cells of the map of an estimate with those of the ground-truth map."""
 
 from __future__ import annotations
 
@@ -13,21 +13,32 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.neighbourhoods import build_kd_tree
-from evalkit.metrics.table import DIVERGED, Evidence, Metric, cached, make_score, with_support
+from evalkit.metrics.table import (
+    DIVERGED,
+    NO_TRUE_MAP,
+    Evidence,
+    Metric,
+    MissingMap,
+    cached,
+    make_score,
+    with_support,
+    with_true_grid,
+)
 
 TOLERANCE_M = 0.1
 INLIER_M = 0.2
 NO_WALL = "the map has no wall"
-_SLACK_M = 1e-6  # cells exactly the tolerance apart are within it
-_EDGE = 1e-6  # cells: a centre this near below an edge lies on it
+NO_TRUE_WALL = "the ground-truth map has no wall"
+_SLACK_M = 1e-6  # cells at exactly the tolerance are within it
+_EDGE = 1e-6  # cells: a centre at this distance below an edge counts as on the edge
 
 
 @dataclass(frozen=True, eq=False)
 class WallDistances:
-    """Occupied cells of two maps: centres (N, 2) and (M, 2) in the world (m), and how far each is from the other map.
+    """Distances between the occupied cells of two maps.
 
-    ``to_true`` (N,), ``to_mapped`` (M,): distance from each centre to the nearest one of the other map (m).
-    ``lattice``: the coarser of both grids.
+    ``mapped`` (N, 2), ``true`` (M, 2): cell centres in the world (m). ``to_true`` (N,), ``to_mapped`` (M,): distance to
+    the nearest cell of the other map (m). ``lattice``: the grid with the coarser cells.
     """
 
     mapped: Floats
@@ -38,58 +49,64 @@ class WallDistances:
 
 
 def compare_walls(mapped: OccupancyGrid, true: OccupancyGrid) -> WallDistances:
-    """The occupied cells of both grids, which need not share origin or resolution; neither may be without any."""
+    """Return the distances between the occupied cells of two grids; both need at least one.
+
+    The grids may differ in origin and resolution.
+    """
     ours, theirs = mapped.centres(mapped.occupied()), true.centres(true.occupied())
     coarser = max(true, mapped, key=lambda grid: grid.resolution_m)
     return WallDistances(ours, theirs, nearest_distances_m(ours, theirs), nearest_distances_m(theirs, ours), coarser)
 
 
 def nearest_distances_m(points: ArrayLike, others: ArrayLike) -> Floats:
-    """Distance (N,) from each point (N, 2) to the nearest of the others (M, 2), M > 0."""
+    """Return the distance (N,) from each point (N, 2) to the nearest of the others (M, 2), M > 0."""
     return np.asarray(build_kd_tree(np.asarray(others)).query(np.asarray(points))[0], dtype=np.float64)
 
 
-def precision(found: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:
-    """The share of mapped cells within the tolerance of a true one."""
-    return float(np.mean(found.to_true <= tolerance_m + _SLACK_M))
+def precision(walls: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:
+    """Return the share of mapped cells within the tolerance of a true cell."""
+    return float(np.mean(walls.to_true <= tolerance_m + _SLACK_M))
 
 
-def recall(found: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:
-    """The share of true cells within the tolerance of a mapped one."""
-    return float(np.mean(found.to_mapped <= tolerance_m + _SLACK_M))
+def recall(walls: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:
+    """Return the share of true cells within the tolerance of a mapped cell."""
+    return float(np.mean(walls.to_mapped <= tolerance_m + _SLACK_M))
 
 
-def f1(found: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:
-    """The harmonic mean of precision and recall; 0 where both are."""
-    p, r = precision(found, tolerance_m), recall(found, tolerance_m)
+def f1(walls: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:
+    """Return the harmonic mean of precision and recall; 0 if both are 0."""
+    p, r = precision(walls, tolerance_m), recall(walls, tolerance_m)
     return 2.0 * p * r / (p + r) if p + r > 0.0 else 0.0
 
 
-def chamfer(found: WallDistances) -> float:
-    """Half the sum of both mean distances (m)."""
-    return float(0.5 * (found.to_true.mean() + found.to_mapped.mean()))
+def chamfer(walls: WallDistances) -> float:
+    """Return half the sum of both mean distances (m)."""
+    return float(0.5 * (walls.to_true.mean() + walls.to_mapped.mean()))
 
 
-def iou(found: WallDistances) -> float:
-    """Cells with a wall in both maps, of cells with a wall in either, on the lattice of the coarser grid."""
-    ours, theirs = _keys(found.mapped, found.lattice), _keys(found.true, found.lattice)
+def iou(walls: WallDistances) -> float:
+    """Return the cells with a wall in both maps, divided by the cells with a wall in either, on the coarser lattice."""
+    ours, theirs = _keys(walls.mapped, walls.lattice), _keys(walls.true, walls.lattice)
     both = len(np.intersect1d(ours, theirs, assume_unique=True))
     return both / (len(ours) + len(theirs) - both)
 
 
-def iou_within(found: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:
-    """Cells with a wall in either map within the tolerance of a wall in the other, of all, on the same lattice."""
+def iou_within(walls: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:
+    """Return the share of cells with a wall in either map that lie within the tolerance of a wall in the other map.
+
+    On the coarser lattice.
+    """
     near = [
-        found.mapped[found.to_true <= tolerance_m + _SLACK_M],
-        found.true[found.to_mapped <= tolerance_m + _SLACK_M],
+        walls.mapped[walls.to_true <= tolerance_m + _SLACK_M],
+        walls.true[walls.to_mapped <= tolerance_m + _SLACK_M],
     ]
-    either = len(np.union1d(_keys(found.mapped, found.lattice), _keys(found.true, found.lattice)))
-    return len(np.union1d(_keys(near[0], found.lattice), _keys(near[1], found.lattice))) / either
+    either = len(np.union1d(_keys(walls.mapped, walls.lattice), _keys(walls.true, walls.lattice)))
+    return len(np.union1d(_keys(near[0], walls.lattice), _keys(near[1], walls.lattice))) / either
 
 
-def accuracy(found: WallDistances, inlier_m: float = INLIER_M) -> float:
-    """Root mean square distance (m) of the mapped cells within ``inlier_m`` of a true one; nan without any."""
-    inliers = found.to_true[found.to_true <= inlier_m + _SLACK_M]
+def accuracy(walls: WallDistances, inlier_m: float = INLIER_M) -> float:
+    """Return the root mean square distance (m) of the mapped cells within ``inlier_m`` of a true cell; nan if none."""
+    inliers = walls.to_true[walls.to_true <= inlier_m + _SLACK_M]
     return float(np.sqrt(np.mean(inliers**2))) if len(inliers) else float("nan")
 
 
@@ -99,40 +116,41 @@ def _keys(points: Floats, lattice: OccupancyGrid) -> Ints:
 
 
 def _scored(
-    measure: Callable[[WallDistances], float], without_walls: float | None = None
+    measure: Callable[[WallDistances], float], without_walls: float | None = None, not_finite: str = DIVERGED
 ) -> Callable[[Evidence], Score]:
-    """A measure of evidence; ``without_walls``: its value where the map has no wall at all."""
+    """Return a measure of the walls as a function of the evidence.
+
+    ``without_walls``: the value if the map has no occupied cell. ``not_finite``: the reason if the measure is nan.
+    """
 
     def compute(evidence: Evidence) -> Score:
-        found = _walls(evidence)
-        if isinstance(found, str):
-            return Score(without_walls if found == NO_WALL else None, 0, found)
-        return make_score(measure(found), len(found.mapped) + len(found.true))
+        walls = _compare_walls(evidence)
+        if isinstance(walls, Score):
+            return replace(walls, value=without_walls) if walls is _WITHOUT_WALL else walls
+        return make_score(measure(walls), len(walls.mapped) + len(walls.true), not_finite)
 
     return compute
 
 
+_WITHOUT_WALL = Score(None, 0, NO_WALL)
+
+
 @cached
-def _walls(evidence: Evidence) -> WallDistances | str:
-    """The walls of both maps, or why there are none to compare."""
+def _compare_walls(evidence: Evidence) -> WallDistances | Score:
+    """Return the distances between the walls of both maps, or a score without value if they are missing."""
     true, mapped = evidence.truth.grid, evidence.grid
     if true is None or not true.occupied().any():
-        return "no true map" if true is None else "the true map has no wall"
-    if mapped is None:
-        return f"no map: {evidence.no_grid}"
-    return compare_walls(mapped, true) if mapped.occupied().any() else NO_WALL
+        return Score(None, 0, NO_TRUE_MAP if true is None else NO_TRUE_WALL)
+    if isinstance(mapped, MissingMap):
+        return Score(None, 0, f"no map: {mapped.reason}")
+    return compare_walls(mapped, true) if mapped.occupied().any() else _WITHOUT_WALL
 
 
-def _accuracy(evidence: Evidence) -> Score:
-    found = _scored(accuracy)(evidence)
-    return replace(found, reason=_NO_INLIER) if found.reason == DIVERGED else found
-
-
-_NO_INLIER = f"no wall of the map is within {INLIER_M:g} m of a true one"
+_NO_INLIER = f"no wall of the map is within {INLIER_M:g} m of a true wall"
 
 
 def map_coverage(mapped: OccupancyGrid, true: OccupancyGrid) -> float:
-    """The share of the observed cells of the true map whose centre lies in an observed cell of the other."""
+    """Return the share of the observed cells of the true map whose centre lies in an observed cell of the map."""
     rows, columns = find_cells(true, mapped)
     height, width = mapped.shape
     met = np.ix_((rows >= 0) & (rows < height), (columns >= 0) & (columns < width))
@@ -141,96 +159,96 @@ def map_coverage(mapped: OccupancyGrid, true: OccupancyGrid) -> float:
 
 
 def find_cells(grid: OccupancyGrid, other: OccupancyGrid) -> tuple[Ints, Ints]:
-    """In which row of another grid each row (H,) of a grid has its centres, and in which column each column (W,)."""
-    found = []
+    """Return the row (H,) and the column (W,) of another grid that contain the cell centres of a grid."""
+    cells = []
     for own, theirs, count in zip(
         (grid.origin_y, grid.origin_x), (other.origin_y, other.origin_x), grid.shape, strict=True
     ):
         centres = own + (np.arange(count) + 0.5) * grid.resolution_m
-        found.append(np.floor((centres - theirs) / other.resolution_m + _EDGE).astype(np.int64))
-    return found[0], found[1]
+        cells.append(np.floor((centres - theirs) / other.resolution_m + _EDGE).astype(np.int64))
+    return cells[0], cells[1]
 
 
-def _coverage(evidence: Evidence) -> Score:
-    true, mapped = evidence.truth.grid, evidence.grid
-    if true is None or not true.observed.any():
-        return Score(None, 0, "no true map" if true is None else "nothing of the true map is observed")
-    if mapped is None:
-        return Score(None, 0, f"no map: {evidence.no_grid}")
+def _coverage(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
+    if not true.observed.any():
+        return Score(None, 0, _NOTHING_OBSERVED)
     return make_score(100.0 * map_coverage(mapped, true), int(true.observed.sum()))
 
 
+_NOTHING_OBSERVED = "the ground-truth map has no observed cell"
+
 F1 = "precision and recall with a distance tolerance, as for boundaries in Martin et al., PAMI 26(5), 2004"
-ALIGNED = "errors within the tolerance; the map is drawn in the frame that fits the true trajectory best"
+ALIGNED = "errors within the tolerance; errors removed by aligning the estimate to the true trajectory"
 MAPEVAL = "Hu et al., MapEval, RA-L 2025"
-CELLS = "Occupied cells (p > 0.65) of the map of the estimated trajectory"
+CELLS = "occupied cells (p > 0.65) of the map of the estimated trajectory"
 
 _ROWS = (
     Metric("map_f1", "map F1 at 10 cm", "", "higher", "map against truth",
            "Harmonic mean of wall precision and wall recall at 10 cm.", F1, ALIGNED,
            _scored(f1, 0.0), headline=True),
     Metric("map_precision", "wall precision at 10 cm", "", "higher", "map against truth",
-           f"{CELLS} whose centre is within 10 cm of the centre of a true wall cell, of all.", F1,
-           f"walls that are missing; {ALIGNED}", _scored(precision)),
+           f"Share of the {CELLS} whose centre is within 10 cm of the centre of a true wall cell.", F1,
+           f"missing walls; {ALIGNED}", _scored(precision)),
     Metric("map_recall", "wall recall at 10 cm", "", "higher", "map against truth",
-           "True wall cells within 10 cm of an occupied cell, of all; the true map holds only walls that can be seen "
-           "from the true path.", F1, f"walls drawn twice; {ALIGNED}", _scored(recall, 0.0)),
+           "Share of the true wall cells within 10 cm of an occupied cell; the ground-truth map contains only walls "
+           "that are visible from the true path.", F1, f"duplicated walls; {ALIGNED}", _scored(recall, 0.0)),
     Metric("map_chamfer_m", "map Chamfer distance", "m", "lower", "map against truth",
-           "Half the sum of the mean distance from mapped to true wall cells and from true to mapped ones.",
-           "Barrow et al., IJCAI 1977; both directions", "how many walls are wrong: few far or many near",
+           "Half the sum of the mean distance from mapped to true wall cells and from true to mapped wall cells.",
+           "Barrow et al., IJCAI 1977; both directions", "whether few walls are far off or many walls a little",
            _scored(chamfer)),
     Metric("map_wall_mean_m", "distance to the true wall, mean", "m", "lower", "map against truth",
-           f"{CELLS}: mean distance to the nearest true wall cell.", "evalkit", "walls that are missing",
-           _scored(lambda found: float(found.to_true.mean()))),
+           f"Mean distance to the nearest true wall cell, over the {CELLS}.", "evalkit", "missing walls",
+           _scored(lambda walls: float(walls.to_true.mean()))),
     Metric("map_wall_p95_m", "distance to the true wall, 95 %", "m", "lower", "map against truth",
-           f"{CELLS}: 95th percentile of the distance to the nearest true wall cell.", "evalkit",
-           "walls that are missing; the worst twentieth",
-           _scored(lambda found: float(np.percentile(found.to_true, 95)))),
+           f"95th percentile of the distance to the nearest true wall cell, over the {CELLS}.", "evalkit",
+           "missing walls; the worst 5 % of the cells",
+           _scored(lambda walls: float(np.percentile(walls.to_true, 95)))),
     Metric("map_iou", "map IoU", "", "higher", "map against truth",
-           "Cells with a wall in both maps, of cells with a wall in either, at the coarser resolution of the two, "
-           "without tolerance.", "Jaccard, 1912", "how far off a wall is: one cell is as bad as ten",
+           "Number of cells with a wall in both maps divided by the number with a wall in either map, at the coarser "
+           "resolution of the two, without tolerance.", "Jaccard, 1912",
+           "the size of an error: one cell counts as much as ten",
            _scored(iou)),
     Metric("map_iou_10cm", "map IoU within 10 cm", "", "higher", "map against truth",
-           "Cells with a wall in either map that have a wall of the other within 10 cm, of all cells with a wall in "
-           "either, at the coarser resolution of the two.", "Jaccard, 1912, with a tolerance band", ALIGNED,
+           "Share of the cells with a wall in either map that have a wall of the other map within 10 cm, at the "
+           "coarser resolution of the two.", "Jaccard, 1912, with a tolerance band", ALIGNED,
            _scored(iou_within, 0.0)),
     Metric("map_ac_m", "accuracy of near walls (AC)", "m", "lower", "map against truth",
-           f"{CELLS} within {INLIER_M:g} m of a true wall cell: root mean square of that distance.", MAPEVAL,
-           f"walls farther off than {INLIER_M:g} m and walls that are missing: read it with completeness", _accuracy),
+           f"Root mean square distance to the nearest true wall cell, over the {CELLS} within {INLIER_M:g} m of one.",
+           MAPEVAL, f"walls more than {INLIER_M:g} m off and missing walls: read it together with completeness",
+           _scored(accuracy, not_finite=_NO_INLIER)),
     Metric("map_com", "completeness (COM)", "", "higher", "map against truth",
-           f"True wall cells within {INLIER_M:g} m of an occupied cell, of all; counted over the true cells, so "
-           "that it cannot exceed 1.", MAPEVAL, f"walls drawn twice; errors below {INLIER_M:g} m",
-           _scored(lambda found: recall(found, INLIER_M), 0.0)),
+           f"Share of the true wall cells within {INLIER_M:g} m of an occupied cell.", MAPEVAL,
+           f"duplicated walls; errors below {INLIER_M:g} m", _scored(lambda walls: recall(walls, INLIER_M), 0.0)),
     Metric("map_knn_m", "K-NN normalised error", "m", "lower", "map against truth",
            "Mean distance from a true wall cell to the nearest occupied cell.",
            "Santos, Portugal and Rocha, SSRR 2013; used by Trejos et al., Sensors 22, 6903, 2022 (there in cells)",
-           "walls drawn twice; one wall far off weighs as many a little off",
-           _scored(lambda found: float(found.to_mapped.mean()))),
-    Metric("map_coverage_percent", "true map covered", "%", "higher", "map against truth",
-           "Cells that the true map has observed whose centre lies in a cell that the map has observed, of all.",
-           "evalkit", "whether what is there is right", _coverage, 1),
+           "duplicated walls; one wall far off counts as much as many a little off",
+           _scored(lambda walls: float(walls.to_mapped.mean()))),
+    Metric("map_coverage_percent", "ground-truth map covered", "%", "higher", "map against truth",
+           "Share of the observed cells of the ground-truth map whose centre lies in an observed cell of the map.",
+           "evalkit", "errors of the observed cells", with_true_grid(_coverage), 1),
 )  # fmt: skip
 
 METRICS = with_support(
     _ROWS,
     {
         "map_coverage_percent": (
-            "observed cells of the true map",
-            ("no true map", "nothing of the true map is observed", "no map: ..."),
+            "observed cells of the ground-truth map",
+            (NO_TRUE_MAP, _NOTHING_OBSERVED, "no map: ..."),
         ),
         "map_ac_m": (
             "occupied cells of both maps",
             (
-                "no true map",
-                "the true map has no wall",
+                NO_TRUE_MAP,
+                NO_TRUE_WALL,
                 "no map: ...",
                 NO_WALL,
-                "no wall of the map is within ... m of a true one",
+                "no wall of the map is within ... m of a true wall",
             ),
         ),
         "*": (
             "occupied cells of both maps",
-            ("no true map", "the true map has no wall", "no map: ...", NO_WALL),
+            (NO_TRUE_MAP, NO_TRUE_WALL, "no map: ...", NO_WALL),
         ),
     },
 )

@@ -1,4 +1,4 @@
-"""The neighbourhoods of points: how many there are, and the ellipse that they make."""
+"""The neighbourhoods of points: number of points, covariance ellipse and direction."""
 
 from __future__ import annotations
 
@@ -16,14 +16,18 @@ if TYPE_CHECKING:
 PATCH_M = 0.5
 FLATNESS = 9.0
 MIN_HITS = 5
-"""A patch is all points within 0.5 m of one; of five and more with lambda_max > 9 lambda_min it is a piece of wall."""
+"""A neighbourhood contains all points within 0.5 m of a point.
+
+It is a piece of wall if it has at least five points and lambda_max > 9 lambda_min.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Neighbourhoods:
-    """Per neighbourhood (K,): how many points, the variances along its short and its long axis (m2), and which way.
+    """Statistics of K neighbourhoods.
 
-    ``direction``: of the long axis, in radians within [0, pi).
+    ``counts`` (K,): number of points. ``small``, ``large`` (K,): variances along the short and the long axis (m2).
+    ``direction`` (K,): of the long axis, radians within [0, pi).
     """
 
     counts: Ints
@@ -33,12 +37,13 @@ class Neighbourhoods:
 
     @property
     def flat(self) -> Bools:
-        """Which patches (K,) are pieces of wall."""
+        """Which neighbourhoods (K,) are pieces of wall."""
         return np.asarray((self.counts >= MIN_HITS) & (self.large > FLATNESS * self.small))
 
 
 def compute_neighbourhoods(points: Floats, middles: Floats, radius_m: float = PATCH_M) -> Neighbourhoods:
-    """The patches of points (N, 2) around middles (K, 2), K > 0; one without any point has variances of nan."""
+    """Return the neighbourhoods of points (N, 2) around ``middles`` (K, 2), K > 0; without a point,
+    variances are nan."""
     balls = build_kd_tree(points).query_ball_point(middles, radius_m, return_sorted=False)
     neighbours = [np.asarray(ball, dtype=np.int64) for ball in balls]
     counts = np.array([len(indices) for indices in neighbours], dtype=np.int64)
@@ -57,13 +62,15 @@ def build_kd_tree(points: Floats) -> cKDTree:
     return cKDTree(points)
 
 
-def thin_evenly(points: Floats, most: int) -> Floats:
-    """At most that many of the rows (N, ...), evenly spaced, first and last among them."""
-    return np.asarray(points[np.unique(np.linspace(0, len(points) - 1, min(most, len(points))).astype(int))])
+def thin_evenly(points: Floats, max_rows: int) -> Floats:
+    """Return at most ``max_rows`` of the rows (N, ...), evenly spaced, including the first and the last."""
+    return np.asarray(points[np.unique(np.linspace(0, len(points) - 1, min(max_rows, len(points))).astype(int))])
 
 
 def _ellipses(offsets: Floats, counts: Ints) -> tuple[Floats, Floats, Floats]:
-    """Eigenvalues (K,), smaller and larger, of the covariance of each run of ``counts`` (K,) offsets; the long axis."""
+    """Return smaller and larger eigenvalue (K,) and the long axis of the covariance of each group of ``counts`` (K,)
+    offsets.
+    """
     starts = np.concatenate([[0], np.cumsum(counts)[:-1]])
     x, y = offsets[:, 0], offsets[:, 1]
     mean_x, mean_y, xx, xy, yy = (np.add.reduceat(v, starts) / counts for v in (x, y, x * x, x * y, y * y))

@@ -1,4 +1,4 @@
-"""Holds the probabilities of a map against the truth, cell by cell, and tells how thick its walls are."""
+"""Compare map probabilities with the ground-truth map cell by cell; width of the walls in the map."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ import numpy as np
 from evalkit.core.arrays import Bools, Ints
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
-from evalkit.metrics.consistency import NOTHING_DRAWN, WARP, wall_thicknesses, with_grid
-from evalkit.metrics.table import Evidence, Metric, make_score, with_support
+from evalkit.metrics.consistency import NO_MAP, WARP, wall_thicknesses, with_cells
+from evalkit.metrics.table import NO_TRUE_MAP, Metric, make_score, with_support, with_true_grid
 
-_EDGE = 1e-6  # cells: a centre this near to an edge lies on it
+_EDGE = 1e-6  # cells: a centre at this distance from an edge counts as on the edge
 
 
 def find_true_states(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[Bools, Bools]:
-    """Which cells (H, W) of a map are occupied in truth, and which are free; the others are not known.
+    """Return which cells (H, W) of a map are truly occupied and which are truly free; the others are unknown.
 
-    Occupied: the centre of an occupied cell of the true map lies in the cell or on its edge. Free: the centre of a free
-    one does, and of no occupied one. The true map must not be coarser; neither lattice is moved, so that a true map of
-    half the cell size or less blurs the truth by a quarter of a cell at most.
+    Occupied: the cell or its edge contains the centre of an occupied cell of the true map. Free: it contains the centre
+    of a free cell and of no occupied cell. The lattices are not shifted, so that a true map of at most half the cell
+    size blurs the truth by at most a quarter of a cell. Raises ValueError if the true map is coarser.
     """
     if true.resolution_m > mapped.resolution_m * (1.0 + _EDGE):
         raise ValueError(f"true: its cells of {true.resolution_m} m are coarser than the map's {mapped.resolution_m} m")
@@ -27,10 +27,11 @@ def find_true_states(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[Bools,
 
 
 def log_loss(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[float, int]:
-    """Mean of -ln p of the true state (nats) over the observed cells whose true state is known, and how many they are.
+    """Return the mean of -ln p of the true state (nat) over the observed cells with a known true state, and their
+    number.
 
-    A proper score (Good, 1952): it is least, in the mean, for the right probabilities; a map that knows nothing has ln
-    2. (nan, 0) where no such cell is.
+    A proper score (Good, 1952): its expectation is least for the right probabilities; a map without information has ln
+    2. (nan, 0) without such a cell.
     """
     occupied, free = find_true_states(mapped, true)
     known = mapped.observed & (occupied | free)
@@ -42,10 +43,10 @@ def log_loss(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[float, int]:
 
 
 def wall_width_m(mapped: OccupancyGrid, threshold: float = 0.65) -> float:
-    """How thick the walls of a map are drawn (m): the mean over places where its occupied cells lie along a line.
+    """Return the mean width of the walls in a map (m), over places where its occupied cells lie along a line.
 
-    n cells of size r side by side spread by r^2 (n^2 - 1) / 12 across the wall, so a spread s^2 is a width of
-    sqrt(12 s^2 + r^2). nan where no occupied cells lie along a line.
+    n adjacent cells of size r have a variance of r^2 (n^2 - 1) / 12 across the wall, so a variance s^2 is a width of
+    sqrt(12 s^2 + r^2). nan if no occupied cells lie along a line.
     """
     centres = mapped.centres(mapped.occupied(threshold))
     if len(centres) == 0:
@@ -55,7 +56,9 @@ def wall_width_m(mapped: OccupancyGrid, threshold: float = 0.65) -> float:
 
 
 def _touched(mapped: OccupancyGrid, true: OccupancyGrid, cells: Bools) -> Bools:
-    """The cells (H, W) of a map that hold the centre of one of the cells of the true map, or have one on their edge."""
+    """Return the cells (H, W) of a map that contain, or touch with an edge, the centre of one of ``cells`` of the true
+    map.
+    """
     height, width = mapped.shape
     marked = np.zeros((height, width), dtype=np.bool_)
     rows, columns = np.nonzero(cells)
@@ -68,56 +71,58 @@ def _touched(mapped: OccupancyGrid, true: OccupancyGrid, cells: Bools) -> Bools:
 
 
 def _reached(own_m: float, grid: OccupancyGrid, other_m: float, other: OccupancyGrid, count: int) -> tuple[Ints, ...]:
-    """Along one axis: the other grid's cell (N,) of each centre, and a second answer where one lies on an edge."""
+    """Return, along one axis, the other grid's cell (N,) of each centre, and a second array if a centre lies on an
+    edge.
+    """
     places = (own_m + (np.arange(count) + 0.5) * grid.resolution_m - other_m) / other.resolution_m
     low, high = (np.floor(places + side).astype(np.int64) for side in (-_EDGE, _EDGE))
     return (low,) if (low == high).all() else (low, high)
 
 
-def _log_loss(evidence: Evidence) -> Score:
-    true, mapped = evidence.truth.grid, evidence.grid
-    if true is None:
-        return Score(None, 0, "no true map")
-    if mapped is None:
-        return Score(None, 0, f"no map: {evidence.no_grid}")
+def _log_loss(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
     if true.resolution_m > mapped.resolution_m * (1.0 + _EDGE):
-        return Score(None, 0, f"the true map's cells of {true.resolution_m:g} m are coarser than the map's")
+        return Score(
+            None, 0, f"the cells of the ground-truth map ({true.resolution_m:g} m) are coarser than those of the map"
+        )
     value, cells = log_loss(mapped, true)
-    return (
-        make_score(value, cells) if cells else Score(None, 0, "nothing that the map has observed is known to be true")
-    )
+    return make_score(value, cells, _NO_TRUE_STATE)
 
 
 def _wall_width(grid: OccupancyGrid) -> Score:
     width, cells = wall_width_m(grid), int(grid.occupied().sum())
-    return Score(None, cells, "no occupied cells lie along a line") if np.isnan(width) else make_score(width, cells)
+    return make_score(width, cells, _NO_LINE)
+
+
+_NO_TRUE_STATE = "no observed cell of the map has a known true state"
+_NO_LINE = "no occupied cells lie along a line"
 
 
 _ROWS = (
     Metric("map_log_loss", "map log-loss", "nat", "lower", "map against truth",
-           "Mean of -ln p of the true state over the observed cells whose true state is known: 0 if all are right and "
-           "certain, ln 2 for a map that knows nothing, more for one that is sure and wrong.",
+           "Mean of -ln p of the true state over the observed cells with a known true state: 0 if all are certain and "
+           "right, ln 2 for a map without information, more for a map that is certain and wrong.",
            "Good, JRSS B 14, 1952 (a proper score)",
-           "cells never observed; how far off a wall is; the mapper's clamping sets the least value", _log_loss),
+           "cells never observed; the size of an offset of a wall. The mapper's clamping sets the least value",
+           with_true_grid(_log_loss)),
     Metric("wall_width_m", "wall width in the map", "m", "lower", "map consistency",
-           "How thick walls are drawn: where occupied cells lie along a line, the width of a band of cells that "
-           "spreads as they do; mean over at most 1,000 places.", "evalkit",
-           f"walls that smearing has washed out of the map; the cell size, which is the least value; {WARP}",
-           with_grid(_wall_width)),
+           "Width of the walls in the map: where occupied cells lie along a line, the width of a band of cells with "
+           "the same variance; mean over at most 1,000 places.", "evalkit",
+           f"walls so blurred that they are missing in the map; the cell size sets the least value; {WARP}",
+           with_cells(_wall_width)),
 )  # fmt: skip
 
 METRICS = with_support(
     _ROWS,
     {
         "map_log_loss": (
-            "observed cells whose true state is known",
+            "observed cells with a known true state",
             (
-                "no true map",
+                NO_TRUE_MAP,
                 "no map: ...",
-                "the true map's cells of ... m are coarser than the map's",
-                "nothing that the map has observed is known to be true",
+                "the cells of the ground-truth map (... m) are coarser than those of the map",
+                _NO_TRUE_STATE,
             ),
         ),
-        "wall_width_m": ("occupied cells", (*NOTHING_DRAWN, "no occupied cells lie along a line")),
+        "wall_width_m": ("occupied cells", (*NO_MAP, _NO_LINE)),
     },
 )

@@ -1,4 +1,4 @@
-"""Holds the step from one scan to the next against the truth by where it puts the scan's own points."""
+"""Error of the step from one scan to the next, measured by the displacement of the scan's own points."""
 
 from __future__ import annotations
 
@@ -8,32 +8,35 @@ from evalkit.core import se2
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.table import Evidence, Metric, make_score, with_support
+from evalkit.metrics.table import NO_TRUE_TRAJECTORY, Evidence, Metric, Unmatched, make_score, with_support
 from evalkit.metrics.trajectory import MAX_GAP_S, UNMATCHED, can_interpolate
 
 _NEAREST = 1e-6
-"""A point so near to the centroid, as a share of the cloud's reach, has no direction to be turned away from."""
+"""Points nearer to the centroid than this share of the cloud's radius are omitted: the quotient is undefined."""
 
 
 def pair_error(points: Floats, true: Floats, estimated: Floats) -> float:
-    """How far off a registration puts points (N, 2), N > 1, as a share of their distance from their centroid.
+    """Return the mean displacement of points (N, 2), N > 1, by a registration error, relative to their centroid
+    distance.
 
     (1/N) sum |p_i - q_i| / |p_i - c|: p_i are the points under the true ``target_from_source`` (3,), q_i under the
     estimated one, c is the centroid of the p_i (Fontana et al., RAS 140, 2021). One number for rotation and
-    translation, the same at every scale of the scene; nan where all points are one.
+    translation, invariant to the scale of the scene; nan if all points coincide.
     """
-    right, found = se2.transform(true, points), se2.transform(estimated, points)
-    reach = np.linalg.norm(right - right.mean(axis=0), axis=1)
+    correct, placed = se2.transform(true, points), se2.transform(estimated, points)
+    reach = np.linalg.norm(correct - correct.mean(axis=0), axis=1)
     apart = reach > _NEAREST * max(float(reach.max()), _NEAREST)
-    return float(np.mean(np.linalg.norm(found - right, axis=1)[apart] / reach[apart])) if apart.any() else float("nan")
+    return (
+        float(np.mean(np.linalg.norm(placed - correct, axis=1)[apart] / reach[apart])) if apart.any() else float("nan")
+    )
 
 
 def pair_errors(evidence: Evidence, truth: Trajectory, world_from_start: Floats) -> Floats:
-    """The pair error (K,) of the later scan of each pair of successive scans whose true poses are known.
+    """Return the pair error (K,) of the later scan of each pair of successive scans with known true poses.
 
-    ``world_from_start`` (3,): the alignment under which the scans were placed.
+    ``world_from_start`` (3,): the alignment of the placed scans.
     """
-    found = []
+    errors = []
     for (earlier, world_from_earlier), (later, world_from_later) in evidence.successive:
         stamps, points = np.array([earlier.stamp_ns, later.stamp_ns]), later.points()
         if len(points) < 2 or not can_interpolate(truth.stamps_ns, stamps, MAX_GAP_S).all():
@@ -41,17 +44,17 @@ def pair_errors(evidence: Evidence, truth: Trajectory, world_from_start: Floats)
         world_from_base = se2.compose(world_from_start, evidence.run.estimate.at(stamps))
         base_from_sensor = se2.between(world_from_base, np.stack([world_from_earlier, world_from_later]))
         true = se2.between(*se2.compose(truth.at(stamps), base_from_sensor))
-        found.append(pair_error(points, true, se2.between(world_from_earlier, world_from_later)))
-    values = np.array(found, dtype=np.float64)
+        errors.append(pair_error(points, true, se2.between(world_from_earlier, world_from_later)))
+    values = np.array(errors, dtype=np.float64)
     return np.asarray(values[~np.isnan(values)])
 
 
 def _median(evidence: Evidence) -> Score:
     truth, matched = evidence.truth.trajectory, evidence.matched
-    if isinstance(matched, str):
-        return Score(None, 0, matched)
-    if truth is None or matched is None:
-        return Score(None, 0, "no true trajectory")
+    if isinstance(matched, Unmatched):
+        return Score(None, 0, matched.reason)
+    if truth is None:
+        return Score(None, 0, NO_TRUE_TRAJECTORY)
     values = pair_errors(evidence, truth, matched.world_from_start.row)
     return make_score(np.median(values), len(values)) if len(values) else Score(None, 0, _NONE)
 
@@ -60,11 +63,11 @@ _NONE = "no two successive scans with hits have true poses"
 
 _ROWS = (
     Metric("pair_error", "pair error", "", "lower", "drift",
-           "How far the step to the next scan puts that scan's points from where the true step puts them, each divided "
-           "by its distance from their centroid; mean over points, median over at most 100 steps, the same for every "
-           "back end.", "Fontana et al., Robotics and Autonomous Systems 140, 2021",
-           "drift too slow for one step; where on the scan the error is; points near the centroid weigh most", _median,
-           5),
+           "Displacement of the points of the next scan between the estimated and the true step, divided by their "
+           "distance from their centroid; mean over points, median over at most 100 steps, the same for all methods.",
+           "Fontana et al., Robotics and Autonomous Systems 140, 2021",
+           "drift too slow for one step; the position of an error in the scan. Points near the centroid count most",
+           _median, 5),
 )  # fmt: skip
 
 METRICS = with_support(

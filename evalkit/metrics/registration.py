@@ -1,4 +1,4 @@
-"""How well scans lie on each other under the estimate: measured alike for all, and as the back ends say themselves."""
+"""Residuals between scans under the estimate: computed equally for all methods, and as reported by back ends."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ KEYFRAMES = 10
 KEYFRAME_M = 0.5
 KEYFRAME_RAD = np.radians(20.0)
 MIN_PAIRS = 10
-"""Residuals of fewer pairs are not accepted."""
+"""Residuals of fewer pairs are rejected."""
 
 MAX_SCANS = 100
-"""Of more mapped scans, this many are measured against the map, evenly spaced."""
+"""At most this many scans are compared with the local map, evenly spaced."""
 
 MAX_STEP_M = 2.0
-"""Scans farther apart (median) than this are no longer neighbours."""
+"""Scans farther apart (median) are not compared."""
 
 
 def find_nearest(source: Floats, target: cKDTree, max_pair_m: float = MAX_PAIR_M) -> tuple[Floats, Ints]:
-    """Distance and index (N,) of the target point nearest to each source point (N, 2); inf where none is so near."""
+    """Return distance and index (N,) of the target point nearest to each source point (N, 2); inf beyond the limit."""
     distances, indices = target.query(source, distance_upper_bound=max_pair_m)
     return np.asarray(distances, dtype=np.float64), np.asarray(indices, dtype=np.int64)
 
 
 def keep_one_to_one(distances: Floats, nearest: Ints) -> Floats:
-    """Distances (K,) of the pairs that stay when each target point keeps only its closest source point (paper)."""
+    """Return the distances (K,) of the pairs in which each target point keeps only its closest source point (paper)."""
     order = np.argsort(distances, kind="stable")
     order = order[np.isfinite(distances[order])]
     _, closest = np.unique(nearest[order], return_index=True)
@@ -48,34 +48,38 @@ def keep_one_to_one(distances: Floats, nearest: Ints) -> Floats:
 
 
 def scan_to_scan_residuals(successive: Iterable[tuple[PlacedScan, PlacedScan]]) -> Floats:
-    """Per pair of scans (K, 2): mean distance (m) of the points paired, and the share of the later scan that is paired.
+    """Return for each pair of scans (K, 2): mean distance of paired points (m), and the paired share of the later scan.
 
-    A pair with fewer than ten pairs of points has a distance of nan, and one with an empty scan is left out.
+    A pair of scans with fewer than ten pairs of points has a distance of nan; pairs with an empty scan are omitted.
     """
     return _residuals((_points(later), build_kd_tree(_points(earlier))) for earlier, later in successive)
 
 
 def scan_to_map_residuals(mapped: PlacedScans) -> Floats:
-    """Per measured scan (K, 2): mean distance (m) of its pairs with the last keyframes, and the share of it paired.
+    """Return for each measured scan (K, 2): mean distance (m) of its pairs with the last keyframes, and its paired
+    share.
 
-    A keyframe is a scan whose sensor moved 0.5 m or 20 deg from the keyframe before; ten make the local map.
+    A keyframe is a scan whose sensor moved 0.5 m or 20 deg since the previous keyframe; ten keyframes are the local
+    map.
     """
     return _residuals(_against_local_map(mapped))
 
 
 def median_step_m(pairs: Iterable[tuple[PlacedScan, PlacedScan]]) -> float:
-    """Median distance the sensor went from one scan of a pair to the other."""
+    """Return the median distance of the sensor between the scans of a pair."""
     return float(np.median([np.hypot(*(later[:2] - earlier[:2])) for (_, earlier), (_, later) in pairs]))
 
 
 def find_keyframes(poses: Floats) -> Ints:
-    """Indices (K,) of the poses (N, 3) that moved 0.5 m or 20 deg from the keyframe before; the first is one."""
-    found = [0]
+    """Return the indices (K,) of the poses (N, 3) that moved 0.5 m or 20 deg since the previous keyframe, and the
+    first.
+    """
+    indices = [0]
     for index in range(1, len(poses)):
-        x, y, theta = se2.between(poses[found[-1]], poses[index])
+        x, y, theta = se2.between(poses[indices[-1]], poses[index])
         if np.hypot(x, y) >= KEYFRAME_M or abs(theta) >= KEYFRAME_RAD:
-            found.append(index)
-    return np.array(found, dtype=np.int64)
+            indices.append(index)
+    return np.array(indices, dtype=np.int64)
 
 
 def _against_local_map(mapped: PlacedScans) -> Iterator[tuple[Floats, cKDTree]]:
@@ -90,7 +94,7 @@ def _against_local_map(mapped: PlacedScans) -> Iterator[tuple[Floats, cKDTree]]:
 
 
 def _measured(count: int) -> list[int]:
-    """The indices of the scans to measure; never the first, which has nothing before it."""
+    """Return the indices of the scans to measure; never the first, which has no predecessor."""
     return [int(i) for i in np.unique(np.linspace(1, count - 1, min(MAX_SCANS, count - 1)).astype(int))]
 
 
@@ -113,19 +117,19 @@ def _residuals(clouds: Iterator[tuple[Floats, cKDTree]]) -> Floats:
 
 def _successive(evidence: Evidence) -> Score:
     if not evidence.successive:
-        return Score(None, 0, "no two scans in a row were answered")
+        return Score(None, 0, _NO_PAIR)
     step = median_step_m(evidence.successive)
     if step > MAX_STEP_M:
-        return Score(None, 0, f"successive scans are {step:.1f} m apart: too far to lie on each other")
+        return Score(None, 0, f"successive scans are {step:.1f} m apart: too far to overlap")
     return _median(scan_to_scan_residuals(evidence.successive), 0)
 
 
 def _mapped(column: int, evidence: Evidence) -> Score:
     if len(evidence.mapped) < 2:
-        return Score(None, 0, "fewer than two mapped scans")
+        return Score(None, 0, _TOO_FEW)
     step = median_step_m(pairwise(evidence.mapped))
     if step > MAX_STEP_M:
-        return Score(None, 0, f"mapped scans are {step:.1f} m apart: too far to lie on each other")
+        return Score(None, 0, f"mapped scans are {step:.1f} m apart: too far to overlap")
     return _median(_to_map(evidence), column)
 
 
@@ -144,69 +148,74 @@ def _median(residuals: Floats, column: int) -> Score:
 
 def _own(stage: str, field: Literal["error", "iterations"], evidence: Evidence) -> Score:
     values = evidence.run.steps[f"{stage}_{field}"].astype(np.float64)
-    told = np.isfinite(values) if field == "error" else values > 0.0
-    if not told.any():
-        return Score(None, 0, "the back end tells none")
-    return make_score(np.median(values[told]), int(told.sum()))
+    reported = np.isfinite(values) if field == "error" else values > 0.0
+    if not reported.any():
+        return Score(None, 0, _NOT_REPORTED)
+    return make_score(np.median(values[reported]), int(reported.sum()))
 
 
 def _share(field: Literal["accepted", "converged"], evidence: Evidence) -> Score:
-    """Per cent of scans whose last stage says no."""
+    """Return the percentage of scans whose last stage reports ``False``."""
     steps = evidence.run.steps
     last = np.where(steps[f"s2m_{field}"] >= 0, steps[f"s2m_{field}"], steps[f"s2s_{field}"])
-    told = last[last >= 0]
-    if len(told) == 0:
-        return Score(None, 0, "not told by the back end")
-    return make_score(100.0 * np.mean(told == 0), len(told))
+    reported = last[last >= 0]
+    if len(reported) == 0:
+        return Score(None, 0, _NOT_REPORTED)
+    return make_score(100.0 * np.mean(reported == 0), len(reported))
 
 
-PAPER = "the paper, eq. 5 and figure 9; the same pairs for every back end: evalkit"
-LOOKS_GOOD = "a match that is smoothly wrong, as along a corridor; points farther off than 0.5 m; rest at one place"
+_NO_PAIR = "no two successive scans have poses"
+_TOO_FEW = "fewer than two mapped scans"
+_NOT_REPORTED = "not reported by the back end"
+
+PAPER = "the paper, eq. 5 and figure 9; the same pairs for all methods: evalkit"
+CONSISTENT = "consistently wrong matches, as along a corridor; points farther off than 0.5 m; a robot at rest"
 
 _ROWS = (
     Metric("s2s_m", "S2S residual", "m", "lower", "residuals",
            "Mean distance over the one-to-one nearest pairs within 0.5 m between a scan and the next one of the "
-           "sequence under the estimated trajectory; median over at most 100 such steps, the same for every back end.",
-           PAPER, LOOKS_GOOD, _successive, 4),
+           "sequence under the estimated trajectory; median over at most 100 such steps, the same for all methods.",
+           PAPER, CONSISTENT, _successive, 4),
     Metric("s2m_m", "S2M residual", "m", "lower", "residuals",
-           "The same between a mapped scan and the local map of the last ten keyframes among the mapped scans (0.5 m "
-            "or "
-           "20 deg apart).", PAPER, LOOKS_GOOD, partial(_mapped, 0), 4, headline=True),
+           "Mean distance over the one-to-one nearest pairs within 0.5 m between a mapped scan and the local map of "
+           "the last ten keyframes (0.5 m or 20 deg apart); median over at most 100 scans.",
+           PAPER, CONSISTENT, partial(_mapped, 0), 4, headline=True),
     Metric("s2m_paired_percent", "S2M points paired", "%", "higher", "residuals",
-           "Points of a mapped scan within 0.5 m of the local map of the last 10 keyframes; median over them.",
-           "evalkit", "how well the paired points lie; new places are seen without a fault of the estimate",
+           "Share of the points of a mapped scan within 0.5 m of the local map of the last ten keyframes; median over "
+           "scans.",
+           "evalkit", "the distance of the paired points; unmapped places lower it without an error of the estimate",
            partial(_mapped, 1), 1),
-    Metric("guess_kept_percent", "guess kept", "%", "lower", "residuals",
-           "Scans after the first of which the last stage's answer was not accepted (too few pairs, or nothing moved "
-           "to the last digit), so that the guess it started from stands in its place.", "evalkit",
-           "whether the answers accepted are right; back ends that do not tell", partial(_share, "accepted"), 1,
+    Metric("guess_kept_percent", "initial guess kept", "%", "lower", "residuals",
+           "Share of the scans after the first whose last registration was rejected (too few pairs, or a pose exactly "
+           "equal to the guess), so that the initial guess was kept.", "evalkit",
+           "errors of accepted poses; back ends that do not report it", partial(_share, "accepted"), 1,
            headline=True),
     Metric("not_converged_percent", "not converged", "%", "lower", "residuals",
-           "Scans after the first of which the last stage ended without meeting its own criterion of convergence.",
-           "the back end", "what it converged to; not comparable between methods with different criteria",
+           "Share of the scans after the first whose last stage ended without meeting its own convergence criterion.",
+           "the back end", "errors of converged poses; not comparable between methods with different criteria",
            partial(_share, "converged"), 1),
-    *(Metric(f"own_{stage}_m", f"own {stage.upper()} error", "m", "", "residuals",
-             f"The error the back end itself reports for its {words} stage, by its own definition; median over scans.",
-             "the back end", "everything the back end does not look at; not comparable between back ends",
+    *(Metric(f"own_{stage}_m", f"{stage.upper()} error reported by the back end", "m", "", "residuals",
+             f"Error reported by the back end for its {words} stage, by its own definition; median over scans.",
+             "the back end", "errors outside that definition; not comparable between back ends",
              partial(_own, stage, "error"), 4) for stage, words in (("s2s", "scan-to-scan"), ("s2m", "scan-to-map"))),
     *(Metric(f"{stage}_iterations", f"{stage.upper()} iterations", "", "", "residuals",
              f"Iterations of the {words} stage; median over scans.", "the back end",
-             "what one iteration costs; not comparable between methods",
+             "the cost of an iteration; not comparable between methods",
              partial(_own, stage, "iterations"), 1)
       for stage, words in (("s2s", "scan-to-scan"), ("s2m", "scan-to-map"))),
 )  # fmt: skip
 
-_FAR = "... scans are ... m apart: too far to lie on each other"
+_FAR = "... scans are ... m apart: too far to overlap"
 _FEW = "no scan has ... pairs within ... m"
 
 METRICS = with_support(
     _ROWS,
     {
-        "s2s_m": ("pairs of successive scans", ("no two scans in a row were answered", _FAR, _FEW)),
-        "s2m_m": ("mapped scans", ("fewer than two mapped scans", _FAR, _FEW)),
-        "s2m_paired_percent": ("mapped scans", ("fewer than two mapped scans", _FAR, _FEW)),
-        "guess_kept_percent": ("scans of which the back end tells it", ("not told by the back end",)),
-        "not_converged_percent": ("scans of which the back end tells it", ("not told by the back end",)),
-        "*": ("scans of which the back end tells it", ("the back end tells none",)),
+        "s2s_m": ("pairs of successive scans", (_NO_PAIR, _FAR, _FEW)),
+        "s2m_m": ("mapped scans", (_TOO_FEW, _FAR, _FEW)),
+        "s2m_paired_percent": ("mapped scans", (_TOO_FEW, _FAR, _FEW)),
+        "guess_kept_percent": ("scans for which the back end reports it", (_NOT_REPORTED,)),
+        "not_converged_percent": ("scans for which the back end reports it", (_NOT_REPORTED,)),
+        "*": ("scans for which the back end reports it", (_NOT_REPORTED,)),
     },
 )

@@ -1,4 +1,4 @@
-"""Holds an estimate against measured motions between pairs of times, which need no common frame."""
+"""Errors of estimated motions against measured motions between pairs of times (relations); no common frame needed."""
 
 from __future__ import annotations
 
@@ -20,19 +20,20 @@ from evalkit.metrics.trajectory import can_interpolate
 Part = Literal["short", "long", "all"]
 
 MAX_GAP_S = 2.0
-"""The estimate is interpolated at a relation's stamps between answers at most this far apart."""
+"""The estimate is interpolated at the stamps of a relation between poses at most this far apart."""
 
 SHORT_S = 10.0
-"""Relations over less time tell local consistency, the others drift."""
+"""Relations over less time show local consistency, the others drift."""
 
 NOISE_FLOOR_M = 0.03
-"""The published relations themselves are not better than this: smaller differences rank nobody."""
+"""Accuracy of the published relations: smaller differences between methods are not significant."""
 
 
 def symmetric_errors(estimated: ArrayLike, measured: ArrayLike) -> Floats:
-    """Metres and radians (M, 2) between motions ``first_from_second`` (M, 3): half of each order of the pair.
+    """Return errors in metres and radians (M, 2) between motions ``first_from_second`` (M, 3), averaged over both
+    orders.
 
-    The translation error depends on the order in which the pair was written down; the mean of both does not.
+    The translation error depends on the order of the two times of a relation; the mean of both orders does not.
     """
     forward = ordered_errors(estimated, measured)
     backward = ordered_errors(se2.inverse(estimated), se2.inverse(measured))
@@ -41,35 +42,38 @@ def symmetric_errors(estimated: ArrayLike, measured: ArrayLike) -> Floats:
 
 
 def ordered_errors(estimated: ArrayLike, measured: ArrayLike) -> Floats:
-    """The motions (M, 3) measured^-1 estimated: Kuemmerle et al., Autonomous Robots 27, 2009, as printed."""
+    """Return the motions (M, 3) measured^-1 estimated: Kuemmerle et al., Autonomous Robots 27, 2009, as printed."""
     return se2.between(measured, estimated)
 
 
 def componentwise_errors(estimated: ArrayLike, measured: ArrayLike) -> Floats:
-    """The differences (M, 3) of x, y and heading, as that paper's own evaluator takes them; the norms are the same."""
+    """Return the differences (M, 3) of x, y and heading, as computed by the evaluator of Kuemmerle et al.
+
+    Their norms equal those of ``ordered_errors``.
+    """
     difference = np.asarray(estimated, dtype=np.float64) - np.asarray(measured, dtype=np.float64)
     difference[:, 2] = se2.wrap(difference[:, 2])
     return difference
 
 
 def cartographer_errors(estimated: ArrayLike, measured: ArrayLike) -> Floats:
-    """The motions (M, 3) estimated measured^-1, as Cartographer's evaluator takes them: the pair's other order."""
+    """Return the motions (M, 3) estimated measured^-1, as computed by Cartographer's evaluator: the opposite order."""
     return se2.compose(estimated, se2.inverse(measured))
 
 
 def compute_estimated_motions(
     estimate: Trajectory, relations: Relations, max_gap_s: float = MAX_GAP_S
 ) -> tuple[Floats, Bools]:
-    """The estimate's ``first_from_second`` (K, 3), and which relations (M,) it can answer at all."""
-    answered = can_interpolate(estimate.stamps_ns, relations.first_ns, max_gap_s) & can_interpolate(
+    """Return the estimate's ``first_from_second`` (K, 3), and which relations (M,) the estimate covers."""
+    covered = can_interpolate(estimate.stamps_ns, relations.first_ns, max_gap_s) & can_interpolate(
         estimate.stamps_ns, relations.second_ns, max_gap_s
     )
-    world_from_first = estimate.at(relations.first_ns[answered])
-    return se2.between(world_from_first, estimate.at(relations.second_ns[answered])), answered
+    world_from_first = estimate.at(relations.first_ns[covered])
+    return se2.between(world_from_first, estimate.at(relations.second_ns[covered])), covered
 
 
 def select_part(relations: Relations, part: Part) -> Bools:
-    """Which relations (M,) span less than 10 s ("short"), 10 s or more ("long"), or anything ("all")."""
+    """Return which relations (M,) span less than 10 s ("short"), 10 s or more ("long"), or any time ("all")."""
     short = np.abs(relations.second_ns - relations.first_ns) < SHORT_S * 1e9
     return np.asarray({"short": short, "long": ~short, "all": np.ones_like(short)}[part])
 
@@ -80,8 +84,8 @@ Errors = Callable[[Floats, Floats], Floats]
 
 def _norms(errors: Errors) -> Errors:
     def sizes(estimated: Floats, measured: Floats) -> Floats:
-        found = errors(estimated, measured)
-        return np.stack([np.linalg.norm(found[:, :2], axis=1), np.abs(found[:, 2])], axis=1)
+        motions = errors(estimated, measured)
+        return np.stack([np.linalg.norm(motions[:, :2], axis=1), np.abs(motions[:, 2])], axis=1)
 
     return sizes
 
@@ -96,14 +100,14 @@ def _scored(
     def compute(evidence: Evidence) -> Score:
         relations = evidence.truth.relations
         if relations is None or len(relations) == 0:
-            return Score(None, 0, "no measured relations")
+            return Score(None, 0, _NO_RELATIONS)
         wanted = select_part(relations, part)
-        motions, answered = compute_estimated_motions(evidence.run.estimate, relations)
-        measured = relations.first_from_second[answered]
-        errors = form(motions, measured)[wanted[answered], column]
+        motions, covered = compute_estimated_motions(evidence.run.estimate, relations)
+        measured = relations.first_from_second[covered]
+        errors = form(motions, measured)[wanted[covered], column]
         if len(errors) == 0:
             kind = "" if part == "all" else f"{part} "
-            return Score(None, 0, f"the estimate answers none of {wanted.sum()} {kind}relations")
+            return Score(None, 0, f"the estimate covers none of {wanted.sum()} {kind}relations")
         errors = np.degrees(errors) if column else errors
         return make_score(statistic(errors**2 if squared else errors), len(errors))
 
@@ -113,9 +117,11 @@ def _scored(
 def _answered(evidence: Evidence) -> Score:
     relations = evidence.truth.relations
     if relations is None or len(relations) == 0:
-        return Score(None, 0, "no measured relations")
+        return Score(None, 0, _NO_RELATIONS)
     return make_score(100.0 * compute_estimated_motions(evidence.run.estimate, relations)[1].mean(), len(relations))
 
+
+_NO_RELATIONS = "no measured relations"
 
 _SPANS: dict[Part, str] = {
     "all": "all pairs of times",
@@ -128,16 +134,17 @@ _STATISTICS: dict[str, tuple[str, Callable[[Floats], np.floating]]] = {
 }
 _ERRORS = (("m", "translation", 3), ("deg", "rotation", 2))
 _SQUARES = (("m", "translation", 4), ("deg", "rotation", 2))
-_BLIND: dict[Part, str] = {
-    "short": "drift over the whole path, and differences below the relations' own noise of about 0.03 m",
-    "long": "where on the way the error arose, and differences below the relations' own noise of about 0.03 m",
-    "all": "whether few relations are very wrong or many a little; the mix of short and long is the recorder's",
+_LIMITATIONS: dict[Part, str] = {
+    "short": "drift over the whole path; differences below the noise of the relations, about 0.03 m",
+    "long": "the time of an error; differences below the noise of the relations, about 0.03 m",
+    "all": "whether few relations have large errors or many have small ones; depends on the mix of short and long "
+    "relations",
 }
 
 _FORMS: dict[str, tuple[str, str, Errors]] = {
     "kuemmerle": (
-        "the evaluator of Kuemmerle et al., in the order in which the pair was written down",
-        "Kuemmerle et al., Autonomous Robots 27, 2009 (its evaluator takes differences by component)",
+        "the evaluator of Kuemmerle et al., in the order of the relation",
+        "Kuemmerle et al., Autonomous Robots 27, 2009 (its evaluator takes component-wise differences)",
         _norms(componentwise_errors),
     ),
     "cartographer": (
@@ -151,8 +158,8 @@ _ROWS = (
     *(
         Metric(f"relations_{part}_{name}_{unit}", f"relations, {part}, {name} {what}", unit, "lower", "relations",
                f"{words} {what} error of the estimated motions between {_SPANS[part]}; the translation error is "
-               "averaged over both orders of the pair; answers are interpolated between scans at most 2 s apart.",
-               "Kuemmerle et al., Autonomous Robots 27, 2009; both orders: evalkit", _BLIND[part],
+               "averaged over both orders of the pair; poses at most 2 s apart are interpolated.",
+               "Kuemmerle et al., Autonomous Robots 27, 2009; both orders: evalkit", _LIMITATIONS[part],
                _scored(part, column, statistic), digits, headline=part != "long" and (name, unit) == ("mean", "m"))
         for part in _SPANS
         for name, (words, statistic) in _STATISTICS.items()
@@ -160,9 +167,9 @@ _ROWS = (
     ),
     *(
         Metric(f"relations_{form}_{name}_m", f"relations as {form.capitalize()}, {name}", "m", "lower", "relations",
-               f"{words} translation error between all pairs of times as taken by {whose}: for comparison with printed "
-               "tables; ours is the mean over both orders of the pair.", source,
-               f"the other order of the pair, which can give another error; {_BLIND['all']}",
+               f"{words} translation error between all pairs of times as computed by {whose}, for comparison with "
+               "published tables; the other metrics here use the mean over both orders of the pair.", source,
+               f"the opposite order of the pair, which can give a different error; {_LIMITATIONS['all']}",
                _scored("all", 0, statistic, errors))
         for form, (whose, source, errors) in _FORMS.items()
         for name, (words, statistic) in _STATISTICS.items()
@@ -170,24 +177,24 @@ _ROWS = (
     *(
         Metric(f"relations_square_{name}_{unit}2", f"relations, squared, {name} {what}", f"{unit}2", "lower",
                "relations",
-               f"{words} squared {what} error between all pairs of times, for comparison with printed tables: a few "
-               "large errors decide it.", "Kuemmerle et al., Autonomous Robots 27, 2009", _BLIND["all"],
+               f"{words} squared {what} error between all pairs of times, for comparison with published tables; "
+               "dominated by few large errors.", "Kuemmerle et al., Autonomous Robots 27, 2009", _LIMITATIONS["all"],
                _scored("all", column, statistic, _norms(componentwise_errors), squared=True), digits)
         for name, (words, statistic) in _STATISTICS.items()
         for column, (unit, what, digits) in enumerate(_SQUARES)
     ),
-    Metric("relations_answered_percent", "relations answered", "%", "higher", "relations",
-           "Relations both of whose times lie between answers at most 2 s apart, of all.", "evalkit",
-           "whether the answers are right", _answered, 1),
+    Metric("relations_answered_percent", "relations covered", "%", "higher", "relations",
+           "Share of the relations both of whose times lie between poses at most 2 s apart.", "evalkit",
+           "errors of the poses", _answered, 1),
 )  # fmt: skip
 
 METRICS = with_support(
     _ROWS,
     {
-        "relations_answered_percent": ("relations", ("no measured relations",)),
+        "relations_answered_percent": ("relations", (_NO_RELATIONS,)),
         "*": (
-            "relations answered",
-            ("no measured relations", "the estimate answers none of ... relations", DIVERGED),
+            "relations covered",
+            (_NO_RELATIONS, "the estimate covers none of ... relations", DIVERGED),
         ),
     },
 )

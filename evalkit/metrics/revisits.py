@@ -1,4 +1,4 @@
-"""Holds an estimate against the truth where a robot comes back: the errors that double walls, made relations."""
+"""Errors at revisited places: relations between two visits, made from the ground truth."""
 
 from __future__ import annotations
 
@@ -13,53 +13,54 @@ from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.relations import compute_estimated_motions, symmetric_errors
-from evalkit.metrics.table import DIVERGED, Evidence, Metric, make_score, with_support
+from evalkit.metrics.table import DIVERGED, NO_TRUE_TRAJECTORY, Evidence, Metric, make_score, with_support
 
 NEAR_M = 1.0
 COVERED_M = 100.0
 COVERED_SHARE = 0.25
 EVERY_M = 0.2
-MOST = 2000
+MAX_REVISITS = 2000
 
 MAX_OFF_M = 0.15
 MAX_OFF_RAD = 0.02
-"""An automatic relation farther off than either is an outlier (Cartographer's defaults)."""
+"""An automatic relation with a larger error is an outlier (Cartographer's defaults)."""
 
 
 def find_revisits(reference: Trajectory, near_m: float = NEAR_M, covered_m: float | None = None) -> Relations:
-    """The reference's motions between two visits of a place: the nearest pose of each later pass within ``near_m``.
+    """Return the reference's motions between two visits of a place: the nearest pose of each later pass within
+    ``near_m``.
 
-    ``covered_m``: so much path lies between the visits at least; by default 100 m as in Cartographer's automatic
-    relations (Hess et al., ICRA 2016), or a quarter of a path that is shorter than 400 m. Every 0.2 m of path asks
-    once; of more than 2,000 pairs so many stay, evenly spaced.
+    ``covered_m``: least path length between the visits; default: 100 m as in Cartographer's automatic relations (Hess
+    et al., ICRA 2016), or a quarter of a path shorter than 400 m. Places are examined every 0.2 m of path. At most
+    2,000 pairs are kept, evenly spaced.
     """
     steps = np.linalg.norm(np.diff(reference.poses[:, :2], axis=0), axis=1)
     path = np.concatenate([[0.0], np.cumsum(steps)])[: len(reference)]
     covered = min(COVERED_M, COVERED_SHARE * reference.path_m) if covered_m is None else covered_m
-    asked = np.unique(np.searchsorted(path, np.arange(0.0, reference.path_m, EVERY_M)))
-    pairs = [(first, second) for first in asked for second in _visits(reference.poses, path, first, covered, near_m)]
+    places = np.unique(np.searchsorted(path, np.arange(0.0, reference.path_m, EVERY_M)))
+    pairs = [(first, second) for first in places for second in _visits(reference.poses, path, first, covered, near_m)]
     chosen = np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, min(MOST, len(chosen))).astype(int))]
+    chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, min(MAX_REVISITS, len(chosen))).astype(int))]
     first, second = chosen.T
     motions = se2.between(reference.poses[first], reference.poses[second])
     return Relations(reference.stamps_ns[first], reference.stamps_ns[second], motions)
 
 
 def _visits(poses: Floats, path: Floats, first: int, covered_m: float, near_m: float) -> list[int]:
-    """The nearest pose of each later stretch of path that passes within ``near_m`` of one pose."""
+    """Return the nearest pose of each later stretch of path within ``near_m`` of one pose."""
     begin = int(np.searchsorted(path, path[first] + covered_m))
     apart = np.linalg.norm(poses[begin:, :2] - poses[first, :2], axis=1)
     return [begin + run[0] + int(np.argmin(apart[slice(*run)])) for run in _runs(apart <= near_m)]
 
 
 def _runs(marks: Bools) -> Ints:
-    """First index and the one behind the last (K, 2) of each stretch of marks (N,)."""
+    """Return the first index and the index after the last (K, 2) of each run of marks (N,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], marks, [False]]).astype(np.int8)))
     return np.asarray(edges.reshape(-1, 2), dtype=np.int64)
 
 
 def within_limits(errors: Floats, metres: float = MAX_OFF_M, radians: float = MAX_OFF_RAD) -> Bools:
-    """Which errors (M, 2) in metres and radians are no outliers: both at most their limit."""
+    """Return which errors (M, 2) in metres and radians are within both limits."""
     return np.asarray((errors[:, 0] <= metres) & (errors[:, 1] <= radians))
 
 
@@ -74,36 +75,38 @@ def _scored(measure: Callable[[Floats], float]) -> Callable[[Evidence], Score]:
     def compute(evidence: Evidence) -> Score:
         reference = evidence.truth.trajectory
         if reference is None or len(reference) < 2:
-            return Score(None, 0, "no true trajectory")
+            return Score(None, 0, NO_TRUE_TRAJECTORY)
         visits = find_revisits(reference)
         if len(visits) == 0:
-            return Score(None, 0, "the true path never comes back to where it was")
-        motions, answered = compute_estimated_motions(evidence.run.estimate, visits)
-        if not answered.any():
-            return Score(None, 0, f"the estimate answers none of {len(visits)} returns")
-        errors = symmetric_errors(motions, visits.first_from_second[answered])
+            return Score(None, 0, _NO_REVISIT)
+        motions, covered = compute_estimated_motions(evidence.run.estimate, visits)
+        if not covered.any():
+            return Score(None, 0, f"the estimate covers none of {len(visits)} revisits")
+        errors = symmetric_errors(motions, visits.first_from_second[covered])
         return make_score(measure(errors), len(errors))
 
     return compute
 
 
+_NO_REVISIT = "the true path does not revisit a place"
+
 HOW = (
-    f"Relations are made of the true trajectory wherever it comes within {NEAR_M:g} m of where it was a quarter of the "
-    "path (at most 100 m) ago; both orders of the pair are averaged"
+    f"Relations connect true poses within {NEAR_M:g} m of each other that are at least a quarter of the path (at most "
+    "100 m) apart along it; both orders of the pair are averaged"
 )
 SOURCE = "after Cartographer's automatic relations, Hess et al., ICRA 2016; scaled to short logs: evalkit"
 
 _ROWS = (
-    Metric("revisit_mean_m", "error on coming back, mean", "m", "lower", "relations",
+    Metric("revisit_mean_m", "error at revisited places, mean", "m", "lower", "relations",
            f"Mean translation error of the estimated motions between two visits of a place. {HOW}.", SOURCE,
-           "places seen once; the true trajectory's own errors", _scored(_mean(0))),
-    Metric("revisit_mean_deg", "heading error on coming back, mean", "deg", "lower", "relations",
+           "places visited once; errors of the ground truth", _scored(_mean(0))),
+    Metric("revisit_mean_deg", "heading error at revisited places, mean", "deg", "lower", "relations",
            f"Mean rotation error of the same motions. {HOW}.", SOURCE,
-           "places seen once; the true trajectory's own errors", _scored(_mean(1)), 2),
-    Metric("revisit_within_percent", "returns within limits", "%", "higher", "relations",
-           f"Motions between two visits of a place that are at most {MAX_OFF_M:g} m and {MAX_OFF_RAD:g} rad off, of "
-           f"those answered. {HOW}.", "the limits: Cartographer's outlier thresholds of automatic relations; as a "
-           "score: evalkit", "how far off the others are; places seen once; the true trajectory's own errors",
+           "places visited once; errors of the ground truth", _scored(_mean(1)), 2),
+    Metric("revisit_within_percent", "revisits within limits", "%", "higher", "relations",
+           f"Share of the estimated motions between two visits of a place with errors of at most {MAX_OFF_M:g} m and "
+           f"{MAX_OFF_RAD:g} rad. {HOW}.", "limits: Cartographer's outlier thresholds of automatic relations; score: "
+           "evalkit", "the size of larger errors; places visited once; errors of the ground truth",
            _scored(lambda errors: 100.0 * float(within_limits(errors).mean())), 1),
 )  # fmt: skip
 
@@ -111,11 +114,11 @@ METRICS = with_support(
     _ROWS,
     {
         "*": (
-            "returns answered",
+            "revisits covered by the estimate",
             (
-                "no true trajectory",
-                "the true path never comes back to where it was",
-                "the estimate answers none of ... returns",
+                NO_TRUE_TRAJECTORY,
+                _NO_REVISIT,
+                "the estimate covers none of ... revisits",
                 DIVERGED,
             ),
         )

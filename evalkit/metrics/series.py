@@ -12,6 +12,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import RunResult, Scores
 from evalkit.core.se2 import Floats
 from evalkit.metrics import drift, relations
+from evalkit.metrics.table import Unmatched
 from evalkit.metrics.trajectory import match_trajectories
 from evalkit.stats.bootstrap import MIN_VALUES, Series, Statistic
 
@@ -56,7 +57,7 @@ def _cpu_times(statistic: Statistic) -> Callable[[ScoredRun], Series | None]:
 def _segment_errors(run: ScoredRun) -> Series | None:
     """Return the errors of segments of all lengths in percent, by their start; not evenly spaced in time."""
     matched = match_trajectories(run.result.estimate, run.truth.trajectory)
-    if isinstance(matched, str):
+    if isinstance(matched, Unmatched):
         return None
     progress = drift.travelled_m(matched)
     starts = [drift.find_segments(progress, length, drift.START_EVERY_M)[0] for length in drift.LENGTHS_M]

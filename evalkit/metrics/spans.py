@@ -1,4 +1,4 @@
-"""Holds an estimate against distances measured with a tape: they see a map that is stretched as a whole."""
+"""Errors of distances in the estimate against distances measured with a tape: they show a stretched map."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from evalkit.metrics.trajectory import can_interpolate, rms
 REACH_M = 0.3
 ASIDE_M = 0.15
 MIN_HITS = 10
-"""A wall is where the median of at least ten hits within 0.3 m along the tape and 0.15 m beside it lies."""
+"""Position of a wall: the median of at least ten hits within 0.3 m along the tape and 0.15 m beside it."""
 
 _NO_TAPE = "no distance was measured with a tape"
 
 
 @dataclass(frozen=True, eq=False)
 class SpanLengths:
-    """Distances in the estimate (K,), by tape (K,), and the tape's standard deviations (K,), all in metres."""
+    """Distances in the estimate (K,), measured by tape (K,), and standard deviations of the tape (K,), in metres."""
 
     estimated_m: Floats
     measured_m: Floats
@@ -35,16 +35,16 @@ class SpanLengths:
 
 
 def measure_spans(spans: tuple[Span, ...], world_from_base: Trajectory, points: Floats) -> SpanLengths:
-    """The spans that the estimate answers; ``points`` (N, 2): the mapped hits, in which walls are looked for."""
-    found = [(_length(span, world_from_base, points), span.metres, span.sigma_m) for span in spans]
-    rows = np.array([row for row in found if row[0] is not None], dtype=np.float64).reshape(-1, 3)
+    """Return the spans that the estimate covers; ``points`` (N, 2): the mapped hits, for spans that end at a wall."""
+    lengths = [(_length(span, world_from_base, points), span.metres, span.sigma_m) for span in spans]
+    rows = np.array([row for row in lengths if row[0] is not None], dtype=np.float64).reshape(-1, 3)
     return SpanLengths(rows[:, 0], rows[:, 1], rows[:, 2])
 
 
-def fit_stretch(found: SpanLengths) -> float:
-    """By which share the estimate is longer than the tape says: the best scale in weighted least squares, minus 1."""
-    weights = found.sigma_m**-2.0
-    scale = np.sum(weights * found.measured_m * found.estimated_m) / np.sum(weights * found.measured_m**2)
+def fit_stretch(lengths: SpanLengths) -> float:
+    """Return the weighted least-squares scale of the estimated distances relative to the measured ones, minus 1."""
+    weights = lengths.sigma_m**-2.0
+    scale = np.sum(weights * lengths.measured_m * lengths.estimated_m) / np.sum(weights * lengths.measured_m**2)
     return float(scale - 1.0)
 
 
@@ -54,7 +54,7 @@ def _length(span: Span, world_from_base: Trajectory, points: Floats) -> float | 
         return None
     along = ends[1] - ends[0]
     length = float(np.linalg.norm(along))
-    if length == 0.0:  # both ends fell together: the tape says otherwise
+    if length == 0.0:  # both ends coincide in the estimate
         return 0.0
     before = _to_wall(span.first, ends[0], along / length, points)
     beyond = _to_wall(span.second, ends[1], along / length, points)
@@ -70,7 +70,7 @@ def _point(place: Place, world_from_base: Trajectory) -> Floats | None:
 
 
 def _to_wall(place: Place, end: Floats, direction: Floats, points: Floats) -> float | None:
-    """How far beyond an end along the tape the wall stands (m); 0 for a place of the robot; None: no wall there."""
+    """Return the distance from an end along the tape to the wall (m): 0 at the robot, None without a wall."""
     if place.stamp_ns is not None:
         return 0.0
     offsets = points - end
@@ -80,27 +80,31 @@ def _to_wall(place: Place, end: Floats, direction: Floats, points: Floats) -> fl
     return float(np.median(near)) if len(near) >= MIN_HITS else None
 
 
-def _of_tape(measure: Callable[[SpanLengths], float]) -> Callable[[Evidence], Score]:
+def _with_spans(measure: Callable[[SpanLengths], float]) -> Callable[[Evidence], Score]:
     def compute(evidence: Evidence) -> Score:
         spans = evidence.truth.spans
         if not spans:
             return Score(None, 0, _NO_TAPE)
-        found = _found(evidence)
-        if len(found.measured_m) == 0:
-            return Score(None, 0, f"the estimate answers none of {len(spans)} measured distances")
-        return make_score(measure(found), len(found.measured_m))
+        lengths = _measure_spans(evidence)
+        if len(lengths.measured_m) == 0:
+            return Score(None, 0, f"the estimate covers none of {len(spans)} measured distances")
+        return make_score(measure(lengths), len(lengths.measured_m))
 
     return compute
+
+
+def _worst_sigmas(lengths: SpanLengths) -> float:
+    return float(np.max(np.abs(lengths.estimated_m - lengths.measured_m) / lengths.sigma_m))
 
 
 def _answered(evidence: Evidence) -> Score:
     spans = evidence.truth.spans
     if not spans:
         return Score(None, 0, _NO_TAPE)
-    return make_score(100.0 * len(_found(evidence).measured_m) / len(spans), len(spans))
+    return make_score(100.0 * len(_measure_spans(evidence).measured_m) / len(spans), len(spans))
 
 
-def _found(evidence: Evidence) -> SpanLengths:
+def _measure_spans(evidence: Evidence) -> SpanLengths:
     estimate = evidence.run.estimate
     if isinstance(evidence.matched, MatchedPoses):
         estimate = estimate.moved(evidence.matched.world_from_start, "world")
@@ -109,36 +113,37 @@ def _found(evidence: Evidence) -> SpanLengths:
 
 TAPE = "tape measure, as for the Revo LDS in Hess et al., ICRA 2016"
 ENDS = (
-    "A tape ends at the robot at a given time, at a point seen from there, or at a wall of the map: the median of the "
+    "A tape ends at the robot at a given time, at a point relative to it, or at a wall of the map: the median of the "
     f"hits within {REACH_M:g} m along the tape"
 )
 
 _ROWS = (
     Metric("span_rmse_m", "distances by tape, RMSE", "m", "lower", "relations",
-           f"Root mean square difference of distances in the estimate and by tape. {ENDS}.", TAPE,
-           "everything between and beside the ends of the tapes",
-           _of_tape(lambda found: rms(found.estimated_m - found.measured_m))),
+           f"Root mean square difference between distances in the estimate and by tape. {ENDS}.", TAPE,
+           "errors away from the ends of the tapes",
+           _with_spans(lambda lengths: rms(lengths.estimated_m - lengths.measured_m))),
     Metric("span_stretch_percent", "stretch by tape", "%", "", "relations",
-           "By how much the estimate is longer than the tape says, in percent: the scale that fits all distances best, "
-           f"weighted by their standard deviations; 0 is right. {ENDS}.", TAPE,
+           "Excess length of the estimate over the tape in percent: the least-squares scale of all distances, "
+           f"weighted by their standard deviations; 0 is exact. {ENDS}.", TAPE,
            "errors that stretch one distance and shorten another",
-           _of_tape(lambda found: 100.0 * fit_stretch(found)), 2),
+           _with_spans(lambda lengths: 100.0 * fit_stretch(lengths)), 2),
     Metric("span_worst_sigmas", "distances by tape, worst", "sigma", "lower", "relations",
-           f"Largest difference of a distance in the estimate and by tape, in standard deviations of the tape. {ENDS}.",
-           TAPE, "all but the worst distance",
-           _of_tape(lambda found: float(np.max(np.abs(found.estimated_m - found.measured_m) / found.sigma_m))), 1),
-    Metric("span_answered_percent", "distances by tape answered", "%", "higher", "relations",
-           "Distances both of whose ends the estimate has, of all that were measured.", "evalkit",
-           "whether they are right", _answered, 1),
+           "Largest difference between a distance in the estimate and by tape, in standard deviations of the tape. "
+           f"{ENDS}.",
+           TAPE, "all distances but the worst",
+           _with_spans(_worst_sigmas), 1),
+    Metric("span_answered_percent", "distances by tape covered", "%", "higher", "relations",
+           "Share of the measured distances both of whose ends the estimate covers.", "evalkit",
+           "errors of the distances", _answered, 1),
 )  # fmt: skip
 
 METRICS = with_support(
     _ROWS,
     {
-        "span_answered_percent": ("distances measured", (_NO_TAPE,)),
+        "span_answered_percent": ("measured distances", (_NO_TAPE,)),
         "*": (
-            "distances answered",
-            (_NO_TAPE, "the estimate answers none of ... measured distances", DIVERGED),
+            "measured distances covered",
+            (_NO_TAPE, "the estimate covers none of ... measured distances", DIVERGED),
         ),
     },
 )

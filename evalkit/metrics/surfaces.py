@@ -1,4 +1,4 @@
-"""Judges pieces of wall, known as such from a single scan, by what all scans laid together make of them."""
+"""Pieces of wall detected in single scans, examined in the hits of all scans: variance and duplicated walls."""
 
 from __future__ import annotations
 
@@ -19,35 +19,38 @@ PLACES_A_SCAN = 40
 MAX_HITS = 20_000
 MAX_PLACES = 500
 MAX_CROSSED = 40_000
-"""Of more hits so many are laid together for variances, and so many across stretches of wall, evenly spaced."""
+"""At most MAX_HITS hits are used for variances and MAX_CROSSED for profiles across walls, evenly spaced."""
 
 MIN_PLACES = 20
 MIN_STRETCHES = 20
 CM2 = 1e4
 
 ORTHOGONAL_RAD = np.radians(10.0)
-"""Walls within 10 deg of one direction belong to one surface, and to its orthogonal one within 10 deg of 90."""
+"""Walls within 10 deg of a direction form one family; those within 10 deg of its normal the orthogonal family."""
 
 ALONG_M = 0.25
-"""A place of a wall reaches so far to either side along it, and counts once within that."""
+"""Half the length of a stretch of wall; within it, a wall counts once."""
 
 NEAREST_M, FARTHEST_M = 0.1, 0.5
-"""A second copy nearer than this is not told from noise; farther off it is another wall."""
+"""A second copy nearer than the first limit may be noise; beyond the second limit it is another wall."""
 
 SMOOTH_M = 0.02
 BIN_M = 0.01
 MIN_SHARE = 0.25
 DEEPEST = 0.5
-"""A second mode has a quarter of the first one's height at least, and between them the density falls to half of it."""
+"""A second mode has at least a quarter of the first mode's height; between them the density falls to half of it."""
 
 _REACH = round((FARTHEST_M + 0.1) / BIN_M)
-"""Bins to either side of a piece of wall."""
+"""Bins on each side of a piece of wall."""
 
 
 @dataclass(frozen=True, eq=False)
 class WallPieces:
-    """Pieces of wall of single scans in the world: middle (K, 2) in m, ``direction`` (K,) within [0, pi), the sensor
-    (K, 2) that saw each."""
+    """Pieces of wall of single scans in the world.
+
+    ``middles`` (K, 2): in m. ``direction`` (K,): within [0, pi). ``sensors`` (K, 2): positions of the sensors that
+    observed them.
+    """
 
     middles: Floats
     direction: Floats
@@ -57,12 +60,12 @@ class WallPieces:
         return len(self.middles)
 
     def at(self, chosen: Ints) -> WallPieces:
-        """Some of the pieces, by index."""
+        """Return the pieces with these indices."""
         return WallPieces(self.middles[chosen], self.direction[chosen], self.sensors[chosen])
 
 
 def find_wall_pieces(mapped: PlacedScans) -> WallPieces:
-    """The places of at most 100 scans, 40 of each, around which that scan's hits within 0.5 m lie along a line."""
+    """Return the places of at most 100 scans, 40 per scan, where the scan's hits within 0.5 m lie along a line."""
     middles, directions, sensors = [np.zeros((0, 2))], [np.zeros(0)], [np.zeros((0, 2))]
     for index in np.unique(np.linspace(0, len(mapped) - 1, min(MAX_SCANS, len(mapped))).astype(int)):
         scan, world_from_sensor = mapped[int(index)]
@@ -77,9 +80,9 @@ def find_wall_pieces(mapped: PlacedScans) -> WallPieces:
 
 
 def find_orthogonal_families(directions: Floats) -> tuple[Ints, Ints]:
-    """Indices of two families of directions (K,), K > 0, at right angles to each other, so that the smaller is largest.
+    """Return the indices of two orthogonal families of directions (K,), K > 0, such that the smaller family is largest.
 
-    Of equals the pair with more members in all.
+    Among equals, the pair with more members in total.
     """
     candidates = np.radians(np.arange(0.0, 90.0, 1.0))
 
@@ -92,35 +95,36 @@ def find_orthogonal_families(directions: Floats) -> tuple[Ints, Ints]:
 
 
 def mean_variance(hits: Floats, middles: Floats) -> tuple[float, int]:
-    """Mean lambda_min (m2) of the hits (N, 2) within 0.5 m of the middles (K, 2), K > 0, that have five, and how many.
+    """Return the mean lambda_min (m2) of the hits (N, 2) within 0.5 m of the middles (K, 2), K > 0, and their number.
 
-    (nan, 0) where none has.
+    Only middles with at least five hits count; (nan, 0) without any.
     """
-    found = compute_neighbourhoods(hits, middles, PATCH_M)
-    small = found.small[found.counts >= MIN_HITS]
+    places = compute_neighbourhoods(hits, middles, PATCH_M)
+    small = places.small[places.counts >= MIN_HITS]
     return (float(small.mean()) if len(small) else float("nan")), len(small)
 
 
 def orthogonal_variance(hits: Floats, pieces: WallPieces) -> tuple[float, int]:
-    """Mean lambda_min (m2) of the hits around pieces of wall, summed over two orthogonal families, and of how many.
+    """Return the mean lambda_min (m2) of the hits around pieces of wall, summed over two orthogonal families, and a
+    number.
 
-    The support is that of the smaller family; (nan, 0) without any piece.
+    The number of places in the smaller family; (nan, 0) without any piece.
     """
     if len(pieces) == 0:
         return float("nan"), 0
     families = find_orthogonal_families(pieces.direction)
     if not all(map(len, families)):
         return float("nan"), 0
-    found = [mean_variance(hits, thin_evenly(pieces.middles[family], MAX_PLACES)) for family in families]
-    return sum(value for value, _ in found), min(count for _, count in found)
+    variances = [mean_variance(hits, thin_evenly(pieces.middles[family], MAX_PLACES)) for family in families]
+    return sum(value for value, _ in variances), min(count for _, count in variances)
 
 
 def find_second_copies(hits: Floats, sensors: Floats, pieces: WallPieces) -> Floats:
-    """How far (K,) from each stretch of wall its second copy stands (m); nan where there is none.
+    """Return the distance (K,) of the second copy of each stretch of wall (m); nan without a copy.
 
-    ``sensors`` (N, 2): where each of the hits (N, 2) was seen from. Of pieces that lie on or beside one another, as the
-    copies of a wall do, one stands for the stretch. Only hits seen from the piece's own side count, so that the other
-    face of a wall is no copy of it.
+    ``sensors`` (N, 2): the sensor positions of the hits (N, 2). Of pieces that lie on or beside each other, as the
+    copies of a wall do, one represents the stretch. Only hits observed from the piece's own side count, so that the
+    opposite face of a wall is not a copy.
     """
     stretches = pieces.at(_apart(pieces))
     if len(stretches) == 0:
@@ -129,7 +133,8 @@ def find_second_copies(hits: Floats, sensors: Floats, pieces: WallPieces) -> Flo
 
 
 def _apart(pieces: WallPieces) -> Ints:
-    """Indices of pieces no two of which lie within 0.25 m along and 0.5 m across, in nearly the same direction."""
+    """Return the indices of pieces of which no two lie within 0.25 m along and 0.5 m across,
+    in nearly equal direction."""
     if len(pieces) == 0:
         return np.zeros(0, dtype=np.int64)
     reach = float(np.hypot(ALONG_M, FARTHEST_M))
@@ -147,7 +152,7 @@ def _apart(pieces: WallPieces) -> Ints:
 
 
 def _profiles(hits: Floats, sensors: Floats, stretches: WallPieces) -> Floats:
-    """Per stretch (K, B): the smoothed histogram of hits across it, towards the sensor that saw it, in bins of 1 cm."""
+    """Return for each stretch (K, B) the smoothed histogram of hits across it, towards its sensor, in bins of 1 cm."""
     from scipy import ndimage
 
     normals = np.stack([-np.sin(stretches.direction), np.cos(stretches.direction)], axis=1)
@@ -166,7 +171,9 @@ def _profiles(hits: Floats, sensors: Floats, stretches: WallPieces) -> Floats:
 
 
 def _second_mode(density: Floats) -> float:
-    """How far from the highest peak of a density (B,) the highest other one stands that is a mode of its own (m)."""
+    """Return the distance from the highest peak of a density (B,) to the highest other peak that is a separate mode
+    (m).
+    """
     peaks = np.flatnonzero((density[1:-1] > density[:-2]) & (density[1:-1] >= density[2:])) + 1
     if len(peaks) < 2:
         return float("nan")
@@ -184,7 +191,7 @@ def _second_mode(density: Floats) -> float:
 
 @cached
 def find_all_wall_pieces(evidence: Evidence) -> WallPieces:
-    """The pieces of wall of single mapped scans."""
+    """Return the pieces of wall of all single mapped scans."""
     return find_wall_pieces(evidence.mapped)
 
 
@@ -217,7 +224,7 @@ def _orthogonal(evidence: Evidence) -> Score:
         return Score(None, 0, NO_HIT)
     value, places = orthogonal_variance(thin_evenly(points, MAX_HITS), find_all_wall_pieces(evidence))
     if places < MIN_PLACES:
-        return Score(None, places, "single scans hardly show walls at right angles to each other")
+        return Score(None, places, _NO_ORTHOGONAL)
     return make_score(CM2 * value, places)
 
 
@@ -226,59 +233,60 @@ def _ghost_percent(evidence: Evidence) -> Score:
         return Score(None, 0, NO_HIT)
     copies = _copies(evidence)
     if len(copies) < MIN_STRETCHES:
-        return Score(None, len(copies), f"single scans show only {len(copies)} stretches of wall")
+        return Score(None, len(copies), f"single scans contain only {len(copies)} stretches of wall")
     return make_score(100.0 * float(np.isfinite(copies).mean()), len(copies))
 
 
 def _ghost_distance(evidence: Evidence) -> Score:
-    found = _ghost_percent(evidence)
-    if found.value is None:
-        return found
+    share = _ghost_percent(evidence)
+    if share.value is None:
+        return share
     copies = _copies(evidence)
     copies = copies[np.isfinite(copies)]
-    return make_score(np.median(copies), len(copies)) if len(copies) else Score(None, 0, "no wall has a second copy")
+    return make_score(np.median(copies), len(copies)) if len(copies) else Score(None, 0, _NO_COPY)
 
+
+_NO_ORTHOGONAL = "single scans contain too few walls at right angles to each other"
+_NO_COPY = "no wall has a second copy"
 
 KORNILOVA = "Kornilova and Ferrer, 2021, arXiv 2106.11351 (mutually orthogonal metric), in the plane"
-SCATTER = (
-    f"Smaller variance lambda_min of the hits ({MAX_HITS:,} of them, evenly, if there are more) within {PATCH_M:g} m"
-)
+SCATTER = f"Mean smaller variance lambda_min of the hits (at most {MAX_HITS:,}, evenly spaced) within {PATCH_M:g} m"
 COPY = (
-    f"A stretch of wall, known from a single scan, has a second copy where the hits from the same side, {ALONG_M:g} m "
-    f"to either side along it, have a second mode {NEAREST_M:g} to {FARTHEST_M:g} m off across it; "
-    f"of the hits at most {MAX_CROSSED:,}, evenly"
+    f"A stretch of wall, detected in a single scan, has a second copy if the hits observed from the same side, within "
+    f"{ALONG_M:g} m along it, have a second mode {NEAREST_M:g} to {FARTHEST_M:g} m away across it; at most "
+    f"{MAX_CROSSED:,} hits, evenly spaced"
 )
 
 _ROWS = (
     Metric("mpv_cm2", "mean plane variance", "cm2", "lower", "map consistency",
-           f"{SCATTER} of one that has {MIN_HITS} of them, all mapped scans laid together; mean over at most 1,000 "
-           "places, corners and furniture included.", "Razlaw et al., ECMR 2015 (mean plane variance), in the plane",
-           f"errors along a wall; how cluttered the place is sets its least value; {WARP}", _mean_variance, 1),
+           f"{SCATTER} of a hit with at least {MIN_HITS} of them, over all mapped scans; at most 1,000 places, "
+           "including corners and furniture.", "Razlaw et al., ECMR 2015 (mean plane variance), in the plane",
+           f"errors along a wall; clutter sets its least value; {WARP}", _mean_variance, 1),
     Metric("mom_cm2", "orthogonal walls' variance", "cm2", "lower", "map consistency",
-           f"{SCATTER} of a piece of wall, which lies along a line in a single scan; mean over the walls within 10 deg "
-           "of one direction, plus that of the walls at right angles to them (the two that most pieces have).",
-           KORNILOVA, f"walls that run neither way; slips in places seen once; {WARP}", _orthogonal, 1,
+           f"{SCATTER} of a piece of wall, which lies along a line in a single scan; over the walls within 10 deg of "
+           "one direction, plus that of the walls orthogonal to them (the two most frequent directions).",
+           KORNILOVA, f"walls in other directions; slips at places visited once; {WARP}", _orthogonal, 1,
            headline=True),
     Metric("ghost_wall_percent", "ghost walls", "%", "lower", "map consistency",
-           f"Stretches of wall with a second copy, of all. {COPY}.", "evalkit",
-           "copies nearer or farther than that, so that a large slip can count for less than a small one; smearing "
-           f"without copies; clutter in front of a wall counts as one; {WARP}", _ghost_percent, 1),
-    Metric("ghost_wall_m", "ghost walls apart", "m", "", "map consistency",
-           f"How far the second copies of walls stand from the first, median. {COPY}.", "evalkit",
-           "how many copies there are; which of both is right", _ghost_distance, 2),
+           f"Share of the stretches of wall with a second copy. {COPY}.", "evalkit",
+           "copies outside this range, so that a large slip can count less than a small one; blur without copies; "
+           f"clutter in front of a wall counts as a copy; {WARP}", _ghost_percent, 1),
+    Metric("ghost_wall_m", "distance of ghost walls", "m", "", "map consistency",
+           f"Median distance between a wall and its second copy. {COPY}.", "evalkit",
+           "the number of copies; which copy is correct", _ghost_distance, 2),
 )  # fmt: skip
 
-_GHOSTS = (NO_HIT, "single scans show only ... stretches of wall")
+_GHOSTS = (NO_HIT, "single scans contain only ... stretches of wall")
 
 METRICS = with_support(
     _ROWS,
     {
-        "mpv_cm2": ("places with five hits around", (NO_HIT, "only ... places have ... hits within ... m", DIVERGED)),
+        "mpv_cm2": ("places with at least five hits", (NO_HIT, "only ... places have ... hits within ... m", DIVERGED)),
         "mom_cm2": (
-            "pieces of wall of the rarer of both directions",
-            (NO_HIT, "single scans hardly show walls at right angles to each other", DIVERGED),
+            "pieces of wall in the less frequent of the two directions",
+            (NO_HIT, _NO_ORTHOGONAL, DIVERGED),
         ),
         "ghost_wall_percent": ("stretches of wall", _GHOSTS),
-        "ghost_wall_m": ("stretches with a second copy", (*_GHOSTS, "no wall has a second copy")),
+        "ghost_wall_m": ("stretches with a second copy", (*_GHOSTS, _NO_COPY)),
     },
 )

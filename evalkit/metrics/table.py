@@ -1,4 +1,4 @@
-"""What a metric is, and what it may look at."""
+"""The types of a metric: its card, its input, and helpers for the METRICS tables."""
 
 from __future__ import annotations
 
@@ -20,16 +20,22 @@ from evalkit.core.se2 import Floats, Stamps
 
 Group = Literal["drift", "relations", "residuals", "runtime", "map against truth", "map consistency"]
 PlacedScan = tuple[Scan, Floats]
-"""A scan, deskewed, and ``world_from_sensor`` (3,)."""
+"""A deskewed scan and ``world_from_sensor`` (3,)."""
 
 PlacedScans = tuple[PlacedScan, ...]
+
+NO_POSES = "the run has no poses"
+NO_TRUE_TRAJECTORY = "no ground-truth trajectory"
+NO_TRUE_MAP = "no ground-truth map"
+DIVERGED = "not finite: the estimate has diverged"
 
 
 @dataclass(frozen=True, eq=False)
 class MatchedPoses:
-    """Estimate and truth at the same times: ``stamps_ns`` (N,), both (N, 3) ``world_from_base``, estimate aligned.
+    """Estimate and ground truth at the same times.
 
-    ``world_from_start``: the alignment. ``alignment`` and ``rule`` say in words how it was found and what was matched.
+    ``stamps_ns`` (N,). ``estimate``, ``truth``: ``world_from_base`` (N, 3), the estimate aligned. ``alignment``,
+    ``rule``: the alignment method and the matching rule, in words. ``world_from_start``: the alignment.
     """
 
     stamps_ns: Stamps
@@ -40,36 +46,49 @@ class MatchedPoses:
     world_from_start: Pose = field(default_factory=Pose)
 
 
+@dataclass(frozen=True)
+class Unmatched:
+    """Estimate and ground truth could not be matched, and the reason."""
+
+    reason: str
+
+
+@dataclass(frozen=True)
+class MissingMap:
+    """A run without a map, and the reason."""
+
+    reason: str
+
+
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """All a metric may look at.
+    """The input of every metric.
 
-    ``matched``: what ``trajectory.match`` answers; a text says why there is none, None: there is no true trajectory.
-    ``grid``: the map of the estimated trajectory, in the world frame. ``mapped``: the scans it was made of (deskewed),
-    with ``world_from_sensor``, in the order of time. ``first_half``, ``second_half``: maps by the same mapper of
-    ``mapped[:n]`` and ``mapped[n:]``, n = len(mapped) // 2. ``no_grid``: why there is no map where ``grid`` is None.
-    ``successive``: pairs of a scan and the very next one of the sequence, evenly spaced over it.
+    ``matched``: the result of ``trajectory.match_trajectories``. ``grid``: the map of the estimated trajectory, in the
+    world frame. ``mapped``: the deskewed scans in that map with ``world_from_sensor``, in the order of time.
+    ``first_half``, ``second_half``: maps of ``mapped[:n]`` and ``mapped[n:]``, n = len(mapped) // 2, by the same
+    mapper. ``successive``: pairs of a scan and the next scan of the sequence, evenly spaced over the sequence.
     """
 
     run: RunResult
     truth: Truth
-    matched: MatchedPoses | str | None
-    grid: OccupancyGrid | None
-    mapped: PlacedScans
-    first_half: OccupancyGrid | None = None
-    second_half: OccupancyGrid | None = None
-    no_grid: str = "the run answered no scan"
+    matched: MatchedPoses | Unmatched = Unmatched(NO_TRUE_TRAJECTORY)
+    grid: OccupancyGrid | MissingMap = MissingMap(NO_POSES)
+    mapped: PlacedScans = ()
+    first_half: OccupancyGrid | MissingMap = MissingMap(NO_POSES)
+    second_half: OccupancyGrid | MissingMap = MissingMap(NO_POSES)
     successive: tuple[tuple[PlacedScan, PlacedScan], ...] = ()
 
 
 @dataclass(frozen=True)
 class Metric:
-    """A metric's card and its function.
+    """The card of a metric and its function.
 
-    ``better`` is "" where neither direction is better. ``limitations`` completes "it is blind to ...". ``digits``:
-    decimals in tables. ``headline``: shown in the first table of a report. ``compute`` answers a Score and never raises
-    for lack of evidence: it says why instead. ``support``: what the number stands on; the score tells how many.
-    ``no_value``: the reasons it gives for having none; "..." stands for what differs from case to case.
+    ``better``: the better direction, "" if there is none. ``limitations``: errors that the metric does not show, a list
+    that completes "does not show: ...". ``digits``: decimals in tables. ``headline``: part of the first table of a
+    report. ``compute``: returns a Score; without sufficient evidence, a Score without value and with the reason.
+    ``support``: what the support of a score counts. ``no_value``: the possible reasons for a missing value; "..."
+    stands for the variable part.
     """
 
     name: str
@@ -87,40 +106,61 @@ class Metric:
     no_value: tuple[str, ...] = ()
 
 
-DIVERGED = "not finite: the estimate has diverged"
-
-Standing = Mapping[str, tuple[str, tuple[str, ...]]]
-"""What metrics stand on and why they may have no value, by pattern of their names ("ate_*")."""
+SupportByName = Mapping[str, tuple[str, tuple[str, ...]]]
+"""``support`` and ``no_value`` of metrics, by a pattern of their names ("ate_*")."""
 
 
-def with_support(metrics: Iterable[Metric], told: Standing) -> tuple[Metric, ...]:
-    """The metrics with ``support`` and ``no_value`` of the first pattern that their name fits, if one does."""
+def with_support(metrics: Iterable[Metric], by_name: SupportByName) -> tuple[Metric, ...]:
+    """Return the metrics with ``support`` and ``no_value`` of the first pattern that matches their name, if any."""
 
-    def one(metric: Metric) -> Metric:
-        found = next((told[pattern] for pattern in told if fnmatchcase(metric.name, pattern)), None)
-        return metric if found is None else replace(metric, support=found[0], no_value=found[1])
+    def complete(metric: Metric) -> Metric:
+        row = next((by_name[pattern] for pattern in by_name if fnmatchcase(metric.name, pattern)), None)
+        return metric if row is None else replace(metric, support=row[0], no_value=row[1])
 
-    return tuple(map(one, metrics))
-
-
-Found = TypeVar("Found")
+    return tuple(map(complete, metrics))
 
 
-def cached(look: Callable[[Evidence], Found]) -> Callable[[Evidence], Found]:
-    """The same look at evidence, taken once however many metrics share it, and forgotten with the evidence."""
-    taken: WeakKeyDictionary[Evidence, Found] = WeakKeyDictionary()
-
-    @wraps(look)
-    def looked(evidence: Evidence) -> Found:
-        if evidence not in taken:
-            taken[evidence] = look(evidence)
-        return taken[evidence]
-
-    return looked
+Computed = TypeVar("Computed")
 
 
-def make_score(value: float | np.floating, support: int) -> Score:
-    """The score of a computed number; without value where the estimate is so far off that it is not finite."""
+def cached(compute: Callable[[Evidence], Computed]) -> Callable[[Evidence], Computed]:
+    """Cache a function of the evidence; the value is released together with the evidence."""
+    values: WeakKeyDictionary[Evidence, Computed] = WeakKeyDictionary()
+
+    @wraps(compute)
+    def cached_compute(evidence: Evidence) -> Computed:
+        if evidence not in values:
+            values[evidence] = compute(evidence)
+        return values[evidence]
+
+    return cached_compute
+
+
+def make_score(value: float | np.floating, support: int, not_finite: str = DIVERGED) -> Score:
+    """Return the score of a computed number; without value and with the reason ``not_finite`` if it is not finite."""
     if not np.isfinite(value):
-        return Score(None, support, DIVERGED)
+        return Score(None, support, not_finite)
     return Score(float(value), support)
+
+
+def with_grid(measure: Callable[[OccupancyGrid], Score]) -> Callable[[Evidence], Score]:
+    """Return ``measure`` of the map as a function of the evidence; no value without a map."""
+
+    def compute(evidence: Evidence) -> Score:
+        if isinstance(evidence.grid, MissingMap):
+            return Score(None, 0, f"no map: {evidence.grid.reason}")
+        return measure(evidence.grid)
+
+    return compute
+
+
+def with_true_grid(measure: Callable[[OccupancyGrid, OccupancyGrid], Score]) -> Callable[[Evidence], Score]:
+    """Return ``measure`` of the map and the ground-truth map as a function of the evidence; no value without both."""
+
+    def compute(evidence: Evidence) -> Score:
+        true = evidence.truth.grid
+        if true is None:
+            return Score(None, 0, NO_TRUE_MAP)
+        return with_grid(lambda mapped: measure(mapped, true))(evidence)
+
+    return compute

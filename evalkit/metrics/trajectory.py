@@ -1,4 +1,4 @@
-"""Brings estimate and truth to the same times and the same frame, and tells how far apart they are there."""
+"""Match and align estimate and ground truth; absolute trajectory errors and coverage."""
 
 from __future__ import annotations
 
@@ -14,15 +14,25 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.table import DIVERGED, Evidence, MatchedPoses, Metric, make_score, with_support
+from evalkit.metrics.table import (
+    DIVERGED,
+    NO_POSES,
+    NO_TRUE_TRAJECTORY,
+    Evidence,
+    MatchedPoses,
+    Metric,
+    Unmatched,
+    make_score,
+    with_support,
+)
 
 Alignment = Literal["least squares", "first pose", "none"]
 
 MAX_GAP_S = 1.0
-"""Between two poses farther apart in time than this nothing is interpolated."""
+"""Poses farther apart in time are not interpolated."""
 
 MIN_SPREAD_M = 0.05
-"""A true path that spreads less (RMS) fixes no heading: it is aligned by its first pose instead."""
+"""A true path with a smaller spread (RMS) does not determine the heading: it is aligned by its first pose."""
 
 
 def match_trajectories(
@@ -30,32 +40,32 @@ def match_trajectories(
     truth: Trajectory | None,
     alignment: Alignment = "least squares",
     max_gap_s: float = MAX_GAP_S,
-) -> MatchedPoses | str:
-    """Estimate and truth at common times, the estimate brought into the truth's frame; or a text why not.
+) -> MatchedPoses | Unmatched:
+    """Match estimate and ground truth in time and align the estimate to the ground truth.
 
-    Of the two, the one with more poses in the common span is interpolated at the stamps of the other, where the poses
-    around the stamp are at most ``max_gap_s`` apart; equal stamps need no interpolation.
+    Of the two trajectories, the one with more poses in the common time span is interpolated at the stamps of the other,
+    where its neighbouring poses are at most ``max_gap_s`` apart. Equal stamps need no interpolation.
     """
     if truth is None:
-        return "no true trajectory"
+        return Unmatched(NO_TRUE_TRAJECTORY)
     if len(estimate) == 0 or len(truth) == 0:
-        return "the run answered no scan" if len(truth) else "the true trajectory is empty"
+        return Unmatched(NO_POSES if len(truth) else _EMPTY)
     inside_estimate, inside_truth = _within(estimate, truth), _within(truth, estimate)
     denser, stamps = estimate, truth.stamps_ns[inside_truth]
     if inside_estimate.sum() < inside_truth.sum():
         denser, stamps = truth, estimate.stamps_ns[inside_estimate]
     stamps = stamps[can_interpolate(denser.stamps_ns, stamps, max_gap_s)]
     if len(stamps) < 2:
-        return f"estimate and truth meet at {len(stamps)} times, at least 2 are needed"
+        return Unmatched(f"estimate and ground truth share {len(stamps)} stamps, at least 2 are needed")
     rule = f"{len(stamps)} equal stamps"
     if not np.isin(stamps, denser.stamps_ns).all():
-        names = ("estimate", "truth") if denser is estimate else ("truth", "estimate")
+        names = ("estimate", "ground truth") if denser is estimate else ("ground truth", "estimate")
         rule = f"{names[0]} interpolated at {len(stamps)} stamps of the {names[1]}, gaps up to {max_gap_s:g} s"
     return _aligned(stamps, estimate.at(stamps), truth.at(stamps), alignment, rule)
 
 
 def can_interpolate(stamps_ns: Stamps, at_ns: ArrayLike, max_gap_s: float) -> Bools:
-    """Which times (K,) fall on a stamp, or between two stamps at most that far apart."""
+    """Return which times (K,) equal a stamp or lie between two stamps at most ``max_gap_s`` apart."""
     at = np.asarray(at_ns, dtype=np.int64)
     if len(stamps_ns) == 0:
         return np.zeros(at.shape, dtype=np.bool_)
@@ -66,9 +76,9 @@ def can_interpolate(stamps_ns: Stamps, at_ns: ArrayLike, max_gap_s: float) -> Bo
 
 
 def align_rigidly(source: ArrayLike, target: ArrayLike) -> Floats:
-    """The ``target_from_source`` (3,) that is best in least squares, for pairs of points (N, 2).
+    """Return the least-squares ``target_from_source`` (3,) of pairs of points (N, 2).
 
-    Umeyama, PAMI 13(4), 1991, without scale; the plane needs no decomposition: theta = atan2(K01 - K10, K00 + K11).
+    Umeyama, PAMI 13(4), 1991, without scale. In the plane: theta = atan2(K01 - K10, K00 + K11).
     """
     p, q = np.asarray(source, dtype=np.float64), np.asarray(target, dtype=np.float64)
     k = (p - p.mean(axis=0)).T @ (q - q.mean(axis=0))
@@ -78,9 +88,9 @@ def align_rigidly(source: ArrayLike, target: ArrayLike) -> Floats:
 
 
 def compute_errors_m(estimate: Trajectory, truth: Trajectory, max_gap_s: float = MAX_GAP_S) -> Floats:
-    """Distance (N,) of each pose of an already aligned estimate to the truth; nan where the truth is not known.
+    """Return the distance (N,) of each pose of an aligned estimate to the ground truth; nan where it is unknown.
 
-    The truth is interpolated between poses at most ``max_gap_s`` apart.
+    The ground truth is interpolated between poses at most ``max_gap_s`` apart.
     """
     known = can_interpolate(truth.stamps_ns, estimate.stamps_ns, max_gap_s)
     errors = np.full(len(estimate), np.nan)
@@ -89,34 +99,34 @@ def compute_errors_m(estimate: Trajectory, truth: Trajectory, max_gap_s: float =
 
 
 def position_errors(matched: MatchedPoses) -> Floats:
-    """Distances (N,) between estimated and true positions (m)."""
+    """Return the distances (N,) between estimated and true positions in metres."""
     return _distances(matched.estimate, matched.truth)
 
 
 def heading_errors(matched: MatchedPoses) -> Floats:
-    """Estimated minus true headings (N,) in radians within [-pi, pi)."""
+    """Return estimated minus true headings (N,) in radians within [-pi, pi)."""
     return se2.wrap(matched.estimate[:, 2] - matched.truth[:, 2])
 
 
 def covered_share(estimate: Trajectory, truth: Trajectory, max_gap_s: float = MAX_GAP_S) -> float:
-    """The share of the truth's time span between poses of the estimate at most ``max_gap_s`` apart."""
+    """Return the share of the ground truth's time span between estimated poses at most ``max_gap_s`` apart."""
     stamps = estimate.stamps_ns[_within(estimate, truth)]
     gaps = np.diff(stamps) * 1e-9
     return float(gaps[gaps <= max_gap_s].sum() / truth.duration_s)
 
 
 def rms(values: Floats) -> float:
-    """The root of the mean square."""
+    """Return the root mean square."""
     return float(np.sqrt(np.mean(np.square(values))))
 
 
 def with_matched_poses(measure: Callable[[MatchedPoses], Score]) -> Callable[[Evidence], Score]:
-    """The same measure of evidence, which says why where estimate and truth were not matched."""
+    """Return ``measure`` of the matched poses as a function of the evidence; no value if nothing was matched."""
 
     def compute(evidence: Evidence) -> Score:
-        if isinstance(evidence.matched, MatchedPoses):
-            return measure(evidence.matched)
-        return Score(None, 0, evidence.matched or "no true trajectory")
+        if isinstance(evidence.matched, Unmatched):
+            return Score(None, 0, evidence.matched.reason)
+        return measure(evidence.matched)
 
     return compute
 
@@ -148,16 +158,20 @@ def _distances(one: Floats, other: Floats) -> Floats:
 def _answered(evidence: Evidence) -> Score:
     expected = evidence.run.expected
     if expected == 0:
-        return Score(None, 0, "how many scans there are is not known")
+        return Score(None, 0, _UNKNOWN_LENGTH)
     return make_score(100.0 * len(evidence.run.steps) / expected, expected)
 
 
 def _covered(evidence: Evidence) -> Score:
     truth = evidence.truth.trajectory
     if truth is None or truth.duration_s == 0.0:
-        return Score(None, 0, "no true trajectory" if truth is None else "the true trajectory has no duration")
+        return Score(None, 0, NO_TRUE_TRAJECTORY if truth is None else _NO_DURATION)
     return make_score(100.0 * covered_share(evidence.run.estimate, truth), len(evidence.run.steps))
 
+
+_EMPTY = "the ground-truth trajectory is empty"
+_NO_DURATION = "the ground-truth trajectory has no duration"
+_UNKNOWN_LENGTH = "the number of scans in the sequence is unknown"
 
 ATE = "Sturm et al., IROS 2012 (absolute trajectory error); Umeyama, PAMI 13(4), 1991"
 
@@ -165,43 +179,40 @@ _ROWS = (
     Metric("ate_rmse_m", "ATE RMSE", "m", "lower", "drift",
            "Root mean square distance between estimated and true positions at the same times, after the rigid "
            "alignment without scale that makes it smallest.", ATE,
-           "when the error arose: one early wrong turn weighs more than a late one; scans that were not answered",
+           "the time of an error: an early wrong turn counts more than a late one; scans without a pose",
            with_matched_poses(lambda m: make_score(rms(position_errors(m)), len(m.stamps_ns))), headline=True),
     Metric("ate_median_m", "ATE median", "m", "lower", "drift",
-           "Median of the same distances.", ATE, "everything in the worse half of the run",
+           "Median of the same distances.", ATE, "errors in the worse half of the run",
            with_matched_poses(lambda m: make_score(np.median(position_errors(m)), len(m.stamps_ns)))),
     Metric("ate_max_m", "ATE maximum", "m", "lower", "drift",
-           "Largest of the same distances.", ATE, "everything but the worst moment",
+           "Largest of the same distances.", ATE, "all errors but the largest",
            with_matched_poses(lambda m: make_score(position_errors(m).max(), len(m.stamps_ns)))),
     Metric("heading_rmse_deg", "heading RMSE", "deg", "lower", "drift",
            "Root mean square difference of estimated and true headings, after the same alignment.", ATE,
-           "errors of position; scans that were not answered",
+           "errors of position; scans without a pose",
            with_matched_poses(lambda m: make_score(np.degrees(rms(heading_errors(m))), len(m.stamps_ns))), 2),
     Metric("answered_percent", "scans answered", "%", "higher", "drift",
-           "Scans answered before the run ended, of all scans in the sequence.", "evalkit",
-           "whether the answers are right", _answered, 1),
+           "Share of the scans of the sequence for which the run returned a pose.", "evalkit",
+           "errors of the poses", _answered, 1),
     Metric("covered_percent", "true time covered", "%", "higher", "drift",
-           f"Share of the true trajectory's time span between answers at most {MAX_GAP_S:g} s apart.", "evalkit",
-           "whether the answers are right", _covered, 1),
+           f"Share of the ground truth's time span between estimated poses at most {MAX_GAP_S:g} s apart.", "evalkit",
+           "errors of the poses", _covered, 1),
 )  # fmt: skip
 
 UNMATCHED = (
-    "no true trajectory",
-    "the run answered no scan",
-    "the true trajectory is empty",
-    "estimate and truth meet at ... times, at least 2 are needed",
+    NO_TRUE_TRAJECTORY,
+    NO_POSES,
+    _EMPTY,
+    "estimate and ground truth share ... stamps, at least 2 are needed",
     DIVERGED,
 )
-"""Why a metric of matched poses may have no value."""
+"""Reasons for a missing value of a metric of matched poses."""
 
 METRICS = with_support(
     _ROWS,
     {
-        "answered_percent": ("scans in the sequence", ("how many scans there are is not known",)),
-        "covered_percent": (
-            "scans answered",
-            ("no true trajectory", "the true trajectory has no duration"),
-        ),
-        "*": ("poses matched with the truth", UNMATCHED),
+        "answered_percent": ("scans in the sequence", (_UNKNOWN_LENGTH,)),
+        "covered_percent": ("scans with a pose", (NO_TRUE_TRAJECTORY, _NO_DURATION)),
+        "*": ("poses matched with the ground truth", UNMATCHED),
     },
 )

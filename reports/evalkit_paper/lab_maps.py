@@ -14,9 +14,9 @@ from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.consistency import collect_hits
-from evalkit.metrics.evaluate import draw
+from evalkit.metrics.evaluate import render_map
 from evalkit.metrics.maps import compare_walls, f1
-from evalkit.metrics.table import PlacedScans
+from evalkit.metrics.table import MissingMap, PlacedScans
 from evalkit.metrics.trajectory import rms
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Value
@@ -146,9 +146,9 @@ def _select_scans(found: stage_errors.StageErrors, world_from_base: Trajectory, 
 
 
 def _build_map(mapped: PlacedScans) -> OccupancyGrid:
-    grid, why = draw(mapped, registry.mapper("log-odds").make)
-    if grid is None:
-        raise ValueError(f"no map: {why}")
+    grid = render_map(mapped, registry.mapper("log-odds").make)
+    if isinstance(grid, MissingMap):
+        raise ValueError(f"no map: {grid.reason}")
     return grid
 
 

@@ -19,7 +19,7 @@ from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.consistency import collect_hits, map_entropy, wall_thicknesses
 from evalkit.metrics.maps import WallDistances, chamfer, compare_walls, f1, iou, nearest_distances_m, precision, recall
 from evalkit.metrics.occupancy import log_loss, wall_width_m
-from evalkit.metrics.table import PlacedScans
+from evalkit.metrics.table import PlacedScans, Unmatched
 from evalkit.metrics.trajectory import match_trajectories, position_errors, rms
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
@@ -88,8 +88,8 @@ def drive(world: str, seed: int, laps: float, poses: str = "true", **sensor: Val
     if poses == "true":
         return Drive(frames, truth, truth.trajectory.poses, 0.0)
     found = match_trajectories(_estimated(frames), truth.trajectory)
-    if isinstance(found, str):
-        raise ValueError(f"{world}: {found}")
+    if isinstance(found, Unmatched):
+        raise ValueError(f"{world}: {found.reason}")
     return Drive(frames, truth, found.estimate, rms(position_errors(found)))
 
 

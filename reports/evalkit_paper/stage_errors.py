@@ -15,6 +15,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
+from evalkit.metrics.table import Unmatched
 from evalkit.metrics.trajectory import match_trajectories
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
@@ -120,8 +121,8 @@ def position_errors_m(estimate: Trajectory, truth: Trajectory) -> Floats:
 def align(estimate: Trajectory, truth: Trajectory) -> Trajectory:
     """Align the estimate to the ground truth by least squares over all positions. Raises ValueError if impossible."""
     matched = match_trajectories(estimate, truth)
-    if isinstance(matched, str):
-        raise ValueError(matched)
+    if isinstance(matched, Unmatched):
+        raise ValueError(matched.reason)
     return estimate.moved(matched.world_from_start, "world")
 
 

@@ -17,7 +17,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Scan
-from evalkit.metrics.table import Evidence, PlacedScan
+from evalkit.metrics.table import NO_POSES, Evidence, PlacedScan, Unmatched
 
 CELLS, SIZE_M, ROOM_M = 1000, 0.05, 5.0
 BEAMS, SCANS = 720, 300
@@ -57,7 +57,7 @@ def timed() -> dict[str, dict[str, float]]:
     mapped, steps = scans(0.02), np.zeros(0, STEP)
     true = Truth("exact", grid=floor(0.0, 0))
     halves = floor(1.0, 3), floor(1.0, 4)
-    evidence = Evidence(RunResult(steps, 0), true, None, floor(1.0, 2), mapped, *halves)
+    evidence = Evidence(RunResult(steps, 0), true, Unmatched(NO_POSES), floor(1.0, 2), mapped, *halves)
     found: dict[str, dict[str, float]] = {group: {} for group in GROUPS}
     for metric in metrics.METRICS:
         if metric.group in GROUPS:

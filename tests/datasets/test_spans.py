@@ -84,7 +84,7 @@ def test_a_recording_brings_the_distances_given_for_it(tmp_path):
     for row, values in zip(rows, steps, strict=True):
         row["stamp_ns"], row["x"], row["y"], row["theta"] = values
     truth: Truth = sequence.truth()
-    found = metrics.compute_scores(Evidence(RunResult(rows, 11), truth, None, None, ()))
+    found = metrics.compute_scores(Evidence(RunResult(rows, 11), truth))
     assert found["span_stretch_percent"].value == pytest.approx(100.0 * (8.0 / 8.16 - 1.0))
 
 

@@ -98,7 +98,7 @@ def test_every_run_is_a_row_whatever_becomes_of_it(tmp_path):
     assert far.scores.by_metric["ate_rmse_m"].value > 1e5
     assert far.scores.grid is None
     assert far.scores.by_metric["map_entropy"].reason.startswith(
-        "no map: it cannot be drawn (log-odds: parameter 'resolution_m'"
+        "no map: the mapper failed (log-odds: parameter 'resolution_m'"
     )
     assert made["absent"].result.reason == "the library 'nowhere' is not installed; pip install nowhere"
     assert not Store(tmp_path).run_folder(made["absent"].key).exists()

@@ -63,7 +63,7 @@ def test_an_odometry_has_no_residuals_and_a_registration_has_those_of_both_stage
 
 def shares(outcome, steps):
     run = replace(outcome, steps=steps)
-    found = metrics.compute_scores(Evidence(run, Truth("none"), None, None, ()))
+    found = metrics.compute_scores(Evidence(run, Truth("none")))
     return found["guess_kept_percent"], found["not_converged_percent"]
 
 
@@ -76,7 +76,7 @@ def test_a_method_that_registers_nothing_is_complete_and_has_kept_every_guess(tm
 
 
 def test_an_odometry_that_does_not_tell_is_reported_as_such(tmp_path):
-    assert {score.reason for score in shares(*perform(tmp_path))} == {"not told by the back end"}
+    assert {score.reason for score in shares(*perform(tmp_path))} == {"not reported by the back end"}
 
 
 class Doubtful:

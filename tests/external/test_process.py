@@ -73,7 +73,7 @@ def test_cpu_time_includes_what_the_program_itself_spends(program, followed):
 def test_on_a_named_device_there_is_no_cpu_time_but_its_own(program, followed):
     _, steps = followed(program(hello=HELLO.replace("summary=", 'device="a board", summary=')))
     run = RunResult(steps, len(steps))
-    scores = {m.name: m.compute(Evidence(run, Truth("none"), None, None, ())) for m in runtime.METRICS}
+    scores = {m.name: m.compute(Evidence(run, Truth("none"))) for m in runtime.METRICS}
     assert scores["cpu_median_ms"].reason == "no CPU time was measured"
     assert scores["device_median_ms"].value == pytest.approx(5.0)
     assert scores["real_time_factor"].value == pytest.approx(100.0 / 5.0)  # a scan every 100 ms
@@ -82,10 +82,8 @@ def test_on_a_named_device_there_is_no_cpu_time_but_its_own(program, followed):
 def test_a_back_end_that_tells_no_device_time_has_none(program, followed):
     _, steps = followed(program("say(pose=[x, 0.0, 0.0])"))
     run = RunResult(steps, len(steps))
-    score = next(m for m in runtime.METRICS if m.name == "device_median_ms").compute(
-        Evidence(run, Truth("none"), None, None, ())
-    )
-    assert (score.value, score.reason) == (None, "the back end tells no device time")
+    score = next(m for m in runtime.METRICS if m.name == "device_median_ms").compute(Evidence(run, Truth("none")))
+    assert (score.value, score.reason) == (None, "the back end reports no device time")
 
 
 @pytest.mark.parametrize(

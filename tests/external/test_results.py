@@ -56,10 +56,10 @@ def test_its_times_are_withheld(poses, followed):
     assert not steps["wall_ns"].any()
     assert not steps["cpu_ns"].any()
     run = RunResult(steps, 40)
-    scores = {m.name: m.compute(Evidence(run, Truth("none"), None, None, ())) for m in runtime.METRICS}
+    scores = {m.name: m.compute(Evidence(run, Truth("none"))) for m in runtime.METRICS}
     names = ("wall_median_ms", "cpu_median_ms", "real_time_factor", "late_percent", "device_median_ms")
     assert [scores[name].value for name in names] == [None] * 5
-    assert scores["wall_median_ms"].reason == "the answers were computed elsewhere"
+    assert scores["wall_median_ms"].reason == "the poses were computed elsewhere"
 
 
 def test_between_two_poses_it_interpolates_if_they_are_not_too_far_apart(poses):

@@ -13,7 +13,7 @@ from evalkit.metrics.table import Evidence
 
 
 def scores(mapped):
-    evidence = Evidence(RunResult(np.zeros(0, STEP), 0), Truth("none"), None, None, mapped)
+    evidence = Evidence(RunResult(np.zeros(0, STEP), 0), Truth("none"), mapped=mapped)
     return {metric.name: metric.compute(evidence) for metric in clouds.METRICS}
 
 
@@ -85,6 +85,6 @@ def test_scans_that_turn_smear_the_directions_of_their_walls() -> None:
 def test_without_hits_there_is_a_reason() -> None:
     found = scores(())
     assert found["mme_nat"].reason == found["coral_nat"].reason == "no mapped scan has a hit"
-    assert found["direction_spread_nat"].reason == "the scans show only 0 pieces of wall, 100 are needed"
+    assert found["direction_spread_nat"].reason == "the scans contain 0 pieces of wall, at least 100 are needed"
     lonely = tuple(scan_of(np.array([[5.0 * k, 1.0], [5.0 * k + 2.0, 2.0]])) for k in range(1, 5))
     assert scores(lonely)["mme_nat"].reason == "only 0 % of the hits have 5 others within 0.5 m"

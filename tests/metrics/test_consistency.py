@@ -13,7 +13,7 @@ from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats
 from evalkit.metrics import consistency
-from evalkit.metrics.table import Evidence, PlacedScans
+from evalkit.metrics.table import NO_POSES, Evidence, MissingMap, PlacedScans
 
 
 def grid(occupied: Bools, free: Bools | None = None, resolution_m: float = 0.05) -> OccupancyGrid:
@@ -46,7 +46,8 @@ def scores(
     mapped: PlacedScans = (),
 ) -> dict[str, Score]:
     run = RunResult(np.zeros(0, STEP), 0)
-    evidence = Evidence(run, Truth("none"), None, whole, mapped, first, second)
+    whole_map, first_map, second_map = (grid or MissingMap(NO_POSES) for grid in (whole, first, second))
+    evidence = Evidence(run, Truth("none"), grid=whole_map, mapped=mapped, first_half=first_map, second_half=second_map)
     return {metric.name: metric.compute(evidence) for metric in consistency.METRICS}
 
 
@@ -160,8 +161,8 @@ def test_hits_a_little_before_the_other_halfs_wall_are_noise() -> None:
 def test_halves_that_see_different_places_have_no_violations_to_count() -> None:
     nowhere = OccupancyGrid(np.zeros((3, 3), np.float32), np.zeros((3, 3), np.bool_), 0.05, 0.0, 0.0)
     found = scores(grid(band(1)), nowhere, grid(band(1)), (wall_scan(2.5), wall_scan(2.5)))
-    assert found["cleared_percent"].reason == "both halves of the run hardly see the same places"
-    assert found["split_distance_m"].reason == "both halves of the run hardly see the same places"
+    assert found["cleared_percent"].reason == "the two halves of the run observed almost no common places"
+    assert found["split_distance_m"].reason == "the two halves of the run observed almost no common places"
 
 
 def test_halves_three_cells_apart_are_fifteen_centimetres_apart() -> None:

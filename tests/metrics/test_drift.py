@@ -28,7 +28,7 @@ def matched(estimate: Floats, truth: Floats) -> MatchedPoses:
 def score(name: str, found: MatchedPoses) -> Score:
     run = RunResult(np.zeros(0, STEP), 0)
     (metric,) = (metric for metric in drift.METRICS if metric.name == name)
-    return metric.compute(Evidence(run, Truth("exact"), found, None, ()))
+    return metric.compute(Evidence(run, Truth("exact"), found))
 
 
 def value(name: str, found: MatchedPoses) -> float:

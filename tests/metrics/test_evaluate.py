@@ -83,7 +83,7 @@ def test_an_estimate_beyond_any_map_loses_its_map_and_nothing_else(straight, far
     assert scored.grid is None
     for name in ("map_entropy", "occupied_percent", "corners"):
         assert scored.by_metric[name].value is None
-        assert scored.by_metric[name].reason.startswith("no map: it cannot be drawn (")
+        assert scored.by_metric[name].reason.startswith("no map: the mapper failed (")
     assert scored.by_metric["cpu_median_ms"].value == pytest.approx(2.0)
     assert (scored.by_metric["ate_rmse_m"].value or np.inf) > 1e5
     assert all(score.reason or np.isfinite(score.value) for score in scored.by_metric.values())
@@ -95,7 +95,7 @@ def test_a_mapper_that_raises_costs_the_map_alone(straight):
 
     scored = evaluate.score(perfect(), straight, broken, 400)
     assert scored.grid is None
-    assert scored.by_metric["map_entropy"].reason == "no map: it cannot be drawn (lost the plot)"
+    assert scored.by_metric["map_entropy"].reason == "no map: the mapper failed (lost the plot)"
     assert scored.by_metric["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
 
 
@@ -159,9 +159,9 @@ def test_a_run_without_answers_has_scores_that_say_so(straight, listener):
     scored = evaluate.score(run_of(np.zeros(0), cause=Cause.TIME_LIMIT, reason="slow"), straight, listener, 400)
     assert scored.grid is None
     assert listener == []
-    assert scored.by_metric["map_entropy"].reason == "no map: the run answered no scan"
+    assert scored.by_metric["map_entropy"].reason == "no map: the run has no poses"
     assert scored.by_metric["ate_rmse_m"].value is None
-    assert scored.alignment == "the run answered no scan"
+    assert scored.alignment == "the run has no poses"
 
 
 def test_without_truth_nothing_is_aligned(straight, monkeypatch):

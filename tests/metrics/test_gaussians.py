@@ -8,7 +8,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.metrics import gaussians
-from evalkit.metrics.table import Evidence
+from evalkit.metrics.table import NO_POSES, Evidence, MissingMap
 
 
 def covariance(short, long, degrees):
@@ -70,7 +70,7 @@ def grid(shift_cells):
 
 def scores(mapped, true):
     run = RunResult(np.zeros(0, STEP), 0)
-    evidence = Evidence(run, Truth("exact", grid=true), None, mapped, ())
+    evidence = Evidence(run, Truth("exact", grid=true), grid=mapped or MissingMap(NO_POSES))
     return {metric.name: metric.compute(evidence) for metric in gaussians.METRICS}
 
 
@@ -83,6 +83,6 @@ def test_a_wall_two_cells_off_is_two_cells_away_in_every_square() -> None:
 
 def test_without_a_map_or_walls_there_is_a_reason() -> None:
     nothing = OccupancyGrid(np.zeros((2, 2), np.float32), np.zeros((2, 2), np.bool_), 0.05, 0.0, 0.0)
-    assert scores(grid(0), None)["map_awd_m"].reason == "no true map"
-    assert scores(None, grid(0))["map_awd_m"].reason == "no map: the run answered no scan"
-    assert scores(nothing, grid(0))["map_awd_m"].reason == "the maps share 0 squares with walls, 3 are needed"
+    assert scores(grid(0), None)["map_awd_m"].reason == "no ground-truth map"
+    assert scores(None, grid(0))["map_awd_m"].reason == "no map: the run has no poses"
+    assert scores(nothing, grid(0))["map_awd_m"].reason == "the maps share 0 squares with walls, at least 3 are needed"

@@ -7,7 +7,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.metrics import images
-from evalkit.metrics.table import Evidence
+from evalkit.metrics.table import NO_POSES, Evidence, MissingMap
 
 
 def grid(p, resolution_m=0.05, origin=(0.0, 0.0), observed=None):
@@ -19,7 +19,7 @@ def grid(p, resolution_m=0.05, origin=(0.0, 0.0), observed=None):
 def scored(mapped, true):
     (metric,) = images.METRICS
     run = RunResult(np.zeros(0, STEP), 0)
-    return metric.compute(Evidence(run, Truth("exact", grid=true), None, mapped, ()))
+    return metric.compute(Evidence(run, Truth("exact", grid=true), grid=mapped or MissingMap(NO_POSES)))
 
 
 def room(cells=60, wall=12):
@@ -72,7 +72,7 @@ def test_maps_that_do_not_meet_are_not_compared() -> None:
     half[:, :1] = True
     assert scored(grid(room(), observed=half), grid(room())).reason == "both maps have observed only 60 common cells"
     assert scored(None, grid(room())).reason.startswith("no map:")
-    assert scored(grid(room()), None).reason == "no true map"
+    assert scored(grid(room()), None).reason == "no ground-truth map"
 
 
 def test_what_one_map_shows_beyond_the_other_is_not_compared() -> None:

@@ -12,7 +12,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Scan
 from evalkit.metrics import landmarks
-from evalkit.metrics.table import Evidence
+from evalkit.metrics.table import NO_POSES, Evidence, MissingMap
 
 SETS = st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)), max_size=4).map(
     lambda points: np.array(points).reshape(-1, 2)
@@ -66,7 +66,7 @@ def scan(side_m):
 
 def scores(mapped, true, grid=None):
     run = RunResult(np.zeros(0, STEP), 0)
-    evidence = Evidence(run, Truth("exact", grid=true), None, grid, mapped)
+    evidence = Evidence(run, Truth("exact", grid=true), grid=grid or MissingMap(NO_POSES), mapped=mapped)
     return {metric.name: metric.compute(evidence) for metric in landmarks.METRICS}
 
 

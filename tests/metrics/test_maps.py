@@ -10,7 +10,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult, Score
 from evalkit.metrics import maps
-from evalkit.metrics.table import Evidence
+from evalkit.metrics.table import NO_POSES, Evidence, MissingMap
 
 
 def grid(occupied: Bools, resolution_m: float = 0.05, origin_x: float = 0.0, origin_y: float = 0.0) -> OccupancyGrid:
@@ -27,7 +27,7 @@ def wall(column: int, shape: tuple[int, int] = (40, 60)) -> Bools:
 
 def scores(mapped: OccupancyGrid | None, true: OccupancyGrid | None) -> dict[str, Score]:
     run = RunResult(np.zeros(0, STEP), 0)
-    evidence = Evidence(run, Truth("exact", grid=true), None, mapped, ())
+    evidence = Evidence(run, Truth("exact", grid=true), grid=mapped or MissingMap(NO_POSES))
     return {metric.name: metric.compute(evidence) for metric in maps.METRICS}
 
 
@@ -107,7 +107,7 @@ def test_accuracy_looks_at_near_walls_and_completeness_at_true_ones() -> None:
     assert found["map_com"].value == 0.5
     assert found["map_knn_m"].value == pytest.approx((0.10 + 0.85) / 2)
     far = scores(grid(wall(50)), grid(wall(20)))
-    assert far["map_ac_m"].reason == "no wall of the map is within 0.2 m of a true one"
+    assert far["map_ac_m"].reason == "no wall of the map is within 0.2 m of a true wall"
     assert far["map_com"].value == 0.0
 
 
@@ -116,8 +116,8 @@ def test_a_map_without_walls_scores_nothing_and_without_truth_has_no_score() -> 
     found = scores(empty, grid(wall(20)))
     assert (found["map_f1"].value, found["map_recall"].value) == (0.0, 0.0)
     assert found["map_precision"].reason == "the map has no wall"
-    assert scores(empty, None)["map_f1"].reason == "no true map"
-    assert scores(None, grid(wall(20)))["map_f1"].reason == "no map: the run answered no scan"
+    assert scores(empty, None)["map_f1"].reason == "no ground-truth map"
+    assert scores(None, grid(wall(20)))["map_f1"].reason == "no map: the run has no poses"
 
 
 def test_coverage_is_the_share_of_the_true_map_s_observed_cells_that_are_observed() -> None:
@@ -132,5 +132,5 @@ def test_coverage_is_the_share_of_the_true_map_s_observed_cells_that_are_observe
     assert scores(true, holed)["map_coverage_percent"] == Score(100.0, 1800)
     coarse = grid(wall(5, (10, 15)), 0.2)
     assert scores(coarse, true)["map_coverage_percent"].value == 100.0
-    assert scores(true, None)["map_coverage_percent"].reason == "no true map"
+    assert scores(true, None)["map_coverage_percent"].reason == "no ground-truth map"
     assert scores(None, true)["map_coverage_percent"].reason.startswith("no map: ")

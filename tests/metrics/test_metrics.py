@@ -27,7 +27,7 @@ def run(poses: list[tuple[float, float, float]]) -> RunResult:
 
 
 def evidence(of: RunResult, truth: Truth) -> Evidence:
-    return Evidence(of, truth, match_trajectories(of.estimate, truth.trajectory), None, ())
+    return Evidence(of, truth, match_trajectories(of.estimate, truth.trajectory))
 
 
 def test_names_are_unique_and_every_card_is_filled_in() -> None:
@@ -71,8 +71,8 @@ def test_a_run_that_answered_nothing_gets_a_reason_from_every_metric_but_what_it
 
 def test_a_sequence_without_truth_gets_a_reason_from_every_metric_that_needs_it() -> None:
     found = metrics.compute_scores(evidence(run([(0.0, 0, 0), (1.0, 0, 0)]), Truth("none")))
-    reasons = {"ate_rmse_m": "no true trajectory", "drift_percent": "no true trajectory"}
-    reasons |= {"relations_all_mean_m": "no measured relations", "map_f1": "no true map"}
+    reasons = {"ate_rmse_m": "no ground-truth trajectory", "drift_percent": "no ground-truth trajectory"}
+    reasons |= {"relations_all_mean_m": "no measured relations", "map_f1": "no ground-truth map"}
     assert {name: found[name].reason for name in reasons} == reasons
     assert found["answered_percent"].value == 2.0
 

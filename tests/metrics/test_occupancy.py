@@ -10,7 +10,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.metrics import occupancy
 from evalkit.metrics.occupancy import find_true_states, log_loss, wall_width_m
-from evalkit.metrics.table import Evidence
+from evalkit.metrics.table import NO_POSES, Evidence, MissingMap
 
 
 def grid(rows, resolution_m=0.1, x=0.0, y=0.0, observed=None):
@@ -70,7 +70,7 @@ def test_a_map_without_walls_has_no_width():
 
 
 def scores(mapped, true):
-    evidence = Evidence(RunResult(np.zeros(0, STEP), 0), Truth("t", grid=true), None, mapped, ())
+    evidence = Evidence(RunResult(np.zeros(0, STEP), 0), Truth("t", grid=true), grid=mapped or MissingMap(NO_POSES))
     return {metric.name: metric.compute(evidence) for metric in occupancy.METRICS}
 
 
@@ -81,9 +81,9 @@ def test_the_table_tells_log_loss_and_wall_width_or_why_not():
     assert found["map_log_loss"].value == pytest.approx(math.log1p(math.exp(-5.0)), rel=1e-6)
     assert found["map_log_loss"].support == 3600
     assert found["wall_width_m"].value == pytest.approx(0.3, rel=0.02)
-    assert scores(grid(rows), None)["map_log_loss"].reason == "no true map"
-    assert scores(None, grid(rows))["map_log_loss"].reason == "no map: the run answered no scan"
+    assert scores(grid(rows), None)["map_log_loss"].reason == "no ground-truth map"
+    assert scores(None, grid(rows))["map_log_loss"].reason == "no map: the run has no poses"
     coarse = scores(grid(rows), grid(rows, 0.2))["map_log_loss"]
-    assert coarse.reason == "the true map's cells of 0.2 m are coarser than the map's"
+    assert coarse.reason == "the cells of the ground-truth map (0.2 m) are coarser than those of the map"
     lonely = scores(grid([[5.0, -5.0], [-5.0, -5.0]]), None)["wall_width_m"]
     assert lonely.reason == "no occupied cells lie along a line"

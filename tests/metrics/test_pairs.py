@@ -63,7 +63,7 @@ def scored(estimated_step, sensor=(0.1, 0.0, 0.5)):
     start = matched.world_from_start.row
     scan = [Scan(int(stamp), np.full(90, 4.0), ANGLES, 0.0, 10.0) for stamp in stamps]
     placed = [(s, se2.compose(se2.compose(start, e), base_from_sensor)) for s, e in zip(scan, estimate, strict=True)]
-    evidence = Evidence(run, truth, matched, None, (), successive=tuple(pairwise(placed)))
+    evidence = Evidence(run, truth, matched, successive=tuple(pairwise(placed)))
     (metric,) = pairs.METRICS
     return metric.compute(evidence)
 
@@ -76,5 +76,5 @@ def test_steps_are_held_against_the_truth_of_the_sensor_that_made_the_scans() ->
 
 def test_without_a_truth_there_is_a_reason() -> None:
     (metric,) = pairs.METRICS
-    bare = Evidence(RunResult(np.zeros(0, STEP), 0), Truth("none"), None, None, ())
-    assert metric.compute(bare).reason == "no true trajectory"
+    bare = Evidence(RunResult(np.zeros(0, STEP), 0), Truth("none"))
+    assert metric.compute(bare).reason == "no ground-truth trajectory"

@@ -37,7 +37,7 @@ def mapped_at(poses: Floats, shown: Floats | None = None) -> PlacedScans:
 def scores(mapped: PlacedScans, steps: NDArray[np.void] | None = None) -> dict[str, Score]:
     record = np.zeros(0, STEP) if steps is None else steps
     run = RunResult(record, len(record))
-    evidence = Evidence(run, Truth("exact"), None, None, mapped, successive=tuple(pairwise(mapped)))
+    evidence = Evidence(run, Truth("exact"), mapped=mapped, successive=tuple(pairwise(mapped)))
     return {metric.name: metric.compute(evidence) for metric in registration.METRICS}
 
 
@@ -99,13 +99,13 @@ def test_a_keyframe_is_half_a_metre_or_twenty_degrees_on() -> None:
 def test_scans_too_far_apart_or_too_few_say_so() -> None:
     far = np.array([[0.0, 0, 0], [2.5, 0, 0], [0.0, 0, 0]])
     found = scores(mapped_at(far))
-    assert found["s2s_m"].reason == "successive scans are 2.5 m apart: too far to lie on each other"
-    assert found["s2m_m"].reason == "mapped scans are 2.5 m apart: too far to lie on each other"
-    assert scores(())["s2s_m"].reason == "no two scans in a row were answered"
+    assert found["s2s_m"].reason == "successive scans are 2.5 m apart: too far to overlap"
+    assert found["s2m_m"].reason == "mapped scans are 2.5 m apart: too far to overlap"
+    assert scores(())["s2s_m"].reason == "no two successive scans have poses"
     assert scores(())["s2m_m"].reason == "fewer than two mapped scans"
     near = np.array([[0.0, 0, 0], [0.1, 0, 0]])
     nowhere = mapped_at(near, np.array([[0.0, 0, 0], [1.5, 1.5, 0.4]]))
-    assert scores(nowhere)["s2s_m"].reason == "successive scans are 2.1 m apart: too far to lie on each other"
+    assert scores(nowhere)["s2s_m"].reason == "successive scans are 2.1 m apart: too far to overlap"
 
 
 def test_what_a_back_end_tells_is_passed_on_and_silence_is_named() -> None:
@@ -116,8 +116,8 @@ def test_what_a_back_end_tells_is_passed_on_and_silence_is_named() -> None:
     found = scores((), steps)
     assert found["own_s2s_m"] == Score(0.025, 4)
     assert found["s2s_iterations"] == Score(5.5, 4)
-    assert found["own_s2m_m"].reason == "the back end tells none"
-    assert found["s2m_iterations"].reason == "the back end tells none"
+    assert found["own_s2m_m"].reason == "not reported by the back end"
+    assert found["s2m_iterations"].reason == "not reported by the back end"
 
 
 def test_the_last_stage_that_tells_is_the_one_whose_guess_counts() -> None:

@@ -26,7 +26,7 @@ def evidence_of(estimate: Trajectory, measured: Relations | None) -> Evidence:
     for column, name in enumerate(("x", "y", "theta")):
         steps[name] = estimate.poses[:, column]
     run = RunResult(steps, len(steps))
-    return Evidence(run, Truth("measured", relations=measured), None, None, ())
+    return Evidence(run, Truth("measured", relations=measured))
 
 
 def scores(estimate: Trajectory, measured: Relations | None) -> dict[str, Score]:
@@ -92,14 +92,14 @@ def test_relations_outside_the_estimate_or_in_its_gaps_are_counted_as_unanswered
     found = scores(estimate, measured)
     assert found["relations_answered_percent"] == Score(50.0, 4)
     assert found["relations_all_mean_m"] == Score(0.0, 2)
-    assert found["relations_long_mean_m"].reason == "the estimate answers none of 0 long relations"
+    assert found["relations_long_mean_m"].reason == "the estimate covers none of 0 long relations"
 
 
 def test_without_relations_or_answers_there_is_a_reason() -> None:
     nothing = Trajectory(np.zeros(0, np.int64), np.zeros((0, 3)))
     assert scores(line(3), None)["relations_all_mean_m"].reason == "no measured relations"
     found = scores(nothing, related((0, 1, 0, 0, 0)))
-    assert found["relations_all_mean_m"].reason == "the estimate answers none of 1 relations"
+    assert found["relations_all_mean_m"].reason == "the estimate covers none of 1 relations"
     assert found["relations_answered_percent"].value == 0.0
 
 

@@ -25,7 +25,7 @@ def scores(estimate, truth):
     steps["stamp_ns"] = estimate.stamps_ns
     steps["x"], steps["y"], steps["theta"] = estimate.poses.T
     run = RunResult(steps, len(steps))
-    evidence = Evidence(run, Truth("exact", truth), None, None, ())
+    evidence = Evidence(run, Truth("exact", truth))
     return {metric.name: metric.compute(evidence) for metric in revisits.METRICS}
 
 
@@ -47,7 +47,7 @@ def test_each_later_pass_counts_once_and_the_near_past_not_at_all() -> None:
 def test_a_straight_line_never_comes_back() -> None:
     x = np.linspace(0.0, 30.0, 300)
     found = scores(trajectory(x, 0.0 * x, 0.0), trajectory(x, 0.0 * x, 0.0))
-    assert found["revisit_mean_m"].reason == "the true path never comes back to where it was"
+    assert found["revisit_mean_m"].reason == "the true path does not revisit a place"
 
 
 def test_a_lap_that_is_drawn_a_little_aside_is_so_far_off_on_coming_back() -> None:
@@ -64,8 +64,8 @@ def test_a_lap_that_is_drawn_a_little_aside_is_so_far_off_on_coming_back() -> No
 def test_an_estimate_that_ends_before_it_comes_back_answers_nothing() -> None:
     truth = laps(2)
     found = scores(Trajectory(truth.stamps_ns[:50], truth.poses[:50]), truth)
-    assert found["revisit_mean_m"].reason.startswith("the estimate answers none of ")
-    assert scores(truth, None)["revisit_mean_m"].reason == "no true trajectory"
+    assert found["revisit_mean_m"].reason.startswith("the estimate covers none of ")
+    assert scores(truth, None)["revisit_mean_m"].reason == "no ground-truth trajectory"
 
 
 def test_returns_beyond_either_limit_are_outliers() -> None:

@@ -20,7 +20,7 @@ def scores(cpu_ms: list[float], wall_ms: list[float], memory_bytes: int = 0, shi
     steps["conversion_ns"] = steps["cpu_ns"] // 10
     steps["harness_ns"] = 2_000_000
     run = RunResult(steps, len(steps), peak_memory_bytes=memory_bytes)
-    evidence = Evidence(run, Truth("exact"), None, None, ())
+    evidence = Evidence(run, Truth("exact"))
     return {metric.name: metric.compute(evidence) for metric in runtime.METRICS}
 
 
@@ -54,7 +54,7 @@ def test_leaving_out_scans_does_not_make_the_sensor_slower() -> None:
     found = []
     for every in (1, 2):
         run = RunResult(steps[::every], len(steps[::every]), every=every)
-        evidence = Evidence(run, Truth("exact"), None, None, ())
+        evidence = Evidence(run, Truth("exact"))
         found.append({metric.name: metric.compute(evidence).value for metric in runtime.METRICS})
     assert found[0]["real_time_factor"] == found[1]["real_time_factor"] == pytest.approx(2.0)
     assert found[0]["late_percent"] == found[1]["late_percent"] == 100.0
@@ -62,8 +62,8 @@ def test_leaving_out_scans_does_not_make_the_sensor_slower() -> None:
 
 def test_what_was_not_measured_says_so() -> None:
     nothing = scores([], [])
-    assert nothing["cpu_median_ms"].reason == "the run answered no scan"
-    assert nothing["real_time_factor"].reason == "fewer than two scans were answered"
+    assert nothing["cpu_median_ms"].reason == "the run has no poses"
+    assert nothing["real_time_factor"].reason == "fewer than two scans have a pose"
     idle = scores([0.0, 0.0], [0.0, 0.0])
     assert idle["real_time_factor"].reason == "no CPU time was measured"
     assert idle["peak_memory_mib"].reason == "memory was not measured"

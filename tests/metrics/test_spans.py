@@ -9,13 +9,16 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Scan
 from evalkit.metrics import spans
-from evalkit.metrics.table import Evidence, MatchedPoses
+from evalkit.metrics.table import Evidence, MatchedPoses, Unmatched
 
 SECOND = 1_000_000_000
 
 
 def at(seconds, x=0.0, y=0.0):
     return Place(x, y, round(seconds * SECOND))
+
+
+NOT_MATCHED = Unmatched("not matched")
 
 
 def run_of(x, scale=1.0):
@@ -25,8 +28,8 @@ def run_of(x, scale=1.0):
     return RunResult(steps, len(x))
 
 
-def scores(run, taped, mapped=(), matched=None):
-    evidence = Evidence(run, Truth("by tape", spans=tuple(taped)), matched, None, mapped)
+def scores(run, taped, mapped=(), matched=NOT_MATCHED):
+    evidence = Evidence(run, Truth("by tape", spans=tuple(taped)), matched, mapped=mapped)
     return {metric.name: metric.compute(evidence) for metric in spans.METRICS}
 
 
@@ -89,7 +92,7 @@ def test_what_the_estimate_does_not_have_is_told() -> None:
     found = scores(run_of(np.arange(10.0)), [TAPES[0], nowhere, late])
     assert found["span_answered_percent"].value == pytest.approx(100.0 / 3.0)
     assert found["span_rmse_m"].support == 1
-    assert scores(run_of([0.0]), [late])["span_rmse_m"].reason == "the estimate answers none of 1 measured distances"
+    assert scores(run_of([0.0]), [late])["span_rmse_m"].reason == "the estimate covers none of 1 measured distances"
     assert scores(run_of([0.0]), [])["span_rmse_m"].reason == "no distance was measured with a tape"
 
 

@@ -13,7 +13,7 @@ from evalkit.metrics.table import Evidence
 
 
 def scores(mapped):
-    evidence = Evidence(RunResult(np.zeros(0, STEP), 0), Truth("none"), None, None, mapped)
+    evidence = Evidence(RunResult(np.zeros(0, STEP), 0), Truth("none"), mapped=mapped)
     return {metric.name: metric.compute(evidence) for metric in surfaces.METRICS}
 
 
@@ -93,8 +93,8 @@ def test_what_shows_no_wall_says_so() -> None:
     nothing = scores((seen(np.zeros((0, 2))),))
     assert {score.reason for score in nothing.values()} == {"no mapped scan has a hit"}
     dots = scores((seen(np.random.default_rng(0).uniform(-3.0, 3.0, (50, 2))),))
-    assert dots["mom_cm2"].reason == "single scans hardly show walls at right angles to each other"
-    assert dots["ghost_wall_percent"].reason.startswith("single scans show only")
+    assert dots["mom_cm2"].reason == "single scans contain too few walls at right angles to each other"
+    assert dots["ghost_wall_percent"].reason.startswith("single scans contain only")
     assert (
         len(
             surfaces.find_second_copies(

@@ -12,7 +12,7 @@ from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import trajectory
-from evalkit.metrics.table import Evidence, MatchedPoses
+from evalkit.metrics.table import Evidence, MatchedPoses, Unmatched
 
 SECOND = 1_000_000_000
 
@@ -50,7 +50,7 @@ def evidence_of(estimate: Trajectory, truth: Trajectory | None, expected: int) -
     for column, name in enumerate(("x", "y", "theta")):
         steps[name] = estimate.poses[:, column]
     run = RunResult(steps, expected)
-    return Evidence(run, Truth("exact", truth), trajectory.match_trajectories(estimate, truth), None, ())
+    return Evidence(run, Truth("exact", truth), trajectory.match_trajectories(estimate, truth))
 
 
 def values(evidence: Evidence) -> dict[str, float | None]:
@@ -138,7 +138,7 @@ def test_a_dense_estimate_is_interpolated_at_the_stamps_of_a_sparse_truth() -> N
     found = matched(Trajectory(stamps, line), truth)
     assert found.stamps_ns.tolist() == sparse[:3].tolist()
     assert trajectory.position_errors(found) == pytest.approx(np.zeros(3), abs=1e-12)
-    assert found.rule == "estimate interpolated at 3 stamps of the truth, gaps up to 1 s"
+    assert found.rule == "estimate interpolated at 3 stamps of the ground truth, gaps up to 1 s"
 
 
 def test_nothing_is_interpolated_across_a_long_gap() -> None:
@@ -161,9 +161,10 @@ def test_what_cannot_be_matched_says_why() -> None:
     truth = wandering()
     nothing = Trajectory(np.zeros(0, np.int64), np.zeros((0, 3)))
     later = Trajectory(truth.stamps_ns + 3600 * SECOND, truth.poses)
-    assert trajectory.match_trajectories(truth, None) == "no true trajectory"
-    assert trajectory.match_trajectories(nothing, truth) == "the run answered no scan"
-    assert trajectory.match_trajectories(later, truth) == "estimate and truth meet at 0 times, at least 2 are needed"
+    assert trajectory.match_trajectories(truth, None) == Unmatched("no ground-truth trajectory")
+    assert trajectory.match_trajectories(nothing, truth) == Unmatched("the run has no poses")
+    too_few = Unmatched("estimate and ground truth share 0 stamps, at least 2 are needed")
+    assert trajectory.match_trajectories(later, truth) == too_few
 
 
 def test_errors_over_time_are_nan_where_the_truth_is_not_known() -> None:

@@ -61,10 +61,10 @@ def test_nothing_is_measured_where_nothing_ran(record, build):
 
 
 def test_each_way_of_aligning_is_told_once_with_its_runs(record):
-    words = ["least squares over 60 poses; 60 equal stamps"] * 2 + ["the run answered no scan", ""]
+    words = ["least squares over 60 poses; 60 equal stamps"] * 2 + ["the run has no poses", ""]
     made = [(record("a", "room", {}, seed=seed), text) for seed, text in enumerate(words)]
     runs = [replace(run, scores=replace(run.scores, alignment=text)) for run, text in made]
     assert alignments(runs) == (
         "Aligned: least squares over 60 poses; matched: 60 equal stamps (2 runs)",
-        "Not aligned: the run answered no scan (1 run)",
+        "Not aligned: the run has no poses (1 run)",
     )

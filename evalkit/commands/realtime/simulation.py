@@ -283,7 +283,7 @@ def _measured(sequence: LoadedSequence, stamps_ns: Ints, poses: Floats) -> dict[
     steps["stamp_ns"] = stamps_ns
     steps["x"], steps["y"], steps["theta"] = poses.T
     run = RunResult(steps, len(sequence.frames))
-    evidence = Evidence(run, sequence.truth, match_trajectories(run.estimate, sequence.truth.trajectory), None, ())
+    evidence = Evidence(run, sequence.truth, match_trajectories(run.estimate, sequence.truth.trajectory))
     found = metrics.compute_scores(evidence, (metric for metric in metrics.METRICS if metric.name in MEASURES))
     return {name: found[name].value for name in MEASURES}
 

@@ -19,7 +19,7 @@ from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, Cause, RunResult
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import evaluate
-from evalkit.metrics.table import Evidence
+from evalkit.metrics.table import NO_POSES, Evidence, MissingMap
 from evalkit.metrics.trajectory import match_trajectories
 from evalkit.report.html.document import render
 
@@ -46,8 +46,9 @@ def poor():
     for rows in (steps[:0], steps):
         run = RunResult(rows, 0, Cause.EXCEPTION, "it broke")
         for truth in (Truth("none"), Truth("exact", stood), Truth("exact", stood, grid=empty)):
-            for grid in (None, empty):
-                yield Evidence(run, truth, match_trajectories(run.estimate, truth.trajectory), grid, (), grid, grid)
+            for grid in (MissingMap(NO_POSES), empty):
+                matched = match_trajectories(run.estimate, truth.trajectory)
+                yield Evidence(run, truth, matched, grid, first_half=grid, second_half=grid)
 
 
 def test_a_reason_that_a_metric_gives_stands_on_its_card():
