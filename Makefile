@@ -1,4 +1,4 @@
-# Each target works from a fresh clone: it makes the environment first.
+# Each target works from a fresh clone: it creates the environment first.
 .DEFAULT_GOAL := help
 PYTHON ?= python3
 EXTRAS ?= all
@@ -8,28 +8,28 @@ export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
 .PHONY: help install report report-quick test check bench faults paper paper-quick metric-validation tune docs fuzz clean distclean
 
-help:  ## this list
+help:  ## print this list
 	@awk -F':.*## ' '/^[a-z-]+:.*## /{printf "  make %-17s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
 
-install: $(VENV)/evalkit  ## the environment in .venv, with Open3D and KISS-ICP (EXTRAS= leaves them out)
+install: $(VENV)/evalkit  ## install evalkit into .venv, with Open3D and KISS-ICP (EXTRAS= omits them)
 
-report: $(VENV)/evalkit  ## the whole comparison: reports/build/default/index.html
+report: $(VENV)/evalkit  ## run the full comparison: reports/build/default/index.html
 	$(BIN)/evalkit compare reports/default.toml --resume
 
-report-quick: $(VENV)/evalkit  ## the small one, under 90 seconds: reports/build/quick/index.html
+report-quick: $(VENV)/evalkit  ## run a small comparison in under 90 s: reports/build/quick/index.html
 	$(BIN)/evalkit compare reports/quick.toml --resume
 
-test: $(VENV)/test  ## the tests
+test: $(VENV)/test  ## run the tests
 	$(BIN)/pytest -n auto --maxprocesses 4 --dist loadfile
 
-check: $(VENV)/dev  ## lint, formatting, types, layers
+check: $(VENV)/dev  ## check style, formatting, types and import layers
 	$(BIN)/ruff check
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/pyright
 	$(BIN)/lint-imports --no-cache
 
-bench: $(VENV)/evalkit  ## what the harness costs, and the back ends side by side
+bench: $(VENV)/evalkit  ## measure the overhead of the harness and the time of the back ends
 	$(BIN)/python tests/bench/overhead.py
 	$(BIN)/python tests/bench/backends.py
 	$(BIN)/python tests/bench/registration.py
@@ -37,32 +37,32 @@ bench: $(VENV)/evalkit  ## what the harness costs, and the back ends side by sid
 	$(BIN)/python tests/bench/metrics.py
 	$(BIN)/python tests/bench/growth.py
 
-faults: $(VENV)/test  ## what back ends can do wrong, and what becomes of the run
+faults: $(VENV)/test  ## inject faults of back ends and check how each run ends
 	$(BIN)/python tests/bench/faults.py
 
-fuzz: $(VENV)/test  ## every reader of foreign bytes, a minute each (longer words: tests/fuzz/run.py --help)
+fuzz: $(VENV)/test  ## fuzz every reader for a minute (options: tests/fuzz/run.py --help)
 	$(BIN)/python tests/fuzz/run.py --seconds 60
 
-paper: $(VENV)/evalkit  ## the paper reproduced, and its study: reports/build/paper/index.html
+paper: $(VENV)/evalkit  ## reproduce the paper: reports/build/paper/index.html
 	$(BIN)/python -m evalkit_paper reports/paper.toml
 
-paper-quick: $(VENV)/evalkit  ## the small one, under 2 minutes: reports/build/paper-quick/index.html
+paper-quick: $(VENV)/evalkit  ## reproduce part of the paper in under 2 min: reports/build/paper-quick/index.html
 	$(BIN)/python -m evalkit_paper reports/paper-quick.toml
 
-metric-validation: $(VENV)/evalkit  ## how far each map metric follows the true error: reports/build/metrics/index.html
+metric-validation: $(VENV)/evalkit  ## measure how map metrics follow the true error: reports/build/metrics/index.html
 	$(BIN)/python -m evalkit.commands.metric_validation validate
 	$(BIN)/python -m evalkit.commands.metric_validation selftest
 
-tune: $(VENV)/evalkit  ## back ends tuned with one budget, judged elsewhere: reports/build/tune/index.html
+tune: $(VENV)/evalkit  ## tune back ends with equal budgets: reports/build/tune/index.html
 	$(BIN)/evalkit tune reports/tune.toml
 
-docs: $(VENV)/docs  ## the documentation: reports/build/site/index.html
-	PYTHONPATH=docs NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --config-file docs/mkdocs.yml
+docs: $(VENV)/docs  ## build the documentation: reports/build/site/index.html
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --config-file docs/mkdocs.yml
 
-clean:  ## removes all results
+clean:  ## remove all results
 	rm -rf reports/build
 
-distclean: clean  ## removes the environment too
+distclean: clean  ## remove the environment as well
 	rm -rf $(VENV)
 
 $(VENV)/python: $(MAKEFILE_LIST)

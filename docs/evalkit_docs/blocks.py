@@ -1,4 +1,4 @@
-"""The code blocks of a page, and the commands within those of a console."""
+"""The fenced code blocks of a Markdown page, and the commands in its console blocks."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ CONSOLE = "console"
 
 @dataclass(frozen=True)
 class Block:
-    """A block of code; ``title``: the file that a reader saves it as, or "".
+    """A block of code.
 
-    ``long``: it takes many seconds (``<!-- long -->`` stands above it).
+    ``title``: the name of the file to save it as, or "". ``long``: it takes many seconds (marked ``<!-- long -->``).
     """
 
     language: str
@@ -25,16 +25,16 @@ class Block:
     long: bool
 
 
-def blocks(page: str) -> list[Block]:
-    """The fenced blocks of a page (Markdown), in order."""
-    return [Block(found[3], found[4] or "", found[5], found[1] is not None) for found in FENCE.finditer(page)]
+def find_blocks(page: str) -> list[Block]:
+    """Return the fenced blocks of a Markdown page, in order."""
+    return [Block(match[3], match[4] or "", match[5], match[1] is not None) for match in FENCE.finditer(page)]
 
 
-def commands(console: str) -> Iterator[tuple[str, str]]:
-    """Every command of a console block, a line that ends in a backslash joined with the next, and the answer shown."""
+def find_commands(console: str) -> Iterator[tuple[str, str]]:
+    """Yield each command of a console block with the output shown below it; continued lines are joined."""
     for part in re.split(r"^\$ ", console, flags=re.MULTILINE)[1:]:
-        command, _, answer = part.partition("\n")
+        command, _, output = part.partition("\n")
         while command.endswith("\\"):
-            more, _, answer = answer.partition("\n")
+            more, _, output = output.partition("\n")
             command = f"{command[:-1]}{more.strip()}"
-        yield command, answer.strip("\n")
+        yield command, output.strip("\n")

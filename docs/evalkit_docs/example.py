@@ -1,4 +1,4 @@
-"""The tutorial's own comparison, made anew for every build: the report and the maps that the site shows."""
+"""The comparison of the tutorial, run for every build: the report and the maps that the site shows."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ COMMANDS = (
     ("datasets", "example", "drive"),
     ("compare", "drive", "--reference", "drive.tum", "--backends", "paper,wheel-odometry", "--out", "results"),
 )
-"""What the tutorial types; a test holds them against it."""
+"""The commands of the tutorial; a test compares them with the page."""
 
 EDGE = 12
-"""Cells left around what was seen."""
+"""Width of the border around the observed cells, in cells."""
 
 
-def shown(results: Path | None) -> dict[str, bytes]:
-    """What the site shows of a comparison, by the file's name: of the tutorial's own where no results are given."""
+def load_files(results: Path | None) -> dict[str, bytes]:
+    """Return the files of a comparison that the site shows, by name; without results, run the tutorial's."""
     if results is not None:
-        return pictures(results) | report(results)
+        return render_maps(results) | load_report(results)
     with tempfile.TemporaryDirectory(prefix="evalkit-example-") as folder:
-        return shown(made(Path(folder)))
+        return load_files(run_tutorial(Path(folder)))
 
 
-def made(folder: Path) -> Path:
-    """The results folder of the tutorial, made in an empty folder.
+def run_tutorial(folder: Path) -> Path:
+    """Run the commands of the tutorial in an empty folder; return the results folder.
 
-    RuntimeError with the program's own words where a command fails.
+    Raises RuntimeError with the error output of a command that fails.
     """
     for words in COMMANDS:
         command = [sys.executable, "-c", "from evalkit.cli import main; main()", *words]
@@ -43,24 +43,24 @@ def made(folder: Path) -> Path:
     return folder / "results"
 
 
-def pictures(results: Path) -> dict[str, bytes]:
-    """The map of each method as a PNG, by the file's name, cut to what was seen."""
+def render_maps(results: Path) -> dict[str, bytes]:
+    """Return the map of each method as a PNG, by file name, cropped to the observed cells."""
     trials = json.loads((results / "results.json").read_text(encoding="utf-8"))["trials"]
-    return {f"map-{trial['method']}.png": _map(results / "maps" / f"{trial['key']}.pgm") for trial in trials}
+    return {f"map-{trial['method']}.png": _render_map(results / "maps" / f"{trial['key']}.pgm") for trial in trials}
 
 
-def report(results: Path) -> dict[str, bytes]:
-    """The report, with all that its page leads to, by the file's name."""
+def load_report(results: Path) -> dict[str, bytes]:
+    """Return the files of the report and the files that its page links to, by file name."""
     files = [*results.glob("*.*"), *results.glob("trajectories/*"), *results.glob("maps/*")]
     return {f"report/{file.relative_to(results).as_posix()}": file.read_bytes() for file in files if file.is_file()}
 
 
-def _map(file: Path) -> bytes:
+def _render_map(file: Path) -> bytes:
     with Image.open(file) as opened:
         grey = opened.convert("L")
-    unseen = int(np.asarray(grey)[0, 0])
-    seen = grey.point(lambda value: 0 if value == unseen else 255).getbbox()
-    picture = ImageOps.expand(grey.crop(seen) if seen else grey, border=EDGE, fill=unseen)
-    whole = io.BytesIO()
-    picture.resize((3 * picture.width, 3 * picture.height), Image.Resampling.NEAREST).save(whole, "PNG", optimize=True)
-    return whole.getvalue()
+    unobserved = int(np.asarray(grey)[0, 0])
+    box = grey.point(lambda value: 0 if value == unobserved else 255).getbbox()
+    image = ImageOps.expand(grey.crop(box) if box else grey, border=EDGE, fill=unobserved)
+    content = io.BytesIO()
+    image.resize((3 * image.width, 3 * image.height), Image.Resampling.NEAREST).save(content, "PNG", optimize=True)
+    return content.getvalue()

@@ -1,4 +1,4 @@
-"""What the site consists of beside its written pages: generated pages, pages that stand elsewhere, blocks of others."""
+"""The pages of the site that are not in docs/pages: generated references, files of the repository, included blocks."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "pages"
 
 GENERATED: Mapping[str, Callable[[], str]] = {
-    "reference/metrics.md": metric_reference.metrics,
-    "reference/commands.md": command_reference.commands,
-    "reference/back-ends.md": plugin_reference.back_ends,
-    "reference/data-sets.md": plugin_reference.data_sets,
+    "reference/metrics.md": metric_reference.write_metrics,
+    "reference/commands.md": command_reference.write_commands,
+    "reference/back-ends.md": plugin_reference.write_back_ends,
+    "reference/data-sets.md": plugin_reference.write_data_sets,
 }
-"""Pages written from the program itself."""
+"""Pages generated from the program."""
 
 ELSEWHERE: Mapping[str, str] = {
     "external/protocol.md": "evalkit/external/PROTOCOL.md",
     "external/examples.md": "evalkit/external/examples/README.md",
     "changes.md": "CHANGELOG.md",
 }
-"""Pages of the site that are files of the repository, as they stand."""
+"""Pages of the site that are files of the repository."""
 
 BLOCK = re.compile(
     r"^<!-- block: (?P<file>\S+) (?P<language>\w+) (?P<index>\d+)(?: as (?P<title>\S+))? -->$", re.MULTILINE
@@ -32,40 +32,40 @@ BLOCK = re.compile(
 LINK = re.compile(r"\[(?P<text>[^][]+)\]\((?P<target>[^)#:\s]+)(?P<anchor>#[^)\s]*)?\)")
 
 
-def added() -> dict[str, str]:
-    """The pages that are not in the folder of pages."""
-    made = {name: write() for name, write in GENERATED.items()}
-    return made | {name: _taken(name, file) for name, file in ELSEWHERE.items()}
+def write_pages() -> dict[str, str]:
+    """Return the pages that are not in the folder of pages, by name."""
+    generated = {name: write() for name, write in GENERATED.items()}
+    return generated | {name: _load_page(name, file) for name, file in ELSEWHERE.items()}
 
 
-def expanded(content: str) -> str:
-    """A page with the code blocks it takes from other files: ``<!-- block: FILE LANGUAGE INDEX as TITLE -->``.
+def include_blocks(content: str) -> str:
+    """Return a page with the code blocks of other files: ``<!-- block: FILE LANGUAGE INDEX as TITLE -->``.
 
-    LookupError where a file has no such block.
+    Raises LookupError if a file has no such block.
     """
     return BLOCK.sub(_block, content)
 
 
-def _block(found: re.Match[str]) -> str:
-    language, title = found["language"], found["title"]
-    source = (ROOT / found["file"]).read_text(encoding="utf-8")
+def _block(match: re.Match[str]) -> str:
+    language, title = match["language"], match["title"]
+    source = (ROOT / match["file"]).read_text(encoding="utf-8")
     blocks: list[str] = re.findall(rf"^```{language}\n(.*?)^```$", source, re.DOTALL | re.MULTILINE)
-    if int(found["index"]) >= len(blocks):
-        raise LookupError(f"{found['file']}: {len(blocks)} blocks of {language}, asked for number {found['index']}")
+    if int(match["index"]) >= len(blocks):
+        raise LookupError(f"{match['file']}: {len(blocks)} blocks of {language}, asked for number {match['index']}")
     head = f'{language} title="{title}"' if title else language
-    return f"```{head}\n{blocks[int(found['index'])]}```"
+    return f"```{head}\n{blocks[int(match['index'])]}```"
 
 
-def _taken(name: str, file: str) -> str:
-    """A file as a page: links to files that are pages lead there, the others are told by name."""
+def _load_page(name: str, file: str) -> str:
+    """Return a file as a page: links to files that are pages lead to these pages, other links become plain text."""
     content = (ROOT / file).read_text(encoding="utf-8")
-    return LINK.sub(lambda found: _linked(found, name, (ROOT / file).parent), content)
+    return LINK.sub(lambda match: _link(match, name, (ROOT / file).parent), content)
 
 
-def _linked(found: re.Match[str], name: str, folder: Path) -> str:
-    target = (folder / found["target"]).resolve()
+def _link(match: re.Match[str], name: str, folder: Path) -> str:
+    target = (folder / match["target"]).resolve()
     for page, file in ELSEWHERE.items():
         if target == ROOT / file:
             up = "../" * name.count("/")
-            return f"[{found['text']}]({up}{page}{found['anchor'] or ''})"
-    return found["text"]
+            return f"[{match['text']}]({up}{page}{match['anchor'] or ''})"
+    return match["text"]

@@ -1,4 +1,4 @@
-// A browser starts no Worker for a page that was opened from disk: the search then runs in a frame that nobody sees.
+// Browsers start no Worker for a page opened from disk: the search then runs in a hidden frame.
 if (location.protocol === "file:") {
   window.IFrameWorker = class extends EventTarget {
     #frame = document.createElement("iframe");
