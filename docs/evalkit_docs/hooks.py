@@ -9,8 +9,8 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # MkDocs loads this file alone, outside its package
 
-from evalkit_docs import example, site  # noqa: E402 - as above
-from evalkit_docs.blocks import CONSOLE, find_blocks, find_commands  # noqa: E402 - as above
+from evalkit_docs import example, site
+from evalkit_docs.blocks import CONSOLE, find_blocks, find_commands
 
 HIGHLIGHTED = f'<div class="language-{CONSOLE} highlight">'
 

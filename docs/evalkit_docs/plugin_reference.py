@@ -1,4 +1,4 @@
-"""The pages of back ends, mappers and data sets, from the registry and their specs."""
+"""The reference pages of back ends, mappers and data sets, generated from their specs."""
 
 from __future__ import annotations
 
@@ -14,38 +14,37 @@ from evalkit_docs.markup import code, facts, fold, heading, page, table, text
 COLUMNS = ("name", "default", "unit", "limits", "meaning")
 
 
-def back_ends() -> str:
-    """Markdown: every back end with what can be set on it, the front end's settings, and the mappers."""
+def write_back_ends() -> str:
+    """Return the page of back ends, front end and mappers with their parameters (Markdown)."""
     names = registry.names("backends")
     return page(
         "# Back ends",
-        "What takes part in a comparison. `evalkit list backends` says which of them run on this machine, and what the "
-        "others miss. [Add your own](../back-end.md), or bring one in "
-        "[another language](../external/examples.md).",
+        "The methods of a comparison. `evalkit list backends` shows which of them run on this machine, and what the "
+        "others need. [Add your own](../back-end.md) in Python, or in [another language](../external/examples.md).",
         *(_back_end(name, registry.backend(name)) for name in names),
         "## The front end",
-        "Makes an odometry of every *registration*, the same for all: scan-to-scan, then scan-to-map. These can be set "
-        "on any registration, in an experiment like its own parameters.",
-        parameters(frontend.PARAMETERS),
+        "The front end turns every *registration* into an odometry in the same way: scan-to-scan, then scan-to-map. "
+        "Its parameters can be set on any registration, in an experiment, like the registration's own.",
+        render_parameters(frontend.PARAMETERS),
         "## Mappers",
-        "All trajectories are drawn by the same mapper, so that map metrics compare trajectories.",
+        "One mapper builds the maps of all trajectories, so that map metrics compare trajectories.",
         *(_mapper(name, registry.mapper(name)) for name in registry.names("mappers")),
     )
 
 
-def data_sets() -> str:
-    """Markdown: every data set and reader with its card and what can be set on it."""
+def write_data_sets() -> str:
+    """Return the page of data sets and readers with their parameters (Markdown)."""
     return page(
         "# Data sets",
-        "Synthetic worlds with exact truth, recordings, and the readers of your own. The recordings are never part of "
-        "evalkit: `evalkit datasets list` says where they are, `evalkit datasets fetch NAME` downloads what has a "
-        "public address, and the environment variable `EVALKIT_DATA` names a folder that holds them.",
+        "Synthetic worlds with exact ground truth, public recordings, and readers for your own. The recordings are not "
+        "part of evalkit: `evalkit datasets list` shows where they are, `evalkit datasets fetch NAME` downloads those "
+        "with a public address, and the environment variable `EVALKIT_DATA` names a folder that contains them.",
         *(_data_set(name, registry.dataset(name)) for name in registry.names("datasets")),
     )
 
 
-def parameters(given: Iterable[Parameter]) -> str:
-    """A table of parameters (HTML)."""
+def render_parameters(given: Iterable[Parameter]) -> str:
+    """Return a table of parameters (HTML), or "" without any."""
     rows = [
         (code(one.name), code(_value(one.default)), text(one.unit), text(_limits(one)), text(one.meaning))
         for one in given
@@ -68,7 +67,7 @@ def _back_end(name: str, spec: BackendSpec) -> str:
         ("Front end", ", ".join(code(f"{key} = {_value(value)}") for key, value in other.items())),
         ("First stage", ", ".join(code(f"{key} = {_value(value)}") for key, value in first_stage.items())),
     ]
-    return page(heading(2, name, name), facts(rows), parameters(spec.parameters)).rstrip()
+    return page(heading(2, name, name), facts(rows), render_parameters(spec.parameters)).rstrip()
 
 
 def _mapper(name: str, spec: MapperSpec) -> str:
@@ -78,7 +77,7 @@ def _mapper(name: str, spec: MapperSpec) -> str:
         ("Licence", text(spec.licence)),
         ("Needs", text(", ".join(spec.requires))),
     ]
-    return page(heading(3, name, f"mapper-{name}"), facts(rows), parameters(spec.parameters)).rstrip()
+    return page(heading(3, name, f"mapper-{name}"), facts(rows), render_parameters(spec.parameters)).rstrip()
 
 
 def _data_set(name: str, spec: DatasetSpec) -> str:
@@ -94,9 +93,11 @@ def _data_set(name: str, spec: DatasetSpec) -> str:
         ("Published", "<br>".join(text(f"{one.label}: {_published(one.value, one.spread)} ({one.source})")
                                   for one in spec.published)),
     ]  # fmt: skip
-    told = parameters(spec.parameters)
+    parameters = render_parameters(spec.parameters)
     return page(
-        heading(2, name, name), facts(rows), fold(f"{len(spec.parameters)} parameters", told) if told else ""
+        heading(2, name, name),
+        facts(rows),
+        fold(f"{len(spec.parameters)} parameters", parameters) if parameters else "",
     ).rstrip()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -164,6 +165,12 @@ def settings(items: list[str], option: str = "--set") -> dict[str, str]:
         if "=" not in item:
             raise typer.BadParameter(f"{option}: found '{item}', expected NAME=VALUE")
     return dict(item.split("=", 1) for item in items)
+
+
+def split_sequence(text: str) -> tuple[str, dict[str, str]]:
+    """Return the data set and the parameters of "NAME laps=0.3". Raises typer.BadParameter for an item without "="."""
+    name, *items = shlex.split(text) or [""]
+    return name, settings(items, f"--on {name}")
 
 
 def print_json(content: object) -> None:

@@ -30,7 +30,7 @@ WRITTEN = {path.relative_to(site.PAGES).as_posix(): path for path in sorted(site
 
 def blocks(name):
     """The code blocks of a page, in order, with those it takes from other files."""
-    return code.blocks(site.expanded(WRITTEN[name].read_text(encoding="utf-8")))
+    return code.find_blocks(site.include_blocks(WRITTEN[name].read_text(encoding="utf-8")))
 
 
 def consoles(name):
@@ -69,7 +69,7 @@ def follow(name, folder):
             (folder / block.title).write_text(block.content, encoding="utf-8")
         elif block.language == "python":
             subprocess.run([sys.executable, "-c", block.content], cwd=folder, check=True)
-        for command, answer in code.commands(block.content) if block.language == code.CONSOLE else ():
+        for command, answer in code.find_commands(block.content) if block.language == code.CONSOLE else ():
             ended = subprocess.run(
                 ["bash", "-c", command], cwd=folder, env=environment(), capture_output=True, text=True, check=False
             )
@@ -128,12 +128,12 @@ def test_every_block_of_code_is_whole(name):
 
 
 def test_the_example_is_made_as_the_tutorial_makes_it():
-    typed = [command for block in consoles("tutorial.md") for command, _ in code.commands(block.content)]
+    typed = [command for block in consoles("tutorial.md") for command, _ in code.find_commands(block.content)]
     assert {f"evalkit {' '.join(words)}" for words in example.COMMANDS} <= set(typed)
 
 
 def test_every_command_of_the_program_is_on_a_page_and_every_command_on_a_page_exists():
-    known = set(command_reference.functions())
+    known = set(command_reference.load_functions())
     text = "\n".join(path.read_text(encoding="utf-8") for path in WRITTEN.values())
     shown = {match[1] for match in re.finditer(r"\bevalkit ([a-z]+(?: [a-z]+)?)\b", text)}
     assert {name for name in known if not any(f"{one} ".startswith(f"{name} ") for one in shown)} == set()
@@ -144,8 +144,8 @@ def test_every_command_of_the_program_is_on_a_page_and_every_command_on_a_page_e
 
 def test_options_on_written_pages_exist():
     known = {
-        name: " ".join(one.written for one in command_reference.given(function))
-        for name, function in command_reference.functions().items()
+        name: " ".join(one.written for one in command_reference.find_options(function))
+        for name, function in command_reference.load_functions().items()
     }
     for page, path in WRITTEN.items():
         for command in re.findall(r"\bevalkit ([a-z]+(?: [a-z]+)?\b[^\n`|]*)", path.read_text(encoding="utf-8")):
@@ -163,15 +163,15 @@ def test_the_references_leave_nothing_out():
         for name in registry.names(kind):
             assert f"{{ #{name} }}" in made[f"reference/{page}.md"]
     compare = made["reference/commands.md"].split("{ #compare }")[1].split("\n## ")[0]
-    assert "<code>--reference</code></td><td>a path</td><td></td><td>True trajectory (TUM).</td>" in compare
-    assert "<code>FILE</code></td><td>a path</td><td>required</td>" in compare
+    assert "<code>--reference</code></td><td>a path</td><td></td><td>Ground-truth trajectory (TUM).</td>" in compare
+    assert "<code>SOURCE</code></td><td>a path</td><td>required</td>" in compare
     assert "<code>--out, -o</code></td><td>a path</td><td>reports/build/NAME</td>" in compare
     assert "<code>--json</code></td><td></td><td></td>" in compare
 
 
 def test_a_block_that_is_not_there_is_named():
     with pytest.raises(LookupError, match=r"README.md: \d+ blocks of toml, asked for number 99"):
-        site.expanded("<!-- block: README.md toml 99 -->")
+        site.include_blocks("<!-- block: README.md toml 99 -->")
 
 
 @pytest.fixture(scope="module")

@@ -24,22 +24,31 @@ def card_as_json(metric: Metric) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def card_lines(metric: Metric) -> list[str]:
-    """Return the card of a metric as lines of text."""
-    lines = [
-        f"{metric.name}: {metric.label} [{metric.unit or '-'}], {DIRECTIONS[metric.better]}",
-        f"  group       {metric.group}",
-        f"  definition  {metric.definition}",
-        f"  source      {metric.source}",
-        f"  blind to    {metric.limitations}",
-        f"  stands on   {metric.support or 'not given by its package'}",
-        *(f"  no value    {reason}" for reason in metric.no_value),
+def card_facts(metric: Metric) -> list[tuple[str, str]]:
+    """Return the card of a metric as pairs of a name and a text; texts may be empty."""
+    unit = f" [{metric.unit}]" if metric.unit else ""
+    return [
+        ("What", f"{metric.label}{unit}, {DIRECTIONS[metric.better]}"),
+        ("Group", metric.group),
+        ("Definition", metric.definition),
+        ("Source", metric.source),
+        ("Limitations", metric.limitations),
+        ("Support", metric.support),
+        ("No value", "; ".join(metric.no_value)),
+        ("Follows the true error", _correlations(metric.name)),
     ]
-    trust = shipped().of(metric.name)
-    if trust is not None:
-        parts = ", ".join(f"{name} {_number(one)}" for name, one in {**trust.by_way, **trust.by_world}.items())
-        lines.append(f"  follows the true error (Spearman)  {_number(trust.overall)}: {parts}")
-    return lines
+
+
+def _correlations(metric: str) -> str:
+    """Return Spearman's correlation of a metric with the true error: overall, by error model and by world."""
+    trust = shipped().of(metric)
+    if trust is None:
+        return ""
+    parts = ", ".join(f"{name} {_number(one)}" for name, one in {**trust.by_way, **trust.by_world}.items())
+    overall = trust.overall
+    if overall is None:
+        return parts
+    return f"Spearman {overall.value:.2f} (95 %: {overall.low:.2f} to {overall.high:.2f}): {parts}"
 
 
 def _number(found: Interval | None) -> str:

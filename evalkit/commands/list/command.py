@@ -73,8 +73,10 @@ def _print_card(name: str, as_json: bool) -> None:
     if as_json:
         options.print_json(cards.card_as_json(metrics[name]))
         return
-    for line in cards.card_lines(metrics[name]):
-        out.print(line, markup=False, highlight=False)
+    out.print(name, markup=False, highlight=False)
+    for title, text in cards.card_facts(metrics[name]):
+        if text:
+            out.print(f"  {title:<23} {text}", markup=False, highlight=False)
 
 
 def _metrics(group: str) -> list[Metric]:

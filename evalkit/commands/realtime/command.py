@@ -16,7 +16,7 @@ from evalkit.execution.task import Task, make_task
 from evalkit.execution.task_runner import run_tasks
 from evalkit.execution.task_store import TaskStore
 from evalkit.odometry import frontend
-from evalkit.plugins import registry
+from evalkit.plugins import defaults, registry
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.terminal import options, progress
@@ -29,18 +29,28 @@ RULE = Rule()
 
 
 def realtime(
-    backend: Annotated[str, typer.Argument(help="A registered name.", show_default=False)],
-    on: Annotated[str, typer.Option(help="The sequence.")] = "lab",
-    setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE for the back end.")] = None,
-    set_on: Annotated[list[str] | None, typer.Option(help="NAME=VALUE for the sequence.")] = None,
+    backend: options.Backend,
+    on: Annotated[
+        str,
+        typer.Option(
+            help="A data set with its parameters, 'NAME laps=0.3'.",
+            show_default="a simulated data set",
+            autocompletion=options.complete("datasets"),
+        ),
+    ] = "",
+    setting: options.Settings = None,
     factors: Annotated[
-        str, typer.Option(help="How many times slower than here the device is, a,b,c.")
+        str, typer.Option(help="Device factors: how many times slower than this machine, separated by commas.")
     ] = "1,2,5,10,20,50,100,200,500,1000",
     policy: Annotated[
-        str, typer.Option(help=f"A scan that finds the robot busy: {' or '.join(POLICIES)}.")
+        str,
+        typer.Option(
+            help=f"What happens to a scan that arrives early: {' or '.join(POLICIES)}.",
+            autocompletion=lambda: list(POLICIES),
+        ),
     ] = "queue-of-one",
-    odometry: Annotated[bool, typer.Option(help="Wheel odometry bridges the time between answers.")] = True,
-    repetitions: Annotated[int, typer.Option(min=1, help="Measurements a scan; the median counts.")] = 3,
+    odometry: Annotated[bool, typer.Option(help="Use wheel odometry between estimates.")] = True,
+    repetitions: Annotated[int, typer.Option(min=1, help="Time measurements per scan; the median counts.")] = 3,
     folder: options.Out = Path("reports") / "build" / "realtime",
     as_json: Json = False,
 ) -> None:
@@ -50,16 +60,16 @@ def realtime(
     """
     known = _factors(factors)
     ladder = _Ladder(known, _policy(policy), repetitions, odometry)
-    given, given_on = options.settings(setting or []), options.settings(set_on or [], "--set-on")
-    task = _task(backend, on, given, given_on, ladder)
+    dataset, given_on = options.split_sequence(on or defaults.simulated_dataset())
+    task = _task(backend, dataset, options.settings(setting or []), given_on, ladder)
     store = TaskStore(folder or Path("reports") / "build" / "realtime")
     with progress.jobs(err, 1, 1) as done:
         found = run_tasks(store, [task], 1, done)[task.name]
     rows = _rows(found)
     if as_json:
-        options.print_json(_told(backend, on, found, rows))
+        options.print_json(_told(backend, dataset, found, rows))
     else:
-        _show(backend, on, found, rows)
+        _show(backend, dataset, found, rows)
 
 
 @dataclass(frozen=True)

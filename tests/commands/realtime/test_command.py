@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from evalkit.commands.realtime.command import realtime
 from evalkit.core.errors import UnknownName
 
-ASKED = ["wheel-odometry", "--set-on", "laps=0.05", "--factors", "1,1e6", "--repetitions", "1"]
+ASKED = ["wheel-odometry", "--on", "lab laps=0.05", "--factors", "1,1e6", "--repetitions", "1"]
 
 
 def call(*words):
