@@ -14,7 +14,8 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, TypeVar
 
-from evalkit.core.errors import BadExperiment, BadParameter, EvalkitError, UnknownName, brief
+from evalkit.config.toml_tables import TomlTable, flatten
+from evalkit.core.errors import BadExperiment, EvalkitError, UnknownName, brief
 from evalkit.io.toml import load_toml
 from evalkit.odometry import frontend
 from evalkit.plugins import code_hash, registry
@@ -157,139 +158,83 @@ def read(path: Path) -> Experiment:
 
 def plan(content: Mapping[str, Any], file: str, name: str, source: str) -> Experiment:
     """The plan of an experiment's tables; ``file`` is named in errors, ``source`` in commands."""
-    _known_keys(content, ("title", "description", "timed", "mapper", "limits", "method", "sequence"), file, "")
-    if not isinstance(timed := content.get("timed", True), bool):
-        raise BadExperiment(file, "", f"'timed': found {brief(timed)}, expected true or false")
-    try:
-        methods = tuple(_method(t, file, f"method {i + 1}") for i, t in _tables(content, "method", file))
-        sequences = tuple(_sequence(t, file, f"sequence {i + 1}") for i, t in _tables(content, "sequence", file))
-        mapper = _mapper(content.get("mapper", {}), file)
-    except (UnknownName, BadParameter) as error:
-        raise BadExperiment(file, "", str(error)) from error
-    _distinct("method", [entrant.label for entrant in methods], file)
+    table = TomlTable(content, file)
+    table.check_keys(("title", "description", "timed", "mapper", "limits", "method", "sequence"))
+    timed = table.flag("timed", default=True)
+    with table.errors():
+        methods = tuple(_method(each) for each in table.tables("method", "an experiment"))
+        sequences = tuple(_sequence(each) for each in table.tables("sequence", "an experiment"))
+        mapper = _mapper(table.table("mapper", " with use = NAME"))
+    _distinct("method", [method.label for method in methods], file)
     _distinct("sequence", [sequence.label for sequence in sequences], file)
     return Experiment(
         name,
-        _text(content, "title", name, file),
-        _text(content, "description", "", file),
+        table.text("title", name),
+        table.text("description", ""),
         source,
         methods,
         sequences,
         mapper,
-        _limits(content.get("limits", {}), file),
+        _limits(table.table("limits", "")),
         timed,
     )
 
 
-def _method(table: Mapping[str, Any], file: str, place: str) -> Method:
-    use = _required(table, "use", file, place)
-    label = _label(table, use, file, place)
-    given = _flat({key: value for key, value in table.items() if key not in ("use", "label")})
-    spec = _registered(registry.find_backend, use, file, place)
-    return Method(label, use, frontend.complete_parameters(f"{place} ({label})", spec, given), spec.missing())
+def _method(table: TomlTable) -> Method:
+    use, label = table.text("use"), _label(table)
+    given = flatten({key: value for key, value in table.content.items() if key not in ("use", "label")})
+    with table.errors():
+        spec = registry.find_backend(use)
+    return Method(label, use, frontend.complete_parameters(table.labelled(label).place, spec, given), spec.missing())
 
 
-def _sequence(table: Mapping[str, Any], file: str, place: str) -> SequenceSpec:
-    use = _required(table, "use", file, place)
-    label = _label(table, use, file, place)
-    given = _flat({key: value for key, value in table.items() if key not in ("use", "label", "seeds")})
-    spec = _registered(registry.dataset, use, file, place)
-    if "seeds" in table and not spec.seeded:
-        raise BadExperiment(file, f"{place} ({label})", f"'seeds': {use} is a recording and has none; remove the key")
+def _sequence(table: TomlTable) -> SequenceSpec:
+    use, label = table.text("use"), _label(table)
+    given = flatten({key: value for key, value in table.content.items() if key not in ("use", "label", "seeds")})
+    with table.errors():
+        spec = registry.dataset(use)
+    table = table.labelled(label)
+    if "seeds" in table.content and not spec.seeded:
+        raise table.error(f"'seeds': {use} is a recording and has none; remove the key")
     if "seed" in given and spec.seeded:
-        raise BadExperiment(file, f"{place} ({label})", "found 'seed'; write seeds = [0, 1, ...]")
-    seeds = _seeds(table.get("seeds", [0]), file, f"{place} ({label})") if spec.seeded else (None,)
-    parameters = resolve_parameters(f"{place} ({label})", spec.parameters, given)
+        raise table.error("found 'seed'; write seeds = [0, 1, ...]")
+    seeds = table.whole_numbers("seeds", [0]) if spec.seeded else (None,)
+    parameters = resolve_parameters(table.place, spec.parameters, given)
     if spec.seeded:
         parameters.pop("seed")
     try:
         missing = spec.missing(**parameters)
     except EvalkitError as error:
-        raise BadExperiment(file, f"{place} ({label})", str(error)) from error
-    if missing and spec.suffixes:  # the files of a reader are the user's own: a wrong path is a mistake
-        raise BadExperiment(file, f"{place} ({label})", missing)
+        raise table.error(str(error)) from error
+    if missing and spec.suffixes:  # the user names a reader's files: a wrong path is a mistake of the file
+        raise table.error(missing)
     return SequenceSpec(label, use, parameters, seeds, missing)
 
 
-def _mapper(table: object, file: str) -> MapperChoice:
-    if not isinstance(table, Mapping):
-        raise BadExperiment(file, "mapper", f"found {brief(table)}, expected a table [mapper] with use = NAME")
-    name = _text(table, "use", "log-odds", file, "mapper")
-    scans = table.get("scans", MapperChoice.scans)
-    if not isinstance(scans, int) or isinstance(scans, bool) or scans < 2:
-        raise BadExperiment(file, "mapper", f"'scans': found {brief(scans)}, expected a whole number of at least 2")
-    given = {key: value for key, value in table.items() if key not in ("use", "scans")}
-    spec = _registered(registry.mapper, name, file, "mapper")
+def _mapper(table: TomlTable) -> MapperChoice:
+    name, scans = table.text("use", "log-odds"), table.whole_number("scans", MapperChoice.scans, low=2)
+    given = {key: value for key, value in table.content.items() if key not in ("use", "scans")}
+    with table.errors():
+        spec = registry.mapper(name)
     return MapperChoice(name, resolve_parameters("mapper", spec.parameters, given), scans)
 
 
-def _limits(table: object, file: str) -> Limits:
+def _limits(table: TomlTable) -> Limits:
     known = asdict(Limits())
-    if not isinstance(table, Mapping):
-        raise BadExperiment(file, "limits", f"found {brief(table)}, expected a table [limits]")
-    _known_keys(table, known, file, "limits")
-    for key, value in table.items():
+    table.check_keys(known)
+    for key, value in table.content.items():
         if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 < value < math.inf:
-            raise BadExperiment(file, "limits", f"'{key}': found {brief(value)}, expected a positive number")
-    return Limits(**{**known, **table})
+            raise table.bad_value(key, "a positive number")
+    return Limits(**{**known, **table.content})
 
 
-def _tables(content: Mapping[str, Any], key: str, file: str) -> list[tuple[int, Mapping[str, Any]]]:
-    tables = content.get(key, [])
-    if not isinstance(tables, list) or not all(isinstance(table, Mapping) for table in tables):
-        raise BadExperiment(file, key, f"expected tables [[{key}]]")
-    if not tables:
-        raise BadExperiment(file, "", f"no [[{key}]]: an experiment needs at least one")
-    return list(enumerate(tables))
-
-
-def _registered(find: Callable[[str], Item], name: str, file: str, place: str) -> Item:
-    try:
-        return find(name)
-    except UnknownName as error:
-        raise BadExperiment(file, place, str(error)) from error
-
-
-def _seeds(seeds: object, file: str, place: str) -> tuple[int, ...]:
-    if not isinstance(seeds, list) or not seeds or not all(type(seed) is int and seed >= 0 for seed in seeds):
-        raise BadExperiment(file, place, f"'seeds': found {brief(seeds)}, expected a list of whole numbers from 0")
-    return tuple(dict.fromkeys(seeds))
-
-
-def _required(table: Mapping[str, Any], key: str, file: str, place: str) -> str:
-    if key not in table:
-        raise BadExperiment(file, place, f"missing key '{key}'")
-    return _text(table, key, "", file, place)
-
-
-def _label(table: Mapping[str, Any], use: str, file: str, place: str) -> str:
-    """The name in tables, on the terminal and in files: nothing that a reader of one of them takes for a command."""
-    label = _text(table, "label", use, file, place)
+def _label(table: TomlTable) -> str:
+    """The label of a method or sequence; refuses text that a terminal, spreadsheet or file system would interpret."""
+    label = table.text("label", table.text("use"))
     if not label or not label.isprintable() or label[0] in "=+-@":
         expected = "printable text; a spreadsheet takes what begins with one of = + - @ for a formula"
-        raise BadExperiment(file, place, f"'label': found {brief(label)}, expected {expected}")
+        raise table.error(f"'label': found {brief(label)}, expected {expected}")
     return label
-
-
-def _text(table: Mapping[str, Any], key: str, default: str, file: str, place: str = "") -> str:
-    value = table.get(key, default)
-    if not isinstance(value, str):
-        raise BadExperiment(file, place, f"'{key}': found {brief(value)}, expected a text")
-    return value
-
-
-def _flat(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """Nested tables with dotted names: ``s2s.one_to_one = false`` in TOML is such a table."""
-    flat: dict[str, Any] = {}
-    for key, value in table.items():
-        flat.update(_flat(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {prefix + key: value})
-    return flat
-
-
-def _known_keys(table: Mapping[str, Any], known: Mapping[str, Any] | tuple[str, ...], file: str, place: str) -> None:
-    for key in table:
-        if key not in known:
-            raise BadExperiment(file, place, str(UnknownName("key", key, known)))
 
 
 def _distinct(kind: str, labels: list[str], file: str) -> None:

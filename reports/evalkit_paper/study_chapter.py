@@ -14,7 +14,7 @@ from evalkit.commands.study.evaluate import RunScores
 from evalkit.commands.study.formatting import fitted, limit_words, main_words, pair_words
 from evalkit.commands.study.page import cpu_minutes, design_blocks, point_blocks, summary
 from evalkit.commands.study.plan import Study
-from evalkit.commands.study.result import Outcome
+from evalkit.commands.study.result import StudyResult
 from evalkit.execution.task import AnyTask, make_task
 from evalkit.plugins.parameters import Parameter, Value
 from evalkit.report.html.document import Block, Fold, Section, Text
@@ -101,7 +101,7 @@ def plan(settings: Settings) -> Study:
     return _read(file, changed_ns)
 
 
-def cost_words(outcome: Outcome) -> str:
+def cost_words(outcome: StudyResult) -> str:
     """How much was computed."""
     study = outcome.study
     lost = sum(bool(outcome.lost(key, seed)) for key in study.points for seed in study.seeds(key))
@@ -144,8 +144,8 @@ def _twins(study: Study, settings: Settings) -> tuple[AnyTask, ...]:
     )
 
 
-def _outcome(study: Study, results: Results) -> Outcome:
-    return Outcome(study, {task.name: cast(RunScores, results[task.name]) for task in study.tasks()})
+def _outcome(study: Study, results: Results) -> StudyResult:
+    return StudyResult(study, {task.name: cast(RunScores, results[task.name]) for task in study.tasks()})
 
 
 @lru_cache(maxsize=4)

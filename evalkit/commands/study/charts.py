@@ -6,11 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from evalkit.commands.study.effects import FactorEffect, Fit, Interaction
+from evalkit.commands.study.effects import FactorEffect, Interaction, ModelFit
 from evalkit.commands.study.envelope import Panel, axes
 from evalkit.commands.study.factors import Factor
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Response
-from evalkit.commands.study.result import Outcome, on_scale
+from evalkit.commands.study.result import StudyResult, on_scale
 from evalkit.core.se2 import Floats
 from evalkit.report.html.charts import Axis, Curve, Points, bars, heat, lines, scatter
 from evalkit.report.html.document import Figure
@@ -84,7 +84,7 @@ def profile(response: Response, factor: Factor, levels: Sequence[Interval], mean
     )
 
 
-def crossing(response: Response, design: Design, fit: Fit, found: Interaction) -> Figure:
+def crossing(response: Response, design: Design, fit: ModelFit, found: Interaction) -> Figure:
     """How the response runs over one factor at two levels of the other, averaged over the rest."""
     numbers = {factor.name: number for number, factor in enumerate(design.factors)}
     a, b = numbers[found.a], numbers[found.b]
@@ -105,7 +105,7 @@ def crossing(response: Response, design: Design, fit: Fit, found: Interaction) -
     return Figure(lines(curves, factor_axis(along), vertical), title, "" if along.numbers else _names(along))
 
 
-def curve_chart(outcome: Outcome, response: Response, factor: Factor, designs: Sequence[Design]) -> Figure:
+def curve_chart(outcome: StudyResult, response: Response, factor: Factor, designs: Sequence[Design]) -> Figure:
     """A factor alone, in every design that varies it by itself: the mean of the seeds and their span."""
     curves = []
     for design in designs:

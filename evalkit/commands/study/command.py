@@ -18,7 +18,7 @@ from evalkit.terminal.options import Json, Out, Scheduler, err, out
 
 if TYPE_CHECKING:
     from evalkit.commands.study.plan import Study
-    from evalkit.commands.study.result import Outcome
+    from evalkit.commands.study.result import StudyResult
 
 
 def study(
@@ -35,7 +35,7 @@ def study(
     Finished points are kept: repeat the command to continue an interrupted study.
     """
     from evalkit.commands.study.config import read  # noqa: PLC0415 - as above
-    from evalkit.commands.study.result import Outcome, run_study_tasks  # noqa: PLC0415 - loads scipy.stats
+    from evalkit.commands.study.result import StudyResult, run_study_tasks  # noqa: PLC0415 - loads scipy.stats
 
     options.add_working_directory()
     plan = read(file, f"evalkit study {shlex.quote(str(file))}")
@@ -52,7 +52,7 @@ def study(
     ran_on = environment.describe(jobs=workers)
     asked = plan.tasks()
     with progress.say_what_is_kept(err, "finished points"), progress.jobs(err, len(asked), workers) as done:
-        outcome = Outcome(plan, run_study_tasks(asked, folder / "results", workers, done, cluster))
+        outcome = StudyResult(plan, run_study_tasks(asked, folder / "results", workers, done, cluster))
     page = _written(outcome, folder, ran_on)
     lost = sum(bool(outcome.lost(key, seed)) for key in plan.points for seed in plan.seeds(key))
     if as_json:
@@ -86,7 +86,7 @@ def _point(plan: Study, key: str, as_json: bool) -> None:
     out.print(experiment_lines(plan, key), markup=False, highlight=False)
 
 
-def _written(outcome: Outcome, folder: Path, ran_on: dict[str, str]) -> Path:
+def _written(outcome: StudyResult, folder: Path, ran_on: dict[str, str]) -> Path:
     """The path of index.html, written with study.json, points.csv and effects.csv."""
     from evalkit.commands.study import page, results_json  # noqa: PLC0415 - as above
     from evalkit.report.html.document import render  # noqa: PLC0415 - loads matplotlib

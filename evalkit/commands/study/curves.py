@@ -11,11 +11,11 @@ from evalkit.commands.study.envelope import Panel, axes, panels
 from evalkit.commands.study.factors import Factor
 from evalkit.commands.study.formatting import limit_words
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Point, Response
-from evalkit.commands.study.result import Outcome, on_scale
+from evalkit.commands.study.result import StudyResult, on_scale
 from evalkit.report.html.document import Block, Cell, Column, Figures, Fold, Table, Text
 
 
-def curve_blocks(outcome: Outcome) -> tuple[Block, ...]:
+def curve_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     """A chart for every factor that is varied by itself, for every bounded response, and a table of all."""
     designs = [design for design in outcome.study.designs if design.kind == "curves"]
     shown = [response for response in outcome.study.responses if response.lost is not None] or outcome.study.responses[
@@ -35,11 +35,11 @@ def curve_blocks(outcome: Outcome) -> tuple[Block, ...]:
         for factor, level in point.levels.items()
     ]
     measured = (_column(response) for response in outcome.study.responses)
-    columns: tuple[Column | str, ...] = ("Design", "Factor", "Level", *measured, Column("Lost"))
+    columns: tuple[Column | str, ...] = ("Design", "Factor", "FactorLevel", *measured, Column("Lost"))
     return (*blocks, Fold("All values", (Table(columns, rows),))) if rows else ()
 
 
-def _by_name(outcome: Outcome, response: Response, factor: Factor, designs: Sequence[Design]) -> Table:
+def _by_name(outcome: StudyResult, response: Response, factor: Factor, designs: Sequence[Design]) -> Table:
     """A factor without order: its levels against the designs that vary it."""
     points = {(d.name, p.levels[factor.name].label): p for d in designs for p in d.points if factor.name in p.levels}
     rows: list[tuple[Cell | str, ...]] = [
@@ -55,7 +55,7 @@ def _column(response: Response) -> Column:
     return Column(response.metric.label, response.metric.unit, number=True, tip="mean of the seeds, lowest to highest")
 
 
-def _values(outcome: Outcome, design: Design, point: Point) -> list[Cell]:
+def _values(outcome: StudyResult, design: Design, point: Point) -> list[Cell]:
     cells = [_value(outcome, design, response, point) for response in outcome.study.responses]
     lost = [outcome.lost(point.key, seed) for seed in design.runs(point)]
     count = sum(map(bool, lost))
@@ -65,7 +65,7 @@ def _values(outcome: Outcome, design: Design, point: Point) -> list[Cell]:
     ]
 
 
-def _value(outcome: Outcome, design: Design, response: Response, point: Point) -> Cell:
+def _value(outcome: StudyResult, design: Design, response: Response, point: Point) -> Cell:
     values = outcome.row(design, response, point)
     if not np.isfinite(values).any():
         return Cell("no value")
@@ -76,7 +76,7 @@ def _value(outcome: Outcome, design: Design, response: Response, point: Point) -
     return Cell(text, middle, "bad" if lost else "")
 
 
-def envelope_blocks(outcome: Outcome) -> tuple[Block, ...]:
+def envelope_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     """For every envelope a table to be read at a glance and the maps behind it."""
     blocks: list[Block] = []
     for choice in outcome.study.envelopes:

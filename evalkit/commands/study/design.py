@@ -23,7 +23,7 @@ RIDGE = 1e-6
 
 
 @dataclass(frozen=True)
-class Axis:
+class DesignAxis:
     """A factor as a design sees it: how many levels, and where they lie if they have an order.
 
     ``scores`` (L,), increasing: the levels' coordinates (logarithms for a logarithmic axis); None: names without order.
@@ -63,7 +63,7 @@ class Model:
     ``terms``: the factors (one or two) that each column of ``matrix`` belongs to.
     """
 
-    axes: tuple[Axis, ...]
+    axes: tuple[DesignAxis, ...]
     pairs: bool = True
 
     @cached_property
@@ -274,5 +274,5 @@ def _log_det(columns: Floats) -> float:
     return float(np.linalg.slogdet(columns.T @ columns / len(columns))[1])
 
 
-def _ordered(axis: Axis) -> Floats:
+def _ordered(axis: DesignAxis) -> Floats:
     return axis.crossed if axis.scores is not None else axis.main

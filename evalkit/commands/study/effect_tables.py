@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from evalkit.commands.study import charts
-from evalkit.commands.study.effects import Fit, Interaction
+from evalkit.commands.study.effects import Interaction, ModelFit
 from evalkit.commands.study.formatting import amount, change, fitted, left, ranked
 from evalkit.commands.study.plan import Design, Response
-from evalkit.commands.study.result import Outcome, on_scale
+from evalkit.commands.study.result import StudyResult, on_scale
 from evalkit.report.html.document import Block, Cell, Column, Figures, Fold, Heading, Table, Text
 
 MAX_SHOWN = 4
@@ -19,7 +19,7 @@ MAX_SHOWN = 4
 MIN_LISTED = 5
 
 
-def effect_blocks(outcome: Outcome) -> tuple[Block, ...]:
+def effect_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     """Main effects and interactions of every design that tells them, and what they foretell elsewhere."""
     blocks: list[Block] = []
     for number, response in enumerate(outcome.study.responses):
@@ -33,7 +33,7 @@ def effect_blocks(outcome: Outcome) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def _effects(outcome: Outcome, response: Response, design: Design, fit: Fit) -> list[Block]:
+def _effects(outcome: StudyResult, response: Response, design: Design, fit: ModelFit) -> list[Block]:
     found = ranked(design, fit)
     pairs = fit.interactions()
     drawn = [pair for pair in pairs if pair.matters][:MAX_SHOWN]
@@ -58,14 +58,14 @@ def _effects(outcome: Outcome, response: Response, design: Design, fit: Fit) -> 
     return [*blocks, *_checks(outcome, response, design, fit)]
 
 
-def _levels(response: Response, design: Design, fit: Fit) -> Table:
+def _levels(response: Response, design: Design, fit: ModelFit) -> Table:
     rows = []
     for number, factor in enumerate(design.factors):
         found = fit.factor(number)
         for level, interval in zip(factor.levels, found.levels, strict=True):
             cell = Cell(amount(response, interval), interval.value)
             rows.append((factor.name, Cell(level.label, level.number), cell, f"{100.0 * found.share:.1f}"))
-    columns = ("Factor", "Level", Column("Against the mean of its levels", number=True),
+    columns = ("Factor", "FactorLevel", Column("Against the mean of its levels", number=True),
                Column("Share of variance", "%", number=True))  # fmt: skip
     return Table(columns, rows)
 
@@ -92,7 +92,7 @@ def _pairs(response: Response, design: Design, pairs: Sequence[Interaction]) -> 
     return [*blocks, Fold("The other pairs", (Table(columns, rows[shown:]),))] if rows[shown:] else blocks
 
 
-def _checks(outcome: Outcome, response: Response, design: Design, fit: Fit) -> list[Block]:
+def _checks(outcome: StudyResult, response: Response, design: Design, fit: ModelFit) -> list[Block]:
     """What the effects foretell for space-filling points of the same factors, beside what was measured there."""
     blocks: list[Block] = []
     for other in outcome.study.designs:

@@ -64,7 +64,7 @@ class Interaction:
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class ModelFit:
     """A model fitted to the response (N,) at positions (N, K) by least squares.
 
     Intervals are Student's t with the covariance that holds when points scatter unequally (HC3, MacKinnon and White, J.

@@ -9,7 +9,7 @@ import numpy as np
 
 from evalkit.commands.study.factors import Factor
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Point
-from evalkit.commands.study.result import Outcome
+from evalkit.commands.study.result import StudyResult
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
 from evalkit.stats.intervals import Interval, wilson_interval
@@ -58,7 +58,7 @@ def largest_box(inside: Bools) -> tuple[int, int]:
     return found
 
 
-def panels(outcome: Outcome, choice: EnvelopeChoice) -> tuple[Panel, ...]:
+def panels(outcome: StudyResult, choice: EnvelopeChoice) -> tuple[Panel, ...]:
     """A panel for every combination of the other factors' levels, in the order of the design."""
     design = outcome.study.design(choice.design)
     x, y = axes(design, choice)
@@ -124,7 +124,7 @@ def _with_drives(words: str, drives: int) -> str:
 
 
 def _panel(
-    outcome: Outcome,
+    outcome: StudyResult,
     design: Design,
     choice: EnvelopeChoice,
     others: Mapping[str, str],

@@ -1,4 +1,4 @@
-"""What is varied in a study: factors with levels, each level a handful of settings."""
+"""The factors of a study: each has levels, and each level gives values to some settings."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Literal
 
-from evalkit.commands.study.design import Axis
-from evalkit.core.errors import BadExperiment, brief
+from evalkit.commands.study.design import DesignAxis
+from evalkit.config.toml_tables import TomlTable
+from evalkit.core.errors import brief
 from evalkit.plugins.parameters import Value
 
 Scale = Literal["linear", "log"]
 Settings = Mapping[str, Value]
 """Values by their full names: "method.epsilon", "sequence.speed_mps", "mapper.resolution_m"."""
 
-ROOMS = ("method", "sequence", "mapper")
-KEYS = ("name", "sets", "levels", "scale", "unit")
+GROUPS = ("method", "sequence", "mapper")
 
 
 @dataclass(frozen=True)
-class Level:
-    """One level: how it is called, what it sets, and its number where the factor has an order."""
+class FactorLevel:
+    """One level: its label, the settings it gives, and its number if the factor is ordered (None if not)."""
 
     label: str
     sets: Settings
@@ -31,10 +31,14 @@ class Level:
 
 @dataclass(frozen=True)
 class Factor:
-    """A factor: ``levels`` in the order given; ``default`` is the study's own setting, None: no level is."""
+    """A factor with its levels in the order given.
+
+    ``default``: the index of the level that equals the study's own settings, None if no level does. ``sets``: the
+    settings that all levels give, if the levels are plain values.
+    """
 
     name: str
-    levels: tuple[Level, ...]
+    levels: tuple[FactorLevel, ...]
     default: int | None = None
     scale: Scale = "linear"
     unit: str = ""
@@ -42,24 +46,26 @@ class Factor:
 
     @property
     def numbers(self) -> tuple[float, ...] | None:
-        """The levels' numbers, None where they are names."""
-        found = tuple(level.number for level in self.levels if level.number is not None)
-        return found if len(found) == len(self.levels) else None
+        """The levels' numbers, None if the levels are not ordered."""
+        numbers = tuple(level.number for level in self.levels if level.number is not None)
+        return numbers if len(numbers) == len(self.levels) else None
 
     @property
-    def axis(self) -> Axis:
-        """The factor as a design sees it."""
+    def axis(self) -> DesignAxis:
+        """The factor as an axis of a design."""
         numbers = self.numbers
-        return Axis(self.name, len(self.levels), None if numbers is None else tuple(map(self.coordinate, numbers)))
+        return DesignAxis(
+            self.name, len(self.levels), None if numbers is None else tuple(map(self.coordinate, numbers))
+        )
 
     def coordinate(self, number: float) -> float:
         """A number on the factor's scale."""
         return math.log10(number) if self.scale == "log" else number
 
-    def at(self, share: float) -> tuple[Level, float]:
-        """The level a share (0 to 1) of the way from the first to the last, and its position.
+    def at(self, share: float) -> tuple[FactorLevel, float]:
+        """The level at a share (0 to 1) of the way from the first level to the last, and its position.
 
-        Ordered factors that are no whole numbers are met between their levels, rounded to three digits.
+        Between the levels for numbers that are not whole, rounded to three digits; otherwise one of the levels.
         """
         numbers = self.numbers
         if numbers is None or not isinstance(next(iter(self.levels[0].sets.values())), float):
@@ -69,96 +75,92 @@ class Factor:
         place = ends[0] + share * (ends[1] - ends[0])
         number_at = float(f"{10.0**place if self.scale == 'log' else place:.3g}")
         number_at = min(max(number_at, numbers[0]), numbers[-1])
-        return Level(f"{number_at:g}", dict.fromkeys(self.sets, number_at), number_at), self.position(number_at)
+        return FactorLevel(f"{number_at:g}", dict.fromkeys(self.sets, number_at), number_at), self.position(number_at)
 
     def position(self, number: float) -> float:
-        """Where a number lies among the levels: 0 at the first, 1 at the second."""
+        """The position of a number among the levels: 0 at the first, 1 at the second, linear on the scale between."""
         known = [self.coordinate(level) for level in self.numbers or ()]
         place = self.coordinate(number)
         low = max((i for i, level in enumerate(known[:-1]) if level <= place), default=0)
         return low + (place - known[low]) / (known[low + 1] - known[low])
 
     def index(self, label: str) -> int | None:
-        """The level of a label, None if there is none."""
+        """The index of the level with a label, None if there is none."""
         return next((i for i, level in enumerate(self.levels) if level.label == label), None)
 
 
-def factor(table: Mapping[str, Any], file: str, place: str, base: Settings) -> Factor:
+def read_factor(table: TomlTable, base: Settings) -> Factor:
     """The factor of a table: ``sets = NAME`` (or names) with a list of levels, or ``levels.LABEL = { NAME = VALUE }``.
 
-    Its default is the level that agrees with ``base``. BadExperiment names the key that is wrong.
+    Its default is the level that agrees with ``base``. Raises BadExperiment with the key that is wrong.
     """
-    for key in table:
-        if key not in KEYS:
-            raise BadExperiment(file, place, f"no key '{key}'; known: {', '.join(KEYS)}")
-    levels = table.get("levels")
-    if not levels or not isinstance(levels, (list, Mapping)):
-        expected = "a list of at least two values, or a table of named settings"
-        raise BadExperiment(file, place, f"'levels': found {brief(levels)}, expected {expected}")
-    sets = _sets(table, file, place) if isinstance(levels, list) else ()
-    made = _plain(levels, sets, file, place) if isinstance(levels, list) else _named(levels, file, place)
-    if len(made) < 2 or len({level.label for level in made}) < len(made):
-        raise BadExperiment(file, place, f"'levels': found {brief(levels)}, expected at least two that differ")
-    name, scale, unit = (
-        table.get(key, other) for key, other in (("name", "".join(sets[:1])), ("scale", "linear"), ("unit", ""))
-    )
-    if not name or not isinstance(name, str) or not isinstance(unit, str):
-        raise BadExperiment(
-            file, place, f"'name': found {brief(name)}, expected a text (a factor of named levels needs one)"
-        )
+    table.check_keys(("name", "sets", "levels", "scale", "unit"))
+    given = table.content.get("levels")
+    if not given or not isinstance(given, (list, Mapping)):
+        raise table.bad_value("levels", "a list of at least two values, or a table of named settings")
+    sets = _sets(table) if isinstance(given, list) else ()
+    levels = _plain_levels(table, given, sets) if isinstance(given, list) else _named_levels(table, given)
+    if len(levels) < 2 or len({level.label for level in levels}) < len(levels):
+        raise table.bad_value("levels", "at least two that differ")
+    name, scale = table.content.get("name", "".join(sets[:1])), table.content.get("scale", "linear")
+    if not name or not isinstance(name, str):
+        raise table.bad_value("name", "a text (a factor of named levels needs one)")
     if scale not in ("linear", "log"):
-        raise BadExperiment(file, place, f"'scale': found {brief(scale)}, expected linear or log")
-    default = next((i for i, level in enumerate(made) if level.sets.items() <= base.items()), None)
-    found = Factor(name, made, default, scale, unit, sets)
-    _ordered(found, file, place)
-    return found
+        raise table.bad_value("scale", "linear or log")
+    default = next((i for i, level in enumerate(levels) if level.sets.items() <= base.items()), None)
+    factor = Factor(name, levels, default, scale, table.text("unit", ""), sets)
+    _check_order(table, factor)
+    return factor
 
 
-def _sets(table: Mapping[str, Any], file: str, place: str) -> tuple[str, ...]:
-    found = table.get("sets")
-    names: list[Any] = found if isinstance(found, list) else [found]
+def _sets(table: TomlTable) -> tuple[str, ...]:
+    """The settings that a factor with plain levels changes, by their full names."""
+    value = table.content.get("sets")
+    names: list[Any] = value if isinstance(value, list) else [value]
     for name in names or [None]:
-        if not isinstance(name, str) or name.partition(".")[0] not in ROOMS or not name.partition(".")[2]:
-            expected = "method.NAME, sequence.NAME or mapper.NAME, or a list of them"
-            raise BadExperiment(file, place, f"'sets': found {brief(found)}, expected {expected}")
+        if not isinstance(name, str) or name.partition(".")[0] not in GROUPS or not name.partition(".")[2]:
+            raise table.bad_value("sets", "method.NAME, sequence.NAME or mapper.NAME, or a list of them")
     return tuple(map(str, names))
 
 
-def _plain(levels: list[Any], sets: tuple[str, ...], file: str, place: str) -> tuple[Level, ...]:
-    for value in levels:
+def _plain_levels(table: TomlTable, values: list[Any], sets: tuple[str, ...]) -> tuple[FactorLevel, ...]:
+    for value in values:
         if not isinstance(value, (bool, int, float, str)):
-            raise BadExperiment(file, place, f"'levels': found {brief(value)}, expected numbers, texts, true or false")
-    kinds: set[type] = {type(value) for value in levels}
+            raise table.error(f"'levels': found {brief(value)}, expected numbers, texts, true or false")
+    kinds: set[type] = {type(value) for value in values}
     numbers = kinds <= {int, float}
     if len(kinds) > 1 and not numbers:
-        raise BadExperiment(file, place, f"'levels': found {brief(levels)}, expected values of one type")
-    same: list[Value] = [float(value) for value in levels] if kinds == {int, float} else levels
-    return tuple(Level(_label(value), dict.fromkeys(sets, value), float(value) if numbers else None) for value in same)
+        raise table.bad_value("levels", "values of one type")
+    same: list[Value] = [float(value) for value in values] if kinds == {int, float} else values
+    return tuple(
+        FactorLevel(_label(value), dict.fromkeys(sets, value), float(value) if numbers else None) for value in same
+    )
 
 
-def _named(levels: Mapping[str, Any], file: str, place: str) -> tuple[Level, ...]:
-    made = []
-    for label, table in levels.items():
-        if not isinstance(table, Mapping) or not table:
-            raise BadExperiment(
-                file, place, f"'levels.{label}': found {brief(table)}, expected {{ NAME = VALUE, ... }}"
-            )
-        for name, value in table.items():
-            if name.partition(".")[0] not in ROOMS or not isinstance(value, (bool, int, float, str)):
-                raise BadExperiment(file, place, f"'levels.{label}': found {name} = {value!r}, expected values for "
-                                    '"method.NAME", "sequence.NAME" or "mapper.NAME" (in quotes)')  # fmt: skip
-        made.append(Level(label, dict(table)))
-    return tuple(made)
+def _named_levels(table: TomlTable, values: Mapping[str, Any]) -> tuple[FactorLevel, ...]:
+    levels = []
+    for label, settings in values.items():
+        if not isinstance(settings, Mapping) or not settings:
+            raise table.error(f"'levels.{label}': found {brief(settings)}, expected {{ NAME = VALUE, ... }}")
+        for name, value in settings.items():
+            if name.partition(".")[0] not in GROUPS or not isinstance(value, (bool, int, float, str)):
+                raise table.error(
+                    f"'levels.{label}': found {name} = {value!r}, expected values for "
+                    '"method.NAME", "sequence.NAME" or "mapper.NAME" (in quotes)'
+                )
+        levels.append(FactorLevel(label, dict(settings)))
+    return tuple(levels)
 
 
-def _ordered(made: Factor, file: str, place: str) -> None:
-    numbers = made.numbers
-    if numbers is None and made.scale == "log":
-        raise BadExperiment(file, place, "'scale': log is for numbers; remove the key")
-    if numbers is not None and made.scale == "log" and numbers[0] <= 0.0:
-        raise BadExperiment(file, place, f"'levels': found {numbers[0]:g}, expected positive numbers on a log scale")
+def _check_order(table: TomlTable, factor: Factor) -> None:
+    """Refuses a log scale without positive numbers, and numbers that do not rise."""
+    numbers = factor.numbers
+    if numbers is None and factor.scale == "log":
+        raise table.error("'scale': log is for numbers; remove the key")
+    if numbers is not None and factor.scale == "log" and numbers[0] <= 0.0:
+        raise table.error(f"'levels': found {numbers[0]:g}, expected positive numbers on a log scale")
     if numbers is not None and any(b <= a for a, b in pairwise(numbers)):
-        raise BadExperiment(file, place, f"'levels': found {list(numbers)}, expected numbers in rising order")
+        raise table.error(f"'levels': found {list(numbers)}, expected numbers in rising order")
 
 
 def _label(value: Value) -> str:

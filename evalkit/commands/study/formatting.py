@@ -5,26 +5,26 @@ from __future__ import annotations
 import numpy as np
 
 from evalkit.commands.study.charts import steps
-from evalkit.commands.study.effects import FactorEffect, Fit
+from evalkit.commands.study.effects import FactorEffect, ModelFit
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Response, Study
-from evalkit.commands.study.result import Outcome
+from evalkit.commands.study.result import StudyResult
 from evalkit.report.html.formatting import joined
 from evalkit.stats.intervals import Interval
 
 
-def fitted(outcome: Outcome, response: Response) -> list[tuple[Design, Fit]]:
+def fitted(outcome: StudyResult, response: Response) -> list[tuple[Design, ModelFit]]:
     """The designs that effects on a response can be computed for."""
     found = [(d, outcome.fit(d, response)) for d in outcome.study.designs if d.kind in ("optimal", "fractional")]
-    return [(design, fit) for design, fit in found if isinstance(fit, Fit)]
+    return [(design, fit) for design, fit in found if isinstance(fit, ModelFit)]
 
 
-def ranked(design: Design, fit: Fit) -> list[FactorEffect]:
+def ranked(design: Design, fit: ModelFit) -> list[FactorEffect]:
     """The factors' effects, the largest first."""
     found = [fit.factor(number) for number in range(len(design.factors))]
     return sorted(found, key=lambda effect: -effect.largest.value.value)
 
 
-def main_words(response: Response, design: Design, fit: Fit, most: int = 3) -> str:
+def main_words(response: Response, design: Design, fit: ModelFit, most: int = 3) -> str:
     """The largest effects whose intervals tell the sign, in a sentence."""
     found = ranked(design, fit)
     sure = [effect for effect in found if effect.largest.value.excludes(0.0)]
@@ -34,7 +34,7 @@ def main_words(response: Response, design: Design, fit: Fit, most: int = 3) -> s
     return f"{response.metric.label} depends most on {joined(words)}."
 
 
-def pair_words(response: Response, fit: Fit, most: int = 4) -> str:
+def pair_words(response: Response, fit: ModelFit, most: int = 4) -> str:
     """The interactions that matter, in a sentence."""
     found = [pair for pair in fit.interactions() if pair.matters]
     if not fit.model.pairs:

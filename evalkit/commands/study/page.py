@@ -12,7 +12,7 @@ from evalkit.commands.study.design import quality
 from evalkit.commands.study.effect_tables import effect_blocks
 from evalkit.commands.study.envelope import panels, sentences
 from evalkit.commands.study.formatting import fitted, limit_words, lost_words, main_words, pair_words
-from evalkit.commands.study.result import Outcome
+from evalkit.commands.study.result import StudyResult
 from evalkit.report.html.document import Block, Bullets, Cell, Column, Command, Document, Fold, Section, Table, Text
 
 WHY = {
@@ -26,7 +26,7 @@ WHY = {
 }
 
 
-def document(outcome: Outcome, ran_on: Mapping[str, str]) -> Document:
+def document(outcome: StudyResult, ran_on: Mapping[str, str]) -> Document:
     """The whole page of one study."""
     study = outcome.study
     runs = len(outcome.results)
@@ -36,7 +36,7 @@ def document(outcome: Outcome, ran_on: Mapping[str, str]) -> Document:
     return Document("evalkit study", study.title, study.description, (*sections(outcome), machine), facts)
 
 
-def sections(outcome: Outcome, prefix: str = "") -> tuple[Section, ...]:
+def sections(outcome: StudyResult, prefix: str = "") -> tuple[Section, ...]:
     """All parts of a study's page; ``prefix`` stands before their anchors where a page has other parts too."""
     made = [
         Section("What matters", summary(outcome), f"{prefix}summary"),
@@ -49,7 +49,7 @@ def sections(outcome: Outcome, prefix: str = "") -> tuple[Section, ...]:
     return tuple(section for section in made if section.blocks)
 
 
-def summary(outcome: Outcome) -> tuple[Block, ...]:
+def summary(outcome: StudyResult) -> tuple[Block, ...]:
     """The sentences that the numbers make: lost runs, largest effects, interactions, envelopes."""
     told = []
     for response in [response for response in outcome.study.responses if response.lost is not None]:
@@ -61,7 +61,7 @@ def summary(outcome: Outcome) -> tuple[Block, ...]:
     return (Bullets(told),) if told else ()
 
 
-def design_blocks(outcome: Outcome) -> tuple[Block, ...]:
+def design_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     """What was tried and why so."""
     rows = []
     for design in outcome.study.designs:
@@ -89,7 +89,7 @@ def design_blocks(outcome: Outcome) -> tuple[Block, ...]:
     return (Table(columns, rows, sortable=False), Text(lost_words(outcome.study), "note"))
 
 
-def point_blocks(outcome: Outcome) -> tuple[Block, ...]:
+def point_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     """Every point with its key, and the command that computes it again."""
     rows = []
     for design in outcome.study.designs:
@@ -114,6 +114,6 @@ def point_command(command: str, key: str) -> str:
     return f"{command} --point {shlex.quote(key)}"
 
 
-def cpu_minutes(outcome: Outcome) -> float:
+def cpu_minutes(outcome: StudyResult) -> float:
     """What all runs cost together."""
     return float(sum(result["cpu_s"] for result in outcome.results.values())) / 60.0

@@ -11,7 +11,7 @@ from typing import Literal
 
 from evalkit.commands.study.design import Model
 from evalkit.commands.study.evaluate import RunScores, evaluate
-from evalkit.commands.study.factors import Factor, Level, Scale
+from evalkit.commands.study.factors import Factor, FactorLevel, Scale
 from evalkit.config.experiment import Limits
 from evalkit.core.se2 import Floats
 from evalkit.execution.task import Task, make_task
@@ -50,7 +50,7 @@ class Response:
 class Point:
     """One point: its levels by factor, all settings in full, and a ``key`` of them that no other study point has."""
 
-    levels: Mapping[str, Level]
+    levels: Mapping[str, FactorLevel]
     method: Mapping[str, Value]
     sequence: Mapping[str, Value]
     mapper: Mapping[str, Value]

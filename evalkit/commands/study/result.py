@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from evalkit.commands.study.effects import Fit
+from evalkit.commands.study.effects import ModelFit
 from evalkit.commands.study.evaluate import RunScores
 from evalkit.commands.study.plan import Design, Point, Response, Study, task_name
 from evalkit.core.se2 import Floats
@@ -20,7 +20,7 @@ from evalkit.execution.task_store import TaskStore
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
+class StudyResult:
     """A study with the results of its jobs by name."""
 
     study: Study
@@ -56,13 +56,13 @@ class Outcome:
         return sum(map(bool, lost)), len(lost)
 
     @cache  # noqa: B019 - an outcome lives as long as its page is made
-    def fit(self, design: Design, response: Response) -> Fit | str:
+    def fit(self, design: Design, response: Response) -> ModelFit | str:
         """The effects on a response (its logarithm on a log scale), means over the seeds; or why there are none."""
         values = on_scale(response, self.table(design, response))
         told = np.isfinite(values).any(axis=1)
         means = np.array([row[np.isfinite(row)].mean() for row in values[told]])
         try:
-            return Fit(design.model, design.positions[told], means)
+            return ModelFit(design.model, design.positions[told], means)
         except ValueError as error:
             return str(error)
 

@@ -8,16 +8,16 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
-from evalkit.commands.study.effects import Fit
+from evalkit.commands.study.effects import ModelFit
 from evalkit.commands.study.envelope import Panel, axes, panels
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Response
-from evalkit.commands.study.result import Outcome
+from evalkit.commands.study.result import StudyResult
 from evalkit.stats.intervals import Interval
 
 Row = dict[str, Any]
 
 
-def runs(outcome: Outcome) -> list[Row]:
+def runs(outcome: StudyResult) -> list[Row]:
     """A row for every run of every design: its levels, its scores, and why it is lost, if it is."""
     study = outcome.study
     names = [factor.name for factor in study.factors]
@@ -33,7 +33,7 @@ def runs(outcome: Outcome) -> list[Row]:
     return rows
 
 
-def effects(outcome: Outcome) -> list[Row]:
+def effects(outcome: StudyResult) -> list[Row]:
     """A row for every level's distance from the mean, and for every interaction's largest corner; natural logarithms.
 
     ``scale`` "log": exp(value) is a ratio.
@@ -55,16 +55,16 @@ def effects(outcome: Outcome) -> list[Row]:
     return rows
 
 
-def fits(outcome: Outcome) -> Iterable[tuple[Design, Response, Fit]]:
+def fits(outcome: StudyResult) -> Iterable[tuple[Design, Response, ModelFit]]:
     """Every design and response that effects can be computed for."""
     for design in outcome.study.designs:
         for response in outcome.study.responses if design.kind in ("optimal", "fractional") else ():
             fit = outcome.fit(design, response)
-            if isinstance(fit, Fit):
+            if isinstance(fit, ModelFit):
                 yield design, response, fit
 
 
-def record(outcome: Outcome) -> Row:
+def record(outcome: StudyResult) -> Row:
     """The whole study as JSON values."""
     study = outcome.study
     return {
@@ -97,7 +97,7 @@ def as_csv(rows: list[Row]) -> str:
     return out.getvalue()
 
 
-def _box(outcome: Outcome, choice: EnvelopeChoice, panel: Panel) -> Row:
+def _box(outcome: StudyResult, choice: EnvelopeChoice, panel: Panel) -> Row:
     """The ends of a panel's box by factor, None where there is none, and how many cells are lost."""
     ends = zip(axes(outcome.study.design(choice.design), choice), panel.box, strict=True)
     reached = {factor.name: factor.numbers[count - 1] if factor.numbers and count else None for factor, count in ends}

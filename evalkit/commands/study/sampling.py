@@ -1,4 +1,4 @@
-"""The points of a kind of design, as positions and as levels."""
+"""Generate the points of a design, as positions and as levels."""
 
 from __future__ import annotations
 
@@ -8,19 +8,21 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from evalkit.commands.study.design import Model, fractional, grid, optimal, space_filling
-from evalkit.commands.study.factors import Factor, Level
+from evalkit.commands.study.factors import Factor, FactorLevel
 from evalkit.core.errors import BadParameter
 from evalkit.core.se2 import Floats
 
 MAX_POINTS = 5000
-Row = Mapping[str, Level]
+LevelsByFactor = Mapping[str, FactorLevel]
 """A point's levels by factor."""
 
 
-def placed(kind: str, factors: Sequence[Factor], points: int, resolution: int, seed: int) -> tuple[Floats, list[Row]]:
+def sample(
+    kind: str, factors: Sequence[Factor], points: int, resolution: int, seed: int
+) -> tuple[Floats, list[LevelsByFactor]]:
     """Positions (N, K) and levels of a design's points; curves have levels only.
 
-    BadParameter names the key that the design cannot have.
+    Raises BadParameter with the key whose value the design cannot have.
     """
     if kind == "curves":
         return np.zeros((0, len(factors))), [{f.name: level} for f in factors for level in f.levels]
@@ -45,11 +47,14 @@ def placed(kind: str, factors: Sequence[Factor], points: int, resolution: int, s
                 "an optimal design", "points", points, f"more than {len(model.terms)}, the columns of its model"
             )
         positions = optimal(model, points, np.random.default_rng(seed))
-    rows: list[Row] = [{f.name: f.levels[at] for f, at in zip(factors, row, strict=True)} for row in positions.tolist()]
+    rows: list[LevelsByFactor] = [
+        {f.name: f.levels[at] for f, at in zip(factors, row, strict=True)} for row in positions.tolist()
+    ]
     return positions.astype(np.float64), rows
 
 
-def _between(factors: Sequence[Factor], shares: Floats) -> tuple[Floats, list[Row]]:
-    met = [[factor.at(float(share)) for factor, share in zip(factors, row, strict=True)] for row in shares]
-    positions = np.array([[position for _, position in row] for row in met])
-    return positions, [{f.name: level for f, (level, _) in zip(factors, row, strict=True)} for row in met]
+def _between(factors: Sequence[Factor], shares: Floats) -> tuple[Floats, list[LevelsByFactor]]:
+    """Positions and levels at shares (N, K) of the way from the first level of each factor to the last."""
+    rows = [[factor.at(float(share)) for factor, share in zip(factors, row, strict=True)] for row in shares]
+    positions = np.array([[position for _, position in row] for row in rows])
+    return positions, [{f.name: level for f, (level, _) in zip(factors, row, strict=True)} for row in rows]

@@ -1,4 +1,4 @@
-"""Accuracy against compute as drawings: one a back end with every point, and one of all frontiers."""
+"""Charts of error against CPU time: every point of one back end, and the Pareto fronts of all."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from evalkit.commands.study.plan import Response
-from evalkit.commands.tune.objective import Tried
-from evalkit.commands.tune.pareto import frontier
-from evalkit.commands.tune.search_loop import Searched
+from evalkit.commands.tune.objective import ScoredCandidate
+from evalkit.commands.tune.pareto import pareto_front
+from evalkit.commands.tune.search_loop import SearchResult
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
 from evalkit.report.html import charts
@@ -22,63 +22,65 @@ STEPS = (1.0, 2.0, 5.0)
 FINE_STEPS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0)
 MIN_TICKS = 3
 MIN_MS = 1e-3
-"""What costs less is drawn here: a logarithmic axis has no zero."""
+"""The smallest time drawn, because a logarithmic axis has no zero."""
 
 
-def on_frontier(tried: Sequence[Tried]) -> Bools:
-    """Which points no other beats in both training error and CPU time; one that loses a run is on no frontier."""
+def on_pareto_front(tried: Sequence[ScoredCandidate]) -> Bools:
+    """Marks of the points on the Pareto front of training error and CPU time; a point that loses a run is not on it."""
     errors = np.array([math.inf if one.losses else one.error for one in tried])
-    return frontier(np.array([one.cpu_ms for one in tried]), errors)
+    return pareto_front(np.array([one.cpu_ms for one in tried]), errors)
 
 
-def everyone(found: Sequence[Searched], objective: Response) -> Figure:
-    """The frontiers of all back ends over the same axes, with default and tuned."""
-    x, y = _axes([_places(one.tried) for one in found], objective)
+def pareto_fronts_chart(results: Sequence[SearchResult], objective: Response) -> Figure:
+    """The Pareto fronts of all back ends, with default and tuned points."""
+    x, y = _axes([_places(one.tried) for one in results], objective)
     layers: list[Points] = []
-    for number, one in enumerate(found):
+    for number, one in enumerate(results):
         colour = charts.stroke(number).colour
-        best = _places([each for each, on in zip(one.tried, on_frontier(one.tried), strict=True) if on])
-        label = one.entrant.label
+        best = _places([each for each, on in zip(one.tried, on_pareto_front(one.tried), strict=True) if on])
+        label = one.tunable.label
         layers += [Points(label, _stairs(best), colour, 1.4, joined=True), Points("", best, colour, 5.0)]
-    for number, one in enumerate(found):
+    for number, one in enumerate(results):
         colour = charts.stroke(number).colour
         marks = [(one.default, INK), *([(one.chosen, WHITE)] if one.tuned else [])]
         for each, core in marks:
             layers += [Points("", _places([each]), colour, 11.0), Points("", _places([each]), core, 5.0)]
     caption = (
-        "Each line is one back end's frontier: of its tried points those that no other beats in both error and time. "
-        "Black core: the default; white core: tuned. Lower and further left is better."
+        "Each line is the Pareto front of one back end's tried points. Black core: the default; white core: tuned. "
+        "Lower and further left is better."
     )
     return Figure(charts.scatter(layers, x, y, equal=False), "Accuracy against compute, all back ends", caption)
 
 
-def alone(one: Searched, objective: Response) -> Figure:
+def points_chart(one: SearchResult, objective: Response) -> Figure:
     """Every point of one back end."""
     x, y = _axes([_places(one.tried)], objective)
-    on = on_frontier(one.tried)
+    on_front = on_pareto_front(one.tried)
     plain = [each for each in one.tried if not each.losses]
     losing = [each for each in one.tried if each.losses]
-    best = _places([each for each, chosen in zip(one.tried, on, strict=True) if chosen])
+    best = _places([each for each, chosen in zip(one.tried, on_front, strict=True) if chosen])
     layers = [
         Points("tried", _places(plain), GREY, 6.0),
         *([Points("loses runs", _places(losing), ORANGE, 6.0)] if losing else []),
-        Points("frontier", _stairs(best), "#0072b2", 1.4, joined=True),
+        Points("Pareto front", _stairs(best), "#0072b2", 1.4, joined=True),
         Points("", best, "#0072b2", 6.0),
         Points("default", _places([one.default]), INK, 11.0),
         *([Points("tuned", _places([one.chosen]), GREEN, 11.0)] if one.tuned else []),
     ]
-    caption = f"{len(one.tried)} points, {int(on.sum())} on the frontier" + ("" if one.tuned else "; default kept")
-    return Figure(charts.scatter(layers, x, y, equal=False), one.entrant.label, f"{caption}.")
+    caption = f"{len(one.tried)} points, {int(on_front.sum())} on the Pareto front" + (
+        "" if one.tuned else "; default kept"
+    )
+    return Figure(charts.scatter(layers, x, y, equal=False), one.tunable.label, f"{caption}.")
 
 
-def _places(tried: Sequence[Tried]) -> Floats:
-    """CPU time and error (N, 2) of the points that have both."""
+def _places(tried: Sequence[ScoredCandidate]) -> Floats:
+    """CPU time in ms and error (N, 2) of the points with finite values."""
     both = np.array([[max(one.cpu_ms, MIN_MS), one.error] for one in tried]).reshape(-1, 2)
     return np.asarray(both[np.isfinite(both).all(axis=1)])
 
 
 def _stairs(places: Floats) -> Floats:
-    """The border of what is dominated: right to the next point's time, then down to its error."""
+    """The border of the dominated region: right to the next point's time, then down to its error."""
     ordered = places[np.lexsort((places[:, 1], places[:, 0]))]
     corners = np.column_stack([ordered[1:, 0], ordered[:-1, 1]]) if len(ordered) > 1 else np.zeros((0, 2))
     stairs = np.zeros((2 * len(ordered) - 1 if len(ordered) else 0, 2))
@@ -98,7 +100,7 @@ def _axes(places: Sequence[Floats], objective: Response) -> tuple[Axis, Axis]:
 
 
 def _log_axis(label: str, values: Floats) -> Axis:
-    """A logarithmic axis with 1, 2 and 5 of every decade marked, more where those are too few."""
+    """A logarithmic axis with ticks at 1, 2 and 5 of every decade, or at more values if those are too few."""
     low, high = float(values.min()) / 1.25, float(values.max()) * 1.25
     ticks = _ticks(low, high, STEPS)
     return Axis(label, "log", low, high, ticks if len(ticks) >= MIN_TICKS else _ticks(low, high, FINE_STEPS))

@@ -18,8 +18,8 @@ from evalkit.terminal.options import Collect, Jobs, Json, err, out
 
 if TYPE_CHECKING:
     from evalkit.commands.tune.plan import Tuning
-    from evalkit.commands.tune.result import Tuned
-    from evalkit.commands.tune.search_loop import Searched
+    from evalkit.commands.tune.result import TuningResult
+    from evalkit.commands.tune.search_loop import SearchResult
     from evalkit.config.experiment import Experiment
     from evalkit.results.run_record import RunRecord
 
@@ -48,7 +48,7 @@ def tune(
 
     Finished runs are kept: repeat the command to continue an interrupted search.
     """
-    from evalkit.commands.tune.result import Tuned  # noqa: PLC0415 - loads matplotlib and scipy.stats
+    from evalkit.commands.tune.result import TuningResult  # noqa: PLC0415 - loads matplotlib and scipy.stats
     from evalkit.commands.tune.tuned import experiment_text, held_out_plan  # noqa: PLC0415 - as above
     from evalkit.report import comparison_of  # noqa: PLC0415 - as below
 
@@ -63,10 +63,10 @@ def tune(
     text = experiment_text(tuning, found)
     plan = held_out_plan(text, shlex.quote(str(experiment)))
     write_texts(folder, {experiment.name: text})
-    records = _judged(plan, Store(folder / "report"), workers, ran_on, collect)
+    records = _run_held_out(plan, Store(folder / "report"), workers, ran_on, collect)
     comparison = comparison_of(plan, records, started, datetime.now(UTC), ran_on)
     report = f"evalkit compare {shlex.quote(str(experiment))} --resume --out {shlex.quote(str(folder / 'report'))}"
-    _end(Tuned(tuning, found, comparison, ran_on, report), folder, as_json)
+    _end(TuningResult(tuning, found, comparison, ran_on, report), folder, as_json)
 
 
 def _tuning(what: list[str], on: list[str], held_out: list[str], budget: int | None, setting: list[str]) -> Tuning:
@@ -84,30 +84,30 @@ def _tuning(what: list[str], on: list[str], held_out: list[str], budget: int | N
     options_said = [("--on", name) for name in on] + [("--held-out", name) for name in held_out]
     options_said += [("--budget", str(budget or BUDGET)), *(("--set", item) for item in setting)]
     command = shlex.join(["evalkit", "tune", *what, *(word for pair in options_said for word in pair)])
-    content = config.named(what, on, held_out, budget or BUDGET, options.settings(setting))
+    content = config.tuning_tables(what, on, held_out, budget or BUDGET, options.settings(setting))
     return config.tuning(content, "evalkit tune", f"tune-{'-'.join(on)}", command)
 
 
-def _searched(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tuple[Searched, ...]:
+def _searched(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tuple[SearchResult, ...]:
     """What the search found; exit code 3 where it may make nothing and something is missing."""
     from evalkit.commands.tune import search_loop  # noqa: PLC0415 - loads scipy.stats
 
-    for entrant in tuning.entrants:
-        if entrant.missing:
-            err.print(f"missing here: {entrant.label}: {entrant.missing}", markup=False, highlight=False)
+    for tunable in tuning.methods:
+        if tunable.missing:
+            err.print(f"missing here: {tunable.label}: {tunable.missing}", markup=False, highlight=False)
     results = folder / "results"
     if collect:
         try:
-            return search_loop.searched(tuning, search_loop.collecting(results))
-        except search_loop.Unmade as unmade:
+            return search_loop.run_search(tuning, search_loop.load_stored(results))
+        except search_loop.ResultsMissing as unmade:
             told = f"the search is not done: {unmade.missing} runs of the next points are missing; the same command"
             out.print(f"{told} without --collect goes on", markup=False, highlight=False)
             raise typer.Exit(3) from None
     with (
         progress.say_what_is_kept(err, "finished runs"),
-        progress.jobs(err, search_loop.expected_runs(tuning), workers) as done,
+        progress.jobs(err, search_loop.count_runs(tuning), workers) as done,
     ):
-        return search_loop.searched(tuning, search_loop.making(results, workers, done))
+        return search_loop.run_search(tuning, search_loop.compute_missing(results, workers, done))
 
 
 def _judged(
@@ -122,30 +122,30 @@ def _judged(
         return Engine(plan, store, shown, workers, True, ran_on, collect=collect).records()
 
 
-def _end(told: Tuned, folder: Path, as_json: bool) -> None:
+def _end(result: TuningResult, folder: Path, as_json: bool) -> None:
     """Writes and prints what was found; exit code 1 if a method failed wholly, 3 if a run is not made yet."""
     from evalkit.commands.tune import page as pages  # noqa: PLC0415 - loads matplotlib
     from evalkit.commands.tune.results_json import record  # noqa: PLC0415 - as above
     from evalkit.report.html.document import render  # noqa: PLC0415 - as above
 
-    content = record(told)
+    content = record(result)
     write_texts(folder, {
         "tuned.json": json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
-        "index.html": render(pages.document(told)),
+        "index.html": render(pages.document(result)),
     })  # fmt: skip
     page = folder / "index.html"
-    skipped = sum(record.result.status == RunStatus.SKIPPED for record in told.comparison.records)
+    skipped = sum(record.result.status == RunStatus.SKIPPED for record in result.comparison.records)
     if as_json:
         options.print_json(content | {"page": str(page)})
     else:
-        for one in told.searched:
-            out.print(told.sentence(one), markup=False, highlight=False)
+        for one in result.searched:
+            out.print(result.sentence(one), markup=False, highlight=False)
         if skipped:
             out.print(f"{skipped} held-out runs not made yet", markup=False, highlight=False)
-        for text in (told.report, str(page.resolve())):
+        for text in (result.report, str(page.resolve())):
             out.print(text, markup=False, highlight=False)
-    if told.failed:
-        err.print(f"no run completed: {', '.join(told.failed)}", markup=False, highlight=False)
+    if result.failed:
+        err.print(f"no run completed: {', '.join(result.failed)}", markup=False, highlight=False)
         raise typer.Exit(1)
     if skipped:
         raise typer.Exit(3)

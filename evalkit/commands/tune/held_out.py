@@ -1,4 +1,4 @@
-"""Default and tuned rows on the held-out sequences: better, level, or overfitted."""
+"""Compare default and tuned methods on the held-out sequences: better, tied, or overfitted."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from evalkit.commands.tune.plan import TUNED
-from evalkit.commands.tune.search_loop import Searched
+from evalkit.commands.tune.search_loop import SearchResult
 from evalkit.core.run_result import NOT_EXECUTED, RunStatus
 from evalkit.report.analysis.cells import Apart, Cell, apart
 from evalkit.report.analysis.comparison import Comparison
@@ -15,8 +15,11 @@ from evalkit.report.analysis.standings import Standing, deciding, difference
 
 
 @dataclass(frozen=True)
-class OnSequence:
-    """Default and tuned in the metric that decides one sequence; ``apart`` above zero: tuned is worse."""
+class HeldOutSequence:
+    """Default and tuned method in the deciding metric of one sequence.
+
+    ``apart``: paired difference, above zero if tuned is worse; ``shown``: whether it is significant.
+    """
 
     standing: Standing
     default: Cell
@@ -26,30 +29,33 @@ class OnSequence:
 
     @property
     def worse(self) -> bool:
-        """Whether tuned is shown to be worse here."""
+        """Whether tuned is significantly worse."""
         return self.shown and self.apart is not None and self.apart.interval.value > 0.0
 
 
 @dataclass(frozen=True)
-class Held:
-    """One back end held out. ``duel``: tuned against default over all runs with a truth, None where there is none."""
+class HeldOutVerdict:
+    """The held-out comparison of one back end's tuned and default method.
+
+    ``duel``: over all runs with a ground truth, None if there is none; ``lost``: runs lost by default and tuned.
+    """
 
     label: str
     duel: Duel | None
-    sequences: tuple[OnSequence, ...]
+    sequences: tuple[HeldOutSequence, ...]
     lost: tuple[int, int]
     overfitted: bool
     verdict: str
 
 
-def held(comparison: Comparison, found: Sequence[Searched]) -> tuple[Held, ...]:
-    """The verdict on every back end for which something better was found; Holm's adjustment is over these."""
-    labels = [one.entrant.label for one in found if one.tuned]
-    told = {duel.reference: duel for duel in duels(comparison, [(label + TUNED, label) for label in labels])}
-    return tuple(_held(comparison, label, told.get(label)) for label in labels)
+def judge_held_out(comparison: Comparison, results: Sequence[SearchResult]) -> tuple[HeldOutVerdict, ...]:
+    """The verdicts on all back ends that were tuned, adjusted together (Holm)."""
+    labels = [one.tunable.label for one in results if one.tuned]
+    by_default = {duel.reference: duel for duel in duels(comparison, [(label + TUNED, label) for label in labels])}
+    return tuple(_judge(comparison, label, by_default.get(label)) for label in labels)
 
 
-def _held(comparison: Comparison, label: str, duel: Duel | None) -> Held:
+def _judge(comparison: Comparison, label: str, duel: Duel | None) -> HeldOutVerdict:
     sequences = tuple(
         one for name in comparison.sequence_labels if (one := _on_sequence(comparison, name, label)) is not None
     )
@@ -57,7 +63,7 @@ def _held(comparison: Comparison, label: str, duel: Duel | None) -> Held:
     worse = [one.standing.sequence for one in sequences if one.worse]
     better = [one.standing.sequence for one in sequences if one.shown and not one.worse]
     overfitted = lost[1] > lost[0] or bool(worse) or (duel is not None and duel.said == "worse")
-    return Held(label, duel, sequences, lost, overfitted, _verdict(duel, lost, worse, better))
+    return HeldOutVerdict(label, duel, sequences, lost, overfitted, _verdict(duel, lost, worse, better))
 
 
 def _verdict(duel: Duel | None, lost: tuple[int, int], worse: Sequence[str], better: Sequence[str]) -> str:
@@ -74,7 +80,7 @@ def _verdict(duel: Duel | None, lost: tuple[int, int], worse: Sequence[str], bet
     return f"{duel.said} over all held-out runs{alone}{where}"
 
 
-def _on_sequence(comparison: Comparison, sequence: str, label: str) -> OnSequence | None:
+def _on_sequence(comparison: Comparison, sequence: str, label: str) -> HeldOutSequence | None:
     standing = deciding(comparison, sequence)
     if standing is None or standing.metric.better != "lower":
         return None
@@ -82,7 +88,7 @@ def _on_sequence(comparison: Comparison, sequence: str, label: str) -> OnSequenc
     if default is None or tuned is None or not default.values or not tuned.values:
         return None
     shown = difference(standing.metric, tuned, default) == "clear"
-    return OnSequence(standing, default, tuned, apart(tuned, default), shown)
+    return HeldOutSequence(standing, default, tuned, apart(tuned, default), shown)
 
 
 def _lost(comparison: Comparison, label: str) -> int:

@@ -1,4 +1,4 @@
-"""What a point is worth: lost runs first, then the geometric mean of the errors."""
+"""The objective of the search: lost runs first, then the geometric mean of the errors."""
 
 from __future__ import annotations
 
@@ -18,17 +18,19 @@ from evalkit.stats.bootstrap import bootstrap_interval
 from evalkit.stats.intervals import Interval
 
 MIN_GAIN = 0.05
-"""Nobody is better by less than this share of the error, as in the report."""
+"""A smaller gain, as a share of the error, does not count as better; the report uses the same."""
 
 
 @dataclass(frozen=True, eq=False)
-class Tried:
-    """A point with its runs: the errors (R,) with lost runs at the bound, why they are lost, and what they cost.
+class ScoredCandidate:
+    """A point with its runs.
 
-    One number decides between points that lose equally many runs: the geometric mean of the errors. In logarithms a run
-    of 2 cm halved counts as much as one of 20 cm halved, so that no single long sequence decides, and the same ratios
-    are tested as in the report. Lost runs come first, because millimetres elsewhere do not make good a robot that is
-    lost; within the mean they stand at the bound, the worst that counts.
+    ``errors`` (R,) in the objective's unit, lost runs at the bound; ``lost`` (R,): why a run is lost, or "";
+    ``cpu_ms``: median CPU time of a scan; ``cpu_s``: CPU time of all runs; ``failed``: no run was completed.
+
+    Points that lose equally many runs are ordered by the geometric mean of the errors. In logarithms, halving 2 cm
+    counts as much as halving 20 cm, so that no single long sequence decides, and the report tests the same ratios. Lost
+    runs come first, because small errors elsewhere do not make up for a lost robot.
     """
 
     candidate: Candidate
@@ -45,41 +47,41 @@ class Tried:
 
     @property
     def losses(self) -> int:
-        """How many runs are lost."""
+        """The number of lost runs."""
         return sum(map(bool, self.lost))
 
     @property
     def order(self) -> tuple[int, float]:
-        """Less is better; to nine digits, so that rounding decides nothing."""
+        """The sort key, smaller is better; rounded to nine digits, so that rounding errors decide nothing."""
         return self.losses, round(math.log(self.error), 9)
 
 
-def judged(candidate: Candidate, results: Sequence[RunScores], objective: Response) -> Tried:
-    """A point with the results of its runs; a back end has ``failed`` it where no run was completed."""
+def score_candidate(candidate: Candidate, results: Sequence[RunScores], objective: Response) -> ScoredCandidate:
+    """A point with the results of its runs."""
     errors = np.array([max(bounded(result, objective), 1e-12) for result in results])
-    known = [cost for result in results if (cost := result["scores"][COST]) is not None]
-    return Tried(
+    costs_ms = [cost for result in results if (cost := result["scores"][COST]) is not None]
+    return ScoredCandidate(
         candidate,
         errors,
         tuple(why_lost(result, (objective,)) for result in results),
-        float(np.median(known)) if known else math.nan,
+        float(np.median(costs_ms)) if costs_ms else math.nan,
         float(sum(result["cpu_s"] for result in results)),
         all(result["status"] != "complete" for result in results),
     )
 
 
-def best(tried: Sequence[Tried]) -> Tried:
-    """The best of points; of equal ones the earliest, and so the default before all."""
+def best_candidate(tried: Sequence[ScoredCandidate]) -> ScoredCandidate:
+    """The best point; the earliest of equal ones, so that the default wins a tie."""
     return min(tried, key=lambda one: one.order)
 
 
-def ratio(ours: Tried, theirs: Tried, seed: int) -> Interval:
-    """The mean ratio of errors over the same runs with its 95 % bootstrap interval over runs: below 1 is better."""
+def compute_error_ratio(ours: ScoredCandidate, theirs: ScoredCandidate, seed: int) -> Interval:
+    """The geometric mean ratio of errors over the same runs with its 95 % bootstrap interval; below 1 is better."""
     logs = np.log(ours.errors) - np.log(theirs.errors)
     found = bootstrap_interval(logs, np.mean, np.random.default_rng(seed), block=1)
     return Interval(math.exp(found.value), math.exp(found.low), math.exp(found.high), found.support)
 
 
-def better(ours: Tried, theirs: Tried, found: Interval) -> bool:
-    """Whether one is better than another by more than noise: no more runs lost, all of the interval and 5 % below 1."""
-    return ours.losses <= theirs.losses and found.high < 1.0 and found.value <= 1.0 - MIN_GAIN
+def is_better(ours: ScoredCandidate, theirs: ScoredCandidate, ratio: Interval) -> bool:
+    """Whether a point loses no more runs than another, is at least 5 % better, and its whole interval is below 1."""
+    return ours.losses <= theirs.losses and ratio.high < 1.0 and ratio.value <= 1.0 - MIN_GAIN

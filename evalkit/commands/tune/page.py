@@ -8,9 +8,9 @@ from collections.abc import Sequence
 
 from evalkit.commands.tune import charts
 from evalkit.commands.tune.plan import TUNED
-from evalkit.commands.tune.result import Tuned
+from evalkit.commands.tune.result import TuningResult
 from evalkit.commands.tune.rows import held_blocks, number
-from evalkit.commands.tune.search_loop import Searched
+from evalkit.commands.tune.search_loop import SearchResult
 from evalkit.commands.tune.space import is_continuous
 from evalkit.report.html.document import (
     Block,
@@ -29,30 +29,30 @@ from evalkit.report.html.document import (
 )
 
 
-def document(told: Tuned) -> Document:
+def document(result: TuningResult) -> Document:
     """The whole page."""
-    tuning = told.tuning
+    tuning = result.tuning
     lost = tuning.objective
     facts = (
         ("Budget", f"{tuning.points} points for every back end, the default among them"),
         ("A point", f"{len(tuning.search_runs)} training runs"),
         ("Made small", f"geometric mean of {lost.metric.label}; lost runs first"),
-        ("CPU time", f"{sum(one.cpu_s for one in told.found) / 60.0:.1f} min of search"),
+        ("CPU time", f"{sum(one.cpu_s for one in result.searches) / 60.0:.1f} min of search"),
     )
     sections = (
-        _summary(told),
-        Section("Held out", held_blocks(told), "held-out"),
-        _frontiers(told),
-        Section("Budget", _budget(told), "budget"),
-        Section("Search space", _spaces(told), "space"),
-        Section("Points", [_points(told, one) for one in told.searched], "points"),
-        _how(told),
+        _summary(result),
+        Section("Held out", held_blocks(result), "held-out"),
+        _frontiers(result),
+        Section("Budget", _budget(result), "budget"),
+        Section("Search space", _spaces(result), "space"),
+        Section("Points", [_points(result, one) for one in result.searched], "points"),
+        _how(result),
     )
     return Document("evalkit tune", tuning.title, tuning.description, sections, facts)
 
 
-def _summary(told: Tuned) -> Section:
-    unit = told.tuning.objective.metric.unit
+def _summary(result: TuningResult) -> Section:
+    unit = result.tuning.objective.metric.unit
     columns = (
         Column("Back end"),
         Column("What is taken", tip="own parameters that differ from the default"),
@@ -63,8 +63,8 @@ def _summary(told: Tuned) -> Section:
         Column("Verdict"),
     )
     blocks: list[Block] = [
-        Bullets([f"{told.sentence(one)}." for one in told.searched]),
-        Table(columns, [_line(told, one) for one in told.searched]),
+        Bullets([f"{result.sentence(one)}." for one in result.searched]),
+        Table(columns, [_line(result, one) for one in result.searched]),
         Text(
             "The best of many points looks better than it is: it was chosen by the runs it is judged on. Therefore it "
             "is held against the default once more on fresh seeds of the training worlds, and taken only where it "
@@ -73,18 +73,18 @@ def _summary(told: Tuned) -> Section:
             "note",
         ),
     ]
-    if absent := [(each.label, each.missing) for each in told.tuning.entrants if each.missing]:
+    if absent := [(each.label, each.missing) for each in result.tuning.methods if each.missing]:
         blocks.append(Table(("Not here", "Why"), absent))
     return Section("Summary", blocks, "summary")
 
 
-def _line(told: Tuned, one: Searched) -> Sequence[Cell | str]:
-    label = one.entrant.label
+def _line(result: TuningResult, one: SearchResult) -> Sequence[Cell | str]:
+    label = one.tunable.label
     if one.failed:
         why = next(iter(filter(None, one.default.lost)), "")
         nothing = [Cell("-", sort=math.inf)] * 4
-        return (label, "the default", *nothing, Cell(told.verdict(one), tone="bad", tip=why))
-    held = told.held.get(label)
+        return (label, "the default", *nothing, Cell(result.verdict(one), tone="bad", tip=why))
+    held = result.held.get(label)
     duel = held.duel if held is not None else None
     tone: Tone = "bad" if held is not None and held.overfitted else "good" if duel and duel.said == "better" else ""
     return (
@@ -94,11 +94,11 @@ def _line(told: Tuned, one: Searched) -> Sequence[Cell | str]:
         _fresh(one),
         Cell("-", sort=1.0) if duel is None or duel.ratio is None else Cell(f"{duel.ratio:.2f}", sort=duel.ratio),
         Cell(f"{one.default.cpu_ms:.2f} → {one.chosen.cpu_ms:.2f}", sort=one.chosen.cpu_ms),
-        Cell(told.verdict(one), tone=tone),
+        Cell(result.verdict(one), tone=tone),
     )  # fmt: skip
 
 
-def _fresh(one: Searched) -> Cell:
+def _fresh(one: SearchResult) -> Cell:
     """How the best point did against the default on fresh seeds."""
     found = one.ratio
     if found is None:
@@ -106,7 +106,7 @@ def _fresh(one: Searched) -> Cell:
     return Cell(f"{found.value:.2f} ({found.low:.2f} to {found.high:.2f})", found.value, tip=f"{found.support} runs")
 
 
-def _changes(one: Searched) -> str:
+def _changes(one: SearchResult) -> str:
     values, default = one.chosen.candidate.values, one.default.candidate.values
     changed = [
         f"{name} {_told(default[name])} → {_told(values[name])}" for name in values if values[name] != default[name]
@@ -114,15 +114,15 @@ def _changes(one: Searched) -> str:
     return ", ".join(changed) or "the default"
 
 
-def _frontiers(told: Tuned) -> Section:
-    drawn = [one for one in told.searched if not one.failed]
+def _frontiers(result: TuningResult) -> Section:
+    drawn = [one for one in result.searched if not one.failed]
     if not drawn:
-        return Section("Accuracy against compute", [Text("No point has an answer.")], "frontier")
+        return Section("Accuracy against compute", [Text("No point has an answer.")], "pareto-front")
     return Section(
         "Accuracy against compute",
         (
-            charts.everyone(drawn, told.tuning.objective),
-            Figures([charts.alone(one, told.tuning.objective) for one in drawn]),
+            charts.pareto_fronts_chart(drawn, result.tuning.objective),
+            Figures([charts.points_chart(one, result.tuning.objective) for one in drawn]),
             Text(
                 "Every tried point as it did in training: the median over runs of the median CPU time a scan, and the "
                 "geometric mean error, lost runs at their bound. CPU times are taken while other runs go on beside, "
@@ -130,11 +130,11 @@ def _frontiers(told: Tuned) -> Section:
                 "note",
             ),
         ),
-        "frontier",
+        "pareto-front",
     )
 
 
-def _budget(told: Tuned) -> list[Block]:
+def _budget(result: TuningResult) -> list[Block]:
     columns = (
         Column("Back end"),
         Column("Points", number=True),
@@ -144,20 +144,20 @@ def _budget(told: Tuned) -> list[Block]:
         Column("CPU time", "s", number=True, tip="spent on all of them"),
         Column("Remark"),
     )
-    return [Table(columns, [_spent(told, one) for one in told.found]), *_sequences(told)]
+    return [Table(columns, [_spent(result, one) for one in result.searches]), *_sequences(result)]
 
 
-def _spent(told: Tuned, one: Searched) -> Sequence[Cell | str]:
+def _spent(result: TuningResult, one: SearchResult) -> Sequence[Cell | str]:
     fresh = one.confirmed or ()
-    points, size = len(one.tried), one.entrant.space.size
+    points, size = len(one.tried), one.tunable.space.size
     remark = ""
-    if not one.entrant.space.factors:
+    if not one.tunable.space.factors:
         remark = "nothing to search: a row to compare with"
-    elif points < told.tuning.points:
+    elif points < result.tuning.points:
         remark = f"all {size} combinations were tried" if size else "no other point was found"
     lost = sum(each.losses for each in (*one.tried, *fresh))
     return (
-        one.entrant.label,
+        one.tunable.label,
         _count(points),
         _count(sum(len(each.errors) for each in one.tried)),
         _count(sum(len(each.errors) for each in fresh)),
@@ -167,15 +167,15 @@ def _spent(told: Tuned, one: Searched) -> Sequence[Cell | str]:
     )
 
 
-def _sequences(told: Tuned) -> list[Block]:
+def _sequences(result: TuningResult) -> list[Block]:
     rows: list[Sequence[Cell | str]] = [
         (kind, one.sequence.label, _seeds(seeds), "")
-        for one in told.tuning.training
+        for one in result.tuning.training
         for kind, seeds in (("search", one.sequence.seeds), ("fresh seeds", one.confirm))
         if seeds
     ]
-    trained = {one.sequence.dataset for one in told.tuning.training}
-    for sequence in told.tuning.held_out:
+    trained = {one.sequence.dataset for one in result.tuning.training}
+    for sequence in result.tuning.held_out:
         again = sequence.dataset in trained and sequence.seeds != (None,)
         known = "same world, other seeds" if again else "never seen in training"
         rows.append(("held out", sequence.label, _seeds(sequence.seeds), known))
@@ -189,19 +189,19 @@ def _sequences(told: Tuned) -> list[Block]:
     ]
 
 
-def _spaces(told: Tuned) -> list[Block]:
-    columns = ("Back end", "Parameter", Column("Searched"), "Scale", Column("Default"), Column("Taken"))
+def _spaces(result: TuningResult) -> list[Block]:
+    columns = ("Back end", "Parameter", Column("SearchResult"), "Scale", Column("Default"), Column("Taken"))
     rows: list[Sequence[Cell | str]] = []
-    for one in told.searched:
-        for factor in one.entrant.space.factors:
+    for one in result.searched:
+        for factor in one.tunable.space.factors:
             name = factor.sets[0].partition(".")[2]
             listed = [level.label if level.number is None else f"{level.number:g}" for level in factor.levels]
             searched = f"{listed[0]} to {listed[-1]} {factor.unit}" if is_continuous(factor) else ", ".join(listed)
             taken = one.chosen.candidate.values[name]
-            rows.append((one.entrant.label, name, searched, factor.scale if factor.numbers else "-",
+            rows.append((one.tunable.label, name, searched, factor.scale if factor.numbers else "-",
                          _told(one.default.candidate.values[name]), _told(taken)))  # fmt: skip
     left = [
-        (one.entrant.label, name, why) for one in told.searched for name, why in one.entrant.left.items()
+        (one.tunable.label, name, why) for one in result.searched for name, why in one.tunable.excluded.items()
     ]  # fmt: skip
     blocks: list[Block] = [Table(columns, rows)]
     if left:
@@ -209,17 +209,17 @@ def _spaces(told: Tuned) -> list[Block]:
     return blocks
 
 
-def _points(told: Tuned, one: Searched) -> Block:
-    names = [factor.sets[0].partition(".")[2] for factor in one.entrant.space.factors]
+def _points(result: TuningResult, one: SearchResult) -> Block:
+    names = [factor.sets[0].partition(".")[2] for factor in one.tunable.space.factors]
     columns: tuple[Column | str, ...] = (
         Column("#", number=True), "found by", *names,
-        Column("error", told.tuning.objective.metric.unit, number=True),
+        Column("error", result.tuning.objective.metric.unit, number=True),
         Column("lost runs", number=True), Column("CPU", "ms", number=True), "",
     )  # fmt: skip
-    marks = charts.on_frontier(one.tried).tolist()
+    marks = charts.on_pareto_front(one.tried).tolist()
     rows: list[Sequence[Cell | str]] = []
     for position, (each, on) in enumerate(zip(one.tried, marks, strict=True)):
-        said = ["best"] * (each is one.best) + ["taken"] * (each is one.chosen) + ["frontier"] * on
+        said = ["best"] * (each is one.best) + ["taken"] * (each is one.chosen) + ["Pareto front"] * on
         values = [_value(each.candidate.values[name]) for name in names]
         why = next(iter(filter(None, each.lost)), "")
         rows.append((
@@ -227,11 +227,11 @@ def _points(told: Tuned, one: Searched) -> Block:
             Cell(str(each.losses), sort=each.losses, tone="warn" if each.losses else "", tip=why),
             Cell("-" if math.isnan(each.cpu_ms) else f"{each.cpu_ms:.2f}", sort=each.cpu_ms), ", ".join(said),
         ))  # fmt: skip
-    return Fold(f"Points of {one.entrant.label}", (Table(columns, rows),))
+    return Fold(f"Points of {one.tunable.label}", (Table(columns, rows),))
 
 
-def _how(told: Tuned) -> Section:
-    tuning = told.tuning
+def _how(result: TuningResult) -> Section:
+    tuning = result.tuning
     bound = f"{tuning.objective.lost:g} {tuning.objective.metric.unit}".rstrip()
     items = (
         f"Point 0 is the default. Half of the {tuning.points} points are spread evenly (scrambled Sobol, seed "
@@ -248,10 +248,10 @@ def _how(told: Tuned) -> Section:
         "block-bootstrap intervals, not adjusted for how many sequences there are: of twenty, one may differ by "
         "chance. Overfitted: shown to be worse than the default over all or on one sequence, or losing more runs.",
     )
-    alone = shlex.split(told.report)[2]
-    machine = Fold("This machine", (Table(("What", "Value"), list(told.ran_on.items())),))
+    alone = shlex.split(result.report)[2]
+    machine = Fold("This machine", (Table(("What", "Value"), list(result.ran_on.items())),))
     full = Text(f"The full comparison of default and tuned rows, from {alone}:")
-    return Section("How", (Bullets(items), Command(tuning.command), full, Command(told.report), machine), "how")
+    return Section("How", (Bullets(items), Command(tuning.command), full, Command(result.report), machine), "how")
 
 
 def _seeds(seeds: Sequence[int | None]) -> str:

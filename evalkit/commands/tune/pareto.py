@@ -1,4 +1,4 @@
-"""What accuracy costs: the points that no other beats in both error and time."""
+"""The Pareto front of error and cost."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
 
 
-def frontier(costs: Floats, errors: Floats) -> Bools:
-    """Which of N points no other dominates: at most as dear, at most as wrong, and better in one of the two.
+def pareto_front(costs: Floats, errors: Floats) -> Bools:
+    """Marks (N,) of the points on the Pareto front; smaller is better in both.
 
-    Less is better in both (Pareto). Points with a value that is not finite are never on it; of equal ones, all are.
+    A point dominates another if it is no worse in both and better in one. Points with a value that is not finite are
+    not on the front; equal points are on it together.
     """
     both = np.column_stack([costs, errors]).astype(np.float64).reshape(-1, 2)
     known = np.asarray(np.isfinite(both).all(axis=1))

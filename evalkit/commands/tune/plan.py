@@ -1,4 +1,4 @@
-"""A tuning: who is searched with how much, on which training sequences, and what it is judged on afterwards."""
+"""A tuning: methods and their search spaces, budget, training sequences and held-out sequences."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from evalkit.plugins import registry
 from evalkit.plugins.code_hash import of_files
 
 COST = "cpu_median_ms"
-"""What accuracy is held against: CPU time a scan."""
+"""The metric of the cost: CPU time of a scan."""
 
 TUNED = " tuned"
-"""What the label of a tuned row ends in."""
+"""The end of a tuned method's label."""
 
 
 @dataclass(frozen=True)
-class Entrant:
-    """A back end to be tuned: its own settings, its space, and why other parameters are not searched, by name."""
+class TunableMethod:
+    """A method to tune and its search space; ``excluded``: why a parameter is not searched, by name."""
 
     method: Method
     space: Space
-    left: Mapping[str, str]
+    excluded: Mapping[str, str]
 
     @property
     def label(self) -> str:
@@ -43,15 +43,15 @@ class Entrant:
 
 @dataclass(frozen=True)
 class Training:
-    """A sequence to be tuned on: the seeds of its sequence are searched with, ``confirm`` are for the best alone."""
+    """A training sequence: its own seeds are for the search, ``confirm`` for the best point and the default."""
 
     sequence: SequenceSpec
     confirm: tuple[int, ...]
 
 
 @dataclass(frozen=True)
-class Run:
-    """One repetition of a sequence."""
+class TrainingRun:
+    """One repetition of a training sequence."""
 
     sequence: SequenceSpec
     seed: int | None
@@ -64,10 +64,10 @@ class Run:
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """A whole tuning, ready to run. ``command``: what runs it; ``points``: the budget of every back end.
+    """A whole tuning, ready to run. ``command`` runs it; ``points``: the budget of every back end.
 
-    ``objective``: what is made small on the training runs. ``run_cpu_s``: a training run that takes more CPU time is
-    lost. ``limits`` are those of the held-out runs. ``backends``: named on the command line, not in a file.
+    ``objective``: the error to minimise on the training runs; ``run_cpu_s``: a training run that takes more CPU time
+    is lost; ``limits``: of the held-out runs.
     """
 
     name: str
@@ -78,29 +78,29 @@ class Tuning:
     seed: int
     objective: Response
     run_cpu_s: float
-    entrants: tuple[Entrant, ...]
+    methods: tuple[TunableMethod, ...]
     training: tuple[Training, ...]
     held_out: tuple[SequenceSpec, ...]
     mapper: MapperChoice
     limits: Limits
 
     @cached_property
-    def search_runs(self) -> tuple[Run, ...]:
-        """The runs every point is scored on."""
-        return tuple(Run(one.sequence, seed) for one in self.training for seed in one.sequence.seeds)
+    def search_runs(self) -> tuple[TrainingRun, ...]:
+        """The runs on which every point is scored."""
+        return tuple(TrainingRun(one.sequence, seed) for one in self.training for seed in one.sequence.seeds)
 
     @cached_property
-    def confirm_runs(self) -> tuple[Run, ...]:
-        """The runs that default and best point are compared on: nothing was chosen by them."""
-        return tuple(Run(one.sequence, seed) for one in self.training for seed in one.confirm)
+    def confirm_runs(self) -> tuple[TrainingRun, ...]:
+        """The runs on which default and best point are compared; the search does not use them."""
+        return tuple(TrainingRun(one.sequence, seed) for one in self.training for seed in one.confirm)
 
-    def task(self, entrant: Entrant, candidate: Candidate, run: Run) -> Task[RunScores]:
+    def task(self, tunable: TunableMethod, candidate: Candidate, run: TrainingRun) -> Task[RunScores]:
         """One run of one point."""
         return make_task(
-            f"{entrant.label} | {run.label} | {candidate.name}", run_trial, cpu_s=self.run_cpu_s,
-            backend=entrant.method.backend, parameters=dict(candidate.values), dataset=run.sequence.dataset,
-            sequence=run.sequence.seeded(run.seed), metrics=[self.objective.name, COST],
-            code=self._code(entrant.method.backend, run.sequence.dataset) + of_files(run.sequence.parameters),
+            f"{tunable.label} | {run.label} | {candidate.name}", run_trial, cpu_s=self.run_cpu_s,
+            backend=tunable.method.backend, parameters=dict(candidate.values), dataset=run.sequence.dataset,
+            sequence=run.sequence.seeded(run.seed), mapper=self.mapper.name, metrics=[self.objective.name, COST],
+            code=self._code(tunable.method.backend, run.sequence.dataset) + of_files(run.sequence.parameters),
         ).limited(self.limits.run_s)  # fmt: skip
 
     def _code(self, backend: str, dataset: str) -> str:

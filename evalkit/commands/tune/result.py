@@ -1,4 +1,4 @@
-"""All that a tuning found, as its page and its JSON need it."""
+"""The result of a tuning, for its page and its JSON."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-from evalkit.commands.tune.held_out import Held, held
+from evalkit.commands.tune.held_out import HeldOutVerdict, judge_held_out
 from evalkit.commands.tune.plan import Tuning
-from evalkit.commands.tune.search_loop import Searched
+from evalkit.commands.tune.search_loop import SearchResult
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.standings import STATUS
 
@@ -16,46 +16,49 @@ FAILED = ("failed", "crashed", "timed out", "out of memory")
 
 
 @dataclass(frozen=True, eq=False)
-class Tuned:
-    """A tuning, what its search found, and the comparison on held-out sequences; ``report`` makes that in full."""
+class TuningResult:
+    """A tuning, its searches, and the comparison on held-out sequences.
+
+    ``report``: the command that makes the full report of that comparison.
+    """
 
     tuning: Tuning
-    found: Sequence[Searched]
+    searches: Sequence[SearchResult]
     comparison: Comparison
     ran_on: Mapping[str, str]
     report: str
 
     @property
-    def searched(self) -> tuple[Searched, ...]:
-        """Those that had something to search."""
-        return tuple(one for one in self.found if one.entrant.space.factors)
+    def searched(self) -> tuple[SearchResult, ...]:
+        """The searches of back ends that have something to search."""
+        return tuple(one for one in self.searches if one.tunable.space.factors)
 
     @cached_property
-    def held(self) -> Mapping[str, Held]:
-        """The verdicts by the back end's label, of those for which something better was found."""
-        return {one.label: one for one in held(self.comparison, self.found)}
+    def held(self) -> Mapping[str, HeldOutVerdict]:
+        """The verdicts on tuned back ends by label."""
+        return {one.label: one for one in judge_held_out(self.comparison, self.searches)}
 
     @cached_property
     def failed(self) -> tuple[str, ...]:
-        """Who completed no run at all, in the search or held out."""
-        never = [one.entrant.label for one in self.found if one.failed]
+        """The labels of methods that completed no run, in the search or on held-out sequences."""
+        never = [one.tunable.label for one in self.searches if one.failed]
         statuses: dict[str, list[str]] = {}
         for record in self.comparison.records:
             statuses.setdefault(record.method, []).append(STATUS[record.result.status])
-        never += [label for label, told in statuses.items() if all(each in FAILED for each in told)]
+        never += [label for label, own in statuses.items() if all(each in FAILED for each in own)]
         return tuple(dict.fromkeys(never))
 
-    def verdict(self, one: Searched) -> str:
-        """What is said of a back end in one phrase."""
+    def verdict(self, one: SearchResult) -> str:
+        """The verdict on a back end in one phrase."""
         if one.failed:
-            return "failed: no run of no point was completed"
-        return self.held[one.entrant.label].verdict if one.tuned else one.why
+            return "failed: no run of any point was completed"
+        return self.held[one.tunable.label].verdict if one.tuned else one.why
 
-    def sentence(self, one: Searched) -> str:
-        """The verdict with the numbers it stands on."""
-        held = self.held.get(one.entrant.label)
+    def sentence(self, one: SearchResult) -> str:
+        """The verdict on a back end with its numbers."""
+        held = self.held.get(one.tunable.label)
         duel = held.duel if held is not None else None
         if one.failed or duel is None or duel.ratio is None:
-            return f"{one.entrant.label}: {self.verdict(one)}"
+            return f"{one.tunable.label}: {self.verdict(one)}"
         numbers = f"error {duel.ratio:.2f} times the default's in the median of {duel.runs} runs, p = {duel.p:.2g}"
-        return f"{one.entrant.label}: {self.verdict(one)} ({numbers})"
+        return f"{one.tunable.label}: {self.verdict(one)} ({numbers})"

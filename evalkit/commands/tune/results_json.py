@@ -7,11 +7,11 @@ Keys, schema version 1. Errors are in ``objective.unit``, CPU times in what thei
 the search, search and confirming runs a point, CPU limit of a run; ``training`` and ``held_out``: sequences with seeds;
 ``backends``, one each: ``label``, ``backend``, ``missing`` (why it could not run), ``space`` (parameter: levels, scale,
 continuous), ``not_searched`` (parameter: why), ``spent`` (points, runs, lost_runs, cpu_s), ``points`` (found: default,
-spread, step or all; parameters that are searched, error, lost_runs, reasons, cpu_median_ms, frontier), ``best`` (index
-of the best point), ``confirmed`` (errors of default and best on fresh seeds, ratio with low and high; null where the
-default was the best), ``tuned`` (whether the best is taken), ``why``, ``parameters`` (all that are taken), ``held_out``
-(verdict, overfitted, lost runs of both, runs, ratio, p by Holm, ``detectable_ratio``: the least factor above 1 between
-both that could have been shown; null where the default is kept).
+spread, step or all; parameters that are searched, error, lost_runs, reasons, cpu_median_ms, pareto_front), ``best``
+(index of the best point), ``confirmed`` (errors of default and best on fresh seeds, ratio with low and high; null if
+the default was the best), ``tuned`` (whether the best is taken), ``why``, ``parameters`` (all that are taken),
+``held_out`` (verdict, overfitted, lost runs of both, runs, ratio, p by Holm, ``detectable_ratio``: the least factor
+above 1 between both that could have been shown; null where the default is kept).
 """
 
 from __future__ import annotations
@@ -19,28 +19,28 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from evalkit.commands.tune.charts import on_frontier
-from evalkit.commands.tune.held_out import Held
-from evalkit.commands.tune.objective import Tried
-from evalkit.commands.tune.plan import Entrant
-from evalkit.commands.tune.result import Tuned
-from evalkit.commands.tune.search_loop import Searched
+from evalkit.commands.tune.charts import on_pareto_front
+from evalkit.commands.tune.held_out import HeldOutVerdict
+from evalkit.commands.tune.objective import ScoredCandidate
+from evalkit.commands.tune.plan import TunableMethod
+from evalkit.commands.tune.result import TuningResult
+from evalkit.commands.tune.search_loop import SearchResult
 from evalkit.commands.tune.space import is_continuous
 from evalkit.config.experiment import SequenceSpec
 
 SCHEMA_VERSION = 1
 
 
-def record(told: Tuned) -> dict[str, Any]:
+def record(result: TuningResult) -> dict[str, Any]:
     """All of it in numbers, texts, lists and dictionaries."""
-    tuning = told.tuning
-    by_label = {one.entrant.label: one for one in told.found}
+    tuning = result.tuning
+    by_label = {one.tunable.label: one for one in result.searches}
     return {
         "schema_version": SCHEMA_VERSION,
         "title": tuning.title,
         "command": tuning.command,
-        "report": told.report,
-        "environment": dict(told.ran_on),
+        "report": result.report,
+        "environment": dict(result.ran_on),
         "objective": {
             "metric": tuning.objective.name,
             "unit": tuning.objective.metric.unit,
@@ -55,7 +55,7 @@ def record(told: Tuned) -> dict[str, Any]:
         },
         "training": [_sequence(one.sequence) | {"confirm": list(one.confirm)} for one in tuning.training],
         "held_out": [_sequence(sequence) for sequence in tuning.held_out],
-        "backends": [_backend(told, entrant, by_label.get(entrant.label)) for entrant in tuning.entrants],
+        "backends": [_backend(result, tunable, by_label.get(tunable.label)) for tunable in tuning.methods],
     }
 
 
@@ -65,30 +65,30 @@ def _sequence(sequence: SequenceSpec) -> dict[str, Any]:
     return {"label": sequence.label, "dataset": sequence.dataset, "seeds": seeds, "parameters": parameters}
 
 
-def _backend(told: Tuned, entrant: Entrant, one: Searched | None) -> dict[str, Any]:
+def _backend(result: TuningResult, tunable: TunableMethod, one: SearchResult | None) -> dict[str, Any]:
     space = {
         factor.name: {
             "levels": [level.label if level.number is None else level.number for level in factor.levels],
             "scale": factor.scale,
             "continuous": is_continuous(factor),
         }
-        for factor in entrant.space.factors
+        for factor in tunable.space.factors
     }
     head = {
-        "label": entrant.label,
-        "backend": entrant.method.backend,
-        "missing": entrant.missing,
+        "label": tunable.label,
+        "backend": tunable.method.backend,
+        "missing": tunable.missing,
         "space": space,
-        "not_searched": dict(entrant.left),
+        "not_searched": dict(tunable.excluded),
     }
-    return head if one is None else head | _searched(told, one)
+    return head if one is None else head | _searched(result, one)
 
 
-def _searched(told: Tuned, one: Searched) -> dict[str, Any]:
-    on = on_frontier(one.tried).tolist()
+def _searched(result: TuningResult, one: SearchResult) -> dict[str, Any]:
+    on = on_pareto_front(one.tried).tolist()
     pair = (*one.tried, *(one.confirmed or ()))
     runs = sum(len(each.errors) for each in pair)
-    held = told.held.get(one.entrant.label)
+    held = result.held.get(one.tunable.label)
     return {
         "spent": {
             "points": len(one.tried),
@@ -106,8 +106,8 @@ def _searched(told: Tuned, one: Searched) -> dict[str, Any]:
     }
 
 
-def _point(one: Searched, each: Tried, on: bool) -> dict[str, Any]:
-    names = [name for factor in one.entrant.space.factors for name in factor.sets]
+def _point(one: SearchResult, each: ScoredCandidate, on: bool) -> dict[str, Any]:
+    names = [name for factor in one.tunable.space.factors for name in factor.sets]
     return {
         "found": each.candidate.found,
         "parameters": {name.partition(".")[2]: each.candidate.values[name.partition(".")[2]] for name in names},
@@ -115,11 +115,11 @@ def _point(one: Searched, each: Tried, on: bool) -> dict[str, Any]:
         "lost_runs": each.losses,
         "reasons": list(dict.fromkeys(filter(None, each.lost))),
         "cpu_median_ms": _finite(each.cpu_ms),
-        "frontier": on,
+        "pareto_front": on,
     }
 
 
-def _confirmed(one: Searched) -> dict[str, Any] | None:
+def _confirmed(one: SearchResult) -> dict[str, Any] | None:
     if one.confirmed is None or one.ratio is None:
         return None
     default, best = one.confirmed
@@ -127,7 +127,7 @@ def _confirmed(one: Searched) -> dict[str, Any] | None:
     return {"default": default.errors.tolist(), "best": best.errors.tolist(), "ratio": ratio}
 
 
-def _held(held: Held) -> dict[str, Any]:
+def _held(held: HeldOutVerdict) -> dict[str, Any]:
     duel = held.duel
     tested = {} if duel is None else {
         "runs": duel.runs,

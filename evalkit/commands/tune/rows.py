@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from evalkit.commands.tune.held_out import Held, OnSequence
-from evalkit.commands.tune.result import Tuned
+from evalkit.commands.tune.held_out import HeldOutSequence, HeldOutVerdict
+from evalkit.commands.tune.result import TuningResult
 from evalkit.core.run_result import NOT_EXECUTED, RunStatus
 from evalkit.report.analysis.cells import Cell as Score
 from evalkit.report.analysis.cells import interval
@@ -14,18 +14,18 @@ from evalkit.report.analysis.standings import STATUS, Standing, deciding
 from evalkit.report.html.document import Block, Cell, Column, Table, Text
 
 
-def held_blocks(told: Tuned) -> list[Block]:
+def held_blocks(result: TuningResult) -> list[Block]:
     """The rows with their intervals, the tests over all runs, and the differences on each sequence."""
-    comparison = told.comparison
+    comparison = result.comparison
     standings = {name: deciding(comparison, name) for name in comparison.sequence_labels}
     columns = [Column("Row"), *(_heading(name, found) for name, found in standings.items())]
     rows = [
-        [Cell(label), *(_score(told, label, name, found) for name, found in standings.items())]
+        [Cell(label), *(_score(result, label, name, found) for name, found in standings.items())]
         for label in comparison.method_labels
     ]
     caption = "Median over the runs with its 95 % interval, in the metric that decides the sequence"
     blocks: list[Block] = [Table(columns, rows, caption)]
-    held = list(told.held.values())
+    held = list(result.held.values())
     if not held:
         return [*blocks, Text("No back end was tuned: all keep their default.")]
     blocks.append(_tests(held))
@@ -45,9 +45,9 @@ def _heading(name: str, found: Standing | None) -> Column:
     return Column(f"{name}: {found.metric.label}", found.metric.unit, number=True)
 
 
-def _score(told: Tuned, label: str, sequence: str, found: Standing | None) -> Cell:
+def _score(result: TuningResult, label: str, sequence: str, found: Standing | None) -> Cell:
     score: Score | None = None if found is None else found.of(label)
-    own = [record for record in told.comparison.records if (record.method, record.sequence) == (label, sequence)]
+    own = [record for record in result.comparison.records if (record.method, record.sequence) == (label, sequence)]
     if score is None or not score.values:
         statuses = dict.fromkeys(STATUS[record.result.status] for record in own if not record.result.is_complete)
         why = score.reason if score is not None else "; ".join(record.result.reason for record in own[:1])
@@ -60,7 +60,7 @@ def _score(told: Tuned, label: str, sequence: str, found: Standing | None) -> Ce
     return Cell(text, sort=middle, tone="warn" if lost else "", tip=f"{len(score.values)} runs")
 
 
-def _tests(held: Sequence[Held]) -> Table:
+def _tests(held: Sequence[HeldOutVerdict]) -> Table:
     columns = (
         Column("Back end"),
         Column("Runs", number=True, tip="runs both made on sequences with a truth and a geometry that fixes the pose"),
@@ -71,10 +71,10 @@ def _tests(held: Sequence[Held]) -> Table:
         Column("Lost", number=True, tip="runs lost: default → tuned"),
         Column("Verdict"),
     )  # fmt: skip
-    return Table(columns, [_test(one) for one in held], "Tuned against default, over all held-out runs")
+    return Table(columns, [_test(one) for one in held], "TuningResult against default, over all held-out runs")
 
 
-def _test(one: Held) -> Sequence[Cell | str]:
+def _test(one: HeldOutVerdict) -> Sequence[Cell | str]:
     duel = one.duel
     lost = Cell(f"{one.lost[0]} → {one.lost[1]}", sort=one.lost[1] - one.lost[0])
     verdict = Cell(one.verdict, tone="bad" if one.overfitted else "")
@@ -93,17 +93,17 @@ def _test(one: Held) -> Sequence[Cell | str]:
     )
 
 
-def _differences(pairs: Sequence[tuple[str, OnSequence]]) -> Table:
+def _differences(pairs: Sequence[tuple[str, HeldOutSequence]]) -> Table:
     columns = (
         Column("Back end"), Column("Sequence"), Column("Metric"), Column("Default", number=True),
         Column("Tuned", number=True), Column("Tuned - default", number=True, tip="paired, with 95 % interval"),
         Column("Detectable", number=True, tip="the difference these runs would have shown with 80 % power at 5 %"),
         Column("Shown"),
     )  # fmt: skip
-    return Table(columns, [_difference(*pair) for pair in pairs], "Tuned against default, sequence by sequence")
+    return Table(columns, [_difference(*pair) for pair in pairs], "TuningResult against default, sequence by sequence")
 
 
-def _difference(label: str, one: OnSequence) -> Sequence[Cell | str]:
+def _difference(label: str, one: HeldOutSequence) -> Sequence[Cell | str]:
     metric = one.standing.metric
     unit = f" {metric.unit}" if metric.unit else ""
     head = (label, one.standing.sequence, metric.label)
@@ -113,7 +113,7 @@ def _difference(label: str, one: OnSequence) -> Sequence[Cell | str]:
     found, said = one.apart.interval, "no difference shown"
     if one.shown:
         said = "worse" if one.worse else "better"
-    told = f"{found.value:+.3g} ({found.low:+.3g} to {found.high:+.3g}){unit}"
+    result = f"{found.value:+.3g} ({found.low:+.3g} to {found.high:+.3g}){unit}"
     detectable = one.apart.detectable
-    return (*head, *medians, Cell(told, sort=found.value), Cell(f"{number(detectable)}{unit}", sort=detectable),
+    return (*head, *medians, Cell(result, sort=found.value), Cell(f"{number(detectable)}{unit}", sort=detectable),
             Cell(said, tone="bad" if one.worse else "good" if one.shown else ""))  # fmt: skip

@@ -1,4 +1,4 @@
-"""The search itself: rounds of points for all back ends together, then the best against the default on fresh seeds."""
+"""Search all back ends in rounds, then compare each best point with its default on fresh seeds."""
 
 from __future__ import annotations
 
@@ -9,8 +9,14 @@ from pathlib import Path
 
 from evalkit.commands.study.evaluate import RunScores
 from evalkit.commands.study.result import run_study_tasks
-from evalkit.commands.tune.objective import Tried, best, better, judged, ratio
-from evalkit.commands.tune.plan import Entrant, Run, Tuning
+from evalkit.commands.tune.objective import (
+    ScoredCandidate,
+    best_candidate,
+    compute_error_ratio,
+    is_better,
+    score_candidate,
+)
+from evalkit.commands.tune.plan import TrainingRun, TunableMethod, Tuning
 from evalkit.commands.tune.search import Search
 from evalkit.commands.tune.space import Candidate
 from evalkit.execution.task import Task
@@ -19,11 +25,13 @@ from evalkit.execution.task_store import TaskStore
 from evalkit.stats.intervals import Interval
 
 Compute = Callable[[Sequence[Task[RunScores]]], Mapping[str, RunScores]]
-"""Gives the results of tasks by name."""
+"""Returns the results of tasks by name."""
+
+Candidates = list[tuple[TunableMethod, Candidate]]
 
 
-class Unmade(Exception):
-    """A result is not there, and none shall be made; how many are missing before the search can go on."""
+class ResultsMissing(Exception):
+    """``missing`` results of the search's next tasks are not stored, and nothing may be computed."""
 
     def __init__(self, missing: int) -> None:
         super().__init__(missing)
@@ -31,133 +39,140 @@ class Unmade(Exception):
 
 
 @dataclass(frozen=True, eq=False)
-class Searched:
-    """What came of one back end: every point in the order tried, and how the best did against the default.
+class SearchResult:
+    """The search of one back end: every point in the order tried, and the best point against the default.
 
-    ``confirmed``: default and best on fresh seeds, None where the default was the best. ``ratio``: of their errors
-    there. ``tuned``: whether the best is taken; ``why`` says why, or why the default is kept.
+    ``confirmed``: default and best point on fresh seeds, None if the default was best. ``ratio``: of their errors
+    there. ``tuned``: whether the best point replaces the default; ``why``: the reason.
     """
 
-    entrant: Entrant
-    tried: tuple[Tried, ...]
-    confirmed: tuple[Tried, Tried] | None
+    tunable: TunableMethod
+    tried: tuple[ScoredCandidate, ...]
+    confirmed: tuple[ScoredCandidate, ScoredCandidate] | None
     ratio: Interval | None
     tuned: bool
     why: str
 
     @property
-    def default(self) -> Tried:
+    def default(self) -> ScoredCandidate:
         """The default, which is the first point."""
         return self.tried[0]
 
     @property
-    def best(self) -> Tried:
+    def best(self) -> ScoredCandidate:
         """The best point of the search."""
-        return best(self.tried)
+        return best_candidate(self.tried)
 
     @property
-    def chosen(self) -> Tried:
-        """What is taken: the best if it is better by more than noise, else the default."""
+    def chosen(self) -> ScoredCandidate:
+        """The best point if it is better beyond noise, otherwise the default."""
         return self.best if self.tuned else self.default
 
     @property
     def failed(self) -> bool:
-        """Whether no run of no point was completed."""
+        """Whether no run of any point was completed."""
         return all(one.failed for one in self.tried)
 
     @property
     def cpu_s(self) -> float:
-        """CPU seconds spent on it, confirmation included."""
+        """CPU seconds of all runs, fresh seeds included."""
         return float(sum(one.cpu_s for one in (*self.tried, *(self.confirmed or ()))))
 
 
-def searched(tuning: Tuning, compute: Compute) -> tuple[Searched, ...]:
-    """Every back end that can run here, searched with the same budget; the same tuning gives the same points."""
-    entrants = [entrant for entrant in tuning.entrants if not entrant.missing]
-    tried: dict[str, list[Tried]] = {entrant.label: [] for entrant in entrants}
-    while asked := _asked(tuning, entrants, tried):
-        for entrant, one in _judged(tuning, compute, asked, tuning.search_runs):
-            tried[entrant.label].append(one)
-    return _confirmed(tuning, compute, entrants, tried)
+def run_search(tuning: Tuning, compute: Compute) -> tuple[SearchResult, ...]:
+    """Searches every back end that can run here, all with the same budget; the same tuning tries the same points."""
+    methods = [tunable for tunable in tuning.methods if not tunable.missing]
+    tried: dict[str, list[ScoredCandidate]] = {tunable.label: [] for tunable in methods}
+    while candidates := _next_candidates(tuning, methods, tried):
+        for tunable, scored in _score(tuning, compute, candidates, tuning.search_runs):
+            tried[tunable.label].append(scored)
+    return _confirm(tuning, compute, methods, tried)
 
 
-def making(folder: Path, workers: int, done: OnDone) -> Compute:
-    """Computes what is not kept in a folder, with so many processes."""
-    return lambda tasks: run_study_tasks(tasks, folder, workers, done)
+def compute_missing(folder: Path, workers: int, on_done: OnDone) -> Compute:
+    """A ``Compute`` that runs tasks without a stored result in so many processes."""
+    return lambda tasks: run_study_tasks(tasks, folder, workers, on_done)
 
 
-def collecting(folder: Path) -> Compute:
-    """Takes what is kept in a folder; Unmade where something is not."""
+def load_stored(folder: Path) -> Compute:
+    """A ``Compute`` that only loads stored results. It raises ResultsMissing if some are missing."""
     store = TaskStore(folder)
 
     def load(tasks: Sequence[Task[RunScores]]) -> Mapping[str, RunScores]:
         results = {task.name: result for task in tasks if (result := store.load(task)) is not None}
         if len(results) < len(tasks):
-            raise Unmade(len(tasks) - len(results))
+            raise ResultsMissing(len(tasks) - len(results))
         return results
 
     return load
 
 
-def expected_runs(tuning: Tuning) -> int:
-    """At most so many training runs are made."""
-    entrants = [entrant for entrant in tuning.entrants if not entrant.missing]
-    points = [tuning.points if entrant.space.factors else 1 for entrant in entrants]
-    confirming = 2 * len(tuning.confirm_runs) * sum(count > 1 for count in points)
-    return sum(points) * len(tuning.search_runs) + confirming
+def count_runs(tuning: Tuning) -> int:
+    """The largest number of training runs that the search may need."""
+    methods = [tunable for tunable in tuning.methods if not tunable.missing]
+    points = [tuning.points if tunable.space.factors else 1 for tunable in methods]
+    confirm_runs = 2 * len(tuning.confirm_runs) * sum(count > 1 for count in points)
+    return sum(points) * len(tuning.search_runs) + confirm_runs
 
 
-Asked = list[tuple[Entrant, Candidate]]
-
-
-def _asked(tuning: Tuning, entrants: Sequence[Entrant], tried: Mapping[str, Sequence[Tried]]) -> Asked:
+def _next_candidates(
+    tuning: Tuning, methods: Sequence[TunableMethod], tried: Mapping[str, Sequence[ScoredCandidate]]
+) -> Candidates:
     """The next points of all back ends."""
-    asked: Asked = []
-    for entrant in entrants:
-        known = tried[entrant.label]
-        search = Search(entrant.space, tuning.points, tuning.seed)
-        found = search.next([one.candidate for one in known], best(known).candidate if known else None)
-        asked += [(entrant, candidate) for candidate in found]
-    return asked
+    candidates: Candidates = []
+    for tunable in methods:
+        known = tried[tunable.label]
+        search = Search(tunable.space, tuning.points, tuning.seed)
+        best = best_candidate(known).candidate if known else None
+        candidates += [(tunable, candidate) for candidate in search.next([one.candidate for one in known], best)]
+    return candidates
 
 
-def _judged(tuning: Tuning, compute: Compute, asked: Asked, runs: Sequence[Run]) -> list[tuple[Entrant, Tried]]:
-    """Points with their results; jobs on one sequence stand next to each other: it is simulated once for them."""
-    tasks = [tuning.task(entrant, candidate, run) for entrant, candidate in asked for run in runs]
+def _score(
+    tuning: Tuning, compute: Compute, candidates: Candidates, runs: Sequence[TrainingRun]
+) -> list[tuple[TunableMethod, ScoredCandidate]]:
+    """Runs and scores points; tasks on one sequence are neighbours, so that it is simulated once."""
+    tasks = [tuning.task(tunable, candidate, run) for tunable, candidate in candidates for run in runs]
     results = compute(sorted(tasks, key=lambda task: json.dumps(task.arguments["sequence"], sort_keys=True)))
     names = iter(task.name for task in tasks)
     return [
-        (entrant, judged(candidate, [results[next(names)] for _ in runs], tuning.objective))
-        for entrant, candidate in asked
+        (tunable, score_candidate(candidate, [results[next(names)] for _ in runs], tuning.objective))
+        for tunable, candidate in candidates
     ]
 
 
-def _confirmed(
-    tuning: Tuning, compute: Compute, entrants: Sequence[Entrant], tried: Mapping[str, Sequence[Tried]]
-) -> tuple[Searched, ...]:
-    hopeful = [entrant for entrant in entrants if best(tried[entrant.label]) is not tried[entrant.label][0]]
-    asked: Asked = []
-    for entrant in hopeful:
-        known = tried[entrant.label]
-        asked += [(entrant, known[0].candidate), (entrant, best(known).candidate)]
-    found: dict[str, list[Tried]] = {}
-    for entrant, one in _judged(tuning, compute, asked, tuning.confirm_runs) if asked else []:
-        found.setdefault(entrant.label, []).append(one)
-    return tuple(_decided(tuning, each, tried[each.label], found.get(each.label, [])) for each in entrants)
+def _confirm(
+    tuning: Tuning, compute: Compute, methods: Sequence[TunableMethod], tried: Mapping[str, Sequence[ScoredCandidate]]
+) -> tuple[SearchResult, ...]:
+    """Runs default and best point on fresh seeds for every back end whose best point is not the default."""
+    candidates: Candidates = []
+    for tunable in methods:
+        known = tried[tunable.label]
+        if (best := best_candidate(known)) is not known[0]:
+            candidates += [(tunable, known[0].candidate), (tunable, best.candidate)]
+    pairs: dict[str, list[ScoredCandidate]] = {}
+    for tunable, scored in _score(tuning, compute, candidates, tuning.confirm_runs) if candidates else []:
+        pairs.setdefault(tunable.label, []).append(scored)
+    return tuple(_decide(tuning, each, tried[each.label], pairs.get(each.label, [])) for each in methods)
 
 
-def _decided(tuning: Tuning, entrant: Entrant, tried: Sequence[Tried], pair: Sequence[Tried]) -> Searched:
+def _decide(
+    tuning: Tuning, tunable: TunableMethod, tried: Sequence[ScoredCandidate], pair: Sequence[ScoredCandidate]
+) -> SearchResult:
+    """Takes the best point or keeps the default, by the ``pair`` of default and best on fresh seeds."""
     if not pair:
         why = "it has nothing to search" if len(tried) == 1 else "no point was better in the search"
-        return Searched(entrant, tuple(tried), None, None, False, f"default kept: {why}")
+        return SearchResult(tunable, tuple(tried), None, None, False, f"default kept: {why}")
     default, candidate = pair
-    found = ratio(candidate, default, tuning.seed)
-    taken = better(candidate, default, found)
-    why = "better on fresh seeds by more than noise" if taken else f"default kept: {_not_better(candidate, default)}"
-    return Searched(entrant, tuple(tried), (default, candidate), found, taken, why)
+    ratio = compute_error_ratio(candidate, default, tuning.seed)
+    taken = is_better(candidate, default, ratio)
+    why = (
+        "better on fresh seeds by more than noise" if taken else f"default kept: {_reason_to_keep(candidate, default)}"
+    )
+    return SearchResult(tunable, tuple(tried), (default, candidate), ratio, taken, why)
 
 
-def _not_better(candidate: Tried, default: Tried) -> str:
+def _reason_to_keep(candidate: ScoredCandidate, default: ScoredCandidate) -> str:
     if candidate.losses > default.losses:
-        return "the best of the search loses more runs on fresh seeds"
-    return "what the best of the search gains is not more than noise on fresh seeds"
+        return "default kept: the best point of the search loses more runs on fresh seeds"
+    return "default kept: the gain of the best point is within noise on fresh seeds"

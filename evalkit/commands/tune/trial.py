@@ -1,4 +1,4 @@
-"""One training run of one point, in this process and within a limit of CPU time."""
+"""Run one training run of a point in this process, within a limit of CPU time."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from contextlib import contextmanager
 from evalkit.commands.study.evaluate import RunScores, evaluate, prepared
 from evalkit.plugins.parameters import Value
 
-NO_MAP = "log-odds"
-"""The mapper a point is asked to name; no map is drawn for errors of a trajectory and for CPU time."""
+MAP_SCANS = 2
+"""Fewest scans of a map: errors of a trajectory and CPU time do not depend on it."""
 
-LOOK_EVERY_S = 0.5
+CHECK_EVERY_S = 0.5
 
 
-class TookTooLong(Exception):
-    """A run that has used up its CPU time; told as the reason why it failed."""
+class CpuTimeExceeded(Exception):
+    """A run has used up its CPU time; the message is the reason of its failure."""
 
 
 def run_trial(
@@ -26,38 +26,39 @@ def run_trial(
     parameters: Mapping[str, Value],
     dataset: str,
     sequence: Mapping[str, Value],
+    mapper: str,
     metrics: Sequence[str],
     code: str,
 ) -> RunScores:
-    """The scores of a run, as of a study's point; one that takes more than ``cpu_s`` seconds of CPU time has failed.
+    """The scores of a run as for a study's point; a run that takes more than ``cpu_s`` seconds of CPU time has failed.
 
-    The simulation of the sequence is on nobody's account: of all who are tried on it, the first would pay for it.
+    The time to simulate the sequence does not count: it would be charged only to the first run on the sequence.
     """
     prepared(dataset, sequence)
     with _limited(cpu_s):
-        return evaluate(backend, parameters, dataset, sequence, NO_MAP, {}, 2, metrics, code)
+        return evaluate(backend, parameters, dataset, sequence, mapper, {}, MAP_SCANS, metrics, code)
 
 
 @contextmanager
 def _limited(cpu_s: float) -> Iterator[None]:
-    """Raises TookTooLong in the main thread once this process has used so much CPU time, between two calls of C code.
+    """Raises CpuTimeExceeded in the main thread, between two calls of C code, when this process has used ``cpu_s``.
 
-    The clock is looked at now and then: a timer of CPU time would make some systems count it in ticks of milliseconds,
-    and the time a scan takes is one of the results. Where the system has no such timer there is no limit.
+    A wall-clock timer checks the CPU time: with a CPU timer, some systems count CPU time in ticks of milliseconds, and
+    the time of a scan is one of the results. No limit on systems without such a timer.
     """
     if not hasattr(signal, "setitimer"):
         yield
         return
     end_s = time.process_time() + cpu_s
 
-    def look(_signal: int, _frame: object) -> None:
+    def check(_signal: int, _frame: object) -> None:
         nonlocal end_s
         if time.process_time() > end_s:
             end_s += cpu_s  # for the scores, and for a back end that goes on whatever is raised
-            raise TookTooLong(f"more than {cpu_s:g} s of CPU time")
+            raise CpuTimeExceeded(f"more than {cpu_s:g} s of CPU time")
 
-    before = signal.signal(signal.SIGALRM, look)
-    signal.setitimer(signal.ITIMER_REAL, LOOK_EVERY_S, LOOK_EVERY_S)
+    before = signal.signal(signal.SIGALRM, check)
+    signal.setitimer(signal.ITIMER_REAL, CHECK_EVERY_S, CHECK_EVERY_S)
     try:
         yield
     finally:

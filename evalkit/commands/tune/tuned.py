@@ -8,22 +8,22 @@ from dataclasses import asdict
 
 from evalkit.commands.study.experiment_lines import setting_lines
 from evalkit.commands.tune.plan import TUNED, Tuning
-from evalkit.commands.tune.search_loop import Searched
+from evalkit.commands.tune.search_loop import SearchResult
 from evalkit.config import experiment
 from evalkit.config.experiment import Experiment, Method, SequenceSpec
 from evalkit.io.toml import parse_toml
 from evalkit.plugins.parameters import Value
 
 
-def experiment_text(tuning: Tuning, found: Sequence[Searched]) -> str:
+def experiment_text(tuning: Tuning, found: Sequence[SearchResult]) -> str:
     """The TOML: every method with its defaults, and once more with what was found where that was better."""
-    by_label = {one.entrant.label: one for one in found}
+    by_label = {one.tunable.label: one for one in found}
     methods: list[str] = []
-    for entrant in tuning.entrants:
-        methods += _method(entrant.method, entrant.label, entrant.method.parameters)
-        one = by_label.get(entrant.label)
+    for tunable in tuning.methods:
+        methods += _method(tunable.method, tunable.label, tunable.method.parameters)
+        one = by_label.get(tunable.label)
         if one is not None and one.tuned:
-            methods += _method(entrant.method, entrant.label + TUNED, one.chosen.candidate.values)
+            methods += _method(tunable.method, tunable.label + TUNED, one.chosen.candidate.values)
     lines = [
         f"# Written by: {tuning.command}",
         f"title = {_text(f'{tuning.title} (default and tuned rows)')}",

@@ -135,7 +135,7 @@ def design(**entries):
         (factor(sets="method.epsilom"), "no parameter named 'epsilom' \\(did you mean 'epsilon'\\?\\)"),
         (factor(sets="method.local_map"), "factor 'epsilon': method: parameter 'local_map': found 1e-06"),
         (factor(scale="cubic"), "'scale': found 'cubic', expected linear or log"),
-        (factor(steps=3), "no key 'steps'"),
+        (factor(steps=3), "no key named 'steps'"),
         (lambda c: c["factor"][2].update(levels=[-0.05, 0.1]), "parameter 'local_map_cell_m': found -0.05"),
         (lambda c: c["factor"][3].update(levels={"a": {}, "b": {}}), "'levels.a': found {}, expected { NAME = VALUE"),
         (lambda c: c["factor"].append(c["factor"][0]), "two factors are named 'epsilon'"),

@@ -5,7 +5,7 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from evalkit.commands.study.design import Axis, Model, fractional, grid, optimal, quality, space_filling
+from evalkit.commands.study.design import DesignAxis, Model, fractional, grid, optimal, quality, space_filling
 
 
 def signs(factors, resolution):
@@ -37,7 +37,7 @@ def test_resolution_five_keeps_pairs_clear_of_pairs_and_resolution_four_does_not
 
 
 def test_an_optimal_design_for_two_levels_finds_the_orthogonal_one():
-    model = Model(tuple(Axis(name, 2) for name in "abcd"), pairs=False)
+    model = Model(tuple(DesignAxis(name, 2) for name in "abcd"), pairs=False)
     found = quality(model, optimal(model, 8, np.random.default_rng(0)))
     assert found.efficiency == pytest.approx(1.0)
     assert found.correlation == pytest.approx(0.0)
@@ -45,7 +45,7 @@ def test_an_optimal_design_for_two_levels_finds_the_orthogonal_one():
 
 
 def test_the_full_grid_is_the_measure_of_efficiency():
-    model = Model((Axis("a", 3, (0.0, 1.0, 2.0)), Axis("b", 2), Axis("c", 4)))
+    model = Model((DesignAxis("a", 3, (0.0, 1.0, 2.0)), DesignAxis("b", 2), DesignAxis("c", 4)))
     found = quality(model, grid([3, 2, 4]))
     assert found.points == 24
     assert found.columns == 1 + 2 + 1 + 3 + 1 + 3 + 3
@@ -54,7 +54,13 @@ def test_the_full_grid_is_the_measure_of_efficiency():
 
 
 def test_a_mixed_design_is_nearly_orthogonal_with_a_fraction_of_the_grid():
-    axes = (Axis("a", 6, tuple(range(6))), Axis("b", 2), Axis("c", 3, (0.0, 1.0, 2.0)), Axis("d", 3), Axis("e", 2))
+    axes = (
+        DesignAxis("a", 6, tuple(range(6))),
+        DesignAxis("b", 2),
+        DesignAxis("c", 3, (0.0, 1.0, 2.0)),
+        DesignAxis("d", 3),
+        DesignAxis("e", 2),
+    )
     model = Model(axes)
     found = quality(model, optimal(model, 48, np.random.default_rng(0)))
     assert found.efficiency > 0.95
@@ -62,7 +68,7 @@ def test_a_mixed_design_is_nearly_orthogonal_with_a_fraction_of_the_grid():
 
 
 def test_the_same_seed_gives_the_same_design():
-    model = Model((Axis("a", 3, (0.0, 1.0, 2.0)), Axis("b", 2)))
+    model = Model((DesignAxis("a", 3, (0.0, 1.0, 2.0)), DesignAxis("b", 2)))
     first, second = (optimal(model, 12, np.random.default_rng(7)) for _ in range(2))
     assert (first == second).all()
 
@@ -77,4 +83,4 @@ def test_space_filling_points_leave_no_quarter_of_any_factor_out(kind):
 
 def test_too_few_points_for_the_model_are_refused():
     with pytest.raises(ValueError, match="points: 3 are too few for a model of 4 columns"):
-        optimal(Model((Axis("a", 2), Axis("b", 2))), 3, np.random.default_rng(0))
+        optimal(Model((DesignAxis("a", 2), DesignAxis("b", 2))), 3, np.random.default_rng(0))

@@ -3,14 +3,14 @@
 import numpy as np
 import pytest
 
-from evalkit.commands.study.design import Axis, Model, fractional, grid, optimal
-from evalkit.commands.study.effects import Fit
+from evalkit.commands.study.design import DesignAxis, Model, fractional, grid, optimal
+from evalkit.commands.study.effects import ModelFit
 
-TWO = (Axis("a", 2), Axis("b", 2), Axis("c", 2))
+TWO = (DesignAxis("a", 2), DesignAxis("b", 2), DesignAxis("c", 2))
 
 
 def fit(model, positions, response):
-    return Fit(model, np.asarray(positions, dtype=float), np.asarray(response, dtype=float))
+    return ModelFit(model, np.asarray(positions, dtype=float), np.asarray(response, dtype=float))
 
 
 def test_a_linear_response_gives_back_its_effects_exactly():
@@ -38,7 +38,7 @@ def test_an_interaction_is_the_difference_of_differences():
 
 
 def test_a_planted_interaction_is_found_in_noise_and_no_other_is_accepted():
-    axes = (Axis("a", 4, (0.0, 1.0, 2.0, 3.0)), *(Axis(name, 2) for name in "bcde"))
+    axes = (DesignAxis("a", 4, (0.0, 1.0, 2.0, 3.0)), *(DesignAxis(name, 2) for name in "bcde"))
     model = Model(axes)
     rng = np.random.default_rng(3)
     rows = optimal(model, 64, rng)
@@ -52,7 +52,7 @@ def test_a_planted_interaction_is_found_in_noise_and_no_other_is_accepted():
 
 
 def test_intervals_hold_as_often_as_they_say():
-    model = Model(tuple(Axis(name, 2) for name in "abcde"), pairs=False)
+    model = Model(tuple(DesignAxis(name, 2) for name in "abcde"), pairs=False)
     rows, rng = fractional(5, 5), np.random.default_rng(0)
     held = 0
     for _ in range(400):
@@ -64,7 +64,7 @@ def test_intervals_hold_as_often_as_they_say():
 def test_levels_of_names_each_have_an_effect_of_their_own():
     rows = grid([3, 2])
     response = np.array([1.0, 5.0, 3.0])[rows[:, 0]] + np.array([0.0, 1.0])[rows[:, 1]]
-    found = fit(Model((Axis("stages", 3), Axis("b", 2)), pairs=False), rows, response)
+    found = fit(Model((DesignAxis("stages", 3), DesignAxis("b", 2)), pairs=False), rows, response)
     assert [level.value for level in found.factor(0).levels] == pytest.approx([-2.0, 2.0, 0.0])
     assert found.difference(0, 1, 0).value.value == pytest.approx(4.0)
     assert found.expected({0: 1, 1: 1}).value == pytest.approx(6.0)
@@ -72,7 +72,7 @@ def test_levels_of_names_each_have_an_effect_of_their_own():
 
 def test_a_model_foretells_points_between_its_levels():
     rows = grid([3, 2, 2])
-    model = Model((Axis("a", 3, (0.0, 1.0, 2.0)), Axis("b", 2), Axis("c", 2)))
+    model = Model((DesignAxis("a", 3, (0.0, 1.0, 2.0)), DesignAxis("b", 2), DesignAxis("c", 2)))
     found = fit(model, rows, 2.0 * rows[:, 0] + rows[:, 0] * rows[:, 1])
     assert found.predict(np.array([[0.5, 0.0, 1.0], [1.5, 1.0, 0.0]])).tolist() == pytest.approx([1.0, 4.5])
 

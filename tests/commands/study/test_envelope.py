@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from evalkit.commands.study.envelope import below, largest_box, panels, sentences
-from evalkit.commands.study.factors import Factor, Level
+from evalkit.commands.study.factors import Factor, FactorLevel
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Point, Response, Study, task_name
-from evalkit.commands.study.result import Outcome
+from evalkit.commands.study.result import StudyResult
 from evalkit.metrics import METRICS
 
 SPEEDS, TURNS = (0.5, 1.0, 2.0), (10.0, 20.0, 40.0, 80.0)
@@ -14,14 +14,14 @@ ATE = Response(next(metric for metric in METRICS if metric.name == "ate_rmse_m")
 
 
 def numbers(name, values, unit=""):
-    return Factor(name, tuple(Level(f"{v:g}", {f"sequence.{name}": v}, v) for v in values), 0, "linear", unit)
+    return Factor(name, tuple(FactorLevel(f"{v:g}", {f"sequence.{name}": v}, v) for v in values), 0, "linear", unit)
 
 
 def outcome(error, seeds=(0, 1), status=lambda *_: "complete"):
     """A study over speed, turn and deskewing whose error is a function of the three and the seed."""
     factors = (
         numbers("speed", SPEEDS, "m/s"), numbers("turn", TURNS, "deg/s"),
-        Factor("deskew", (Level("off", {"method.deskew": False}), Level("on", {"method.deskew": True}))),
+        Factor("deskew", (FactorLevel("off", {"method.deskew": False}), FactorLevel("on", {"method.deskew": True}))),
     )  # fmt: skip
     points, results = [], {}
     for speed in factors[0].levels:
@@ -40,7 +40,7 @@ def outcome(error, seeds=(0, 1), status=lambda *_: "complete"):
     design = Design("grid", "grid", factors, np.zeros((len(points), 3)), tuple(points), seeds)
     choice = EnvelopeChoice("grid", "speed", "turn", ATE, 0.1)
     study = Study("t", "", "evalkit study t", "b", "d", "m", 10, "", (ATE,), factors, (design,), (choice,))
-    return Outcome(study, results), choice, design
+    return StudyResult(study, results), choice, design
 
 
 def test_inside_means_all_that_is_slower_and_gentler_too():

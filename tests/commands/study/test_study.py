@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 from evalkit.cli import app
 from evalkit.commands.study.config import study
 from evalkit.commands.study.evaluate import evaluate
-from evalkit.commands.study.result import Outcome, run_study_tasks
+from evalkit.commands.study.result import StudyResult, run_study_tasks
 from evalkit.execution.task import make_task
 
 STUDY = """
@@ -113,7 +113,7 @@ def test_a_back_end_that_fails_is_a_result_with_its_reason(strangers):
     assert found["status"] == "failed"
     assert found["reason"].startswith("RuntimeError: lost the plot")
     assert found["answered"] == 3
-    outcome = Outcome(made, {job.name: found for job in made.tasks()})
+    outcome = StudyResult(made, {job.name: found for job in made.tasks()})
     design, response = made.designs[0], made.responses[0]
     assert outcome.counts(design) == (8, 8)
     assert (outcome.table(design, response) == 0.5).all()

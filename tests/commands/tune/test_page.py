@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from evalkit.commands.tune import page, results_json, search_loop
-from evalkit.commands.tune.charts import on_frontier
+from evalkit.commands.tune.charts import on_pareto_front
 from evalkit.commands.tune.config import tuning
-from evalkit.commands.tune.result import Tuned
+from evalkit.commands.tune.result import TuningResult
 from evalkit.report.html.document import render
 
 ATE = "ate_rmse_m"
@@ -41,7 +41,7 @@ def found():
         status = "failed" if lost else "complete"
         return {"status": status, "reason": "too small", "cpu_s": 1.0, "scores": scores, "why": why}
 
-    return search_loop.searched(plan(), lambda jobs: {job.name: computed(job) for job in jobs})
+    return search_loop.run_search(plan(), lambda jobs: {job.name: computed(job) for job in jobs})
 
 
 def told(build, record, tuned_ate, lost=0, status="failed"):
@@ -52,7 +52,7 @@ def told(build, record, tuned_ate, lost=0, status="failed"):
         records.append(
             record("a tuned", "room", {ATE: tuned_ate + 0.001 * seed}, seed=seed, error_m=tuned_ate, **ended)
         )
-    return Tuned(plan(), found(), build(records), {"processor": "some"}, "evalkit compare tuned.toml --resume")
+    return TuningResult(plan(), found(), build(records), {"processor": "some"}, "evalkit compare tuned.toml --resume")
 
 
 @pytest.mark.parametrize(
@@ -98,7 +98,7 @@ def test_the_record_holds_every_point_and_what_was_spent(build, record):
 
 def test_a_point_that_loses_runs_is_on_no_frontier():
     (one,) = found()
-    on = on_frontier(one.tried)
+    on = on_pareto_front(one.tried)
     assert on[[not each.losses for each in one.tried]].all()  # more time, less error: nobody beats another
     assert not on[[bool(each.losses) for each in one.tried]].any()
     assert np.isfinite([each.error for each in one.tried]).all()

@@ -10,11 +10,11 @@ import pytest
 
 from evalkit.commands.study import evaluate
 from evalkit.commands.tune import search_loop, trial
-from evalkit.commands.tune.config import named, read, tuning
-from evalkit.commands.tune.objective import best, judged
-from evalkit.commands.tune.pareto import frontier
+from evalkit.commands.tune.config import read, tuning, tuning_tables
+from evalkit.commands.tune.objective import best_candidate, score_candidate
+from evalkit.commands.tune.pareto import pareto_front
 from evalkit.commands.tune.search import Search
-from evalkit.commands.tune.space import Space, derived, own
+from evalkit.commands.tune.space import Space, declared_factors, own_parameters
 from evalkit.commands.tune.tuned import experiment_text, held_out_plan
 from evalkit.core.errors import BadExperiment
 from evalkit.odometry import frontend
@@ -80,7 +80,7 @@ def off(arguments):
 
 
 def test_the_search_finds_the_minimum_of_a_known_function_and_takes_it():
-    embedded, paper = search_loop.searched(plan(), Known(off))
+    embedded, paper = search_loop.run_search(plan(), Known(off))
     assert embedded.tuned
     assert embedded.default.error == pytest.approx(0.02 * math.sqrt(1.01))
     assert abs(math.log10(float(embedded.best.candidate.values["epsilon"]) / 1e-3)) < 0.35
@@ -93,7 +93,7 @@ def test_the_search_finds_the_minimum_of_a_known_function_and_takes_it():
 
 def test_every_back_end_gets_the_same_budget_and_the_default_first():
     asked = Known(off)
-    found = search_loop.searched(plan(), asked)
+    found = search_loop.run_search(plan(), asked)
     for one in found:
         assert [len(one.tried), one.tried[0].candidate.found] == [16, "default"]
         assert len({each.candidate.key for each in one.tried}) == 16
@@ -108,7 +108,7 @@ def test_the_same_tuning_asks_for_the_same_points():
     names = []
     for _ in range(2):
         asked = Known(off)
-        search_loop.searched(plan(), asked)
+        search_loop.run_search(plan(), asked)
         names.append([job.name for job in asked.asked])
     assert names[0] == names[1]
 
@@ -118,14 +118,14 @@ def test_a_lucky_point_does_not_survive_fresh_seeds():
         spread = np.random.default_rng([int(1e9 * arguments["parameters"]["epsilon"]), arguments["sequence"]["seed"]])
         return 0.02 * math.exp(0.5 * spread.standard_normal())
 
-    one = search_loop.searched(plan(), Known(luck))[0]
+    one = search_loop.run_search(plan(), Known(luck))[0]
     assert one.best.error < 0.8 * one.default.error
     assert not one.tuned
     assert one.why == "default kept: what the best of the search gains is not more than noise on fresh seeds"
 
 
 def test_a_back_end_that_always_fails_keeps_its_default_and_is_told():
-    one = search_loop.searched(plan(), lambda jobs: {job.name: result(None, "failed") for job in jobs})[0]
+    one = search_loop.run_search(plan(), lambda jobs: {job.name: result(None, "failed") for job in jobs})[0]
     assert one.failed
     assert one.default.error == 1.0  # the worst that counts
     assert one.default.lost == ("failed: why", "failed: why")
@@ -133,21 +133,23 @@ def test_a_back_end_that_always_fails_keeps_its_default_and_is_told():
 
 
 def test_fewer_lost_runs_come_before_a_smaller_error():
-    space = plan().entrants[0].space
+    space = plan().methods[0].space
     start, objective = space.start(), plan().objective
-    sure = judged(start, [result(0.3), result(0.3)], objective)
-    bold = judged(start, [result(0.001), result(1.5)], objective)
+    sure = score_candidate(start, [result(0.3), result(0.3)], objective)
+    bold = score_candidate(start, [result(0.001), result(1.5)], objective)
     assert bold.error == pytest.approx(math.sqrt(0.001))
     assert bold.lost == ("", "ATE RMSE 1.5 m")
-    assert best([bold, sure]) is sure
-    assert best([sure, judged(start, [result(0.3), result(0.3)], objective)]) is sure  # a tie goes to the first
+    assert best_candidate([bold, sure]) is sure
+    assert (
+        best_candidate([sure, score_candidate(start, [result(0.3), result(0.3)], objective)]) is sure
+    )  # a tie goes to the first
 
 
 def test_a_space_smaller_than_the_budget_is_tried_in_full_and_once():
     backend = registry.backend("embedded")
     default = frontend.complete_parameters("embedded", backend, {})
     parameters = [p for p in backend.parameters if p.name in ("error", "one_to_one")]
-    factors, left = derived(parameters, default)
+    factors, left = declared_factors(parameters, default)
     search = Search(Space(factors, default), 20)
     first = search.next([], None)
     assert left == {}
@@ -156,7 +158,7 @@ def test_a_space_smaller_than_the_budget_is_tried_in_full_and_once():
 
 
 def test_steps_stay_within_the_bounds_and_repeat_no_point():
-    space, tried = plan().entrants[0].space, []
+    space, tried = plan().methods[0].space, []
     search = Search(space, 40, seed=3)
     while candidates := search.next(tried, tried[-1] if tried else None):
         tried += candidates
@@ -167,7 +169,9 @@ def test_steps_stay_within_the_bounds_and_repeat_no_point():
 
 
 def test_settings_of_the_front_end_are_nobodys_own():
-    names = {parameter.name for name in ("paper", "kiss-icp") for parameter in own(registry.find_backend(name))}
+    names = {
+        parameter.name for name in ("paper", "kiss-icp") for parameter in own_parameters(registry.find_backend(name))
+    }
     assert not names & {"prior", "deskew", "local_map", "keyframes", "min_inliers"}
     with pytest.raises(BadExperiment, match=r"method 1 \(embedded\): search.keyframes: .*all methods alike"):
         plan(FILE.replace("search.max_iterations", "search.keyframes"))
@@ -181,7 +185,7 @@ def test_a_space_follows_from_declared_bounds_or_a_decade_around_the_default():
         Parameter("off", 0.0, "", "open"),
         Parameter("kernel", "none", "", "choices", choices=("none", "tukey")),
     )
-    factors, left = derived(parameters, {parameter.name: parameter.default for parameter in parameters})
+    factors, left = declared_factors(parameters, {parameter.name: parameter.default for parameter in parameters})
     assert {factor.name: factor.numbers for factor in factors} == {
         "share": (0.0, 1.0), "radius_m": (0.05, 2.0), "points": (4.0, 8.0, 16.0, 32.0), "kernel": None,
     }  # fmt: skip
@@ -206,7 +210,7 @@ def test_a_space_follows_from_declared_bounds_or_a_decade_around_the_default():
         ("points = 16", "points = 1", "'points': found 1, expected a whole number from 2"),
         ("search.max_correspondence_m = [0.1, 1]", "search.max_correspondence_m = [-1, 1]", "found -1.0, expected"),
         ("search.max_correspondence_m", "search.no_such", "no parameter named 'no_such'"),
-        ('use = "paper"', 'use = "paper"\nlabel = "embedded tuned"', "tuned rows are to end in ' tuned'"),
+        ('use = "paper"', 'use = "paper"\nlabel = "embedded tuned"', "tuned methods end in ' tuned'"),
         ('use = "room"', 'use = "roam"', r"held-out 2: no dataset named 'roam'"),
     ],
 )
@@ -234,17 +238,19 @@ def test_a_missing_file_says_what_to_give(tmp_path):
 
 
 def test_names_on_the_command_line_make_a_fair_tuning():
-    made = tuning(named(["embedded", "paper"], ["lab"], ["room"], 8, {"laps": "0.05"}), "evalkit tune", "x", "y")
-    assert [one.label for one in made.entrants] == ["embedded", "paper"]
+    made = tuning(
+        tuning_tables(["embedded", "paper"], ["lab"], ["room"], 8, {"laps": "0.05"}), "evalkit tune", "x", "y"
+    )
+    assert [one.label for one in made.methods] == ["embedded", "paper"]
     assert made.training[0].sequence.parameters["laps"] == 0.05
     assert [sequence.label for sequence in made.held_out] == ["room"]
 
 
 def test_a_tuned_row_stands_beside_its_default_in_an_experiment_that_reads_back():
     made = plan()
-    found = search_loop.searched(made, Known(off))
+    found = search_loop.run_search(made, Known(off))
     back = held_out_plan(experiment_text(made, found), "tuned.toml")
-    assert [entrant.label for entrant in back.methods] == ["embedded", "embedded tuned", "paper"]
+    assert [tunable.label for tunable in back.methods] == ["embedded", "embedded tuned", "paper"]
     assert dict(back.methods[1].parameters) == dict(found[0].best.candidate.values)
     assert back.sequences == made.held_out
     assert (back.mapper, back.limits) == (made.mapper, made.limits)
@@ -253,15 +259,15 @@ def test_a_tuned_row_stands_beside_its_default_in_an_experiment_that_reads_back(
 def test_the_frontier_is_what_no_other_point_beats():
     costs = np.array([1.0, 2.0, 3.0, 2.0, 4.0, 1.0, 0.5])
     errors = np.array([5.0, 3.0, 3.0, 4.0, 1.0, 5.0, np.inf])
-    assert frontier(costs, errors).tolist() == [True, True, False, False, True, True, False]
+    assert pareto_front(costs, errors).tolist() == [True, True, False, False, True, True, False]
 
 
 def test_a_run_that_takes_too_long_has_failed_with_its_reason(strangers, monkeypatch):
-    monkeypatch.setattr(trial, "LOOK_EVERY_S", 0.05)
+    monkeypatch.setattr(trial, "CHECK_EVERY_S", 0.05)
     parameters = {"fault": "spin", "at": 1}
     sequence = {p.name: p.default for p in registry.dataset("straight").parameters}
     begun = time.monotonic()
-    told = trial.run_trial(0.2, "faulty", parameters, "straight", sequence, ["ate_rmse_m"], "")
+    told = trial.run_trial(0.2, "faulty", parameters, "straight", sequence, "log-odds", ["ate_rmse_m"], "")
     assert told["status"] == "failed"
     assert "more than 0.2 s of CPU time" in told["reason"]
     assert time.monotonic() - begun < 60.0  # it would have spun for ever
@@ -285,19 +291,21 @@ def test_who_is_first_on_a_sequence_does_not_pay_for_its_simulation(strangers, m
                 pass
             return self.sequence.frames()
 
-    monkeypatch.setattr(trial, "LOOK_EVERY_S", 0.05)
+    monkeypatch.setattr(trial, "CHECK_EVERY_S", 0.05)
     sequence = {p.name: p.default for p in registry.dataset("straight").parameters}
     slow = SlowAtFirst(registry.dataset("straight").make(**sequence))
     monkeypatch.setattr(evaluate, "_sequence", lambda *_: slow)
     parameters = {p.name: p.default for p in registry.backend("wheel-odometry").parameters}
-    told = trial.run_trial(1.0, "wheel-odometry", parameters, "straight", sequence, ["ate_rmse_m", "pair_error"], "")
+    told = trial.run_trial(
+        1.0, "wheel-odometry", parameters, "straight", sequence, "log-odds", ["ate_rmse_m", "pair_error"], ""
+    )
     assert told["status"] == "complete", told["reason"]
     assert told["scores"]["pair_error"] is not None, told["why"]
 
 
 def test_keys_of_jobs_change_with_what_they_stand_on():
     made = plan()
-    entrant, run = made.entrants[0], made.search_runs[0]
-    keys = {made.task(entrant, one, run).key for one in Search(entrant.space, 4).next([], None)}
+    tunable, run = made.methods[0], made.search_runs[0]
+    keys = {made.task(tunable, one, run).key for one in Search(tunable.space, 4).next([], None)}
     assert len(keys) == 2
-    assert json.dumps(dict(made.task(entrant, entrant.space.start(), run).arguments))
+    assert json.dumps(dict(made.task(tunable, tunable.space.start(), run).arguments))

@@ -75,7 +75,7 @@ def test_the_misset_is_tuned_the_perfect_keeps_its_default_and_the_hopeless_is_a
     assert [row["label"] for row in rows] == ["misset", "misset tuned", "perfect", "hopeless"]
     page = (out / "index.html").read_text()
     assert "default kept: no point was better in the search" in page
-    assert "failed: no run of no point was completed" in page
+    assert "failed: no run of any point was completed" in page
     assert "RuntimeError: hopeless" in page
     again = CliRunner().invoke(app, ["compare", str(out / "tuned.toml"), "--collect", "--out", str(out / "report")])
     assert "3 runs complete, 1 failed" in again.output  # the held-out runs are the report's own
@@ -99,17 +99,19 @@ def test_a_killed_search_goes_on_and_computes_nothing_twice(file, tmp_path):
 
     folder = tmp_path / "results"
     with pytest.raises(Killed):
-        search_loop.searched(tuning, search_loop.making(folder, 1, killed_after(3)))
-    with pytest.raises(search_loop.Unmade):
-        search_loop.searched(tuning, search_loop.collecting(folder))
+        search_loop.run_search(tuning, search_loop.compute_missing(folder, 1, killed_after(3)))
+    with pytest.raises(search_loop.ResultsMissing):
+        search_loop.run_search(tuning, search_loop.load_stored(folder))
     made.clear()
-    found = search_loop.searched(
-        tuning, search_loop.making(folder, 1, lambda _name, seconds: made.append(seconds > 0.0))
+    found = search_loop.run_search(
+        tuning, search_loop.compute_missing(folder, 1, lambda _name, seconds: made.append(seconds > 0.0))
     )
     runs = sum(len(each.errors) for one in found for each in (*one.tried, *(one.confirmed or ())))
     assert sum(made) == runs - 3
     made.clear()
-    search_loop.searched(tuning, search_loop.making(folder, 1, lambda _name, seconds: made.append(seconds > 0.0)))
+    search_loop.run_search(
+        tuning, search_loop.compute_missing(folder, 1, lambda _name, seconds: made.append(seconds > 0.0))
+    )
     assert not any(made)
     assert len(list(folder.glob("*.npz"))) == runs
 

@@ -1,0 +1,121 @@
+"""Check the tables of a configuration file; errors name file, table, key, what was found and what is expected."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any, TypeVar
+
+from evalkit.core.errors import BadExperiment, BadParameter, UnknownName, brief
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class TomlTable:
+    """A table of a configuration file. ``file`` and ``place`` (the table in words) are named in errors.
+
+    Every method raises BadExperiment if a value is not what it reads. A key without a default is required.
+    """
+
+    content: Mapping[str, Any]
+    file: str
+    place: str = ""
+
+    def error(self, what: str) -> BadExperiment:
+        """The error to raise for this table."""
+        return BadExperiment(self.file, self.place, what)
+
+    def bad_value(self, key: str, expected: str) -> BadExperiment:
+        """The error to raise for the value of a key."""
+        return self.error(f"'{key}': found {brief(self.content.get(key))}, expected {expected}")
+
+    def labelled(self, label: str) -> TomlTable:
+        """The same table with a label behind its place, as in "method 2 (icp)"."""
+        return replace(self, place=f"{self.place} ({label})") if label else self
+
+    @contextmanager
+    def errors(self) -> Iterator[None]:
+        """Turns UnknownName and BadParameter within the block into errors of this table."""
+        try:
+            yield
+        except (UnknownName, BadParameter) as error:
+            raise self.error(str(error)) from error
+
+    def check_keys(self, known: Iterable[str]) -> None:
+        """Refuses a key that is not among the known ones."""
+        known = tuple(known)
+        for key in self.content:
+            if key not in known:
+                raise self.error(str(UnknownName("key", key, known)))
+
+    def text(self, key: str, default: str | None = None) -> str:
+        """A text."""
+        if default is None and key not in self.content:
+            raise self.error(f"missing key '{key}'")
+        value = self.content.get(key, default)
+        if not isinstance(value, str):
+            raise self.bad_value(key, "a text")
+        return value
+
+    def flag(self, key: str, default: bool, meaning: str = "") -> bool:
+        """True or false; ``meaning`` explains the key in the error."""
+        value = self.content.get(key, default)
+        if not isinstance(value, bool):
+            raise self.bad_value(key, f"true or false ({meaning})" if meaning else "true or false")
+        return value
+
+    def number(self, key: str, default: float | None = None, low: float | None = None) -> float:
+        """A number, finite and at least ``low`` if that is given."""
+        value = self.content.get(key, default)
+        number = isinstance(value, (int, float)) and not isinstance(value, bool)
+        if not number or (low is not None and not low <= value < math.inf):
+            raise self.bad_value(key, "a number" if low is None else f"a number from {low:g}")
+        return float(value)
+
+    def whole_number(self, key: str, default: int | None = None, low: int = 0) -> int:
+        """A whole number of at least ``low``."""
+        value = self.content.get(key, default)
+        if type(value) is not int or value < low:
+            raise self.bad_value(key, f"a whole number from {low}")
+        return value
+
+    def whole_numbers(self, key: str, default: list[int], empty: bool = False) -> tuple[int, ...]:
+        """A list of whole numbers from 0 without repetitions; ``empty``: it may have none."""
+        values = self.content.get(key, default)
+        if not isinstance(values, list) or not (values or empty) or not all(type(v) is int and v >= 0 for v in values):
+            raise self.bad_value(key, "a list of whole numbers from 0")
+        return tuple(dict.fromkeys(values))
+
+    def choice(self, key: str, kind: str, known: Mapping[str, T], default: str = "", where: str = "") -> T:
+        """The value that a name stands for; ``kind`` says in the error what is named, ``where`` what names it."""
+        name = self.content.get(key, default or None)
+        if not isinstance(name, str) or name not in known:
+            raise self.error(str(UnknownName(kind, str(name), known, where)))
+        return known[name]
+
+    def table(self, key: str, keys: str, required: bool = False) -> TomlTable:
+        """The table of a key, empty if there is none; ``keys`` says in errors what stands in it."""
+        value = self.content.get(key, None if required else {})
+        if not isinstance(value, Mapping):
+            raise BadExperiment(self.file, key, f"found {brief(value)}, expected a table [{key}]{keys}")
+        return TomlTable(value, self.file, key)
+
+    def tables(self, key: str, owner: str = "") -> list[TomlTable]:
+        """The tables [[key]], placed as "key 1", "key 2", ...; ``owner`` ("a study"): needs at least one."""
+        values = self.content.get(key, [])
+        if not isinstance(values, list) or not all(isinstance(value, Mapping) for value in values):
+            raise BadExperiment(self.file, key, f"expected tables [[{key}]]")
+        if owner and not values:
+            raise BadExperiment(self.file, "", f"no [[{key}]]: {owner} needs at least one")
+        return [TomlTable(value, self.file, f"{key} {number + 1}") for number, value in enumerate(values)]
+
+
+def flatten(table: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """The values of nested tables by dotted names; TOML reads ``s2s.one_to_one = false`` as such a table."""
+    flat: dict[str, Any] = {}
+    for key, value in table.items():
+        flat.update(flatten(value, f"{prefix}{key}.") if isinstance(value, Mapping) else {prefix + key: value})
+    return flat
