@@ -18,7 +18,7 @@ from evalkit.config.toml_tables import TomlTable, flatten
 from evalkit.core.errors import BadExperiment, EvalkitError, UnknownName, brief
 from evalkit.io.toml import load_toml
 from evalkit.odometry import frontend
-from evalkit.plugins import code_hash, registry
+from evalkit.plugins import code_hash, defaults, registry
 from evalkit.plugins.parameters import Value, resolve_parameters
 
 Item = TypeVar("Item")
@@ -212,7 +212,8 @@ def _sequence(table: TomlTable) -> SequenceSpec:
 
 
 def _mapper(table: TomlTable) -> MapperChoice:
-    name, scans = table.text("use", "log-odds"), table.whole_number("scans", MapperChoice.scans, low=2)
+    name = table.text("use") if "use" in table.content else defaults.default_mapper()
+    scans = table.whole_number("scans", MapperChoice.scans, low=2)
     given = {key: value for key, value in table.content.items() if key not in ("use", "scans")}
     with table.errors():
         spec = registry.mapper(name)

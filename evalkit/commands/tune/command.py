@@ -110,7 +110,7 @@ def _searched(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tupl
         return search_loop.run_search(tuning, search_loop.compute_missing(results, workers, done))
 
 
-def _judged(
+def _run_held_out(
     plan: Experiment, store: Store, workers: int, ran_on: dict[str, str], collect: bool
 ) -> tuple[RunRecord, ...]:
     """Default and tuned rows on the held-out sequences, each run in a process of its own; what is done is kept."""

@@ -166,9 +166,7 @@ def _decide(
     default, candidate = pair
     ratio = compute_error_ratio(candidate, default, tuning.seed)
     taken = is_better(candidate, default, ratio)
-    why = (
-        "better on fresh seeds by more than noise" if taken else f"default kept: {_reason_to_keep(candidate, default)}"
-    )
+    why = "better on fresh seeds by more than noise" if taken else _reason_to_keep(candidate, default)
     return SearchResult(tunable, tuple(tried), (default, candidate), ratio, taken, why)
 
 
