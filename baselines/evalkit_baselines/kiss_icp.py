@@ -40,7 +40,7 @@ from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import Cost, Stopwatch
 from evalkit.odometry import planar3d
-from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.parameters import declared_parameters, parameter
 from evalkit.plugins.specs import OdometrySpec
 
 INSTALL = "pip install 'evalkit[kiss-icp]'"
@@ -51,19 +51,30 @@ BEYOND_M = 1e6  # farther than any max_range: KISS-ICP drops such points after i
 
 @dataclass(frozen=True, slots=True)
 class KissSettings:
-    """The parameters of ``SPEC``, by name."""
+    """Parameters of KISS-ICP."""
 
-    prior: str
-    deskew: bool
-    max_range_m: float
-    min_range_m: float
-    voxel_size_m: float
-    max_points_per_voxel: int
-    initial_threshold_m: float
-    min_motion_m: float
-    max_iterations: int
-    convergence_m: float
-    min_points: int
+    prior: str = parameter(
+        "odometry",
+        "",
+        "source of the prediction; without odometry: constant velocity",
+        choices=("odometry", "constant-velocity"),
+    )
+    deskew: bool = parameter(True, "", "undo the motion within a scan by the prediction's velocity")
+    max_range_m: float = parameter(12.0, "m", "longest range used; the lidar's own where that is shorter", low=0.1)
+    min_range_m: float = parameter(0.15, "m", "shortest range used", low=0.0)
+    voxel_size_m: float = parameter(0.12, "m", "cell of its map; scans are thinned to 1.5 of it", low=1e-3)
+    max_points_per_voxel: int = parameter(20, "", "largest number of points that its map keeps in a cell", low=1)
+    initial_threshold_m: float = parameter(
+        2.0, "m", "three times this is the first largest distance of a pair", low=1e-3
+    )
+    min_motion_m: float = parameter(0.1, "m", "corrections below this do not adapt the threshold", low=0.0)
+    max_iterations: int = parameter(500, "", "largest number of iterations", low=1)
+    convergence_m: float = parameter(
+        1e-4, "m", "stop where a step is smaller (norm of its metres and radians)", low=0.0
+    )
+    min_points: int = parameter(
+        10, "", "a scan of fewer points is not registered; the prediction is kept", low=1
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,21 +225,6 @@ SPEC = OdometrySpec(
     role="peer",
     guess="wheel odometry where recorded, else constant velocity",
     requires=("kiss-icp",),
-    parameters=(
-        Parameter(
-            "prior", "odometry", "", "where the prediction comes from; without odometry: constant velocity",
-            choices=("odometry", "constant-velocity"),
-        ),
-        Parameter("deskew", True, "", "undo the motion within a scan by the prediction's velocity"),
-        Parameter("max_range_m", 12.0, "m", "longest range used; the lidar's own where that is shorter", 0.1),
-        Parameter("min_range_m", 0.15, "m", "shortest range used", 0.0),
-        Parameter("voxel_size_m", 0.12, "m", "cell of its map; scans are thinned to 1.5 of it", 1e-3),
-        Parameter("max_points_per_voxel", 20, "", "most points its map keeps in a cell", 1),
-        Parameter("initial_threshold_m", 2.0, "m", "three times this is the first largest distance of a pair", 1e-3),
-        Parameter("min_motion_m", 0.1, "m", "corrections below this do not adapt the threshold", 0.0),
-        Parameter("max_iterations", 500, "", "most iterations", 1),
-        Parameter("convergence_m", 1e-4, "m", "stop where a step is smaller (norm of its metres and radians)", 0.0),
-        Parameter("min_points", 10, "", "a scan of fewer points is not registered; the prediction is kept", 1),
-    ),
+    parameters=declared_parameters(KissSettings),
     missing=kiss_icp_missing,
-)  # fmt: skip
+)

@@ -26,6 +26,7 @@ import importlib.util
 import math
 import sys
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -35,7 +36,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.timing import Cost, Stopwatch
 from evalkit.odometry import planar3d
-from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.parameters import declared_parameters, parameter
 from evalkit.plugins.specs import RegistrationSpec
 
 INSTALL = "pip install 'evalkit[open3d]'"
@@ -48,6 +49,33 @@ Describe = Callable[[Any, Any, Cloud, Stopwatch], None]
 """Adds normals or covariances to an Open3D cloud; arguments: library, its cloud, evalkit's cloud, conversion time."""
 
 
+@dataclass(frozen=True)
+class PointSettings:
+    """Parameters of point-to-point ICP, and of the other two methods."""
+
+    max_correspondence_m: float = parameter(0.2, "m", "largest distance of a pair", low=1e-3)
+    max_iterations: int = parameter(40, "", "largest number of iterations", low=1)
+    relative_fitness: float = parameter(1e-6, "", "stop where the share of paired points changes by less", low=0.0)
+    relative_rmse: float = parameter(1e-6, "m", "and the root mean square distance changes by less", low=0.0)
+
+
+@dataclass(frozen=True)
+class PlaneSettings(PointSettings):
+    """Parameters of point-to-plane ICP."""
+
+    normal_neighbours: int = parameter(20, "", "points that define a wall, the point itself included", low=3)
+    normal_radius_m: float = parameter(0.5, "m", "largest distance of these points", low=1e-3)
+    kernel: str = parameter("none", "", "robust loss on the residual", choices=("none", "tukey", "huber", "cauchy"))
+    kernel_width_m: float = parameter(0.15, "m", "width of the robust loss", low=1e-4)
+
+
+@dataclass(frozen=True)
+class GeneralizedSettings(PlaneSettings):
+    """Parameters of generalised ICP."""
+
+    epsilon: float = parameter(1e-3, "", "variance across a wall, 1 along it", low=1e-9, high=1.0)
+
+
 class Open3DRegistration:
     """A Registration by one of Open3D's legacy methods; what was made for a target is kept as long as the target."""
 
@@ -58,19 +86,18 @@ class Open3DRegistration:
         estimation: Any,
         describe_target: Describe,
         describe_source: Describe,
-        max_correspondence_m: float,
-        max_iterations: int,
-        relative_fitness: float,
-        relative_rmse: float,
+        settings: PointSettings,
     ) -> None:
         self._open3d = open3d
         self._method = method
         self._estimation = estimation
         self._describe_target = describe_target
         self._describe_source = describe_source
-        self._max_correspondence_m = max_correspondence_m
+        self._max_correspondence_m = settings.max_correspondence_m
         self._criteria = open3d.pipelines.registration.ICPConvergenceCriteria(
-            relative_fitness=relative_fitness, relative_rmse=relative_rmse, max_iteration=max_iterations
+            relative_fitness=settings.relative_fitness,
+            relative_rmse=settings.relative_rmse,
+            max_iteration=settings.max_iterations,
         )
         # by identity: clouds are frozen, so the normals of a local map stay true for every scan held against it
         self._targets: WeakKeyDictionary[Cloud, Any] = WeakKeyDictionary()
@@ -112,47 +139,45 @@ class Open3DRegistration:
         return space
 
 
-def point_to_point(**stop: Any) -> Open3DRegistration:
-    """Open3D's point-to-point ICP."""
+def point_to_point(**parameters: Any) -> Open3DRegistration:
+    """Open3D's point-to-point ICP with the parameters of ``PointSettings``."""
+    settings = PointSettings(**parameters)
     open3d = _imported()
     methods = open3d.pipelines.registration
     estimation = methods.TransformationEstimationPointToPoint()
-    return Open3DRegistration(open3d, methods.registration_icp, estimation, _bare, _bare, **stop)
+    return Open3DRegistration(open3d, methods.registration_icp, estimation, _bare, _bare, settings)
 
 
-def point_to_plane(
-    normal_neighbours: int, normal_radius_m: float, kernel: str, kernel_width_m: float, **stop: Any
-) -> Open3DRegistration:
-    """Open3D's point-to-plane ICP on normals made in the plane."""
+def point_to_plane(**parameters: Any) -> Open3DRegistration:
+    """Open3D's point-to-plane ICP on normals computed in the plane, with the parameters of ``PlaneSettings``."""
+    settings = PlaneSettings(**parameters)
     open3d = _imported()
     methods = open3d.pipelines.registration
 
     def with_normals(library: Any, space: Any, cloud: Cloud, conversion: Stopwatch) -> None:
-        normals = planar3d.normals(cloud.points, normal_neighbours, normal_radius_m)
+        normals = planar3d.normals(cloud.points, settings.normal_neighbours, settings.normal_radius_m)
         with conversion:
             space.normals = library.utility.Vector3dVector(planar3d.points_3d(normals))
 
-    estimation = methods.TransformationEstimationPointToPlane(_loss(methods, kernel, kernel_width_m))
-    return Open3DRegistration(open3d, methods.registration_icp, estimation, with_normals, _bare, **stop)
+    estimation = methods.TransformationEstimationPointToPlane(_loss(methods, settings))
+    return Open3DRegistration(open3d, methods.registration_icp, estimation, with_normals, _bare, settings)
 
 
-def generalized(
-    normal_neighbours: int, normal_radius_m: float, epsilon: float, kernel: str, kernel_width_m: float, **stop: Any
-) -> Open3DRegistration:
-    """Open3D's generalised ICP on covariances made in the plane, for source and target alike."""
+def generalized(**parameters: Any) -> Open3DRegistration:
+    """Open3D's generalised ICP on covariances computed in the plane, with the parameters of ``GeneralizedSettings``."""
+    settings = GeneralizedSettings(**parameters)
     open3d = _imported()
     methods = open3d.pipelines.registration
 
     def with_covariances(library: Any, space: Any, cloud: Cloud, conversion: Stopwatch) -> None:
-        covariances = planar3d.covariances_3d(
-            planar3d.normals(cloud.points, normal_neighbours, normal_radius_m), epsilon
-        )
+        normals = planar3d.normals(cloud.points, settings.normal_neighbours, settings.normal_radius_m)
+        covariances = planar3d.covariances_3d(normals, settings.epsilon)
         with conversion:
             space.covariances = library.utility.Matrix3dVector(covariances)
 
-    estimation = methods.TransformationEstimationForGeneralizedICP(epsilon, _loss(methods, kernel, kernel_width_m))
+    estimation = methods.TransformationEstimationForGeneralizedICP(settings.epsilon, _loss(methods, settings))
     return Open3DRegistration(
-        open3d, methods.registration_generalized_icp, estimation, with_covariances, with_covariances, **stop
+        open3d, methods.registration_generalized_icp, estimation, with_covariances, with_covariances, settings
     )
 
 
@@ -176,14 +201,14 @@ def _bare(_library: Any, _space: Any, _cloud: Cloud, _conversion: Stopwatch) -> 
     """Point-to-point needs nothing but points."""
 
 
-def _loss(methods: Any, kernel: str, width_m: float) -> Any:
+def _loss(methods: Any, settings: PlaneSettings) -> Any:
     losses = {
         "none": methods.L2Loss,
-        "tukey": lambda: methods.TukeyLoss(width_m),
-        "huber": lambda: methods.HuberLoss(width_m),
-        "cauchy": lambda: methods.CauchyLoss(width_m),
+        "tukey": lambda: methods.TukeyLoss(settings.kernel_width_m),
+        "huber": lambda: methods.HuberLoss(settings.kernel_width_m),
+        "cauchy": lambda: methods.CauchyLoss(settings.kernel_width_m),
     }
-    return losses[kernel]()
+    return losses[settings.kernel]()
 
 
 def _imported() -> Any:
@@ -212,18 +237,6 @@ def _loads(library: str) -> bool:
     return True
 
 
-_STOP = (
-    Parameter("max_correspondence_m", 0.2, "m", "largest distance of a pair", 1e-3),
-    Parameter("max_iterations", 40, "", "most iterations", 1),
-    Parameter("relative_fitness", 1e-6, "", "stop where the share of paired points changes by less", 0.0),
-    Parameter("relative_rmse", 1e-6, "m", "and the root mean square distance changes by less", 0.0),
-)
-_WALLS = (
-    Parameter("normal_neighbours", 20, "", "points that make a wall, the point itself included", 3),
-    Parameter("normal_radius_m", 0.5, "m", "how far away they may be", 1e-3),
-    Parameter("kernel", "none", "", "robust loss on the residual", choices=("none", "tukey", "huber", "cauchy")),
-    Parameter("kernel_width_m", 0.15, "m", "width of the robust loss", 1e-4),
-)
 _OPEN3D = "Zhou, Park and Koltun, Open3D: a modern library for 3D data processing, arXiv:1801.09847, 2018"
 
 POINT_TO_POINT = RegistrationSpec(
@@ -233,7 +246,7 @@ POINT_TO_POINT = RegistrationSpec(
     licence="MIT",
     role="peer",
     requires=("open3d",),
-    parameters=_STOP,
+    parameters=declared_parameters(PointSettings),
     missing=open3d_missing,
 )
 
@@ -243,7 +256,7 @@ POINT_TO_PLANE = RegistrationSpec(
     citation=f"Chen and Medioni, IVC 1992; {_OPEN3D}",
     licence="MIT",
     requires=("open3d",),
-    parameters=_STOP + _WALLS,
+    parameters=declared_parameters(PlaneSettings),
     missing=open3d_missing,
 )
 
@@ -253,6 +266,6 @@ GENERALIZED = RegistrationSpec(
     citation=f"Segal, Haehnel and Thrun, RSS 2009; {_OPEN3D}",
     licence="MIT",
     requires=("open3d",),
-    parameters=(*_STOP, *_WALLS, Parameter("epsilon", 1e-3, "", "variance across a wall, 1 along it", 1e-9, 1.0)),
+    parameters=declared_parameters(GeneralizedSettings),
     missing=open3d_missing,
 )

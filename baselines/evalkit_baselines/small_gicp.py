@@ -24,6 +24,7 @@ from __future__ import annotations
 import importlib.util
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -36,7 +37,7 @@ from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import Cost, Stopwatch
 from evalkit.odometry import planar3d
-from evalkit.plugins.parameters import Parameter
+from evalkit.plugins.parameters import declared_parameters, parameter
 from evalkit.plugins.specs import RegistrationSpec
 
 INSTALL = "pip install 'evalkit[small-gicp]'"
@@ -46,26 +47,36 @@ Prepare = Callable[[Any, Cloud, Stopwatch], tuple[Any, Any]]
 """Builds the library's cloud and tree of a target; arguments: library, target, conversion time."""
 
 
+@dataclass(frozen=True)
+class PointSettings:
+    """Parameters of point-to-point ICP, and of the other method."""
+
+    max_correspondence_m: float = parameter(0.2, "m", "largest distance of a pair", low=1e-3)
+    max_iterations: int = parameter(40, "", "largest number of iterations", low=1, high=1_000_000)
+    translation_epsilon_m: float = parameter(1e-4, "m", "stop where a step is shorter", low=0.0)
+    rotation_epsilon_deg: float = parameter(0.01, "deg", "and turns by less", low=0.0)
+
+
+@dataclass(frozen=True)
+class PlaneSettings(PointSettings):
+    """Parameters of point-to-plane ICP."""
+
+    normal_neighbours: int = parameter(30, "", "points of all three layers that define a wall", low=5, high=10_000)
+    layer_m: float = parameter(0.12, "m", "height of a layer above the one below", low=1e-3)
+
+
 class SmallGicpRegistration:
     """A Registration by one of small_gicp's methods."""
 
-    def __init__(
-        self,
-        method: str,
-        prepare: Prepare,
-        max_correspondence_m: float,
-        max_iterations: int,
-        translation_epsilon_m: float,
-        rotation_epsilon_deg: float,
-    ) -> None:
+    def __init__(self, method: str, prepare: Prepare, settings: PointSettings) -> None:
         self._library = _imported()
         self._prepare = prepare
         self._settings = {
             "registration_type": method,
-            "max_correspondence_distance": max_correspondence_m,
-            "max_iterations": max_iterations,
-            "translation_epsilon": translation_epsilon_m,
-            "rotation_epsilon": math.radians(rotation_epsilon_deg),
+            "max_correspondence_distance": settings.max_correspondence_m,
+            "max_iterations": settings.max_iterations,
+            "translation_epsilon": settings.translation_epsilon_m,
+            "rotation_epsilon": math.radians(settings.rotation_epsilon_deg),
             "num_threads": 1,
         }
         # by identity: clouds are frozen, so what was made for one stays true
@@ -96,22 +107,23 @@ class SmallGicpRegistration:
         return Match(answer, bool(result.converged), int(result.iterations), error, pairs, cost=cost)
 
 
-def point_to_point(**stop: Any) -> SmallGicpRegistration:
-    """small_gicp's point-to-point ICP."""
-    return SmallGicpRegistration("ICP", _flat, **stop)
+def point_to_point(**parameters: Any) -> SmallGicpRegistration:
+    """small_gicp's point-to-point ICP with the parameters of ``PointSettings``."""
+    return SmallGicpRegistration("ICP", _flat, PointSettings(**parameters))
 
 
-def point_to_plane(normal_neighbours: int, layer_m: float, **stop: Any) -> SmallGicpRegistration:
-    """small_gicp's point-to-plane ICP on a target extruded to three layers."""
+def point_to_plane(**parameters: Any) -> SmallGicpRegistration:
+    """small_gicp's point-to-plane ICP on a target extruded to three layers (``PlaneSettings``)."""
+    settings = PlaneSettings(**parameters)
 
     def extruded(library: Any, target: Cloud, conversion: Stopwatch) -> tuple[Any, Any]:
         with conversion:
-            cloud = library.PointCloud(layers(target.points, layer_m))
+            cloud = library.PointCloud(layers(target.points, settings.layer_m))
         tree = library.KdTree(cloud, num_threads=1)
-        library.estimate_normals_covariances(cloud, tree, num_neighbors=normal_neighbours, num_threads=1)
+        library.estimate_normals_covariances(cloud, tree, num_neighbors=settings.normal_neighbours, num_threads=1)
         return cloud, tree
 
-    return SmallGicpRegistration("PLANE_ICP", extruded, **stop)
+    return SmallGicpRegistration("PLANE_ICP", extruded, settings)
 
 
 def layers(points: Floats, height_m: float) -> Floats:
@@ -144,12 +156,6 @@ def _imported() -> Any:
     return small_gicp
 
 
-_STOP = (
-    Parameter("max_correspondence_m", 0.2, "m", "largest distance of a pair", 1e-3),
-    Parameter("max_iterations", 40, "", "most iterations", 1, 1_000_000),
-    Parameter("translation_epsilon_m", 1e-4, "m", "stop where a step is shorter", 0.0),
-    Parameter("rotation_epsilon_deg", 0.01, "deg", "and turns by less", 0.0),
-)
 _LIBRARY = "Koide, small_gicp: efficient and parallel algorithms for point cloud registration, JOSS 9(100), 2024"
 
 POINT_TO_PLANE = RegistrationSpec(
@@ -158,11 +164,7 @@ POINT_TO_PLANE = RegistrationSpec(
     citation=f"Chen and Medioni, IVC 1992; {_LIBRARY}",
     licence="MIT",
     requires=("small_gicp",),
-    parameters=(
-        *_STOP,
-        Parameter("normal_neighbours", 30, "", "points of all three layers that make a wall", 5, 10_000),
-        Parameter("layer_m", 0.12, "m", "height of a layer above the one below", 1e-3),
-    ),
+    parameters=declared_parameters(PlaneSettings),
     missing=small_gicp_missing,
 )
 
@@ -172,6 +174,6 @@ POINT_TO_POINT = RegistrationSpec(
     citation=f"Besl and McKay, PAMI 1992; {_LIBRARY}",
     licence="MIT",
     requires=("small_gicp",),
-    parameters=_STOP,
+    parameters=declared_parameters(PointSettings),
     missing=small_gicp_missing,
 )

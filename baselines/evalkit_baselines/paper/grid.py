@@ -15,22 +15,11 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats
-from evalkit.plugins.parameters import Parameter, resolve_parameters
+from evalkit.plugins.parameters import check_fields, declared_parameters, parameter
 
 CHUNK = 256  # cells: the array grows in steps of this, so that copying stays rare
 MAX_CELLS = 64_000_000  # 400 m x 400 m at 5 cm, 320 MB: a trajectory that ran away must not take the machine along
 FARTHEST_CELL = 2**40  # farther out a place within a cell is lost to rounding, and soon the cell
-
-PARAMETERS = (
-    Parameter("resolution_m", 0.05, "m", "side of a cell", low=0.005, high=10.0),
-    Parameter("l_occ", 0.847, "", "added to the cell a beam ends in; ln(0.7 / 0.3)", low=0.0),
-    Parameter("l_free", -0.847, "", "added to the cells a beam passes; ln(0.3 / 0.7), negative", high=0.0),
-    Parameter("l_min", -5.0, "", "least log-odds of a cell", high=0.0),
-    Parameter("l_max", 5.0, "", "greatest log-odds of a cell", low=0.0),
-    Parameter("once_per_scan", True, "", "a scan adds to a cell once, occupied before free; else every beam adds"),
-    Parameter("traversal", "exact", "", "which cells a beam passes", choices=("exact", "bresenham")),
-    Parameter("clear_no_returns", False, "", "beams without return free their cells up to the maximum range"),
-)
 
 
 class Crossed(NamedTuple):
@@ -52,14 +41,18 @@ class LogOddsGrid:
     of more than ``MAX_CELLS`` raises BadParameter.
     """
 
-    resolution_m: float = 0.05
-    l_occ: float = 0.847
-    l_free: float = -0.847
-    l_min: float = -5.0
-    l_max: float = 5.0
-    once_per_scan: bool = True
-    traversal: Literal["exact", "bresenham"] = "exact"
-    clear_no_returns: bool = False
+    resolution_m: float = parameter(0.05, "m", "side of a cell", low=0.005, high=10.0)
+    l_occ: float = parameter(0.847, "", "added to the cell where a beam ends; ln(0.7 / 0.3)", low=0.0)
+    l_free: float = parameter(-0.847, "", "added to the cells that a beam crosses; ln(0.3 / 0.7), negative", high=0.0)
+    l_min: float = parameter(-5.0, "", "smallest log-odds of a cell", high=0.0)
+    l_max: float = parameter(5.0, "", "largest log-odds of a cell", low=0.0)
+    once_per_scan: bool = parameter(
+        True, "", "a scan adds to a cell once, occupied before free; otherwise every beam adds"
+    )
+    traversal: Literal["exact", "bresenham"] = parameter(
+        "exact", "", "which cells a beam crosses", choices=("exact", "bresenham")
+    )
+    clear_no_returns: bool = parameter(False, "", "beams without return free their cells up to the maximum range")
     _low: Ints = field(default_factory=lambda: np.zeros(2, dtype=np.int64), init=False, repr=False)
     _log_odds: NDArray[np.float32] = field(
         default_factory=lambda: np.zeros((0, 0), dtype=np.float32), init=False, repr=False
@@ -67,9 +60,7 @@ class LogOddsGrid:
     _observed: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_), init=False, repr=False)
 
     def __post_init__(self) -> None:
-        given = {parameter.name: getattr(self, parameter.name) for parameter in PARAMETERS}
-        for name, value in resolve_parameters("log-odds", PARAMETERS, given).items():
-            setattr(self, name, value)
+        check_fields("log-odds", self)
 
     def update(self, scan: Scan, world_from_sensor: Pose) -> None:
         """Adds one scan whose beams all start at the sensor."""
@@ -146,6 +137,9 @@ class LogOddsGrid:
 
     def _too_large(self, reach: str) -> BadParameter:
         return BadParameter("log-odds", "resolution_m", self.resolution_m, f"larger cells: the map has reached {reach}")
+
+
+PARAMETERS = declared_parameters(LogOddsGrid)
 
 
 def _span(marked: Bools, across: int) -> tuple[int, int]:

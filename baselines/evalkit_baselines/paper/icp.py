@@ -32,7 +32,7 @@ from evalkit.core.match import Iteration, Match
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
-from evalkit.plugins.parameters import Parameter, resolve_parameters
+from evalkit.plugins.parameters import check_fields, declared_parameters, parameter
 from evalkit_baselines.paper.association import Association, Recent
 
 if TYPE_CHECKING:
@@ -40,50 +40,42 @@ if TYPE_CHECKING:
 
 Target: TypeAlias = "tuple[cKDTree, Floats | None]"  # with the normals (M, 2) of metric "line"
 
-PARAMETERS = (
-    Parameter("epsilon", 1e-4, "m (mean-squared: m^2)", "stop when the error changes by less", low=0.0),
-    Parameter("max_iterations", 40, "", "stop after so many iterations, not converged", low=1),
-    Parameter("error", "mean", "", "what the stop rule watches", choices=("mean", "mean-squared", "rmse")),
-    Parameter("error_at", "after", "", "error of the same pairs after or before the step", choices=("after", "before")),
-    Parameter("one_to_one", True, "", "of several source points that share a target point only the closest counts"),
-    Parameter("max_correspondence_m", 0.3, "m", "pairs farther apart are dropped; 0 keeps all", low=0.0),
-    Parameter("min_pairs", 3, "", "with fewer pairs the guess is the answer, not converged", low=2),
-    Parameter("metric", "point", "", "distance to the point, or to the line through it", choices=("point", "line")),
-    Parameter("line_neighbours", 8, "", "target points that make a line (metric 'line')", low=2),
-    Parameter("cauchy_m", 0.0, "m", "scale of the Cauchy weight of metric 'line'; 0 weighs all alike", low=0.0),
-    Parameter("trace", False, "", "keep the pairs of every iteration"),
-)
-
 
 @dataclass(frozen=True)
 class Icp:
-    """The paper's registration (section 2); parameters as in ``PARAMETERS``.
+    """The paper's registration (section 2).
 
-    Errors are answered in metres: for "mean-squared" the stop rule compares squares and the answer is their root.
-    Every ``Iteration`` carries the error its stop rule saw. With too few pairs the guess comes back, not converged,
-    with error nan.
+    Errors are returned in metres: for "mean-squared" the stop rule compares squares and the result is their root.
+    Every ``Iteration`` holds the error that the stop rule compared. With too few pairs the result is the guess, not
+    converged, with error nan.
 
-    What is built over recent targets is kept, found by the identity of their (frozen) clouds: that saves time between
-    calls and cannot change an answer.
+    Search trees of recent targets are kept, found by the identity of their (frozen) clouds. That saves time between
+    calls and cannot change a result.
     """
 
-    epsilon: float = 1e-4
-    max_iterations: int = 40
-    error: Literal["mean", "mean-squared", "rmse"] = "mean"
-    error_at: Literal["after", "before"] = "after"
-    one_to_one: bool = True
-    max_correspondence_m: float = 0.3
-    min_pairs: int = 3
-    metric: Literal["point", "line"] = "point"
-    line_neighbours: int = 8
-    cauchy_m: float = 0.0
-    trace: bool = False
+    epsilon: float = parameter(1e-4, "m (mean-squared: m^2)", "stop when the error changes by less", low=0.0)
+    max_iterations: int = parameter(40, "", "stop after this number of iterations, not converged", low=1)
+    error: Literal["mean", "mean-squared", "rmse"] = parameter(
+        "mean", "", "quantity of the stop rule", choices=("mean", "mean-squared", "rmse")
+    )
+    error_at: Literal["after", "before"] = parameter(
+        "after", "", "error of the same pairs after or before the step", choices=("after", "before")
+    )
+    one_to_one: bool = parameter(
+        True, "", "of several source points with the same target point only the closest is used"
+    )
+    max_correspondence_m: float = parameter(0.3, "m", "pairs farther apart are dropped; 0 keeps all", low=0.0)
+    min_pairs: int = parameter(3, "", "with fewer pairs the result is the guess, not converged", low=2)
+    metric: Literal["point", "line"] = parameter(
+        "point", "", "distance to the point, or to the line through it", choices=("point", "line")
+    )
+    line_neighbours: int = parameter(8, "", "target points that define a line (metric 'line')", low=2)
+    cauchy_m: float = parameter(0.0, "m", "scale of the Cauchy weight of metric 'line'; 0: equal weights", low=0.0)
+    trace: bool = parameter(False, "", "keep the pairs of every iteration")
     _recent: Recent[Target] = field(default_factory=Recent, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        given = {parameter.name: getattr(self, parameter.name) for parameter in PARAMETERS}
-        for name, value in resolve_parameters("paper ICP", PARAMETERS, given).items():
-            object.__setattr__(self, name, value)
+        check_fields("paper ICP", self)
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """The motion ``target_from_source``, starting from ``guess``; history holds one entry per iteration."""
@@ -140,6 +132,9 @@ class Icp:
 
     def _metres(self, error: float) -> float:
         return math.sqrt(error) if self.error == "mean-squared" else error
+
+
+PARAMETERS = declared_parameters(Icp)
 
 
 def rigid(source: Floats, target: Floats) -> Floats:
