@@ -57,7 +57,7 @@ def test_parameters_are_given_by_name():
 
 
 def test_a_spec_without_a_name_cannot_be_followed_and_says_so():
-    with pytest.raises(NotInstalled, match="stands in no module under a name"):
+    with pytest.raises(NotInstalled, match="has no name in any module"):
         check_backend(replace(OF_THIS_FILE, summary="another"))
 
 

@@ -1,1 +1,1 @@
-"""Turn a registration into an odometry: motion prior, scan-to-scan, scan-to-map, local maps."""
+"""Odometry: front end around a registration, local maps, motion prior, planar values in 3D, the run loop."""

@@ -1,7 +1,6 @@
-"""Turn a registration into an odometry: scan-to-scan, then scan-to-map (paper, figures 2 and 4).
+"""Front end: turn a registration into an odometry by scan-to-scan, then scan-to-map matching (paper, figures 2 and 4).
 
-This is the one place that does so, and the one place that tells the two kinds of back end apart: pairwise back ends
-therefore differ in the registration alone.
+All registrations run in this front end, so pairwise back ends differ in the registration alone.
 """
 
 from __future__ import annotations
@@ -43,14 +42,14 @@ class FrontEndSettings:
     prior: str = parameter(
         "odometry",
         "",
-        "where the first guess comes from; without odometry: constant velocity",
+        "source of the first guess; without odometry: constant velocity",
         choices=("odometry", "constant-velocity", "none"),
     )
     scan_to_scan: bool = parameter(True, "", "register each scan with the one before")
     scan_to_map: bool = parameter(True, "", "register each scan with the local map, starting from stage one's answer")
     deskew: bool = parameter(True, "", "undo the motion within a scan by the prior's velocity")
-    local_radius_m: float = parameter(0.0, "m", "use only points this near to the base; 0: all", low=0.0)
-    source_voxel_m: float = parameter(0.0, "m", "one mean of the scan per cell this wide; 0: off", low=0.0)
+    local_radius_m: float = parameter(0.0, "m", "use only points within this distance of the base; 0: all", low=0.0)
+    source_voxel_m: float = parameter(0.0, "m", "thin the scan to one mean per cell of this side; 0: off", low=0.0)
     local_map: str = parameter(
         "keyframes",
         "",
@@ -58,19 +57,21 @@ class FrontEndSettings:
         "occupied cells of a grid drawn from every scan",
         choices=("keyframes", "scans", "voxels", "grid"),
     )
-    keyframes: int = parameter(10, "", "how many keyframes (or scans) make the local map", low=1)
+    keyframes: int = parameter(10, "", "number of keyframes (or scans) in the local map", low=1)
     keyframe_distance_m: float = parameter(0.5, "m", "a new keyframe after this distance", low=0.0)
     keyframe_angle_deg: float = parameter(20.0, "deg", "or after this turn", low=0.0)
-    local_map_voxel_m: float = parameter(0.0, "m", "one mean of the local map per cell this wide; 0: off", low=0.0)
+    local_map_voxel_m: float = parameter(
+        0.0, "m", "thin the local map to one mean per cell of this side; 0: off", low=0.0
+    )
     local_map_radius_m: float = parameter(
-        15.0, "m", "voxels and grid only: how far around the base they are matched against", low=1.0
+        15.0, "m", "voxels and grid only: match with points within this distance of the base", low=1.0
     )
     local_map_cell_m: float = parameter(0.05, "m", "grid only: side of a cell", low=0.005, high=10.0)
     local_map_probability: float = parameter(
-        0.5, "", "grid only: a cell more probable than this is matched against", low=0.0, high=1.0
+        0.5, "", "grid only: match with cells of a larger probability", low=0.0, high=1.0
     )
     min_inliers: int = parameter(
-        10, "", "an answer standing on fewer pairs is not accepted; the guess is kept", low=0
+        10, "", "a result with fewer pairs is not accepted; the guess is kept", low=0
     )  # fmt: skip
 
 
@@ -109,14 +110,14 @@ def make_odometry(spec: BackendSpec, parameters: Mapping[str, Value]) -> Odometr
 
 
 class LocalMap(Protocol):
-    """What a scan is matched against in the second stage."""
+    """The points that the scan-to-map stage matches a scan with."""
 
     def add(self, points: Floats, start_from_base: Pose, base_from_sensor: Pose) -> None:
-        """Takes in a keyframe's points (N, 2), in the base frame, and where the sensor sits that saw them."""
+        """Add a keyframe's points (N, 2), in the base frame; ``base_from_sensor`` is the pose of the sensor."""
         ...
 
     def cloud(self, near: Pose) -> Cloud:
-        """The points around a pose, in the start frame; the same object until the next ``add``."""
+        """Return the points around a pose, in the start frame; the same object until the next ``add``."""
         ...
 
 
@@ -134,13 +135,13 @@ class FrontEnd:
     def __init__(self, scan_to_scan: Registration, scan_to_map: Registration, settings: FrontEndSettings) -> None:
         self._registrations: dict[Stage, Registration] = {"s2s": scan_to_scan, "s2m": scan_to_map}
         self._settings = settings
-        self._local_map = _local_map(settings)
+        self._local_map = _make_local_map(settings)
         self._motion = Motion(settings.prior)
         self._last: Cloud | None = None
         self._start_from_keyframe = Pose()
 
     def update(self, frame: Frame) -> OdometryEstimate:
-        """Register a scan with the previous one, then with the local map, as far as the settings say so."""
+        """Register a scan with the previous one, then with the local map; the settings can switch off either stage."""
         start_from_last, last_from_base = self._motion.predict(frame)
         source = self._source(frame)
         stages: dict[Stage, _StageAnswer] = {}
@@ -155,7 +156,7 @@ class FrontEnd:
                 stages["s2m"] = self._register("s2m", local_map, source, start_from_base)
                 start_from_base = stages["s2m"].pose
         self._keep(source, start_from_base, frame.base_from_sensor)
-        self._motion.settle(frame, start_from_base)
+        self._motion.store(frame, start_from_base)
         estimates = {name: stage.estimate for name, stage in stages.items()}
         accepted = any(stage.accepted for stage in estimates.values()) if estimates else None
         return OdometryEstimate(
@@ -163,11 +164,11 @@ class FrontEnd:
         )
 
     def _source(self, frame: Frame) -> Cloud:
-        moved = self._motion.within(frame) if self._settings.deskew else None
+        moved = self._motion.within_scan(frame) if self._settings.deskew else None
         scan = frame.scan.deskewed(frame.base_from_sensor, moved)
         points = frame.base_from_sensor.transform(scan.points())
         if self._settings.local_radius_m > 0.0:
-            points = near(points, self._settings.local_radius_m)
+            points = points_within(points, self._settings.local_radius_m)
         if self._settings.source_voxel_m > 0.0:
             points = voxel_means(points, self._settings.source_voxel_m)
         return Cloud(points, "base")
@@ -192,12 +193,12 @@ class FrontEnd:
         return far or abs(moved.theta) >= math.radians(self._settings.keyframe_angle_deg)
 
 
-def near(points: Floats, radius_m: float) -> Floats:
-    """The points (K, 2) within a radius of the origin."""
+def points_within(points: Floats, radius_m: float) -> Floats:
+    """Return the points (K, 2) within a radius of the origin."""
     return np.asarray(points[np.hypot(points[:, 0], points[:, 1]) <= radius_m])
 
 
-def _local_map(settings: FrontEndSettings) -> LocalMap:
+def _make_local_map(settings: FrontEndSettings) -> LocalMap:
     if settings.local_map == "voxels":
         return VoxelMap(settings.local_map_voxel_m, settings.local_map_radius_m)
     if settings.local_map == "grid":
@@ -207,7 +208,10 @@ def _local_map(settings: FrontEndSettings) -> LocalMap:
 
 
 class Motion:
-    """The prior: how the base has moved since the last scan, and how it moves within this one."""
+    """Motion prior: the motion of the base since the previous scan, and within the current one.
+
+    It comes from wheel odometry or, without it, from a constant velocity; ``prior`` as in ``FrontEndSettings``.
+    """
 
     def __init__(self, prior: str) -> None:
         self._prior = prior
@@ -218,34 +222,34 @@ class Motion:
         self._odom_from_base: Pose | None = None
 
     def predict(self, frame: Frame) -> tuple[Pose, Pose]:
-        """``start_from_last`` and the guess ``last_from_base``."""
-        odometry = self._odometry(frame)
-        if odometry is not None:
-            return self._start_from_base, odometry
+        """Return ``start_from_last`` and the guess ``last_from_base``."""
+        step = self._wheel_step(frame)
+        if step is not None:
+            return self._start_from_base, step
         elapsed = 0 if self._stamp_ns is None else frame.scan.stamp_ns - self._stamp_ns
-        return self._start_from_base, self._steady(elapsed)
+        return self._start_from_base, self._constant_velocity(elapsed)
 
-    def within(self, frame: Frame) -> Pose | None:
-        """``start_from_end``: the base's motion from this scan's first beam to its last."""
+    def within_scan(self, frame: Frame) -> Pose | None:
+        """Return ``start_from_end``, the base's motion from this scan's first beam to its last."""
         if self._prior == "odometry" and frame.start_from_end is not None:
             return frame.start_from_end
-        return self._steady(frame.scan.duration_ns)
+        return self._constant_velocity(frame.scan.duration_ns)
 
-    def settle(self, frame: Frame, start_from_base: Pose) -> None:
-        """Takes in the answer for this scan."""
+    def store(self, frame: Frame, start_from_base: Pose) -> None:
+        """Store the estimated pose of this scan."""
         if self._stamp_ns is not None:
             self._step_ns = frame.scan.stamp_ns - self._stamp_ns
             self._step = self._start_from_base.inverse() @ start_from_base
         self._stamp_ns, self._start_from_base = frame.scan.stamp_ns, start_from_base
         self._odom_from_base = frame.odom_from_base
 
-    def _odometry(self, frame: Frame) -> Pose | None:
+    def _wheel_step(self, frame: Frame) -> Pose | None:
         if self._prior != "odometry" or frame.odom_from_base is None or self._odom_from_base is None:
             return None
         return self._odom_from_base.inverse() @ frame.odom_from_base
 
-    def _steady(self, elapsed_ns: int) -> Pose:
+    def _constant_velocity(self, elapsed_ns: int) -> Pose:
         if self._prior == "none" or self._step_ns == 0:
             return Pose()
-        share = min(elapsed_ns / self._step_ns, 2.0)  # a long gap says nothing about the speed
+        share = min(elapsed_ns / self._step_ns, 2.0)  # after a long gap the last speed has no meaning
         return Pose.of(se2.fraction(self._step.row, np.array([share]))[0])

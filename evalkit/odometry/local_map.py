@@ -1,4 +1,4 @@
-"""What scans are matched against: the last scans or keyframes, one lasting map of voxels, or an occupancy grid."""
+"""Local maps: the last scans or keyframes, one lasting map of voxels, or an occupancy grid."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ORIGIN = Pose()
 
 
 def voxel_means(points: Floats, size_m: float) -> Floats:
-    """The mean (K, 2) of the points (N, 2) in each square cell of that width, ordered by cell."""
+    """Return the mean (K, 2) of the points (N, 2) in each square cell of side ``size_m``, ordered by cell."""
     if len(points) == 0:
         return points
     _, inverse, counts = np.unique(_keys(points, size_m), return_inverse=True, return_counts=True)
@@ -26,7 +26,7 @@ def voxel_means(points: Floats, size_m: float) -> Floats:
 
 
 class KeyframeMap:
-    """The points of the last keyframes, optionally thinned to voxel means."""
+    """The points of the last ``keyframes`` keyframes, thinned to voxel means where ``voxel_m`` is positive."""
 
     def __init__(self, keyframes: int, voxel_m: float) -> None:
         self._clouds: deque[Floats] = deque(maxlen=keyframes)
@@ -34,13 +34,13 @@ class KeyframeMap:
         self._cloud: Cloud | None = None
 
     def add(self, points: Floats, start_from_base: Pose, base_from_sensor: Pose = ORIGIN) -> None:
-        """Takes in a keyframe's points (N, 2) of the base frame; the oldest keyframe leaves."""
-        del base_from_sensor  # points are points, wherever they were seen from
+        """Add a keyframe's points (N, 2) of the base frame and drop the oldest keyframe beyond the limit."""
+        del base_from_sensor  # the points alone matter
         self._clouds.append(start_from_base.transform(points))
         self._cloud = None
 
-    def cloud(self, near: Pose) -> Cloud:  # noqa: ARG002 - a short local map is near by itself
-        """All kept points in the start frame."""
+    def cloud(self, near: Pose) -> Cloud:  # noqa: ARG002 - a few keyframes are always near
+        """Return all points in the start frame."""
         if self._cloud is None:
             points = np.concatenate(self._clouds)
             self._cloud = Cloud(voxel_means(points, self._voxel_m) if self._voxel_m > 0.0 else points, "start")
@@ -48,18 +48,17 @@ class KeyframeMap:
 
 
 class VoxelMap:
-    """Every keyframe's points for good, one mean per square voxel: places seen again are matched where they were.
+    """One lasting map of all keyframes, one mean per square voxel: revisited places are matched where first seen.
 
-    A voxel takes points until it has ``settled`` of them: later visits are matched against the map and must not drag
-    it along.
+    A voxel takes no more points once it has ``max_points``, so that later visits, which drift, do not move the map.
     """
 
-    def __init__(self, voxel_m: float, radius_m: float, settled: int = 20) -> None:
+    def __init__(self, voxel_m: float, radius_m: float, max_points: int = 20) -> None:
         if not voxel_m > 0.0:
             raise BadParameter(
-                "front end", "local_map_voxel_m", voxel_m, "a positive number: a lasting map is made of voxels"
+                "front end", "local_map_voxel_m", voxel_m, "a positive number: a lasting map consists of voxels"
             )
-        self._voxel_m, self._radius_m, self._settled = voxel_m, radius_m, settled
+        self._voxel_m, self._radius_m, self._max_points = voxel_m, radius_m, max_points
         self._index: dict[int, int] = {}
         self._sums = np.zeros((1024, 2))
         self._counts = np.zeros(1024, dtype=np.int64)
@@ -67,12 +66,12 @@ class VoxelMap:
         self._centre = Pose()
 
     def add(self, points: Floats, start_from_base: Pose, base_from_sensor: Pose = ORIGIN) -> None:
-        """Takes in a keyframe's points (N, 2) of the base frame."""
+        """Add a keyframe's points (N, 2) of the base frame."""
         del base_from_sensor
         moved = start_from_base.transform(points)
         keys, inverse, counts = np.unique(_keys(moved, self._voxel_m), return_inverse=True, return_counts=True)
         slots = self._slots(keys)
-        open_ = self._counts[slots] < self._settled
+        open_ = self._counts[slots] < self._max_points
         for axis in (0, 1):
             sums = np.bincount(inverse, weights=moved[:, axis], minlength=len(keys))
             self._sums[slots[open_], axis] += sums[open_]
@@ -80,7 +79,7 @@ class VoxelMap:
         self._cloud = None
 
     def cloud(self, near: Pose) -> Cloud:
-        """The voxel means around a pose, in the start frame; redrawn after ``add`` or when the pose has moved on."""
+        """Return the voxel means around a pose, in the start frame; updated after ``add`` or when the pose moved."""
         moved_on = np.hypot(near.x - self._centre.x, near.y - self._centre.y) > 0.1 * self._radius_m
         if self._cloud is None or moved_on:
             used = len(self._index)
@@ -98,9 +97,9 @@ class VoxelMap:
 
 
 class GridMap:
-    """The occupied cells of an occupancy grid that grows with every scan: the map the paper draws, matched against.
+    """The occupied cells of an occupancy grid that grows with every scan, as in the paper.
 
-    A cell is occupied where its probability is above ``probability``; its centre is the point to be matched.
+    A cell is occupied where its probability is above ``probability``; its centre is the point to match with.
     """
 
     def __init__(self, mapper: Mapper, probability: float, radius_m: float) -> None:
@@ -108,7 +107,7 @@ class GridMap:
         self._cloud: Cloud | None = None
 
     def add(self, points: Floats, start_from_base: Pose, base_from_sensor: Pose = ORIGIN) -> None:
-        """Draws a scan's points (N, 2) of the base frame, each at the end of a beam from the sensor."""
+        """Draw a scan's points (N, 2) of the base frame, each as the end of a beam from the sensor."""
         x, y = base_from_sensor.inverse().transform(points).T
         ranges = np.hypot(x, y)
         scan = Scan(0, ranges, np.arctan2(y, x), 0.0, float(ranges.max(initial=0.0)) + 1.0)
@@ -116,7 +115,7 @@ class GridMap:
         self._cloud = None
 
     def cloud(self, near: Pose) -> Cloud:
-        """The centres of the occupied cells around a pose, in the start frame."""
+        """Return the centres of the occupied cells around a pose, in the start frame."""
         if self._cloud is None:
             grid = self._mapper.grid()
             centres = grid.centres(grid.occupied(self._probability))

@@ -1,8 +1,7 @@
-"""The plane as a slice of space, for back ends that only know 3D: points, normals, covariances and poses both ways.
+"""Conversion of planar points, normals, covariances and poses to 3D and back, for 3D libraries.
 
-A planar cloud at z = 0 breaks what 3D libraries estimate for themselves: the normal of such a cloud in space is
-the z axis everywhere, so a point-to-plane residual is zero for every pose. Normals and covariances are therefore made
-here, in the plane.
+3D libraries estimate wrong normals for a planar cloud at z = 0: every normal is the z axis, so the residual of
+point-to-plane is zero for every pose. Normals and covariances are therefore computed here, in the plane.
 """
 
 from __future__ import annotations
@@ -14,11 +13,11 @@ from evalkit.core import se2
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
 
-MIN_FOR_A_LINE = 3  # two points always lie on a line: they say nothing about the wall
+MIN_FOR_A_LINE = 3  # two points always lie on a line, so they do not define a wall
 
 
 def points_3d(points: ArrayLike) -> Floats:
-    """Points or normals (N, 2) of the plane as rows (N, 3) with z = 0, in memory of their own."""
+    """Return points or normals (N, 2) of the plane as a new array (N, 3) with z = 0."""
     rows = np.asarray(points, dtype=np.float64)
     space = np.zeros((len(rows), 3))
     space[:, :2] = rows
@@ -26,18 +25,18 @@ def points_3d(points: ArrayLike) -> Floats:
 
 
 def normals(points: ArrayLike, neighbours: int, radius_m: float) -> Floats:
-    """The unit normals (N, 2) of the walls that points (N, 2) lie on; (0, 0) where there is no wall to see.
+    """Return the unit normals (N, 2) of the walls through points (N, 2); (0, 0) where there is no wall.
 
-    A wall is the line through the nearest ``neighbours`` points (the point itself counts) within ``radius_m``: the
-    normal is the direction of least variance. Fewer than three points, or points that coincide, make no wall. The sign
-    is arbitrary: no sensor position is known here.
+    A wall is the line through the nearest ``neighbours`` points (including the point itself) within ``radius_m``; the
+    normal is the direction of least variance. Fewer than three points, or coinciding points, define no wall. The sign
+    is arbitrary, because the sensor's position is unknown here.
     """
     from scipy.spatial import cKDTree  # noqa: PLC0415 - the specs of back ends are listed without SciPy
 
     rows = np.asarray(points, dtype=np.float64)
     if len(rows) < MIN_FOR_A_LINE:
         return np.zeros((len(rows), 2))
-    # both dimensions must survive k = 1, hence the list
+    # a list keeps both dimensions for k = 1
     distance, index = cKDTree(rows).query(rows, k=list(range(1, neighbours + 1)), distance_upper_bound=radius_m)
     near = np.isfinite(distance)
     count = np.maximum(near.sum(axis=1), 1)[:, None]
@@ -50,18 +49,18 @@ def normals(points: ArrayLike, neighbours: int, radius_m: float) -> Floats:
 
 
 def covariances_3d(wall_normals: ArrayLike, epsilon: float) -> Floats:
-    """The shapes (N, 3, 3) ``I - (1 - epsilon) n n^T`` of small discs standing upright on normals (N, 2).
+    """Return the covariances (N, 3, 3) ``I - (1 - epsilon) n n^T`` of upright discs with normals (N, 2).
 
-    Segal, Haehnel and Thrun, Generalized-ICP, RSS 2009: variance epsilon across the wall, 1 along it. Upright means
-    variance 1 along z too, as if the wall were seen in full height: every z residual is zero, so this pulls nothing
-    out of the plane and only keeps the 6 x 6 system regular. A normal of (0, 0) gives the unit sphere.
+    Segal, Haehnel and Thrun, Generalized-ICP, RSS 2009: variance epsilon across the wall, 1 along it. The
+    variance along z is 1 too, as for a wall seen in full height. Every z residual is zero, so this moves nothing out of
+    the plane and only keeps the 6 x 6 system regular. A normal of (0, 0) gives the unit sphere.
     """
     n = points_3d(wall_normals)
     return np.asarray(np.eye(3) - (1.0 - epsilon) * n[:, :, None] * n[:, None, :])
 
 
 def matrix_4x4(a_from_b: Pose) -> Floats:
-    """The motion as a homogeneous matrix (4, 4), its rotation orthogonal to the last bit that float64 can tell."""
+    """Return the motion as a homogeneous matrix (4, 4); its rotation is orthogonal to the precision of float64."""
     planar = se2.to_matrix(a_from_b.row)
     matrix = np.eye(4)
     matrix[:2, :2] = planar[:2, :2]
@@ -70,10 +69,10 @@ def matrix_4x4(a_from_b: Pose) -> Floats:
 
 
 def pose_2d(matrix: ArrayLike, tolerance: float = 1e-6) -> Pose:
-    """The planar motion of a homogeneous matrix (4, 4).
+    """Return the planar motion of a homogeneous matrix (4, 4).
 
-    Raises ValueError where the matrix is not a motion of the plane: z (m) or any entry of the rotation is further than
-    ``tolerance`` from what a rotation about z has. A back end that tilts has not answered the question asked.
+    Raises ValueError where the matrix is not a motion of the plane: z (m) or an entry of the rotation differs by more
+    than ``tolerance`` from a rotation about z.
     """
     m = np.asarray(matrix, dtype=np.float64)
     if m.shape != (4, 4):

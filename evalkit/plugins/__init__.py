@@ -1,1 +1,1 @@
-"""What a plug-in implements and how it is found: protocols, specs, parameters, the registry, the code hash."""
+"""Plug-ins: protocols, specs, parameters, the registry of names, the code hash."""

@@ -1,4 +1,4 @@
-"""Where a spec stands, in words that another process can follow."""
+"""Addresses of specs: names and module paths by which another process finds the same spec."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Spec = TypeVar("Spec", BackendSpec, DatasetSpec)
 
 @dataclass(frozen=True)
 class Address:
-    """A registered name in ``label`` and nothing else, or a module, the name in it and the module's file."""
+    """A registered name in ``label`` alone, or the spec's module, its name there and the module's file."""
 
     label: str
     module: str = ""
@@ -29,7 +29,10 @@ class Address:
 
 
 def address_of(plug_in: str | BackendSpec | DatasetSpec) -> Address:
-    """The address of a registered name, of "module:SPEC", or of a spec that stands in a module under a name."""
+    """Find the address of a registered name, of "module:SPEC" or of a spec object.
+
+    Raises NotInstalled for a spec object that no imported module holds under a name.
+    """
     if not isinstance(plug_in, str):
         return _address_of_object(plug_in)
     module, colon, attribute = plug_in.partition(":")
@@ -39,12 +42,12 @@ def address_of(plug_in: str | BackendSpec | DatasetSpec) -> Address:
 
 
 def spec_at(address: Address, wanted: type[Spec], registered: Callable[[str], Spec]) -> Spec:
-    """The spec at an address; ``registered`` finds the registered ones. NotInstalled where there is none."""
+    """Load the spec at an address; ``registered`` loads registered names. Raises NotInstalled where there is none."""
     if not address.module:
         return registered(address.label)
     try:
         spec = getattr(_module(address), address.attribute)
-    except Exception as error:  # a third party's code; a plug-in under development may raise anything
+    except Exception as error:  # third-party code; a plug-in under development may raise anything
         raise NotInstalled(address.label, f"does not load ({type(error).__name__}: {error})", _REMEDY) from error
     if not isinstance(spec, wanted):
         found = f"is a {type(spec).__name__}, expected a {wanted.__name__}"
@@ -56,7 +59,7 @@ _REMEDY = "give a registered name, or module:SPEC of a module that can be import
 
 
 def _module(address: Address) -> ModuleType:
-    """The module by its name, or by its file where the name leads elsewhere (a test, a script)."""
+    """Import a module by its name, or by its file where the name belongs to another module (a test, a script)."""
     if address.module != "__main__":
         try:
             module = importlib.import_module(address.module)
@@ -74,18 +77,18 @@ def _module_of_file(file: str) -> ModuleType:
     if name not in sys.modules:
         found = importlib.util.spec_from_file_location(name, file)
         if found is None or found.loader is None:
-            raise ImportError(f"{file} is no Python file")
+            raise ImportError(f"{file} is not a Python file")
         sys.modules[name] = module = importlib.util.module_from_spec(found)
         found.loader.exec_module(module)
     return sys.modules[name]
 
 
 def _address_of_object(spec: BackendSpec | DatasetSpec) -> Address:
-    home = getattr(spec.make, "__module__", "")  # others may have imported it
+    home = getattr(spec.make, "__module__", "")  # first the module that defines it; others may have imported it
     for name, module in sorted(sys.modules.items(), key=lambda item: item[0] != home):
         for attribute, value in list(vars(module).items()) if isinstance(module, ModuleType) else ():
             if value is spec:
                 return Address(f"{name}:{attribute}", name, attribute, str(getattr(module, "__file__", "") or ""))
     raise NotInstalled(
-        "this spec", "stands in no module under a name, so another process cannot find it", "give it a name in a module"
+        "this spec", "has no name in any module, so another process cannot find it", "assign it to a name in a module"
     )

@@ -1,4 +1,4 @@
-"""Which code a result stands on: the sources a module reaches by its imports, as one digest."""
+"""Digests of the code and the files behind a result."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from pathlib import Path
 
 
 def fingerprint(modules: tuple[str, ...], libraries: tuple[str, ...]) -> str:
-    """A digest of the modules' sources, of all they import within evalkit and their own packages, and of versions."""
+    """A digest of modules and library versions.
+
+    It covers the modules' sources and everything they import within evalkit and their own packages.
+    """
     roots = {"evalkit", *(module.partition(".")[0] for module in modules)}
     files = sorted({file for module in modules for file in sources(module, frozenset(roots))})
     digest = hashlib.sha256()
@@ -25,18 +28,18 @@ def fingerprint(modules: tuple[str, ...], libraries: tuple[str, ...]) -> str:
 
 
 def file_state(value: str) -> list[object]:
-    """The text, and size and time of what it names: of a folder (a ROS 2 bag), those of the files in it too."""
+    """The text, and size and modification time of the file it names; for a folder, also of the files in it."""
     path = Path(value)
     try:
         inside = sorted(path.iterdir()) if path.is_dir() else []
         states = [(file.name, file.stat()) for file in (path, *inside)]
-    except (OSError, ValueError):  # a text that names no file, or could not
+    except (OSError, ValueError):  # a text that is not the path of a file
         return [value]
     return [value, *([name, state.st_size, state.st_mtime_ns] for name, state in states)]
 
 
-def of_files(parameters: Mapping[str, object]) -> str:
-    """A digest of size and time of the files that parameters name, "" where they name none."""
+def files_digest(parameters: Mapping[str, object]) -> str:
+    """A digest of size and modification time of the files that parameters name, "" where they name none."""
     named = [file_state(value) for value in parameters.values() if isinstance(value, str) and value]
     known = [state for state in named if len(state) > 1]
     return hashlib.sha256(json.dumps(known).encode()).hexdigest() if known else ""
@@ -44,7 +47,7 @@ def of_files(parameters: Mapping[str, object]) -> str:
 
 @cache
 def sources(module: str, roots: frozenset[str]) -> frozenset[Path]:
-    """The files of a module and of everything it imports, however far, within the packages ``roots``."""
+    """The source files of a module and of all its direct and indirect imports within the packages ``roots``."""
     found: dict[str, Path] = {}
     waiting = [module]
     while waiting:
@@ -61,14 +64,14 @@ def sources(module: str, roots: frozenset[str]) -> frozenset[Path]:
 def _file(name: str) -> Path | None:
     try:
         spec = find_spec(name)
-    except ModuleNotFoundError:  # "package.name" where name is no module but a thing in it
+    except ModuleNotFoundError:  # "package.name" where name is an attribute, not a module
         return None
     return Path(spec.origin) if spec is not None and spec.origin and spec.origin != "built-in" else None
 
 
 @cache
 def _imported(name: str, file: Path) -> tuple[str, ...]:
-    """The modules a source file imports anywhere, "package.name" for every name it takes from a package."""
+    """The modules that a source file imports anywhere; "package.name" for every name imported from a package."""
     return tuple(_imports(name, file)) if file.suffix == ".py" else ()
 
 

@@ -1,4 +1,4 @@
-"""Defaults of commands, found among the installed plug-ins by what their specs declare."""
+"""Defaults of commands, chosen from the installed plug-ins by the declarations in their specs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parameters given as words on the command line, in the types their plug-in declares."""
+"""Conversion of parameter texts from the command line into the types that a plug-in declares."""
 
 from __future__ import annotations
 
@@ -8,19 +8,20 @@ from evalkit.core.errors import BadParameter
 from evalkit.plugins.parameters import Parameter, Value
 
 WORDS: dict[type, str] = {int: "a whole number", float: "a number"}
-"""What is asked for where a text is none of its type."""
+"""Name of the expected type in an error message."""
 
 
 def from_text(owner: str, parameters: Iterable[Parameter], texts: Mapping[str, str]) -> dict[str, Value]:
-    """The given values in the types of the parameters' defaults; unknown names stay as they are, to be refused later.
+    """Convert texts to the types of the parameters' defaults.
 
-    BadParameter names a text that is none of its type.
+    Unknown names keep their text; ``resolve_parameters`` refuses them. Raises BadParameter where a text does not
+    convert.
     """
     known = {parameter.name: parameter for parameter in parameters}
-    return {name: _value(owner, known[name], text) if name in known else text for name, text in texts.items()}
+    return {name: _convert(owner, known[name], text) if name in known else text for name, text in texts.items()}
 
 
-def _value(owner: str, parameter: Parameter, text: str) -> Value:
+def _convert(owner: str, parameter: Parameter, text: str) -> Value:
     kind = type(parameter.default)
     if kind is bool and text.lower() in ("true", "false"):
         return text.lower() == "true"

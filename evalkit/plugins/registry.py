@@ -1,6 +1,7 @@
-"""Names to specs, by entry points: the same way for what ships with evalkit and for a stranger's package.
+"""Registered names and their specs, found through entry points of installed packages.
 
-Listing names imports nothing; loading one name imports only the module it stands in.
+evalkit's own plug-ins and those of other packages are found in the same way. Listing names imports no plug-in; loading
+a name imports only the module that defines it.
 """
 
 from __future__ import annotations
@@ -23,30 +24,33 @@ from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec, Odometry
 
 Spec = TypeVar("Spec")
 
-_PLACE = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+_MODULE_AND_NAME = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
 
 
 MARK = "EVALKIT_CHILD"
-"""Environment variable by which a child's descendants are known, wherever they have gone."""
+"""Environment variable that marks the child processes of evalkit and all their descendants."""
 
 LOADING_S = 60.0
-"""How long importing somebody else's plug-in may take."""
+"""Time limit for importing a third-party plug-in."""
 
 
 def names(kind: str) -> list[str]:
-    """All names of a kind: "backends", "mappers", "datasets" or "metrics", sorted."""
-    return sorted(_found(kind))
+    """All names of a kind, sorted: "backends", "mappers", "datasets", "metrics", "commands" or "schemes"."""
+    return sorted(_points(kind))
 
 
 def backend(name: str) -> BackendSpec:
-    """The back end of a name: registered, of a scheme ("exec:./my_icp --fast"), or in a module ("my.icp:SPEC")."""
+    """The back end of a name: registered, of a scheme ("exec:./my_icp --fast"), or in a module ("my.icp:SPEC").
+
+    Raises UnknownName, or NotInstalled where the plug-in does not load.
+    """
     scheme, colon, rest = name.partition(":")
     if not colon:
         return load("backends", name, BackendSpec)
-    if point := _in_module(name):
-        return _loaded(name, point, BackendSpec)
-    made: BackendSpec = load("schemes", scheme, FunctionType)(rest)
-    return made
+    if point := _module_point(name):
+        return _load_point(name, point, BackendSpec)
+    spec: BackendSpec = load("schemes", scheme, FunctionType)(rest)
+    return spec
 
 
 def find_backend(name: str) -> BackendSpec:
@@ -66,83 +70,86 @@ def find_backend(name: str) -> BackendSpec:
     def make(**_parameters: Value) -> Odometry:
         raise NotInstalled(name, "cannot be used", reason)
 
-    unknown = "not told: its plug-in does not load"
+    unknown = "unknown: its plug-in does not load"
     return OdometrySpec(make, unknown, unknown, unknown, missing=lambda: reason)
 
 
 def mapper(name: str) -> MapperSpec:
-    """The mapper registered under a name."""
+    """The mapper of a name; raises UnknownName or NotInstalled."""
     return load("mappers", name, MapperSpec)
 
 
 def dataset(name: str) -> DatasetSpec:
-    """The data set or reader registered under a name."""
+    """The data set or reader of a name; raises UnknownName or NotInstalled."""
     return load("datasets", name, DatasetSpec)
 
 
 def run_fingerprint(method: str, dataset: str) -> str:
-    """A digest of the code a run stands on: evalkit's part in it, the two plug-ins and the libraries they require."""
+    """A digest of the code behind a run: evalkit's part, both plug-ins and the libraries that the back end requires."""
     spec = backend(method)
-    plug_in = plug_in_of("backends", method)
-    modules = ("evalkit.execution.worker", plug_in.module, _found("datasets")[dataset].module)
+    modules = (
+        "evalkit.execution.worker",
+        plug_in_of("backends", method).module,
+        _points("datasets")[dataset].module,
+    )
     return fingerprint(modules, ("numpy", "scipy", *spec.requires)) + spec.digest
 
 
-def plug_in_of(kind: str, name: str) -> EntryPoint:
-    """Where the plug-in of a name of a kind stands; a back end of a scheme stands where the scheme does."""
-    scheme, colon, _ = name.partition(":")
-    if not colon:
-        return _point(kind, name)
-    return _in_module(name) or _point("schemes", scheme)
-
-
 def score_fingerprint(mapper: str) -> str:
-    """A digest of the code the scores and the map of a run stand on."""
+    """A digest of the code behind the scores and the map of a run."""
     return fingerprint(
-        ("evalkit.metrics.evaluate", "evalkit.metrics.evaluate_map", _found("mappers")[mapper].module),
+        ("evalkit.metrics.evaluate", "evalkit.metrics.evaluate_map", _points("mappers")[mapper].module),
         ("numpy", "scipy"),
     )
 
 
-def _found(kind: str) -> dict[str, EntryPoint]:
-    return _listed(kind, tuple(sys.path))
-
-
-@cache  # looking through every installed package takes 30 ms, and a plan asks hundreds of times
-def _listed(kind: str, _path: tuple[str, ...]) -> dict[str, EntryPoint]:
-    return {point.name: point for point in entry_points(group=f"evalkit.{kind}")}
+def plug_in_of(kind: str, name: str) -> EntryPoint:
+    """The entry point of a name; for a back end of a scheme, the entry point of the scheme."""
+    scheme, colon, _ = name.partition(":")
+    if not colon:
+        return _point(kind, name)
+    return _module_point(name) or _point("schemes", scheme)
 
 
 def load(kind: str, name: str, wanted: type[Spec]) -> Spec:
-    """What is registered under a name of a kind; UnknownName lists the known ones."""
-    return _loaded(name, _point(kind, name), wanted)
+    """Load what is registered under a name; raises UnknownName (with the known names) or NotInstalled."""
+    return _load_point(name, _point(kind, name), wanted)
+
+
+def _points(kind: str) -> dict[str, EntryPoint]:
+    return _find_points(kind, tuple(sys.path))
+
+
+@cache  # searching all installed packages takes 30 ms, and a plan does it hundreds of times
+def _find_points(kind: str, _path: tuple[str, ...]) -> dict[str, EntryPoint]:
+    return {point.name: point for point in entry_points(group=f"evalkit.{kind}")}
 
 
 def _point(kind: str, name: str) -> EntryPoint:
-    points = _found(kind)
+    points = _points(kind)
     if name not in points:
         raise UnknownName(kind.removesuffix("s"), name, points)
     return points[name]
 
 
-def _in_module(name: str) -> EntryPoint | None:
-    """The place a name "module:SPEC" spells out, None where it is no such name: schemes come first."""
+def _module_point(name: str) -> EntryPoint | None:
+    """The entry point that a name "module:SPEC" spells out, None for any other name; schemes take precedence."""
     module, _, attribute = name.partition(":")
-    if module in _found("schemes") or not _PLACE.fullmatch(name):
+    if module in _points("schemes") or not _MODULE_AND_NAME.fullmatch(name):
         return None
     try:
         found = find_spec(module)
-    except (ImportError, ValueError):  # a part of it is no package
+    except (ImportError, ValueError):  # a parent is not a package
         return None
     return EntryPoint(attribute, name, "evalkit.backends") if found else None
 
 
-def _loaded(name: str, point: EntryPoint, wanted: type[Spec]) -> Spec:
-    if _foreign(point) and (why := _fatal(point.module)):
-        raise NotInstalled(name, f"its plug-in {point.value} does not load ({why})", "mend or remove its package")
+def _load_point(name: str, point: EntryPoint, wanted: type[Spec]) -> Spec:
+    if _needs_trial_import(point) and (reason := _import_failure(point.module)):
+        raise NotInstalled(name, f"its plug-in {point.value} does not load ({reason})", "mend or remove its package")
     try:
         spec = point.load()
-    except Exception as error:  # a plug-in is a third party's code; it must not take the others along
+    except Exception as error:  # third-party code may raise anything; the other plug-ins stay usable
         raise NotInstalled(
             name, f"its plug-in {point.value} does not load ({error})", "reinstall its package"
         ) from error
@@ -151,27 +158,27 @@ def _loaded(name: str, point: EntryPoint, wanted: type[Spec]) -> Spec:
     return spec
 
 
-def _foreign(point: EntryPoint) -> bool:
-    """Whether a plug-in is somebody else's, and nobody has been put into a process of his own to run it."""
+def _needs_trial_import(point: EntryPoint) -> bool:
+    """Whether a plug-in is third-party and this process is not a child that may crash."""
     dist = getattr(point, "dist", None)
     return (dist is None or dist.name != "evalkit") and MARK not in os.environ
 
 
-@cache  # once a process: it takes as long as the import
-def _fatal(module: str) -> str:
-    """How importing a module ends or stops the process that does it, "" where it does neither: tried in another one.
+@cache  # once per process: it takes as long as the import
+def _import_failure(module: str) -> str:
+    """How importing a module ends or blocks the process, "" where it does neither; tried in a separate process.
 
-    What it raises is for whoever imports it: that does no harm.
+    An exception is not a failure here: the caller's own import raises it again without harm.
     """
     path = os.pathsep.join(filter(None, sys.path))
     command = [sys.executable, "-P", "-c", f"try:\n import {module}\nexcept Exception: pass"]
     try:
-        tried = subprocess.run(
+        trial = subprocess.run(
             command, env={**os.environ, "PYTHONPATH": path}, stdin=subprocess.DEVNULL, capture_output=True,
             timeout=LOADING_S, check=False, start_new_session=True,
         )  # fmt: skip
     except subprocess.TimeoutExpired:
         return f"importing it takes more than {LOADING_S:g} s"
-    if tried.returncode < 0:
-        return f"importing it ends the process by signal {-tried.returncode}"
-    return f"importing it ends the process with code {tried.returncode}" if tried.returncode else ""
+    if trial.returncode < 0:
+        return f"importing it ends the process by signal {-trial.returncode}"
+    return f"importing it ends the process with code {trial.returncode}" if trial.returncode else ""

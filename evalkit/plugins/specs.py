@@ -14,7 +14,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.plugins.parameters import Parameter, Value
 from evalkit.plugins.protocols import Mapper, Odometry, Registration, Sequence
 
-GUESS_NOT_REPORTED = "not told"
+GUESS_NOT_REPORTED = "not reported"
 
 Kind = Literal["registration", "odometry", "map"]
 

@@ -38,8 +38,8 @@ REGISTRATION: Words = {
 }
 TWO_STAGES: Words = {
     "Motion.predict": "first guess: odometry since the last scan",
-    "Motion.within": "undo the motion within the scan",
-    "near": "keep points within the local radius",
+    "Motion.within_scan": "undo the motion within the scan",
+    "points_within": "keep points within the local radius",
     "voxel_means": "one mean per voxel",
     "FrontEnd._register s2s": "ICP with the last scan (S2S)",
     "KeyframeMap.cloud": "local map: last keyframes",
@@ -50,7 +50,7 @@ TWO_STAGES: Words = {
     "KeyframeMap.add": "add its points to the local map",
     "VoxelMap.add": "add its points to the local map",
     "GridMap.add": "add it to the local map",
-    "Motion.settle": "pose: result, and start of the next scan",
+    "Motion.store": "pose: result, and start of the next scan",
 }
 MAPPING: Words = {
     "LogOddsGrid.update": "end points of the beams in the world",

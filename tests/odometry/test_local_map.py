@@ -70,14 +70,14 @@ def test_the_local_map_is_one_object_until_a_keyframe_comes():
 
 
 def test_an_open_voxel_is_the_mean_of_all_its_points():
-    lasting = VoxelMap(1.0, 10.0, settled=3)
+    lasting = VoxelMap(1.0, 10.0, max_points=3)
     lasting.add(np.array([[0.2, 0.2], [0.4, 0.4]]), Pose())
     lasting.add(np.array([[0.6, 0.9]]), Pose())
     np.testing.assert_allclose(lasting.cloud(Pose()).points, [[0.4, 0.5]])
 
 
 def test_a_settled_voxel_does_not_move_but_others_may_open():
-    lasting = VoxelMap(1.0, 10.0, settled=2)
+    lasting = VoxelMap(1.0, 10.0, max_points=2)
     lasting.add(np.array([[0.2, 0.2], [0.4, 0.4]]), Pose())
     lasting.add(np.array([[0.9, 0.9], [1.5, 0.5]]), Pose())
     np.testing.assert_allclose(lasting.cloud(Pose()).points, [[0.3, 0.3], [1.5, 0.5]])
@@ -85,7 +85,7 @@ def test_a_settled_voxel_does_not_move_but_others_may_open():
 
 def test_a_lasting_map_that_never_settles_is_the_voxel_mean_of_everything():
     rng = np.random.default_rng(1)
-    batches, lasting = rng.uniform(-20, 20, (40, 100, 2)), VoxelMap(0.5, 100.0, settled=10**9)
+    batches, lasting = rng.uniform(-20, 20, (40, 100, 2)), VoxelMap(0.5, 100.0, max_points=10**9)
     for points in batches:
         lasting.add(points, Pose())
     points = lasting.cloud(Pose()).points

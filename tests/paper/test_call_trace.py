@@ -42,8 +42,8 @@ def test_what_is_below_a_stage_comes_after_it_and_what_is_not_named_is_looked_th
 
 
 def test_calls_are_recorded_below_their_callers():
-    root = call_trace.record_calls(lambda: call_trace.frontend.near(call_trace.frontend.np.zeros((2, 2)), 1.0))
-    assert [each.name for each in root.walk()] == ["", "near"]
+    root = call_trace.record_calls(lambda: call_trace.frontend.points_within(call_trace.frontend.np.zeros((2, 2)), 1.0))
+    assert [each.name for each in root.walk()] == ["", "points_within"]
 
 
 def test_a_tree_of_calls_survives_the_way_through_json():
@@ -57,8 +57,8 @@ def test_a_tree_of_calls_survives_the_way_through_json():
         (PIPELINE, {"scan_to_scan": False}, {"FrontEnd._register s2s"}),
         (PIPELINE, {"scan_to_map": False}, {"FrontEnd._register s2m"}),
         (TWO_STAGES, {"scan_to_map": False}, {"FrontEnd._register s2m", "KeyframeMap.cloud"}),
-        (TWO_STAGES, {"deskew": False}, {"Motion.within"}),
-        (TWO_STAGES, {"local_radius_m": 0.0}, {"near"}),
+        (TWO_STAGES, {"deskew": False}, {"Motion.within_scan"}),
+        (TWO_STAGES, {"local_radius_m": 0.0}, {"points_within"}),
         (REGISTRATION, {"one_to_one": False}, {"closest_only"}),
     ],
     ids=["scan to scan", "scan to map", "scan to map of two", "deskew", "local radius", "one to one"],

@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from evalkit.plugins import code_hash as module
-from evalkit.plugins.code_hash import fingerprint, of_files, sources
+from evalkit.plugins.code_hash import files_digest, fingerprint, sources
 
 
 @pytest.fixture
@@ -79,9 +79,9 @@ def test_a_recording_replaced_under_its_name_is_another_one(tmp_path):
     log.write_text("FLASER")
     bag.mkdir()
     (bag / "bag.db3").write_bytes(b"1")
-    before = [of_files({"path": str(path), "every": 2}) for path in (log, bag)]
+    before = [files_digest({"path": str(path), "every": 2}) for path in (log, bag)]
     log.write_text("FLASER 1")
     (bag / "bag.db3").write_bytes(b"12")
-    after = [of_files({"path": str(path), "every": 2}) for path in (log, bag)]
+    after = [files_digest({"path": str(path), "every": 2}) for path in (log, bag)]
     assert len({*before, *after}) == 4
-    assert of_files({"world": "room", "path": "", "every": 2}) == ""
+    assert files_digest({"world": "room", "path": "", "every": 2}) == ""

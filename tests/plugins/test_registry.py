@@ -37,9 +37,9 @@ def points(monkeypatch):
     """Entry points that are all there is."""
     known = []
     monkeypatch.setattr(registry, "entry_points", lambda group: [p for p in known if p.group == group])
-    registry._listed.cache_clear()
+    registry._find_points.cache_clear()
     yield known
-    registry._listed.cache_clear()
+    registry._find_points.cache_clear()
 
 
 def test_importing_evalkit_loads_nothing_heavy():
@@ -117,7 +117,7 @@ def test_a_strangers_plug_in_is_found_as_the_shipped_ones_are(points, monkeypatc
 )
 def test_a_plug_in_whose_import_crashes_or_hangs_does_not_take_us_along(strangers, points, monkeypatch, module, why):
     monkeypatch.setattr(registry, "LOADING_S", 2.0)
-    registry._fatal.cache_clear()
+    registry._import_failure.cache_clear()
     points.append(EntryPoint("theirs", f"{module}:SPEC", "evalkit.backends"))
     assert registry.find_backend("theirs").missing() == (
         f"theirs: its plug-in {module}:SPEC does not load ({why}); mend or remove its package"

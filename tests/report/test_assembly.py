@@ -77,7 +77,7 @@ def test_a_sequence_tells_its_settings_and_the_truth_its_runs_met(plan, record):
 
 def test_an_odometry_that_does_not_say_what_it_starts_from_is_given_no_guess():
     assert RegistrationSpec(Truth, "", "", "").guess == "wheel odometry where recorded, else constant velocity"
-    assert OdometrySpec(Truth, "", "", "").guess == "not told"
+    assert OdometrySpec(Truth, "", "", "").guess == "not reported"
     assert OdometrySpec(Truth, "", "", "", guess="its own").guess == "its own"
 
 

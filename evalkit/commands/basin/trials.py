@@ -20,7 +20,7 @@ from evalkit.execution.task_runner import OnDone, TaskFailure, TasksFailed, run_
 from evalkit.execution.task_store import TaskStore
 from evalkit.plugins import registry
 from evalkit.plugins.address import address_of, spec_at
-from evalkit.plugins.code_hash import fingerprint, of_files
+from evalkit.plugins.code_hash import files_digest, fingerprint
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.plugins.protocols import Registration
@@ -98,7 +98,7 @@ class Answers(TypedDict):
 def make_tasks(label: str, spec: BackendSpec, values: Mapping[str, Value], trials: Trials) -> tuple[Task[Answers], ...]:
     """The tasks of one back end; together their answers are those of all attempts."""
     modules = (registry.plug_in_of("backends", label).module, *([trials.recorded.module] if trials.recorded else []))
-    files = of_files(trials.recorded.parameters) if trials.recorded else ""
+    files = files_digest(trials.recorded.parameters) if trials.recorded else ""
     code = fingerprint(modules, ("numpy", "scipy", *spec.requires)) + spec.digest + files
     return tuple(
         make_task(

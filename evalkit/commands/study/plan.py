@@ -17,7 +17,7 @@ from evalkit.core.se2 import Floats
 from evalkit.execution.task import Task, make_task
 from evalkit.metrics.table import Metric
 from evalkit.plugins import registry
-from evalkit.plugins.code_hash import of_files
+from evalkit.plugins.code_hash import files_digest
 from evalkit.plugins.parameters import Value
 
 Kind = Literal["optimal", "fractional", "sobol", "latin", "curves", "grid"]
@@ -159,7 +159,7 @@ class Study:
             task_name(point.key, seed), evaluate, backend=self.backend, parameters=dict(point.method),
             dataset=self.dataset, sequence=sequence, mapper=self.mapper, mapper_parameters=dict(point.mapper),
             scans=self.scans, metrics=[response.name for response in self.responses],
-            code=self.code + of_files(sequence),
+            code=self.code + files_digest(sequence),
         ).limited(self.limit_s)  # fmt: skip
 
     @cached_property

@@ -13,7 +13,7 @@ from evalkit.commands.tune.trial import run_trial
 from evalkit.config.experiment import Limits, MapperChoice, Method, SequenceSpec
 from evalkit.execution.task import Task, make_task
 from evalkit.plugins import registry
-from evalkit.plugins.code_hash import of_files
+from evalkit.plugins.code_hash import files_digest
 
 COST = "cpu_median_ms"
 """The metric of the cost: CPU time of a scan."""
@@ -100,7 +100,7 @@ class Tuning:
             f"{tunable.label} | {run.label} | {candidate.name}", run_trial, cpu_s=self.run_cpu_s,
             backend=tunable.method.backend, parameters=dict(candidate.values), dataset=run.sequence.dataset,
             sequence=run.sequence.seeded(run.seed), mapper=self.mapper.name, metrics=[self.objective.name, COST],
-            code=self._code(tunable.method.backend, run.sequence.dataset) + of_files(run.sequence.parameters),
+            code=self._code(tunable.method.backend, run.sequence.dataset) + files_digest(run.sequence.parameters),
         ).limited(self.limits.run_s)  # fmt: skip
 
     def _code(self, backend: str, dataset: str) -> str:
