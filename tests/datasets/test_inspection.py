@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from evalkit.config import experiment
 from evalkit.core.errors import BadData
-from evalkit_datasets.inspection import driving as driven
+from evalkit_datasets.inspection import odometry_stats
 from evalkit_datasets.inspection.command import inspect
 from evalkit_datasets.inspection.inspector import inspect_recording
 from evalkit_datasets.inspection.odometry_stats import compare_turns, measure_odometry
@@ -168,7 +168,7 @@ def test_the_scans_judge_the_turns_of_the_odometry(sign):
 
 def test_turns_are_not_judged_by_too_few_pairs():
     assert compare_turns(arc(count=5, stop=0), laser(walls(5))) is None
-    assert driven.MIN_PAIRS > 5
+    assert odometry_stats.MIN_PAIRS > 5
 
 
 # --- whole recordings
