@@ -1,4 +1,4 @@
-"""The command line of the recorded data: ``evalkit datasets list | fetch NAME... | example BAG``."""
+"""The command ``evalkit datasets list | fetch NAME... | example BAG``, also ``python -m evalkit_datasets``."""
 
 from __future__ import annotations
 
@@ -27,33 +27,35 @@ err = Console(stderr=True, soft_wrap=True)
 
 @app.command("list")
 def list_(as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False) -> None:
-    """All catalogued files: what they are, and where they are on this machine."""
+    """List all catalogued files and where they are on this machine."""
     rows = [
         {
             "name": card.name,
             "summary": card.summary,
             "licence": card.licence,
-            "where": str(catalog.found(card) or ("can be fetched" if card.url else "no public address")),
+            "where": str(catalog.find_local(card) or ("can be fetched" if card.url else "no public URL")),
         }
-        for card in catalog.entries().values()
+        for card in catalog.load_catalog().values()
     ]
     if as_json:
         sys.stdout.write(json.dumps(rows, indent=1) + "\n")
         return
-    table = Table("name", "what it is", "licence", "where")
+    table = Table("name", "content", "licence", "location")
     for row in rows:
         table.add_row(*map(escape, row.values()))
     progress.show(out, table)
 
 
 @app.command("fetch")
-def fetch_(names: Annotated[list[str], typer.Argument(help="Files or data sets.", show_default=False)]) -> None:
-    """Downloads files, or all files of a data set, into the cache and verifies them."""
+def fetch_(
+    names: Annotated[list[str], typer.Argument(help="Names of files or data sets.", show_default=False)],
+) -> None:
+    """Download files, or all files of a data set, into the cache and verify them."""
     files = dict.fromkeys(file for name in names for file in recorded.FILES.get(name, (name,)))
     failed = False
     for name in files:
         try:
-            out.print(str(_fetched(name)), highlight=False)
+            out.print(str(_fetch_with_progress(name)), highlight=False)
         except EvalkitError as error:
             err.print(str(error), style="red", highlight=False, markup=False)
             failed = True
@@ -63,30 +65,30 @@ def fetch_(names: Annotated[list[str], typer.Argument(help="Files or data sets."
 
 @app.command("example")
 def example_(
-    bag: Annotated[Path, typer.Argument(help="The bag's folder, to be made.", show_default=False)],
-    world: Annotated[str, typer.Option(help="A synthetic world: room, lab, loop, corridor or office.")] = "lab",
-    setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE for the world.")] = None,
+    bag: Annotated[Path, typer.Argument(help="Folder of the new bag.", show_default=False)],
+    world: Annotated[str, typer.Option(help="A synthetic data set: room, lab, loop, corridor or office.")] = "lab",
+    setting: Annotated[list[str] | None, typer.Option("--set", help="NAME=VALUE for the data set.")] = None,
     as_json: options.Json = False,
 ) -> None:
-    """Write a simulated drive as a ROS 2 bag, its true trajectory beside it: for who has no recording at hand."""
-    from evalkit_datasets import example_bag  # noqa: PLC0415 - only who wants one pays for it
+    """Write a simulated drive as a ROS 2 bag, with its true trajectory next to it."""
+    from evalkit_datasets import example_bag  # noqa: PLC0415 - heavy, and used for examples only
 
     if world not in example_bag.WORLDS:
-        raise UnknownName("world", world, example_bag.WORLDS)
+        raise UnknownName("synthetic data set", world, example_bag.WORLDS)
     given = from_text(world, example_bag.WORLDS[world].parameters, options.settings(setting or []))
-    made = example_bag.write(bag, world, given)
+    example = example_bag.write_example(bag, world, given)
     if as_json:
-        options.print_json(asdict(made) | {"bag": str(made.bag), "truth": str(made.truth)})
+        options.print_json(asdict(example) | {"bag": str(example.bag), "truth": str(example.truth)})
         return
-    told = f"{made.bag}: {made.scans} scans in {made.duration_s:.1f} s over {made.path_m:.1f} m, simulated"
-    out.print(told, markup=False, highlight=False)
-    out.print(f"{made.truth}: the true poses", markup=False, highlight=False)
+    summary = f"{example.bag}: {example.scans} scans, {example.duration_s:.1f} s, {example.path_m:.1f} m, simulated"
+    out.print(summary, markup=False, highlight=False)
+    out.print(f"{example.truth}: true poses", markup=False, highlight=False)
 
 
-def _fetched(name: str) -> str:
+def _fetch_with_progress(name: str) -> str:
     with Progress(console=err, transient=True) as bar:
         task = bar.add_task(name, total=None)
-        return str(fetch(name, lambda so_far, in_all: bar.update(task, completed=so_far, total=in_all or None)))
+        return str(fetch(name, lambda received, total: bar.update(task, completed=received, total=total or None)))
 
 
 if __name__ == "__main__":

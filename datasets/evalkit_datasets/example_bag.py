@@ -1,4 +1,4 @@
-"""A simulated drive written as a ROS 2 bag with its true trajectory beside it: a recording for who has none at hand."""
+"""Write a simulated drive as a ROS 2 bag, with its true trajectory next to it, to try evalkit without a recording."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ WORLDS = {
     "corridor": synthetic.CORRIDOR,
     "office": synthetic.OFFICE,
 }
-SHORT: Mapping[str, Value] = {"laps": 0.25}
-"""What an example sets unless told otherwise: long enough to show a turn, short enough to compare in seconds."""
+DEFAULTS: Mapping[str, Value] = {"laps": 0.25}
+"""Defaults of an example: long enough to contain a turn, short enough to compare in seconds."""
 
 
 @dataclass(frozen=True)
 class Example:
-    """What was written: the bag's folder, the true trajectory, and how much there is of it."""
+    """The files written, the folder of the bag and the true trajectory, and the size of the drive."""
 
     bag: Path
     truth: Path
@@ -39,26 +39,26 @@ class Example:
     path_m: float
 
 
-def write(bag: Path, world: str, given: Mapping[str, object]) -> Example:
-    """The bag (/scan, /odom, /tf_static) of a drive through a synthetic world, and ``<bag>.tum``.
+def write_example(bag: Path, world: str, given: Mapping[str, object]) -> Example:
+    """Write a bag (/scan, /odom, /tf_static) of a drive through a synthetic world, and ``<bag>.tum``.
 
-    Nothing that exists is replaced: StoreError. UnknownName and BadParameter where world or settings do not exist.
+    Raises StoreError if a file exists already, UnknownName for an unknown world, BadParameter for a wrong parameter.
     """
     if world not in WORLDS:
-        raise UnknownName("world", world, WORLDS)
+        raise UnknownName("synthetic data set", world, WORLDS)
     true = bag.with_name(f"{bag.name}.tum")
     for path in (bag, true):
         if path.exists():
-            raise StoreError(str(path), "exists already", "remove it, or give another name")
+            raise StoreError(str(path), "exists already", "delete it, or give another name")
     spec = WORLDS[world]
-    parameters = resolve_parameters(world, spec.parameters, {**SHORT, **given})
-    drive = cast(Synthetic, spec.make(**parameters))  # as all WORLDS make
+    parameters = resolve_parameters(world, spec.parameters, {**DEFAULTS, **given})
+    drive = cast(Synthetic, spec.make(**parameters))  # all WORLDS make one
     with reported(bag):
-        return _written(bag, true, drive)
+        return _write_files(bag, true, drive)
 
 
-def _written(bag: Path, true: Path, drive: Synthetic) -> Example:
-    from evalkit.commands.export import mcap  # noqa: PLC0415 - only who writes a bag pays for it
+def _write_files(bag: Path, true: Path, drive: Synthetic) -> Example:
+    from evalkit.commands.export import mcap  # noqa: PLC0415 - heavy, and used for bags only
 
     begin = mcap.EARLIEST_NS
     shift = begin - int(drive.stamps_ns[0])

@@ -1,4 +1,4 @@
-"""Downloads catalogued files into the cache: resumed where it broke off, verified before anybody sees the file."""
+"""Download catalogued files into the cache; interrupted downloads resume, and content is verified before use."""
 
 from __future__ import annotations
 
@@ -11,39 +11,39 @@ from evalkit_datasets import catalog
 from evalkit_datasets.catalog import CatalogFile
 
 MAX_BYTES = 2**32
-"""Of a file whose size the catalogue does not know."""
+"""Limit for a file of unknown size."""
 
 Progress = Callable[[int, int], None]
-"""Hears the bytes so far and the bytes in all (0: not known)."""
+"""Called with the bytes received and the total (0: unknown)."""
 
 
-def _silent(_so_far: int, _in_all: int) -> None:
+def _ignore_progress(_received: int, _total: int) -> None:
     return None
 
 
-def fetch(name: str, progress: Progress = _silent) -> Path:
-    """Where the verified file is; downloaded into the cache unless it is already on this machine.
+def fetch(name: str, progress: Progress = _ignore_progress) -> Path:
+    """Return the path of the verified file, downloaded into the cache unless it is on this machine already.
 
-    DataMissing where it has no public address or the connection fails (what arrived stays for the next try), BadData
-    where what arrived is not the catalogued file (it is deleted).
+    Raises DataMissing if it has no public URL or the connection fails (the received part is kept for the next call),
+    and BadData if the received content is not the catalogued file (it is deleted).
     """
-    card = catalog.entry(name)
+    card = catalog.get_file(name)
     target = catalog.cache_folder() / card.path
-    present = catalog.found(card)
-    if present is not None and not (present == target and _damaged(card, present)):
+    present = catalog.find_local(card)
+    if present is not None and not (present == target and _is_damaged(card, present)):
         catalog.verify(card, present)
         return present
     if not card.url:
-        raise DataMissing(name, f"it has no public address ({card.derived})", catalog.without_address(card))
+        raise DataMissing(name, f"it has no public URL ({card.derived})", catalog.suggest_replacement(card))
     target.parent.mkdir(parents=True, exist_ok=True)
     part = target.with_name(target.name + ".part")
     _download(card, part, progress)
-    _accept(card, part)
+    _verify_or_delete(card, part)
     part.replace(target)
     return target
 
 
-def _damaged(card: CatalogFile, path: Path) -> bool:
+def _is_damaged(card: CatalogFile, path: Path) -> bool:
     try:
         catalog.verify(card, path)
     except BadData:
@@ -51,33 +51,33 @@ def _damaged(card: CatalogFile, path: Path) -> bool:
     return False
 
 
-def _accept(card: CatalogFile, part: Path) -> None:
-    """Deletes what is not the catalogued file and says so."""
+def _verify_or_delete(card: CatalogFile, part: Path) -> None:
+    """Raise BadData and delete the download if it is not the catalogued file."""
     try:
         catalog.verify(card, part)
     except BadData as error:
         part.unlink()
-        _, _, what, _ = error.args
+        _, _, found, _ = error.args
         raise BadData(
-            card.url, "", f"what arrived is not the catalogued file ({what}) and was deleted", "fetch it again"
+            card.url, "", f"the download is not the catalogued file ({found}) and was deleted", "fetch it again"
         ) from None
 
 
 def _download(card: CatalogFile, part: Path, progress: Progress) -> None:
-    """Fills the part file up to the whole; a server that knows no ranges sends all of it again."""
-    begun = part.stat().st_size if part.is_file() else 0
-    if card.bytes and begun >= card.bytes:
+    """Complete the partial file; a server without range requests sends the whole file again."""
+    received = part.stat().st_size if part.is_file() else 0
+    if card.bytes and received >= card.bytes:
         return
     try:
         with part.open("ab") as file:
-            _request(card, file, begun, progress)
-    except _TooMuch:
+            _request(card, file, received, progress)
+    except _TooLarge:
         part.unlink()
-        what = f"sends more than the {card.bytes or MAX_BYTES} bytes the file may have; what arrived was deleted"
-        raise BadData(card.url, "", what, "fetch it again later, or from somebody else") from None
-    except OSError as error:  # requests' errors are OSErrors, too
+        found = f"the server sends more than {card.bytes or MAX_BYTES} bytes; the download was deleted"
+        raise BadData(card.url, "", found, "fetch it again later, or get it from another source") from None
+    except OSError as error:  # includes the errors of requests
         status = getattr(getattr(error, "response", None), "status_code", None)
-        if begun and status == 416:  # nothing beyond: the part is whole, or not a part of this file
+        if received and status == 416:  # no bytes left: the part is complete, or belongs to another file
             return
         kept = part.stat().st_size
         raise DataMissing(
@@ -87,39 +87,39 @@ def _download(card: CatalogFile, part: Path, progress: Progress) -> None:
         ) from error
 
 
-def _request(card: CatalogFile, file: BinaryIO, begun: int, progress: Progress) -> None:
-    import pooch  # noqa: PLC0415 - heavy, and only downloads need it
+def _request(card: CatalogFile, file: BinaryIO, received: int, progress: Progress) -> None:
+    import pooch  # noqa: PLC0415 - heavy, and used for downloads only
 
-    sink = _Counted(file, card.bytes, progress)
-    # identity: a range of a compressed answer could not be appended
-    headers = {"Accept-Encoding": "identity"} | ({"Range": f"bytes={begun}-"} if begun else {})
-    hooks = {"response": sink.begins}
+    sink = _ProgressFile(file, card.bytes, progress)
+    # identity: a range of a compressed response could not be appended
+    headers = {"Accept-Encoding": "identity"} | ({"Range": f"bytes={received}-"} if received else {})
+    hooks = {"response": sink.handle_response}
     pooch.HTTPDownloader(progressbar=False, chunk_size=1 << 16, headers=headers, hooks=hooks)(card.url, sink, None)
 
 
-class _TooMuch(Exception):
-    """A server sends more than the file has."""
+class _TooLarge(Exception):
+    """The server sends more bytes than the file has."""
 
 
-class _Counted:
-    """A file that reports how far it is, and starts over where the server sends the whole instead of the rest."""
+class _ProgressFile:
+    """A file that reports progress, and starts over if the server sends the whole file instead of the rest."""
 
-    def __init__(self, file: BinaryIO, in_all: int, progress: Progress) -> None:
-        self._file, self._in_all, self._progress = file, in_all, progress
+    def __init__(self, file: BinaryIO, total: int, progress: Progress) -> None:
+        self._file, self._total, self._progress = file, total, progress
 
-    def begins(self, response: Any, **_: object) -> None:
-        """Hears the server's answer before the content comes."""
+    def handle_response(self, response: Any, **_: object) -> None:
+        """Truncate the file if the response contains the whole content."""
         if response.status_code == 200:
             self._file.truncate(0)
 
     def write(self, chunk: bytes) -> int:
-        """Appends and reports; _TooMuch before the disk is filled."""
-        if self._file.tell() + len(chunk) > (self._in_all or MAX_BYTES):
-            raise _TooMuch
+        """Append a block and report progress; raises _TooLarge beyond the size limit."""
+        if self._file.tell() + len(chunk) > (self._total or MAX_BYTES):
+            raise _TooLarge
         written = self._file.write(chunk)
-        self._progress(self._file.tell(), self._in_all)
+        self._progress(self._file.tell(), self._total)
         return written
 
     def flush(self) -> None:
-        """Hands everything to the operating system."""
+        """Flush the file."""
         self._file.flush()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True, slots=True)
-class Place:
+class SpanEnd:
     """One end of a tape: a point (m) seen from the base at a time, or, without a time, a wall of the map near it.
 
     With ``stamp_ns`` x and y are coordinates in the base's frame at that time: (0, 0) is the robot itself. Without it
@@ -28,8 +28,8 @@ class Span:
     """A distance in metres between two places, with its standard deviation."""
 
     name: str
-    first: Place
-    second: Place
+    first: SpanEnd
+    second: SpanEnd
     metres: float
     sigma_m: float = 0.01
 

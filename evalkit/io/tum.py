@@ -41,7 +41,7 @@ def read_tum(path: Path, parent: str = "world", child: str = "base") -> TumFile:
     if not rows:
         raise BadData(str(path), "", "no pose in it", f"expected lines '{LAYOUT}'")
     order = order_stamps(np.array(stamps, dtype=np.int64))
-    counts = {"poses out of order": order.backwards, "poses with a repeated stamp dropped": order.repeated}
+    counts = {"poses out of order": order.backwards, "poses with a repeated stamp ignored": order.repeated}
     trajectory = Trajectory(np.array(stamps)[order.keep], np.array(rows)[order.keep], parent, child)
     return TumFile(trajectory, {name: count for name, count in counts.items() if count})
 

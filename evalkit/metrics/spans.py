@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from evalkit.core import se2
-from evalkit.core.measured_distances import Place, Span
+from evalkit.core.measured_distances import SpanEnd, Span
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
@@ -61,7 +61,7 @@ def _length(span: Span, world_from_base: Trajectory, points: Floats) -> float | 
     return None if before is None or beyond is None else length + beyond - before
 
 
-def _point(place: Place, world_from_base: Trajectory) -> Floats | None:
+def _point(place: SpanEnd, world_from_base: Trajectory) -> Floats | None:
     if place.stamp_ns is None:
         return np.array([place.x, place.y])
     if not can_interpolate(world_from_base.stamps_ns, [place.stamp_ns], MAX_GAP_S)[0]:
@@ -69,7 +69,7 @@ def _point(place: Place, world_from_base: Trajectory) -> Floats | None:
     return np.asarray(se2.transform(world_from_base.at([place.stamp_ns])[0], [[place.x, place.y]])[0])
 
 
-def _to_wall(place: Place, end: Floats, direction: Floats, points: Floats) -> float | None:
+def _to_wall(place: SpanEnd, end: Floats, direction: Floats, points: Floats) -> float | None:
     """Return the distance from an end along the tape to the wall (m): 0 at the robot, None without a wall."""
     if place.stamp_ns is not None:
         return 0.0

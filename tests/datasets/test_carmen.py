@@ -128,12 +128,12 @@ def test_nan_negative_and_zero_ranges_are_invalid_and_counted(tmp_path):
 # --- time
 
 
-def test_scans_are_sorted_and_repeated_stamps_left_out(tmp_path):
+def test_scans_are_sorted_and_repeated_stamps_dropped(tmp_path):
     lines = [flaser(3.0), flaser(1.0), flaser(2.0), flaser(3.0, beams(9.0)), flaser(4.0)]
     sequence = Carmen(log(tmp_path, *lines))
     assert [frame.scan.stamp_ns // 10**9 for frame in sequence.frames()] == [1, 2, 3, 4]
     assert ranges_of(sequence, 2)[0] == 2.0
-    assert sequence.notes() == {"scans out of order": 1, "scans with a repeated stamp left out": 1}
+    assert sequence.notes() == {"scans out of order": 1, "scans with a repeated stamp dropped": 1}
 
 
 def test_start_every_and_limit_choose_scans(tmp_path):
@@ -229,16 +229,16 @@ def test_the_poses_of_a_corrected_log_are_reference_not_odometry(tmp_path):
 
 
 @pytest.mark.parametrize("source", ["odom-lines", "scan-poses"])
-def test_a_corrected_log_refuses_to_serve_as_odometry(tmp_path, source):
-    with pytest.raises(BadData, match="no odometry"):
+def test_the_poses_of_a_corrected_log_are_rejected_as_odometry(tmp_path, source):
+    with pytest.raises(BadData, match="are not odometry"):
         Carmen(log(tmp_path, *corrected("1.0", "2.0")), odometry=source)
 
 
-def test_unusable_stamps_of_a_corrected_log_give_way_to_the_order_of_lines(tmp_path):
+def test_unusable_stamps_of_a_corrected_log_are_replaced_by_line_order(tmp_path):
     sequence = Carmen(log(tmp_path, *corrected(*["1.13486e+09"] * 4)))
     assert len(sequence) == 4
     assert sequence.truth().trajectory.poses[:, 0].tolist() == [0.0, 0.5, 1.0, 1.5]
-    name = "scans with unusable stamps, put one second apart in the order of the lines"
+    name = "scans with unusable stamps, placed one second apart in line order"
     assert sequence.notes() == {name: 4}
 
 
@@ -278,17 +278,17 @@ def test_relations_and_reference_are_cut_to_the_scans_taken(tmp_path):
 
 
 @pytest.mark.parametrize("what", ["relations", "reference"])
-def test_truth_of_another_data_set_is_refused(tmp_path, what):
+def test_truth_of_another_data_set_is_rejected(tmp_path, what):
     line = "976052896.7 976052905.1 1 0 0 0 0 0" if what == "relations" else "976052896.7 1 0 0 0 0 0 1"
     (tmp_path / "other").write_text(line + "\n")
-    with pytest.raises(BadData, match=r"other: its times.*of another data set\?"):
+    with pytest.raises(BadData, match=r"other: its times.*do not overlap the recording"):
         Carmen(log(tmp_path, flaser(1.0), flaser(2.0)), **{what: str(tmp_path / "other")})
 
 
 # --- damage
 
 
-def test_damaged_lines_are_left_out_and_counted(tmp_path):
+def test_damaged_lines_are_dropped_and_counted(tmp_path):
     lines = [
         flaser(1.0), flaser(2.0)[:200], flaser(3.0).replace("FLASER 180", "FLASER 179"), flaser(4.0, beams("x")),
         flaser("nan"), flaser(5.0, robot=("nan", 0, 0)), "ODOM 1 2", "FLASER", "FLASER many 1 2",
@@ -297,7 +297,7 @@ def test_damaged_lines_are_left_out_and_counted(tmp_path):
     ]  # fmt: skip
     sequence = Carmen(log(tmp_path, *lines))
     assert [frame.scan.stamp_ns for frame in sequence.frames()] == [10**9, 8 * 10**9]
-    assert sequence.notes() == {"damaged lines left out": 12}
+    assert sequence.notes() == {"damaged lines dropped": 12}
 
 
 @pytest.mark.parametrize(
@@ -307,7 +307,7 @@ def test_damaged_lines_are_left_out_and_counted(tmp_path):
         (b"\n\n", ["no line begins with FLASER"]),
         (bytes(range(256)) * 20, ["no line begins with FLASER"]),
         (b"PARAM a b c 0\nODOM 0 0 0 0 0 0 1 r 1\n", ["no line begins with FLASER"]),
-        (flaser(1.0).encode()[:300], ["line 1", "180 beams announced", "no scan is left"]),
+        (flaser(1.0).encode()[:300], ["line 1", "180 beams declared", "no valid scan"]),
         (gzip.compress(flaser(1.0).encode() * 50)[:-20], ["cut short"]),
         (b"\x1f\x8b\x08\x00" + b"garbage" * 30, ["damaged gzip"]),
     ],

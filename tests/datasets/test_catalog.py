@@ -31,9 +31,9 @@ def put(folder, content):
     return path
 
 
-@pytest.mark.parametrize("name", list(catalog.entries()))
+@pytest.mark.parametrize("name", list(catalog.load_catalog()))
 def test_every_card_is_complete(name):
-    entry = catalog.entry(name)
+    entry = catalog.get_file(name)
     kinds = {field.name: field.type for field in fields(CatalogFile)}
     for field in fields(CatalogFile):
         expected = {"str": str, "int": int, "tuple[str, ...]": tuple}[kinds[field.name]]
@@ -44,28 +44,28 @@ def test_every_card_is_complete(name):
     assert bool(re.fullmatch("[0-9a-f]{64}", entry.sha256)) != bool(re.fullmatch("[0-9a-f]{40}", entry.git_blob))
     assert bool(entry.url) != bool(entry.derived)
     assert not entry.url or re.fullmatch(r"https://raw\.githubusercontent\.com/[^/]+/[^/]+/[0-9a-f]{40}/\S+", entry.url)
-    assert all(catalog.entry(other).url for other in entry.instead)
+    assert all(catalog.get_file(other).url for other in entry.instead)
     assert ".." not in entry.path
     assert not entry.path.startswith("/")
 
 
 def test_every_data_set_needs_only_catalogued_files():
-    assert all(catalog.entry(name) for names in recorded.FILES.values() for name in names)
+    assert all(catalog.get_file(name) for names in recorded.FILES.values() for name in names)
 
 
 def test_an_unknown_file_lists_the_known_ones():
     with pytest.raises(UnknownName, match=r"did you mean 'fr079\.relations'"):
-        catalog.entry("fr079.relation")
+        catalog.get_file("fr079.relation")
 
 
 def test_the_data_folder_comes_before_the_cache(folders):
     inside = put(folders / "data", b"hello")
-    assert catalog.found(card()) == inside
+    assert catalog.find_local(card()) == inside
     inside.unlink()
-    assert catalog.found(card()) is None
-    assert catalog.found(card()) is None
-    assert catalog.found(card()) != put(folders / "cache", b"hello").with_name("other")
-    assert catalog.found(card()) == folders / "cache" / "set" / "a.log"
+    assert catalog.find_local(card()) is None
+    assert catalog.find_local(card()) is None
+    assert catalog.find_local(card()) != put(folders / "cache", b"hello").with_name("other")
+    assert catalog.find_local(card()) == folders / "cache" / "set" / "a.log"
 
 
 def test_a_right_file_passes_by_sha256_and_by_git_blob(tmp_path):
@@ -84,7 +84,7 @@ def test_a_right_file_passes_by_sha256_and_by_git_blob(tmp_path):
     ],
 )
 def test_a_wrong_file_is_named_with_what_to_do(tmp_path, changes, part):
-    with pytest.raises(BadData, match=rf"a\.log: {part}.*replace it by a good copy"):
+    with pytest.raises(BadData, match=rf"a\.log: {part}.*replace it with the catalogued file"):
         catalog.verify(card(**changes), put(tmp_path, b"hello"))
     with pytest.raises(BadData, match=r"fetch it again: .* fetch a\.log"):
         catalog.verify(card(**changes, url="https://x"), tmp_path / "set" / "a.log")
@@ -94,21 +94,21 @@ def test_an_absent_file_says_where_it_was_sought_and_how_to_get_it(folders):
     with pytest.raises(
         DataMissing, match=r"EVALKIT_DATA=.*data or in the cache .*cache; fetch it: .* fr079\.relations"
     ):
-        catalog.located("fr079.relations")
+        catalog.locate("fr079.relations")
 
 
-def test_a_derived_file_says_why_it_cannot_be_fetched_and_what_can(folders):
-    with pytest.raises(DataMissing, match=r"no public address \(joined from .*in its place: .* flirtlib-fr079\.log"):
-        catalog.located("fr079-fullrate.clf.gz")
-    assert "no public address" in recorded.FR079.missing()
+def test_the_error_of_a_derived_file_gives_the_reason_and_a_replacement(folders):
+    with pytest.raises(DataMissing, match=r"no public URL \(joined from .*fetch a replacement: .* flirtlib-fr079\.log"):
+        catalog.locate("fr079-fullrate.clf.gz")
+    assert "no public URL" in recorded.FR079.missing()
     assert recorded.STATIC.missing().endswith("fetch it: evalkit datasets fetch static")
 
 
 def test_a_data_set_is_complete_or_names_what_it_lacks(folders):
-    lacking = catalog.missing("turtlebot4", recorded.FILES["turtlebot4"])
+    lacking = catalog.describe_missing("turtlebot4", recorded.FILES["turtlebot4"])
     assert lacking.startswith("macfirst_floor_take_2_0.db3 (and 1 more): not found")
     for name in recorded.FILES["turtlebot4"]:
-        path = folders / "data" / catalog.entry(name).path
+        path = folders / "data" / catalog.get_file(name).path
         path.parent.mkdir(parents=True, exist_ok=True)
         path.touch()
-    assert catalog.missing("turtlebot4", recorded.FILES["turtlebot4"]) == ""
+    assert catalog.describe_missing("turtlebot4", recorded.FILES["turtlebot4"]) == ""

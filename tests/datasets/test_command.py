@@ -12,18 +12,18 @@ def test_list_names_every_file_on_a_line_of_its_own_however_narrow_the_pipe(monk
     monkeypatch.setenv("COLUMNS", "40")
     result = CliRunner().invoke(command.app, ["list"])
     assert result.exit_code == 0
-    assert len(catalog.entries()) == sum(line.startswith("│") for line in result.output.splitlines())
+    assert len(catalog.load_catalog()) == sum(line.startswith("│") for line in result.output.splitlines())
 
 
 def test_the_list_for_programs():
     listed = json.loads(CliRunner().invoke(command.app, ["list", "--json"]).output)
-    assert [row["name"] for row in listed] == list(catalog.entries())
+    assert [row["name"] for row in listed] == list(catalog.load_catalog())
     assert set(listed[0]) == {"name", "summary", "licence", "where"}
 
 
 def test_fetch_of_a_data_set_reports_every_file_and_ends_with_2_if_one_fails(monkeypatch, tmp_path):
     def pretended(name, _progress):
-        return tmp_path / catalog.entry(name).name
+        return tmp_path / catalog.get_file(name).name
 
     monkeypatch.setattr(command, "fetch", pretended)
     result = CliRunner().invoke(command.app, ["fetch", "turtlebot4", "nothing"])

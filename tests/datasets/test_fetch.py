@@ -61,7 +61,7 @@ def known(server, tmp_path, monkeypatch):
         card = CatalogFile(
             "a.log", "set/a.log", "", "", "", hashlib.sha256(CONTENT).hexdigest(), bytes=len(CONTENT), url=url
         )
-        monkeypatch.setattr(catalog, "entries", lambda: MappingProxyType({"a.log": replace(card, **changes)}))
+        monkeypatch.setattr(catalog, "load_catalog", lambda: MappingProxyType({"a.log": replace(card, **changes)}))
         return tmp_path / "cache" / "set" / "a.log"
 
     return catalogued
@@ -155,9 +155,9 @@ def test_an_absent_address_and_an_absent_server_are_said(known):
         fetch("a.log")
 
 
-def test_a_derived_file_cannot_be_fetched_and_says_what_can(known):
+def test_fetching_a_derived_file_fails_with_a_replacement(known):
     known("", derived="joined from b and c", instead=("b", "c"))
-    with pytest.raises(DataMissing, match=r"no public address \(joined from b and c\).*in its place: .* fetch b c"):
+    with pytest.raises(DataMissing, match=r"no public URL \(joined from b and c\).*fetch a replacement: .* fetch b c"):
         fetch("a.log")
 
 
@@ -165,7 +165,7 @@ def test_a_derived_file_cannot_be_fetched_and_says_what_can(known):
 def test_a_server_that_sends_more_than_the_file_has_does_not_fill_the_disk(known, size, monkeypatch):
     monkeypatch.setattr("evalkit_datasets.fetch.MAX_BYTES", len(CONTENT))
     target = known("/endless", bytes=size)
-    with pytest.raises(BadData, match=f"sends more than the {len(CONTENT)} bytes .* what arrived was deleted"):
+    with pytest.raises(BadData, match=f"sends more than {len(CONTENT)} bytes; the download was deleted"):
         fetch("a.log")
     assert not list(target.parent.iterdir())
 
@@ -173,7 +173,7 @@ def test_a_server_that_sends_more_than_the_file_has_does_not_fill_the_disk(known
 @pytest.mark.parametrize(
     "path", ["../a.log", "set/../../a.log", "/etc/a.log", "C:/a.log", "set\\..\\a.log", "a/./b", ".."]
 )
-def test_a_file_of_the_catalogue_lies_below_the_data_folder(path):
-    with pytest.raises(ValueError, match="path: expected one below the data folder"):
+def test_the_path_of_a_catalogued_file_is_relative_to_the_data_folder(path):
+    with pytest.raises(ValueError, match="path: expected a path relative to the data folder"):
         CatalogFile("a.log", path, "", "", "")
-    assert {entry.path for entry in catalog.entries().values()}
+    assert {entry.path for entry in catalog.load_catalog().values()}

@@ -61,7 +61,7 @@ def test_each_spec_has_a_card(name):
 
 @pytest.mark.parametrize("name", [name for name in NAMES if not absent(name)])
 def test_every_file_at_hand_is_the_catalogued_one(name):
-    assert all(catalog.located(file).is_file() for file in recorded.FILES[name])
+    assert all(catalog.locate(file).is_file() for file in recorded.FILES[name])
 
 
 # --- fr079
@@ -89,10 +89,12 @@ def test_fr079_reference_scores_0_043_m_on_the_relations():
 
 
 @needs("fr079")
-@pytest.mark.skipif(catalog.found(catalog.entry("fr079-gmapping.tum")) is None, reason="no fr079-gmapping.tum at hand")
+@pytest.mark.skipif(
+    catalog.find_local(catalog.get_file("fr079-gmapping.tum")) is None, reason="fr079-gmapping.tum is absent"
+)
 def test_fr079_gmapping_scores_0_060_0_042_m_on_the_relations():
     relations = sequence_of("fr079").truth().relations
-    gmapping = read_tum(catalog.located("fr079-gmapping.tum")).trajectory
+    gmapping = read_tum(catalog.locate("fr079-gmapping.tum")).trajectory
     everything = np.ones(len(relations), dtype=bool)
     errors = errors_m(relations, gmapping.at(relations.first_ns), gmapping.at(relations.second_ns), everything)
     assert errors.mean() == pytest.approx(0.060, abs=6e-4)
@@ -123,7 +125,9 @@ def test_intel_reference_scores_0_029_m_on_the_relations():
 
 
 @needs("intel")
-@pytest.mark.skipif(catalog.found(catalog.entry("intel-gmapping.tum")) is None, reason="no intel-gmapping.tum at hand")
+@pytest.mark.skipif(
+    catalog.find_local(catalog.get_file("intel-gmapping.tum")) is None, reason="intel-gmapping.tum is absent"
+)
 @pytest.mark.parametrize(("beyond_s", "mean", "spread"), [(0.0, 0.051, 0.052), (0.1, 0.069, 0.081)])
 def test_intel_gmapping_on_the_relations_depends_on_how_poses_are_carried(beyond_s, mean, spread):
     """0.051 m: every pose carried to the relation's time by the odometry; 0.069 m: only those over 0.1 s away.
@@ -131,8 +135,8 @@ def test_intel_gmapping_on_the_relations_depends_on_how_poses_are_carried(beyond
     The second is the official evaluator's rule; Kuemmerle et al. print 0.070 +- 0.083 m.
     """
     relations = sequence_of("intel").truth().relations
-    gmapping = read_tum(catalog.located("intel-gmapping.tum")).trajectory
-    log, _ = carmen_parser.read(catalog.located("intel-merged.clf.gz"))
+    gmapping = read_tum(catalog.locate("intel-gmapping.tum")).trajectory
+    log, _ = carmen_parser.read_log(catalog.locate("intel-merged.clf.gz"))
     stamps, odometry = log.odometry.stamps_ns, log.odometry.poses
 
     def carried(times):

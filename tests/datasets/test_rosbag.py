@@ -161,7 +161,7 @@ def test_ranges_follow_rep_117_and_the_limits_of_the_message(tmp_path):
     ranges = next(sequence.frames()).scan.ranges
     assert np.isnan(ranges[:5]).all()
     assert ranges[5:].tolist() == [0.125, math.inf, math.inf, math.inf, 11.0]
-    assert sequence.notes()["invalid ranges (nan, zero, negative or under the minimum)"] == 5
+    assert sequence.notes()["invalid ranges (nan, zero, negative or below the minimum)"] == 5
 
 
 def test_a_scan_that_turns_clockwise_keeps_its_firing_order(tmp_path):
@@ -176,24 +176,24 @@ def test_the_first_of_several_echoes_counts_and_none_is_no_return(tmp_path, kind
     assert ranges.tolist() == [2.5, 1.5, math.inf]
 
 
-def test_messages_whose_geometry_makes_no_sense_are_left_out_and_counted(tmp_path):
+def test_messages_with_implausible_geometry_are_dropped_and_counted(tmp_path):
     bag = Bag("sqlite3").scan(T0, [1, 2]).scan(T0 + 1, [1, 2], angle_increment=0.0).scan(T0 + 2, [1, 2], range_max=0.1)
     bag.scan(T0 + 3, []).scan(T0 + 4, [1, 2], time_increment=1e30)
     sequence = RosBag(str(bag.write(tmp_path)))
     assert len(sequence) == 1
-    assert sequence.notes()["damaged messages left out"] == 4
+    assert sequence.notes()["damaged messages dropped"] == 4
 
 
 # --- time
 
 
-def test_scans_are_sorted_by_header_time_and_repeated_ones_left_out(tmp_path):
+def test_scans_are_sorted_by_header_time_and_repeated_ones_dropped(tmp_path):
     bag = Bag("sqlite3")
     for recorded, stamp in enumerate([3, 1, 2, 3, 4]):
         bag.scan(T0 + stamp, [float(stamp), recorded + 1], recorded=T0 + 10 + recorded)
     sequence = RosBag(str(bag.write(tmp_path)))
     assert [frame.scan.ranges.tolist() for frame in sequence.frames()] == [[1, 2], [2, 3], [3, 1], [4, 5]]
-    assert sequence.notes() == {"scans out of order": 1, "scans with a repeated stamp left out": 1}
+    assert sequence.notes() == {"scans out of order": 1, "scans with a repeated stamp dropped": 1}
 
 
 def test_a_header_without_a_time_gets_the_time_of_recording(tmp_path):
@@ -235,7 +235,7 @@ def test_a_lidar_upside_down_gets_mirrored_angles(tmp_path):
     assert frame.base_from_sensor == Pose(0.25)
 
 
-def test_a_lidar_on_its_side_is_refused(tmp_path):
+def test_a_lidar_on_its_side_is_rejected(tmp_path):
     bag = Bag("sqlite3").tf(T0, "base_link", "laser", 0.0, 0.0, (math.sqrt(0.5), 0.0, 0.0, math.sqrt(0.5)))
     with pytest.raises(BadData, match="tilted by 90 deg"):
         frames_of(bag.scan(T0, [1, 2]), tmp_path)
@@ -245,7 +245,7 @@ def test_without_transforms_the_lidar_is_the_base_and_a_parameter_overrides(tmp_
     path = str(Bag("ros1").odom(T0, 1.0).scan(T0, [1, 2]).write(tmp_path))
     sequence = RosBag(path)
     assert next(sequence.frames()).base_from_sensor == Pose()
-    assert sequence.notes() == {"no transform from the base to the lidar, taken as one": 1}
+    assert sequence.notes() == {"no transform from the base to the lidar, identity used": 1}
     assert next(RosBag(path, base_from_sensor="0.1 0 1").frames()).base_from_sensor == Pose(0.1, 0.0, 1.0)
 
 
@@ -315,9 +315,9 @@ def test_wrong_odometry_and_frames_name_the_known_ones(tmp_path):
         RosBag(path, odometry="/a", base_frame="wagon")
 
 
-def test_relations_of_another_data_set_are_refused(tmp_path):
+def test_relations_of_another_data_set_are_rejected(tmp_path):
     (tmp_path / "r").write_text("1 2 0 0 0 0 0 0\n")
-    with pytest.raises(BadData, match=r"of another data set\?"):
+    with pytest.raises(BadData, match="do not overlap the recording"):
         RosBag(str(Bag("ros1").scan(T0, [1, 2]).write(tmp_path)), relations=str(tmp_path / "r"))
 
 
@@ -362,9 +362,9 @@ def test_garbage_is_no_bag(tmp_path, name, content):
         RosBag(str(tmp_path / name))
 
 
-def test_other_endings_and_absent_files_are_refused(tmp_path):
+def test_other_suffixes_and_absent_files_are_rejected(tmp_path):
     (tmp_path / "scans.txt").write_text("hello")
-    with pytest.raises(BadData, match=r"no ending of a bag: '\.txt'"):
+    with pytest.raises(BadData, match=r"'\.txt' is not the suffix of a bag"):
         RosBag(str(tmp_path / "scans.txt"))
     with pytest.raises(DataMissing, match="no file"):
         RosBag(str(tmp_path / "absent.bag"))

@@ -17,7 +17,7 @@ SHORT = {"laps": 0.03, "rate_hz": 5.0}
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    return example_bag.write(tmp_path_factory.mktemp("bags") / "new" / "drive", "lab", SHORT)
+    return example_bag.write_example(tmp_path_factory.mktemp("bags") / "new" / "drive", "lab", SHORT)
 
 
 def test_the_bag_reads_back_as_the_scans_wheels_and_mounting_that_were_simulated(made):
@@ -41,18 +41,18 @@ def test_the_truth_beside_it_is_the_simulations_at_the_bags_own_stamps(made):
 
 
 def test_nothing_that_exists_is_replaced(made):
-    with pytest.raises(StoreError, match="drive: exists already; remove it"):
-        example_bag.write(made.bag, "lab", {})
+    with pytest.raises(StoreError, match="drive: exists already; delete it"):
+        example_bag.write_example(made.bag, "lab", {})
     made.bag.with_name("other.tum").touch()
-    with pytest.raises(StoreError, match="exists already; remove it"):
-        example_bag.write(made.bag.with_name("other"), "lab", {})
+    with pytest.raises(StoreError, match="exists already; delete it"):
+        example_bag.write_example(made.bag.with_name("other"), "lab", {})
 
 
 def test_a_world_or_setting_that_does_not_exist_is_answered_with_those_that_do(tmp_path):
     with pytest.raises(UnknownName, match="known: corridor, lab, loop, office, room"):
-        example_bag.write(tmp_path / "drive", "moon", {})
+        example_bag.write_example(tmp_path / "drive", "moon", {})
     with pytest.raises(BadParameter, match="laps"):
-        example_bag.write(tmp_path / "drive", "room", {"laps": 0.0})
+        example_bag.write_example(tmp_path / "drive", "room", {"laps": 0.0})
     assert not list(tmp_path.iterdir())
 
 

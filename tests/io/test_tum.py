@@ -32,7 +32,7 @@ def test_commas_and_trailing_comments_are_allowed(tmp_path):
 def test_unsorted_and_repeated_lines_are_corrected_and_counted(tmp_path):
     read = read_tum(written(tmp_path, "3 3 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n3 9 0 0 0 0 0 1\n2 2 0 0 0 0 0 1\n"))
     assert read.trajectory.poses[:, 0].tolist() == [1.0, 2.0, 3.0]
-    assert read.notes == {"poses out of order": 2, "poses with a repeated stamp dropped": 1}
+    assert read.notes == {"poses out of order": 2, "poses with a repeated stamp ignored": 1}
 
 
 def test_writing_and_reading_gives_the_same_trajectory(tmp_path):

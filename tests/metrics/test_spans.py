@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evalkit.core.ground_truth import Truth
-from evalkit.core.measured_distances import Place, Span
+from evalkit.core.measured_distances import Span, SpanEnd
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.scan import Scan
@@ -15,7 +15,7 @@ SECOND = 1_000_000_000
 
 
 def at(seconds, x=0.0, y=0.0):
-    return Place(x, y, round(seconds * SECOND))
+    return SpanEnd(x, y, round(seconds * SECOND))
 
 
 NOT_MATCHED = Unmatched("not matched")
@@ -72,13 +72,13 @@ def room(width_m):
 
 @pytest.mark.parametrize("width_m", [4.9, 5.0, 5.2])
 def test_walls_are_found_where_they_stand_not_where_they_were_looked_for(width_m) -> None:
-    tape = Span("wall to wall", Place(-2.1, 0.0), Place(3.1, 0.0), 5.0)
+    tape = Span("wall to wall", SpanEnd(-2.1, 0.0), SpanEnd(3.1, 0.0), 5.0)
     found = scores(run_of([0.0, 0.0]), [tape], (room(width_m),))
     assert found["span_stretch_percent"].value == pytest.approx(100.0 * (width_m - 5.0) / 5.0, abs=1e-6)
 
 
 def test_a_wall_in_the_world_is_looked_for_where_the_alignment_puts_the_estimate() -> None:
-    tape = Span("robot to wall", at(0), Place(13.0, 5.0), 3.0)
+    tape = Span("robot to wall", at(0), SpanEnd(13.0, 5.0), 3.0)
     scan, _ = room(5.0)
     world = Pose(10.0, 5.0, 0.0)
     matched = MatchedPoses(np.zeros(1), np.zeros((1, 3)), np.zeros((1, 3)), "given", "", world)
@@ -87,7 +87,7 @@ def test_a_wall_in_the_world_is_looked_for_where_the_alignment_puts_the_estimate
 
 
 def test_what_the_estimate_does_not_have_is_told() -> None:
-    nowhere = Span("no wall", Place(50.0, 50.0), Place(60.0, 50.0), 10.0)
+    nowhere = Span("no wall", SpanEnd(50.0, 50.0), SpanEnd(60.0, 50.0), 10.0)
     late = Span("too late", at(2), at(100), 5.0)
     found = scores(run_of(np.arange(10.0)), [TAPES[0], nowhere, late])
     assert found["span_answered_percent"].value == pytest.approx(100.0 / 3.0)
@@ -102,4 +102,4 @@ def test_a_tape_has_a_length_and_a_precision() -> None:
     with pytest.raises(ValueError, match="sigma_m"):
         Span("sure", at(0), at(1), 1.0, 0.0)
     with pytest.raises(ValueError, match="not finite"):
-        Place(float("nan"))
+        SpanEnd(float("nan"))

@@ -227,10 +227,8 @@ def test_damaged_data_are_told_above_one_percent(record, build):
         made = record("a", "room", {"ate_rmse_m": 0.1})
         return _said(build([replace(made, result=replace(made.result, notes=notes))]))
 
-    assert "damaged" not in noted({"scans out of order": 60, "rear-laser lines left out": 60})
-    assert "The data are damaged: 30 damaged lines left out (50 % of the scans)." in noted(
-        {"damaged lines left out": 30}
-    )
+    assert "damaged" not in noted({"scans out of order": 60, "rear-laser lines ignored": 60})
+    assert "The data are damaged: 30 damaged lines dropped (50 % of the scans)." in noted({"damaged lines dropped": 30})
 
 
 def test_what_could_not_start_is_no_failure_of_the_method(demo):

@@ -33,7 +33,7 @@ def read(path: Path) -> RecordingStreams:
     """The streams of a bag; BadData as the reader of bags says it."""
     taken: dict[str, _Taken] = {}
     tree = Contents()
-    with rosbag_parser.opened(path) as reader:
+    with rosbag_parser.open_bag(path) as reader:
         seconds = max((reader.end_time - reader.start_time) * 1e-9, 0.0)
         topics = [
             Topic(name, str(about.msgtype), int(about.msgcount), _rate(int(about.msgcount), seconds))

@@ -63,7 +63,7 @@ def _seat(tree: TransformTree, laser: LaserStream) -> LidarMounting | None:
     """None where no base frame leads to the lidar."""
     for base in BASE_FRAMES:
         try:
-            found = tree.mounting(base, laser.frame, int(laser.stamps_ns[0]))
+            found = tree.find_mounting(base, laser.frame, int(laser.stamps_ns[0]))
         except ValueError as error:
             return LidarMounting(base, laser.frame, problem=str(error))
         if found is not None and base in tree.frames():

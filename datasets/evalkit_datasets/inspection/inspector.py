@@ -40,7 +40,7 @@ class Inspection:
 
 def inspect_recording(path: Path) -> Inspection:
     """A bag (ROS 1 or 2) or a CARMEN log, examined; BadData or DataMissing as its reader says it."""
-    is_bag = path.is_dir() or path.suffix in rosbag_parser.ENDINGS
+    is_bag = path.is_dir() or path.suffix in rosbag_parser.SUFFIXES
     streams = bag_streams.read(path) if is_bag else log_streams.read(path)
     lidars = tuple(_lidar(laser) for laser in streams.lasers)
     drivings = tuple(measure_odometry(wheels) for wheels in streams.wheels)

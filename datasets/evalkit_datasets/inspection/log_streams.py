@@ -30,7 +30,7 @@ BESIDE = "robot pose beside each scan"
 
 def read(path: Path) -> RecordingStreams:
     """The streams of a log; BadData where it is no log or holds damaged gzip."""
-    log, readings = carmen_parser.read(path)
+    log, readings = carmen_parser.read_log(path)
     if not (readings or len(log.odometry) or log.damaged):
         what = "no line begins with FLASER, ROBOTLASER1, LASER_READING or ODOM"
         remedy = NO_RECORDING.get(path.suffix, "give a bag (.bag, .db3, .mcap, or the folder of one) or a CARMEN log")
@@ -38,7 +38,7 @@ def read(path: Path) -> RecordingStreams:
     kinds: Counter[str] = Counter()
     remarks: list[str] = []
     tails: list[tuple[bytes, bytes]] = []
-    for line in carmen_parser.lines_of(path):
+    for line in carmen_parser.iter_log_lines(path):
         words = line.split()
         if not words:
             continue

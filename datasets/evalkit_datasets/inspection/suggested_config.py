@@ -170,7 +170,7 @@ def _tried(reader: str, parameters: Mapping[str, Value]) -> _Tried:
 def _catalogued(path: Path) -> tuple[str, tuple[str, ...]]:
     """The data set made of this very file, and what is known to be wrong with the file."""
     for file in [path] if path.is_file() else sorted(path.iterdir()):
-        for card in catalog.entries().values():
+        for card in catalog.load_catalog().values():
             if not card.bytes or file.stat().st_size != card.bytes:
                 continue
             try:

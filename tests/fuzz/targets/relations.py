@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bounds import held_file
 
-from evalkit_datasets import relations
+from evalkit_datasets.truth_files import read_relations
 
 
 def seeds() -> list[bytes]:
@@ -24,4 +24,4 @@ def swollen() -> list[bytes]:
 
 def one(data: bytes) -> None:
     """Reads relations."""
-    held_file(relations.read, data, "fuzz.relations")
+    held_file(read_relations, data, "fuzz.relations")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bounds import held_file
 
-from evalkit_datasets import spans
+from evalkit_datasets.truth_files import read_spans
 
 
 def seeds() -> list[bytes]:
@@ -34,4 +34,4 @@ def swollen() -> list[bytes]:
 
 def one(data: bytes) -> None:
     """Reads distances."""
-    held_file(spans.read, data, "fuzz.toml")
+    held_file(read_spans, data, "fuzz.toml")

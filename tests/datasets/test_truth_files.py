@@ -1,4 +1,4 @@
-"""The file of distances by tape: what it holds, and what it is told where it does not."""
+"""Files of ground truth: measured distances and relations, and what is wrong with invalid ones."""
 
 import numpy as np
 import pytest
@@ -6,12 +6,12 @@ import pytest
 from evalkit import metrics
 from evalkit.core.errors import BadData, DataMissing
 from evalkit.core.ground_truth import Truth
-from evalkit.core.measured_distances import Place, Span
+from evalkit.core.measured_distances import Span, SpanEnd
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.metrics.table import Evidence
 from evalkit.plugins import registry
-from evalkit_datasets import spans
 from evalkit_datasets.carmen import Carmen
+from evalkit_datasets.truth_files import read_relations, read_spans
 
 DOORS = """
 [[span]]
@@ -35,35 +35,35 @@ def file(tmp_path, text):
 
 
 def test_places_are_times_points_seen_then_and_walls(tmp_path):
-    assert spans.read(file(tmp_path, DOORS)) == (
-        Span("door to door", Place(stamp_ns=976052857337284001), Place(0.5, -1.0, 976052860 * 10**9), 4.09, 0.01),
-        Span("span 2", Place(0.0, 1.5), Place(3.0, 1.5), 3.0, 0.02),
+    assert read_spans(file(tmp_path, DOORS)) == (
+        Span("door to door", SpanEnd(stamp_ns=976052857337284001), SpanEnd(0.5, -1.0, 976052860 * 10**9), 4.09, 0.01),
+        Span("span 2", SpanEnd(0.0, 1.5), SpanEnd(3.0, 1.5), 3.0, 0.02),
     )
 
 
 @pytest.mark.parametrize(
-    ("text", "told"),
+    ("text", "message"),
     [
         ("[[span]]\nfrom = 1\nmetres = 2\n", "span 1: missing key 'to'"),
         ("[[span]]\nfrom = 1\nto = 2\nmetres = -2\n", "span 1: metres: expected a positive number, got -2.0"),
         ("[[span]]\nfrom = 'door'\nto = 2\nmetres = 2\n", "span 1, from: 'door' is not a time in seconds"),
-        ("[[span]]\nfrom = { wall = [1] }\nto = 2\nmetres = 2\n", "span 1, from: '[1]' is no point"),
+        ("[[span]]\nfrom = { wall = [1] }\nto = 2\nmetres = 2\n", "span 1, from: '[1]' is not a point"),
         ("[[span]]\nfrom = { wal = [1, 2] }\nto = 2\nmetres = 2\n", "span 1, from: unknown key 'wal'"),
         ("[[span]]\nfrom = 1\nto = 2\nmetres = nan\n", "span 1, metres: 'NaN' is not a number"),
         ("[[span]]\nfrom = 1\nto = 2\nmetres = 2\nfeet = 6\n", "span 1: unknown key 'feet'"),
-        ("[[tape]]\n", "its tables are not [[span]] alone"),
+        ("[[tape]]\n", "expected tables [[span]] and nothing else"),
         ("[[span]\n", "not valid TOML"),
     ],
 )
-def test_what_is_wrong_is_named_with_its_place(tmp_path, text, told):
+def test_an_error_names_its_place(tmp_path, text, message):
     with pytest.raises(BadData) as caught:
-        spans.read(file(tmp_path, text))
-    assert told in str(caught.value)
+        read_spans(file(tmp_path, text))
+    assert message in str(caught.value)
 
 
-def test_no_file_is_no_data(tmp_path):
+def test_an_absent_file_is_missing_data(tmp_path):
     with pytest.raises(DataMissing):
-        spans.read(tmp_path / "none.toml")
+        read_spans(tmp_path / "none.toml")
 
 
 def log(tmp_path):
@@ -75,7 +75,7 @@ def log(tmp_path):
     return path
 
 
-def test_a_recording_brings_the_distances_given_for_it(tmp_path):
+def test_a_recording_contains_the_distances_given_for_it(tmp_path):
     tape = file(tmp_path, "[[span]]\nfrom = 101.5\nto = 109.5\nmetres = 8.16\n")
     sequence = Carmen(str(log(tmp_path)), spans=str(tape))
     assert sequence.truth().how == "distances measured with a tape"
@@ -88,12 +88,50 @@ def test_a_recording_brings_the_distances_given_for_it(tmp_path):
     assert found["span_stretch_percent"].value == pytest.approx(100.0 * (8.0 / 8.16 - 1.0))
 
 
-def test_distances_of_another_recording_are_refused(tmp_path):
+def test_distances_of_another_recording_are_rejected(tmp_path):
     tape = file(tmp_path, "[[span]]\nfrom = 1.5\nto = 9.5\nmetres = 8\n")
-    with pytest.raises(BadData, match="have nothing in common with the recording"):
+    with pytest.raises(BadData, match="do not overlap the recording"):
         Carmen(str(log(tmp_path)), spans=str(tape))
 
 
-def test_every_reader_of_recordings_takes_them():
+def test_every_reader_of_recordings_accepts_them():
     for name in ("carmen", "rosbag"):
         assert "spans" in {parameter.name for parameter in registry.dataset(name).parameters}
+
+
+# relations
+
+
+def relations_file(tmp_path, text):
+    path = tmp_path / "some.relations"
+    path.write_text(text)
+    return path
+
+
+def test_a_line_becomes_two_stamps_and_a_motion(tmp_path):
+    read = read_relations(relations_file(tmp_path, "1216.630413 1217.490267 0.407950 -0.016330 0 0 0 -0.069620\n"))
+    assert read.first_ns.tolist() == [1216630413000]
+    assert read.second_ns.tolist() == [1217490267000]
+    assert read.first_from_second.tolist() == [[0.40795, -0.01633, -0.06962]]
+
+
+def test_order_and_repeated_pairs_stay_as_published(tmp_path):
+    read = read_relations(relations_file(tmp_path, "5 3 1 0 0 0 0 0\n1 2 2 0 0 0 0 0\n5 3 1 0 0 0 0 0\n"))
+    assert read.first_ns.tolist() == [5 * 10**9, 10**9, 5 * 10**9]
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("", ["empty"]),
+        ("\n# nothing\n", ["no relation"]),
+        ("1 2 3\n", ["line 1", "3 columns"]),
+        ("1 2 0 0 0 0 0 0\n1 x 0 0 0 0 0 0\n", ["line 2", "'x'"]),
+        ("1 2 0 0 0 0 0 left\n", ["line 1", "'left'", "column 6"]),
+        ("1 2 inf 0 0 0 0 0\n", ["line 1", "not finite"]),
+    ],
+)
+def test_garbage_names_file_line_and_remedy(tmp_path, text, parts):
+    with pytest.raises(BadData) as caught:
+        read_relations(relations_file(tmp_path, text))
+    assert all(part in str(caught.value) for part in ["some.relations", *parts])
