@@ -7,4 +7,4 @@ INSPECT = CommandSpec(
     "Start",
     "evalkit_datasets.inspection.command:inspect",
 )
-DATASETS = CommandSpec("List, download and generate recordings.", "Reference", "evalkit_datasets.__main__:app")
+DATASETS = CommandSpec("List, download and generate recordings.", "Reference", "evalkit_datasets.command:app")

@@ -4,8 +4,7 @@ import json
 
 from typer.testing import CliRunner
 
-from evalkit_datasets import __main__ as command
-from evalkit_datasets import catalog
+from evalkit_datasets import catalog, command
 
 
 def test_list_names_every_file_on_a_line_of_its_own_however_narrow_the_pipe(monkeypatch):

@@ -8,8 +8,7 @@ from typer.testing import CliRunner
 
 from evalkit.core.errors import BadParameter, StoreError, UnknownName
 from evalkit.io.tum import read_tum
-from evalkit_datasets import __main__ as command
-from evalkit_datasets import example_bag
+from evalkit_datasets import command, example_bag
 from evalkit_datasets.rosbag import RosBag
 
 SHORT = {"laps": 0.03, "rate_hz": 5.0}

@@ -1,4 +1,4 @@
-"""The command ``evalkit datasets list | fetch NAME... | example BAG``, also ``python -m evalkit_datasets``."""
+"""The command ``evalkit datasets list | fetch NAME... | example BAG``."""
 
 from __future__ import annotations
 
@@ -89,7 +89,3 @@ def _fetch_with_progress(name: str) -> str:
     with Progress(console=err, transient=True) as bar:
         task = bar.add_task(name, total=None)
         return str(fetch(name, lambda received, total: bar.update(task, completed=received, total=total or None)))
-
-
-if __name__ == "__main__":
-    app()
