@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from evalkit.core import se2
-from evalkit.core.measured_distances import SpanEnd, Span
+from evalkit.core.measured_distances import Span, SpanEnd
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
