@@ -60,11 +60,11 @@ def write_example(bag: Path, world: str, given: Mapping[str, object]) -> Example
 def _write_files(bag: Path, true: Path, drive: Synthetic) -> Example:
     from evalkit.commands.export import mcap  # noqa: PLC0415 - heavy, and used for bags only
 
-    begin = mcap.EARLIEST_NS
+    begin = mcap.MIN_STAMP_NS
     shift = begin - int(drive.stamps_ns[0])
     bag.parent.mkdir(parents=True, exist_ok=True)
-    maker = mcap.Messages()
-    mcap.write_bag(bag, maker, mcap.recorded(maker, drive, shift, begin))
+    builder = mcap.MessageBuilder()
+    mcap.write_bag(bag, builder, mcap.sequence_messages(builder, drive, shift, begin))
     poses = drive.drive.pose(drive.stamps_ns)
     true.write_text(format_tum(Trajectory(drive.stamps_ns + shift, poses), "exact: simulated"), encoding="utf-8")
     path_m = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())

@@ -1,4 +1,4 @@
-"""A comparison as one offline HTML file that a stranger can believe, with the same numbers for programs beside it."""
+"""The report of an experiment: one offline HTML page, and the same numbers as JSON and CSV for programs."""
 
 from __future__ import annotations
 
@@ -6,28 +6,26 @@ import json
 from pathlib import Path
 
 from evalkit.report.analysis.comparison import Comparison, MethodCard, SequenceCard, Setting
-from evalkit.report.assembly import comparison_of
+from evalkit.report.assembly import build_comparison
 
-__all__ = ["Comparison", "MethodCard", "SequenceCard", "Setting", "comparison_of", "write"]
+__all__ = ["Comparison", "MethodCard", "SequenceCard", "Setting", "build_comparison", "write_report"]
 
 
-def write(comparison: Comparison, folder: Path) -> Path:
-    """The path of index.html, written with results.json, its schema and three CSV tables into a folder.
+def write_report(comparison: Comparison, folder: Path) -> Path:
+    """Write index.html, results.json, its schema and three CSV tables into a folder; return the page's path.
 
     The page links to ``trajectories/<key>.tum`` and ``maps/<key>.pgm`` in the same folder, which the store writes.
     """
     from evalkit.report import results_json, tables  # noqa: PLC0415 - pandas and matplotlib are slow to load
-    from evalkit.report.analysis import overview, verdict  # noqa: PLC0415 - pandas and matplotlib are slow to load
-    from evalkit.report.html import page  # noqa: PLC0415 - pandas and matplotlib are slow to load
+    from evalkit.report.analysis.analysis import analyse  # noqa: PLC0415
+    from evalkit.report.html.report_page import render_report  # noqa: PLC0415
 
     folder.mkdir(parents=True, exist_ok=True)
-    verdicts = [verdict.verdict(comparison, sequence) for sequence in comparison.sequence_labels]
-    sentences = overview.overview(comparison, verdicts)
-    results = results_json.results(comparison, sentences, verdicts)
-    text = json.dumps(results, indent=1, ensure_ascii=False, allow_nan=False)
+    analysis = analyse(comparison)
+    text = json.dumps(results_json.build_results(analysis), indent=1, ensure_ascii=False, allow_nan=False)
     (folder / "results.json").write_text(text + "\n", encoding="utf-8")
-    (folder / "results.schema.json").write_text(results_json.schema(), encoding="utf-8")
-    tables.write_csv(comparison, folder)
+    (folder / "results.schema.json").write_text(results_json.load_schema(), encoding="utf-8")
+    tables.write_tables(analysis, folder)
     index = folder / "index.html"
-    index.write_text(page.render(comparison, sentences, verdicts), encoding="utf-8")
+    index.write_text(render_report(analysis), encoding="utf-8")
     return index

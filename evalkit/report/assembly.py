@@ -1,4 +1,4 @@
-"""A plan and its records made one comparison: cards from the specs, and what was held equal, in sentences."""
+"""Build the input of a report from an experiment and its runs: cards from the specs, and sentences on fairness."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from evalkit.metrics import all_metrics
 from evalkit.odometry.frontend import settable_parameters
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Parameter, Value
-from evalkit.plugins.protocols import Sequence as Recording
+from evalkit.plugins.protocols import Sequence as SensorSequence
 from evalkit.plugins.specs import GUESS_NOT_REPORTED
 from evalkit.report.analysis.comparison import Comparison, MethodCard, SequenceCard, Setting
 from evalkit.results.run_record import RunRecord
@@ -21,57 +21,57 @@ from evalkit.results.run_record import RunRecord
 LIBRARIES = ("numpy", "scipy")
 
 
-def comparison_of(
-    plan: Experiment,
-    records: Sequence[RunRecord],
+def build_comparison(
+    experiment: Experiment,
+    runs: Sequence[RunRecord],
     started: datetime,
     finished: datetime,
     ran_on: Mapping[str, str] | None = None,
 ) -> Comparison:
-    """The comparison of a plan's records, scored by every registered metric.
+    """Return the comparison of an experiment's runs, with every registered metric.
 
-    ``ran_on``: the environment as it was before the first run; without it, as it is now.
+    ``ran_on``: the environment before the first run; without it, the present one.
     """
-    specs = [registry.find_backend(method.backend) for method in plan.methods]
+    specs = [registry.find_backend(method.backend) for method in experiment.methods]
     where = dict(ran_on or environment.describe())
-    libraries = dict.fromkeys((*LIBRARIES, *(distribution(name) for spec in specs for name in spec.requires)))
+    libraries = dict.fromkeys((*LIBRARIES, *(find_distribution(name) for spec in specs for name in spec.requires)))
     return Comparison(
-        title=plan.title,
-        description=plan.description,
-        records=in_order(plan, records),
+        title=experiment.title,
+        description=experiment.description,
+        records=sort_runs(experiment, runs),
         metrics=all_metrics(),
-        methods={method.label: method_card(method) for method in plan.methods},
-        sequences={sequence.label: sequence_card(sequence, records) for sequence in plan.sequences},
+        methods={method.label: build_method_card(method) for method in experiment.methods},
+        sequences={sequence.label: build_sequence_card(sequence, runs) for sequence in experiment.sequences},
         environment={**where, **environment.versions(libraries)},
-        command=f"evalkit {plan.source}",
+        command=f"evalkit {experiment.source}",
         started=started,
         finished=finished,
-        mapper=mapper_text(plan.mapper),
-        fairness=(*fairness(records, where), limits_text(plan.limits)),
-        scans={sequence.label: scans_of(sequence) for sequence in plan.sequences if not sequence.missing},
+        mapper=describe_mapper(experiment.mapper),
+        fairness=(*describe_fairness(runs, where), describe_limits(experiment.limits)),
+        scans={sequence.label: open_sequence(sequence) for sequence in experiment.sequences if not sequence.missing},
     )
 
 
-def scans_of(sequence: SequenceSpec) -> Callable[[], Recording]:
-    """What makes the sequence of a sequence's lowest seed."""
+def open_sequence(sequence: SequenceSpec) -> Callable[[], SensorSequence]:
+    """Return a function that opens a sequence at its lowest seed."""
     seed = min((seed for seed in sequence.seeds if seed is not None), default=None)
     return lambda: registry.dataset(sequence.dataset).make(**sequence.seeded(seed))
 
 
-def in_order(plan: Experiment, records: Sequence[RunRecord]) -> tuple[RunRecord, ...]:
-    """The records by sequence, seed and method as the plan names them, whatever the order they were run in."""
-    entrants = [method.label for method in plan.methods]
-    sequences = {sequence.label: (row, sequence.seeds) for row, sequence in enumerate(plan.sequences)}
+def sort_runs(experiment: Experiment, runs: Sequence[RunRecord]) -> tuple[RunRecord, ...]:
+    """Return the runs by sequence, seed and method in the experiment's order, whatever the order of execution."""
+    methods = [method.label for method in experiment.methods]
+    sequences = {sequence.label: (row, sequence.seeds) for row, sequence in enumerate(experiment.sequences)}
 
-    def place(record: RunRecord) -> tuple[int, int, int]:
-        row, seeds = sequences[record.sequence]
-        return row, seeds.index(record.seed), entrants.index(record.method)
+    def position(run: RunRecord) -> tuple[int, int, int]:
+        row, seeds = sequences[run.sequence]
+        return row, seeds.index(run.seed), methods.index(run.method)
 
-    return tuple(sorted(records, key=place))
+    return tuple(sorted(runs, key=position))
 
 
-def distribution(requirement: str) -> str:
-    """The installed distribution that answers a requirement: open3d also comes as open3d-cpu."""
+def find_distribution(requirement: str) -> str:
+    """Return the installed distribution of a requirement: a package may be distributed under another name."""
     try:
         return str(metadata(requirement)["Name"])
     except PackageNotFoundError:
@@ -84,16 +84,16 @@ def _distributions() -> Mapping[str, Sequence[str]]:
     return packages_distributions()  # reads the records of everything installed: a second
 
 
-def method_card(method: Method) -> MethodCard:
-    """The card of a method, with every setting it ran with."""
+def build_method_card(method: Method) -> MethodCard:
+    """Return the card of a method with all its settings."""
     spec = registry.find_backend(method.backend)
-    settings = settings_of(method.parameters, settable_parameters(spec), "set for this method")
+    settings = build_settings(method.parameters, settable_parameters(spec), "set for this method")
     guess = "" if spec.guess == GUESS_NOT_REPORTED else spec.guess
     return MethodCard(spec.summary, spec.citation, spec.licence, settings, guess, method.missing, spec.role)
 
 
-def settings_of(given: Mapping[str, Value], parameters: Sequence[Parameter], otherwise: str) -> tuple[Setting, ...]:
-    """The values beside the defaults; ``otherwise``: the meaning of one that is no declared parameter."""
+def build_settings(given: Mapping[str, Value], parameters: Sequence[Parameter], otherwise: str) -> tuple[Setting, ...]:
+    """Return the values beside the defaults; ``otherwise``: the meaning of a value without a declared parameter."""
     known = {parameter.name: parameter for parameter in parameters}
     return tuple(
         Setting(name, value, known[name].default, known[name].unit, known[name].meaning)
@@ -103,59 +103,56 @@ def settings_of(given: Mapping[str, Value], parameters: Sequence[Parameter], oth
     )
 
 
-def sequence_card(sequence: SequenceSpec, records: Sequence[RunRecord]) -> SequenceCard:
-    """The card of a sequence; the truth is told as its runs met it, else as the data set promises it."""
+def build_sequence_card(sequence: SequenceSpec, runs: Sequence[RunRecord]) -> SequenceCard:
+    """Return the card of a sequence; its ground truth as the runs found it, else as the data set describes it."""
     spec = registry.dataset(sequence.dataset)
-    met = dict.fromkeys(t.truth.how for t in records if t.sequence == sequence.label and len(t.result.steps))
+    truths = dict.fromkeys(run.truth.how for run in runs if run.sequence == sequence.label and len(run.result.steps))
     return SequenceCard(
         spec.summary,
         spec.sensor,
-        "; ".join(met) or spec.truth,
+        "; ".join(truths) or spec.truth,
         spec.citation,
         spec.licence,
         spec.defects,
         spec.degenerate,
         spec.published,
-        settings_of(sequence.parameters, spec.parameters, "set for this sequence"),
+        build_settings(sequence.parameters, spec.parameters, "set for this sequence"),
     )
 
 
-def mapper_text(mapper: MapperChoice) -> str:
-    """The mapper with its settings, and how many scans it was given."""
-    return f"{mapper.name} ({_settings(mapper.parameters)}) from at most {mapper.scans} scans, evenly spaced."
+def describe_mapper(mapper: MapperChoice) -> str:
+    """Return the mapper with its settings and its number of scans."""
+    settings = ", ".join(f"{name} {value}" for name, value in mapper.parameters.items())
+    return f"{mapper.name} ({settings}) from at most {mapper.scans} scans, evenly spaced."
 
 
-def fairness(records: Sequence[RunRecord], environment: Mapping[str, str]) -> tuple[str, ...]:
-    """What was held equal between methods, and what was not; ``environment``: what they ran on."""
-    warm = sorted({record.result.warm_up_scans for record in records if len(record.result.steps)})
+def describe_fairness(runs: Sequence[RunRecord], environment: Mapping[str, str]) -> tuple[str, ...]:
+    """Return sentences on what was equal for all methods and what was not; ``environment``: of the runs."""
+    warm = sorted({run.result.warm_up_scans for run in runs if len(run.result.steps)})
     warmed = f"the first {'/'.join(map(str, warm))} scans" if warm else "the first scans"
     at_once = environment.get("runs at a time", "")
-    given = any(record.result.is_complete and not len(record.result.steps) for record in records)
-    elsewhere = "; a map made elsewhere is held against the truth as it is" if given else ""
-    shared = "; those at the same time share caches and memory, and slow each other" if at_once != "1" else ""
+    map_only = any(run.result.is_complete and not len(run.result.steps) for run in runs)
+    elsewhere = "; a map from another program is compared with the ground truth as it is" if map_only else ""
+    shared = "; concurrent runs share caches and memory and slow each other down" if at_once != "1" else ""
     return (
         *([f"Runs at a time: {at_once}{shared}."] if at_once else []),
-        "Every run has a process of its own, one thread for numerical libraries, and methods take turns within "
-        "each repetition, forth in one and back in the next (A B, B A), so that a slow hour hits all alike.",
-        "Only the method's own call is timed; turning values into a library's format and back is part of it and is "
-        "also shown apart. Reading, checking and storing are not timed.",
-        f"Imports and first allocations are paid by another instance that sees {warmed} before the timed one starts.",
-        "What a method starts its registration from is on its card; all that start from wheel odometry get the "
-        "same odometry.",
-        "All maps are drawn by one mapper from each method's trajectory, aligned to the truth where there is one"
+        "Each run has its own process with one thread for numerical libraries. Methods take turns within each "
+        "repetition, in reverse order in every second one (A B, B A), so that slow periods affect all alike.",
+        "Only the call of the method is timed. Conversion to and from a library's format is part of it and is also "
+        "shown apart. Reading, checking and storing are not timed.",
+        f"Another instance processes {warmed} before the timed one starts, to exclude imports and first allocations.",
+        "The card of each method states the initial guess of its registration. All methods that start from wheel "
+        "odometry get the same odometry.",
+        "One mapper draws all maps from the methods' trajectories, aligned to the ground truth if there is one"
         f"{elsewhere}.",
-        "Runs that did not complete are counted and shown, and enter no median; nobody who lost a run can win.",
+        "Runs that did not complete are counted and shown, and enter no median. A method with a lost run cannot win.",
     )
 
 
-def limits_text(limits: Limits) -> str:
-    """The limits every run was under."""
+def describe_limits(limits: Limits) -> str:
+    """Return the limits of every run in one sentence."""
     return (
-        f"Every run, with all it started, had {limits.run_s:g} s in all and {limits.scan_s:g} s for an answer by the "
-        f"wall clock, {limits.run_cpu_s:g} s and {limits.scan_cpu_s:g} s of CPU time, and {limits.memory_mib} MiB of "
-        "memory; what breaks a limit is ended, and its answers up to then count as partial."
+        f"Every run, with all its child processes, was limited to {limits.run_s:g} s in all and {limits.scan_s:g} s "
+        f"per answer of wall time, {limits.run_cpu_s:g} s and {limits.scan_cpu_s:g} s of CPU time, and "
+        f"{limits.memory_mib} MiB of memory. A run that exceeds a limit is ended, and its answers so far are partial."
     )
-
-
-def _settings(parameters: Mapping[str, Value]) -> str:
-    return ", ".join(f"{name} {value}" for name, value in parameters.items())

@@ -1,4 +1,4 @@
-"""The report's numbers as tables for other programs; the only module that imports pandas."""
+"""The analysis as CSV tables; the only module that imports pandas."""
 
 from __future__ import annotations
 
@@ -6,94 +6,91 @@ from pathlib import Path
 
 import pandas as pd
 
-from evalkit.report.analysis.cells import interval
-from evalkit.report.analysis.comparison import Comparison
-from evalkit.report.analysis.standings import standing
+from evalkit.report.analysis.analysis import Analysis
 
 
-def records(comparison: Comparison) -> pd.DataFrame:
-    """One row per record: who, over what, how it ended, and one column per metric (empty where not meaningful)."""
+def build_runs_table(analysis: Analysis) -> pd.DataFrame:
+    """Return one row per run: names, status, and one column per metric (empty if not meaningful)."""
     rows = []
-    for record in comparison.records:
+    for run in analysis.comparison.records:
         row: dict[str, object] = {
-            "key": record.key,
-            "method": record.method,
-            "sequence": record.sequence,
-            "seed": record.seed,
-            "status": record.result.status,
-            "reason": record.result.reason,
-            "scans_answered": len(record.result.steps),
-            "scans_expected": record.result.expected,
+            "key": run.key,
+            "method": run.method,
+            "sequence": run.sequence,
+            "seed": run.seed,
+            "status": run.result.status,
+            "reason": run.result.reason,
+            "scans_answered": len(run.result.steps),
+            "scans_expected": run.result.expected,
         }
-        for metric in comparison.metrics:
-            score = record.scores.by_metric.get(metric.name)
+        for metric in analysis.comparison.metrics:
+            score = run.scores.by_metric.get(metric.name)
             row[metric.name] = None if score is None else score.value
-        rows.append(row | {"command": record.command})
+        rows.append(row | {"command": run.command})
     return pd.DataFrame(rows).astype({"seed": "Int64"}) if rows else pd.DataFrame()
 
 
-def scores(comparison: Comparison) -> pd.DataFrame:
-    """One row per record and metric: value, support, and the reason where there is no value."""
+def build_scores_table(analysis: Analysis) -> pd.DataFrame:
+    """Return one row per run and metric: value, support, and the reason if there is no value."""
     rows = [
         {
-            "key": record.key,
-            "method": record.method,
-            "sequence": record.sequence,
-            "seed": record.seed,
-            "status": record.result.status,
+            "key": run.key,
+            "method": run.method,
+            "sequence": run.sequence,
+            "seed": run.seed,
+            "status": run.result.status,
             "metric": metric.name,
             "unit": metric.unit,
             "value": score.value,
             "support": score.support,
             "reason": score.reason,
         }
-        for record in comparison.records
-        for metric in comparison.metrics
-        if (score := record.scores.by_metric.get(metric.name)) is not None
+        for run in analysis.comparison.records
+        for metric in analysis.comparison.metrics
+        if (score := run.scores.by_metric.get(metric.name)) is not None
     ]
     return pd.DataFrame(rows).astype({"seed": "Int64"}) if rows else pd.DataFrame()
 
 
-def summary(comparison: Comparison) -> pd.DataFrame:
-    """One row per sequence, method and metric: median, lowest, highest and 95 % interval over the complete runs.
+def build_summary_table(analysis: Analysis) -> pd.DataFrame:
+    """Return one row per sequence, method and metric: median, lowest, highest and 95 % interval of the complete runs.
 
-    ``place`` is 1 for the best among those who completed every run, empty for the rest; ``level_with_best`` says that
-    no difference from it is shown.
+    ``rank`` is 1 for the best of the methods that completed every run, empty for others; ``tied_with_best``: the best
+    itself, and methods without a clear difference from it.
     """
     rows = []
-    for sequence in comparison.sequence_labels:
-        for metric in comparison.metrics:
-            found = standing(comparison, sequence, metric)
-            places = {cell.method: place for place, cell in enumerate(found.ranked, start=1)}
+    for sequence in analysis.sequences:
+        for ranking in sequence.rankings.values():
+            ranks = {score.method: rank for rank, score in enumerate(ranking.ranked, start=1)}
             rows += [
                 {
-                    "sequence": sequence,
-                    "method": cell.method,
-                    "metric": metric.name,
-                    "unit": metric.unit,
-                    "better": metric.better,
-                    "runs_complete": cell.complete,
-                    "runs_expected": cell.expected,
-                    "runs_scored": len(cell.values),
-                    "median": cell.median,
-                    "lowest": min(cell.values, default=None),
-                    "highest": max(cell.values, default=None),
-                    "low_95": bounds.low if (bounds := interval(cell)) else None,
-                    "high_95": bounds.high if bounds else None,
-                    "place": places.get(cell.method),
-                    "level_with_best": cell in found.level,
-                    "reason": cell.reason,
+                    "sequence": sequence.label,
+                    "method": score.method,
+                    "metric": ranking.metric.name,
+                    "unit": ranking.metric.unit,
+                    "better": ranking.metric.better,
+                    "runs_complete": score.complete,
+                    "runs_expected": score.expected,
+                    "runs_scored": len(score.values),
+                    "median": score.median,
+                    "lowest": min(score.values, default=None),
+                    "highest": max(score.values, default=None),
+                    "low_95": score.interval.low if score.interval else None,
+                    "high_95": score.interval.high if score.interval else None,
+                    "rank": ranks.get(score.method),
+                    "tied_with_best": score in ranking.tied,
+                    "reason": score.reason,
                 }
-                for cell in found.cells
+                for score in ranking.scores
             ]
-    return pd.DataFrame(rows).astype({"place": "Int64"}) if rows else pd.DataFrame()
+    return pd.DataFrame(rows).astype({"rank": "Int64"}) if rows else pd.DataFrame()
 
 
-def write_csv(comparison: Comparison, folder: Path) -> tuple[Path, ...]:
-    """The files trials.csv, scores.csv and summary.csv in a folder; numbers in full precision."""
+def write_tables(analysis: Analysis, folder: Path) -> tuple[Path, ...]:
+    """Write runs.csv, scores.csv and summary.csv in full precision; return their paths."""
     written = []
-    for name, table in (("trials", records), ("scores", scores), ("summary", summary)):
+    for name, build in (("runs", build_runs_table), ("scores", build_scores_table), ("summary", build_summary_table)):
         path = folder / f"{name}.csv"
-        table(comparison).to_csv(path, index=False)
+        build(analysis).to_csv(path, index=False)
         written.append(path)
     return tuple(written)

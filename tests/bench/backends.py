@@ -10,7 +10,7 @@ import numpy as np
 
 from evalkit import Cloud, Pose
 from evalkit.commands.diff import benchmark
-from evalkit.commands.diff.benchmark import Series
+from evalkit.commands.diff.benchmark import BenchmarkSeries
 from evalkit.core.timing import timed
 from evalkit.execution.environment import SINGLE_THREAD
 from evalkit.odometry import frontend
@@ -48,7 +48,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=40)
     parser.add_argument("--targets", type=int, default=5000)
     arguments = parser.parse_args()
-    ran_on = benchmark.before()
+    ran_on = benchmark.describe_environment()
     os.environ.update(SINGLE_THREAD)
     if hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
@@ -68,8 +68,8 @@ def main() -> None:
     for name, ns in times.items():
         ratio = np.median(np.array(ns) / np.array(times[REFERENCE]))
         print(f"{name:18} {np.median(ns) / 1e6:8.2f} {ratio:16.2f}")
-    series = [Series(name, "ms", tuple((np.array(ns) / 1e6).tolist())) for name, ns in times.items()]
-    print(benchmark.keep("backends", series, ran_on))
+    series = [BenchmarkSeries(name, "ms", tuple((np.array(ns) / 1e6).tolist())) for name, ns in times.items()]
+    print(benchmark.write_benchmark("backends", series, ran_on))
 
 
 def _defaults(dataset: str) -> dict[str, object]:

@@ -18,7 +18,7 @@ import long_bags
 import numpy as np
 
 from evalkit.commands.diff import benchmark
-from evalkit.commands.diff.benchmark import FOLDER, Series
+from evalkit.commands.diff.benchmark import FOLDER, BenchmarkSeries
 from evalkit.config.experiment import Limits
 from evalkit.execution import run_process
 from evalkit.execution.worker import Request
@@ -87,7 +87,7 @@ def main() -> int:
     parser.add_argument("--kinds", nargs="+", default=["sqlite3"], choices=long_bags.KINDS)
     parser.add_argument("--day", action="store_true", help="a bag of 24 hours, too")
     arguments = parser.parse_args()
-    ran_on = benchmark.before()
+    ran_on = benchmark.describe_environment()
     lengths = [arguments.scans * factor for factor in FACTORS]
     lengths += [round(DAY_S * long_bags.RATE_HZ)] if arguments.day else []
     found: dict[str, list[Run]] = {}
@@ -102,9 +102,11 @@ def main() -> int:
             sizes = f"{runs[-1].bag_bytes / 2**20:9.1f} {runs[-1].peak_bytes / 2**20:9.1f}"
             print(f"{kind:10} {runs[-1].scans:8} {hours:7.2f} {sizes} {more}", flush=True)
     series = [
-        Series(f"{kind}, {one.scans} scans", "MiB", (one.peak_bytes / 2**20,)) for kind in found for one in found[kind]
+        BenchmarkSeries(f"{kind}, {one.scans} scans", "MiB", (one.peak_bytes / 2**20,))
+        for kind in found
+        for one in found[kind]
     ]
-    print(benchmark.keep("growth", series, ran_on))
+    print(benchmark.write_benchmark("growth", series, ran_on))
     drawn(found, FOLDER / "growth.svg")
     print(FOLDER / "growth.svg")
     worst = max(per_scan(runs)[-1] for runs in found.values())

@@ -15,7 +15,7 @@ import numpy as np
 
 from evalkit import Pose, Scan
 from evalkit.commands.diff import benchmark
-from evalkit.commands.diff.benchmark import Series
+from evalkit.commands.diff.benchmark import BenchmarkSeries
 from evalkit.execution.environment import SINGLE_THREAD
 from evalkit.plugins.parameters import resolve_parameters
 from evalkit.plugins.specs import MapperSpec
@@ -66,7 +66,7 @@ def main() -> None:
     arguments = parser.parse_args()
     if why := compiled_missing():
         parser.error(why)
-    ran_on = benchmark.before()
+    ran_on = benchmark.describe_environment()
     series = []
     os.environ.update(SINGLE_THREAD)
     if hasattr(os, "sched_setaffinity"):
@@ -85,10 +85,10 @@ def main() -> None:
             cold, warm = (float(np.median(taken[what][3:])) / 1e3 for taken in (first, again))
             print(f"{what:24} {cold:8.1f} {warm:14.1f} {touched / warm:21.0f}")
             series += [
-                Series(f"{what}, {name}, {when}", "us", tuple(ns / 1e3 for ns in taken[what][3:]))
+                BenchmarkSeries(f"{what}, {name}, {when}", "us", tuple(ns / 1e3 for ns in taken[what][3:]))
                 for when, taken in (("after the others", first), ("at once again", again))
             ]
-    print(benchmark.keep("mapper", series, ran_on))
+    print(benchmark.write_benchmark("mapper", series, ran_on))
 
 
 def cpu_ns(call: Callable[[], Any]) -> int:

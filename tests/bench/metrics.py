@@ -12,7 +12,7 @@ import numpy as np
 
 from evalkit import metrics
 from evalkit.commands.diff import benchmark
-from evalkit.commands.diff.benchmark import Series
+from evalkit.commands.diff.benchmark import BenchmarkSeries
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, RunResult
@@ -69,10 +69,10 @@ def timed() -> dict[str, dict[str, float]]:
 
 def main() -> None:
     """Prints the slowest twelve and the sums, medians of the repeats, and keeps every sample."""
-    ran_on = benchmark.before()
+    ran_on = benchmark.describe_environment()
     repeats = [timed() for _ in range(REPEATS)]
     series = [
-        Series(name, "ms", tuple(found[group][name] for found in repeats))
+        BenchmarkSeries(name, "ms", tuple(found[group][name] for found in repeats))
         for group in GROUPS
         for name in repeats[0][group]
     ]
@@ -80,9 +80,11 @@ def main() -> None:
         print(f"{group}: {median(sum(found[group].values()) for found in repeats):.0f} ms")
     for one in sorted(series, key=lambda one: -one.median)[:12]:
         print(f"  {one.name:24} {one.median:6.0f} ms")
-    together = Series("together", "ms", tuple(sum(sum(own.values()) for own in found.values()) for found in repeats))
+    together = BenchmarkSeries(
+        "together", "ms", tuple(sum(sum(own.values()) for own in found.values()) for found in repeats)
+    )
     print(f"together: {together.median:.0f} ms of 1,000")
-    print(benchmark.keep("metrics", [*series, together], ran_on))
+    print(benchmark.write_benchmark("metrics", [*series, together], ran_on))
 
 
 if __name__ == "__main__":

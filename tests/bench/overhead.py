@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from evalkit.commands.diff import benchmark
-from evalkit.commands.diff.benchmark import Series
+from evalkit.commands.diff.benchmark import BenchmarkSeries
 from evalkit.config.experiment import Limits
 from evalkit.core.run_result import RunResult
 from evalkit.execution import run_process
@@ -80,7 +80,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else "")
     parser.add_argument("--rounds", type=int, default=20)
     rounds = parser.parse_args().rounds
-    ran_on = benchmark.before()
+    ran_on = benchmark.describe_environment()
     os.environ.update(SINGLE_THREAD)
     taken = starts(rounds)
     extra = np.array(taken["worker"]) - np.array(taken["libraries"])
@@ -96,9 +96,9 @@ def main() -> int:
     )
     print(f"together {start:.3f} s a run, limit {START_LIMIT_S} s")
     series = [
-        Series("start of the worker beyond its libraries", "s", tuple(extra.tolist())),
-        Series("watching of a short run", "s", tuple(watching)),
-        Series("interpreter with numpy and scipy", "s", tuple(taken["libraries"])),
+        BenchmarkSeries("start of the worker beyond its libraries", "s", tuple(extra.tolist())),
+        BenchmarkSeries("watching of a short run", "s", tuple(watching)),
+        BenchmarkSeries("interpreter with numpy and scipy", "s", tuple(taken["libraries"])),
     ]
     print(f"{'back end':16} {'around [us]':>12} {'p99':>8} {'own call [us]':>14} {'share':>8}")
     share = 0.0
@@ -108,9 +108,9 @@ def main() -> int:
         share = float(np.median(around)) / own
         row = f"{np.median(around):12.1f} {np.percentile(around, 99):8.1f} {own:14.1f} {100 * share:7.2f}%"
         print(f"{name:16} {row}")
-        series.append(Series(f"around a scan of {name}", "us", tuple(around.tolist())))
+        series.append(BenchmarkSeries(f"around a scan of {name}", "us", tuple(around.tolist())))
     print(f"of a scan of {METHOD}: {100 * share:.2f} %, limit {100 * SHARE_LIMIT:g} %")
-    print(benchmark.keep("overhead", series, ran_on))
+    print(benchmark.write_benchmark("overhead", series, ran_on))
     return int(start > START_LIMIT_S or share > SHARE_LIMIT)
 
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from evalkit import Cloud, Pose
 from evalkit.commands.diff import benchmark
-from evalkit.commands.diff.benchmark import Series
+from evalkit.commands.diff.benchmark import BenchmarkSeries
 from evalkit.core.se2 import Floats
 from evalkit.execution.environment import SINGLE_THREAD
 from evalkit.odometry import planar3d
@@ -184,7 +184,7 @@ def main() -> None:
     arguments = parser.parse_args()
     if why := compiled_missing():
         parser.error(why)
-    ran_on = benchmark.before()
+    ran_on = benchmark.describe_environment()
     series = []
     os.environ.update(SINGLE_THREAD)
     if hasattr(os, "sched_setaffinity"):
@@ -197,8 +197,8 @@ def main() -> None:
         for name, taken in times.items():
             low, ratio, high = np.percentile(taken / times[REFERENCE], [25, 50, 75])
             print(f"{name:22} {np.median(taken) / 1e6:8.2f} {ratio:12.2f} {low:7.2f}-{high:.2f}")
-            series.append(Series(f"{name}, {targets} points", "ms", tuple((taken / 1e6).tolist())))
-    print(benchmark.keep("registration", series, ran_on))
+            series.append(BenchmarkSeries(f"{name}, {targets} points", "ms", tuple((taken / 1e6).tolist())))
+    print(benchmark.write_benchmark("registration", series, ran_on))
 
 
 if __name__ == "__main__":

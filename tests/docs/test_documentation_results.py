@@ -16,14 +16,14 @@ from evalkit.core.run_result import STEP
 from evalkit.metrics import validated
 from evalkit.plugins.specs import Published
 from evalkit.report import results_json
-from evalkit.report.analysis import overview, verdict
+from evalkit.report.analysis.analysis import analyse
 
 FILE = Path(validated.__file__).parents[2] / "docs" / "pages" / "results.md"
 if not FILE.exists():
     pytest.skip("the documentation is not part of a wheel", allow_module_level=True)
 PAGE = FILE.read_text(encoding="utf-8")
 WRITES, READS = re.findall(r"^```python\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
-SCHEMA = json.loads(results_json.schema())
+SCHEMA = json.loads(results_json.load_schema())
 
 
 def documented(heading):
@@ -96,7 +96,7 @@ def run(program):
     exec(compile(program, "results.md", "exec"), {})
 
 
-ONLY_SOME = {"intervals[].detectable", "intervals[].reference", "intervals[].said", "intervals[].drawn"}
+ONLY_SOME = {"intervals[].detectable", "intervals[].reference", "intervals[].verdict", "intervals[].resampled"}
 """The schema has one form for intervals and differences; these are of differences."""
 
 
@@ -105,8 +105,7 @@ def test_the_page_the_schema_and_a_report_with_everything_in_it_have_the_same_ke
     figure = Published("theirs", 0.1, 0.2, "a paper", "ate_rmse_m", "ate_rmse_m")
     card = replace(demo.sequences[label], published=(figure,), defects=("one",))
     everything = replace(demo, sequences={**demo.sequences, label: card})
-    verdicts = [verdict.verdict(everything, one) for one in everything.sequence_labels]
-    told = results_json.results(everything, overview.overview(everything, verdicts), verdicts)
+    told = results_json.build_results(analyse(everything))
     free = set(maps(SCHEMA))
     real = leaves(set(keys(json.loads(json.dumps(told)), free)))
     real |= leaves(set(keys(json.loads((small / "results.json").read_text(encoding="utf-8")), free)))

@@ -8,8 +8,8 @@ import pytest
 from evalkit.config import experiment
 from evalkit.core.ground_truth import Truth
 from evalkit.plugins.specs import OdometrySpec, RegistrationSpec
-from evalkit.report import comparison_of
-from evalkit.report.assembly import distribution, fairness, in_order, sequence_card
+from evalkit.report import build_comparison
+from evalkit.report.assembly import build_sequence_card, describe_fairness, find_distribution, sort_runs
 
 
 @pytest.fixture
@@ -24,7 +24,7 @@ def plan():
 
 def test_cards_tell_every_setting_a_method_runs_with(plan):
     noon = datetime(2024, 5, 1, 12, tzinfo=UTC)
-    made = comparison_of(plan, [], noon, noon)
+    made = build_comparison(plan, [], noon, noon)
     assert made.command == "evalkit compare two.toml"
     assert [card.role for card in made.methods.values()] == ["baseline", "reference"]
     settings = {setting.name: setting for setting in made.methods["ours"].settings}
@@ -34,45 +34,45 @@ def test_cards_tell_every_setting_a_method_runs_with(plan):
 
 def test_only_the_corridor_is_degenerate(plan):
     noon = datetime(2024, 5, 1, 12, tzinfo=UTC)
-    cards = comparison_of(plan, [], noon, noon).sequences
+    cards = build_comparison(plan, [], noon, noon).sequences
     assert [bool(card.degenerate) for card in cards.values()] == [False, True]
 
 
 def test_the_mapper_is_named_with_its_settings(plan):
     noon = datetime(2024, 5, 1, 12, tzinfo=UTC)
-    assert comparison_of(plan, [], noon, noon).mapper.startswith("log-odds (")
+    assert build_comparison(plan, [], noon, noon).mapper.startswith("log-odds (")
 
 
 def test_warm_up_is_named_as_it_was(demo):
-    assert any("sees the first 5 scans before" in sentence for sentence in fairness(demo.records, {}))
+    assert any("processes the first 5 scans before" in sentence for sentence in describe_fairness(demo.records, {}))
 
 
 def test_a_requirement_nobody_answers_keeps_its_name():
-    assert distribution("numpy") == "numpy"
-    assert distribution("no-such-library") == "no-such-library"
+    assert find_distribution("numpy") == "numpy"
+    assert find_distribution("no-such-library") == "no-such-library"
 
 
 def test_the_environment_is_the_one_before_the_first_run_with_the_versions_of_the_libraries(plan):
     noon = datetime(2024, 5, 1, 12, tzinfo=UTC)
-    told = comparison_of(plan, [], noon, noon, {"commit": "abc", "kept from earlier": "2 runs"}).environment
+    told = build_comparison(plan, [], noon, noon, {"commit": "abc", "kept from earlier": "2 runs"}).environment
     assert list(told) == ["commit", "kept from earlier", "numpy", "scipy"]
 
 
 def test_runs_at_a_time_are_told_where_known(demo):
-    assert fairness(demo.records, {"runs at a time": "2"})[0].startswith(
-        "Runs at a time: 2; those at the same time share"
+    assert describe_fairness(demo.records, {"runs at a time": "2"})[0].startswith(
+        "Runs at a time: 2; concurrent runs share"
     )
-    assert fairness(demo.records, {"runs at a time": "1"})[0] == "Runs at a time: 1."
-    assert not any("at a time" in sentence for sentence in fairness(demo.records, {}))
+    assert describe_fairness(demo.records, {"runs at a time": "1"})[0] == "Runs at a time: 1."
+    assert not any("at a time" in sentence for sentence in describe_fairness(demo.records, {}))
 
 
 def test_a_sequence_tells_its_settings_and_the_truth_its_runs_met(plan, record):
     sequence = plan.sequences[0]
     met = replace(record("paper", "room", {}), truth=Truth("exact: as met"))
-    card = sequence_card(sequence, [met])
+    card = build_sequence_card(sequence, [met])
     assert {setting.name: setting.value for setting in card.settings} == dict(sequence.parameters)
     assert card.truth == "exact: as met"
-    assert sequence_card(sequence, []).truth != "exact: as met"
+    assert build_sequence_card(sequence, []).truth != "exact: as met"
 
 
 def test_an_odometry_that_does_not_say_what_it_starts_from_is_given_no_guess():
@@ -84,12 +84,12 @@ def test_an_odometry_that_does_not_say_what_it_starts_from_is_given_no_guess():
 def test_trials_are_told_in_the_plans_order_though_every_second_repetition_ran_backwards(plan, record):
     sequence, labels = plan.sequences[0], [method.label for method in plan.methods]
     run = [record(who, sequence.label, {}, seed=seed) for seed in sequence.seeds for who in reversed(labels)]
-    told = in_order(plan, run)
+    told = sort_runs(plan, run)
     assert [(t.seed, t.method) for t in told] == [(seed, who) for seed in sequence.seeds for who in labels]
 
 
 def test_the_limits_that_were_in_force_are_told(plan):
     noon = datetime(2024, 5, 1, 12, tzinfo=UTC)
-    told = comparison_of(plan, [], noon, noon).fairness[-1]
+    told = build_comparison(plan, [], noon, noon).fairness[-1]
     for name, value in asdict(plan.limits).items():
         assert f"{value:g} {'MiB' if name == 'memory_mib' else 's'}" in told

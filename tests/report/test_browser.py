@@ -12,7 +12,7 @@ import pytest
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import NO_STEPS
 from evalkit.core.scan import Frame, Scan
-from evalkit.report import SequenceCard, write
+from evalkit.report import SequenceCard, write_report
 from evalkit.report.html.array_encoding import unpacked
 from evalkit.report.html.document import Document, Section, Table, Text, render
 from evalkit.report.html.player import beams_at, placed
@@ -47,7 +47,7 @@ def page_file(demo, tmp_path_factory):
     made = replace(
         demo, records=(*demo.records, *same), sequences={**demo.sequences, SCRIPT: card}, scans={"room": Room}
     )
-    return write(made, tmp_path_factory.mktemp("browser"))
+    return write_report(made, tmp_path_factory.mktemp("browser"))
 
 
 @pytest.fixture(scope="module")

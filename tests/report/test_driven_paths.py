@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from evalkit.core.trajectory import Trajectory
-from evalkit.report.analysis.driven_paths import alignments, driven, path_m
+from evalkit.report.analysis.driven_paths import describe_alignments, path_m
+from evalkit.report.analysis.sequence import analyse_sequence
 
 
 def _line(metres):
@@ -28,7 +29,7 @@ def test_scans_seconds_rate_and_the_true_path_are_measured(record, build):
     spec = replace(made.spec, sequence=replace(made.spec.sequence, parameters={"beams": 360}))
     made = replace(made, truth=replace(made.truth, trajectory=way), spec=spec)
     short = record("b", "room", {}, status="crashed", reason="signal 11", answered=31)
-    assert dict(driven(build([made, short]), "room")) == {
+    assert dict(analyse_sequence(build([made, short]), "room").drive) == {
         "Scans answered": "31 of 60 to 60 of 60, by run",
         "Driven": "5.9 s",
         "Path": "0.6 m (true trajectory)",
@@ -41,7 +42,7 @@ def test_without_truth_the_path_is_an_estimate_that_is_named_and_never_the_odome
     values = {"a": 0.1, "b": 0.2, "wheel": 0.3}
     names = ("split_distance_m", "mom_cm2", "cleared_percent", "s2m_m")
     runs = [record(n, "room", dict.fromkeys(names, v), seed=None, truth=False, error_m=0.0) for n, v in values.items()]
-    path = dict(driven(build(runs), "room"))["Path"]
+    path = dict(analyse_sequence(build(runs), "room").drive)["Path"]
     metres, unit, whose = path.partition(" m ")
     assert (unit, whose) == (" m ", "(estimate of a)")
     assert float(metres) == pytest.approx(20.7, abs=0.3)  # an ellipse of 4 and 2.5 m
@@ -52,19 +53,19 @@ def test_where_nobody_knows_the_best_estimate_the_path_is_the_median_of_all(reco
         record(n, "room", {"split_distance_m": v}, seed=None, truth=False)
         for n, v in (("wheel", 0.1), ("a", 0.2), ("b", 0.3))
     ]
-    assert "(median of 2 estimates, " in dict(driven(build(runs), "room"))["Path"]
+    assert "(median of 2 estimates, " in dict(analyse_sequence(build(runs), "room").drive)["Path"]
 
 
 def test_nothing_is_measured_where_nothing_ran(record, build):
     absent = record("a", "room", {}, status="not-installed", reason="no module", answered=0)
-    assert driven(build([absent]), "room") == ()
+    assert analyse_sequence(build([absent]), "room").drive == ()
 
 
 def test_each_way_of_aligning_is_told_once_with_its_runs(record):
     words = ["least squares over 60 poses; 60 equal stamps"] * 2 + ["the run has no poses", ""]
     made = [(record("a", "room", {}, seed=seed), text) for seed, text in enumerate(words)]
     runs = [replace(run, scores=replace(run.scores, alignment=text)) for run, text in made]
-    assert alignments(runs) == (
+    assert describe_alignments(runs) == (
         "Aligned: least squares over 60 poses; matched: 60 equal stamps (2 runs)",
         "Not aligned: the run has no poses (1 run)",
     )

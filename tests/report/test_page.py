@@ -12,10 +12,11 @@ from PIL import Image
 from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.grid import OccupancyGrid
 from evalkit.metrics.validated import shipped
-from evalkit.report import MethodCard, SequenceCard, write
-from evalkit.report.html.formatting import figure
+from evalkit.report import MethodCard, SequenceCard, write_report
+from evalkit.report.analysis.sequence import analyse_sequence
+from evalkit.report.formatting import format_number
 from evalkit.report.html.maps import Window, greys, picture, window
-from evalkit.report.html.palette import strokes
+from evalkit.report.html.palette import assign_strokes
 from evalkit.report.html.view_models import headline
 
 
@@ -45,7 +46,7 @@ class Tags(HTMLParser):
 
 @pytest.fixture(scope="module")
 def html(demo, tmp_path_factory):
-    return write(demo, tmp_path_factory.mktemp("report")).read_text(encoding="utf-8")
+    return write_report(demo, tmp_path_factory.mktemp("report")).read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +83,7 @@ def test_whatever_comes_from_data_stays_text_wherever_it_stands(build, record, t
         [made], title=EVIL, description=EVIL, environment={EVIL: EVIL}, methods={EVIL: card},
         sequences={EVIL: sequence}, command=EVIL, mapper=EVIL, fairness=(EVIL,),
     )  # fmt: skip
-    html = write(comparison, tmp_path).read_text(encoding="utf-8")
+    html = write_report(comparison, tmp_path).read_text(encoding="utf-8")
     parser = Tags()
     parser.feed(html)
     parser.close()
@@ -169,7 +170,7 @@ def test_metrics_that_mean_nothing_to_anybody_are_named_with_the_reason(tags):
 
 
 def test_only_who_completed_every_run_is_best(demo):
-    table = headline(demo, "room")
+    table = headline(analyse_sequence(demo, "room"))
     best = {m.name: [r.method for r in table.rows if r.numbers[i].best] for i, m in enumerate(table.metrics)}
     assert best["ate_rmse_m"] == ["plane"]
     assert best["map_f1"] == ["plane"]
@@ -177,7 +178,7 @@ def test_only_who_completed_every_run_is_best(demo):
 
 
 def test_what_decides_and_what_it_costs_stand_first(demo):
-    names = [[metric.name for metric in headline(demo, label).metrics] for label in ("room", "fr079")]
+    names = [[metric.name for metric in headline(analyse_sequence(demo, label)).metrics] for label in ("room", "fr079")]
     assert names[0][:2] == ["ate_rmse_m", "cpu_median_ms"]
     assert names[1][:2] == ["relations_mean_m", "cpu_median_ms"]
 
@@ -185,7 +186,7 @@ def test_what_decides_and_what_it_costs_stand_first(demo):
 def test_where_a_true_map_is_known_consistency_leaves_the_first_table(record, build):
     def shown(truth):
         runs = [record(who, "room", {"map_f1": 0.9, "split_distance_m": 0.1}, truth=truth) for who in "ab"]
-        return {metric.name for metric in headline(build(runs), "room").metrics}
+        return {metric.name for metric in headline(analyse_sequence(build(runs), "room")).metrics}
 
     assert shown(True) == {"map_f1"}
     assert shown(False) == {"map_f1", "split_distance_m"}
@@ -198,7 +199,7 @@ def test_what_was_driven_stands_beside_what_the_data_set_says_of_itself(tags):
 
 
 def test_who_is_worse_than_the_bar_is_marked(demo):
-    assert [row.method for row in headline(demo, "room").rows if row.behind_bar] == ["lost"]
+    assert [row.method for row in headline(analyse_sequence(demo, "room")).rows if row.behind_bar] == ["lost"]
 
 
 def test_published_figures_stand_among_ours_in_order(tags):
@@ -241,7 +242,7 @@ def test_a_map_that_has_spread_does_not_shrink_the_others():
 
 
 def test_nine_methods_have_nine_strokes():
-    chosen = strokes([f"c{i}" for i in range(9)], ["c0"])
+    chosen = assign_strokes([f"c{i}" for i in range(9)], ["c0"])
     assert len(set(chosen.values())) == 9
 
 
@@ -251,5 +252,5 @@ def test_how_far_map_metrics_can_be_trusted_stands_beside_them(html):
     of = shipped()
     for name in ("map_entropy", "wall_thickness_m", "split_distance_m", "corners"):
         assert f'href="#metric-{name}"' in shown
-        assert figure(of.of(name).overall.value, 2) in shown
+        assert format_number(of.of(name).overall.value, 2) in shown
     assert all(world in shown for world in of.worlds)

@@ -14,7 +14,7 @@ from evalkit.core.scan import Frame, Scan
 from evalkit.report.html import player as module
 from evalkit.report.html.array_encoding import unpacked
 from evalkit.report.html.maps import Window
-from evalkit.report.html.palette import strokes
+from evalkit.report.html.palette import assign_strokes
 from evalkit.report.html.player import beams_at, budget, chosen, disagreement, ghosts, placed, player, violations
 
 WINDOW = Window(0.0, 12.0, 0.0, 8.0)
@@ -38,7 +38,7 @@ class Broken(Wall):
 
 
 def lines(records):
-    return strokes([record.method for record in records])
+    return assign_strokes([record.method for record in records])
 
 
 @pytest.fixture

@@ -10,11 +10,10 @@ import pytest
 
 from evalkit.metrics.series import SERIES
 from evalkit.report import results_json as record
+from evalkit.report.analysis.analysis import analyse
 from evalkit.report.analysis.bootstrap import RecordBootstrap
-from evalkit.report.analysis.cells import apart, interval
-from evalkit.report.analysis.pairwise import pairs
-from evalkit.report.analysis.significance import evidence
-from evalkit.report.analysis.standings import standing
+from evalkit.report.analysis.pairwise import compute_difference
+from evalkit.report.analysis.sequence import analyse_sequence
 from evalkit.stats.bootstrap import Series, bootstrap_score
 from evalkit.stats.ranks import FriedmanTest, NotTested
 
@@ -22,8 +21,7 @@ ATE = "ate_rmse_m"
 
 
 def _of(comparison, method, metric=ATE, sequence="room"):
-    table = {m.name: m for m in comparison.metrics}
-    cell = standing(comparison, sequence, table[metric]).of(method)
+    cell = analyse_sequence(comparison, sequence).rankings[metric].of(method)
     assert cell is not None
     return cell
 
@@ -41,7 +39,7 @@ def _with_errors(record, errors_m):
 
 def test_a_constant_error_has_an_interval_without_width(record, build):
     comparison = build([_with_errors(record("a", "room", {ATE: 1.0}), np.full(60, 0.25))])
-    found = interval(_of(comparison, "a"))
+    found = _of(comparison, "a").interval
     assert found is not None
     assert (found.value, found.low, found.high, found.support) == pytest.approx((0.25, 0.25, 0.25, 60))
 
@@ -53,11 +51,11 @@ def test_both_are_drawn_from_the_same_stretches(record, build):
         _with_errors(record("a", "room", {ATE: 1.0}), errors),
         _with_errors(record("b", "room", {ATE: 1.0}), 2.0 * errors),
     ])  # fmt: skip
-    own, between = interval(_of(comparison, "a")), apart(_of(comparison, "b"), _of(comparison, "a"))
+    own, between = _of(comparison, "a").interval, compute_difference(_of(comparison, "b"), _of(comparison, "a"))
     assert own is not None
     assert between is not None
     assert (between.interval.low, between.interval.high) == pytest.approx((own.low, own.high))
-    assert between.by == "stretches"
+    assert between.resampled == "blocks"
 
 
 def test_pairs_use_only_scans_that_both_answered(record, build):
@@ -72,7 +70,7 @@ def test_pairs_use_only_scans_that_both_answered(record, build):
 def test_errors_that_make_another_score_are_not_used(record, build):
     claimed = record("a", "room", {ATE: 0.02})
     comparison = build([with_scores(claimed, errors_m=3.0 * claimed.scores.errors_m)])
-    assert interval(_of(comparison, "a")) is None
+    assert _of(comparison, "a").interval is None
 
 
 def test_few_values_have_no_interval():
@@ -99,15 +97,15 @@ def test_runs_without_errors_for_every_scan_are_compared_by_students_t(record, b
     comparison = build([
         record(who, "room", {"map_f1": v}, seed=seed) for who, own in values.items() for seed, v in enumerate(own)
     ])  # fmt: skip
-    found = apart(_of(comparison, "b", "map_f1"), _of(comparison, "a", "map_f1"))
+    found = compute_difference(_of(comparison, "b", "map_f1"), _of(comparison, "a", "map_f1"))
     assert found is not None
     half = 4.3027 * 0.1 / math.sqrt(3)
     assert (found.interval.low, found.interval.high) == pytest.approx((0.2 - half, 0.2 + half), abs=1e-4)
-    assert (found.by, interval(_of(comparison, "a", "map_f1"))) == ("runs", None)
+    assert (found.resampled, _of(comparison, "a", "map_f1").interval) == ("runs", None)
 
 
 def test_the_same_results_give_the_same_numbers(demo):
-    once, twice = (record.results(replace(demo), (), ()) for _ in range(2))
+    once, twice = (record.build_results(analyse(replace(demo))) for _ in range(2))
     assert once == twice
     assert {row["method"] for row in once["intervals"] if row["metric"] == ATE} >= {"paper", "plane", "wheel"}
     assert all(row["low"] <= row["high"] for row in once["intervals"])
@@ -118,10 +116,10 @@ def test_the_table_of_pairs_says_what_the_verdict_says(record, build):
         record(who, "room", {ATE: ate}, seed=seed)
         for who, ate in (("plane", 0.010), ("near", 0.0105), ("paper", 0.050)) for seed in (0, 1)
     ])  # fmt: skip
-    found = pairs(comparison, "room")
+    found = analyse_sequence(comparison, "room").pairwise
     assert found is not None
     assert found.references == ("plane", "paper")
-    said = {who: [held and held.said for held in row] for who, row in found.rows}
+    said = {who: [entry and entry.verdict for entry in row] for who, row in found.rows}
     assert said["plane"] == [None, "better"]
     assert said["paper"] == ["worse", None]
     assert said["near"][0] in ("too small to matter", "no difference shown")
@@ -141,30 +139,30 @@ def _many(record, build, sequences, failed=()):
 
 def test_over_ten_sequences_the_test_and_the_ranks_agree_with_hand_calculation(record, build):
     """All ten one way: p = 2 / 2^10 alone, 3 questions by Holm; ranks 1, 2, 3; CD = 2.343 sqrt(3 * 4 / 60) = 1.048."""
-    found = evidence(_many(record, build, 10))
+    found = analyse(_many(record, build, 10)).significance
     assert isinstance(found.ranks, FriedmanTest)
     assert found.ranks.mean_ranks == (1.0, 2.0, 3.0)
     assert found.ranks.critical_difference == pytest.approx(1.048, abs=1e-3)
-    duel = {d.method: d for d in found.duels}["c"]
-    assert (duel.reference, duel.runs, duel.better, duel.worse, duel.said) == ("a", 10, 0, 10, "worse")
+    duel = {d.method: d for d in found.comparisons}["c"]
+    assert (duel.reference, duel.runs, duel.better, duel.worse, duel.verdict) == ("a", 10, 0, 10, "worse")
     assert duel.ratio == pytest.approx(2.0)
     assert duel.p == pytest.approx(2 * 2 / 2**10)
     assert duel.detectable == pytest.approx(1.0, abs=1e-6)
 
 
 def test_five_runs_are_too_few_to_show_anything(record, build):
-    found = evidence(_many(record, build, 5))
-    assert {duel.said for duel in found.duels} == {"too few runs to show anything"}
+    found = analyse(_many(record, build, 5)).significance
+    assert {duel.verdict for duel in found.comparisons} == {"too few runs"}
     assert found.ranks == NotTested("ranks with a critical difference need at least 8 sequences, found 5")
 
 
 def test_a_failed_run_is_the_worst_and_never_left_out(record, build):
-    found = evidence(_many(record, build, 10, failed=(0, 1, 2, 3, 4, 5)))
+    found = analyse(_many(record, build, 10, failed=(0, 1, 2, 3, 4, 5))).significance
     record = {r.method: r for r in found.records}["a"]
     assert (record.finished, record.runs) == (4, 10)
     assert record.rank == pytest.approx((6 * 3 + 4 * 1) / 10)
-    assert record.reach[1:] == (math.inf, math.inf)
-    duel = next(d for d in found.duels if "a" in (d.method, d.reference))
+    assert record.quantiles[1:] == (math.inf, math.inf)
+    duel = next(d for d in found.comparisons if "a" in (d.method, d.reference))
     assert duel.runs == 10
 
 
@@ -173,5 +171,5 @@ def test_methods_that_agree_to_rounding_are_equal(record, build):
         record(who, f"s{number}", {ATE: (0.01 + 0.01 * number) * factor})
         for number in range(10) for who, factor in (("a", 1.0), ("b", 1.0 + 1e-13))
     ]  # fmt: skip
-    (duel,) = evidence(build(made)).duels
-    assert (duel.better, duel.worse, duel.p, duel.said) == (0, 0, 1.0, "no difference shown")
+    (duel,) = analyse(build(made)).significance.comparisons
+    assert (duel.better, duel.worse, duel.p, duel.verdict) == (0, 0, 1.0, "no difference shown")

@@ -5,12 +5,12 @@ import json
 
 import pytest
 
-from evalkit.report import write
+from evalkit.report import write_report
 
 
 @pytest.fixture(scope="module")
 def folder(demo, tmp_path_factory):
-    return write(demo, tmp_path_factory.mktemp("report")).parent
+    return write_report(demo, tmp_path_factory.mktemp("report")).parent
 
 
 def _rows(path):
@@ -18,8 +18,8 @@ def _rows(path):
         return list(csv.DictReader(file))
 
 
-def test_trials_csv_holds_every_run_and_every_score(folder, demo):
-    rows = _rows(folder / "trials.csv")
+def test_runs_csv_holds_every_run_and_every_score(folder, demo):
+    rows = _rows(folder / "runs.csv")
     assert [row["key"] for row in rows] == [record.key for record in demo.records]
     for row, record in zip(rows, demo.records, strict=True):
         assert (row["status"], row["reason"], row["command"]) == (
@@ -47,15 +47,15 @@ def test_summary_csv_has_medians_over_complete_runs_only(folder):
     plane = found["plane", "ate_rmse_m"]
     assert float(plane["median"]) == pytest.approx(0.011 * 1.03)
     assert [float(plane[k]) for k in ("lowest", "highest")] == pytest.approx([0.011, 0.011 * 1.06])
-    assert (plane["place"], plane["level_with_best"]) == ("1", "True")
+    assert (plane["rank"], plane["tied_with_best"]) == ("1", "True")
     survivor = found["<script>alert(1)</script>", "ate_rmse_m"]
-    assert [survivor[k] for k in ("runs_complete", "runs_expected", "place")] == ["1", "3", ""]
+    assert [survivor[k] for k in ("runs_complete", "runs_expected", "rank")] == ["1", "3", ""]
 
 
 def test_results_json_holds_the_same_scores(folder, demo):
     results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
-    assert results["schema"] == {"name": "evalkit-results", "version": 1}
-    for row, record in zip(results["trials"], demo.records, strict=True):
+    assert results["schema"] == {"name": "evalkit-results", "version": 2}
+    for row, record in zip(results["runs"], demo.records, strict=True):
         assert row["scores"] == {
             name: {"value": score.value, "support": score.support, "reason": score.reason}
             for name, score in record.scores.by_metric.items()
@@ -71,11 +71,11 @@ def test_results_json_obeys_the_schema_that_lies_beside_it(folder):
 
 
 def test_the_same_comparison_writes_the_same_files(folder, demo, tmp_path):
-    again = write(demo, tmp_path / "again").parent
+    again = write_report(demo, tmp_path / "again").parent
     for path in folder.iterdir():
         assert (again / path.name).read_bytes() == path.read_bytes(), path.name
 
 
 def test_a_comparison_refuses_a_run_that_stands_there_twice(record, build):
-    with pytest.raises(ValueError, match="a over room with seed 0 stands there twice"):
+    with pytest.raises(ValueError, match="a over room with seed 0 occurs twice"):
         build([record("a", "room", {}), record("a", "room", {})])

@@ -115,9 +115,9 @@ def _run_and_report(plan: Experiment, store: Store, how: RunOptions, as_json: bo
         records = engine.records()
     made = [record.result.provenance for record in records if record.result.status not in NOT_EXECUTED]
     ran_on = {**engine.ran_on, **environment.kept(made, started), **environment.machines(made)}
-    comparison = pages.comparison_of(plan, records, started, datetime.now(UTC), ran_on)
+    comparison = pages.build_comparison(plan, records, started, datetime.now(UTC), ran_on)
     with reported(store.folder):
-        page = pages.write(comparison, store.folder)
+        page = pages.write_report(comparison, store.folder)
     run_summary.print_summary(records, plan.title, store, page, as_json)
 
 

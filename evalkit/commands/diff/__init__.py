@@ -1,1 +1,1 @@
-"""``evalkit diff``: what changed between two results folders or two benchmark files."""
+"""``evalkit diff``: compare two results folders, or two sets of benchmark files."""

@@ -1,4 +1,4 @@
-"""What a benchmark measured, every sample of it, as a file that a later one can be held against."""
+"""Benchmark files: all samples of each quantity that a benchmark script measured, with the machine it ran on."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from evalkit.core.errors import BadData
 from evalkit.execution import environment
 
 FOLDER = Path("reports") / "build" / "bench"
-SCHEMA = 1
+SCHEMA = 2
 
 
 @dataclass(frozen=True)
-class Series:
-    """One thing measured again and again: less is better. ``unit``: "ms", "us", "bytes per scan"."""
+class BenchmarkSeries:
+    """The samples of one quantity, of which less is better. ``unit``: for example "ms", "us", "bytes per scan"."""
 
     name: str
     unit: str
@@ -34,29 +34,31 @@ class Series:
 
     @property
     def median(self) -> float:
-        """The middle of the samples."""
+        """The median of the samples."""
         return median(self.samples)
 
 
 @dataclass(frozen=True)
 class Benchmark:
-    """All that one script measured, and where. ``made``: ISO 8601."""
+    """Everything one benchmark script measured. ``written``: when, ISO 8601."""
 
     name: str
-    series: tuple[Series, ...]
+    series: tuple[BenchmarkSeries, ...]
     environment: Mapping[str, str] = field(default_factory=dict)
-    made: str = ""
+    written: str = ""
 
     @property
     def processor(self) -> str:
-        """The processor it ran on, "" where untold."""
+        """The processor of the machine, "" if the file does not name it."""
         return self.environment.get("processor", "")
 
 
-def keep(name: str, series: Sequence[Series], ran_on: Mapping[str, str], folder: Path = FOLDER) -> Path:
-    """The path of the file written: what was measured, its medians, and what it ran on (asked before it began)."""
+def write_benchmark(
+    name: str, series: Sequence[BenchmarkSeries], ran_on: Mapping[str, str], folder: Path = FOLDER
+) -> Path:
+    """Write the samples, their medians and the environment (read before the measurement); return the file's path."""
     measured = [{**asdict(one), "median": one.median} for one in series]
-    content = {"schema": SCHEMA, "name": name, "made": datetime.now(UTC).isoformat(), "environment": dict(ran_on)}
+    content = {"schema": SCHEMA, "name": name, "written": datetime.now(UTC).isoformat(), "environment": dict(ran_on)}
     path = folder / f"{name}.json"
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(path.name + ".part")
@@ -65,34 +67,37 @@ def keep(name: str, series: Sequence[Series], ran_on: Mapping[str, str], folder:
     return path
 
 
-def before() -> dict[str, str]:
-    """What the machine is and does before anything is measured: processor, governor, load, versions, commit."""
+def describe_environment() -> dict[str, str]:
+    """Return processor, governor, load, library versions and commit; call it before the measurement."""
     return environment.describe(("numpy", "scipy", "open3d", "kiss-icp", "small-gicp", "rosbags"))
 
 
 def is_benchmark(path: Path) -> bool:
-    """Return whether a path is a benchmark's file, or a folder of files that is no results folder."""
-    if not path.is_dir():
-        return path.suffix == ".json"
-    return not (path / "results.json").exists() and not (path / "runs").exists() and any(path.glob("*.json"))
+    """Return whether a path is a benchmark file, or a folder of JSON files without results in it."""
+    if path.is_dir():
+        return not (path / "results.json").exists() and not (path / "runs").exists() and any(path.glob("*.json"))
+    return path.is_file()
 
 
-def read(path: Path) -> dict[str, Benchmark]:
-    """The benchmarks of a file, or of all files of a folder, by name; BadData where there is none."""
+def load_benchmarks(path: Path) -> dict[str, Benchmark]:
+    """Load the benchmarks of a file, or of all files of a folder, by name.
+
+    Raises BadData if there is none, if a file is no benchmark, or if two files hold the same benchmark.
+    """
     files = sorted(path.glob("*.json")) if path.is_dir() else [path]
     if not files:
-        raise BadData(str(path), "", "no benchmark (*.json) in it", "make one with 'make bench'")
-    found = [_read(file) for file in files]
-    by_name = {one.name: one for one in found}
-    if len(by_name) < len(found):
-        names = ", ".join(sorted(name for name in by_name if [one.name for one in found].count(name) > 1))
+        raise BadData(str(path), "", "no benchmark (*.json) in it", "write one with 'make bench'")
+    loaded = [_load(file) for file in files]
+    by_name = {one.name: one for one in loaded}
+    if len(by_name) < len(loaded):
+        names = ", ".join(sorted(name for name in by_name if [one.name for one in loaded].count(name) > 1))
         raise BadData(
             str(path), "", f"several files in it hold the benchmark {names}", "keep one of them, or give a file"
         )
     return by_name
 
 
-def _read(path: Path) -> Benchmark:
+def _load(path: Path) -> Benchmark:
     try:
         content: Any = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
@@ -101,12 +106,13 @@ def _read(path: Path) -> Benchmark:
         raise BadData(str(path), "", f"no JSON ({error})", "give a file of 'make bench'") from None
     schema = content.get("schema") if isinstance(content, dict) else None
     if schema != SCHEMA:
-        raise BadData(str(path), "'schema'", f"{schema!r}, expected {SCHEMA}", "make it again with this version")
+        raise BadData(str(path), "'schema'", f"{schema!r}, expected {SCHEMA}", "measure again with this version")
     try:
         series = tuple(
-            Series(str(one["name"]), str(one["unit"]), tuple(map(float, one["samples"]))) for one in content["series"]
+            BenchmarkSeries(str(one["name"]), str(one["unit"]), tuple(map(float, one["samples"])))
+            for one in content["series"]
         )
         ran_on = {str(name): str(value) for name, value in content["environment"].items()}
-        return Benchmark(str(content["name"]), series, ran_on, str(content["made"]))
+        return Benchmark(str(content["name"]), series, ran_on, str(content["written"]))
     except (ArithmeticError, AttributeError, KeyError, TypeError, ValueError) as error:
         raise BadData(str(path), "", f"no benchmark ({error!r})", "give a file of 'make bench'") from None

@@ -1,22 +1,24 @@
-"""``evalkit diff``: compare two results folders, or two sets of benchmarks."""
+"""``evalkit diff``: compare two results folders, or two sets of benchmark files."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
 from rich.text import Text
 
-from evalkit.commands.diff import benchmark
+from evalkit.core.errors import BadData
 from evalkit.terminal import options, progress
 from evalkit.terminal.options import Json, out
 
+if TYPE_CHECKING:
+    from evalkit.commands.diff.changes import ChangeText
 
-def share(text: str) -> float:
-    """Return the share written as "5%", "5 %" or "0.05". Raises typer.BadParameter for any other text."""
+
+def parse_share(text: str) -> float:
+    """Return the share that "5%", "5 %" or "0.05" states; anything else or below zero is a usage error."""
     number = text.strip().removesuffix("%")
     try:
         value = float(number) / (100.0 if text.strip().endswith("%") else 1.0)
@@ -45,62 +47,57 @@ def diff(
     Benchmarks are the JSON files of ``make bench``, or a folder of them. Exit code 1 if anything is worse by more than
     the noise and the limits.
     """
-    if benchmark.is_benchmark(old):
-        _diff_benchmarks(old, new, share(limit), across_machines, everything, markdown, as_json)
+    from evalkit.commands.diff import benchmark  # noqa: PLC0415 - SciPy: loaded only to compare
+    from evalkit.commands.diff.changes import format_markdown  # noqa: PLC0415
+
+    error, time, size = parse_share(limit_ate), parse_share(limit_time), parse_share(limit)
+    kinds = [benchmark.is_benchmark(path) for path in (old, new)]
+    if kinds[0] != kinds[1]:
+        what = "benchmarks" if kinds[1] else "results"
+        raise BadData(str(new), "", f"holds {what}, {old} does not", "compare two results folders or two benchmarks")
+    text = _compare_benchmarks(old, new, size, across_machines) if all(kinds) else _compare_results(
+        old, new, error, time, everything and not markdown
+    )  # fmt: skip
+    if as_json:
+        options.print_json(text.content)
+    elif markdown:
+        out.print(format_markdown(text), markup=False, highlight=False, emoji=False, end="")
     else:
-        _diff_results(old, new, (share(limit_ate), share(limit_time)), everything, markdown, as_json)
+        _print(text)
+    if text.regressions:
+        raise typer.Exit(1)
 
 
-def _diff_results(
-    old: Path, new: Path, shares: tuple[float, float], everything: bool, markdown: bool, as_json: bool
-) -> None:
-    from evalkit.commands.diff import differences, snapshot  # noqa: PLC0415 - loads scipy
-    from evalkit.commands.diff import text as change_text  # noqa: PLC0415 - as above
-    from evalkit.metrics import all_metrics  # noqa: PLC0415 - as above
+def _compare_benchmarks(old: Path, new: Path, limit: float, across_machines: bool) -> ChangeText:
+    from evalkit.commands.diff.benchmark import load_benchmarks  # noqa: PLC0415
+    from evalkit.commands.diff.benchmark_changes import (  # noqa: PLC0415
+        compare_benchmarks,
+        describe_benchmark_diff,
+    )
+
+    return describe_benchmark_diff(
+        compare_benchmarks(load_benchmarks(old), load_benchmarks(new), limit, across_machines)
+    )
+
+
+def _compare_results(old: Path, new: Path, error: float, time: float, everything: bool) -> ChangeText:
+    from evalkit.commands.diff import results_changes  # noqa: PLC0415
+    from evalkit.metrics import all_metrics  # noqa: PLC0415
+    from evalkit.results.reader import load_stored_results  # noqa: PLC0415
 
     metrics = {metric.name: metric for metric in all_metrics()}
-    limits = differences.Limits(*shares)
-    found = differences.difference(snapshot.read(old), snapshot.read(new), tuple(metrics.values()), limits)
-    if as_json:
-        options.print_json(found.as_json())
-    elif markdown:
-        _print_markdown(change_text.markdown(found, metrics))
-    else:
-        lines = (*change_text.remarks(found), change_text.verdict(found))
-        _print_table(change_text.COLUMNS, change_text.rows(found, metrics, everything), lines)
-    if found.regressions:
-        raise typer.Exit(1)
+    limits = results_changes.DiffLimits(error, time)
+    changes = results_changes.compare_results(
+        load_stored_results(old), load_stored_results(new), tuple(metrics.values()), limits
+    )
+    return results_changes.describe_results_diff(changes, metrics, everything)
 
 
-def _diff_benchmarks(
-    old: Path, new: Path, limit: float, across_machines: bool, everything: bool, markdown: bool, as_json: bool
-) -> None:
-    from evalkit.commands.diff import benchmark_comparison  # noqa: PLC0415 - loads scipy
-
-    if everything:
-        raise typer.BadParameter("--all: benchmarks are always listed in full")
-    found = benchmark_comparison.compared(benchmark.read(old), benchmark.read(new), limit, across_machines)
-    if as_json:
-        options.print_json(found.as_json())
-    elif markdown:
-        _print_markdown(benchmark_comparison.markdown(found))
-    else:
-        lines = (*found.apart, benchmark_comparison.verdict(found))
-        _print_table(benchmark_comparison.COLUMNS, benchmark_comparison.rows(found), lines)
-    if found.regressions:
-        raise typer.Exit(1)
-
-
-def _print_markdown(text: str) -> None:
-    out.print(text, markup=False, highlight=False, emoji=False, end="")
-
-
-def _print_table(columns: Sequence[str], rows: Iterable[Sequence[str]], lines: Iterable[str]) -> None:
-    """Print a table, unless it is empty, and the lines below it."""
-    table = Table(*columns, expand=out.is_terminal)
-    for row in rows:
+def _print(text: ChangeText) -> None:
+    table = Table(*text.columns, expand=out.is_terminal)
+    for row in text.rows:
         table.add_row(*map(Text, row))
-    if table.row_count:
+    if text.rows:
         progress.show(out, table)
-    for line in lines:
+    for line in (*text.remarks, text.conclusion):
         out.print(line, markup=False, highlight=False, emoji=False)

@@ -1,1 +1,1 @@
-"""``evalkit export``: write results in other formats."""
+"""``evalkit export``: convert a finished report to the formats of other programs."""

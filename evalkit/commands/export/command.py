@@ -1,4 +1,4 @@
-"""``evalkit export``: a finished comparison in the formats of other programs."""
+"""``evalkit export``: convert a finished report to the formats of other programs."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from evalkit.terminal import options
 from evalkit.terminal.options import Json, err, out
 
 if TYPE_CHECKING:
-    from evalkit.commands.export.results import Results
+    from evalkit.commands.export.results import ExportSelection
 
 FORMATS = ("csv", "json", "latex", "markdown", "pdf", "svg", "tum", "kitti", "g2o", "map", "mcap", "rerun")
 WITH_SCANS = {"pdf", "svg", "tum", "kitti", "mcap", "rerun"}
-"""Formats that show the truth or the scans: for these the sequences are made again."""
+"""Formats with ground truth or scans, for which the sequences are opened."""
 
 
 def export(
     results: Annotated[Path, typer.Argument(help="A results folder.", show_default=False)],
-    forms: Annotated[
+    formats: Annotated[
         list[str],
         typer.Option(
             "--format",
@@ -33,7 +33,7 @@ def export(
             autocompletion=lambda: [*FORMATS, "all"],
         ),
     ],
-    folder: Annotated[Path, typer.Option("--out", "-o", help="Where to write.")] = Path("export"),
+    folder: Annotated[Path, typer.Option("--out", "-o", help="Output folder.")] = Path("export"),
     sequence: options.Sequences = None,
     method: options.Methods = None,
     metric: Annotated[
@@ -50,85 +50,85 @@ def export(
 
     Tables (CSV, JSON, LaTeX, Markdown), figures, trajectories (TUM, KITTI, g2o), maps, ROS 2 bags and rerun files.
     """
-    from evalkit.commands.export import results as finished  # noqa: PLC0415 - only who exports pays for it
+    from evalkit.commands.export.results import load_selection  # noqa: PLC0415 - loaded only to export
 
-    wanted = _wanted(forms)
+    wanted = _check_formats(formats)
     scans = bool(WITH_SCANS & set(wanted))
-    found = finished.read(results, sequence or [], method or [], metric or [], scans)
-    for remark in found.remarks:
+    selection = load_selection(results, sequence or [], method or [], metric or [], scans)
+    for remark in selection.remarks:
         err.print(remark, markup=False, highlight=False)
-    written = [path for form in wanted for path in _written(form, found, folder, "all" in forms)]
+    written = [path for name in wanted for path in _write_format(name, selection, folder, "all" in formats)]
     if as_json:
-        options.print_json({"written": [str(path) for path in written], "remarks": list(found.remarks)})
+        options.print_json({"written": [str(path) for path in written], "remarks": list(selection.remarks)})
     else:
         out.print(f"{len(written)} files in {folder.resolve()}", markup=False, highlight=False)
 
 
-def _wanted(forms: list[str]) -> list[str]:
-    for form in forms:
-        if form not in (*FORMATS, "all"):
-            raise UnknownName("format", form, (*FORMATS, "all"))
-    return list(FORMATS) if "all" in forms else list(dict.fromkeys(forms))
+def _check_formats(formats: list[str]) -> list[str]:
+    for name in formats:
+        if name not in (*FORMATS, "all"):
+            raise UnknownName("format", name, (*FORMATS, "all"))
+    return list(FORMATS) if "all" in formats else list(dict.fromkeys(formats))
 
 
-def _written(form: str, found: Results, folder: Path, everything: bool) -> list[Path]:
+def _write_format(name: str, selection: ExportSelection, folder: Path, all_formats: bool) -> list[Path]:
     try:
         with reported(folder):
-            return list(_writers()[form](found, folder / form))
+            return list(_writers()[name](selection, folder / name))
     except NotInstalled as error:
-        if not everything:
+        if not all_formats:
             raise
-        err.print(f"{form} left out: {error}", markup=False, highlight=False)
+        err.print(f"{name} is left out: {error}", markup=False, highlight=False)
         return []
 
 
-def _writers() -> dict[str, Callable[[Results, Path], Iterator[Path]]]:
+def _writers() -> dict[str, Callable[[ExportSelection, Path], Iterator[Path]]]:
     from evalkit.commands.export import latex, numbers, poses  # noqa: PLC0415 - loads matplotlib
 
     return {
-        "csv": lambda found, folder: _files(numbers.as_csv(found), folder),
-        "json": lambda found, folder: _files(numbers.as_json(found), folder),
-        "latex": lambda found, folder: _files(latex.latex(found), folder),
-        "markdown": lambda found, folder: _files(latex.markdown(found), folder),
-        "pdf": lambda found, folder: _files(latex.drawings(found, "pdf"), folder),
-        "svg": lambda found, folder: _files(latex.drawings(found, "svg"), folder),
-        "tum": lambda found, folder: _files(poses.as_tum(found), folder),
-        "kitti": lambda found, folder: _files(poses.as_kitti(found), folder),
-        "g2o": lambda found, folder: _files(poses.as_g2o(found), folder),
-        "map": _maps,
-        "mcap": _bags,
-        "rerun": _recordings,
+        "csv": lambda selection, folder: _write_files(numbers.format_csv(selection), folder),
+        "json": lambda selection, folder: _write_files(numbers.format_json(selection), folder),
+        "latex": lambda selection, folder: _write_files(latex.format_latex(selection), folder),
+        "markdown": lambda selection, folder: _write_files(latex.format_markdown(selection), folder),
+        "pdf": lambda selection, folder: _write_files(latex.draw_figures(selection, "pdf"), folder),
+        "svg": lambda selection, folder: _write_files(latex.draw_figures(selection, "svg"), folder),
+        "tum": lambda selection, folder: _write_files(poses.format_tum_files(selection), folder),
+        "kitti": lambda selection, folder: _write_files(poses.format_kitti(selection), folder),
+        "g2o": lambda selection, folder: _write_files(poses.format_g2o(selection), folder),
+        "map": _write_maps,
+        "mcap": _write_bags,
+        "rerun": _write_rerun_files,
     }
 
 
-def _files(files: Iterator[tuple[str, bytes]], folder: Path) -> Iterator[Path]:
+def _write_files(files: Iterator[tuple[str, bytes]], folder: Path) -> Iterator[Path]:
     for name, content in files:
         folder.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(content)
         yield folder / name
 
 
-def _maps(found: Results, folder: Path) -> Iterator[Path]:
-    for record in found.records:
-        if record.scores.grid is not None:
-            Store.existing(folder).write_map(folder / record.key, record.scores.grid)
-            yield from (folder / f"{record.key}.yaml", folder / f"{record.key}.pgm")
+def _write_maps(selection: ExportSelection, folder: Path) -> Iterator[Path]:
+    for run in selection.runs:
+        if run.scores.grid is not None:
+            Store.existing(folder).write_map(folder / run.key, run.scores.grid)
+            yield from (folder / f"{run.key}.yaml", folder / f"{run.key}.pgm")
 
 
-def _bags(found: Results, folder: Path) -> Iterator[Path]:
-    from evalkit.commands.export import mcap  # noqa: PLC0415 - only who exports bags pays for it
+def _write_bags(selection: ExportSelection, folder: Path) -> Iterator[Path]:
+    from evalkit.commands.export import mcap  # noqa: PLC0415 - loaded only to export bags
 
-    for record in found.records:
-        recording = found.recordings.get((record.sequence, record.seed))
-        if recording is not None:
-            yield mcap.write(folder, record, recording)
+    for run in selection.runs:
+        sequence = selection.opened.get((run.sequence, run.seed))
+        if sequence is not None:
+            yield mcap.write_run(folder, run, sequence)
 
 
-def _recordings(found: Results, folder: Path) -> Iterator[Path]:
-    from evalkit.commands.export import poses, rerun_file  # noqa: PLC0415 - rerun is big
+def _write_rerun_files(selection: ExportSelection, folder: Path) -> Iterator[Path]:
+    from evalkit.commands.export import poses, rerun_file  # noqa: PLC0415 - rerun is slow to load
 
-    rerun_file.installed()
-    for place in dict.fromkeys((record.sequence, record.seed) for record in found.records):
-        own = [record for record in found.records if (record.sequence, record.seed) == place]
-        path = folder / f"{poses.run_name(*place)}.rrd"
-        yield rerun_file.write(path, own, found.recordings.get(place), found.strokes)
+    rerun_file.import_rerun()
+    for name in dict.fromkeys((run.sequence, run.seed) for run in selection.runs):
+        own = [run for run in selection.runs if (run.sequence, run.seed) == name]
+        path = folder / f"{poses.run_name(*name)}.rrd"
+        yield rerun_file.write_rerun(path, own, selection.opened.get(name), selection.strokes)

@@ -1,4 +1,4 @@
-"""The report's own numbers: its three tables as CSV, results.json with its schema, of whom and what is wanted."""
+"""Export the report's numbers for the selected sequences and methods: CSV tables, results.json and its schema."""
 
 from __future__ import annotations
 
@@ -7,49 +7,53 @@ import io
 import json
 
 from evalkit.commands.export.latex import Files
-from evalkit.commands.export.results import AGAIN, Results
+from evalkit.commands.export.results import ExportSelection
 from evalkit.core.errors import StoreError
-from evalkit.report.results_json import schema
+from evalkit.report.results_json import load_schema
+from evalkit.results.reader import REMEDY, load_table
 
-TABLES = ("trials.csv", "scores.csv", "summary.csv")
+TABLES = ("runs.csv", "scores.csv", "summary.csv")
 
 
-def as_csv(results: Results) -> Files:
-    """The tables the report has written, their rows of the wanted sequences and methods as they are."""
-    kept = _pairs(results)
+def format_csv(results: ExportSelection) -> Files:
+    """Yield the tables that the report wrote, with the rows of the selected sequences and methods unchanged.
+
+    Raises StoreError if a table cannot be read.
+    """
+    selected = _selected_pairs(results)
     for name in TABLES:
         path = results.folder / name
+        columns, rows = load_table(path)
         try:
-            with path.open(encoding="utf-8", newline="") as file:
-                heading, *rows = csv.reader(file)
-            who, where = heading.index("method"), heading.index("sequence")
-            wanted = [row for row in rows if (row[where], row[who]) in kept]
-        except (OSError, ValueError, IndexError, csv.Error) as error:
-            raise StoreError(str(path), f"cannot be read ({error})", AGAIN) from error
+            kept = [row for row in rows if (row["sequence"], row["method"]) in selected]
+        except KeyError as error:
+            raise StoreError(str(path), f"has no column {error}", REMEDY) from error
         text = io.StringIO()
-        csv.writer(text, lineterminator="\n").writerows([heading, *wanted])
+        writer = csv.DictWriter(text, columns, lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(kept)
         yield name, text.getvalue().encode()
 
 
-def as_json(results: Results) -> Files:
-    """``results.json`` with what belongs to the wanted sequences and methods, and its schema.
+def format_json(results: ExportSelection) -> Files:
+    """Yield ``results.json`` with the selected sequences and methods, and its schema.
 
-    What is said of a sequence is left out where not all who ran over it are wanted: it compares them all.
+    Statements on a sequence are left out if a method that ran over it is not selected: they compare all methods.
     """
-    content, kept = dict(results.content), _pairs(results)
-    every = {(one["sequence"], one["method"]) for one in content["trials"]}
-    cut = {sequence for sequence, _ in every - kept}
-    sequences, methods = {sequence for sequence, _ in kept}, {method for _, method in kept}
-    for name in ("trials", "intervals", "differences"):
-        content[name] = [one for one in content.get(name, ()) if (one["sequence"], one["method"]) in kept]
+    content, selected = dict(results.content), _selected_pairs(results)
+    every = {(one["sequence"], one["method"]) for one in content["runs"]}
+    cut = {sequence for sequence, _ in every - selected}
+    sequences, methods = {sequence for sequence, _ in selected}, {method for _, method in selected}
+    for name in ("runs", "intervals", "differences"):
+        content[name] = [one for one in content.get(name, ()) if (one["sequence"], one["method"]) in selected]
     content["verdicts"] = [one for one in content["verdicts"] if one["sequence"] in sequences - cut]
     content["overview"] = [] if cut else content["overview"]
     content["sequences"] = {label: card for label, card in content["sequences"].items() if label in sequences}
     content["methods"] = {label: card for label, card in content["methods"].items() if label in methods}
     yield "results.json", (json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
-    yield "results.schema.json", schema().encode()
+    yield "results.schema.json", load_schema().encode()
 
 
-def _pairs(results: Results) -> set[tuple[str, str]]:
-    """Wanted sequence and method, of every row."""
-    return {(cell.sequence, cell.method) for cell in results.cells}
+def _selected_pairs(results: ExportSelection) -> set[tuple[str, str]]:
+    """Return sequence and method of every row."""
+    return {(row.sequence, row.method) for row in results.rows}

@@ -1,4 +1,4 @@
-"""Trajectories for other evaluators: TUM (evo, rpg), KITTI and g2o, with the truth beside them where it is known."""
+"""Export trajectories for other evaluators: TUM (evo, rpg), KITTI and g2o, with the ground truth if there is one."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from evalkit.commands.export.latex import Files, file_name
-from evalkit.commands.export.results import Results
+from evalkit.commands.export.results import ExportSelection
 from evalkit.core import se2
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
@@ -15,52 +15,52 @@ from evalkit.io.tum import format_tum
 from evalkit.results.run_record import RunRecord
 
 
-def as_tum(results: Results) -> Files:
-    """``<run>.tum``, start_from_base as answered, and ``<sequence>.truth.tum``."""
-    for record in results.records:
+def format_tum_files(results: ExportSelection) -> Files:
+    """Yield ``<run>.tum`` (start_from_base) and ``<sequence>.truth.tum``."""
+    for run in results.runs:
         yield (
-            f"{record.key}.tum",
-            format_tum(record.result.estimate, f"evalkit: {record.method} on {record.sequence}").encode(),
+            f"{run.key}.tum",
+            format_tum(run.result.estimate, f"evalkit: {run.method} on {run.sequence}").encode(),
         )
-    for name, record, true in _truths(results):
-        yield f"{name}.truth.tum", format_tum(true, f"evalkit: truth on {record.sequence}").encode()
+    for name, run, true in _true_trajectories(results):
+        yield f"{name}.truth.tum", format_tum(true, f"evalkit: truth on {run.sequence}").encode()
 
 
-def as_kitti(results: Results) -> Files:
-    """``<run>.kitti.txt``, a 3 x 4 matrix a line, and the truth at the same scans as ``<run>.truth.kitti.txt``.
+def format_kitti(results: ExportSelection) -> Files:
+    """Yield ``<run>.kitti.txt``, a 3 x 4 matrix per line, and the ground truth at the same scans.
 
-    The format knows no times. Where the truth does not reach all scans, both hold only those it reaches.
+    The format has no times. If the ground truth does not cover all scans, both files hold only the covered ones.
     """
-    for record in results.records:
-        estimate, true = record.result.estimate, record.truth.trajectory
+    for run in results.runs:
+        estimate, true = run.result.estimate, run.truth.trajectory
         if true is None or len(true) == 0:
-            yield f"{record.key}.kitti.txt", _kitti(estimate.poses)
+            yield f"{run.key}.kitti.txt", _kitti(estimate.poses)
             continue
         reached = (estimate.stamps_ns >= true.stamps_ns[0]) & (estimate.stamps_ns <= true.stamps_ns[-1])
-        yield f"{record.key}.kitti.txt", _kitti(estimate.poses[reached])
-        yield f"{record.key}.truth.kitti.txt", _kitti(true.at(estimate.stamps_ns[reached]))
+        yield f"{run.key}.kitti.txt", _kitti(estimate.poses[reached])
+        yield f"{run.key}.truth.kitti.txt", _kitti(true.at(estimate.stamps_ns[reached]))
 
 
-def as_g2o(results: Results) -> Files:
-    """``<run>.g2o``: a VERTEX_SE2 a scan, an EDGE_SE2 from each to the next, the first fixed.
+def format_g2o(results: ExportSelection) -> Files:
+    """Yield ``<run>.g2o``: one VERTEX_SE2 per scan, one EDGE_SE2 from each to the next, the first vertex fixed.
 
-    The edges carry the answers' own increments with the identity as information: nothing is known of their errors.
+    The edges are the increments of the estimate, with identity information because their errors are unknown.
     """
-    for record in results.records:
-        yield f"{record.key}.g2o", _g2o(record.result.estimate.poses)
+    for run in results.runs:
+        yield f"{run.key}.g2o", _g2o(run.result.estimate.poses)
 
 
-def _truths(results: Results) -> Iterator[tuple[str, RunRecord, Trajectory]]:
+def _true_trajectories(results: ExportSelection) -> Iterator[tuple[str, RunRecord, Trajectory]]:
     seen = set()
-    for record in results.records:
-        place = record.sequence, record.seed
-        if record.truth.trajectory is not None and place not in seen:
-            seen.add(place)
-            yield run_name(*place), record, record.truth.trajectory
+    for run in results.runs:
+        name = run.sequence, run.seed
+        if run.truth.trajectory is not None and name not in seen:
+            seen.add(name)
+            yield run_name(*name), run, run.truth.trajectory
 
 
 def run_name(sequence: str, seed: int | None) -> str:
-    """Sequence and seed as part of a file's name."""
+    """Return sequence and seed as part of a file name."""
     return file_name(sequence) + ("" if seed is None else f"-s{seed}")
 
 
@@ -74,17 +74,17 @@ def _kitti(poses: Floats) -> bytes:
 
 
 def _g2o(poses: Floats) -> bytes:
-    lines = [f"VERTEX_SE2 {at} {_words(row)}" for at, row in enumerate(poses.tolist())]
+    lines = [f"VERTEX_SE2 {at} {_format_row(row)}" for at, row in enumerate(poses.tolist())]
     steps = se2.between(poses[:-1], poses[1:]).tolist()
-    lines += [f"EDGE_SE2 {at} {at + 1} {_words(row)} 1 0 0 1 0 1" for at, row in enumerate(steps)]
+    lines += [f"EDGE_SE2 {at} {at + 1} {_format_row(row)} 1 0 0 1 0 1" for at, row in enumerate(steps)]
     return ("\n".join([*lines[: len(poses)], "FIX 0", *lines[len(poses) :]]) + "\n").encode()
 
 
-def _words(row: list[float]) -> str:
+def _format_row(row: list[float]) -> str:
     return " ".join(f"{value:.12g}" for value in row)
 
 
-def world_poses(record: RunRecord) -> tuple[Stamps, Floats]:
-    """Stamps (N,) and poses (N, 3) of the base as answered, in the frame of the truth or, without one, of the map."""
-    estimate = record.result.estimate
-    return estimate.stamps_ns, se2.compose(record.scores.world_from_start.row, estimate.poses)
+def world_poses(run: RunRecord) -> tuple[Stamps, Floats]:
+    """Return stamps (N,) and poses (N, 3) of the base, in the frame of the ground truth or else of the map."""
+    estimate = run.result.estimate
+    return estimate.stamps_ns, se2.compose(run.scores.world_from_start.row, estimate.poses)

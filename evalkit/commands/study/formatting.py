@@ -8,7 +8,7 @@ from evalkit.commands.study.charts import steps
 from evalkit.commands.study.effects import FactorEffect, ModelFit
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Response, Study
 from evalkit.commands.study.result import StudyResult
-from evalkit.report.html.formatting import joined
+from evalkit.report.formatting import join_words
 from evalkit.stats.intervals import Interval
 
 
@@ -31,7 +31,7 @@ def main_words(response: Response, design: Design, fit: ModelFit, most: int = 3)
     if not sure:
         return f"no factor's effect on {response.metric.label} is told from chance."
     words = [f"{step_words(design, effect)} ({amount(response, effect.largest.value)})" for effect in sure[:most]]
-    return f"{response.metric.label} depends most on {joined(words)}."
+    return f"{response.metric.label} depends most on {join_words(words)}."
 
 
 def pair_words(response: Response, fit: ModelFit, most: int = 4) -> str:
@@ -43,7 +43,7 @@ def pair_words(response: Response, fit: ModelFit, most: int = 4) -> str:
         return f"no two factors' interaction is told from chance on {response.metric.label}."
     words = [f"{pair.a} x {pair.b} ({amount(response, pair.value)})" for pair in found[:most]]
     more = f", and {len(found) - most} more" if len(found) > most else ""
-    return f"{joined(words)}{more} interact beyond what {len(fit.interactions())} pairs would show by chance."
+    return f"{join_words(words)}{more} interact beyond what {len(fit.interactions())} pairs would show by chance."
 
 
 def limit_words(choice: EnvelopeChoice) -> str:
@@ -63,8 +63,8 @@ def lost_words(study: Study) -> str:
     if not bounds:
         return "A run counts as lost when it fails."
     return (
-        f"A run counts as lost when it fails or ends with {joined(bounds)}. Lost runs are in every effect with that "
-        "bound as their value: where there are some, an effect is a lower bound of the true one."
+        f"A run counts as lost when it fails or ends with {join_words(bounds)}. Lost runs are in every effect with "
+        "that bound as their value: where there are some, an effect is a lower bound of the true one."
     )
 
 

@@ -50,7 +50,7 @@ def tune(
     """
     from evalkit.commands.tune.result import TuningResult  # noqa: PLC0415 - loads matplotlib and scipy.stats
     from evalkit.commands.tune.tuned import experiment_text, held_out_plan  # noqa: PLC0415 - as above
-    from evalkit.report import comparison_of  # noqa: PLC0415 - as below
+    from evalkit.report import build_comparison  # noqa: PLC0415 - as below
 
     options.add_working_directory()
     tuning = _tuning(what, on or [], held_out or [], budget, setting or [])
@@ -64,7 +64,7 @@ def tune(
     plan = held_out_plan(text, shlex.quote(str(experiment)))
     write_texts(folder, {experiment.name: text})
     records = _run_held_out(plan, Store(folder / "report"), workers, ran_on, collect)
-    comparison = comparison_of(plan, records, started, datetime.now(UTC), ran_on)
+    comparison = build_comparison(plan, records, started, datetime.now(UTC), ran_on)
     report = f"evalkit compare {shlex.quote(str(experiment))} --resume --out {shlex.quote(str(folder / 'report'))}"
     _end(TuningResult(tuning, found, comparison, ran_on, report), folder, as_json)
 

@@ -8,29 +8,32 @@ from dataclasses import dataclass
 from evalkit.commands.tune.plan import TUNED
 from evalkit.commands.tune.search_loop import SearchResult
 from evalkit.core.run_result import NOT_EXECUTED, RunStatus
-from evalkit.report.analysis.cells import Apart, Cell, apart
+from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.comparison import Comparison
-from evalkit.report.analysis.significance import Duel, duels
-from evalkit.report.analysis.standings import Standing, deciding, difference
+from evalkit.report.analysis.pairwise import PairedDifference, compute_difference, separation
+from evalkit.report.analysis.ranking import Ranking
+from evalkit.report.analysis.scores import MethodScore
+from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.analysis.significance import PairedComparison, compare_pairs
 
 
 @dataclass(frozen=True)
 class HeldOutSequence:
     """Default and tuned method in the deciding metric of one sequence.
 
-    ``apart``: paired difference, above zero if tuned is worse; ``shown``: whether it is significant.
+    ``difference``: paired difference, above zero if tuned is worse; ``shown``: whether it is significant.
     """
 
-    standing: Standing
-    default: Cell
-    tuned: Cell
-    apart: Apart | None
+    ranking: Ranking
+    default: MethodScore
+    tuned: MethodScore
+    difference: PairedDifference | None
     shown: bool
 
     @property
     def worse(self) -> bool:
         """Whether tuned is significantly worse."""
-        return self.shown and self.apart is not None and self.apart.interval.value > 0.0
+        return self.shown and self.difference is not None and self.difference.interval.value > 0.0
 
 
 @dataclass(frozen=True)
@@ -41,54 +44,53 @@ class HeldOutVerdict:
     """
 
     label: str
-    duel: Duel | None
+    duel: PairedComparison | None
     sequences: tuple[HeldOutSequence, ...]
     lost: tuple[int, int]
     overfitted: bool
     verdict: str
 
 
-def judge_held_out(comparison: Comparison, results: Sequence[SearchResult]) -> tuple[HeldOutVerdict, ...]:
+def judge_held_out(analysis: Analysis, results: Sequence[SearchResult]) -> tuple[HeldOutVerdict, ...]:
     """The verdicts on all back ends that were tuned, adjusted together (Holm)."""
     labels = [one.tunable.label for one in results if one.tuned]
-    by_default = {duel.reference: duel for duel in duels(comparison, [(label + TUNED, label) for label in labels])}
-    return tuple(_judge(comparison, label, by_default.get(label)) for label in labels)
+    pairs = compare_pairs(analysis.comparison, analysis.sequences, [(label + TUNED, label) for label in labels])
+    by_default = {pair.reference: pair for pair in pairs}
+    return tuple(_judge(analysis, label, by_default.get(label)) for label in labels)
 
 
-def _judge(comparison: Comparison, label: str, duel: Duel | None) -> HeldOutVerdict:
-    sequences = tuple(
-        one for name in comparison.sequence_labels if (one := _on_sequence(comparison, name, label)) is not None
-    )
-    lost = _lost(comparison, label), _lost(comparison, label + TUNED)
-    worse = [one.standing.sequence for one in sequences if one.worse]
-    better = [one.standing.sequence for one in sequences if one.shown and not one.worse]
-    overfitted = lost[1] > lost[0] or bool(worse) or (duel is not None and duel.said == "worse")
+def _judge(analysis: Analysis, label: str, duel: PairedComparison | None) -> HeldOutVerdict:
+    sequences = tuple(one for sequence in analysis.sequences if (one := _on_sequence(sequence, label)) is not None)
+    lost = _lost(analysis.comparison, label), _lost(analysis.comparison, label + TUNED)
+    worse = [one.ranking.sequence for one in sequences if one.worse]
+    better = [one.ranking.sequence for one in sequences if one.shown and not one.worse]
+    overfitted = lost[1] > lost[0] or bool(worse) or (duel is not None and duel.verdict == "worse")
     return HeldOutVerdict(label, duel, sequences, lost, overfitted, _verdict(duel, lost, worse, better))
 
 
-def _verdict(duel: Duel | None, lost: tuple[int, int], worse: Sequence[str], better: Sequence[str]) -> str:
+def _verdict(duel: PairedComparison | None, lost: tuple[int, int], worse: Sequence[str], better: Sequence[str]) -> str:
     if lost[1] > lost[0]:
         return f"overfitted: it loses {lost[1]} held-out runs, the default {lost[0]}"
-    if duel is not None and duel.said == "worse":
+    if duel is not None and duel.verdict == "worse":
         return "overfitted: worse than the default on held-out runs"
     where = f"; overfitted on {', '.join(worse)}, where it is worse than the default" if worse else ""
     if duel is None:
         return f"nothing to compare over all runs: none has a truth and a geometry that fixes the pose{where}"
-    if duel.said == "better":
+    if duel.verdict == "better":
         return f"better on held-out runs too{where}"
     alone = f", but shown to be better on {', '.join(better)}" if better else ""
-    return f"{duel.said} over all held-out runs{alone}{where}"
+    return f"{duel.verdict} over all held-out runs{alone}{where}"
 
 
-def _on_sequence(comparison: Comparison, sequence: str, label: str) -> HeldOutSequence | None:
-    standing = deciding(comparison, sequence)
-    if standing is None or standing.metric.better != "lower":
+def _on_sequence(sequence: SequenceAnalysis, label: str) -> HeldOutSequence | None:
+    ranking = sequence.deciding
+    if ranking is None or ranking.metric.better != "lower":
         return None
-    default, tuned = standing.of(label), standing.of(label + TUNED)
+    default, tuned = ranking.of(label), ranking.of(label + TUNED)
     if default is None or tuned is None or not default.values or not tuned.values:
         return None
-    shown = difference(standing.metric, tuned, default) == "clear"
-    return HeldOutSequence(standing, default, tuned, apart(tuned, default), shown)
+    shown = separation(ranking.metric, tuned, default) == "clear"
+    return HeldOutSequence(ranking, default, tuned, compute_difference(tuned, default), shown)
 
 
 def _lost(comparison: Comparison, label: str) -> int:

@@ -86,7 +86,7 @@ def _line(result: TuningResult, one: SearchResult) -> Sequence[Cell | str]:
         return (label, "the default", *nothing, Cell(result.verdict(one), tone="bad", tip=why))
     held = result.held.get(label)
     duel = held.duel if held is not None else None
-    tone: Tone = "bad" if held is not None and held.overfitted else "good" if duel and duel.said == "better" else ""
+    tone: Tone = "bad" if held is not None and held.overfitted else "good" if duel and duel.verdict == "better" else ""
     return (
         Cell(label, link=f"#{slug(f'points of {label}')}"),
         _changes(one),

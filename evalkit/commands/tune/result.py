@@ -9,8 +9,9 @@ from functools import cached_property
 from evalkit.commands.tune.held_out import HeldOutVerdict, judge_held_out
 from evalkit.commands.tune.plan import Tuning
 from evalkit.commands.tune.search_loop import SearchResult
+from evalkit.report.analysis.analysis import Analysis, analyse
 from evalkit.report.analysis.comparison import Comparison
-from evalkit.report.analysis.standings import STATUS
+from evalkit.report.analysis.scores import STATUS_LABELS
 
 FAILED = ("failed", "crashed", "timed out", "out of memory")
 
@@ -34,9 +35,14 @@ class TuningResult:
         return tuple(one for one in self.searches if one.tunable.space.factors)
 
     @cached_property
+    def analysis(self) -> Analysis:
+        """The analysis of the held-out runs."""
+        return analyse(self.comparison)
+
+    @cached_property
     def held(self) -> Mapping[str, HeldOutVerdict]:
         """The verdicts on tuned back ends by label."""
-        return {one.label: one for one in judge_held_out(self.comparison, self.searches)}
+        return {one.label: one for one in judge_held_out(self.analysis, self.searches)}
 
     @cached_property
     def failed(self) -> tuple[str, ...]:
@@ -44,7 +50,7 @@ class TuningResult:
         never = [one.tunable.label for one in self.searches if one.failed]
         statuses: dict[str, list[str]] = {}
         for record in self.comparison.records:
-            statuses.setdefault(record.method, []).append(STATUS[record.result.status])
+            statuses.setdefault(record.method, []).append(STATUS_LABELS[record.result.status])
         never += [label for label, own in statuses.items() if all(each in FAILED for each in own)]
         return tuple(dict.fromkeys(never))
 

@@ -8,19 +8,18 @@ from collections.abc import Sequence
 from evalkit.commands.tune.held_out import HeldOutSequence, HeldOutVerdict
 from evalkit.commands.tune.result import TuningResult
 from evalkit.core.run_result import NOT_EXECUTED, RunStatus
-from evalkit.report.analysis.cells import Cell as Score
-from evalkit.report.analysis.cells import interval
-from evalkit.report.analysis.standings import STATUS, Standing, deciding
+from evalkit.report.analysis.ranking import Ranking
+from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.html.document import Block, Cell, Column, Table, Text
 
 
 def held_blocks(result: TuningResult) -> list[Block]:
     """The rows with their intervals, the tests over all runs, and the differences on each sequence."""
     comparison = result.comparison
-    standings = {name: deciding(comparison, name) for name in comparison.sequence_labels}
-    columns = [Column("Row"), *(_heading(name, found) for name, found in standings.items())]
+    rankings = {sequence.label: sequence.deciding for sequence in result.analysis.sequences}
+    columns = [Column("Row"), *(_heading(name, found) for name, found in rankings.items())]
     rows = [
-        [Cell(label), *(_score(result, label, name, found) for name, found in standings.items())]
+        [Cell(label), *(_score(result, label, name, found) for name, found in rankings.items())]
         for label in comparison.method_labels
     ]
     caption = "Median over the runs with its 95 % interval, in the metric that decides the sequence"
@@ -39,20 +38,20 @@ def number(value: float) -> str:
     return f"{value:.3g}" if math.isfinite(value) else "none"
 
 
-def _heading(name: str, found: Standing | None) -> Column:
+def _heading(name: str, found: Ranking | None) -> Column:
     if found is None:
         return Column(name, number=True)
     return Column(f"{name}: {found.metric.label}", found.metric.unit, number=True)
 
 
-def _score(result: TuningResult, label: str, sequence: str, found: Standing | None) -> Cell:
-    score: Score | None = None if found is None else found.of(label)
+def _score(result: TuningResult, label: str, sequence: str, found: Ranking | None) -> Cell:
+    score = None if found is None else found.of(label)
     own = [record for record in result.comparison.records if (record.method, record.sequence) == (label, sequence)]
     if score is None or not score.values:
-        statuses = dict.fromkeys(STATUS[record.result.status] for record in own if not record.result.is_complete)
+        statuses = dict.fromkeys(STATUS_LABELS[record.result.status] for record in own if not record.result.is_complete)
         why = score.reason if score is not None else "; ".join(record.result.reason for record in own[:1])
         return Cell(", ".join(statuses) or "no value", sort=math.inf, tone="warn", tip=why)
-    middle, between = score.median or 0.0, interval(score)
+    middle, between = score.median or 0.0, score.interval
     shown = number(middle) if between is None else f"{number(middle)} ({number(between.low)} to {number(between.high)})"
     made = [record.result.status for record in own if record.result.status not in NOT_EXECUTED]
     lost = sum(status != RunStatus.COMPLETE for status in made)
@@ -104,16 +103,16 @@ def _differences(pairs: Sequence[tuple[str, HeldOutSequence]]) -> Table:
 
 
 def _difference(label: str, one: HeldOutSequence) -> Sequence[Cell | str]:
-    metric = one.standing.metric
+    metric = one.ranking.metric
     unit = f" {metric.unit}" if metric.unit else ""
-    head = (label, one.standing.sequence, metric.label)
+    head = (label, one.ranking.sequence, metric.label)
     medians = [Cell(f"{number(cell.median or 0.0)}{unit}", sort=cell.median) for cell in (one.default, one.tuned)]
-    if one.apart is None:
+    if one.difference is None:
         return (*head, *medians, Cell("-"), Cell("-"), "one run, no interval")
-    found, said = one.apart.interval, "no difference shown"
+    found, said = one.difference.interval, "no difference shown"
     if one.shown:
         said = "worse" if one.worse else "better"
     result = f"{found.value:+.3g} ({found.low:+.3g} to {found.high:+.3g}){unit}"
-    detectable = one.apart.detectable
+    detectable = one.difference.detectable
     return (*head, *medians, Cell(result, sort=found.value), Cell(f"{number(detectable)}{unit}", sort=detectable),
             Cell(said, tone="bad" if one.worse else "good" if one.shown else ""))  # fmt: skip

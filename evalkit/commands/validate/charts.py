@@ -19,7 +19,7 @@ from evalkit.execution.sandbox import ENDED
 from evalkit.report.html import charts
 from evalkit.report.html.charts import Axis, Curve, Points
 from evalkit.report.html.document import Figure
-from evalkit.report.html.palette import TRUTH, strokes
+from evalkit.report.html.palette import TRUTH, assign_strokes
 from evalkit.results.run_record import RunRecord
 
 MIN_M = 1e-17
@@ -137,7 +137,7 @@ def _walked(runs: Mapping[str, RunRecord], mine: str, twin: str) -> Iterator[Poi
     truth = next(iter(runs.values())).truth.trajectory
     if truth is not None:
         yield Points("truth", truth.poses[:, :2], TRUTH, 2.2, joined=True, alpha=0.35)
-    drawn = strokes([mine, twin, *sorted(name for name in runs if name not in (mine, twin))])
+    drawn = assign_strokes([mine, twin, *sorted(name for name in runs if name not in (mine, twin))])
     order = [name for name in runs if name not in (mine, twin)] + [name for name in (twin, mine) if name in runs]
     for name in order:
         run = runs[name].result

@@ -1,28 +1,21 @@
-"""What a report is made from: the records, the metrics they were scored with, and a card for everyone who took part."""
+"""The input of a report: the runs of an experiment, the metrics, and cards that describe methods and sequences."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import datetime
-from functools import cached_property
-from typing import TYPE_CHECKING
 
-from evalkit.metrics.series import SERIES
 from evalkit.metrics.table import Metric
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.protocols import Sequence
 from evalkit.plugins.specs import Published, Role
-from evalkit.report.analysis.bootstrap import RecordBootstrap
 from evalkit.results.run_record import RunRecord
-
-if TYPE_CHECKING:
-    from evalkit.report.analysis.standings import Standing
 
 
 @dataclass(frozen=True, slots=True)
 class Setting:
-    """One parameter of a method or a sequence as it ran, beside its default."""
+    """One parameter of a method or a sequence: the value of this run and the default."""
 
     name: str
     value: Value
@@ -33,9 +26,10 @@ class Setting:
 
 @dataclass(frozen=True)
 class MethodCard:
-    """Who a method is. ``role``: see ``plugins.protocols.Role``.
+    """Description of a method.
 
-    ``guess``: what its registration starts from. ``missing``: why it could not run here, "" where it could.
+    ``guess``: the initial guess of its registration. ``missing``: why it could not run here, "" if it could.
+    ``role``: see ``plugins.specs.Role``.
     """
 
     summary: str
@@ -49,9 +43,9 @@ class MethodCard:
 
 @dataclass(frozen=True)
 class SequenceCard:
-    """What a sequence is. ``summary`` tells of the data set, ``settings`` what of it was taken.
+    """Description of a sequence: ``summary`` of its data set, ``settings`` of this sequence.
 
-    ``truth``: how the truth was made. ``degenerate``: why its geometry cannot fix the pose.
+    ``truth``: how the ground truth was obtained. ``degenerate``: why the geometry does not determine the pose.
     """
 
     summary: str
@@ -67,13 +61,14 @@ class SequenceCard:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Everything one report tells.
+    """Everything that one report is computed from.
 
-    ``records``: one per method, sequence and seed, failed ones included. ``methods``, ``sequences``: cards by
-    the labels in the records; rows and sections keep the order of the cards. ``environment``: what it ran on (CPU,
-    threads, versions, commit). ``command``: reproduces the whole report. ``mapper``: what drew every map, with its
-    settings. ``fairness``: what was held equal and what was not (guess, threads, warm-up), one sentence each.
-    ``scans``: what makes a sequence again as its lowest seed met it, for the page's player.
+    ``records``: one per method, sequence and seed, including failed ones. ``methods``, ``sequences``: cards by label;
+    tables and sections keep their order. ``environment``: machine, threads, versions, commit. ``command``: reproduces
+    the report. ``mapper``: the mapper of all maps with its settings. ``fairness``: what was equal for all methods and
+    what was not, one sentence each. ``scans``: functions that open a sequence at its lowest seed, for the player.
+
+    Raises ValueError for a run without a card, or for two runs of one method, sequence and seed.
     """
 
     title: str
@@ -94,44 +89,37 @@ class Comparison:
         for name in ("records", "metrics", "fairness"):
             object.__setattr__(self, name, tuple(getattr(self, name)))
         seen: set[tuple[str, str, int | None]] = set()
-        for record in self.records:
-            if record.method not in self.methods:
-                raise ValueError(f"methods: no card for '{record.method}'")
-            if record.sequence not in self.sequences:
-                raise ValueError(f"sequences: no card for '{record.sequence}'")
-            row = (record.method, record.sequence, record.seed)
-            if row in seen:
-                raise ValueError(f"trials: {row[0]} over {row[1]} with seed {row[2]} stands there twice")
-            seen.add(row)
-
-    @cached_property
-    def bootstrap(self) -> RecordBootstrap:
-        """Bootstrap draws of the records' scores, computed once and cached."""
-        return RecordBootstrap(self.records, SERIES)
-
-    @cached_property
-    def standings(self) -> dict[tuple[str, str], Standing]:
-        """Standings already made, by sequence and metric: each is asked for many times."""
-        return {}
-
-    def of_sequence(self, sequence: str) -> tuple[RunRecord, ...]:
-        """The records over one sequence, in order."""
-        return tuple(record for record in self.records if record.sequence == sequence)
+        for run in self.records:
+            if run.method not in self.methods:
+                raise ValueError(f"methods: no card for '{run.method}'")
+            if run.sequence not in self.sequences:
+                raise ValueError(f"sequences: no card for '{run.sequence}'")
+            names = (run.method, run.sequence, run.seed)
+            if names in seen:
+                raise ValueError(f"runs: {run.method} over {run.sequence} with seed {run.seed} occurs twice")
+            seen.add(names)
 
     @property
     def method_labels(self) -> tuple[str, ...]:
-        """The labels of the methods that have records, in the order of their cards."""
-        present = {record.method for record in self.records}
+        """The labels of the methods that have runs, in the order of their cards."""
+        present = {run.method for run in self.records}
         return tuple(label for label in self.methods if label in present)
 
     @property
     def sequence_labels(self) -> tuple[str, ...]:
-        """The labels of the sequences that have records, in the order of their cards."""
-        present = {record.sequence for record in self.records}
+        """The labels of the sequences that have runs, in the order of their cards."""
+        present = {run.sequence for run in self.records}
         return tuple(label for label in self.sequences if label in present)
 
-    def by_method(self, sequence: str) -> dict[str, tuple[RunRecord, ...]]:
-        """The records over one sequence under their methods, in the order of the cards, lowest seed first."""
-        records = sorted(self.of_sequence(sequence), key=lambda record: -1 if record.seed is None else record.seed)
-        grouped = {label: tuple(t for t in records if t.method == label) for label in self.methods}
-        return {label: own for label, own in grouped.items() if own}
+    def methods_with_role(self, role: Role) -> tuple[str, ...]:
+        """Return the labels of the methods with this role, in order."""
+        return tuple(label for label in self.method_labels if self.methods[label].role == role)
+
+    def runs_by_method(self, sequence: str) -> dict[str, tuple[RunRecord, ...]]:
+        """Return the runs over one sequence by method, in the order of the cards, lowest seed first."""
+        runs = sorted(
+            (run for run in self.records if run.sequence == sequence),
+            key=lambda run: -1 if run.seed is None else run.seed,
+        )
+        grouped = {label: tuple(run for run in runs if run.method == label) for label in self.methods}
+        return {label: group for label, group in grouped.items() if group}

@@ -1,37 +1,37 @@
-"""What was really driven over a sequence, measured from its runs: scans, seconds, metres, rate, beams."""
+"""The drive of a sequence, measured from its runs: scans, seconds, metres, scan rate, beams."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from statistics import median
 
 import numpy as np
 
 from evalkit.core.trajectory import Trajectory
-from evalkit.report.analysis.comparison import Comparison
-from evalkit.report.analysis.map_agreement import disagrees
-from evalkit.report.analysis.standings import deciding
 from evalkit.results.run_record import RunRecord
 
 STEP_M = 0.05
-"""A path is summed over poses at least so far apart, so that the noise of one that stands still adds nothing."""
+"""A path is summed over poses at least this far apart, so that the noise of a robot at rest adds nothing."""
 
 
-def driven(comparison: Comparison, sequence: str) -> tuple[tuple[str, str], ...]:
-    """Name and text of each thing measured, over all seeds; empty where nobody answered a scan."""
-    answered = [record for record in comparison.of_sequence(sequence) if len(record.result.steps)]
+def describe_drive(runs: Mapping[str, Sequence[RunRecord]], paths: Sequence[str]) -> tuple[tuple[str, str], ...]:
+    """Return name and text of each quantity, over all seeds; nothing if no run answered a scan.
+
+    ``runs``: by method. ``paths``: methods whose estimates give the path's length without a true trajectory.
+    """
+    answered = [run for own in runs.values() for run in own if len(run.result.steps)]
     if not answered:
         return ()
-    longest = list(_longest(answered).values())
-    facts = [("Scans answered", _scans(answered))]
-    facts.append(("Driven", f"{_span([t.result.estimate.duration_s for t in longest], 1)} s"))
-    if path := _path(comparison, sequence, longest):
+    longest = list(_longest_by_seed(answered).values())
+    facts = [("Scans answered", _format_scans(answered))]
+    facts.append(("Driven", f"{_format_range([run.result.estimate.duration_s for run in longest], 1)} s"))
+    if path := _format_path(runs, longest, paths):
         facts.append(("Path", path))
-    rates = [_rate_hz(record) for record in longest if len(record.result.steps) > 1]
+    rates = [_rate_hz(run) for run in longest if len(run.result.steps) > 1]
     if rates:
-        facts.append(("Scan rate", f"{_span(rates, 1)} Hz (median)"))
+        facts.append(("Scan rate", f"{_format_range(rates, 1)} Hz (median)"))
     beams = dict.fromkeys(
-        str(t.spec.dataset_parameters["beams"]) for t in longest if t.spec.dataset_parameters.get("beams")
+        str(run.spec.dataset_parameters["beams"]) for run in longest if run.spec.dataset_parameters.get("beams")
     )
     if beams:
         facts.append(("Beams", ", ".join(beams)))
@@ -39,7 +39,7 @@ def driven(comparison: Comparison, sequence: str) -> tuple[tuple[str, str], ...]
 
 
 def path_m(trajectory: Trajectory) -> float:
-    """Metres travelled, summed over poses at least 0.05 m apart and the last one."""
+    """Return the length of a path (m), summed over poses at least 0.05 m apart and the last one."""
     if len(trajectory) == 0:
         return 0.0
     positions = trajectory.poses[:, :2]
@@ -51,68 +51,60 @@ def path_m(trajectory: Trajectory) -> float:
     return total + float(np.hypot(*(positions[-1] - last)))
 
 
-def alignments(records: Sequence[RunRecord]) -> tuple[str, ...]:
-    """How estimates were aligned and matched with the truth: each distinct way once, with its number of runs."""
+def describe_alignments(runs: Sequence[RunRecord]) -> tuple[str, ...]:
+    """Return each distinct way in which estimates were aligned and matched, with its number of runs."""
     counts: dict[str, int] = {}
-    for record in records:
-        if record.scores.alignment:
-            counts[record.scores.alignment] = counts.get(record.scores.alignment, 0) + 1
-    return tuple(f"{_aligned(text)} ({count} run{'s' if count > 1 else ''})" for text, count in counts.items())
+    for run in runs:
+        if run.scores.alignment:
+            counts[run.scores.alignment] = counts.get(run.scores.alignment, 0) + 1
+    return tuple(f"{_format_alignment(text)} ({count} run{'s' if count > 1 else ''})" for text, count in counts.items())
 
 
-def _aligned(text: str) -> str:
+def _format_alignment(text: str) -> str:
     alignment, _, rule = text.partition("; ")
     return f"Aligned: {alignment}; matched: {rule}" if rule else f"Not aligned: {alignment}"
 
 
-def _longest(records: Sequence[RunRecord]) -> dict[int | None, RunRecord]:
-    """Per seed the run that answered most scans: the data are the same for all."""
+def _longest_by_seed(runs: Sequence[RunRecord]) -> dict[int | None, RunRecord]:
+    """Return per seed the run with most answers: the data are the same for all."""
     longest: dict[int | None, RunRecord] = {}
-    for record in records:
-        if record.seed not in longest or len(record.result.steps) > len(longest[record.seed].result.steps):
-            longest[record.seed] = record
+    for run in runs:
+        if run.seed not in longest or len(run.result.steps) > len(longest[run.seed].result.steps):
+            longest[run.seed] = run
     return longest
 
 
-def _scans(records: Sequence[RunRecord]) -> str:
-    counts = sorted({(len(record.result.steps), record.result.expected) for record in records})
+def _format_scans(runs: Sequence[RunRecord]) -> str:
+    counts = sorted({(len(run.result.steps), run.result.expected) for run in runs})
     texts = [f"{answered:,} of {expected:,}" for answered, expected in counts]
     return texts[0] if len(texts) == 1 else f"{texts[0]} to {texts[-1]}, by run"
 
 
-def _path(comparison: Comparison, sequence: str, longest: Sequence[RunRecord]) -> str:
-    """The true path while scans came; else that of the best estimate that registers scans, named; "" without any.
-
-    Where nobody knows which estimate is best, it is the median of all.
-    """
-    true = [found for record in longest if (found := _true_path_m(record)) is not None]
+def _format_path(runs: Mapping[str, Sequence[RunRecord]], longest: Sequence[RunRecord], paths: Sequence[str]) -> str:
+    """Return the true path during the scans, else the path of the named estimates; "" without either."""
+    true = [length for run in longest if (length := _true_path_m(run)) is not None]
     if true:
-        return f"{_span(true, 1)} m (true trajectory)"
-    decision = deciding(comparison, sequence)
-    known = comparison.methods
-    ranked = [cell.method for cell in decision.ranked if known[cell.method].role != "baseline"] if decision else []
-    if not ranked:
+        return f"{_format_range(true, 1)} m (true trajectory)"
+    estimates = [path_m(run.result.estimate) for label in paths for run in runs[label]]
+    if not estimates:
         return ""
-    grouped = comparison.by_method(sequence)
-    if disagrees(comparison, decision):
-        estimates = [path_m(record.result.estimate) for label in ranked for record in grouped[label]]
-        return f"{median(estimates):,.1f} m (median of {len(estimates)} estimates, {_span(estimates, 1)} m)"
-    estimates = [path_m(record.result.estimate) for record in grouped[ranked[0]]]
-    return f"{_span(estimates, 1)} m (estimate of {ranked[0]})"
+    if len(paths) > 1:
+        return f"{median(estimates):,.1f} m (median of {len(estimates)} estimates, {_format_range(estimates, 1)} m)"
+    return f"{_format_range(estimates, 1)} m (estimate of {paths[0]})"
 
 
-def _true_path_m(record: RunRecord) -> float | None:
-    trajectory, stamps = record.truth.trajectory, record.result.steps["stamp_ns"]
+def _true_path_m(run: RunRecord) -> float | None:
+    trajectory, stamps = run.truth.trajectory, run.result.steps["stamp_ns"]
     if trajectory is None:
         return None
     inside = (trajectory.stamps_ns >= stamps[0]) & (trajectory.stamps_ns <= stamps[-1])
     return path_m(Trajectory(trajectory.stamps_ns[inside], trajectory.poses[inside])) if inside.sum() > 1 else None
 
 
-def _rate_hz(record: RunRecord) -> float:
-    return 1e9 / float(np.median(np.diff(record.result.steps["stamp_ns"])))
+def _rate_hz(run: RunRecord) -> float:
+    return 1e9 / float(np.median(np.diff(run.result.steps["stamp_ns"])))
 
 
-def _span(values: Sequence[float], digits: int) -> str:
+def _format_range(values: Sequence[float], digits: int) -> str:
     low, high = f"{min(values):,.{digits}f}", f"{max(values):,.{digits}f}"
     return low if low == high else f"{low} to {high}"

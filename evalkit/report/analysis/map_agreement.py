@@ -1,81 +1,85 @@
-"""Whether the measures of a map agree: without a truth no single one of them may name a leader."""
+"""Agreement of the map metrics: without ground truth no single one of them names a leader."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from evalkit.report.analysis.cells import Cell
-from evalkit.report.analysis.comparison import Comparison
-from evalkit.report.analysis.standings import Standing, behind, distinct, method_of, ranking, standing, worse
+from evalkit.report.analysis.pairwise import is_behind, is_clearly_worse, is_distinct
+from evalkit.report.analysis.ranking import Ranking, rank_scores
+from evalkit.report.analysis.scores import MethodScore
 
 MEASURES: Mapping[str, str] = {
-    "split_distance_m": "the halves of the run closest together",
+    "split_distance_m": "the smallest distance between the halves of the run",
     "mom_cm2": "the least scatter across orthogonal walls",
     "cleared_percent": "the fewest hits in cleared space",
     "s2m_m": "the lowest S2M residual",
 }
-"""A lost trajectory can do well in one of these, hardly in all: metric, and what its best has.
+"""Metrics that must agree, and what the best one in each has. A lost trajectory may do well in one, hardly in all.
 
-The first three see a map in different ways (its walls twice, its hits across walls, its free space), and each ranks
-maps as their true error does with a correlation of at least 0.9 in every world tried (``make metric-validation``).
+The first three judge a map in different ways (doubled walls, hits across walls, free space). Each ranks maps like their
+true error with a correlation of at least 0.9 in every world tested (`validated.json`).
 """
 
 
 @dataclass(frozen=True, slots=True)
-class Consensus:
-    """What the map measures say. ``best``: method by measure; ``agreed``: who is best or level in all of them;
-    ``untold``: measures that nobody has a value for."""
+class MapAgreement:
+    """``best``: method by metric. ``agreed``: methods best or tied in every metric. ``missing``: metrics without value.
+
+    ``decides``: whether the sequence is decided by maps alone, without ground truth.
+    """
 
     best: Mapping[str, str]
     agreed: tuple[str, ...]
-    untold: tuple[str, ...]
+    missing: tuple[str, ...]
+    decides: bool
+
+    @property
+    def disagrees(self) -> bool:
+        """Whether the sequence is decided by maps and no method is best or tied in every metric."""
+        return self.decides and not self.agreed
 
 
-def consensus(comparison: Comparison, sequence: str) -> Consensus:
-    """The agreement of the measures over one sequence; the bar takes part, for its map is as good as any."""
+def compute_map_agreement(
+    rankings: Mapping[str, Ranking], methods: Sequence[str], deciding: Ranking | None
+) -> MapAgreement:
+    """Compute the agreement over one sequence; the baseline takes part, because its map is comparable."""
     best: dict[str, str] = {}
-    agreed = comparison.method_labels
-    untold = []
-    known = {metric.name: metric for metric in comparison.metrics}
+    agreed, missing = tuple(methods), []
     for name in MEASURES:
-        ranked = ranking(known[name], standing(comparison, sequence, known[name]).cells) if name in known else ()
-        if not ranked:
-            untold.append(known[name].label if name in known else name)
+        ranking = rankings.get(name)
+        ranked = rank_scores(ranking.metric, ranking.scores) if ranking else ()
+        if not ranking or not ranked:
+            missing.append(ranking.metric.label if ranking else name)
             continue
         best[name] = ranked[0].method
-        level = [c.method for c in ranked if c is ranked[0] or not distinct(known[name], ranked[0], c)]
-        agreed = tuple(label for label in agreed if label in level)
-    return Consensus(best, () if untold else agreed, tuple(untold))
+        tied = [one.method for one in ranked if one is ranked[0] or not is_distinct(ranking.metric, ranked[0], one)]
+        agreed = tuple(label for label in agreed if label in tied)
+    return MapAgreement(best, () if missing else agreed, tuple(missing), decided_by_maps(deciding))
 
 
-def by_maps(found: Standing | None) -> bool:
-    """Whether a sequence is decided without a truth."""
-    return found is not None and found.metric.group == "map consistency"
+def decided_by_maps(ranking: Ranking | None) -> bool:
+    """Return whether a ranking decides a sequence without ground truth."""
+    return ranking is not None and ranking.metric.group == "map consistency"
 
 
-def disagrees(comparison: Comparison, found: Standing | None) -> bool:
-    """Whether a sequence without truth has nobody who is best or level in every measure of the map."""
-    return found is not None and by_maps(found) and not consensus(comparison, found.sequence).agreed
-
-
-def behind_bar(comparison: Comparison, found: Standing, bar: str) -> tuple[Cell, ...]:
-    """The cells shown to be worse than the bar's; without truth, those with the worse map by every measure of it."""
-    if not by_maps(found):
-        return tuple(cell for cell in found.cells if worse(found.metric, cell, found.of(bar)))
-    standings = [standing(comparison, found.sequence, m) for m in comparison.metrics if m.name in MEASURES]
-    if len(standings) < len(MEASURES):
+def find_worse_than(
+    rankings: Mapping[str, Ranking], deciding: Ranking | None, baseline: str
+) -> tuple[MethodScore, ...]:
+    """Return the scores clearly worse than the baseline's; without ground truth, those worse in every map metric."""
+    if deciding is None:
         return ()
-    return tuple(cell for cell in found.cells if all(_worse_map(one, cell.method, bar) for one in standings))
+    if not decided_by_maps(deciding):
+        reference = deciding.of(baseline)
+        return tuple(score for score in deciding.scores if is_clearly_worse(deciding.metric, score, reference))
+    measures = [rankings[name] for name in MEASURES if name in rankings]
+    if len(measures) < len(MEASURES):
+        return ()
+    return tuple(score for score in deciding.scores if all(_is_worse(one, score.method, baseline) for one in measures))
 
 
-def _worse_map(found: Standing, method: str, bar: str) -> bool:
-    one, other = found.of(method), found.of(bar)
-    worse_than = behind(found.metric, one, other)
-    return worse_than and one is not None and other is not None and distinct(found.metric, one, other)
-
-
-def is_behind_bar(comparison: Comparison, found: Standing, method: str) -> bool:
-    """Whether a method is clearly worse than a bar where a sequence is decided."""
-    bars = method_of(comparison, "baseline")
-    return any(cell.method == method for bar in bars for cell in behind_bar(comparison, found, bar))
+def _is_worse(ranking: Ranking, method: str, baseline: str) -> bool:
+    one, other = ranking.of(method), ranking.of(baseline)
+    if one is None or other is None or not is_behind(ranking.metric, one, other):
+        return False
+    return is_distinct(ranking.metric, one, other)

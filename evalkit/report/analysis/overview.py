@@ -1,4 +1,4 @@
-"""The whole comparison in a few sentences, made from the verdicts over its sequences."""
+"""The overview of a comparison in a few sentences, from the verdicts over its sequences."""
 
 from __future__ import annotations
 
@@ -9,144 +9,153 @@ import numpy as np
 
 from evalkit.metrics.runtime import period_ns
 from evalkit.report.analysis.comparison import Comparison
-from evalkit.report.analysis.map_agreement import behind_bar
-from evalkit.report.analysis.standings import deciding, method_of, unfinished
-from evalkit.report.analysis.verdict import Verdict, success
-from evalkit.report.html.formatting import joined
+from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.analysis.verdict import Outcome, SequenceVerdict, describe_success
+from evalkit.report.formatting import join_words
 from evalkit.results.run_record import RunRecord
 
+MAX_LATE_SHARE = 0.01
 
-def overview(comparison: Comparison, verdicts: Sequence[Verdict]) -> tuple[str, ...]:
-    """The whole comparison in a few sentences: success, wins, the paper's method, the bar, speed, what is unsaid."""
+
+def compute_overview(
+    comparison: Comparison, sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]
+) -> tuple[str, ...]:
+    """Return sentences on success, wins, the reference method, the baseline, speed, and the statistics used."""
+    counted = [verdict for verdict in verdicts if verdict.counts]
     sentences = [
-        success(comparison.records),
-        _tally(verdicts),
-        *(_paper_tally(label, verdicts) for label in method_of(comparison, "reference")),
-        _bar_tally(comparison),
-        _keeping_up(comparison),
-        _set_aside(comparison, verdicts),
-        _evidence(comparison),
+        describe_success(comparison.records),
+        _describe_wins(counted),
+        *(_describe_reference(label, counted) for label in comparison.methods_with_role("reference") if counted),
+        _describe_baseline(comparison, sequences),
+        _describe_speed(comparison),
+        _describe_not_counted(sequences, verdicts),
+        _describe_statistics(comparison),
     ]
     return tuple(sentence for sentence in sentences if sentence)
 
 
-def _tally(verdicts: Sequence[Verdict]) -> str:
-    counted = [v for v in verdicts if v.counts]
+def _describe_wins(counted: Sequence[SequenceVerdict]) -> str:
     if not counted:
-        return "No sequence has both a truth and a clear comparison, so there is no overall winner."
-    parts = [f"{who} wins {len(where)} ({', '.join(where)})" for who, where in _led(counted, "winner")]
-    parts += [f"{who} is ahead in the one run of {', '.join(where)}" for who, where in _led(counted, "ahead")]
-    level = [v.sequence for v in counted if v.outcome == "level"]
-    if level:
-        parts.append(f"no difference is shown between the best on {len(level)} ({', '.join(level)})")
+        return "No sequence has both ground truth and a clear comparison, so there is no overall winner."
+    parts = [f"{method} wins {len(where)} ({', '.join(where)})" for method, where in _group_leads(counted, "winner")]
+    ahead = _group_leads(counted, "ahead")
+    parts += [f"{method} is ahead in the single run of {', '.join(where)}" for method, where in ahead]
+    tied = [verdict.sequence for verdict in counted if verdict.outcome == "tied"]
+    if tied:
+        where = "1 sequence" if len(tied) == 1 else f"{len(tied)} sequences"
+        parts.append(f"the best methods are statistically tied on {where} ({', '.join(tied)})")
     count = "the one sequence" if len(counted) == 1 else f"the {len(counted)} sequences"
-    return f"Over {count} with truth and a geometry that fixes the pose, {joined(parts)}."
+    return f"Over {count} with ground truth and a geometry that determines the pose, {join_words(parts)}."
 
 
-def _led(verdicts: Sequence[Verdict], outcome: str) -> list[tuple[str, list[str]]]:
-    """Who leads where with that outcome, most first."""
+def _group_leads(verdicts: Sequence[SequenceVerdict], outcome: Outcome) -> list[tuple[str, list[str]]]:
+    """Return the leading methods of that outcome with their sequences, most first."""
     led: dict[str, list[str]] = {}
-    for v in verdicts:
-        if v.outcome == outcome:
-            led.setdefault(v.leaders[0], []).append(v.sequence)
+    for verdict in verdicts:
+        if verdict.outcome == outcome:
+            led.setdefault(verdict.leaders[0], []).append(verdict.sequence)
     return sorted(led.items(), key=lambda item: -len(item[1]))
 
 
-def _paper_tally(label: str, verdicts: Sequence[Verdict]) -> str:
-    counted = [v for v in verdicts if v.counts]
-    if not counted:
-        return ""
-    groups = {
-        "loses": [v.sequence for v in counted if label not in v.leaders and v.repeated],
-        "is behind in the one run of": [v.sequence for v in counted if label not in v.leaders and not v.repeated],
-        "shows no difference from the best on": [
-            v.sequence for v in counted if v.outcome == "level" and label in v.leaders
-        ],
-        "is ahead in the one run of": [v.sequence for v in counted if v.outcome == "ahead" and label in v.leaders],
-        "wins": [v.sequence for v in counted if v.outcome == "winner" and label in v.leaders],
-    }
+def _describe_reference(label: str, counted: Sequence[SequenceVerdict]) -> str:
+    def where(leads: bool, outcome: Outcome | None = None, repeated: bool | None = None) -> list[str]:
+        return [
+            verdict.sequence
+            for verdict in counted
+            if (label in verdict.leaders) == leads
+            and outcome in (None, verdict.outcome)
+            and repeated in (None, verdict.repeated)
+        ]
+
+    groups = (
+        ("loses", where(False, repeated=True)),
+        ("is behind in the single run of", where(False, repeated=False)),
+        ("is tied with the best on", where(True, "tied")),
+        ("is ahead in the single run of", where(True, "ahead")),
+        ("wins", where(True, "winner")),
+    )
     parts = [
-        f"{verb} {', '.join(where)}"
-        if "one run" in verb
-        else f"{verb} {len(where)} of {len(counted)} ({', '.join(where)})"
-        for verb, where in groups.items()
-        if where
+        f"{verb} {', '.join(found)}"
+        if "single run" in verb
+        else f"{verb} {len(found)} of {len(counted)} ({', '.join(found)})"
+        for verb, found in groups
+        if found
     ]
-    return f"The paper's method, {label}, {joined(parts)}."
+    return f"The reference method, {label}, {join_words(parts)}."
 
 
-def _bar_tally(comparison: Comparison) -> str:
-    """Who is worse than the bar; "" where nobody else answered, for then nobody was held against it."""
-    bars = method_of(comparison, "baseline")
-    if not any(len(record.result.steps) for record in comparison.records if record.method not in bars):
+def _describe_baseline(comparison: Comparison, sequences: Sequence[SequenceAnalysis]) -> str:
+    """Return which methods are worse than the baseline; "" if no other method answered."""
+    baselines = comparison.methods_with_role("baseline")
+    if not any(len(run.result.steps) for run in comparison.records if run.method not in baselines):
         return ""
-    if not bars:
-        return "Wheel odometry alone is not among the methods, so nobody was held against it."
+    if not baselines:
+        return "Wheel odometry alone is not among the methods, so there is no baseline."
     behind: dict[str, list[str]] = {}
-    held = False
-    for sequence in comparison.sequence_labels:
-        found = deciding(comparison, sequence)
-        measure = found.of(bars[0]) if found else None
-        if found is None or measure is None or not measure.values:
+    compared = False
+    for sequence in sequences:
+        reference = sequence.deciding.of(baselines[0]) if sequence.deciding else None
+        if sequence.deciding is None or reference is None or not reference.values:
             continue
-        held = held or any(cell.values for cell in found.cells if cell is not measure)
-        for cell in behind_bar(comparison, found, bars[0]):
-            behind.setdefault(cell.method, []).append(sequence)
+        compared = compared or any(score.values for score in sequence.deciding.scores if score is not reference)
+        for score in sequence.behind[baselines[0]]:
+            behind.setdefault(score.method, []).append(sequence.label)
     if behind:
-        return f"Worse than {bars[0]} alone: {joined(f'{who} on {joined(where)}' for who, where in behind.items())}."
-    if not held:
-        return f"Nobody could be held against {bars[0]} alone: no sequence has a value of both."
-    return f"Where it could be compared, nobody is clearly worse than {bars[0]} alone."
+        listed = join_words(f"{method} on {join_words(where)}" for method, where in behind.items())
+        return f"Worse than {baselines[0]} alone: {listed}."
+    if not compared:
+        return f"No method can be compared with {baselines[0]} alone: no sequence has a value of both."
+    return f"No method is clearly worse than {baselines[0]} alone on any sequence with values of both."
 
 
-def _keeping_up(comparison: Comparison) -> str:
-    """Who is slower than the sensor, of those who register and answered; "" where nobody did."""
-    bars = method_of(comparison, "baseline")
-    timed = [t for t in comparison.records if t.method not in bars and len(t.result.steps) > 1]
-    timed = [record for record in timed if record.result.steps["wall_ns"].any()]
+def _describe_speed(comparison: Comparison) -> str:
+    """Return which methods are slower than the sensor, of those that register and answered; "" without any."""
+    baselines = comparison.methods_with_role("baseline")
+    timed = [run for run in comparison.records if run.method not in baselines and len(run.result.steps) > 1]
+    timed = [run for run in timed if run.result.steps["wall_ns"].any()]
     if not timed:
         return ""
-    where: dict[str, list[str]] = {}
-    for who, sequence in dict.fromkeys((t.method, t.sequence) for t in timed if late_share(t) > 0.01):
-        where.setdefault(who, []).append(sequence)
-    if not where:
-        return "Of all runs that answered, none took longer than the scan period on more than 1 % of its scans."
-    listed = joined(f"{who} on {joined(places)}" for who, places in where.items())
-    return f"Slower than the sensor in more than 1 % of the scans: {listed}."
+    late: dict[str, list[str]] = {}
+    for method, sequence in dict.fromkeys((r.method, r.sequence) for r in timed if late_share(r) > MAX_LATE_SHARE):
+        late.setdefault(method, []).append(sequence)
+    if not late:
+        return "No run took longer than the scan period on more than 1 % of its scans."
+    listed = join_words(f"{method} on {join_words(sequences)}" for method, sequences in late.items())
+    return f"Slower than the sensor on more than 1 % of the scans: {listed}."
 
 
-def late_share(record: RunRecord) -> float:
-    """The share of a run's scans whose wall time exceeded the sensor's period; 0 without scans."""
-    steps = record.result.steps
+def late_share(run: RunRecord) -> float:
+    """Return the share of a run's scans whose wall time exceeds the sensor's period; 0 without scans."""
+    steps = run.result.steps
     if len(steps) < 2:
         return 0.0
-    return float(np.mean(steps["wall_ns"] > period_ns(record.result)))
+    return float(np.mean(steps["wall_ns"] > period_ns(run.result)))
 
 
-def _set_aside(comparison: Comparison, verdicts: Sequence[Verdict]) -> str:
-    aside = [v.sequence for v in verdicts if not v.counts]
-    unrun = [s for s in aside if len(unfinished(comparison.of_sequence(s))) == len(comparison.of_sequence(s))]
-    degenerate = [s for s in aside if s not in unrun and comparison.sequences[s].degenerate]
-    rest = [s for s in aside if s not in (*unrun, *degenerate)]
-    groups = ((degenerate, "degenerate geometry"), (rest, "no truth, or nobody to compare"), (unrun, "no run finished"))
-    parts = [f"{joined(labels)} ({why})" for labels, why in groups if labels]
-    return f"Not counted as wins or losses: {joined(parts)}." if parts else ""
+def _describe_not_counted(sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict]) -> str:
+    reasons: dict[str, list[str]] = {"degenerate geometry": [], "no ground truth, or no comparison": [],
+                                     "no run finished": []}  # fmt: skip
+    for sequence, verdict in zip(sequences, verdicts, strict=True):
+        if not verdict.counts:
+            degenerate = "degenerate geometry" if sequence.card.degenerate else "no ground truth, or no comparison"
+            reasons["no run finished" if sequence.none_finished else degenerate].append(sequence.label)
+    parts = [f"{join_words(labels)} ({why})" for why, labels in reasons.items() if labels]
+    return f"Not counted as wins or losses: {join_words(parts)}." if parts else ""
 
 
-def _evidence(comparison: Comparison) -> str:
-    answered = [record for record in comparison.records if len(record.result.steps)]
-    runs = Counter((record.method, record.sequence) for record in answered)
+def _describe_statistics(comparison: Comparison) -> str:
+    runs = Counter((run.method, run.sequence) for run in comparison.records if len(run.result.steps))
     if not runs:
         return ""
     most = max(runs.values())
-    seeds = "Every sequence was run once, so intervals speak of these runs and not of a next one. "
+    seeds = "Each sequence was run once, so intervals describe these runs, not a next one. "
     if most > 1:
         seeds = f"Numbers are medians over up to {most} seeds. "
     return (
-        f"{seeds}A 95 % interval says between which bounds the number would lie had the robot met other stretches of "
-        "the same kind; it is drawn from stretches of up to 10 s. Somebody leads only where the interval of the "
-        "difference on the same scans excludes zero and the difference matters: at least 5 % and, of positions, 2 mm. "
-        "It must do so against every other method: picking the leader after the fact then adds no false leads. "
-        "That somebody is worse than the leader is said for each alone: of many, one may be so by chance, and a "
-        "lead that was picked is rather too large than too small."
+        f"{seeds}A 95 % interval contains the number that other stretches of the same kind would give; it is resampled "
+        "from stretches of up to 10 s. A method leads only if the interval of the paired difference excludes zero and "
+        "the difference is at least 5 % and, for positions, 2 mm. This must hold against every other method, so "
+        "choosing the leader after the fact adds no false leads. A method that is worse than the leader is tested "
+        "alone: among many methods one may be so by chance, and the lead of a chosen leader is estimated too large "
+        "rather than too small."
     )

@@ -1,4 +1,4 @@
-"""The verdict over one sequence in sentences: who leads, by how much, what failed, and what cannot be told."""
+"""The verdict over one sequence in sentences: the leader, its lead, failures, and limits of the evidence."""
 
 from __future__ import annotations
 
@@ -11,34 +11,36 @@ from typing import Literal
 from evalkit.core.run_result import NOT_EXECUTED
 from evalkit.metrics.table import Metric
 from evalkit.report.analysis import warnings
-from evalkit.report.analysis.cells import Cell, apart
 from evalkit.report.analysis.comparison import Comparison
-from evalkit.report.analysis.map_agreement import MEASURES, behind_bar, by_maps, consensus, disagrees
-from evalkit.report.analysis.standings import (
-    MARGIN_SHARE,
-    STATUS,
-    WITH_TRUTH,
-    Standing,
-    deciding,
-    method_of,
-    noise_floor,
-    standing,
-    unfinished,
+from evalkit.report.analysis.map_agreement import MEASURES, MapAgreement, decided_by_maps
+from evalkit.report.analysis.pairwise import MARGIN_SHARE, compute_difference, is_position, noise_floor
+from evalkit.report.analysis.ranking import Ranking
+from evalkit.report.analysis.scores import STATUS_LABELS, WITH_TRUTH, MethodScore, unfinished
+from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.formatting import (
+    capitalise,
+    format_amount,
+    format_difference,
+    format_gap,
+    format_median,
+    format_number,
+    join_words,
+    strip_full_stop,
 )
-from evalkit.report.html.formatting import amount, difference, figure, gap, joined, plain, told
 from evalkit.results.run_record import RunRecord
 
-Outcome = Literal["winner", "ahead", "level", "unrivalled", "disagreement", "degenerate", "nothing"]
-SAME = {"stretches": "on the same scans", "runs": "run by run"}
-LED: tuple[Outcome, ...] = ("winner", "ahead", "level")
+Outcome = Literal["winner", "ahead", "tied", "single", "disagreement", "degenerate", "unranked"]
+LED: tuple[Outcome, ...] = ("winner", "ahead", "tied")
+PAIRED = {"blocks": "on the same scans", "runs": "run by run"}
 
 
 @dataclass(frozen=True, slots=True)
-class Verdict:
-    """What one sequence says. ``leaders``: who wins or is ahead (in one run each), or all that are level.
+class SequenceVerdict:
+    """The verdict over one sequence.
 
-    ``counts``: whether it enters the tally of wins, which takes truth and a geometry that fixes the pose. ``repeated``:
-    whether the ranked methods were run more than once.
+    ``leaders``: the method that wins or is ahead (with one run each), or all that are tied. ``counts``: whether the
+    sequence counts in the tally of wins, which takes ground truth and a geometry that determines the pose.
+    ``repeated``: whether the ranked methods ran more than once.
     """
 
     sequence: str
@@ -49,214 +51,220 @@ class Verdict:
     repeated: bool = True
 
 
-def verdict(comparison: Comparison, sequence: str) -> Verdict:
-    """The verdict over one sequence: success first, then who leads, then the paper's method, the bar and the cost."""
-    found = deciding(comparison, sequence)
-    degenerate = comparison.sequences[sequence].degenerate
-    records = comparison.of_sequence(sequence)
-    outcome = _outcome(comparison, found, degenerate)
-    sentences = [success(records), warnings.of_data(records)]
+def compute_verdict(comparison: Comparison, sequence: SequenceAnalysis) -> SequenceVerdict:
+    """Return the verdict: success, leader, reference method, baseline, warnings, cost."""
+    ranking, degenerate, runs = sequence.deciding, sequence.card.degenerate, sequence.all_runs
+    outcome = _find_outcome(sequence)
+    sentences = [describe_success(runs), warnings.warn_of_data(runs)]
     if degenerate:
-        sentences.append(f"Degenerate by design: {plain(degenerate)}. The order below is no ranking.")
-    if found is None:
-        sentences.append("No headline metric has a value here, so nobody can be ranked.")
+        sentences.append(f"Degenerate geometry: {strip_full_stop(degenerate)}. The order below is not a ranking.")
+    if ranking is None:
+        sentences.append("No headline metric has a value here, so there is no ranking.")
     else:
-        sentences += [_told(comparison, found, outcome), warnings.of_guesses(comparison, sequence)]
-        sentences += [_paper(comparison, found) if outcome not in ("degenerate", "disagreement") else ""]
-        sentences += [_bar(comparison, found), *warnings.of_evidence(found)]
-    sentences += [_cost(comparison, sequence), warnings.of_times(records)]
-    counts = outcome in LED and found is not None and found.metric.group in WITH_TRUTH
-    leaders = _leading(comparison, found) if found and outcome in LED else ()
-    repeated = found is not None and found.repeated
-    return Verdict(sequence, outcome, counts, leaders, tuple(s for s in sentences if s), repeated)
+        sentences += [_describe_outcome(sequence, ranking, outcome), warnings.warn_of_guesses(sequence)]
+        if outcome not in ("degenerate", "disagreement"):
+            sentences.append(_describe_reference(comparison.methods_with_role("reference"), ranking))
+        sentences += [_describe_baseline(sequence, ranking), *warnings.warn_of_evidence(ranking)]
+    sentences += [_describe_cost(sequence), warnings.warn_of_processors(runs)]
+    leads = ranking is not None and outcome in LED
+    return SequenceVerdict(
+        sequence.label,
+        outcome,
+        leads and ranking is not None and ranking.metric.group in WITH_TRUTH,
+        _find_leaders(sequence, ranking) if leads and ranking is not None else (),
+        tuple(sentence for sentence in sentences if sentence),
+        ranking is not None and ranking.repeated,
+    )
 
 
-def success(records: Sequence[RunRecord]) -> str:
-    """How many runs finished; then what could not start here, and what did not finish, by method."""
-    if not records:
-        return "There was nothing to run."
-    missing = unfinished(records)
-    absent = [record for record in missing if record.result.status in NOT_EXECUTED]
-    broken = [record for record in missing if record.result.status not in NOT_EXECUTED]
-    expected = Counter(record.method for record in records)
-    sentences = [f"{len(records) - len(missing)} of {len(records)} runs finished."]
+def describe_success(runs: Sequence[RunRecord]) -> str:
+    """Return how many runs finished, which did not, and which could not start, by method."""
+    if not runs:
+        return "There were no runs."
+    missing = unfinished(runs)
+    absent = [run for run in missing if run.result.status in NOT_EXECUTED]
+    broken = [run for run in missing if run.result.status not in NOT_EXECUTED]
+    expected = Counter(run.method for run in runs)
+    sentences = [f"{len(runs) - len(missing)} of {len(runs)} runs finished."]
     if broken:
-        sentences.append(f"Did not finish: {_ends(broken, expected)}.")
+        sentences.append(f"Did not finish: {_count_statuses(broken, expected)}.")
     if absent:
-        sentences.append(f"Could not start: {_ends(absent, expected)}.")
+        sentences.append(f"Could not start: {_count_statuses(absent, expected)}.")
     return " ".join(sentences)
 
 
-def _ends(records: Sequence[RunRecord], expected: Mapping[str, int]) -> str:
-    ends: dict[str, Counter[str]] = {}
-    for record in records:
-        ends.setdefault(record.method, Counter())[STATUS[record.result.status]] += 1
-    return joined(
-        f"{who} ({', '.join(f'{count} of {expected[who]} {end}' for end, count in counts.items())})"
-        for who, counts in ends.items()
+def _count_statuses(runs: Sequence[RunRecord], expected: Mapping[str, int]) -> str:
+    by_method: dict[str, Counter[str]] = {}
+    for run in runs:
+        by_method.setdefault(run.method, Counter())[STATUS_LABELS[run.result.status]] += 1
+    return join_words(
+        f"{method} ({', '.join(f'{count} of {expected[method]} {status}' for status, count in counts.items())})"
+        for method, counts in by_method.items()
     )
 
 
-def _outcome(comparison: Comparison, found: Standing | None, degenerate: str) -> Outcome:
-    if degenerate:
+def _find_outcome(sequence: SequenceAnalysis) -> Outcome:
+    ranking = sequence.deciding
+    if sequence.card.degenerate:
         return "degenerate"
-    if found is None or not found.ranked:
-        return "nothing"
-    if len(found.ranked) == 1:
-        return "unrivalled"
-    if disagrees(comparison, found):
+    if ranking is None or not ranking.ranked:
+        return "unranked"
+    if len(ranking.ranked) == 1:
+        return "single"
+    if sequence.map_agreement.disagrees:
         return "disagreement"
-    if found.winner is None:
-        return "level"
-    return "winner" if found.repeated else "ahead"
+    if ranking.winner is None:
+        return "tied"
+    return "winner" if ranking.repeated else "ahead"
 
 
-def _leading(comparison: Comparison, found: Standing) -> tuple[str, ...]:
-    level = tuple(cell.method for cell in found.level)
-    return consensus(comparison, found.sequence).agreed if by_maps(found) else level
+def _find_leaders(sequence: SequenceAnalysis, ranking: Ranking) -> tuple[str, ...]:
+    if decided_by_maps(ranking):
+        return sequence.map_agreement.agreed
+    return tuple(score.method for score in ranking.tied)
 
 
-def _told(comparison: Comparison, found: Standing, outcome: Outcome) -> str:
+def _describe_outcome(sequence: SequenceAnalysis, ranking: Ranking, outcome: Outcome) -> str:
     if outcome == "disagreement":
-        return _disagreement(comparison, found)
-    if not by_maps(found) or outcome not in LED:
-        return _leaders(found, outcome)
-    if outcome == "level" and found.why_level == "no interval":
-        best = joined(consensus(comparison, found.sequence).agreed)
-        return (
-            f"No difference shown: one run each gives no interval. By every measure of the map {best} is best or level."
-        )
-    return f"{_leaders(found, outcome)} The other measures of the map do not contradict."
+        return _describe_disagreement(sequence.map_agreement)
+    if not decided_by_maps(ranking) or outcome not in LED:
+        return _describe_leaders(ranking, outcome)
+    if outcome == "tied" and ranking.why_tied == "no interval":
+        best = join_words(sequence.map_agreement.agreed)
+        return f"No difference shown: one run each gives no interval. In every map metric {best} is best or tied."
+    return f"{_describe_leaders(ranking, outcome)} The other map metrics agree."
 
 
-def _leaders(found: Standing, outcome: Outcome) -> str:
-    metric, ranked = found.metric, found.ranked
+def _describe_leaders(ranking: Ranking, outcome: Outcome) -> str:
+    metric, ranked = ranking.metric, ranking.ranked
     if not ranked:
-        return f"Nobody completed every run with a value for {metric.label}, so nobody can win."
-    first = f"{ranked[0].method} has {told(metric, ranked[0])}"
+        return f"No method completed every run with a value for {metric.label}, so there is no winner."
+    first = f"{ranked[0].method} has {format_median(metric, ranked[0])}"
     if len(ranked) == 1:
-        return f"Only {first} {metric.label} over every run: there is nobody to compare it with."
+        return f"Only {first} {metric.label} over every run: there is no other method to compare with."
     if outcome == "degenerate":
-        return f"On {metric.label}, {first}, {_last(metric, ranked)}."
+        last = f"{ranked[-1].method}, has {format_median(metric, ranked[-1])}"
+        return f"On {metric.label}, {first}; the last of the finished methods, {last}."
     if outcome == "ahead":
-        return (
-            f"{ranked[0].method} is ahead in the one run there is, on {metric.label}: "
-            f"{_lead(metric, ranked[0], ranked[1])}."
-        )
+        return f"{ranked[0].method} is ahead in its single run, on {metric.label}: {_describe_lead(ranking)}."
     if outcome == "winner":
         verb = "wins" if metric.group in WITH_TRUTH else "is ahead"
-        return f"{ranked[0].method} {verb} on {metric.label}: {_lead(metric, ranked[0], ranked[1])}."
-    between, rest = (joined(f"{cell.method} {told(metric, cell)}" for cell in found.level[:2]), found.level[2:])
-    others = f" Nor between the first and {joined(cell.method for cell in rest)}." if rest else ""
-    return f"No difference shown on {metric.label} between {between}: {_why_level(found)}.{others}"
+        return f"{ranked[0].method} {verb} on {metric.label}: {_describe_lead(ranking)}."
+    pair = join_words(f"{score.method} ({format_median(metric, score)})" for score in ranking.tied[:2])
+    rest = join_words(score.method for score in ranking.tied[2:])
+    others = f" Also tied with the first: {rest}." if ranking.tied[2:] else ""
+    return f"On {metric.label}, {pair} are tied: {_describe_tie(ranking)}.{others}"
 
 
-def _disagreement(comparison: Comparison, found: Standing) -> str:
-    measured = consensus(comparison, found.sequence)
-    if measured.untold:
-        return f"Nobody is named without truth: there is no value for {joined(measured.untold)}."
+def _describe_disagreement(agreement: MapAgreement) -> str:
+    if agreement.missing:
+        return f"Without ground truth there is no leader: {join_words(agreement.missing)} has no value."
     strengths: dict[str, list[str]] = {}
-    for name, who in measured.best.items():
-        strengths.setdefault(who, []).append(MEASURES[name])
+    for name, method in agreement.best.items():
+        strengths.setdefault(method, []).append(MEASURES[name])
     (first, has), *others = strengths.items()
-    listed = [f"{first} has {joined(has)}", *(f"{who} {joined(best)}" for who, best in others)]
-    return f"The map measures disagree: {', '.join(listed)}."
+    listed = [f"{first} has {join_words(has)}", *(f"{method} {join_words(best)}" for method, best in others)]
+    return f"The map metrics disagree: {', '.join(listed)}."
 
 
-def _lead(metric: Metric, winner: Cell, runner_up: Cell) -> str:
+def _describe_lead(ranking: Ranking) -> str:
+    metric, (winner, runner_up) = ranking.metric, ranking.ranked[:2]
     best, second = median(winner.values), median(runner_up.values)
-    found = apart(runner_up, winner)
-    over = f"; the difference, {SAME[found.by]}, is {difference(metric, found, _sign(metric))}" if found else ""
+    difference = compute_difference(runner_up, winner)
+    margin = ""
+    if difference is not None:
+        amount = format_difference(metric, difference, _sign(metric))
+        margin = f"; the difference, {PAIRED[difference.resampled]}, is {amount}"
     return (
-        f"{told(metric, winner)}; the runner-up, {runner_up.method}, "
-        f"has {told(metric, runner_up)}, {gap(metric, second, best)}{over}"
+        f"{format_median(metric, winner)}; the runner-up, {runner_up.method}, has "
+        f"{format_median(metric, runner_up)}, {format_gap(metric, second, best)}{margin}"
     )
 
 
-def _last(metric: Metric, ranked: Sequence[Cell]) -> str:
-    return f"and the last of those who finished, {ranked[-1].method}, {told(metric, ranked[-1])}"
-
-
-def _why_level(found: Standing) -> str:
-    metric, first, second = found.metric, found.level[0], found.level[1]
-    if found.why_level == "within the noise floor":
-        return f"they differ by less than the truth can tell ({amount(metric, noise_floor(metric))})"
-    if found.why_level == "no interval":
+def _describe_tie(ranking: Ranking) -> str:
+    metric, first, second = ranking.metric, *ranking.tied[:2]
+    if ranking.why_tied == "within the noise floor":
+        return (
+            f"they differ by less than the accuracy of the ground truth ({format_amount(metric, noise_floor(metric))})"
+        )
+    if ranking.why_tied == "no interval":
         return "one run each, without an error for every scan, gives no interval"
-    if found.why_level == "within the margin":
-        position = metric.unit == "m" and metric.group in ("drift", "relations")
-        return f"they are less than {100 * MARGIN_SHARE:.0f} % {'or 2 mm ' if position else ''}apart"
-    between = apart(second, first)
-    if between is None:
+    if ranking.why_tied == "within the margin":
+        return f"they are less than {100 * MARGIN_SHARE:.0f} % {'or 2 mm ' if is_position(metric) else ''}apart"
+    difference = compute_difference(second, first)
+    if difference is None:
         return "they cannot be compared"
-    if between.interval.low == between.interval.high == 0.0 or between.detectable < 0.05 * 10.0**-metric.digits:
-        return "they are the same to every digit printed"
-    reach = f"{figure(between.detectable, metric.digits + 1)}\u00a0{metric.unit}".rstrip()
-    said = difference(metric, between, _sign(metric))
+    bounds = difference.interval
+    if bounds.low == bounds.high == 0.0 or difference.detectable < 0.05 * 10.0**-metric.digits:
+        return "they are equal to every printed digit"
+    detectable = f"{format_number(difference.detectable, metric.digits + 1)}\u00a0{metric.unit}".rstrip()
+    amount = format_difference(metric, difference, _sign(metric))
     return (
-        f"{SAME[between.by]}, {second.method} is worse by {said}, which may be nothing; these runs would have "
-        f"shown a difference of {reach}"
+        f"{PAIRED[difference.resampled]}, {second.method} is worse by {amount}, which may be chance; these runs can "
+        f"detect a difference of {detectable}"
     )
 
 
 def _sign(metric: Metric) -> float:
-    """What makes "worse minus better" a positive number."""
+    """Return the sign that makes "worse minus better" positive."""
     return -1.0 if metric.better == "higher" else 1.0
 
 
-def _paper(comparison: Comparison, found: Standing) -> str:
-    labels = method_of(comparison, "reference")
-    clauses = [_paper_clause(label, found) for label in labels if found.of(label)]
-    return f"The paper's method: {'; '.join(clauses)}." if clauses and found.ranked else ""
+def _describe_reference(references: Sequence[str], ranking: Ranking) -> str:
+    clauses = [_reference_clause(label, ranking) for label in references if ranking.of(label)]
+    return f"The reference method: {'; '.join(clauses)}." if clauses and ranking.ranked else ""
 
 
-def _paper_clause(label: str, found: Standing) -> str:
-    cell = found.of(label)
-    if cell is None or not cell.rankable:
-        if cell is not None and not cell.registers:
-            return f"{label} registered too little to be ranked"
-        count = f"{cell.complete} of {cell.expected}" if cell else "none"
-        return f"{label} cannot be ranked ({count} of its runs finished)"
-    if cell in found.level:
-        return _paper_first(cell, found)
-    best, own = median(found.ranked[0].values), median(cell.values)
-    figures = f"{amount(found.metric, own)} against {amount(found.metric, best)}"
-    verb = "loses" if found.metric.group in WITH_TRUTH and found.repeated else "is behind"
-    return f"{label} {verb}, with {figures}: {gap(found.metric, own, best)}"
+def _reference_clause(label: str, ranking: Ranking) -> str:
+    score = ranking.of(label)
+    wins = ranking.metric.group in WITH_TRUTH and ranking.repeated
+    if score is None or not score.rankable:
+        if score is not None and not score.registers:
+            return f"{label} is not ranked: it registered too few scans"
+        count = f"{score.complete} of {score.expected}" if score else "none"
+        return f"{label} is not ranked ({count} of its runs finished)"
+    first = ranking.ranked[0]
+    if score in ranking.tied:
+        return f"{label} {_reference_among_best(score, ranking, wins)}"
+    best, own = median(first.values), median(score.values)
+    figures = f"{format_amount(ranking.metric, own)} against {format_amount(ranking.metric, best)}"
+    return f"{label} {'loses' if wins else 'is behind'}, with {figures}: {format_gap(ranking.metric, own, best)}"
 
 
-def _paper_first(cell: Cell, found: Standing) -> str:
-    if found.winner is cell:
-        return f"{cell.method} {'wins' if found.metric.group in WITH_TRUTH and found.repeated else 'is ahead'}"
-    if len(found.ranked) == 1:
-        return f"{cell.method} has nobody beside it"
-    if cell is found.ranked[0]:
-        return f"{cell.method} has the best value, but not by a difference that is shown"
-    return f"no difference is shown between {cell.method} and the best, {found.ranked[0].method}"
+def _reference_among_best(score: MethodScore, ranking: Ranking, wins: bool) -> str:
+    if ranking.winner is score:
+        return "wins" if wins else "is ahead"
+    if len(ranking.ranked) == 1:
+        return "is the only ranked method"
+    if score is ranking.ranked[0]:
+        return "has the best value, but not by a clear difference"
+    return f"is tied with the best, {ranking.ranked[0].method}"
 
 
-def _bar(comparison: Comparison, found: Standing) -> str:
-    for bar in method_of(comparison, "baseline"):
-        measure = found.of(bar)
-        if not any(cell.values for cell in found.cells if cell.method != bar):
+def _describe_baseline(sequence: SequenceAnalysis, ranking: Ranking) -> str:
+    for baseline, behind in sequence.behind.items():
+        reference = ranking.of(baseline)
+        if not any(score.values for score in ranking.scores if score.method != baseline):
             return ""
-        if measure is None or measure.median is None:
-            return f"{bar} has no value here, so the others have no bar to pass."
-        behind = behind_bar(comparison, found, bar)
-        if behind and by_maps(found):
-            listed = joined(cell.method for cell in behind)
-            return f"A worse map than {bar} alone, by every measure: {listed}."
+        if reference is None or reference.median is None:
+            return f"{baseline} has no value here, so there is no baseline to beat."
+        if behind and decided_by_maps(ranking):
+            return f"Worse map than {baseline} alone, in every map metric: {join_words(s.method for s in behind)}."
         if behind:
-            listed = joined(f"{cell.method} ({amount(found.metric, median(cell.values))})" for cell in behind)
-            return f"Worse than {bar} alone ({amount(found.metric, measure.median)}): {listed}."
+            amount = format_amount(ranking.metric, reference.median)
+            listed = join_words(
+                f"{score.method} ({format_amount(ranking.metric, median(score.values))})" for score in behind
+            )
+            return f"Worse than {baseline} alone ({amount}): {listed}."
     return ""
 
 
-def _cost(comparison: Comparison, sequence: str) -> str:
-    for metric in comparison.metrics:
-        if metric.group == "runtime" and metric.headline and metric.better:
-            ranked = standing(comparison, sequence, metric).ranked
-            if len(ranked) > 1:
-                first, last = (f"{c.method} ({amount(metric, median(c.values))})" for c in (ranked[0], ranked[-1]))
-                return f"{metric.label[0].upper()}{metric.label[1:]}: best {first}, worst {last}."
+def _describe_cost(sequence: SequenceAnalysis) -> str:
+    for ranking in sequence.rankings.values():
+        metric, ranked = ranking.metric, ranking.ranked
+        if metric.group == "runtime" and metric.headline and metric.better and len(ranked) > 1:
+            first, last = (
+                f"{score.method} ({format_amount(metric, median(score.values))})" for score in (ranked[0], ranked[-1])
+            )
+            return f"{capitalise(metric.label)}: best {first}, worst {last}."
     return ""

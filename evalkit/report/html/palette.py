@@ -21,7 +21,7 @@ class Stroke:
     dash: tuple[float, ...] = ()
 
 
-def strokes(methods: Iterable[str], bars: Iterable[str] = ()) -> Mapping[str, Stroke]:
+def assign_strokes(methods: Iterable[str], bars: Iterable[str] = ()) -> Mapping[str, Stroke]:
     """A stroke for every method: hues first, dashes when they run out; the bar is grey and dashed."""
     grey = set(bars)
     chosen: dict[str, Stroke] = {}

@@ -9,10 +9,10 @@ from statistics import median
 from evalkit.core.run_result import NOT_EXECUTED, RunStatus
 from evalkit.metrics.table import Metric
 from evalkit.plugins.specs import Published
-from evalkit.report.analysis.cells import Cell, interval
-from evalkit.report.analysis.comparison import Comparison
-from evalkit.report.analysis.map_agreement import disagrees, is_behind_bar
-from evalkit.report.analysis.standings import STATUS, Standing, deciding, standing, unfinished
+from evalkit.report.analysis.analysis import Analysis
+from evalkit.report.analysis.ranking import Ranking
+from evalkit.report.analysis.scores import STATUS_LABELS, MethodScore, unfinished
+from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.results.run_record import RunRecord
 from evalkit.stats.intervals import wilson_interval
 
@@ -71,7 +71,7 @@ class Table:
 class Glance:
     """The whole comparison in one table; a sequence without any value has no standing."""
 
-    columns: tuple[tuple[str, Standing | None], ...]
+    columns: tuple[tuple[str, Ranking | None], ...]
     rows: tuple[tuple[str, tuple[Number, ...]], ...]
 
 
@@ -94,53 +94,54 @@ class Reference:
     source: str
 
 
-def headline(comparison: Comparison, sequence: str) -> Table:
+def headline(sequence: SequenceAnalysis) -> Table:
     """The first table of a sequence: methods down, headline metrics across, what decides and what it costs first.
 
     Where there is a true map, the maps' consistency is left to the table of all metrics.
     """
-    found = [standing(comparison, sequence, metric) for metric in _headline_metrics(comparison, sequence)]
-    present = [one for one in found if _told(one)]
-    rows = [_row(comparison, label, own, present) for label, own in comparison.by_method(sequence).items()]
+    found = [sequence.rankings[metric.name] for metric in _headline_metrics(sequence)]
+    present = [one for one in found if one.has_values]
+    rows = [_row(sequence, label, own, present) for label, own in sequence.runs.items()]
     return Table(tuple(one.metric for one in present), tuple(rows), _absent(found))
 
 
-def share(records: Sequence[RunRecord]) -> str:
+def share(trials: Sequence[RunRecord]) -> str:
     """The 95 % interval of the share of runs that finish, of those that could start; "" where none could."""
-    started = [record for record in records if record.result.status not in NOT_EXECUTED]
+    started = [trial for trial in trials if trial.result.status not in NOT_EXECUTED]
     if not started:
         return ""
     found = wilson_interval(len(started) - len(unfinished(started)), len(started))
     return f"95 %: {100.0 * found.low:.0f}–{100.0 * found.high:.0f} %"
 
 
-def absent(comparison: Comparison, sequence: str) -> dict[str, tuple[str, ...]]:
+def absent(sequence: SequenceAnalysis) -> dict[str, tuple[str, ...]]:
     """All metrics of a sequence that nobody has a value for, by the reason."""
-    return _absent([standing(comparison, sequence, metric) for metric in comparison.metrics])
+    return _absent(list(sequence.rankings.values()))
 
 
-def glance(comparison: Comparison) -> Glance:
+def glance(analysis: Analysis) -> Glance:
     """Every method over every sequence in the metric that decides it."""
-    columns = tuple((label, deciding(comparison, label)) for label in comparison.sequence_labels)
+    columns = tuple((sequence.label, sequence.deciding) for sequence in analysis.sequences)
     rows = tuple(
-        (who, tuple(_glanced(comparison, found, who) for _, found in columns)) for who in comparison.method_labels
+        (who, tuple(_glanced(sequence, who) for sequence in analysis.sequences))
+        for who in analysis.comparison.method_labels
     )
     return Glance(columns, rows)
 
 
-def everything(comparison: Comparison, sequence: str) -> dict[str, tuple[Line, ...]]:
+def everything(sequence: SequenceAnalysis) -> dict[str, tuple[Line, ...]]:
     """All metrics of a sequence by group; metrics that nobody has a value for are left out."""
-    degenerate = bool(comparison.sequences[sequence].degenerate)
+    degenerate = bool(sequence.card.degenerate)
     groups: dict[str, list[Line]] = {}
-    for metric in comparison.metrics:
-        found = standing(comparison, sequence, metric)
-        if _told(found):
-            numbers = tuple(number(found, cell, degenerate) for cell in found.cells)
+    for found in sequence.rankings.values():
+        metric = found.metric
+        if found.has_values:
+            numbers = tuple(number(found, cell, degenerate) for cell in found.scores)
             groups.setdefault(metric.group, []).append(Line(metric, numbers))
     return {group: tuple(lines) for group, lines in groups.items()}
 
 
-def number(found: Standing, cell: Cell, unranked: bool = False) -> Number:
+def number(found: Ranking, cell: MethodScore, unranked: bool = False) -> Number:
     """A cell as printed: the median with its interval or the range of its runs, or a dash with the reason as its tip.
 
     ``unranked``: the geometry cannot fix the pose, or the map measures disagree, so nothing is marked as best.
@@ -156,21 +157,21 @@ def number(found: Standing, cell: Cell, unranked: bool = False) -> Number:
     if len(cell.values) > 1:
         runs += f" ({printed(metric, min(cell.values))} to {printed(metric, max(cell.values))})"
     support = f", support {cell.support}" if cell.support else ""
-    contest = len(found.level) < len(found.ranked) and not unranked
+    contest = len(found.tied) < len(found.ranked) and not unranked
     return Number(
         printed(metric, middle),
         extent,
         middle,
         f"{metric.label}: median of {runs}{support}",
         best=contest and cell is found.ranked[0],
-        level=contest and cell in found.level and len(found.level) > 1,
+        level=contest and cell in found.tied and len(found.tied) > 1,
         partial=partial,
     )
 
 
-def _extent(metric: Metric, cell: Cell) -> str:
+def _extent(metric: Metric, cell: MethodScore) -> str:
     """The 95 % interval, or the lowest and highest of several runs, as the page prints it beneath the number."""
-    found = interval(cell)
+    found = cell.interval
     if found is not None:
         return f"95 %: {printed(metric, found.low)}–{printed(metric, found.high)}"
     return f"{printed(metric, min(cell.values))}–{printed(metric, max(cell.values))}" if len(cell.values) > 1 else ""
@@ -181,24 +182,24 @@ def printed(metric: Metric, value: float) -> str:
     return f"{value:.{metric.digits}f}".replace("-", "\u2212")
 
 
-def failures(records: Sequence[RunRecord]) -> tuple[Failure, ...]:
+def failures(trials: Sequence[RunRecord]) -> tuple[Failure, ...]:
     """The runs that did not complete, those of one method with one reason together."""
     together: dict[tuple[str, RunStatus, str], list[RunRecord]] = {}
-    for record in unfinished(records):
-        together.setdefault((record.method, record.result.status, record.result.reason), []).append(record)
+    for trial in unfinished(trials):
+        together.setdefault((trial.method, trial.result.status, trial.result.reason), []).append(trial)
     return tuple(
-        Failure(who, _seeds(alike), STATUS[status], _progress(alike), reason)
+        Failure(who, _seeds(alike), STATUS_LABELS[status], _progress(alike), reason)
         for (who, status, reason), alike in together.items()
     )
 
 
-def published(comparison: Comparison, sequence: str) -> tuple[Metric, tuple[Reference, ...]] | None:
+def published(sequence: SequenceAnalysis) -> tuple[Metric, tuple[Reference, ...]] | None:
     """Our methods among published figures, best first, with the metric; None where nothing was published."""
-    rows = comparison.sequences[sequence].published
-    metric = _counterpart(comparison, rows) if rows else None
+    rows = sequence.card.published
+    metric = _counterpart(sequence.metrics, rows) if rows else None
     if metric is None:
         return None
-    deviation = next((m for m in comparison.metrics if m.name == rows[0].spread_metric), None)
+    deviation = next((m for m in sequence.metrics if m.name == rows[0].spread_metric), None)
     references = [
         Reference(
             row.label,
@@ -209,79 +210,72 @@ def published(comparison: Comparison, sequence: str) -> tuple[Metric, tuple[Refe
         )
         for row in rows
     ]
-    for cell in standing(comparison, sequence, metric).ranked:
-        beside = standing(comparison, sequence, deviation).of(cell.method) if deviation else None
+    for cell in sequence.rankings[metric.name].ranked:
+        beside = sequence.rankings[deviation.name].of(cell.method) if deviation else None
         spread = printed(deviation, beside.median) if deviation and beside and beside.median is not None else ""
         references.append(Reference(cell.method, printed(metric, median(cell.values)), spread, median(cell.values), ""))
     return metric, tuple(sorted(references, key=lambda row: row.sort))
 
 
-def notes(records: Sequence[RunRecord]) -> dict[str, int]:
+def notes(trials: Sequence[RunRecord]) -> dict[str, int]:
     """Defects counted while reading a sequence: the highest count over its runs."""
     counts: dict[str, int] = {}
-    for record in records:
-        for name, count in record.result.notes.items():
+    for trial in trials:
+        for name, count in trial.result.notes.items():
             counts[name] = max(counts.get(name, 0), int(count))
     return {name: count for name, count in counts.items() if count}
 
 
-def _headline_metrics(comparison: Comparison, sequence: str) -> list[Metric]:
-    decision = deciding(comparison, sequence)
+def _headline_metrics(sequence: SequenceAnalysis) -> list[Metric]:
+    decision = sequence.deciding
     first = decision.metric.name if decision else ""
-    mapped = any(record.truth.grid is not None for record in comparison.of_sequence(sequence))
-    shown = [m for m in comparison.metrics if m.headline and not (mapped and m.group == "map consistency")]
+    mapped = any(trial.truth.grid is not None for trial in sequence.all_runs)
+    shown = [m for m in sequence.metrics if m.headline and not (mapped and m.group == "map consistency")]
     return sorted(shown, key=lambda metric: (metric.name != first, metric.group != "runtime"))
 
 
-def _row(comparison: Comparison, label: str, records: Sequence[RunRecord], present: Sequence[Standing]) -> Row:
+def _row(sequence: SequenceAnalysis, label: str, trials: Sequence[RunRecord], present: Sequence[Ranking]) -> Row:
     cells = [(found, cell) for found in present if (cell := found.of(label)) is not None]
-    complete = len(records) - len(unfinished(records))
-    decision = deciding(comparison, records[0].sequence)
-    behind = decision is not None and is_behind_bar(comparison, decision, label)
-    degenerate = bool(comparison.sequences[records[0].sequence].degenerate)
+    complete = len(trials) - len(unfinished(trials))
+    behind, degenerate = sequence.is_behind(label), bool(sequence.card.degenerate)
     numbers = tuple(number(found, cell, degenerate) for found, cell in cells)
-    return Row(label, complete, len(records), share(records), numbers, failures(records), behind)
+    return Row(label, complete, len(trials), share(trials), numbers, failures(trials), behind)
 
 
-def _glanced(comparison: Comparison, found: Standing | None, method: str) -> Number:
+def _glanced(sequence: SequenceAnalysis, method: str) -> Number:
+    found = sequence.deciding
     cell = found.of(method) if found else None
     if found is None or cell is None:
         return Number("–", tip="no value for any headline metric" if found is None else "not run here")
-    unranked = bool(comparison.sequences[found.sequence].degenerate) or disagrees(comparison, found)
+    unranked = bool(sequence.card.degenerate) or sequence.map_agreement.disagrees
     return number(found, cell, unranked)
 
 
-def _told(found: Standing) -> bool:
-    return any(cell.values or cell.partial for cell in found.cells)
-
-
-def _absent(found: Sequence[Standing]) -> dict[str, tuple[str, ...]]:
+def _absent(found: Sequence[Ranking]) -> dict[str, tuple[str, ...]]:
     """Metrics nobody has a value for, by the reason that complete runs give; none where nothing was completed."""
     reasons: dict[str, tuple[str, ...]] = {}
     for one in found:
-        reason = next((cell.reason for cell in one.cells if cell.complete), "")
-        if reason and not _told(one):
+        reason = next((cell.reason for cell in one.scores if cell.complete), "")
+        if reason and not one.has_values:
             reasons[reason] = (*reasons.get(reason, ()), one.metric.label)
     return reasons
 
 
-def _counterpart(comparison: Comparison, rows: Sequence[Published]) -> Metric | None:
+def _counterpart(metrics: Sequence[Metric], rows: Sequence[Published]) -> Metric | None:
     named = rows[0].metric
-    for metric in comparison.metrics:
+    for metric in metrics:
         if metric.name == named or (not named and metric.group == "relations" and metric.unit == "m"):
             return metric
     return None
 
 
-def _seeds(records: Sequence[RunRecord]) -> str:
-    seeds = [str(record.seed) for record in records if record.seed is not None]
+def _seeds(trials: Sequence[RunRecord]) -> str:
+    seeds = [str(trial.seed) for trial in trials if trial.seed is not None]
     if not seeds:
         return ""
     return f"seed{'s' if len(seeds) > 1 else ''} {', '.join(seeds)}"
 
 
-def _progress(records: Sequence[RunRecord]) -> str:
-    counts = dict.fromkeys(
-        f"{len(t.result.steps)} of {t.result.expected} scans" for t in records if len(t.result.steps)
-    )
+def _progress(trials: Sequence[RunRecord]) -> str:
+    counts = dict.fromkeys(f"{len(t.result.steps)} of {t.result.expected} scans" for t in trials if len(t.result.steps))
     return f"after {' / '.join(counts)}" if counts else ""

@@ -1,35 +1,33 @@
-"""What changed between two results folders: worse, better, noise, or not comparable, as their makers know it."""
+"""Two results folders are compared: worse, better, noise or not comparable, against answers known in advance."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from evalkit import cli
-from evalkit.commands.diff.differences import Limits, difference
-from evalkit.commands.diff.snapshot import Finished, Snapshot, read
-from evalkit.commands.diff.text import markdown, rows, verdict
+from evalkit.commands.diff.changes import format_markdown
+from evalkit.commands.diff.results_changes import DiffLimits, compare_results, describe_results_diff
 from evalkit.core.errors import StoreError
 from evalkit.metrics import all_metrics
-from evalkit.report import write
-from evalkit.stats.bootstrap import Series
+from evalkit.report import write_report
+from evalkit.results.reader import StoredResults, StoredRun, load_stored_results
 
 METRICS = {metric.name: metric for metric in all_metrics()}
 ATE, TIME = "ate_rmse_m", "cpu_median_ms"
 
 
 def _snapshot(runs, folder="old", processor="a processor", **more):
-    return Snapshot(folder, runs, processor, **more)
+    return StoredResults(folder, runs, processor, **more)
 
 
 def _run(ate=0.02, ms=1.0, status="complete", errors=None, **parameters):
     scores = {ATE: ate, TIME: ms} if status == "complete" else {}
-    series = {} if errors is None else {ATE: Series(np.arange(len(errors)) * 10**8, errors, "rms", 0.1)}
-    return Finished(status, "" if status == "complete" else "signal 11", parameters, scores, series)
+    kept = () if errors is None else (np.arange(len(errors)) * 10**8, errors)
+    return StoredRun(status, "" if status == "complete" else "signal 11", parameters, scores, *kept)
 
 
 def _seeds(ates, times=None, **parameters):
@@ -40,17 +38,17 @@ def _seeds(ates, times=None, **parameters):
 
 
 def _between(old, new, **limits):
-    return difference(_snapshot(old), _snapshot(new, "new"), tuple(METRICS.values()), Limits(**limits))
+    return compare_results(_snapshot(old), _snapshot(new, "new"), tuple(METRICS.values()), DiffLimits(**limits))
 
 
-def _said(found, metric=ATE):
-    return {change.metric: change.said for change in found.changes}[metric]
+def _verdict(found, metric=ATE):
+    return {change.metric: change.verdict for change in found.changes}[metric]
 
 
 def test_the_same_numbers_are_no_change():
     found = _between(_seeds([0.02, 0.03]), _seeds([0.02, 0.03]))
-    assert [change.said for change in found.changes] == ["unchanged", "unchanged"]
-    assert (found.regressions, rows(found, METRICS)) == (0, [])
+    assert [change.verdict for change in found.changes] == ["unchanged", "unchanged"]
+    assert (found.regressions, describe_results_diff(found, METRICS).rows) == (0, ())
 
 
 @pytest.mark.parametrize(
@@ -60,7 +58,7 @@ def test_the_same_numbers_are_no_change():
 )  # fmt: skip
 def test_an_error_must_change_by_more_than_the_limit_and_the_noise(new, said):
     found = _between(_seeds([0.02, 0.02, 0.02]), _seeds(new))
-    assert (_said(found), found.regressions) == (said, int(said == "regression"))
+    assert (_verdict(found), found.regressions) == (said, int(said == "regression"))
 
 
 def test_one_run_is_judged_by_the_same_scans_before_and_after():
@@ -69,8 +67,8 @@ def test_one_run_is_judged_by_the_same_scans_before_and_after():
     everywhere, once = 1.2 * errors, errors.copy()
     once[-30:] = np.sqrt(20 * 0.44 * 0.02**2 + 0.02**2)
     kept = {("a", "room", None): _run(0.02, errors=errors)}
-    assert _said(_between(kept, {("a", "room", None): _run(0.024, errors=everywhere)})) == "regression"
-    assert _said(_between(kept, {("a", "room", None): _run(0.024, errors=once)})) == "no difference shown"
+    assert _verdict(_between(kept, {("a", "room", None): _run(0.024, errors=everywhere)})) == "regression"
+    assert _verdict(_between(kept, {("a", "room", None): _run(0.024, errors=once)})) == "no difference shown"
 
 
 @pytest.mark.parametrize(
@@ -80,23 +78,28 @@ def test_one_run_is_judged_by_the_same_scans_before_and_after():
 )  # fmt: skip
 def test_time_must_grow_in_every_run_and_twice_as_much_in_a_single_one(times, said):
     ates = [0.02] * len(times)
-    assert _said(_between(_seeds(ates), _seeds(ates, times)), TIME) == said
+    assert _verdict(_between(_seeds(ates), _seeds(ates, times)), TIME) == said
 
 
-def test_what_all_methods_lose_together_is_the_machines():
+def test_a_change_common_to_all_methods_is_attributed_to_the_machine():
     """All took a third longer, d three times as long: the median of four is the machine's, d alone is a regression."""
     old = {(who, "room", seed): _run(ms=1.0) for who in "abcd" for seed in (0, 1)}
     new = {(who, "room", seed): _run(ms=3.0 if who == "d" else 1.3) for who in "abcd" for seed in (0, 1)}
     found = _between(old, new)
-    assert [one.method for one in found.changes if one.said == "regression"] == ["d"]
-    assert found.notes[0].startswith("all methods together took +30 % CPU time: taken for the machine's")
+    assert [one.method for one in found.changes if one.verdict == "regression"] == ["d"]
+    assert found.notes[0].startswith(
+        "the CPU time of all methods together changed by +30 %: this is attributed to the machine"
+    )
 
 
 def test_times_of_another_processor_are_not_compared():
-    found = difference(
-        _snapshot(_seeds([0.02])), _snapshot(_seeds([0.02], [9.0]), "new", "another"), tuple(METRICS.values()), Limits()
+    found = compare_results(
+        _snapshot(_seeds([0.02])),
+        _snapshot(_seeds([0.02], [9.0]), "new", "another"),
+        tuple(METRICS.values()),
+        DiffLimits(),
     )
-    assert (_said(found, TIME), found.regressions) == ("not comparable", 0)
+    assert (_verdict(found, TIME), found.regressions) == ("not comparable", 0)
     assert found.notes == ("times are not compared: a processor against another",)
 
 
@@ -104,7 +107,7 @@ def test_a_run_that_no_longer_ends_is_a_regression_and_a_new_method_is_none():
     old = {("a", "room", 0): _run(), ("gone", "room", 0): _run(), ("b", "room", 0): _run(status="crashed")}
     new = {("a", "room", 0): _run(status="crashed"), ("b", "room", 0): _run(), ("come", "room", 0): _run()}
     found = _between(old, new)
-    assert [(one.method, one.said) for one in found.ended] == [("a", "regression"), ("b", "improvement")]
+    assert [(one.method, one.verdict) for one in found.statuses] == [("a", "regression"), ("b", "improvement")]
     assert (found.only_old, found.only_new, found.regressions) == (("gone over room",), ("come over room",), 1)
 
 
@@ -113,11 +116,11 @@ def test_other_parameters_make_another_sequence_and_new_ones_at_their_default_do
         _between(_seeds([0.02], laps=1.0), _seeds([0.02], laps=0.5))
     new = _seeds([0.02], laps=1.0, people=3)
     defaults = {"room": {"people": 0}}
-    assert not _between(_seeds([0.02], laps=1.0), new).apart
+    assert not _between(_seeds([0.02], laps=1.0), new).not_comparable
     with pytest.raises(StoreError, match="people 0 against 3"):
-        difference(
+        compare_results(
             _snapshot(_seeds([0.02], laps=1.0)), _snapshot(new, "new", defaults=defaults), tuple(METRICS.values()),
-            Limits(),
+            DiffLimits(),
         )  # fmt: skip
 
 
@@ -128,10 +131,11 @@ def test_seeds_without_a_common_one_are_not_comparable():
 
 def test_markdown_is_a_table_with_the_worst_first():
     found = _between(_seeds([0.02, 0.02], [1.0, 1.0]), _seeds([0.03, 0.03], [0.5, 0.5]))
-    lines = markdown(found, METRICS).splitlines()
-    assert lines[0] == f"**{verdict(found)}**"
+    text = describe_results_diff(found, METRICS)
+    lines = format_markdown(text).splitlines()
+    assert lines[0] == f"**{text.conclusion}**"
     assert lines[0].startswith("**1 regression beyond 5 % of an error, 10 % of CPU time and the noise; 1 improved")
-    assert lines[2].startswith("| method | sequence | what |")
+    assert lines[2].startswith("| method | sequence | metric |")
     assert lines[4].startswith(
         "| a | room | ATE RMSE [m] | 0.0200 | 0.0300 | +50.0 % | 0.0100 to 0.0100 | ❌ regression"
     )
@@ -147,7 +151,7 @@ def folder(tmp_path, record, build):
         runs = [
             record("a", "room", {ATE: factor * ate, TIME: 1.0}, seed=seed) for seed, ate in enumerate((0.02, 0.021))
         ]
-        write(build(runs), tmp_path / name)
+        write_report(build(runs), tmp_path / name)
         return tmp_path / name
 
     return made
@@ -162,28 +166,28 @@ def test_the_command_ends_with_one_only_on_a_regression(folder):
 
 
 @pytest.mark.parametrize("text", ["much", "-5%", "nan", "inf"])
-def test_a_limit_that_is_no_share_is_a_usage_error(folder, text):
+def test_a_limit_that_is_not_a_share_is_a_usage_error(folder, text):
     old = folder("old")
     assert CliRunner().invoke(cli.app, ["diff", str(old), str(old), "--limit-ate", text]).exit_code == 2
 
 
-def test_folders_that_cannot_be_read_say_why(folder, tmp_path):
+def test_unreadable_folders_are_refused_with_the_reason(folder, tmp_path):
     path = folder("old") / "results.json"
     with pytest.raises(StoreError, match="there is no such folder"):
-        read(tmp_path / "none")
+        load_stored_results(tmp_path / "none")
     (tmp_path / "empty").mkdir()
     with pytest.raises(StoreError, match="it holds no run"):
-        read(tmp_path / "empty")
+        load_stored_results(tmp_path / "empty")
     whole = path.read_text(encoding="utf-8")
-    path.write_text(whole.replace('"version": 1', '"version": 2'), encoding="utf-8")
-    with pytest.raises(StoreError, match="evalkit-results version 2; make the report again"):
-        read(path.parent)
+    path.write_text(whole.replace('"version": 2', '"version": 3'), encoding="utf-8")
+    with pytest.raises(StoreError, match=r"evalkit-results version 3, expected .* version 2; write the report again"):
+        load_stored_results(path.parent)
     path.write_text(whole[: len(whole) // 2], encoding="utf-8")
     with pytest.raises(StoreError, match="half-written"):
-        read(path.parent)
-    path.write_text(json.dumps({"schema": {"name": "evalkit-results", "version": 1}}), encoding="utf-8")
-    with pytest.raises(StoreError, match="is not whole"):
-        read(path.parent)
+        load_stored_results(path.parent)
+    path.write_text(json.dumps({"schema": {"name": "evalkit-results", "version": 2}}), encoding="utf-8")
+    with pytest.raises(StoreError, match="is not complete"):
+        load_stored_results(path.parent)
 
 
 def test_a_folder_of_runs_without_a_report_is_read_too(tmp_path, record):
@@ -200,8 +204,14 @@ def test_a_folder_of_runs_without_a_report_is_read_too(tmp_path, record):
     (own / "steps.bin").write_bytes(made.result.steps.tobytes())
     np.save(own / "errors.npy", made.scores.errors_m)
     (tmp_path / "runs" / "room-s4-a-0123456789").mkdir()
-    found = read(tmp_path)
+    found = load_stored_results(tmp_path)
     run = found.runs[("a", "room", 3)]
     assert (run.status, run.parameters, run.scores, found.unfinished) == ("complete", {"laps": 1.0}, {ATE: 0.02}, 1)
-    assert len(run.series[ATE].values) == 60
-    assert replace(run, series={}).series == {}
+    assert len(run.errors_m) == len(run.stamps_ns) == 60
+
+
+def test_a_results_folder_is_not_compared_with_a_benchmark(folder, tmp_path):
+    (tmp_path / "bench.json").write_text("{}", encoding="utf-8")
+    result = CliRunner().invoke(cli.app, ["diff", str(folder("old")), str(tmp_path / "bench.json")])
+    assert result.exit_code != 0
+    assert "compare two results folders or two benchmarks" in str(result.exception)

@@ -16,7 +16,7 @@ from typer.testing import CliRunner
 from evalkit import report
 from evalkit.cli import app
 from evalkit.commands.export import latex, mcap, rerun_file
-from evalkit.commands.export.results import read
+from evalkit.commands.export.results import load_selection
 from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.errors import DataMissing, NotInstalled, StoreError, UnknownName
 from evalkit.core.grid import OccupancyGrid
@@ -27,7 +27,7 @@ from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
 from evalkit.plugins import registry
 from evalkit.plugins.specs import DatasetSpec
-from evalkit.report.html.formatting import as_markdown
+from evalkit.report.formatting import escape_markdown
 from evalkit.results.run_record import RunRecord
 from evalkit.results.store import Store
 
@@ -86,8 +86,8 @@ def finished(tmp_path, build, monkeypatch):
     store = Store(tmp_path / "results")
     for record in records:
         store.save_result(record.spec, record.result)
-        store.save_scores(record.key, record.scores.by_metric, "")
-    report.write(build(records), store.folder)
+        store.save_scores(record.key, record.scores, "")
+    report.write_report(build(records), store.folder)
     return store.folder
 
 
@@ -104,16 +104,16 @@ def exported(folder, form, *more):
 def test_csv_and_json_hold_the_wanted_rows_of_what_the_report_wrote_and_keep_the_schema(finished):
     jsonschema = pytest.importorskip("jsonschema")
     whole = {path.name: path.read_bytes() for form in ("csv", "json") for path in exported(finished, form)}
-    assert set(whole) == {"trials.csv", "scores.csv", "summary.csv", "results.json", "results.schema.json"}
-    for name in ("trials.csv", "scores.csv", "summary.csv"):
+    assert set(whole) == {"runs.csv", "scores.csv", "summary.csv", "results.json", "results.schema.json"}
+    for name in ("runs.csv", "scores.csv", "summary.csv"):
         assert whole[name] == (finished / name).read_bytes()
     assert json.loads(whole["results.json"]) == json.loads((finished / "results.json").read_bytes())
     part = {path.name: path for form in ("csv", "json") for path in exported(finished, form, "--method", "wheel")}
-    heading, row = part["trials.csv"].read_text(encoding="utf-8").splitlines()
+    heading, row = part["runs.csv"].read_text(encoding="utf-8").splitlines()
     assert (heading.split(",")[1], row.split(",")[1]) == ("method", "wheel")
     content = json.loads(part["results.json"].read_text(encoding="utf-8"))
     jsonschema.validate(content, json.loads(part["results.schema.json"].read_text(encoding="utf-8")))
-    assert [record["method"] for record in content["trials"]] == list(content["methods"]) == ["wheel"]
+    assert [record["method"] for record in content["runs"]] == list(content["methods"]) == ["wheel"]
     assert content["verdicts"] == content["overview"] == []  # they compare it with who is left out
 
 
@@ -233,31 +233,31 @@ def test_tables_show_the_intervals_of_results_json_and_only_these(finished):
 
 
 def test_every_letter_that_means_something_to_latex_is_escaped():
-    assert latex.escaped(r"a_b & 5% {x} #1 ~^ $\n") == (
+    assert latex.escape_latex(r"a_b & 5% {x} #1 ~^ $\n") == (
         r"a\_b \& 5\% \{x\} \#1 \textasciitilde{}\textasciicircum{} \$\textbackslash{}n"
     )
 
 
 def test_a_name_is_no_mark_up_in_markdown():
-    assert as_markdown("a|b `c` [x](javascript:alert) <script> \\") == (
+    assert escape_markdown("a|b `c` [x](javascript:alert) <script> \\") == (
         r"a\|b \`c\` [x]\(javascript:alert) &lt;script> \\"
     )
 
 
 def test_a_name_reads_no_file_into_latex():
-    assert latex.escaped(r"\input{/etc/passwd}") == r"\textbackslash{}input\{/etc/passwd\}"
+    assert latex.escape_latex(r"\input{/etc/passwd}") == r"\textbackslash{}input\{/etc/passwd\}"
 
 
 def test_figures_are_vectors_with_true_fonts_and_the_same_bytes_twice(finished):
-    found = read(finished)
-    drawn = dict(latex.drawings(found, "pdf"))
+    found = load_selection(finished)
+    drawn = dict(latex.draw_figures(found, "pdf"))
     assert set(drawn) == {f"50-more-x-{kind}.pdf" for kind in ("trajectories", "errors", "runtimes")}
     for content in drawn.values():
         assert content.startswith(b"%PDF-")
         assert b"/FontFile2" in content
         assert b"/Subtype /Image" not in content
-    assert drawn == dict(latex.drawings(found, "pdf"))
-    assert all(content.startswith(b"<?xml") for _, content in latex.drawings(found, "svg"))
+    assert drawn == dict(latex.draw_figures(found, "pdf"))
+    assert all(content.startswith(b"<?xml") for _, content in latex.draw_figures(found, "svg"))
 
 
 # --- viewers
@@ -317,12 +317,14 @@ def test_an_mcap_file_read_by_the_mcap_library_holds_the_answer_the_truth_and_th
 
 
 def test_a_recording_that_begins_at_zero_is_moved_to_where_ros_knows_times(finished):
-    found = read(finished, methods=["paper"])
-    (record,) = found.records
+    found = load_selection(finished, methods=["paper"])
+    (record,) = found.runs
     early = RunResult(record.result.steps.copy(), N)
     early.steps.flags.writeable = True
     early.steps["stamp_ns"] -= T0
-    sent = list(mcap._sent(mcap.Messages(), replace(record, result=early, truth=Truth("none")), Nothing()))
+    sent = list(
+        mcap._run_messages(mcap.MessageBuilder(), replace(record, result=early, truth=Truth("none")), Nothing())
+    )
     assert min(stamp for stamp, _, _ in sent) == 10**9
 
 
@@ -348,7 +350,7 @@ def test_a_rerun_recording_is_whole_by_reruns_own_check(finished):
 def test_without_rerun_the_message_says_how_to_get_it_and_all_goes_on(finished, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(NotInstalled, match=r"pip install 'evalkit\[rerun\]'"):
-        rerun_file.installed()
+        rerun_file.import_rerun()
     result = CliRunner().invoke(app, ["export", str(finished), "-f", "all", "-o", str(finished.parent / "everything")])
     assert result.exit_code == 0
     assert "rerun left out" in result.output
@@ -363,28 +365,28 @@ def test_a_sequence_whose_files_are_not_here_is_a_remark_and_the_rest_is_written
         raise DataMissing("lap", "no such folder", "fetch it")
 
     monkeypatch.setattr(registry, "dataset", lambda _name: DatasetSpec(gone, "", "", "", "", ""))
-    found = read(finished)
+    found = load_selection(finished)
     assert len(found.remarks) == 1
     assert "fetch it" in found.remarks[0]
-    assert [record.truth.trajectory for record in found.records] == [None, None]
-    assert "50-more-x-trajectories.pdf" in dict(latex.drawings(found, "pdf"))
+    assert [record.truth.trajectory for record in found.runs] == [None, None]
+    assert "50-more-x-trajectories.pdf" in dict(latex.draw_figures(found, "pdf"))
 
 
 @pytest.mark.parametrize(
     ("name", "left", "said"),
     [
-        ("steps.bin", 500, "of its 30 answers are in"),
-        ("steps.bin", 0, "0 of its 30 answers are in"),
-        ("result.json", 20, "0 of its 30 answers are in"),
-        ("scores.json", 20, "its alignment and map are not in"),
-        ("grid.npz", 30, "its alignment and map are not in"),
+        ("steps.bin", 500, "of 30 poses"),
+        ("steps.bin", 0, "0 of 30 poses"),
+        ("result.json", 20, "0 of 30 poses"),
+        ("scores.json", 20, "its alignment and map are missing"),
+        ("grid.npz", 30, "its alignment and map are missing"),
     ],
 )
 def test_a_run_cut_short_is_left_out_and_said_and_the_others_are_written(finished, name, left, said):
     path = finished / "runs" / "paper-s0" / name
     path.write_bytes(path.read_bytes()[:left])
-    found = read(finished)
-    assert [record.method for record in found.records] == ["wheel"]
+    found = load_selection(finished)
+    assert [record.method for record in found.runs] == ["wheel"]
     (remark,) = found.remarks
     assert remark.startswith(f"paper over {AWKWARD}")
     assert said in remark
@@ -393,15 +395,15 @@ def test_a_run_cut_short_is_left_out_and_said_and_the_others_are_written(finishe
 
 def test_what_is_no_results_folder_or_no_label_is_said(finished, tmp_path):
     with pytest.raises(StoreError, match="no such file"):
-        read(tmp_path)
+        load_selection(tmp_path)
     for wrong in ({"sequences": ["nowhere"]}, {"methods": ["nobody"]}, {"metrics": ["ate"]}):
         with pytest.raises(UnknownName):
-            read(finished, **wrong)
+            load_selection(finished, **wrong)
     result = CliRunner().invoke(app, ["export", str(finished), "-f", "word"])
     assert isinstance(result.exception, UnknownName)
 
 
 def test_reading_leaves_the_results_folder_as_it_is(finished):
     before = sorted(path for path in finished.rglob("*"))
-    read(finished)
+    load_selection(finished)
     assert sorted(path for path in finished.rglob("*")) == before

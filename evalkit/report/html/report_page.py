@@ -11,16 +11,16 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from evalkit.core.grid import OccupancyGrid
 from evalkit.metrics.table import Metric
 from evalkit.metrics.validated import shipped
+from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.comparison import Comparison, SequenceCard
-from evalkit.report.analysis.driven_paths import alignments, driven
-from evalkit.report.analysis.pairwise import Pairs, pairs
-from evalkit.report.analysis.significance import evidence
-from evalkit.report.analysis.standings import STATUS, method_of
-from evalkit.report.analysis.verdict import Verdict
+from evalkit.report.analysis.ranking import PairwiseTable
+from evalkit.report.analysis.scores import STATUS_LABELS
+from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.analysis.verdict import SequenceVerdict
+from evalkit.report.formatting import capitalise, format_bounds, format_number
 from evalkit.report.html import figures, view_models
-from evalkit.report.html.formatting import bounds, figure
 from evalkit.report.html.maps import Window, picture, window
-from evalkit.report.html.palette import Stroke, strokes
+from evalkit.report.html.palette import Stroke, assign_strokes
 from evalkit.report.html.player import Player, budget, player
 from evalkit.results.run_record import RunRecord
 
@@ -43,9 +43,9 @@ class Section:
     label: str
     anchor: str
     card: SequenceCard
-    verdict: Verdict
+    verdict: SequenceVerdict
     table: view_models.Table
-    pairs: Pairs | None
+    pairs: PairwiseTable | None
     drawn: str
     pictures: tuple[Picture, ...]
     player: Player | None
@@ -59,12 +59,13 @@ class Section:
     notes: Mapping[str, int]
     driven: tuple[tuple[str, str], ...]
     alignments: tuple[str, ...]
-    records: tuple[RunRecord, ...]
+    trials: tuple[RunRecord, ...]
 
 
-def render(comparison: Comparison, overview: Sequence[str], verdicts: Sequence[Verdict]) -> str:
+def render_report(analysis: Analysis) -> str:
     """The HTML of a whole report."""
-    lines = strokes(comparison.method_labels, method_of(comparison, "baseline"))
+    comparison = analysis.comparison
+    lines = assign_strokes(comparison.method_labels, comparison.methods_with_role("baseline"))
     environment = Environment(
         loader=PackageLoader("evalkit.report.html"),
         autoescape=True,
@@ -72,63 +73,66 @@ def render(comparison: Comparison, overview: Sequence[str], verdicts: Sequence[V
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["sentence"] = sentence
-    environment.filters["figure"] = figure
-    environment.filters["bounds"] = bounds
+    environment.filters["sentence"] = capitalise
+    environment.filters["figure"] = format_number
+    environment.filters["bounds"] = format_bounds
     return environment.get_template("page.html.j2").render(
         comparison=comparison,
-        overview=overview,
-        sections=[section(comparison, verdict, number, lines) for number, verdict in enumerate(verdicts, start=1)],
-        glance=view_models.glance(comparison),
-        evidence=evidence(comparison),
+        overview=analysis.overview,
+        sections=[
+            section(comparison, sequence, verdict, number, lines)
+            for number, (sequence, verdict) in enumerate(zip(analysis.sequences, analysis.verdicts, strict=True), 1)
+        ],
+        glance=view_models.glance(analysis),
+        evidence=analysis.significance,
         metrics=_by_group(comparison.metrics),
         trust=shipped(),
         strokes=lines,
         places={label: place for place, label in enumerate(comparison.methods, start=1)},
-        status=STATUS,
-        finished=sum(record.result.is_complete for record in comparison.records),
+        status=STATUS_LABELS,
+        finished=sum(trial.result.is_complete for trial in comparison.records),
     )
 
 
-def sentence(text: str) -> str:
-    """The text with a capital first letter, the rest untouched."""
-    return text[:1].upper() + text[1:]
-
-
-def section(comparison: Comparison, verdict: Verdict, number: int, lines: Mapping[str, Stroke]) -> Section:
+def section(
+    comparison: Comparison,
+    sequence: SequenceAnalysis,
+    verdict: SequenceVerdict,
+    number: int,
+    lines: Mapping[str, Stroke],
+) -> Section:
     """One sequence, drawn from each method's first run."""
-    grouped = comparison.by_method(verdict.sequence)
-    records = tuple(record for own in grouped.values() for record in own)
+    grouped, trials = sequence.runs, sequence.all_runs
     first = tuple(own[0] for own in grouped.values())
-    grids = [record.scores.grid for record in first if record.scores.grid is not None]
+    grids = [trial.scores.grid for trial in first if trial.scores.grid is not None]
     shown = window(grids, true_grid(first)) if grids else None
-    seeds = sorted({record.seed for record in first if record.seed is not None})
-    scans, paper = comparison.scans.get(verdict.sequence), next(iter(method_of(comparison, "reference")), "")
+    seeds = sorted({trial.seed for trial in first if trial.seed is not None})
+    scans, paper = comparison.scans.get(verdict.sequence), next(iter(comparison.methods_with_role("reference")), "")
     return Section(
         label=verdict.sequence,
         anchor=f"sequence-{number}",
-        card=comparison.sequences[verdict.sequence],
+        card=sequence.card,
         verdict=verdict,
-        table=view_models.headline(comparison, verdict.sequence),
-        pairs=pairs(comparison, verdict.sequence),
+        table=view_models.headline(sequence),
+        pairs=sequence.pairwise,
         drawn=f"seed {seeds[0]} only" if seeds else "the one run of each",
         pictures=tuple(drawings(first, lines)),
         player=player(first, scans, shown, lines, budget(len(comparison.sequences)), paper),
         maps=map_tiles(comparison, first, shown) if shown else (),
         map_window=shown,
-        everything=view_models.everything(comparison, verdict.sequence),
-        absent=view_models.absent(comparison, verdict.sequence),
+        everything=view_models.everything(sequence),
+        absent=view_models.absent(sequence),
         methods=tuple(grouped),
-        published=view_models.published(comparison, verdict.sequence),
-        failures=view_models.failures(records),
-        notes=view_models.notes(records),
-        driven=driven(comparison, verdict.sequence),
-        alignments=alignments(records),
-        records=records,
+        published=view_models.published(sequence),
+        failures=view_models.failures(trials),
+        notes=view_models.notes(trials),
+        driven=sequence.drive,
+        alignments=sequence.alignments,
+        trials=trials,
     )
 
 
-def drawings(records: Sequence[RunRecord], lines: Mapping[str, Stroke]) -> list[Picture]:
+def drawings(trials: Sequence[RunRecord], lines: Mapping[str, Stroke]) -> list[Picture]:
     """The figures of a sequence; those without anything to draw are left out."""
     planned = (
         (figures.trajectories, "Trajectories", "Seen from above, aligned to the truth where there is one."),
@@ -144,7 +148,7 @@ def drawings(records: Sequence[RunRecord], lines: Mapping[str, Stroke]) -> list[
             "What each method says of itself, by its own definition. Each point is the median of a stretch.",
         ),
     )
-    made = ((draw(records, lines), title, caption) for draw, title, caption in planned)
+    made = ((draw(trials, lines), title, caption) for draw, title, caption in planned)
     return [
         Picture(_uri("svg+xml", drawing.svg), title, f"{caption} {drawing.admits}".strip())
         for drawing, title, caption in made
@@ -152,41 +156,39 @@ def drawings(records: Sequence[RunRecord], lines: Mapping[str, Stroke]) -> list[
     ]
 
 
-def true_grid(records: Sequence[RunRecord]) -> OccupancyGrid | None:
+def true_grid(trials: Sequence[RunRecord]) -> OccupancyGrid | None:
     """The true map of a sequence, None where nobody knows it."""
-    return next((record.truth.grid for record in records if record.truth.grid is not None), None)
+    return next((trial.truth.grid for trial in trials if trial.truth.grid is not None), None)
 
 
-def map_tiles(comparison: Comparison, records: Sequence[RunRecord], shown: Window) -> tuple[Picture, ...]:
+def map_tiles(comparison: Comparison, trials: Sequence[RunRecord], shown: Window) -> tuple[Picture, ...]:
     """The maps in one window, the true one first."""
-    metric = _map_metric(comparison, records)
-    true = true_grid(records)
+    metric = _map_metric(comparison, trials)
+    true = true_grid(trials)
     tiles = [Picture(_uri("png", picture(true, shown)), "truth", "")] if true is not None else []
-    for record in records:
-        if record.scores.grid is not None:
-            uri = _uri("png", picture(record.scores.grid, shown))
-            tiles.append(Picture(uri, record.method, _map_caption(record, metric)))
+    for trial in trials:
+        if trial.scores.grid is not None:
+            uri = _uri("png", picture(trial.scores.grid, shown))
+            tiles.append(Picture(uri, trial.method, _map_caption(trial, metric)))
     return tuple(tiles)
 
 
-def _map_metric(comparison: Comparison, records: Sequence[RunRecord]) -> Metric | None:
+def _map_metric(comparison: Comparison, trials: Sequence[RunRecord]) -> Metric | None:
     for group in MAP_CAPTION_GROUPS:
         for metric in comparison.metrics:
-            scores = [
-                record.scores.by_metric[metric.name] for record in records if metric.name in record.scores.by_metric
-            ]
+            scores = [trial.scores.by_metric[metric.name] for trial in trials if metric.name in trial.scores.by_metric]
             if metric.group == group and metric.headline and any(score.value is not None for score in scores):
                 return metric
     return None
 
 
-def _map_caption(record: RunRecord, metric: Metric | None) -> str:
+def _map_caption(trial: RunRecord, metric: Metric | None) -> str:
     parts = []
-    score = record.scores.by_metric.get(metric.name) if metric else None
+    score = trial.scores.by_metric.get(metric.name) if metric else None
     if metric and score and score.value is not None:
         parts.append(f"{metric.label} {view_models.printed(metric, score.value)} {metric.unit}".rstrip())
-    if not record.result.is_complete:
-        parts.append(STATUS[record.result.status])
+    if not trial.result.is_complete:
+        parts.append(STATUS_LABELS[trial.result.status])
     return ", ".join(parts)
 
 

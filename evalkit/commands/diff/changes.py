@@ -1,0 +1,52 @@
+"""What every comparison of before and after has in common: the verdict on one change, and the text of all of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from evalkit.report.formatting import escape_markdown
+
+ChangeVerdict = Literal[
+    "regression",
+    "improvement",
+    "no difference shown",
+    "not comparable",
+    "unchanged",
+    "within the limit",
+    "too few samples",
+]
+"""The verdict on one change, in the order in which the changes are listed."""
+
+MARKS: Mapping[ChangeVerdict, str] = {"regression": "❌ ", "improvement": "✅ "}
+SAME = "the same to the last digit"
+
+
+@dataclass(frozen=True)
+class ChangeText:
+    """A comparison as text: one table (rows as long as ``columns``), remarks, and the conclusion in one sentence.
+
+    ``content``: the same comparison as plain values for JSON.
+    """
+
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    remarks: tuple[str, ...]
+    conclusion: str
+    regressions: int
+    content: Mapping[str, Any]
+
+
+def format_markdown(text: ChangeText) -> str:
+    """Return the comment for a pull request: the conclusion, the table of changes, the remarks."""
+    lines = [f"**{text.conclusion}**", ""]
+    if text.rows:
+        rule = ["---"] * len(text.columns)
+        lines += [*map(_format_row, (text.columns, rule, *text.rows)), ""]
+    lines += [f"- {escape_markdown(remark)}" for remark in text.remarks]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _format_row(cells: Sequence[str]) -> str:
+    return f"| {' | '.join(escape_markdown(cell.replace('|', '/')) for cell in cells)} |"

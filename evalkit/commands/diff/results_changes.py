@@ -1,0 +1,352 @@
+"""Compare two results folders: which runs and metrics changed by more than the noise and a stated limit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from evalkit.commands.diff.changes import MARKS, SAME, ChangeText, ChangeVerdict
+from evalkit.core.errors import StoreError
+from evalkit.core.run_result import NOT_EXECUTED
+from evalkit.metrics.table import Metric
+from evalkit.report.analysis.pairwise import PairedDifference, compute_difference, noise_floor
+from evalkit.report.analysis.scores import DECIDING, MethodScore
+from evalkit.report.formatting import format_number
+from evalkit.results.reader import RunName, StoredResults, StoredRun
+from evalkit.stats.bootstrap import BootstrapDraws, Series, bootstrap_score
+
+ATE, TIME = "ate_rmse_m", "cpu_median_ms"
+TICK_MS = 0.01
+
+MIN_FOR_SESSION = 3
+MIN_NAMED_SESSION = 0.03
+
+ONE_RUN = 2.0
+"""Factor on the time limit for a single run: it includes the noise of its session, whose size is unknown."""
+
+COLUMNS = ("method", "sequence", "metric", "old", "new", "change", "95 % interval", "verdict")
+COUNTED: tuple[ChangeVerdict, ...] = ("unchanged", "within the limit")
+"""These changes are counted, not listed."""
+ORDER: tuple[ChangeVerdict, ...] = (
+    "regression", "improvement", "no difference shown", "not comparable", *COUNTED,
+)  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class DiffLimits:
+    """Increases (as a share) of an error and of a CPU time that are not a regression."""
+
+    error: float = 0.05
+    time: float = 0.10
+
+
+@dataclass(frozen=True, slots=True)
+class MetricChange:
+    """One metric of one method over one sequence, before and after: medians over the runs that both folders have.
+
+    ``low``, ``high``: bounds of the 95 % interval of the difference new - old, None without an interval.
+    """
+
+    method: str
+    sequence: str
+    metric: str
+    unit: str
+    old: float
+    new: float
+    low: float | None
+    high: float | None
+    runs: int
+    verdict: ChangeVerdict
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class StatusChange:
+    """A run whose status changed."""
+
+    method: str
+    sequence: str
+    seed: int | None
+    old: str
+    new: str
+    reason: str
+    verdict: ChangeVerdict
+
+
+@dataclass(frozen=True, slots=True)
+class ResultsDiff:
+    """All changes. ``only_old``, ``only_new``: "method over sequence" that one folder alone has.
+
+    ``not_comparable``: pairs with the reason. ``notes``: conditions that limit the comparison.
+    """
+
+    old: str
+    new: str
+    limits: DiffLimits
+    statuses: tuple[StatusChange, ...]
+    changes: tuple[MetricChange, ...]
+    only_old: tuple[str, ...]
+    only_new: tuple[str, ...]
+    not_comparable: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def regressions(self) -> int:
+        """The number of regressions among statuses and metrics."""
+        verdicts = [one.verdict for one in self.statuses] + [one.verdict for one in self.changes]
+        return verdicts.count("regression")
+
+
+def compare_results(
+    old: StoredResults, new: StoredResults, metrics: Sequence[Metric], limits: DiffLimits
+) -> ResultsDiff:
+    """Compare the runs that both folders have.
+
+    Raises StoreError if the folders have no comparable runs.
+    """
+    pairs = {(method, sequence): None for method, sequence, _ in (*old.runs, *new.runs)}
+    before, after = ({(method, sequence) for method, sequence, _ in one.runs} for one in (old, new))
+    common = [pair for pair in pairs if pair in before and pair in after]
+    reasons = {pair: reason for pair in common if (reason := _reason_not_comparable(old, new, pair))}
+    comparable = [pair for pair in common if pair not in reasons]
+    if not comparable:
+        why = "; ".join(dict.fromkeys(reasons.values())) or "no method ran over the same sequence in both"
+        raise StoreError(new.folder, f"not comparable with {old.folder}: {why}", "compare results of one experiment")
+    session = _session_factor(old, new, comparable)
+    return ResultsDiff(
+        old.folder,
+        new.folder,
+        limits,
+        tuple(one for pair in comparable for one in _status_changes(old, new, pair)),
+        tuple(one for pair in comparable for one in _metric_changes(old, new, pair, metrics, limits, session)),
+        tuple(f"{method} over {sequence}" for method, sequence in pairs if (method, sequence) not in after),
+        tuple(f"{method} over {sequence}" for method, sequence in pairs if (method, sequence) not in before),
+        tuple(_group_reasons(reasons)),
+        tuple(_notes(old, new, session)),
+    )
+
+
+def describe_results_diff(diff: ResultsDiff, metrics: Mapping[str, Metric], everything: bool = False) -> ChangeText:
+    """Return the comparison as text, worst first: changed statuses, then metrics.
+
+    ``everything``: list also what did not change.
+    """
+    shown = [one for one in diff.changes if everything or one.verdict not in COUNTED]
+    rows = [_status_row(one) for one in sorted(diff.statuses, key=lambda one: ORDER.index(one.verdict))]
+    rows += [_metric_row(one, metrics[one.metric]) for one in sorted(shown, key=lambda one: ORDER.index(one.verdict))]
+    verdicts = [one.verdict for one in diff.changes]
+    count = diff.regressions
+    head = "No regression" if count == 0 else f"{count} regression{'s' if count > 1 else ''}"
+    limits = f"{100 * diff.limits.error:g} % of an error, {100 * diff.limits.time:g} % of CPU time"
+    conclusion = (
+        f"{head} beyond {limits} and the noise; {verdicts.count('improvement')} improved, "
+        f"{sum(map(verdicts.count, COUNTED))} of {len(verdicts)} numbers are unchanged or within the limit."
+    )
+    remarks = (
+        *([f"only in {diff.old}: {', '.join(diff.only_old)}"] if diff.only_old else []),
+        *([f"only in {diff.new}: {', '.join(diff.only_new)}"] if diff.only_new else []),
+        *diff.not_comparable,
+        *diff.notes,
+    )
+    content: dict[str, Any] = {"regressions": count, **asdict(diff)}
+    return ChangeText(COLUMNS, tuple(rows), remarks, conclusion, count, content)
+
+
+def _session_factor(old: StoredResults, new: StoredResults, comparable: Sequence[tuple[str, str]]) -> float:
+    """Return the factor by which the CPU times of all methods changed together: a property of the machine.
+
+    The median over the methods; 1 for fewer than three methods, which cannot separate the two.
+    """
+    ratios: dict[str, list[float]] = {}
+    for pair in comparable:
+        before, after = _runs_of(old, pair), _runs_of(new, pair)
+        for name in before:
+            times = [runs[name].scores.get(TIME, 0.0) for runs in (before, after) if name in runs]
+            if len(times) == 2 and min(times) > TICK_MS:
+                ratios.setdefault(pair[0], []).append(times[1] / times[0])
+    return median(median(own) for own in ratios.values()) if len(ratios) >= MIN_FOR_SESSION else 1.0
+
+
+def _group_reasons(reasons: Mapping[tuple[str, str], str]) -> Iterator[str]:
+    """Return one sentence for the methods that share a sequence and a reason."""
+    together: dict[tuple[str, str], list[str]] = {}
+    for (method, sequence), why in reasons.items():
+        together.setdefault((sequence, why), []).append(method)
+    for (sequence, why), methods in together.items():
+        yield f"{sequence}: not comparable: {why} ({', '.join(methods)})"
+
+
+def _reason_not_comparable(old: StoredResults, new: StoredResults, pair: tuple[str, str]) -> str:
+    """Return why the runs of a pair are not of the same sequence, "" if they are."""
+    before, after = _runs_of(old, pair), _runs_of(new, pair)
+    seeds = [name[2] for name in before if name in after]
+    if not seeds:
+        return f"seeds {_list_seeds(before)} against {_list_seeds(after)}"
+    one, other = before[(*pair, seeds[0])].parameters, after[(*pair, seeds[0])].parameters
+    defaults = {**old.defaults.get(pair[1], {}), **new.defaults.get(pair[1], {})}
+    differing = []
+    for name in {**one, **other}:
+        # a parameter that one version did not have yet counts as at its present default
+        values = [own[name] if name in own else defaults.get(name, beside[name])
+                  for own, beside in ((one, other), (other, one))]  # fmt: skip
+        if values[0] != values[1]:
+            differing.append(f"{name} {values[0]} against {values[1]}")
+    return f"the sequence differs: {', '.join(differing)}" if differing else ""
+
+
+def _status_changes(old: StoredResults, new: StoredResults, pair: tuple[str, str]) -> Iterator[StatusChange]:
+    before, after = _runs_of(old, pair), _runs_of(new, pair)
+    for name, run in after.items():
+        if name in before and before[name].status != run.status:
+            verdict: ChangeVerdict = "not comparable"
+            if run.status == "complete":
+                verdict = "improvement"
+            elif before[name].status == "complete":
+                verdict = "regression"
+            yield StatusChange(*name, before[name].status, run.status, run.reason, verdict)
+
+
+def _metric_changes(
+    old: StoredResults,
+    new: StoredResults,
+    pair: tuple[str, str],
+    metrics: Sequence[Metric],
+    limits: DiffLimits,
+    session: float,
+) -> Iterator[MetricChange]:
+    """Compare every headline metric of the estimate's quality, and the CPU time."""
+    before, after = _runs_of(old, pair), _runs_of(new, pair)
+    both = [name for name in before if name in after and before[name].status == after[name].status == "complete"]
+    for metric in metrics:
+        if metric.headline and metric.better and (metric.group in DECIDING or metric.name == TIME):
+            runs = [
+                (name, before[name], after[name])
+                for name in both
+                if metric.name in before[name].scores and metric.name in after[name].scores
+            ]
+            if runs:
+                yield _metric_change(pair, metric, runs, limits, session if _same_processor(old, new) else None)
+
+
+def _metric_change(
+    pair: tuple[str, str],
+    metric: Metric,
+    runs: Sequence[tuple[RunName, StoredRun, StoredRun]],
+    limits: DiffLimits,
+    session: float | None,
+) -> MetricChange:
+    """Compare one metric. ``session``: the factor on all CPU times, None if the processors differ."""
+    before = _score(pair[0], metric.name, [(name, one, other) for name, one, other in runs])
+    after = _score(pair[0], metric.name, [(name, other, one) for name, one, other in runs])
+    if metric.name == TIME:  # intervals within one session say nothing about another session
+        difference = None
+        verdict, reason = _judge_time(before, after, limits, session)
+    else:
+        difference = compute_difference(after, before)
+        verdict, reason = _judge_error(metric, before, after, difference, limits)
+    low, high = (difference.interval.low, difference.interval.high) if difference else (None, None)
+    medians = median(before.values), median(after.values)
+    return MetricChange(*pair, metric.name, metric.unit, *medians, low, high, len(runs), verdict, reason)
+
+
+def _judge_error(
+    metric: Metric, old: MethodScore, new: MethodScore, difference: PairedDifference | None, limits: DiffLimits
+) -> tuple[ChangeVerdict, str]:
+    if old.values == new.values:
+        return "unchanged", SAME
+    before, after = median(old.values), median(new.values)
+    if abs(after - before) <= max(limits.error * abs(before), noise_floor(metric)):
+        return "within the limit", f"at most {100 * limits.error:g} %, or less than the accuracy of the ground truth"
+    if difference is not None and not difference.interval.excludes(0.0):
+        return "no difference shown", "the 95 % interval of the difference contains zero"
+    worse = after > before if metric.better == "lower" else after < before
+    noise = "beyond the noise" if difference is not None else "of one run, whose noise is not known"
+    return ("regression" if worse else "improvement"), f"more than {100 * limits.error:g} %, {noise}"
+
+
+def _judge_time(
+    old: MethodScore, new: MethodScore, limits: DiffLimits, session: float | None
+) -> tuple[ChangeVerdict, str]:
+    """Compare CPU times after division by the session's factor; a change must hold in every run."""
+    if session is None:
+        return "not comparable", "another processor"
+    if old.values == new.values:
+        return "unchanged", SAME
+    expected = [session * value for value in old.values]
+    before, after = median(expected), median(new.values)
+    limit = limits.time * (ONE_RUN if len(old.values) == 1 else 1.0)
+    if abs(after - before) <= max(limit * before, TICK_MS):
+        return "within the limit", f"at most {100 * limit:g} % relative to all other methods"
+    if min(new.values) < before < max(new.values) or min(expected) < after < max(expected):
+        return "no difference shown", "the runs before and after overlap"
+    verdict: ChangeVerdict = "regression" if after > before else "improvement"
+    return verdict, f"more than {100 * limit:g} % relative to all other methods"
+
+
+def _score(method: str, metric: str, runs: Sequence[tuple[RunName, StoredRun, StoredRun]]) -> MethodScore:
+    """Return a method's score on one side; each entry of ``runs``: name, the run, the same run on the other side.
+
+    Draws are taken over the scans that both sides have, so that a difference of draws is paired.
+    """
+    draws = tuple(_draws(metric, own, other) for _, own, other in runs)
+    values = tuple(own.scores[metric] for _, own, _ in runs)
+    count = len(runs)
+    return MethodScore(method, values, (), count, count, 0, "", tuple(name[2] for name, *_ in runs), draws=draws)
+
+
+def _draws(metric: str, own: StoredRun, other: StoredRun) -> BootstrapDraws | None:
+    if metric != ATE or len(own.errors_m) < 2 or len(other.errors_m) < 2:
+        return None
+    shared = np.isin(own.stamps_ns, other.stamps_ns)
+    period_s = float(np.median(np.diff(own.stamps_ns))) * 1e-9
+    series = Series(own.stamps_ns[shared], own.errors_m[shared], "rms", period_s)
+    return bootstrap_score(series, own.scores[metric], np.random.default_rng(0))
+
+
+def _same_processor(old: StoredResults, new: StoredResults) -> bool:
+    return not old.processor or not new.processor or old.processor == new.processor
+
+
+def _notes(old: StoredResults, new: StoredResults, session: float) -> Iterator[str]:
+    if not _same_processor(old, new):
+        yield f"times are not compared: {old.processor} against {new.processor}"
+    elif abs(session - 1.0) > MIN_NAMED_SESSION:
+        yield (
+            f"the CPU time of all methods together changed by {100.0 * (session - 1.0):+.0f} %: this is attributed to "
+            "the machine, so a change common to all methods is not detected"
+        ).replace("-", "\u2212")
+    for one in (old, new):
+        if one.unfinished:
+            yield f"{one.folder}: {one.unfinished} runs did not finish; they are left out"
+        missing = sum(run.status in NOT_EXECUTED for run in one.runs.values())
+        if missing:
+            yield f"{one.folder}: {missing} runs were not possible there"
+
+
+def _runs_of(results: StoredResults, pair: tuple[str, str]) -> dict[RunName, StoredRun]:
+    return {name: run for name, run in results.runs.items() if name[:2] == pair}
+
+
+def _list_seeds(runs: Mapping[RunName, StoredRun]) -> str:
+    return ", ".join("none" if seed is None else str(seed) for *_, seed in runs)
+
+
+def _status_row(one: StatusChange) -> tuple[str, ...]:
+    seed = "" if one.seed is None else f" seed {one.seed}"
+    verdict = f"{MARKS.get(one.verdict, '')}{one.verdict}{f': {one.reason}' if one.reason else ''}"
+    return (one.method, one.sequence, f"run{seed}", one.old, one.new, "", "", verdict)
+
+
+def _metric_row(one: MetricChange, metric: Metric) -> tuple[str, ...]:
+    unit = f" [{metric.unit}]" if metric.unit else ""
+    old, new = (format_number(value, metric.digits + 1) for value in (one.old, one.new))
+    share = f"{100.0 * (one.new - one.old) / abs(one.old):+.1f} %".replace("-", "−") if one.old else ""
+    bounds = ""
+    if one.low is not None and one.high is not None:
+        bounds = f"{format_number(one.low, metric.digits + 1)} to {format_number(one.high, metric.digits + 1)}"
+    verdict = f"{MARKS.get(one.verdict, '')}{one.verdict}: {one.reason}"
+    return (one.method, one.sequence, f"{metric.label}{unit}", old, new, share, bounds, verdict)

@@ -1,0 +1,140 @@
+"""Rankings of the methods over one sequence: one ranking a metric, and the paired differences where it matters."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from statistics import median
+
+from evalkit.metrics.series import SERIES
+from evalkit.metrics.table import Group, Metric
+from evalkit.report.analysis.bootstrap import RecordBootstrap
+from evalkit.report.analysis.pairwise import PairedDifference, Separation, compute_difference, separation
+from evalkit.report.analysis.scores import DECIDING, MethodScore, compute_score
+from evalkit.results.run_record import RunRecord
+
+WITHOUT_BASELINE: tuple[Group, ...] = ("residuals", "runtime")
+"""Groups in which the baseline is not ranked, because it does no registration."""
+
+WHY_NOT_CLEAR: Mapping[Separation, str] = {
+    "within the noise floor": "less than the accuracy of the ground truth",
+    "within the margin": "too small to matter",
+    "no interval": "one run, no interval",
+    "not shown": "no difference shown",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Ranking:
+    """One metric over one sequence.
+
+    ``scores``: of all methods. ``ranked``: the rankable ones, best first. ``tied``: the best and those that do not
+    differ clearly from it. ``why_tied``: the reason of the first tie, "clear" without a tie.
+    """
+
+    sequence: str
+    metric: Metric
+    scores: tuple[MethodScore, ...]
+    ranked: tuple[MethodScore, ...]
+    tied: tuple[MethodScore, ...]
+    why_tied: Separation
+
+    @property
+    def repeated(self) -> bool:
+        """Whether the ranked methods ran more than once: only then is there a winner."""
+        return any(len(score.values) > 1 for score in self.ranked)
+
+    @property
+    def winner(self) -> MethodScore | None:
+        """The method clearly better than every other ranked one; None for a tie or a single ranked method."""
+        return self.tied[0] if len(self.tied) == 1 and len(self.ranked) > 1 else None
+
+    @property
+    def has_values(self) -> bool:
+        """Whether any run has a value, including runs that ended early."""
+        return any(score.values or score.partial for score in self.scores)
+
+    def of(self, method: str) -> MethodScore | None:
+        """Return the score of a method; None if it did not run over this sequence."""
+        return next((score for score in self.scores if score.method == method), None)
+
+
+@dataclass(frozen=True, slots=True)
+class PairwiseEntry:
+    """A method against a reference: how much worse it is (below zero: better), and the verdict in words."""
+
+    difference: PairedDifference | None
+    verdict: str
+
+
+@dataclass(frozen=True, slots=True)
+class PairwiseTable:
+    """The ranked methods of a sequence (rows) against references (columns), in the metric that decides it."""
+
+    metric: Metric
+    references: tuple[str, ...]
+    rows: tuple[tuple[str, tuple[PairwiseEntry | None, ...]], ...]
+
+
+def compute_rankings(
+    runs: Mapping[str, Sequence[RunRecord]], metrics: Sequence[Metric], baselines: Sequence[str]
+) -> dict[str, Ranking]:
+    """Rank the methods of one sequence in every metric. ``runs``: by method; the result is by the metric's name."""
+    bootstrap = RecordBootstrap([run for own in runs.values() for run in own], SERIES)
+    return {metric.name: _compute_ranking(runs, metric, baselines, bootstrap) for metric in metrics}
+
+
+def rank_scores(metric: Metric, scores: Iterable[MethodScore]) -> tuple[MethodScore, ...]:
+    """Return the rankable scores, best first; none if the metric has no better direction."""
+    if not metric.better:
+        return ()
+    sign = 1.0 if metric.better == "lower" else -1.0
+    return tuple(sorted((score for score in scores if score.rankable), key=lambda one: sign * median(one.values)))
+
+
+def find_deciding(rankings: Mapping[str, Ranking]) -> Ranking | None:
+    """Return the ranking that decides a sequence: the first headline metric, by strength of evidence, with a value."""
+    headline = [one for one in rankings.values() if one.metric.headline and one.metric.better]
+    for group in DECIDING:
+        for ranking in headline:
+            if ranking.metric.group == group and any(score.values for score in ranking.scores):
+                return ranking
+    return None
+
+
+def compute_pairwise(ranking: Ranking | None, references: Sequence[str]) -> PairwiseTable | None:
+    """Compute the differences from the best and from the reference method; None with fewer than two ranked methods."""
+    if ranking is None or len(ranking.ranked) < 2:
+        return None
+    ranked = [label for label in references if ranking.of(label) in ranking.ranked]
+    compared = tuple(dict.fromkeys([ranking.ranked[0].method, *ranked[:1]]))
+    rows = tuple(
+        (score.method, tuple(_compute_entry(ranking, score, reference) for reference in compared))
+        for score in ranking.ranked
+    )
+    return PairwiseTable(ranking.metric, compared, rows)
+
+
+def _compute_ranking(
+    runs: Mapping[str, Sequence[RunRecord]], metric: Metric, baselines: Sequence[str], bootstrap: RecordBootstrap
+) -> Ranking:
+    scores = tuple(compute_score(own, metric, bootstrap) for own in runs.values())
+    excluded = baselines if metric.group in WITHOUT_BASELINE else ()
+    ranked = rank_scores(metric, (score for score in scores if score.method not in excluded))
+    apart: list[Separation] = [separation(metric, ranked[0], score) for score in ranked[1:]]
+    ties = [(score, why) for score, why in zip(ranked[1:], apart, strict=True) if why != "clear"]
+    sequence = next(iter(runs.values()))[0].sequence
+    tied = (*ranked[:1], *(score for score, _ in ties))
+    return Ranking(sequence, metric, scores, ranked, tied, ties[0][1] if ties else "clear")
+
+
+def _compute_entry(ranking: Ranking, score: MethodScore, reference: str) -> PairwiseEntry | None:
+    other = ranking.of(reference)
+    if other is None or other is score:
+        return None
+    metric = ranking.metric
+    difference = compute_difference(score, other) if metric.better == "lower" else compute_difference(other, score)
+    apart = separation(metric, score, other)
+    if apart == "clear" and difference is not None:
+        return PairwiseEntry(difference, "worse" if difference.interval.value > 0.0 else "better")
+    return PairwiseEntry(difference, WHY_NOT_CLEAR.get(apart, "no difference shown"))

@@ -1,0 +1,140 @@
+"""One metric of one method over one sequence: the values of its runs, their median and its interval."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from statistics import median
+
+import numpy as np
+
+from evalkit.core.run_result import RunStatus
+from evalkit.core.se2 import Floats
+from evalkit.metrics.table import Group, Metric
+from evalkit.report.analysis.bootstrap import RecordBootstrap
+from evalkit.results.run_record import RunRecord
+from evalkit.stats.bootstrap import DRAWS, BootstrapDraws, expanded_percentile_interval
+from evalkit.stats.intervals import Interval
+
+MAX_GUESSED = 50.0
+"""Above this share of scans (%) that keep the initial guess, the result is the guess's: the method is not ranked."""
+
+GUESSED = "guess_kept_percent"
+
+DECIDING: tuple[Group, ...] = ("relations", "drift", "map against truth", "map consistency")
+"""Groups of metrics that may decide a sequence: official relations first, then a true trajectory, then maps."""
+WITH_TRUTH: tuple[Group, ...] = DECIDING[:3]
+
+STATUS_LABELS: dict[RunStatus, str] = {
+    RunStatus.COMPLETE: "complete",
+    RunStatus.FAILED: "failed",
+    RunStatus.CRASHED: "crashed",
+    RunStatus.TIMEOUT: "timed out",
+    RunStatus.OUT_OF_MEMORY: "out of memory",
+    RunStatus.NOT_INSTALLED: "not installed",
+    RunStatus.DATA_MISSING: "data missing",
+    RunStatus.SKIPPED: "not run yet",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class MethodScore:
+    """One metric of one method over one sequence, in the metric's unit.
+
+    ``values``: one per complete run with a score, in the order of the runs; ``seeds``: theirs. ``partial``: values of
+    runs that ended early, which enter no median. ``complete`` of ``expected`` runs completed. ``reason``: why there is
+    no value, "" if there is one. ``guessed_percent``: share of scans that kept the initial guess, 0 if unknown.
+    ``draws``: bootstrap draws of each value, None where the metric has none. ``interval``: the median over the runs
+    with its 95 % interval, None if a run has no draws.
+    """
+
+    method: str
+    values: tuple[float, ...]
+    partial: tuple[float, ...]
+    complete: int
+    expected: int
+    support: int
+    reason: str
+    seeds: tuple[int | None, ...] = ()
+    guessed_percent: float = 0.0
+    draws: tuple[BootstrapDraws | None, ...] = field(default=(), compare=False, repr=False)
+    interval: Interval | None = None
+
+    @property
+    def median(self) -> float | None:
+        """The median over the complete runs; None without any."""
+        return median(self.values) if self.values else None
+
+    @property
+    def rankable(self) -> bool:
+        """Whether every run completed, has a value, and registered enough scans."""
+        return self.complete == self.expected == len(self.values) and self.registers
+
+    @property
+    def registers(self) -> bool:
+        """Whether at most ``MAX_GUESSED`` percent of the scans kept the initial guess."""
+        return self.guessed_percent <= MAX_GUESSED
+
+
+def compute_score(runs: Sequence[RunRecord], metric: Metric, bootstrap: RecordBootstrap) -> MethodScore:
+    """Compute the score of one method's runs over one sequence."""
+    complete = [run for run in runs if run.result.is_complete]
+    scored = [(run, run.scores.by_metric[metric.name]) for run in complete if metric.name in run.scores.by_metric]
+    known = [(run, score.value, score.support) for run, score in scored if score.value is not None]
+    partial = [
+        run.scores.by_metric[metric.name].value for run in unfinished(runs) if metric.name in run.scores.by_metric
+    ]
+    values = tuple(value for _, value, _ in known)
+    support = int(median(support for *_, support in known)) if known else 0
+    draws = tuple(bootstrap.draws(run, metric.name) for run, *_ in known)
+    return MethodScore(
+        runs[0].method,
+        values,
+        tuple(value for value in partial if value is not None),
+        len(complete),
+        len(runs),
+        support,
+        "" if known else _reason_without_value(runs, metric),
+        tuple(run.seed for run, *_ in known),
+        guessed_percent(complete),
+        draws,
+        _compute_interval(values, draws, support),
+    )
+
+
+def median_over_runs(draws: Sequence[Floats]) -> Floats:
+    """Return draws (D,) of the median over runs: resample the runs, each with the draws (D,) within it."""
+    table = np.stack(draws)
+    if len(table) == 1:
+        return draws[0]
+    chosen = np.random.default_rng(0).integers(0, len(table), (DRAWS, len(table)))
+    return np.asarray(np.median(table[chosen, np.arange(DRAWS)[:, None]], axis=1))
+
+
+def unfinished(runs: Sequence[RunRecord]) -> tuple[RunRecord, ...]:
+    """Return the runs that did not complete, in order."""
+    return tuple(run for run in runs if not run.result.is_complete)
+
+
+def guessed_percent(runs: Sequence[RunRecord]) -> float:
+    """Return the share of scans (%) that kept the initial guess, the median over the runs; 0 if unknown."""
+    scores = [run.scores.by_metric[GUESSED].value for run in runs if GUESSED in run.scores.by_metric]
+    known = [value for value in scores if value is not None]
+    return median(known) if known else 0.0
+
+
+def _compute_interval(values: Sequence[float], draws: Sequence[BootstrapDraws | None], support: int) -> Interval | None:
+    known = [one for one in draws if one is not None]
+    if not known or len(known) < len(values):
+        return None
+    blocks = sum(one.blocks for one in known)
+    return expanded_percentile_interval(
+        median(values), median_over_runs([one.values for one in known]), support, blocks
+    )
+
+
+def _reason_without_value(runs: Sequence[RunRecord], metric: Metric) -> str:
+    complete = [run for run in runs if run.result.is_complete and metric.name in run.scores.by_metric]
+    reasons = [run.scores.by_metric[metric.name].reason for run in complete]
+    reasons += [f"{STATUS_LABELS[run.result.status]}: {run.result.reason}" for run in unfinished(runs)]
+    return "; ".join(dict.fromkeys(reasons)) or "not scored"

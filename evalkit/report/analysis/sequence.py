@@ -1,0 +1,81 @@
+"""The analysis of one sequence: all rankings and what follows from them, computed once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from evalkit.metrics.table import Metric
+from evalkit.report.analysis.comparison import Comparison, SequenceCard
+from evalkit.report.analysis.driven_paths import describe_alignments, describe_drive
+from evalkit.report.analysis.map_agreement import MapAgreement, compute_map_agreement, find_worse_than
+from evalkit.report.analysis.ranking import PairwiseTable, Ranking, compute_pairwise, compute_rankings, find_deciding
+from evalkit.report.analysis.scores import MethodScore, unfinished
+from evalkit.results.run_record import RunRecord
+
+
+@dataclass(frozen=True)
+class SequenceAnalysis:
+    """Everything computed of one sequence.
+
+    ``runs``: by method, lowest seed first. ``rankings``: by the metric's name. ``deciding``: the ranking that decides
+    the sequence, None without a value. ``behind``: scores worse than a baseline, by baseline. ``drive``: name and text
+    of what the runs measured of the drive. ``alignments``: how estimates were aligned to the ground truth.
+    """
+
+    label: str
+    card: SequenceCard
+    runs: Mapping[str, tuple[RunRecord, ...]]
+    rankings: Mapping[str, Ranking]
+    deciding: Ranking | None
+    pairwise: PairwiseTable | None
+    map_agreement: MapAgreement
+    behind: Mapping[str, tuple[MethodScore, ...]]
+    drive: tuple[tuple[str, str], ...]
+    alignments: tuple[str, ...]
+
+    @property
+    def all_runs(self) -> tuple[RunRecord, ...]:
+        """The runs of all methods, in the order of the methods."""
+        return tuple(run for own in self.runs.values() for run in own)
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """The methods that ran over this sequence."""
+        return tuple(self.runs)
+
+    @property
+    def metrics(self) -> tuple[Metric, ...]:
+        """All metrics, in the order of the table of metrics."""
+        return tuple(ranking.metric for ranking in self.rankings.values())
+
+    @property
+    def none_finished(self) -> bool:
+        """Whether no run completed."""
+        return len(unfinished(self.all_runs)) == len(self.all_runs)
+
+    def is_behind(self, method: str) -> bool:
+        """Return whether a method is clearly worse than a baseline."""
+        return any(score.method == method for scores in self.behind.values() for score in scores)
+
+
+def analyse_sequence(comparison: Comparison, label: str) -> SequenceAnalysis:
+    """Compute the analysis of one sequence."""
+    runs = comparison.runs_by_method(label)
+    baselines = comparison.methods_with_role("baseline")
+    rankings = compute_rankings(runs, comparison.metrics, baselines)
+    deciding = find_deciding(rankings)
+    agreement = compute_map_agreement(rankings, comparison.method_labels, deciding)
+    paths = () if deciding is None else tuple(s.method for s in deciding.ranked if s.method not in baselines)
+    return SequenceAnalysis(
+        label,
+        comparison.sequences[label],
+        runs,
+        rankings,
+        deciding,
+        compute_pairwise(deciding, comparison.methods_with_role("reference")),
+        agreement,
+        {baseline: find_worse_than(rankings, deciding, baseline) for baseline in baselines},
+        describe_drive(runs, paths if agreement.disagrees else paths[:1]),
+        describe_alignments([run for own in runs.values() for run in own]),
+    )

@@ -1,0 +1,87 @@
+"""Format numbers, intervals and lists for sentences and tables."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from statistics import median
+
+from evalkit.metrics.table import Metric
+from evalkit.report.analysis.pairwise import PairedDifference
+from evalkit.report.analysis.scores import MethodScore
+from evalkit.stats.intervals import Interval
+
+
+def escape_markdown(text: str) -> str:
+    r"""Escape what Markdown, or the HTML made of it, reads as mark-up: ``[a](b)`` becomes ``[a]\(b)``."""
+    return re.sub(r"([\\`|]|(?<=\])\()", r"\\\1", text).replace("&", "&amp;").replace("<", "&lt;")
+
+
+def format_number(value: float, digits: int) -> str:
+    """Format a number with so many decimals, a true minus sign, and no minus before zero."""
+    text = f"{value:.{digits}f}"
+    return text.replace("-", "" if float(text) == 0.0 else "\u2212")
+
+
+def format_amount(metric: Metric, value: float) -> str:
+    """Format a value with its unit and a no-break space: "0.014 m"."""
+    return f"{value:.{metric.digits}f}\u00a0{metric.unit}".rstrip()
+
+
+def format_bounds(interval: Interval, digits: int) -> str:
+    """Format the bounds of an interval: "0.012 to 0.017"."""
+    return f"{format_number(interval.low, digits)} to {format_number(interval.high, digits)}"
+
+
+def format_median(metric: Metric, score: MethodScore) -> str:
+    """Format the median of the runs with its interval: "0.014 m (95 % interval 0.012 to 0.017)".
+
+    Without an interval, with the lowest and highest of several runs: "0.95 (0.94 to 0.96 in 3 runs)".
+    """
+    middle = format_amount(metric, median(score.values))
+    if score.interval is not None:
+        return f"{middle} (95\u00a0% interval {format_bounds(score.interval, metric.digits)})"
+    if len(score.values) < 2:
+        return middle
+    low, high = (format_number(value, metric.digits) for value in (min(score.values), max(score.values)))
+    return f"{middle} ({low} to {high} in {len(score.values)} runs)"
+
+
+def format_difference(metric: Metric, difference: PairedDifference, sign: float = 1.0) -> str:
+    """Format a paired difference, one decimal more: "0.0021 m (95 % interval 0.0004 to 0.0038)".
+
+    ``sign`` below zero: the difference taken the other way round.
+    """
+    interval = difference.interval
+    if sign < 0.0:
+        interval = Interval(-interval.value, -interval.high, -interval.low, interval.support, interval.confidence)
+    value = f"{format_number(interval.value, metric.digits + 1)}\u00a0{metric.unit}".rstrip()
+    return f"{value} (95\u00a0% interval {format_bounds(interval, metric.digits + 1)})"
+
+
+def format_gap(metric: Metric, value: float, best: float) -> str:
+    """Format how far a value is from a better one: "4.8 times as much", "12 % more" or "0.120 less"."""
+    if metric.better == "lower" and best > 0.0:
+        ratio = value / best
+        if ratio >= 2.0:
+            return f"{ratio:.1f} times as much"
+        percent = 100.0 * (ratio - 1.0)
+        return f"{percent:.0f} % more" if percent >= 1.0 else "less than 1 % more"
+    direction = "more" if metric.better == "lower" else "less"
+    return f"{format_amount(metric, abs(value - best))} {direction}"
+
+
+def join_words(words: Iterable[str]) -> str:
+    """Join words to a list in a sentence: "a, b and c"; "none" for an empty list."""
+    listed = list(words)
+    return listed[0] if len(listed) == 1 else f"{', '.join(listed[:-1])} and {listed[-1]}" if listed else "none"
+
+
+def strip_full_stop(text: str) -> str:
+    """Remove the full stop at the end, for use within a sentence."""
+    return text.rstrip(". ")
+
+
+def capitalise(text: str) -> str:
+    """Capitalise the first letter and keep the rest."""
+    return text[:1].upper() + text[1:]

@@ -1,0 +1,204 @@
+"""Read a results folder: results.json of a finished report, the stored runs, and the tables beside them."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from evalkit.config.experiment import Method, RunSpec, SequenceSpec
+from evalkit.core.arrays import Ints
+from evalkit.core.errors import StoreError
+from evalkit.core.ground_truth import Truth
+from evalkit.core.se2 import Floats
+from evalkit.io import untrusted_io
+from evalkit.results.run_record import RunRecord
+from evalkit.results.store import RESULT, Store, read_steps
+
+RESULTS_NAME, RESULTS_VERSION = "evalkit-results", 2
+"""Name and schema version of results.json."""
+
+REMEDY = "name a folder that `evalkit compare` has written, or write the report again"
+
+RunName = tuple[str, str, int | None]
+"""Method, sequence and seed."""
+
+
+@dataclass(frozen=True, eq=False)
+class StoredRun:
+    """What comparisons of two folders need of one run.
+
+    ``parameters``: of the sequence, without the seed. ``scores``: values by metric, without those that have none.
+    ``stamps_ns``, ``errors_m`` (N,): distance to the ground truth of each scan that has one; empty if not stored.
+    """
+
+    status: str
+    reason: str
+    parameters: Mapping[str, Any]
+    scores: Mapping[str, float]
+    stamps_ns: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    errors_m: Floats = field(default_factory=lambda: np.zeros(0))
+
+
+@dataclass(frozen=True, eq=False)
+class StoredResults:
+    """All runs of a results folder.
+
+    ``processor``: "" if unknown. ``unfinished``: the number of runs without a result. ``defaults``: default values of
+    the sequences' parameters, by sequence, as far as results.json states them.
+    """
+
+    folder: str
+    runs: Mapping[RunName, StoredRun]
+    processor: str
+    unfinished: int = 0
+    defaults: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+
+
+def load_results_json(folder: Path) -> dict[str, Any]:
+    """Load results.json of a folder.
+
+    Raises StoreError if the file is missing, half-written or of another schema version.
+    """
+    path = folder / "results.json"
+    if not path.exists():
+        raise StoreError(str(path), "there is no such file", REMEDY)
+    content = _load_object(path)
+    schema = content.get("schema")
+    if not isinstance(schema, dict) or (schema.get("name"), schema.get("version")) != (RESULTS_NAME, RESULTS_VERSION):
+        found = f"{schema.get('name')} version {schema.get('version')}" if isinstance(schema, dict) else "no schema"
+        raise StoreError(
+            str(path),
+            f"found {found}, expected {RESULTS_NAME} version {RESULTS_VERSION}",
+            f"write the report again; this evalkit reads version {RESULTS_VERSION}",
+        )
+    return content
+
+
+def load_stored_results(folder: Path) -> StoredResults:
+    """Load the runs of a folder, from results.json if there is one, else from the folders of the runs.
+
+    Raises StoreError if the folder is missing, holds no finished run, or if a file is damaged or of another version.
+    """
+    if not folder.is_dir():
+        raise StoreError(str(folder), "there is no such folder", REMEDY)
+    results = _load_reported(folder) if (folder / "results.json").exists() else _load_unreported(folder)
+    if not results.runs:
+        why = f"{results.unfinished} runs were begun and none finished" if results.unfinished else "it holds no run"
+        raise StoreError(str(folder), why, REMEDY)
+    return results
+
+
+def load_run(folder: Path, entry: Mapping[str, Any], truth: Truth) -> RunRecord:
+    """Load one run in full: ``entry`` is its entry in results.json.
+
+    Raises StoreError if its files hold less than results.json states.
+    """
+    store = Store.existing(folder)
+    result, scores = store.load_result(entry["key"]), store.load_scores(entry["key"])
+    answered, expected = 0 if result is None else len(result.steps), entry["scans_answered"]
+    if result is None or scores is None or answered != expected:
+        missing = "its alignment and map are missing" if answered == expected else f"{answered} of {expected} poses"
+        raise StoreError(str(store.run_folder(entry["key"])), f"incomplete: {missing}", "write the report again")
+    parameters = {name: value for name, value in entry["dataset_parameters"].items() if name != "seed"}
+    method = Method(entry["method"], entry["backend"], entry["backend_parameters"])
+    sequence = SequenceSpec(entry["sequence"], entry["dataset"], parameters, (entry["seed"],))
+    spec = RunSpec(entry["key"], method, sequence, entry["seed"])
+    return RunRecord(spec, result, replace(scores, alignment=entry["alignment"]), truth, entry["command"])
+
+
+def load_table(path: Path) -> tuple[list[str], list[dict[str, str]]]:
+    """Load a CSV table of the report: its columns, and its rows by column.
+
+    Raises StoreError if the file cannot be read.
+    """
+    try:
+        with path.open(encoding="utf-8", newline="") as file:
+            reader = csv.DictReader(file, strict=True)
+            rows = list(reader)
+            return list(reader.fieldnames or ()), rows
+    except (OSError, ValueError, csv.Error) as error:
+        raise StoreError(str(path), f"cannot be read ({error})", REMEDY) from error
+
+
+def _load_reported(folder: Path) -> StoredResults:
+    content = load_results_json(folder)
+    try:
+        runs = {(one["method"], one["sequence"], one["seed"]): _entry_run(folder, one) for one in content["runs"]}
+        defaults = {
+            label: {setting["name"]: setting["default"] for setting in card.get("settings", ())}
+            for label, card in content["sequences"].items()
+        }
+        processor = str(content["environment"].get("processor", ""))
+    except (KeyError, TypeError, AttributeError) as error:
+        path = str(folder / "results.json")
+        raise StoreError(path, f"is not complete ({error!r})", "write the report again") from error
+    return StoredResults(str(folder), runs, processor, defaults=defaults)
+
+
+def _entry_run(folder: Path, entry: Mapping[str, Any]) -> StoredRun:
+    parameters = {name: value for name, value in entry["dataset_parameters"].items() if name != "seed"}
+    own = folder / "runs" / Path(str(entry["key"])).name  # stays inside the folder, whatever the file says
+    return StoredRun(entry["status"], entry["reason"], parameters, _score_values(entry["scores"]), *_load_errors(own))
+
+
+def _load_unreported(folder: Path) -> StoredResults:
+    """Load the newest run of each method, sequence and seed."""
+    runs: dict[RunName, tuple[str, StoredRun]] = {}
+    unfinished, processor = 0, ""
+    for own in sorted((folder / "runs").glob("*")):
+        if not (own / RESULT).exists() or not (own / "request.json").exists():
+            unfinished += 1
+            continue
+        result = _load_object(own / RESULT)
+        provenance = result.get("provenance", {})
+        when, processor = str(provenance.get("executed_at", "")), str(provenance.get("processor", processor))
+        try:
+            name, run = _load_unreported_run(own, result)
+            if name not in runs or runs[name][0] <= when:
+                runs[name] = when, run
+        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            raise StoreError(str(own), f"is not complete ({error!r})", "repeat the run") from error
+    return StoredResults(str(folder), {name: run for name, (_, run) in runs.items()}, processor, unfinished)
+
+
+def _load_unreported_run(own: Path, result: Mapping[str, Any]) -> tuple[RunName, StoredRun]:
+    request = _load_object(own / "request.json")
+    scores = _load_object(own / "scores.json")["scores"] if (own / "scores.json").exists() else {}
+    parameters = dict(request.get("dataset_parameters", {}))
+    name = (result["method"], result["sequence"], parameters.pop("seed", None))
+    return name, StoredRun(result["status"], result["reason"], parameters, _score_values(scores), *_load_errors(own))
+
+
+def _score_values(scores: Mapping[str, Mapping[str, Any]]) -> dict[str, float]:
+    return {name: score["value"] for name, score in scores.items() if score["value"] is not None}
+
+
+def _load_errors(own: Path) -> tuple[Ints, Floats]:
+    """Return stamps and distances to the ground truth of a run; empty if not stored or half-written."""
+    nothing = np.zeros(0, dtype=np.int64), np.zeros(0)
+    if not (own / "errors.npy").exists():
+        return nothing
+    steps = read_steps(own / "steps.bin")
+    try:
+        errors = untrusted_io.read_array(own / "errors.npy")
+    except (OSError, ValueError):  # half-written: the score remains, without an interval
+        return nothing
+    if len(steps) != len(errors):
+        return nothing
+    known = np.isfinite(errors)
+    return steps["stamp_ns"][known], errors[known]
+
+
+def _load_object(path: Path) -> dict[str, Any]:
+    try:
+        content = untrusted_io.parse_json(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise StoreError(str(path), f"cannot be read, perhaps half-written ({error})", REMEDY) from error
+    if not isinstance(content, dict):
+        raise StoreError(str(path), "holds no JSON object", REMEDY)
+    return content
