@@ -353,7 +353,7 @@ def test_without_rerun_the_message_says_how_to_get_it_and_all_goes_on(finished, 
         rerun_file.import_rerun()
     result = CliRunner().invoke(app, ["export", str(finished), "-f", "all", "-o", str(finished.parent / "everything")])
     assert result.exit_code == 0
-    assert "rerun left out" in result.output
+    assert "rerun is left out" in result.output
     assert (finished.parent / "everything" / "markdown" / "summary.md").exists()
 
 
