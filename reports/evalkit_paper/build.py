@@ -1,4 +1,4 @@
-"""The paper's page from its file to the HTML: read, compute, word, write."""
+"""Build the paper's page: read the settings, run the computations, write the HTML."""
 
 from __future__ import annotations
 
@@ -22,44 +22,47 @@ from evalkit_paper import page
 from evalkit_paper.chapters import CHAPTERS
 
 
-def make(file: Path, folder: Path | None, workers: int | None) -> Path:
-    """The page of an experiment file, written into a folder; what is done is kept there, and taken the next time."""
+def build_page(file: Path, folder: Path | None, workers: int | None) -> Path:
+    """Build the page of a settings file in a folder and return its path; finished computations are kept and reused."""
     started = datetime.now(UTC)
-    settings = page.read(file, CHAPTERS)
-    planned = page.jobs(settings, CHAPTERS)
-    every = [_within(chapter, job) for chapter, own in planned.items() for job in own]
+    settings = page.read_settings(file, CHAPTERS)
+    planned = page.make_tasks(settings, CHAPTERS)
+    every = [_with_chapter_name(chapter, job) for chapter, own in planned.items() for job in own]
     folder = folder or Path("reports") / "build" / file.stem
     workers = workers or environment.physical_cores()
     ran_on = environment.describe(("numpy", "scipy", "open3d-cpu", "kiss-icp", "small-gicp"), jobs=workers)
     with progress.say_what_is_kept(err, "finished jobs"), progress.jobs(err, len(every), workers) as done:
         found = run_tasks(TaskStore(folder / "results"), every, workers, done)
     results = {
-        chapter: {job.name: found[_within(chapter, job).name] for job in own} for chapter, own in planned.items()
+        chapter: {job.name: found[_with_chapter_name(chapter, job).name] for job in own}
+        for chapter, own in planned.items()
     }
     facts = (("Computations", f"{len(every):,}"), ("Finished", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"))
-    whole = page.document(settings, CHAPTERS, results, facts, _provenance(file, folder, settings, planned, ran_on))
-    written = _written(folder / "index.html", render(whole))
-    err.print(f"made in {(datetime.now(UTC) - started).total_seconds():.0f} s", markup=False, highlight=False)
+    whole = page.build_document(
+        settings, CHAPTERS, results, facts, _provenance_section(file, folder, settings, planned, ran_on)
+    )
+    written = _write_page(folder / "index.html", render(whole))
+    err.print(f"finished in {(datetime.now(UTC) - started).total_seconds():.0f} s", markup=False, highlight=False)
     return written
 
 
-def _within(chapter: str, job: AnyTask) -> AnyTask:
-    """The job under a name of its own among all chapters."""
+def _with_chapter_name(chapter: str, job: AnyTask) -> AnyTask:
+    """The task under a name that is unique among all chapters."""
     return replace(job, name=f"{chapter} {job.name}")
 
 
-def _written(path: Path, body: str) -> Path:
+def _write_page(path: Path, body: str) -> Path:
     with reported(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(body, encoding="utf-8")
     return path.resolve()
 
 
-def _provenance(
+def _provenance_section(
     file: Path, folder: Path, settings: Mapping[str, Any], planned: Mapping[str, tuple[AnyTask, ...]],
     ran_on: Mapping[str, str],
 ) -> Section:  # fmt: skip
-    """What was computed with what, where, and the command that does it again."""
+    """Section with machine, settings and the command that repeats the computation."""
     columns = ("Chapter", "Setting", Column("Value", number=True))
     rows = [
         (chapter, Cell(name), Cell(str(value)))
@@ -71,8 +74,8 @@ def _provenance(
     return Section(
         "Provenance",
         (
-            Text(f"{count:,} computations; each is kept in {folder / 'results'} under a key of its function, its "
-                 "arguments and the sources it stands on, and is computed again when one of them changes."),
+            Text(f"{count:,} computations; each is stored in {folder / 'results'} under a key of its function, "
+                 "arguments and sources, and is computed again if one of them changes."),
             Command(f"python -m evalkit_paper {shlex.quote(str(file))}"),
             machine,
             Fold("Settings of every chapter", (Table(columns, rows),)),

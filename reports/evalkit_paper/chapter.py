@@ -1,4 +1,4 @@
-"""What a chapter of the paper's page is: settings, computations, and what is shown and found."""
+"""A chapter of the paper's page: settings, tasks, sections and findings."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ Results = Mapping[str, Result]
 
 @dataclass(frozen=True)
 class Finding:
-    """One table, figure or claim of the paper: what was printed, what is measured here, the verdict and its reason.
+    """One table, figure or claim of the paper: printed value, measured value, verdict and its reason.
 
-    ``anchor``: the section of the page that shows it.
+    ``anchor``: section of the page that shows it.
     """
 
     item: str
@@ -34,7 +34,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class Chapter:
-    """A chapter: ``name`` is its table in the experiment file, ``parameters`` what may stand there.
+    """A chapter: ``name`` is its table in the settings file, ``parameters`` its allowed keys.
 
     ``jobs`` says what must be computed, ``sections`` and ``findings`` only draw and word the results, by the jobs'
     names. ``read`` turns the table into settings where it holds more than single values; its first argument says whose
@@ -49,5 +49,5 @@ class Chapter:
     read: Callable[[str, Mapping[str, object]], Settings] | None = None
 
     def settings(self, owner: str, table: Mapping[str, object]) -> Settings:
-        """The chapter's table with defaults filled in; BadParameter and UnknownName name the key."""
+        """Check a table and fill in defaults. Raises BadParameter or UnknownName naming the key."""
         return self.read(owner, table) if self.read else resolve_parameters(owner, self.parameters, table)

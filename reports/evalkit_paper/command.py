@@ -20,6 +20,6 @@ def paper(
     ] = None,
 ) -> None:
     """Reproduce the paper: compare every table, figure and claim with a measurement. Finished parts are kept."""
-    from evalkit_paper.build import make  # noqa: PLC0415 - loads matplotlib
+    from evalkit_paper.build import build_page  # noqa: PLC0415 - loads matplotlib
 
-    out.print(str(make(file, folder, workers)), markup=False, highlight=False)
+    out.print(str(build_page(file, folder, workers)), markup=False, highlight=False)

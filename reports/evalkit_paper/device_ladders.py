@@ -1,4 +1,4 @@
-"""One method at one rate on slower and slower devices, all seeds together."""
+"""One method at one rate on increasingly slow devices, all seeds together."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ RULE = Rule()
 
 @dataclass(frozen=True, eq=False)
 class Ladder:
-    """One method at one rate: its rungs of all seeds, factor by factor."""
+    """Rungs of one method at one rate, for all seeds and factors."""
 
     label: str
     rate_hz: float
@@ -27,41 +27,41 @@ class Ladder:
 
     @cached_property
     def rungs(self) -> list[list[Mapping[str, Any]]]:
-        """The rungs (S, K) of this policy; the first of each is that of a device that takes no time."""
+        """Rungs (S, K) of this policy; the first of each seed is for a device that takes no time."""
         return [[rung for rung in result["rungs"] if rung["policy"] == self.policy] for result in self.results]
 
     @property
     def factors(self) -> Floats:
-        """The factors (K,), 0 first."""
+        """Device factors (K,), 0 first."""
         return np.array([rung["factor"] for rung in self.rungs[0]])
 
     def values(self, *path: str) -> Floats:
-        """One number of every rung (S, K); nan where there is none."""
+        """One value of every rung (S, K); nan if missing."""
         return np.array([[_at(rung, path) for rung in own] for own in self.rungs], dtype=np.float64)
 
     def broken(self) -> list[bool]:
-        """Whether each rung is broken: the median over the seeds is, or most of them are lost."""
+        """Whether each rung is broken: the median over the seeds is, or most seeds are lost."""
         ate = self.values("at_hand", "ate_rmse_m")
         lost = np.array([[bool(rung["lost"]) for rung in own] for own in self.rungs])
         middle = np.median(np.where(np.isfinite(ate) & ~lost, ate, np.inf), axis=0)
         return [RULE.broken(value if np.isfinite(value) else None, float(middle[0])) for value in middle.tolist()]
 
     def breaks_at(self) -> float | None:
-        """The least factor that is broken."""
+        """Smallest factor that is broken."""
         return first_broken(self.factors.tolist(), self.broken())
 
     def rung(self, factor: float) -> int:
-        """The number of a factor."""
+        """Index of a factor."""
         return int(np.flatnonzero(self.factors == factor)[0])
 
     @property
     def headroom(self) -> float:
-        """The largest factor at which no scan of any seed is late."""
+        """Largest factor at which no scan of any seed is late."""
         return min(float(result["headroom"]) for result in self.results)
 
     @property
     def costs_ms(self) -> Floats:
-        """The measured costs of all scans of all seeds."""
+        """Measured cost (ms) of all scans of all seeds."""
         return np.asarray(np.concatenate([result["costs_ns"] for result in self.results]) * 1e-6)
 
 

@@ -77,7 +77,7 @@ def transposed(*, seeds: int) -> dict[str, Any]:
         errors, reached = [], 0
         for seed in range(seeds):
             profile, motion = icp_with_rotation(
-                room.points(), table_1.scan(room, seed), rotation, table_1.MAX_ITERATIONS
+                room.points(), table_1.make_scan(room, seed), rotation, table_1.MAX_ITERATIONS
             )
             metres, degrees = _distance_and_angle(Pose.of(se2.from_matrix(motion)), table_1.APPLIED)
             reached += metres < 0.1 and degrees < 2.0
@@ -168,7 +168,7 @@ def evaluated(*, seeds: int) -> dict[str, Any]:
     """Iterations (S,) on Table 1's scene with the error computed "after" the step and "before" it."""
     found = {}
     for when, reading in (("after", "mean distance"), ("before", "mean distance, before the step")):
-        found[when] = table_1.runs(room="first", reading=reading, begin=0, end=seeds)["rows"][:, 0]
+        found[when] = table_1.run_seeds(room="first", reading=reading, begin=0, end=seeds)["rows"][:, 0]
     return found
 
 
@@ -239,8 +239,10 @@ def shared(*, seeds: int) -> dict[str, Any]:
     room, counts = ROOMS["first"], {}
     target = Cloud(room.points())
     for name, one_to_one in (("all", False), ("one", True)):
-        registration = table_1.icp(one_to_one=one_to_one, trace=True, max_iterations=1)
-        first = [registration.register(target, Cloud(table_1.scan(room, s)), Pose()).history[0] for s in range(seeds)]
+        registration = table_1.make_icp(one_to_one=one_to_one, trace=True, max_iterations=1)
+        first = [
+            registration.register(target, Cloud(table_1.make_scan(room, s)), Pose()).history[0] for s in range(seeds)
+        ]
         pairs = [step.pairs for step in first if step.pairs is not None]
         counts[f"pairs_{name}"] = float(np.mean([len(rows) for rows in pairs]))
         counts[f"targets_{name}"] = float(np.mean([len(np.unique(rows[:, 1])) for rows in pairs]))

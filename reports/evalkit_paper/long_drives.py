@@ -1,4 +1,4 @@
-"""How far a back end is off as a drive grows longer, and as people walk through it; what its maps are worth then."""
+"""Error of a back end on long drives and among walking people."""
 
 from __future__ import annotations
 
@@ -14,13 +14,12 @@ from evalkit.plugins import registry
 from evalkit.plugins.parameters import Value
 
 
-def grown(
+def error_over_path(
     backend: str, parameters: Mapping[str, Value], world: str, seed: int, laps: float, marks: int
 ) -> dict[str, Any]:
-    """The error of one long drive at ``marks`` even shares of its way, the first pose aligned.
+    """Error of one long drive at ``marks`` evenly spaced points of its path, with the first pose aligned.
 
-    ``path_m`` (K,): the way up to there; ``end_m`` (K,): the distance to the truth there; ``rmse_m`` (K,): over all up
-    to there.
+    ``path_m`` (K,): path length so far; ``end_m`` (K,): position error there; ``rmse_m`` (K,): RMS error so far.
     """
     sequence = registry.dataset(world).make(seed=seed, laps=laps)
     spec = registry.backend(backend)
@@ -37,11 +36,11 @@ def grown(
     return {"path_m": way[ends], "end_m": off[ends], "rmse_m": means[ends]}
 
 
-def crowded(
+def metrics_among_people(
     backend: str, parameters: Mapping[str, Value], world: str, seed: int, laps: float, people: int, scans: int,
     wanted: Sequence[str],
 ) -> RunScores:  # fmt: skip
-    """The wanted metrics of a drive among so many people who walk about."""
+    """Metrics of a drive among walking people."""
     spec, sequence, mapper = registry.backend(backend), registry.dataset(world), registry.mapper("embedded-log-odds")
     drive: dict[str, Value] = {p.name: p.default for p in sequence.parameters}
     drive |= {"seed": seed, "laps": laps, "people": people}

@@ -1,4 +1,4 @@
-"""The chapter on the map, second half: factors together, the settings recommended, pictures, and what drift does."""
+"""Blocks of the map chapter: interactions, recommendation, pictures, and the effect of drift."""
 
 from __future__ import annotations
 
@@ -12,35 +12,39 @@ from evalkit.report.html.charts import Axis, Curve, Points
 from evalkit.report.html.document import Bullets, Column, Figure, Figures, Table, Text
 from evalkit_paper import map_measurements, map_recommendation
 from evalkit_paper.chapter import Results, Settings
-from evalkit_paper.map_measurements import THRESHOLDS, TOLD
-from evalkit_paper.map_study import Study, named, of_factor, percent
+from evalkit_paper.map_measurements import DEFAULT_THRESHOLD, THRESHOLDS
+from evalkit_paper.map_study import MapStudy, describe_variant, factor_variants, format_change
 
-PICTURED = (0.025, 0.05, 0.1, 0.2)
+PICTURE_SIZES_M = (0.025, 0.05, 0.1, 0.2)
 DRIFT_M = (0.0, 0.05, 0.1, 0.2, 0.4)
 DRIFT_DEG = (0.0, 1.0, 2.0, 4.0)
-CELL_SIZE = Axis("cell size [m]", "log", ticks=PICTURED)
+CELL_SIZE = Axis("cell size [m]", "log", ticks=PICTURE_SIZES_M)
 
 
-def interactions(study: Study) -> list[Any]:
-    """F1 where two settings vary together, and what follows in words."""
-    free = of_factor(study, "free")
-    sizes = of_factor(study, "resolution")
+def interaction_blocks(study: MapStudy) -> list[Any]:
+    """F1 when two settings vary together, with a summary."""
+    free = factor_variants(study, "free")
+    sizes = factor_variants(study, "resolution")
     drawn = [
-        _heat(study, sizes, Axis("cell size [m]"), "resolution_m", "Cell size and threshold"),
-        _heat(study, free, Axis("l_free"), "l_free", "Weight of free space and threshold"),
+        _heat_figure(study, sizes, Axis("cell size [m]"), "resolution_m", "Cell size and threshold"),
+        _heat_figure(study, free, Axis("l_free"), "l_free", "Weight of free space and threshold"),
     ]
     blocks: list[Any] = [Figures(drawn, small=True)]
     rules = [(True, "exact"), (True, "bresenham"), (False, "exact"), (False, "bresenham")]
     try:
         curves = [_rule_curve(study, once, traversal) for once, traversal in rules]
-    except KeyError:  # the quick page leaves them out
+    except KeyError:  # not measured for the quick page
         return blocks
     shown = charts.lines(curves, CELL_SIZE, Axis("F1 at 10 cm"))
-    caption = "Mean over all drives; bands from the least to the greatest of them are left out."
-    return [*blocks, Figure(shown, "Endpoint rule and traversal, by cell size", caption), Bullets(_crossed(study))]
+    caption = "Mean over all drives."
+    return [
+        *blocks,
+        Figure(shown, "Endpoint rule and traversal, by cell size", caption),
+        Bullets(_describe_interactions(study)),
+    ]
 
 
-def _heat(study: Study, numbers: Sequence[int], x: Axis, key: str, title: str) -> Figure:
+def _heat_figure(study: MapStudy, numbers: Sequence[int], x: Axis, key: str, title: str) -> Figure:
     numbers = sorted(numbers, key=lambda n: float(map_measurements.complete(study.variants[n])[key]))
     values = np.array([[study.f1(n, t).mean() for n in numbers] for t in range(len(THRESHOLDS))])
     columns = [float(map_measurements.complete(study.variants[n])[key]) for n in numbers]
@@ -51,52 +55,68 @@ def _heat(study: Study, numbers: Sequence[int], x: Axis, key: str, title: str) -
     return Figure(svg, title, "Mean F1 over all drives.")
 
 
-def _rule_curve(study: Study, once: bool, traversal: str) -> Curve:
-    numbers = [study.number({"resolution_m": size, "once_per_scan": once, "traversal": traversal}) for size in PICTURED]
-    label = f"{'once a scan' if once else 'every beam'}, {traversal}"
-    return Curve(label, np.array(PICTURED), np.array([study.f1(n, TOLD).mean() for n in numbers]), marks=True)
+def _rule_curve(study: MapStudy, once: bool, traversal: str) -> Curve:
+    numbers = [
+        study.number({"resolution_m": size, "once_per_scan": once, "traversal": traversal}) for size in PICTURE_SIZES_M
+    ]
+    label = f"{'once per scan' if once else 'every beam'}, {traversal}"
+    return Curve(
+        label, np.array(PICTURE_SIZES_M), np.array([study.f1(n, DEFAULT_THRESHOLD).mean() for n in numbers]), marks=True
+    )
 
 
-def _crossed(study: Study) -> list[str]:
+def _describe_interactions(study: MapStudy) -> list[str]:
     def rule(size: float) -> float:
         every = study.number({"resolution_m": size, "once_per_scan": False})
-        return float((study.f1(every, TOLD) - study.f1(study.number({"resolution_m": size}), TOLD)).mean())
+        return float(
+            (
+                study.f1(every, DEFAULT_THRESHOLD) - study.f1(study.number({"resolution_m": size}), DEFAULT_THRESHOLD)
+            ).mean()
+        )
 
     def walk(size: float) -> float:
         other = study.number({"resolution_m": size, "traversal": "bresenham"})
-        return float((study.f1(other, TOLD) - study.f1(study.number({"resolution_m": size}), TOLD)).mean())
+        return float(
+            (
+                study.f1(other, DEFAULT_THRESHOLD) - study.f1(study.number({"resolution_m": size}), DEFAULT_THRESHOLD)
+            ).mean()
+        )
 
     many, weak = {"scans": 1000}, {"scans": 1000, "l_free": -0.405}
-    gained = float((study.f1(study.number(weak), TOLD) - study.f1(study.number(many), TOLD)).mean())
-    alone = float((study.f1(study.number({"l_free": -0.405}), TOLD) - study.f1(0, TOLD)).mean())
-    by_size = [f"{100.0 * size:g} cm {rule(size):+.3f}" for size in PICTURED]
+    gained = float(
+        (study.f1(study.number(weak), DEFAULT_THRESHOLD) - study.f1(study.number(many), DEFAULT_THRESHOLD)).mean()
+    )
+    alone = float(
+        (study.f1(study.number({"l_free": -0.405}), DEFAULT_THRESHOLD) - study.f1(0, DEFAULT_THRESHOLD)).mean()
+    )
+    by_size = [f"{100.0 * size:g} cm {rule(size):+.3f}" for size in PICTURE_SIZES_M]
     return [
-        f"Counting every beam instead of once a scan changes F1 by cell size: {', '.join(by_size)}. The larger the "
-        "cell, the more beams cross it on their way to the wall, and the more often it is cleared by one scan.",
-        f"Bresenham instead of the exact traversal: {', '.join(f'{100 * s:g} cm {walk(s):+.3f}' for s in PICTURED)}. "
-        "It passes fewer cells, so it clears less beside a wall.",
+        f"Counting every beam instead of once per scan changes F1 by cell size: {', '.join(by_size)}. The larger the "
+        "cell, the more beams cross it before the wall, and the more often one scan clears it.",
+        f"Bresenham instead of the exact traversal: "
+        f"{', '.join(f'{100 * s:g} cm {walk(s):+.3f}' for s in PICTURE_SIZES_M)}. It crosses fewer cells and therefore clears less beside a wall.",
         f"Halving the weight of free space changes F1 by {alone:+.3f} with 250 scans and by {gained:+.3f} with up to "
         "1,000.",
     ]
 
 
-def recommendation(study: Study, settings: Settings) -> list[Any]:
-    """The rule, and what it recommends beside the paper's settings."""
+def recommendation_blocks(study: MapStudy, settings: Settings) -> list[Any]:
+    """The recommendation rule and its result beside the paper's settings."""
     held_out = int(settings["seeds"]) - 1
     own = study.mapper_settings()
     choice = study.choice(own, list(range(held_out)) or [0])
     variant, best = own[choice.variant], own[choice.best_variant]
     rows = []
     for label, number, threshold in (
-        ("paper's settings", 0, TOLD),
+        ("paper's settings", 0, DEFAULT_THRESHOLD),
         ("recommended", variant, choice.threshold),
-        ("best F1 that counts", best, choice.best_threshold),
+        ("best F1 of all candidates", best, choice.best_threshold),
     ):
         seen, unseen = study.seed_means(number, threshold, held_out)
         rows.append(
             [
                 label,
-                named(study.variants[number]),
+                describe_variant(study.variants[number]),
                 f"{THRESHOLDS[threshold]:g}",
                 f"{seen:.3f}",
                 f"{unseen:.3f}" if held_out else "-",
@@ -106,8 +126,9 @@ def recommendation(study: Study, settings: Settings) -> list[Any]:
             ]
         )
     columns = (
-        "", "Settings that differ", Column("occupied above P", number=True), Column("F1, chosen on", number=True),
-        Column("F1, held out", number=True), Column("Chamfer", "cm", number=True),
+        "", "Settings that differ", Column("occupied above P", number=True),
+        Column("F1, used for the choice", number=True), Column("F1, held out", number=True),
+        Column("Chamfer", "cm", number=True),
         Column("wall width", "cm", number=True), Column("log-loss", "nat", number=True),
     )  # fmt: skip
     seen_on = "seed 0" if held_out == 1 else f"seeds 0 to {held_out - 1}"
@@ -115,24 +136,25 @@ def recommendation(study: Study, settings: Settings) -> list[Any]:
     return [Text(f"{map_recommendation.RULE} {on}"), Table(columns, rows, sortable=False)]
 
 
-def pictures(result: Mapping[str, Any]) -> list[Any]:
-    """One row of maps at the four cell sizes."""
+def picture_blocks(result: Mapping[str, Any]) -> list[Any]:
+    """Maps at the four cell sizes."""
     figures = []
     walls = Points("true walls", result["walls"], "#d55e00", 1.6)
-    for number, size in enumerate(PICTURED):
+    for number, size in enumerate(PICTURE_SIZES_M):
         image = 1.0 - result[str(number)][::-1] / 255.0
         left, right, bottom, top = result["extents"][number].tolist()
         figures.append(
             Figure(charts.picture(image, (left, right, bottom, top), [walls]), f"{100.0 * size:g} cm cells", "")
         )
     told = (
-        f"The lab, seed 0, at four cell sizes, poses estimated (ATE {1000.0 * result['ate_m']:.0f} mm); dark: occupied."
+        f"The lab, seed 0, at four cell sizes, with estimated poses (ATE {1000.0 * result['ate_m']:.0f} mm); dark: "
+        "occupied."
     )
     return [Text(told), Figures(figures, small=True)]
 
 
-def drift(settings: Settings, results: Results) -> list[Any]:
-    """How the measures answer to poses that leave the truth."""
+def drift_blocks(settings: Settings, results: Results) -> list[Any]:
+    """Effect of drifting poses on the measures."""
     seeds = range(int(settings["seeds"]))
     figures, told = [], []
     for key, amounts, unit in (("metres", DRIFT_M, "m"), ("degrees", DRIFT_DEG, "deg")):
@@ -143,15 +165,18 @@ def drift(settings: Settings, results: Results) -> list[Any]:
                   relative[:, :, m].max(axis=0), marks=True)
             for m, name in enumerate(map_measurements.DRIFT_MEASURES)
         ]  # fmt: skip
-        svg = charts.lines(curves, Axis(f"drift at the end [{unit}]"), Axis("times the value without drift"))
-        figures.append(Figure(svg, f"Drift of up to {amounts[-1]:g} {unit}", "Mean over the seeds, least to greatest."))
+        svg = charts.lines(curves, Axis(f"drift at the end [{unit}]"), Axis("relative to no drift"))
+        figures.append(
+            Figure(svg, f"Drift of up to {amounts[-1]:g} {unit}", "Mean over the seeds, band: minimum to maximum.")
+        )
         at_end = relative.mean(axis=0)[-1]
         changes = zip(map_measurements.DRIFT_MEASURES, at_end, strict=True)
         told.append(
-            f"{amounts[-1]:g} {unit}: " + ", ".join(f"{name} {percent(value)}" for name, value in changes) + "."
+            f"{amounts[-1]:g} {unit}: " + ", ".join(f"{name} {format_change(value)}" for name, value in changes) + "."
         )
     lead = (
-        "How drift moves the measures: maps of the lab with the true poses, led away from them evenly until the end, "
-        "along x or by a turn about the middle of the path; not aligned again. Changes at the largest drift:"
+        "Effect of drift on the measures: maps of the lab with true poses plus a drift that grows evenly until the "
+        "end, "
+        "along x or as a rotation about the middle of the path, without realignment. Changes at the largest drift:"
     )
     return [Text(lead), Bullets(told), Figures(figures)]

@@ -1,4 +1,4 @@
-"""Draws maps by every variant of the log-odds grid in worlds that are known, and measures what they are worth."""
+"""Build maps with every variant of the log-odds grid in known worlds and measure their quality."""
 
 from __future__ import annotations
 
@@ -26,40 +26,40 @@ from evalkit.plugins import registry
 from evalkit.plugins.parameters import Value, resolve_parameters
 
 Variant = Mapping[str, Value]
-"""What differs from ``DEFAULT``: parameters of the mapper, "scans" and "deskewed"."""
+"""Differences from ``DEFAULT``: parameters of the mapper, "scans" and "deskewed"."""
 
 DEFAULT: Variant = {
     "resolution_m": 0.05, "l_occ": 0.847, "l_free": -0.847, "l_min": -5.0, "l_max": 5.0, "once_per_scan": True,
     "traversal": "exact", "clear_no_returns": False, "scans": 250, "deskewed": True,
 }  # fmt: skip
 THRESHOLDS = (0.5, 0.65, 0.8, 0.9, 0.97, 0.99)
-TOLD = THRESHOLDS.index(0.65)
-"""Where the common threshold stands among them."""
+DEFAULT_THRESHOLD = THRESHOLDS.index(0.65)
+"""Index of map_server's threshold."""
 
 FINE_M = 0.025
-"""Cells of the true map that log-loss asks: no coarser than any map drawn."""
+"""Resolution (m) of the true map for the log-loss: not coarser than any map."""
 
 MEASURES = ("f1", "precision", "recall", "chamfer_m", "width_m", "log_loss", "entropy")
 DRIFT_MEASURES = ("F1 at 10 cm", "mean distance to wall", "95 % distance to wall", "IoU", "entropy", "wall thickness")
 COMPILED = ("embedded-log-odds", "log-odds")
-"""The compiled mapper, and its twin for what the compiled one does not do."""
+"""The compiled mapper, and the NumPy reference for variants that it does not support."""
 
 
 @dataclass(frozen=True, eq=False)
 class Drive:
-    """A sequence with the poses (N, 3) ``world_from_base`` its maps are drawn at."""
+    """A sequence with the poses (N, 3) ``world_from_base`` that its maps use."""
 
     frames: tuple[Frame, ...]
     truth: Truth
     poses: Floats
     ate_m: float
 
-    def placed(self, scans: int, deskewed: bool = True) -> PlacedScans:
-        """At most so many scans, evenly spaced, with where the sensor was; the motion within is undone by the poses."""
+    def select_scans(self, scans: int, deskewed: bool = True) -> PlacedScans:
+        """At most ``scans`` evenly spaced scans with sensor poses, deskewed by the poses."""
         chosen = np.unique(np.linspace(0, len(self.frames) - 1, min(scans, len(self.frames))).astype(int))
-        return tuple(self._placed(int(index), deskewed) for index in chosen)
+        return tuple(self._scan_with_pose(int(index), deskewed) for index in chosen)
 
-    def _placed(self, index: int, deskewed: bool) -> tuple[Any, Floats]:
+    def _scan_with_pose(self, index: int, deskewed: bool) -> tuple[Any, Floats]:
         frame = self.frames[index]
         scan = frame.scan.deskewed(frame.base_from_sensor, self._within(index)) if deskewed else frame.scan
         return scan, se2.compose(self.poses[index], frame.base_from_sensor.row)
@@ -73,35 +73,35 @@ class Drive:
 
     @cached_property
     def true(self) -> OccupancyGrid:
-        """The true map at the world's own resolution."""
+        """True map at the resolution of the world."""
         if self.truth.grid is None:
             raise ValueError("truth: no map")
         return self.truth.grid
 
 
-def drive(world: str, seed: int, laps: float, poses: str = "true", **sensor: Value) -> Drive:
-    """A drive through a world at 10 Hz; ``poses``: "true", or "estimated" by the paper's ICP iterated to the end."""
-    sequence = _made(world, seed=seed, laps=laps, **sensor)
+def make_drive(world: str, seed: int, laps: float, poses: str = "true", **sensor: Value) -> Drive:
+    """Make a drive through a world at 10 Hz; ``poses``: "true", or "estimated" by the paper's ICP with epsilon 1e-6."""
+    sequence = _make_sequence(world, seed=seed, laps=laps, **sensor)
     frames, truth = tuple(sequence.frames()), sequence.truth()
     if truth.trajectory is None:
         raise ValueError(f"{world}: no true trajectory")
     if poses == "true":
         return Drive(frames, truth, truth.trajectory.poses, 0.0)
-    found = match_trajectories(_estimated(frames), truth.trajectory)
+    found = match_trajectories(_estimate_poses(frames), truth.trajectory)
     if isinstance(found, Unmatched):
         raise ValueError(f"{world}: {found.reason}")
     return Drive(frames, truth, found.estimate, rms(position_errors(found)))
 
 
-def measured(
+def measure_maps(
     world: str, seed: int, laps: float, poses: str, variants: Sequence[Variant], sensor: Variant | None = None
 ) -> dict[str, Any]:
-    """What every variant's map is worth: ``MEASURES`` by name (V, T) or, without a threshold, (V,); also the ATE (m).
+    """Measure the maps of all variants: ``MEASURES`` by name (V, T) or, without a threshold, (V,), and "ate_m".
 
-    "mappers": which one drew each variant. ``sensor``: parameters of the sequence other than its defaults.
+    "mappers": mapper used for each variant. ``sensor``: parameters of the sequence that differ from the defaults.
     """
-    sequence = drive(world, seed, laps, poses, **(sensor or {}))
-    fine = _made(world, laps=laps, resolution_m=FINE_M).truth().grid
+    sequence = make_drive(world, seed, laps, poses, **(sensor or {}))
+    fine = _make_sequence(world, laps=laps, resolution_m=FINE_M).truth().grid
     drawn: dict[tuple[int, bool], PlacedScans] = {}
     rows: dict[str, list[Any]] = {name: [] for name in MEASURES}
     mappers = []
@@ -109,10 +109,10 @@ def measured(
         full = complete(variant)
         place = (int(full["scans"]), bool(full["deskewed"]))
         if place not in drawn:
-            drawn[place] = sequence.placed(*place)
-        name, grid = _map(full, drawn[place])
+            drawn[place] = sequence.select_scans(*place)
+        name, grid = _build_map(full, drawn[place])
         mappers.append(name)
-        by_threshold = np.array([_against(grid, sequence.true, threshold) for threshold in THRESHOLDS]).T
+        by_threshold = np.array([_wall_measures(grid, sequence.true, threshold) for threshold in THRESHOLDS]).T
         for measure, values in zip(MEASURES[:5], by_threshold, strict=True):
             rows[measure].append(values)
         rows["log_loss"].append(log_loss(grid, fine)[0] if fine is not None else np.nan)
@@ -120,39 +120,41 @@ def measured(
     return {name: np.array(values) for name, values in rows.items()} | {"ate_m": sequence.ate_m, "mappers": mappers}
 
 
-def drifted(world: str, seed: int, laps: float, metres: Sequence[float], degrees: Sequence[float]) -> dict[str, Any]:
-    """``DRIFT_MEASURES`` (K, 6) of maps whose poses leave the truth evenly, by so much at the end; both as arrays."""
-    sequence = drive(world, seed, laps)
+def measure_drift(
+    world: str, seed: int, laps: float, metres: Sequence[float], degrees: Sequence[float]
+) -> dict[str, Any]:
+    """``DRIFT_MEASURES`` (K, 6) of maps whose poses drift evenly, up to each of ``metres`` and of ``degrees``."""
+    sequence = make_drive(world, seed, laps)
     middle = np.append(sequence.poses[:, :2].mean(axis=0), 0.0)
     moved = [np.array([metre, 0.0, 0.0]) for metre in metres]
     turned = [se2.compose(se2.compose(middle, [0.0, 0.0, np.radians(d)]), se2.inverse(middle)) for d in degrees]
     return {
-        "metres": np.array([_of_drift(sequence, motion) for motion in moved]),
-        "degrees": np.array([_of_drift(sequence, motion) for motion in turned]),
+        "metres": np.array([_drift_measures(sequence, motion) for motion in moved]),
+        "degrees": np.array([_drift_measures(sequence, motion) for motion in turned]),
     }
 
 
 def pictures(world: str, seed: int, laps: float, poses: str, variants: Sequence[Variant]) -> dict[str, Any]:
-    """Every variant's map as probabilities in 0..255 ("0", "1", ...), its "extents" (V, 4) in m, and true "walls"."""
-    sequence = drive(world, seed, laps, poses)
+    """Maps of all variants as probabilities in 0..255 ("0", "1", ...), "extents" (V, 4) in m, and the true "walls"."""
+    sequence = make_drive(world, seed, laps, poses)
     result: dict[str, Any] = {"walls": sequence.true.centres(sequence.true.occupied()), "ate_m": sequence.ate_m}
     extents = []
     for number, variant in enumerate(variants):
         full = complete(variant)
-        _, grid = _map(full, sequence.placed(int(full["scans"])))
+        _, grid = _build_map(full, sequence.select_scans(int(full["scans"])))
         result[str(number)] = np.round(255.0 * np.where(grid.observed, grid.probability(), 0.5)).astype(np.uint8)
-        extents.append(_extent(grid))
+        extents.append(_map_extent(grid))
     return result | {"extents": np.array(extents)}
 
 
-def twins(world: str, seed: int, laps: float, variants: Sequence[Variant]) -> dict[str, Any]:
-    """The largest difference in log-odds of the compiled mapper's maps and its twin's, and how many cells were held."""
-    sequence = drive(world, seed, laps)
+def compare_mappers(world: str, seed: int, laps: float, variants: Sequence[Variant]) -> dict[str, Any]:
+    """Largest difference in log-odds between the maps of compiled mapper and reference, and number of cells."""
+    sequence = make_drive(world, seed, laps)
     apart, cells, other = 0.0, 0, 0
     for variant in variants:
         full = complete(variant)
-        placed = sequence.placed(int(full["scans"]))
-        one, two = (_drawn(name, full, placed) for name in COMPILED)
+        select_scans = sequence.select_scans(int(full["scans"]))
+        one, two = (_build_map_with(name, full, select_scans) for name in COMPILED)
         if one.shape != two.shape:
             raise ValueError(f"{variant}: maps of {one.shape} and {two.shape} cells")
         apart = max(apart, float(np.abs(one.log_odds - two.log_odds).max()))
@@ -161,19 +163,19 @@ def twins(world: str, seed: int, laps: float, variants: Sequence[Variant]) -> di
     return {"log_odds": apart, "cells": cells, "observed by one only": other}
 
 
-def compiled(variant: Variant) -> bool:
-    """Whether the compiled mapper draws a variant: every cell once a scan, along the exact traversal."""
+def is_compiled(variant: Variant) -> bool:
+    """Whether the compiled mapper supports a variant: cells once per scan, exact traversal."""
     full = complete(variant)
     return bool(full["once_per_scan"]) and full["traversal"] == "exact" and not registry.mapper(COMPILED[0]).missing()
 
 
-def _made(world: str, **parameters: Value) -> Any:
+def _make_sequence(world: str, **parameters: Value) -> Any:
     spec = registry.dataset(world)
     return spec.make(**resolve_parameters(world, spec.parameters, {"rate_hz": 10.0, **parameters}))
 
 
-def _estimated(frames: Iterable[Frame]) -> Trajectory:
-    """The poses by ``paper-tight``: compiled, which answers the same, or itself where the core was not built."""
+def _estimate_poses(frames: Iterable[Frame]) -> Trajectory:
+    """Poses of ``paper-tight``: by the compiled core, which gives the same, or in NumPy if the core is not built."""
     spec, parameters = registry.backend("embedded"), {"epsilon": 1e-6}
     if spec.missing():
         spec, parameters = registry.backend("paper-tight"), {}
@@ -182,12 +184,12 @@ def _estimated(frames: Iterable[Frame]) -> Trajectory:
     return Trajectory(np.array(stamps), np.array(poses))
 
 
-def _map(full: Variant, placed: PlacedScans) -> tuple[str, OccupancyGrid]:
-    name = COMPILED[0] if compiled(full) else COMPILED[1]
-    return name, _drawn(name, full, placed)
+def _build_map(full: Variant, select_scans: PlacedScans) -> tuple[str, OccupancyGrid]:
+    name = COMPILED[0] if is_compiled(full) else COMPILED[1]
+    return name, _build_map_with(name, full, select_scans)
 
 
-def _drawn(name: str, full: Variant, placed: PlacedScans) -> OccupancyGrid:
+def _build_map_with(name: str, full: Variant, select_scans: PlacedScans) -> OccupancyGrid:
     spec = registry.mapper(name)
     known = {parameter.name for parameter in spec.parameters}
     mapper = spec.make(**resolve_parameters(name, spec.parameters, {k: v for k, v in full.items() if k in known}))
@@ -196,8 +198,8 @@ def _drawn(name: str, full: Variant, placed: PlacedScans) -> OccupancyGrid:
     return mapper.grid()
 
 
-def _against(grid: OccupancyGrid, true: OccupancyGrid, threshold: float) -> tuple[float, ...]:
-    """The first five of ``MEASURES``; a map without walls finds none."""
+def _wall_measures(grid: OccupancyGrid, true: OccupancyGrid, threshold: float) -> tuple[float, ...]:
+    """The first five of ``MEASURES``; zero or nan for a map without walls."""
     mapped, theirs = grid.centres(grid.occupied(threshold)), true.centres(true.occupied())
     if not len(mapped):
         return 0.0, np.nan, 0.0, np.nan, np.nan
@@ -208,18 +210,18 @@ def _against(grid: OccupancyGrid, true: OccupancyGrid, threshold: float) -> tupl
     return f1(found), precision(found), recall(found), chamfer(found), wall_width_m(grid, threshold)
 
 
-def _of_drift(sequence: Drive, motion: Floats) -> tuple[float, ...]:
+def _drift_measures(sequence: Drive, motion: Floats) -> tuple[float, ...]:
     share = np.linspace(0.0, 1.0, len(sequence.poses))
     poses = se2.compose(se2.fraction(motion, share), sequence.poses)
-    placed = Drive(sequence.frames, sequence.truth, poses, 0.0).placed(int(DEFAULT["scans"]))
-    _, grid = _map(DEFAULT, placed)
+    select_scans = Drive(sequence.frames, sequence.truth, poses, 0.0).select_scans(int(DEFAULT["scans"]))
+    _, grid = _build_map(DEFAULT, select_scans)
     found = compare_walls(grid, sequence.true)
     far = float(found.to_true.mean()), float(np.percentile(found.to_true, 95))
-    thick = float(wall_thicknesses(collect_hits(placed))[0].mean())
+    thick = float(wall_thicknesses(collect_hits(select_scans))[0].mean())
     return f1(found), *far, iou(found), map_entropy(grid), thick
 
 
-def _extent(grid: OccupancyGrid) -> tuple[float, float, float, float]:
+def _map_extent(grid: OccupancyGrid) -> tuple[float, float, float, float]:
     """Left, right, bottom, top (m)."""
     rows, columns = grid.shape
     left, bottom = grid.origin_x, grid.origin_y
@@ -227,29 +229,29 @@ def _extent(grid: OccupancyGrid) -> tuple[float, float, float, float]:
 
 
 def complete(variant: Variant) -> dict[str, Value]:
-    """A variant with what it leaves to the default."""
+    """Complete a variant with the defaults."""
     return {**DEFAULT, **variant}
 
 
 @cache
 def factors() -> dict[str, tuple[Variant, ...]]:
-    """One factor at a time: the variants of each, its default among them, in order."""
+    """Variants of one factor at a time, in order, including the default."""
     return {
-        "resolution": _along("resolution_m", (0.025, 0.05, 0.1, 0.2)),
+        "resolution": _one_factor("resolution_m", (0.025, 0.05, 0.1, 0.2)),
         "evidence": tuple({"l_occ": v, "l_free": -v} for v in (0.405, 0.847, 1.386, 2.197)),
-        "free": _along("l_free", (-0.05, -0.1, -0.2, -0.405, -0.847, -1.386)),
+        "free": _one_factor("l_free", (-0.05, -0.1, -0.2, -0.405, -0.847, -1.386)),
         "bounds": tuple({"l_min": -v, "l_max": v} for v in (2.0, 3.5, 5.0, 7.0, 10.0, 15.0)),
-        "scans": _along("scans", (62, 125, 250, 500, 1000)),
-        "rule": _along("once_per_scan", (True, False)),
-        "traversal": _along("traversal", ("exact", "bresenham")),
-        "no return": _along("clear_no_returns", (False, True)),
-        "deskew": _along("deskewed", (True, False)),
+        "scans": _one_factor("scans", (62, 125, 250, 500, 1000)),
+        "rule": _one_factor("once_per_scan", (True, False)),
+        "traversal": _one_factor("traversal", ("exact", "bresenham")),
+        "no return": _one_factor("clear_no_returns", (False, True)),
+        "deskew": _one_factor("deskewed", (True, False)),
     }
 
 
 @cache
 def interactions() -> tuple[Variant, ...]:
-    """What is measured beyond one factor at a time: factors that are likely to depend on one another."""
+    """Variants of factors that are likely to interact."""
     rules = [
         {"resolution_m": size, "once_per_scan": once, "traversal": how}
         for size in (0.025, 0.05, 0.1, 0.2)
@@ -263,7 +265,7 @@ def interactions() -> tuple[Variant, ...]:
 
 
 def variants(with_interactions: bool) -> tuple[Variant, ...]:
-    """Every map of the study once, the default first, each as what differs from it."""
+    """All variants of the study once, default first, as differences from it."""
     every = [*(v for own in factors().values() for v in own), *(interactions() if with_interactions else ())]
     found = [departures({})]
     for variant in every:
@@ -273,9 +275,9 @@ def variants(with_interactions: bool) -> tuple[Variant, ...]:
 
 
 def departures(variant: Variant) -> dict[str, Value]:
-    """What really differs from the default."""
+    """The settings that differ from the default."""
     return {name: value for name, value in variant.items() if value != DEFAULT[name]}
 
 
-def _along(name: str, values: Sequence[Value]) -> tuple[Variant, ...]:
+def _one_factor(name: str, values: Sequence[Value]) -> tuple[Variant, ...]:
     return tuple({name: value} for value in values)

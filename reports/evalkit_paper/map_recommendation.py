@@ -1,4 +1,4 @@
-"""Settings of the map that the measurements recommend, by a rule that is stated and applied, not by taste."""
+"""Recommend map settings from the measurements by a fixed rule."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from evalkit.core.se2 import Floats
 
 MARGIN = 0.01
 RULE = (
-    "Of all maps measured that differ in settings of the mapper, those count whose log-loss is not worse than that of "
-    "the paper's settings at the same cell size: walls must not be bought with wrong probabilities. Of these, the one "
-    f"with the fewest departures from the paper's settings whose mean F1 is within {MARGIN:g} of the best is "
-    "recommended; of equals the one that lowers the log-loss most, at the threshold with the highest F1."
+    "Candidates are all measured maps that differ only in settings of the mapper and whose log-loss is not worse than "
+    "that of the paper's settings at the same cell size: a higher F1 must not cost wrong probabilities. Recommended is "
+    f"the candidate with the fewest changes from the paper's settings whose mean F1 is within {MARGIN:g} of the best; "
+    "among equals the one with the lowest log-loss, at the threshold with the highest F1."
 )
 
 
 @dataclass(frozen=True, slots=True)
-class Choice:
-    """A variant and a threshold by number, and the pair with the best F1 that was held against it."""
+class Recommendation:
+    """Index of the recommended variant and threshold, and of the pair with the best F1."""
 
     variant: int
     threshold: int
@@ -28,11 +28,11 @@ class Choice:
     best_threshold: int
 
 
-def recommended(f1: Floats, loss: Floats, peers: Ints, departures: Ints, default_threshold: int) -> Choice:
-    """The choice by ``RULE`` from F1 (V, T, U) and log-loss (V, U) of V variants at T thresholds in U maps of each.
+def recommend(f1: Floats, loss: Floats, peers: Ints, departures: Ints, default_threshold: int) -> Recommendation:
+    """Apply ``RULE`` to F1 (V, T, U) and log-loss (V, U) of V variants at T thresholds on U drives.
 
-    ``peers`` (V,): which variant has the paper's settings at the same cell size; ``departures`` (V,): how many settings
-    differ from the paper's; another threshold is one more.
+    ``peers`` (V,): index of the variant with the paper's settings at the same cell size; ``departures`` (V,): number of
+    settings that differ from the paper's; another threshold counts as one more.
     """
     means, losses = f1.mean(axis=2), loss.mean(axis=1)
     surprise = losses / losses[peers]
@@ -43,4 +43,4 @@ def recommended(f1: Floats, loss: Floats, peers: Ints, departures: Ints, default
     least = near & (count == count[near].min())
     variant = int(np.argmin(np.where(least.any(axis=1), surprise, np.inf)))
     threshold = int(np.argmax(np.where(least[variant], means[variant], -np.inf)))
-    return Choice(variant, threshold, int(best_variant), int(best_threshold))
+    return Recommendation(variant, threshold, int(best_variant), int(best_threshold))

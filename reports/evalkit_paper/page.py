@@ -1,4 +1,4 @@
-"""The paper's page: its chapters computed, put in order, with a first table of everything the paper prints."""
+"""Contents of the paper's page: a table of all findings, then the chapters."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from evalkit_paper.chapter import Chapter, Finding, Settings, Verdict
 TITLE = "The paper, reproduced"
 LEAD = (
     "Every table, figure and claim of 'Occupancy grid mapping based on ICP for indoor autonomous vehicles' beside what "
-    "this software measures, with the verdict and its reason, and the study that the paper announces."
+    "this software measures, each with a verdict and its reason, and the study that the paper announces."
 )
 TONES: Mapping[Verdict, Tone] = {
     "reproduced": "good",
@@ -24,8 +24,8 @@ TONES: Mapping[Verdict, Tone] = {
 }
 
 
-def read(file: Path, chapters: Sequence[Chapter]) -> dict[str, Settings]:
-    """The settings of every chapter that stands in the file, checked; BadExperiment names the key."""
+def read_settings(file: Path, chapters: Sequence[Chapter]) -> dict[str, Settings]:
+    """Read and check the settings of the chapters in a file. Raises BadExperiment naming the key."""
     content = load_toml(file, "the paper's settings (*.toml)")
     known = {chapter.name: chapter for chapter in chapters}
     for name, table in content.items():
@@ -34,31 +34,31 @@ def read(file: Path, chapters: Sequence[Chapter]) -> dict[str, Settings]:
         if not isinstance(table, Mapping):
             raise BadExperiment(str(file), name, f"found {table!r}, expected a table [{name}]")
     if not content:
-        raise BadExperiment(str(file), "", f"no chapter; write at least one table of: {', '.join(known)}")
+        raise BadExperiment(str(file), "", f"no chapter; write at least one of the tables: {', '.join(known)}")
     return {name: known[name].settings(f"{file}: [{name}]", table) for name, table in content.items()}
 
 
-def jobs(settings: Mapping[str, Settings], chapters: Sequence[Chapter]) -> dict[str, tuple[AnyTask, ...]]:
-    """What every chosen chapter must have computed, by the chapter's name."""
+def make_tasks(settings: Mapping[str, Settings], chapters: Sequence[Chapter]) -> dict[str, tuple[AnyTask, ...]]:
+    """Tasks of every chosen chapter, by chapter name."""
     return {chapter.name: chapter.jobs(settings[chapter.name]) for chapter in chapters if chapter.name in settings}
 
 
-def document(
+def build_document(
     settings: Mapping[str, Settings],
     chapters: Sequence[Chapter],
     results: Mapping[str, Mapping[str, Result]],
     facts: Sequence[tuple[str, str]],
     provenance: Section,
 ) -> Document:
-    """The page: findings first, then the chapters in order, then where the numbers come from."""
+    """Assemble the page: findings, chapters in order, provenance."""
     chosen = [chapter for chapter in chapters if chapter.name in settings]
     found = [item for chapter in chosen for item in chapter.findings(settings[chapter.name], results[chapter.name])]
     shown = [part for chapter in chosen for part in chapter.sections(settings[chapter.name], results[chapter.name])]
-    return Document("evalkit paper", TITLE, LEAD, (overview(found), *shown, provenance), facts)
+    return Document("evalkit paper", TITLE, LEAD, (findings_section(found), *shown, provenance), facts)
 
 
-def overview(findings: Sequence[Finding]) -> Section:
-    """Every item of the paper in a line: printed, measured, verdict, why."""
+def findings_section(findings: Sequence[Finding]) -> Section:
+    """Table of all findings: printed, measured, verdict, reason."""
     counted = {verdict: sum(item.verdict == verdict for item in findings) for verdict in TONES}
     told = ", ".join(f"{number} {verdict}" for verdict, number in counted.items() if number)
     rows = [
@@ -71,5 +71,5 @@ def overview(findings: Sequence[Finding]) -> Section:
         )
         for item in findings
     ]
-    columns = ("Item", Column("The paper"), Column("Measured here"), "Verdict", "Why")
+    columns = ("Item", Column("The paper"), Column("Measured here"), "Verdict", "Reason")
     return Section("Findings", (Text(f"{len(findings)} items: {told}."), Table(columns, rows)), "findings")

@@ -1,4 +1,4 @@
-"""The chapter on real time: what slower devices would drop, what that does to the drift, and when it breaks."""
+"""Chapter on real time: scans that slower devices drop, the effect on drift, and the breaking point."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ ANCHOR = "real-time"
 WHEELS = "wheel-odometry"
 MAIN = "embedded"
 BOTH = ("embedded", "paper")
-"""Who is also shown with waiting scans dropped."""
+"""Methods that are also shown with the policy "drop"."""
 
 
 @dataclass(frozen=True)
-class Entry:
-    """A method under a label; ``bridged``: wheel odometry carries its answers on."""
+class RealtimeMethod:
+    """A labelled method; ``bridged``: wheel odometry bridges dropped scans."""
 
     label: str
     backend: str
@@ -38,27 +38,29 @@ class Entry:
 
 
 ENTRIES = (
-    Entry("paper", "paper", {}, "evalkit_baselines.paper"),
-    Entry("embedded", "embedded", {}, "evalkit_baselines.embedded"),
-    Entry("embedded-f32", "embedded-f32", {}, "evalkit_baselines.embedded"),
-    Entry("embedded-pipeline", "embedded-pipeline", {}, "evalkit_baselines.embedded"),
-    Entry("embedded, no odometry", "embedded", {"prior": "constant-velocity"}, "evalkit_baselines.embedded", False),
-    Entry("open3d-icp", "open3d-icp", {}, "evalkit_baselines.open3d_icp"),
-    Entry("kiss-icp", "kiss-icp", {}, "evalkit_baselines.kiss_icp"),
-    Entry("small-gicp", "small-gicp", {}, "evalkit_baselines.small_gicp"),
-    Entry(WHEELS, WHEELS, {}, "evalkit_baselines.wheel_odometry"),
+    RealtimeMethod("paper", "paper", {}, "evalkit_baselines.paper"),
+    RealtimeMethod("embedded", "embedded", {}, "evalkit_baselines.embedded"),
+    RealtimeMethod("embedded-f32", "embedded-f32", {}, "evalkit_baselines.embedded"),
+    RealtimeMethod("embedded-pipeline", "embedded-pipeline", {}, "evalkit_baselines.embedded"),
+    RealtimeMethod(
+        "embedded, no odometry", "embedded", {"prior": "constant-velocity"}, "evalkit_baselines.embedded", False
+    ),
+    RealtimeMethod("open3d-icp", "open3d-icp", {}, "evalkit_baselines.open3d_icp"),
+    RealtimeMethod("kiss-icp", "kiss-icp", {}, "evalkit_baselines.kiss_icp"),
+    RealtimeMethod("small-gicp", "small-gicp", {}, "evalkit_baselines.small_gicp"),
+    RealtimeMethod(WHEELS, WHEELS, {}, "evalkit_baselines.wheel_odometry"),
 )
 OWN = tuple(entry.label for entry in ENTRIES if entry.backend.startswith(("paper", "embedded", WHEELS)))
-"""Those that need no library of others: what the quick page shows."""
+"""Methods without third-party libraries, for the quick page."""
 
 PARAMETERS = (
-    Parameter("world", "lab", "", "where the robot drives"),
+    Parameter("world", "lab", "", "world of the drives"),
     Parameter("seeds", 2, "", "repetitions with other noise", low=1, high=20),
-    Parameter("laps", 0.6, "", "laps driven; the longer, the further the odometry drifts", low=0.05, high=3.0),
-    Parameter("repetitions", 2, "", "measurements of a scan; the median counts", low=1, high=20),
+    Parameter("laps", 0.6, "", "laps; on a longer drive the odometry drifts further", low=0.05, high=3.0),
+    Parameter("repetitions", 2, "", "measurements per scan; the median is used", low=1, high=20),
     Parameter("rates_hz", "5,10,15", "Hz", "rates of the lidar", choices=("5,10,15", "10")),
-    Parameter("methods", "all", "", "all, or only those that need no other library", choices=("all", "own")),
-    Parameter("largest_factor", 5000, "", "the slowest device asked", low=10, high=1_000_000),
+    Parameter("methods", "all", "", "all, or only those without third-party libraries", choices=("all", "own")),
+    Parameter("largest_factor", 5000, "", "slowest device simulated", low=10, high=1_000_000),
 )
 
 
@@ -77,48 +79,49 @@ def jobs(settings: Settings) -> tuple[AnyTask, ...]:
 
 
 def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
-    """The rule of the game, costs and breaking points, drift against factor, and how far the assumption holds."""
+    """Section: method, costs and breaking points, drift by device factor, and check of the cost model."""
     ladders = _ladders(settings, results)
     blocks: list[Block] = [
         Text(
-            "No board is measured and none is claimed. What each scan costs is measured here, on one core, and kept; a "
-            "virtual clock then lets a device that takes so many times as long work through the drive. It works on one "
-            "scan at a time; a scan that comes meanwhile waits, and a newer one takes its place. Costs come from the "
-            "record alone, so the same page drops the same scans."
+            "No board is measured. The cost of each scan is measured on one core of this machine and stored; a "
+            "virtual clock "
+            "then simulates a device that is slower by a factor. It processes one scan at a time; a scan that arrives "
+            "meanwhile waits and is replaced by a newer one. Only stored costs are used, so the same page drops the "
+            "same scans."
         ),
         Text(
-            "A robot needs a pose for every moment, not only for the scans that were answered: 'at hand' is the newest "
-            "answer done by the time a scan begins, carried on to then by the wheel odometry (without odometry: by the "
-            f"motion between the last two answers). Broken: {RULE}; the median over the seeds decides "
+            "A robot needs a pose at every time, not only for answered scans: the pose 'at hand' is the newest result "
+            "available when a scan begins, extrapolated to that time by wheel odometry (without odometry: by the "
+            f"motion between the last two results). Broken: {RULE}; the median over the seeds decides "
             f"({settings['seeds']}, {settings['laps']:g} laps of the {settings['world']} each)."
         ),
         Text(
-            "Costs hold the Python around a back end, for all but embedded-pipeline, which is one call a scan: that "
-            "one is what a board would run.",
+            "Costs include the Python code around a back end, except for embedded-pipeline, which is one call per scan "
+            "and what a board would run.",
             "note",
         ),
-        *_out_of_reach(ladders),
-        _breaking(ladders),
-        *_drift(settings, ladders),
-        *_flattered(ladders),
-        _policies(settings, results),
-        Fold("Is the cost of a scan known when others are dropped?", _assumption(ladders)),
+        *_short_drive_warning(ladders),
+        _breaking_table(ladders),
+        *_drift_figures(settings, ladders),
+        *_answered_only_blocks(ladders),
+        _policy_table(settings, results),
+        Fold("Does the cost model hold when scans are dropped?", _cost_model_blocks(ladders)),
     ]
     return (Section("Real time on slower devices", blocks, ANCHOR),)
 
 
 def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
-    """The paper's claim of real time."""
+    """Finding on the paper's claim of real time."""
     own = [ladder for ladder in _ladders(settings, results) if ladder.label in ("embedded-pipeline", "paper")]
     told = "; ".join(
-        f"{ladder.label} at {ladder.rate_hz:g} Hz: {np.median(ladder.costs_ms):.2f} ms a scan, in time up to factor "
-        f"{ladder.headroom:.3g}, {_breaks(ladder)}"
+        f"{ladder.label} at {ladder.rate_hz:g} Hz: {np.median(ladder.costs_ms):.2f} ms per scan, in time up to factor "
+        f"{ladder.headroom:.3g}, {_describe_breaking_point(ladder)}"
         for ladder in own
     )
     return (
         Finding(
             "Real time on the Jetson TX2", "claimed, no times printed", told, "not reproducible in software",
-            "a device cannot be run in software; what is measured is by what factor it may be slower than this machine",
+            "a device cannot be run in software; measured is by what factor it may be slower than this machine",
             ANCHOR,
         ),
     )  # fmt: skip
@@ -127,7 +130,7 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
 CHAPTER = Chapter("realtime", PARAMETERS, jobs, sections, findings)
 
 
-def _entries(settings: Settings) -> list[Entry]:
+def _entries(settings: Settings) -> list[RealtimeMethod]:
     return [entry for entry in ENTRIES if settings["methods"] == "all" or entry.label in OWN]
 
 
@@ -136,7 +139,7 @@ def _rates(settings: Settings) -> list[float]:
 
 
 def _factors(settings: Settings) -> list[float]:
-    """1, 2, 5, 10, ... up to the largest."""
+    """Device factors 1, 2, 5, 10, ... up to the largest."""
     largest = float(settings["largest_factor"])
     steps = (step * 10.0**power for power in range(7) for step in (1.0, 2.0, 5.0))
     return [factor for factor in steps if factor <= largest]
@@ -155,17 +158,18 @@ def _ladders(settings: Settings, results: Results, policy: str = "queue-of-one")
     ]
 
 
-def _breaks(ladder: Ladder) -> str:
+def _describe_breaking_point(ladder: Ladder) -> str:
     at = ladder.breaks_at()
     return f"breaks at {at:g}" if at is not None else f"holds up to {ladder.factors[-1]:g}"
 
 
-def _out_of_reach(ladders: Sequence[Ladder]) -> list[Block]:
-    """A warning where a drive is too short for anybody who is carried on by the wheels to break."""
+def _short_drive_warning(ladders: Sequence[Ladder]) -> list[Block]:
+    """Warning if a drive is too short for any bridged method to break."""
     alone = max(float(np.median(_ate(ladder)[:, 0])) for ladder in ladders if ladder.label == WHEELS)
     if alone > RULE.floor_m:
         return []
-    told = f"The odometry alone is only {100.0 * alone:.1f} cm off on these drives: with it nobody can break."
+    told = f"The error of wheel odometry alone is only {100.0 * alone:.1f} cm on these drives: no bridged method can "
+    "break."
     return [Text(told, "warn")]
 
 
@@ -173,24 +177,26 @@ def _ate(ladder: Ladder) -> Floats:
     return ladder.values("at_hand", "ate_rmse_m")
 
 
-def _breaking(ladders: Sequence[Ladder]) -> Table:
-    rows = [_row(ladder) for ladder in ladders if ladder.label != WHEELS]
+def _breaking_table(ladders: Sequence[Ladder]) -> Table:
+    rows = [_breaking_row(ladder) for ladder in ladders if ladder.label != WHEELS]
     columns = (
         "Method", Column("rate", "Hz", number=True), Column("cost, median", "ms", number=True),
         Column("cost, 99 %", "ms", number=True),
-        Column("in time up to", "x", number=True, tip="the largest factor at which every scan is answered in time"),
-        Column("half dropped at", "x", number=True, tip="the least factor asked that drops half of the scans or more"),
+        Column("in time up to", "x", number=True, tip="largest factor at which every scan is processed in time"),
+        Column("half dropped at", "x", number=True, tip="smallest simulated factor that drops half of the scans or "
+        "more"),
         Column("breaks at", "x", number=True), Column("dropped there", "%", number=True),
         Column("age there, 95 %", "s", number=True), Column("ATE without drops", "cm", number=True),
     )  # fmt: skip
     caption = (
-        "Costs on one core of this machine, all seeds together. Factors are those asked, 1-2-5 steps; the true point "
-        "lies between the one named and the one before."
+        "Costs on one core of this machine, all seeds together. Factors are simulated in 1-2-5 steps; the true value "
+        "is "
+        "between the one shown and the one before."
     )
     return Table(columns, rows, caption)
 
 
-def _row(ladder: Ladder) -> list[Cell | str]:
+def _breaking_row(ladder: Ladder) -> list[Cell | str]:
     dropped = np.median(ladder.values("dropped"), axis=0)
     half = first_broken(ladder.factors.tolist(), (dropped >= 0.5).tolist())
     at = ladder.breaks_at()
@@ -210,7 +216,7 @@ def _row(ladder: Ladder) -> list[Cell | str]:
     ]
 
 
-def _drift(settings: Settings, ladders: Sequence[Ladder]) -> list[Block]:
+def _drift_figures(settings: Settings, ladders: Sequence[Ladder]) -> list[Block]:
     blocks: list[Block] = []
     for rate in _rates(settings):
         own = [ladder for ladder in ladders if ladder.rate_hz == rate]
@@ -240,28 +246,28 @@ def _figure(
         curves.append(Curve("odometry alone", ends, np.full(2, alone), stroke=Stroke(BAR, (4.0, 2.0))))
     levels = {} if alone is None else {f"{100.0 * RULE.floor_m:g} cm": RULE.floor_m}
     svg = charts.lines(curves, Axis("device factor", "log"), Axis(label, scale), levels=levels)
-    return Figure(svg, title, "Median over the seeds, least to greatest.")
+    return Figure(svg, title, "Median over the seeds, band: minimum to maximum.")
 
 
-def _flattered(ladders: Sequence[Ladder]) -> list[Block]:
-    """That the answers alone hide what the dropped scans cost."""
+def _answered_only_blocks(ladders: Sequence[Ladder]) -> list[Block]:
+    """Show that scoring only the answered scans hides the effect of dropped scans."""
     chosen = [ladder for ladder in ladders if ladder.rate_hz == 10.0 and ladder.label in (MAIN, "paper", "kiss-icp")]
     curves = []
     for ladder in chosen:
-        for words, where in (("at hand", "at_hand"), ("answers alone", "of_answers")):
+        for words, where in (("at hand", "at_hand"), ("answered scans only", "of_answers")):
             middle = np.median(ladder.values(where, "ate_rmse_m")[:, 1:], axis=0)
             curves.append(Curve(f"{ladder.label}, {words}", ladder.factors[1:], middle, marks=True))
     if not curves:
         return []
     svg = charts.lines(curves, Axis("device factor", "log"), Axis("ATE [m]", "log"))
     told = (
-        "Scored by their answers alone, slow devices look fine however many scans they drop: the few answers given are "
-        "good. What the robot goes by in between is not."
+        "Scored by answered scans only, slow devices look good however many scans they drop: the few results are "
+        "accurate. The poses in between are not."
     )
-    return [Text(told), Figure(svg, "Answers alone flatter", "Median over the seeds, 10 Hz.")]
+    return [Text(told), Figure(svg, "Scoring only answered scans is misleading", "Median over the seeds, 10 Hz.")]
 
 
-def _policies(settings: Settings, results: Results) -> Table:
+def _policy_table(settings: Settings, results: Results) -> Table:
     rows = []
     for one, other in zip(
         (ladder for ladder in _ladders(settings, results) if ladder.label in BOTH),
@@ -279,10 +285,10 @@ def _policies(settings: Settings, results: Results) -> Table:
         Column("dropped, one waits", "%", number=True), Column("dropped, none waits", "%", number=True),
         Column("ATE, one waits", "cm", number=True), Column("ATE, none waits", "cm", number=True),
     )  # fmt: skip
-    return Table(columns, rows, "A scan that finds the robot busy waits for it (the newest one), or is lost.")
+    return Table(columns, rows, "A scan that arrives while the device is busy waits (only the newest), or is dropped.")
 
 
-def _assumption(ladders: Sequence[Ladder]) -> list[Block]:
+def _cost_model_blocks(ladders: Sequence[Ladder]) -> list[Block]:
     rows = []
     for ladder in ladders:
         linear = [result["linear"] for result in ladder.results if result["linear"] is not None]
@@ -310,12 +316,13 @@ def _assumption(ladders: Sequence[Ladder]) -> list[Block]:
     )  # fmt: skip
     return [
         Text(
-            "Where scans are dropped the next one has moved further and costs more. So runs that answer only every "
-            "2nd, 4th, 8th and 16th scan are measured too, and the clock takes a scan's own cost times the growth for "
-            "its gap; beyond 16 it stays. As a check, cost = a + b x iterations x points is fitted to the full run "
-            "where a back end tells its iterations: 'off' is the median relative difference, and 'model / clock' the "
-            "cost it predicts from the iterations really done with scans dropped, by what the clock assumed: median "
-            "and extremes over the rungs with more than 10 % dropped."
+            "After dropped scans the next scan has moved further and costs more. Therefore runs on every 2nd, 4th, "
+            "8th and "
+            "16th scan are measured too, and the virtual clock multiplies a scan's cost by the growth for its gap "
+            "(constant beyond 16). As a check, cost = a + b x iterations x points is fitted to the full run if a back "
+            "end reports its iterations: 'off' is the median relative difference; 'model / clock' is the predicted "
+            "cost with the iterations actually done, divided by the assumed cost: median and extremes over the rungs "
+            "with more than 10 % dropped scans."
         ),
         Table(columns, rows),
     ]

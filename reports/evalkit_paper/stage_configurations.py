@@ -1,4 +1,4 @@
-"""What the paper leaves open about its two stages: every reading of the local map and the stop rule over one drive."""
+"""Chapter on what the paper leaves open about its two stages: readings of local map and stop rule, on one drive."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ ANCHOR = "two-stages"
 
 @dataclass(frozen=True)
 class Configuration:
-    """A way to read the paper's two stages: a back end and what differs from its settings.
+    """A reading of the paper's two stages: a back end with changed parameters.
 
-    ``printed``: whether the paper's words can be read so.
+    ``printed``: whether the paper's text allows this reading.
     """
 
     name: str
@@ -58,26 +58,32 @@ CONFIGURATIONS = (
 )  # fmt: skip
 
 PARAMETERS = (
-    Parameter("seeds", 1, "", "drives with noise of their own", low=1, high=20),
-    Parameter("laps", 2.0, "", "of the laboratory", low=0.05, high=10.0),
+    Parameter("seeds", 1, "", "drives with different noise", low=1, high=20),
+    Parameter("laps", 2.0, "", "laps of the laboratory", low=0.05, high=10.0),
     Parameter("speed_mps", 0.3, "m/s", "speed between the ramps", low=0.05, high=3.0),
-    Parameter("rate_hz", 10.0, "Hz", "revolutions a second", low=5.0, high=15.0),
+    Parameter("rate_hz", 10.0, "Hz", "lidar rate", low=5.0, high=15.0),
 )
 
 
 def jobs(settings: Settings) -> tuple[AnyTask, ...]:
-    """Every configuration for every seed."""
+    """Tasks: every configuration for every seed."""
     return tuple(_job(settings, each, seed) for each in CONFIGURATIONS for seed in range(settings["seeds"]))
 
 
 def _job(settings: Settings, each: Configuration, seed: int) -> AnyTask:
     drive = {"seed": seed, **{name: settings[name] for name in ("laps", "speed_mps", "rate_hz")}}
     return make_task(
-        f"{each.name}, seed {seed}", measured, backend=each.backend, parameters=dict(each.parameters), sequence=drive
+        f"{each.name}, seed {seed}",
+        measure_configuration,
+        backend=each.backend,
+        parameters=dict(each.parameters),
+        sequence=drive,
     ).depending_on("evalkit_datasets.synthetic", "evalkit_baselines.paper")
 
 
-def measured(*, backend: str, parameters: Mapping[str, Any], sequence: Mapping[str, Any]) -> dict[str, Any]:
+def measure_configuration(
+    *, backend: str, parameters: Mapping[str, Any], sequence: Mapping[str, Any]
+) -> dict[str, Any]:
     """One configuration over one drive: "ate_m", "final_percent", "path_m"; "s2s", "s2m" (mean iterations or None)."""
     lab = registry.dataset("lab").make(**sequence)
     found = stage_errors.run_with_errors(lab, backend, parameters)
@@ -94,32 +100,32 @@ def measured(*, backend: str, parameters: Mapping[str, Any], sequence: Mapping[s
 
 
 def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
-    """The chapter's one section."""
-    path_m = _of(settings, results, CONFIGURATIONS[0], "path_m")[0]
+    """The section of this chapter."""
+    path_m = _values(settings, results, CONFIGURATIONS[0], "path_m")[0]
     columns = (
-        "Configuration", "The paper's words",
-        Column("ATE", "m", number=True, tip="root mean square after alignment by least squares; mean over the seeds"),
-        Column("final", "% of path", number=True, tip="how far the last pose is off, aligned at the first"),
+        "Configuration", "Possible reading",
+        Column("ATE", "m", number=True, tip="RMS after least-squares alignment; mean over the seeds"),
+        Column("final", "% of path", number=True, tip="error of the last pose, aligned at the first"),
         Column("S2S iterations", number=True), Column("S2M iterations", number=True),
     )  # fmt: skip
-    best = min(float(np.mean(_of(settings, results, each, "ate_m"))) for each in CONFIGURATIONS)
-    rows = [_row(settings, results, each, best) for each in CONFIGURATIONS]
+    best = min(float(np.mean(_values(settings, results, each, "ate_m"))) for each in CONFIGURATIONS)
+    rows = [_configuration_row(settings, results, each, best) for each in CONFIGURATIONS]
     told = (
         f"The laboratory, {settings['laps']:g} laps ({path_m:.0f} m) at {settings['speed_mps']:g} m/s and "
-        f"{settings['rate_hz']:g} Hz, {settings['seeds']} seed{'s' if settings['seeds'] > 1 else ''}. The paper says "
-        "neither what the local map of its second stage is nor at which scale its threshold works: rows it can be read "
-        "as are marked. One-to-one pairs of at most 0.3 m unless a row says otherwise."
+        f"{settings['rate_hz']:g} Hz, {settings['seeds']} seed{'s' if settings['seeds'] > 1 else ''}. The paper "
+        "describes neither the local map of its second stage nor the unit of its threshold; possible readings of the "
+        "text are marked. One-to-one pairs of at most 0.3 m unless a row says otherwise."
     )
     return (Section("Two stages: what the text leaves open", (Text(told), Table(columns, rows)), ANCHOR),)
 
 
-def _row(settings: Settings, results: Results, each: Configuration, best: float) -> list[Cell | str]:
-    ate, final = (_of(settings, results, each, name) for name in ("ate_m", "final_percent"))
-    odometry = float(np.mean(_of(settings, results, CONFIGURATIONS[0], "ate_m")))
+def _configuration_row(settings: Settings, results: Results, each: Configuration, best: float) -> list[Cell | str]:
+    ate, final = (_values(settings, results, each, name) for name in ("ate_m", "final_percent"))
+    odometry = float(np.mean(_values(settings, results, CONFIGURATIONS[0], "ate_m")))
     mean = float(np.mean(ate))
     tone: Tone = "bad" if mean > odometry else "good" if mean <= 1.5 * best else ""
     spread = f" ({min(ate):.3f} to {max(ate):.3f})" if len(ate) > 1 else ""
-    iterations = [_of(settings, results, each, stage) for stage in stage_errors.STAGES]
+    iterations = [_values(settings, results, each, stage) for stage in stage_errors.STAGES]
     return [
         each.name, "yes" if each.printed else "",
         Cell(f"{mean:.3f}{spread}", mean, tone), Cell(f"{np.mean(final):.2f}", float(np.mean(final))),
@@ -127,14 +133,14 @@ def _row(settings: Settings, results: Results, each: Configuration, best: float)
     ]  # fmt: skip
 
 
-def _of(settings: Settings, results: Results, each: Configuration, name: str) -> list[float]:
+def _values(settings: Settings, results: Results, each: Configuration, name: str) -> list[float]:
     found = (results[f"{each.name}, seed {seed}"][name] for seed in range(settings["seeds"]))
     return [value for value in found if value is not None]
 
 
 def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
-    """How much of the drift the readings of the text decide."""
-    mean = {each.name: float(np.mean(_of(settings, results, each, "ate_m"))) for each in CONFIGURATIONS}
+    """Finding: how much the drift depends on the reading of the text."""
+    mean = {each.name: float(np.mean(_values(settings, results, each, "ate_m"))) for each in CONFIGURATIONS}
     literal = [mean[each.name] for each in CONFIGURATIONS if each.printed]
     return (
         Finding(
@@ -142,7 +148,7 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
             f"ATE {min(literal):.3f} to {max(literal):.3f} m for the readings of the text, {min(mean.values()):.3f} m "
             f"at best, {mean['odometry only']:.3f} m by odometry alone",
             "not determined by the text",
-            "what the local map is made of and the unit of the threshold decide by this factor; neither is printed",
+            "the drift depends on the content of the local map and the unit of the threshold; neither is printed",
             ANCHOR,
         ),
     )  # fmt: skip

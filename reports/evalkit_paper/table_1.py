@@ -1,4 +1,4 @@
-"""The paper's synthetic validation made again: scenes that fit its Table 1, and ICP over many seeds of noise."""
+"""Synthetic validation of the paper (Table 1): scenes, and ICP over many seeds of noise."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from evalkit.core.se2 import Floats
 from evalkit_baselines.paper.icp import Icp
 
 SIGMA_M = 0.0483
-"""The paper's noise, on every coordinate of the scan."""
+"""Noise of the paper on every coordinate of the scan (1 sigma, m)."""
 
 APPLIED = Pose(4.0, 5.0, math.radians(30.0))
-"""``reference_from_scan``: the motion the paper applies."""
+"""``reference_from_scan``: the motion that the paper applies."""
 
 MAX_ITERATIONS = 40
 EPSILON = 1e-4
@@ -28,7 +28,7 @@ GOLDEN = 0.6180339887498949
 
 @dataclass(frozen=True)
 class Room:
-    """A square room [low, high] x [low, high] (m) with a circle, and how many points lie on each side and around it."""
+    """A square room [low, high] x [low, high] (m) with a circle; number of points per side and around the circle."""
 
     low: float
     high: float
@@ -38,7 +38,7 @@ class Room:
     around: int
 
     def points(self) -> Floats:
-        """The reference (N, 2), evenly spaced along the walls."""
+        """Reference points (N, 2) in metres, evenly spaced along the walls."""
         along = np.linspace(self.low, self.high, self.per_side, endpoint=False)
         low, high = np.full(self.per_side, self.low), np.full(self.per_side, self.high)
         back = self.low + self.high - along
@@ -50,14 +50,14 @@ class Room:
 
     @property
     def middle(self) -> Floats:
-        """The middle (2,) of the square."""
+        """Centre (2,) of the square."""
         return np.full(2, 0.5 * (self.low + self.high))
 
-    def told(self) -> str:
-        """The room in words."""
+    def describe(self) -> str:
+        """Describe the room."""
         x, y = self.centre
         return (
-            f"square [{self.low:g}, {self.high:g}]^2 m with {self.per_side} points a side, circle about ({x:g}, {y:g}) "
+            f"square [{self.low:g}, {self.high:g}]^2 m with {self.per_side} points per side, circle at ({x:g}, {y:g}) "
             f"of radius {self.radius:g} m with {self.around} points"
         )
 
@@ -74,47 +74,47 @@ READINGS: Mapping[str, Mapping[str, Any]] = {
     "mean square (eq. 5 as printed)": {"error": "mean-squared"},
     "mean distance, many-to-one": {"one_to_one": False},
 }
-"""Ways to read the error of Table 1, as parameters of the ICP; taken after the step unless it says before."""
+"""Readings of the error of Table 1 as parameters of the ICP; computed after the step unless stated."""
 
 QUANTITIES = ("k", "first error", "last error", "theta [deg]", "x [m]", "y [m]")
 PRINTED = (25.0, 2.82559, 0.047363, 29.87, 4.01, 5.02)
 """Table 1 of the paper."""
 
 HALF_DIGIT = (0.0, 5e-6, 5e-7, 5e-3, 5e-3, 5e-3)
-"""What rounding to the digits printed may hide."""
+"""Rounding error of the printed digits."""
 
 ERRORS = slice(0, 3)
-"""The quantities that the definition of the error decides; the pose is nearly the same for all."""
+"""The quantities that depend on the definition of the error; the pose is nearly the same for all."""
 
 
-def scan(room: Room, seed: int) -> Floats:
-    """The room's points in the scan's frame with noise (N, 2)."""
+def make_scan(room: Room, seed: int) -> Floats:
+    """Points (N, 2) of the room in the scan frame, with noise."""
     points = room.points()
     noise = np.random.default_rng(seed).normal(0.0, SIGMA_M, points.shape)
     return np.asarray(APPLIED.inverse().transform(points) + noise)
 
 
-def icp(**parameters: Any) -> Icp:
-    """The paper's ICP with the stop rule of its section on validation, and no largest distance of a pair."""
+def make_icp(**parameters: Any) -> Icp:
+    """The paper's ICP with the stop rule of its validation, without a maximum correspondence distance."""
     given = {"epsilon": EPSILON, "max_iterations": MAX_ITERATIONS, "max_correspondence_m": 0.0}
     return Icp(**{**given, **parameters})
 
 
-def runs(*, room: str, reading: str, begin: int, end: int) -> dict[str, Any]:
-    """ICP from the identity for seeds [begin, end).
+def run_seeds(*, room: str, reading: str, begin: int, end: int) -> dict[str, Any]:
+    """Run ICP from the identity for seeds [begin, end).
 
     "rows" (S, 6) of ``QUANTITIES`` in the reading's unit, "converged" (S,), "errors" (S, 40) by iteration and
     "residuals" (S, N) in m, both padded with nan.
     """
     parameters, where = READINGS[reading], ROOMS[room]
     target = Cloud(where.points())
-    registration = icp(**parameters, trace=True)
+    registration = make_icp(**parameters, trace=True)
     power = 2 if parameters.get("error") == "mean-squared" else 1
     rows, converged = np.zeros((end - begin, 6)), np.zeros(end - begin, dtype=np.bool_)
     errors = np.full((end - begin, MAX_ITERATIONS), np.nan)
     residuals = np.full((end - begin, len(target)), np.nan)
     for number, seed in enumerate(range(begin, end)):
-        source = Cloud(scan(where, seed))
+        source = Cloud(make_scan(where, seed))
         match = registration.register(target, source, Pose())
         errors[number, : match.iterations] = [step.error**power for step in match.history]
         pose = match.target_from_source
@@ -134,8 +134,8 @@ def _residuals(match: Match, target: Cloud, source: Cloud) -> Floats:
     return np.asarray(np.hypot(*(moved - target.points[pairs[:, 1]]).T))
 
 
-def spans(*, room: str) -> dict[str, Any]:
-    """How far the room's points and the scan's reach along x and y (m), without noise."""
+def measure_extents(*, room: str) -> dict[str, Any]:
+    """Extents (m) of the room and of the scan along x and y, without noise."""
     points = ROOMS[room].points()
     return {
         "reference": np.ptp(points, axis=0).tolist(),
@@ -143,39 +143,39 @@ def spans(*, room: str) -> dict[str, Any]:
     }
 
 
-def displaced(room: Room, turn_rad: float, shift: Floats) -> Pose:
-    """The guess that turns the scan about the room's middle and moves it by a shift (2,) from where it belongs."""
+def displaced_guess(room: Room, turn_rad: float, shift: Floats) -> Pose:
+    """Guess that rotates the scan about the room's centre and shifts it by (2,) metres from the true pose."""
     x, y = room.middle.tolist()
     moved = Pose(x + float(shift[0]), y + float(shift[1]), turn_rad)
     return moved @ Pose(-x, -y, 0.0) @ APPLIED
 
 
-def start_of(room: Room) -> tuple[float, float]:
-    """How far (m) and how far turned (deg) the identity, the paper's guess, is from where the scan belongs."""
+def initial_offset(room: Room) -> tuple[float, float]:
+    """Distance (m) and angle (deg) of the identity, the paper's guess, from the true pose."""
     moved = APPLIED.inverse().transform(room.middle[None])[0]
     return float(np.hypot(*(moved - room.middle))), abs(math.degrees(APPLIED.theta))
 
 
-def basin(
+def measure_basin(
     *, room: str, one_to_one: bool, turn_deg: float, distances_m: Sequence[float], seeds: int, within_m: float,
     within_deg: float, max_iterations: int,
 ) -> dict[str, Any]:  # fmt: skip
-    """How often ICP reaches the truth from one turn and each distance: "successes" (D,) of "trials".
+    """Count how often ICP reaches the true pose from one rotation and each distance: "successes" (D,) of "trials".
 
-    "misled" and "ran_out" (D,): failures that met the stop rule, and those that ran out of iterations. Each seed has
-    noise and a bearing of its own (bearings fill the circle evenly); turns alternate in sign.
+    "misled" and "ran_out" (D,): failures that converged elsewhere, and failures that reached the iteration limit. Each
+    seed has its own noise and bearing (bearings fill the circle evenly); rotations alternate in sign.
     """
     where = ROOMS[room]
     target = Cloud(where.points())
-    registration = icp(one_to_one=one_to_one, max_iterations=max_iterations)
+    registration = make_icp(one_to_one=one_to_one, max_iterations=max_iterations)
     successes, misled, ran_out = np.zeros((3, len(distances_m)), dtype=np.int64)
     for seed in range(seeds):
-        source = Cloud(scan(where, seed))
+        source = Cloud(make_scan(where, seed))
         for column, distance in enumerate(distances_m):
             bearing = 2.0 * np.pi * (((seed + 1) * GOLDEN + column / len(distances_m)) % 1.0)
             shift = distance * np.array([math.cos(bearing), math.sin(bearing)])
             turn = math.radians(turn_deg) * (-1.0) ** seed
-            match = registration.register(target, source, displaced(where, turn, shift))
+            match = registration.register(target, source, displaced_guess(where, turn, shift))
             if _near(match.target_from_source, where, within_m, math.radians(within_deg)):
                 successes[column] += 1
             elif match.converged:
@@ -186,7 +186,7 @@ def basin(
 
 
 def _near(found: Pose, where: Room, within_m: float, within_rad: float) -> bool:
-    """Whether an answer puts the middle of the room within so many metres, and the room within so many radians."""
+    """Whether a result is within the given distance at the room's centre and the given angle."""
     left = found @ APPLIED.inverse()
     moved = left.transform(where.middle[None])[0] - where.middle
     return bool(np.hypot(*moved) <= within_m and abs(left.theta) <= within_rad)

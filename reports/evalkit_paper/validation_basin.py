@@ -1,4 +1,4 @@
-"""From how far off the paper's ICP still finds its own scene: part of the chapter on validation."""
+"""Basin of convergence of the paper's ICP on its own scene; part of the chapter on validation."""
 
 from __future__ import annotations
 
@@ -20,21 +20,21 @@ from evalkit_paper.table_1 import MAX_ITERATIONS, ROOMS
 
 DISTANCES_M = tuple(float(value) for value in range(9))
 TURNS_DEG = (0.0, 10.0, 20.0, 30.0, 35.0, 40.0, 45.0, 50.0, 60.0, 90.0)
-TOLD_DEG = (0.0, 30.0, 40.0, 45.0, 50.0, 60.0, 90.0)
+TABLE_TURNS_DEG = (0.0, 30.0, 40.0, 45.0, 50.0, 60.0, 90.0)
 NEAR_M = 5.0
-LONG = 200
-"""Iterations enough for every start that comes in at all."""
+MANY_ITERATIONS = 200
+"""Enough iterations for every start that converges at all."""
 
 PARAMETERS = (
-    Parameter("basin_seeds", 16, "", "starts in every cell of the basin", low=2, high=1000),
-    Parameter("within_m", 0.1, "m", "basin: so near the truth is a success, at the room's middle", low=1e-3),
-    Parameter("within_deg", 2.0, "deg", "basin: so near the truth is a success", low=0.01),
+    Parameter("basin_seeds", 16, "", "starts per cell of the basin", low=2, high=1000),
+    Parameter("within_m", 0.1, "m", "basin: largest position error of a success, at the room's centre", low=1e-3),
+    Parameter("within_deg", 2.0, "deg", "basin: largest angle error of a success", low=0.01),
 )
 
 
 @dataclass(frozen=True)
-class Variant:
-    """One ICP whose basin is drawn."""
+class IcpVariant:
+    """An ICP variant whose basin is shown."""
 
     name: str
     title: str
@@ -42,17 +42,21 @@ class Variant:
 
 
 VARIANTS = (
-    Variant("filter", "with the one-to-one filter", {"one_to_one": True, "max_iterations": MAX_ITERATIONS}),
-    Variant("no filter", "without the filter", {"one_to_one": False, "max_iterations": MAX_ITERATIONS}),
-    Variant("filter, long", f"with the filter, up to {LONG} iterations", {"one_to_one": True, "max_iterations": LONG}),
+    IcpVariant("filter", "with the one-to-one filter", {"one_to_one": True, "max_iterations": MAX_ITERATIONS}),
+    IcpVariant("no filter", "without the filter", {"one_to_one": False, "max_iterations": MAX_ITERATIONS}),
+    IcpVariant(
+        "filter, long",
+        f"with the filter, up to {MANY_ITERATIONS} iterations",
+        {"one_to_one": True, "max_iterations": MANY_ITERATIONS},
+    ),
 )
 
 
 def jobs(settings: Settings) -> tuple[AnyTask, ...]:
-    """One job a variant and turn."""
+    """One task per variant and rotation."""
     return tuple(
         make_task(
-            _name(variant, turn), table_1.basin, room="first", distances_m=list(DISTANCES_M), turn_deg=turn,
+            _name(variant, turn), table_1.measure_basin, room="first", distances_m=list(DISTANCES_M), turn_deg=turn,
             seeds=settings["basin_seeds"], within_m=settings["within_m"], within_deg=settings["within_deg"],
             **variant.arguments,
         )
@@ -62,39 +66,42 @@ def jobs(settings: Settings) -> tuple[AnyTask, ...]:
 
 
 def blocks(settings: Settings, results: Results) -> list[Block]:
-    """Heat maps of success over distance and turn, what they say in words, and the counts with their intervals."""
-    metres, degrees = table_1.start_of(ROOMS["first"])
+    """Heat maps of success over distance and rotation, a summary, and counts with intervals."""
+    metres, degrees = table_1.initial_offset(ROOMS["first"])
     trials = settings["basin_seeds"]
     widest = wilson_interval(trials // 2, trials)
     told = (
-        "The scan of Table 1 put off by a distance at the room's middle, in bearings all round, and turned about it "
-        f"to either side; {trials} starts a cell, each with its own noise. Success: within {settings['within_m']:g} m "
-        f"at the middle and {settings['within_deg']:g} deg of the truth when ICP ends. Table 1 itself starts "
-        f"{metres:.1f} m and {degrees:.0f} deg off. A share of one half is known to lie between {100 * widest.low:.0f} "
-        f"and {100 * widest.high:.0f} % (Wilson)."
+        "The scan of Table 1 is shifted by a distance at the room's centre, in all directions, and rotated about it to "
+        f"either side; {trials} starts per cell, each with its own noise. Success: within {settings['within_m']:g} m "
+        f"at the centre and {settings['within_deg']:g} deg of the true pose when ICP ends. Table 1 itself starts "
+        f"{metres:.1f} m and {degrees:.0f} deg off. The interval of a share of one half is {100 * widest.low:.0f} "
+        f"to {100 * widest.high:.0f} % (Wilson)."
     )
     return [
         Text(told),
-        Figures([_map(variant, successes(results, variant), trials) for variant in VARIANTS], small=True),
-        _ends(results, trials),
-        Text(_words(results, trials)),
-        Fold("Counts and intervals", [_counts(variant, successes(results, variant), trials) for variant in VARIANTS]),
+        Figures([_heat_figure(variant, load_successes(results, variant), trials) for variant in VARIANTS], small=True),
+        _end_table(results, trials),
+        Text(_summarize(results, trials)),
+        Fold(
+            "Counts and intervals",
+            [_count_table(variant, load_successes(results, variant), trials) for variant in VARIANTS],
+        ),
     ]
 
 
-def successes(results: Results, variant: Variant) -> Ints:
-    """Successes (T, D) by turn and distance."""
+def load_successes(results: Results, variant: IcpVariant) -> Ints:
+    """Successes (T, D) by rotation and distance."""
     return np.stack([results[_name(variant, turn)]["successes"] for turn in TURNS_DEG])
 
 
-def shares(results: Results, variant: Variant, key: str, turn: float) -> int:
-    """Starts up to ``NEAR_M`` off and of one turn that ended so: "successes", "misled" or "ran_out"."""
+def count_ends(results: Results, variant: IcpVariant, key: str, turn: float) -> int:
+    """Number of starts up to ``NEAR_M`` and of one rotation that ended as "successes", "misled" or "ran_out"."""
     near = np.array(DISTANCES_M) <= NEAR_M
     return int(results[_name(variant, turn)][key][near].sum())
 
 
-def _ends(results: Results, trials: int) -> Table:
-    """For some turns how the starts up to 5 m off ended."""
+def _end_table(results: Results, trials: int) -> Table:
+    """Table: how starts up to 5 m away ended, for some rotations."""
     every = trials * sum(distance <= NEAR_M for distance in DISTANCES_M)
     columns = (
         Column("Turn", "deg"),
@@ -105,58 +112,60 @@ def _ends(results: Results, trials: int) -> Table:
     rows = [
         [
             Cell(f"{turn:g}", sort=turn),
-            *(_share(shares(results, variant, "successes", turn), every) for variant in VARIANTS),
-            *(_failed(results, variant, turn, every) for variant in VARIANTS),
+            *(_share_cell(count_ends(results, variant, "successes", turn), every) for variant in VARIANTS),
+            *(_failed_cell(results, variant, turn, every) for variant in VARIANTS),
         ]
-        for turn in TOLD_DEG
+        for turn in TABLE_TURNS_DEG
     ]
-    note = f"Starts up to {NEAR_M:g} m off. Misled: the stop rule was met away from the truth."
+    note = f"Starts up to {NEAR_M:g} m away. Misled: ICP converged elsewhere."
     return Table(columns, rows, note, sortable=False)
 
 
-def _failed(results: Results, variant: Variant, turn: float, every: int) -> Cell:
-    misled, ran_out = (100 * shares(results, variant, key, turn) / every for key in ("misled", "ran_out"))
+def _failed_cell(results: Results, variant: IcpVariant, turn: float, every: int) -> Cell:
+    misled, ran_out = (100 * count_ends(results, variant, key, turn) / every for key in ("misled", "ran_out"))
     return Cell(f"{misled:.0f}, {ran_out:.0f}")
 
 
-def _words(results: Results, trials: int) -> str:
+def _summarize(results: Results, trials: int) -> str:
     kept, long = VARIANTS[0], VARIANTS[-1]
     every = trials * sum(distance <= NEAR_M for distance in DISTANCES_M)
-    short, more = (100 * shares(results, variant, "successes", 45.0) / every for variant in (kept, long))
-    right = sum(int(successes(results, variant)[-1].sum()) for variant in VARIANTS)
+    short, more = (100 * count_ends(results, variant, "successes", 45.0) / every for variant in (kept, long))
+    right = sum(int(load_successes(results, variant)[-1].sum()) for variant in VARIANTS)
     tried = len(VARIANTS) * len(DISTANCES_M) * trials
     return (
-        f"At 45 deg {short:.0f} % of the starts up to {NEAR_M:g} m off succeed within {MAX_ITERATIONS} iterations and "
-        f"{more:.0f} % within {LONG}: the limit of iterations ends more of them than the landscape. At 90 deg {right} "
-        f"of all {tried} starts succeed: but for the circle the square is the same again."
+        f"At 45 deg {short:.0f} % of the starts up to {NEAR_M:g} m away succeed within {MAX_ITERATIONS} iterations and "
+        f"{more:.0f} % within {MANY_ITERATIONS}: the iteration limit stops more of them than local minima do. At 90 "
+        f"deg {right} "
+        f"of all {tried} starts succeed: except for the circle, the square looks the same."
     )
 
 
-def _share(count: int, trials: int) -> Cell:
+def _share_cell(count: int, trials: int) -> Cell:
     share = wilson_interval(count, trials)
     return Cell(f"{100 * share.value:.0f} ({100 * share.low:.0f} to {100 * share.high:.0f})", sort=share.value)
 
 
-def _map(variant: Variant, counts: Ints, trials: int) -> Figure:
+def _heat_figure(variant: IcpVariant, counts: Ints, trials: int) -> Figure:
     body = charts.heat(
         100.0 * counts / trials, Axis("distance [m]"), Axis("turn [deg]"), DISTANCES_M, TURNS_DEG,
         Axis("success [%]", low=0.0, high=100.0), printed=lambda value: f"{value:.0f}",
     )  # fmt: skip
-    return Figure(body, f"{variant.title[0].upper()}{variant.title[1:]}", f"Success in % of {trials} starts a cell.")
+    return Figure(body, f"{variant.title[0].upper()}{variant.title[1:]}", f"Success in % of {trials} starts per cell.")
 
 
-def _counts(variant: Variant, counts: Ints, trials: int) -> Table:
+def _count_table(variant: IcpVariant, counts: Ints, trials: int) -> Table:
     columns = (Column("Turn", "deg"), *(Column(f"{distance:g} m", number=True) for distance in DISTANCES_M))
     rows = [
-        (Cell(f"{turn:g}"), *(_cell(int(count), trials) for count in counts[row])) for row, turn in enumerate(TURNS_DEG)
+        (Cell(f"{turn:g}"), *(_count_cell(int(count), trials) for count in counts[row]))
+        for row, turn in enumerate(TURNS_DEG)
     ]
     return Table(columns, rows, f"{variant.title}, of {trials}, with Wilson's 95 % interval in %", sortable=False)
 
 
-def _cell(count: int, trials: int) -> Cell:
+def _count_cell(count: int, trials: int) -> Cell:
     share = wilson_interval(count, trials)
     return Cell(f"{count} ({100 * share.low:.0f} to {100 * share.high:.0f})", sort=share.value)
 
 
-def _name(variant: Variant, turn: float) -> str:
+def _name(variant: IcpVariant, turn: float) -> str:
     return f"basin {variant.name} {turn:g}"

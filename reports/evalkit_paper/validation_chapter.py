@@ -1,4 +1,4 @@
-"""The chapter on the paper's synthetic validation: Table 1 and figures 6 to 8, over many seeds."""
+"""Chapter on the paper's synthetic validation: Table 1 and Figures 6 to 8, over many seeds."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from evalkit_paper import table_1, validation_basin
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
 from evalkit_paper.table_1 import APPLIED, ERRORS, HALF_DIGIT, PRINTED, QUANTITIES, READINGS, ROOMS, SIGMA_M
 
-WELL = 2.0
-"""Standard deviations within which a row fits."""
+MAX_DEVIATION = 2.0
+"""Largest deviation (standard deviations) of a row that fits."""
 
-AT_ONCE = 50
-"""Seeds in one job."""
+SEEDS_PER_TASK = 50
+"""Seeds per task."""
 
 DIGITS = (1, 4, 4, 2, 3, 3)
 MAIN = next(iter(READINGS))
@@ -38,10 +38,7 @@ PARAMETERS = (
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """One reading of the error in one room: rows (S, 6) of ``QUANTITIES``, held against the printed row.
-
-    ``deviations`` (6,): how many standard deviations the printed value is from the mean, less what its digits hide.
-    """
+    """One reading of the error in one room: rows (S, 6) of ``QUANTITIES``, compared with the printed row."""
 
     room: str
     reading: str
@@ -62,107 +59,108 @@ class Fit:
 
     @property
     def deviations(self) -> Floats:
-        """The printed row (6,) in standard deviations from the mean."""
+        """Deviation (6,) of the printed row from the mean in standard deviations, less its rounding error."""
         return np.asarray(np.maximum(np.abs(np.array(PRINTED) - self.mean) - HALF_DIGIT, 0.0) / self.spread)
 
     @property
     def largest(self) -> tuple[float, str]:
-        """The largest deviation among iterations and errors, and whose it is."""
+        """Largest deviation among iterations and errors, and its quantity."""
         of = self.deviations[ERRORS]
         return float(of.max()), QUANTITIES[int(of.argmax())]
 
     @property
     def of_pose(self) -> tuple[float, str]:
-        """The largest deviation among the pose's coordinates, and whose it is."""
+        """Largest deviation among the coordinates of the pose, and its quantity."""
         of = self.deviations[ERRORS.stop :]
         return float(of.max()), QUANTITIES[ERRORS.stop + int(of.argmax())]
 
     @property
     def nearest(self) -> int:
-        """The seed whose row is nearest to the printed one: least root mean square of all six standardised."""
-        return self._nearest(slice(None))
+        """Seed whose row is nearest to the printed one (RMS of all six standardised deviations)."""
+        return self._nearest_seed(slice(None))
 
     @property
     def nearest_in_errors(self) -> int:
-        """The same by iterations and errors alone."""
-        return self._nearest(ERRORS)
+        """The same for iterations and errors only."""
+        return self._nearest_seed(ERRORS)
 
-    def _nearest(self, which: slice) -> int:
+    def _nearest_seed(self, which: slice) -> int:
         apart = ((self.rows - PRINTED) / self.spread)[:, which]
         return int(np.argmin(np.mean(apart * apart, axis=1)))
 
 
 def jobs(settings: Settings) -> tuple[AnyTask, ...]:
-    """Every reading in both rooms in batches of seeds, the spans, and the basin."""
+    """Tasks: every reading in both rooms in batches of seeds, the extents, and the basin."""
     batches = [
         make_task(
-            f"{room} | {reading} | {begin}", table_1.runs, room=room, reading=reading, begin=begin,
-            end=min(begin + AT_ONCE, settings["seeds"]),
+            f"{room} | {reading} | {begin}", table_1.run_seeds, room=room, reading=reading, begin=begin,
+            end=min(begin + SEEDS_PER_TASK, settings["seeds"]),
         )
         for room in ROOMS
         for reading in READINGS
-        for begin in range(0, settings["seeds"], AT_ONCE)
+        for begin in range(0, settings["seeds"], SEEDS_PER_TASK)
     ]  # fmt: skip
-    spans = [make_task(f"spans {room}", table_1.spans, room=room) for room in ROOMS]
+    spans = [make_task(f"spans {room}", table_1.measure_extents, room=room) for room in ROOMS]
     return (*batches, *spans, *validation_basin.jobs(settings))
 
 
-def fits(settings: Settings, results: Results, room: str) -> dict[str, Fit]:
-    """All readings in one room, by name."""
+def load_fits(settings: Settings, results: Results, room: str) -> dict[str, Fit]:
+    """Load all readings in one room, by name."""
     found = {}
     for reading in READINGS:
-        parts = [results[f"{room} | {reading} | {begin}"] for begin in range(0, settings["seeds"], AT_ONCE)]
+        parts = [results[f"{room} | {reading} | {begin}"] for begin in range(0, settings["seeds"], SEEDS_PER_TASK)]
         joined = {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
         found[reading] = Fit(room, reading, **joined)
     return found
 
 
-def best(known: Mapping[str, Fit]) -> Fit:
-    """The reading whose largest deviation among iterations and errors is least."""
+def best_fit(known: Mapping[str, Fit]) -> Fit:
+    """The reading with the smallest largest deviation among iterations and errors."""
     return min(known.values(), key=lambda fit: fit.largest[0])
 
 
 def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
-    """Table 1 in both rooms, figures 6 to 8 for the reading that fits, and the basin."""
-    first, second = (fits(settings, results, room) for room in ROOMS)
-    fitting = best(first)
+    """Sections: Table 1 in both rooms, Figures 6 to 8 for the best reading, and the basin."""
+    first, second = (load_fits(settings, results, room) for room in ROOMS)
+    fitting = best_fit(first)
     return (
-        Section("Table 1", _table_1(first, second, results), "table-1"),
-        Section("Figures 6 to 8", _figures(fitting), "figures-6-8"),
+        Section("Table 1", _table_1_blocks(first, second, results), "table-1"),
+        Section("Figures 6 to 8", _figure_blocks(fitting), "figures-6-8"),
         Section("Basin of Table 1", validation_basin.blocks(settings, results), "basin"),
     )
 
 
-def _table_1(first: Mapping[str, Fit], second: Mapping[str, Fit], results: Results) -> list[Block]:
-    chosen, other = best(first), best(second)
+def _table_1_blocks(first: Mapping[str, Fit], second: Mapping[str, Fit], results: Results) -> list[Block]:
+    chosen, other = best_fit(first), best_fit(second)
     blocks: list[Block] = [
         Text(
-            f"The paper does not say how its room is sampled. Here: {ROOMS['first'].told()}; the scan is the same "
+            f"The paper does not state how its room is sampled. Here: {ROOMS['first'].describe()}; the scan is the "
+            "same "
             f"points under the inverse of 30 deg and (4, 5) m with noise of {100 * SIGMA_M:g} cm on every coordinate; "
             f"ICP starts from the identity. {len(chosen.rows)} seeds."
         ),
-        _rows(first),
-        Text(_verdict(first)),
-        Text(_pose(chosen)),
-        Text(f"Another room, to see how far the text determines it: {ROOMS['second'].told()}."),
-        _rows(second),
-        Text(f"{_verdict(second)} {_pose(other)} {_determined(first, second)}"),
-        Text(_spans(results)),
+        _fit_table(first),
+        Text(_describe_fit(first)),
+        Text(_describe_pose(chosen)),
+        Text(f"A second room, to test how far the text determines the room: {ROOMS['second'].describe()}."),
+        _fit_table(second),
+        Text(f"{_describe_fit(second)} {_describe_pose(other)} {_describe_rooms(first, second)}"),
+        Text(_describe_extents(results)),
     ]
     return blocks
 
 
-def _determined(first: Mapping[str, Fit], second: Mapping[str, Fit]) -> str:
-    both = [best(known) for known in (first, second)]
-    if all(fit.largest[0] <= WELL for fit in both):
-        return "Both rooms fit: the text does not determine it."
+def _describe_rooms(first: Mapping[str, Fit], second: Mapping[str, Fit]) -> str:
+    both = [best_fit(known) for known in (first, second)]
+    if all(fit.largest[0] <= MAX_DEVIATION for fit in both):
+        return "Both rooms fit: the text does not determine the room."
     return f"Only the {min(both, key=lambda fit: fit.largest[0]).room} room fits."
 
 
-def _rows(known: Mapping[str, Fit]) -> Table:
-    fitting = best(known)
+def _fit_table(known: Mapping[str, Fit]) -> Table:
+    fitting = best_fit(known)
     columns = (
-        Column("Error of the row"),
+        Column("Reading of the error"),
         *(Column(name, number=True, tip="mean and standard deviation over the seeds") for name in QUANTITIES),
         Column("Converged", "%", number=True),
         Column("Errors off by", "sd", number=True, tip="largest deviation among iterations and errors"),
@@ -185,51 +183,51 @@ def _rows(known: Mapping[str, Fit]) -> Table:
     return Table(columns, rows, sortable=False)
 
 
-def _verdict(known: Mapping[str, Fit]) -> str:
+def _describe_fit(known: Mapping[str, Fit]) -> str:
     ordered = sorted(known.values(), key=lambda fit: fit.largest[0])
     fitting, runner_up = ordered[0], ordered[1]
     return (
         f"Best fit: {fitting.reading}; its largest deviation is {fitting.largest[0]:.1f} standard deviations "
         f"({fitting.largest[1]}). Next: {runner_up.reading}, {runner_up.largest[0]:.1f} ({runner_up.largest[1]}). The "
-        f"error as printed in equation 5 is {known[READING_AS_PRINTED].largest[0]:.0f} off."
+        f"error as printed in equation 5 deviates by {known[READING_AS_PRINTED].largest[0]:.0f}."
     )
 
 
 READING_AS_PRINTED = next(name for name in READINGS if "eq. 5" in name)
 
 
-def _pose(fit: Fit) -> str:
+def _describe_pose(fit: Fit) -> str:
     value, name = fit.of_pose
     return (
-        f"The printed pose is {value:.1f} standard deviations off in {name}, beyond its digits: "
-        + ("more than this noise alone explains." if value > 3.0 else "within what this noise explains.")
+        f"The printed pose deviates by {value:.1f} standard deviations in {name}, beyond its rounding: "
+        + ("more than this noise explains." if value > 3.0 else "this noise explains it.")
     )  # fmt: skip
 
 
-def _spans(results: Results) -> str:
+def _describe_extents(results: Results) -> str:
     told = [
         f"{results[f'spans {room}']['scan'][0]:.1f} x {results[f'spans {room}']['scan'][1]:.1f} m moved, "
         f"{results[f'spans {room}']['reference'][0]:.0f} x {results[f'spans {room}']['reference'][1]:.0f} m aligned"
         for room in ROOMS
     ]
-    return f"Spans of the cloud (the paper: 14 x 14 before, 10 x 10 after): {told[0]}; second room: {told[1]}."
+    return f"Extents of the cloud (the paper: 14 x 14 before, 10 x 10 after): {told[0]}; second room: {told[1]}."
 
 
-def _figures(fit: Fit) -> list[Block]:
+def _figure_blocks(fit: Fit) -> list[Block]:
     return [
         Text(
-            f"For the reading that fits, {fit.reading}; the nearest seed ({fit.nearest}) is the one with the least "
-            "root mean square of the six standardised deviations from the printed row; seed "
-            f"{fit.nearest_in_errors} is it by iterations and errors alone, without the pose."
+            f"For the best reading, {fit.reading}. The nearest seed ({fit.nearest}) has the smallest RMS of the six "
+            f"standardised deviations from the printed row; seed {fit.nearest_in_errors} is nearest in iterations and "
+            "errors only."
         ),
-        Figures((_profile(fit), _histogram(fit))),
-        Figures((_overlay(fit, "before"), _overlay(fit, "after"))),
+        Figures((_convergence_figure(fit), _residual_figure(fit))),
+        Figures((_overlay_figure(fit, "before"), _overlay_figure(fit, "after"))),
     ]
 
 
-def _profile(fit: Fit) -> Figure:
-    """Errors by iteration: after its last one a run keeps its last error, so that all seeds count everywhere."""
-    held = _held(fit.errors)
+def _convergence_figure(fit: Fit) -> Figure:
+    """Figure of errors by iteration; a finished run keeps its last error, so that all seeds count everywhere."""
+    held = _hold_last_error(fit.errors)
     iterations = np.arange(1.0, held.shape[1] + 1)
     low, high = held.min(axis=0), held.max(axis=0)
     near = fit.errors[fit.nearest]
@@ -244,7 +242,7 @@ def _profile(fit: Fit) -> Figure:
     return Figure(body, "Figure 6: convergence", "Error by iteration, logarithmic.")
 
 
-def _held(errors: Floats) -> Floats:
+def _hold_last_error(errors: Floats) -> Floats:
     held = errors.copy()
     for column in range(1, held.shape[1]):
         gone = np.isnan(held[:, column])
@@ -252,7 +250,7 @@ def _held(errors: Floats) -> Floats:
     return held
 
 
-def _histogram(fit: Fit) -> Figure:
+def _residual_figure(fit: Fit) -> Figure:
     near = fit.residuals[fit.nearest]
     near = near[np.isfinite(near)]
     body = charts.histogram(
@@ -267,10 +265,10 @@ def _histogram(fit: Fit) -> Figure:
     return Figure(body, "Figure 7: residuals", told)
 
 
-def _overlay(fit: Fit, when: str) -> Figure:
+def _overlay_figure(fit: Fit, when: str) -> Figure:
     room = ROOMS[fit.room]
-    pose = Pose() if when == "before" else _answer(fit)
-    moved = pose.transform(table_1.scan(room, fit.nearest))
+    pose = Pose() if when == "before" else _estimated_pose(fit)
+    moved = pose.transform(table_1.make_scan(room, fit.nearest))
     layers = (
         Points("reference", room.points(), GREY, 4.5),
         Points("scan", moved, ORANGE if when == "before" else BLUE, 2.0),
@@ -280,25 +278,25 @@ def _overlay(fit: Fit, when: str) -> Figure:
     return Figure(charts.scatter(layers, Axis("x [m]"), Axis("y [m]")), f"Figure 8: {when}", told)
 
 
-def _answer(fit: Fit) -> Pose:
+def _estimated_pose(fit: Fit) -> Pose:
     theta, x, y = fit.rows[fit.nearest, ERRORS.stop :]
     return Pose(float(x), float(y), float(np.radians(theta)))
 
 
 def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
-    """A line for Table 1, its figures and the spans in its text."""
-    first = fits(settings, results, "first")
-    fit = best(first)
+    """Findings on Table 1, Figures 6 to 8 and the extents in the text."""
+    first = load_fits(settings, results, "first")
+    fit = best_fit(first)
     numbers = ", ".join(
         f"{name} {mean:.{digits}f} ± {spread:.{digits}f}"
         for name, mean, spread, digits in zip(QUANTITIES, fit.mean, fit.spread, DIGITS, strict=True)
     )
     printed = ", ".join(f"{name} {value:g}" for name, value in zip(QUANTITIES, PRINTED, strict=True))
-    held = fit.largest[0] <= WELL and bool(fit.converged.all())
+    held = fit.largest[0] <= MAX_DEVIATION and bool(fit.converged.all())
     near = fit.rows[fit.nearest]
     residual = float(np.nanmean(fit.residuals[fit.nearest]))
     span: Result = results["spans first"]
-    why = f"As {fit.reading}, not as eq. 5 prints it; how the room is sampled is not given. {_pose(fit)}"
+    why = f"As {fit.reading}, not as printed in eq. 5; the sampling of the room is not given. {_describe_pose(fit)}"
     return (
         Finding("Table 1", printed, numbers,
                 "reproduced with a correction" if held else "not determined by the text", why, "table-1"),
@@ -309,7 +307,7 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
                 "distances of the pairs after the last step", "figures-6-8"),
         Finding("Figure 8, before and after", "14 x 14 m before, 10 x 10 m after",
                 f"{span['scan'][0]:.1f} x {span['scan'][1]:.1f} m, {span['reference'][0]:.0f} x "
-                f"{span['reference'][1]:.0f} m", "reproduced", "the moved room's extent along the axes", "figures-6-8"),
+                f"{span['reference'][1]:.0f} m", "reproduced", "extent of the moved room", "figures-6-8"),
     )  # fmt: skip
 
 

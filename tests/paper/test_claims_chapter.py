@@ -7,14 +7,14 @@ from evalkit_paper import claims_chapter, long_drives
 
 
 def test_wheels_without_errors_stay_on_the_way(monkeypatch):
-    found = long_drives.grown("wheel-odometry", {}, "lab", 0, 0.1, 8)
+    found = long_drives.error_over_path("wheel-odometry", {}, "lab", 0, 0.1, 8)
     assert found["path_m"].shape == (8,)
     assert found["path_m"] == pytest.approx(found["path_m"][-1] * np.arange(1, 9) / 8, abs=0.05)
     assert found["end_m"][0] < 0.1
 
 
 def test_the_mean_error_up_to_a_mark_is_that_of_all_scans_before_it():
-    found = long_drives.grown("wheel-odometry", {}, "lab", 1, 0.1, 200)
+    found = long_drives.error_over_path("wheel-odometry", {}, "lab", 1, 0.1, 200)
     assert found["rmse_m"][0] <= found["end_m"][:3].max() + 1e-9
     assert found["rmse_m"][-1] <= found["end_m"].max()
     assert found["rmse_m"][-1] >= found["end_m"].min()
@@ -30,7 +30,7 @@ def made(settings, percent):
     way = np.linspace(1.0, 100.0, claims_chapter.MARKS)
     results = {}
     for job in claims_chapter.CHAPTER.jobs(settings):
-        if job.function.__name__ == "grown":
+        if job.function.__name__ == "error_over_path":
             share = percent[job.name.partition(" | ")[0]] / 100.0
             results[job.name] = {"path_m": way, "end_m": share * way, "rmse_m": share * way}
         else:

@@ -6,7 +6,7 @@ import pytest
 from evalkit.plugins import registry
 from evalkit.report.html.document import Document, render
 from evalkit_paper import map_chapter, map_measurements
-from evalkit_paper.map_study import named
+from evalkit_paper.map_study import describe_variant
 
 LAPS = 0.05
 SETTINGS = {"worlds": "lab", "seeds": 2, "laps": 0.1, "interactions": True}
@@ -14,13 +14,13 @@ SETTINGS = {"worlds": "lab", "seeds": 2, "laps": 0.1, "interactions": True}
 
 @pytest.fixture(scope="module")
 def sequence():
-    return map_measurements.drive("lab", 0, LAPS)
+    return map_measurements.make_drive("lab", 0, LAPS)
 
 
 def test_every_map_is_measured_once_and_the_papers_settings_come_first():
     variants = map_measurements.variants(True)
     assert variants[0] == {}
-    words = [named(variant) for variant in variants]
+    words = [describe_variant(variant) for variant in variants]
     assert len(set(words)) == len(words)
     assert words[0] == "paper's settings"
     assert all({} in map(map_measurements.departures, own) for own in map_measurements.factors().values())
@@ -32,37 +32,37 @@ def test_the_defaults_are_those_of_the_mapper():
 
 
 def test_scans_are_spread_over_the_whole_drive(sequence):
-    placed = sequence.placed(5)
+    placed = sequence.select_scans(5)
     stamps = [scan.stamp_ns for scan, _ in placed]
     assert len(stamps) == 5
     assert (stamps[0], stamps[-1]) == (sequence.frames[0].scan.stamp_ns, sequence.frames[-1].scan.stamp_ns)
-    assert len(sequence.placed(10_000)) == len(sequence.frames)
+    assert len(sequence.select_scans(10_000)) == len(sequence.frames)
 
 
 def test_undoing_the_motion_by_true_poses_puts_hits_without_noise_on_the_walls():
-    silent = map_measurements.drive("lab", 0, LAPS, noise_m=0.0, dropout=0.0)
-    scan, world_from_sensor = silent.placed(3)[1]
+    silent = map_measurements.make_drive("lab", 0, LAPS, noise_m=0.0, dropout=0.0)
+    scan, world_from_sensor = silent.select_scans(3)[1]
     hits = map_measurements.se2.transform(world_from_sensor, scan.points())
     walls = silent.true.centres(silent.true.occupied())
     assert (
         map_measurements.nearest_distances_m(hits, walls).max() < 0.05
     )  # half a cell's diagonal and the grid of the truth
-    kept, _ = silent.placed(3, deskewed=False)[1]
+    kept, _ = silent.select_scans(3, deskewed=False)[1]
     assert not np.allclose(kept.points(), scan.points(), atol=1e-3)
 
 
 def test_ranges_without_noise_give_hardly_a_wall_that_is_not_there():
-    found = map_measurements.measured("lab", 0, LAPS, "true", [{}], {"noise_m": 0.0})
-    assert found["precision"][0, map_measurements.TOLD] > 0.98
+    found = map_measurements.measure_maps("lab", 0, LAPS, "true", [{}], {"noise_m": 0.0})
+    assert found["precision"][0, map_measurements.DEFAULT_THRESHOLD] > 0.98
     assert found["ate_m"] == 0.0
 
 
 def test_estimated_poses_cost_something_and_are_told():
-    assert 0.0 < map_measurements.measured("lab", 0, LAPS, "estimated", [{}])["ate_m"] < 0.05
+    assert 0.0 < map_measurements.measure_maps("lab", 0, LAPS, "estimated", [{}])["ate_m"] < 0.05
 
 
 def test_no_drift_changes_nothing_and_more_moves_walls_further_off():
-    found = map_measurements.drifted("lab", 0, LAPS, [0.0, 0.1, 0.4], [0.0, 4.0])
+    found = map_measurements.measure_drift("lab", 0, LAPS, [0.0, 0.1, 0.4], [0.0, 4.0])
     assert found["metres"][0].tolist() == found["degrees"][0].tolist()
     distances = found["metres"][:, map_measurements.DRIFT_MEASURES.index("mean distance to wall")]
     assert (np.diff(distances) > 0).all()
@@ -71,10 +71,10 @@ def test_no_drift_changes_nothing_and_more_moves_walls_further_off():
 def test_both_mappers_draw_the_same():
     if registry.mapper("embedded-log-odds").missing():
         pytest.skip("the compiled core was not built")
-    found = map_measurements.twins("lab", 0, LAPS, [{}, {"l_free": -0.405}])
+    found = map_measurements.compare_mappers("lab", 0, LAPS, [{}, {"l_free": -0.405}])
     assert found["log_odds"] < 1e-4
     assert found["observed by one only"] == 0
-    assert not map_measurements.compiled({"traversal": "bresenham"})
+    assert not map_measurements.is_compiled({"traversal": "bresenham"})
 
 
 def invented(job):
@@ -83,7 +83,7 @@ def invented(job):
     asked = job.arguments
     if job.function.__name__ == "measured":
         shape = (len(asked["variants"]), len(map_measurements.THRESHOLDS))
-        names = [map_measurements.COMPILED[not map_measurements.compiled(v)] for v in asked["variants"]]
+        names = [map_measurements.COMPILED[not map_measurements.is_compiled(v)] for v in asked["variants"]]
         thresholded = {name: rng.uniform(0.5, 0.9, shape) for name in map_measurements.MEASURES[:5]}
         plain = {name: rng.uniform(0.1, 0.2, shape[0]) for name in map_measurements.MEASURES[5:]}
         return thresholded | plain | {"ate_m": 0.01, "mappers": names}

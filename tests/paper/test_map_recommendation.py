@@ -2,22 +2,22 @@
 
 import numpy as np
 
-from evalkit_paper.map_recommendation import Choice, recommended
+from evalkit_paper.map_recommendation import Recommendation, recommend
 
 
 def choose(f1, loss, departures, peers=None):
     f1 = np.array(f1)[:, :, None]
     peers = np.zeros(len(f1), dtype=int) if peers is None else np.array(peers)
-    return recommended(f1, np.array(loss)[:, None], peers, np.array(departures), 0)
+    return recommend(f1, np.array(loss)[:, None], peers, np.array(departures), 0)
 
 
 def test_the_papers_settings_stay_where_nothing_is_better_by_the_margin():
-    assert choose([[0.80, 0.79], [0.809, 0.80]], [0.1, 0.1], [0, 1]) == Choice(0, 0, 1, 0)
+    assert choose([[0.80, 0.79], [0.809, 0.80]], [0.1, 0.1], [0, 1]) == Recommendation(0, 0, 1, 0)
 
 
 def test_the_fewest_departures_within_the_margin_are_taken_and_a_threshold_is_one():
     f1 = [[0.80, 0.80], [0.80, 0.895], [0.893, 0.80]]
-    assert choose(f1, [0.1, 0.1, 0.1], [0, 1, 1]) == Choice(2, 0, 1, 1)  # 0.895 needs two departures, 0.893 one
+    assert choose(f1, [0.1, 0.1, 0.1], [0, 1, 1]) == Recommendation(2, 0, 1, 1)  # 0.895 needs two departures, 0.893 one
 
 
 def test_walls_bought_with_worse_probabilities_do_not_count():

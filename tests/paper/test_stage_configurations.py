@@ -19,7 +19,7 @@ def test_names_of_configurations_differ():
 
 
 def test_without_a_stage_nothing_is_iterated_and_the_answer_is_the_odometry():
-    odometry = stage_configurations.measured(
+    odometry = stage_configurations.measure_configuration(
         backend="paper",
         parameters=dict(CONFIGURATIONS[0].parameters),
         sequence={"laps": 0.05, "rate_hz": 5.0, "velocity_noise_mps": 0.0, "odometry_scale": 0.0, "gyro_noise_dps": 0.0,

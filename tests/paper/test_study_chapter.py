@@ -29,7 +29,7 @@ needs_core = pytest.mark.skipif(bool(registry.backend("embedded").missing()), re
 def settings(tmp_path):
     file = tmp_path / "study.toml"
     file.write_text(STUDY)
-    return CHAPTER.settings("paper.toml: [study]", {"file": str(file), "twins": 1, "twin_scans": 3})
+    return CHAPTER.settings("paper.toml: [study]", {"file": str(file), "comparisons": 1, "comparison_scans": 3})
 
 
 @needs_core
@@ -38,7 +38,7 @@ def test_the_chapter_words_what_its_jobs_found(settings):
     assert len(jobs) == 8 + 1
     found = {
         job.name: {"apart_m": 1e-12, "apart_rad": 0.0, "scans": 3}
-        if job.name.startswith("twin")
+        if job.name.startswith("comparison")
         else {"status": "complete", "reason": "", "scores": {"ate_rmse_m": 0.1}, "why": {}, "cpu_s": 0.5}
         for job in jobs
     }
@@ -55,7 +55,7 @@ def test_the_chapter_words_what_its_jobs_found(settings):
 
 
 @needs_core
-def test_core_and_twin_answer_alike_with_the_same_parameters():
+def test_core_and_reference_give_the_same_poses_with_the_same_parameters():
     found = apart(("paper", "embedded"), {"epsilon": 1e-5, "one_to_one": False}, "lab", {"laps": 0.03, "seed": 1}, 5)
     assert found["scans"] == 5
     assert found["apart_m"] < 1e-9

@@ -32,14 +32,14 @@ def chapter():
 
 def test_the_room_has_the_points_and_the_spans_the_paper_tells():
     assert len(ROOMS["first"].points()) == 480
-    found = table_1.spans(room="first")
+    found = table_1.measure_extents(room="first")
     assert found["reference"] == pytest.approx([10.0, 10.0])
     assert found["scan"] == pytest.approx([10 * (math.cos(math.pi / 6) + 0.5)] * 2)
 
 
 def test_the_scan_is_the_room_moved_back_with_the_papers_noise():
     room = ROOMS["first"]
-    left = np.concatenate([APPLIED.transform(table_1.scan(room, seed)) - room.points() for seed in range(20)])
+    left = np.concatenate([APPLIED.transform(table_1.make_scan(room, seed)) - room.points() for seed in range(20)])
     assert left.std() == pytest.approx(table_1.SIGMA_M, rel=0.02)
     assert np.abs(left.mean(axis=0)).max() < 0.002
 
@@ -47,9 +47,9 @@ def test_the_scan_is_the_room_moved_back_with_the_papers_noise():
 def test_the_reading_that_fits_is_found_by_computation(chapter):
     settings, results = chapter
     for room in ROOMS:
-        known = validation_chapter.fits(settings, results, room)
-        assert validation_chapter.best(known).reading.startswith(READING)
-        assert validation_chapter.best(known).largest[0] < validation_chapter.WELL
+        known = validation_chapter.load_fits(settings, results, room)
+        assert validation_chapter.best_fit(known).reading.startswith(READING)
+        assert validation_chapter.best_fit(known).largest[0] < validation_chapter.MAX_DEVIATION
         for reading in READINGS:
             if not reading.startswith("mean distance") or "many" in reading:
                 assert known[reading].largest[0] > 4.0
@@ -66,27 +66,27 @@ def test_deviations_are_standardised_and_forgive_what_the_digits_hide():
 
 
 def test_a_run_tells_its_profile_and_its_residuals():
-    found = table_1.runs(room="first", reading=READING, begin=3, end=5)
+    found = table_1.run_seeds(room="first", reading=READING, begin=3, end=5)
     for row, errors, residuals in zip(found["rows"], found["errors"], found["residuals"], strict=True):
         told = errors[np.isfinite(errors)]
         assert len(told) == row[0]
         assert (told[0], told[-1]) == (row[1], row[2])
         assert np.nanmean(residuals) == pytest.approx(row[2], rel=1e-9)
-    squared = table_1.runs(room="first", reading="mean square (eq. 5 as printed)", begin=3, end=4)["rows"][0]
+    squared = table_1.run_seeds(room="first", reading="mean square (eq. 5 as printed)", begin=3, end=4)["rows"][0]
     assert squared[1] > found["rows"][0][1] ** 2  # the mean of squares exceeds the square of the mean
 
 
 def test_a_displaced_guess_puts_the_rooms_middle_where_it_says():
     room = ROOMS["first"]
-    guess = table_1.displaced(room, 0.3, np.array([1.0, -2.0]))
+    guess = table_1.displaced_guess(room, 0.3, np.array([1.0, -2.0]))
     middle = APPLIED.inverse().transform(room.middle[None])
     np.testing.assert_allclose(guess.transform(middle)[0], room.middle + np.array([1.0, -2.0]), atol=1e-12)
     assert (guess @ APPLIED.inverse()).theta == pytest.approx(0.3)
 
 
 def test_the_papers_guess_is_as_far_off_as_the_basin_says():
-    metres, degrees = table_1.start_of(ROOMS["first"])
-    back = table_1.displaced(ROOMS["first"], 0.0, np.zeros(2))
+    metres, degrees = table_1.initial_offset(ROOMS["first"])
+    back = table_1.displaced_guess(ROOMS["first"], 0.0, np.zeros(2))
     assert (back.x, back.y, back.theta) == pytest.approx((4.0, 5.0, math.pi / 6))
     assert (metres, degrees) == (pytest.approx(6.88, abs=0.01), pytest.approx(30.0))
     assert Pose() != back
@@ -96,7 +96,8 @@ def test_the_basin_is_whole_near_the_truth_and_empty_at_a_quarter_turn():
     given = {"room": "first", "distances_m": [0.0, 3.0], "seeds": 3, "within_m": 0.1, "within_deg": 2.0}
     for one_to_one in (True, False):
         near, far = (
-            table_1.basin(**given, one_to_one=one_to_one, turn_deg=turn, max_iterations=40) for turn in (10.0, 90.0)
+            table_1.measure_basin(**given, one_to_one=one_to_one, turn_deg=turn, max_iterations=40)
+            for turn in (10.0, 90.0)
         )
         assert near["successes"].tolist() == [3, 3]
         assert far["successes"].tolist() == [0, 0]
