@@ -94,7 +94,8 @@ def _describe_interactions(study: MapStudy) -> list[str]:
         f"Counting every beam instead of once per scan changes F1 by cell size: {', '.join(by_size)}. The larger the "
         "cell, the more beams cross it before the wall, and the more often one scan clears it.",
         f"Bresenham instead of the exact traversal: "
-        f"{', '.join(f'{100 * s:g} cm {walk(s):+.3f}' for s in PICTURE_SIZES_M)}. It crosses fewer cells and therefore clears less beside a wall.",
+        f"{', '.join(f'{100 * s:g} cm {walk(s):+.3f}' for s in PICTURE_SIZES_M)}. "
+        "It crosses fewer cells and therefore clears less beside a wall.",
         f"Halving the weight of free space changes F1 by {alone:+.3f} with 250 scans and by {gained:+.3f} with up to "
         "1,000.",
     ]

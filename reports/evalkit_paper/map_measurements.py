@@ -153,8 +153,8 @@ def compare_mappers(world: str, seed: int, laps: float, variants: Sequence[Varia
     apart, cells, other = 0.0, 0, 0
     for variant in variants:
         full = complete(variant)
-        select_scans = sequence.select_scans(int(full["scans"]))
-        one, two = (_build_map_with(name, full, select_scans) for name in COMPILED)
+        scans = sequence.select_scans(int(full["scans"]))
+        one, two = (_build_map_with(name, full, scans) for name in COMPILED)
         if one.shape != two.shape:
             raise ValueError(f"{variant}: maps of {one.shape} and {two.shape} cells")
         apart = max(apart, float(np.abs(one.log_odds - two.log_odds).max()))
@@ -184,16 +184,16 @@ def _estimate_poses(frames: Iterable[Frame]) -> Trajectory:
     return Trajectory(np.array(stamps), np.array(poses))
 
 
-def _build_map(full: Variant, select_scans: PlacedScans) -> tuple[str, OccupancyGrid]:
+def _build_map(full: Variant, scans: PlacedScans) -> tuple[str, OccupancyGrid]:
     name = COMPILED[0] if is_compiled(full) else COMPILED[1]
-    return name, _build_map_with(name, full, select_scans)
+    return name, _build_map_with(name, full, scans)
 
 
-def _build_map_with(name: str, full: Variant, select_scans: PlacedScans) -> OccupancyGrid:
+def _build_map_with(name: str, full: Variant, scans: PlacedScans) -> OccupancyGrid:
     spec = registry.mapper(name)
     known = {parameter.name for parameter in spec.parameters}
     mapper = spec.make(**resolve_parameters(name, spec.parameters, {k: v for k, v in full.items() if k in known}))
-    for scan, world_from_sensor in placed:
+    for scan, world_from_sensor in scans:
         mapper.update(scan, Pose.of(world_from_sensor))
     return mapper.grid()
 
@@ -213,11 +213,11 @@ def _wall_measures(grid: OccupancyGrid, true: OccupancyGrid, threshold: float) -
 def _drift_measures(sequence: Drive, motion: Floats) -> tuple[float, ...]:
     share = np.linspace(0.0, 1.0, len(sequence.poses))
     poses = se2.compose(se2.fraction(motion, share), sequence.poses)
-    select_scans = Drive(sequence.frames, sequence.truth, poses, 0.0).select_scans(int(DEFAULT["scans"]))
-    _, grid = _build_map(DEFAULT, select_scans)
+    scans = Drive(sequence.frames, sequence.truth, poses, 0.0).select_scans(int(DEFAULT["scans"]))
+    _, grid = _build_map(DEFAULT, scans)
     found = compare_walls(grid, sequence.true)
     far = float(found.to_true.mean()), float(np.percentile(found.to_true, 95))
-    thick = float(wall_thicknesses(collect_hits(select_scans))[0].mean())
+    thick = float(wall_thicknesses(collect_hits(scans))[0].mean())
     return f1(found), *far, iou(found), map_entropy(grid), thick
 
 

@@ -53,7 +53,7 @@ def test_the_verdict_follows_what_was_measured(settings, literal, reading, verdi
     loops, crowd = claims_chapter.CHAPTER.findings(settings, results)
     assert loops.verdict == verdict
     assert f"{read}: {reading:.2f} ({reading:.2f} to {reading:.2f}) %" in loops.measured
-    assert "with 10 people in the lab ATE RMSE 0.100 m against 0.000 m with nobody" in crowd.measured
+    assert "with 10 people in the lab ATE RMSE 0.100 m against 0.000 m without people" in crowd.measured
 
 
 def test_a_drift_in_proportion_to_the_way_grows_as_its_first_power(settings):

@@ -81,13 +81,13 @@ def invented(job):
     """A result of the right shape."""
     rng = np.random.default_rng(0)
     asked = job.arguments
-    if job.function.__name__ == "measured":
+    if job.function.__name__ == "measure_maps":
         shape = (len(asked["variants"]), len(map_measurements.THRESHOLDS))
         names = [map_measurements.COMPILED[not map_measurements.is_compiled(v)] for v in asked["variants"]]
         thresholded = {name: rng.uniform(0.5, 0.9, shape) for name in map_measurements.MEASURES[:5]}
         plain = {name: rng.uniform(0.1, 0.2, shape[0]) for name in map_measurements.MEASURES[5:]}
         return thresholded | plain | {"ate_m": 0.01, "mappers": names}
-    if job.function.__name__ == "drifted":
+    if job.function.__name__ == "measure_drift":
         return {key: rng.uniform(0.5, 1.0, (len(asked[key]), 6)) for key in ("metres", "degrees")}
     if job.function.__name__ == "pictures":
         grids = {str(n): np.zeros((4, 5), dtype=np.uint8) for n in range(len(asked["variants"]))}

@@ -33,7 +33,7 @@ def settings(tmp_path):
 
 
 @needs_core
-def test_the_chapter_words_what_its_jobs_found(settings):
+def test_the_chapter_reports_the_results_of_its_tasks(settings):
     jobs = CHAPTER.jobs(settings)
     assert len(jobs) == 8 + 1
     found = {
@@ -44,8 +44,8 @@ def test_the_chapter_words_what_its_jobs_found(settings):
     }
     first, *rest = CHAPTER.sections(settings, found)
     words = " ".join(block.body for block in first.blocks if block.kind == "text")
-    assert "8 points in 1 designs, 8 runs in 0.1 minutes of CPU; 0 runs are lost" in words
-    assert "at 1 points of the designs, over 3 scans" in words
+    assert "8 points in 1 designs, 8 runs in 0.1 minutes of CPU; 0 runs failed" in words
+    assert "At 1 points of the designs, over 3 scans" in words
     assert "1.0e-12 m apart" in words
     assert [section.anchor for section in rest] == ["study-envelope"]
     study, envelope = CHAPTER.findings(settings, found)
