@@ -43,7 +43,7 @@ def list_(as_json: Annotated[bool, typer.Option("--json", help="Print the result
     table = Table("name", "content", "licence", "location")
     for row in rows:
         table.add_row(*map(escape, row.values()))
-    progress.show(out, table)
+    progress.print_table(out, table)
 
 
 @app.command("fetch")

@@ -13,7 +13,7 @@ from evalkit.core.errors import StoreError, UnknownName
 from evalkit.core.trajectory import Trajectory
 from evalkit.io.tum import format_tum
 from evalkit.plugins.parameters import Value, resolve_parameters
-from evalkit.results.store import reported
+from evalkit.results.store import as_store_error
 from evalkit_datasets import synthetic
 from evalkit_datasets.synthetic import Synthetic
 
@@ -53,7 +53,7 @@ def write_example(bag: Path, world: str, given: Mapping[str, object]) -> Example
     spec = WORLDS[world]
     parameters = resolve_parameters(world, spec.parameters, {**DEFAULTS, **given})
     drive = cast(Synthetic, spec.make(**parameters))  # all WORLDS make one
-    with reported(bag):
+    with as_store_error(bag):
         return _write_files(bag, true, drive)
 
 

@@ -1,4 +1,4 @@
-"""A plan for one recording, made from the words of the command line instead of an experiment file."""
+"""The experiment for one recording, from options of the command line instead of a file."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ import json
 from collections.abc import Mapping
 from pathlib import Path
 
-from evalkit.config import experiment
-from evalkit.config.experiment import Experiment
+from evalkit.config.experiment import Experiment, experiment_from_tables
 from evalkit.core.errors import BadData, EvalkitError, NotInstalled
 from evalkit.core.scan import Frame
 from evalkit.plugins import registry
@@ -16,43 +15,46 @@ from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.specs import DatasetSpec
 
 
-def plan(
+def experiment_from_recording(
     path: Path, options: Mapping[str, str], settings: Mapping[str, str], backends: list[str], source: str
 ) -> Experiment:
-    """All back ends (or those named) over one file, by the reader whose suffix fits.
+    """All back ends, or those named, on one recording; the reader is chosen by the suffix of the file.
 
-    ``options``: the reader's parameters that have an option of their own (topic, relations, reference, spans), where
-    given. ``settings``: its other parameters, as text. ``source``: the command line, for the commands in the report.
+    ``options``: parameters of the reader with an option of their own (topic, relations, reference, spans), if given.
+    ``settings``: its other parameters, as text. ``source``: the command line, for the commands in the report.
+    Raises BadData if no reader fits.
     """
-    found, reader, spec = _found(path)
+    recording, reader, spec = _find_recording(path)
     values = from_text(reader, spec.parameters, {**settings, **options})
     many = {0: "every back end", 1: "one back end"}.get(len(backends), f"{len(backends)} back ends")
     content = {
-        "title": f"{found.name}: {many} on one recording",
-        "sequence": [{"use": reader, "label": found.name, "path": str(found), **values}],
+        "title": f"{recording.name}: {many} on one recording",
+        "sequence": [{"use": reader, "label": recording.name, "path": str(recording), **values}],
         "method": [{"use": name} for name in backends or registry.names("backends")],
     }
-    return experiment.plan(content, f"compare {path}", _name(found, {**settings, **options}), source)
+    return experiment_from_tables(
+        content, f"compare {path}", _experiment_name(recording, {**settings, **options}), source
+    )
 
 
-def first_frame(plan: Experiment) -> Frame:
-    """The first frame of a plan's first sequence: what cannot be read is known before anything runs (BadData)."""
-    spec = plan.sequences[0]
+def read_first_frame(experiment: Experiment) -> Frame:
+    """Read the first frame of the first sequence. Raises BadData if it cannot be read, before anything runs."""
+    spec = experiment.sequences[0]
     try:
         sequence = registry.dataset(spec.dataset).make(**spec.parameters)
         frame = next(iter(sequence.frames()), None)
     except EvalkitError:
         raise
-    except Exception as error:  # a reader of foreign files meets damage in any way it likes
+    except Exception as error:  # damage in a file can raise anything in a reader
         what = f"cannot be read ({type(error).__name__}: {' '.join(str(error).split())[:160]})"
         raise BadData(spec.label, "", what, "is the file whole?") from error
     if frame is None:
-        raise BadData(spec.label, "", "there is not one scan in it", "give a recording with laser scans")
+        raise BadData(spec.label, "", "it contains no scan", "give a recording with laser scans")
     return frame
 
 
-def _name(path: Path, settings: Mapping[str, str]) -> str:
-    """File, topic and a digest of path and settings: what differs in any of them has a results folder of its own."""
+def _experiment_name(path: Path, settings: Mapping[str, str]) -> str:
+    """File, topic, and a hash of path and settings, so that every combination has its own results folder."""
     identity = json.dumps([str(path.resolve()), dict(settings)], sort_keys=True)
     digest = hashlib.sha256(identity.encode()).hexdigest()[:6]
     words = [path.name, settings.get("topic", ""), digest]
@@ -60,14 +62,16 @@ def _name(path: Path, settings: Mapping[str, str]) -> str:
     return "-".join(word for word in cleaned if word)
 
 
-def _found(path: Path) -> tuple[Path, str, DatasetSpec]:
-    """What to open, and the reader whose suffix fits it: the file, the folder, or the only folder in it that fits."""
+def _find_recording(path: Path) -> tuple[Path, str, DatasetSpec]:
+    """The recording and its reader: the file or folder itself, or the only folder in it with a recording."""
     if not path.exists():
         raise BadData(str(path), "", "no such file or folder", "give the path of a bag or a log")
-    readers = {name: spec for name, spec in _datasets().items() if spec.suffixes}
-    if (fitting := _fitting(path, readers)) is not None:
+    readers = {name: spec for name, spec in _loadable_datasets().items() if spec.suffixes}
+    if (fitting := _find_reader(path, readers)) is not None:
         return path, *fitting
-    below = {folder: reader for folder in _inside(path) if folder.is_dir() and (reader := _fitting(folder, readers))}
+    below = {
+        folder: reader for folder in _list_folder(path) if folder.is_dir() and (reader := _find_reader(folder, readers))
+    }
     if len(below) == 1:
         return next((folder, *reader) for folder, reader in below.items())
     if below:
@@ -77,26 +81,28 @@ def _found(path: Path) -> tuple[Path, str, DatasetSpec]:
     raise BadData(str(path), "", f"no reader for '{path.suffix or path.name}'", f"known readers: {known}")
 
 
-def _fitting(path: Path, readers: Mapping[str, DatasetSpec]) -> tuple[str, DatasetSpec] | None:
-    """The reader whose suffix fits the file, or a file within the folder."""
-    names = [path.name, *(file.name for file in _inside(path))]
+def _find_reader(path: Path, readers: Mapping[str, DatasetSpec]) -> tuple[str, DatasetSpec] | None:
+    """The first reader with the suffix of the file, or of a file in the folder."""
+    names = [path.name, *(file.name for file in _list_folder(path))]
     fits = ((name, spec) for name, spec in readers.items() if any(n.lower().endswith(spec.suffixes) for n in names))
     return next(fits, None)
 
 
-def _inside(path: Path) -> list[Path]:
+def _list_folder(path: Path) -> list[Path]:
     try:
         return sorted(path.iterdir()) if path.is_dir() else []
     except OSError as error:
-        raise BadData(str(path), "", f"cannot be read ({error.strerror})", "may you read this folder?") from error
+        raise BadData(
+            str(path), "", f"cannot be read ({error.strerror})", "check the permissions of this folder"
+        ) from error
 
 
-def _datasets() -> dict[str, DatasetSpec]:
-    """Every data set that loads: a broken plug-in must not take the others along."""
-    found = {}
+def _loadable_datasets() -> dict[str, DatasetSpec]:
+    """Every data set that loads; a broken plug-in must not affect the others."""
+    specs = {}
     for name in registry.names("datasets"):
         try:
-            found[name] = registry.dataset(name)
+            specs[name] = registry.dataset(name)
         except NotInstalled:
             continue
-    return found
+    return specs

@@ -1,4 +1,4 @@
-"""An experiment file made a frozen plan: every name, type and file checked before the first run."""
+"""Experiments: read and check an experiment file, and list the runs it describes."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)\.", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Method:
-    """A back end under a label, with all its parameters; ``missing`` says why it cannot run here, or ""."""
+    """A back end with all its parameters under a label. ``missing``: why it cannot run here, "" if it can."""
 
     label: str
     backend: str
@@ -38,7 +38,10 @@ class Method:
 
 @dataclass(frozen=True)
 class SequenceSpec:
-    """A data set under a label, with all its parameters but the seed; ``seeds`` is (None,) for a recording."""
+    """A data set with all its parameters except the seed, under a label.
+
+    ``seeds``: one per repetition, (None,) for a recording. ``missing``: why the data are not available here, or "".
+    """
 
     label: str
     dataset: str
@@ -46,14 +49,14 @@ class SequenceSpec:
     seeds: tuple[int | None, ...]
     missing: str = ""
 
-    def seeded(self, seed: int | None) -> dict[str, Value]:
+    def parameters_with_seed(self, seed: int | None) -> dict[str, Value]:
         """The parameters of one repetition."""
         return dict(self.parameters) if seed is None else {**self.parameters, "seed": seed}
 
 
 @dataclass(frozen=True)
 class MapperChoice:
-    """The mapper that draws every method's map, with all its parameters; at most ``scans`` scans, evenly spaced."""
+    """The mapper for the maps of all methods, with its parameters; maps hold at most ``scans`` evenly spaced scans."""
 
     name: str
     parameters: Mapping[str, Value]
@@ -62,9 +65,9 @@ class MapperChoice:
 
 @dataclass(frozen=True)
 class Limits:
-    """What one run may take: seconds in all and without an answer, by the wall clock and of CPU, and MiB of memory.
+    """Limits of one run: ``run_*`` for the whole run, ``scan_*`` for the time without an answer.
 
-    CPU time and memory are those of the run's process and of all it has started.
+    ``*_s``: wall clock; ``*_cpu_s``: CPU time. CPU time and memory include all descendants of the run's process.
     """
 
     run_s: float = 900.0
@@ -76,7 +79,7 @@ class Limits:
 
 @dataclass(frozen=True)
 class RunSpec:
-    """One run to be made; ``key`` names its folder and changes with anything that could change its result."""
+    """One run: what to run. ``key``: name of its folder; changes with everything that can change the result."""
 
     key: str
     method: Method
@@ -86,14 +89,15 @@ class RunSpec:
     @property
     def dataset_parameters(self) -> dict[str, Value]:
         """All parameters of the data set, with the seed."""
-        return self.sequence.seeded(self.seed)
+        return self.sequence.parameters_with_seed(self.seed)
 
 
 @dataclass(frozen=True)
 class Experiment:
-    """A whole comparison, ready to run. ``source``: the words of the command line that name it ("reports/x.toml").
+    """Methods, sequences, mapper and limits of a comparison, complete and checked.
 
-    ``timed``: whether the runs' times count; where they do not, runs may be made beside others.
+    ``source``: the command line that runs it, without "evalkit". ``timed``: whether times count; if not, runs may
+    share the machine with other work.
     """
 
     name: str
@@ -107,15 +111,15 @@ class Experiment:
     timed: bool = True
 
     def runs(self) -> Iterator[RunSpec]:
-        """Every run, methods interleaved within each repetition, every second one in reverse: A B, B A, A B.
+        """Every run, with the methods interleaved in each repetition and every second repetition in reverse: AB BA AB.
 
-        A slow hour hits all alike, and nobody always runs first or always after the same one.
+        So a slow hour affects all methods alike, and no method always runs first or after the same method.
         """
         yield from self._runs
 
     @cached_property
     def _runs(self) -> tuple[RunSpec, ...]:
-        code = cache(registry.run_fingerprint)  # both read files, and a plan may have thousands of runs
+        code = cache(registry.run_fingerprint)  # both read files, and an experiment may have thousands of runs
         files = cache(code_hash.file_state)
         repetitions = [(sequence, seed) for sequence in self.sequences for seed in sequence.seeds]
         return tuple(
@@ -124,21 +128,21 @@ class Experiment:
             for method in self.methods[:: -1 if turn % 2 else 1]
         )
 
-    def command(self, planned: RunSpec) -> str:
-        """What reproduces one run alone, in a folder of its own: this plan's results and page stay."""
-        seed = "" if planned.seed is None else f" --seed {planned.seed}"
-        sequence, method = shlex.quote(planned.sequence.label), shlex.quote(planned.method.label)
+    def command(self, spec: RunSpec) -> str:
+        """The command line that reproduces one run alone in a folder of its own; other results stay untouched."""
+        seed = "" if spec.seed is None else f" --seed {spec.seed}"
+        sequence, method = shlex.quote(spec.sequence.label), shlex.quote(spec.method.label)
         folder = shlex.quote(f"reports/build/{self.name}-one")
         return f"evalkit {self.source} --sequence {sequence} --method {method}{seed} --no-page --out {folder}"
 
     def untimed(self) -> Experiment:
-        """The plan of the same runs whose times do not count."""
+        """The same experiment with times that do not count."""
         return replace(self, timed=False, source=f"{self.source} --accuracy-only") if self.timed else self
 
-    def only(self, sequences: list[str], methods: list[str], seeds: list[int]) -> Experiment:
-        """The part of the plan with these labels and seeds; an empty list keeps all."""
-        chosen = _chosen("sequence", sequences, self.sequences, lambda sequence: sequence.label, self.source)
-        entrants = _chosen("method", methods, self.methods, lambda entrant: entrant.label, self.source)
+    def select(self, sequences: list[str], methods: list[str], seeds: list[int]) -> Experiment:
+        """The part of the experiment with these labels and seeds; an empty list selects all."""
+        chosen = _select("sequence", sequences, self.sequences, lambda sequence: sequence.label, self.source)
+        chosen_methods = _select("method", methods, self.methods, lambda method: method.label, self.source)
         if seeds:
             known = {seed for sequence in chosen for seed in sequence.seeds if seed is not None}
             if unknown := set(seeds) - known:
@@ -147,17 +151,17 @@ class Experiment:
                 replace(sequence, seeds=tuple(seed for seed in sequence.seeds if seed is None or seed in seeds))
                 for sequence in chosen
             )
-        return replace(self, sequences=chosen, methods=entrants)
+        return replace(self, sequences=chosen, methods=chosen_methods)
 
 
-def read(path: Path) -> Experiment:
-    """The plan of an experiment file (TOML); BadExperiment names the file, the key and what was found."""
+def load_experiment(path: Path) -> Experiment:
+    """Load an experiment file (TOML). Raises BadExperiment with the file, the key and what was found."""
     content = load_toml(path, "an experiment (*.toml)")
-    return plan(content, str(path), path.stem, f"compare {shlex.quote(str(path))}")
+    return experiment_from_tables(content, str(path), path.stem, f"compare {shlex.quote(str(path))}")
 
 
-def plan(content: Mapping[str, Any], file: str, name: str, source: str) -> Experiment:
-    """The plan of an experiment's tables; ``file`` is named in errors, ``source`` in commands."""
+def experiment_from_tables(content: Mapping[str, Any], file: str, name: str, source: str) -> Experiment:
+    """The experiment that TOML tables describe. ``file``: named in errors; ``source``: used in commands."""
     table = TomlTable(content, file)
     table.check_keys(("title", "description", "timed", "mapper", "limits", "method", "sequence"))
     timed = table.flag("timed", default=True)
@@ -165,8 +169,8 @@ def plan(content: Mapping[str, Any], file: str, name: str, source: str) -> Exper
         methods = tuple(_method(each) for each in table.tables("method", "an experiment"))
         sequences = tuple(_sequence(each) for each in table.tables("sequence", "an experiment"))
         mapper = _mapper(table.table("mapper", " with use = NAME"))
-    _distinct("method", [method.label for method in methods], file)
-    _distinct("sequence", [sequence.label for sequence in sequences], file)
+    _require_distinct("method", [method.label for method in methods], file)
+    _require_distinct("sequence", [sequence.label for sequence in sequences], file)
     return Experiment(
         name,
         table.text("title", name),
@@ -238,13 +242,13 @@ def _label(table: TomlTable) -> str:
     return label
 
 
-def _distinct(kind: str, labels: list[str], file: str) -> None:
+def _require_distinct(kind: str, labels: list[str], file: str) -> None:
     for label, count in Counter(labels).items():
         if count > 1:
             raise BadExperiment(file, "", f"two {kind}s are labelled '{label}'; give one a label = \"...\" of its own")
 
 
-def _chosen(
+def _select(
     kind: str, wanted: list[str], known: tuple[Item, ...], label: Callable[[Item], str], where: str
 ) -> tuple[Item, ...]:
     for name in wanted:
@@ -261,9 +265,9 @@ def _key(
     files: Callable[[str], list[object]],
 ) -> str:
     identity = {
-        "labels": [method.label, sequence.label],  # two that read alike as file names must not share a folder
+        "labels": [method.label, sequence.label],  # labels with equal file names must not share a folder
         "backend": [method.backend, dict(method.parameters)],
-        "dataset": [sequence.dataset, sequence.seeded(seed)],
+        "dataset": [sequence.dataset, sequence.parameters_with_seed(seed)],
         "code": "" if method.missing else code(method.backend, sequence.dataset),
         "files": [files(value) for value in sequence.parameters.values() if isinstance(value, str) and value],
     }
@@ -273,7 +277,7 @@ def _key(
 
 
 def _filename(word: str) -> str:
-    """A word as part of a file's name on any system: short in bytes, and no name of a device ("nul.txt")."""
+    """A word as part of a file name on any system: at most 60 bytes, and not the name of a device ("nul.txt")."""
     plain = "".join(char if char.isalnum() or char in "._" else "-" for char in word).strip("-.")
     short = plain.encode()[:60].decode(errors="ignore") or "x"
     return f"x-{short}" if _DEVICE.match(short) else short

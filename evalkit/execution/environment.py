@@ -1,4 +1,4 @@
-"""Where a comparison ran: processor, threads, versions, commit."""
+"""Description of the machine and the software: processor, threads, versions, commit."""
 
 from __future__ import annotations
 
@@ -17,20 +17,24 @@ from typing import Any
 import psutil
 
 from evalkit import __version__
+from evalkit.core.run_result import NOT_EXECUTED, RunResult
 
 SINGLE_THREAD: dict[str, str] = dict.fromkeys(
     ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "TBB_NUM_THREADS"), "1"
 )
-"""Environment of every timed process."""
+"""Environment variables of every timed process."""
 
 KEPT_WITH_RUNS = (
     "evalkit", "commit", "python", "system", "host", "processor", "governor", "load before", "runs at a time",
 )  # fmt: skip
-"""What of a description is kept with every run: a later report may show the run beside others."""
+"""Entries of a description that are kept with every run, because a later report may show it beside other runs."""
 
 
 def describe(distributions: Iterable[str] = (), *, jobs: int | None = None) -> dict[str, str]:
-    """What a reader needs to judge the numbers, as ordered pairs of name and text; to be asked before the first run."""
+    """The machine and the software by name, in the order of the report; to be called before the first run.
+
+    ``distributions``: Python packages whose versions are added. ``jobs``: number of runs at a time.
+    """
     return {
         "evalkit": __version__,
         "commit": _commit(),
@@ -44,7 +48,7 @@ def describe(distributions: Iterable[str] = (), *, jobs: int | None = None) -> d
 
 
 def machine() -> dict[str, str]:
-    """The part of it that is another on every machine of a cluster."""
+    """The part of the description that differs between the machines of a cluster."""
     return {
         "python": f"{platform.python_implementation()} {platform.python_version()}",
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
@@ -55,46 +59,52 @@ def machine() -> dict[str, str]:
     }
 
 
-def machines(made: Iterable[Mapping[str, Any]]) -> dict[str, str]:
-    """The line on the machines that runs were made on, where there was more than one; empty where there was not.
+def describe_provenance(
+    description: Mapping[str, str], results: Iterable[RunResult], started: datetime
+) -> dict[str, str]:
+    """A description with a line on runs executed before ``started`` and on runs of several machines, where there are.
 
-    ``made``: a record for every run, as the store keeps it.
+    ``description``: of this machine, from ``describe``.
     """
-    found = Counter(tuple(str(one.get(name, "unknown")) for name in ("host", "processor", "governor")) for one in made)
-    if len(found) < 2:
-        return {}
-    told = [
+    provenances = [result.provenance for result in results if result.status not in NOT_EXECUTED]
+    lines = {"kept from earlier": _describe_earlier(provenances, started), "made on": _describe_machines(provenances)}
+    return {**description, **{name: line for name, line in lines.items() if line}}
+
+
+def _describe_machines(provenances: Iterable[Mapping[str, Any]]) -> str:
+    """The machines that runs were executed on, "" for a single machine."""
+    names = ("host", "processor", "governor")
+    counts = Counter(tuple(str(one.get(name, "unknown")) for name in names) for one in provenances)
+    if len(counts) < 2:
+        return ""
+    return "; ".join(
         f"{count} {'run' if count == 1 else 'runs'} on {host} ({processor}, governor {governor})"
-        for (host, processor, governor), count in sorted(found.items())
-    ]
-    return {"made on": "; ".join(told)}
+        for (host, processor, governor), count in sorted(counts.items())
+    )
+
+
+def _describe_earlier(provenances: Iterable[Mapping[str, Any]], started: datetime) -> str:
+    """The runs executed before ``started``: how many, when, on which commit and processor; "" where there are none."""
+    times = [(_time(provenance.get("executed_at")), provenance) for provenance in provenances]
+    earlier = [(time, provenance) for time, provenance in times if time is None or time < started]
+    if not earlier:
+        return ""
+    dates = sorted(f"{time:%Y-%m-%d %H:%M}" for time, _ in earlier if time is not None)
+    parts = [f"{len(earlier)} {'run' if len(earlier) == 1 else 'runs'}"]
+    parts.append(f"made {'..'.join(dict.fromkeys((dates[0], dates[-1])))} UTC" if dates else "made at an unknown time")
+    for name in ("commit", "processor"):
+        values = sorted({str(provenance.get(name, "unknown")) for _, provenance in earlier})
+        parts.append(f"{name} {' and '.join(values)}")
+    return ", ".join(parts)
 
 
 def versions(distributions: Iterable[str]) -> dict[str, str]:
-    """The version of each distribution, or that it is not installed."""
+    """The version of each distribution, or "not installed"."""
     return {name: _version(name) for name in distributions}
 
 
-def kept(made: Iterable[Mapping[str, Any]], started: datetime) -> dict[str, str]:
-    """The line on runs made before ``started`` and kept: how many, when and on which commit; empty where none was.
-
-    ``made``: a record for every run, as the store keeps it.
-    """
-    times = [(_time(record.get("executed_at")), record) for record in made]
-    earlier = [(time, record) for time, record in times if time is None or time < started]
-    if not earlier:
-        return {}
-    dates = sorted(f"{time:%Y-%m-%d %H:%M}" for time, _ in earlier if time is not None)
-    told = [f"{len(earlier)} {'run' if len(earlier) == 1 else 'runs'}"]
-    told.append(f"made {'..'.join(dict.fromkeys((dates[0], dates[-1])))} UTC" if dates else "made nobody knows when")
-    for name in ("commit", "processor"):
-        found = sorted({str(record.get(name, "unknown")) for _, record in earlier})
-        told.append(f"{name} {' and '.join(found)}")
-    return {"kept from earlier": ", ".join(told)}
-
-
 def cores() -> list[int | None]:
-    """The logical CPUs this process may use, one of each physical core before the second of any; empty: cannot pin."""
+    """Logical CPUs this process may use, the first of each physical core before any second; empty if it cannot pin."""
     if not hasattr(os, "sched_getaffinity"):
         return []
     seen: dict[str, int] = {}
@@ -107,20 +117,20 @@ def cores() -> list[int | None]:
 
 
 def core_of_each(processes: int) -> list[int | None]:
-    """One core for each of so many processes to pin to, in turns; None where the system cannot pin."""
+    """One core per process to pin to, in turns; None if the system cannot pin."""
     known = cores() or [None]
     return [known[process % len(known)] for process in range(processes)]
 
 
 def physical_cores() -> int:
-    """How many physical cores this process may use: that many runs do not disturb one another."""
+    """Number of physical cores this process may use: so many runs do not disturb each other."""
     usable = cores()
     known = psutil.cpu_count(logical=False) or psutil.cpu_count() or 1
     return min(known, len({_siblings(cpu) for cpu in usable})) if usable else known
 
 
 def _siblings(cpu: int | None) -> str:
-    """What all logical CPUs of one physical core share; Linux only, elsewhere each counts for itself."""
+    """Identifier that the logical CPUs of one physical core share; other systems than Linux have one per CPU."""
     path = Path(f"/sys/devices/system/cpu/cpu{cpu}/topology/thread_siblings_list")
     try:
         return path.read_text(encoding="ascii").strip()
@@ -143,7 +153,7 @@ def _version(distribution: str) -> str:
 
 
 def _governor() -> str:
-    """How the system sets the clock of the first core; Linux only."""
+    """Frequency governor of the first core; Linux only."""
     try:
         return Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor").read_text(encoding="ascii").strip()
     except OSError:

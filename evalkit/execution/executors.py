@@ -1,4 +1,4 @@
-"""Where a plan's runs are made: on the cores of this machine, or by the workers of a cluster."""
+"""Executors of runs: the cores of this machine, or the workers of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -21,73 +21,75 @@ from filelock import FileLock, Timeout
 
 from evalkit.config.experiment import RunSpec
 from evalkit.core.errors import StoreError
-from evalkit.core.run_result import Cause
+from evalkit.core.run_result import Cause, RunResult
 from evalkit.execution import dask_cluster, environment, run_archive, run_task
 from evalkit.execution.dask_cluster import Call, Cluster, Slot, WorkerLost
-from evalkit.execution.run_task import Bench, FinishedRun, Recipe, Scorers
+from evalkit.execution.run_task import PendingRun, RunSettings, ScoringPool, WorkerSlot
 from evalkit.plugins import registry
 from evalkit.results.store import Store
 
+FinishedRuns = Generator[tuple[RunSpec, RunResult]]
+
 
 class Progress(Protocol):
-    """Hears how a comparison goes on; ``begun`` and ``answered`` are called from several threads."""
+    """Callbacks that report progress; ``started`` and ``answered`` are called from several threads."""
 
-    def begun(self, planned: RunSpec) -> None:
+    def started(self, spec: RunSpec) -> None:
         """A run starts."""
         ...
 
-    def answered(self, planned: RunSpec, scans: int) -> None:
-        """A run has answered so many scans; a cluster's workers do not tell."""
+    def answered(self, spec: RunSpec, scans: int) -> None:
+        """A run has answered this many scans; not called for runs on a cluster."""
         ...
 
-    def finished(self, ended: FinishedRun) -> None:
-        """A run is done, scored and stored."""
+    def finished(self, spec: RunSpec, result: RunResult) -> None:
+        """A run is executed, scored and stored, or needed nothing."""
         ...
 
 
-class Place(Protocol):
-    """Decides where runs are made, and nothing else about them."""
+class Executor(Protocol):
+    """Decides where runs are executed, and nothing else about them."""
 
-    def ended(
-        self, store: Store, recipe: Recipe, todo: Sequence[RunSpec], progress: Progress
-    ) -> Generator[FinishedRun]:
-        """Every run as it ends, with what came of it in the store; ``todo``: what needs to be made or scored.
+    def run(
+        self, store: Store, settings: RunSettings, pending: Sequence[PendingRun], progress: Progress
+    ) -> FinishedRuns:
+        """Yield every pending run when it is executed and scored and its files are in the store.
 
-        Raises what stops the whole: a results folder that cannot be written, a cluster that is gone.
+        Raises errors that stop the whole experiment: a results folder that cannot be written, a cluster that is gone.
         """
         ...
 
 
 @dataclass(frozen=True)
-class Here:
-    """This machine, ``jobs`` runs at a time, each pinned to a core of its own."""
+class LocalExecutor:
+    """Executes ``jobs`` runs at a time on this machine, each pinned to a core of its own."""
 
-    jobs: int
+    jobs: int = 1
 
-    def ended(
-        self, store: Store, recipe: Recipe, todo: Sequence[RunSpec], progress: Progress
-    ) -> Generator[FinishedRun]:
-        """As Place says."""
+    def run(
+        self, store: Store, settings: RunSettings, pending: Sequence[PendingRun], progress: Progress
+    ) -> FinishedRuns:
+        """See Executor."""
         os.environ.update(environment.SINGLE_THREAD)  # inherited by the scoring processes, as by the runs
         cores, stop = _cores(self.jobs), threading.Event()
 
-        def one(planned: RunSpec) -> FinishedRun:
-            """What is raised here stops all the others at once."""
+        def execute(run: PendingRun) -> tuple[RunSpec, RunResult]:
+            """Execute one run; an exception stops all other runs at once."""
             if stop.is_set():
                 raise CancelledError
             core = cores.get()
             try:
-                progress.begun(planned)
-                bench = Bench(core, scorers, lambda scans: progress.answered(planned, scans), stop)
-                return run_task.execute_run(store, recipe, planned, bench)
+                progress.started(run.spec)
+                slot = WorkerSlot(core, scoring, lambda scans: progress.answered(run.spec, scans), stop)
+                return run.spec, run_task.execute_run(store, settings, run, slot)
             except BaseException:
                 stop.set()
                 raise
             finally:
                 cores.put(core)  # after the scoring, which must not compete with a timed run
 
-        with Scorers(self.jobs) as scorers, ThreadPoolExecutor(self.jobs) as slots:
-            futures = [slots.submit(one, planned) for planned in todo]
+        with ScoringPool(self.jobs) as scoring, ThreadPoolExecutor(self.jobs) as threads:
+            futures = [threads.submit(execute, run) for run in pending]
             try:
                 for future in as_completed(futures):
                     error = future.exception()
@@ -95,78 +97,81 @@ class Here:
                         yield future.result()
                     elif not isinstance(error, CancelledError):
                         raise error
-            except BaseException:  # an interrupt or an unwritable folder: end what runs, start nothing more
+            except BaseException:  # an interrupt or an unwritable folder: end all runs and start no other
                 stop.set()
-                slots.shutdown(wait=True, cancel_futures=True)
+                threads.shutdown(wait=True, cancel_futures=True)
                 raise
 
 
 @dataclass(frozen=True)
-class There:
-    """The workers of a cluster. Each makes a run in a folder of its own and sends it back: nothing need be shared."""
+class DaskExecutor:
+    """Executes runs on the workers of a cluster, each in a local folder that is sent back; no shared folder needed."""
 
-    workers: Cluster
+    cluster: Cluster
 
-    def ended(
-        self, store: Store, recipe: Recipe, todo: Sequence[RunSpec], progress: Progress
-    ) -> Generator[FinishedRun]:
-        """As Place says."""
+    def run(
+        self, store: Store, settings: RunSettings, pending: Sequence[PendingRun], progress: Progress
+    ) -> FinishedRuns:
+        """See Executor."""
         folder = uuid.uuid5(uuid.NAMESPACE_URL, store.folder.absolute().as_uri()).hex
-        by_name = {planned.key: planned for planned in todo}
-        code = cache(registry.run_fingerprint)  # it reads files, and a plan may have thousands of runs
+        specs = {run.spec.key: run.spec for run in pending}
+        run_code = cache(registry.run_fingerprint)  # it reads files, and an experiment may have thousands of runs
 
         def calls() -> Iterator[Call]:
-            for planned in todo:
-                progress.begun(planned)
-                given = run_archive.packed(store, planned.key) if recipe.resume or recipe.collect else b""
-                stands_on = code(planned.method.backend, planned.sequence.dataset)
-                yield Call(planned.key, on_worker, (planned, recipe, stands_on, given, folder))
+            for run in pending:
+                progress.started(run.spec)
+                archive = run_archive.pack_run(store, run.spec.key) if run.is_executed else b""
+                code = run_code(run.spec.method.backend, run.spec.sequence.dataset)
+                own = replace(run, attempts=())  # of processes here
+                yield Call(run.spec.key, execute_on_worker, (own, settings, code, archive, folder))
 
-        with closing(self.workers.answers(calls())) as answers:
-            for call, outcome in answers:
-                planned = by_name[call.name]
+        with closing(self.cluster.answers(calls())) as answers:
+            for call, answer in answers:
+                spec = specs[call.name]
                 try:
-                    ended, content = outcome.result()
+                    result, archive = answer.result()
                 except WorkerLost as error:
-                    yield FinishedRun(planned, run_task.quarantine(store, recipe, planned, str(error)))
-                except Exception as error:  # noqa: BLE001 - one worker's fault must not stop the others
-                    why = f"the worker could not make it: {type(error).__name__}: {error}"
-                    yield FinishedRun(planned, run_task.empty_result(Cause.WORKER_FAILED, why))
+                    yield spec, run_task.quarantine(store, settings, spec, str(error))
+                except Exception as error:  # noqa: BLE001 - an error of one worker must not stop the others
+                    reason = f"the worker could not make it: {type(error).__name__}: {error}"
+                    yield spec, run_task.empty_result(Cause.WORKER_FAILED, reason)
                 else:
-                    run_archive.unpacked(store, planned.key, content)
-                    store.forget_tries(planned.key)  # of who was lost here before
-                    yield ended
+                    run_archive.unpack_run(store, spec.key, archive)
+                    yield spec, result
 
 
-def on_worker(
-    planned: RunSpec, recipe: Recipe, code: str, given: bytes, folder: str, slot: Slot
-) -> tuple[FinishedRun, bytes]:
-    """How a run ended on this worker, and all the store shall keep of it.
+def execute_on_worker(
+    run: PendingRun, settings: RunSettings, code: str, archive: bytes, folder: str, slot: Slot
+) -> tuple[RunResult, bytes]:
+    """Execute a run on this worker of a cluster; returns its result and an archive of its files.
 
-    ``given``: what the store holds of it already. ``code``: what its key stands on; StoreError where ours differs.
+    ``archive``: the stored files of a run that is executed already. ``code``: fingerprint of the code of the run.
+    Raises StoreError if the code on this worker differs.
     """
-    current_process().daemon = False  # a nanny's worker may not start processes otherwise
+    current_process().daemon = False  # the worker of a nanny may not start processes otherwise
     os.environ.update(environment.SINGLE_THREAD)
-    _same_code(planned, recipe, code)
+    spec = run.spec
+    _require_same_code(spec, settings, code)
     worker = dask_cluster.dask().get_worker()
-    place = Path(worker.local_directory).parent / f"evalkit-{folder}-{planned.key}"
-    # Of one that was lost; whoever it left behind is ended with the next start.
+    place = Path(worker.local_directory).parent / f"evalkit-{folder}-{spec.key}"
+    # Left by a worker that died; processes it left behind are terminated by the next start in this folder.
     shutil.rmtree(place, ignore_errors=True)
     store = Store(place)
     try:
-        if given:
-            run_archive.unpacked(store, planned.key, given)
-        with _own_core() as core:
-            bench = Bench(core, _scorers(recipe.scored_by), lambda _scans: None, _Cancelled(worker))
-            told = {**recipe.ran_on, **environment.machine(), "runs at a time": str(slot.beside)}
-            ended = run_task.execute_run(store, replace(recipe, ran_on=told), planned, bench)
-        return ended, run_archive.packed(store, planned.key)
+        if archive:
+            run_archive.unpack_run(store, spec.key, archive)
+        with _lock_core() as core:
+            here = {**settings.environment, **environment.machine(), "runs at a time": str(slot.beside)}
+            own = replace(settings, environment=here)
+            resources = WorkerSlot(core, _scoring_pool(settings.scoring_code), lambda _: None, _Cancelled(worker))
+            result = run_task.execute_run(store, own, run, resources)
+        return result, run_archive.pack_run(store, spec.key)
     finally:
         shutil.rmtree(store.folder, ignore_errors=True)
 
 
 class _Cancelled(threading.Event):
-    """Set when nobody waits for this worker's task any more."""
+    """An event that is set when the task of this worker is cancelled."""
 
     def __init__(self, worker: Any) -> None:
         super().__init__()
@@ -178,26 +183,26 @@ class _Cancelled(threading.Event):
         return task is None or task.state in ("cancelled", "resumed")
 
 
-def _same_code(planned: RunSpec, recipe: Recipe, code: str) -> None:
-    """A key and scores name the code they stand on: StoreError where this worker's is another."""
-    own = registry.run_fingerprint(planned.method.backend, planned.sequence.dataset)
-    if own != code or not recipe.scored_by.startswith(registry.score_fingerprint(recipe.mapper.name)):
-        what = f"the code of '{planned.method.backend}', '{planned.sequence.dataset}' or evalkit is another one here"
+def _require_same_code(spec: RunSpec, settings: RunSettings, code: str) -> None:
+    """Raises StoreError if the code of the run or of the scoring is not the same on this worker."""
+    own = registry.run_fingerprint(spec.method.backend, spec.sequence.dataset)
+    if own != code or not settings.scoring_code.startswith(registry.score_fingerprint(settings.mapper.name)):
+        what = f"the code of '{spec.method.backend}', '{spec.sequence.dataset}' or evalkit is another one here"
         host = environment.machine()["host"]
         raise StoreError(host, what, "install the same versions on every worker, and restart them")
 
 
 @lru_cache(maxsize=1)
-def _scorers(_scored_by: str) -> Scorers:
-    """A worker's own scoring process, kept for its next run; a new one where the code has changed."""
-    scorers = Scorers(1)
-    util.Finalize(scorers, scorers.close, exitpriority=100)  # before queues close and children are waited for
-    return scorers
+def _scoring_pool(_scoring_code: str) -> ScoringPool:
+    """The scoring process of a worker, kept for its next run; a new one if the scoring code has changed."""
+    pool = ScoringPool(1)
+    util.Finalize(pool, pool.close, exitpriority=100)  # before queues close and children are waited for
+    return pool
 
 
 @contextmanager
-def _own_core() -> Iterator[int | None]:
-    """A core that no other worker of ours on this host has taken; None where all are taken."""
+def _lock_core() -> Iterator[int | None]:
+    """A core that no other worker on this host uses, locked in the block; None where all are in use."""
     folder = Path(tempfile.gettempdir()) / f"evalkit-cores-{os.getuid() if hasattr(os, 'getuid') else 0}"
     folder.mkdir(exist_ok=True)
     for core in environment.cores():
@@ -215,7 +220,7 @@ def _own_core() -> Iterator[int | None]:
 
 
 def _cores(jobs: int) -> SimpleQueue[int | None]:
-    """One core per job to pin to; None where the system cannot pin."""
+    """One core per job to pin to; None if the system cannot pin."""
     cores: SimpleQueue[int | None] = SimpleQueue()
     for core in environment.core_of_each(jobs):
         cores.put(core)

@@ -1,4 +1,4 @@
-"""A stored run as bytes and back: results of a machine that shares no folder with ours."""
+"""Pack a stored run into bytes and unpack it, for results from a machine without a shared folder."""
 
 from __future__ import annotations
 
@@ -8,48 +8,52 @@ from pathlib import Path
 from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile
 
 from evalkit.core.errors import StoreError
-from evalkit.results.store import REMEDY, Store
+from evalkit.results.store import REMEDY, RESULT, SCORES, Store
 
-LATER = ("scores.json", "run.json")
-"""Written after all others, in this order: they vouch for them."""
+WRITTEN_LAST = (SCORES, RESULT)
+"""Files that are unpacked after all others, in this order, because they vouch for them."""
 
-MAX_OUTPUT = 2**20
-"""So much of what a run said is sent, from its end."""
+MAX_OUTPUT_BYTES = 2**20
+"""Maximum size of a run's output in an archive; the beginning of a longer output is left out."""
 
 
-def packed(store: Store, key: str) -> bytes:
-    """All a store keeps of a run, as a zip archive."""
+def pack_run(store: Store, key: str) -> bytes:
+    """All files of a stored run as a zip archive."""
     body = io.BytesIO()
     with ZipFile(body, "w", ZIP_DEFLATED, compresslevel=1) as archive:
         for name, path in _files(store, key):
-            archive.writestr(name, path.read_bytes()[-MAX_OUTPUT if name == "run/output.txt" else 0 :])
+            archive.writestr(name, path.read_bytes()[-MAX_OUTPUT_BYTES if name == "run/output.txt" else 0 :])
     return body.getvalue()
 
 
-def unpacked(store: Store, key: str, content: bytes) -> None:
-    """Puts what was packed into a store in place of what is there, each file whole or not at all."""
-    store.fresh(key)
-    places = _places(store, key)
+def unpack_run(store: Store, key: str, content: bytes) -> None:
+    """Replace a stored run by an unpacked one, each file atomically. Raises StoreError if the archive is damaged."""
+    store.create_run_folder(key)
+    folders = _folders(store, key)
     try:
         with ZipFile(io.BytesIO(content)) as archive:
-            names = [name for name in archive.namelist() if name.partition("/")[0] in places]
-            for name in sorted(
-                names, key=lambda name: LATER.index(Path(name).name) if Path(name).name in LATER else -1
-            ):
+            names = [name for name in archive.namelist() if name.partition("/")[0] in folders]
+            for name in sorted(names, key=_unpacking_order):
                 folder, _, file = name.partition("/")
-                store.write_bytes(places[folder] / Path(file).name, archive.read(name))
+                store.write_bytes(folders[folder] / Path(file).name, archive.read(name))
     except BadZipFile as error:
         raise StoreError(str(store.run_folder(key)), f"what came for it is damaged ({error})", REMEDY) from error
+    store.clear_attempts(key)
+
+
+def _unpacking_order(name: str) -> int:
+    file = Path(name).name
+    return WRITTEN_LAST.index(file) if file in WRITTEN_LAST else -1
 
 
 def _files(store: Store, key: str) -> Iterator[tuple[str, Path]]:
-    for place, folder in _places(store, key).items():
+    for name, folder in _folders(store, key).items():
         if folder.is_dir():
-            stem = "" if place == "run" else f"{key}."
+            stem = "" if name == "run" else f"{key}."
             yield from (
-                (f"{place}/{p.name}", p) for p in sorted(folder.iterdir()) if p.is_file() and p.name.startswith(stem)
+                (f"{name}/{p.name}", p) for p in sorted(folder.iterdir()) if p.is_file() and p.name.startswith(stem)
             )
 
 
-def _places(store: Store, key: str) -> dict[str, Path]:
+def _folders(store: Store, key: str) -> dict[str, Path]:
     return {"run": store.run_folder(key), "trajectories": store.folder / "trajectories", "maps": store.folder / "maps"}

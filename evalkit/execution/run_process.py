@@ -17,7 +17,7 @@ from evalkit.core.run_result import STEP, Cause, RunResult
 from evalkit.execution import subprocesses
 from evalkit.execution.worker import Request
 from evalkit.io import untrusted_io
-from evalkit.results.store import STEPS, reported, whole_records
+from evalkit.results.store import STEPS, as_store_error, whole_records
 
 OUTCOME = "outcome.json"
 KNOWN = {"cause": str, "reason": str, "expected": int, "peak_memory_bytes": int, "warm_up_scans": int, "notes": dict,
@@ -40,7 +40,7 @@ def run(
 
     ``heard`` is told how many scans are answered; ``stop`` ends the run early; ``threads`` may be started by libraries.
     """
-    with reported(folder):
+    with as_store_error(folder):
         (folder / "request.json").write_text(json.dumps(asdict(request), indent=1), encoding="utf-8")
         output, answers = (folder / OUTPUT).open("ab"), (folder / STEPS).open("w+b")
     with output, answers:

@@ -1,11 +1,10 @@
-"""One planned run made, scored and stored: the same wherever that happens."""
+"""Execute one run, score it and store both: the same code on this machine and on the worker of a cluster."""
 
 from __future__ import annotations
 
 import os
 import platform
 import threading
-import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import CancelledError, Executor
 from concurrent.futures.process import BrokenProcessPool
@@ -21,98 +20,96 @@ from numpy.typing import NDArray
 from evalkit import metrics
 from evalkit.config.experiment import Experiment, Limits, MapperChoice, RunSpec
 from evalkit.core.errors import StoreError
-from evalkit.core.run_result import NO_STEPS, Cause, RunResult, RunStatus, Score
+from evalkit.core.run_result import NO_STEPS, Cause, RunResult, Score
 from evalkit.execution import environment, run_process
-from evalkit.execution.dask_cluster import TRIES
 from evalkit.execution.process_pool import start_pool
 from evalkit.execution.worker import Request
-from evalkit.metrics import evaluate, evaluate_map
+from evalkit.metrics import evaluate
 from evalkit.plugins import registry
 from evalkit.plugins.specs import MapSpec
 from evalkit.results.store import Store
 
-FINAL = (RunStatus.COMPLETE, RunStatus.FAILED, RunStatus.CRASHED)
-"""Statuses that ``--resume`` treats as final."""
-
-LIMITED = (RunStatus.TIMEOUT, RunStatus.OUT_OF_MEMORY)
-"""Statuses that ``--resume`` treats as final under the limits they were made with, and no others."""
-
 COSTS = ("wall_ns", "cpu_ns", "conversion_ns", "harness_ns", "device_ns")
-NOT_TIMED = "not timed: made where times do not count"
+MAX_ATTEMPTS = 2
+"""A run that killed this many processes is quarantined."""
+
+NOT_TIMED = "not timed: executed where times do not count"
 
 
 @dataclass(frozen=True)
-class FinishedRun:
-    """A run that needs nothing more. ``seconds``: what it took with its scoring; 0 if it was kept or not executed."""
+class RunSettings:
+    """Settings that all runs of an experiment share, wherever they are executed.
 
-    spec: RunSpec
-    result: RunResult
-    seconds: float = 0.0
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """What all runs of a plan are made by: the same wherever they are made.
-
-    ``scored_by``: names the code and the mapper that scores stand on. ``ran_on``: what the environment says, kept with
-    every run that is made. ``resume``, ``rerun``, ``collect``: see Engine. ``timed``: whether times count.
+    ``scoring_code``: identifies the scoring code and the mapper. ``timed``: whether times count. ``environment``:
+    description of the machine, kept with every executed run.
     """
 
     limits: Limits
     mapper: MapperChoice
-    scored_by: str
+    scoring_code: str
     timed: bool = True
-    resume: bool = False
-    rerun: frozenset[RunStatus] = frozenset()
-    collect: bool = False
-    ran_on: Mapping[str, str] = field(default_factory=dict)
+    environment: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod
-    def of(
-        cls, plan: Experiment, resume: bool, rerun: frozenset[RunStatus], collect: bool, ran_on: Mapping[str, str]
-    ) -> Recipe:
-        """The recipe of a plan."""
-        scored_by = f"{registry.score_fingerprint(plan.mapper.name)} {plan.mapper}"
-        return cls(plan.limits, plan.mapper, scored_by, plan.timed, resume, rerun, collect, ran_on)
+    def from_experiment(cls, experiment: Experiment, description: Mapping[str, str]) -> RunSettings:
+        """The settings of an experiment on a machine with this description."""
+        mapper = experiment.mapper
+        scoring_code = f"{registry.score_fingerprint(mapper.name)} {mapper}"
+        return cls(experiment.limits, mapper, scoring_code, experiment.timed, description)
 
 
 @dataclass(frozen=True)
-class Bench:
-    """Where one run is made: a core to pin to, processes to score in, who hears of answers, what ends it early."""
+class PendingRun:
+    """A run to execute, or only to score where ``is_executed``: its result is stored already.
+
+    ``attempts``: names of processes that started the run and died before its end.
+    """
+
+    spec: RunSpec
+    is_executed: bool = False
+    attempts: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class WorkerSlot:
+    """Resources for one run: a core to pin to, processes for scoring, a callback with the number of answered scans.
+
+    ``stop``: ends the run early when set.
+    """
 
     core: int | None
-    scorers: Scorers
-    heard: Callable[[int], None]
+    scoring: ScoringPool
+    report_answers: Callable[[int], None]
     stop: threading.Event
 
 
-class Scorers:
-    """Processes to score in. One that dies is replaced, and takes nobody else's scores along."""
+class ScoringPool:
+    """Processes for scoring. A process that dies is replaced and does not affect other runs."""
 
     def __init__(self, jobs: int) -> None:
         self._jobs, self._lock = jobs, threading.Lock()
-        self._pool = start_pool(jobs)
+        self._pool: Executor = start_pool(jobs)
 
-    def __enter__(self) -> Scorers:
+    def __enter__(self) -> ScoringPool:
         return self
 
     def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
-        """Ends them."""
+        """Terminate the processes."""
         self._pool.shutdown(wait=True, cancel_futures=True)
 
-    def do(self, job: Callable[..., None], *arguments: object) -> None:
-        """Does a job in a process; BrokenProcessPool where it ends even one of its own: before, it may be another's."""
+    def run(self, job: Callable[..., None], *arguments: object) -> None:
+        """Run a job in a process. Raises BrokenProcessPool only if the job also kills a process of its own."""
         shared = self._pool
         try:
             shared.submit(job, *arguments).result()
         except BrokenProcessPool:
             self._replace(shared)
             with start_pool(1) as own:
-                if _breaks(own):
-                    raise RuntimeError("no process to score in can be started here") from None
+                if _is_broken(own):
+                    raise RuntimeError("no process for scoring can be started here") from None
                 own.submit(job, *arguments).result()
 
     def _replace(self, broken: Executor) -> None:
@@ -122,52 +119,33 @@ class Scorers:
                 self._pool = start_pool(self._jobs)
 
 
-def _breaks(processes: Executor) -> bool:
-    """Whether even nothing cannot be done: it is not the run's fault then."""
+def _is_broken(pool: Executor) -> bool:
+    """Whether the pool cannot run even a trivial job: the cause is not the run."""
     try:
-        processes.submit(os.getpid).result()
+        pool.submit(os.getpid).result()
     except BrokenProcessPool:
         return True
     return False
 
 
-def cached_run(store: Store, recipe: Recipe, spec: RunSpec) -> FinishedRun | None:
-    """The run if it cannot be executed, or needs neither executing nor scoring any more; None where it does."""
-    if (unavailable := unavailable_result(spec)) is not None:
-        return FinishedRun(spec, unavailable)
-    if not (recipe.resume or recipe.collect):
-        return None
-    result = _final_result(store, recipe, spec)
-    if result is None and recipe.collect:
-        return FinishedRun(
-            spec, empty_result(Cause.NOT_RUN, "not made yet; the same command without --collect makes it")
-        )
-    if result is None or (result.is_scorable and store.scored_by(spec.key) != recipe.scored_by):
-        return None
-    return FinishedRun(spec, result)
+def execute_run(store: Store, settings: RunSettings, pending: PendingRun, slot: WorkerSlot) -> RunResult:
+    """Execute a pending run unless its result is stored already, score it, and store both.
 
-
-def execute_run(store: Store, recipe: Recipe, spec: RunSpec, bench: Bench) -> FinishedRun:
-    """Execute a run, unless a stored one will do, and score it; all of it is in the store.
-
-    Whatever goes wrong is a cause with a reason, but StoreError: a results folder that cannot be written; and
-    CancelledError where it was stopped.
+    Every failure is a cause with a reason, except two: raises StoreError if the results folder cannot be written, and
+    CancelledError if the run was stopped.
     """
-    begun = time.monotonic()
-    result = _final_result(store, recipe, spec)
-    if result is None and recipe.collect:
-        return FinishedRun(spec, empty_result(Cause.UNREADABLE, "what is stored of it cannot be read"))
-    if result is None:
-        result = _run(store, recipe, spec, bench)
-    if bench.stop.is_set():
+    spec = pending.spec
+    if pending.is_executed:
+        result = store.load_result(spec.key) or empty_result(Cause.UNREADABLE, "its stored result cannot be read")
+    else:
+        result = _execute(store, settings, pending, slot)
+    if slot.stop.is_set():
         raise CancelledError
-    if result.is_scorable:
-        result = _scored(store, recipe, spec, result, bench)
-    return FinishedRun(spec, result, max(time.monotonic() - begun, 1e-9))
+    return _score(store, settings, spec, result, slot) if result.is_scorable else result
 
 
 def unavailable_result(spec: RunSpec) -> RunResult | None:
-    """The result of a run whose data or library is not here; None where both are."""
+    """The result of a run whose data or library is not available here; None if both are."""
     if spec.sequence.missing:
         return empty_result(Cause.DATA_MISSING, spec.sequence.missing)
     if spec.method.missing:
@@ -180,117 +158,106 @@ def empty_result(cause: Cause, reason: str) -> RunResult:
     return RunResult(NO_STEPS, 0, cause, reason)
 
 
-def quarantine(store: Store, recipe: Recipe, spec: RunSpec, why: str, result: RunResult | None = None) -> RunResult:
-    """Store a run that is not executed again unless asked for; ``result``: what it answered before."""
-    reason = f"quarantined: {why}; --rerun crashed tries again"
-    result = replace(
-        result or empty_result(Cause.QUARANTINED, reason), cause=Cause.QUARANTINED, reason=reason,
-        provenance=_provenance(recipe, spec, None),
-    )  # fmt: skip
-    store.forget(spec.key, "scores.json")
+def quarantine(
+    store: Store, settings: RunSettings, spec: RunSpec, what: str, result: RunResult | None = None
+) -> RunResult:
+    """Store that a run kills processes, so that only ``--rerun crashed`` executes it again.
+
+    ``result``: what the run answered before, if anything. Returns the stored result.
+    """
+    changes: dict[str, Any] = {
+        "cause": Cause.QUARANTINED,
+        "reason": f"quarantined: {what}; --rerun crashed tries again",
+        "provenance": _provenance(settings, spec, None),
+    }
+    result = replace(result, **changes) if result else RunResult(NO_STEPS, 0, **changes)
+    store.discard_scores(spec.key)
     store.save_result(spec, result)
-    store.forget_tries(spec.key)
     return result
 
 
-def _final_result(store: Store, recipe: Recipe, spec: RunSpec) -> RunResult | None:
-    """The stored result if it is final; what was not available may be now."""
-    if not (recipe.resume or recipe.collect) or (result := store.load_result(spec.key)) is None or recipe.collect:
-        return result if recipe.resume or recipe.collect else None
-    if result.status in recipe.rerun or (recipe.timed and not result.provenance.get("timed", True)):
-        return None
-    same_limits = result.provenance.get("limits") == asdict(recipe.limits)
-    return result if result.status in FINAL or (result.status in LIMITED and same_limits) else None
-
-
-def _run(store: Store, recipe: Recipe, spec: RunSpec, bench: Bench) -> RunResult:
-    """A new run, stored."""
-    lost = store.tries(spec.key) if recipe.resume and "crashed" not in recipe.rerun else []
-    if len(lost) >= TRIES:
-        return quarantine(store, recipe, spec, f"evalkit was ended twice while it ran ({', '.join(lost)})")
+def _execute(store: Store, settings: RunSettings, pending: PendingRun, slot: WorkerSlot) -> RunResult:
+    """Execute a run in a process of its own and store its result; quarantine a run that killed too many processes."""
+    spec = pending.spec
+    if len(pending.attempts) >= MAX_ATTEMPTS:
+        what = f"evalkit was ended twice while it ran ({', '.join(pending.attempts)})"
+        return quarantine(store, settings, spec, what)
     request = Request(
-        spec.method.backend,
-        dict(spec.method.parameters),
-        spec.sequence.dataset,
-        spec.dataset_parameters,
-        bench.core,
+        spec.method.backend, dict(spec.method.parameters), spec.sequence.dataset, spec.dataset_parameters, slot.core
     )
-    folder = store.fresh(spec.key)
-    store.note_tries(spec.key, [*lost, f"process {os.getpid()} on {platform.node()}"])
-    try:
-        run = run_process.run(request, folder, recipe.limits, bench.heard, bench.stop)
-    finally:
-        store.forget_tries(spec.key)  # whoever comes here has not been ended by it
-    if not recipe.timed:
-        run = replace(run, steps=_without_times(run.steps))
-    if bench.stop.is_set():
-        raise CancelledError
-    run = replace(run, provenance=_provenance(recipe, spec, bench.core))
-    store.save_result(spec, run)
-    return run
+    attempt = f"process {os.getpid()} on {platform.node()}"
+    with store.begin(spec.key, [*pending.attempts, attempt]) as folder:
+        result = run_process.run(request, folder, settings.limits, slot.report_answers, slot.stop)
+        if slot.stop.is_set():
+            raise CancelledError
+        steps = result.steps if settings.timed else _without_times(result.steps)
+        result = replace(result, steps=steps, provenance=_provenance(settings, spec, slot.core))
+        store.save_result(spec, result)
+    return result
 
 
-def _scored(store: Store, recipe: Recipe, spec: RunSpec, result: RunResult, bench: Bench) -> RunResult:
-    """Score a run in a process of its own; returns its result, changed where the scoring failed."""
-    if store.scored_by(spec.key) == recipe.scored_by:
-        return result
-    store.forget(spec.key, "scores.json")  # of other code
+def _score(store: Store, settings: RunSettings, spec: RunSpec, result: RunResult, slot: WorkerSlot) -> RunResult:
+    """Score a run in a process of its own; returns its result, with another cause if the scoring failed."""
     try:
-        bench.scorers.do(score_stored, store.folder, spec, result, recipe, bench.core)
+        slot.scoring.run(score_and_save, store.folder, spec, result, settings, slot.core)
     except StoreError:
         raise
     except BrokenProcessPool as error:
-        return quarantine(store, recipe, spec, f"it ended the process that scored it twice ({error})", result)
+        what = f"it ended the process that scored it twice ({error})"
+        return quarantine(store, settings, spec, what, result)
     except Exception as error:  # noqa: BLE001 - a run that cannot be scored must not stop the others
+        store.discard_scores(spec.key)  # of other code, from an earlier scoring
         reason = f"scoring failed: {type(error).__name__}: {error}"
-        return replace(result, cause=Cause.SCORING_FAILED, reason=reason)
-    if store.scored_by(spec.key) is None:
-        reason = f"scoring failed: {store.run_folder(spec.key)}: scores were written but cannot be read back"
         return replace(result, cause=Cause.SCORING_FAILED, reason=reason)
     return result
 
 
-def score_stored(folder: Path, spec: RunSpec, run: RunResult, recipe: Recipe, core: int | None) -> None:
-    """Scores one run and keeps the result in the store; runs in a process of the scoring pool, on the run's core."""
+def score_and_save(folder: Path, spec: RunSpec, result: RunResult, settings: RunSettings, core: int | None) -> None:
+    """Score one run on the core it was executed on, and store the scores; runs in a process of the scoring pool."""
     if core is not None:
         os.sched_setaffinity(0, {core})
-    mapper = recipe.mapper
-    entrant, drawn_by = registry.backend(spec.method.backend), registry.mapper(mapper.name)
+    backend, mapper = registry.backend(spec.method.backend), registry.mapper(settings.mapper.name)
     sequence = registry.dataset(spec.sequence.dataset).make(**spec.dataset_parameters)
-    if isinstance(entrant, MapSpec):
-        scores = evaluate_map.score(run, entrant.make(**spec.method.parameters), sequence)
+    if isinstance(backend, MapSpec):
+        scores = evaluate.evaluate_map(result, backend.make(**spec.method.parameters), sequence)
     else:
-        scores = evaluate.score(run, sequence, lambda: drawn_by.make(**mapper.parameters), mapper.scans)
-    if not recipe.timed and not run.steps["wall_ns"].any():
-        scores = replace(scores, by_metric={name: _untimed(name, score) for name, score in scores.by_metric.items()})
-    Store(folder).save_scores(spec.key, scores, recipe.scored_by)
+        scores = evaluate.evaluate_run(
+            result, sequence, lambda: mapper.make(**settings.mapper.parameters), settings.mapper.scans
+        )
+    if not settings.timed and not result.steps["wall_ns"].any():
+        without = {name: _untimed(name, score) for name, score in scores.by_metric.items()}
+        scores = replace(scores, by_metric=without)
+    store = Store(folder)
+    store.save_scores(spec.key, scores, settings.scoring_code)
+    if store.load_scores(spec.key) is None:
+        raise RuntimeError(f"{store.run_folder(spec.key)}: scores were written but cannot be read back")
 
 
 def _untimed(name: str, score: Score) -> Score:
-    return Score(None, score.support, NOT_TIMED) if name in _times() else score
+    return Score(None, score.support, NOT_TIMED) if name in _time_metrics() else score
 
 
 @cache
-def _times() -> frozenset[str]:
-    """The metrics of time."""
+def _time_metrics() -> frozenset[str]:
     return frozenset(one.name for one in metrics.all_metrics() if one.group == "runtime" and one.unit != "MiB")
 
 
 def _without_times(steps: NDArray[np.void]) -> NDArray[np.void]:
-    bare = steps.copy()
+    copied = steps.copy()
     for name in COSTS:
-        bare[name] = 0
-    return bare
+        copied[name] = 0
+    return copied
 
 
-def _provenance(recipe: Recipe, spec: RunSpec, core: int | None) -> dict[str, Any]:
-    where = {name: recipe.ran_on.get(name, "unknown") for name in environment.KEPT_WITH_RUNS}
+def _provenance(settings: RunSettings, spec: RunSpec, core: int | None) -> dict[str, Any]:
+    """When and where a run was executed, with which versions and limits (JSON values)."""
+    where = {name: settings.environment.get(name, "unknown") for name in environment.KEPT_WITH_RUNS}
     libraries = ("numpy", "scipy", *registry.find_backend(spec.method.backend).requires)
     return {
         "executed_at": datetime.now(UTC).isoformat(),
         **where,
         "core": core,
         "versions": environment.versions(libraries),
-        "timed": recipe.timed,
-        "limits": asdict(recipe.limits),
+        "timed": settings.timed,
+        "limits": asdict(settings.limits),
     }

@@ -1,115 +1,95 @@
-"""A plan's runs made, or taken from the store: what is done, what is missing, and in the end every row."""
+"""Run an experiment: take what is stored, execute what is missing, and return how every run went."""
 
 from __future__ import annotations
 
-from collections.abc import Generator, Mapping, Sequence
+from collections.abc import Generator, Mapping
 from contextlib import closing, nullcontext
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import asdict, dataclass, field
 
 from evalkit.config.experiment import Experiment, RunSpec
-from evalkit.core.errors import StoreError
-from evalkit.core.ground_truth import Truth
-from evalkit.core.run_result import RunStatus, Scores
+from evalkit.core.run_result import Cause, RunResult, RunStatus
 from evalkit.execution import run_task
-from evalkit.execution.executors import Here, Place, Progress
-from evalkit.execution.run_task import FinishedRun, Recipe
-from evalkit.plugins import registry
-from evalkit.results.run_record import RunRecord
-from evalkit.results.store import REMEDY, Store
+from evalkit.execution.executors import Executor, Progress
+from evalkit.execution.run_task import PendingRun, RunSettings
+from evalkit.results.run_record import RunRecord, load_records
+from evalkit.results.store import Store
 
-__all__ = ["Engine", "Progress"]
+FINAL = (RunStatus.COMPLETE, RunStatus.FAILED, RunStatus.CRASHED)
+"""Statuses that ``--resume`` treats as final."""
+
+LIMITED = (RunStatus.TIMEOUT, RunStatus.OUT_OF_MEMORY)
+"""Statuses that ``--resume`` treats as final if the limits are still the same."""
 
 
 @dataclass(frozen=True)
-class Engine:
-    """Makes what is missing, ``jobs`` runs at a time on this machine or wherever ``place`` says.
+class Scheduler:
+    """Decides for every run whether a stored result is used or the run is executed.
 
-    ``resume`` keeps what is done, but makes runs that ended in one of ``rerun`` again. ``collect`` makes none: what is
-    not there is skipped. ``ran_on``: what the environment says, kept with every run that is made.
+    ``resume``: use final results, but execute runs with a status in ``rerun`` again. ``collect``: execute no run;
+    missing runs are skipped. ``environment``: description of the machine, kept with every executed run.
     """
 
-    plan: Experiment
     store: Store
     progress: Progress
-    jobs: int = 1
+    environment: Mapping[str, str] = field(default_factory=dict)
     resume: bool = False
-    ran_on: Mapping[str, str] = field(default_factory=dict)
     rerun: frozenset[RunStatus] = frozenset()
     collect: bool = False
-    place: Place | None = None
 
-    @cached_property
-    def planned(self) -> tuple[RunSpec, ...]:
-        """Every run, in the plan's order."""
-        return tuple(self.plan.runs())
+    def run(self, experiment: Experiment, executor: Executor) -> Generator[tuple[RunSpec, RunResult]]:
+        """Yield every run as it ends, executed, scored and stored; runs that need nothing come first.
 
-    def ended(self) -> Generator[FinishedRun]:
-        """Every run as it ends, made, scored and stored; what is done already comes first. None stays in memory.
-
-        A run that fails is a row with a reason; only a results folder that cannot be written stops the whole.
+        A run that fails is a result with a cause. Raises StoreError if the results folder cannot be written or another
+        process writes to it.
         """
-        with nullcontext() if self.collect else self.store.writer():
-            yield from self._ended(self.planned, self.progress)
+        settings = RunSettings.from_experiment(experiment, self.environment)
+        with nullcontext() if self.collect else self.store.writer_lock():
+            pending = []
+            for spec in experiment.runs():
+                stored = self._stored_result(spec, settings)
+                attempts = self._attempts(spec) if stored is None else ()
+                if (result := self._finished_result(spec, stored, settings)) is None:
+                    pending.append(PendingRun(spec, stored is not None, attempts))
+                    continue
+                self.progress.finished(spec, result)
+                yield spec, result
+            if not pending:
+                return
+            with closing(executor.run(self.store, settings, pending, self.progress)) as finished:
+                for spec, result in finished:
+                    self.progress.finished(spec, result)
+                    yield spec, result
 
-    def records(self) -> tuple[RunRecord, ...]:
-        """Every run of the plan with all its answers, maps and scores, in the plan's order: what a report draws."""
-        truths: dict[str, Truth] = {}
-        rows: dict[str, RunRecord] = {}
-        with nullcontext() if self.collect else self.store.writer():
-            for progress in (self.progress, _Unheard()):  # what turns out to be damaged is made once more
-                missing = [item for item in self.planned if item.key not in rows]
-                with closing(self._ended(missing, progress)) as all_ended:
-                    for ended in all_ended:
-                        if (record := self._record(ended, truths)) is not None:
-                            rows[record.key] = record
-        if unread := [item.key for item in self.planned if item.key not in rows]:
-            raise StoreError(str(self.store.run_folder(unread[0])), "was written but cannot be read back", REMEDY)
-        return tuple(rows[item.key] for item in self.planned)
+    def run_and_load(self, experiment: Experiment, executor: Executor) -> tuple[RunRecord, ...]:
+        """Run an experiment and load every run with its scores and ground truth, in the experiment's order."""
+        results = {spec.key: result for spec, result in self.run(experiment, executor)}
+        return load_records(self.store, experiment, results)
 
-    def _ended(self, planned: Sequence[RunSpec], progress: Progress) -> Generator[FinishedRun]:
-        recipe = Recipe.of(self.plan, self.resume, self.rerun, self.collect, self.ran_on)
-        todo = []
-        for item in planned:
-            if (ended := run_task.cached_run(self.store, recipe, item)) is None:
-                todo.append(item)
-                continue
-            progress.finished(ended)
-            yield ended
-        if not todo:
-            return
-        place = self.place or Here(self.jobs)
-        with closing(place.ended(self.store, recipe, todo, progress)) as made:  # whatever happens meanwhile ends them
-            for ended in made:
-                progress.finished(ended)
-                yield ended
+    def _finished_result(self, spec: RunSpec, stored: RunResult | None, settings: RunSettings) -> RunResult | None:
+        """The result of a run that needs neither executing nor scoring, None for any other run."""
+        if (unavailable := run_task.unavailable_result(spec)) is not None:
+            return unavailable
+        if stored is not None:
+            return stored if self._is_scored(spec, stored, settings) else None
+        if self.collect:
+            reason = "not made yet; the same command without --collect makes it"
+            return run_task.empty_result(Cause.NOT_RUN, reason)
+        return None
 
-    def _record(self, run: FinishedRun, truths: dict[str, Truth]) -> RunRecord | None:
-        """The run with its scores and truth; None where its scores are damaged, which are then removed."""
-        scores = self.store.load_scores(run.spec.key) if run.result.is_scorable else Scores()
-        if scores is None:
-            self.store.forget(run.spec.key, "scores.json")
+    def _stored_result(self, spec: RunSpec, settings: RunSettings) -> RunResult | None:
+        """The stored result if it is final."""
+        result = self.store.load_result(spec.key) if self.resume or self.collect else None
+        if result is None or self.collect:
+            return result
+        if result.status in self.rerun or (settings.timed and not result.provenance.get("timed", True)):
             return None
-        return RunRecord(run.spec, run.result, scores, _truth(run.spec, truths), self.plan.command(run.spec))
+        same_limits = result.provenance.get("limits") == asdict(settings.limits)
+        return result if result.status in FINAL or (result.status in LIMITED and same_limits) else None
 
+    def _is_scored(self, spec: RunSpec, result: RunResult, settings: RunSettings) -> bool:
+        """Whether all scores of a run are stored, readable, and computed by the current code."""
+        return not result.is_scorable or self.store.load_scores(spec.key, settings.scoring_code) is not None
 
-class _Unheard:
-    """A progress nobody listens to."""
-
-    def begun(self, planned: RunSpec) -> None: ...
-
-    def answered(self, planned: RunSpec, scans: int) -> None: ...
-
-    def finished(self, run: FinishedRun) -> None: ...
-
-
-def _truth(planned: RunSpec, known: dict[str, Truth]) -> Truth:
-    if planned.sequence.missing:
-        return Truth("the data are not here")
-    sequence = f"{planned.sequence.label} {planned.seed}"
-    if sequence not in known:
-        try:
-            known[sequence] = registry.dataset(planned.sequence.dataset).make(**planned.dataset_parameters).truth()
-        except Exception as error:  # noqa: BLE001 - a reader's fault, of which each of its runs has told already
-            known[sequence] = Truth(f"cannot be read: {error}")
-    return known[sequence]
+    def _attempts(self, spec: RunSpec) -> tuple[str, ...]:
+        """Processes that died while they executed the run; none if it is to be executed in any case."""
+        return self.store.attempts(spec.key) if self.resume and RunStatus.CRASHED not in self.rerun else ()

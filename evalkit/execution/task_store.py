@@ -13,7 +13,7 @@ import numpy as np
 
 from evalkit.execution.task import R, Result, Task
 from evalkit.io import untrusted_io
-from evalkit.results.store import reported
+from evalkit.results.store import as_store_error
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class TaskStore:
 
     def create(self) -> None:
         """Creates the folder. Raises StoreError if it cannot be written."""
-        with reported(self.folder):
+        with as_store_error(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
 
     def load(self, task: Task[R]) -> R | None:
@@ -53,6 +53,6 @@ class TaskStore:
         path = self.path(task)
         part = path.with_name(f"{path.name}.{os.getpid()}.part")
         self.create()
-        with reported(self.folder):
+        with as_store_error(self.folder):
             part.write_bytes(body.getvalue())
             part.replace(path)

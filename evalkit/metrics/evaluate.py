@@ -1,4 +1,4 @@
-"""A finished run made numbers: aligned with the truth, mapped by the common mapper, scored by every metric."""
+"""Evaluate a finished run: align it with the truth, build its map, and compute every metric."""
 
 from __future__ import annotations
 
@@ -11,40 +11,66 @@ from evalkit import metrics
 from evalkit.core import se2
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import RunResult, Scores
+from evalkit.core.run_result import RunResult, Score, Scores
 from evalkit.core.scan import Frame
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.table import NO_POSES, Evidence, MatchedPoses, MissingMap, PlacedScan, PlacedScans
+from evalkit.metrics.table import NO_POSES, Evidence, MatchedPoses, MissingMap, PlacedScan, PlacedScans, Unmatched
 from evalkit.metrics.trajectory import compute_errors_m, match_trajectories
 from evalkit.plugins.protocols import Mapper, Sequence
 
 MAX_PAIRS = 100
-"""So many pairs of successive scans are kept for the metrics that look from one scan to the next."""
+"""Maximum number of pairs of successive scans that are kept for metrics of scan-to-scan motion."""
+
+OF_THE_MAP_ALONE = ("occupied_percent", "corners", "enclosed_areas", "enclosed_m2", "wall_width_m")
+"""Consistency metrics that need neither scans nor probabilities; most metrics against the true map need neither."""
+
+OF_PROBABILITIES = ("map_entropy", "map_log_loss", "map_ssim")
+"""Metrics that need cell probabilities, which a map file does not hold."""
+
+NO_TRAJECTORY = "no trajectory: the back end is a map made elsewhere"
+NO_PROBABILITIES = "a map file holds occupied, free and unknown cells without probabilities"
+MAP_ALIGNMENT = "the frame of the map is that of its file and settings"
 
 
-def score(run: RunResult, sequence: Sequence, make_mapper: Callable[[], Mapper], scans: int) -> Scores:
-    """The scores, the map and the error over time of a run, failed runs as far as they came."""
-    evidence = with_map(without_map(run, sequence), sequence, make_mapper, scans)
+def evaluate_run(result: RunResult, sequence: Sequence, make_mapper: Callable[[], Mapper], scans: int) -> Scores:
+    """The scores, the map and the errors of a run; a failed run is evaluated up to its last answer.
+
+    ``scans``: maximum number of scans in the map.
+    """
+    evidence = add_map(collect_evidence(result, sequence), sequence, make_mapper, scans)
     world_from_start = _world_from_start(evidence)
     true = evidence.truth.trajectory
-    errors = None if true is None else compute_errors_m(run.estimate.moved(world_from_start, "world"), true)
+    errors = None if true is None else compute_errors_m(result.estimate.moved(world_from_start, "world"), true)
     scores = metrics.compute_scores(evidence, metrics.all_metrics())
     grid = None if isinstance(evidence.grid, MissingMap) else evidence.grid
     return Scores(scores, world_from_start, _describe_alignment(evidence), grid, errors)
 
 
-def without_map(run: RunResult, sequence: Sequence) -> Evidence:
-    """What a run shows without its scans looked at again: enough for drift and runtime."""
+def evaluate_map(result: RunResult, grid: OccupancyGrid, sequence: Sequence) -> Scores:
+    """The scores of a map without a trajectory, given in the frame of the world."""
+    evidence = Evidence(result, sequence.truth(), Unmatched(NO_TRAJECTORY), grid)
+    table = metrics.all_metrics()
+    against_truth = [one for one in table if one.group == "map against truth" and one.name not in OF_PROBABILITIES]
+    meaningful = [*against_truth, *(one for one in table if one.name in OF_THE_MAP_ALONE)]
+    scores = {one.name: Score(None, 0, NO_TRAJECTORY) for one in table}
+    scores |= metrics.compute_scores(evidence, meaningful)
+    for name in OF_PROBABILITIES:
+        scores[name] = replace(scores[name], reason=NO_PROBABILITIES)
+    return Scores(scores, Pose(), MAP_ALIGNMENT, grid)
+
+
+def collect_evidence(result: RunResult, sequence: Sequence) -> Evidence:
+    """The evidence of a run without its scans and map: enough for drift and runtime."""
     truth = sequence.truth()
-    return Evidence(run, truth, match_trajectories(run.estimate, truth.trajectory))
+    return Evidence(result, truth, match_trajectories(result.estimate, truth.trajectory))
 
 
-def with_map(
+def add_map(
     evidence: Evidence, sequence: Sequence, make_mapper: Callable[[], Mapper], scans: int, halves: bool = True
 ) -> Evidence:
-    """The same with its map; ``halves``: with those of its two halves too, which some consistency metrics compare."""
+    """The evidence with scans and map. ``halves``: also the maps of both halves, for some consistency metrics."""
     world_from_base = evidence.run.estimate.moved(_world_from_start(evidence), "world")
-    mapped, successive = _placed(sequence, world_from_base, scans)
+    mapped, successive = _place_scans(sequence, world_from_base, scans)
     with_grid = replace(evidence, grid=render_map(mapped, make_mapper), mapped=mapped, successive=successive)
     if not halves:
         return with_grid
@@ -81,16 +107,16 @@ def _describe_alignment(evidence: Evidence) -> str:
     return "" if evidence.truth.trajectory is None else matched.reason
 
 
-def _placed(
+def _place_scans(
     sequence: Sequence, world_from_base: Trajectory, most: int
 ) -> tuple[PlacedScans, tuple[tuple[PlacedScan, PlacedScan], ...]]:
-    """At most that many scans and at most ``MAX_PAIRS`` pairs of successive ones, with where the sensor was.
+    """At most ``most`` scans and ``MAX_PAIRS`` pairs of successive scans, with their poses ``world_from_sensor``.
 
-    Both are evenly spaced over the whole sequence, the same for every method; what a run has not answered is
-    missing. The motion within a scan is undone by the estimate's own speed, whatever the back end did with it.
+    Both are evenly spaced over the whole sequence, the same for every method; scans without an answer are left out.
+    Scans are deskewed with the speed of the estimate, whatever the back end did.
     """
     expected = len(sequence)
-    chosen, earlier = _evenly(expected, most), _evenly(expected - 1, MAX_PAIRS)
+    chosen, earlier = _evenly_spaced(expected, most), _evenly_spaced(expected - 1, MAX_PAIRS)
     wanted = {*chosen, *earlier, *(index + 1 for index in earlier)}
     placed: dict[int, PlacedScan] = {}
     for index, frame in enumerate(sequence.frames()):
@@ -98,25 +124,25 @@ def _placed(
             break
         row = _row_at(world_from_base, frame.scan.stamp_ns) if index in wanted else None
         if row is not None:
-            scan = frame.scan.deskewed(frame.base_from_sensor, _within(frame, world_from_base, row))
+            scan = frame.scan.deskewed(frame.base_from_sensor, _motion_within_scan(frame, world_from_base, row))
             placed[index] = scan, se2.compose(world_from_base.poses[row], frame.base_from_sensor.row)
     pairs = ((index, index + 1) for index in earlier if index in placed and index + 1 in placed)
     return tuple(placed[i] for i in chosen if i in placed), tuple((placed[i], placed[j]) for i, j in pairs)
 
 
 def _row_at(trajectory: Trajectory, stamp_ns: int) -> int | None:
-    """Which pose is of that very time; None where there is none."""
+    """The row of the pose with exactly this stamp; None where there is none."""
     row = int(np.searchsorted(trajectory.stamps_ns, stamp_ns))
     return row if row < len(trajectory) and trajectory.stamps_ns[row] == stamp_ns else None
 
 
-def _evenly(count: int, most: int) -> list[int]:
-    """At most that many of the indices of ``count`` things, first and last among them, in order."""
+def _evenly_spaced(count: int, most: int) -> list[int]:
+    """At most ``most`` of the indices 0..count-1 in order, first and last included."""
     return [int(i) for i in np.unique(np.linspace(0, count - 1, min(most, count)).astype(int))] if count > 0 else []
 
 
-def _within(frame: Frame, world_from_base: Trajectory, index: int) -> Pose | None:
-    """``start_from_end`` of one scan by the estimate: the step to the next scan (or from the one before), in part."""
+def _motion_within_scan(frame: Frame, world_from_base: Trajectory, index: int) -> Pose | None:
+    """``start_from_end`` of one scan: its share of the estimated step to the next scan (or from the last one)."""
     if frame.scan.duration_ns == 0 or len(world_from_base) < 2:
         return None
     first = min(index, len(world_from_base) - 2)

@@ -98,7 +98,7 @@ def run_fingerprint(method: str, dataset: str) -> str:
 def score_fingerprint(mapper: str) -> str:
     """A digest of the code behind the scores and the map of a run."""
     return fingerprint(
-        ("evalkit.metrics.evaluate", "evalkit.metrics.evaluate_map", _points("mappers")[mapper].module),
+        ("evalkit.metrics.evaluate", _points("mappers")[mapper].module),
         ("numpy", "scipy"),
     )
 

@@ -55,7 +55,7 @@ def build_comparison(
 def open_sequence(sequence: SequenceSpec) -> Callable[[], SensorSequence]:
     """Return a function that opens a sequence at its lowest seed."""
     seed = min((seed for seed in sequence.seeds if seed is not None), default=None)
-    return lambda: registry.dataset(sequence.dataset).make(**sequence.seeded(seed))
+    return lambda: registry.dataset(sequence.dataset).make(**sequence.parameters_with_seed(seed))
 
 
 def sort_runs(experiment: Experiment, runs: Sequence[RunRecord]) -> tuple[RunRecord, ...]:

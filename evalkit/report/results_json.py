@@ -17,7 +17,7 @@ from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.results.reader import RESULTS_NAME, RESULTS_VERSION
 from evalkit.results.run_record import RunRecord
-from evalkit.results.store import digest
+from evalkit.results.store import hash_answers
 
 METRIC_KEYS = ("name", "label", "unit", "better", "group", "definition", "source", "limitations", "digits", "headline")
 
@@ -92,7 +92,7 @@ def _run(run: RunRecord) -> dict[str, Any]:
         "reason": result.reason,
         "scans_answered": len(result.steps),
         "scans_expected": result.expected,
-        "answers_sha256": digest(result),
+        "answers_sha256": hash_answers(result),
         "warm_up_scans": result.warm_up_scans,
         "peak_memory_bytes": result.peak_memory_bytes,
         "notes": {name: int(count) for name, count in result.notes.items()},

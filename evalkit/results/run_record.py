@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
-from evalkit.config.experiment import RunSpec
+from evalkit.config.experiment import Experiment, RunSpec
+from evalkit.core.errors import StoreError
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import RunResult, Scores
+from evalkit.plugins import registry
+from evalkit.results.store import REMEDY, Store
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,3 +42,31 @@ class RunRecord:
     def seed(self) -> int | None:
         """Seed of the sequence, None for a recording."""
         return self.spec.seed
+
+
+def load_records(store: Store, experiment: Experiment, results: Mapping[str, RunResult]) -> tuple[RunRecord, ...]:
+    """The runs of an experiment with their stored scores, in the experiment's order. ``results``: by key of the run.
+
+    Raises StoreError if the scores of a run cannot be read back.
+    """
+    truths: dict[tuple[str, int | None], Truth] = {}
+    records = []
+    for spec in experiment.runs():
+        result = results[spec.key]
+        scores = store.load_scores(spec.key) if result.is_scorable else Scores()
+        if scores is None:
+            raise StoreError(str(store.run_folder(spec.key)), "was written but cannot be read back", REMEDY)
+        sequence = spec.sequence.label, spec.seed
+        if sequence not in truths:
+            truths[sequence] = _load_truth(spec)
+        records.append(RunRecord(spec, result, scores, truths[sequence], experiment.command(spec)))
+    return tuple(records)
+
+
+def _load_truth(spec: RunSpec) -> Truth:
+    if spec.sequence.missing:
+        return Truth("the data are not here")
+    try:
+        return registry.dataset(spec.sequence.dataset).make(**spec.dataset_parameters).truth()
+    except Exception as error:  # noqa: BLE001 - an error of the reader, which is the reason of each of its runs too
+        return Truth(f"cannot be read: {error}")

@@ -1,10 +1,10 @@
-"""Results on disk: one folder a run, written as it goes, found again by its key.
+"""The results folder of an experiment: one folder per run, found by the key of its RunSpec.
 
-runs/<key>/  request.json  steps.bin  outcome.json  output.txt     what the run left behind
-             made.json  run.json                                   when, on what and under which limits; how it ended
-             scores.json  grid.npz  errors.npy                     what the scoring made of it
-trajectories/<key>.tum   maps/<key>.pgm  maps/<key>.yaml           for other tools
-tries/<key>.json             who was lost while the run was made, until it has ended
+runs/<key>/  request.json  begun.json  steps.bin  outcome.json  output.txt    written by the process of the run
+             result.json                                       how the run went: cause, cost, provenance
+             scores.json  grid.npz  errors.npy                 its evaluation
+trajectories/<key>.tum   maps/<key>.pgm  maps/<key>.yaml       for other tools
+attempts/<key>.json      processes that started the run and did not reach its end
 """
 
 from __future__ import annotations
@@ -13,11 +13,10 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, fields
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -42,11 +41,11 @@ REMEDY = "free some space or name another folder with --out"
 
 
 class Store:
-    """One experiment's results folder."""
+    """One experiment's results folder. Raises StoreError where a file cannot be written."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        with reported(folder):
+        with as_store_error(folder):
             for name in ("runs", "trajectories", "maps"):
                 (folder / name).mkdir(parents=True, exist_ok=True)
             probe = folder / "runs" / f".writable-{os.getpid()}"
@@ -55,14 +54,14 @@ class Store:
 
     @classmethod
     def existing(cls, folder: Path) -> Store:
-        """A folder that is only read: nothing is made in it, so it may be an archive."""
+        """A store for reading only: creates nothing, so the folder may be an archive."""
         store = cls.__new__(cls)
         store.folder = folder
         return store
 
     @contextmanager
-    def writer(self) -> Iterator[None]:
-        """While it lasts nobody else makes runs in this folder; StoreError where somebody does already."""
+    def writer_lock(self) -> Iterator[None]:
+        """Lock the folder against other writers. Raises StoreError if another process holds the lock."""
         lock = FileLock(self.folder / LOCK)
         try:
             with lock.acquire(timeout=0):
@@ -72,45 +71,75 @@ class Store:
             raise StoreError(str(self.folder), what, "wait for it or name another folder with --out") from error
 
     def run_folder(self, key: str) -> Path:
-        """Where a run keeps its files."""
+        """The folder of a run."""
         return self.folder / "runs" / key
 
-    def fresh(self, key: str) -> Path:
-        """An empty folder for a run about to start."""
+    def create_run_folder(self, key: str) -> Path:
+        """Create an empty folder for a run; deletes an existing one."""
         folder = self.run_folder(key)
-        with reported(folder):
+        with as_store_error(folder):
             shutil.rmtree(folder, ignore_errors=True)
             folder.mkdir(parents=True)
         return folder
 
+    @contextmanager
+    def begin(self, key: str, attempts: Sequence[str]) -> Iterator[Path]:
+        """Mark a run as started and create its folder. The mark stays only if this process dies in the block.
+
+        ``attempts``: names of the processes that have started the run so far, with this one.
+        """
+        self.write_text(self._attempts_file(key), json.dumps(list(attempts)))
+        try:
+            yield self.create_run_folder(key)
+        finally:
+            self.clear_attempts(key)
+
+    def attempts(self, key: str) -> tuple[str, ...]:
+        """Names of the processes that started a run and died before its end."""
+        try:
+            content = untrusted_io.parse_json(self._attempts_file(key).read_bytes())
+        except (OSError, ValueError):
+            return ()
+        return tuple(str(name) for name in content) if isinstance(content, list) else ()
+
+    def clear_attempts(self, key: str) -> None:
+        """Forget the processes that died: the run has ended or is quarantined."""
+        file = self._attempts_file(key)
+        with as_store_error(file):
+            file.unlink(missing_ok=True)
+
+    def _attempts_file(self, key: str) -> Path:
+        return self.folder / "attempts" / f"{key}.json"
+
     def write_text(self, path: Path, text: str) -> None:
-        """Writes a file whole or not at all."""
+        """Write a file atomically: whole or not at all."""
         self.write_bytes(path, text.encode())
 
     def write_bytes(self, path: Path, content: bytes) -> None:
-        """Writes a file whole or not at all."""
+        """Write a file atomically: whole or not at all."""
         partial = path.with_name(path.name + ".part")
-        with reported(path):
+        with as_store_error(path):
             path.parent.mkdir(parents=True, exist_ok=True)  # a back end may have removed it
             partial.write_bytes(content)
             partial.replace(path)
 
     def save_result(self, spec: RunSpec, result: RunResult) -> None:
-        """Write how a run went, and its trajectory for other tools."""
+        """Write how a run went, and its trajectory for other tools. ``RESULT`` is written last: it vouches."""
         folder = self.run_folder(spec.key)
         steps = folder / STEPS
         if not steps.exists() or read_steps(steps).tobytes() != result.steps.tobytes():  # removed, or times left out
             self.write_bytes(steps, result.steps.tobytes())
+        text = format_tum(result.estimate, f"evalkit: {spec.method.label} on {spec.sequence.label}")
+        self.write_text(self.folder / "trajectories" / f"{spec.key}.tum", text)
         record = {
             "method": spec.method.label, "sequence": spec.sequence.label, "seed": spec.seed, "status": result.status,
             "answered": len(result.steps), **{name: getattr(result, name) for name in _RESULT_FIELDS},
         }  # fmt: skip
         self.write_text(folder / RESULT, json.dumps(record, indent=1))
-        text = format_tum(result.estimate, f"evalkit: {spec.method.label} on {spec.sequence.label}")
-        self.write_text(self.folder / "trajectories" / f"{spec.key}.tum", text)
+        self.clear_attempts(spec.key)
 
     def load_result(self, key: str) -> RunResult | None:
-        """The result of a stored run; None where there is none, or where it is damaged: it is run again."""
+        """The stored result of a run; None where it is absent or damaged."""
         folder = self.run_folder(key)
         try:
             record = untrusted_io.parse_json((folder / RESULT).read_bytes())
@@ -122,37 +151,11 @@ class Store:
         except (OSError, ValueError, TypeError, KeyError, AttributeError):
             return None
 
-    def forget(self, key: str, *names: str) -> None:
-        """Removes files of a run ("run.json", "scores.json"): it is made or scored again."""
-        with reported(self.run_folder(key)):
-            for name in names:
-                (self.run_folder(key) / name).unlink(missing_ok=True)
-
-    def tries(self, key: str) -> list[str]:
-        """Who was lost while the run was made, and has not told how it ended."""
-        try:
-            content = untrusted_io.parse_json(self._tries(key).read_bytes())
-        except (OSError, ValueError):
-            return []
-        return [str(who) for who in content] if isinstance(content, list) else []
-
-    def note_tries(self, key: str, who: list[str]) -> None:
-        """Keeps who has tried a run, up to the one that does now."""
-        self.write_text(self._tries(key), json.dumps(who))
-
-    def forget_tries(self, key: str) -> None:
-        """The run has ended by itself, or is given up."""
-        with reported(self._tries(key)):
-            self._tries(key).unlink(missing_ok=True)
-
-    def _tries(self, key: str) -> Path:
-        return self.folder / "tries" / f"{key}.json"
-
     def save_scores(self, key: str, scores: Scores, fingerprint: str) -> None:
         """Write the scores of a run, and its map for map_server. ``fingerprint``: the scoring code and the mapper."""
         folder = self.run_folder(key)
         grid = scores.grid
-        with reported(folder):
+        with as_store_error(folder):
             for name in (SCORES, "grid.npz", "errors.npy"):  # SCORES is removed first and written last: it vouches
                 (folder / name).unlink(missing_ok=True)
             if grid is not None:
@@ -172,26 +175,13 @@ class Store:
         }
         self.write_text(folder / SCORES, json.dumps(content, indent=1))
 
-    def scored_by(self, key: str) -> str | None:
-        """The fingerprint of the stored scores of a run; None where there are none."""
-        return self._scores(key).get("fingerprint")
-
-    def score_values(self, key: str) -> dict[str, float | None]:
-        """The values of a run's scores; empty where there are none."""
-        return {name: score["value"] for name, score in self._scores(key).get("scores", {}).items()}
-
-    def _scores(self, key: str) -> dict[str, Any]:
-        try:
-            content = untrusted_io.parse_json((self.run_folder(key) / SCORES).read_bytes())
-        except (OSError, ValueError):
-            return {}
-        return content if isinstance(content, dict) else {}
-
-    def load_scores(self, key: str) -> Scores | None:
-        """The scores of a stored run; None where there are none, or where they are damaged."""
+    def load_scores(self, key: str, fingerprint: str = "") -> Scores | None:
+        """The stored scores of a run; None where they are absent, damaged, or of another ``fingerprint`` (if given)."""
         folder = self.run_folder(key)
         try:
             content = untrusted_io.parse_json((folder / SCORES).read_bytes())
+            if fingerprint and content["fingerprint"] != fingerprint:
+                return None
             return Scores(
                 {name: Score(**score) for name, score in content["scores"].items()},
                 Pose.of(content["world_from_start"]),
@@ -201,6 +191,19 @@ class Store:
             )
         except (OSError, ValueError, TypeError, KeyError, AttributeError, OverflowError):
             return None
+
+    def load_score_values(self, key: str) -> dict[str, float | None]:
+        """The values of a run's scores by metric; empty where there are none."""
+        try:
+            content = untrusted_io.parse_json((self.run_folder(key) / SCORES).read_bytes())
+            return {name: score["value"] for name, score in content["scores"].items()}
+        except (OSError, ValueError, TypeError, KeyError, AttributeError):
+            return {}
+
+    def discard_scores(self, key: str) -> None:
+        """Delete the scores of a run, so that it is scored again."""
+        with as_store_error(self.run_folder(key)):
+            (self.run_folder(key) / SCORES).unlink(missing_ok=True)
 
     def write_map(self, stem: Path, grid: OccupancyGrid) -> None:
         """A map_server map: PGM (row 0 on top; 254 free, 0 occupied, 205 unknown) and YAML with every digit."""
@@ -220,44 +223,44 @@ class Store:
 
 
 def read_steps(path: Path) -> NDArray[np.void]:
-    """The whole records of a steps file (N,); a record cut short by the process's end is left out."""
+    """The complete records of a steps file (N,), without a last record that the end of the process cut short."""
     if not path.exists():
         return np.zeros(0, dtype=STEP)
     return whole_records(path.read_bytes())
 
 
 def whole_records(content: bytes) -> NDArray[np.void]:
-    """The records of what was written up to now (N,); one cut short is left out."""
+    """The complete records in the bytes written so far (N,), without a last one that is cut short."""
     return np.frombuffer(content[: len(content) // STEP.itemsize * STEP.itemsize], dtype=STEP)
 
 
-def digest(run: RunResult) -> str:
-    """What a run answered, as SHA-256 of its stamps and poses: two runs with one digest agree to the last bit."""
-    hashed = hashlib.sha256(run.steps["stamp_ns"].astype("<i8").tobytes())
+def hash_answers(result: RunResult) -> str:
+    """SHA-256 of the stamps and poses of a run: equal hashes mean that two runs agree to the last bit."""
+    hashed = hashlib.sha256(result.steps["stamp_ns"].astype("<i8").tobytes())
     for name in ("x", "y", "theta"):
-        hashed.update(run.steps[name].astype("<f8").tobytes())
+        hashed.update(result.steps[name].astype("<f8").tobytes())
     return hashed.hexdigest()
 
 
 def _load_grid(path: Path) -> OccupancyGrid | None:
     if not path.exists():
         return None
-    kept = untrusted_io.read_arrays(path)
-    resolution_m, origin_x, origin_y = kept["frame"].tolist()
-    return OccupancyGrid(kept["log_odds"], kept["observed"], resolution_m, origin_x, origin_y)
+    stored = untrusted_io.read_arrays(path)
+    resolution_m, origin_x, origin_y = stored["frame"].tolist()
+    return OccupancyGrid(stored["log_odds"], stored["observed"], resolution_m, origin_x, origin_y)
 
 
 def write_texts(folder: Path, texts: Mapping[str, str]) -> None:
-    """Writes files by name into a folder, which is made; StoreError where that is not possible."""
-    with reported(folder):
+    """Write files by name into a folder, which is created. Raises StoreError where that is not possible."""
+    with as_store_error(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
             (folder / name).write_text(text, encoding="utf-8")
 
 
 @contextmanager
-def reported(path: Path) -> Iterator[None]:
-    """StoreError naming the path where the system cannot write there."""
+def as_store_error(path: Path) -> Iterator[None]:
+    """Turn an OSError in the block into a StoreError that names the path."""
     try:
         yield
     except OSError as error:

@@ -15,7 +15,7 @@ from evalkit.execution.task import AnyTask
 from evalkit.execution.task_runner import run_tasks
 from evalkit.execution.task_store import TaskStore
 from evalkit.report.html.document import Cell, Column, Command, Fold, Section, Table, Text, render
-from evalkit.results.store import reported
+from evalkit.results.store import as_store_error
 from evalkit.terminal import progress
 from evalkit.terminal.options import err
 from evalkit_paper import page
@@ -31,7 +31,7 @@ def build_page(file: Path, folder: Path | None, workers: int | None) -> Path:
     folder = folder or Path("reports") / "build" / file.stem
     workers = workers or environment.physical_cores()
     ran_on = environment.describe(("numpy", "scipy", "open3d-cpu", "kiss-icp", "small-gicp"), jobs=workers)
-    with progress.say_what_is_kept(err, "finished jobs"), progress.jobs(err, len(every), workers) as done:
+    with progress.say_what_is_kept(err, "finished jobs"), progress.show_tasks(err, len(every), workers) as done:
         found = run_tasks(TaskStore(folder / "results"), every, workers, done)
     results = {
         chapter: {job.name: found[_with_chapter_name(chapter, job).name] for job in own}
@@ -52,7 +52,7 @@ def _with_chapter_name(chapter: str, job: AnyTask) -> AnyTask:
 
 
 def _write_page(path: Path, body: str) -> Path:
-    with reported(path):
+    with as_store_error(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(body, encoding="utf-8")
     return path.resolve()

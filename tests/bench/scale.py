@@ -13,32 +13,50 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 
 import psutil
 
-from evalkit.config import experiment
-from evalkit.config.experiment import Experiment
+from evalkit.config.experiment import Experiment, RunSpec, experiment_from_tables
+from evalkit.core.run_result import NO_STEPS, RunResult
 from evalkit.execution import run_archive
 from evalkit.execution.dask_cluster import Call, Cluster, Slot, _local
-from evalkit.execution.executors import There
-from evalkit.execution.run_task import FinishedRun
-from evalkit.execution.scheduler import Engine
+from evalkit.execution.executors import DaskExecutor, Executor, LocalExecutor
+from evalkit.execution.scheduler import Scheduler
 from evalkit.results.store import Store
 
 
-class Unheard:
-    """A progress nobody listens to."""
+class NoProgress:
+    """A progress that measures how long runs take, in seconds from start to end."""
 
-    def begun(self, planned: object) -> None:
-        """Nothing."""
+    def __init__(self) -> None:
+        self._started: dict[str, float] = {}
+        self.seconds = 0.0
 
-    def answered(self, planned: object, scans: int) -> None:
-        """Nothing."""
+    def started(self, spec: RunSpec) -> None:
+        """Note the time."""
+        self._started[spec.key] = time.perf_counter()
 
-    def finished(self, run: FinishedRun) -> None:
-        """Nothing."""
+    def answered(self, spec: RunSpec, scans: int) -> None:
+        """Do nothing."""
+
+    def finished(self, spec: RunSpec, result: RunResult) -> None:
+        """Add the duration of the run."""
+        self.seconds += time.perf_counter() - self._started.pop(spec.key, time.perf_counter())
+
+
+def run(
+    experiment: Experiment, store: Store, executor: Executor | None = None, collect: bool = False
+) -> tuple[list[RunResult], float]:
+    """The results of all runs, and the seconds they took."""
+    progress = NoProgress()
+    results = [
+        replace(result, steps=NO_STEPS)
+        for _, result in Scheduler(store, progress, collect=collect).run(experiment, executor or LocalExecutor())
+    ]
+    return results, progress.seconds
 
 
 def plan(methods: int, sequences: int, seeds: int, laps: float = 0.3) -> Experiment:
@@ -51,7 +69,7 @@ def plan(methods: int, sequences: int, seeds: int, laps: float = 0.3) -> Experim
             for k in range(sequences)
         ],
     }
-    return experiment.plan(content, "scale.toml", "scale", "compare scale.toml")
+    return experiment_from_tables(content, "scale.toml", "scale", "compare scale.toml")
 
 
 @contextmanager
@@ -70,18 +88,18 @@ def planning(folder: Path) -> None:
         big = plan(10, 10, 100)
         runs = list(big.runs())
     with taken("what is done of 10,000, none made", 10_000):
-        assert len(list(Engine(big, store, Unheard(), collect=True).ended())) == 10_000
+        assert len(run(big, store, collect=True)[0]) == 10_000
     full = Store(folder / "full")
-    one = big.only(["room 0"], ["paper 0"], [0])
-    list(Engine(one, full, Unheard()).ended())
+    one = big.select(["room 0"], ["paper 0"], [0])
+    run(one, full)
     made = full.run_folder(next(one.runs()).key)
     with taken("copy a run 10,000 times", 10_000):
-        for run in runs:
-            if not full.run_folder(run.key).exists():
-                shutil.copytree(made, full.run_folder(run.key), copy_function=os.link)
+        for spec in runs:
+            if not full.run_folder(spec.key).exists():
+                shutil.copytree(made, full.run_folder(spec.key), copy_function=os.link)
     with taken("what is done of 10,000, all made", 10_000):
-        ended = list(Engine(big, full, Unheard(), collect=True).ended())
-    print("  statuses:", {one.result.status for one in ended})
+        ended, _ = run(big, full, collect=True)
+    print("  statuses:", {one.status for one in ended})
     print(f"  peak of this process: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
 
 
@@ -89,20 +107,20 @@ def store(folder: Path) -> None:
     """Bytes and files of a run, and what it takes to pack and unpack one."""
     kept = Store(folder / "one")
     one = plan(1, 1, 1, laps=1.0)
-    list(Engine(one, kept, Unheard()).ended())
+    run(one, kept)
     key = next(one.runs()).key
     files = [path for path in (folder / "one").rglob("*") if path.is_file() and not path.name.startswith(".")]
     scans = kept.load_result(key).steps.size
     print(f"a run of {scans} scans: {len(files)} files, {sum(path.stat().st_size for path in files):,} bytes")
-    body = run_archive.packed(kept, key)
+    body = run_archive.pack_run(kept, key)
     print(f"  packed for the way: {len(body):,} bytes")
     other = Store(folder / "other")
     with taken("pack", 100):
         for _ in range(100):
-            run_archive.packed(kept, key)
+            run_archive.pack_run(kept, key)
     with taken("unpack", 100):
         for _ in range(100):
-            run_archive.unpacked(other, key, body)
+            run_archive.unpack_run(other, key, body)
 
 
 def nothing(size: int, _slot: Slot) -> bytes:
@@ -135,14 +153,14 @@ def workers(folder: Path) -> None:
     for turn in range(3):
         for count in (1, 2) if turn % 2 == 0 else (2, 1):
             with _local(count) as local:
-                place = There(Cluster(local.scheduler_address))
+                executor = DaskExecutor(Cluster(local.scheduler_address))
                 warm = plan(count, 1, 1, laps=0.05)
-                list(Engine(warm, Store(folder / f"warm {turn} {count}"), Unheard(), place=place).ended())
+                run(warm, Store(folder / f"warm {turn} {count}"), executor)
                 begun, used = time.perf_counter(), _cpu_s()
-                ended = list(Engine(many, Store(folder / f"{turn} {count}"), Unheard(), place=place).ended())
+                ended, in_hand_s = run(many, Store(folder / f"{turn} {count}"), executor)
                 wall, used = time.perf_counter() - begun, _cpu_s() - used
-            assert {one.result.status for one in ended} == {"complete"}, {one.result.reason for one in ended}
-            busy[count].append(sum(one.seconds for one in ended) / (wall * count))
+            assert {one.status for one in ended} == {"complete"}, {one.reason for one in ended}
+            busy[count].append(in_hand_s / (wall * count))
             cpu[count].append(used / len(ended))
             print(
                 f"{count} workers: {len(ended)} runs in {wall:.1f} s wall; a run in hand {busy[count][-1]:.0%} of the "

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from evalkit.config import adhoc_experiment
+from evalkit.config.adhoc_experiment import experiment_from_recording, read_first_frame
 from evalkit.core.errors import BadData, BadExperiment, BadParameter, NotInstalled
 from evalkit.plugins import registry
 
@@ -18,7 +18,7 @@ def log(tmp_path):
 
 
 def plan(path, options=(), settings=(), backends=("wheel-odometry",)):
-    return adhoc_experiment.plan(path, dict(options), dict(settings), list(backends), "compare it")
+    return experiment_from_recording(path, dict(options), dict(settings), list(backends), "compare it")
 
 
 def test_a_log_is_read_by_the_reader_of_its_suffix(log):
@@ -95,7 +95,7 @@ def test_what_cannot_be_read_is_known_before_anything_runs(tmp_path, content, me
     path = tmp_path / "drive.log"
     path.write_bytes(content)
     with pytest.raises(BadData, match=message) as caught:
-        adhoc_experiment.first_frame(plan(path))
+        read_first_frame(plan(path))
     assert "\n" not in str(caught.value)
 
 
@@ -109,11 +109,11 @@ def test_a_reader_that_fails_in_a_way_of_its_own_and_one_without_a_scan_are_name
         with monkeypatch.context() as patch:
             patch.setattr(registry, "dataset", lambda name: SimpleNamespace(make=make))
             with pytest.raises(BadData) as caught:
-                adhoc_experiment.first_frame(made)
+                read_first_frame(made)
         return str(caught.value)
 
     assert opened_by(lambda **_: {}["x"]) == "my run.LOG: cannot be read (KeyError: 'x'); is the file whole?"
-    assert opened_by(lambda **_: Empty()).startswith("my run.LOG: there is not one scan in it; ")
+    assert opened_by(lambda **_: Empty()).startswith("my run.LOG: it contains no scan; ")
 
 
 def test_settings_take_the_type_of_their_parameter_and_options_come_first(log):

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from evalkit.config import experiment
-from evalkit.config.experiment import Limits
+from evalkit.config.experiment import Limits, experiment_from_tables, load_experiment
 from evalkit.core.errors import BadExperiment, UnknownName
 from evalkit.plugins import registry
 
@@ -21,12 +20,12 @@ PAPER = '[[method]]\nuse = "paper"\n'
 def read(tmp_path, text):
     path = tmp_path / "exp.toml"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
-    return experiment.read(path)
+    return load_experiment(path)
 
 
 def planned(methods=({"use": "wheel-odometry"},), sequences=({"use": "room"},), **tables):
     content = {"method": list(methods), "sequence": list(sequences), **tables}
-    return experiment.plan(content, "exp.toml", "exp", "compare exp.toml")
+    return experiment_from_tables(content, "exp.toml", "exp", "compare exp.toml")
 
 
 def only_key(**changes):
@@ -101,9 +100,9 @@ def test_a_mistake_is_named_with_file_place_and_what_is_known(tmp_path, text, pa
 
 def test_a_file_that_is_none_is_named(tmp_path):
     with pytest.raises(BadExperiment, match=r"nothing\.toml: no such file; give the path of an experiment"):
-        experiment.read(tmp_path / "nothing.toml")
+        load_experiment(tmp_path / "nothing.toml")
     with pytest.raises(BadExperiment, match=re.escape(f"{tmp_path}: cannot be read")):
-        experiment.read(tmp_path)
+        load_experiment(tmp_path)
 
 
 @pytest.mark.parametrize("key", ["path", "reference", "relations"])
@@ -143,7 +142,7 @@ def test_the_smallest_experiment_takes_every_default(tmp_path):
     assert [(sequence.label, sequence.seeds) for sequence in plan.sequences] == [("room", (0,))]
     assert [(entrant.label, entrant.missing) for entrant in plan.methods] == [("wheel-odometry", "")]
     defaults = {p.name: p.default for p in registry.dataset("room").parameters}
-    assert plan.sequences[0].seeded(7) == {**defaults, "seed": 7}
+    assert plan.sequences[0].parameters_with_seed(7) == {**defaults, "seed": 7}
 
 
 def test_what_is_written_is_taken(tmp_path):
@@ -170,7 +169,7 @@ def test_what_is_written_is_taken(tmp_path):
 def test_a_recording_runs_once_without_a_seed(log):
     sequence = planned(sequences=[{"use": "carmen", "path": str(log)}]).sequences[0]
     assert sequence.seeds == (None,)
-    assert "seed" not in sequence.seeded(None)
+    assert "seed" not in sequence.parameters_with_seed(None)
 
 
 def test_methods_take_turns_forth_and_back():
@@ -199,14 +198,14 @@ def wide(log):
 
 
 def test_a_part_keeps_the_order_of_the_plan_and_nothing_chosen_keeps_all(wide):
-    assert wide.only([], [], []) == wide
-    part = wide.only(["lab; askew", "room"], ["wheel-odometry"], [0, 2])
+    assert wide.select([], [], []) == wide
+    part = wide.select(["lab; askew", "room"], ["wheel-odometry"], [0, 2])
     assert [(sequence.label, sequence.seeds) for sequence in part.sequences] == [("room", (0, 2)), ("lab; askew", (0,))]
     assert [entrant.label for entrant in part.methods] == ["wheel-odometry"]
 
 
 def test_a_recording_stays_whatever_seeds_are_chosen(wide):
-    assert wide.only([], [], [1]).sequences[2].seeds == (None,)
+    assert wide.select([], [], [1]).sequences[2].seeds == (None,)
 
 
 @pytest.mark.parametrize(
@@ -219,7 +218,7 @@ def test_a_recording_stays_whatever_seeds_are_chosen(wide):
 )
 def test_a_part_that_is_none_is_refused(wide, choice, message):
     with pytest.raises(UnknownName, match=message):
-        wide.only(*choice)
+        wide.select(*choice)
 
 
 def test_the_command_of_a_run_is_that_run_alone(wide):
@@ -230,7 +229,7 @@ def test_the_command_of_a_run_is_that_run_alone(wide):
         given = {name: [] for name in ("--sequence", "--method", "--seed", "--out")}
         for name, value in zip(words[3::2], words[4::2], strict=True):
             given[name].append(value)
-        part = wide.only(given["--sequence"], given["--method"], [int(seed) for seed in given["--seed"]])
+        part = wide.select(given["--sequence"], given["--method"], [int(seed) for seed in given["--seed"]])
         assert [(alone.key, alone.method, alone.sequence.label, alone.seed) for alone in part.runs()] == [
             (item.key, item.method, item.sequence.label, item.seed)
         ]
@@ -240,7 +239,7 @@ def test_the_command_of_a_run_is_that_run_alone(wide):
 def test_the_command_of_a_file_with_blanks_in_its_name_is_one_word(tmp_path):
     path = tmp_path / "my first.toml"
     path.write_text(WHEELS + ROOM)
-    plan = experiment.read(path)
+    plan = load_experiment(path)
     assert shlex.split(plan.command(next(plan.runs())))[2] == str(path)
 
 
@@ -322,7 +321,7 @@ def test_the_shipped_experiments_can_be_planned():
     files = [file for file, given in tables.items() if all(isinstance(given.get(name), list) for name in lists)]
     if not files:
         pytest.skip("no experiment beside the tests")
-    assert all(list(experiment.read(file).runs()) for file in files)
+    assert all(list(load_experiment(file).runs()) for file in files)
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from evalkit.config import experiment
+from evalkit.config.experiment import experiment_from_tables
 from evalkit.core.errors import BadData
 from evalkit_datasets.inspection import odometry_stats
 from evalkit_datasets.inspection.command import inspect
@@ -204,7 +204,9 @@ def test_a_prescription_is_an_experiment_that_reads_and_a_code_it_does_not_know_
     advice = suggest_config(found)
     assert "30 m is no range but a no-return" in said(found)
     assert (advice.parameters["range_max_m"], advice.scans, advice.problem) == (30.0, 60, "")
-    plan = experiment.plan(tomllib.loads(advice.table + '[[method]]\nuse = "wheel-odometry"\n'), "made", "made", "x")
+    plan = experiment_from_tables(
+        tomllib.loads(advice.table + '[[method]]\nuse = "wheel-odometry"\n'), "made", "made", "x"
+    )
     assert plan.sequences[0].parameters["range_max_m"] == 30.0
     assert advice.command == f"evalkit compare {path} --set range_max_m=30.0"
 

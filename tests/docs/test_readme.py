@@ -9,7 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 from evalkit.cli import app
-from evalkit.config import experiment
+from evalkit.config.experiment import experiment_from_tables, load_experiment
 from evalkit.plugins import registry
 
 ROOT = Path(__file__).parents[2]
@@ -29,7 +29,7 @@ def test_every_data_set_is_named():
 
 def test_its_experiment_is_a_valid_one():
     content = tomllib.loads(README.split("```toml\n")[1].split("```")[0])
-    plan = experiment.plan(content, "README.md", "readme", "compare my.toml")
+    plan = experiment_from_tables(content, "README.md", "readme", "compare my.toml")
     assert [method.label for method in plan.methods] == ["wheel-odometry", "paper, 1e-5"]
     assert plan.methods[1].parameters["keyframes"] == 20
     assert len(list(plan.runs())) == 6
@@ -54,6 +54,6 @@ def test_every_make_target_it_names_exists(target):
 
 def test_the_shipped_experiments_are_valid():
     for name in ("default", "quick"):
-        plan = experiment.read(ROOT / "reports" / f"{name}.toml")
+        plan = load_experiment(ROOT / "reports" / f"{name}.toml")
         assert "wheel-odometry" in [method.label for method in plan.methods]
         assert not any(sequence.label == "" for sequence in plan.sequences)

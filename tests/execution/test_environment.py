@@ -11,6 +11,7 @@ import psutil
 import pytest
 
 import evalkit
+from evalkit.core.run_result import NO_STEPS, Cause, RunResult
 from evalkit.execution import environment
 
 CHECKOUT = Path(evalkit.__file__).parent.parent
@@ -60,19 +61,32 @@ def test_runs_at_a_time_are_told_where_known():
     assert "runs at a time" not in environment.describe()
 
 
-def test_runs_kept_from_earlier_are_one_line_with_their_dates_and_commits():
-    def made(day, commit):
-        return {"made": f"2024-05-{day:02d}T12:00:00+00:00", "commit": commit, "processor": "P"}
+def executed(day, commit="c", **changes):
+    where = {"host": "h", "processor": "P", "governor": "g", **changes}
+    return RunResult(
+        NO_STEPS, 0, provenance={"executed_at": f"2024-05-{day:02d}T12:00:00+00:00", "commit": commit, **where}
+    )
 
-    noon = datetime(2024, 5, 9, 12, tzinfo=UTC)
-    assert environment.kept([made(9, "c"), made(10, "c")], noon) == {}
-    assert environment.kept([made(3, "b"), made(1, "a"), made(9, "c")], noon) == {
-        "kept from earlier": "2 runs, made 2024-05-01 12:00..2024-05-03 12:00 UTC, commit a and b, processor P"
-    }
-    assert ", made 2024-05-01 12:00 UTC, " in environment.kept([made(1, "a")], noon)["kept from earlier"]
-    assert environment.kept([{}], noon) == {
-        "kept from earlier": "1 run, made nobody knows when, commit unknown, processor unknown"
-    }
+
+NOON = datetime(2024, 5, 9, 12, tzinfo=UTC)
+
+
+def test_runs_kept_from_earlier_are_one_line_with_their_dates_and_commits():
+    def earlier(*results):
+        return environment.describe_provenance({}, results, NOON).get("kept from earlier")
+
+    assert earlier(executed(9), executed(10)) is None
+    line = "2 runs, made 2024-05-01 12:00..2024-05-03 12:00 UTC, commit a and b, processor P"
+    assert earlier(executed(3, "b"), executed(1, "a"), executed(9)) == line
+    assert ", made 2024-05-01 12:00 UTC, " in earlier(executed(1, "a"))
+    assert earlier(RunResult(NO_STEPS, 0)) == "1 run, made at an unknown time, commit unknown, processor unknown"
+    assert earlier(RunResult(NO_STEPS, 0, Cause.NOT_RUN, "not made yet")) is None
+
+
+def test_runs_of_several_machines_are_one_line_with_a_count_for_each():
+    results = [executed(9), executed(9, host="x", governor="fast"), executed(9)]
+    lines = environment.describe_provenance({"host": "here"}, results, NOON)
+    assert lines == {"host": "here", "made on": "2 runs on h (P, governor g); 1 run on x (P, governor fast)"}
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="this system cannot pin")

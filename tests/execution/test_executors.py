@@ -1,5 +1,6 @@
 """Runs made by a cluster's workers: the same numbers as here, whoever is lost on the way."""
 
+import json
 import os
 import signal
 import subprocess
@@ -11,32 +12,32 @@ import numpy as np
 import psutil
 import pytest
 
-from evalkit.config import experiment
+from evalkit.config.experiment import experiment_from_tables
 from evalkit.core.errors import NotInstalled
 from evalkit.core.run_result import STEP
 from evalkit.execution import dask_cluster, environment
 from evalkit.execution.dask_cluster import Cluster, NoCluster
-from evalkit.execution.executors import There
-from evalkit.execution.scheduler import Engine
+from evalkit.execution.executors import DaskExecutor, LocalExecutor
+from evalkit.execution.scheduler import Scheduler
 from evalkit.results.store import Store
 
 COSTS = ("wall_ns", "cpu_ns", "conversion_ns", "harness_ns", "device_ns")
 
 
-class Heard:
-    """A progress that remembers how many runs were begun and not ended at once."""
+class RecordedProgress:
+    """A progress that records how many runs were started and not finished at the same time."""
 
-    def __init__(self, begun=lambda planned: None):
-        self._told, self.open, self.most = begun, 0, 0
+    def __init__(self, on_start=lambda spec: None):
+        self._on_start, self.open, self.most = on_start, 0, 0
 
-    def begun(self, planned):
+    def started(self, spec):
         self.open += 1
         self.most = max(self.most, self.open)
-        self._told(planned)
+        self._on_start(spec)
 
-    def answered(self, planned, scans): ...
+    def answered(self, spec, scans): ...
 
-    def finished(self, ended):
+    def finished(self, spec, result):
         self.open -= 1
 
 
@@ -49,7 +50,7 @@ def plan(*faults, timed=True, **sequence):
         "mapper": {"resolution_m": 0.25},
         "limits": {"run_s": 60.0, "scan_s": 30.0},
     }
-    return experiment.plan(content, "t.toml", "t", "compare t.toml")
+    return experiment_from_tables(content, "t.toml", "t", "compare t.toml")
 
 
 @pytest.fixture(scope="module")
@@ -62,11 +63,12 @@ def workers(strangers):
 
 
 def there(workers):
-    return There(Cluster(workers.scheduler_address, timed=True))
+    return DaskExecutor(Cluster(workers.scheduler_address, timed=True))
 
 
-def rows(plan, folder, place=None, resume=False, heard=None, rerun=frozenset()):
-    made = Engine(plan, Store(folder), heard or Heard(), 2, resume, rerun=rerun, place=place).records()
+def rows(plan, folder, executor=None, resume=False, progress=None, rerun=frozenset()):
+    scheduler = Scheduler(Store(folder), progress or RecordedProgress(), resume=resume, rerun=rerun)
+    made = scheduler.run_and_load(plan, executor or LocalExecutor(2))
     return {record.method: record for record in made}
 
 
@@ -119,16 +121,16 @@ def test_a_worker_killed_while_it_runs_costs_no_row_and_no_more_than_two_runs_ar
     waits = plan("wait", "none", "none", "none", "none", "raise")
     killed = []
 
-    def kill(planned):
+    def kill(spec):
         if not killed:
             killed.append(min(before))
             threading.Timer(1.5, os.kill, (killed[0], signal.SIGKILL)).start()
 
-    heard = Heard(kill)
-    made = rows(waits, tmp_path, there(workers), heard=heard)
+    progress = RecordedProgress(kill)
+    made = rows(waits, tmp_path, there(workers), progress=progress)
     assert [record.result.status for record in made.values()] == [*["complete"] * 5, "failed"], reasons(made)
     assert killed[0] not in pids(workers)
-    assert heard.most <= 3  # two threads, and one run that was lost
+    assert progress.most <= 3  # two threads, and one run that was lost
 
 
 def test_a_run_that_ends_its_workers_is_quarantined_after_two_and_the_others_stand(workers, tmp_path):
@@ -145,7 +147,7 @@ def test_a_run_that_ends_its_workers_is_quarantined_after_two_and_the_others_sta
     again = rows(deadly, tmp_path, there(workers), resume=True)
     assert again["1 kill-parent"].result.reason == reason
     assert pids(workers) == alive
-    only = deadly.only([], ["1 kill-parent"], [])
+    only = deadly.select([], ["1 kill-parent"], [])
     last = rows(only, tmp_path, there(workers), resume=True, rerun=frozenset({"crashed"}))
     assert last["1 kill-parent"].result.reason != reason  # other workers, the same end
 
@@ -153,18 +155,19 @@ def test_a_run_that_ends_its_workers_is_quarantined_after_two_and_the_others_sta
 def test_who_was_lost_here_is_forgotten_once_a_worker_has_made_the_run(workers, tmp_path):
     store, asked = Store(tmp_path), plan("none", timed=False)
     key = next(iter(asked.runs())).key
-    store.note_tries(key, ["process 1 on a", "process 2 on a"])
+    store.write_text(tmp_path / "attempts" / f"{key}.json", json.dumps(["process 1 on a", "process 2 on a"]))
+    assert store.attempts(key) == ("process 1 on a", "process 2 on a")
     assert rows(asked, tmp_path, there(workers), resume=True)["0 none"].result.status == "complete"
-    assert store.tries(key) == []
+    assert store.attempts(key) == ()
 
 
 def test_where_times_do_not_count_there_are_none(workers, tmp_path):
     untimed = rows(plan("none", timed=False), tmp_path, there(workers))["0 none"]
-    assert untimed.scores["cpu_median_ms"].reason == "not timed: made where times do not count"
-    assert untimed.scores["peak_memory_mib"].value > 0
+    assert untimed.scores.by_metric["cpu_median_ms"].reason == "not timed: executed where times do not count"
+    assert untimed.scores.by_metric["peak_memory_mib"].value > 0
     assert not untimed.result.steps["wall_ns"].any()
     timed = rows(plan("none"), tmp_path, there(workers), resume=True)["0 none"]
-    assert timed.scores["cpu_median_ms"].value > 0
+    assert timed.scores.by_metric["cpu_median_ms"].value > 0
 
 
 def test_times_are_measured_only_by_workers_that_are_offered_for_it(strangers, tmp_path):
@@ -178,9 +181,9 @@ def test_times_are_measured_only_by_workers_that_are_offered_for_it(strangers, t
         silence_logs=50,
         worker_dashboard_address=None,
     ) as local:
-        place = There(Cluster(local.scheduler_address, timed=True))
+        executor = DaskExecutor(Cluster(local.scheduler_address, timed=True))
         with pytest.raises(NoCluster, match="is not offered for measuring times: start workers with --nthreads 1"):
-            rows(plan("none"), tmp_path, place)
+            rows(plan("none"), tmp_path, executor)
 
 
 def test_without_dask_the_extra_is_named(monkeypatch, tmp_path):

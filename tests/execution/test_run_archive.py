@@ -21,7 +21,7 @@ def kept(tmp_path):
     store = Store(tmp_path / "one")
     steps = np.zeros(3, dtype=STEP)
     steps["stamp_ns"] = [0, 1, 2]
-    (store.fresh(KEY) / "output.txt").write_bytes(b"x" * (run_archive.MAX_OUTPUT + 5) + b"last words")
+    (store.create_run_folder(KEY) / "output.txt").write_bytes(b"x" * (run_archive.MAX_OUTPUT_BYTES + 5) + b"last words")
     spec = RunSpec(KEY, Method("icp", "icp", {}), SequenceSpec("room", "room", {}, (0,)), 0)
     store.save_result(spec, RunResult(steps, 3, provenance={"executed_at": "2024-05-01T12:00:00+00:00"}))
     grid = OccupancyGrid(np.ones((4, 5), dtype=np.float32), np.ones((4, 5), dtype=bool), 0.05, 0.0, 0.0)
@@ -38,13 +38,13 @@ def files(store):
 
 def test_a_run_arrives_as_it_was_but_for_what_it_said_long_ago(kept, tmp_path):
     other = Store(tmp_path / "other")
-    (other.fresh(KEY) / "stale").touch()
-    run_archive.unpacked(other, KEY, run_archive.packed(kept, KEY))
+    (other.create_run_folder(KEY) / "stale").touch()
+    run_archive.unpack_run(other, KEY, run_archive.pack_run(kept, KEY))
     sent = {path: content for path, content in files(kept).items() if KEY + "0" not in str(path)}
     arrived = files(other)
     assert sent.keys() == arrived.keys()
     output = next(path for path in sent if path.name == "output.txt")
-    assert len(arrived[output]) == run_archive.MAX_OUTPUT
+    assert len(arrived[output]) == run_archive.MAX_OUTPUT_BYTES
     assert arrived.pop(output).endswith(b"last words")
     assert {path: content for path, content in sent.items() if path != output} == arrived
 
@@ -55,7 +55,7 @@ def test_a_parcel_writes_nothing_outside_its_run(tmp_path):
         for name in ("run/../../../evil", "/evil", "../evil", "elsewhere/evil", "run/fine"):
             archive.writestr(name, b"")
     store = Store(tmp_path / "out")
-    run_archive.unpacked(store, KEY, body.getvalue())
+    run_archive.unpack_run(store, KEY, body.getvalue())
     assert {path.parent for path in tmp_path.rglob("*") if path.is_file()} == {store.run_folder(KEY)}
     with pytest.raises(StoreError, match="what came for it is damaged"):
-        run_archive.unpacked(store, KEY, b"no zip")
+        run_archive.unpack_run(store, KEY, b"no zip")

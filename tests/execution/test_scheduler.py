@@ -16,37 +16,37 @@ from queue import SimpleQueue
 import numpy as np
 import pytest
 
-from evalkit.config import experiment
-from evalkit.config.experiment import Limits
+from evalkit.config.experiment import Limits, experiment_from_tables
 from evalkit.core.errors import StoreError
 from evalkit.execution import environment, executors, run_task
-from evalkit.execution.scheduler import Engine
+from evalkit.execution.executors import LocalExecutor
+from evalkit.execution.scheduler import Scheduler
 from evalkit.plugins import registry
 from evalkit.results.store import Store
 
 pytestmark = pytest.mark.usefixtures("strangers")
 
 
-class Heard:
-    """A progress that remembers."""
+class RecordedProgress:
+    """A progress that records its calls."""
 
     def __init__(self):
         self.begins, self.ends, self.scans = [], [], 0
 
-    def begun(self, planned):
-        self.begins.append(planned.method.label)
+    def started(self, spec):
+        self.begins.append(spec.method.label)
 
-    def answered(self, planned, scans):
+    def answered(self, spec, scans):
         self.scans = max(scans, self.scans)
 
-    def finished(self, run):
-        self.ends.append(run.spec.method.label)
+    def finished(self, spec, result):
+        self.ends.append(spec.method.label)
 
 
 @pytest.fixture
 def quick(monkeypatch):
     """Scores are made in threads: this test is not about the processes for it."""
-    monkeypatch.setattr(run_task, "pool", ThreadPoolExecutor)
+    monkeypatch.setattr(run_task, "start_pool", ThreadPoolExecutor)
 
 
 def plan(*faults, sequence=None, mapper=None, **limits):
@@ -58,11 +58,16 @@ def plan(*faults, sequence=None, mapper=None, **limits):
         "mapper": mapper or {"resolution_m": 0.25},
         "limits": {"run_s": 60.0, "scan_s": 30.0, **limits},
     }
-    return experiment.plan(content, "t.toml", "t", "compare t.toml")
+    return experiment_from_tables(content, "t.toml", "t", "compare t.toml")
 
 
-def records(plan, folder, jobs=2, resume=False, heard=None):
-    made = Engine(plan, Store(folder), heard or Heard(), jobs, resume).records()
+def run(plan, folder, jobs=1, progress=None, **policy):
+    scheduler = Scheduler(Store(folder), progress or RecordedProgress(), **policy)
+    return scheduler.run_and_load(plan, LocalExecutor(jobs))
+
+
+def records(plan, folder, jobs=2, resume=False, progress=None):
+    made = run(plan, folder, jobs, progress, resume=resume)
     return {record.method: record for record in made}
 
 
@@ -80,16 +85,16 @@ def written(folder):
 
 
 def test_every_run_is_a_row_whatever_becomes_of_it(tmp_path):
-    heard = Heard()
+    progress = RecordedProgress()
     faults = ("none", "raise", "remove-folder", "segfault", "far", {"use": "absent"})
-    made = records(plan(*faults), tmp_path, heard=heard)
+    made = records(plan(*faults), tmp_path, progress=progress)
     assert {label: record.result.status for label, record in made.items()} == {
         "none": "complete", "raise": "failed", "remove-folder": "failed", "segfault": "crashed", "far": "complete",
         "absent": "not-installed",
     }  # fmt: skip
-    assert list(made) == ["none", "raise", "remove-folder", "segfault", "far", "absent"] == [*heard.begins, "absent"]
-    assert sorted(heard.ends) == sorted(made)
-    assert heard.scans == 12
+    assert list(made) == ["none", "raise", "remove-folder", "segfault", "far", "absent"] == [*progress.begins, "absent"]
+    assert sorted(progress.ends) == sorted(made)
+    assert progress.scans == 12
     good, broken, far = made["none"], made["raise"], made["far"]
     assert good.scores.by_metric["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
     assert good.scores.alignment == "least squares over 12 poses; 12 equal stamps"
@@ -108,18 +113,18 @@ def test_every_run_is_a_row_whatever_becomes_of_it(tmp_path):
 def test_resume_runs_only_what_is_missing_and_what_has_changed(tmp_path, quick):
     first = records(plan("none", "raise"), tmp_path)
     before = written(tmp_path)
-    heard = Heard()
+    progress = RecordedProgress()
     changed = {"use": "faulty", "label": "raise", "fault": "raise", "at": 6}
-    again = records(plan("none", changed, "nan"), tmp_path, resume=True, heard=heard)
+    again = records(plan("none", changed, "nan"), tmp_path, resume=True, progress=progress)
     after = written(tmp_path)
     assert after["none"] == before["none"]
     assert again["none"].key == first["none"].key
     assert again["raise"].key != first["raise"].key
     assert [len(again[label].result.steps) for label in ("none", "raise", "nan")] == [12, 6, 8]
     assert dict(again["none"].scores.by_metric) == dict(first["none"].scores.by_metric)
-    assert np.array_equal(again["none"].errors_m, first["none"].errors_m)
-    assert np.array_equal(again["none"].grid.log_odds, first["none"].grid.log_odds)
-    assert sorted(heard.ends) == ["nan", "none", "raise"]
+    assert np.array_equal(again["none"].errors_m, first["none"].scores.errors_m)
+    assert np.array_equal(again["none"].grid.log_odds, first["none"].scores.grid.log_odds)
+    assert sorted(progress.ends) == ["nan", "none", "raise"]
 
 
 def test_resume_repeats_a_time_out_when_the_limits_have_changed_and_only_then(tmp_path, quick):
@@ -137,7 +142,7 @@ def test_a_status_named_is_made_again_and_no_other(tmp_path, quick):
     records(plan("none", "raise", "nan", "segfault"), tmp_path)
     stamps = {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()}
     again = frozenset({"crashed"})
-    made = Engine(plan("none", "raise", "nan", "segfault"), Store(tmp_path), Heard(), 1, True, rerun=again).records()
+    made = run(plan("none", "raise", "nan", "segfault"), tmp_path, resume=True, rerun=again)
     assert [record.result.status for record in made] == ["complete", "failed", "failed", "crashed"]
     changed = {name for name, run in run_files(tmp_path).items() if run.stat().st_mtime_ns != stamps[name]}
     assert changed == {"segfault"}
@@ -146,7 +151,7 @@ def test_a_status_named_is_made_again_and_no_other(tmp_path, quick):
 def test_collecting_makes_no_run_and_says_what_is_missing(tmp_path, quick):
     records(plan("none", "raise"), tmp_path)
     stamps = {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()}
-    made = Engine(plan("none", "nan", "raise"), Store(tmp_path), Heard(), 1, collect=True).records()
+    made = run(plan("none", "nan", "raise"), tmp_path, collect=True)
     assert [record.result.status for record in made] == ["complete", "skipped", "failed"]
     assert made[0].scores.by_metric["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
     assert made[1].result.reason == "not made yet; the same command without --collect makes it"
@@ -155,7 +160,7 @@ def test_collecting_makes_no_run_and_says_what_is_missing(tmp_path, quick):
 
 def test_two_at_once_do_not_share_a_results_folder(tmp_path, quick):
     store = Store(tmp_path)
-    with store.writer(), pytest.raises(StoreError, match="another evalkit makes runs in this folder; wait for it"):
+    with store.writer_lock(), pytest.raises(StoreError, match="another evalkit makes runs in this folder; wait for it"):
         records(plan("none"), tmp_path)
     assert records(plan("none"), tmp_path)["none"].result.status == "complete"
 
@@ -175,7 +180,7 @@ def run_files(folder):
 def test_every_run_keeps_when_on_what_and_under_which_limits_it_was_made(tmp_path, quick):
     ran_on = {"commit": "abc", "processor": "slow", "memory": "not kept"}
     before = datetime.now(UTC)
-    (record,) = Engine(plan("none"), Store(tmp_path), Heard(), ran_on=ran_on).records()
+    (record,) = run(plan("none"), tmp_path, environment=ran_on)
     made = dict(Store(tmp_path).load_result(record.key).provenance)
     assert before <= datetime.fromisoformat(made.pop("executed_at")) <= datetime.now(UTC)
     assert made.pop("limits") == asdict(Limits(run_s=60.0, scan_s=30.0))
@@ -191,22 +196,22 @@ def test_a_run_is_scored_on_its_own_core_which_is_given_back_afterwards(tmp_path
     """With one core for two runs, the second must not begin before the first is scored."""
     told = []
 
-    class Told(Heard):
-        def begun(self, planned):
-            told.append(f"begun {planned.method.label}")
+    class Told(RecordedProgress):
+        def started(self, spec):
+            told.append(f"started {spec.method.label}")
 
     def score(*arguments):
         told.append(f"scored on {arguments[-1]}")
         raise RuntimeError("enough")
 
-    monkeypatch.setattr(run_task, "pool", ThreadPoolExecutor)
-    monkeypatch.setattr(run_task, "score_stored", score)
+    monkeypatch.setattr(run_task, "start_pool", ThreadPoolExecutor)
+    monkeypatch.setattr(run_task, "score_and_save", score)
     only = environment.cores()[0]
     one = SimpleQueue()
     one.put(only)
     monkeypatch.setattr(executors, "_cores", lambda jobs: one)
-    Engine(plan("none", "far"), Store(tmp_path), Told(), jobs=2).records()
-    assert told == ["begun none", f"scored on {only}", "begun far", f"scored on {only}"]
+    run(plan("none", "far"), tmp_path, 2, Told())
+    assert told == ["started none", f"scored on {only}", "started far", f"scored on {only}"]
 
 
 def test_without_resume_everything_is_run_again(tmp_path, quick):
@@ -266,7 +271,7 @@ def test_a_mapper_that_ends_its_process_costs_the_run_it_draws_and_no_other(tmp_
     reason = made["far"].result.reason
     assert reason.startswith("quarantined: it ended the process that scored it twice (")
     assert len(made["far"].result.steps) == 12
-    assert made["none"].scores["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
+    assert made["none"].scores.by_metric["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_run_quarantined_for_its_scoring_is_tried_again_only_when_that_is_asked_for(tmp_path, quick, monkeypatch):
@@ -275,10 +280,10 @@ def test_a_run_quarantined_for_its_scoring_is_tried_again_only_when_that_is_aske
         raise BrokenProcessPool("ended")
 
     asked = []
-    monkeypatch.setattr(run_task, "score_stored", deadly)
+    monkeypatch.setattr(run_task, "score_and_save", deadly)
     again = frozenset({"crashed"})
     for how, count in ({}, 2), ({"resume": True}, 2), ({"resume": True, "rerun": again}, 4):
-        (record,) = Engine(plan("none"), Store(tmp_path), Heard(), **how).records()
+        (record,) = run(plan("none"), tmp_path, **how)
         assert record.result.reason.startswith("quarantined: it ended the process that scored it twice (")
         assert len(asked) == count
 
@@ -288,10 +293,10 @@ def test_where_no_process_to_score_in_can_be_started_nothing_is_quarantined(tmp_
         def submit(self, *_arguments):
             raise BrokenProcessPool("no memory")
 
-    monkeypatch.setattr(run_task, "pool", Broken)
+    monkeypatch.setattr(run_task, "start_pool", Broken)
     record = records(plan("none"), tmp_path)["none"]
-    assert record.result.reason == "scoring failed: RuntimeError: no process to score in can be started here"
-    monkeypatch.setattr(run_task, "pool", ThreadPoolExecutor)
+    assert record.result.reason == "scoring failed: RuntimeError: no process for scoring can be started here"
+    monkeypatch.setattr(run_task, "start_pool", ThreadPoolExecutor)
     assert records(plan("none"), tmp_path, resume=True)["none"].result.status == "complete"
 
 
@@ -310,7 +315,7 @@ def test_a_run_that_ends_evalkit_twice_is_quarantined_and_the_others_are_made(tm
     assert (deadly["status"], other["status"]) == ("crashed", "complete")
 
 
-@pytest.mark.parametrize("full", ["save_result", "save_scores", "fresh"])
+@pytest.mark.parametrize("full", ["save_result", "save_scores", "begin"])
 def test_a_results_folder_that_fills_up_stops_all_and_keeps_what_is_done(tmp_path, quick, monkeypatch, full):
     original = getattr(Store, full)
 
@@ -320,10 +325,10 @@ def test_a_results_folder_that_fills_up_stops_all_and_keeps_what_is_done(tmp_pat
         return original(self, run, *arguments)
 
     monkeypatch.setattr(Store, full, guarded)
-    heard = Heard()
+    progress = RecordedProgress()
     with pytest.raises(StoreError, match="No space left on device"):
-        records(plan("none", "raise", "nan", "far"), tmp_path, jobs=1, heard=heard)
-    assert heard.ends == ["none"]
+        records(plan("none", "raise", "nan", "far"), tmp_path, jobs=1, progress=progress)
+    assert progress.ends == ["none"]
     assert written(tmp_path).keys() == {"none"}
 
 
@@ -331,14 +336,14 @@ def test_a_run_that_cannot_be_scored_anew_keeps_no_scores_of_other_code(tmp_path
     key = records(plan("none"), tmp_path)["none"].key
     store, path = Store(tmp_path), tmp_path / "runs" / key / "scores.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "fingerprint": "other code"}))
-    assert store.score_values(key)
+    assert store.load_score_values(key)
 
     def refuse(*_arguments):
         raise ValueError("no such metric")
 
-    monkeypatch.setattr(run_task, "score_stored", refuse)
+    monkeypatch.setattr(run_task, "score_and_save", refuse)
     assert (
         records(plan("none"), tmp_path, resume=True)["none"].result.reason
         == "scoring failed: ValueError: no such metric"
     )
-    assert store.score_values(key) == {}
+    assert store.load_score_values(key) == {}

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evalkit.config import experiment
+from evalkit.config.experiment import experiment_from_tables
 from evalkit.core.errors import BadParameter, UnknownName
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
@@ -155,7 +155,7 @@ def test_a_program_that_does_not_introduce_itself_has_failed(program, followed, 
 def test_a_program_that_does_not_introduce_itself_may_have_settings_all_the_same(program):
     name = program(hello="sys.exit(7)")
     content = {"method": [{"use": name, "max_iterations": 3}], "sequence": [{"use": "room"}]}
-    (method,) = experiment.plan(content, "x.toml", "x", "compare x.toml").methods
+    (method,) = experiment_from_tables(content, "x.toml", "x", "compare x.toml").methods
     assert method.missing == ""
     assert "ended with code 7 instead of answering" in registry.backend(name).broken
 
@@ -190,7 +190,7 @@ def test_its_parameters_are_set_in_an_experiment_and_reach_it(program, followed)
     name = program("say(pose=[x + s['offset_m'] * s['on'], 0.0, 0.0])", HELLO.replace("[]", listed))
     path = Path(name.split()[-1])
     path.write_text(path.read_text().replace("        say()\n", "        s = q['parameters']; say()\n"))
-    plan = experiment.plan(
+    plan = experiment_from_tables(
         {"method": [{"use": name, "offset_m": 2}], "sequence": [{"use": "room"}]}, "x.toml", "x", "compare x.toml"
     )
     (method,) = plan.methods
@@ -202,7 +202,7 @@ def test_its_parameters_are_set_in_an_experiment_and_reach_it(program, followed)
 
 def test_an_absent_program_with_parameters_is_still_a_row_with_a_reason():
     content = {"method": [{"use": "exec:./nowhere", "max_iterations": 3}], "sequence": [{"use": "room"}]}
-    (method,) = experiment.plan(content, "x.toml", "x", "compare x.toml").methods
+    (method,) = experiment_from_tables(content, "x.toml", "x", "compare x.toml").methods
     assert "no program found" in method.missing
 
 

@@ -64,7 +64,7 @@ def perfect():
 
 
 def test_a_perfect_run_is_put_where_the_truth_is_and_has_no_error(straight):
-    scored = evaluate.score(perfect(), straight, log_odds, 400)
+    scored = evaluate.evaluate_run(perfect(), straight, log_odds, 400)
     assert np.allclose(scored.world_from_start.row, [1.0, 0.0, 0.0], atol=1e-9)
     assert np.allclose(scored.errors_m, 0.0, atol=1e-9)
     assert scored.alignment == "least squares over 12 poses; 12 equal stamps"
@@ -79,7 +79,7 @@ def test_an_estimate_beyond_any_map_loses_its_map_and_nothing_else(straight, far
     x = 0.1 * np.arange(SCANS)
     x[-3:] = far_m
     with np.errstate(all="ignore"):
-        scored = evaluate.score(run_of(x, -x), straight, log_odds, 400)
+        scored = evaluate.evaluate_run(run_of(x, -x), straight, log_odds, 400)
     assert scored.grid is None
     for name in ("map_entropy", "occupied_percent", "corners"):
         assert scored.by_metric[name].value is None
@@ -93,14 +93,14 @@ def test_a_mapper_that_raises_costs_the_map_alone(straight):
     def broken():
         return registry.mapper("faulty-mapper").make("raise", 1.35)
 
-    scored = evaluate.score(perfect(), straight, broken, 400)
+    scored = evaluate.evaluate_run(perfect(), straight, broken, 400)
     assert scored.grid is None
     assert scored.by_metric["map_entropy"].reason == "no map: the mapper failed (lost the plot)"
     assert scored.by_metric["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
 
 
 def test_the_mapper_gets_so_many_scans_evenly_and_each_half_of_them_again(straight, listener):
-    evaluate.score(perfect(), straight, listener, 5)
+    evaluate.evaluate_run(perfect(), straight, listener, 5)
     whole, first, second = ([pose.x for _, pose in mapper.scans] for mapper in listener)
     assert whole == pytest.approx([1.0, 1.2, 1.5, 1.8, 2.1])  # scans 0, 2, 5, 8, 11 of 12
     assert (first, second) == (whole[:2], whole[2:])
@@ -115,7 +115,7 @@ def test_free_space_is_hardly_violated_under_true_poses_and_clearly_under_those_
         steps = np.zeros(len(lab), dtype=STEP)
         steps["stamp_ns"] = lab.truth().trajectory.stamps_ns
         steps["x"], steps["y"], steps["theta"] = poses.T
-        scored = evaluate.score(RunResult(steps, len(lab)), lab, log_odds, 100)
+        scored = evaluate.evaluate_run(RunResult(steps, len(lab)), lab, log_odds, 100)
         violations.append(scored.by_metric["cleared_percent"].value)
     assert violations[0] < 5.0
     assert violations[1] > 4.0 * violations[0]
@@ -124,7 +124,7 @@ def test_free_space_is_hardly_violated_under_true_poses_and_clearly_under_those_
 def test_a_scan_without_an_answer_is_not_drawn_and_shifts_no_other(straight, listener):
     run = perfect()
     answered = np.delete(run.steps, 4)
-    evaluate.score(RunResult(answered, SCANS), straight, listener, 400)
+    evaluate.evaluate_run(RunResult(answered, SCANS), straight, listener, 400)
     assert [scan.stamp_ns for scan, _ in listener[0].scans] == answered["stamp_ns"].tolist()
     assert [pose.x for _, pose in listener[0].scans] == pytest.approx((1.0 + answered["x"]).tolist())
 
@@ -133,7 +133,7 @@ def test_the_scans_drawn_are_the_same_for_every_method(straight, listener):
     whole = perfect()
     for missing in ((), (2, 3), (0,), range(6, SCANS)):
         steps = np.delete(whole.steps, missing)
-        evaluate.score(RunResult(steps, SCANS), straight, listener, 5)
+        evaluate.evaluate_run(RunResult(steps, SCANS), straight, listener, 5)
         drawn = [scan.stamp_ns // 100_000_000 for scan, _ in listener[-3].scans]
         assert drawn == [scan for scan in (0, 2, 5, 8, 11) if scan not in missing]
 
@@ -142,7 +142,7 @@ def test_a_residual_from_scan_to_scan_is_that_of_scans_in_a_row_however_few_are_
     seen = []
     monkeypatch.setattr(evaluate.metrics, "compute_scores", lambda evidence, _: seen.append(evidence) or {})
     run = perfect()
-    evaluate.score(RunResult(np.delete(run.steps, 4), SCANS), straight, log_odds, 3)
+    evaluate.evaluate_run(RunResult(np.delete(run.steps, 4), SCANS), straight, log_odds, 3)
     pairs = [(a.stamp_ns // 100_000_000, b.stamp_ns // 100_000_000) for (a, _), (b, _) in seen[0].successive]
     assert pairs == [(k, k + 1) for k in range(SCANS - 1) if k not in (3, 4)]
     for (_, earlier), (_, later) in seen[0].successive:
@@ -151,12 +151,12 @@ def test_a_residual_from_scan_to_scan_is_that_of_scans_in_a_row_however_few_are_
 
 def test_a_run_that_broke_off_is_scored_as_far_as_it_came(straight, listener):
     x = 0.1 * np.arange(4)
-    scored = evaluate.score(run_of(x, cause=Cause.SIGNAL, reason="signal"), straight, listener, 400)
+    scored = evaluate.evaluate_run(run_of(x, cause=Cause.SIGNAL, reason="signal"), straight, listener, 400)
     assert len(listener[0].scans) == len(scored.errors_m) == 4
 
 
 def test_a_run_without_answers_has_scores_that_say_so(straight, listener):
-    scored = evaluate.score(run_of(np.zeros(0), cause=Cause.TIME_LIMIT, reason="slow"), straight, listener, 400)
+    scored = evaluate.evaluate_run(run_of(np.zeros(0), cause=Cause.TIME_LIMIT, reason="slow"), straight, listener, 400)
     assert scored.grid is None
     assert listener == []
     assert scored.by_metric["map_entropy"].reason == "no map: the run has no poses"
@@ -166,7 +166,7 @@ def test_a_run_without_answers_has_scores_that_say_so(straight, listener):
 
 def test_without_truth_nothing_is_aligned(straight, monkeypatch):
     monkeypatch.setattr(straight, "truth", lambda: Truth("none"))
-    scored = evaluate.score(perfect(), straight, log_odds, 400)
+    scored = evaluate.evaluate_run(perfect(), straight, log_odds, 400)
     assert scored.world_from_start == Pose()
     assert scored.errors_m is None
     assert scored.alignment == ""
@@ -182,6 +182,6 @@ def test_the_motion_within_a_scan_is_undone_by_the_estimates_own_speed(straight,
             yield type(frame)(scan)
 
     monkeypatch.setattr(straight, "frames", frames)
-    evaluate.score(perfect(), straight, listener, 3)
+    evaluate.evaluate_run(perfect(), straight, listener, 3)
     for scan, _ in listener[0].scans:
         assert scan.ranges.tolist() == pytest.approx([4.0, 4.025, 4.05])

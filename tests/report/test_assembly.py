@@ -5,7 +5,7 @@ from datetime import UTC, datetime
 
 import pytest
 
-from evalkit.config import experiment
+from evalkit.config.experiment import experiment_from_tables
 from evalkit.core.ground_truth import Truth
 from evalkit.plugins.specs import OdometrySpec, RegistrationSpec
 from evalkit.report import build_comparison
@@ -19,7 +19,7 @@ def plan():
         "method": [{"use": "wheel-odometry"}, {"use": "paper", "label": "ours", "keyframes": 7}],
         "sequence": [{"use": "room", "seeds": [0]}, {"use": "corridor", "seeds": [0]}],
     }
-    return experiment.plan(content, "two.toml", "two", "compare two.toml")
+    return experiment_from_tables(content, "two.toml", "two", "compare two.toml")
 
 
 def test_cards_tell_every_setting_a_method_runs_with(plan):

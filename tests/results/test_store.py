@@ -40,7 +40,7 @@ SPEC = RunSpec(KEY, Method("icp", "icp", {}), SequenceSpec("room <1>", "room", {
 def saved_run(store, cause=Cause.COMPLETED, reason=""):
     provenance = {"executed_at": "2024-05-01T12:00:00+00:00"}
     run = RunResult(steps(), 9, cause, reason, 123, 5, {"invalid ranges": 2}, 2, provenance)
-    (store.fresh(KEY) / "steps.bin").write_bytes(run.steps.tobytes())
+    (store.create_run_folder(KEY) / "steps.bin").write_bytes(run.steps.tobytes())
     store.save_result(SPEC, run)
     return run
 
@@ -118,7 +118,7 @@ def test_a_record_of_something_else_is_no_run(store, record):
 def test_a_run_never_made_is_no_run_and_a_fresh_one_forgets_the_last(store):
     assert store.load_result(KEY) is None
     saved_run(store)
-    assert list(store.fresh(KEY).iterdir()) == []
+    assert list(store.create_run_folder(KEY).iterdir()) == []
     assert store.load_result(KEY) is None
 
 
@@ -133,7 +133,8 @@ def test_scores_map_and_errors_come_back_bit_by_bit(store):
     assert again.by_metric == BY_METRIC
     assert again.world_from_start == Pose(0.1, 1.0 / 3.0, -2.0)
     assert again.alignment == "least squares"
-    assert store.scored_by(KEY) == "f"
+    assert store.load_scores(KEY, "f") is not None
+    assert store.load_scores(KEY, "other code") is None
     assert again.errors_m.tobytes() == ERRORS.tobytes()
     same_grid(again.grid, grid())
 

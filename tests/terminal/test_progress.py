@@ -1,16 +1,16 @@
 """The time left, by hand, and the lines of a pipe."""
 
 import io
+import itertools
+import time
 from dataclasses import replace
 
 import pytest
 from rich.console import Console
 
-from evalkit.config import experiment
-from evalkit.config.experiment import Method, SequenceSpec
+from evalkit.config.experiment import Method, SequenceSpec, experiment_from_tables
 from evalkit.core.run_result import NO_STEPS, Cause, RunResult
-from evalkit.execution.run_task import FinishedRun
-from evalkit.terminal.progress import JobLines, TimeLeft, jobs, missing, progress
+from evalkit.terminal.progress import TaskLines, TimeLeft, show_runs, show_tasks, unavailable_lines
 
 
 @pytest.fixture
@@ -20,7 +20,7 @@ def planned():
         "method": [{"use": "wheel-odometry", "label": "fast"}, {"use": "paper", "label": "slow"}],
         "sequence": [{"use": "room", "seeds": [0, 1]}, {"use": "lab"}],
     }
-    return list(experiment.plan(content, "x.toml", "x", "compare x.toml").runs())
+    return list(experiment_from_tables(content, "x.toml", "x", "compare x.toml").runs())
 
 
 def test_nothing_is_known_before_the_first_run_ends(planned):
@@ -52,28 +52,28 @@ def test_two_at_a_time_take_half_as_long_and_all_done_is_nothing_left(planned):
     assert left.seconds() == 0.0
 
 
-def test_a_pipe_gets_one_plain_line_a_run_with_its_reason(planned):
-    told = io.StringIO()
+def test_a_pipe_gets_one_plain_line_a_run_with_its_reason(planned, monkeypatch):
+    printed = io.StringIO()
+    monkeypatch.setattr(time, "monotonic", itertools.count(0.0, 2.0).__next__)
     crashed = RunResult(NO_STEPS, 0, Cause.SIGNAL, "signal [bold]11[/bold]")
-    ends = [FinishedRun(planned[0], RunResult(NO_STEPS, 0), 2.0), FinishedRun(planned[1], crashed, 2.0)]
-    with progress(Console(file=told, soft_wrap=True), planned, 1) as shown:
-        for item, ended in zip(planned, ends, strict=False):
-            shown.begun(item)
-            shown.answered(item, 7)
-            shown.finished(ended)
-    first, second = told.getvalue().splitlines()
+    with show_runs(Console(file=printed, soft_wrap=True), planned, 1) as shown:
+        for spec, result in zip(planned, [RunResult(NO_STEPS, 0), crashed], strict=False):
+            shown.started(spec)
+            shown.answered(spec, 7)
+            shown.finished(spec, result)
+    first, second = printed.getvalue().splitlines()
     assert first.startswith("[1/6] room seed 0 / fast: complete, 2.0 s, 0:10 left")
     assert second.startswith("[2/6] room seed 0 / slow: crashed (signal [bold]11[/bold]), 2.0 s")
 
 
 def test_what_is_missing_is_one_line_a_reason_and_what_the_system_lacks_comes_first(planned):
     content = {"method": [{"use": "wheel-odometry"}], "sequence": [{"use": "room"}]}
-    plan = experiment.plan(content, "x.toml", "x", "compare x.toml")
-    assert missing(plan) == []
+    plan = experiment_from_tables(content, "x.toml", "x", "compare x.toml")
+    assert unavailable_lines(plan) == []
     pip, apt = "not installed: pip install x", "needs libGL:\napt-get install libgl1"
     entrants = [Method(label, "", {}, why) for label, why in (("a", pip), ("b", apt), ("c", apt), ("d", ""))]
     sequences = (SequenceSpec("e", "", {}, (None,), "no file e"),)
-    assert missing(replace(plan, methods=tuple(entrants), sequences=sequences)) == [
+    assert unavailable_lines(replace(plan, methods=tuple(entrants), sequences=sequences)) == [
         "missing here: b, c: needs libGL: apt-get install libgl1",
         "missing here: a: not installed: pip install x",
         "missing here: e: no file e",
@@ -83,17 +83,17 @@ def test_what_is_missing_is_one_line_a_reason_and_what_the_system_lacks_comes_fi
 def test_a_terminal_gets_a_line_only_for_what_did_not_complete(planned):
     told = io.StringIO()
     screen = Console(file=told, force_terminal=True, width=100, color_system=None)
-    with progress(screen, planned, 1) as shown:
-        shown.finished(FinishedRun(planned[0], RunResult(NO_STEPS, 0)))
+    with show_runs(screen, planned, 1) as shown:
+        shown.finished(planned[0], RunResult(NO_STEPS, 0))
         shown.answered(planned[1], 1234)
-        shown.finished(FinishedRun(planned[1], RunResult(NO_STEPS, 0, Cause.TIME_LIMIT, "[late]")))
+        shown.finished(planned[1], RunResult(NO_STEPS, 0, Cause.TIME_LIMIT, "[late]"))
     assert "room seed 0 / slow: timeout ([late]), 0.0 s" in told.getvalue()
     assert "room seed 0 / fast: complete" not in told.getvalue()
 
 
 def test_a_study_tells_of_its_last_job_what_was_kept_and_what_is_left():
     told = io.StringIO()
-    with jobs(Console(file=told, width=100), 3, 2) as done:
+    with show_tasks(Console(file=told, width=100), 3, 2) as done:
         done("first", 0.0)
         done("second", 4.0)
         done("third", 2.0)
@@ -102,7 +102,7 @@ def test_a_study_tells_of_its_last_job_what_was_kept_and_what_is_left():
 
 def test_the_time_left_of_a_study_is_the_mean_of_its_jobs_shared_among_the_workers():
     told = io.StringIO()
-    lines = JobLines(Console(file=told, width=100), 5, 2)
+    lines = TaskLines(Console(file=told, width=100), 5, 2)
     lines.EVERY_S = 0.0
     lines("first", 30.0)
     assert told.getvalue() == "[1/5] first, 1:00 left\n"

@@ -13,7 +13,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from evalkit.core.errors import BadData
-from evalkit.results.store import reported
+from evalkit.results.store import as_store_error
 from evalkit.terminal import progress
 from evalkit.terminal.options import Json, out, print_json
 from evalkit_datasets.inspection.inspector import Inspection, inspect_recording
@@ -81,7 +81,7 @@ def _write(folder: Path, found: Inspection, advice: SuggestedConfig | None) -> P
     from evalkit.report.html.document import render  # noqa: PLC0415 - loads jinja2: only who draws pays for it
     from evalkit_datasets.inspection.page import document  # noqa: PLC0415 - loads matplotlib
 
-    with reported(folder):
+    with as_store_error(folder):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "inspection.json").write_text(json.dumps(content(found, advice), indent=1) + "\n", encoding="utf-8")
         (folder / "index.html").write_text(render(document(found, advice)), encoding="utf-8")
@@ -90,7 +90,7 @@ def _write(folder: Path, found: Inspection, advice: SuggestedConfig | None) -> P
 
 def _show(found: Inspection, advice: SuggestedConfig | None) -> None:
     out.print(f"{found.path.name}: {found.kind}, {found.bytes / 1e6:.1f} MB", markup=False, highlight=False)
-    progress.show(out, _lidars(found))
+    progress.print_table(out, _lidars(found))
     for one in found.drivings:
         out.print(
             f"odometry {one.topic}, {one.parent} to {one.child}: {one.timing.count} poses, {one.path_m:.1f} m, "

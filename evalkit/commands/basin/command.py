@@ -85,7 +85,7 @@ def _asked(entrants: list[Any], trials: list[Any], folder: Path, workers: int) -
     from evalkit.execution.task_store import TaskStore  # noqa: PLC0415 - loaded only where a basin is computed
 
     count = sum(not each.reason for each in entrants) * sum(-(-one.offsets // attempts.AT_ONCE) for one in trials)
-    with progress.say_what_is_kept(err, "finished jobs"), progress.jobs(err, count, workers) as done:
+    with progress.say_what_is_kept(err, "finished jobs"), progress.show_tasks(err, count, workers) as done:
         return attempts.ask(entrants, trials, TaskStore(folder), workers, done)
 
 
@@ -100,7 +100,7 @@ def _end(found: Result, content: dict[str, Any], page: Path, as_json: bool) -> N
     if as_json:
         options.print_json(content | {"page": str(page)})
     else:
-        progress.show(out, _table(found))
+        progress.print_table(out, _table(found))
         out.print(str(page.resolve()), highlight=False, markup=False)
     if found.broken:
         raise typer.Exit(1)

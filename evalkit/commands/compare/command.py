@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -12,13 +12,14 @@ from typing import Annotated
 
 import typer
 
-from evalkit.config import adhoc_experiment, experiment
-from evalkit.config.experiment import Experiment
-from evalkit.core.run_result import NOT_EXECUTED
-from evalkit.execution import environment
-from evalkit.execution.executors import There
-from evalkit.execution.scheduler import Engine
-from evalkit.results.store import Store, reported
+from evalkit.config.adhoc_experiment import experiment_from_recording, read_first_frame
+from evalkit.config.experiment import Experiment, load_experiment
+from evalkit.core.run_result import NO_STEPS
+from evalkit.execution.environment import describe, describe_provenance
+from evalkit.execution.executors import DaskExecutor, Executor, LocalExecutor
+from evalkit.execution.scheduler import Scheduler
+from evalkit.results.run_record import load_records
+from evalkit.results.store import Store, as_store_error
 from evalkit.terminal import options, progress, run_summary
 from evalkit.terminal.options import RunOptions, err
 
@@ -80,56 +81,67 @@ def compare(
     if source.suffix == ".toml":
         for name in [*given, *(["backends"] if backends else []), *(["set"] if setting else [])]:
             raise typer.BadParameter(f"--{name}: needs a recording; in an experiment it is a key of the file")
-        plan = experiment.read(source)
+        experiment = load_experiment(source)
     else:
-        plan = _recording_plan(source, given, backends, setting or [])
-    plan = (plan.untimed() if accuracy_only else plan).only(sequence or [], method or [], seed or [])
-    store = Store(folder or Path("reports") / "build" / plan.name)
+        experiment = _experiment_of_recording(source, given, backends, setting or [])
+    experiment = experiment.untimed() if accuracy_only else experiment
+    experiment = experiment.select(sequence or [], method or [], seed or [])
+    store = Store(folder or Path("reports") / "build" / experiment.name)
     how = RunOptions.of(jobs, resume, rerun, collect, engine, scheduler)
-    (_run if no_page else _run_and_report)(plan, store, how, as_json)
+    (_run if no_page else _run_and_report)(experiment, store, how, as_json)
 
 
-def _recording_plan(source: Path, given: dict[str, str], backends: str, settings: list[str]) -> Experiment:
-    """Return the plan of all methods on one recording, whose first frame has been read."""
+def _experiment_of_recording(source: Path, given: dict[str, str], backends: str, settings: list[str]) -> Experiment:
+    """Return the experiment of all methods on one recording, whose first frame has been read."""
     words = ["compare", str(source)]
     words += [word for name, value in given.items() for word in (f"--{name}", value)]
     words += ["--backends", backends] if backends else []
     words += [word for item in settings for word in ("--set", item)]
     names = [name for word in backends.split(",") if (name := word.strip())]
-    plan = adhoc_experiment.plan(source, given, options.settings(settings), names, shlex.join(words))
-    adhoc_experiment.first_frame(plan)
-    return plan
+    experiment = experiment_from_recording(source, given, options.settings(settings), names, shlex.join(words))
+    read_first_frame(experiment)
+    return experiment
 
 
-def _run(plan: Experiment, store: Store, how: RunOptions, as_json: bool) -> None:
-    with _engine(plan, store, how) as engine, closing(engine.ended()) as all_ended:
-        runs = {run.spec.key: run_summary.without_steps(run) for run in all_ended}
-    run_summary.print_summary([runs[spec.key] for spec in engine.planned], plan.title, store, None, as_json)
+def _run(experiment: Experiment, store: Store, how: RunOptions, as_json: bool) -> None:
+    with _scheduler(experiment, store, how) as scheduler:
+        runs = scheduler.run(experiment, _executor(experiment, how))
+        results = {spec.key: replace(result, steps=NO_STEPS) for spec, result in runs}  # there may be thousands
+    run_summary.print_summary(
+        [(spec, results[spec.key]) for spec in experiment.runs()], experiment.title, store, None, as_json
+    )
 
 
-def _run_and_report(plan: Experiment, store: Store, how: RunOptions, as_json: bool) -> None:
-    from evalkit import report as pages  # noqa: PLC0415 - loads pandas and matplotlib
+def _run_and_report(experiment: Experiment, store: Store, how: RunOptions, as_json: bool) -> None:
+    """Run the experiment, load its records, analyse them, render the page, print the summary."""
+    from evalkit import report  # noqa: PLC0415 - loads pandas and matplotlib
 
     started = datetime.now(UTC)
-    with _engine(plan, store, how) as engine:
-        records = engine.records()
-    made = [record.result.provenance for record in records if record.result.status not in NOT_EXECUTED]
-    ran_on = {**engine.ran_on, **environment.kept(made, started), **environment.machines(made)}
-    comparison = pages.build_comparison(plan, records, started, datetime.now(UTC), ran_on)
-    with reported(store.folder):
-        page = pages.write_report(comparison, store.folder)
-    run_summary.print_summary(records, plan.title, store, page, as_json)
+    with _scheduler(experiment, store, how) as scheduler:
+        results = {spec.key: result for spec, result in scheduler.run(experiment, _executor(experiment, how))}
+    records = load_records(store, experiment, results)
+    environment = describe_provenance(scheduler.environment, results.values(), started)
+    comparison = report.build_comparison(experiment, records, started, datetime.now(UTC), environment)
+    with as_store_error(store.folder):
+        page = report.write_report(comparison, store.folder)
+    runs = [(record.spec, record.result) for record in records]
+    run_summary.print_summary(runs, experiment.title, store, page, as_json)
 
 
 @contextmanager
-def _engine(plan: Experiment, store: Store, how: RunOptions) -> Iterator[Engine]:
-    """Yield the engine of a plan, with progress on standard error; the environment is read before the first run."""
-    for line in progress.missing(plan):
+def _scheduler(experiment: Experiment, store: Store, how: RunOptions) -> Iterator[Scheduler]:
+    """Yield the scheduler, with progress on standard error; the environment is read before the first run."""
+    for line in progress.unavailable_lines(experiment):
         err.print(line, markup=False, highlight=False)
-    place = There(replace(how.cluster, timed=plan.timed)) if how.cluster else None
-    ran_on = environment.describe(jobs=how.jobs)
+    description = describe(jobs=how.jobs)
     with (
         progress.say_what_is_kept(err, "finished runs", " with --resume"),
-        progress.progress(err, list(plan.runs()), how.jobs, quiet=how.collect) as shown,
+        progress.show_runs(err, list(experiment.runs()), how.jobs, quiet=how.collect) as shown,
     ):
-        yield Engine(plan, store, shown, how.jobs, how.resume, ran_on, how.rerun, how.collect, place)
+        yield Scheduler(store, shown, description, how.resume, how.rerun, how.collect)
+
+
+def _executor(experiment: Experiment, how: RunOptions) -> Executor:
+    if how.cluster is None:
+        return LocalExecutor(how.jobs)
+    return DaskExecutor(replace(how.cluster, timed=experiment.timed))

@@ -98,6 +98,6 @@ def _print(text: ChangeText) -> None:
     for row in text.rows:
         table.add_row(*map(Text, row))
     if text.rows:
-        progress.show(out, table)
+        progress.print_table(out, table)
     for line in (*text.remarks, text.conclusion):
         out.print(line, markup=False, highlight=False, emoji=False)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from evalkit.core.errors import NotInstalled, UnknownName
-from evalkit.results.store import Store, reported
+from evalkit.results.store import Store, as_store_error
 from evalkit.terminal import options
 from evalkit.terminal.options import Json, err, out
 
@@ -73,7 +73,7 @@ def _check_formats(formats: list[str]) -> list[str]:
 
 def _write_format(name: str, selection: ExportSelection, folder: Path, all_formats: bool) -> list[Path]:
     try:
-        with reported(folder):
+        with as_store_error(folder):
             return list(_writers()[name](selection, folder / name))
     except NotInstalled as error:
         if not all_formats:

@@ -99,4 +99,4 @@ def _print_table(title: str, columns: tuple[str, ...], rows: Sequence[tuple[str,
     table = Table(*columns, title=title, title_justify="left", expand=out.is_terminal)
     for row in rows:
         table.add_row(*map(escape, row))
-    progress.show(out, table)
+    progress.print_table(out, table)

@@ -84,7 +84,7 @@ def selftest(
     if as_json:
         options.print_json(found)
     else:
-        progress.show(out, _planted(found))
+        progress.print_table(out, _planted(found))
     _judge(found)
 
 
@@ -93,7 +93,7 @@ def _made(jobs: list[AnyTask], folder: Path, workers: int | None) -> dict[str, R
     from evalkit.execution.task_store import TaskStore  # noqa: PLC0415 - as above
 
     at_once = workers or environment.physical_cores()
-    with progress.say_what_is_kept(err, "finished jobs"), progress.jobs(err, len(jobs), at_once) as done:
+    with progress.say_what_is_kept(err, "finished jobs"), progress.show_tasks(err, len(jobs), at_once) as done:
         return run_tasks(TaskStore(folder / "results"), jobs, at_once, done)
 
 
@@ -112,8 +112,8 @@ def _print(content: dict[str, Any]) -> None:
     table = Table("metric", "Spearman", "95 %", *ways)
     for row in content["trust"]:
         table.add_row(row["metric"], *_overall(row["overall"]), *(_told(row["by_way"][way]) for way in ways))
-    progress.show(out, table)
-    progress.show(out, _planted(content["planted"]))
+    progress.print_table(out, table)
+    progress.print_table(out, _planted(content["planted"]))
 
 
 def _overall(found: dict[str, float] | None) -> tuple[str, str]:

@@ -52,7 +52,7 @@ def spoiled(world: str, way: str, sizes: list[float], seed: int, mapper: str, sc
 
 def scored(run: RunResult, sequence: Recording, mapper: str, scans: int) -> dict[str, float | None]:
     """The values of every own metric; None where it is not meaningful."""
-    evidence = evaluate.with_map(evaluate.without_map(run, sequence), sequence, maker(mapper), scans)
+    evidence = evaluate.add_map(evaluate.collect_evidence(run, sequence), sequence, maker(mapper), scans)
     return {name: score.value for name, score in metrics.compute_scores(evidence).items()}
 
 

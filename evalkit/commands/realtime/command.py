@@ -63,7 +63,7 @@ def realtime(
     dataset, given_on = options.split_sequence(on or defaults.simulated_dataset())
     task = _task(backend, dataset, options.settings(setting or []), given_on, ladder)
     store = TaskStore(folder or Path("reports") / "build" / "realtime")
-    with progress.jobs(err, 1, 1) as done:
+    with progress.show_tasks(err, 1, 1) as done:
         found = run_tasks(store, [task], 1, done)[task.name]
     rows = _rows(found)
     if as_json:
@@ -155,7 +155,7 @@ def _show(backend: str, on: str, found: PacedResult, rows: list[dict[str, Any]])
             f"{100 * row['late']:.1f}", f"{row['age_ms'][1]:.1f}", _metres(row["of_answers"]), _metres(row["at_hand"]),
             f"broken {row['lost']}".strip() if row["broken"] else "",
         )  # fmt: skip
-    progress.show(out, table)
+    progress.print_table(out, table)
     breaks = f"breaks at {told['breaks_at']:g}" if told["breaks_at"] is not None else "holds at every factor asked"
     out.print(
         f"{told['median_cost_ms']:.2f} ms a scan here (median); a device up to {told['headroom']:.3g} times slower "

@@ -51,7 +51,7 @@ def study(
         cluster = replace(cluster, timed=any(response.metric.group == "runtime" for response in plan.responses))
     ran_on = environment.describe(jobs=workers)
     asked = plan.tasks()
-    with progress.say_what_is_kept(err, "finished points"), progress.jobs(err, len(asked), workers) as done:
+    with progress.say_what_is_kept(err, "finished points"), progress.show_tasks(err, len(asked), workers) as done:
         outcome = StudyResult(plan, run_study_tasks(asked, folder / "results", workers, done, cluster))
     page = _written(outcome, folder, ran_on)
     lost = sum(bool(outcome.lost(key, seed)) for key in plan.points for seed in plan.seeds(key))

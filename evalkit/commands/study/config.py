@@ -11,7 +11,7 @@ from typing import Any, get_args
 from evalkit.commands.study.factors import Factor, FactorLevel, Scale, Settings, read_factor
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Kind, Point, Response, Study
 from evalkit.commands.study.sampling import sample
-from evalkit.config import experiment
+from evalkit.config.experiment import experiment_from_tables
 from evalkit.config.toml_tables import TomlTable, flatten
 from evalkit.core.errors import BadExperiment, EvalkitError, UnknownName, brief
 from evalkit.io.toml import load_toml
@@ -77,7 +77,7 @@ class _BaseSettings:
             "method": [groups["method"]], "sequence": [groups["sequence"]], "mapper": table.content.get("mapper", {}),
             "limits": limits.content,
         }  # fmt: skip
-        plan = experiment.plan(content, table.file, "study", "study")
+        plan = experiment_from_tables(content, table.file, "study", "study")
         self.table, self.method, self.sequence, self.mapper = table, plan.methods[0], plan.sequences[0], plan.mapper
         self.limit_s = plan.limits.run_s
         self._spec = registry.find_backend(self.method.backend)

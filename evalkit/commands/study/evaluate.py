@@ -114,13 +114,13 @@ def _scored(
 ) -> dict[str, Score]:
     """The named scores; the map is drawn only where a metric looks at it, or has no answer without."""
     table = {metric.name: metric for metric in metrics.all_metrics() if metric.name in names}
-    evidence = scoring.without_map(run, sequence)
+    evidence = scoring.collect_evidence(run, sequence)
     plain = [metric for metric in table.values() if metric.group not in DRAWN and metric.name not in OF_SCANS]
     found = metrics.compute_scores(evidence, plain)
     drawn = [metric for metric in table.values() if metric not in plain or _lacks_scans(metric, found)]
     if drawn:
         halves = any(metric.group == "map consistency" for metric in drawn)
-        evidence = scoring.with_map(evidence, sequence, make_mapper, scans, halves)
+        evidence = scoring.add_map(evidence, sequence, make_mapper, scans, halves)
         found |= metrics.compute_scores(evidence, drawn)
     return {name: found[name] for name in names}
 

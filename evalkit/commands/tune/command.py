@@ -105,7 +105,7 @@ def _searched(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tupl
             raise typer.Exit(3) from None
     with (
         progress.say_what_is_kept(err, "finished runs"),
-        progress.jobs(err, search_loop.count_runs(tuning), workers) as done,
+        progress.show_tasks(err, search_loop.count_runs(tuning), workers) as done,
     ):
         return search_loop.run_search(tuning, search_loop.compute_missing(results, workers, done))
 
@@ -114,12 +114,14 @@ def _run_held_out(
     plan: Experiment, store: Store, workers: int, ran_on: dict[str, str], collect: bool
 ) -> tuple[RunRecord, ...]:
     """Default and tuned rows on the held-out sequences, each run in a process of its own; what is done is kept."""
-    from evalkit.execution.scheduler import Engine  # noqa: PLC0415 - with the search's modules
+    from evalkit.execution.executors import LocalExecutor  # noqa: PLC0415 - with the search's modules
+    from evalkit.execution.scheduler import Scheduler  # noqa: PLC0415 - as above
 
-    for line in progress.missing(plan):
+    for line in progress.unavailable_lines(plan):
         err.print(line, markup=False, highlight=False)
-    with progress.say_what_is_kept(err, "finished runs"), progress.progress(err, list(plan.runs()), workers) as shown:
-        return Engine(plan, store, shown, workers, True, ran_on, collect=collect).records()
+    with progress.say_what_is_kept(err, "finished runs"), progress.show_runs(err, list(plan.runs()), workers) as shown:
+        scheduler = Scheduler(store, shown, ran_on, resume=True, collect=collect)
+        return scheduler.run_and_load(plan, LocalExecutor(workers))
 
 
 def _end(result: TuningResult, folder: Path, as_json: bool) -> None:

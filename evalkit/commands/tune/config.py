@@ -11,8 +11,7 @@ from evalkit.commands.study.factors import Factor, read_factor
 from evalkit.commands.study.plan import Response
 from evalkit.commands.tune.plan import TUNED, Training, TunableMethod, Tuning
 from evalkit.commands.tune.space import METHOD, SHARED, Space, declared_factors, own_parameters, settings
-from evalkit.config import experiment
-from evalkit.config.experiment import Experiment, Method, SequenceSpec
+from evalkit.config.experiment import Experiment, Method, SequenceSpec, experiment_from_tables
 from evalkit.config.toml_tables import TomlTable
 from evalkit.core.errors import BadExperiment, UnknownName
 from evalkit.io.toml import load_toml
@@ -97,7 +96,7 @@ def _plan(table: TomlTable, sequences: Sequence[TomlTable], kind: str) -> Experi
     rest = {key: table.content[key] for key in ("mapper", "limits") if key in table.content}
     content = {**rest, "method": methods, "sequence": [_without(each, "confirm") for each in sequences]}
     try:
-        return experiment.plan(content, table.file, "tuning", "tuning")
+        return experiment_from_tables(content, table.file, "tuning", "tuning")
     except BadExperiment as error:
         where, place, what = error.args
         raise BadExperiment(where, place.replace("sequence", kind), what.replace("sequences", kind)) from error

@@ -99,7 +99,8 @@ class Tuning:
         return make_task(
             f"{tunable.label} | {run.label} | {candidate.name}", run_trial, cpu_s=self.run_cpu_s,
             backend=tunable.method.backend, parameters=dict(candidate.values), dataset=run.sequence.dataset,
-            sequence=run.sequence.seeded(run.seed), mapper=self.mapper.name, metrics=[self.objective.name, COST],
+            sequence=run.sequence.parameters_with_seed(run.seed), mapper=self.mapper.name,
+            metrics=[self.objective.name, COST],
             code=self._code(tunable.method.backend, run.sequence.dataset) + files_digest(run.sequence.parameters),
         ).limited(self.limits.run_s)  # fmt: skip
 

@@ -9,8 +9,7 @@ from dataclasses import asdict
 from evalkit.commands.study.experiment_lines import setting_lines
 from evalkit.commands.tune.plan import TUNED, Tuning
 from evalkit.commands.tune.search_loop import SearchResult
-from evalkit.config import experiment
-from evalkit.config.experiment import Experiment, Method, SequenceSpec
+from evalkit.config.experiment import Experiment, Method, SequenceSpec, experiment_from_tables
 from evalkit.io.toml import parse_toml
 from evalkit.plugins.parameters import Value
 
@@ -44,7 +43,7 @@ def experiment_text(tuning: Tuning, found: Sequence[SearchResult]) -> str:
 
 def held_out_plan(text: str, file: str) -> Experiment:
     """The plan of that text, as ``evalkit compare FILE`` reads it."""
-    return experiment.plan(parse_toml(text), file, "tuned", f"compare {file}")
+    return experiment_from_tables(parse_toml(text), file, "tuned", f"compare {file}")
 
 
 def _method(method: Method, label: str, values: Mapping[str, Value]) -> list[str]:

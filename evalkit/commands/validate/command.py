@@ -21,7 +21,7 @@ from evalkit.commands.validate.acceptance import Claim, Dossier
 from evalkit.config.experiment import Experiment
 from evalkit.core.errors import BadParameter
 from evalkit.execution import environment
-from evalkit.execution.scheduler import Progress
+from evalkit.execution.executors import Progress
 from evalkit.plugins import defaults, registry
 from evalkit.plugins.specs import Excerpt
 from evalkit.results.store import Store
@@ -158,7 +158,7 @@ def _examine(
             shutil.rmtree(place / name, ignore_errors=True)
     for name, why in examined.absent.items():
         err.print(f"missing here: {name}: {why}", markup=False, highlight=False)
-    watch = examination.Watch(lambda total, workers: progress.jobs(err, total, workers), _runs)
+    watch = examination.Watch(lambda total, workers: progress.show_tasks(err, total, workers), _runs)
     compute = examined.registrations if registrations else examined.dossier
     found = compute(place, jobs or environment.physical_cores(), watch)
     page = _write(found, place, "evalkit " + shlex.join(sys.argv[1:]))
@@ -191,7 +191,7 @@ def _default_reference(backend: str) -> str:
 
 @contextmanager
 def _runs(plan: Experiment, workers: int) -> Iterator[Progress]:
-    with progress.progress(err, list(plan.runs()), workers) as shown:
+    with progress.show_runs(err, list(plan.runs()), workers) as shown:
         yield shown
 
 
@@ -214,7 +214,7 @@ def _tell(found: Dossier, page: Path) -> None:
         said = "\n".join(f"{line.on + ': ' if line.on else ''}{line.name}: {line.observed}" for line in shown[:MOST])
         said += f"\n... and {len(shown) - MOST} more" if len(shown) > MOST else ""
         table.add_row(f"{level.number} {level.name}", level.outcome(found.claim), Text(said))
-    progress.show(out, table)
+    progress.print_table(out, table)
     out.print(found.verdict, markup=False, emoji=False, highlight=False)
     out.print(str(page.resolve()), markup=False, highlight=False)
 

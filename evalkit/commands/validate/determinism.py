@@ -18,7 +18,7 @@ from evalkit.execution.worker import Request
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Value, resolve_parameters
-from evalkit.results.store import digest
+from evalkit.results.store import hash_answers
 
 Verdict = Literal["bit-equal", "thread-dependent", "not deterministic", "no answer"]
 
@@ -72,7 +72,7 @@ def determinism(
 
 def judged(backend: str, made: Mapping[int, list[RunResult]]) -> Determinism:
     """The verdict over complete runs by their number of threads."""
-    digests = {number: tuple(digest(run) for run in runs) for number, runs in made.items()}
+    digests = {number: tuple(hash_answers(run) for run in runs) for number, runs in made.items()}
     every = [run for runs in made.values() for run in runs]
     verdict: Verdict = "bit-equal"
     if len({one for own in digests.values() for one in own}) > 1:

@@ -14,11 +14,11 @@ from evalkit.commands.validate.acceptance import Claim, Dossier, Level
 from evalkit.commands.validate.answers import Names
 from evalkit.commands.validate.equivalence.comparison import FLOAT32
 from evalkit.commands.validate.probes import EXACT
-from evalkit.config import experiment
-from evalkit.config.experiment import Experiment, Limits, SequenceSpec
+from evalkit.config.experiment import Experiment, Limits, SequenceSpec, experiment_from_tables
 from evalkit.core.errors import BadParameter, NotInstalled
 from evalkit.execution import environment, sandbox
-from evalkit.execution.scheduler import Engine, Progress
+from evalkit.execution.executors import LocalExecutor, Progress
+from evalkit.execution.scheduler import Scheduler
 from evalkit.execution.task import AnyTask, Parameters, Result, make_task
 from evalkit.execution.task_runner import OnDone, run_tasks
 from evalkit.execution.task_store import TaskStore
@@ -106,7 +106,8 @@ class Examination:
         with watch.jobs(len(jobs), workers) as done:
             found = run_tasks(store, jobs, workers, done)
         with watch.runs(self.plan, workers) as progress:
-            records = _placed(Engine(self.plan, Store(folder), progress, workers, resume=True, ran_on=where).records())
+            scheduler = Scheduler(Store(folder), progress, where, resume=True)
+            records = _placed(scheduler.run_and_load(self.plan, LocalExecutor(workers)))
         if answers.margin_of(_compared(found), self._margins()) == FLOAT32:
             copies = list(self._copies())
             with watch.jobs(len(copies), workers) as done:
@@ -185,7 +186,7 @@ class Examination:
                 yield (
                     place,
                     sequence,
-                    {"label": place, "dataset": sequence.dataset, "parameters": sequence.seeded(seed)},
+                    {"label": place, "dataset": sequence.dataset, "parameters": sequence.parameters_with_seed(seed)},
                 )
 
     def _rules(self) -> AnyTask:
@@ -315,7 +316,7 @@ def _plan(
         "mapper": {"scans": asked.effort.map_scans},
         "limits": asdict(Limits()) | {"run_s": 3.0 * asked.effort.limit_s, "memory_mib": asked.effort.memory_mib},
     }
-    return experiment.plan(content, "evalkit validate", "validate", f"validate {shlex.quote(asked.backend)}")
+    return experiment_from_tables(content, "evalkit validate", "validate", f"validate {shlex.quote(asked.backend)}")
 
 
 def compiled(backend: str) -> list[Path]:

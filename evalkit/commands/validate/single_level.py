@@ -31,7 +31,7 @@ def run_rules(backend: str, given: Mapping[str, str], rules: Iterable[str], limi
         for row in found.verdicts:
             expected = f"{row.sentence} Seen: " if row in found.broken else ""
             table.add_row(row.rule, row.outcome, Text(expected + row.observed))  # text from outside is no markup
-        progress.show(out, table)
+        progress.print_table(out, table)
         told = f"{found.label}: {len(found.broken)} of {len(found.verdicts)} rules broken"
         out.print(told, markup=False, emoji=False, highlight=False)
     if found.broken:
@@ -91,7 +91,7 @@ def run_determinism(backends: Iterable[str], on: str, threads: int, repetitions:
     if as_json:
         options.print_json([asdict(one) for one in found])
     else:
-        progress.show(out, table)
+        progress.print_table(out, table)
     if any(one.verdict in ("not deterministic", "no answer") for one in found):
         raise typer.Exit(1)
 

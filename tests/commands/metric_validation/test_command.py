@@ -98,7 +98,7 @@ def test_sizes_reach_from_the_smallest_to_the_largest():
 def test_a_clean_run_of_given_poses_has_no_error():
     sequence = map_rebuilding.recording("room", 0)
     run = map_rebuilding.run_of(sequence, map_rebuilding.true_poses(sequence))
-    evidence = evaluate.without_map(run, sequence)
+    evidence = evaluate.collect_evidence(run, sequence)
     assert metrics.compute_scores(evidence)["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bounds import held_file
 
-from evalkit.config import experiment
+from evalkit.config.experiment import load_experiment
 
 SEED = b"""title = "Fuzz"
 description = "a plan"
@@ -57,4 +57,4 @@ def swollen() -> list[bytes]:
 
 def one(data: bytes) -> None:
     """Reads a plan, and lists its runs."""
-    held_file(lambda path: list(experiment.read(path).runs()), data, "fuzz.toml")
+    held_file(lambda path: list(load_experiment(path).runs()), data, "fuzz.toml")
