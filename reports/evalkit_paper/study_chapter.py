@@ -9,10 +9,15 @@ from typing import cast
 from evalkit.commands.study.config import read
 from evalkit.commands.study.curves import curve_blocks, envelope_blocks
 from evalkit.commands.study.effect_tables import effect_blocks
-from evalkit.commands.study.envelope import panels, sentences
+from evalkit.commands.study.envelope import compute_panels, describe_panels
 from evalkit.commands.study.evaluate import RunScores
-from evalkit.commands.study.formatting import fitted, limit_words, main_words, pair_words
-from evalkit.commands.study.page import cpu_minutes, design_blocks, point_blocks, summary
+from evalkit.commands.study.formatting import (
+    describe_interactions,
+    describe_limit,
+    describe_main_effects,
+    fitted_designs,
+)
+from evalkit.commands.study.page import cpu_minutes, design_blocks, point_blocks, summary_blocks
 from evalkit.commands.study.plan import Study
 from evalkit.commands.study.result import StudyResult
 from evalkit.execution.task import AnyTask, make_task
@@ -48,7 +53,7 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
     first: tuple[Block, ...] = (
         Text(study.description),
         Text(describe_cost(outcome) + " " + describe_agreement(settings, results)),
-        *summary(outcome),
+        *summary_blocks(outcome),
         Fold("Designs, and why these", design_blocks(outcome)),
         Fold("Points, each with the command that computes it again", point_blocks(outcome)),
     )
@@ -68,8 +73,8 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
         return ()
     outcome = _study_result(study, results)
     response = study.responses[0]
-    told = [f"{design.name}: {main_words(response, design, fit)} {pair_words(response, fit, 2)}"
-            for design, fit in fitted(outcome, response)]  # fmt: skip
+    told = [f"{design.name}: {describe_main_effects(response, design, fit)} {describe_interactions(response, fit, 2)}"
+            for design, fit in fitted_designs(outcome, response)]  # fmt: skip
     made = [Finding(
         "Contribution 3: study of grid resolution, ICP parameters and vehicle speed",
         "announced; no table or figure of it is printed",
@@ -79,13 +84,13 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
         "study-effects",
     )]  # fmt: skip
     for choice in study.envelopes:
-        design, found = study.design(choice.design), panels(outcome, choice)
+        design, found = study.design(choice.design), compute_panels(outcome, choice)
         slow_holds = all(panel.inside.flat[0] for panel in found)
         fast_fails = not all(panel.inside.all() for panel in found)
         made.append(Finding(
             "Consistent maps at low to medium speed; fast motion is a limit",
             "no figure is given",
-            f"{limit_words(choice)}, {' '.join(sentences(choice, design, found))}",
+            f"{describe_limit(choice)}, {' '.join(describe_panels(choice, design, found))}",
             "reproduced" if slow_holds and fast_fails else "not determined by the text",
             "the effect of speed depends on odometry, deskewing and scan rate; the text names only the "
             "last" if slow_holds else "in some configurations even the slowest drives exceed the limit",

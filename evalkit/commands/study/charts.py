@@ -1,4 +1,4 @@
-"""The charts of a study: effects, levels, interactions, curves, envelopes."""
+"""Charts of a study: effects, levels, interactions, curves, envelopes."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from evalkit.commands.study.effects import FactorEffect, Interaction, ModelFit
-from evalkit.commands.study.envelope import Panel, axes
+from evalkit.commands.study.envelope import Panel, envelope_axes
 from evalkit.commands.study.factors import Factor
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Response
-from evalkit.commands.study.result import StudyResult, on_scale
+from evalkit.commands.study.result import StudyResult, to_scale
 from evalkit.core.se2 import Floats
 from evalkit.report.html.charts import Axis, Curve, Points, bars, heat, lines, scatter
 from evalkit.report.html.document import Figure
@@ -20,13 +20,13 @@ from evalkit.stats.intervals import Interval
 GREY = "#aab2bd"
 
 
-def axis_of(response: Response, *values: Floats) -> Axis:
-    """A vertical axis for a response, marked around the values it shall show."""
-    return Axis(named(response), response.scale, ticks=ticks(response, *values))
+def response_axis(response: Response, *values: Floats) -> Axis:
+    """A vertical axis for a response, with ticks around the values to show."""
+    return Axis(response_label(response), response.scale, ticks=response_ticks(response, *values))
 
 
-def ticks(response: Response, *values: Floats) -> tuple[float, ...]:
-    """Marks at 1, 2 and 5 times the powers of ten around values on a log scale; none on a linear one."""
+def response_ticks(response: Response, *values: Floats) -> tuple[float, ...]:
+    """Ticks at 1, 2 and 5 times the powers of ten around values on a log scale; none on a linear one."""
     known = np.concatenate([np.ravel(part) for part in values])
     known = known[np.isfinite(known) & (known > 0.0)]
     if response.scale == "linear" or not len(known):
@@ -37,55 +37,56 @@ def ticks(response: Response, *values: Floats) -> tuple[float, ...]:
     return tuple(mark for mark in marks if known.min() / 2.0 <= mark <= known.max() * 2.0)
 
 
-def named(response: Response) -> str:
+def response_label(response: Response) -> str:
     """A response with its unit."""
     unit = f" [{response.metric.unit}]" if response.metric.unit else ""
     return response.metric.label + unit
 
 
 def factor_axis(factor: Factor) -> Axis:
-    """A horizontal axis with a mark at every level."""
+    """A horizontal axis with a tick at every level."""
     unit = f" [{factor.unit}]" if factor.unit else ""
     return Axis(factor.name + unit, factor.scale, ticks=factor.numbers or ())
 
 
-def main_effects(response: Response, design: Design, effects: Sequence[FactorEffect]) -> Figure:
+def main_effects_chart(response: Response, design: Design, effects: Sequence[FactorEffect]) -> Figure:
     """A bar for every factor: the worst level against the best, with its interval, the largest on top."""
     ordered = sorted(effects, key=lambda effect: -effect.largest.value.value)
     by_name = {factor.name: factor for factor in design.factors}
-    labels = [steps(by_name[effect.factor], effect.largest.against, effect.largest.level) for effect in ordered]
+    labels = [describe_step(by_name[effect.factor], effect.largest.against, effect.largest.level) for effect in ordered]
     values, low, high = (
-        off_scale(response, np.array([getattr(effect.largest.value, end) for effect in ordered]))
+        from_scale(response, np.array([getattr(effect.largest.value, end) for effect in ordered]))
         for end in ("value", "low", "high")
     )
     neutral = 1.0 if response.scale == "log" else 0.0
     colours = [HUES[0] if effect.largest.value.excludes(0.0) else GREY for effect in ordered]
     unit = "times" if response.scale == "log" else response.metric.unit
-    label = f"{response.metric.label}: most against least [{unit}]".replace(" []", "")
-    axis = Axis(label, response.scale, ticks=ticks(response, low, high))
-    title = f"{design.name}: how much each factor moves {response.metric.label}"
+    label = f"{response.metric.label}: largest against smallest [{unit}]".replace(" []", "")
+    axis = Axis(label, response.scale, ticks=response_ticks(response, low, high))
+    title = f"{design.name}: effects on {response.metric.label}"
     caption = (
-        "From the level with the least to the one with the most, averaged over all other factors. Line: 95 % interval; "
-        "grey: it does not tell the sign."
+        "From the level with the smallest value to the level with the largest, averaged over all other factors. Line: "
+        "95 % interval; grey: not significant."
     )
     return Figure(bars(labels, values, axis, low, high, neutral, colours), title, caption)
 
 
-def profile(response: Response, factor: Factor, levels: Sequence[Interval], mean: float) -> Figure:
+def profile_chart(response: Response, factor: Factor, levels: Sequence[Interval], mean: float) -> Figure:
     """The response over the levels of an ordered factor, averaged over all others."""
     x = np.array(factor.numbers)
     y, low, high = (
-        off_scale(response, mean + np.array([getattr(level, end) for level in levels]))
+        from_scale(response, mean + np.array([getattr(level, end) for level in levels]))
         for end in ("value", "low", "high")
     )
     curve = Curve(response.metric.label, x, y, low, high, marks=True)
     return Figure(
-        lines([curve], factor_axis(factor), axis_of(response, low, high)), f"{response.metric.label} over {factor.name}"
+        lines([curve], factor_axis(factor), response_axis(response, low, high)),
+        f"{response.metric.label} over {factor.name}",
     )
 
 
-def crossing(response: Response, design: Design, fit: ModelFit, found: Interaction) -> Figure:
-    """How the response runs over one factor at two levels of the other, averaged over the rest."""
+def interaction_chart(response: Response, design: Design, fit: ModelFit, found: Interaction) -> Figure:
+    """The response over one factor at two levels of another, averaged over the rest."""
     numbers = {factor.name: number for number, factor in enumerate(design.factors)}
     a, b = numbers[found.a], numbers[found.b]
     b_levels = found.b_levels
@@ -96,44 +97,44 @@ def crossing(response: Response, design: Design, fit: ModelFit, found: Interacti
     for level in b_levels:
         told = [fit.expected({a: number, b: level}) for number in range(len(along.levels))]
         y, low, high = (
-            off_scale(response, np.array([getattr(one, end) for one in told])) for end in ("value", "low", "high")
+            from_scale(response, np.array([getattr(one, end) for one in told])) for end in ("value", "low", "high")
         )
         x = np.array(along.numbers or range(len(along.levels)))
         curves.append(Curve(f"{other.name} {other.levels[level].label}", x, y, low, high, marks=True))
     title = f"{along.name} with {other.name}"
-    vertical = axis_of(response, *(curve.y for curve in curves))
+    vertical = response_axis(response, *(curve.y for curve in curves))
     return Figure(lines(curves, factor_axis(along), vertical), title, "" if along.numbers else _names(along))
 
 
 def curve_chart(outcome: StudyResult, response: Response, factor: Factor, designs: Sequence[Design]) -> Figure:
-    """A factor alone, in every design that varies it by itself: the mean of the seeds and their span."""
+    """The response over a factor in every design that varies it alone: mean of the seeds and their span."""
     curves = []
     for design in designs:
         points = [point for point in design.points if factor.name in point.levels]
-        rows = on_scale(response, np.array([outcome.row(design, response, point) for point in points]))
-        y, low, high = (off_scale(response, ends) for ends in (rows.mean(axis=1), rows.min(axis=1), rows.max(axis=1)))
+        rows = to_scale(response, np.array([outcome.row(design, response, point) for point in points]))
+        y, low, high = (from_scale(response, ends) for ends in (rows.mean(axis=1), rows.min(axis=1), rows.max(axis=1)))
         curves.append(Curve(design.name, np.array(factor.numbers), y, low, high, marks=True))
     levels = {} if response.lost is None or response.scale == "linear" else {"lost": response.lost}
-    vertical = axis_of(response, *(curve.y for curve in curves), np.array([*levels.values()]))
+    vertical = response_axis(response, *(curve.y for curve in curves), np.array([*levels.values()]))
     drawn = lines(curves, factor_axis(factor), vertical, levels=levels)
     return Figure(drawn, f"{response.metric.label} over {factor.name}", "Lines: means of the seeds; bands: their span.")
 
 
-def check(response: Response, expected: Floats, measured: Floats) -> Figure:
-    """What the effects foretell for points they were not computed from, beside what was measured there."""
+def prediction_chart(response: Response, expected: Floats, measured: Floats) -> Figure:
+    """Predicted against measured values at points that were not used to compute the effects."""
     ends = [float(min(expected.min(), measured.min())), float(max(expected.max(), measured.max()))]
     layers = [
         Points("the same", np.array([[ends[0]] * 2, [ends[1]] * 2]), GREY, 1.0, joined=True),
         Points("a point", np.stack([expected, measured], axis=1), HUES[0], 5.0),
     ]
-    x = Axis(f"foretold: {named(response)}", response.scale)
-    drawn = scatter(layers, x, Axis(f"measured: {named(response)}", response.scale), equal=False)
+    x = Axis(f"predicted: {response_label(response)}", response.scale)
+    drawn = scatter(layers, x, Axis(f"measured: {response_label(response)}", response.scale), equal=False)
     return Figure(drawn, f"{response.metric.label} between the levels")
 
 
 def envelope(choice: EnvelopeChoice, design: Design, panel: Panel, limits: tuple[float, float]) -> Figure:
-    """One map of an envelope: the worst seed's value in every cell, the limit as a line, lost cells hatched."""
-    x, y = axes(design, choice)
+    """One map of an envelope: the value of the worst seed in every cell, the limit as a line, lost cells empty."""
+    x, y = envelope_axes(design, choice)
     response = choice.response
     drawn = heat(
         panel.worst,
@@ -141,7 +142,7 @@ def envelope(choice: EnvelopeChoice, design: Design, panel: Panel, limits: tuple
         factor_axis(y),
         x.numbers or (),
         y.numbers or (),
-        Axis(named(response), response.scale, *limits),
+        Axis(response_label(response), response.scale, *limits),
         lambda value: f"{value:.3f}" if value < 1.0 else f"{value:.2g}",
         (choice.limit,) if _crossed(panel.worst, choice.limit) else (),
     )
@@ -149,13 +150,13 @@ def envelope(choice: EnvelopeChoice, design: Design, panel: Panel, limits: tuple
     return Figure(drawn, panel.label, f"{lost} of {panel.worst.size} cells lost" if lost else "")
 
 
-def off_scale(response: Response, values: Floats) -> Floats:
-    """Values on a response's scale as they are read: ratios and metres instead of logarithms."""
+def from_scale(response: Response, values: Floats) -> Floats:
+    """Values from a response's scale to its unit: exponentials on a log scale."""
     return np.exp(values) if response.scale == "log" else values
 
 
-def steps(factor: Factor, one: int, other: int) -> str:
-    """A change of level in words."""
+def describe_step(factor: Factor, one: int, other: int) -> str:
+    """A change of level as text."""
     return f"{factor.name}: {factor.levels[one].label} → {factor.levels[other].label}"
 
 

@@ -64,8 +64,8 @@ def study(
 
 
 def _point(plan: Study, key: str, as_json: bool) -> None:
-    """Prints the scores of one point, computed now, and the experiment that runs it."""
-    from evalkit.commands.study.experiment_lines import experiment_lines  # noqa: PLC0415 - with the study's modules
+    """Computes one point, prints its scores, and prints the experiment that runs it."""
+    from evalkit.config.experiment_toml import format_experiment  # noqa: PLC0415 - loaded only to print a point
 
     if key not in plan.points:
         raise UnknownName("point", key, plan.points, plan.command)
@@ -83,7 +83,7 @@ def _point(plan: Study, key: str, as_json: bool) -> None:
             told = result["why"][metric] if value is None else repr(value)
             out.print(f"  {metric} {told}", markup=False, highlight=False)
     out.print("\nThe same as an experiment:\n", markup=False)
-    out.print(experiment_lines(plan, key), markup=False, highlight=False)
+    out.print(format_experiment(plan.point_experiment(key)), markup=False, highlight=False)
 
 
 def _written(outcome: StudyResult, folder: Path, ran_on: dict[str, str]) -> Path:
@@ -92,8 +92,8 @@ def _written(outcome: StudyResult, folder: Path, ran_on: dict[str, str]) -> Path
     from evalkit.report.html.document import render  # noqa: PLC0415 - loads matplotlib
 
     texts = {
-        "points.csv": results_json.as_csv(results_json.runs(outcome)),
-        "effects.csv": results_json.as_csv(results_json.effects(outcome)),
+        "points.csv": results_json.format_csv(results_json.runs(outcome)),
+        "effects.csv": results_json.format_csv(results_json.effects(outcome)),
         "study.json": json.dumps(results_json.record(outcome), indent=1) + "\n",
         "index.html": render(page.document(outcome, ran_on)),
     }

@@ -1,4 +1,4 @@
-"""The parts of a study's page that show single factors and operating envelopes."""
+"""The blocks of a study's page on single factors and operating envelopes."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from evalkit.commands.study import charts
-from evalkit.commands.study.envelope import Panel, axes, panels
+from evalkit.commands.study.envelope import Panel, compute_panels, envelope_axes
 from evalkit.commands.study.factors import Factor
-from evalkit.commands.study.formatting import limit_words
+from evalkit.commands.study.formatting import describe_limit
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Point, Response
-from evalkit.commands.study.result import StudyResult, on_scale
+from evalkit.commands.study.result import StudyResult, to_scale
 from evalkit.report.html.document import Block, Cell, Column, Figures, Fold, Table, Text
 
 
 def curve_blocks(outcome: StudyResult) -> tuple[Block, ...]:
-    """A chart for every factor that is varied by itself, for every bounded response, and a table of all."""
+    """A chart for every factor varied alone and every bounded response, and a table of all values."""
     designs = [design for design in outcome.study.designs if design.kind == "curves"]
     shown = [response for response in outcome.study.responses if response.lost is not None] or outcome.study.responses[
         :1
@@ -35,12 +35,12 @@ def curve_blocks(outcome: StudyResult) -> tuple[Block, ...]:
         for factor, level in point.levels.items()
     ]
     measured = (_column(response) for response in outcome.study.responses)
-    columns: tuple[Column | str, ...] = ("Design", "Factor", "FactorLevel", *measured, Column("Lost"))
+    columns: tuple[Column | str, ...] = ("Design", "Factor", "Level", *measured, Column("Lost"))
     return (*blocks, Fold("All values", (Table(columns, rows),))) if rows else ()
 
 
 def _by_name(outcome: StudyResult, response: Response, factor: Factor, designs: Sequence[Design]) -> Table:
-    """A factor without order: its levels against the designs that vary it."""
+    """The levels of an unordered factor against the designs that vary it."""
     points = {(d.name, p.levels[factor.name].label): p for d in designs for p in d.points if factor.name in p.levels}
     rows: list[tuple[Cell | str, ...]] = [
         (level.label, *(_value(outcome, design, response, points[design.name, level.label]) for design in designs))
@@ -69,7 +69,7 @@ def _value(outcome: StudyResult, design: Design, response: Response, point: Poin
     values = outcome.row(design, response, point)
     if not np.isfinite(values).any():
         return Cell("no value")
-    middle = float(charts.off_scale(response, np.array(float(np.nanmean(on_scale(response, values))))))
+    middle = float(charts.from_scale(response, np.array(float(np.nanmean(to_scale(response, values))))))
     digits = response.metric.digits
     lost = any(outcome.lost(point.key, seed) for seed in design.runs(point))
     text = f"{middle:.{digits}f} ({np.nanmin(values):.{digits}f} to {np.nanmax(values):.{digits}f})"
@@ -77,19 +77,19 @@ def _value(outcome: StudyResult, design: Design, response: Response, point: Poin
 
 
 def envelope_blocks(outcome: StudyResult) -> tuple[Block, ...]:
-    """For every envelope a table to be read at a glance and the maps behind it."""
+    """For every envelope, the table of its boxes and its maps."""
     blocks: list[Block] = []
     for choice in outcome.study.envelopes:
         design = outcome.study.design(choice.design)
-        found = panels(outcome, choice)
+        found = compute_panels(outcome, choice)
         known = np.concatenate([panel.worst[np.isfinite(panel.worst)] for panel in found])
         limits = (float(known.min()), float(known.max())) if len(known) else (0.1, 1.0)
         blocks += [
+            Text(f"{describe_limit(choice)} in every drive and with every seed, for all levels up to these:"),
+            envelope_table(choice, design, found),
             Text(
-                f"{limit_words(choice)}, in every drive with every seed, for every combination of levels up to these:"
+                "Every cell has the value of its worst seed; the white line is the limit, empty cells are lost.", "note"
             ),
-            glance(choice, design, found),
-            Text("Below, the worst seed in every cell; the white line is the limit, empty cells are lost.", "note"),
         ]
         for name in dict.fromkeys(_last(panel) for panel in found):
             row = [charts.envelope(choice, design, panel, limits) for panel in found if _last(panel) == name]
@@ -97,9 +97,9 @@ def envelope_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def glance(choice: EnvelopeChoice, design: Design, found: Sequence[Panel]) -> Table:
-    """The largest box of every panel: rows the last other factor's levels, columns the rest."""
-    x, y = axes(design, choice)
+def envelope_table(choice: EnvelopeChoice, design: Design, found: Sequence[Panel]) -> Table:
+    """The largest box of every panel; rows: levels of the last other factor, columns: the others."""
+    x, y = envelope_axes(design, choice)
     heads = list(dict.fromkeys(_head(panel) for panel in found))
     names = list(dict.fromkeys(_last(panel) for panel in found))
     by_place = {(_last(panel), _head(panel)): panel for panel in found}
@@ -129,6 +129,6 @@ def _box(x: Factor, y: Factor, panel: Panel) -> Cell:
     tip = (
         ""
         if held is None
-        else f"{held.support} drives; a next one keeps the limit with at least {100.0 * held.low:.0f} %"
+        else f"{held.support} drives; another one keeps the limit with at least {100.0 * held.low:.0f} %"
     )
     return Cell(f"{text}{gone}", float(columns * rows), "good" if whole else "warn", tip)

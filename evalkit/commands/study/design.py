@@ -1,4 +1,4 @@
-"""Which points of a factor space to try: few that tell much, instead of the full grid.
+"""Designs of experiments: few informative points of a factor space instead of the full grid.
 
 A design is an array (N, K) of positions: 0 is a factor's first level, 1 its second, 0.5 half-way between the two.
 """
@@ -19,14 +19,14 @@ from evalkit.core.se2 import Floats
 
 MAX_PASSES = 12
 RIDGE = 1e-6
-"""Keeps the determinant positive while a design is still too poor for its model."""
+"""Added to X'X so that its determinant is positive before a design supports its model."""
 
 
 @dataclass(frozen=True)
 class DesignAxis:
-    """A factor as a design sees it: how many levels, and where they lie if they have an order.
+    """A factor of a design: the number of its levels, and their coordinates if they are ordered.
 
-    ``scores`` (L,), increasing: the levels' coordinates (logarithms for a logarithmic axis); None: names without order.
+    ``scores`` (L,), increasing: the levels' coordinates (logarithms for a logarithmic axis); None: unordered names.
     """
 
     name: str
@@ -46,7 +46,7 @@ class DesignAxis:
 
     @cached_property
     def crossed(self) -> Floats:
-        """The columns (L, C) that stand for the factor in interactions: its slope if ordered, else as ``main``.
+        """The columns (L, C) of the factor in interactions: its slope if ordered, otherwise ``main``.
 
         A slope is centred over the levels and spans 2 from the first level to the last.
         """
@@ -58,7 +58,7 @@ class DesignAxis:
 
 @dataclass(frozen=True)
 class Model:
-    """What effects are computed for: the mean, every factor's own levels and, if ``pairs``, every two factors' slopes.
+    """A linear model: the mean, the levels of every factor and, if ``pairs``, products of every two factors' slopes.
 
     ``terms``: the factors (one or two) that each column of ``matrix`` belongs to.
     """
@@ -75,19 +75,19 @@ class Model:
     def matrix(self, positions: Floats | Ints) -> Floats:
         """The columns (N, P) at positions (N, K)."""
         rows = np.asarray(positions, dtype=np.float64)
-        own = [between(axis.main, rows[:, k]) for k, axis in enumerate(self.axes)]
+        own = [interpolate_rows(axis.main, rows[:, k]) for k, axis in enumerate(self.axes)]
         slopes = self.slopes(rows)
         first, second = self.pairings
         return np.hstack([np.ones((len(rows), 1)), *own, slopes[:, first] * slopes[:, second]])
 
     def slopes(self, positions: Floats | Ints) -> Floats:
-        """What stands for the factors in interactions (N, S) at positions (N, K)."""
+        """The columns (N, S) of the factors in interactions at positions (N, K)."""
         rows = np.asarray(positions, dtype=np.float64)
-        return np.hstack([between(axis.crossed, rows[:, k]) for k, axis in enumerate(self.axes)])
+        return np.hstack([interpolate_rows(axis.crossed, rows[:, k]) for k, axis in enumerate(self.axes)])
 
     @property
     def full_grid(self) -> float:
-        """The logarithm of the determinant of X'X / N over the full grid, where all terms are orthogonal."""
+        """The logarithm of det(X'X / N) over the full grid, where all terms are orthogonal."""
         own = [_log_det(axis.main) for axis in self.axes]
         crossed = [(_log_det(axis.crossed), axis.crossed.shape[1]) for axis in self.axes]
         pairs = combinations(crossed, 2) if self.pairs else ()
@@ -95,12 +95,12 @@ class Model:
 
     @cached_property
     def owner(self) -> list[int]:
-        """The factor that each column of ``slopes`` stands for."""
+        """The factor of each column of ``slopes``."""
         return [k for k, axis in enumerate(self.axes) for _ in range(axis.crossed.shape[1])]
 
     @cached_property
     def pairings(self) -> Ints:
-        """Which columns of ``slopes`` are multiplied (2, Q)."""
+        """The columns of ``slopes`` to multiply (2, Q)."""
         columns = range(len(self.owner) if self.pairs else 0)
         kept = [(a, b) for a, b in combinations(columns, 2) if self.owner[a] != self.owner[b]]
         return np.array(kept, dtype=np.int64).reshape(-1, 2).T
@@ -108,12 +108,12 @@ class Model:
 
 @dataclass(frozen=True)
 class Quality:
-    """How good a design is for a model.
+    """How well a design supports a model.
 
-    ``efficiency``: D-efficiency, information per point and column as a share of the full grid's, which is orthogonal;
-    more than 1 where points at the ends of ordered factors tell more of their slopes.
-    ``correlation``: the largest between two factors' own slopes; ``imbalance``: by how much the most and the least
-    frequent level of a factor differ, as a share of the points.
+    ``efficiency``: D-efficiency, information per point and column relative to the full grid, which is orthogonal;
+    above 1 if points at the ends of ordered factors determine their slopes better.
+    ``correlation``: the largest between two factors' own slopes; ``imbalance``: the difference between the most and
+    the least frequent level of a factor, as a share of the points.
     """
 
     points: int
@@ -123,12 +123,13 @@ class Quality:
     imbalance: float
 
 
-def fractional(factors: int, resolution: int) -> Ints:
-    """The levels (2^b, K) 0 and 1 of a two-level fractional factorial of at least that resolution, b as small as found.
+def make_fractional(factors: int, resolution: int) -> Ints:
+    """The levels (2^b, K) 0 and 1 of a two-level fractional factorial of at least that resolution.
 
-    Resolution 3: main effects are clear of each other; 4: also of two-factor interactions; 5: these of each other too
-    (Box and Hunter, Technometrics 3, 1961). Columns are parities of the run's number; any ``resolution - 1`` of them
-    are independent, picked in order, smallest first, like the words of a lexicographic code.
+    Resolution 3: main effects are not confounded with each other; 4: nor with two-factor interactions; 5: nor are these
+    with each other (Box and Hunter, Technometrics 3, 1961). Columns are parities of the run's number; any
+    ``resolution - 1`` of them are independent, picked in order, smallest first, like the words of a lexicographic code.
+    b is the smallest that this gives.
     """
     if factors < 1 or not 3 <= resolution <= 5:
         raise ValueError(f"fractional: expected factors from 1 and resolution 3, 4 or 5, got {factors}, {resolution}")
@@ -139,11 +140,11 @@ def fractional(factors: int, resolution: int) -> Ints:
     raise AssertionError  # counting has no end
 
 
-def optimal(model: Model, points: int, rng: np.random.Generator) -> Ints:
-    """The levels (N, K) of a D-optimal design: the points whose columns are as independent as exchanges make them.
+def make_optimal(model: Model, points: int, rng: np.random.Generator) -> Ints:
+    """The levels (N, K) of a D-optimal design.
 
     Coordinate exchange (Meyer and Nachtsheim, Technometrics 37, 1995) from a Latin hypercube over the levels, which is
-    balanced; ValueError where the points are fewer than the model's columns.
+    balanced. Raises ValueError if there are fewer points than columns of the model.
     """
     if points < len(model.terms):
         raise ValueError(f"points: {points} are too few for a model of {len(model.terms)} columns")
@@ -157,25 +158,25 @@ def optimal(model: Model, points: int, rng: np.random.Generator) -> Ints:
     return search.design
 
 
-def space_filling(factors: int, points: int, rng: np.random.Generator, kind: str = "sobol") -> Floats:
-    """Points (N, K) within (0, 1) that leave no corner out: "sobol" (scrambled) or "latin" (hypercube)."""
+def make_space_filling(factors: int, points: int, rng: np.random.Generator, kind: str = "sobol") -> Floats:
+    """Space-filling points (N, K) within (0, 1): "sobol" (scrambled) or "latin" (hypercube)."""
     if kind == "latin":
         return _units(factors, points, rng)
     drawn = qmc.Sobol(factors, scramble=True, seed=rng).random_base2(max(points - 1, 1).bit_length())
     return np.asarray(drawn[:points])
 
 
-def grid(levels: Sequence[int]) -> Ints:
-    """Every combination (N, K) of so many levels, the last factor running fastest."""
+def make_grid(levels: Sequence[int]) -> Ints:
+    """Every combination (N, K) of so many levels; the last factor changes fastest."""
     return np.array(list(product(*map(range, levels))), dtype=np.int64).reshape(-1, len(levels))
 
 
-def quality(model: Model, positions: Floats) -> Quality:
-    """How good positions (N, K) are for a model."""
+def assess_design(model: Model, positions: Floats) -> Quality:
+    """How well positions (N, K) support a model."""
     rows = np.asarray(positions, dtype=np.float64)
     columns = model.matrix(rows)
     sign, logarithm = np.linalg.slogdet(columns.T @ columns / len(rows))
-    slopes = [between(_ordered(axis), rows[:, k]) for k, axis in enumerate(model.axes)]
+    slopes = [interpolate_rows(_ordered(axis), rows[:, k]) for k, axis in enumerate(model.axes)]
     centred = [slope - slope.mean(axis=0) for slope in slopes]
     correlations = [
         abs(float(a @ b)) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12)
@@ -192,8 +193,8 @@ def quality(model: Model, positions: Floats) -> Quality:
     )
 
 
-def between(levels: Floats, positions: Floats) -> Floats:
-    """Rows of (L, C) at positions (N,), in proportion between two levels."""
+def interpolate_rows(levels: Floats, positions: Floats) -> Floats:
+    """Rows of (L, C) at positions (N,), linear between two levels."""
     low = np.clip(np.floor(positions).astype(np.int64), 0, len(levels) - 1)
     high = np.minimum(low + 1, len(levels) - 1)
     share = (positions - low)[:, None]
@@ -216,7 +217,7 @@ def _independent(base: int, factors: int, together: int) -> list[int]:
 
 
 class _Exchange:
-    """A design on its way to a large determinant of X'X; ``slopes`` are the factors' ``crossed`` columns."""
+    """The coordinate exchange of one design; ``slopes`` are the factors' ``crossed`` columns."""
 
     def __init__(self, model: Model, design: Ints) -> None:
         self.model, self.design = model, design
@@ -227,13 +228,13 @@ class _Exchange:
         self.paired = np.array([len(term) == 2 for term in model.terms])
 
     def renew(self) -> None:
-        """Computes the inverse anew: sums of updates wander off."""
+        """Computes the inverse from scratch, because rounding errors of updates add up."""
         size = self.columns.shape[1]
         information = self.columns.T @ self.columns + RIDGE * np.eye(size)
         self.inverse = np.asarray(np.linalg.inv(information), dtype=np.float64)
 
     def improve(self, row: int, factor: int) -> bool:
-        """Gives one coordinate the level that makes the determinant largest; whether that is another one.
+        """Sets one coordinate to the level with the largest determinant; whether it changed.
 
         det(X'X - x x' + y y') / det(X'X) = (1 + y'Dy)(1 - x'Dx) + (x'Dy)^2 with D = inv(X'X).
         """

@@ -1,4 +1,4 @@
-"""What the points of a design tell: the effect of every factor, and of every two together, with intervals."""
+"""Effects of factors and of their interactions, fitted by least squares, with intervals."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from evalkit.stats.intervals import CONFIDENCE, Interval
 
 @dataclass(frozen=True)
 class Effect:
-    """By how much the response differs between two levels of a factor, the others balanced over theirs."""
+    """The difference of the response between two levels of a factor, averaged over all others."""
 
     factor: str
     level: int
@@ -30,8 +30,8 @@ class Effect:
 class FactorEffect:
     """A factor's effects: every level's distance from the mean over its levels, and the worst level against the best.
 
-    ``levels``: intervals (L,) of the levels' distances. ``share``: of the response's variance, by what leaving the
-    factor's own columns out would cost (type III).
+    ``levels``: intervals (L,) of the levels' distances. ``share`` of the response's variance that is lost without the
+    factor's own columns (type III).
     """
 
     factor: str
@@ -42,11 +42,10 @@ class FactorEffect:
 
 @dataclass(frozen=True)
 class Interaction:
-    """How much the effect of one factor depends on another: the difference of its effects at two levels of the other.
+    """How the effect of one factor depends on another: the difference of its effects at two levels of the other.
 
-    ``value``: (effect of ``a_levels`` at ``b_levels[1]``) - (the same at ``b_levels[0]``), the pair of corners where it
-    is largest. ``strict``: the same interval so wide that all pairs of the study together hold with its confidence
-    (Bonferroni).
+    ``value``: (effect of ``a_levels`` at ``b_levels[1]``) - (the same at ``b_levels[0]``), for the pair of corners with
+    the largest difference. ``strict``: the interval adjusted for all pairs of the design (Bonferroni).
     """
 
     a: str
@@ -58,17 +57,17 @@ class Interaction:
     share: float
 
     @property
-    def matters(self) -> bool:
-        """Whether the strict interval tells its sign."""
+    def significant(self) -> bool:
+        """Whether the strict interval excludes zero."""
         return self.strict.excludes(0.0)
 
 
 @dataclass(frozen=True, eq=False)
 class ModelFit:
-    """A model fitted to the response (N,) at positions (N, K) by least squares.
+    """A model fitted_designs to the response (N,) at positions (N, K) by least squares.
 
-    Intervals are Student's t with the covariance that holds when points scatter unequally (HC3, MacKinnon and White, J.
-    Econometrics 29, 1985). ValueError where the points are not more than the columns or do not tell them apart.
+    Intervals are Student's t with a covariance that allows unequal variances (HC3, MacKinnon and White, J. Econometrics
+    29, 1985). Raises ValueError if there are not more points than columns, or the columns are not independent.
     """
 
     model: Model
@@ -80,16 +79,16 @@ class ModelFit:
         if points <= columns:
             raise ValueError(f"response: {points} points are too few for the {columns} columns of the model")
         if np.linalg.matrix_rank(self._columns) < columns:
-            raise ValueError("positions: the design does not tell the model's columns apart")
+            raise ValueError("positions: the model's columns are not independent in this design")
 
     @cached_property
     def mean(self) -> Interval:
-        """The response in the middle of all levels."""
+        """The response averaged over all levels."""
         return self._interval(np.eye(self._columns.shape[1])[0])
 
     @cached_property
     def residual(self) -> float:
-        """The standard deviation of what the model does not explain, in the response's unit."""
+        """The standard deviation of the residuals, in the response's unit."""
         return float(np.sqrt(np.sum(self._residuals**2) / self._free))
 
     @cached_property
@@ -99,7 +98,7 @@ class ModelFit:
         return 1.0 - float(np.sum(self._residuals**2)) / total if total > 0.0 else 1.0
 
     def predict(self, positions: Floats) -> Floats:
-        """The response (M,) that the model expects at positions (M, K)."""
+        """The predicted response (M,) at positions (M, K)."""
         return np.asarray(self.model.matrix(positions) @ self._coefficients)
 
     def factor(self, number: int) -> FactorEffect:
@@ -113,7 +112,7 @@ class ModelFit:
         return FactorEffect(axis.name, levels, largest, self._share((number,)))
 
     def expected(self, levels: Mapping[int, int]) -> Interval:
-        """The response at levels of some factors, given by number, balanced over the levels of all others."""
+        """The response at levels of some factors, given by number, averaged over the levels of all others."""
         row = np.zeros(self._columns.shape[1])
         row[0] = 1.0
         for number, level in levels.items():
@@ -124,12 +123,12 @@ class ModelFit:
         return self._interval(row)
 
     def difference(self, number: int, level: int, against: int) -> Effect:
-        """The effect of going from one level of a factor to another."""
+        """The effect of a change from level ``against`` of a factor to ``level``."""
         rows = self._own(number)
         return Effect(self.model.axes[number].name, level, against, self._interval(rows[level] - rows[against]))
 
     def interactions(self) -> tuple[Interaction, ...]:
-        """Every two factors' interaction, the largest share of the variance first; none in a model without pairs."""
+        """All interactions, the largest share of the variance first; none in a model without pairs."""
         pairs = list(combinations(range(len(self.model.axes)), 2)) if self.model.pairs else []
         found = [self._interaction(a, b, len(pairs)) for a, b in pairs]
         return tuple(sorted(found, key=lambda item: -item.share))

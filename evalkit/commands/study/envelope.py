@@ -1,4 +1,4 @@
-"""The operating envelope: how far two conditions may grow together before a response leaves its limit."""
+"""The operating envelope: how far two conditions can grow together while a response keeps its limit."""
 
 from __future__ import annotations
 
@@ -19,9 +19,10 @@ from evalkit.stats.intervals import Interval, wilson_interval
 class Panel:
     """One map of the envelope, (R, C) over the levels of y and x, for the levels ``others`` of the other factors.
 
-    ``worst``: of all seeds, nan where one is lost; ``lost``: how many seeds are. ``inside``: within the limit, as is
-    everything that is less in both conditions. ``box``: the columns and rows of the largest rectangle inside, from the
-    smallest levels on; (0, 0) if there is none. ``held``: how sure it is that a drive within the box keeps the limit.
+    ``worst``: of all seeds, nan if one is lost; ``lost``: number of lost seeds. ``inside``: this cell and all cells
+    with smaller conditions keep the limit. ``box``: columns and rows of the largest rectangle inside, from the smallest
+    levels on; (0, 0) if there is none. ``held``: interval of the probability that a drive within the box keeps the
+    limit.
     """
 
     others: Mapping[str, str]
@@ -33,23 +34,23 @@ class Panel:
 
     @property
     def label(self) -> str:
-        """The other factors' levels in words."""
-        return ", ".join(said(name, level) for name, level in self.others.items())
+        """The other factors' levels as text."""
+        return ", ".join(describe_level(name, level) for name, level in self.others.items())
 
 
-def said(factor: str, level: str) -> str:
-    """A level in words: with its factor where it is a number or a switch, alone where it is a name."""
+def describe_level(factor: str, level: str) -> str:
+    """A level as text: with its factor if it is a number or a switch, alone if it is a name."""
     return level if level[:1].isalpha() and level not in ("on", "off") else f"{factor} {level}"
 
 
-def below(within: Bools) -> Bools:
-    """Which cells (R, C) hold together with all cells that are not larger in either direction."""
+def enclosed_cells(within: Bools) -> Bools:
+    """Marks (R, C) of the cells that are true together with all cells before them in both directions."""
     rows = np.logical_and.accumulate(within, axis=0)
     return np.asarray(np.logical_and.accumulate(rows, axis=1))
 
 
 def largest_box(inside: Bools) -> tuple[int, int]:
-    """Columns and rows of the largest rectangle from the first cell that lies inside; of equals the widest."""
+    """Columns and rows of the largest rectangle inside from the first cell on; the widest of equal ones."""
     heights = [int(column.argmin()) if not column.all() else len(column) for column in inside.T]
     found = (0, 0)
     for width, height in enumerate(np.minimum.accumulate(heights).tolist(), 1):
@@ -58,10 +59,10 @@ def largest_box(inside: Bools) -> tuple[int, int]:
     return found
 
 
-def panels(outcome: StudyResult, choice: EnvelopeChoice) -> tuple[Panel, ...]:
+def compute_panels(outcome: StudyResult, choice: EnvelopeChoice) -> tuple[Panel, ...]:
     """A panel for every combination of the other factors' levels, in the order of the design."""
     design = outcome.study.design(choice.design)
-    x, y = axes(design, choice)
+    x, y = envelope_axes(design, choice)
     others = [factor for factor in design.factors if factor.name not in (choice.x, choice.y)]
     grouped: dict[tuple[str, ...], dict[tuple[str, str], Point]] = {}
     for point in design.points:
@@ -73,24 +74,24 @@ def panels(outcome: StudyResult, choice: EnvelopeChoice) -> tuple[Panel, ...]:
     )
 
 
-def axes(design: Design, choice: EnvelopeChoice) -> tuple[Factor, Factor]:
+def envelope_axes(design: Design, choice: EnvelopeChoice) -> tuple[Factor, Factor]:
     """The factors of the two axes."""
     by_name = {factor.name: factor for factor in design.factors}
     return by_name[choice.x], by_name[choice.y]
 
 
-def within(choice: EnvelopeChoice, values: Floats) -> Bools:
-    """Which values keep the limit; nan keeps none."""
+def is_within_limit(choice: EnvelopeChoice, values: Floats) -> Bools:
+    """Marks of the values that keep the limit; nan does not."""
     higher = choice.response.metric.better == "higher"
     return np.asarray(values >= choice.limit if higher else values <= choice.limit)
 
 
-def sentences(choice: EnvelopeChoice, design: Design, found: Sequence[Panel]) -> list[str]:
-    """What the panels say, a sentence for each level of the last other factor: up to where, and on how many drives."""
-    told = []
+def describe_panels(choice: EnvelopeChoice, design: Design, found: Sequence[Panel]) -> list[str]:
+    """A sentence for each level of the last other factor: the ends of the box, and the number of drives."""
+    lines = []
     for name in dict.fromkeys(_last(panel) for panel in found):
         own = [panel for panel in found if _last(panel) == name]
-        reached = [reach(choice, design, panel) for panel in own]
+        reached = [describe_reach(choice, design, panel) for panel in own]
         drives = [panel.held.support if panel.held else 0 for panel in own]
         if len(set(reached)) == 1:
             words = reached[0] + ("" if len(own) == 1 else f" at every {' and '.join(list(own[0].others)[:-1])}")
@@ -101,22 +102,22 @@ def sentences(choice: EnvelopeChoice, design: Design, found: Sequence[Panel]) ->
                 _with_drives(f"{words} at {head}", count)
                 for words, head, count in zip(reached, heads, drives, strict=True)
             ]
-        told.append(f"{name}: {'; '.join(parts)}." if name else f"{parts[0]}.")
-    return told
+        lines.append(f"{name}: {'; '.join(parts)}." if name else f"{parts[0]}.")
+    return lines
 
 
-def reach(choice: EnvelopeChoice, design: Design, panel: Panel) -> str:
-    """The ends of a panel's box in words."""
-    x, y = axes(design, choice)
+def describe_reach(choice: EnvelopeChoice, design: Design, panel: Panel) -> str:
+    """The ends of a panel's box as text."""
+    x, y = envelope_axes(design, choice)
     columns, rows = panel.box
     if not columns:
         return f"not even at {_level(x, 0)} and {_level(y, 0)}"
     most = columns == len(x.levels) and rows == len(y.levels)
-    return f"up to {_level(x, columns - 1)} and {_level(y, rows - 1)}{', the most that was driven,' if most else ''}"
+    return f"up to {_level(x, columns - 1)} and {_level(y, rows - 1)}{', the largest levels tested,' if most else ''}"
 
 
 def _last(panel: Panel) -> str:
-    return said(list(panel.others)[-1], list(panel.others.values())[-1]) if panel.others else ""
+    return describe_level(list(panel.others)[-1], list(panel.others.values())[-1]) if panel.others else ""
 
 
 def _with_drives(words: str, drives: int) -> str:
@@ -130,14 +131,14 @@ def _panel(
     others: Mapping[str, str],
     points: Mapping[tuple[str, str], Point],
 ) -> Panel:
-    x, y = axes(design, choice)
+    x, y = envelope_axes(design, choice)
     rows = [[points[b.label, a.label] for a in x.levels] for b in y.levels]
     response = choice.response
     values = np.array([[outcome.row(design, response, point) for point in row] for row in rows])
     gone = np.array([[[bool(outcome.lost(p.key, seed)) for seed in design.runs(p)] for p in row] for row in rows])
     pick = np.min if response.metric.better == "higher" else np.max
     worst = np.where(gone.any(axis=2), np.nan, pick(values, axis=2))
-    inside = below(within(choice, worst))
+    inside = enclosed_cells(is_within_limit(choice, worst))
     columns, height = largest_box(inside)
     drives = columns * height * values.shape[2]
     held = wilson_interval(drives, drives) if drives else None

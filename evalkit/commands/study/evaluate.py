@@ -1,4 +1,4 @@
-"""One point of a study computed in this process: the back end follows the sequence, and is scored as in the report."""
+"""Run and score one point of a study in this process, with the same metrics as the report."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ from evalkit.plugins import protocols, registry
 from evalkit.plugins.parameters import Value
 
 DRAWN = ("map against truth", "map consistency")
-"""Groups of metrics that look at a map."""
+"""Groups of metrics that need a map."""
 
 OF_SCANS = frozenset(metric.name for metric in (*pairs.METRICS, *spans.METRICS))
-"""Metrics of other groups that look at scans as they were placed."""
+"""Metrics of other groups that need the scans at the estimated poses."""
 
 KEPT_SEQUENCES = 2
-"""So many sequences stay in memory: points of one sequence follow each other."""
+"""Sequences to keep in memory; points of one sequence follow each other."""
 
 
 class RunScores(TypedDict):
@@ -81,10 +81,10 @@ def evaluate(
     }
 
 
-def prepared(dataset: str, sequence: Mapping[str, Value]) -> None:
-    """Makes what a sequence makes only once, so that the first run on it does not pay for all."""
+def prepare_sequence(dataset: str, sequence: Mapping[str, Value]) -> None:
+    """Simulates a sequence, so that the first run on it is not charged with that time."""
     driven = _sequence(dataset, json.dumps(dict(sequence), sort_keys=True))
-    with suppress(Exception):  # raised again where the run asks for it, and told there
+    with suppress(Exception):  # the run raises and reports it again
         next(iter(driven.frames()), None)
 
 
@@ -94,7 +94,7 @@ def _sequence(dataset: str, parameters: str) -> protocols.Sequence:
 
 
 def _run(request: Request, sequence: protocols.Sequence) -> RunResult:
-    """What the back end answers, as far as it comes."""
+    """Runs the back end on the sequence; an exception ends the run and is its cause."""
     steps = io.BytesIO()
     cause, reason = Cause.COMPLETED, ""
     try:
@@ -112,7 +112,7 @@ def _run(request: Request, sequence: protocols.Sequence) -> RunResult:
 def _scored(
     run: RunResult, sequence: protocols.Sequence, make_mapper: Any, scans: int, names: Sequence[str]
 ) -> dict[str, Score]:
-    """The named scores; the map is drawn only where a metric looks at it, or has no answer without."""
+    """The named scores; the map is drawn only if a metric needs it, or has no value without it."""
     table = {metric.name: metric for metric in metrics.all_metrics() if metric.name in names}
     evidence = scoring.collect_evidence(run, sequence)
     plain = [metric for metric in table.values() if metric.group not in DRAWN and metric.name not in OF_SCANS]

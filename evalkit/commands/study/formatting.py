@@ -1,10 +1,10 @@
-"""What a study's numbers are called in sentences and tables."""
+"""Sentences and numbers for the page of a study."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from evalkit.commands.study.charts import steps
+from evalkit.commands.study.charts import describe_step
 from evalkit.commands.study.effects import FactorEffect, ModelFit
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Response, Study
 from evalkit.commands.study.result import StudyResult
@@ -12,64 +12,65 @@ from evalkit.report.formatting import join_words
 from evalkit.stats.intervals import Interval
 
 
-def fitted(outcome: StudyResult, response: Response) -> list[tuple[Design, ModelFit]]:
-    """The designs that effects on a response can be computed for."""
-    found = [(d, outcome.fit(d, response)) for d in outcome.study.designs if d.kind in ("optimal", "fractional")]
-    return [(design, fit) for design, fit in found if isinstance(fit, ModelFit)]
+def fitted_designs(outcome: StudyResult, response: Response) -> list[tuple[Design, ModelFit]]:
+    """The designs for which effects on a response can be computed, with their fits."""
+    return [(design, fit) for design in outcome.study.designs if (fit := outcome.fit(design, response)) is not None]
 
 
-def ranked(design: Design, fit: ModelFit) -> list[FactorEffect]:
-    """The factors' effects, the largest first."""
-    found = [fit.factor(number) for number in range(len(design.factors))]
-    return sorted(found, key=lambda effect: -effect.largest.value.value)
+def rank_effects(design: Design, fit: ModelFit) -> list[FactorEffect]:
+    """The effects of all factors, the largest first."""
+    effects = [fit.factor(number) for number in range(len(design.factors))]
+    return sorted(effects, key=lambda effect: -effect.largest.value.value)
 
 
-def main_words(response: Response, design: Design, fit: ModelFit, most: int = 3) -> str:
-    """The largest effects whose intervals tell the sign, in a sentence."""
-    found = ranked(design, fit)
-    sure = [effect for effect in found if effect.largest.value.excludes(0.0)]
-    if not sure:
-        return f"no factor's effect on {response.metric.label} is told from chance."
-    words = [f"{step_words(design, effect)} ({amount(response, effect.largest.value)})" for effect in sure[:most]]
+def describe_main_effects(response: Response, design: Design, fit: ModelFit, most: int = 3) -> str:
+    """A sentence with the largest significant effects."""
+    significant = [effect for effect in rank_effects(design, fit) if effect.largest.value.excludes(0.0)]
+    if not significant:
+        return f"No factor has a significant effect on {response.metric.label}."
+    words = [
+        f"{describe_largest_step(design, effect)} ({format_effect(response, effect.largest.value)})"
+        for effect in significant[:most]
+    ]
     return f"{response.metric.label} depends most on {join_words(words)}."
 
 
-def pair_words(response: Response, fit: ModelFit, most: int = 4) -> str:
-    """The interactions that matter, in a sentence."""
-    found = [pair for pair in fit.interactions() if pair.matters]
+def describe_interactions(response: Response, fit: ModelFit, most: int = 4) -> str:
+    """A sentence with the significant interactions."""
+    found = [pair for pair in fit.interactions() if pair.significant]
     if not fit.model.pairs:
-        return "the design tells main effects only."
+        return "The design estimates main effects only."
     if not found:
-        return f"no two factors' interaction is told from chance on {response.metric.label}."
-    words = [f"{pair.a} x {pair.b} ({amount(response, pair.value)})" for pair in found[:most]]
+        return f"No interaction has a significant effect on {response.metric.label}."
+    words = [f"{pair.a} x {pair.b} ({format_effect(response, pair.value)})" for pair in found[:most]]
     more = f", and {len(found) - most} more" if len(found) > most else ""
-    return f"{join_words(words)}{more} interact beyond what {len(fit.interactions())} pairs would show by chance."
+    return f"Significant interactions, adjusted for {len(fit.interactions())} pairs: {join_words(words)}{more}."
 
 
-def limit_words(choice: EnvelopeChoice) -> str:
+def describe_limit(choice: EnvelopeChoice) -> str:
     """The limit of an envelope as the beginning of a sentence."""
     metric = choice.response.metric
     side = "at least" if metric.better == "higher" else "at most"
     return f"{metric.label} stays {side} {choice.limit:g} {metric.unit}".rstrip()
 
 
-def lost_words(study: Study) -> str:
-    """When a run counts as lost, and what becomes of it."""
+def describe_lost_runs(study: Study) -> str:
+    """Sentences on when a run is lost, and how lost runs enter the effects."""
     bounds = [
         f"{r.metric.label} of {r.lost:g} {r.metric.unit} or {'less' if r.metric.better == 'higher' else 'more'}"
         for r in study.responses
         if r.lost is not None
     ]
     if not bounds:
-        return "A run counts as lost when it fails."
+        return "A run is lost if it fails."
     return (
-        f"A run counts as lost when it fails or ends with {join_words(bounds)}. Lost runs are in every effect with "
-        "that bound as their value: where there are some, an effect is a lower bound of the true one."
+        f"A run is lost if it fails or ends with {join_words(bounds)}. Lost runs enter every effect with that bound as "
+        "their value; an effect with lost runs is a lower bound of the true one."
     )
 
 
-def amount(response: Response, value: Interval) -> str:
-    """An effect with its interval: a ratio on a log scale, else a difference."""
+def format_effect(response: Response, value: Interval) -> str:
+    """An effect with its interval: a ratio on a log scale, otherwise a difference."""
     if response.scale == "log":
         ends = [f"{np.exp(end):.2f}" for end in (value.value, value.low, value.high)]
         return f"x {ends[0]}, {ends[1]} to {ends[2]}"
@@ -78,20 +79,20 @@ def amount(response: Response, value: Interval) -> str:
     return f"{ends[0]} {unit}, {ends[1]} to {ends[2]}".replace(" ,", ",")
 
 
-def left(response: Response, residual: float) -> str:
-    """A scatter in words: a factor on a log scale, else an amount."""
+def format_scatter(response: Response, residual: float) -> str:
+    """A standard deviation as text: a factor on a log scale, otherwise with its unit."""
     if response.scale == "log":
         return f"a factor of {np.exp(residual):.2f}"
     return f"{residual:.{response.metric.digits}f} {response.metric.unit}".rstrip()
 
 
-def step_words(design: Design, effect: FactorEffect) -> str:
-    """The levels between which a factor's effect is largest."""
+def describe_largest_step(design: Design, effect: FactorEffect) -> str:
+    """The change of level with a factor's largest effect."""
     factor = next(factor for factor in design.factors if factor.name == effect.factor)
-    return steps(factor, effect.largest.against, effect.largest.level)
+    return describe_step(factor, effect.largest.against, effect.largest.level)
 
 
-def change(design: Design, name: str, levels: tuple[int, int]) -> str:
-    """A factor's change of level."""
+def describe_change(design: Design, name: str, levels: tuple[int, int]) -> str:
+    """A change between two levels of a factor."""
     factor = next(factor for factor in design.factors if factor.name == name)
-    return steps(factor, *levels)
+    return describe_step(factor, *levels)

@@ -1,4 +1,4 @@
-"""The page of a study: what matters, by how much, how sure, and how far it holds."""
+"""The page of a study: effects with their intervals, single factors, operating envelopes, points."""
 
 from __future__ import annotations
 
@@ -8,21 +8,27 @@ from collections.abc import Mapping
 import numpy as np
 
 from evalkit.commands.study.curves import curve_blocks, envelope_blocks
-from evalkit.commands.study.design import quality
+from evalkit.commands.study.design import assess_design
 from evalkit.commands.study.effect_tables import effect_blocks
-from evalkit.commands.study.envelope import panels, sentences
-from evalkit.commands.study.formatting import fitted, limit_words, lost_words, main_words, pair_words
+from evalkit.commands.study.envelope import compute_panels, describe_panels
+from evalkit.commands.study.formatting import (
+    describe_interactions,
+    describe_limit,
+    describe_lost_runs,
+    describe_main_effects,
+    fitted_designs,
+)
 from evalkit.commands.study.result import StudyResult
 from evalkit.report.html.document import Block, Bullets, Cell, Column, Command, Document, Fold, Section, Table, Text
 
-WHY = {
-    "optimal": "mixed levels, the points chosen so that main effects and all pairs are told apart with the least "
-    "uncertainty (D-optimal, coordinate exchange)",
+KIND_SENTENCES = {
+    "optimal": "mixed levels; the points estimate main effects and all pairs with the least uncertainty "
+    "(D-optimal, coordinate exchange)",
     "fractional": "two levels, every column a parity of the others (regular fractional factorial)",
-    "sobol": "points between the levels that leave no corner out (scrambled Sobol), to see whether effects hold there",
-    "latin": "points between the levels, each factor's range divided evenly (Latin hypercube)",
-    "curves": "one factor at a time, all else as in the study's own settings",
-    "grid": "every combination, for the map of an envelope",
+    "sobol": "points spread evenly between the levels (scrambled Sobol), to check the effects there",
+    "latin": "points between the levels, evenly over the range of each factor (Latin hypercube)",
+    "curves": "one factor at a time, all others at the study's own settings",
+    "grid": "every combination, for the operating envelope",
 }
 
 
@@ -37,40 +43,45 @@ def document(outcome: StudyResult, ran_on: Mapping[str, str]) -> Document:
 
 
 def sections(outcome: StudyResult, prefix: str = "") -> tuple[Section, ...]:
-    """All parts of a study's page; ``prefix`` stands before their anchors where a page has other parts too."""
-    made = [
-        Section("What matters", summary(outcome), f"{prefix}summary"),
+    """All sections of a study's page; ``prefix`` starts their anchors, for a page with other sections too."""
+    every = [
+        Section("What matters", summary_blocks(outcome), f"{prefix}summary"),
         Section("Design", design_blocks(outcome), f"{prefix}design"),
         Section("Effects", effect_blocks(outcome), f"{prefix}effects"),
         Section("One factor at a time", curve_blocks(outcome), f"{prefix}curves"),
         Section("Operating envelope", envelope_blocks(outcome), f"{prefix}envelope"),
         Section("Points", point_blocks(outcome), f"{prefix}points"),
     ]
-    return tuple(section for section in made if section.blocks)
+    return tuple(section for section in every if section.blocks)
 
 
-def summary(outcome: StudyResult) -> tuple[Block, ...]:
-    """The sentences that the numbers make: lost runs, largest effects, interactions, envelopes."""
-    told = []
+def summary_blocks(outcome: StudyResult) -> tuple[Block, ...]:
+    """Sentences on the largest effects, the interactions and the envelopes."""
+    lines = []
     for response in [response for response in outcome.study.responses if response.lost is not None]:
-        for design, fit in fitted(outcome, response):
-            told.append(f"{design.name}: {main_words(response, design, fit)} Together, {pair_words(response, fit)}")
+        for design, fit in fitted_designs(outcome, response):
+            lines.append(
+                f"{design.name}: {describe_main_effects(response, design, fit)} {describe_interactions(response, fit)}"
+            )
     for choice in outcome.study.envelopes:
         design = outcome.study.design(choice.design)
-        told += [f"{limit_words(choice)}, {words}" for words in sentences(choice, design, panels(outcome, choice))]
-    return (Bullets(told),) if told else ()
+        lines += [
+            f"{describe_limit(choice)}, {words}"
+            for words in describe_panels(choice, design, compute_panels(outcome, choice))
+        ]
+    return (Bullets(lines),) if lines else ()
 
 
 def design_blocks(outcome: StudyResult) -> tuple[Block, ...]:
-    """What was tried and why so."""
+    """The table of designs, and the definition of a lost run."""
     rows = []
     for design in outcome.study.designs:
         lost, runs = outcome.counts(design)
         full = int(np.prod([len(factor.levels) for factor in design.factors]))
-        good = quality(design.model, design.positions) if design.kind in ("optimal", "fractional") else None
+        good = assess_design(design.model, design.positions) if design.kind in ("optimal", "fractional") else None
         rows.append((
             design.name,
-            WHY[design.kind],
+            KIND_SENTENCES[design.kind],
             ", ".join(factor.name for factor in design.factors),
             Cell(f"{len(design.points):,}", len(design.points)),
             Cell(f"{full:,}", full) if design.kind != "curves" else "",
@@ -86,7 +97,7 @@ def design_blocks(outcome: StudyResult) -> tuple[Block, ...]:
         Column("Efficiency", number=True, tip="information per point and column, as a share of the full grid's"),
         Column("Correlation", number=True, tip="the largest between two factors' slopes; 0: orthogonal"),
     )  # fmt: skip
-    return (Table(columns, rows, sortable=False), Text(lost_words(outcome.study), "note"))
+    return (Table(columns, rows, sortable=False), Text(describe_lost_runs(outcome.study), "note"))
 
 
 def point_blocks(outcome: StudyResult) -> tuple[Block, ...]:
@@ -103,17 +114,17 @@ def point_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     columns = ("Key", "Design", "Levels", Column(metric.label, metric.unit, number=True), Column("Lost", number=True))
     key = rows[0][0]
     return (
-        Text("Every point is computed again, and its settings are printed as an experiment, by its key:"),
+        Text("Compute one point again, and print its settings as an experiment, by its key:"),
         Command(point_command(outcome.study.command, key)),
         Fold(f"{len(rows):,} points", (Table(columns, rows),)),
     )
 
 
 def point_command(command: str, key: str) -> str:
-    """What computes one point alone."""
+    """The command that computes one point."""
     return f"{command} --point {shlex.quote(key)}"
 
 
 def cpu_minutes(outcome: StudyResult) -> float:
-    """What all runs cost together."""
+    """CPU time of all runs, in minutes."""
     return float(sum(result["cpu_s"] for result in outcome.results.values())) / 60.0

@@ -1,18 +1,18 @@
-"""A study: designs of points, each a run to be made and kept."""
+"""A study: responses, factors, designs and their points, ready to run."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
 from evalkit.commands.study.design import Model
 from evalkit.commands.study.evaluate import RunScores, evaluate
 from evalkit.commands.study.factors import Factor, FactorLevel, Scale
-from evalkit.config.experiment import Limits
+from evalkit.config.experiment import Experiment, Limits, MapperChoice, Method, SequenceSpec
 from evalkit.core.se2 import Floats
 from evalkit.execution.task import Task, make_task
 from evalkit.metrics.table import Metric
@@ -25,7 +25,7 @@ Kind = Literal["optimal", "fractional", "sobol", "latin", "curves", "grid"]
 
 @dataclass(frozen=True)
 class Response:
-    """A metric that is looked at; ``lost``: a run with a worse value, or without one, counts as lost, with this value.
+    """A metric to study; ``lost``: a run with a worse value, or without a value, is lost and counts with this value.
 
     ``scale`` "log": effects are ratios.
     """
@@ -40,7 +40,7 @@ class Response:
         return self.metric.name
 
     def worse(self, value: float) -> bool:
-        """Whether a value is beyond the bound."""
+        """Whether a value is at or beyond the bound."""
         if self.lost is None:
             return False
         return value <= self.lost if self.metric.better == "higher" else value >= self.lost
@@ -48,7 +48,7 @@ class Response:
 
 @dataclass(frozen=True)
 class Point:
-    """One point: its levels by factor, all settings in full, and a ``key`` of them that no other study point has."""
+    """One point: its levels by factor and all settings in full."""
 
     levels: Mapping[str, FactorLevel]
     method: Mapping[str, Value]
@@ -57,21 +57,21 @@ class Point:
 
     @cached_property
     def key(self) -> str:
-        """Eight digits that change with every setting."""
+        """Eight hexadecimal digits that change with every setting."""
         whole = [dict(self.method), dict(self.sequence), dict(self.mapper)]
         return hashlib.sha256(json.dumps(whole, sort_keys=True).encode()).hexdigest()[:8]
 
     @property
     def label(self) -> str:
-        """The levels in words."""
+        """The levels as text."""
         return ", ".join(f"{name} {level.label}" for name, level in self.levels.items()) or "the study's own settings"
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Points that belong together: ``positions`` (N, K) of ``factors``, and the points in the same order.
+    """The points of one design: ``positions`` (N, K) over ``factors``, and the points in the same order.
 
-    Curves have no positions: every factor's levels one after the other, all else as in the study's own settings.
+    Curves have no positions: the levels of one factor after the other, all others at the study's own settings.
     """
 
     name: str
@@ -84,7 +84,7 @@ class Design:
     dealt: bool = False
 
     def runs(self, point: Point) -> tuple[int | None, ...]:
-        """The seeds a point is run with: all, or one in turn where they are dealt out over the points."""
+        """The seeds of a point: all, or one in turn if they are dealt out over the points."""
         return (self.seeds[self._turns[point.key] % len(self.seeds)],) if self.dealt else self.seeds
 
     @cached_property
@@ -93,13 +93,13 @@ class Design:
 
     @property
     def model(self) -> Model:
-        """What effects of its factors are computed for."""
+        """The model whose effects are computed."""
         return Model(tuple(factor.axis for factor in self.factors), self.kind != "fractional" or self.resolution >= 5)
 
 
 @dataclass(frozen=True)
 class EnvelopeChoice:
-    """Where an operating envelope is looked for: a grid design, its two axes, a response and its limit."""
+    """An operating envelope to find: a grid design, its two axes, a response and its limit."""
 
     design: str
     x: str
@@ -110,7 +110,7 @@ class EnvelopeChoice:
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """A whole study, ready to run. ``command``: what runs it; ``limit_s``: seconds that one run may take."""
+    """A whole study, ready to run. ``command`` runs it; ``limit_s``: wall clock time of one run."""
 
     title: str
     description: str
@@ -136,7 +136,7 @@ class Study:
         return next(design for design in self.designs if design.name == name)
 
     def seeds(self, key: str) -> tuple[int | None, ...]:
-        """The seeds a point is run with: those of all designs that share it."""
+        """The seeds of a point in all designs that share it."""
         return self._seeds[key]
 
     @cached_property
@@ -162,12 +162,21 @@ class Study:
             code=self.code + files_digest(sequence),
         ).limited(self.limit_s)  # fmt: skip
 
+    def point_experiment(self, key: str) -> Experiment:
+        """The experiment that runs one point with all its seeds."""
+        point = self.points[key]
+        return Experiment(
+            key, f"{self.title}: {key}", "", self.command, (Method(self.backend, self.backend, point.method),),
+            (SequenceSpec(self.dataset, self.dataset, point.sequence, self.seeds(key)),),
+            MapperChoice(self.mapper, point.mapper, self.scans), replace(Limits(), run_s=self.limit_s),
+        )  # fmt: skip
+
     @cached_property
     def code(self) -> str:
-        """A digest of the plug-ins the results stand on."""
+        """A digest of the sources of the plug-ins."""
         return registry.run_fingerprint(self.backend, self.dataset) + registry.score_fingerprint(self.mapper)
 
 
 def task_name(key: str, seed: int | None) -> str:
-    """What a run is called: the point's key and the seed."""
+    """The name of a run's task: the point's key and the seed."""
     return key if seed is None else f"{key} seed {seed}"

@@ -1,4 +1,4 @@
-"""The results of a study as tables of numbers, with lost runs at their bound instead of left out."""
+"""The results of a study as tables of numbers; lost runs enter with their bound as value."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from evalkit.execution.task_store import TaskStore
 
 @dataclass(frozen=True, eq=False)
 class StudyResult:
-    """A study with the results of its jobs by name."""
+    """A study with the results of its tasks by name."""
 
     study: Study
     results: Mapping[str, RunScores]
@@ -31,16 +31,16 @@ class StudyResult:
         return self.results[task_name(key, seed)]
 
     def value(self, response: Response, key: str, seed: int | None) -> float | None:
-        """What a metric answered, None where it had no answer."""
+        """The value of a metric, None if it has none."""
         return self.result(key, seed)["scores"][response.name]
 
     def lost(self, key: str, seed: int | None) -> str:
-        """Why a run counts as lost, "" if it does not: it failed, or a response is beyond its bound."""
-        return why_lost(self.result(key, seed), self.study.responses)
+        """Why a run is lost (it failed, or a response is beyond its bound), or ""."""
+        return find_loss_reason(self.result(key, seed), self.study.responses)
 
-    def bounded(self, response: Response, key: str, seed: int | None) -> float:
-        """A metric with the response's bound for runs beyond it, without an answer or failed; nan without a bound."""
-        return bounded(self.result(key, seed), response)
+    def bounded_value(self, response: Response, key: str, seed: int | None) -> float:
+        """A metric's value; the response's bound (nan without one) if the run is lost by it or failed."""
+        return bounded_value(self.result(key, seed), response)
 
     def table(self, design: Design, response: Response) -> Floats:
         """The bounded metric (N, S) of a design's points and seeds."""
@@ -48,27 +48,32 @@ class StudyResult:
 
     def row(self, design: Design, response: Response, point: Point) -> Floats:
         """The bounded metric (S,) of one point."""
-        return np.array([self.bounded(response, point.key, seed) for seed in design.runs(point)])
+        return np.array([self.bounded_value(response, point.key, seed) for seed in design.runs(point)])
 
     def counts(self, design: Design) -> tuple[int, int]:
-        """How many of a design's runs are lost, and how many there are."""
+        """The number of a design's lost runs and of all its runs."""
         lost = [self.lost(point.key, seed) for point in design.points for seed in design.runs(point)]
         return sum(map(bool, lost)), len(lost)
 
     @cache  # noqa: B019 - an outcome lives as long as its page is made
-    def fit(self, design: Design, response: Response) -> ModelFit | str:
-        """The effects on a response (its logarithm on a log scale), means over the seeds; or why there are none."""
-        values = on_scale(response, self.table(design, response))
-        told = np.isfinite(values).any(axis=1)
-        means = np.array([row[np.isfinite(row)].mean() for row in values[told]])
+    def fit(self, design: Design, response: Response) -> ModelFit | None:
+        """The effects on a response (its logarithm on a log scale), from means over the seeds.
+
+        None for a design without a model, and if too few points have a value.
+        """
+        if design.kind not in ("optimal", "fractional"):
+            return None
+        values = to_scale(response, self.table(design, response))
+        known = np.isfinite(values).any(axis=1)
+        means = np.array([row[np.isfinite(row)].mean() for row in values[known]])
         try:
-            return ModelFit(design.model, design.positions[told], means)
-        except ValueError as error:
-            return str(error)
+            return ModelFit(design.model, design.positions[known], means)
+        except ValueError:
+            return None
 
 
-def why_lost(result: RunScores, responses: Sequence[Response]) -> str:
-    """Why a result counts as lost, "" if it does not: it failed, or a response is beyond its bound."""
+def find_loss_reason(result: RunScores, responses: Sequence[Response]) -> str:
+    """Why a run is lost (it failed, or a response is beyond its bound), or ""."""
     if result["status"] != "complete":
         return f"{result['status']}: {result['reason']}"
     for response in responses:
@@ -80,16 +85,16 @@ def why_lost(result: RunScores, responses: Sequence[Response]) -> str:
     return ""
 
 
-def bounded(result: RunScores, response: Response) -> float:
-    """A response with its bound where the result is beyond it, without an answer or failed; nan without a bound."""
+def bounded_value(result: RunScores, response: Response) -> float:
+    """A response's value; its bound (nan without one) if the run failed, has no value or is beyond the bound."""
     value = result["scores"][response.name]
     if value is None or result["status"] != "complete" or response.worse(value):
         return np.nan if response.lost is None else response.lost
     return value
 
 
-def on_scale(response: Response, values: Floats) -> Floats:
-    """Values as effects are computed on them: natural logarithms on a log scale; what has none there is nan."""
+def to_scale(response: Response, values: Floats) -> Floats:
+    """Values on a response's scale: natural logarithms on a log scale, nan where there is none."""
     if response.scale == "linear":
         return values
     return np.log(values, out=np.full_like(values, np.nan), where=values > 0.0)

@@ -1,4 +1,4 @@
-"""A study's numbers for other programs: every run, every effect, as rows of CSV and as JSON."""
+"""A study's runs, effects and envelopes as rows for CSV and as JSON."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import Any
 
 from evalkit.commands.study.effects import ModelFit
-from evalkit.commands.study.envelope import Panel, axes, panels
+from evalkit.commands.study.envelope import Panel, compute_panels, envelope_axes
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Response
 from evalkit.commands.study.result import StudyResult
 from evalkit.stats.intervals import Interval
@@ -18,7 +18,7 @@ Row = dict[str, Any]
 
 
 def runs(outcome: StudyResult) -> list[Row]:
-    """A row for every run of every design: its levels, its scores, and why it is lost, if it is."""
+    """A row for every run of every design: levels, scores, and why it is lost, or ""."""
     study = outcome.study
     names = [factor.name for factor in study.factors]
     rows: list[Row] = []
@@ -39,7 +39,7 @@ def effects(outcome: StudyResult) -> list[Row]:
     ``scale`` "log": exp(value) is a ratio.
     """
     rows: list[Row] = []
-    for design, response, fit in fits(outcome):
+    for design, response, fit in iterate_fits(outcome):
         for number, factor in enumerate(design.factors):
             found = fit.factor(number)
             for level, interval in zip(factor.levels, found.levels, strict=True):
@@ -55,12 +55,11 @@ def effects(outcome: StudyResult) -> list[Row]:
     return rows
 
 
-def fits(outcome: StudyResult) -> Iterable[tuple[Design, Response, ModelFit]]:
-    """Every design and response that effects can be computed for."""
+def iterate_fits(outcome: StudyResult) -> Iterable[tuple[Design, Response, ModelFit]]:
+    """Every design and response for which effects can be computed."""
     for design in outcome.study.designs:
-        for response in outcome.study.responses if design.kind in ("optimal", "fractional") else ():
-            fit = outcome.fit(design, response)
-            if isinstance(fit, ModelFit):
+        for response in outcome.study.responses:
+            if (fit := outcome.fit(design, response)) is not None:
                 yield design, response, fit
 
 
@@ -83,12 +82,12 @@ def record(outcome: StudyResult) -> Row:
                 **_box(outcome, choice, panel),
             }
             for choice in study.envelopes
-            for panel in panels(outcome, choice)
+            for panel in compute_panels(outcome, choice)
         ],
     }
 
 
-def as_csv(rows: list[Row]) -> str:
+def format_csv(rows: list[Row]) -> str:
     """Rows with the same names as CSV text."""
     out = io.StringIO()
     writer = csv.DictWriter(out, list(rows[0]) if rows else [], lineterminator="\n")
@@ -98,8 +97,8 @@ def as_csv(rows: list[Row]) -> str:
 
 
 def _box(outcome: StudyResult, choice: EnvelopeChoice, panel: Panel) -> Row:
-    """The ends of a panel's box by factor, None where there is none, and how many cells are lost."""
-    ends = zip(axes(outcome.study.design(choice.design), choice), panel.box, strict=True)
+    """The ends of a panel's box by factor, None without a box, and the number of lost cells."""
+    ends = zip(envelope_axes(outcome.study.design(choice.design), choice), panel.box, strict=True)
     reached = {factor.name: factor.numbers[count - 1] if factor.numbers and count else None for factor, count in ends}
     return {**reached, "lost_cells": int((panel.lost > 0).sum())}
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from evalkit.commands.study.design import Model, fractional, grid, optimal, space_filling
+from evalkit.commands.study.design import Model, make_fractional, make_grid, make_optimal, make_space_filling
 from evalkit.commands.study.factors import Factor, FactorLevel
 from evalkit.core.errors import BadParameter
 from evalkit.core.se2 import Floats
@@ -27,7 +27,7 @@ def sample(
     if kind == "curves":
         return np.zeros((0, len(factors))), [{f.name: level} for f in factors for level in f.levels]
     if kind in ("sobol", "latin"):
-        shares = space_filling(len(factors), points, np.random.default_rng(seed), kind)
+        shares = make_space_filling(len(factors), points, np.random.default_rng(seed), kind)
         return _between(factors, shares)
     levels = [len(factor.levels) for factor in factors]
     if kind == "grid":
@@ -35,18 +35,18 @@ def sample(
             raise BadParameter(
                 "a grid", "factors", math.prod(levels), f"at most {MAX_POINTS} points; take another kind"
             )
-        positions = grid(levels)
+        positions = make_grid(levels)
     elif kind == "fractional":
         if not 3 <= resolution <= 5:
             raise BadParameter("a fractional design", "resolution", resolution, "3, 4 or 5")
-        positions = fractional(len(factors), resolution) * (np.array(levels) - 1)
+        positions = make_fractional(len(factors), resolution) * (np.array(levels) - 1)
     else:
         model = Model(tuple(factor.axis for factor in factors))
         if points <= len(model.terms):
             raise BadParameter(
                 "an optimal design", "points", points, f"more than {len(model.terms)}, the columns of its model"
             )
-        positions = optimal(model, points, np.random.default_rng(seed))
+        positions = make_optimal(model, points, np.random.default_rng(seed))
     rows: list[LevelsByFactor] = [
         {f.name: f.levels[at] for f, at in zip(factors, row, strict=True)} for row in positions.tolist()
     ]

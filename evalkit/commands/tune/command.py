@@ -49,7 +49,8 @@ def tune(
     Finished runs are kept: repeat the command to continue an interrupted search.
     """
     from evalkit.commands.tune.result import TuningResult  # noqa: PLC0415 - loads matplotlib and scipy.stats
-    from evalkit.commands.tune.tuned import experiment_text, held_out_plan  # noqa: PLC0415 - as above
+    from evalkit.commands.tune.search_loop import make_held_out_experiment  # noqa: PLC0415 - loads scipy.stats
+    from evalkit.config.experiment_toml import format_experiment  # noqa: PLC0415 - as above
     from evalkit.report import build_comparison  # noqa: PLC0415 - as below
 
     options.add_working_directory()
@@ -59,13 +60,12 @@ def tune(
     ran_on = environment.describe(jobs=workers)
     started = datetime.now(UTC)
     found = _searched(tuning, folder, workers, collect)
-    experiment = folder / "tuned.toml"
-    text = experiment_text(tuning, found)
-    plan = held_out_plan(text, shlex.quote(str(experiment)))
-    write_texts(folder, {experiment.name: text})
+    file = folder / "tuned.toml"
+    plan = make_held_out_experiment(tuning, found, shlex.quote(str(file)))
+    write_texts(folder, {file.name: f"# Written by: {tuning.command}\n{format_experiment(plan)}"})
     records = _run_held_out(plan, Store(folder / "report"), workers, ran_on, collect)
     comparison = build_comparison(plan, records, started, datetime.now(UTC), ran_on)
-    report = f"evalkit compare {shlex.quote(str(experiment))} --resume --out {shlex.quote(str(folder / 'report'))}"
+    report = f"evalkit compare {shlex.quote(str(file))} --resume --out {shlex.quote(str(folder / 'report'))}"
     _end(TuningResult(tuning, found, comparison, ran_on, report), folder, as_json)
 
 

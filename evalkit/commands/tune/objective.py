@@ -10,7 +10,7 @@ import numpy as np
 
 from evalkit.commands.study.evaluate import RunScores
 from evalkit.commands.study.plan import Response
-from evalkit.commands.study.result import bounded, why_lost
+from evalkit.commands.study.result import bounded_value, find_loss_reason
 from evalkit.commands.tune.plan import COST
 from evalkit.commands.tune.space import Candidate
 from evalkit.core.se2 import Floats
@@ -58,12 +58,12 @@ class ScoredCandidate:
 
 def score_candidate(candidate: Candidate, results: Sequence[RunScores], objective: Response) -> ScoredCandidate:
     """A point with the results of its runs."""
-    errors = np.array([max(bounded(result, objective), 1e-12) for result in results])
+    errors = np.array([max(bounded_value(result, objective), 1e-12) for result in results])
     costs_ms = [cost for result in results if (cost := result["scores"][COST]) is not None]
     return ScoredCandidate(
         candidate,
         errors,
-        tuple(why_lost(result, (objective,)) for result in results),
+        tuple(find_loss_reason(result, (objective,)) for result in results),
         float(np.median(costs_ms)) if costs_ms else math.nan,
         float(sum(result["cpu_s"] for result in results)),
         all(result["status"] != "complete" for result in results),

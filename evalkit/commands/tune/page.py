@@ -190,7 +190,7 @@ def _sequences(result: TuningResult) -> list[Block]:
 
 
 def _spaces(result: TuningResult) -> list[Block]:
-    columns = ("Back end", "Parameter", Column("SearchResult"), "Scale", Column("Default"), Column("Taken"))
+    columns = ("Back end", "Parameter", Column("Searched"), "Scale", Column("Default"), Column("Taken"))
     rows: list[Sequence[Cell | str]] = []
     for one in result.searched:
         for factor in one.tunable.space.factors:

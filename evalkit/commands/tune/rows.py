@@ -70,7 +70,7 @@ def _tests(held: Sequence[HeldOutVerdict]) -> Table:
         Column("Lost", number=True, tip="runs lost: default → tuned"),
         Column("Verdict"),
     )  # fmt: skip
-    return Table(columns, [_test(one) for one in held], "TuningResult against default, over all held-out runs")
+    return Table(columns, [_test(one) for one in held], "Tuned against default, over all held-out runs")
 
 
 def _test(one: HeldOutVerdict) -> Sequence[Cell | str]:
@@ -99,7 +99,7 @@ def _differences(pairs: Sequence[tuple[str, HeldOutSequence]]) -> Table:
         Column("Detectable", number=True, tip="the difference these runs would have shown with 80 % power at 5 %"),
         Column("Shown"),
     )  # fmt: skip
-    return Table(columns, [_difference(*pair) for pair in pairs], "TuningResult against default, sequence by sequence")
+    return Table(columns, [_difference(*pair) for pair in pairs], "Tuned against default, sequence by sequence")
 
 
 def _difference(label: str, one: HeldOutSequence) -> Sequence[Cell | str]:

@@ -9,7 +9,7 @@ from itertools import chain
 
 import numpy as np
 
-from evalkit.commands.study.design import grid, space_filling
+from evalkit.commands.study.design import make_grid, make_space_filling
 from evalkit.commands.study.factors import Factor
 from evalkit.commands.tune.space import Candidate, Space, is_continuous
 from evalkit.core.se2 import Floats
@@ -62,7 +62,7 @@ class Search:
 
     def _everything(self) -> Iterator[Candidate]:
         levels = [len(factor.levels) for factor in self.space.factors]
-        for row in grid(levels).tolist():
+        for row in make_grid(levels).tolist():
             yield self.space.at([(at + 0.5) / of for at, of in zip(row, levels, strict=True)], "all")
 
     def _spread(self) -> tuple[Candidate, ...]:
@@ -72,7 +72,7 @@ class Search:
         if self._most() < self.budget:
             return _distinct(chain([start], self._everything()), (), self._most())
         factors, rng = len(self.space.factors), np.random.default_rng(self.seed)
-        shares = space_filling(factors, SPARE * self._first(), rng)
+        shares = make_space_filling(factors, SPARE * self._first(), rng)
         return _distinct(chain([start], (self.space.at(row, "spread") for row in shares)), (), self._first())
 
     def _steps(self, tried: Sequence[Candidate], best: Candidate, points: int) -> tuple[Candidate, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from evalkit.commands.study.evaluate import RunScores
@@ -16,9 +16,10 @@ from evalkit.commands.tune.objective import (
     is_better,
     score_candidate,
 )
-from evalkit.commands.tune.plan import TrainingRun, TunableMethod, Tuning
+from evalkit.commands.tune.plan import TUNED, TrainingRun, TunableMethod, Tuning
 from evalkit.commands.tune.search import Search
 from evalkit.commands.tune.space import Candidate
+from evalkit.config.experiment import Experiment, Method
 from evalkit.execution.task import Task
 from evalkit.execution.task_runner import OnDone
 from evalkit.execution.task_store import TaskStore
@@ -87,6 +88,22 @@ def run_search(tuning: Tuning, compute: Compute) -> tuple[SearchResult, ...]:
         for tunable, scored in _score(tuning, compute, candidates, tuning.search_runs):
             tried[tunable.label].append(scored)
     return _confirm(tuning, compute, methods, tried)
+
+
+def make_held_out_experiment(tuning: Tuning, results: Sequence[SearchResult], file: str) -> Experiment:
+    """The experiment of every method with its defaults, and tuned if that is better, on the held-out sequences."""
+    by_label = {one.tunable.label: one for one in results}
+    methods: list[Method] = []
+    for tunable in tuning.methods:
+        methods.append(tunable.method)
+        one = by_label.get(tunable.label)
+        if one is not None and one.tuned:
+            values = one.chosen.candidate.values
+            methods.append(replace(tunable.method, label=tunable.label + TUNED, parameters=values))
+    return Experiment(
+        "tuned", f"{tuning.title} (default and tuned methods)", tuning.description, f"compare {file}", tuple(methods),
+        tuning.held_out, tuning.mapper, tuning.limits,
+    )  # fmt: skip
 
 
 def compute_missing(folder: Path, workers: int, on_done: OnDone) -> Compute:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 
-from evalkit.commands.study.evaluate import RunScores, evaluate, prepared
+from evalkit.commands.study.evaluate import RunScores, evaluate, prepare_sequence
 from evalkit.plugins.parameters import Value
 
 MAP_SCANS = 2
@@ -34,7 +34,7 @@ def run_trial(
 
     The time to simulate the sequence does not count: it would be charged only to the first run on the sequence.
     """
-    prepared(dataset, sequence)
+    prepare_sequence(dataset, sequence)
     with _limited(cpu_s):
         return evaluate(backend, parameters, dataset, sequence, mapper, {}, MAP_SCANS, metrics, code)
 

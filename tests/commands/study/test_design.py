@@ -5,11 +5,19 @@ from itertools import combinations
 import numpy as np
 import pytest
 
-from evalkit.commands.study.design import DesignAxis, Model, fractional, grid, optimal, quality, space_filling
+from evalkit.commands.study.design import (
+    DesignAxis,
+    Model,
+    assess_design,
+    make_fractional,
+    make_grid,
+    make_optimal,
+    make_space_filling,
+)
 
 
 def signs(factors, resolution):
-    return 2 * fractional(factors, resolution) - 1
+    return 2 * make_fractional(factors, resolution) - 1
 
 
 @pytest.mark.parametrize(
@@ -17,7 +25,7 @@ def signs(factors, resolution):
     [(3, 3, 4), (7, 3, 8), (4, 4, 8), (8, 4, 16), (5, 5, 16), (6, 5, 32), (8, 5, 64), (11, 5, 128)],
 )
 def test_a_fractional_factorial_is_as_small_as_the_tables_say(factors, resolution, runs):
-    assert len(fractional(factors, resolution)) == runs  # Box, Hunter and Hunter, Statistics for Experimenters
+    assert len(make_fractional(factors, resolution)) == runs  # Box, Hunter and Hunter, Statistics for Experimenters
 
 
 def test_every_column_of_a_fractional_factorial_is_balanced_and_orthogonal_to_all_others():
@@ -38,7 +46,7 @@ def test_resolution_five_keeps_pairs_clear_of_pairs_and_resolution_four_does_not
 
 def test_an_optimal_design_for_two_levels_finds_the_orthogonal_one():
     model = Model(tuple(DesignAxis(name, 2) for name in "abcd"), pairs=False)
-    found = quality(model, optimal(model, 8, np.random.default_rng(0)))
+    found = assess_design(model, make_optimal(model, 8, np.random.default_rng(0)))
     assert found.efficiency == pytest.approx(1.0)
     assert found.correlation == pytest.approx(0.0)
     assert found.imbalance == 0.0
@@ -46,7 +54,7 @@ def test_an_optimal_design_for_two_levels_finds_the_orthogonal_one():
 
 def test_the_full_grid_is_the_measure_of_efficiency():
     model = Model((DesignAxis("a", 3, (0.0, 1.0, 2.0)), DesignAxis("b", 2), DesignAxis("c", 4)))
-    found = quality(model, grid([3, 2, 4]))
+    found = assess_design(model, make_grid([3, 2, 4]))
     assert found.points == 24
     assert found.columns == 1 + 2 + 1 + 3 + 1 + 3 + 3
     assert found.efficiency == pytest.approx(1.0)
@@ -62,20 +70,20 @@ def test_a_mixed_design_is_nearly_orthogonal_with_a_fraction_of_the_grid():
         DesignAxis("e", 2),
     )
     model = Model(axes)
-    found = quality(model, optimal(model, 48, np.random.default_rng(0)))
+    found = assess_design(model, make_optimal(model, 48, np.random.default_rng(0)))
     assert found.efficiency > 0.95
     assert found.correlation < 0.1
 
 
 def test_the_same_seed_gives_the_same_design():
     model = Model((DesignAxis("a", 3, (0.0, 1.0, 2.0)), DesignAxis("b", 2)))
-    first, second = (optimal(model, 12, np.random.default_rng(7)) for _ in range(2))
+    first, second = (make_optimal(model, 12, np.random.default_rng(7)) for _ in range(2))
     assert (first == second).all()
 
 
 @pytest.mark.parametrize("kind", ["sobol", "latin"])
 def test_space_filling_points_leave_no_quarter_of_any_factor_out(kind):
-    points = space_filling(5, 32, np.random.default_rng(1), kind)
+    points = make_space_filling(5, 32, np.random.default_rng(1), kind)
     assert points.shape == (32, 5)
     for column in points.T:
         assert np.bincount((column * 4).astype(int), minlength=4).tolist() == [8, 8, 8, 8]
@@ -83,4 +91,4 @@ def test_space_filling_points_leave_no_quarter_of_any_factor_out(kind):
 
 def test_too_few_points_for_the_model_are_refused():
     with pytest.raises(ValueError, match="points: 3 are too few for a model of 4 columns"):
-        optimal(Model((DesignAxis("a", 2), DesignAxis("b", 2))), 3, np.random.default_rng(0))
+        make_optimal(Model((DesignAxis("a", 2), DesignAxis("b", 2))), 3, np.random.default_rng(0))

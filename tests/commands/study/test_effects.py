@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evalkit.commands.study.design import DesignAxis, Model, fractional, grid, optimal
+from evalkit.commands.study.design import DesignAxis, Model, make_fractional, make_grid, make_optimal
 from evalkit.commands.study.effects import ModelFit
 
 TWO = (DesignAxis("a", 2), DesignAxis("b", 2), DesignAxis("c", 2))
@@ -14,7 +14,7 @@ def fit(model, positions, response):
 
 
 def test_a_linear_response_gives_back_its_effects_exactly():
-    rows = grid([2, 2, 2])
+    rows = make_grid([2, 2, 2])
     found = fit(Model(TWO), rows, 10.0 + 3.0 * rows[:, 0] - 2.0 * rows[:, 1])  # a adds 3, b takes 2, c does nothing
     a, b, c = (found.factor(k) for k in range(3))
     assert found.mean.value == pytest.approx(10.5)
@@ -29,7 +29,7 @@ def test_a_linear_response_gives_back_its_effects_exactly():
 
 
 def test_an_interaction_is_the_difference_of_differences():
-    rows = grid([2, 2, 2])
+    rows = make_grid([2, 2, 2])
     response = 5.0 + 4.0 * rows[:, 0] * rows[:, 1]  # a adds 4 where b is on, nothing where it is off
     first, *others = fit(Model(TWO), rows, response).interactions()
     assert (first.a, first.b) == ("a", "b")
@@ -41,11 +41,11 @@ def test_a_planted_interaction_is_found_in_noise_and_no_other_is_accepted():
     axes = (DesignAxis("a", 4, (0.0, 1.0, 2.0, 3.0)), *(DesignAxis(name, 2) for name in "bcde"))
     model = Model(axes)
     rng = np.random.default_rng(3)
-    rows = optimal(model, 64, rng)
+    rows = make_optimal(model, 64, rng)
     response = 0.3 * rows[:, 4] + 0.5 * rows[:, 0] * rows[:, 2] + rng.normal(0.0, 0.1, 64)
     found = fit(model, rows, response)
     pairs = found.interactions()
-    assert [(pair.a, pair.b) for pair in pairs if pair.matters] == [("a", "c")]
+    assert [(pair.a, pair.b) for pair in pairs if pair.significant] == [("a", "c")]
     assert pairs[0].value.low < 1.5 < pairs[0].value.high  # three steps of 0.5
     effect = found.factor(4).largest.value
     assert effect.low < 0.3 < effect.high
@@ -53,7 +53,7 @@ def test_a_planted_interaction_is_found_in_noise_and_no_other_is_accepted():
 
 def test_intervals_hold_as_often_as_they_say():
     model = Model(tuple(DesignAxis(name, 2) for name in "abcde"), pairs=False)
-    rows, rng = fractional(5, 5), np.random.default_rng(0)
+    rows, rng = make_fractional(5, 5), np.random.default_rng(0)
     held = 0
     for _ in range(400):
         value = fit(model, rows, 2.0 * rows[:, 0] + rng.normal(0.0, 1.0, len(rows))).difference(0, 1, 0).value
@@ -62,7 +62,7 @@ def test_intervals_hold_as_often_as_they_say():
 
 
 def test_levels_of_names_each_have_an_effect_of_their_own():
-    rows = grid([3, 2])
+    rows = make_grid([3, 2])
     response = np.array([1.0, 5.0, 3.0])[rows[:, 0]] + np.array([0.0, 1.0])[rows[:, 1]]
     found = fit(Model((DesignAxis("stages", 3), DesignAxis("b", 2)), pairs=False), rows, response)
     assert [level.value for level in found.factor(0).levels] == pytest.approx([-2.0, 2.0, 0.0])
@@ -71,7 +71,7 @@ def test_levels_of_names_each_have_an_effect_of_their_own():
 
 
 def test_a_model_foretells_points_between_its_levels():
-    rows = grid([3, 2, 2])
+    rows = make_grid([3, 2, 2])
     model = Model((DesignAxis("a", 3, (0.0, 1.0, 2.0)), DesignAxis("b", 2), DesignAxis("c", 2)))
     found = fit(model, rows, 2.0 * rows[:, 0] + rows[:, 0] * rows[:, 1])
     assert found.predict(np.array([[0.5, 0.0, 1.0], [1.5, 1.0, 0.0]])).tolist() == pytest.approx([1.0, 4.5])
@@ -79,6 +79,6 @@ def test_a_model_foretells_points_between_its_levels():
 
 def test_fewer_points_than_effects_are_refused():
     with pytest.raises(ValueError, match="7 points are too few for the 7 columns"):
-        fit(Model(TWO), grid([2, 2, 2])[:7], np.zeros(7))
-    with pytest.raises(ValueError, match="does not tell the model's columns apart"):
-        fit(Model(TWO), np.repeat(grid([2, 2, 2])[:4], 3, axis=0), np.zeros(12))
+        fit(Model(TWO), make_grid([2, 2, 2])[:7], np.zeros(7))
+    with pytest.raises(ValueError, match="model's columns are not independent in this design"):
+        fit(Model(TWO), np.repeat(make_grid([2, 2, 2])[:4], 3, axis=0), np.zeros(12))

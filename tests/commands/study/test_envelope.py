@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evalkit.commands.study.envelope import below, largest_box, panels, sentences
+from evalkit.commands.study.envelope import compute_panels, describe_panels, enclosed_cells, largest_box
 from evalkit.commands.study.factors import Factor, FactorLevel
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Point, Response, Study, task_name
 from evalkit.commands.study.result import StudyResult
@@ -45,7 +45,7 @@ def outcome(error, seeds=(0, 1), status=lambda *_: "complete"):
 
 def test_inside_means_all_that_is_slower_and_gentler_too():
     held = np.array([[1, 1, 0, 1], [1, 0, 1, 1], [1, 1, 1, 1]], dtype=bool)
-    assert below(held).astype(int).tolist() == [[1, 1, 0, 0], [1, 0, 0, 0], [1, 0, 0, 0]]
+    assert enclosed_cells(held).astype(int).tolist() == [[1, 1, 0, 0], [1, 0, 0, 0], [1, 0, 0, 0]]
 
 
 @pytest.mark.parametrize(
@@ -58,12 +58,12 @@ def test_inside_means_all_that_is_slower_and_gentler_too():
     ],
 )
 def test_the_largest_box_starts_at_the_smallest_levels(rows, box):
-    assert largest_box(below(np.array(rows, dtype=bool))) == box
+    assert largest_box(enclosed_cells(np.array(rows, dtype=bool))) == box
 
 
 def test_the_envelope_of_a_product_is_its_hyperbola():
     found, choice, _ = outcome(lambda v, w, on, seed: 0.001 * v * w * (0.5 if on else 4.0))
-    off, on = panels(found, choice)
+    off, on = compute_panels(found, choice)
     assert on.inside.all()
     assert off.inside.tolist() == [[bool(0.004 * v * w <= 0.1) for v in SPEEDS] for w in TURNS]
     assert off.box == (2, 2)  # 1 m/s and 20 deg/s: four cells; 2 m/s and 10 deg/s would be three
@@ -76,7 +76,7 @@ def test_the_worst_seed_decides_and_a_lost_one_is_never_inside():
         lambda v, w, on, seed: 2.0 if (v, w, on, seed) == (1.0, 20.0, True, 1) else 0.01,
         status=lambda v, w, on, seed: "failed" if (v, w, on) == (0.5, 10.0, False) else "complete",
     )
-    off, on = panels(found, choice)
+    off, on = compute_panels(found, choice)
     assert not off.inside.any()
     assert off.box == (0, 0)
     assert np.isnan(off.worst[0, 0])
@@ -88,9 +88,9 @@ def test_the_worst_seed_decides_and_a_lost_one_is_never_inside():
 
 def test_the_sentence_tells_the_levels_and_the_drives():
     found, choice, design = outcome(lambda v, w, on, seed: 0.001 * v * w * (0.1 if on else 4.0))
-    assert sentences(choice, design, panels(found, choice)) == [
+    assert describe_panels(choice, design, compute_panels(found, choice)) == [
         "deskew off: up to 1 m/s and 20 deg/s (8 of 8 drives).",
-        "deskew on: up to 2 m/s and 80 deg/s, the most that was driven (24 of 24 drives).",
+        "deskew on: up to 2 m/s and 80 deg/s, the largest levels tested (24 of 24 drives).",
     ]
 
 
