@@ -15,7 +15,7 @@ from evalkit.commands.tune.objective import best_candidate, score_candidate
 from evalkit.commands.tune.pareto import pareto_front
 from evalkit.commands.tune.search import Search
 from evalkit.commands.tune.space import Space, declared_factors, own_parameters
-from evalkit.config import experiment
+from evalkit.config.experiment import experiment_from_tables
 from evalkit.config.experiment_toml import format_experiment
 from evalkit.core.errors import BadExperiment
 from evalkit.odometry import frontend
@@ -251,7 +251,7 @@ def test_a_tuned_row_stands_beside_its_default_in_an_experiment_that_reads_back(
     made = plan()
     found = search_loop.run_search(made, Known(off))
     text = format_experiment(search_loop.make_held_out_experiment(made, found, "tuned.toml"))
-    back = experiment.plan(tomllib.loads(text), "tuned.toml", "tuned", "compare tuned.toml")
+    back = experiment_from_tables(tomllib.loads(text), "tuned.toml", "tuned", "compare tuned.toml")
     assert [tunable.label for tunable in back.methods] == ["embedded", "embedded tuned", "paper"]
     assert dict(back.methods[1].parameters) == dict(found[0].best.candidate.values)
     assert back.sequences == made.held_out
