@@ -133,9 +133,9 @@ static ek_status add_keyframe(ek_frontend *frontend, const ek_real *xy, size_t c
 /* Run one stage: update *pose if the match has enough pairs, otherwise store_scan the guess. */
 static ek_status run_stage(ek_frontend *frontend, const ek_index *target, const ek_real *xy, size_t count,
                            const ek_icp_parameters *parameters, ek_pose *guess, ek_match *match,
-                           ek_stage_outcome *belief)
+                           ek_stage_outcome *outcome)
 {
-    *belief = EK_STAGE_GUESS_KEPT;
+    *outcome = EK_STAGE_GUESS_KEPT;
     if (count == 0u) {
         return EK_OK;
     }
@@ -143,7 +143,7 @@ static ek_status run_stage(ek_frontend *frontend, const ek_index *target, const 
         ek_icp_register(&frontend->icp, target, xy, count, *guess, parameters, NULL, NULL, match);
     if (status == EK_OK && match->inliers >= frontend->parameters.min_inliers) {
         *guess = match->target_from_source;
-        *belief = EK_STAGE_ACCEPTED;
+        *outcome = EK_STAGE_ACCEPTED;
     }
     return status;
 }
