@@ -130,7 +130,7 @@ static ek_status add_keyframe(ek_frontend *frontend, const ek_real *xy, size_t c
     return ek_index_update(&frontend->updater, &frontend->local_map, removed, into, count);
 }
 
-/* Run one stage: update *pose if the match has enough pairs, otherwise store_scan the guess. */
+/* Run one stage: update *pose if the match has enough pairs, otherwise keep the guess. */
 static ek_status run_stage(ek_frontend *frontend, const ek_index *target, const ek_real *xy, size_t count,
                            const ek_icp_parameters *parameters, ek_pose *guess, ek_match *match,
                            ek_stage_outcome *outcome)
