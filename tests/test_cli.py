@@ -544,7 +544,7 @@ def test_a_ros_bag_is_compared_in_one_line(evalkit, carmen, tmp_path):
     first, page = out.splitlines()
     assert first == "1 runs complete, 0 failed, 0 not possible here"
     assert Path(page) == tmp_path / "out" / "index.html"
-    trial = json.loads((tmp_path / "out" / "results.json").read_text())["trials"][0]
+    trial = json.loads((tmp_path / "out" / "results.json").read_text())["runs"][0]
     assert (trial["scans_answered"], trial["dataset_parameters"]["every"]) == (12, 2)
     assert trial["scores"]["ate_rmse_m"]["value"] < 0.05
 

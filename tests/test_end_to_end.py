@@ -55,7 +55,7 @@ def results(folder):
 
 @pytest.fixture
 def trials(results):
-    return {trial["method"]: trial for trial in results["trials"]}
+    return {trial["method"]: trial for trial in results["runs"]}
 
 
 def test_every_method_is_in_the_page_and_complete_or_says_why_not(folder, trials):
@@ -100,11 +100,11 @@ def test_scan_matching_beats_wheels_that_are_wrong(trials):
 
 
 def test_the_tables_for_programs_have_a_row_for_every_run(folder, trials):
-    for name in ("trials.csv", "scores.csv", "summary.csv"):
+    for name in ("runs.csv", "scores.csv", "summary.csv"):
         with (folder / name).open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))
         assert {row["method"] for row in rows} >= set(HERE), name
-    assert {row["method"] for row in csv.DictReader((folder / "trials.csv").open(encoding="utf-8"))} == set(trials)
+    assert {row["method"] for row in csv.DictReader((folder / "runs.csv").open(encoding="utf-8"))} == set(trials)
 
 
 @pytest.mark.parametrize("name", HERE)
@@ -132,7 +132,7 @@ def test_resuming_a_finished_report_runs_nothing_and_says_the_same(folder, resul
     assert evalkit("compare", file, "--out", folder, "--resume") == 0
     assert {path: path.stat().st_mtime_ns for path in folder.glob("runs/*/*")} == before
     again = json.loads((folder / "results.json").read_text(encoding="utf-8"))
-    assert again["trials"] == results["trials"]
+    assert again["runs"] == results["runs"]
 
 
 def test_the_same_inputs_give_the_same_numbers(folder, results, tmp_path):
@@ -144,7 +144,7 @@ def test_the_same_inputs_give_the_same_numbers(folder, results, tmp_path):
         == 0
     )
     timed = {metric["name"] for metric in results["metrics"] if metric["group"] == "runtime"}
-    for trial in (trial for trial in results["trials"] if trial["method"] in again_too):
+    for trial in (trial for trial in results["runs"] if trial["method"] in again_too):
         again = Store(tmp_path / "out").load_scores(trial["key"])
         ours = {name: score["value"] for name, score in trial["scores"].items() if name not in timed}
         assert {name: score.value for name, score in again.by_metric.items() if name not in timed} == ours

@@ -45,8 +45,8 @@ def run_tutorial(folder: Path) -> Path:
 
 def render_maps(results: Path) -> dict[str, bytes]:
     """Return the map of each method as a PNG, by file name, cropped to the observed cells."""
-    trials = json.loads((results / "results.json").read_text(encoding="utf-8"))["trials"]
-    return {f"map-{trial['method']}.png": _render_map(results / "maps" / f"{trial['key']}.pgm") for trial in trials}
+    runs = json.loads((results / "results.json").read_text(encoding="utf-8"))["runs"]
+    return {f"map-{run['method']}.png": _render_map(results / "maps" / f"{run['key']}.pgm") for run in runs}
 
 
 def load_report(results: Path) -> dict[str, bytes]:

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from evalkit.execution.task import AnyTask, Result
 from evalkit.plugins.parameters import Parameter, resolve_parameters
-from evalkit.report.html.document import Section
+from evalkit.report.html.blocks import Section
 
 Verdict = Literal[
     "reproduced", "reproduced with a correction", "not determined by the text", "not reproducible in software"

@@ -8,8 +8,8 @@ from evalkit.core.se2 import Floats
 from evalkit.execution.task import AnyTask, Result, make_task
 from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
+from evalkit.report.html.blocks import Block, Cell, Figure, Figures, Section, Table, Text
 from evalkit.report.html.charts import Axis, Curve, Points
-from evalkit.report.html.document import Block, Cell, Figure, Figures, Section, Table, Text
 from evalkit_paper import equation_checks as checks
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings, Verdict
 

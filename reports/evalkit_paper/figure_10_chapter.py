@@ -8,8 +8,8 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.execution.task import AnyTask, Result, make_task
 from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
+from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text
 from evalkit.report.html.charts import Points
-from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text
 from evalkit_paper import lab_maps, map_faults, recorded_drive
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
 from evalkit_paper.map_pictures import GHOST, MISSING, PATH, SMEAR, TRUE, grid_extent, render_image

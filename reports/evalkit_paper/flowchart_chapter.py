@@ -9,8 +9,8 @@ from typing import Literal
 from evalkit.execution.task import AnyTask, make_task
 from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
+from evalkit.report.html.blocks import Figure, Figures, Section, Text
 from evalkit.report.html.charts import Box
-from evalkit.report.html.document import Figure, Figures, Section, Text
 from evalkit_paper import call_trace
 from evalkit_paper.call_trace import Call
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings

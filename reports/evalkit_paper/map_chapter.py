@@ -10,8 +10,8 @@ import numpy as np
 from evalkit.execution.task import AnyTask, Parameters, R, Task, make_task
 from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
+from evalkit.report.html.blocks import Cell, Column, Figure, Figures, Section, Table, Text, Tone
 from evalkit.report.html.charts import Axis, Curve
-from evalkit.report.html.document import Cell, Column, Figure, Figures, Section, Table, Text, Tone
 from evalkit_paper import map_figures, map_measurements
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
 from evalkit_paper.map_figures import CELL_SIZE, DRIFT_DEG, DRIFT_M, PICTURE_SIZES_M

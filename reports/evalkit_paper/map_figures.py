@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from evalkit.report.html import charts
+from evalkit.report.html.blocks import Bullets, Column, Figure, Figures, Table, Text
 from evalkit.report.html.charts import Axis, Curve, Points
-from evalkit.report.html.document import Bullets, Column, Figure, Figures, Table, Text
 from evalkit_paper import map_measurements, map_recommendation
 from evalkit_paper.chapter import Results, Settings
 from evalkit_paper.map_measurements import DEFAULT_THRESHOLD, THRESHOLDS

@@ -8,7 +8,7 @@ from pathlib import Path
 from evalkit.core.errors import BadExperiment, UnknownName
 from evalkit.execution.task import AnyTask, Result
 from evalkit.io.toml import load_toml
-from evalkit.report.html.document import Cell, Column, Document, Section, Table, Text, Tone
+from evalkit.report.html.blocks import Cell, Column, Document, Section, Table, Text, Tone
 from evalkit_paper.chapter import Chapter, Finding, Settings, Verdict
 
 TITLE = "The paper, reproduced"

@@ -13,8 +13,8 @@ from evalkit.core.se2 import Floats
 from evalkit.execution.task import AnyTask, make_task
 from evalkit.plugins.parameters import Parameter, Value
 from evalkit.report.html import charts
+from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Fold, Section, Table, Text
 from evalkit.report.html.charts import Axis, Curve
-from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Fold, Section, Table, Text
 from evalkit.report.html.palette import BAR, Stroke
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
 from evalkit_paper.device_ladders import RULE, Ladder

@@ -11,8 +11,8 @@ from evalkit.core.pose import Pose
 from evalkit.execution.task import AnyTask, Result, make_task
 from evalkit.plugins import registry
 from evalkit.report.html import charts
+from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Heading, Table, Text
 from evalkit.report.html.charts import Axis, Curve, Points, Span
-from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Heading, Table, Text
 from evalkit_paper import lab_maps, plan_fit, spikes, stage_errors
 from evalkit_paper.chapter import Results
 from evalkit_paper.lab_maps import Variant

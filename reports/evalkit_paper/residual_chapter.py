@@ -9,8 +9,8 @@ import numpy as np
 from evalkit.execution.task import AnyTask
 from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
+from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text
 from evalkit.report.html.charts import Axis, Curve, Span
-from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text
 from evalkit.report.html.palette import BAR, Stroke
 from evalkit_paper import lab_drives, spike_causes, spikes, stage_errors, steady_bands
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings

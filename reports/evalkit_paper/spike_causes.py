@@ -9,7 +9,7 @@ import numpy as np
 from evalkit.core import se2
 from evalkit.core.se2 import Floats
 from evalkit.execution.task import Result
-from evalkit.report.html.document import Cell, Column, Table
+from evalkit.report.html.blocks import Cell, Column, Table
 from evalkit_paper import lab_drives, spikes, stage_errors, steady_bands
 from evalkit_paper.chapter import Results, Settings
 from evalkit_paper.lab_drives import Cause

@@ -12,7 +12,7 @@ from evalkit.execution.task import AnyTask, make_task
 from evalkit.metrics.trajectory import rms
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Parameter, Value
-from evalkit.report.html.document import Cell, Column, Section, Table, Text, Tone
+from evalkit.report.html.blocks import Cell, Column, Section, Table, Text, Tone
 from evalkit_paper import stage_errors
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
 

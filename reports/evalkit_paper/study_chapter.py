@@ -22,7 +22,7 @@ from evalkit.commands.study.plan import Study
 from evalkit.commands.study.result import StudyResult
 from evalkit.execution.task import AnyTask, make_task
 from evalkit.plugins.parameters import Parameter, Value
-from evalkit.report.html.document import Block, Fold, Section, Text
+from evalkit.report.html.blocks import Block, Fold, Section, Text
 from evalkit_paper import core_agreement
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
 

@@ -11,8 +11,8 @@ from evalkit.core.arrays import Ints
 from evalkit.execution.task import AnyTask, make_task
 from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
+from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Fold, Table, Text
 from evalkit.report.html.charts import Axis
-from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Fold, Table, Text
 from evalkit.stats.intervals import wilson_interval
 from evalkit_paper import table_1
 from evalkit_paper.chapter import Results, Settings

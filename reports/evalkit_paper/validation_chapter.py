@@ -13,8 +13,8 @@ from evalkit.core.se2 import Floats
 from evalkit.execution.task import AnyTask, Result, make_task
 from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
+from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text, Tone
 from evalkit.report.html.charts import Axis, Curve, Points
-from evalkit.report.html.document import Block, Cell, Column, Figure, Figures, Section, Table, Text, Tone
 from evalkit.report.html.palette import Stroke
 from evalkit_paper import table_1, validation_basin
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings

@@ -5,7 +5,7 @@ import re
 import numpy as np
 import pytest
 
-from evalkit.report.html.document import Document, render
+from evalkit.report.html.blocks import Document, render
 from evalkit_paper import equation_chapter, equation_checks
 from evalkit_paper.equation_checks import rotation_as_printed, rotation_with_guard, rotation_without_guard
 

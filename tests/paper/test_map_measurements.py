@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evalkit.plugins import registry
-from evalkit.report.html.document import Document, render
+from evalkit.report.html.blocks import Document, render
 from evalkit_paper import map_chapter, map_measurements
 from evalkit_paper.map_study import describe_variant
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evalkit.report.html.document import Document, render
+from evalkit.report.html.blocks import Document, render
 from evalkit_paper import realtime_chapter
 from evalkit_paper.device_ladders import Ladder
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from evalkit.core.pose import Pose
-from evalkit.report.html.document import Document, render
+from evalkit.report.html.blocks import Document, render
 from evalkit_paper import table_1, validation_basin, validation_chapter
 from evalkit_paper.table_1 import APPLIED, PRINTED, READINGS, ROOMS
 from evalkit_paper.validation_chapter import Fit

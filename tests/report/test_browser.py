@@ -13,9 +13,9 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import NO_STEPS
 from evalkit.core.scan import Frame, Scan
 from evalkit.report import SequenceCard, write_report
-from evalkit.report.html.array_encoding import unpacked
-from evalkit.report.html.document import Document, Section, Table, Text, render
-from evalkit.report.html.player import beams_at, placed
+from evalkit.report.html.array_encoding import unpack_array
+from evalkit.report.html.blocks import Document, Section, Table, Text, render
+from evalkit.report.html.player import load_beams, place_hits
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed: pip install playwright")
 
@@ -314,9 +314,9 @@ def test_a_click_on_a_curve_goes_to_its_time(opened):
 def test_the_page_places_scans_as_python_does(opened, page_file):
     page = played(opened())
     content = json.loads(page.evaluate(f"document.querySelector('{PLAYER} template').content.textContent"))
-    poses = unpacked(content["runs"][1]["poses"], (60, 3)) * [1e-3, 1e-3, 1e-5]
+    poses = unpack_array(content["runs"][1]["poses"], (60, 3)) * [1e-3, 1e-3, 1e-5]
     stamps = np.arange(60) * 100_000_000
-    expected = placed(beams_at(Room(), stamps, 10**6), poses, stamps)
+    expected = place_hits(load_beams(Room(), stamps, 10**6), poses, stamps)
     for row in (0, 17, 59):
         got = page.evaluate(
             "([row, selector]) => { const { recording } = document.querySelector(selector).player;"

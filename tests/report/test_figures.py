@@ -14,13 +14,13 @@ def test_a_long_run_is_drawn_no_larger_than_its_line_can_show(record):
 def test_who_leaves_the_frame_is_named(record):
     pair = [record("near", "room", {}, error_m=0.02), record("far", "room", {}, error_m=30.0)]
     drawn = trajectories(pair, assign_strokes(["near", "far"]))
-    assert drawn.admits == "far leaves the frame."
+    assert drawn.remark == "far leaves the frame."
 
 
 def test_errors_of_very_different_size_share_a_logarithmic_axis(record):
     pair = [record("near", "room", {}, error_m=0.02), record("far", "room", {}, error_m=30.0)]
-    assert errors(pair, assign_strokes(["near", "far"])).admits == "Logarithmic axis."
-    assert errors(pair[:1], assign_strokes(["near"])).admits == ""
+    assert errors(pair, assign_strokes(["near", "far"])).remark == "Logarithmic axis."
+    assert errors(pair[:1], assign_strokes(["near"])).remark == ""
 
 
 def test_nothing_is_drawn_of_runs_that_never_answered(record):

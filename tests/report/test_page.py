@@ -15,9 +15,9 @@ from evalkit.metrics.validated import shipped
 from evalkit.report import MethodCard, SequenceCard, write_report
 from evalkit.report.analysis.sequence import analyse_sequence
 from evalkit.report.formatting import format_number
-from evalkit.report.html.maps import Window, greys, picture, window
+from evalkit.report.html.maps import Window, compute_greys, find_window, render_map
 from evalkit.report.html.palette import assign_strokes
-from evalkit.report.html.view_models import headline
+from evalkit.report.html.view_models import build_headline
 
 
 class Tags(HTMLParser):
@@ -166,11 +166,11 @@ def test_a_number_that_means_nothing_is_a_dash_with_its_reason(tags):
 
 def test_metrics_that_mean_nothing_to_anybody_are_named_with_the_reason(tags):
     text = " ".join(tags.text.split())
-    assert "Not shown, because nobody has a value: relation error, mean (no relations_mean_m here)." in text
+    assert "Not shown, because no method has a value: relation error, mean (no relations_mean_m here)." in text
 
 
 def test_only_who_completed_every_run_is_best(demo):
-    table = headline(analyse_sequence(demo, "room"))
+    table = build_headline(analyse_sequence(demo, "room"))
     best = {m.name: [r.method for r in table.rows if r.numbers[i].best] for i, m in enumerate(table.metrics)}
     assert best["ate_rmse_m"] == ["plane"]
     assert best["map_f1"] == ["plane"]
@@ -178,7 +178,9 @@ def test_only_who_completed_every_run_is_best(demo):
 
 
 def test_what_decides_and_what_it_costs_stand_first(demo):
-    names = [[metric.name for metric in headline(analyse_sequence(demo, label)).metrics] for label in ("room", "fr079")]
+    names = [
+        [metric.name for metric in build_headline(analyse_sequence(demo, label)).metrics] for label in ("room", "fr079")
+    ]
     assert names[0][:2] == ["ate_rmse_m", "cpu_median_ms"]
     assert names[1][:2] == ["relations_mean_m", "cpu_median_ms"]
 
@@ -186,7 +188,7 @@ def test_what_decides_and_what_it_costs_stand_first(demo):
 def test_where_a_true_map_is_known_consistency_leaves_the_first_table(record, build):
     def shown(truth):
         runs = [record(who, "room", {"map_f1": 0.9, "split_distance_m": 0.1}, truth=truth) for who in "ab"]
-        return {metric.name for metric in headline(analyse_sequence(build(runs), "room")).metrics}
+        return {metric.name for metric in build_headline(analyse_sequence(build(runs), "room")).metrics}
 
     assert shown(True) == {"map_f1"}
     assert shown(False) == {"map_f1", "split_distance_m"}
@@ -199,12 +201,14 @@ def test_what_was_driven_stands_beside_what_the_data_set_says_of_itself(tags):
 
 
 def test_who_is_worse_than_the_bar_is_marked(demo):
-    assert [row.method for row in headline(analyse_sequence(demo, "room")).rows if row.behind_bar] == ["lost"]
+    assert [row.method for row in build_headline(analyse_sequence(demo, "room")).rows if row.behind_baseline] == [
+        "lost"
+    ]
 
 
 def test_published_figures_stand_among_ours_in_order(tags):
     text = " ".join(tags.text.split())
-    table = text[text.index("Beside published figures") :]
+    table = text[text.index("Comparison with published results") :]
     places = [table.index(f"{name} {value}") for name, value in (("plane", "0.051"), ("graph mapping", "0.056"))]
     assert places == sorted(places)
     assert table.index("scan matching 0.258") < table.index("paper 0.270")
@@ -221,14 +225,14 @@ def test_a_map_shows_walls_black_where_they_stand():
     observed[:, 70:] = False
     grid = OccupancyGrid(log_odds, observed, 0.1, -1.0, 2.0)
     shown = Window(-1.0, 7.0, 2.0, 6.0)
-    levels = greys(grid, shown)
+    levels = compute_greys(grid, shown)
     rows, columns = np.nonzero(levels == 0)
     metres = 8.0 / levels.shape[1]
     assert -1.0 + (columns.mean() + 0.5) * metres == pytest.approx(0.05, abs=0.02)
     assert 6.0 - (rows.mean() + 0.5) * metres == pytest.approx(2.55, abs=0.02)
     assert levels[0, 0] == 15
     assert levels[0, -1] == 12
-    read = np.asarray(Image.open(io.BytesIO(picture(grid, shown))))
+    read = np.asarray(Image.open(io.BytesIO(render_map(grid, shown))))
     assert np.array_equal(read, levels * 17)
 
 
@@ -237,8 +241,8 @@ def test_a_map_that_has_spread_does_not_shrink_the_others():
         cells = np.ones((size, size), dtype=bool)
         return OccupancyGrid(np.zeros((size, size)), cells, 1.0, 0.0, 0.0)
 
-    assert window([room(10), room(11), room(500)]) == Window(0.0, 11.0, 0.0, 11.0)
-    assert window([]) is None
+    assert find_window([room(10), room(11), room(500)]) == Window(0.0, 11.0, 0.0, 11.0)
+    assert find_window([]) is None
 
 
 def test_nine_methods_have_nine_strokes():

@@ -12,10 +12,19 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import NO_STEPS
 from evalkit.core.scan import Frame, Scan
 from evalkit.report.html import player as module
-from evalkit.report.html.array_encoding import unpacked
+from evalkit.report.html.array_encoding import unpack_array
 from evalkit.report.html.maps import Window
 from evalkit.report.html.palette import assign_strokes
-from evalkit.report.html.player import beams_at, budget, chosen, disagreement, ghosts, placed, player, violations
+from evalkit.report.html.player import (
+    build_player,
+    choose_scans,
+    find_ghosts,
+    find_violations,
+    load_beams,
+    motion_disagreement,
+    place_hits,
+    ranges_per_sequence,
+)
 
 WINDOW = Window(0.0, 12.0, 0.0, 8.0)
 
@@ -52,8 +61,8 @@ def content(made):
 
 def test_a_wall_ahead_is_drawn_where_the_pose_puts_it():
     stamps = np.array([0, 100_000_000])
-    beams = beams_at(Wall(), stamps, 10_000)
-    points = placed(beams, np.array([[1.0, 5.0, np.pi / 2], [4.0, 0.0, 0.0]]), stamps)
+    beams = load_beams(Wall(), stamps, 10_000)
+    points = place_hits(beams, np.array([[1.0, 5.0, np.pi / 2], [4.0, 0.0, 0.0]]), stamps)
     assert np.abs(points[0, :, 1] - 7.1).max() < 1e-3  # facing +y: 5 + 0.1 + 2
     assert np.abs(points[1, :, 0] - 6.1).max() < 1e-3
     assert points[1, 4] == pytest.approx([6.1, 0.0], abs=1e-3)
@@ -61,17 +70,17 @@ def test_a_wall_ahead_is_drawn_where_the_pose_puts_it():
 
 def test_the_motion_within_a_scan_is_undone():
     stamps = np.array([0, 100_000_000])
-    beams = replace(beams_at(Wall(), stamps, 10_000), sweep=np.array([100, 100], dtype=np.int32))
-    points = placed(beams, np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), stamps)
+    beams = replace(load_beams(Wall(), stamps, 10_000), sweep=np.array([100, 100], dtype=np.int32))
+    points = place_hits(beams, np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), stamps)
     assert points[0, :, 0] == pytest.approx(2.1 + np.linspace(0.0, 1.0, 9), abs=1e-3)
     assert points[1, :, 0] == pytest.approx(3.1 + np.linspace(0.0, 1.0, 9), abs=1e-3)
 
 
 def test_a_placed_point_is_less_than_two_millimetres_off(runs):
     stamps = runs[0].result.steps["stamp_ns"]
-    made = content(player(runs, Wall, WINDOW, lines(runs)))
-    poses = unpacked(made["runs"][0]["poses"], (60, 3)) * [1e-3, 1e-3, 1e-5]
-    drawn = placed(beams_at(Wall(), stamps, 10**6), poses, stamps)
+    made = content(build_player(runs, Wall, WINDOW, lines(runs)))
+    poses = unpack_array(made["runs"][0]["poses"], (60, 3)) * [1e-3, 1e-3, 1e-5]
+    drawn = place_hits(load_beams(Wall(), stamps, 10**6), poses, stamps)
     for row, frame in enumerate(Wall().frames()):
         exact = module.world_poses(runs[0], stamps)[row]
         points = se2.transform(se2.compose(exact, frame.base_from_sensor.row), frame.scan.points())
@@ -79,15 +88,15 @@ def test_a_placed_point_is_less_than_two_millimetres_off(runs):
 
 
 def test_no_more_ranges_than_the_budget_and_no_gap_in_the_fan():
-    beams = beams_at(Wall(), np.arange(60) * 100_000_000, 60 * 3)
+    beams = load_beams(Wall(), np.arange(60) * 100_000_000, 60 * 3)
     assert beams.ranges.shape == (60, 3)
     assert beams.every == 3
     assert beams.angles[0].tolist() == [-40000, -10000, 20000]
 
 
 def test_many_sequences_share_the_page():
-    assert budget(1) == budget(10) == module.MAX_RANGES
-    assert budget(20) * 20 == module.MAX_ON_PAGE
+    assert ranges_per_sequence(1) == ranges_per_sequence(10) == module.MAX_RANGES
+    assert ranges_per_sequence(20) * 20 == module.MAX_ON_PAGE
 
 
 def test_a_single_jump_survives_thinning():
@@ -95,8 +104,8 @@ def test_a_single_jump_survives_thinning():
     poses[0, :, 0] = 0.01 * np.arange(10_000)
     poses[1] = poses[0]
     poses[1, 4321:, 1] += 0.5
-    apart = disagreement(poses)
-    rows = chosen(apart, 200)
+    apart = motion_disagreement(poses)
+    rows = choose_scans(apart, 200)
     assert apart[4321] == pytest.approx(0.5)
     assert np.delete(apart, 4321).max() < 1e-9
     assert len(rows) == 200
@@ -105,7 +114,7 @@ def test_a_single_jump_survives_thinning():
 
 
 def test_few_scans_are_all_kept():
-    assert chosen(np.zeros(7), 10).tolist() == [0, 1, 2, 3, 4, 5, 6]
+    assert choose_scans(np.zeros(7), 10).tolist() == [0, 1, 2, 3, 4, 5, 6]
 
 
 def room():
@@ -122,27 +131,27 @@ def grid(log_odds):
 def test_a_ghost_is_a_wall_away_from_every_true_one():
     mapped = room()
     mapped[2, 5] = mapped[10, 7] = 3.0  # 0.2 m and 1 m above the wall
-    assert ghosts(grid(mapped), grid(room())) == pytest.approx(np.array([[0.75, 1.05]]))
+    assert find_ghosts(grid(mapped), grid(room())) == pytest.approx(np.array([[0.75, 1.05]]))
 
 
 def test_a_hit_in_what_the_run_found_free_is_a_violation_but_not_one_beside_a_wall():
     points = np.array([[1.02, 2.01], [1.03, 2.02], [2.0, 0.12], [9.0, 9.0]])  # twice one cell, at the wall, outside
-    assert violations(points, grid(room())) == pytest.approx(np.array([[1.05, 2.05]]))
+    assert find_violations(points, grid(room())) == pytest.approx(np.array([[1.05, 2.05]]))
 
 
 def test_the_same_runs_twice_are_the_same_bytes(runs):
-    made = [player(runs, Wall, WINDOW, lines(runs)) for _ in range(2)]
+    made = [build_player(runs, Wall, WINDOW, lines(runs)) for _ in range(2)]
     assert made[0] == made[1]
 
 
 def test_a_run_that_ended_early_has_no_pose_after_its_end(record):
     whole = record("a", "room", {})
     short = record("b", "room", {}, status="crashed", reason="signal 11", answered=31)
-    made = content(player([whole, short], None, WINDOW, lines([whole, short])))
-    poses = unpacked(made["runs"][1]["poses"], (60, 3))
+    made = content(build_player([whole, short], None, WINDOW, lines([whole, short])))
+    poses = unpack_array(made["runs"][1]["poses"], (60, 3))
     assert (poses[:31] > module.NONE).all()
     assert (poses[31:] == module.NONE).all()
-    errors = unpacked(made["runs"][1]["error"], (60,)) * 1e-4
+    errors = unpack_array(made["runs"][1]["error"], (60,)) * 1e-4
     assert errors[:31] == pytest.approx(short.scores.errors_m, abs=0.5e-4)
 
 
@@ -150,15 +159,15 @@ def test_a_pose_that_ran_away_or_is_no_number_is_not_there(runs):
     steps = runs[1].result.steps.copy()
     steps["x"][7], steps["y"][8], steps["theta"][9] = np.inf, np.nan, 1e9
     gone = replace(runs[1], result=replace(runs[1].result, steps=steps))
-    made = content(player([runs[0], gone], Wall, WINDOW, lines(runs)))
-    poses = unpacked(made["runs"][1]["poses"], (60, 3))
+    made = content(build_player([runs[0], gone], Wall, WINDOW, lines(runs)))
+    poses = unpack_array(made["runs"][1]["poses"], (60, 3))
     assert np.flatnonzero((poses == module.NONE).all(axis=1)).tolist() == [7, 8, 9]
 
 
 def test_a_recording_that_cannot_be_read_leaves_the_paths_and_says_why(runs):
-    made = player(runs, Broken, WINDOW, lines(runs))
+    made = build_player(runs, Broken, WINDOW, lines(runs))
     assert content(made)["beams"] is None
-    assert "no such disk" in made.told
+    assert "no such disk" in made.remarks
 
 
 def test_a_map_alone_is_shown_with_its_ghosts_and_has_no_path(runs):
@@ -170,20 +179,20 @@ def test_a_map_alone_is_shown_with_its_ghosts_and_has_no_path(runs):
     spec = replace(there[0].spec, method=replace(there[0].spec.method, label="theirs"))
     result, scores = replace(there[0].result, steps=NO_STEPS), replace(there[0].scores, grid=shifted)
     alone = replace(there[0], spec=spec, result=result, scores=scores)
-    made = player([*there, alone], None, WINDOW, lines([*there, alone]))
+    made = build_player([*there, alone], None, WINDOW, lines([*there, alone]))
     (theirs,) = content(made)["maps"]
-    cells = unpacked(theirs["ghosts"], (40, 2)) * 1e-3
+    cells = unpack_array(theirs["ghosts"], (40, 2)) * 1e-3
     assert (made.methods, made.maps) == (("a", "b"), ("theirs",))
-    assert "a map alone was given: theirs." in made.told
+    assert "Maps without a path: theirs." in made.remarks
     assert cells[:, 0] == pytest.approx(2.05)  # the wall of the column at 1.0 to 1.1 m, a metre off
-    assert player([alone], None, WINDOW, lines([alone])) is None
+    assert build_player([alone], None, WINDOW, lines([alone])) is None
 
 
 def test_who_answered_nothing_is_not_there(record):
     absent = record("c", "room", {}, status="not-installed", reason="no module", answered=0)
-    assert player([absent], None, WINDOW, lines([absent])) is None
+    assert build_player([absent], None, WINDOW, lines([absent])) is None
     present = record("a", "room", {}, truth=False)
-    made = player([present, absent], None, None, lines([present, absent]))
+    made = build_player([present, absent], None, None, lines([present, absent]))
     assert made.methods == ("a",)
     assert content(made)["truth"] is None
     assert content(made)["runs"][0]["error"] is None
@@ -204,7 +213,7 @@ class Noisy:
 
 def test_twenty_runs_on_twenty_sequences_stay_within_fifteen_megabytes(record):
     run = record("a", "room", {}, answered=3000, expected=3000)
-    made = player([run], Noisy, WINDOW, lines([run]), budget(20))
+    made = build_player([run], Noisy, WINDOW, lines([run]), ranges_per_sequence(20))
     assert len(made.content) * 20 < 12e6  # the rest is for drawings, maps and tables
-    assert made.told.startswith("2,000 of 3,000 scans")
-    assert "One beam in 4 is shown." in made.told
+    assert made.remarks.startswith("2,000 of 3,000 scans")
+    assert "One beam in 4 is shown." in made.remarks

@@ -78,7 +78,7 @@ def _plain(value: Any) -> Any:
 
 def _write(folder: Path, found: Inspection, advice: SuggestedConfig | None) -> Path:
     """Writes ``index.html`` and ``inspection.json``; the page's path."""
-    from evalkit.report.html.document import render  # noqa: PLC0415 - loads jinja2: only who draws pays for it
+    from evalkit.report.html.blocks import render  # noqa: PLC0415 - loads jinja2: only who draws pays for it
     from evalkit_datasets.inspection.page import document  # noqa: PLC0415 - loads matplotlib
 
     with as_store_error(folder):

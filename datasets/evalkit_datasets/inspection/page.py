@@ -8,8 +8,7 @@ import numpy as np
 
 from evalkit.core.se2 import Floats
 from evalkit.report.html import charts
-from evalkit.report.html.charts import Axis, Curve, Points
-from evalkit.report.html.document import (
+from evalkit.report.html.blocks import (
     Block,
     Bullets,
     Cell,
@@ -24,6 +23,7 @@ from evalkit.report.html.document import (
     Text,
     Tone,
 )
+from evalkit.report.html.charts import Axis, Curve, Points
 from evalkit.report.html.palette import HUES
 from evalkit_datasets.inspection.findings import Level, LidarStats, times
 from evalkit_datasets.inspection.inspector import Inspection

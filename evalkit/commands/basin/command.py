@@ -49,7 +49,7 @@ def basin(
     from evalkit.commands.basin import trials as attempts  # noqa: PLC0415 - as above
     from evalkit.commands.basin.convergence import Criterion  # noqa: PLC0415 - as above
     from evalkit.commands.basin.result import result  # noqa: PLC0415 - as above
-    from evalkit.report.html.document import render  # noqa: PLC0415 - as above
+    from evalkit.report.html.blocks import render  # noqa: PLC0415 - as above
 
     options.add_working_directory()
     given = options.settings(setting or [])

@@ -14,8 +14,7 @@ from evalkit.commands.basin.sequences import APART_M, APART_RAD
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
 from evalkit.report.html import charts
-from evalkit.report.html.charts import Axis, Curve, Points
-from evalkit.report.html.document import (
+from evalkit.report.html.blocks import (
     Block,
     Bullets,
     Cell,
@@ -31,6 +30,7 @@ from evalkit.report.html.document import (
     Text,
     slug,
 )
+from evalkit.report.html.charts import Axis, Curve, Points
 from evalkit.stats.intervals import Interval
 
 DRAWN = 150

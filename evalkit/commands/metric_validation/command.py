@@ -45,7 +45,7 @@ def validate(
     """Measure how metrics without a truth follow the true error of maps that are spoiled in known ways."""
     from evalkit.commands.metric_validation import measured as trust  # noqa: PLC0415 - loads scipy.stats
     from evalkit.commands.metric_validation import page  # noqa: PLC0415 - loads matplotlib
-    from evalkit.report.html.document import render  # noqa: PLC0415 - as above
+    from evalkit.report.html.blocks import render  # noqa: PLC0415 - as above
 
     worlds = tuple(dict.fromkeys(world or (("lab",) if quick else trust.WORLDS)))
     asked = trust.Asked(worlds, 2 if quick else sizes, seed, mapper, min(scans, 40) if quick else scans)

@@ -12,8 +12,8 @@ from evalkit.commands.metric_validation.measured import PILOT
 from evalkit.metrics import METRICS
 from evalkit.metrics.table import Metric
 from evalkit.report.html import charts
+from evalkit.report.html.blocks import Bullets, Cell, Column, Command, Document, Figure, Figures, Section, Table, Text
 from evalkit.report.html.charts import Axis, Points
-from evalkit.report.html.document import Bullets, Cell, Column, Command, Document, Figure, Figures, Section, Table, Text
 from evalkit.report.html.palette import HUES
 
 KNOWN = {metric.name: metric for metric in METRICS}

@@ -12,8 +12,8 @@ from evalkit.commands.study.factors import Factor
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Response
 from evalkit.commands.study.result import StudyResult, to_scale
 from evalkit.core.se2 import Floats
+from evalkit.report.html.blocks import Figure
 from evalkit.report.html.charts import Axis, Curve, Points, bars, heat, lines, scatter
-from evalkit.report.html.document import Figure
 from evalkit.report.html.palette import HUES
 from evalkit.stats.intervals import Interval
 

@@ -89,7 +89,7 @@ def _point(plan: Study, key: str, as_json: bool) -> None:
 def _written(outcome: StudyResult, folder: Path, ran_on: dict[str, str]) -> Path:
     """The path of index.html, written with study.json, points.csv and effects.csv."""
     from evalkit.commands.study import page, results_json  # noqa: PLC0415 - as above
-    from evalkit.report.html.document import render  # noqa: PLC0415 - loads matplotlib
+    from evalkit.report.html.blocks import render  # noqa: PLC0415 - loads matplotlib
 
     texts = {
         "points.csv": results_json.format_csv(results_json.runs(outcome)),

@@ -12,7 +12,7 @@ from evalkit.commands.study.factors import Factor
 from evalkit.commands.study.formatting import describe_limit
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Point, Response
 from evalkit.commands.study.result import StudyResult, to_scale
-from evalkit.report.html.document import Block, Cell, Column, Figures, Fold, Table, Text
+from evalkit.report.html.blocks import Block, Cell, Column, Figures, Fold, Table, Text
 
 
 def curve_blocks(outcome: StudyResult) -> tuple[Block, ...]:

@@ -17,7 +17,7 @@ from evalkit.commands.study.formatting import (
 )
 from evalkit.commands.study.plan import Design, Response
 from evalkit.commands.study.result import StudyResult, to_scale
-from evalkit.report.html.document import Block, Cell, Column, Figures, Fold, Heading, Table, Text
+from evalkit.report.html.blocks import Block, Cell, Column, Figures, Fold, Heading, Table, Text
 
 MAX_SHOWN = 4
 """Most interactions to draw."""

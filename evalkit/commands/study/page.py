@@ -19,7 +19,7 @@ from evalkit.commands.study.formatting import (
     fitted_designs,
 )
 from evalkit.commands.study.result import StudyResult
-from evalkit.report.html.document import Block, Bullets, Cell, Column, Command, Document, Fold, Section, Table, Text
+from evalkit.report.html.blocks import Block, Bullets, Cell, Column, Command, Document, Fold, Section, Table, Text
 
 KIND_SENTENCES = {
     "optimal": "mixed levels; the points estimate main effects and all pairs with the least uncertainty "

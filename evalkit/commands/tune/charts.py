@@ -14,8 +14,8 @@ from evalkit.commands.tune.search_loop import SearchResult
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
 from evalkit.report.html import charts
+from evalkit.report.html.blocks import Figure
 from evalkit.report.html.charts import Axis, Points
-from evalkit.report.html.document import Figure
 
 GREY, INK, WHITE, ORANGE, GREEN = "#9aa3ad", "#1c2128", "#ffffff", "#d55e00", "#009e73"
 STEPS = (1.0, 2.0, 5.0)

@@ -128,7 +128,7 @@ def _end(result: TuningResult, folder: Path, as_json: bool) -> None:
     """Writes and prints what was found; exit code 1 if a method failed wholly, 3 if a run is not made yet."""
     from evalkit.commands.tune import page as pages  # noqa: PLC0415 - loads matplotlib
     from evalkit.commands.tune.results_json import record  # noqa: PLC0415 - as above
-    from evalkit.report.html.document import render  # noqa: PLC0415 - as above
+    from evalkit.report.html.blocks import render  # noqa: PLC0415 - as above
 
     content = record(result)
     write_texts(folder, {

@@ -12,7 +12,7 @@ from evalkit.commands.tune.result import TuningResult
 from evalkit.commands.tune.rows import held_blocks, number
 from evalkit.commands.tune.search_loop import SearchResult
 from evalkit.commands.tune.space import is_continuous
-from evalkit.report.html.document import (
+from evalkit.report.html.blocks import (
     Block,
     Bullets,
     Cell,

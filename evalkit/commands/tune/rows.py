@@ -10,7 +10,7 @@ from evalkit.commands.tune.result import TuningResult
 from evalkit.core.run_result import NOT_EXECUTED, RunStatus
 from evalkit.report.analysis.ranking import Ranking
 from evalkit.report.analysis.scores import STATUS_LABELS
-from evalkit.report.html.document import Block, Cell, Column, Table, Text
+from evalkit.report.html.blocks import Block, Cell, Column, Table, Text
 
 
 def held_blocks(result: TuningResult) -> list[Block]:

@@ -17,8 +17,8 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.se2 import Floats
 from evalkit.execution.sandbox import ENDED
 from evalkit.report.html import charts
+from evalkit.report.html.blocks import Figure
 from evalkit.report.html.charts import Axis, Curve, Points
-from evalkit.report.html.document import Figure
 from evalkit.report.html.palette import TRUTH, assign_strokes
 from evalkit.results.run_record import RunRecord
 

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from evalkit.commands.validate.acceptance import Dossier, Level, Line, Outcome
 from evalkit.commands.validate.answers import GROUNDS
 from evalkit.commands.validate.charts import figures
-from evalkit.report.html.document import (
+from evalkit.report.html.blocks import (
     Block,
     Bullets,
     Cell,

@@ -1,4 +1,4 @@
-"""Arrays of numbers as short texts within a page: whole steps of a unit, differences, deflate, base64."""
+"""Encode arrays as short texts within a page: whole steps of a unit, differences, deflate, base64."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from evalkit.core.se2 import Floats
 Steps = NDArray[np.int32]
 
 NONE = -(2**31)
-"""Stands for a number that is not there."""
+"""The code of a missing number."""
 
 
-def quantised(values: ArrayLike, unit: ArrayLike) -> Steps:
-    """The values in whole units, half a unit off at most; ``NONE`` where not finite or beyond 2**31 - 1 units."""
+def quantise(values: ArrayLike, unit: ArrayLike) -> Steps:
+    """Return the values in whole units; ``NONE`` where not finite or beyond 2**31 - 1 units."""
     steps = np.round(np.asarray(values, dtype=np.float64) / np.asarray(unit))
     there = np.abs(np.where(np.isfinite(steps), steps, np.inf)) < 2.0**31
     return np.where(there, steps, NONE).astype(np.int32)
 
 
-def restored(steps: Steps, unit: ArrayLike) -> Floats:
-    """The values of ``quantised``, nan where there is none."""
+def dequantise(steps: Steps, unit: ArrayLike) -> Floats:
+    """Return the values of ``quantise``, nan where missing."""
     return np.where(steps == NONE, np.nan, steps.astype(np.float64) * np.asarray(unit))
 
 
-def packed(steps: Steps) -> str:
-    """The text of an array (N,) or (N, K) of which row follows row smoothly; equal arrays give equal texts.
+def pack_array(steps: Steps) -> str:
+    """Return the text of an array (N,) or (N, K) with smooth columns; equal arrays give equal texts.
 
     Each row's difference from the row before (modulo 2**32), its sign in the lowest bit, all lowest bytes first, then
     the next ones; zlib (RFC 1950) and base64.
@@ -40,8 +40,8 @@ def packed(steps: Steps) -> str:
     return b64encode(zlib.compress(planes, 9)).decode()
 
 
-def unpacked(text: str, shape: tuple[int, ...]) -> Steps:
-    """The array of ``packed``, as the page reads it."""
+def unpack_array(text: str, shape: tuple[int, ...]) -> Steps:
+    """Return the array of ``pack_array``, decoded as the page does."""
     planes = np.frombuffer(zlib.decompress(b64decode(text)), dtype=np.uint8)
     folded = np.ascontiguousarray(planes.reshape(4, -1).T).view("<u4").reshape(shape).astype(np.int64)
     apart = (folded >> 1) ^ -(folded & 1)

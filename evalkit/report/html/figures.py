@@ -61,7 +61,7 @@ class Drawing:
     """An SVG file and what its caption must admit ("" if nothing). ``pdf()``: the same drawn again for a paper."""
 
     svg: bytes
-    admits: str = ""
+    remark: str = ""
     pdf: Callable[[], bytes] = bytes
 
 
@@ -171,8 +171,8 @@ def world_path(record: RunRecord) -> Floats:
     return se2.compose(record.scores.world_from_start.row, poses)[:, :2]
 
 
-def _drawing(draw: Callable[..., None], admits: str = "", panels: int = 1, legend: bool = True) -> Drawing:
-    return Drawing(_file(draw, panels, legend), admits, partial(_file, draw, panels, legend, "pdf"))
+def _drawing(draw: Callable[..., None], remark: str = "", panels: int = 1, legend: bool = True) -> Drawing:
+    return Drawing(_file(draw, panels, legend), remark, partial(_file, draw, panels, legend, "pdf"))
 
 
 class _DrawnOnce(Figure):

@@ -1,4 +1,4 @@
-"""Maps as small grey pictures that share one window, so that they can be compared by eye."""
+"""Maps as grey PNG images of a common window, for comparison by eye."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Greys = NDArray[np.uint8]
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """The part of the world (m) that all pictures of a sequence show."""
+    """The part of the world (m) that all maps of a sequence show."""
 
     x_min: float
     x_max: float
@@ -34,16 +34,16 @@ class Window:
 
     @property
     def scale_bar_m(self) -> float:
-        """The longest round length that takes at most a quarter of the width."""
+        """The largest round length of at most a quarter of the width."""
         quarter = self.size_m[0] / 4.0
         power = 10.0 ** np.floor(np.log10(quarter))
         return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= quarter))
 
 
-def window(grids: Sequence[OccupancyGrid], reference: OccupancyGrid | None = None) -> Window | None:
-    """The window that holds the observed cells of all maps, but of none that has spread to twice the usual size.
+def find_window(grids: Sequence[OccupancyGrid], reference: OccupancyGrid | None = None) -> Window | None:
+    """Return the window that contains the observed cells of all maps, except of maps above twice the usual size.
 
-    ``reference``: the true map; then its size is the usual one. None if nothing was observed.
+    ``reference``: the true map, whose size is then the usual one; else the median size is. None if no cell is observed.
     """
     boxes = np.array([box for grid in grids if (box := _observed_box(grid)) is not None])
     usual = _observed_box(reference) if reference is not None else None
@@ -58,13 +58,13 @@ def window(grids: Sequence[OccupancyGrid], reference: OccupancyGrid | None = Non
     return Window(float(low[0]), float(high[1]), float(low[2]), float(high[3]))
 
 
-def picture(grid: OccupancyGrid, shown: Window) -> bytes:
-    """A PNG of the map within a window: black occupied, white free, grey never seen."""
-    return png(greys(grid, shown))
+def render_map(grid: OccupancyGrid, shown: Window) -> bytes:
+    """Return a PNG of the map within a window: black occupied, white free, grey not observed."""
+    return encode_png(compute_greys(grid, shown))
 
 
-def greys(grid: OccupancyGrid, shown: Window) -> Greys:
-    """Levels 0 (p >= 0.9) to 15 (p <= 0.1), row 0 at the top; a pixel of many cells shows its most occupied one."""
+def compute_greys(grid: OccupancyGrid, shown: Window) -> Greys:
+    """Return levels 0 (p >= 0.9) to 15 (p <= 0.1), row 0 at the top; a pixel of several cells shows the darkest."""
     width, height = shown.size_m
     per_pixel, step = _sampling(grid, shown)
     columns, rows = (max(1, round(side / step / per_pixel)) * per_pixel for side in (width, height))
@@ -81,13 +81,13 @@ def greys(grid: OccupancyGrid, shown: Window) -> Greys:
 
 
 def pixel_m(grid: OccupancyGrid, shown: Window) -> float:
-    """How many metres a pixel of the map's picture shows."""
+    """Return the size of a pixel of the map's image in metres."""
     per_pixel, step = _sampling(grid, shown)
     return per_pixel * step
 
 
-def png(levels: Greys) -> bytes:
-    """A PNG file of 16 grey levels (H, W), by the PNG specification (ISO/IEC 15948): 4 bits a pixel, no filter."""
+def encode_png(levels: Greys) -> bytes:
+    """Return a PNG file of 16 grey levels (H, W), by ISO/IEC 15948: 4 bits a pixel, no filter."""
     height, width = levels.shape
     even = np.pad(levels, ((0, 0), (0, width % 2)))
     packed = (even[:, 0::2] << 4) | even[:, 1::2]
@@ -98,7 +98,7 @@ def png(levels: Greys) -> bytes:
 
 
 def _sampling(grid: OccupancyGrid, shown: Window) -> tuple[int, float]:
-    """How many samples a pixel has along each side, and their distance (m)."""
+    """Return the number of samples per pixel along each side, and their distance (m)."""
     longest = max(shown.size_m)
     per_pixel = int(np.clip(np.ceil(longest / grid.resolution_m / PIXELS), 1, 4))
     return per_pixel, max(longest / (PIXELS * per_pixel), grid.resolution_m / 4.0)

@@ -1,4 +1,4 @@
-"""What the page's player shows of a sequence: poses, residuals, scans and faults of the maps, thinned to a budget."""
+"""The content of the page's player for a sequence: poses, residuals, scans and map defects, thinned to a budget."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.consistency import CLEARED, look_up_cells
 from evalkit.metrics.maps import nearest_distances_m
 from evalkit.plugins.protocols import Sequence
-from evalkit.report.html.array_encoding import NONE, Steps, packed, quantised, restored
+from evalkit.report.html.array_encoding import NONE, Steps, dequantise, pack_array, quantise
 from evalkit.report.html.maps import Window, pixel_m
 from evalkit.report.html.palette import Stroke
 from evalkit.results.run_record import RunRecord
@@ -35,17 +35,17 @@ MAX_ON_PAGE = 4_000_000
 MAX_CELLS = 8000
 QUANTITIES = (("error", "error"), ("s2s", "S2S residual"), ("s2m", "S2M residual"))
 FARTHEST_M = 1e6
-"""A pose beyond is no pose: whoever ran away so far cannot be drawn."""
+"""Poses beyond this distance are not drawn."""
 GHOST_M = 0.2
-"""An occupied cell this far from every true wall is a ghost, and a hit this far from every wall of the map a violation
-where the map is free: four times the range noise (1 sigma) or more."""
+"""Occupied cells farther than this from every true wall are ghost walls; hits in free cells farther than this from
+every wall of the map are free-space violations. At least four times the range noise (1 sigma)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Beams:
-    """The hits of scans, as steps: ``ranges`` (N, B), 0 where a beam hit nothing; ``angles`` (N, B) in the sensor.
+    """The hits of scans, in steps: ``ranges`` (N, B), 0 for a beam without a hit; ``angles`` (N, B) in the sensor.
 
-    ``base_from_sensor`` (N, 3). ``sweep`` (N,): how long a scan took. ``every``: one in so many beams is here.
+    ``base_from_sensor`` (N, 3). ``sweep`` (N,): duration of a scan. ``every``: one in ``every`` beams is kept.
     """
 
     ranges: Steps
@@ -57,10 +57,10 @@ class Beams:
 
 @dataclass(frozen=True, slots=True)
 class Player:
-    """A sequence as the page's player reads it: JSON, whom and what it can show, and what its caption must tell.
+    """A sequence as the page's player reads it: JSON, methods, quantities, and remarks for the caption.
 
-    ``quantities``: pairs of name in the JSON and name for the reader. ``preferred``, ``rival``: whom it begins with.
-    ``maps``: methods that are a map alone.
+    ``quantities``: pairs of name in the JSON and label. ``preferred``, ``rival``: the methods shown first. ``maps``:
+    methods that consist of a map without a path.
     """
 
     content: str
@@ -68,13 +68,13 @@ class Player:
     quantities: tuple[tuple[str, str], ...]
     has_truth: bool
     has_true_map: bool
-    told: str
+    remarks: str
     preferred: str
     rival: str
     maps: tuple[str, ...]
 
 
-def player(
+def build_player(
     records: Several[RunRecord],
     scans: Callable[[], Sequence] | None,
     shown: Window | None,
@@ -82,26 +82,26 @@ def player(
     most_ranges: int = MAX_RANGES,
     preferred: str = "",
 ) -> Player | None:
-    """What is shown of each method's first run; None where nobody answered a scan.
+    """Build the player from each method's first run; None if no run answered a scan.
 
-    ``scans`` makes the sequence again; without it, or where it fails, everything but the scans is there. ``preferred``
+    ``scans`` opens the sequence; without it, or if it fails, the player shows no scans. ``preferred``: the method that
     places the scans at first.
     """
     answered = [record for record in records if len(record.result.steps)]
     if not answered:
         return None
     stamps = np.unique(np.concatenate([record.result.steps["stamp_ns"] for record in answered]))
-    rows = chosen(disagreement(np.stack([world_poses(record, stamps) for record in answered])), MAX_SCANS)
+    rows = choose_scans(motion_disagreement(np.stack([world_poses(record, stamps) for record in answered])), MAX_SCANS)
     kept = stamps[rows]
     beams, why = _beams_of(scans, kept, most_ranges)
     alone = [record for record in records if not len(record.result.steps) and record.scores.grid is not None]
     true = next((t.truth.trajectory for t in answered if t.truth.trajectory is not None), None)
     content: dict[str, Any] = {
-        "times": packed(quantised((kept - kept[0]) / MILLISECOND, 1.0)),
-        "numbers": packed((rows + 1).astype(np.int32)),
+        "times": pack_array(quantise((kept - kept[0]) / MILLISECOND, 1.0)),
+        "numbers": pack_array((rows + 1).astype(np.int32)),
         "of": len(stamps),
         "beams": None if beams is None else _packed_beams(beams),
-        "truth": None if true is None else packed(pose_steps(_at(true, kept))),
+        "truth": None if true is None else pack_array(quantise_poses(_at(true, kept))),
         "runs": [_run(record, kept, beams, lines) for record in answered],
         "maps": [{"label": record.method} | _map(record) for record in alone],
         "window": None if shown is None else [shown.x_min, shown.x_max, shown.y_min, shown.y_max],
@@ -115,20 +115,20 @@ def player(
         quantities=tuple((key, name) for key, name in QUANTITIES if any(run[key] for run in content["runs"])),
         has_truth=true is not None,
         has_true_map="" in content["pixels"],
-        told=_told(len(stamps), len(kept), beams, why, [record.method for record in alone]),
+        remarks=_describe_omissions(len(stamps), len(kept), beams, why, [record.method for record in alone]),
         preferred=first,
         rival=second,
         maps=tuple(record.method for record in alone),
     )
 
 
-def budget(sequences: int) -> int:
-    """How many ranges of each of so many sequences a page may hold."""
+def ranges_per_sequence(sequences: int) -> int:
+    """Return the number of ranges of each sequence that a page of so many sequences holds."""
     return min(MAX_RANGES, MAX_ON_PAGE // max(sequences, 1))
 
 
 def world_poses(record: RunRecord, stamps: Stamps) -> Floats:
-    """The poses ``world_from_base`` (N, 3) a run answered at those times, nan where it did not."""
+    """Return the estimated poses ``world_from_base`` (N, 3) at those times, nan without an answer."""
     steps = record.result.steps
     poses = np.stack([steps["x"], steps["y"], steps["theta"]], axis=-1).astype(np.float64)
     poses[~(np.abs(poses) < FARTHEST_M).all(axis=1)] = np.nan
@@ -137,10 +137,10 @@ def world_poses(record: RunRecord, stamps: Stamps) -> Floats:
     return found
 
 
-def disagreement(poses: Floats) -> Floats:
-    """By how many metres the motions (C, N, 3) of C methods since the scan before differ at most (N,); 0 at first.
+def motion_disagreement(poses: Floats) -> Floats:
+    """Return the largest difference (N,) in metres of the motions since the previous scan, for poses (C, N, 3).
 
-    Motions are compared each in its own frame, so that what went apart once does not differ for ever after.
+    The first is 0. Each motion is expressed in its own frame, so that one jump does not affect later scans.
     """
     moved = se2.between(poses[:, :-1], poses[:, 1:])[..., :2]
     apart = np.zeros(poses.shape[1])
@@ -150,8 +150,8 @@ def disagreement(poses: Floats) -> Floats:
     return apart
 
 
-def chosen(apart: Floats, most: int) -> Ints:
-    """The indices of at most so many scans, rising: of each stretch the one of most disagreement, and both ends."""
+def choose_scans(apart: Floats, most: int) -> Ints:
+    """Return increasing indices of at most so many scans: in each stretch the largest disagreement, and both ends."""
     count = len(apart)
     if count <= most:
         return np.arange(count, dtype=np.int64)
@@ -160,8 +160,8 @@ def chosen(apart: Floats, most: int) -> Ints:
     return np.array([0, *inner, count - 1], dtype=np.int64)
 
 
-def beams_at(sequence: Sequence, stamps: Stamps, most_ranges: int) -> Beams:
-    """The scans of a sequence at those times (N,), their beams thinned evenly until at most so many ranges are left."""
+def load_beams(sequence: Sequence, stamps: Stamps, most_ranges: int) -> Beams:
+    """Load the scans at those times (N,), with beams thinned evenly to at most so many ranges."""
     row_of = {stamp: row for row, stamp in enumerate(stamps.tolist())}
     found = {}
     for frame in sequence.frames():
@@ -177,17 +177,18 @@ def beams_at(sequence: Sequence, stamps: Stamps, most_ranges: int) -> Beams:
     for row, frame in found.items():
         taken = slice(None, None, every)
         hits = np.where(frame.scan.hits, frame.scan.ranges, 0.0)[taken]
-        ranges[row, : len(hits)] = quantised(hits, METRE)
-        angles[row, : len(hits)] = quantised(frame.scan.angles[taken], RADIAN)
-        sensor[row] = pose_steps(frame.base_from_sensor.row)
+        ranges[row, : len(hits)] = quantise(hits, METRE)
+        angles[row, : len(hits)] = quantise(frame.scan.angles[taken], RADIAN)
+        sensor[row] = quantise_poses(frame.base_from_sensor.row)
         sweep[row] = frame.scan.duration_ns // MILLISECOND
     return Beams(ranges, angles, sensor, sweep, every)
 
 
-def placed(beams: Beams, poses: Floats, stamps: Stamps) -> Floats:
-    """Where the hits lie in the world (N, B, 2), nan where there is none: what the page draws for poses (N, 3).
+def place_hits(beams: Beams, poses: Floats, stamps: Stamps) -> Floats:
+    """Return the hits in the world (N, B, 2) for poses (N, 3), nan without a hit, as the page draws them.
 
-    The motion within a scan is undone at the speed from each kept pose to the next one, or to the last from before it.
+    The motion within a scan is compensated with the speed between each kept pose and the next; for the last pose,
+    between the previous one and it.
     """
     count, width = beams.ranges.shape
     after = np.minimum(np.arange(count) + 1, count - 1)
@@ -200,27 +201,28 @@ def placed(beams: Beams, poses: Floats, stamps: Stamps) -> Floats:
     return se2.transform_each(moving.reshape(-1, 3), _in_base(beams)).reshape(count, width, 2)
 
 
-@lru_cache(maxsize=1)  # every method places the same hits
+@lru_cache(maxsize=1)  # the same hits for every method
 def _in_base(beams: Beams) -> Floats:
-    """The hits (N * B, 2) seen from the base (m), nan where there is none."""
+    """Return the hits (N * B, 2) in the base frame (m), nan without a hit."""
     ranges, angles = (beams.ranges * METRE).ravel(), (beams.angles * RADIAN).ravel()
     points = np.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=-1)
     points[ranges <= 0.0] = np.nan
     return se2.transform_each(np.repeat(_poses(beams.base_from_sensor), beams.ranges.shape[1], axis=0), points)
 
 
-def ghosts(mapped: OccupancyGrid, true: OccupancyGrid) -> Floats:
-    """Centres (K, 2) of occupied cells farther than ``GHOST_M`` from every true wall (m)."""
+def find_ghosts(mapped: OccupancyGrid, true: OccupancyGrid) -> Floats:
+    """Return centres (K, 2) of occupied cells farther than ``GHOST_M`` from every true wall (m)."""
     ours, theirs = mapped.centres(mapped.occupied()), true.centres(true.occupied())
     if not len(ours) or not len(theirs):
         return ours
     return np.asarray(ours[nearest_distances_m(ours, theirs) > GHOST_M])
 
 
-def violations(points: Floats, grid: OccupancyGrid) -> Floats:
-    """Centres (K, 2) of the map's cells in which hits (N, 2) lie though the run as a whole has found them free.
+def find_violations(points: Floats, grid: OccupancyGrid) -> Floats:
+    """Return centres (K, 2) of the map's cells that contain hits (N, 2) although the whole run found them free.
 
-    Free is what consistency calls cleared, log-odds below -1, without an occupied cell within ``GHOST_M``.
+    Free: cleared by the definition of the consistency metrics (log-odds below -1), without an occupied cell within
+    ``GHOST_M``.
     """
     log_odds, observed = look_up_cells(points, grid)
     suspects = points[observed & (log_odds < CLEARED)]
@@ -230,37 +232,37 @@ def violations(points: Floats, grid: OccupancyGrid) -> Floats:
     origin, step = np.array([grid.origin_x, grid.origin_y]), grid.resolution_m
     columns, rows = np.floor((suspects - origin) / step).T
     high = grid.shape[0]
-    cells = np.unique(columns * high + rows)  # whole numbers: by far quicker than pairs
+    cells = np.unique(columns * high + rows)  # integers are much faster than pairs
     return np.asarray(origin + (np.stack([cells // high, cells % high], axis=-1) + 0.5) * step)
 
 
-def pose_steps(poses: Floats) -> Steps:
-    """Poses (..., 3) in steps of a millimetre and 1e-5 rad; all ``NONE`` where one number is missing."""
-    steps = quantised(poses, np.array([METRE, METRE, RADIAN]))
+def quantise_poses(poses: Floats) -> Steps:
+    """Return poses (..., 3) in steps of 1 mm and 1e-5 rad; all ``NONE`` if one number is missing."""
+    steps = quantise(poses, np.array([METRE, METRE, RADIAN]))
     return np.where((steps == NONE).any(axis=-1, keepdims=True), NONE, steps).astype(np.int32)
 
 
 def _poses(steps: Steps) -> Floats:
-    return restored(steps, np.array([METRE, METRE, RADIAN]))
+    return dequantise(steps, np.array([METRE, METRE, RADIAN]))
 
 
 def _beams_of(scans: Callable[[], Sequence] | None, stamps: Stamps, most: int) -> tuple[Beams | None, str]:
-    """The scans, or None and why there are none."""
+    """Return the scans, or None and the reason."""
     if scans is None:
-        return None, "the recording was not at hand"
+        return None, "the sequence is not available"
     try:
-        return beams_at(scans(), stamps, most), ""
-    except Exception as error:  # noqa: BLE001 - a reader is a third party's code, and the page stands without it
-        return None, f"the recording cannot be read ({error})"
+        return load_beams(scans(), stamps, most), ""
+    except Exception as error:  # noqa: BLE001 - third-party code of a reader; the page works without scans
+        return None, f"the sequence cannot be read ({error})"
 
 
 def _packed_beams(beams: Beams) -> dict[str, Any]:
     return {
         "width": beams.ranges.shape[1],
-        "ranges": packed(beams.ranges.ravel()),
-        "angles": packed(beams.angles),
-        "sensor": packed(beams.base_from_sensor),
-        "sweep": packed(beams.sweep),
+        "ranges": pack_array(beams.ranges.ravel()),
+        "angles": pack_array(beams.angles),
+        "sensor": pack_array(beams.base_from_sensor),
+        "sweep": pack_array(beams.sweep),
     }
 
 
@@ -272,16 +274,16 @@ def _run(record: RunRecord, stamps: Stamps, beams: Beams | None, lines: Mapping[
     def series(values: Floats | None) -> str | None:
         if values is None or not np.isfinite(values).any():
             return None
-        return packed(quantised(np.where(there, np.asarray(values, dtype=np.float64)[rows], np.nan), RESIDUAL))
+        return pack_array(quantise(np.where(there, np.asarray(values, dtype=np.float64)[rows], np.nan), RESIDUAL))
 
-    steps = pose_steps(world_poses(record, record.result.steps["stamp_ns"])[rows])
+    steps = quantise_poses(world_poses(record, record.result.steps["stamp_ns"])[rows])
     steps[~there] = NONE
     stroke = lines[record.method]
     return {
         "label": record.method,
         "colour": stroke.colour,
         "dash": list(stroke.dash),
-        "poses": packed(steps),
+        "poses": pack_array(steps),
         "s2s": series(record.result.steps["s2s_error"]),
         "s2m": series(record.result.steps["s2m_error"]),
         "error": series(record.scores.errors_m),
@@ -291,7 +293,7 @@ def _run(record: RunRecord, stamps: Stamps, beams: Beams | None, lines: Mapping[
 
 
 def _map(record: RunRecord) -> dict[str, Any]:
-    """The side of the map's cells (m) and its ghost walls."""
+    """Return the size of the map's cells (m) and its ghost walls."""
     side = METRE if record.scores.grid is None else record.scores.grid.resolution_m
     return {"cell": side, "ghosts": _cells(_ghosts_of(record))}
 
@@ -299,26 +301,26 @@ def _map(record: RunRecord) -> dict[str, Any]:
 def _ghosts_of(record: RunRecord) -> Floats | None:
     if record.scores.grid is None or record.truth.grid is None:
         return None
-    return ghosts(record.scores.grid, record.truth.grid)
+    return find_ghosts(record.scores.grid, record.truth.grid)
 
 
 def _violations_of(record: RunRecord, poses: Floats, stamps: Stamps, beams: Beams | None) -> Floats | None:
     if record.scores.grid is None or beams is None:
         return None
-    points = placed(beams, poses, stamps).reshape(-1, 2)
-    return violations(points[np.isfinite(points).all(axis=1)], record.scores.grid)
+    points = place_hits(beams, poses, stamps).reshape(-1, 2)
+    return find_violations(points[np.isfinite(points).all(axis=1)], record.scores.grid)
 
 
 def _cells(centres: Floats | None) -> str | None:
-    """Places (K, 2) in millimetres, at most ``MAX_CELLS`` of them; None where nobody can tell."""
+    """Return at most ``MAX_CELLS`` positions (K, 2) in millimetres; None if unknown."""
     if centres is None:
         return None
     taken = np.unique(np.linspace(0, len(centres) - 1, min(len(centres), MAX_CELLS)).astype(int))
-    return packed(quantised(centres[taken], METRE))
+    return pack_array(quantise(centres[taken], METRE))
 
 
 def _at(true: Trajectory, stamps: Stamps) -> Floats:
-    """The true poses (N, 3) at those times, nan beyond the truth's span."""
+    """Return the true poses (N, 3) at those times, nan outside the time span of the ground truth."""
     found = np.full((len(stamps), 3), np.nan)
     inside = (stamps >= true.stamps_ns[0]) & (stamps <= true.stamps_ns[-1]) if len(true) else np.zeros(0, dtype=int)
     found[inside] = true.at(stamps[inside])
@@ -326,7 +328,7 @@ def _at(true: Trajectory, stamps: Stamps) -> Floats:
 
 
 def _pixels(records: Several[RunRecord], shown: Window | None) -> Mapping[str, float]:
-    """Metres per pixel of each map's picture, "" for the true one."""
+    """Return metres per pixel of each map's image; the true map has the name ""."""
     if shown is None:
         return {}
     grids = {record.method: record.scores.grid for record in records if record.scores.grid is not None}
@@ -335,21 +337,23 @@ def _pixels(records: Several[RunRecord], shown: Window | None) -> Mapping[str, f
 
 
 def _two(runs: Several[Mapping[str, Any]], preferred: str) -> tuple[str, str]:
-    """Whom the page compares at first: who is preferred, else the first, and another; with residuals if any."""
+    """Return the methods compared first: the preferred or the first one, and another; with residuals if possible."""
     labels = [run["label"] for run in sorted(runs, key=lambda run: run["s2m"] is None)]
     first = preferred if preferred in labels else labels[0]
     return first, next((label for label in labels if label != first), first)
 
 
-def _told(answered: int, kept: int, beams: Beams | None, why: str, alone: Several[str]) -> str:
-    """What the reader must know of what was left out."""
+def _describe_omissions(answered: int, kept: int, beams: Beams | None, why: str, alone: Several[str]) -> str:
+    """Return sentences on what is left out."""
     sentences = []
     if kept < answered:
-        sentences.append(f"{kept:,} of {answered:,} scans: of each stretch the one in which methods differ most.")
+        sentences.append(
+            f"{kept:,} of {answered:,} scans are shown: in each stretch the one with the largest difference."
+        )
     if beams is None:
-        sentences.append(f"Without the scans themselves: {why}.")
+        sentences.append(f"Scans are not shown: {why}.")
     elif beams.every > 1:
         sentences.append(f"One beam in {beams.every} is shown.")
     if alone:
-        sentences.append(f"Without a path to play, because a map alone was given: {', '.join(alone)}.")
+        sentences.append(f"Maps without a path: {', '.join(alone)}.")
     return " ".join(sentences)

@@ -1,4 +1,4 @@
-"""What the page shows, as texts and flags: the templates only arrange it."""
+"""The tables of a report's page as texts and flags, which the templates arrange."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from evalkit.stats.intervals import wilson_interval
 
 
 @dataclass(frozen=True, slots=True)
-class Number:
-    """A cell of a table. ``sort``: None sorts last. ``tip``: what it stands on, or why there is nothing.
+class TableNumber:
+    """A number in a table. ``sort``: None sorts last. ``tip``: its support, or why it is missing.
 
-    ``best``: the best of those who completed every run; ``level``: not separable from it. ``partial``: what runs that
-    ended early had reached, shown apart because it is comparable with nothing.
+    ``best``: the best of the methods that completed every run; ``tied``: without a clear difference from it.
+    ``partial``: values of runs that ended early, shown apart because they are not comparable.
     """
 
     text: str
@@ -30,12 +30,12 @@ class Number:
     sort: float | None = None
     tip: str = ""
     best: bool = False
-    level: bool = False
+    tied: bool = False
     partial: str = ""
 
 
 @dataclass(frozen=True, slots=True)
-class Failure:
+class FailedRuns:
     """Runs of one method that ended the same way."""
 
     method: str
@@ -46,46 +46,46 @@ class Failure:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class HeadlineRow:
     """One method over one sequence. ``success``: the interval of the share of runs that finish."""
 
     method: str
     complete: int
     expected: int
     success: str
-    numbers: tuple[Number, ...]
-    failures: tuple[Failure, ...]
-    behind_bar: bool
+    numbers: tuple[TableNumber, ...]
+    failures: tuple[FailedRuns, ...]
+    behind_baseline: bool
 
 
 @dataclass(frozen=True, slots=True)
-class Table:
-    """A headline table; ``absent``: reasons, with the headline metrics that mean nothing here for each."""
+class HeadlineTable:
+    """A headline table; ``absent``: headline metrics without a value, by the reason."""
 
     metrics: tuple[Metric, ...]
-    rows: tuple[Row, ...]
+    rows: tuple[HeadlineRow, ...]
     absent: dict[str, tuple[str, ...]]
 
 
 @dataclass(frozen=True, slots=True)
-class Glance:
-    """The whole comparison in one table; a sequence without any value has no standing."""
+class GlanceTable:
+    """The whole comparison in one table; a sequence without any value has no ranking."""
 
     columns: tuple[tuple[str, Ranking | None], ...]
-    rows: tuple[tuple[str, tuple[Number, ...]], ...]
+    rows: tuple[tuple[str, tuple[TableNumber, ...]], ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class MetricRow:
     """One metric over all methods of a sequence."""
 
     metric: Metric
-    numbers: tuple[Number, ...]
+    numbers: tuple[TableNumber, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Reference:
-    """A row of a table that sets a metric beside what others have printed; ``source`` is empty for our own rows."""
+class PublishedRow:
+    """A published result or one of this report; ``source``: "" for this report."""
 
     label: str
     value: str
@@ -94,117 +94,121 @@ class Reference:
     source: str
 
 
-def headline(sequence: SequenceAnalysis) -> Table:
-    """The first table of a sequence: methods down, headline metrics across, what decides and what it costs first.
+def build_headline(sequence: SequenceAnalysis) -> HeadlineTable:
+    """Return the first table of a sequence: methods in rows; deciding metric, cost and headline metrics in columns.
 
-    Where there is a true map, the maps' consistency is left to the table of all metrics.
+    With a true map, map consistency appears only in the table of all metrics.
     """
     found = [sequence.rankings[metric.name] for metric in _headline_metrics(sequence)]
     present = [one for one in found if one.has_values]
     rows = [_row(sequence, label, own, present) for label, own in sequence.runs.items()]
-    return Table(tuple(one.metric for one in present), tuple(rows), _absent(found))
+    return HeadlineTable(tuple(one.metric for one in present), tuple(rows), _absent(found))
 
 
-def share(trials: Sequence[RunRecord]) -> str:
-    """The 95 % interval of the share of runs that finish, of those that could start; "" where none could."""
-    started = [trial for trial in trials if trial.result.status not in NOT_EXECUTED]
+def format_success(records: Sequence[RunRecord]) -> str:
+    """Return the 95 % interval of the share of runs that finish, of those that could start; "" without any."""
+    started = [record for record in records if record.result.status not in NOT_EXECUTED]
     if not started:
         return ""
     found = wilson_interval(len(started) - len(unfinished(started)), len(started))
     return f"95 %: {100.0 * found.low:.0f}–{100.0 * found.high:.0f} %"
 
 
-def absent(sequence: SequenceAnalysis) -> dict[str, tuple[str, ...]]:
-    """All metrics of a sequence that nobody has a value for, by the reason."""
+def find_absent(sequence: SequenceAnalysis) -> dict[str, tuple[str, ...]]:
+    """Return all metrics of a sequence without a value, by the reason."""
     return _absent(list(sequence.rankings.values()))
 
 
-def glance(analysis: Analysis) -> Glance:
-    """Every method over every sequence in the metric that decides it."""
+def build_glance(analysis: Analysis) -> GlanceTable:
+    """Return every method over every sequence in its deciding metric."""
     columns = tuple((sequence.label, sequence.deciding) for sequence in analysis.sequences)
     rows = tuple(
         (who, tuple(_glanced(sequence, who) for sequence in analysis.sequences))
         for who in analysis.comparison.method_labels
     )
-    return Glance(columns, rows)
+    return GlanceTable(columns, rows)
 
 
-def everything(sequence: SequenceAnalysis) -> dict[str, tuple[Line, ...]]:
-    """All metrics of a sequence by group; metrics that nobody has a value for are left out."""
+def build_all_metrics(sequence: SequenceAnalysis) -> dict[str, tuple[MetricRow, ...]]:
+    """Return all metrics of a sequence with a value, by group."""
     degenerate = bool(sequence.card.degenerate)
-    groups: dict[str, list[Line]] = {}
+    groups: dict[str, list[MetricRow]] = {}
     for found in sequence.rankings.values():
         metric = found.metric
         if found.has_values:
-            numbers = tuple(number(found, cell, degenerate) for cell in found.scores)
-            groups.setdefault(metric.group, []).append(Line(metric, numbers))
+            numbers = tuple(format_score(found, cell, degenerate) for cell in found.scores)
+            groups.setdefault(metric.group, []).append(MetricRow(metric, numbers))
     return {group: tuple(lines) for group, lines in groups.items()}
 
 
-def number(found: Ranking, cell: MethodScore, unranked: bool = False) -> Number:
-    """A cell as printed: the median with its interval or the range of its runs, or a dash with the reason as its tip.
+def format_score(found: Ranking, cell: MethodScore, unranked: bool = False) -> TableNumber:
+    """Return a score as printed: the median with its interval or range, or a dash with the reason as its tip.
 
-    ``unranked``: the geometry cannot fix the pose, or the map measures disagree, so nothing is marked as best.
+    ``unranked``: the geometry is degenerate, or the map metrics disagree, so nothing is marked as best.
     """
     metric = found.metric
-    partial = ", ".join(printed(metric, value) for value in cell.partial)
+    partial = ", ".join(format_value(metric, value) for value in cell.partial)
     if not cell.values:
-        return Number("–", tip=cell.reason, partial=partial)
+        return TableNumber("–", tip=cell.reason, partial=partial)
     middle = median(cell.values)
     extent, runs = _extent(metric, cell), f"{len(cell.values)} of {cell.expected} runs"
     if len(cell.values) < cell.expected:
         extent = f"{runs} {extent}".rstrip()
     if len(cell.values) > 1:
-        runs += f" ({printed(metric, min(cell.values))} to {printed(metric, max(cell.values))})"
+        runs += f" ({format_value(metric, min(cell.values))} to {format_value(metric, max(cell.values))})"
     support = f", support {cell.support}" if cell.support else ""
     contest = len(found.tied) < len(found.ranked) and not unranked
-    return Number(
-        printed(metric, middle),
+    return TableNumber(
+        format_value(metric, middle),
         extent,
         middle,
         f"{metric.label}: median of {runs}{support}",
         best=contest and cell is found.ranked[0],
-        level=contest and cell in found.tied and len(found.tied) > 1,
+        tied=contest and cell in found.tied and len(found.tied) > 1,
         partial=partial,
     )
 
 
 def _extent(metric: Metric, cell: MethodScore) -> str:
-    """The 95 % interval, or the lowest and highest of several runs, as the page prints it beneath the number."""
+    """Return the 95 % interval, or the lowest and highest of several runs, as printed below the number."""
     found = cell.interval
     if found is not None:
-        return f"95 %: {printed(metric, found.low)}–{printed(metric, found.high)}"
-    return f"{printed(metric, min(cell.values))}–{printed(metric, max(cell.values))}" if len(cell.values) > 1 else ""
+        return f"95 %: {format_value(metric, found.low)}–{format_value(metric, found.high)}"
+    return (
+        f"{format_value(metric, min(cell.values))}–{format_value(metric, max(cell.values))}"
+        if len(cell.values) > 1
+        else ""
+    )
 
 
-def printed(metric: Metric, value: float) -> str:
-    """A number with the metric's decimals and a true minus sign."""
+def format_value(metric: Metric, value: float) -> str:
+    """Return a number with the metric's decimals and a true minus sign."""
     return f"{value:.{metric.digits}f}".replace("-", "\u2212")
 
 
-def failures(trials: Sequence[RunRecord]) -> tuple[Failure, ...]:
-    """The runs that did not complete, those of one method with one reason together."""
+def group_failures(records: Sequence[RunRecord]) -> tuple[FailedRuns, ...]:
+    """Return the runs that did not complete; those of one method with one reason are one entry."""
     together: dict[tuple[str, RunStatus, str], list[RunRecord]] = {}
-    for trial in unfinished(trials):
-        together.setdefault((trial.method, trial.result.status, trial.result.reason), []).append(trial)
+    for record in unfinished(records):
+        together.setdefault((record.method, record.result.status, record.result.reason), []).append(record)
     return tuple(
-        Failure(who, _seeds(alike), STATUS_LABELS[status], _progress(alike), reason)
+        FailedRuns(who, _seeds(alike), STATUS_LABELS[status], _progress(alike), reason)
         for (who, status, reason), alike in together.items()
     )
 
 
-def published(sequence: SequenceAnalysis) -> tuple[Metric, tuple[Reference, ...]] | None:
-    """Our methods among published figures, best first, with the metric; None where nothing was published."""
+def build_published(sequence: SequenceAnalysis) -> tuple[Metric, tuple[PublishedRow, ...]] | None:
+    """Return this report's methods among published results, best first, with the metric; None without publications."""
     rows = sequence.card.published
     metric = _counterpart(sequence.metrics, rows) if rows else None
     if metric is None:
         return None
     deviation = next((m for m in sequence.metrics if m.name == rows[0].spread_metric), None)
     references = [
-        Reference(
+        PublishedRow(
             row.label,
-            printed(metric, row.value),
-            "" if row.spread is None else printed(metric, row.spread),
+            format_value(metric, row.value),
+            "" if row.spread is None else format_value(metric, row.spread),
             row.value,
             row.source,
         )
@@ -212,16 +216,18 @@ def published(sequence: SequenceAnalysis) -> tuple[Metric, tuple[Reference, ...]
     ]
     for cell in sequence.rankings[metric.name].ranked:
         beside = sequence.rankings[deviation.name].of(cell.method) if deviation else None
-        spread = printed(deviation, beside.median) if deviation and beside and beside.median is not None else ""
-        references.append(Reference(cell.method, printed(metric, median(cell.values)), spread, median(cell.values), ""))
+        spread = format_value(deviation, beside.median) if deviation and beside and beside.median is not None else ""
+        references.append(
+            PublishedRow(cell.method, format_value(metric, median(cell.values)), spread, median(cell.values), "")
+        )
     return metric, tuple(sorted(references, key=lambda row: row.sort))
 
 
-def notes(trials: Sequence[RunRecord]) -> dict[str, int]:
-    """Defects counted while reading a sequence: the highest count over its runs."""
+def count_notes(records: Sequence[RunRecord]) -> dict[str, int]:
+    """Return the defects counted while reading a sequence: the highest count over its runs."""
     counts: dict[str, int] = {}
-    for trial in trials:
-        for name, count in trial.result.notes.items():
+    for record in records:
+        for name, count in record.result.notes.items():
             counts[name] = max(counts.get(name, 0), int(count))
     return {name: count for name, count in counts.items() if count}
 
@@ -229,30 +235,32 @@ def notes(trials: Sequence[RunRecord]) -> dict[str, int]:
 def _headline_metrics(sequence: SequenceAnalysis) -> list[Metric]:
     decision = sequence.deciding
     first = decision.metric.name if decision else ""
-    mapped = any(trial.truth.grid is not None for trial in sequence.all_runs)
+    mapped = any(record.truth.grid is not None for record in sequence.all_runs)
     shown = [m for m in sequence.metrics if m.headline and not (mapped and m.group == "map consistency")]
     return sorted(shown, key=lambda metric: (metric.name != first, metric.group != "runtime"))
 
 
-def _row(sequence: SequenceAnalysis, label: str, trials: Sequence[RunRecord], present: Sequence[Ranking]) -> Row:
+def _row(
+    sequence: SequenceAnalysis, label: str, records: Sequence[RunRecord], present: Sequence[Ranking]
+) -> HeadlineRow:
     cells = [(found, cell) for found in present if (cell := found.of(label)) is not None]
-    complete = len(trials) - len(unfinished(trials))
+    complete = len(records) - len(unfinished(records))
     behind, degenerate = sequence.is_behind(label), bool(sequence.card.degenerate)
-    numbers = tuple(number(found, cell, degenerate) for found, cell in cells)
-    return Row(label, complete, len(trials), share(trials), numbers, failures(trials), behind)
+    numbers = tuple(format_score(found, cell, degenerate) for found, cell in cells)
+    return HeadlineRow(label, complete, len(records), format_success(records), numbers, group_failures(records), behind)
 
 
-def _glanced(sequence: SequenceAnalysis, method: str) -> Number:
+def _glanced(sequence: SequenceAnalysis, method: str) -> TableNumber:
     found = sequence.deciding
     cell = found.of(method) if found else None
     if found is None or cell is None:
-        return Number("–", tip="no value for any headline metric" if found is None else "not run here")
+        return TableNumber("–", tip="no value for any headline metric" if found is None else "not run here")
     unranked = bool(sequence.card.degenerate) or sequence.map_agreement.disagrees
-    return number(found, cell, unranked)
+    return format_score(found, cell, unranked)
 
 
 def _absent(found: Sequence[Ranking]) -> dict[str, tuple[str, ...]]:
-    """Metrics nobody has a value for, by the reason that complete runs give; none where nothing was completed."""
+    """Return the metrics without a value, by the reason of the complete runs; none if no run completed."""
     reasons: dict[str, tuple[str, ...]] = {}
     for one in found:
         reason = next((cell.reason for cell in one.scores if cell.complete), "")
@@ -269,13 +277,15 @@ def _counterpart(metrics: Sequence[Metric], rows: Sequence[Published]) -> Metric
     return None
 
 
-def _seeds(trials: Sequence[RunRecord]) -> str:
-    seeds = [str(trial.seed) for trial in trials if trial.seed is not None]
+def _seeds(records: Sequence[RunRecord]) -> str:
+    seeds = [str(record.seed) for record in records if record.seed is not None]
     if not seeds:
         return ""
     return f"seed{'s' if len(seeds) > 1 else ''} {', '.join(seeds)}"
 
 
-def _progress(trials: Sequence[RunRecord]) -> str:
-    counts = dict.fromkeys(f"{len(t.result.steps)} of {t.result.expected} scans" for t in trials if len(t.result.steps))
+def _progress(records: Sequence[RunRecord]) -> str:
+    counts = dict.fromkeys(
+        f"{len(t.result.steps)} of {t.result.expected} scans" for t in records if len(t.result.steps)
+    )
     return f"after {' / '.join(counts)}" if counts else ""

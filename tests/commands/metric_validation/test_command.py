@@ -21,7 +21,7 @@ from evalkit.core.trajectory import Trajectory
 from evalkit.metrics import evaluate
 from evalkit.metrics.table import NO_POSES, Evidence, MissingMap
 from evalkit.metrics.trajectory import match_trajectories
-from evalkit.report.html.document import render
+from evalkit.report.html.blocks import render
 
 
 def told(*words):

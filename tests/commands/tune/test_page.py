@@ -10,7 +10,7 @@ from evalkit.commands.tune import page, results_json, search_loop
 from evalkit.commands.tune.charts import on_pareto_front
 from evalkit.commands.tune.config import tuning
 from evalkit.commands.tune.result import TuningResult
-from evalkit.report.html.document import render
+from evalkit.report.html.blocks import render
 
 ATE = "ate_rmse_m"
 SEEDS = range(10)

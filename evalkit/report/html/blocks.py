@@ -1,21 +1,21 @@
-"""A page made of blocks, in the style of the report: for every result that is not a comparison of runs."""
+"""Pages made of blocks: paragraphs, lists, tables, figures, folds. Every page of evalkit uses them and one template."""
 
 from __future__ import annotations
 
 import re
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
-from jinja2 import Environment, PackageLoader, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined, Template
 
 Tone = Literal["", "good", "bad", "warn"]
 
 
 @dataclass(frozen=True, slots=True)
 class Text:
-    """A paragraph; ``tone`` "note" is small print, "warn" a coloured call."""
+    """A paragraph; ``tone`` "note": small print, "warn": highlighted."""
 
     body: str
     tone: Literal["", "note", "warn"] = ""
@@ -24,7 +24,7 @@ class Text:
 
 @dataclass(frozen=True, slots=True)
 class Bullets:
-    """A list of sentences."""
+    """A bullet list."""
 
     items: Sequence[str]
     kind: Literal["bullets"] = "bullets"
@@ -32,7 +32,7 @@ class Bullets:
 
 @dataclass(frozen=True, slots=True)
 class Column:
-    """A heading; ``number`` aligns to the right, ``tip`` explains."""
+    """A column of a table; ``number``: aligned to the right; ``tip``: explanation on hover."""
 
     label: str
     unit: str = ""
@@ -42,7 +42,10 @@ class Column:
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """A table's cell: what is read, what it sorts by (None: by the text), its colour, a hint and where it leads."""
+    """A cell of a table: text, sort key (None: the text), colour, explanation on hover, and link.
+
+    Raises ValueError for a link other than an anchor of the page or a web address.
+    """
 
     text: str
     sort: float | str | None = None
@@ -52,12 +55,12 @@ class Cell:
 
     def __post_init__(self) -> None:
         if self.link and not self.link.startswith(("#", "https://", "http://")):
-            raise ValueError(f"link: expected a place on the page or a web address, got {self.link!r}")
+            raise ValueError(f"link: expected an anchor or a web address, got {self.link!r}")
 
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Rows of texts and cells, the first of each its heading; a row must be as long as ``columns``."""
+    """Rows of texts and cells; the first cell of a row is its heading. Raises ValueError for a row of wrong length."""
 
     columns: Sequence[Column | str]
     rows: Sequence[Sequence[Cell | str]]
@@ -71,17 +74,17 @@ class Table:
                 raise ValueError(f"table row {number}: expected {len(self.columns)} cells, got {len(row)}")
 
     def headings(self) -> list[Column]:
-        """Every column in full."""
+        """Return every column as ``Column``."""
         return [column if isinstance(column, Column) else Column(column) for column in self.columns]
 
     def cells(self) -> list[list[Cell]]:
-        """Every cell in full."""
+        """Return every cell as ``Cell``."""
         return [[cell if isinstance(cell, Cell) else Cell(cell) for cell in row] for row in self.rows]
 
 
 @dataclass(frozen=True, slots=True)
 class Figure:
-    """A drawing with what it shows (for those who cannot see it too) and how to read it."""
+    """An image with its title (also the alternative text) and its caption; ``svg``: the file, of type ``media``."""
 
     svg: bytes
     title: str
@@ -91,13 +94,13 @@ class Figure:
 
     @property
     def uri(self) -> str:
-        """The drawing within the page."""
+        """The image as a data URI."""
         return f"data:image/{self.media};base64,{b64encode(self.svg).decode()}"
 
 
 @dataclass(frozen=True, slots=True)
 class Figures:
-    """Drawings side by side as the window allows; ``small`` fits more of them."""
+    """Figures side by side; ``small``: more of them in a row."""
 
     figures: Sequence[Figure]
     small: bool = False
@@ -106,7 +109,7 @@ class Figures:
 
 @dataclass(frozen=True, slots=True)
 class Command:
-    """A line to be typed."""
+    """A command line."""
 
     text: str
     kind: Literal["command"] = "command"
@@ -114,7 +117,7 @@ class Command:
 
 @dataclass(frozen=True, slots=True)
 class Fold:
-    """Blocks that are folded away until somebody asks."""
+    """Blocks that are hidden until the reader opens them."""
 
     title: str
     blocks: Sequence[Block]
@@ -130,7 +133,7 @@ class Heading:
 
     @property
     def anchor(self) -> str:
-        """What a link ends in."""
+        """The anchor of the heading."""
         return slug(self.text)
 
 
@@ -139,7 +142,7 @@ Block = Text | Bullets | Table | Figure | Figures | Command | Fold | Heading
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A part of the page that the bar at its top leads to."""
+    """A section of the page, with a link in the navigation bar."""
 
     title: str
     blocks: Sequence[Block]
@@ -147,13 +150,13 @@ class Section:
 
     @property
     def target(self) -> str:
-        """What a link to this section ends in."""
+        """The anchor of the section."""
         return self.anchor or slug(self.title)
 
 
 @dataclass(frozen=True, slots=True)
 class Document:
-    """A whole page: ``facts`` are pairs of name and text below the title."""
+    """A page; ``facts``: pairs of name and text below the title."""
 
     kicker: str
     title: str
@@ -162,8 +165,23 @@ class Document:
     facts: Sequence[tuple[str, str]] = field(default=())
 
 
+@dataclass(frozen=True, slots=True)
+class NavigationLink:
+    """A link in the navigation bar; ``minor``: less prominent."""
+
+    target: str
+    title: str
+    minor: bool = False
+
+
 def render(document: Document) -> str:
-    """The HTML of a page that needs nothing else: no network, no other file."""
+    """Return the HTML of a page as one file that loads nothing else."""
+    links = [NavigationLink(section.target, section.title) for section in document.sections]
+    return load_template("base.html.j2").render(document=document, links=links)
+
+
+def load_template(name: str, **filters: Callable[..., str]) -> Template:
+    """Load a template of this package; it escapes every text."""
     environment = Environment(
         loader=PackageLoader("evalkit.report.html"),
         autoescape=True,
@@ -171,9 +189,10 @@ def render(document: Document) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template("document.html.j2").render(document=document)
+    environment.filters.update(filters)
+    return environment.get_template(name)
 
 
 def slug(title: str) -> str:
-    """A title as the end of a link: lower case, hyphens."""
+    """Return a title as an anchor: lower case, hyphens."""
     return re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-") or "section"

@@ -4,7 +4,7 @@ from html.parser import HTMLParser
 
 import pytest
 
-from evalkit.report.html.document import (
+from evalkit.report.html.blocks import (
     Bullets,
     Cell,
     Column,
@@ -88,5 +88,5 @@ def test_a_row_of_another_length_is_refused():
 
 @pytest.mark.parametrize("link", ["javascript:alert(1)", "data:text/html,x", " javascript:x", "//evil"])
 def test_a_link_runs_nothing(link):
-    with pytest.raises(ValueError, match="link: expected a place on the page"):
+    with pytest.raises(ValueError, match="link: expected an anchor or a web address"):
         Cell("here", link=link)
