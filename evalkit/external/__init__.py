@@ -1,4 +1,4 @@
-"""Somebody else's implementation as a method: a shared library, a program, or poses computed elsewhere."""
+"""External back ends: a shared library, a program, or a file with poses or a map computed elsewhere."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The C interface of ``evalkit_backend.h`` in ctypes, checked when a library is loaded."""
+"""ctypes declarations of the C interface in ``evalkit_backend.h``, and its check when a library is loaded."""
 
 from __future__ import annotations
 
@@ -72,7 +72,10 @@ _OPTIONAL: dict[str, tuple[object, list[object]]] = {
 
 
 def load(name: str, file: Path) -> ctypes.CDLL:
-    """The library with all its functions typed; BackendFailed names what does not fit the interface."""
+    """Load a library and declare the types of its functions.
+
+    Raises BackendFailed where the library does not fit the interface.
+    """
     try:
         library = ctypes.CDLL(str(file))
     except OSError as error:
@@ -83,7 +86,7 @@ def load(name: str, file: Path) -> ctypes.CDLL:
         raise BackendFailed(name, f"has version {found} of the interface, expected {VERSION}", remedy)
     _need(name, library, "evalkit_kind", c_int32, [])
     if (kind := library.evalkit_kind()) not in KINDS:
-        raise BackendFailed(name, f"evalkit_kind answered {kind}", "expected 1 (registration) or 2 (odometry)")
+        raise BackendFailed(name, f"evalkit_kind returned {kind}", "expected 1 (registration) or 2 (odometry)")
     for function, (result, arguments) in _COMMON.items():
         _need(name, library, function, result, arguments)
     call, arguments = _CALLS[KINDS[kind]]
@@ -95,32 +98,32 @@ def load(name: str, file: Path) -> ctypes.CDLL:
 
 
 def main() -> int:
-    """Leaves in a file what the library named on the command line says of itself (JSON), or why it cannot be used."""
+    """Write the description of the library on the command line, or why it cannot be used, to a file (JSON)."""
     name, file, answer = sys.argv[1:]
     try:
         library = load(name, Path(file))
-        said: dict[str, object] = {
+        description: dict[str, object] = {
             "kind": KINDS[library.evalkit_kind()],
-            "summary": _told(library, "evalkit_summary"),
-            "parameters": _told(library, "evalkit_parameters"),
+            "summary": _text_of(library, "evalkit_summary"),
+            "parameters": _text_of(library, "evalkit_parameters"),
         }
     except BackendFailed as error:
-        said = {"failed": error.args[1:]}
-    Path(answer).write_text(json.dumps(said), encoding="utf-8")
+        description = {"failed": error.args[1:]}
+    Path(answer).write_text(json.dumps(description), encoding="utf-8")
     return 0
 
 
-def _told(library: ctypes.CDLL, function: str) -> str:
+def _text_of(library: ctypes.CDLL, function: str) -> str:
     found = getattr(library, function, None)
-    said = found() if found is not None else None
-    return said.decode(errors="replace") if said else ""
+    returned = found() if found is not None else None
+    return returned.decode(errors="replace") if returned else ""
 
 
 def _need(name: str, library: ctypes.CDLL, function: str, result: object, arguments: list[object]) -> None:
     try:
         found = getattr(library, function)
     except AttributeError:
-        remedy = 'write it as evalkit_backend.h says (in C++ within extern "C")'
+        remedy = 'declare it as in evalkit_backend.h (in C++ within extern "C")'
         raise BackendFailed(name, f"lacks the function {function}", remedy) from None
     found.restype, found.argtypes = result, arguments
 

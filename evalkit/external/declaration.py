@@ -1,4 +1,4 @@
-"""What somebody else's implementation says of itself, made a spec."""
+"""Specs of external back ends, made from the description that a program or a library gives of itself."""
 
 from __future__ import annotations
 
@@ -17,18 +17,21 @@ from evalkit.plugins.parameters import Parameter, Value, with_defaults
 from evalkit.plugins.protocols import Odometry
 from evalkit.plugins.specs import BackendSpec, OdometrySpec, RegistrationSpec
 
-UNTOLD = "not told: it is somebody else's"
+NOT_DECLARED = "not declared: external implementation"
 
 SPEC_TYPES: dict[object, type[RegistrationSpec | OdometrySpec]] = {
     "registration": RegistrationSpec,
     "odometry": OdometrySpec,
 }
-"""Kinds that a declaration can name."""
+"""Spec types by the kind in a declaration."""
 
 
 @dataclass(frozen=True)
 class Declaration:
-    """Kind, one line of summary, what can be set, and the device it runs on ("": this machine)."""
+    """Description of an external back end.
+
+    ``summary``: one line. ``device``: the device it runs on, "" for this machine.
+    """
 
     spec_type: type[RegistrationSpec | OdometrySpec]
     summary: str
@@ -36,10 +39,10 @@ class Declaration:
     device: str = ""
 
 
-def declaration(name: str, content: Mapping[str, Any]) -> Declaration:
-    """The declaration in what a program or a library said; BackendFailed names the key that is wrong.
+def read_declaration(name: str, content: Mapping[str, Any]) -> Declaration:
+    """Read the description that a program or a library gives; raises BackendFailed with the key that is wrong.
 
-    ``failed`` in its place holds why there is none, and what to do.
+    A key ``failed`` holds the reason for a missing description, and the remedy.
     """
     if "failed" in content:
         raise BackendFailed(name, *content["failed"])
@@ -54,23 +57,28 @@ def declaration(name: str, content: Mapping[str, Any]) -> Declaration:
     reserved = {p.name for p in frontend.PARAMETERS} if spec_type is RegistrationSpec else set()
     for index, parameter in enumerate(parameters):
         if parameter.name in reserved or parameter.name in {p.name for p in parameters[:index]}:
-            raise _malformed(name, "parameters", parameter.name, "names of its own, each once")
-    summary = _text(name, content, "summary") or "somebody else's: it does not say what it is"
+            raise _malformed(
+                name, "parameters", parameter.name, "unique names that are not parameters of the front end"
+            )
+    summary = _text(name, content, "summary") or "external implementation without a summary"
     return Declaration(spec_type, summary, parameters, _text(name, content, "device"))
 
 
-def listed(text: str) -> list[dict[str, Value]]:
-    """The parameters in lines ``NAME DEFAULT UNIT MEANING`` as a program would list them; a short line stays short."""
+def parse_parameter_lines(text: str) -> list[dict[str, Value]]:
+    """Parse lines ``NAME DEFAULT UNIT MEANING`` into the form in which a program lists parameters.
+
+    A line with fewer words gives an entry with fewer keys.
+    """
     words = (line.split(maxsplit=3) for line in text.splitlines() if line.strip())
     keys = ("name", "default", "unit", "meaning")
     entries = [dict(zip(keys, line, strict=False)) for line in words]
-    return [{key: value(word) if key == "default" else word for key, word in entry.items()} for entry in entries]
+    return [{key: parse_value(word) if key == "default" else word for key, word in entry.items()} for entry in entries]
 
 
-def value(word: str) -> Value:
-    """A word as the value it is written like: a bool, a whole number, a number or a text.
+def parse_value(word: str) -> Value:
+    """Parse a word as a bool, a whole number, a number or else a text.
 
-    >>> value("true"), value("40"), value("4e-1"), value("fast")
+    >>> parse_value("true"), parse_value("40"), parse_value("4e-1"), parse_value("fast")
     (True, 40, 0.4, 'fast')
     """
     if word in ("true", "false"):
@@ -83,47 +91,50 @@ def value(word: str) -> Value:
     return word
 
 
-def text(setting: Value) -> str:
-    """The word that ``value`` reads back."""
+def format_value(setting: Value) -> str:
+    """Format a value so that ``parse_value`` reads it back."""
     return str(setting).lower() if isinstance(setting, bool) else str(setting)
 
 
-def split(name: str, rest: str) -> list[str]:
-    """The file and the words ``NAME=VALUE`` behind a scheme, as a shell would split them."""
+def split_words(name: str, rest: str) -> list[str]:
+    """Split the file and the words ``NAME=VALUE`` after a scheme like a shell; raises BadParameter."""
     try:
         return shlex.split(rest) or [""]
     except ValueError as error:
         raise BadParameter(name, "file", rest, f"a file and NAME=VALUE words ({error})") from None
 
 
-def settings(name: str, parameters: tuple[Parameter, ...], words: list[str]) -> tuple[Parameter, ...]:
-    """The parameters with defaults from words ``NAME=VALUE``, as they stand behind a file's name."""
+def parameters_with(name: str, parameters: tuple[Parameter, ...], words: list[str]) -> tuple[Parameter, ...]:
+    """Return the parameters with defaults from the words ``NAME=VALUE`` after a file's name.
+
+    Raises BadParameter or UnknownName.
+    """
     for word in words:
         if "=" not in word:
-            raise BadParameter(name, word, word, "NAME=VALUE behind the file's name")
+            raise BadParameter(name, word, word, "NAME=VALUE after the file's name")
     chosen = dict(word.split("=", 1) for word in words)
     known = {parameter.name: parameter for parameter in parameters}
     typed = {key: known[key].check(name, _like(known[key], word)) for key, word in chosen.items() if key in known}
     unknown = {key: word for key, word in chosen.items() if key not in known}
-    return with_defaults(parameters, **typed, **unknown)  # which refuses the unknown by name
+    return with_defaults(parameters, **typed, **unknown)  # raises UnknownName for the unknown
 
 
-def spec(
+def make_spec(
     declared: Declaration, parameters: tuple[Parameter, ...], make: Callable[..., Any], digest: str
 ) -> BackendSpec:
-    """The spec of an implementation that is here; ``parameters``: those it declares and those of evalkit's side."""
+    """Make the spec of an available implementation; ``parameters``: those it declares and those that evalkit adds."""
     summary = declared.summary + (f" (on {declared.device})" if declared.device else "")
-    made = declared.spec_type(make, summary, UNTOLD, UNTOLD, parameters=parameters, digest=digest)
+    made = declared.spec_type(make, summary, NOT_DECLARED, NOT_DECLARED, parameters=parameters, digest=digest)
     return replace(made, guess="its own") if declared.spec_type is OdometrySpec else made
 
 
-def absent(name: str, why: str, digest: str = "") -> BackendSpec:
-    """The spec of an implementation that is not here; nobody knows what could be set on it."""
+def missing_spec(name: str, why: str, digest: str = "") -> BackendSpec:
+    """Make the spec of an implementation that is not here; its parameters are unknown."""
     return replace(_unusable(name, why), missing=lambda: why, digest=digest)
 
 
-def broken(name: str, why: str, digest: str = "") -> BackendSpec:
-    """The spec of an implementation that is here and does not work: its runs fail, with the reason."""
+def broken_spec(name: str, why: str, digest: str = "") -> BackendSpec:
+    """Make the spec of an implementation that is here but does not work; its runs fail with the reason."""
     return replace(_unusable(name, why), broken=why, digest=digest_of(words=f"{digest} {why}"))
 
 
@@ -131,11 +142,11 @@ def _unusable(name: str, why: str) -> BackendSpec:
     def make(**_parameters: Value) -> Odometry:
         raise BackendFailed(name, "cannot be used", why)
 
-    return OdometrySpec(make, "cannot be used here", UNTOLD, UNTOLD)
+    return OdometrySpec(make, "cannot be used here", NOT_DECLARED, NOT_DECLARED)
 
 
 def digest_of(*files: Path, words: str = "") -> str:
-    """A digest of files' content and of words; a file that cannot be read counts by its name."""
+    """A digest of the files' contents and of words; an unreadable file contributes its name."""
     digest = hashlib.sha256(words.encode())
     for file in files:
         try:
@@ -156,7 +167,7 @@ def _parameter(name: str, entry: object) -> Parameter:
 
 
 def _like(parameter: Parameter, word: str) -> Value:
-    return word if isinstance(parameter.default, str) else value(word)
+    return word if isinstance(parameter.default, str) else parse_value(word)
 
 
 def _text(name: str, content: Mapping[str, Any], key: str) -> str:
@@ -167,5 +178,5 @@ def _text(name: str, content: Mapping[str, Any], key: str) -> str:
 
 
 def _malformed(name: str, key: str, found: object, expected: str) -> BackendFailed:
-    what = f"describes itself wrongly: '{key}': found {brief(found)}, expected {expected}"
-    return BackendFailed(name, what, "mend it")
+    what = f"wrong description: '{key}': found {brief(found)}, expected {expected}"
+    return BackendFailed(name, what, "correct the description")

@@ -1,4 +1,4 @@
-"""What machine a compiled file is for, read from its header, so that nobody meets "wrong ELF class" unexplained."""
+"""Target machine and section sizes of a compiled file, read from its ELF header."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ MACHINES = {
 }  # fmt: skip
 
 WRITTEN, ALLOCATED, NO_BITS = 1, 2, 8
-"""Of a section: it is written to, it is in memory (flags); it takes no room in the file (type)."""
+"""ELF section flags SHF_WRITE and SHF_ALLOC, and section type SHT_NOBITS."""
 
 SHARED = 3
 """The file type of a shared library (and of a position-independent program)."""
 
 
 def machine(header: bytes) -> str:
-    """The machine a header (at least 20 bytes) is for, e.g. "64-bit AArch64"; "" where it is no ELF header."""
+    """Return the machine of a header (at least 20 bytes), e.g. "64-bit AArch64"; "" for another format than ELF."""
     if len(header) < 20 or header[:4] != b"\x7fELF":
         return ""
     (number,) = struct.unpack_from(_order(header) + "H", header, 18)
@@ -28,14 +28,15 @@ def machine(header: bytes) -> str:
     return f"{bits} {MACHINES.get(number, f'machine {number:#x}')}".strip()
 
 
-def unfit(path: Path, *, library: bool) -> str:
-    """Why this process cannot use a compiled file, or "" where nothing speaks against it.
+def unusable_reason(path: Path, *, library: bool) -> str:
+    """Return why this process cannot use a compiled file, or "".
 
-    A program may be anything the system starts (a script); a library must be one, where this system uses ELF.
+    A program may be anything that the system can start (a script); a library must be an ELF library, where this system
+    uses ELF.
     """
     mine, theirs = _header(Path(sys.executable)), _header(path)
     here, there = machine(mine), machine(theirs)
-    if not here:  # a system with another format: its own loader must tell
+    if not here:  # a system with another format: its loader reports errors
         return ""
     if not there:
         return f"is not a shared library (it begins with {theirs[:8]!r})" if library else ""
@@ -48,9 +49,9 @@ def unfit(path: Path, *, library: bool) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Sizes:
-    """What a compiled file takes in memory before it runs, as ``size`` counts (bytes).
+    """Memory of a compiled file before it runs (bytes), as counted by ``size``.
 
-    ``text``: code and constants; ``data``: variables with a value, ``bss``: those that begin as zero.
+    ``text``: code and constants; ``data``: initialised variables; ``bss``: variables that start as zero.
     """
 
     text: int
@@ -59,7 +60,10 @@ class Sizes:
 
 
 def sizes(path: Path) -> Sizes | None:
-    """The sizes of an ELF file by its section headers (System V ABI, chapter 4); None where it is none or damaged."""
+    """Return the sizes of an ELF file by its section headers (System V ABI, chapter 4).
+
+    None for another format or a damaged file.
+    """
     content = path.read_bytes()
     if not machine(content):
         return None

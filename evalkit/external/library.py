@@ -1,6 +1,6 @@
 """A shared library with evalkit's C interface (``evalkit_backend.h``) as a back end: ``lib:./libmine.so``.
 
-What it is, is asked in a process of its own, so that a library that cannot even be loaded ends nobody but itself.
+Its description is read in a separate process, so a crash while loading does not end evalkit.
 """
 
 from __future__ import annotations
@@ -26,33 +26,45 @@ from evalkit.core.se2 import Floats
 from evalkit.core.timing import Cost, Stopwatch
 from evalkit.execution.parent_watch import signal_name
 from evalkit.external import abi, elf
-from evalkit.external.declaration import absent, broken, declaration, digest_of, listed, settings, spec, split, text
+from evalkit.external.declaration import (
+    broken_spec,
+    digest_of,
+    format_value,
+    make_spec,
+    missing_spec,
+    parameters_with,
+    parse_parameter_lines,
+    read_declaration,
+    split_words,
+)
 from evalkit.plugins.parameters import Parameter, Value
 from evalkit.plugins.specs import BackendSpec, RegistrationSpec
 
-LOOK_S = 20.0
-"""How long loading a library and asking what it is may take."""
+LOADING_S = 20.0
+"""Time limit for loading a library and reading its description."""
 
-TRACE = Parameter("trace", False, "", "hear of every iteration; costs time in the call")
+TRACE = Parameter("trace", False, "", "record every iteration; costs time in the call")
 
 
 def scheme(rest: str) -> BackendSpec:
-    """The back end ``lib:PATH [NAME=VALUE ...]``: a library of a kind and with parameters of its own telling."""
+    """Make the spec of ``lib:PATH [NAME=VALUE ...]``; the library declares its kind and its parameters."""
     name = f"lib:{rest}"
-    path, *words = split(name, rest)
+    path, *words = split_words(name, rest)
     file = Path(path).resolve()
     digest = digest_of(file)
     if not file.is_file():
-        return absent(name, f"no such file: {file.name}; build it, or mend its path", digest)
-    if why := _unfit(file):
-        return broken(name, why, digest)
+        return missing_spec(name, f"no such file: {file.name}; build it, or correct its path", digest)
+    if why := _unusable_reason(file):
+        return broken_spec(name, why, digest)
     try:
-        declared = declaration(name, _asked(name, file, digest))
+        declared = read_declaration(name, _describe_library(name, file, digest))
     except BackendFailed as error:
-        return broken(name, "; ".join(error.args[1:]), digest)
+        return broken_spec(name, "; ".join(error.args[1:]), digest)
     own = (TRACE,) if declared.spec_type is RegistrationSpec else ()
     make = LibraryRegistration if declared.spec_type is RegistrationSpec else LibraryOdometry
-    return spec(declared, settings(name, (*declared.parameters, *own), words), partial(make, name, file), digest)
+    return make_spec(
+        declared, parameters_with(name, (*declared.parameters, *own), words), partial(make, name, file), digest
+    )
 
 
 class LibraryRegistration:
@@ -63,23 +75,23 @@ class LibraryRegistration:
         self._trace = trace
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
-        """The library's answer; BackendFailed where it reports an error or its answer is no pose."""
+        """Register with the library; raises BackendFailed where it reports an error or its pose is not finite."""
         history: list[Iteration] = []
         conversion = Stopwatch()
 
-        def heard(_listener: object, error_m: float, inliers: int, pose: Any) -> None:
+        def record(_listener: object, error_m: float, inliers: int, pose: Any) -> None:
             history.append(Iteration(error_m, inliers, _pose(pose.contents)))
 
         with conversion:
             onto, points, start, answer = _flat(target.points), _flat(source.points), _row(guess), abi.Match()
-            answer.target_from_source.x = np.nan  # to be noticed if it stays
-            trace = abi.Trace(heard) if self._trace else abi.Trace()
+            answer.target_from_source.x = np.nan  # detected if the library does not set it
+            trace = abi.Trace(record) if self._trace else abi.Trace()
         self._instance.call(
             "evalkit_register", _doubles(onto), len(target), _doubles(points), len(source),
             ctypes.byref(start), trace, None, ctypes.byref(answer),
         )  # fmt: skip
         with conversion:
-            pose = self._instance.finite(answer.target_from_source)
+            pose = self._instance.checked_pose(answer.target_from_source)
         return Match(
             pose, bool(answer.converged), answer.iterations, answer.error_m, answer.inliers, tuple(history),
             Cost(conversion.cpu_ns),
@@ -93,7 +105,7 @@ class LibraryOdometry:
         self._instance = Instance(name, file, parameters)
 
     def update(self, frame: Frame) -> OdometryEstimate:
-        """The library's answer; BackendFailed where it reports an error or its answer is no pose."""
+        """Process one scan; raises BackendFailed where the library reports an error or its pose is not finite."""
         conversion = Stopwatch()
         with conversion:
             scan = frame.scan
@@ -103,68 +115,72 @@ class LibraryOdometry:
                 scan.range_min_m, scan.range_max_m, _row(frame.base_from_sensor),
                 _reference(frame.odom_from_base), _reference(frame.start_from_end),
             )  # fmt: skip
-            answer = abi.Pose(np.nan, np.nan, np.nan)  # to be noticed if it stays
+            answer = abi.Pose(np.nan, np.nan, np.nan)  # detected if the library does not set it
         self._instance.call("evalkit_update", ctypes.byref(question), ctypes.byref(answer))
         with conversion:
-            pose = self._instance.finite(answer)
+            pose = self._instance.checked_pose(answer)
         return OdometryEstimate(pose, cost=Cost(conversion.cpu_ns))
 
 
 class Instance:
-    """What ``evalkit_create`` made, freed when nobody holds it any more."""
+    """An instance made by ``evalkit_create``; ``evalkit_destroy`` is called when it is garbage-collected."""
 
     def __init__(self, name: str, file: Path, parameters: dict[str, Value]) -> None:
         self._name = name
         self._library = abi.load(name, file)
         names = (ctypes.c_char_p * len(parameters))(*(key.encode() for key in parameters))
-        values = (ctypes.c_char_p * len(parameters))(*(text(setting).encode() for setting in parameters.values()))
+        values = (ctypes.c_char_p * len(parameters))(
+            *(format_value(setting).encode() for setting in parameters.values())
+        )
         self._self: int | None = self._library.evalkit_create(names, values, len(parameters))
         if self._self is None:
-            raise BackendFailed(name, f"evalkit_create gave NULL{self._said()}", "see what it needs")
+            raise BackendFailed(name, f"evalkit_create returned NULL{self._last_error()}", "see what it needs")
         weakref.finalize(self, self._library.evalkit_destroy, self._self)
 
     def call(self, function: str, *arguments: object) -> None:
-        """Calls a function of the instance; BackendFailed with its own words where it answers a code."""
+        """Call a function of the instance; raises BackendFailed with its last error where it returns an error code."""
         code = getattr(self._library, function)(self._self, *arguments)
         if code:
-            raise BackendFailed(self._name, f"{function} answered error {code}{self._said()}", "see what it needs")
+            raise BackendFailed(
+                self._name, f"{function} returned error {code}{self._last_error()}", "see what it needs"
+            )
 
-    def finite(self, row: abi.Pose) -> Pose:
-        """The pose of an answer; BackendFailed where it is none."""
+    def checked_pose(self, row: abi.Pose) -> Pose:
+        """Return the pose of an answer; raises BackendFailed where it is not finite."""
         if not np.isfinite([row.x, row.y, row.theta]).all():
             found = f"reported success with a pose that is not finite: ({row.x}, {row.y}, {row.theta})"
-            raise BackendFailed(self._name, found, "fill in the answer; where there is none better, the guess")
+            raise BackendFailed(self._name, found, "set the pose of the answer; without a better one, to the guess")
         return _pose(row)
 
-    def _said(self) -> str:
+    def _last_error(self) -> str:
         last_error = getattr(self._library, "evalkit_last_error", None)
-        said = last_error(self._self) if last_error is not None else None
-        return f": {said.decode(errors='replace')[:300]}" if said else ""
+        message = last_error(self._self) if last_error is not None else None
+        return f": {message.decode(errors='replace')[:300]}" if message else ""
 
 
 @cache
-def _asked(name: str, file: Path, _digest: str) -> dict[str, Any]:
-    """What ``abi.main`` says of a library in a process of its own; the digest tells one build from the next."""
-    nowhere = subprocess.DEVNULL  # a library may print without end
+def _describe_library(name: str, file: Path, _digest: str) -> dict[str, Any]:
+    """Run ``abi.main`` on a library in a separate process; the digest distinguishes builds in the cache."""
+    nowhere = subprocess.DEVNULL  # the output of a library is unbounded
     with tempfile.TemporaryDirectory(prefix="evalkit-look-") as place:
         answer = Path(place) / "answer.json"
         command = [sys.executable, "-P", "-m", abi.__name__, name, str(file), str(answer)]
         try:
             code = subprocess.run(
-                command, stdin=nowhere, stdout=nowhere, stderr=nowhere, timeout=LOOK_S, check=False
+                command, stdin=nowhere, stdout=nowhere, stderr=nowhere, timeout=LOADING_S, check=False
             ).returncode
         except subprocess.TimeoutExpired:
-            return {"failed": (f"was not loaded within {LOOK_S:g} s", "see what it does when loaded")}
+            return {"failed": (f"was not loaded within {LOADING_S:g} s", "check its initialisation code")}
         if code or not answer.exists():
             how = signal_name(-code) if code < 0 else f"code {code}"
-            return {"failed": (f"loading it ended the process with {how}", "mend what it does when loaded")}
-        said: dict[str, Any] = json.loads(answer.read_bytes())
-    return said if "failed" in said else said | {"parameters": listed(said["parameters"])}
+            return {"failed": (f"loading it ended the process with {how}", "correct its initialisation code")}
+        content: dict[str, Any] = json.loads(answer.read_bytes())
+    return content if "failed" in content else content | {"parameters": parse_parameter_lines(content["parameters"])}
 
 
-def _unfit(file: Path) -> str:
+def _unusable_reason(file: Path) -> str:
     try:
-        why = elf.unfit(file, library=True)
+        why = elf.unusable_reason(file, library=True)
     except OSError as error:
         why = f"cannot be read ({error.strerror})"
     return f"{file.name} {why}; build it as a shared library on this machine" if why else ""

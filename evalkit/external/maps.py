@@ -1,4 +1,4 @@
-"""A map made elsewhere as a method: ``file:map.yaml`` is held against the true map as it is."""
+"""A map made elsewhere as a method: ``file:map.yaml`` is compared with the true map without alignment."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
-from evalkit.external.declaration import UNTOLD, digest_of, settings
+from evalkit.external.declaration import NOT_DECLARED, digest_of, parameters_with
 from evalkit.io import map_server
 from evalkit.metrics.consistency import look_up_cells
 from evalkit.plugins.parameters import Parameter
@@ -19,34 +19,34 @@ from evalkit.plugins.specs import BackendSpec, MapSpec
 SUFFIXES = (".yaml", ".yml")
 
 PARAMETERS = (
-    Parameter("x_m", 0.0, "m", "where the map's frame stands in the world of the truth"),
-    Parameter("y_m", 0.0, "m", "likewise"),
-    Parameter("yaw_deg", 0.0, "deg", "and how it is turned there"),
+    Parameter("x_m", 0.0, "m", "x of the map's frame in the world of the ground truth"),
+    Parameter("y_m", 0.0, "m", "y of the map's frame"),
+    Parameter("yaw_deg", 0.0, "deg", "rotation of the map's frame"),
 )
 
 
-def spec(name: str, file: Path, words: list[str]) -> BackendSpec:
-    """The method of a map_server file and its ``NAME=VALUE`` words."""
+def map_spec(name: str, file: Path, words: list[str]) -> BackendSpec:
+    """Make the spec of a map_server file and its ``NAME=VALUE`` words."""
     image = map_server.find_map_image(file)
     return MapSpec(
-        make=partial(made, file),
+        make=partial(load_map, file),
         summary=f"a map made elsewhere, read from {file.name}: not drawn by the common mapper",
-        citation=UNTOLD,
-        licence=UNTOLD,
+        citation=NOT_DECLARED,
+        licence=NOT_DECLARED,
         guess="unknown: it was made elsewhere",
-        parameters=settings(name, PARAMETERS, words),
-        missing=lambda: _absent(file, image),
+        parameters=parameters_with(name, PARAMETERS, words),
+        missing=lambda: _missing_reason(file, image),
         digest=digest_of(file, *([image] if image else [])),
     )
 
 
-def made(file: Path, *, x_m: float, y_m: float, yaw_deg: float) -> OccupancyGrid:
-    """The map of a file in the world's frame; BadData where it cannot be read."""
-    return placed(map_server.read_map(file), Pose(x_m, y_m, math.radians(yaw_deg)))
+def load_map(file: Path, *, x_m: float, y_m: float, yaw_deg: float) -> OccupancyGrid:
+    """Load a map in the world's frame; raises BadData where it cannot be read."""
+    return transform_map(map_server.read_map(file), Pose(x_m, y_m, math.radians(yaw_deg)))
 
 
-def placed(grid: OccupancyGrid, world_from_map: Pose) -> OccupancyGrid:
-    """The same map in another frame: shifted as it is, turned by taking for each new cell the old one at its centre."""
+def transform_map(grid: OccupancyGrid, world_from_map: Pose) -> OccupancyGrid:
+    """Transform a map to another frame; a rotation takes for each new cell the old cell at its centre."""
     if world_from_map.theta == 0.0:
         x, y = grid.origin_x + world_from_map.x, grid.origin_y + world_from_map.y
         return OccupancyGrid(grid.log_odds, grid.observed, grid.resolution_m, x, y)
@@ -63,6 +63,6 @@ def placed(grid: OccupancyGrid, world_from_map: Pose) -> OccupancyGrid:
     return OccupancyGrid(np.where(seen, log_odds.reshape(tall, wide), 0.0).astype(np.float32), seen, size, x, y)
 
 
-def _absent(*files: Path | None) -> str:
+def _missing_reason(*files: Path | None) -> str:
     gone = (file.name for file in files if file and not file.is_file())
-    return next((f"no such file: {name}; mend its path" for name in gone), "")
+    return next((f"no such file: {name}; correct its path" for name in gone), "")

@@ -1,4 +1,4 @@
-"""A program that is asked in lines over its standard input and output, and ended when nobody holds it any more."""
+"""A child program that answers lines on its standard input with lines on its standard output."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from evalkit.core.errors import BackendFailed, brief
 from evalkit.execution.parent_watch import signal_name
 from evalkit.io import untrusted_io
 
-LONGEST_ANSWER = 1 << 20
-"""Bytes of one answer; a program that writes more without end of line writes something else."""
+MAX_ANSWER_BYTES = 1 << 20
+"""Limit of one answer."""
 
-FAREWELL_S = 0.5
-PIECE = 1 << 16
+EXIT_WAIT_S = 0.5
+CHUNK_BYTES = 1 << 16
 
 
 class Program:
-    """A started program; ``ask`` is all that can be done with it."""
+    """A started program; it is ended when the object is garbage-collected."""
 
     def __init__(self, name: str, argv: list[str], answer_timeout_s: float) -> None:
         self._name, self.answer_timeout_s = name, answer_timeout_s
@@ -38,64 +38,66 @@ class Program:
             )
         except OSError as error:
             what = f"cannot be started ({error.strerror or error})"
-            raise BackendFailed(name, what, "is it a program of this machine?") from error
-        self._stdin, self._stdout, stderr = (_present(pipe) for pipe in self._streams())
+            raise BackendFailed(name, what, "check that it is a program of this machine") from error
+        self._stdin, self._stdout, stderr = (_opened(pipe) for pipe in self._streams())
         os.set_blocking(self._stdin.fileno(), False)
-        self._last_words: deque[bytes] = deque(maxlen=4)
-        self._listener = threading.Thread(target=_drain, args=(stderr, self._last_words), daemon=True)
-        self._listener.start()
+        self._last_messages: deque[bytes] = deque(maxlen=4)
+        self._reader = threading.Thread(target=_drain, args=(stderr, self._last_messages), daemon=True)
+        self._reader.start()
         weakref.finalize(self, _end, self._process)
 
     def ask(self, question: dict[str, Any]) -> dict[str, Any]:
-        """The program's answer; BackendFailed where it gives none in time, or none that can be read."""
-        return self.read(self.told(self.line(question)))
+        """Send a question and return the answer; raises BackendFailed without a readable answer in time."""
+        return self.read(self.exchange(self.encode_line(question)))
 
-    def line(self, question: dict[str, Any]) -> bytes:
-        """A question as a line of ASCII."""
+    def encode_line(self, question: dict[str, Any]) -> bytes:
+        """Encode a question as a line of ASCII."""
         return json.dumps(question, separators=(",", ":"), allow_nan=False).encode() + b"\n"
 
-    def told(self, question: bytes) -> bytes:
-        """The line a program answers to a line."""
+    def exchange(self, question: bytes) -> bytes:
+        """Send a line and return the line that the program answers; raises BackendFailed."""
         end = time.monotonic() + self.answer_timeout_s
         waiting, received = memoryview(question), bytearray()
         with selectors.DefaultSelector() as selector:
             selector.register(self._stdout, selectors.EVENT_READ)
-            if selector.select(0):  # it speaks, or has ended, without being asked
-                self._hear(received)
-                raise self._failed(f"wrote without being asked: {_shown(received)}", "print messages to stderr")
+            if selector.select(0):  # output, or end of file, before the question
+                self._receive(received)
+                raise self._failure(
+                    f"wrote a line without a question: {_printable(received)}", "print messages to stderr"
+                )
             selector.register(self._stdin, selectors.EVENT_WRITE)
             while waiting or not received.endswith(b"\n"):
                 ready = selector.select(max(end - time.monotonic(), 0.0))
                 if not ready or time.monotonic() > end:
                     what = f"no answer within {self.answer_timeout_s:g} s"
-                    raise self._failed(what, "see where it hangs, or give it a larger answer_timeout_s")
+                    raise self._failure(what, "see where it hangs, or set a larger answer_timeout_s")
                 for key, _ in ready:
                     if key.fileobj is self._stdout:
-                        self._hear(received)
-                    elif not (waiting := waiting[self._say(waiting) :]):
+                        self._receive(received)
+                    elif not (waiting := waiting[self._write(waiting) :]):
                         selector.unregister(self._stdin)
         return bytes(received)
 
     def read(self, line: bytes) -> dict[str, Any]:
-        """The object in an answer's line; BackendFailed with the program's own words where it says it failed."""
+        """Parse the line of an answer; raises BackendFailed with the program's own message where it has one."""
         try:
             answer = untrusted_io.parse_json(line)
         except ValueError:
-            what = f"answered what is not one line of JSON: {_shown(line)}"
-            raise self._failed(what, "print messages to stderr") from None
+            what = f"the answer is not one line of JSON: {_printable(line)}"
+            raise self._failure(what, "print messages to stderr") from None
         if not isinstance(answer, dict):
-            raise self._failed(f"answered {_shown(line)}", "expected a JSON object")
+            raise self._failure(f"the answer is {_printable(line)}", "expected a JSON object")
         if "failed" in answer:
-            raise self._failed(f"says it failed: {str(answer['failed'])[:300]}", "see what it needs")
+            raise self._failure(f"reports a failure: {str(answer['failed'])[:300]}", "see what it needs")
         return answer
 
     def malformed(self, key: str, found: object, expected: str) -> BackendFailed:
-        """The error of an answer with a value that cannot be."""
-        return self._failed(f"answered '{key}': {brief(found)}, expected {expected}", "mend the answer")
+        """Return the error for an answer with an invalid value."""
+        return self._failure(f"the answer has '{key}': {brief(found)}, expected {expected}", "correct the answer")
 
     def cpu_ns(self) -> int:
-        """The CPU time of the program so far, all its threads; not that of programs it started."""
-        if sys.platform == "linux":  # the clock of a process (clock_getcpuclockid): to the nanosecond, not to the tick
+        """Return the CPU time of the program so far, with all its threads, without the programs that it started."""
+        if sys.platform == "linux":  # the process clock (clock_getcpuclockid) resolves nanoseconds, psutil only ticks
             with contextlib.suppress(OSError):
                 return time.clock_gettime_ns((~self._process.pid << 3) | 2)
         with contextlib.suppress(psutil.Error):
@@ -106,52 +108,54 @@ class Program:
     def _streams(self) -> tuple[IO[bytes] | None, ...]:
         return self._process.stdin, self._process.stdout, self._process.stderr
 
-    def _say(self, waiting: memoryview) -> int:
+    def _write(self, waiting: memoryview) -> int:
         try:
-            return os.write(self._stdin.fileno(), waiting[:PIECE])
+            return os.write(self._stdin.fileno(), waiting[:CHUNK_BYTES])
         except BrokenPipeError:
-            raise self._ended() from None
+            raise self._end_error() from None
 
-    def _hear(self, received: bytearray) -> None:
-        piece = os.read(self._stdout.fileno(), PIECE)
+    def _receive(self, received: bytearray) -> None:
+        piece = os.read(self._stdout.fileno(), CHUNK_BYTES)
         if not piece:
-            raise self._ended()
+            raise self._end_error()
         received += piece
-        if len(received) > LONGEST_ANSWER:
-            raise self._failed(f"answers without end: {_shown(received)}", "answer one line")
+        if len(received) > MAX_ANSWER_BYTES:
+            raise self._failure(
+                f"the answer exceeds {MAX_ANSWER_BYTES} bytes: {_printable(received)}", "answer one line"
+            )
 
-    def _ended(self) -> BackendFailed:
+    def _end_error(self) -> BackendFailed:
         try:
-            code = self._process.wait(FAREWELL_S)
+            code = self._process.wait(EXIT_WAIT_S)
         except subprocess.TimeoutExpired:
-            return self._failed("closed its output without an answer", "answer every line with a line")
+            return self._failure("closed its output without an answer", "answer every line with one line")
         how = f"code {code}" if code >= 0 else signal_name(-code)
-        self._listener.join(FAREWELL_S)  # its last words may still be on their way
-        return self._failed(f"ended with {how} instead of answering", "see what it says")
+        self._reader.join(EXIT_WAIT_S)  # its last output may still be in the pipe
+        return self._failure(f"ended with {how} instead of answering", "see its messages")
 
-    def _failed(self, what: str, remedy: str) -> BackendFailed:
-        self._process.kill()  # nothing it could still say is asked for
-        said = _shown(b"".join(self._last_words)[-300:].strip())
-        return BackendFailed(self._name, what + (f"; it said last: {said}" if said else ""), remedy)
+    def _failure(self, what: str, remedy: str) -> BackendFailed:
+        self._process.kill()  # nothing more is read from it
+        stderr = _printable(b"".join(self._last_messages)[-300:].strip())
+        return BackendFailed(self._name, what + (f"; last message: {stderr}" if stderr else ""), remedy)
 
 
-def _present(pipe: IO[bytes] | None) -> IO[bytes]:
+def _opened(pipe: IO[bytes] | None) -> IO[bytes]:
     if pipe is None:
         raise ValueError("pipe: not opened")
     return pipe
 
 
-def _drain(stream: IO[bytes], last_words: deque[bytes]) -> None:
-    while piece := os.read(stream.fileno(), PIECE):
-        last_words.append(piece[-300:])
+def _drain(stream: IO[bytes], last_messages: deque[bytes]) -> None:
+    while piece := os.read(stream.fileno(), CHUNK_BYTES):
+        last_messages.append(piece[-300:])
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """Closes its input, which says goodbye; whoever stays nevertheless is ended."""
+    """Close the program's input and wait for its end; kill it after ``EXIT_WAIT_S``."""
     if process.stdin is not None:
         process.stdin.close()
     try:
-        process.wait(FAREWELL_S)
+        process.wait(EXIT_WAIT_S)
     except subprocess.TimeoutExpired:
         process.kill()
         process.wait()
@@ -159,7 +163,7 @@ def _end(process: subprocess.Popen[bytes]) -> None:
         process.stdout.close()
 
 
-def _shown(raw: bytes | bytearray) -> str:
-    """The text on one line, what cannot be printed left out, cut where it gets long."""
+def _printable(raw: bytes | bytearray) -> str:
+    """Return the text on one line, without unprintable characters, at most 200 characters."""
     text = " | ".join(raw[-400:].decode(errors="replace").split("\n")) if raw else ""
     return "".join(char for char in text if char.isprintable())[-200:]

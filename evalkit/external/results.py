@@ -1,4 +1,4 @@
-"""Results made elsewhere: ``file:poses.tum`` answers every scan from a trajectory, ``file:map.yaml`` is a map."""
+"""Results computed elsewhere as methods: poses (``file:poses.tum``) or a map (``file:map.yaml``)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.timing import Cost
 from evalkit.external import maps
-from evalkit.external.declaration import UNTOLD, digest_of, settings, split
+from evalkit.external.declaration import NOT_DECLARED, digest_of, parameters_with, split_words
 from evalkit.io.tum import read_tum
 from evalkit.plugins.parameters import Parameter
 from evalkit.plugins.protocols import NoAnswer
@@ -21,36 +21,36 @@ from evalkit.plugins.specs import BackendSpec, RecordedOdometrySpec
 COMPUTED_ELSEWHERE = Cost(withheld=frozenset({"wall", "cpu"}))
 
 PARAMETERS = (
-    Parameter("poses_of", "base", "", "whose poses the file holds", choices=("base", "sensor")),
-    Parameter("max_gap_s", 1.0, "s", "interpolate between poses no further apart than this", low=0.0),
-    Parameter("tolerance_s", 0.02, "s", "else take the nearest pose, if it is no further than this from the scan",
+    Parameter("poses_of", "base", "", "frame of the poses in the file", choices=("base", "sensor")),
+    Parameter("max_gap_s", 1.0, "s", "interpolate between poses at most this far apart", low=0.0),
+    Parameter("tolerance_s", 0.02, "s", "otherwise take the nearest pose within this time of the scan",
               low=0.0),
 )  # fmt: skip
 
 
 def scheme(rest: str) -> BackendSpec:
-    """The method ``file:PATH [NAME=VALUE ...]``: a map (*.yaml), else a trajectory in TUM format."""
+    """Make the spec of ``file:PATH [NAME=VALUE ...]``: a map (*.yaml), else a trajectory in TUM format."""
     name = f"file:{rest}"
-    path, *words = split(name, rest)
+    path, *words = split_words(name, rest)
     file = Path(path).resolve()
     if file.suffix in maps.SUFFIXES:
-        return maps.spec(name, file, words)
+        return maps.map_spec(name, file, words)
     return RecordedOdometrySpec(
         make=partial(PosesFromFile, file),
         summary=f"poses computed elsewhere, read from {file.name}",
-        citation=UNTOLD,
-        licence=UNTOLD,
+        citation=NOT_DECLARED,
+        licence=NOT_DECLARED,
         guess="unknown: it was computed elsewhere",
-        parameters=settings(name, PARAMETERS, words),
-        missing=lambda: "" if file.is_file() else f"no such file: {file.name}; mend its path",
+        parameters=parameters_with(name, PARAMETERS, words),
+        missing=lambda: "" if file.is_file() else f"no such file: {file.name}; correct its path",
         digest=digest_of(file),
     )
 
 
 class PosesFromFile:
-    """An Odometry that looks nothing up but a file; its times say nothing and are withheld.
+    """An Odometry that returns the poses of a file; its times have no meaning and are withheld.
 
-    A scan the file has no pose for is not answered: nothing is extrapolated.
+    A scan without a pose in the file raises NoAnswer: nothing is extrapolated.
     """
 
     def __init__(self, file: Path, *, poses_of: str, max_gap_s: float, tolerance_s: float) -> None:
@@ -61,7 +61,7 @@ class PosesFromFile:
 
     def update(self, frame: Frame) -> OdometryEstimate:
         """Look the pose up; raises NoAnswer where the file has no pose near the scan's first beam."""
-        world_from_base = self._at(frame.scan.stamp_ns)
+        world_from_base = self._pose_at(frame.scan.stamp_ns)
         if self._of_sensor:
             world_from_base = world_from_base @ frame.base_from_sensor.inverse()
         if self._world_from_start is None:
@@ -69,7 +69,7 @@ class PosesFromFile:
             return OdometryEstimate(Pose(), cost=COMPUTED_ELSEWHERE)
         return OdometryEstimate(self._world_from_start.inverse() @ world_from_base, cost=COMPUTED_ELSEWHERE)
 
-    def _at(self, stamp_ns: int) -> Pose:
+    def _pose_at(self, stamp_ns: int) -> Pose:
         stamps = self._trajectory.stamps_ns
         right = int(np.searchsorted(stamps, stamp_ns))
         near = [index for index in (right - 1, right) if 0 <= index < len(stamps)]

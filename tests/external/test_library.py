@@ -168,7 +168,7 @@ def test_settings_behind_the_file_are_its_defaults(c_library):
 
 
 def test_a_library_may_refuse_its_parameters_in_its_own_words(c_library):
-    with pytest.raises(BackendFailed, match="evalkit_create gave NULL: max_correspondence_m must be more than 0"):
+    with pytest.raises(BackendFailed, match="evalkit_create returned NULL: max_correspondence_m must be more than 0"):
         made(c_library, max_correspondence_m=-1.0)
 
 
@@ -176,7 +176,7 @@ def test_a_library_may_refuse_its_parameters_in_its_own_words(c_library):
     ("old", "new", "said"),
     [
         ("return EVALKIT_ABI", "return 2", "has version 2 of the interface, expected 1"),
-        ("return EVALKIT_ODOMETRY", "return 7", "evalkit_kind answered 7"),
+        ("return EVALKIT_ODOMETRY", "return 7", "evalkit_kind returned 7"),
         ("return EVALKIT_ODOMETRY", "return EVALKIT_REGISTRATION", "lacks the function evalkit_register"),
         ("void *evalkit_create", "void *evalkit_make", "lacks the function evalkit_create"),
         ("int32_t evalkit_abi", "int32_t evalkit_abi_version", "lacks the function evalkit_abi"),
@@ -198,7 +198,7 @@ def test_a_library_that_does_not_fit_has_failed_with_a_reason(small, followed, o
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("return malloc(1)", 'said = "no device"; return NULL', "evalkit_create gave NULL: no device"),
+        ("return malloc(1)", 'said = "no device"; return NULL', "evalkit_create returned NULL: no device"),
         ("*answer = *frame->odom_from_base;", "(void)frame; (void)answer;", "pose that is not finite: (nan, nan, nan)"),
         ("= *frame->odom_from_base; return 0", '= frame->base_from_sensor; said = "lost"; return 3', "error 3: lost"),
     ],
@@ -222,7 +222,7 @@ def defaults(dataset):
 
 
 def test_a_library_that_hangs_when_loaded_has_failed(small, followed, monkeypatch):
-    monkeypatch.setattr(library, "LOOK_S", 1.0)
+    monkeypatch.setattr(library, "LOADING_S", 1.0)
     begin = "#include <unistd.h>\n__attribute__((constructor)) static void begin(void) { sleep(60); }"
     outcome, _ = followed(small("#include <math.h>", begin))
     assert (outcome.status, "was not loaded within 1 s" in outcome.reason) == ("failed", True)

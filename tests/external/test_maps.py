@@ -84,7 +84,7 @@ def test_settings_place_the_map_in_the_world_of_the_truth(saved):
 
 
 def test_a_quarter_turn_turns_every_cell():
-    grid = maps.placed(wall(), Pose(0.0, 0.0, np.pi / 2))
+    grid = maps.transform_map(wall(), Pose(0.0, 0.0, np.pi / 2))
     walls = grid.centres(grid.occupied())
     assert len(walls) == 30
     assert walls[:, 1] == pytest.approx(np.full(30, 0.05), abs=0.051)  # x = 0.05 has become y = 0.05
@@ -94,7 +94,7 @@ def test_a_quarter_turn_turns_every_cell():
 
 def test_a_slanted_map_keeps_its_walls_within_a_cell():
     world_from_map = Pose(1.0, -2.0, 0.3)
-    grid = maps.placed(wall(), world_from_map)
+    grid = maps.transform_map(wall(), world_from_map)
     back = world_from_map.inverse().transform(grid.centres(grid.occupied()))
     assert np.abs(back[:, 0] - 0.05).max() < 0.0501
     assert len(back) == pytest.approx(30, abs=3)
@@ -110,7 +110,7 @@ def test_a_map_or_an_image_that_is_not_there_is_absent_and_one_that_is_damaged_h
     assert (code, damaged["status"], absent["status"]) == (1, "failed", "not-installed")
     assert "1 pixels for 3 x 2" in damaged["reason"]
     image.unlink()
-    assert registry.backend(use).missing() == "no such file: map.pgm; mend its path"
+    assert registry.backend(use).missing() == "no such file: map.pgm; correct its path"
     (tmp_path / "elsewhere" / "map.yaml").write_text("words")
     with pytest.raises(BadData, match="no keys"):
         made(use)

@@ -90,12 +90,12 @@ def test_a_back_end_that_tells_no_device_time_has_none(program, followed):
     ("answer", "said"),
     [
         ("time.sleep(60)", "no answer within 0.5 s"),
-        ("sys.stdout.write('x' * 3_000_000)", "answers without end"),
+        ("sys.stdout.write('x' * 3_000_000)", "the answer exceeds 1048576 bytes"),
         ("print('Loading map...', flush=True)", "not one line of JSON: Loading map..."),
         ("print('{}\\n{}', flush=True)", "not one line of JSON"),
         ("print('[1, 2]', flush=True)", "expected a JSON object"),
         ("sys.stderr.write('no such device: /dev/lidar'); sys.exit(3)", "ended with code 3 instead of answering"),
-        ("sys.stderr.write('no such device: /dev/lidar'); sys.exit(3)", "it said last: no such device: /dev/lidar"),
+        ("sys.stderr.write('no such device: /dev/lidar'); sys.exit(3)", "last message: no such device: /dev/lidar"),
         ("import os; os.kill(os.getpid(), 11)", "ended with SIGSEGV"),
         ("sys.stdout.close(); import os; os.close(1); time.sleep(60)", "closed its output without an answer"),
         ("say(pose=[x, float('nan'), 0.0])", "expected finite numbers"),
@@ -104,10 +104,10 @@ def test_a_back_end_that_tells_no_device_time_has_none(program, followed):
         ("say(pose=[x, 0.0, 0.0], elapsed_ns=-1)", "'elapsed_ns': -1, expected a number from 0"),
         ("say(pose=[10**400, 0.0, 0.0])", "expected finite numbers"),
         ("say(pose=[x, 0.0, 0.0], elapsed_ns=10**400)", "expected a number from 0, less than"),
-        ("print('[' * 100_000, flush=True)", "answered what is not one line of JSON"),
-        ("print('x' * 5_000_000, flush=True)", "answers without end: xxx"),
+        ("print('[' * 100_000, flush=True)", "the answer is not one line of JSON"),
+        ("print('x' * 5_000_000, flush=True)", "the answer exceeds 1048576 bytes: xxx"),
         ("import os, signal; os.kill(os.getpid(), signal.SIGRTMIN + 5)", "ended with signal 39"),
-        ("say(failed='lost the wall')", "says it failed: lost the wall"),
+        ("say(failed='lost the wall')", "reports a failure: lost the wall"),
         ("sys.stderr.write('error 7\\n' * 200_000); time.sleep(60)", "error 7 | error 7; see where it hangs"),
     ],
 )
@@ -139,7 +139,7 @@ def test_what_was_answered_before_the_end_is_kept(program, followed):
         ("say(protocol=2)", "'protocol': 2, expected 1"),
         ("say(protocol=1, kind='mapper')", "'kind': found 'mapper'"),
         ("say(protocol=1, kind='odometry', parameters=[{'name': 'a b', 'default': 1}])", "'parameters'"),
-        ("say(protocol=1, kind='registration', parameters=[{'name': 'keyframes', 'default': 1}])", "each once"),
+        ("say(protocol=1, kind='registration', parameters=[{'name': 'keyframes', 'default': 1}])", "unique names"),
         ("say(protocol=1, kind='odometry', parameters=[{'name': 'a', 'default': float('nan')}])", "finite number"),
         ("print('hello!', flush=True)", "not one line of JSON: hello!"),
         ("time.sleep(60)", "no answer within 0.3 s"),
@@ -163,11 +163,11 @@ def test_a_program_that_does_not_introduce_itself_may_have_settings_all_the_same
 def test_only_a_program_that_does_not_exist_is_absent(tmp_path):
     for words in ("./nowhere-to-be-found x", str(tmp_path)):
         spec = registry.backend(f"exec:{words}")
-        assert ("no program found here" in spec.missing(), spec.broken) == (True, "")
+        assert ("no program found" in spec.missing(), spec.broken) == (True, "")
 
 
 def test_a_command_line_that_is_none_is_a_mistake_in_the_experiment():
-    for rest, said in (("", "expected exec:PROGRAM"), ("'a", "mend the quotation marks")):
+    for rest, said in (("", "expected exec:PROGRAM"), ("'a", "correct the quotation marks")):
         with pytest.raises(BadParameter, match=said):
             registry.backend(f"exec:{rest}")
 

@@ -22,7 +22,7 @@ from evalkit.execution.scheduler import Scheduler
 from evalkit.execution.task import AnyTask, Parameters, Result, make_task
 from evalkit.execution.task_runner import OnDone, run_tasks
 from evalkit.execution.task_store import TaskStore
-from evalkit.external.declaration import split
+from evalkit.external.declaration import split_words
 from evalkit.odometry import frontend
 from evalkit.plugins import code_hash, defaults, registry
 from evalkit.plugins.parameter_parsing import from_text
@@ -323,7 +323,7 @@ def compiled(backend: str) -> list[Path]:
     """The files of machine code a back end consists of: its library, or what its plug-in's package brings."""
     scheme, colon, rest = backend.partition(":")
     if colon and scheme == "lib":
-        return [Path(split(backend, rest)[0]).resolve()]
+        return [Path(split_words(backend, rest)[0]).resolve()]
     module = registry.plug_in_of("backends", backend).module
     reached = code_hash.sources(module, frozenset({module.partition(".")[0]}))
     return sorted(file for file in reached if file.suffix == ".so")

@@ -22,4 +22,8 @@ def swollen() -> list[bytes]:
 
 def one(data: bytes) -> None:
     """Asks why the file cannot be used."""
-    held_file(lambda path: (elf.unfit(path, library=True), elf.unfit(path, library=False)), data, "fuzz.so")
+    held_file(
+        lambda path: (elf.unusable_reason(path, library=True), elf.unusable_reason(path, library=False)),
+        data,
+        "fuzz.so",
+    )

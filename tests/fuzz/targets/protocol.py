@@ -6,8 +6,8 @@ from collections import deque
 
 from bounds import held
 
-from evalkit.external.declaration import declaration, settings
-from evalkit.external.process import Talk
+from evalkit.external.declaration import parameters_with, read_declaration
+from evalkit.external.process import ProgramSession
 from evalkit.external.program import Program
 
 
@@ -52,13 +52,13 @@ def one(data: bytes) -> None:
     """Hears a line as every kind of answer."""
     program = Program.__new__(Program)
     program._name, program._process, program._last_words = "exec:fuzz", _Nobody(), deque([data[-200:]])
-    for hear in (_introduced, _matched, _posed):
+    for hear in (_describe_program, _matched, _posed):
         held(lambda hear=hear: hear(program, data), len(data), "exec:fuzz")
 
 
-def _introduced(program: Program, line: bytes) -> None:
-    declared = declaration("exec:fuzz", program.read(line))
-    settings("exec:fuzz", declared.parameters, [])
+def _describe_program(program: Program, line: bytes) -> None:
+    declared = read_declaration("exec:fuzz", program.read(line))
+    parameters_with("exec:fuzz", declared.parameters, [])
     for parameter in declared.parameters:
         parameter.check("exec:fuzz", parameter.default)
 
@@ -68,13 +68,13 @@ def _matched(program: Program, line: bytes) -> None:
 
 
 def _posed(program: Program, line: bytes) -> None:
-    talk = _talk(program)
+    session = _talk(program)
     answer = program.read(line)
-    talk.pose(answer)
-    talk.number(answer, "elapsed_ns", optional=True)
+    session.pose(answer)
+    session.number(answer, "elapsed_ns", optional=True)
 
 
-def _talk(program: Program) -> Talk:
-    talk = Talk.__new__(Talk)
-    talk.program = program
-    return talk
+def _talk(program: Program) -> ProgramSession:
+    session = ProgramSession.__new__(ProgramSession)
+    session.program = program
+    return session
