@@ -1,1 +1,1 @@
-"""Back ends and mappers that ship with evalkit, one file each."""
+"""Back ends and mappers of evalkit, one file or package each."""

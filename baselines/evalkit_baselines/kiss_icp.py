@@ -1,26 +1,27 @@
-"""KISS-ICP, whole, as an odometry of planar scans: its own deskewing, voxel map, adaptive threshold and robust ICP.
+"""KISS-ICP as an odometry for planar scans, with its own deskewing, voxel map, adaptive threshold and robust ICP.
 
 What the adapter changes, and why (KISS-ICP is made for 3D lidars outdoors):
 
-* Points get z = 0; its point-to-point ICP then stays in the plane by itself. They are given in the base frame, so that
-  its poses are the base's. Points too near are dropped before, by their distance from the sensor.
-* ``max_range_m`` is 12, whatever the lidar: its threshold grows with it, and indoors a longer range was measured worse
+* Points get z = 0; point-to-point ICP then stays in the plane. Points are in the base frame, so the poses are those of
+  the base. Points closer than ``min_range_m`` to the sensor are removed first.
+* ``max_range_m`` is 12 for every lidar: the threshold grows with it, and indoors a longer range is measurably worse
   (intel: 0.054 m at 12 m, 0.060 m at 30 m, mean over the short relations).
-* ``voxel_size_m`` is 0.12, a hundredth of that, as KISS-ICP's own rule has it; it stays so where the range is changed,
-  because a coarser grid leaves too few points of a planar scan.
-* KISS-ICP moves a scan's points to the scan's *end*; its poses are those of the end. The answer here is that pose taken
-  back to the first beam by the very motion it deskewed with, so that points and pose stay consistent.
-* It knows no times: the last motion between two scans is taken for the next one, and for the motion from the first to
-  the last point it is given. Here both are made for each scan from the times of the beams: no-returns at either end do
-  not stretch the motion, and a dropped scan doubles the prediction (but no more than that). Where scans come evenly
-  the two are the same; on the uneven stamps of fr079 KISS-ICP by itself loses the track.
-* With ``prior = "odometry"`` both come from the wheels, the same guess that every other back end gets. With
-  ``"constant-velocity"`` they come from its own last two poses, as in the paper. Without odometry in the recording the
-  two are the same.
-* A scan of fewer than ``min_points`` is not registered, because KISS-ICP accepts any answer: the prediction is.
-* KISS-ICP does not say whether it found pairs. An answer equal to the prediction to the last digit is one without any,
-  and is told as a guess kept.
-* Its settings are made here in full. Its own loader lets environment variables change them silently.
+* ``voxel_size_m`` is 0.12, a hundredth of 12 m as in KISS-ICP's own rule. It does not follow ``max_range_m``, because a
+  coarser grid leaves too few points of a planar scan.
+* KISS-ICP moves a scan's points to the scan's *end*; its poses are those of the end. The adapter moves the pose back to
+  the first beam by the motion that was used for deskewing, so that points and pose stay consistent.
+* KISS-ICP has no times: it uses the last motion between two scans for the next one, and for the motion from the first
+  to the last point. The adapter computes both from the times of the beams: no-returns at either end do not stretch the
+  motion, and after a dropped scan the prediction is doubled (never more). For evenly spaced scans both are the same;
+  with the uneven stamps of fr079 KISS-ICP alone loses the track.
+* With ``prior = "odometry"`` both come from wheel odometry, the same guess that every other back end gets. With
+  ``"constant-velocity"`` they come from its own last two poses, as in the paper. In a recording without odometry the
+  two settings are the same.
+* A scan of fewer than ``min_points`` points is not registered, because KISS-ICP accepts any result; the prediction is
+  returned.
+* KISS-ICP does not report whether it found pairs. A result equal to the prediction to the last digit has none and is
+  reported as not accepted.
+* All settings are made here. KISS-ICP's own loader lets environment variables change them silently.
 * One thread.
 """
 
@@ -44,9 +45,9 @@ from evalkit.plugins.parameters import declared_parameters, parameter
 from evalkit.plugins.specs import OdometrySpec
 
 INSTALL = "pip install 'evalkit[kiss-icp]'"
-UNMOVED = 1e-12  # metres and radians: what writing a pose as a matrix and back may change
-LONGEST_SHARE = 2.0  # a long gap says nothing about the speed: as in evalkit's front end
-BEYOND_M = 1e6  # farther than any max_range: KISS-ICP drops such points after it has read their times
+UNMOVED = 1e-12  # m and rad: rounding of a pose converted to a matrix and back
+MAX_STEPS = 2.0  # after a long gap the last speed has no meaning: as in evalkit's front end
+BEYOND_M = 1e6  # beyond any max_range: KISS-ICP removes such points after it has read their times
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,8 +79,8 @@ class KissSettings:
 
 
 @dataclass(frozen=True, slots=True)
-class _Answered:
-    """What a scan leaves for the next prediction; poses in the start frame, times of the first and the last beam."""
+class _LastScan:
+    """State for the next prediction: poses in the start frame at the first and the last beam, time of the last beam."""
 
     first: Pose
     end: Pose
@@ -88,21 +89,21 @@ class _Answered:
 
 
 class KissIcpOdometry:
-    """KISS-ICP following one sequence."""
+    """KISS-ICP on one sequence."""
 
     def __init__(self, settings: KissSettings) -> None:
-        self._modules = _imported()
+        self._modules = _import_kiss_icp()
         self._settings = settings
         self._kiss: Any = None
-        self._last: _Answered | None = None
+        self._last: _LastScan | None = None
         self._step, self._step_ns = Pose(), 1
 
     def update(self, frame: Frame) -> OdometryEstimate:
         """Process one scan; ``accepted`` is reported from the second scan on."""
         conversion = Stopwatch()
         if self._kiss is None:
-            self._kiss = self._fresh(frame)
-        first, first_from_end = self._predicted(frame)
+            self._kiss = self._make_kiss_icp(frame)
+        first, first_from_end = self._predict(frame)
         with conversion:
             points, beams = self._points(frame)
         predicted = end = first @ first_from_end
@@ -115,8 +116,8 @@ class KissIcpOdometry:
         self._remember(frame, pose, end)
         return OdometryEstimate(pose, accepted=accepted, cost=Cost(conversion.cpu_ns))
 
-    def _fresh(self, frame: Frame) -> Any:
-        """KISS-ICP with all its settings; built on the first scan, which tells the lidar's range."""
+    def _make_kiss_icp(self, frame: Frame) -> Any:
+        """Make KISS-ICP with all its settings, on the first scan, because that has the lidar's range."""
         pipeline, config = self._modules
         s = self._settings
         # range limits are the sensor's, but KISS-ICP measures from the base, where its points are
@@ -134,12 +135,12 @@ class KissIcpOdometry:
         )
         return pipeline.KissICP(settings)
 
-    def _predicted(self, frame: Frame) -> tuple[Pose, Pose]:
-        """The prediction ``start_from_first`` and the motion ``first_from_end`` within the scan."""
+    def _predict(self, frame: Frame) -> tuple[Pose, Pose]:
+        """Return the prediction ``start_from_first`` and the motion ``first_from_end`` within the scan."""
         wheels = self._settings.prior == "odometry"
         within = frame.start_from_end if wheels else None
         if within is None:
-            within = self._steady(frame.scan.duration_ns)
+            within = self._constant_velocity(frame.scan.duration_ns)
         if not self._settings.deskew:
             within = Pose()
         if self._last is None:
@@ -147,15 +148,15 @@ class KissIcpOdometry:
         before, now = self._last.odom_from_base, frame.odom_from_base
         if wheels and before is not None and now is not None:
             return self._last.first @ before.inverse() @ now, within
-        end = self._last.end @ self._steady(_end_ns(frame) - self._last.end_ns)
+        end = self._last.end @ self._constant_velocity(_end_ns(frame) - self._last.end_ns)
         return end @ within.inverse(), within
 
-    def _steady(self, elapsed_ns: int) -> Pose:
-        share = min(elapsed_ns / self._step_ns, LONGEST_SHARE)
+    def _constant_velocity(self, elapsed_ns: int) -> Pose:
+        share = min(elapsed_ns / self._step_ns, MAX_STEPS)
         return Pose.of(se2.fraction(self._step.row, [share])[0])
 
     def _points(self, frame: Frame) -> tuple[Floats, Floats]:
-        """The usable hits in the base frame (N, 3), and which beam each came from (N,)."""
+        """Return the usable hits in the base frame (N, 3), and the number of each one's beam (N,)."""
         scan = frame.scan
         limit = min(self._settings.max_range_m, scan.range_max_m)
         used = scan.ranges[scan.hits]
@@ -164,9 +165,9 @@ class KissIcpOdometry:
         return planar3d.points_3d(frame.base_from_sensor.transform(scan.points()[near])), beams
 
     def _times(self, frame: Frame, beams: Floats, first_from_end: Pose) -> Floats:
-        """Times (N,) as shares of the scan, or none where nothing moved or nothing is known.
+        """Return the times (N,) as shares of the scan, empty without motion or without times.
 
-        Equal times end the whole process: KISS-ICP divides by their span.
+        Equal times abort the process, because KISS-ICP divides by their span.
         """
         still = not np.any(first_from_end.row)
         return np.zeros(0) if still or frame.scan.duration_ns == 0 else beams / (len(frame.scan.ranges) - 1)
@@ -174,9 +175,9 @@ class KissIcpOdometry:
     def _register(
         self, points: Floats, times: Floats, first: Pose, first_from_end: Pose, conversion: Stopwatch
     ) -> Pose:
-        """``start_from_end`` after KISS-ICP's step from the prediction."""
+        """Return ``start_from_end`` after KISS-ICP's registration from the prediction."""
         with conversion:
-            if len(times):  # KISS-ICP stretches the times it is given: these two are the first beam's and the last's
+            if len(times):  # KISS-ICP normalises times: these two are those of the first and the last beam
                 times = np.concatenate([times, [0.0, 1.0]])
                 points = np.concatenate([points, np.full((2, 3), BEYOND_M)])
             # it deskews with last_delta and starts from last_pose @ last_delta
@@ -188,24 +189,24 @@ class KissIcpOdometry:
 
     def _remember(self, frame: Frame, answer: Pose, end: Pose) -> None:
         if self._last is not None:
-            # from end to end: from first beam to first beam an error of the speed would not die out
+            # from end to end: from first beam to first beam an error of the speed would not decay
             self._step = self._last.end.inverse() @ end
             self._step_ns = max(_end_ns(frame) - self._last.end_ns, 1)
-        self._last = _Answered(answer, end, _end_ns(frame), frame.odom_from_base)
+        self._last = _LastScan(answer, end, _end_ns(frame), frame.odom_from_base)
 
 
 def make(**parameters: Any) -> KissIcpOdometry:
-    """A fresh KISS-ICP with the parameters of ``SPEC``."""
+    """Make a new KISS-ICP with the parameters of ``KissSettings``."""
     return KissIcpOdometry(KissSettings(**parameters))
 
 
 def kiss_icp_missing() -> str:
-    """Why KISS-ICP cannot be imported here and how to mend it, or ""; found out without importing it (1 s)."""
+    """Return why KISS-ICP cannot be imported and how to install it, or ""; does not import it (1 s)."""
     return f"not installed: {INSTALL}" if importlib.util.find_spec("kiss_icp") is None else ""
 
 
-def _imported() -> tuple[Any, Any]:
-    """The modules with the pipeline and with its settings."""
+def _import_kiss_icp() -> tuple[Any, Any]:
+    """Import the modules of the pipeline and of its settings; raises NotInstalled."""
     try:
         from kiss_icp import config, kiss_icp  # noqa: PLC0415 - heavy: only whoever runs it pays for it
     except (ImportError, OSError) as error:

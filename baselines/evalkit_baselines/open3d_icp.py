@@ -1,20 +1,19 @@
 """Open3D's three legacy registrations on planar clouds: point-to-point, point-to-plane, generalised ICP.
 
-What the adapters change, and why (Open3D is a 3D library, and z = 0 breaks part of it silently):
+What the adapters change, and why (Open3D is a 3D library, and z = 0 silently breaks part of it):
 
-* Points get z = 0. Point-to-point then stays exactly in the plane by itself.
-* Open3D's own ``estimate_normals`` makes every normal of such a cloud the z axis: the point-to-plane residual vanishes
-  and the guess comes back with a fitness that looks perfect. Its generalised ICP, left to make its own covariances,
-  is point-to-point in disguise. Normals and covariances are therefore made in the plane
-  by ``evalkit.odometry.planar3d``.
-* The legacy pipeline, not the tensor one: the tensor point-to-plane refuses planar input as a singular system.
-* In space, half a turn about a wall mirrors it: near single walls the point-to-point answer may be turned over (Open3D
-  does so for half of all rough, short walls). Such an answer is none: the guess is kept, not converged.
-* One thread, whatever the machine: the last bits of a sum depend on how it was split.
+* Points get z = 0. Point-to-point then stays exactly in the plane.
+* Open3D's ``estimate_normals`` makes every normal of such a cloud the z axis: the point-to-plane residual is zero, and
+  the result is the guess with a perfect fitness. With its own covariances, generalised ICP is the same as
+  point-to-point. Normals and covariances are therefore computed in the plane by ``evalkit.odometry.planar3d``.
+* The legacy pipeline is used, not the tensor one: the tensor point-to-plane rejects planar input as a singular system.
+* In 3D, a rotation by half a turn about a wall mirrors it: near single walls the point-to-point result may be turned
+  over (Open3D does so for half of all rough, short walls). Such a result is rejected: the guess is kept, not converged.
+* One thread on every machine, because the last bits of a sum depend on how it is split.
 * ``relative_fitness`` and ``relative_rmse`` keep Open3D's names; it compares them with absolute changes.
 
-Open3D tells neither how many iterations it took nor whether it stopped by its criterion or by the limit. ``iterations``
-is therefore 0 and ``converged`` only means that enough points had a partner at the end.
+Open3D reports neither the number of iterations nor whether it stopped by its criterion or by the limit. ``iterations``
+is therefore 0, and ``converged`` only means that enough points had a partner at the end.
 """
 
 from __future__ import annotations
@@ -43,7 +42,7 @@ INSTALL = "pip install 'evalkit[open3d]'"
 SYSTEM_LIBRARIES = ("libGL.so.1", "libEGL.so.1", "libX11.so.6", "libusb-1.0.so.0")
 INSTALL_SYSTEM = "apt-get install -y --no-install-recommends libgl1 libegl1 libx11-6 libusb-1.0-0"
 OLDEST = (0, 20)
-MIN_PAIRS = 3  # two pairs fix a planar pose exactly, so they fit whatever they are
+MIN_PAIRS = 3  # two pairs always fit a planar pose exactly
 
 Describe = Callable[[Any, Any, Cloud, Stopwatch], None]
 """Adds normals or covariances to an Open3D cloud; arguments: library, its cloud, evalkit's cloud, conversion time."""
@@ -77,7 +76,7 @@ class GeneralizedSettings(PlaneSettings):
 
 
 class Open3DRegistration:
-    """A Registration by one of Open3D's legacy methods; what was made for a target is kept as long as the target."""
+    """A Registration by one of Open3D's legacy methods; the Open3D cloud of a target lives as long as the target."""
 
     def __init__(
         self,
@@ -99,38 +98,38 @@ class Open3DRegistration:
             relative_rmse=settings.relative_rmse,
             max_iteration=settings.max_iterations,
         )
-        # by identity: clouds are frozen, so the normals of a local map stay true for every scan held against it
+        # by identity: clouds are frozen, so the normals of a local map stay valid
         self._targets: WeakKeyDictionary[Cloud, Any] = WeakKeyDictionary()
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
-        """The motion ``target_from_source``; ``error`` is the root mean square distance (m) of the final pairs.
+        """Return the motion ``target_from_source``; ``error`` is the root mean square distance (m) of the final pairs.
 
-        Not converged, with the guess as the answer, where fewer than three points have a partner or where the answer
+        Not converged, with the guess as the answer, where fewer than three points have a partner or where the result
         left the plane: pairs on one line let a rotation by half a turn about that line fit as well.
         """
         conversion = Stopwatch()
         if min(len(target), len(source)) < MIN_PAIRS:
-            return _unmatched(guess, 0, conversion)
+            return _not_converged(guess, 0, conversion)
         fixed = self._targets.get(target)
         if fixed is None:
-            fixed = self._targets[target] = self._lifted(target, self._describe_target, conversion)
-        moving = self._lifted(source, self._describe_source, conversion)
+            fixed = self._targets[target] = self._to_open3d(target, self._describe_target, conversion)
+        moving = self._to_open3d(source, self._describe_source, conversion)
         with conversion:
             initial = planar3d.matrix_4x4(guess)
         result = self._method(moving, fixed, self._max_correspondence_m, initial, self._estimation, self._criteria)
         with conversion:
             pairs = len(result.correspondence_set)
         if pairs < MIN_PAIRS:
-            return _unmatched(guess, pairs, conversion)
+            return _not_converged(guess, pairs, conversion)
         try:
             with conversion:
                 answer = planar3d.pose_2d(result.transformation)
         except ValueError:  # turned over
-            return _unmatched(guess, 0, conversion)
+            return _not_converged(guess, 0, conversion)
         cost = Cost(conversion.cpu_ns)
         return Match(answer, converged=True, iterations=0, error=float(result.inlier_rmse), inliers=pairs, cost=cost)
 
-    def _lifted(self, cloud: Cloud, describe: Describe, conversion: Stopwatch) -> Any:
+    def _to_open3d(self, cloud: Cloud, describe: Describe, conversion: Stopwatch) -> Any:
         with conversion:
             space = self._open3d.geometry.PointCloud(
                 self._open3d.utility.Vector3dVector(planar3d.points_3d(cloud.points))
@@ -142,7 +141,7 @@ class Open3DRegistration:
 def point_to_point(**parameters: Any) -> Open3DRegistration:
     """Open3D's point-to-point ICP with the parameters of ``PointSettings``."""
     settings = PointSettings(**parameters)
-    open3d = _imported()
+    open3d = _import_open3d()
     methods = open3d.pipelines.registration
     estimation = methods.TransformationEstimationPointToPoint()
     return Open3DRegistration(open3d, methods.registration_icp, estimation, _bare, _bare, settings)
@@ -151,7 +150,7 @@ def point_to_point(**parameters: Any) -> Open3DRegistration:
 def point_to_plane(**parameters: Any) -> Open3DRegistration:
     """Open3D's point-to-plane ICP on normals computed in the plane, with the parameters of ``PlaneSettings``."""
     settings = PlaneSettings(**parameters)
-    open3d = _imported()
+    open3d = _import_open3d()
     methods = open3d.pipelines.registration
 
     def with_normals(library: Any, space: Any, cloud: Cloud, conversion: Stopwatch) -> None:
@@ -166,7 +165,7 @@ def point_to_plane(**parameters: Any) -> Open3DRegistration:
 def generalized(**parameters: Any) -> Open3DRegistration:
     """Open3D's generalised ICP on covariances computed in the plane, with the parameters of ``GeneralizedSettings``."""
     settings = GeneralizedSettings(**parameters)
-    open3d = _imported()
+    open3d = _import_open3d()
     methods = open3d.pipelines.registration
 
     def with_covariances(library: Any, space: Any, cloud: Cloud, conversion: Stopwatch) -> None:
@@ -182,23 +181,23 @@ def generalized(**parameters: Any) -> Open3DRegistration:
 
 
 def open3d_missing() -> str:
-    """Why Open3D cannot be imported here and how to mend it, or ""; found out without importing it (1.3 s)."""
+    """Return why Open3D cannot be imported and how to install it, or ""; does not import it (1.3 s)."""
     if importlib.util.find_spec("open3d") is None:
         return f"not installed: {INSTALL}"
     if (found := _version()) and found < OLDEST:
-        return f"open3d {found[0]}.{found[1]} cannot be held to one thread, 0.20 can: {INSTALL} --upgrade"
+        return f"open3d {found[0]}.{found[1]} cannot be limited to one thread, 0.20 can: {INSTALL} --upgrade"
     if sys.platform != "linux":
         return ""
     absent = [name for name in SYSTEM_LIBRARIES if not _loads(name)]
     return f"open3d needs system libraries that are not here ({', '.join(absent)}): {INSTALL_SYSTEM}" if absent else ""
 
 
-def _unmatched(guess: Pose, pairs: int, conversion: Stopwatch) -> Match:
+def _not_converged(guess: Pose, pairs: int, conversion: Stopwatch) -> Match:
     return Match(guess, converged=False, iterations=0, error=math.nan, inliers=pairs, cost=Cost(conversion.cpu_ns))
 
 
 def _bare(_library: Any, _space: Any, _cloud: Cloud, _conversion: Stopwatch) -> None:
-    """Point-to-point needs nothing but points."""
+    """Point-to-point needs only points."""
 
 
 def _loss(methods: Any, settings: PlaneSettings) -> Any:
@@ -211,18 +210,18 @@ def _loss(methods: Any, settings: PlaneSettings) -> Any:
     return losses[settings.kernel]()
 
 
-def _imported() -> Any:
+def _import_open3d() -> Any:
     try:
         import open3d  # noqa: PLC0415 - heavy: only whoever registers pays for it
     except (ImportError, OSError) as error:
         raise NotInstalled("open3d", f"does not load ({error})", open3d_missing() or INSTALL) from error
     open3d.utility.set_max_threads(1)
-    open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)  # a Match says it, standard output need not
+    open3d.utility.set_verbosity_level(open3d.utility.VerbosityLevel.Error)  # the Match reports what Open3D would print
     return open3d
 
 
 def _version() -> tuple[int, ...]:
-    """Major and minor version, () where no package says so (a build of one's own)."""
+    """Return the major and minor version, () without package metadata (a custom build)."""
     for package in ("open3d-cpu", "open3d"):
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
             return tuple(int(part) for part in importlib.metadata.version(package).split(".")[:2])

@@ -1,20 +1,20 @@
 """small_gicp's point-to-plane and point-to-point ICP on planar clouds.
 
-What the adapters change, and why (small_gicp is a 3D library, and z = 0 breaks part of it silently):
+What the adapters change, and why (small_gicp is a 3D library, and z = 0 silently breaks part of it):
 
-* Points get z = 0. Point-to-point then stays exactly in the plane by itself.
-* It estimates normals itself and takes none from Python. Of a cloud at z = 0 they all stand upright, the residual
-  vanishes and the guess comes back. For point-to-plane the *target* is therefore extruded to three layers,
-  ``layer_m`` below, at and above 0, so that walls are walls; the source stays flat and meets the middle layer.
-  The 30 neighbours a normal stands on are ten of the plane, seen three times.
-* Its point-to-plane takes each axis by itself (normal times distance, in x and in y), not the distance along the
-  normal: the same at walls along the target's axes, half a point-to-point at walls across. Nothing here changes that.
-* Its generalised ICP is left out: it makes covariances as it makes normals, and with a flat source it is its
-  point-to-point ICP to the last digit.
-* An answer that left the plane is none: the guess is kept, not converged.
-* One thread. Cloud, tree and normals of a target are kept as long as the target.
-* ``translation_epsilon_m`` and ``rotation_epsilon_deg`` are a tenth of its defaults (1 mm, 0.1 deg), at which
-  point-to-point stops centimetres early: the answer then depends on where the source's frame lies.
+* Points get z = 0. Point-to-point then stays exactly in the plane.
+* small_gicp estimates normals itself and accepts none from Python. For a cloud at z = 0 all normals are vertical, the
+  residual is zero and the result is the guess. For point-to-plane the *target* is therefore extruded to three layers,
+  ``layer_m`` below, at and above 0, so that walls have an area; the source stays flat and matches the middle layer. The
+  30 neighbours of a normal are ten points of the plane, three times each.
+* Its point-to-plane weights each axis separately (normal times distance, in x and in y), not the distance along the
+  normal: the same at walls parallel to the target's axes, half a point-to-point at diagonal walls. This is unchanged.
+* Its generalised ICP is left out: it computes covariances like normals, and with a flat source it is identical to its
+  point-to-point ICP.
+* A result that left the plane is rejected: the guess is kept, not converged.
+* One thread. Cloud, tree and normals of a target live as long as the target.
+* ``translation_epsilon_m`` and ``rotation_epsilon_deg`` are a tenth of its defaults (1 mm, 0.1 deg). With the defaults
+  point-to-point stops centimetres early, and the result depends on the position of the source's frame.
 
 ``error`` is the root of twice small_gicp's mean cost: for point-to-point the root mean square distance (m).
 """
@@ -41,7 +41,7 @@ from evalkit.plugins.parameters import declared_parameters, parameter
 from evalkit.plugins.specs import RegistrationSpec
 
 INSTALL = "pip install 'evalkit[small-gicp]'"
-MIN_PAIRS = 3  # two pairs fix a planar pose exactly, so they fit whatever they are
+MIN_PAIRS = 3  # two pairs always fit a planar pose exactly
 
 Prepare = Callable[[Any, Cloud, Stopwatch], tuple[Any, Any]]
 """Builds the library's cloud and tree of a target; arguments: library, target, conversion time."""
@@ -69,7 +69,7 @@ class SmallGicpRegistration:
     """A Registration by one of small_gicp's methods."""
 
     def __init__(self, method: str, prepare: Prepare, settings: PointSettings) -> None:
-        self._library = _imported()
+        self._library = _import_small_gicp()
         self._prepare = prepare
         self._settings = {
             "registration_type": method,
@@ -79,14 +79,14 @@ class SmallGicpRegistration:
             "rotation_epsilon": math.radians(settings.rotation_epsilon_deg),
             "num_threads": 1,
         }
-        # by identity: clouds are frozen, so what was made for one stays true
+        # by identity: clouds are frozen, so a tree stays valid
         self._targets: WeakKeyDictionary[Cloud, tuple[Any, Any]] = WeakKeyDictionary()
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
-        """The motion ``target_from_source``; the guess, not converged, where fewer than three points have a partner."""
+        """Return the motion ``target_from_source``; the guess, not converged, with fewer than three pairs."""
         conversion = Stopwatch()
         if min(len(target), len(source)) < MIN_PAIRS:
-            return _unmatched(guess, 0, conversion)
+            return _not_converged(guess, 0, conversion)
         if target not in self._targets:
             self._targets[target] = self._prepare(self._library, target, conversion)
         cloud, tree = self._targets[target]
@@ -96,12 +96,12 @@ class SmallGicpRegistration:
         result = self._library.align(cloud, moving, tree, init_T_target_source=initial, **self._settings)
         pairs = int(result.num_inliers)
         if pairs < MIN_PAIRS:
-            return _unmatched(guess, pairs, conversion)
+            return _not_converged(guess, pairs, conversion)
         try:
             with conversion:
                 answer = planar3d.pose_2d(result.T_target_source)
         except ValueError:  # left the plane
-            return _unmatched(guess, 0, conversion)
+            return _not_converged(guess, 0, conversion)
         error = math.sqrt(2.0 * max(float(result.error), 0.0) / pairs)
         cost = Cost(conversion.cpu_ns)
         return Match(answer, bool(result.converged), int(result.iterations), error, pairs, cost=cost)
@@ -127,14 +127,14 @@ def point_to_plane(**parameters: Any) -> SmallGicpRegistration:
 
 
 def layers(points: Floats, height_m: float) -> Floats:
-    """The points (3 N, 3) of a planar cloud (N, 2), ``height_m`` below, at and above z = 0."""
+    """Return the points (3 N, 3) of a planar cloud (N, 2), ``height_m`` below, at and above z = 0."""
     space = np.tile(planar3d.points_3d(points), (3, 1))
     space[:, 2] = np.repeat([-height_m, 0.0, height_m], len(points))
     return space
 
 
 def small_gicp_missing() -> str:
-    """Why small_gicp cannot be imported here and how to mend it, or ""; found out without importing it."""
+    """Return why small_gicp cannot be imported and how to install it, or ""; does not import it."""
     return "" if importlib.util.find_spec("small_gicp") else f"not installed: {INSTALL}"
 
 
@@ -144,11 +144,11 @@ def _flat(library: Any, target: Cloud, conversion: Stopwatch) -> tuple[Any, Any]
     return cloud, library.KdTree(cloud, num_threads=1)
 
 
-def _unmatched(guess: Pose, pairs: int, conversion: Stopwatch) -> Match:
+def _not_converged(guess: Pose, pairs: int, conversion: Stopwatch) -> Match:
     return Match(guess, converged=False, iterations=0, error=math.nan, inliers=pairs, cost=Cost(conversion.cpu_ns))
 
 
-def _imported() -> Any:
+def _import_small_gicp() -> Any:
     try:
         import small_gicp  # noqa: PLC0415 - optional
     except ImportError as error:

@@ -1,7 +1,7 @@
-"""Wheel odometry alone: what every other back end has to beat.
+"""Wheel odometry alone: the baseline that every other back end must beat.
 
-The adapter changes nothing but the frame, the first pose becomes the identity, and bridges gaps in the odometry by
-standing still until the wheels are heard again.
+The adapter only changes the frame, so that the first pose is the identity, and repeats the last pose in gaps of the
+odometry.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ from evalkit.plugins.specs import OdometrySpec
 
 
 class WheelOdometry:
-    """Answers what the wheels say; never looks at a scan."""
+    """Returns the recorded wheel odometry and ignores the scans."""
 
     def __init__(self) -> None:
         self._odom_from_start: Pose | None = None
         self._start_from_base = Pose()
 
     def update(self, frame: Frame) -> OdometryEstimate:
-        """``start_from_base`` when the first beam was fired; the last answer again in a gap of the odometry.
+        """Return the pose of the wheels at the first beam, the previous pose in a gap of the odometry.
 
-        DataMissing where the recording begins without odometry.
+        Raises DataMissing where the recording begins without odometry.
         """
         if frame.odom_from_base is not None:
             if self._odom_from_start is None:
@@ -34,14 +34,14 @@ class WheelOdometry:
             raise DataMissing(
                 "wheel-odometry",
                 "the recording has no wheel odometry at its first scan",
-                "there is no bar to beat here",
+                "leave this method out of the comparison",
             )
         return OdometryEstimate(self._start_from_base)
 
 
 SPEC = OdometrySpec(
     make=WheelOdometry,
-    summary="wheel odometry alone, no scan is looked at",
+    summary="wheel odometry alone, without the scans",
     citation="none: the recording's own odometry",
     licence="MIT",
     guess="none: it is the guess",

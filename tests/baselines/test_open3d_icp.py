@@ -171,7 +171,7 @@ def test_a_version_without_a_thread_limit_is_named_with_what_replaces_it(monkeyp
     monkeypatch.setattr(open3d_icp.importlib.util, "find_spec", lambda _name: object())
     monkeypatch.setattr(open3d_icp.importlib.metadata, "version", lambda _name: "0.19.0+1e7b174")
     assert open3d_icp.open3d_missing() == (
-        "open3d 0.19 cannot be held to one thread, 0.20 can: pip install 'evalkit[open3d]' --upgrade"
+        "open3d 0.19 cannot be limited to one thread, 0.20 can: pip install 'evalkit[open3d]' --upgrade"
     )
 
 

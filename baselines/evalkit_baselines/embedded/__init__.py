@@ -1,7 +1,7 @@
-"""The paper's method in C99, for a board, as it runs on this host: registration, map and the whole pipeline.
+"""The paper's method in C99 for embedded boards, run on this host: registration, mapper and pipeline.
 
-The NumPy twin in ``evalkit_baselines.paper`` is the meaning: in double precision the answers are the same to 1e-9. What
-the core is made of and what made it fast stands in the README beside this file.
+The NumPy implementation in ``evalkit_baselines.paper`` is its specification: in double precision the results agree to
+1e-9. The README in this folder describes the core and its speed.
 """
 
 from functools import partial

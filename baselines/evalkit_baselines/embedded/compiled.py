@@ -1,4 +1,4 @@
-"""The compiled core, if the installation could build it; where it is not, asking is an error: no substitute is made."""
+"""Access to the compiled core. Without it every use raises NotInstalled; there is no substitute in Python."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ MODULES: dict[Precision, str] = {"double": "_core64", "float": "_core32"}
 
 
 def compiled_missing() -> str:
-    """Why the core is not here and how to get it, or ""; found out without loading it."""
+    """Return why the core is missing and how to build it, or ""; does not load it."""
     package = __name__.rpartition(".")[0]
     if all(find_spec(f"{package}.{name}") for name in MODULES.values()):
         return ""
@@ -28,7 +28,7 @@ def compiled_missing() -> str:
 
 
 def core(precision: Precision) -> ModuleType:
-    """The core's module of that precision; NotInstalled where it cannot be loaded."""
+    """Import the core's module of a precision; raises NotInstalled where it cannot be loaded."""
     try:
         if precision == "double":
             from evalkit_baselines.embedded import _core64 as found  # noqa: PLC0415 - may be absent
@@ -40,15 +40,15 @@ def core(precision: Precision) -> ModuleType:
 
 
 def real(values: Floats, module: ModuleType) -> Reals:
-    """The same numbers in the core's precision, as it reads them; no copy where they are so already."""
+    """Return the numbers as a contiguous array in the core's precision, without a copy where possible."""
     if values.dtype == module.REAL and values.flags.c_contiguous:
         return values
-    with np.errstate(over="ignore"):  # too large for a float: the core refuses infinity
+    with np.errstate(over="ignore"):  # too large for a float: the core rejects infinity
         return np.ascontiguousarray(values, dtype=module.REAL)
 
 
 def _remedy() -> str:
-    """The command that builds it: from the checkout this is, or from the package's source."""
+    """Return the command that builds the core, from this checkout or from the package's source."""
     root = Path(__file__).resolve().parents[3]
     what = f"--editable '{root}'" if (root / "pyproject.toml").exists() else "--no-binary evalkit evalkit"
     return f"apt-get install -y gcc g++ && pip install --force-reinstall --no-deps {what}"

@@ -1,4 +1,4 @@
-"""The core's log-odds grid as a Mapper that grows with the map."""
+"""The core's log-odds grid as a Mapper of growing size."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ from evalkit_baselines.paper.grid import CHUNK, MAX_CELLS
 
 UNKNOWN = np.iinfo(np.int16).min
 THOUSANDTHS = np.float32(1000.0)
-MAX_ACROSS = 1 << 15  # cells a side, the core's limit
-LONGEST_BEAM = 8192  # cells, likewise
+MAX_SIDE_CELLS = 1 << 15  # cells per side, limit of the core
+MAX_BEAM_CELLS = 8192  # cells, limit of the core
 NO_POINTS = np.zeros((0, 2))
-NOT_HERE = ("once_per_scan", "traversal")
+NOT_IN_CORE = ("once_per_scan", "traversal")
 MAX_LOG_ODDS = 15.0
 
 PARAMETERS: tuple[Parameter, ...] = tuple(
     replace(p, low=max(p.low, -MAX_LOG_ODDS), high=min(p.high, MAX_LOG_ODDS)) if p.name.startswith("l_") else p
     for p in grid.PARAMETERS
-    if p.name not in NOT_HERE
+    if p.name not in NOT_IN_CORE
 )
-"""Those of ``log-odds``; a scan always adds to a cell once, along the exact traversal."""
+"""The parameters of the NumPy grid; a scan always adds to a cell once, with the exact traversal."""
 
 
 class CompiledGrid:
     """The core's map in double precision; parameters as in ``PARAMETERS``.
 
-    A board has a map of one size; here it grows in steps of ``CHUNK`` cells, as the NumPy twin's does, and raises
-    BadParameter where that one does.
+    On a board the map has a fixed size. Here it grows in steps of ``CHUNK`` cells like the NumPy grid, and raises
+    BadParameter at the same limits.
     """
 
     def __init__(self, resolution_m: float, clear_no_returns: bool, **log_odds: float) -> None:
@@ -46,12 +46,15 @@ class CompiledGrid:
         self._resolution_m, self._clear_no_returns = resolution_m, clear_no_returns
         self._log_odds = log_odds
         self._grid: Any = None
-        self._low, self._high = np.zeros(2, dtype=np.int64), np.zeros(2, dtype=np.int64)  # cells: from, to behind
+        self._low, self._high = (
+            np.zeros(2, dtype=np.int64),
+            np.zeros(2, dtype=np.int64),
+        )  # cells: first, end
         self._edges = (0, 0, 0, 0)  # the same: left, bottom, right, top
         self._range_max_m = 0.0
 
     def update(self, scan: Scan, world_from_sensor: Pose) -> None:
-        """Adds one scan whose beams all start at the sensor."""
+        """Add one scan whose beams all start at the sensor."""
         hits = scan.points()
         misses = self._misses(scan) if self._clear_no_returns else NO_POINTS
         if len(hits) or len(misses):
@@ -64,7 +67,7 @@ class CompiledGrid:
             )
 
     def grid(self) -> OccupancyGrid:
-        """All scans so far, cut to the cells observed; (0, 0) cells before the first."""
+        """Return the map of all scans so far, cut to the observed cells; (0, 0) cells before the first scan."""
         cells = np.zeros((0, 0), dtype=np.int16) if self._grid is None else self._grid.cells()
         observed = cells != UNKNOWN
         rows, columns = _span(observed.any(axis=1)), _span(observed.any(axis=0))
@@ -78,7 +81,7 @@ class CompiledGrid:
         return scan.range_max_m * np.stack([np.cos(angles), np.sin(angles)], axis=1)
 
     def _has_room(self, scan: Scan, world_from_sensor: Pose) -> bool:
-        """Whether the map reaches as far around the sensor as the longest beam, told without looking at every end."""
+        """Whether the map contains all beams, without a check of every end."""
         if self._grid is None or scan.range_max_m > self._range_max_m:
             return False
         if self._reaches(world_from_sensor, scan.range_max_m):
@@ -93,7 +96,7 @@ class CompiledGrid:
         return left <= x - cells and x + cells <= right and bottom <= y - cells and y + cells <= top
 
     def _make_room(self, points: Floats, world_from_sensor: Pose, range_max_m: float) -> None:
-        """Grows the map where the scan leaves it, and the longest beam where the scan's is longer."""
+        """Grow the map where the scan leaves it, and the longest beam where the scan's is longer."""
         reached = world_from_sensor.transform(points) / self._resolution_m
         if not np.abs(reached).max() < 1e9:  # beyond, cells cannot be numbered
             raise self._too_large(f"{np.abs(reached).max() * self._resolution_m:.3g} m")
@@ -105,10 +108,10 @@ class CompiledGrid:
             low, high = np.minimum(low, self._low), np.maximum(high, self._high)
         low, high = low // CHUNK * CHUNK, -(-high // CHUNK) * CHUNK
         columns, rows = (high - low).tolist()
-        if columns * rows > MAX_CELLS or max(columns, rows) > MAX_ACROSS:
+        if columns * rows > MAX_CELLS or max(columns, rows) > MAX_SIDE_CELLS:
             raise self._too_large(f"{columns * self._resolution_m:.0f} m x {rows * self._resolution_m:.0f} m")
         range_max_m = max(range_max_m, self._range_max_m)
-        if range_max_m > LONGEST_BEAM * self._resolution_m:
+        if range_max_m > MAX_BEAM_CELLS * self._resolution_m:
             raise self._too_large(f"beams of {range_max_m:.0f} m")
         self._set_extent((*low.tolist(), columns, rows), range_max_m)
         self._low, self._high, self._range_max_m = low, high, range_max_m
@@ -127,6 +130,6 @@ class CompiledGrid:
 
 
 def _span(marked: Bools) -> slice:
-    """From the first mark (N,) to behind the last; nothing if there is none."""
+    """Return the slice from the first mark (N,) to the last; empty without marks."""
     places = np.flatnonzero(marked)
     return slice(int(places[0]), int(places[-1]) + 1) if len(places) else slice(0, 0)

@@ -1,4 +1,4 @@
-"""The core's whole way from a scan to a pose as an Odometry: what a board would run, one call a scan."""
+"""The core's pipeline from scan to pose as an Odometry: the code of a board, one call per scan."""
 
 from __future__ import annotations
 
@@ -22,30 +22,30 @@ FRONT_END = (
 )  # fmt: skip
 
 PARAMETERS: tuple[Parameter, ...] = (
-    Parameter("precision", "double", "", "of all numbers in the core", choices=("double", "float")),
-    Parameter("beams", 4096, "", "most beams of a scan: memory is taken once", low=1, high=1 << 20),
+    Parameter("precision", "double", "", "floating-point precision of the core", choices=("double", "float")),
+    Parameter("beams", 4096, "", "largest number of beams of a scan; memory is allocated once", low=1, high=1 << 20),
     *(p for p in registration.PARAMETERS if p.name != "trace"),
     *(p for p in frontend.PARAMETERS if p.name in FRONT_END),
 )
 
 
 NOT_RUN, ACCEPTED = -1, 1
-"""Values of the core's ``ek_belief``; 0: the guess was kept."""
+"""Values of the core's ``ek_stage_outcome``; 0: the guess was kept."""
 
 _StageAnswer = tuple[int, bool, int, float, int]
 
 
 class CompiledPipeline:
-    """An Odometry with the meaning of ``paper`` behind evalkit's front end, both in C; parameters as in ``PARAMETERS``.
+    """An Odometry: the method of the NumPy ICP in evalkit's front end, in C; parameters as in ``PARAMETERS``.
 
-    Tells of both stages what evalkit's front end would. Raises ValueError with the core's words for a scan of more than
+    Reports both stages like evalkit's front end. Raises ValueError with the core's message for a scan of more than
     ``beams`` beams, and for one that is not later than the one before ("a parameter is outside its range").
     """
 
     def __init__(self, **parameters: Any) -> None:
         self._core = core(parameters["precision"])
         self._pipeline = self._core.Pipeline(
-            registration.icp_of(self._core, parameters),
+            registration.make_icp(self._core, parameters),
             scan_to_scan=parameters["scan_to_scan"],
             scan_to_map=parameters["scan_to_map"],
             deskew=parameters["deskew"],
@@ -80,7 +80,7 @@ class CompiledPipeline:
         return OdometryEstimate(pose, stages, accepted, Cost(conversion.cpu_ns))
 
     def _beams(self, scan: Scan) -> tuple[Any, Any]:
-        """Ranges and angles (B,); an invalid one for a scan of none, which the core would refuse."""
+        """Return ranges and angles (B,); one invalid beam for a scan without beams, which the core would reject."""
         if not len(scan.ranges):
             return real(np.array([np.nan]), self._core), real(np.zeros(1), self._core)
         return real(scan.ranges, self._core), real(scan.angles, self._core)

@@ -15,36 +15,36 @@ from evalkit_baselines.embedded.compiled import Precision, core, real
 from evalkit_baselines.paper import icp
 from evalkit_baselines.paper.association import Recent
 
-NOT_HERE = ("metric", "line_neighbours", "cauchy_m")
+NOT_IN_CORE = ("metric", "line_neighbours", "cauchy_m")
 ERRORS = ("mean", "mean-squared", "rmse")  # in the order of ek_error_measure
 
 PARAMETERS: tuple[Parameter, ...] = tuple(
-    replace(p, meaning="tell every iteration with its pairs (costs more than the registration)")
+    replace(p, meaning="record every iteration with its pairs (costs more than the registration)")
     if p.name == "trace"
     else p
     for p in icp.PARAMETERS
-    if p.name not in NOT_HERE
+    if p.name not in NOT_IN_CORE
 )
-"""Those of ``paper``, but for the distance to the wall, which the core has not."""
+"""The parameters of the NumPy ICP, without the metric "line", which the core does not have."""
 
 
 class CompiledIcp:
     """A Registration; parameters as in ``PARAMETERS``.
 
-    The index of recent targets is kept, found by the identity of their (frozen) clouds. ``history`` is empty without
-    ``trace``. Raises ValueError with the core's words where a coordinate lies beyond 1,000 km.
+    The indices of recent targets are kept, found by the identity of their (frozen) clouds. ``history`` is empty without
+    ``trace``. Raises ValueError with the core's message for a coordinate beyond 1,000 km.
     """
 
     def __init__(self, precision: Precision, **parameters: Any) -> None:
         self._core = core(precision)
-        self._icp = icp_of(self._core, parameters)
+        self._icp = make_icp(self._core, parameters)
         self._min_pairs = parameters["min_pairs"]
         self._squared = parameters["error"] == "mean-squared"
         self._trace = parameters["trace"]
         self._recent: Recent[Any] = Recent()
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
-        """The motion ``target_from_source``; with too few pairs the guess, not converged, with error nan."""
+        """Return the motion ``target_from_source``; with too few pairs the guess, not converged, with error nan."""
         if not len(target) or not len(source):
             return Match(guess, False, 0, math.nan, 0)
         conversion = Stopwatch()
@@ -56,7 +56,7 @@ class CompiledIcp:
         )
         with conversion:
             trace = tuple(self._iteration(*one) for one in history)
-            answer = guess if inliers < self._min_pairs else Pose(*row)  # to the bit, in single precision too
+            answer = guess if inliers < self._min_pairs else Pose(*row)  # bit-identical, in single precision too
         return Match(answer, converged, iterations, error, inliers, trace, Cost(conversion.cpu_ns))
 
     def _index(self, target: Cloud, conversion: Stopwatch) -> Any:
@@ -68,8 +68,8 @@ class CompiledIcp:
         return Iteration(math.sqrt(error) if self._squared else error, inliers, Pose(*row), pairs)
 
 
-def icp_of(module: Any, parameters: dict[str, Any]) -> Any:
-    """The core's own ICP of complete parameters; ValueError where it refuses one."""
+def make_icp(module: Any, parameters: dict[str, Any]) -> Any:
+    """Make the core's ICP from complete parameters; raises ValueError where it rejects one."""
     return module.Icp(
         epsilon=parameters["epsilon"],
         max_iterations=parameters["max_iterations"],

@@ -1,17 +1,18 @@
-"""The method of "Occupancy grid mapping based on ICP for indoor autonomous vehicles": five readings, and the map.
+"""The method of "Occupancy grid mapping based on ICP for indoor autonomous vehicles": five variants, and the mapper.
 
-What the paper prints and what is meant stands in ``icp``. The readings are the same code with other parameters:
+The docstring of ``icp`` lists the printed equations and their corrections. The variants are the same code with other
+parameters:
 
-- ``paper``: mean distance, epsilon 1e-4 m, one-to-one pairs: the reading that gives its Table 1.
+- ``paper``: mean distance, epsilon 1e-4 m, one-to-one pairs: the variant that gives its Table 1.
 - ``paper-literal``: equation 5 as printed, the mean *squared* distance with epsilon 1e-4 m^2.
-- ``paper-tight``: as ``paper``, but iterated to the end (epsilon 1e-6 m).
+- ``paper-tight``: as ``paper``, but with iterations to convergence (epsilon 1e-6 m).
 - ``paper-map``: as ``paper-tight`` and many-to-one, against one lasting map instead of the last keyframes, so that
-  places seen again are matched where they were.
-- ``paper-map-line``: the same with the distance to the wall instead of to the point, weighed by Cauchy.
+  revisited places are matched where they were first seen.
+- ``paper-map-line``: the same with the distance to the wall instead of to the point, with Cauchy weights.
 
-The two maps' settings (voxels of 10 cm, keyframes every 0.3 m or 10 deg, a Cauchy weight of 10 cm for the lines) were
-chosen on the recordings fr079 and intel, the same for both; how the largest distances of a pair were chosen stands in
-``baselines/README.md``.
+The settings of the two lasting maps (voxels of 10 cm, keyframes every 0.3 m or 10 deg, a Cauchy weight of 10 cm for the
+lines) were chosen on the recordings fr079 and intel, the same for both; ``baselines/README.md`` describes the choice of
+the largest distances of a pair.
 """
 
 from collections.abc import Mapping
@@ -25,13 +26,13 @@ from evalkit_baselines.paper.icp import Icp
 CITATION = "Occupancy grid mapping based on ICP for indoor autonomous vehicles"
 
 
-def _reading(summary: str, frontend: Mapping[str, Value] | None = None, **defaults: Value) -> BackendSpec:
+def _variant(summary: str, frontend: Mapping[str, Value] | None = None, **defaults: Value) -> BackendSpec:
     return RegistrationSpec(
         make=Icp,
         summary=summary,
         citation=CITATION,
         licence="MIT",
-        role="" if frontend else "reference",  # a lasting map is not the paper's
+        role="" if frontend else "reference",  # the paper has no lasting map
         parameters=with_defaults(icp.PARAMETERS, **defaults),
         frontend=frontend or {},
     )
@@ -44,17 +45,17 @@ LASTING_MAP: dict[str, Value] = {
     "keyframe_angle_deg": 10.0,
 }
 
-SPEC = _reading("the paper's point-to-point ICP: one-to-one pairs, mean distance, epsilon 1e-4 m")
-LITERAL = _reading("the paper's ICP with eq. 5 as printed: mean squared, epsilon 1e-4 m^2", error="mean-squared")
-TIGHT = _reading("the paper's ICP iterated to the end: epsilon 1e-6 m", epsilon=1e-6)
-MAP = _reading(
+SPEC = _variant("the paper's point-to-point ICP: one-to-one pairs, mean distance, epsilon 1e-4 m")
+LITERAL = _variant("the paper's ICP with eq. 5 as printed: mean squared, epsilon 1e-4 m^2", error="mean-squared")
+TIGHT = _variant("the paper's ICP with iterations to convergence: epsilon 1e-6 m", epsilon=1e-6)
+MAP = _variant(
     "paper-tight, many-to-one, against one lasting map",
     LASTING_MAP,
     epsilon=1e-6,
     one_to_one=False,
     max_correspondence_m=0.2,
 )
-MAP_LINE = _reading(
+MAP_LINE = _variant(
     "paper-map with the distance to the wall instead of to the point",
     LASTING_MAP,
     epsilon=1e-6,

@@ -17,15 +17,15 @@ from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats
 from evalkit.plugins.parameters import check_fields, declared_parameters, parameter
 
-CHUNK = 256  # cells: the array grows in steps of this, so that copying stays rare
-MAX_CELLS = 64_000_000  # 400 m x 400 m at 5 cm, 320 MB: a trajectory that ran away must not take the machine along
-FARTHEST_CELL = 2**40  # farther out a place within a cell is lost to rounding, and soon the cell
+CHUNK = 256  # cells: growth step of the array, so that copies are rare
+MAX_CELLS = 64_000_000  # 400 m x 400 m at 5 cm, 320 MB: a diverged trajectory must not use all memory
+FARTHEST_CELL = 2**40  # farther out, rounding loses the position within a cell
 
 
 class Crossed(NamedTuple):
-    """Cells that beams cross, in no order: ``beams`` (K,) says whose, ``offsets`` (K,) where.
+    """Cells that beams cross, in no order.
 
-    An offset counts from the start's cell: columns + rows x the array's width.
+    ``beams`` (K,): number of the beam. ``offsets`` (K,): offset from the start's cell, columns + rows x width.
     """
 
     beams: Ints
@@ -34,11 +34,11 @@ class Crossed(NamedTuple):
 
 @dataclass
 class LogOddsGrid:
-    """The paper's mapper; parameters as in ``PARAMETERS``.
+    """The paper's mapper.
 
-    Cells are half open, [i, i + 1) times the resolution from the world's origin. Invalid beams (nan) never count. The
-    printed l_free is negative and therefore *added*. The paper prints no bounds: here 5, a probability of 0.993. A map
-    of more than ``MAX_CELLS`` raises BadParameter.
+    Cells are half open, [i, i + 1) times the resolution from the world's origin. Invalid beams (nan) are ignored. The
+    printed l_free is negative and therefore *added*. The paper has no bounds; here they are 5, a probability of 0.993.
+    A map of more than ``MAX_CELLS`` raises BadParameter.
     """
 
     resolution_m: float = parameter(0.05, "m", "side of a cell", low=0.005, high=10.0)
@@ -63,7 +63,7 @@ class LogOddsGrid:
         check_fields("log-odds", self)
 
     def update(self, scan: Scan, world_from_sensor: Pose) -> None:
-        """Adds one scan whose beams all start at the sensor."""
+        """Add one scan whose beams all start at the sensor."""
         beams = scan.hits | (scan.no_returns & self.clear_no_returns)
         if not beams.any():
             return
@@ -73,14 +73,14 @@ class LogOddsGrid:
         self._add(world_from_sensor.row[:2] / self.resolution_m, ends / self.resolution_m, scan.hits[beams])
 
     def grid(self) -> OccupancyGrid:
-        """All scans so far, cut to the cells observed; (0, 0) cells before the first."""
+        """Return the map of all scans so far, cut to the observed cells; (0, 0) cells before the first scan."""
         (left, right), (bottom, top) = (_span(self._observed, axis) for axis in (0, 1))
         part = np.s_[bottom:top, left:right]
         x, y = (self._low + np.array([left, bottom])) * self.resolution_m
         return OccupancyGrid(self._log_odds[part], self._observed[part], self.resolution_m, float(x), float(y))
 
     def _add(self, start: Floats, ends: Floats, hits: Bools) -> None:
-        """One scan, in cells: from ``start`` (2,) to ``ends`` (B, 2), of which ``hits`` (B,) are occupied."""
+        """Add one scan, in cells: from ``start`` (2,) to ``ends`` (B, 2); the ends with ``hits`` (B,) are occupied."""
         farthest = max(np.abs(start).max(), np.abs(ends).max())
         if not farthest <= FARTHEST_CELL:
             raise self._too_large(f"{farthest * self.resolution_m:.3g} m")
@@ -99,7 +99,7 @@ class LogOddsGrid:
         self._observed[window] |= ((free + occupied) > 0).reshape(height, width)
 
     def _once(self, beams: Ints, passed: Ints, ended: Ints, hits: Bools, size: int) -> tuple[Ints, Ints]:
-        """How often a scan says free and occupied of each cell (size,) of its window: once at most, occupied first."""
+        """Count how often a scan marks each cell (size,) free and occupied: at most once, occupied first."""
         del beams
         free, occupied = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64)
         free[passed] = 1
@@ -115,7 +115,7 @@ class LogOddsGrid:
         return np.bincount(keys % size, minlength=size), np.bincount(ended[hits], minlength=size)
 
     def _window(self, low: Ints, high: Ints) -> tuple[slice, slice]:
-        """Where cells [low, high) stand in the arrays, which grow if they must."""
+        """Return the slices of cells [low, high) in the arrays; the arrays grow where needed."""
         size = np.array(self._log_odds.shape[::-1])
         if (low < self._low).any() or (high > self._low + size).any():
             self._grow(low, high, size)
@@ -143,17 +143,17 @@ PARAMETERS = declared_parameters(LogOddsGrid)
 
 
 def _span(marked: Bools, across: int) -> tuple[int, int]:
-    """From the first column (across 0) or row (across 1) with a mark to behind the last; (0, 0) if there is none."""
+    """Return the range of columns (across 0) or rows (across 1) with a mark, end exclusive; (0, 0) without marks."""
     places = np.flatnonzero(marked.any(axis=across))
     return (int(places[0]), int(places[-1]) + 1) if len(places) else (0, 0)
 
 
 def exact(start: Floats, ends: Floats, width: int) -> Crossed:
-    """The cells that beams from ``start`` (2,) to ``ends`` (B, 2), in cells, cross over a length, with start and end.
+    """Return the cells that beams from ``start`` (2,) to ``ends`` (B, 2), in cells, cross, including start and end.
 
-    The cells of Amanatides and Woo 1987, for all beams at once: instead of walking from line to line, each line of one
-    axis that a beam crosses asks how many lines of the other axis lie before it. Exactly through a corner goes
-    diagonally, and gives that cell twice.
+    The cells of Amanatides and Woo 1987, for all beams at once: for each grid line of one axis that a beam crosses, the
+    number of lines of the other axis before it is computed. A beam exactly through a corner continues diagonally, and
+    that cell occurs twice.
     """
     first, last = np.floor(start), np.floor(ends)
     heading = np.where(ends < start, -1.0, 1.0)
@@ -175,9 +175,9 @@ def exact(start: Floats, ends: Floats, width: int) -> Crossed:
 
 
 def bresenham(start: Floats, ends: Floats, width: int) -> Crossed:
-    """The cells of Bresenham's line (1965) from the start's cell to each end's: one for each step of the longer axis.
+    """Return the cells of Bresenham's line (1965) from the start's cell to each end's, one per step of the longer axis.
 
-    Halves round away from the start, as printed there.
+    Halves are rounded away from the start, as in the publication.
     """
     first, last = np.floor(start), np.floor(ends)
     lines = np.abs(last - first)
@@ -191,7 +191,7 @@ def bresenham(start: Floats, ends: Floats, width: int) -> Crossed:
 
 
 def _numbered(counts: Ints) -> tuple[Ints, Floats]:
-    """For each beam its number, repeated ``counts`` (B,) times, and beside it 0, 1, 2, ... (both (K,))."""
+    """Return each beam's number, repeated ``counts`` (B,) times, and the repetitions 0, 1, 2, ... (both (K,))."""
     beams = np.repeat(np.arange(len(counts)), counts)
     return beams, np.arange(len(beams), dtype=np.float64) - (np.cumsum(counts) - counts).astype(np.float64).take(beams)
 

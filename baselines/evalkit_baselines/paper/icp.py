@@ -1,6 +1,6 @@
 """Point-to-point ICP of "Occupancy grid mapping based on ICP for indoor autonomous vehicles", equation by equation.
 
-Where the printed equations cannot be meant, the right ones are used:
+Where the printed equations contain errors, the corrected ones are used:
 
 ====  =====================  ===============================  ======================================================
 eq.   printed                here                             taken literally
@@ -78,7 +78,7 @@ class Icp:
         check_fields("paper ICP", self)
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
-        """The motion ``target_from_source``, starting from ``guess``; history holds one entry per iteration."""
+        """Return the motion ``target_from_source``, starting from ``guess``; history has one entry per iteration."""
         history: list[Iteration] = []
         if not len(target) or not len(source):
             return Match(guess, False, 0, math.nan, 0)
@@ -91,7 +91,7 @@ class Icp:
             at, onto = self._pairs(association, moved, len(target))
             if len(at) < self.min_pairs:
                 return Match(guess, False, len(history), math.nan, len(at), tuple(history))
-            goal = target.points.take(onto, axis=0)  # take: several times faster than [onto]
+            goal = target.points.take(onto, axis=0)  # take is several times faster than indexing
             facing = None if normals is None else normals.take(onto, axis=0)
             before = moved.take(at, axis=0)
             pose = se2.compose(self._step(before, goal, facing), pose)  # eq. 9: the step is in the target's frame
@@ -111,7 +111,7 @@ class Icp:
         return tree, line_normals(tree, self.line_neighbours) if self.metric == "line" else None
 
     def _pairs(self, association: Association, moved: Floats, targets: int) -> tuple[Ints, Ints]:
-        """Indices into source (K,), ascending, and target (K,)."""
+        """Return the indices into source (K,), ascending, and target (K,)."""
         nearest, distance = association.of(moved)  # eq. 2
         at = np.flatnonzero(np.isfinite(distance))
         if self.one_to_one:
@@ -122,7 +122,7 @@ class Icp:
         return rigid(source, target) if normals is None else onto_lines(source, target, normals, self.cauchy_m)
 
     def _error(self, residuals: Floats, normals: Floats | None) -> float:
-        """Equation 5 over residual vectors (K, 2), in the unit of the stop rule."""
+        """Return equation 5 over residual vectors (K, 2), in the unit of the stop rule."""
         x, y = (residuals if normals is None else normals * np.sum(residuals * normals, axis=1, keepdims=True)).T
         squares = x * x + y * y
         if self.error == "mean":
@@ -138,9 +138,9 @@ PARAMETERS = declared_parameters(Icp)
 
 
 def rigid(source: Floats, target: Floats) -> Floats:
-    """The row (3,) ``target_from_source`` that is best in least squares for pairs (K, 2) (eq. 3, 4).
+    """Return the least-squares motion (3,) ``target_from_source`` of pairs (K, 2) (eq. 3, 4).
 
-    The plane needs no SVD: V diag(1, det(V U^T)) U^T of K = U S V^T is the rotation by this angle.
+    In the plane no SVD is needed: V diag(1, det(V U^T)) U^T of K = U S V^T is the rotation by this angle.
     """
     p_bar, q_bar = _centroid(source), _centroid(target)
     K = (source - p_bar).T @ (target - q_bar)  # eq. 3: the sum of (p - p_bar)(q - q_bar)^T
@@ -149,10 +149,10 @@ def rigid(source: Floats, target: Floats) -> Floats:
 
 
 def onto_lines(source: Floats, target: Floats, normals: Floats, cauchy_m: float = 0.0) -> Floats:
-    """The row (3,) that brings points (K, 2) nearest to the lines through their targets, linearised once in theta.
+    """Return the motion (3,) that minimises the distances of points (K, 2) to the lines through their targets.
 
-    Not the paper's. Where the lines leave a direction open (a single wall), nothing moves that way. ``cauchy_m``: pairs
-    are weighed by 1 / (1 + (distance / cauchy_m)^2); 0 weighs all alike.
+    Linearised once in theta; not part of the paper. Nothing moves in a direction that the lines do not constrain (a
+    single wall). ``cauchy_m``: pairs have the weight 1 / (1 + (distance / cauchy_m)^2); 0: equal weights.
     """
     centre = _centroid(source)
     arm = source - centre
@@ -165,7 +165,7 @@ def onto_lines(source: Floats, target: Floats, normals: Floats, cauchy_m: float 
 
 
 def line_normals(tree: cKDTree, neighbours: int) -> Floats:
-    """Unit normals (M, 2) of the lines through each point of the tree and its neighbours (PCA of the plane)."""
+    """Return the unit normals (M, 2) of the lines through each point of the tree and its neighbours (PCA)."""
     _, near = tree.query(tree.data, k=min(neighbours, tree.n))
     arms = tree.data[near.reshape(tree.n, -1)]
     x, y = np.moveaxis(arms - arms.mean(axis=1, keepdims=True), -1, 0)
@@ -174,7 +174,7 @@ def line_normals(tree: cKDTree, neighbours: int) -> Floats:
 
 
 def closest_only(nearest: Ints, distance: Floats, targets: int) -> Ints:
-    """Which rows (ascending) are the closest of all that share a target point; of equals, the lowest row."""
+    """Return the rows (ascending) that are the closest of all with the same target point; of equals, the lowest row."""
     least = np.full(targets, np.inf)
     np.minimum.at(least, nearest, distance)
     rows = np.flatnonzero(distance == least[nearest])
@@ -188,7 +188,7 @@ def _centroid(points: Floats) -> Floats:
 
 
 def _about(centre: Floats, moved_centre: Floats, theta: float) -> Floats:
-    """The row (3,) that turns by theta (rad) and takes one point to another: t = q_bar - R p_bar (eq. 4)."""
+    """Return the motion (3,) with rotation theta (rad) that moves one point to another: t = q_bar - R p_bar (eq. 4)."""
     (px, py), (qx, qy) = centre, moved_centre
     cos, sin = math.cos(theta), math.sin(theta)
     return np.array([qx - cos * px + sin * py, qy - sin * px - cos * py, theta])
