@@ -1,4 +1,4 @@
-"""What befalls a drive again and again, at times known in advance: wheels that slip, scans that are lost."""
+"""Periodic disturbances of a simulated drive, such as wheel slip and lost scans."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from evalkit.core.arrays import Bools
 
 @dataclass(frozen=True)
 class Episodes:
-    """Episodes of ``lasts_s`` that begin once in ``every_s``, the first after half of that; 0: never."""
+    """Episodes of ``lasts_s`` that begin every ``every_s``, the first after half a period; ``every_s`` 0: none."""
 
     every_s: float = 0.0
     lasts_s: float = 0.5
@@ -22,8 +22,8 @@ class Episodes:
             if not getattr(self, name) >= 0.0:
                 raise ValueError(f"{name}: negative: {getattr(self, name)}")
 
-    def at(self, stamps_ns: ArrayLike) -> Bools:
-        """Which of the times (N,) lie within an episode: from its beginning until before its end."""
+    def contains(self, stamps_ns: ArrayLike) -> Bools:
+        """Return which of the times (N,) lie within an episode, its end excluded."""
         stamps = np.asarray(stamps_ns, dtype=np.int64)
         if not self.every_s:
             return np.zeros(stamps.shape, dtype=np.bool_)

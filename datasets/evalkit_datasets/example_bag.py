@@ -65,7 +65,7 @@ def _write_files(bag: Path, true: Path, drive: Synthetic) -> Example:
     bag.parent.mkdir(parents=True, exist_ok=True)
     builder = mcap.MessageBuilder()
     mcap.write_bag(bag, builder, mcap.sequence_messages(builder, drive, shift, begin))
-    poses = drive.drive.pose(drive.stamps_ns)
+    poses = drive.drive.poses(drive.stamps_ns)
     true.write_text(format_tum(Trajectory(drive.stamps_ns + shift, poses), "exact: simulated"), encoding="utf-8")
     path_m = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
     return Example(bag, true, len(drive), 1e-9 * float(drive.stamps_ns[-1] - drive.stamps_ns[0]), path_m)

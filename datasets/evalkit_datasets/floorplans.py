@@ -16,7 +16,7 @@ Point = tuple[float, float]
 
 @dataclass(frozen=True)
 class FloorPlan:
-    """A world with one closed route through it; a route keeps at least 0.3 m from every boundary."""
+    """A world and one closed route through it, at least 0.3 m from every boundary."""
 
     world: World
     route: Route
@@ -25,7 +25,7 @@ class FloorPlan:
 def room() -> FloorPlan:
     """The paper's room: [0, 10] x [0, 10] with a round obstacle at (2, 8) of radius 1.5 (figures 6 to 8)."""
     world = World(closed_outline([(0, 0), (10, 0), (10, 10), (0, 10)]), np.array([[2.0, 8.0, 1.5]]))
-    route = Route.through(
+    route = Route.from_corners(
         [
             (1.8, 1.8, 0.8), (8.2, 1.6, 0.5), (8.5, 5.0, 4.0), (7.5, 8.0, 0.25),
             (5.2, 7.4, 0.6), (4.8, 4.6, 0.6), (1.9, 4.4, 0.25),
@@ -43,12 +43,12 @@ def lab() -> FloorPlan:
         ]
     )  # fmt: skip
     furniture = [
-        _box((4.9, 4.0), 2.4, 1.2, 8.0),  # the island everybody drives around
+        _box((4.9, 4.0), 2.4, 1.2, 8.0),  # the island in the middle of the route
         _box((2.1, 7.6), 3.0, 0.8),  # bench along the wall
         _box((10.15, 5.2), 0.7, 1.8),  # cupboard
         _box((9.2, 7.6), 1.4, 0.5),
         _box((6.3, 0.35), 1.2, 0.7),
-        _box((8.3, 3.9), 0.5, 0.4, 25.0),  # boxes left standing about
+        _box((8.3, 3.9), 0.5, 0.4, 25.0),  # boxes
         _box((0.5, 2.2), 0.6, 0.6, -15.0),
         _box((2.9, 5.1), 0.4, 0.3, 40.0),
     ]
@@ -59,7 +59,7 @@ def lab() -> FloorPlan:
         *_legs((2.2, 6.9), 0.42, 0.42, 10.0),
     ]
     world = World(np.concatenate([walls, *furniture]), np.array([*legs, (7.6, 7.2, 0.25)]))
-    route = Route.through(
+    route = Route.from_corners(
         [
             (1.8, 1.6, 0.5), (4.6, 1.75, 6.0), (7.4, 1.5, 2.0), (9.2, 2.4, 0.25), (9.1, 4.2, 6.0),
             (9.3, 6.6, 0.25), (7.2, 6.2, 2.5), (4.6, 6.8, 2.0), (1.7, 5.9, 0.25), (1.4, 3.6, 3.0),
@@ -83,7 +83,7 @@ def loop() -> FloorPlan:
         *_wall((12.4, 1.8), (1.8, 1.8), [(0.9, 0.9, 0.2), (3.8, 0.9, 0.2), (8.3, 0.9, 0.2)]),
     ]
     extinguishers = np.array([[4.4, 0.0, 0.12], [14.2, 5.6, 0.12], [6.0, 8.4, 0.12]])
-    route = Route.through(
+    route = Route.from_corners(
         [
             (0.9, 0.9, 0.5), (4.5, 1.05, 12.0), (8.0, 0.8, 12.0), (13.3, 0.9, 0.25), (13.2, 5.0, 12.0),
             (13.3, 9.3, 0.5), (9.5, 9.4, 12.0), (5.0, 9.2, 12.0), (0.9, 9.3, 0.25), (1.0, 5.0, 12.0),
@@ -93,14 +93,14 @@ def loop() -> FloorPlan:
 
 
 def corridor() -> FloorPlan:
-    """Two bare parallel walls, 2 m apart, that go on for more than the lidar's 12 m beyond both ends of the route."""
+    """Two bare parallel walls, 2 m apart, that extend more than the lidar's 12 m beyond both ends of the route."""
     world = World(np.array([[0.0, 0.0, 36.0, 0.0], [0.0, 2.0, 36.0, 2.0]]))
-    route = Route.through([(13.0, 0.6, 0.4), (23.0, 0.6, 0.4), (23.0, 1.4, 0.4), (13.0, 1.4, 0.4)])
+    route = Route.from_corners([(13.0, 0.6, 0.4), (23.0, 0.6, 0.4), (23.0, 1.4, 0.4), (13.0, 1.4, 0.4)])
     return FloorPlan(world, route)
 
 
 def office() -> FloorPlan:
-    """Four furnished rooms on both sides of a hallway, joined by open doors 1 m wide; further doors are shut."""
+    """Four furnished rooms on both sides of a hallway, connected by open doors 1 m wide; further doors are closed."""
     partitions = [
         *_partition((0.0, 5.0), (16.0, 5.0), [(2.0, 1.0), (7.5, 1.0)], [(11.6, 0.9), (14.0, 0.9)]),
         *_partition((0.0, 7.0), (16.0, 7.0), [(7.5, 1.0), (13.0, 1.0)], [(1.4, 0.9), (4.2, 0.9)]),
@@ -135,25 +135,25 @@ def office() -> FloorPlan:
     ]
     walls = closed_outline([(0.0, 0.0), (16.0, 0.0), (16.0, 12.0), (0.0, 12.0)])
     world = World(np.concatenate([walls, *partitions, *furniture]), np.array([*legs, (9.6, 8.2, 0.2)]))
-    route = Route.through(
+    route = Route.from_corners(
         [(2.5, 6.0, 0.5), (2.5, 2.5, 0.8), (8.0, 2.5, 0.25), (8.0, 9.5, 0.5), (13.5, 9.5, 0.25), (13.5, 6.0, 0.5)]
     )
     return FloorPlan(world, route)
 
 
-def _box(centre: Point, width: float, depth: float, turned_deg: float = 0.0) -> Floats:
-    """The four walls (4, 4) of a box."""
-    return closed_outline(_rectangle(centre, width, depth, turned_deg))
+def _box(centre: Point, width: float, depth: float, rotation_deg: float = 0.0) -> Floats:
+    """Return the four walls (4, 4) of a box."""
+    return closed_outline(_rectangle(centre, width, depth, rotation_deg))
 
 
-def _legs(centre: Point, width: float, depth: float, turned_deg: float = 0.0) -> list[tuple[float, float, float]]:
-    """The four legs of a chair or table, 4 cm thick."""
-    return [(x, y, 0.02) for x, y in _rectangle(centre, width, depth, turned_deg)]
+def _legs(centre: Point, width: float, depth: float, rotation_deg: float = 0.0) -> list[tuple[float, float, float]]:
+    """Return the four legs of a chair or table, 4 cm thick, as circles."""
+    return [(x, y, 0.02) for x, y in _rectangle(centre, width, depth, rotation_deg)]
 
 
-def _rectangle(centre: Point, width: float, depth: float, turned_deg: float) -> list[Point]:
-    """Its four corners, counter-clockwise."""
-    cos, sin = np.cos(np.radians(turned_deg)), np.sin(np.radians(turned_deg))
+def _rectangle(centre: Point, width: float, depth: float, rotation_deg: float) -> list[Point]:
+    """Return the four corners, counter-clockwise."""
+    cos, sin = np.cos(np.radians(rotation_deg)), np.sin(np.radians(rotation_deg))
     corners = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)]
     return [
         (
@@ -165,7 +165,7 @@ def _rectangle(centre: Point, width: float, depth: float, turned_deg: float) -> 
 
 
 def _wall(start: Point, end: Point, niches: Iterable[tuple[float, float, float]] = ()) -> list[Point]:
-    """The corners of a wall, without its end, with niches (distance from the start, width, depth) to its right."""
+    """Return the corners of a wall, except its end, with niches (distance from start, width, depth) on its right."""
     origin, forward, length = _direction(start, end)
     right = np.array([forward[1], -forward[0]])
     corners = [origin]
@@ -178,14 +178,14 @@ def _wall(start: Point, end: Point, niches: Iterable[tuple[float, float, float]]
 
 
 def _partition(
-    start: Point, end: Point, doors: Iterable[tuple[float, float]] = (), shut: Iterable[tuple[float, float]] = ()
+    start: Point, end: Point, doors: Iterable[tuple[float, float]] = (), closed: Iterable[tuple[float, float]] = ()
 ) -> list[Floats]:
-    """The boxes of a wall along x or y, 12 cm thick, with open ``doors`` and with ``shut`` ones, 4 cm thick.
+    """Return the boxes of a wall along x or y, 12 cm thick, with open ``doors`` and ``closed`` ones, 4 cm thick.
 
-    A door is its distance from the start and its width.
+    A door is given by its distance from the start and its width.
     """
     origin, forward, length = _direction(start, end)
-    openings = sorted([*((*door, 0.0) for door in doors), *((*door, 0.04) for door in shut)])
+    openings = sorted([*((*door, 0.0) for door in doors), *((*door, 0.04) for door in closed)])
     pieces, done = [], 0.0
     for distance, width, thickness in openings:
         pieces += [(done, distance, 0.12), (distance, distance + width, thickness)]
@@ -200,7 +200,7 @@ def _partition(
 
 
 def _direction(start: Point, end: Point) -> tuple[Floats, Floats, float]:
-    """Where a wall begins, its unit direction and its length."""
+    """Return the start, the unit direction and the length of a wall."""
     origin = np.asarray(start, dtype=np.float64)
     along = np.asarray(end, dtype=np.float64) - origin
     length = float(np.linalg.norm(along))

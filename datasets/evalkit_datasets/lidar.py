@@ -1,4 +1,4 @@
-"""The RPLIDAR A2M8: when and where its beams go, and what it reports of the distances they meet."""
+"""A model of the RPLIDAR A2M8: times and directions of its beams, and the errors of its ranges."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from evalkit.core.se2 import Floats, Stamps
 
 @dataclass(frozen=True)
 class LidarModel:
-    """A lidar that turns clockwise and fires at a steady pace; the defaults are the paper's RPLIDAR A2M8.
+    """A lidar that rotates clockwise and samples at a constant rate; the defaults are the paper's RPLIDAR A2M8.
 
-    8,000 samples a second at 5 to 15 revolutions a second give the paper's 1,600 to 533 beams; the limits are the
-    datasheet's; ``noise_m``, the standard deviation of a range, is the paper's; ``dropout``, the share of beams
-    without an answer, is assumed.
+    8,000 samples per second at 5 to 15 revolutions per second give the paper's 1,600 to 533 beams. The range limits are
+    those of the datasheet; ``noise_m``, the standard deviation of a range, is the paper's; ``dropout``, the share of
+    beams without an answer, is assumed.
     """
 
     rate_hz: float = 10.0
@@ -36,7 +36,7 @@ class LidarModel:
 
     @property
     def beams(self) -> int:
-        """Whole samples in one revolution."""
+        """Number of complete samples per revolution."""
         return int(self.samples_per_s / self.rate_hz + 1e-9)
 
     @property
@@ -45,26 +45,26 @@ class LidarModel:
         return round(1e9 / self.samples_per_s)
 
     def angles(self) -> Floats:
-        """Where the beams of a revolution point (B,), in the sensor frame: from pi down, clockwise, in firing order."""
+        """Return the angles (B,) of a revolution in the sensor frame (rad), in firing order: clockwise from pi."""
         step = 2.0 * np.pi * self.rate_hz / self.samples_per_s
         return np.asarray(np.pi - step * np.arange(self.beams), dtype=np.float64)
 
     def stamps(self, duration_ns: int) -> Stamps:
-        """The times (N,) of the first beams of all revolutions that end within a duration that starts at 0."""
+        """Return the times (N,) of the first beams of all revolutions that end between 0 and a duration."""
         last_beam_ns = (self.beams - 1) * self.time_increment_ns
         count = int((duration_ns - last_beam_ns) * 1e-9 * self.rate_hz) + 1 if duration_ns >= last_beam_ns else 0
         return np.round(np.arange(count) * (1e9 / self.rate_hz)).astype(np.int64)
 
     def beam_stamps(self, stamps_ns: ArrayLike) -> Stamps:
-        """The times (N, B) of all beams of revolutions that begin at times (N,)."""
+        """Return the times (N, B) of all beams of revolutions that begin at times (N,)."""
         begins = np.asarray(stamps_ns, dtype=np.int64)
         return np.asarray(begins[:, None] + self.time_increment_ns * np.arange(self.beams))
 
-    def measured(self, ranges: ArrayLike, noise: np.random.Generator, dropouts: np.random.Generator) -> Floats:
-        """What the sensor reports of true distances: noisy, ``inf`` beyond its range, ``nan`` too near or dropped."""
+    def add_errors(self, ranges: ArrayLike, noise: np.random.Generator, dropouts: np.random.Generator) -> Floats:
+        """Return measured from true distances: with noise, ``inf`` beyond the range, ``nan`` if too near or dropped."""
         true = np.asarray(ranges, dtype=np.float64)
-        found = true + self.noise_m * noise.standard_normal(true.shape)
-        found[found > self.range_max_m] = np.inf
-        found[found < self.range_min_m] = np.nan
-        found[dropouts.random(true.shape) < self.dropout] = np.nan
-        return found
+        measured = true + self.noise_m * noise.standard_normal(true.shape)
+        measured[measured > self.range_max_m] = np.inf
+        measured[measured < self.range_min_m] = np.nan
+        measured[dropouts.random(true.shape) < self.dropout] = np.nan
+        return measured

@@ -1,4 +1,4 @@
-"""How a simulated robot moves, exactly and at any time, and what its wheels and gyroscope make of it."""
+"""The exact motion of a simulated robot, and its wheel odometry with errors."""
 
 from __future__ import annotations
 
@@ -13,27 +13,27 @@ from evalkit.core.se2 import Floats, Stamps
 from evalkit_datasets.disturbances import NEVER, Episodes
 
 _TICK_NS = 10_000_000  # wheel encoders and gyroscope are read at 100 Hz
-_TICKS_AT_ONCE = 6_000  # a minute of readings integrated together: a long drive takes no more memory for it
-_GENTLE_M = 1.0  # a curve this round is no turn
-_STEP_M = 0.005  # between two places at which a drive that slows down for its curves has a speed of its own
+_TICKS_AT_ONCE = 6_000  # readings integrated together (one minute): bounds the memory
+_MAX_TURN_RADIUS_M = 1.0  # a curve of a larger radius is not a turn
+_STEP_M = 0.005  # step of the speed profile of a drive that slows down in turns
 
 
 @dataclass(frozen=True, eq=False)
 class Route:
     """A closed path of straight lines and arcs, smooth in position and heading.
 
-    ``sections`` (K, 5): x, y (m) and heading (rad) where a section begins, its curvature (1/m), its length (m).
-    ``corners`` (W, 3): what it was made of, x, y, radius (m).
+    ``sections`` (K, 5): x, y (m) and heading (rad) at the start of a section, its curvature (1/m) and length (m).
+    ``corners`` (W, 3): the rounded polygon it was made from, x, y, radius (m).
     """
 
     sections: Floats
     corners: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
     @classmethod
-    def through(cls, corners: ArrayLike) -> Route:
-        """The route along a closed polygon whose corners (W, 3), given as x, y, radius in m, are rounded.
+    def from_corners(cls, corners: ArrayLike) -> Route:
+        """Return the route along a closed polygon with rounded corners (W, 3), given as x, y, radius in m.
 
-        It starts half-way between the first two corners. ValueError where two arcs do not fit on the side they share.
+        It starts half-way between the first two corners. Raises ValueError if two arcs overlap on their common side.
         """
         rows = np.asarray(corners, dtype=np.float64)
         points, radii = rows[:, :2], rows[:, 2]
@@ -63,24 +63,24 @@ class Route:
         first_half = [*sections[0, :4], half]
         return cls(np.concatenate([[second_half], sections[1:], arcs[:1], [first_half]]), rows)
 
-    def tightened(self, radius_m: float) -> Route:
-        """The same route with no turn rounder than a radius; gentle curves, rounder than 1 m, stay as they are."""
+    def tighten(self, radius_m: float) -> Route:
+        """Return the route with the radius of all turns limited; curves of more than 1 m radius are not changed."""
         corners = self.corners.copy()
-        turns = corners[:, 2] <= _GENTLE_M
+        turns = corners[:, 2] <= _MAX_TURN_RADIUS_M
         corners[turns, 2] = np.minimum(corners[turns, 2], radius_m)
-        return Route.through(corners)
+        return Route.from_corners(corners)
 
     @property
     def length_m(self) -> float:
-        """Metres once round."""
+        """Length of one lap in m."""
         return float(self.sections[:, 4].sum())
 
-    def at(self, distance_m: ArrayLike) -> Floats:
-        """The poses ``world_from_base`` (N, 3) after a distance (N,) from the start, which may be many laps."""
+    def poses_at(self, distance_m: ArrayLike) -> Floats:
+        """Return the poses ``world_from_base`` (N, 3) at distances (N,) from the start, over any number of laps."""
         distance = np.asarray(distance_m, dtype=np.float64) % self.length_m
         begins = np.concatenate([[0.0], np.cumsum(self.sections[:-1, 4])])
         section = np.searchsorted(begins, distance, side="right") - 1
-        begin_from_base = _motion(
+        begin_from_base = _motion_from_twist(
             np.stack(
                 [
                     distance - begins[section],
@@ -93,7 +93,7 @@ class Route:
         return se2.compose(self.sections[section, :3], begin_from_base)
 
     def curvature(self, distance_m: ArrayLike) -> Floats:
-        """The curvatures (N,) in 1/m, positive to the left, after a distance (N,) from the start."""
+        """Return the curvatures (N,) in 1/m, positive to the left, at distances (N,) from the start."""
         distance = np.asarray(distance_m, dtype=np.float64) % self.length_m
         section = np.searchsorted(np.cumsum(self.sections[:-1, 4]), distance, side="right")
         return np.asarray(self.sections[section, 3])
@@ -101,85 +101,84 @@ class Route:
 
 @dataclass(frozen=True)
 class RouteDrive:
-    """One drive along a route from rest to rest: steady acceleration, steady speed, steady braking.
+    """A drive along a route from rest to rest: constant acceleration, constant speed, constant braking.
 
-    ``laps`` may be any share of a lap; time starts at 0. ``most_yaw_rate`` (rad/s): the drive slows down where a curve
-    would turn it faster.
+    ``laps`` may be a fraction; time starts at 0. The drive slows down in curves to stay below ``max_yaw_rate`` (rad/s).
     """
 
     route: Route
     speed_mps: float
     laps: float = 1.0
     acceleration_mps2: float = 0.5
-    most_yaw_rate: float = float("inf")
+    max_yaw_rate: float = float("inf")
 
     def __post_init__(self) -> None:
-        for name in ("speed_mps", "laps", "acceleration_mps2", "most_yaw_rate"):
+        for name in ("speed_mps", "laps", "acceleration_mps2", "max_yaw_rate"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"{name}: expected a positive number, got {getattr(self, name)}")
 
     @classmethod
     def turning_at(cls, route: Route, speed_mps: float, laps: float, yaw_rate: float) -> RouteDrive:
-        """The drive whose turns all go at ``yaw_rate`` (rad/s): turns are tightened to it, then slowed down to it."""
-        return cls(route.tightened(speed_mps / yaw_rate), speed_mps, laps, most_yaw_rate=yaw_rate)
+        """Return the drive with one ``yaw_rate`` (rad/s) in all turns: they are tightened, or the drive slows down."""
+        return cls(route.tighten(speed_mps / yaw_rate), speed_mps, laps, max_yaw_rate=yaw_rate)
 
     @property
     def path_m(self) -> float:
-        """Metres driven in all."""
+        """Distance driven in m."""
         return self.laps * self.route.length_m
 
     @property
     def top_speed_mps(self) -> float:
-        """The speed between the ramps: lower than asked for where the path is too short to reach it."""
+        """Speed between the ramps: below ``speed_mps`` if the path is too short to reach it."""
         return min(self.speed_mps, float(np.sqrt(self.acceleration_mps2 * self.path_m)))
 
     @property
     def duration_ns(self) -> int:
-        """Nanoseconds from rest to rest."""
-        if self._slows_down:
-            return int(self._places[0][-1] * 1e9)
+        """Duration from rest to rest in ns."""
+        if self._is_slowed:
+            return int(self._profile[0][-1] * 1e9)
         return int((self.path_m / self.top_speed_mps + self._ramp_s) * 1e9)
 
     @property
     def top_yaw_rate(self) -> float:
-        """The fastest turn (rad/s) between the ramps."""
-        return min(self.top_speed_mps * float(np.abs(self.route.sections[:, 3]).max()), self.most_yaw_rate)
+        """Largest yaw rate (rad/s) between the ramps."""
+        return min(self.top_speed_mps * float(np.abs(self.route.sections[:, 3]).max()), self.max_yaw_rate)
 
     def distance(self, stamps_ns: ArrayLike) -> Floats:
-        """Metres driven (N,) at times (N,)."""
+        """Return the distances driven (N,) in m at times (N,)."""
         time = np.asarray(np.clip(np.asarray(stamps_ns, dtype=np.int64), 0, self.duration_ns) * 1e-9, np.float64)
-        if self._slows_down:
-            return self._slowed_distance(time)
+        if self._is_slowed:
+            return self._distance_on_profile(time)
         left = self.path_m / self.top_speed_mps + self._ramp_s - time
         a, v, ramp = self.acceleration_mps2, self.top_speed_mps, self._ramp_s
         steady = v * (time - 0.5 * ramp)
         return np.where(time < ramp, 0.5 * a * time**2, np.where(left < ramp, self.path_m - 0.5 * a * left**2, steady))
 
-    def pose(self, stamps_ns: ArrayLike) -> Floats:
-        """The exact ``world_from_base`` (N, 3) at times (N,)."""
-        return self.route.at(self.distance(stamps_ns))
+    def poses(self, stamps_ns: ArrayLike) -> Floats:
+        """Return the exact poses ``world_from_base`` (N, 3) at times (N,)."""
+        return self.route.poses_at(self.distance(stamps_ns))
 
     @property
     def _ramp_s(self) -> float:
         return self.top_speed_mps / self.acceleration_mps2
 
     @cached_property
-    def _slows_down(self) -> bool:
+    def _is_slowed(self) -> bool:
         sharpest = float(np.abs(self.route.sections[:, 3]).max())
-        return self.speed_mps * sharpest > self.most_yaw_rate * (1.0 + 1e-9)
+        return self.speed_mps * sharpest > self.max_yaw_rate * (1.0 + 1e-9)
 
     @cached_property
-    def _places(self) -> tuple[Floats, Floats, Floats]:
-        """Seconds, metres and speeds (K,) all along the drive; between two places the acceleration is steady.
+    def _profile(self) -> tuple[Floats, Floats, Floats]:
+        """Times (s), distances (m) and speeds (m/s), (K,) each; the acceleration is constant in between.
 
-        The square of the speed is the lower envelope of cones of slope 2 a over the sections' limits, and over 0 at
-        both ends of the drive.
+        The square of the speed is the lower envelope of cones of slope 2 a over the limits of the sections, and over 0
+        at both ends of the drive.
         """
         ends = np.cumsum(self.route.sections[:, 4]) + self.route.length_m * np.arange(np.ceil(self.laps))[:, None]
         evenly = np.linspace(0.0, self.path_m, max(int(self.path_m / _STEP_M), 2) + 1)
         distance = np.union1d(evenly, ends[ends < self.path_m])
         curvature = np.abs(self.route.curvature(0.5 * (distance[:-1] + distance[1:])))
-        between = np.minimum(self.speed_mps, self.most_yaw_rate / np.maximum(curvature, 1e-12))
+        between = np.minimum(self.speed_mps, self.max_yaw_rate / np.maximum(curvature, 1e-12))
         limits = np.minimum(np.append(0.0, between), np.append(between, 0.0))
         slope = 2.0 * self.acceleration_mps2 * distance
         ahead = np.minimum.accumulate(limits**2 - slope) + slope
@@ -188,8 +187,8 @@ class RouteDrive:
         seconds = np.cumsum(np.diff(distance) * 2.0 / (speed[:-1] + speed[1:]))
         return np.append(0.0, seconds), distance, speed
 
-    def _slowed_distance(self, time: Floats) -> Floats:
-        seconds, distance, speed = self._places
+    def _distance_on_profile(self, time: Floats) -> Floats:
+        seconds, distance, speed = self._profile
         place = np.clip(np.searchsorted(seconds, time, side="right") - 1, 0, len(seconds) - 2)
         since = time - seconds[place]
         gained = (speed[place + 1] - speed[place]) / (seconds[place + 1] - seconds[place])
@@ -198,11 +197,11 @@ class RouteDrive:
 
 @dataclass(frozen=True)
 class WheelOdometryModel:
-    """Wheel encoders and a gyroscope at 100 Hz: the paper names them without figures, so these are assumed.
+    """Errors of wheel encoders and a gyroscope at 100 Hz. The paper gives no figures, so the defaults are assumed.
 
-    ``scale``: 1 sigma of the wheels' scale error, a share, drawn once a run. ``velocity_noise_mps``: of every reading.
-    ``gyro_bias`` (rad/s): 1 sigma, drawn once a run. ``gyro_noise`` (rad/s): of every reading. ``slips``: when the
-    wheels spin, ``slip_mps`` faster than the vehicle moves; the gyroscope does not feel it.
+    ``scale`` (a share) and ``gyro_bias`` (rad/s): 1 sigma of errors that are constant during a run.
+    ``velocity_noise_mps`` and ``gyro_noise`` (rad/s): 1 sigma of the noise of each reading. During ``slips`` the wheels
+    turn faster than the vehicle moves by ``slip_mps``; the gyroscope is not affected.
     """
 
     scale: float = 0.01
@@ -213,45 +212,45 @@ class WheelOdometryModel:
     slip_mps: float = 0.5
 
     def poses(self, drive: RouteDrive, stamps_ns: ArrayLike, generator: np.random.Generator) -> Floats:
-        """What dead reckoning answers, ``odom_from_base`` (N, 3) at times (N,) of a drive: the identity at time 0.
+        """Return the poses by dead reckoning ``odom_from_base`` (N, 3) at times (N,) of a drive; identity at time 0.
 
-        A reading holds until the next one; its velocities are integrated exactly on SE(2), also between readings.
+        A reading is valid until the next one; its velocities are integrated exactly on SE(2), also between readings.
         """
-        asked, places = np.unique(np.asarray(stamps_ns, dtype=np.int64), return_inverse=True)
-        ticks = int(asked.max(initial=0)) // _TICK_NS + 1
+        wanted, places = np.unique(np.asarray(stamps_ns, dtype=np.int64), return_inverse=True)
+        ticks = int(wanted.max(initial=0)) // _TICK_NS + 1
         scale, bias = generator.standard_normal(2) * [self.scale, self.gyro_bias]
-        poses = np.zeros((len(asked), 3))
+        poses = np.zeros((len(wanted), 3))
         odom_from_base = np.zeros(3)
         for begin in range(0, ticks, _TICKS_AT_ONCE):
             end = min(begin + _TICKS_AT_ONCE, ticks)
             noise = generator.standard_normal((end - begin, 2)) * [self.velocity_noise_mps, self.gyro_noise]
-            some = slice(*np.searchsorted(asked, [begin * _TICK_NS, end * _TICK_NS]))
-            times: Stamps = np.union1d(np.arange(begin, end + 1) * _TICK_NS, asked[some])
-            travelled = self._travelled(drive, times, noise, scale, bias, odom_from_base)
-            poses[some] = travelled[np.searchsorted(times, asked[some])]
+            rows = slice(*np.searchsorted(wanted, [begin * _TICK_NS, end * _TICK_NS]))
+            times: Stamps = np.union1d(np.arange(begin, end + 1) * _TICK_NS, wanted[rows])
+            travelled = self._integrate(drive, times, noise, scale, bias, odom_from_base)
+            poses[rows] = travelled[np.searchsorted(times, wanted[rows])]
             odom_from_base = travelled[-1]
         return np.column_stack([poses[:, :2], se2.wrap(poses[:, 2])])[places]
 
-    def _travelled(
+    def _integrate(
         self, drive: RouteDrive, times: Stamps, noise: Floats, scale: float, bias: float, start: Floats
     ) -> Floats:
-        """``odom_from_base`` (N, 3) at times (N,) from its value at the first on, headings not wrapped.
+        """Return ``odom_from_base`` (N, 3) at times (N,), headings not wrapped, from its value at the first time.
 
-        ``noise`` (T, 2): of the readings from the one at the first time on.
+        ``noise`` (T, 2): noise of the readings, beginning with the one at the first time.
         """
-        true = drive.pose(times)
-        travelled = _twist(se2.between(true[:-1], true[1:]))
+        true = drive.poses(times)
+        travelled = _twist_from_motion(se2.between(true[:-1], true[1:]))
         lasted = np.diff(times) * 1e-9
         reading = noise[(times[:-1] - times[0]) // _TICK_NS] * lasted[:, None]
         travelled[:, :2] *= 1.0 + scale
         travelled[:, 0] += reading[:, 0]
-        travelled[:, 0] += np.where(self.slips.at(times[:-1]), self.slip_mps * lasted, 0.0)
+        travelled[:, 0] += np.where(self.slips.contains(times[:-1]), self.slip_mps * lasted, 0.0)
         travelled[:, 2] += reading[:, 1] + bias * lasted
-        return _chained(start, _motion(travelled))
+        return _chain_motions(start, _motion_from_twist(travelled))
 
 
-def _chained(start: Floats, steps: Floats) -> Floats:
-    """The poses (N + 1, 3) from one on, one motion (N, 3) after the other; headings are not wrapped."""
+def _chain_motions(start: Floats, steps: Floats) -> Floats:
+    """Return the poses (N + 1, 3) after motions (N, 3) from a start pose; headings are not wrapped."""
     headings = np.cumsum(np.append(start[2], steps[:, 2]))
     cos, sin = np.cos(headings[:-1]), np.sin(headings[:-1])
     x = np.cumsum(np.append(start[0], cos * steps[:, 0] - sin * steps[:, 1]))
@@ -259,8 +258,8 @@ def _chained(start: Floats, steps: Floats) -> Floats:
     return np.column_stack([x, y, headings])
 
 
-def _motion(twists: Floats) -> Floats:
-    """The motions (N, 3) of unit-time velocities (N, 3): the exponential of SE(2), steady at zero rotation."""
+def _motion_from_twist(twists: Floats) -> Floats:
+    """Return the motions (N, 3) of unit-time velocities (N, 3): the exponential of SE(2), continuous at 0 rad."""
     half = 0.5 * twists[:, 2]
     chord = np.sinc(half / np.pi)
     cos, sin = chord * np.cos(half), chord * np.sin(half)
@@ -269,8 +268,8 @@ def _motion(twists: Floats) -> Floats:
     )
 
 
-def _twist(motions: Floats) -> Floats:
-    """The unit-time velocities (N, 3) of motions (N, 3): the logarithm of SE(2)."""
+def _twist_from_motion(motions: Floats) -> Floats:
+    """Return the unit-time velocities (N, 3) of motions (N, 3): the logarithm of SE(2)."""
     half = 0.5 * motions[:, 2]
     chord = np.sinc(half / np.pi)
     cos, sin = np.cos(half) / chord, np.sin(half) / chord

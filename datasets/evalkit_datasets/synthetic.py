@@ -1,4 +1,4 @@
-"""Sequences with exact truth: a simulated robot drives through a floor plan and scans it with the paper's lidar."""
+"""Synthetic sequences with exact ground truth: a robot drives through a floor plan, with the paper's lidar."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from evalkit_datasets import floorplans
 from evalkit_datasets.disturbances import NEVER, Episodes
 from evalkit_datasets.floorplans import FloorPlan
 from evalkit_datasets.lidar import LidarModel
-from evalkit_datasets.pedestrians import Walk, walks
+from evalkit_datasets.pedestrians import Walk, plan_walks
 from evalkit_datasets.robot import Route, RouteDrive, WheelOdometryModel
 from evalkit_datasets.true_map import build_true_grid
 
-_SCANS_AT_ONCE = 32  # simulated together: keeps the memory of a run small beside the back end's own
-_MAX_KEPT_BYTES = 32 * 2**20  # a drive of more scans than this is simulated anew whenever they are asked for
-_LOOK_EVERY_M = 0.2  # how far apart on the path the true map looks around
-_LOOK_LAPS = 2.0  # whoever has gone round twice has seen it all
+_SCANS_AT_ONCE = 32  # simulated together: bounds the memory
+_MAX_KEPT_BYTES = 32 * 2**20  # the scans of a longer drive are simulated again for each pass
+_VIEW_STEP_M = 0.2  # distance between the viewpoints of the true map
+_MAX_VIEW_LAPS = 2.0  # further laps add nothing to the true map
 
 
 class Synthetic:
-    """A drive through a floor plan: the same parameters give the same bits, on every pass and in every process.
+    """A drive through a floor plan; the same parameters give bit-identical data, on every pass and in every process.
 
-    Range noise, drop-outs, odometry and people draw from streams of their own, so that changing one leaves the others
-    alone. ``lost``: scans that begin meanwhile never arrive. Scans are simulated as they are asked for; those of a
-    short drive are kept.
+    Range noise, drop-outs, odometry and people use independent random streams, so that changing one does not change the
+    others. Scans that begin during an episode of ``lost`` are dropped. Scans are simulated on demand; those of a short
+    drive are cached.
     """
 
     def __init__(
@@ -54,89 +54,92 @@ class Synthetic:
         self.plan, self.drive, self.lidar, self.odometry = plan, drive, lidar, odometry
         self.base_from_sensor, self.seed, self.resolution_m = base_from_sensor, seed, resolution_m
         self.people, self.walk_mps = people, walk_mps
-        self._swept_ns = lidar.stamps(drive.duration_ns)  # of the scans lost, too
-        self._arrived = ~lost.at(self._swept_ns)
+        self._swept_ns = lidar.stamps(drive.duration_ns)  # including lost scans
+        self._arrived = ~lost.contains(self._swept_ns)
         self.stamps_ns = self._swept_ns[self._arrived]
         self._counted: tuple[int, int] | None = None
         if len(self.stamps_ns) == 0:
-            raise ValueError(f"laps: {drive.laps:g} laps at {drive.speed_mps:g} m/s end before the first scan does")
+            raise ValueError(f"laps: {drive.laps:g} laps at {drive.speed_mps:g} m/s end before the first scan ends")
 
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
     def frames(self) -> Iterator[Frame]:
-        """The frames in the order of time."""
+        """Return an iterator over the frames in order of time."""
         short = len(self) * 2 * 8 * self.lidar.beams <= _MAX_KEPT_BYTES  # ranges and angles
-        return iter(self._kept) if short else self._simulated()
+        return iter(self._cached_frames) if short else self._simulate()
 
     def truth(self) -> Truth:
-        """The exact poses ``world_from_base`` at the scans' stamps, and the map of what can be seen from the path."""
+        """Return exact poses ``world_from_base`` at the scans' stamps, and the grid of all that the path sees."""
         return self._truth
 
     def notes(self) -> Mapping[str, int]:
-        """How many beams met nothing within range, and how many gave no valid answer."""
-        return {"beams without return": self._met[0], "invalid ranges": self._met[1]} | (
+        """Return the number of beams without return, of invalid ranges and of lost scans."""
+        return {"beams without return": self._range_counts[0], "invalid ranges": self._range_counts[1]} | (
             {"scans lost": lost} if (lost := int((~self._arrived).sum())) else {}
         )
 
     @property
-    def _met(self) -> tuple[int, int]:
-        """How many beams met nothing and how many are invalid: known once all frames have been simulated."""
+    def _range_counts(self) -> tuple[int, int]:
+        """Numbers of no-return and of invalid ranges; simulates all frames if that has not been done."""
         if self._counted is None:
             for _ in self.frames():
                 pass
         if self._counted is None:
-            raise RuntimeError("the frames have been simulated and not counted")
+            raise RuntimeError("the frames were simulated but not counted")
         return self._counted
 
-    def _streams(self) -> list[np.random.Generator]:
-        """Independent generators for range noise, drop-outs, odometry and people."""
+    def _make_generators(self) -> list[np.random.Generator]:
+        """Return independent generators for range noise, drop-outs, odometry and people."""
         return [np.random.default_rng(child) for child in np.random.SeedSequence(self.seed).spawn(4)]
 
     @cached_property
     def walks(self) -> tuple[Walk, ...]:
-        """Where the people walk."""
-        *_, generator = self._streams()
-        return walks(self.people, self.plan.world, self.drive, self.walk_mps, generator)
+        """Paths of the people."""
+        *_, generator = self._make_generators()
+        return plan_walks(self.people, self.plan.world, self.drive, self.walk_mps, generator)
 
     @cached_property
-    def _kept(self) -> tuple[Frame, ...]:
-        return tuple(self._simulated())
+    def _cached_frames(self) -> tuple[Frame, ...]:
+        return tuple(self._simulate())
 
     @cached_property
-    def _wheels(self) -> tuple[Floats, Floats]:
-        """The odometry's pose (N, 3) at the first beam of every sweep, and its motion to the last."""
-        *_, errors, _ = self._streams()
+    def _odometry(self) -> tuple[Floats, Floats]:
+        """Odometry poses (N, 3) at the first beam of every sweep, and motions to the last beam."""
+        *_, errors, _ = self._make_generators()
         last_ns = self._swept_ns + (self.lidar.beams - 1) * self.lidar.time_increment_ns
         odometry = self.odometry.poses(self.drive, np.stack([self._swept_ns, last_ns], axis=1).ravel(), errors)
         return odometry[0::2], se2.between(odometry[0::2], odometry[1::2])
 
-    def _simulated(self) -> Iterator[Frame]:
-        noise, dropouts, *_ = self._streams()
-        first, turned = self._wheels
-        nothing = invalid = 0
-        for index, ranges in enumerate(self._ranges(noise, dropouts)):
+    def _simulate(self) -> Iterator[Frame]:
+        noise, dropouts, *_ = self._make_generators()
+        first, motions = self._odometry
+        no_returns = invalid = 0
+        for index, ranges in enumerate(self._simulate_ranges(noise, dropouts)):
             if self._arrived[index]:
-                scan = self._scan(index, ranges)
-                nothing, invalid = nothing + int(scan.no_returns.sum()), invalid + int(np.isnan(scan.ranges).sum())
-                yield Frame(scan, self.base_from_sensor, Pose.of(first[index]), Pose.of(turned[index]))
-        self._counted = nothing, invalid
+                scan = self._make_scan(index, ranges)
+                no_returns, invalid = (
+                    no_returns + int(scan.no_returns.sum()),
+                    invalid + int(np.isnan(scan.ranges).sum()),
+                )
+                yield Frame(scan, self.base_from_sensor, Pose.of(first[index]), Pose.of(motions[index]))
+        self._counted = no_returns, invalid
 
-    def _ranges(self, noise: np.random.Generator, dropouts: np.random.Generator) -> Iterator[Floats]:
-        """What the lidar reports (B,), scan by scan, every beam fired from where the sensor is at that moment."""
+    def _simulate_ranges(self, noise: np.random.Generator, dropouts: np.random.Generator) -> Iterator[Floats]:
+        """Yield the ranges (B,) of each scan; every beam starts at the sensor's pose at its own time."""
         for begin in range(0, len(self._swept_ns), _SCANS_AT_ONCE):
             stamps = self.lidar.beam_stamps(self._swept_ns[begin : begin + _SCANS_AT_ONCE])
-            world_from_sensor = se2.compose(self.drive.pose(stamps.ravel()), self.base_from_sensor.row)
+            world_from_sensor = se2.compose(self.drive.poses(stamps.ravel()), self.base_from_sensor.row)
             origins, bearings = (
                 world_from_sensor[:, :2],
                 world_from_sensor[:, 2] + np.tile(self.lidar.angles(), len(stamps)),
             )
             distances = self.plan.world.cast(origins, bearings)
             for walk in self.walks:
-                distances = np.minimum(distances, walk.met(origins, bearings, stamps.ravel()))
-            yield from self.lidar.measured(distances.reshape(stamps.shape), noise, dropouts)
+                distances = np.minimum(distances, walk.cast(origins, bearings, stamps.ravel()))
+            yield from self.lidar.add_errors(distances.reshape(stamps.shape), noise, dropouts)
 
-    def _scan(self, index: int, ranges: Floats) -> Scan:
+    def _make_scan(self, index: int, ranges: Floats) -> Scan:
         lidar = self.lidar
         return Scan(
             int(self._swept_ns[index]),
@@ -149,46 +152,46 @@ class Synthetic:
 
     @cached_property
     def _truth(self) -> Truth:
-        poses = self.drive.pose(self.stamps_ns)
-        seen_m = min(self.drive.path_m, _LOOK_LAPS * self.drive.route.length_m)
-        path = self.drive.route.at(np.arange(0.0, seen_m, _LOOK_EVERY_M))
+        poses = self.drive.poses(self.stamps_ns)
+        seen_m = min(self.drive.path_m, _MAX_VIEW_LAPS * self.drive.route.length_m)
+        path = self.drive.route.poses_at(np.arange(0.0, seen_m, _VIEW_STEP_M))
         sensor = se2.compose(path, self.base_from_sensor.row)
         grid = build_true_grid(self.plan.world, self.resolution_m, sensor[:, :2], self.lidar.range_max_m)
         return Truth("exact: simulated", trajectory=Trajectory(self.stamps_ns, poses, "world", "base"), grid=grid)
 
 
 PARAMETERS = (
-    Parameter("seed", 0, "", "draws noise, drop-outs and odometry errors", low=0),
-    Parameter("rate_hz", 10.0, "Hz", "revolutions of the lidar a second", low=5.0, high=15.0),
+    Parameter("seed", 0, "", "seed of noise, drop-outs and odometry errors", low=0),
+    Parameter("rate_hz", 10.0, "Hz", "revolutions of the lidar per second", low=5.0, high=15.0),
     Parameter("speed_mps", 0.3, "m/s", "speed between the ramps", low=0.05, high=3.0),
-    Parameter("turn_dps", 0.0, "deg/s", "yaw rate of every turn: tightened, then slowed down to it; 0: as drawn",
+    Parameter("turn_dps", 0.0, "deg/s", "yaw rate of all turns, tightened or slowed down to it; 0: not changed",
               low=0.0, high=360.0),
-    Parameter("laps", 1.0, "", "laps driven, may be a share of one", low=0.02, high=1e5),
+    Parameter("laps", 1.0, "", "number of laps, may be a fraction", low=0.02, high=1e5),
     Parameter("noise_m", 0.0483, "m", "standard deviation of a range", low=0.0, high=1.0),
     Parameter("dropout", 0.01, "", "share of beams without an answer", low=0.0, high=1.0),
-    Parameter("odometry_scale", 0.01, "", "1 sigma of the wheels' scale error, drawn once a run", low=0.0, high=0.5),
-    Parameter("velocity_noise_mps", 0.02, "m/s", "1 sigma of every speed reading at 100 Hz", low=0.0, high=1.0),
-    Parameter("gyro_bias_dps", 0.2, "deg/s", "1 sigma of the gyroscope's bias, drawn once a run", low=0.0, high=20.0),
-    Parameter("gyro_noise_dps", 0.5, "deg/s", "1 sigma of every yaw rate reading at 100 Hz", low=0.0, high=50.0),
-    Parameter("slip_every_s", 0.0, "s", "the wheels slip once in so long, first after half of it; 0: never", low=0.0),
-    Parameter("slip_s", 0.5, "s", "how long they slip", low=0.0),
-    Parameter("slip_mps", 0.5, "m/s", "by how much they turn too fast meanwhile", low=-3.0, high=3.0),
-    Parameter("drop_every_s", 0.0, "s", "scans are lost once in so long, first after half of it; 0: never", low=0.0),
-    Parameter("drop_s", 0.5, "s", "for how long scans are lost", low=0.0),
-    Parameter("people", 0, "", "people who walk about: discs of 0.25 m radius", low=0, high=50),
-    Parameter("walk_mps", 1.0, "m/s", "how fast people walk", low=0.05, high=3.0),
+    Parameter("odometry_scale", 0.01, "", "1 sigma of the wheels' scale error, drawn once per run", low=0.0, high=0.5),
+    Parameter("velocity_noise_mps", 0.02, "m/s", "1 sigma of the noise of speed readings at 100 Hz", low=0.0, high=1.0),
+    Parameter("gyro_bias_dps", 0.2, "deg/s", "1 sigma of the gyroscope's bias, drawn once per run", low=0.0, high=20.0),
+    Parameter("gyro_noise_dps", 0.5, "deg/s", "1 sigma of the noise of yaw rates at 100 Hz", low=0.0, high=50.0),
+    Parameter("slip_every_s", 0.0, "s", "period of wheel slip, the first after half a period; 0: no slip", low=0.0),
+    Parameter("slip_s", 0.5, "s", "duration of a slip", low=0.0),
+    Parameter("slip_mps", 0.5, "m/s", "excess speed of the wheels during a slip", low=-3.0, high=3.0),
+    Parameter("drop_every_s", 0.0, "s", "period of scan loss, the first after half a period; 0: no loss", low=0.0),
+    Parameter("drop_s", 0.5, "s", "duration of a scan loss", low=0.0),
+    Parameter("people", 0, "", "number of walking people: discs of 0.25 m radius", low=0, high=50),
+    Parameter("walk_mps", 1.0, "m/s", "walking speed of the people", low=0.05, high=3.0),
     Parameter("resolution_m", 0.05, "m", "cell size of the true map", low=0.01, high=1.0),
 )  # fmt: skip
 
 
-def sequence(plan: Callable[[], FloorPlan], base_from_sensor: Pose, **parameters: object) -> Synthetic:
-    """The sequence of a floor plan with given ``PARAMETERS``; the rest keep their defaults."""
+def make_sequence(plan: Callable[[], FloorPlan], base_from_sensor: Pose, **parameters: object) -> Synthetic:
+    """Return the sequence of a floor plan; ``parameters`` not given have the defaults of ``PARAMETERS``."""
     value = resolve_parameters(plan.__name__, PARAMETERS, parameters)
     number = {name: float(setting) for name, setting in value.items()}
-    drawn = plan()
+    floor_plan = plan()
     return Synthetic(
-        drawn,
-        _drive(drawn.route, number["speed_mps"], number["laps"], float(np.radians(number["turn_dps"]))),
+        floor_plan,
+        _make_drive(floor_plan.route, number["speed_mps"], number["laps"], float(np.radians(number["turn_dps"]))),
         LidarModel(number["rate_hz"], number["noise_m"], number["dropout"]),
         WheelOdometryModel(
             number["odometry_scale"],
@@ -207,11 +210,11 @@ def sequence(plan: Callable[[], FloorPlan], base_from_sensor: Pose, **parameters
     )
 
 
-def _drive(route: Route, speed_mps: float, laps: float, yaw_rate: float) -> RouteDrive:
+def _make_drive(route: Route, speed_mps: float, laps: float, yaw_rate: float) -> RouteDrive:
     return RouteDrive.turning_at(route, speed_mps, laps, yaw_rate) if yaw_rate else RouteDrive(route, speed_mps, laps)
 
 
-def _spec(
+def _make_spec(
     plan: Callable[[], FloorPlan],
     summary: str,
     base_from_sensor: Pose,
@@ -221,10 +224,10 @@ def _spec(
 ) -> DatasetSpec:
     parameters = with_defaults(PARAMETERS, **defaults)
     return DatasetSpec(
-        make=partial(sequence, plan, base_from_sensor, **defaults),
+        make=partial(make_sequence, plan, base_from_sensor, **defaults),
         summary=summary,
         sensor="simulated RPLIDAR A2M8: 8,000 beams/s clockwise, 5-15 Hz, 0.15-12 m, 4.83 cm noise, motion in the scan",
-        truth="exact: simulated poses at every scan's first beam; map cells cut exactly by the boundaries in view",
+        truth="exact: simulated poses at every scan's first beam; map cells crossed by visible boundaries",
         citation="simulated after 'Occupancy grid mapping based on ICP for indoor autonomous vehicles'",
         licence="MIT",
         defects=("wheel and gyroscope errors are assumed: the paper gives none",),
@@ -238,32 +241,32 @@ def _spec(
 _AHEAD = Pose(0.08, 0.0, 0.0)
 _EXCERPTS: dict[Excerpt, dict[str, Value]] = {"full": {"laps": 0.6}, "quick": {"laps": 0.15}}
 
-ROOM = _spec(
+ROOM = _make_spec(
     floorplans.room,
     "the paper's 10 x 10 m room with a round obstacle, 23 m, turns up to 69 deg/s at 0.3 m/s",
     _AHEAD,
     excerpts=_EXCERPTS,
 )
-LAB = _spec(
+LAB = _make_spec(
     floorplans.lab,
-    "a laboratory of 10.5 x 8 m with furniture, 24 m around an island, turns up to 69 deg/s at 0.3 m/s; lidar askew",
+    "a laboratory of 10.5 x 8 m with furniture, 24 m around an island, turns up to 69 deg/s at 0.3 m/s; lidar turned",
     Pose(0.08, 0.02, float(np.radians(-30.0))),
     excerpts=_EXCERPTS,
 )
-LOOP = _spec(
+LOOP = _make_spec(
     floorplans.loop,
-    "a ring of corridors 41 m around, driven until 2 m are seen again, turns up to 69 deg/s at 0.3 m/s",
+    "a ring of corridors 41 m around, driven until it overlaps by 2 m, turns up to 69 deg/s at 0.3 m/s",
     _AHEAD,
     laps=1.05,
 )
-CORRIDOR = _spec(
+CORRIDOR = _make_spec(
     floorplans.corridor,
-    "a bare corridor longer than the lidar sees, 21 m there and back, turns up to 43 deg/s at 0.3 m/s",
+    "a bare corridor longer than the lidar sees, 21 m back and forth, turns up to 43 deg/s at 0.3 m/s",
     _AHEAD,
-    degenerate="two bare parallel walls longer than the lidar's range: nothing shows the position along them",
+    degenerate="two bare parallel walls longer than the lidar's range: the position along them is not observable",
 )
-OFFICE = _spec(
+OFFICE = _make_spec(
     floorplans.office,
-    "four furnished rooms on a hallway, 35 m through doors, turns up to 69 deg/s at 0.3 m/s; lidar turned by 90 deg",
+    "four furnished rooms on a hallway, 35 m through doors, turns up to 69 deg/s at 0.3 m/s; lidar rotated by 90 deg",
     Pose(-0.04, 0.0, float(np.radians(90.0))),
 )

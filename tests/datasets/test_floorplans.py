@@ -10,7 +10,7 @@ PLANS = {name: getattr(floorplans, name)() for name in ("room", "lab", "loop", "
 @pytest.mark.parametrize("name", PLANS)
 def test_a_route_never_comes_within_30_cm_of_anything(name):
     plan = PLANS[name]
-    path = plan.route.at(np.arange(0.0, plan.route.length_m, 0.01))
+    path = plan.route.poses_at(np.arange(0.0, plan.route.length_m, 0.01))
     assert plan.world.clearance(path[:, :2]).min() >= 0.3
 
 
@@ -45,7 +45,7 @@ def test_the_corridor_shows_nothing_but_two_walls_longer_than_the_lidar_sees():
     plan = PLANS["corridor"]
     assert len(plan.world.segments) == 2
     assert len(plan.world.circles) == 0
-    x = plan.route.at(np.arange(0.0, plan.route.length_m, 0.01))[:, 0]
+    x = plan.route.poses_at(np.arange(0.0, plan.route.length_m, 0.01))[:, 0]
     first, last = plan.world.segments[:, [0, 2]].min(), plan.world.segments[:, [0, 2]].max()
     assert min(x.min() - first, last - x.max()) > 12.2
 
@@ -53,5 +53,5 @@ def test_the_corridor_shows_nothing_but_two_walls_longer_than_the_lidar_sees():
 @pytest.mark.parametrize("name", ["room", "lab", "loop", "office"])
 def test_no_beam_leaves_a_closed_world(name):
     plan, generator = PLANS[name], np.random.default_rng(0)
-    path = plan.route.at(np.repeat(np.arange(0.0, plan.route.length_m, 0.5), 90))
+    path = plan.route.poses_at(np.repeat(np.arange(0.0, plan.route.length_m, 0.5), 90))
     assert np.isfinite(plan.world.cast(path[:, :2], generator.uniform(-np.pi, np.pi, len(path)))).all()

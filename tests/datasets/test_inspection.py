@@ -1,4 +1,4 @@
-"""The data doctor, against recordings made with one known defect each, and against what is known of real ones."""
+"""The inspection, on recordings with one known defect each, and on real ones with known properties."""
 
 import json
 import math
@@ -17,7 +17,7 @@ from evalkit_datasets.inspection import odometry_stats
 from evalkit_datasets.inspection.command import inspect
 from evalkit_datasets.inspection.inspector import inspect_recording
 from evalkit_datasets.inspection.odometry_stats import compare_turns, measure_odometry
-from evalkit_datasets.inspection.page import document
+from evalkit_datasets.inspection.page import build_document
 from evalkit_datasets.inspection.range_stats import find_no_return_codes, measure_ranges
 from evalkit_datasets.inspection.streams import LaserStream, OdometryStream
 from evalkit_datasets.inspection.suggested_config import best_lidar, suggest_config
@@ -198,11 +198,11 @@ def said(found):
     return " | ".join(f"{one.about}: {one.what}; {one.advice}" for one in found.findings)
 
 
-def test_a_prescription_is_an_experiment_that_reads_and_a_code_it_does_not_know_sets_range_max(tmp_path):
+def test_a_suggested_config_is_a_valid_experiment_and_an_unknown_code_sets_range_max(tmp_path):
     path = log(tmp_path, *drive(code=30.0))
     found = inspect_recording(path)
     advice = suggest_config(found)
-    assert "30 m is no range but a no-return" in said(found)
+    assert "30 m means no return" in said(found)
     assert (advice.parameters["range_max_m"], advice.scans, advice.problem) == (30.0, 60, "")
     plan = experiment_from_tables(
         tomllib.loads(advice.table + '[[method]]\nuse = "wheel-odometry"\n'), "made", "made", "x"
@@ -211,12 +211,12 @@ def test_a_prescription_is_an_experiment_that_reads_and_a_code_it_does_not_know_
     assert advice.command == f"evalkit compare {path} --set range_max_m=30.0"
 
 
-def test_a_corrected_log_is_told_from_odometry_and_holds_its_reference(tmp_path):
+def test_a_corrected_log_has_no_odometry_but_a_reference(tmp_path):
     rows = walls(30)
     lines = [flaser(f"{1000 + at}", rows[at], (0.9 * at, 0.01 * at, 0.0), "pippo") for at in range(30)]
     found = inspect_recording(log(tmp_path, *lines, "NEFF 0.5"))
     assert found.truth_inside == "GMapping's poses"
-    assert "no odometry but GMapping's poses" in said(found)
+    assert "not odometry but GMapping's poses" in said(found)
     assert "4 significant digits" in said(found)
     assert "0.90 m apart" in said(found)
     assert "GMapping" in suggest_config(found).truth
@@ -235,7 +235,7 @@ def test_a_log_without_a_scan_is_a_problem_and_prescribes_nothing(tmp_path):
     assert suggest_config(found) is None
 
 
-def test_bad_files_say_what_their_readers_say(tmp_path):
+def test_errors_of_bad_files_are_those_of_the_readers(tmp_path):
     (tmp_path / "torn.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(40))
     with pytest.raises(BadData, match="not a readable bag"):
         inspect_recording(tmp_path / "torn.bag")
@@ -246,7 +246,7 @@ def test_bad_files_say_what_their_readers_say(tmp_path):
     with pytest.raises(BadData, match="give a bag"):
         inspect_recording(tmp_path / "picture.png")
     (tmp_path / "true.tum").write_text("1.0 0 0 0 0 0 0 1\n")
-    with pytest.raises(BadData, match="goes beside a recording: evalkit compare RECORDING --reference FILE"):
+    with pytest.raises(BadData, match="with its recording: evalkit compare RECORDING --reference FILE"):
         inspect_recording(tmp_path / "true.tum")
     (tmp_path / "empty").mkdir()
     with pytest.raises(BadData, match=r"without metadata\.yaml"):
@@ -307,17 +307,17 @@ def test_the_turtlebots_lidar_is_turned_and_its_two_bases_are_told():
 
 
 @pytest.mark.slow
-def test_pseudo_odometry_is_refused():
+def test_pseudo_odometry_is_rejected():
     found = inspect_recording(recorded("fr079", "fr079-fullrate.clf.gz"))
     advice = suggest_config(found)
-    assert "slips sideways" in said(found)
+    assert "sideways slip" in said(found)
     assert "1211.00 to 1211.51 s" in said(found)
     assert advice.parameters["odometry"] == "none"
     assert advice.parameters["relations"].endswith("fr079.relations")
     assert (advice.scans, advice.catalogued) == (4791, "fr079")
     assert any("x -0.040 m" in reason for reason in advice.reasons)
-    assert "360 beams are taken to begin at -90 deg" in said(found)
-    assert document(found, advice).title == "fr079-fullrate.clf.gz"
+    assert "360 beams are assumed to begin at -90 deg" in said(found)
+    assert build_document(found, advice).title == "fr079-fullrate.clf.gz"
 
 
 def test_raw_odometry_of_wheels_is_told_from_pseudo_odometry():
@@ -328,9 +328,9 @@ def test_raw_odometry_of_wheels_is_told_from_pseudo_odometry():
 
 
 @pytest.mark.parametrize(("name", "code"), [("aces", 50.0), ("freiburg-101", 81.91), ("intel", 81.83)])
-def test_corrected_logs_are_told_by_their_signs(name, code):
+def test_corrected_logs_are_recognised_by_their_markers(name, code):
     found = inspect_recording(recorded("radish-corrected", f"{name}-corrected.log.gz"))
     assert found.truth_inside == "GMapping's poses"
     assert found.lidars[0].returns.codes[0].high_m == code
-    for trap in ("6 significant digits", "m apart (median)", "stamps go backwards"):
+    for trap in ("6 significant digits", "m apart (median)", "stamps decrease"):
         assert trap in said(found)

@@ -7,7 +7,7 @@ from evalkit_datasets.lidar import LidarModel
 
 def measured(lidar, ranges, seed=0):
     noise, dropouts = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2))
-    return lidar.measured(ranges, noise, dropouts)
+    return lidar.add_errors(ranges, noise, dropouts)
 
 
 @pytest.mark.parametrize(("rate_hz", "beams"), [(5.0, 1600), (10.0, 800), (15.0, 533)])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from evalkit_datasets import floorplans
-from evalkit_datasets.pedestrians import FROM_ROBOT_M, RADIUS_M, Walk, walks
+from evalkit_datasets.pedestrians import FROM_ROBOT_M, RADIUS_M, Walk, plan_walks
 from evalkit_datasets.robot import RouteDrive
 
 S = 1_000_000_000
@@ -14,7 +14,7 @@ S = 1_000_000_000
 def lab():
     plan = floorplans.lab()
     drive = RouteDrive(plan.route, 0.3, 0.5)
-    return plan, drive, walks(3, plan.world, drive, 1.2, np.random.default_rng(4))
+    return plan, drive, plan_walks(3, plan.world, drive, 1.2, np.random.default_rng(4))
 
 
 def test_a_walk_is_straight_and_steady_between_its_points():
@@ -26,13 +26,13 @@ def test_a_walk_is_straight_and_steady_between_its_points():
 def test_a_beam_meets_a_person_at_the_near_side_at_its_own_time():
     walk = Walk(np.array([[0.0, 3.0], [4.0, 3.0]]), np.array([0.0, 4.0]))
     origins, up = np.array([[2.0, 0.0]] * 4), np.full(4, np.pi / 2)
-    found = walk.met(origins, up, [2 * S, int(1.9 * S), int(1.7 * S), 3 * S])
+    found = walk.cast(origins, up, [2 * S, int(1.9 * S), int(1.7 * S), 3 * S])
     np.testing.assert_allclose(found, [2.75, 3.0 - np.sqrt(RADIUS_M**2 - 0.01), np.inf, np.inf])
 
 
 def test_a_beam_that_looks_away_meets_nobody():
     walk = Walk(np.array([[0.0, 3.0]]), np.array([0.0]))
-    assert walk.met(np.zeros((1, 2)), np.array([-np.pi / 2]), [0]).tolist() == [np.inf]
+    assert walk.cast(np.zeros((1, 2)), np.array([-np.pi / 2]), [0]).tolist() == [np.inf]
 
 
 def test_people_walk_at_their_speed_for_as_long_as_the_drive_lasts(lab):
@@ -46,7 +46,7 @@ def test_people_walk_at_their_speed_for_as_long_as_the_drive_lasts(lab):
 def test_people_walk_neither_through_walls_nor_into_the_robot(lab):
     plan, drive, people = lab
     stamps = np.arange(0, drive.duration_ns, S // 20)
-    robot = drive.pose(stamps)[:, :2]
+    robot = drive.poses(stamps)[:, :2]
     for walk in people:
         where = walk.at(stamps)
         assert plan.world.clearance(where).min() > RADIUS_M - 0.01

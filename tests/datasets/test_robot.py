@@ -6,7 +6,7 @@ from evalkit_datasets import robot
 from evalkit_datasets.disturbances import Episodes
 from evalkit_datasets.robot import Route, RouteDrive, WheelOdometryModel
 
-SQUARE = Route.through([(0, 0, 1), (4, 0, 1), (4, 4, 1), (0, 4, 1)])
+SQUARE = Route.from_corners([(0, 0, 1), (4, 0, 1), (4, 4, 1), (0, 4, 1)])
 FAULTLESS = WheelOdometryModel(0.0, 0.0, 0.0, 0.0)
 
 
@@ -25,20 +25,20 @@ def test_a_square_with_rounded_corners_has_its_hand_computed_length():
 def test_a_route_passes_where_its_geometry_says():
     quarter = 0.25 * SQUARE.length_m
     expected = [(2, 0, 0), (3, 0, 0), (3 + np.sin(np.pi / 4), 1 - np.cos(np.pi / 4), np.pi / 4), (4, 2, np.pi / 2)]
-    np.testing.assert_allclose(SQUARE.at([0.0, 1.0, 1.0 + np.pi / 4, quarter]), expected, atol=1e-12)
+    np.testing.assert_allclose(SQUARE.poses_at([0.0, 1.0, 1.0 + np.pi / 4, quarter]), expected, atol=1e-12)
 
 
 def test_a_route_closes_and_goes_round_again():
-    np.testing.assert_allclose(SQUARE.at([0.3 + 2.0 * SQUARE.length_m]), SQUARE.at([0.3]), atol=1e-9)
-    np.testing.assert_allclose(SQUARE.at([SQUARE.length_m - 1e-9]), SQUARE.at([0.0]), atol=1e-8)
+    np.testing.assert_allclose(SQUARE.poses_at([0.3 + 2.0 * SQUARE.length_m]), SQUARE.poses_at([0.3]), atol=1e-9)
+    np.testing.assert_allclose(SQUARE.poses_at([SQUARE.length_m - 1e-9]), SQUARE.poses_at([0.0]), atol=1e-8)
 
 
 def test_a_route_moves_where_it_heads_and_turns_by_its_curvature():
-    route = Route.through([(0, 0, 0.5), (5, -1, 0.8), (6, 4, 0.3), (3, 2, 0.4), (-1, 5, 0.25)])
+    route = Route.from_corners([(0, 0, 0.5), (5, -1, 0.8), (6, 4, 0.3), (3, 2, 0.4), (-1, 5, 0.25)])
     ends = np.cumsum(route.sections[:, 4])
     distance = np.linspace(0.0, route.length_m, 3000)
     distance = distance[np.abs(distance[:, None] - ends).min(axis=1) > 1e-3]  # the curvature jumps there
-    ahead = se2.between(route.at(distance), route.at(distance + 1e-6)) / 1e-6
+    ahead = se2.between(route.poses_at(distance), route.poses_at(distance + 1e-6)) / 1e-6
     np.testing.assert_allclose(
         ahead, np.column_stack([np.ones_like(distance), np.zeros_like(distance), route.curvature(distance)]), atol=1e-4
     )
@@ -46,7 +46,7 @@ def test_a_route_moves_where_it_heads_and_turns_by_its_curvature():
 
 def test_corners_too_round_for_their_sides_are_refused():
     with pytest.raises(ValueError, match="between corners 0 and 1"):
-        Route.through([(0, 0, 2), (3, 0, 2), (3, 9, 0.1), (0, 9, 0.1)])
+        Route.from_corners([(0, 0, 2), (3, 0, 2), (3, 9, 0.1), (0, 9, 0.1)])
 
 
 def test_a_drive_ramps_up_cruises_and_stops():
@@ -64,7 +64,7 @@ def test_a_drive_too_short_for_its_speed_turns_the_ramps_at_the_middle():
 
 def test_a_drive_keeps_to_its_speed_and_its_yaw_rate():
     drive = RouteDrive(SQUARE, speed_mps=0.3, laps=1.3)
-    steps = se2.between(drive.pose(every(drive))[:-1], drive.pose(every(drive))[1:]) / 0.01
+    steps = se2.between(drive.poses(every(drive))[:-1], drive.poses(every(drive))[1:]) / 0.01
     assert np.hypot(steps[:, 0], steps[:, 1]).max() <= 0.3 + 1e-9
     assert np.abs(steps[:, 2]).max() <= drive.top_yaw_rate + 1e-9
     assert drive.top_yaw_rate == pytest.approx(0.3)
@@ -79,14 +79,14 @@ def test_a_drive_that_goes_nowhere_is_refused(wrong):
 def test_odometry_without_errors_is_the_truth():
     drive = RouteDrive(SQUARE, speed_mps=0.5, laps=2.2)
     stamps = every(drive, 33_333_333)  # between the readings
-    true = se2.between(drive.pose([0]), drive.pose(stamps))
+    true = se2.between(drive.poses([0]), drive.poses(stamps))
     np.testing.assert_allclose(odometry(FAULTLESS, drive, stamps), true, atol=1e-9)
 
 
 def test_a_scale_error_alone_scales_the_path_and_leaves_the_heading():
     drive = RouteDrive(SQUARE, speed_mps=0.5)
     stamps = every(drive)
-    true = se2.between(drive.pose([0]), drive.pose(stamps))
+    true = se2.between(drive.poses([0]), drive.poses(stamps))
     found = odometry(WheelOdometryModel(0.1, 0.0, 0.0, 0.0), drive, stamps)
     share = found[100, 0] / true[100, 0]
     assert share != pytest.approx(1.0, abs=1e-6)
@@ -97,7 +97,7 @@ def test_a_gyro_bias_alone_turns_the_heading_in_proportion_to_time():
     drive = RouteDrive(SQUARE, speed_mps=0.5)
     stamps = every(drive)
     found = odometry(WheelOdometryModel(0.0, 0.0, 0.01, 0.0), drive, stamps)
-    error = se2.wrap(found[:, 2] - se2.between(drive.pose([0]), drive.pose(stamps))[:, 2])
+    error = se2.wrap(found[:, 2] - se2.between(drive.poses([0]), drive.poses(stamps))[:, 2])
     assert abs(error[-1]) > 1e-4
     np.testing.assert_allclose(error, error[-1] * stamps / stamps[-1], atol=1e-9)
 
@@ -116,7 +116,7 @@ def test_errors_of_many_runs_spread_as_asked_for():
     drive = RouteDrive(SQUARE, speed_mps=1.0, laps=0.25)
     end = [drive.duration_ns]
     seconds, runs = end[0] * 1e-9, 400
-    true = se2.between(drive.pose([0]), drive.pose(end))[0]
+    true = se2.between(drive.poses([0]), drive.poses(end))[0]
 
     def spread(errors, column):
         return np.std([odometry(errors, drive, end, seed)[0, column] - true[column] for seed in range(runs)])
@@ -145,17 +145,17 @@ def test_asking_at_more_times_does_not_change_the_answers():
     np.testing.assert_allclose(found, odometry(WheelOdometryModel(), drive, few), atol=1e-5)
 
 
-CORNERED = Route.through([(0, 0, 0.5), (6, 0, 0.25), (6, 4, 5.0), (4, 6, 0.25), (0, 6, 0.25)])
+CORNERED = Route.from_corners([(0, 0, 0.5), (6, 0, 0.25), (6, 4, 5.0), (4, 6, 0.25), (0, 6, 0.25)])
 
 
 def yaw_rates(drive):
     stamps = every(drive)
-    poses = drive.pose(stamps)
+    poses = drive.poses(stamps)
     return np.abs(se2.between(poses[:-1], poses[1:])[:, 2]) / 0.01
 
 
 def test_a_tightened_route_keeps_its_corners_and_its_gentle_curves():
-    tight = CORNERED.tightened(0.1)
+    tight = CORNERED.tighten(0.1)
     assert tight.corners[:, 2].tolist() == [0.1, 0.1, 5.0, 0.1, 0.1]
     turns = np.radians([90.0, 90.0, 45.0, 45.0, 90.0])
     shortcuts = 2.0 * np.tan(0.5 * turns) - turns  # what a rounded corner saves, in radii
@@ -174,8 +174,8 @@ def test_a_drive_turns_every_corner_at_the_yaw_rate_asked_for(degrees):
 
 
 def test_a_drive_that_slows_down_does_so_steadily():
-    drive = RouteDrive(SQUARE, speed_mps=2.0, laps=2.0, most_yaw_rate=0.5)  # radius 1 m: 0.5 m/s through the arcs
-    poses = drive.pose(every(drive))
+    drive = RouteDrive(SQUARE, speed_mps=2.0, laps=2.0, max_yaw_rate=0.5)  # radius 1 m: 0.5 m/s through the arcs
+    poses = drive.poses(every(drive))
     speed = np.hypot(*se2.between(poses[:-1], poses[1:])[:, :2].T) / 0.01
     assert np.abs(np.diff(speed)).max() < 0.5 * 0.01 * 1.01
     assert speed.max() == pytest.approx(np.sqrt(0.5**2 + 2.0 * 0.5 * 1.0), abs=0.01)  # 1 m on from an arc, 1 m to go

@@ -80,7 +80,7 @@ def test_a_beam_without_noise_ends_on_a_boundary_seen_from_where_it_was_fired(na
     sequence = exact(name)
     for frame in list(sequence.frames())[::25]:
         stamps = frame.scan.stamp_ns + frame.scan.time_increment_ns * np.arange(len(frame.scan.ranges))
-        fired_from = se2.compose(sequence.drive.pose(stamps), frame.base_from_sensor.row)
+        fired_from = se2.compose(sequence.drive.poses(stamps), frame.base_from_sensor.row)
         hits = frame.scan.hits
         ends = se2.transform_each(fired_from[hits], frame.scan.points())
         assert sequence.plan.world.clearance(ends).max() < 1e-9
@@ -111,7 +111,7 @@ def test_faultless_odometry_is_the_true_motion():
     true = sequence.truth().trajectory.poses
     np.testing.assert_allclose(odometry(sequence), se2.between(true[:1], true), atol=1e-9)
     frame = list(sequence.frames())[20]
-    ends = sequence.drive.pose([frame.scan.stamp_ns, frame.scan.stamp_ns + frame.scan.duration_ns])
+    ends = sequence.drive.poses([frame.scan.stamp_ns, frame.scan.stamp_ns + frame.scan.duration_ns])
     np.testing.assert_allclose(frame.start_from_end.row, se2.between(ends[0], ends[1]), atol=1e-9)
 
 
@@ -185,7 +185,7 @@ def test_what_perfect_beams_meet_is_on_the_true_map(name):
     sequence = whole(name)
     grid = sequence.truth().grid
     stamps = sequence.lidar.beam_stamps(sequence.stamps_ns[::20])
-    fired_from = se2.compose(sequence.drive.pose(stamps.ravel()), sequence.base_from_sensor.row)
+    fired_from = se2.compose(sequence.drive.poses(stamps.ravel()), sequence.base_from_sensor.row)
     fired_from[:, 2] += np.tile(sequence.lidar.angles(), len(stamps))
     distance = sequence.plan.world.cast(fired_from[:, :2], fired_from[:, 2])
     met = distance <= 12.0
@@ -256,7 +256,7 @@ def test_published_sequences_do_not_change(name, scans, invalid, metres, last):
 @pytest.mark.parametrize(("speed_mps", "turn_dps"), [(0.2, 90.0), (1.0, 30.0)])
 def test_turns_go_at_the_yaw_rate_asked_for_at_any_speed(speed_mps, turn_dps):
     drive = SPECS["lab"].make(speed_mps=speed_mps, turn_dps=turn_dps).drive
-    poses = drive.pose(np.arange(0, drive.duration_ns, 10_000_000))
+    poses = drive.poses(np.arange(0, drive.duration_ns, 10_000_000))
     steps = se2.between(poses[:-1], poses[1:]) / 0.01
     assert np.degrees(np.abs(steps[:, 2]).max()) == pytest.approx(turn_dps, rel=1e-6)
     assert np.hypot(steps[:, 0], steps[:, 1]).max() == pytest.approx(speed_mps, rel=1e-6)

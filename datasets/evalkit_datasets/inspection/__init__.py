@@ -1,1 +1,1 @@
-"""``evalkit inspect``: what a recording holds, what is wrong with it, and a config that runs it."""
+"""``evalkit inspect``: measure the content and the defects of a recording, and suggest a configuration for it."""

@@ -1,4 +1,4 @@
-"""All lidars, odometry and transforms of a ROS 1 or ROS 2 bag in one pass."""
+"""Read all lidars, odometry and transforms of a ROS 1 or ROS 2 bag in one pass."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from evalkit_datasets.rosbag_parser import Contents, Sweep
 from evalkit_datasets.transforms import TransformTree, planar_pose_from_matrix
 
 WANTED = {*rosbag_parser.LASER, rosbag_parser.ODOMETRY, *rosbag_parser.TRANSFORMS}
-TWO_FRAMES = 2  # from "odom" to a child that moves
+MIN_TF_POSES = 2  # transforms needed for odometry from tf
 
 
 @dataclass(eq=False)
-class _Taken:
-    """One topic's messages with when each was recorded, and the twists of odometry."""
+class _TopicContent:
+    """The messages of one topic with their times of recording, and the twists of odometry."""
 
     kind: str
     contents: Contents = field(default_factory=Contents)
@@ -29,14 +29,14 @@ class _Taken:
     twists: list[tuple[float, float]] = field(default_factory=list)
 
 
-def read(path: Path) -> RecordingStreams:
-    """The streams of a bag; BadData as the reader of bags says it."""
-    taken: dict[str, _Taken] = {}
+def read_bag_streams(path: Path) -> RecordingStreams:
+    """Return the streams of a bag; raises BadData if it cannot be read."""
+    taken: dict[str, _TopicContent] = {}
     tree = Contents()
     with rosbag_parser.open_bag(path) as reader:
         seconds = max((reader.end_time - reader.start_time) * 1e-9, 0.0)
         topics = [
-            Topic(name, str(about.msgtype), int(about.msgcount), _rate(int(about.msgcount), seconds))
+            Topic(name, str(about.msgtype), int(about.msgcount), _message_rate_hz(int(about.msgcount), seconds))
             for name, about in sorted(reader.topics.items())
         ]
         wanted = [connection for connection in reader.connections if connection.msgtype in WANTED]
@@ -45,25 +45,29 @@ def read(path: Path) -> RecordingStreams:
             if connection.msgtype in rosbag_parser.TRANSFORMS:
                 rosbag_parser.take_transforms(tree, message, connection.topic.endswith("tf_static"))
                 continue
-            own = taken.setdefault(connection.topic, _Taken(connection.msgtype))
-            _take(own, connection.topic, message, int(recorded_ns))
-    wheels = [_wheels(own) for own in taken.values() if own.kind == rosbag_parser.ODOMETRY and own.contents.odometry]
+            own = taken.setdefault(connection.topic, _TopicContent(connection.msgtype))
+            _take_message(own, connection.topic, message, int(recorded_ns))
+    wheels = [
+        _make_odometry_stream(own)
+        for own in taken.values()
+        if own.kind == rosbag_parser.ODOMETRY and own.contents.odometry
+    ]
     return RecordingStreams(
         path,
         "ROS 1 bag" if path.suffix == ".bag" else "ROS 2 bag",
         topics,
-        [_laser(name, own) for name, own in sorted(taken.items()) if own.sweeps],
-        [*wheels, *_by_transforms(tree.tree)],
+        [_make_laser_stream(name, own) for name, own in sorted(taken.items()) if own.sweeps],
+        [*wheels, *_find_tf_odometry(tree.tree)],
         tree.tree,
         damaged=tree.damaged + sum(own.contents.damaged for own in taken.values()),
     )
 
 
-def _rate(count: int, seconds: float) -> float:
+def _message_rate_hz(count: int, seconds: float) -> float:
     return (count - 1) / seconds if count > 1 and seconds > 0.0 else float("nan")
 
 
-def _take(own: _Taken, topic: str, message: Any, recorded_ns: int) -> None:
+def _take_message(own: _TopicContent, topic: str, message: Any, recorded_ns: int) -> None:
     before = sum(map(len, own.contents.odometry.values()))
     if own.kind != rosbag_parser.ODOMETRY:
         sweep = rosbag_parser.take_sweep(own.contents, message, own.kind == rosbag_parser.LASER[1], recorded_ns)
@@ -72,20 +76,20 @@ def _take(own: _Taken, topic: str, message: Any, recorded_ns: int) -> None:
             own.recorded_ns.append(recorded_ns)
         return
     rosbag_parser.take_odometry(own.contents, topic, message)
-    if sum(map(len, own.contents.odometry.values())) > before:  # else damaged, and counted as such
+    if sum(map(len, own.contents.odometry.values())) > before:  # otherwise damaged, and counted as such
         own.recorded_ns.append(recorded_ns)
         own.twists.append((float(message.twist.twist.linear.x), float(message.twist.twist.angular.z)))
 
 
-def _laser(topic: str, own: _Taken) -> LaserStream:
+def _make_laser_stream(topic: str, own: _TopicContent) -> LaserStream:
     sweeps = own.sweeps
     first = sweeps[0]
     return LaserStream(
         topic,
         own.kind.split("/")[-1],
         first.frame,
-        _stamps([sweep.stamp_ns for sweep in sweeps]),
-        _stamps(own.recorded_ns),
+        _stamp_array([sweep.stamp_ns for sweep in sweeps]),
+        _stamp_array(own.recorded_ns),
         [sweep.ranges for sweep in sweeps],
         first.angles(),
         first.range_min_m,
@@ -96,8 +100,8 @@ def _laser(topic: str, own: _Taken) -> LaserStream:
     )
 
 
-def _wheels(own: _Taken) -> OdometryStream:
-    """The odometry of a topic; where its messages change frames, those of the first frames only."""
+def _make_odometry_stream(own: _TopicContent) -> OdometryStream:
+    """Return the odometry of a topic; if its messages change frames, only those with the first frames."""
     (topic, parent, child), samples = next(iter(own.contents.odometry.items()))
     whole = len(own.contents.odometry) == 1
     return OdometryStream(
@@ -107,23 +111,23 @@ def _wheels(own: _Taken) -> OdometryStream:
         samples.stamps_ns,
         samples.poses,
         np.array(own.twists) if whole else None,
-        _stamps(own.recorded_ns) if whole else None,
+        _stamp_array(own.recorded_ns) if whole else None,
     )
 
 
-def _by_transforms(tree: TransformTree) -> list[OdometryStream]:
-    """What tf says of a base that moves in "odom"."""
+def _find_tf_odometry(tree: TransformTree) -> list[OdometryStream]:
+    """Return the odometry in tf: the moving children of frame "odom"."""
     return [
-        OdometryStream("tf", parent, child, _stamps([edge.stamp_ns for edge in edges]),
-               _rows([planar_pose_from_matrix(edge.parent_from_child).row for edge in edges]))
+        OdometryStream("tf", parent, child, _stamp_array([edge.stamp_ns for edge in edges]),
+               _pose_array([planar_pose_from_matrix(edge.parent_from_child).row for edge in edges]))
         for (parent, child), edges in sorted(tree.moving.items())
-        if parent == "odom" and len(edges) >= TWO_FRAMES
+        if parent == "odom" and len(edges) >= MIN_TF_POSES
     ]  # fmt: skip
 
 
-def _stamps(values: list[int]) -> Stamps:
+def _stamp_array(values: list[int]) -> Stamps:
     return np.array(values, dtype=np.int64)
 
 
-def _rows(values: list[Floats]) -> Floats:
+def _pose_array(values: list[Floats]) -> Floats:
     return np.array(values, dtype=np.float64).reshape(-1, 3)

@@ -1,4 +1,4 @@
-"""``evalkit inspect``: the data doctor on the command line."""
+"""The command ``evalkit inspect``."""
 
 from __future__ import annotations
 
@@ -35,20 +35,20 @@ def inspect(
         raise BadData(str(file), "", "no such file or folder", "give the path of a bag or a log")
     found = inspect_recording(file)
     advice = suggest_config(found)
-    page = None if folder is None else _write(folder, found, advice)
+    page = None if folder is None else _write_page(folder, found, advice)
     if as_json:
-        print_json(content(found, advice) | {"page": str(page) if page else None})
+        print_json(inspection_to_json(found, advice) | {"page": str(page) if page else None})
     else:
-        _show(found, advice)
+        _print_inspection(found, advice)
         if page is not None:
             out.print(str(page.resolve()), highlight=False, markup=False)
     if advice is None or advice.problem:
         raise typer.Exit(1)
 
 
-def content(found: Inspection, advice: SuggestedConfig | None) -> dict[str, Any]:
-    """All that was measured as dictionaries, lists, numbers and texts; what is not a number is null."""
-    whole: dict[str, Any] = _plain(
+def inspection_to_json(found: Inspection, advice: SuggestedConfig | None) -> dict[str, Any]:
+    """Return all measurements as JSON values; numbers that are not finite become null."""
+    values: dict[str, Any] = _replace_non_finite(
         {
             "file": str(found.path),
             "kind": found.kind,
@@ -65,40 +65,44 @@ def content(found: Inspection, advice: SuggestedConfig | None) -> dict[str, Any]
             "run": None if advice is None else asdict(advice),
         }
     )
-    return whole
+    return values
 
 
-def _plain(value: Any) -> Any:
+def _replace_non_finite(value: Any) -> Any:
     if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
+        return {str(key): _replace_non_finite(item) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_plain(item) for item in value]
+        return [_replace_non_finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _write(folder: Path, found: Inspection, advice: SuggestedConfig | None) -> Path:
-    """Writes ``index.html`` and ``inspection.json``; the page's path."""
-    from evalkit.report.html.blocks import render  # noqa: PLC0415 - loads jinja2: only who draws pays for it
-    from evalkit_datasets.inspection.page import document  # noqa: PLC0415 - loads matplotlib
+def _write_page(folder: Path, found: Inspection, advice: SuggestedConfig | None) -> Path:
+    """Write ``index.html`` and ``inspection.json`` and return the path of the page."""
+    from evalkit.report.html.blocks import render  # noqa: PLC0415 - loads jinja2
+    from evalkit_datasets.inspection.page import build_document  # noqa: PLC0415 - loads matplotlib
 
     with as_store_error(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        (folder / "inspection.json").write_text(json.dumps(content(found, advice), indent=1) + "\n", encoding="utf-8")
-        (folder / "index.html").write_text(render(document(found, advice)), encoding="utf-8")
+        (folder / "inspection.json").write_text(
+            json.dumps(inspection_to_json(found, advice), indent=1) + "\n", encoding="utf-8"
+        )
+        (folder / "index.html").write_text(render(build_document(found, advice)), encoding="utf-8")
     return folder / "index.html"
 
 
-def _show(found: Inspection, advice: SuggestedConfig | None) -> None:
+def _print_inspection(found: Inspection, advice: SuggestedConfig | None) -> None:
     out.print(f"{found.path.name}: {found.kind}, {found.bytes / 1e6:.1f} MB", markup=False, highlight=False)
-    progress.print_table(out, _lidars(found))
+    progress.print_table(out, _make_lidar_table(found))
     for one in found.drivings:
         out.print(
             f"odometry {one.topic}, {one.parent} to {one.child}: {one.timing.count} poses, {one.path_m:.1f} m, "
             f"{one.turned_deg:.0f} deg, standing {100 * one.standing:.0f} %", markup=False, highlight=False,
         )  # fmt: skip
-    for seat in found.frames.mountings:
-        where = seat.problem or f"x {seat.x_m:.3f} m, y {seat.y_m:.3f} m, turned {seat.theta_deg:.1f} deg"
-        out.print(f"lidar '{seat.sensor}' on '{seat.base}': {where}", markup=False, highlight=False)
+    for mounting in found.frames.mountings:
+        where = (
+            mounting.problem or f"x {mounting.x_m:.3f} m, y {mounting.y_m:.3f} m, rotated {mounting.theta_deg:.1f} deg"
+        )
+        out.print(f"lidar '{mounting.sensor}' on '{mounting.base}': {where}", markup=False, highlight=False)
     for finding in found.findings:
         more = f"; {finding.advice}" if finding.advice else ""
         out.print(f"{finding.level}: {finding.about}: {finding.what}{more}", markup=False, highlight=False)
@@ -107,12 +111,12 @@ def _show(found: Inspection, advice: SuggestedConfig | None) -> None:
     for reason in advice.reasons:
         out.print(f"chosen: {reason}", markup=False, highlight=False)
     for defect in advice.defects:
-        out.print(f"known of this recording: {defect}", markup=False, highlight=False)
-    told = f"does not run: {advice.problem}" if advice.problem else f"tried: {advice.scans} scans"
-    out.print(f"{told}\n\n{advice.table}\n{advice.command}", markup=False, highlight=False)
+        out.print(f"known defect: {defect}", markup=False, highlight=False)
+    result = f"does not run: {advice.problem}" if advice.problem else f"opened: {advice.scans} scans"
+    out.print(f"{result}\n\n{advice.table}\n{advice.command}", markup=False, highlight=False)
 
 
-def _lidars(found: Inspection) -> Table:
+def _make_lidar_table(found: Inspection) -> Table:
     table = Table("lidar", "frame", "scans", "duration [s]", "rate [Hz]", "jitter [ms]", "beams", "view [deg]",
                   "limits [m]", "hits [%]", "invalid [%]", "gaps")  # fmt: skip
     for one in found.lidars:

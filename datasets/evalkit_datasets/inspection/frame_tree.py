@@ -1,4 +1,4 @@
-"""The tf tree of a recording: frames, who moves, who contradicts whom, and where the lidars sit."""
+"""The tf tree of a recording: frames, conflicting parents, and the mounting of each lidar."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from evalkit_datasets.transforms import TransformTree
 
 @dataclass(frozen=True, slots=True)
 class FrameLink:
-    """One transform of the tree: static, or moving with so many messages."""
+    """One transform of the tree: static, or moving, with the number of its messages."""
 
     parent: str
     child: str
@@ -23,7 +23,7 @@ class FrameLink:
 
 @dataclass(frozen=True, slots=True)
 class LidarMounting:
-    """Where a lidar sits on a base, seen from above (m, m, deg). ``problem``: why it cannot be used, "" else."""
+    """Pose of a lidar on a base, seen from above (m, m, deg). ``problem``: why it cannot be used, "" if it can."""
 
     base: str
     sensor: str
@@ -36,7 +36,7 @@ class LidarMounting:
 
 @dataclass(frozen=True)
 class FrameTree:
-    """``roots``: frames without a parent; ``contested``: frames with several, and these; ``mountings``: of lidars."""
+    """``roots``: frames without a parent; ``contested``: parents of frames with several; ``mountings``: of lidars."""
 
     names: tuple[str, ...] = ()
     roots: tuple[str, ...] = ()
@@ -46,7 +46,7 @@ class FrameTree:
 
 
 def build_frame_tree(tree: TransformTree, lasers: Sequence[LaserStream]) -> FrameTree:
-    """The tree as it is, and the place of each lidar on the first base frame that leads to it."""
+    """Return the tree, and the mounting of each lidar on the first base frame connected to it."""
     static = [FrameLink(parent, child, True, 1) for child, parents in tree.static.items() for parent in parents]
     moving = [FrameLink(parent, child, False, len(edges)) for (parent, child), edges in tree.moving.items()]
     links = tuple(sorted([*static, *moving], key=lambda link: (link.static, link.parent, link.child)))
@@ -55,18 +55,18 @@ def build_frame_tree(tree: TransformTree, lasers: Sequence[LaserStream]) -> Fram
     for link in links:
         parents.setdefault(link.child, []).append(link.parent)
     contested = {child: tuple(dict.fromkeys(own)) for child, own in parents.items() if len(set(own)) > 1}
-    seats = [seat for laser in lasers if (seat := _seat(tree, laser)) is not None]
-    return FrameTree(names, tuple(name for name in names if name not in parents), links, contested, tuple(seats))
+    mountings = [mounting for laser in lasers if (mounting := _find_mounting(tree, laser)) is not None]
+    return FrameTree(names, tuple(name for name in names if name not in parents), links, contested, tuple(mountings))
 
 
-def _seat(tree: TransformTree, laser: LaserStream) -> LidarMounting | None:
-    """None where no base frame leads to the lidar."""
+def _find_mounting(tree: TransformTree, laser: LaserStream) -> LidarMounting | None:
+    """Return None if no base frame is connected to the lidar."""
     for base in BASE_FRAMES:
         try:
-            found = tree.find_mounting(base, laser.frame, int(laser.stamps_ns[0]))
+            mounting = tree.find_mounting(base, laser.frame, int(laser.stamps_ns[0]))
         except ValueError as error:
             return LidarMounting(base, laser.frame, problem=str(error))
-        if found is not None and base in tree.frames():
-            pose = found.base_from_sensor
-            return LidarMounting(base, laser.frame, pose.x, pose.y, math.degrees(pose.theta), found.mirrored)
+        if mounting is not None and base in tree.frames():
+            pose = mounting.base_from_sensor
+            return LidarMounting(base, laser.frame, pose.x, pose.y, math.degrees(pose.theta), mounting.mirrored)
     return None

@@ -1,4 +1,4 @@
-"""A recording examined: every stream measured, and what is wrong or worth knowing said in sentences."""
+"""Inspect a recording: measure every stream and collect the findings."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ TRUTH_WORDS = ("ground_truth", "groundtruth", "gt", "mocap", "vicon", "optitrack
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
-    """All that was measured. ``turnings``: by the topic of the odometry, against the best lidar."""
+    """All measurements of a recording. ``turnings``: rotations against the best lidar, by odometry."""
 
     path: Path
     kind: str
@@ -39,45 +39,45 @@ class Inspection:
 
 
 def inspect_recording(path: Path) -> Inspection:
-    """A bag (ROS 1 or 2) or a CARMEN log, examined; BadData or DataMissing as its reader says it."""
+    """Return the inspection of a bag (ROS 1 or 2) or a CARMEN log; raises BadData or DataMissing as the readers."""
     is_bag = path.is_dir() or path.suffix in rosbag_parser.SUFFIXES
-    streams = bag_streams.read(path) if is_bag else log_streams.read(path)
-    lidars = tuple(_lidar(laser) for laser in streams.lasers)
+    streams = bag_streams.read_bag_streams(path) if is_bag else log_streams.read_log_streams(path)
+    lidars = tuple(_measure_lidar(laser) for laser in streams.lasers)
     drivings = tuple(measure_odometry(wheels) for wheels in streams.wheels)
-    best = max(range(len(lidars)), key=lambda at: worth(lidars[at]), default=None)
+    best = max(range(len(lidars)), key=lambda at: measured_directions(lidars[at]), default=None)
     turns = {}
     for wheels in streams.wheels if best is not None else ():
-        found = compare_turns(wheels, streams.lasers[best or 0])
-        if found is not None:
-            turns[f"{wheels.topic} {wheels.child}"] = found
+        comparison = compare_turns(wheels, streams.lasers[best or 0])
+        if comparison is not None:
+            turns[f"{wheels.topic} {wheels.child}"] = comparison
     tree = build_frame_tree(streams.tree, streams.lasers)
-    inside = _truth_inside(streams)
+    inside = _describe_truth_inside(streams)
     return Inspection(
-        path, streams.kind, _bytes(path), tuple(streams.topics), lidars, drivings, turns, tree, streams.poses_from,
-        inside, tuple(streams.remarks),
-        findings.of(streams, inside, lidars, drivings, turns, tree),
+        path, streams.kind, _count_bytes(path), tuple(streams.topics), lidars, drivings, turns, tree,
+        streams.poses_from, inside, tuple(streams.remarks),
+        findings.collect_findings(streams, inside, lidars, drivings, turns, tree),
         streams,
     )  # fmt: skip
 
 
-def worth(lidar: LidarStats) -> float:
-    """Directions (deg) a lidar really measures, times how often: what decides between several."""
+def measured_directions(lidar: LidarStats) -> float:
+    """Return the field of view with hits (deg) times the scan rate (at most 10 Hz): ranks several lidars."""
     return lidar.field_of_view_deg * lidar.returns.hits * min(lidar.timing.rate_hz, 10.0)
 
 
-def span_deg(angles: Sequence[float]) -> float:
-    """The field of view (deg) of the directions of a scan, a beam's width counted."""
+def field_of_view_deg(angles: Sequence[float]) -> float:
+    """Return the field of view (deg) of beam angles, including one beam width."""
     return min(math.degrees(abs(angles[-1] - angles[0])) * len(angles) / max(len(angles) - 1, 1), 360.0)
 
 
-def _lidar(laser: LaserStream) -> LidarStats:
+def _measure_lidar(laser: LaserStream) -> LidarStats:
     angles = laser.angles.tolist()
     return LidarStats(
         laser.topic,
         laser.kind,
         laser.frame,
         len(angles),
-        span_deg(angles),
+        field_of_view_deg(angles),
         math.degrees(angles[0]),
         math.degrees((angles[-1] - angles[0]) / (len(angles) - 1)),
         laser.range_min_m if math.isfinite(laser.range_min_m) else None,
@@ -91,15 +91,15 @@ def _lidar(laser: LaserStream) -> LidarStats:
     )
 
 
-def _bytes(path: Path) -> int:
+def _count_bytes(path: Path) -> int:
     files = [path] if path.is_file() else [file for file in path.iterdir() if file.is_file()]
     return sum(file.stat().st_size for file in files)
 
 
-def _truth_inside(streams: RecordingStreams) -> str:
+def _describe_truth_inside(streams: RecordingStreams) -> str:
     if streams.poses_from:
         return {"gmapping": "GMapping's poses", "graph": "graph-optimised poses"}[streams.poses_from]
     named = [t.name for t in streams.topics if any(word in t.name.lower().split("/") for word in TRUTH_WORDS)]
     slam = [f"{parent} to {child}" for parent, child in streams.tree.moving if parent == "map"]
-    told = [f"by its name, topic {name}" for name in named]
-    return "; ".join(told + [f"a localisation's tf {pair} (no independent truth)" for pair in slam])
+    topics = [f"by its name, topic {name}" for name in named]
+    return "; ".join(topics + [f"tf {pair} of a localisation (not independent)" for pair in slam])

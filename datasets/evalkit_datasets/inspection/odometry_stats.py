@@ -1,4 +1,4 @@
-"""What an odometry is worth: how far it goes, where it jumps, whether it moves as wheels do, and as the scans do."""
+"""Measure the quality of odometry: path, jumps, wheel-like motion, and agreement with twists and scans."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from evalkit.core.se2 import Floats, Stamps
 from evalkit_datasets.inspection.streams import LaserStream, OdometryStream
 from evalkit_datasets.inspection.timing import ClockOffset, StreamTiming, measure_clock_offset, measure_timing
 
-STILL = (0.005, 0.005)
-"""Slower than this (m/s, rad/s) is standing."""
+STANDING = (0.005, 0.005)
+"""Speeds (m/s, rad/s) below this are standing."""
 
-FASTEST = (3.0, 2.0 * math.pi)
-"""No robot that carries a 2D lidar indoors is faster (m/s, rad/s): a step that needs more is a jump."""
+MAX_SPEED = (3.0, 2.0 * math.pi)
+"""Larger speeds (m/s, rad/s) are implausible indoors: such a step is a jump."""
 
 MIN_JUMP = (0.3, math.radians(20.0))
-"""Smaller steps are no jumps, however short the time between two stamps."""
+"""Smaller steps (m, rad) are not jumps, however short the time between two stamps."""
 
 BIN_NS = 500_000_000
-"""Speeds are taken over so long: neighbouring stamps may be a fraction of a millisecond apart."""
+"""Interval over which speeds are measured: consecutive stamps may differ by a fraction of a millisecond."""
 
-SIDEWAYS = 0.02
-"""OdometryStream do not slip sideways by more than this share of a step; poses of filters and matchers do."""
+MAX_SIDEWAYS = 0.02
+"""Wheels slip sideways by less than this share of a step; poses of filters and scan matchers by more."""
 
-NEVER_STILL = 0.002
-"""Odometry of wheels that stand does not change in any digit; noise always does."""
+MIN_STILL = 0.002
+"""Share of exactly equal poses expected of wheels that stand at times; noisy poses are never equal."""
 
 MIN_STEP_M = 0.005
-LISTED_JUMPS = 10
+MAX_LISTED_JUMPS = 10
 
 
 @dataclass(frozen=True, slots=True)
 class Jump:
-    """A step no robot makes: after the first stamp (s), how far (m) and how much turned (deg)."""
+    """An implausible step: time after the first stamp (s), distance (m) and rotation (deg)."""
 
     at_s: float
     step_m: float
@@ -46,9 +46,10 @@ class Jump:
 
 @dataclass(frozen=True, slots=True)
 class TwistComparison:
-    """How the speeds in the messages go with the motion of the poses. ``constant``: they never change at all.
+    """The speeds in odometry messages compared with the motion of the poses.
 
-    ``scale`` and ``turn_scale``: speed of the poses by the speed told (1: they agree), nan where nothing moves.
+    ``constant``: the speeds never change. ``scale`` and ``turn_scale``: speed of the poses divided by the speed in the
+    messages (1: they agree), nan without motion.
     """
 
     constant: bool
@@ -58,11 +59,11 @@ class TwistComparison:
 
 @dataclass(frozen=True, slots=True)
 class OdometryStats:
-    """One odometry. ``first`` and ``net``: where it begins, and its last pose as seen from there (m, m, deg).
+    """Statistics of one odometry. ``first``: its first pose; ``net``: the last pose relative to it (m, m, deg).
 
-    ``standing``: share of the time at less than 5 mm/s and 0.3 deg/s. ``exactly_still``: share of the steps in which
-    not one digit changes. ``sideways``: median slip across the arc of a step by the median step, nan where nothing
-    moves. ``median_step_m``, ``largest_turn_deg``: between neighbouring stamps.
+    ``standing``: share of the time below 5 mm/s and 0.3 deg/s. ``exactly_still``: share of steps between equal poses.
+    ``sideways``: median slip perpendicular to the arc of a step, divided by the median step, nan without motion.
+    ``median_step_m``, ``largest_turn_deg``: between consecutive stamps.
     """
 
     topic: str
@@ -86,19 +87,19 @@ class OdometryStats:
 
     @property
     def like_wheels(self) -> bool:
-        """Whether it moves as the wheels of a differential drive do: along arcs, and now and then not at all."""
-        return not (self.sideways > SIDEWAYS and self.exactly_still < NEVER_STILL)
+        """Whether the motion is that of a differential drive: along arcs, with exact standstills."""
+        return not (self.sideways > MAX_SIDEWAYS and self.exactly_still < MIN_STILL)
 
 
 def measure_odometry(wheels: OdometryStream) -> OdometryStats:
-    """The quality of an odometry with at least one pose."""
+    """Return the statistics of an odometry with at least one pose."""
     stamps, first = np.unique(wheels.stamps_ns, return_index=True)
     poses = wheels.poses[first]
     steps = se2.between(poses[:-1], poses[1:])
     metres, turns = np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])
     seconds = np.diff(stamps) * 1e-9
-    jumps = _jumps(stamps, metres, turns, seconds)
-    _, speeds, rates = _speeds(stamps, poses)
+    jumps = _find_jumps(stamps, metres, turns, seconds)
+    _, speeds, rates = _measure_speeds(stamps, poses)
     net = se2.between(poses[0], poses[-1])
     return OdometryStats(
         wheels.topic,
@@ -108,26 +109,26 @@ def measure_odometry(wheels: OdometryStream) -> OdometryStats:
         None if wheels.recorded_ns is None else measure_clock_offset(wheels.stamps_ns, wheels.recorded_ns),
         float(metres.sum()),
         math.degrees(float(turns.sum())),
-        _degrees(poses[0]),
-        _degrees(net),
-        _mean((np.abs(speeds) < STILL[0]) & (np.abs(rates) < STILL[1])),
-        _mean((steps == 0.0).all(axis=1)),
+        _pose_in_degrees(poses[0]),
+        _pose_in_degrees(net),
+        _mean_or_zero((np.abs(speeds) < STANDING[0]) & (np.abs(rates) < STANDING[1])),
+        _mean_or_zero((steps == 0.0).all(axis=1)),
         float(np.percentile(np.abs(speeds), 99)) if len(speeds) else 0.0,
-        _sideways(steps),
+        _measure_sideways(steps),
         float(np.median(metres)) if len(metres) else 0.0,
         math.degrees(float(turns.max(initial=0.0))),
         len(jumps),
-        tuple(sorted(jumps, key=lambda jump: -jump.step_m)[:LISTED_JUMPS]),
-        _twist(wheels),
+        tuple(sorted(jumps, key=lambda jump: -jump.step_m)[:MAX_LISTED_JUMPS]),
+        _compare_twist(wheels),
     )
 
 
 @dataclass(frozen=True, slots=True)
 class TurnComparison:
-    """The turns of an odometry against those the scans see by themselves, over ``pairs`` pairs of scans.
+    """The rotations of an odometry compared with those measured from ``pairs`` pairs of scans alone.
 
-    ``scale``: turn of the scans by turn of the odometry (1: they agree, -1: it turns the wrong way);
-    ``spread_deg``: half of what lies between the 16th and 84th percentile of the difference.
+    ``scale``: rotation of the scans divided by that of the odometry (1: they agree, -1: opposite direction);
+    ``spread_deg``: half the range from the 16th to the 84th percentile of the difference.
     """
 
     pairs: int
@@ -135,9 +136,9 @@ class TurnComparison:
     spread_deg: float
 
 
-LONGEST_S = 3.0
+MAX_PAIR_S = 3.0
 MAX_SHIFT = 0.25
-"""Walls move by distance over range in a scan: pairs are taken where that is less than this share of the turn."""
+"""Translation divided by range, as a share of the rotation: pairs that translate more are not used."""
 
 MIN_TURN = math.radians(3.0)
 MAX_TURN = math.radians(35.0)
@@ -147,10 +148,10 @@ CLIP_M = 10.0
 
 
 def compare_turns(wheels: OdometryStream, laser: LaserStream) -> TurnComparison | None:
-    """How the turns of both compare; None where fewer than eight pairs of scans turn on the spot.
+    """Return the comparison of rotations, or None if fewer than eight pairs of scans rotate on the spot.
 
-    Turning on the spot shifts a scan along its angles: the shift with the least median difference of ranges is the
-    turn, to a fraction of a beam.
+    A rotation on the spot shifts a scan along its angles: the shift with the smallest median difference of ranges is
+    the rotation, to a fraction of a beam.
     """
     stamps, first = np.unique(wheels.stamps_ns, return_index=True)
     times, order = np.unique(laser.stamps_ns, return_index=True)
@@ -159,27 +160,27 @@ def compare_turns(wheels: OdometryStream, laser: LaserStream) -> TurnComparison 
     if len(times) < MIN_PAIRS or len(stamps) < 2:
         return None
     poses = se2.interpolate(stamps, wheels.poses[first], times)
-    middle_m = float(np.median([_middle(laser.ranges[at]) for at in order]))
-    pairs = _pairs(times, poses, middle_m)
+    middle_m = float(np.median([_median_range(laser.ranges[at]) for at in order]))
+    pairs = _select_pairs(times, poses, middle_m)
     step = float(np.median(np.diff(laser.angles)))
-    said, seen = [], []
+    odometry_turns, scan_turns = [], []
     for one, other in pairs:
-        turn = _shift(laser.ranges[order[one]], laser.ranges[order[other]], step)
+        turn = _measure_rotation(laser.ranges[order[one]], laser.ranges[order[other]], step)
         if turn is not None:
-            said.append(float(se2.wrap(poses[other, 2] - poses[one, 2])))
-            seen.append(turn)
-    if len(said) < MIN_PAIRS:
+            odometry_turns.append(float(se2.wrap(poses[other, 2] - poses[one, 2])))
+            scan_turns.append(turn)
+    if len(odometry_turns) < MIN_PAIRS:
         return None
-    odometry, scans = np.array(said), np.array(seen)
+    odometry, scans = np.array(odometry_turns), np.array(scan_turns)
     low, high = np.degrees(np.percentile(scans - odometry, [16, 84]))
-    return TurnComparison(len(said), float(np.median(scans / odometry)), 0.5 * float(high - low))
+    return TurnComparison(len(odometry_turns), float(np.median(scans / odometry)), 0.5 * float(high - low))
 
 
-def _pairs(times: Stamps, poses: Floats, middle_m: float) -> list[tuple[int, int]]:
-    """Scans between which the odometry turns by 3 to 35 deg nearly on the spot, within three seconds."""
-    found = []
+def _select_pairs(times: Stamps, poses: Floats, middle_m: float) -> list[tuple[int, int]]:
+    """Return pairs of scans within 3 s between which the odometry rotates by 3 to 35 deg, nearly on the spot."""
+    pairs = []
     for one in range(len(times)):
-        last = int(np.searchsorted(times, times[one] + int(LONGEST_S * 1e9), side="right"))
+        last = int(np.searchsorted(times, times[one] + int(MAX_PAIR_S * 1e9), side="right"))
         for other in range(one + 1, min(last, one + 12)):
             turn = abs(float(se2.wrap(poses[other, 2] - poses[one, 2])))
             if turn > MAX_TURN:
@@ -187,34 +188,34 @@ def _pairs(times: Stamps, poses: Floats, middle_m: float) -> list[tuple[int, int
             if turn >= MIN_TURN:
                 moved = float(np.hypot(*(poses[other, :2] - poses[one, :2])))
                 if moved <= MAX_SHIFT * turn * middle_m:
-                    found.append((one, other))
+                    pairs.append((one, other))
                 break
-    return found[:: max(len(found) // MAX_PAIRS, 1)]
+    return pairs[:: max(len(pairs) // MAX_PAIRS, 1)]
 
 
-def _shift(one: Floats, other: Floats, step: float) -> float | None:
-    """The turn (rad) that makes the second scan look most like the first, None where no turn stands out."""
+def _measure_rotation(one: Floats, other: Floats, step: float) -> float | None:
+    """Return the rotation (rad) that aligns the second scan with the first, None without a distinct minimum."""
     if len(one) != len(other):
         return None
     a, b = (np.where(np.isfinite(row) & (row > 0.0), np.minimum(row, CLIP_M), np.nan) for row in (one, other))
-    most = min(int(MAX_TURN * 1.4 / abs(step)), len(a) // 2)
-    costs = np.array([_cost(a, b, shift) for shift in range(-most, most + 1)])
+    max_shift = min(int(MAX_TURN * 1.4 / abs(step)), len(a) // 2)
+    costs = np.array([_shift_cost(a, b, shift) for shift in range(-max_shift, max_shift + 1)])
     best = int(np.nanargmin(costs)) if np.isfinite(costs).any() else 0
     if not 0 < best < len(costs) - 1 or costs[best] > 0.5 * np.nanmedian(costs):
         return None
     left, middle, right = costs[best - 1 : best + 2]
-    bend = left - 2.0 * middle + right
-    fine = 0.5 * (left - right) / bend if bend > 0.0 else 0.0
-    return float((best - most + fine) * step)
+    curvature = left - 2.0 * middle + right
+    fine = 0.5 * (left - right) / curvature if curvature > 0.0 else 0.0
+    return float((best - max_shift + fine) * step)
 
 
-def _middle(ranges: Floats) -> float:
+def _median_range(ranges: Floats) -> float:
     plain = ranges[np.isfinite(ranges) & (ranges > 0.0)]
     return float(np.median(plain)) if len(plain) else 0.0
 
 
-def _cost(one: Floats, other: Floats, shift: int) -> float:
-    """The median difference where direction i of the second is direction i + shift of the first."""
+def _shift_cost(one: Floats, other: Floats, shift: int) -> float:
+    """Return the median range difference with beam i of the second scan compared to beam i + shift of the first."""
     a = one[shift:] if shift >= 0 else one[:shift]
     b = other[: len(other) - shift] if shift >= 0 else other[-shift:]
     apart = np.abs(a - b)
@@ -222,17 +223,17 @@ def _cost(one: Floats, other: Floats, shift: int) -> float:
     return float(np.median(apart[known])) if known.sum() >= 20 else float("nan")
 
 
-def _jumps(stamps: Stamps, metres: Floats, turns: Floats, seconds: Floats) -> list[Jump]:
-    far = (metres > MIN_JUMP[0]) & (metres > FASTEST[0] * seconds)
-    round_ = (turns > MIN_JUMP[1]) & (turns > FASTEST[1] * seconds)
+def _find_jumps(stamps: Stamps, metres: Floats, turns: Floats, seconds: Floats) -> list[Jump]:
+    far = (metres > MIN_JUMP[0]) & (metres > MAX_SPEED[0] * seconds)
+    turned = (turns > MIN_JUMP[1]) & (turns > MAX_SPEED[1] * seconds)
     return [
         Jump(float(stamps[at + 1] - stamps[0]) * 1e-9, float(metres[at]), math.degrees(float(turns[at])))
-        for at in np.flatnonzero(far | round_)
+        for at in np.flatnonzero(far | turned)
     ]
 
 
-def _speeds(stamps: Stamps, poses: Floats) -> tuple[Stamps, Floats, Floats]:
-    """Beginnings (K,) of stretches of half a second, forward speed (m/s) and rate of turning (rad/s) over each."""
+def _measure_speeds(stamps: Stamps, poses: Floats) -> tuple[Stamps, Floats, Floats]:
+    """Return starts (K,) of intervals of half a second, forward speed (m/s) and yaw rate (rad/s) in each."""
     if len(stamps) < 2 or stamps[-1] - stamps[0] < 2 * BIN_NS:
         return np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0)
     length = max(BIN_NS, int(np.median(np.diff(stamps))))
@@ -242,34 +243,36 @@ def _speeds(stamps: Stamps, poses: Floats) -> tuple[Stamps, Floats, Floats]:
     return edges[:-1], moved[:, 0] / (length * 1e-9), moved[:, 2] / (length * 1e-9)
 
 
-def _sideways(steps: Floats) -> float:
-    """An arc that begins along x ends at y = x tan(theta / 2): what is left beside that is slip."""
+def _measure_sideways(steps: Floats) -> float:
+    """Return the median slip: the deviation from an arc that starts along x and ends at y = x tan(theta / 2)."""
     moving = np.abs(steps[:, 0]) > MIN_STEP_M
     along, across = steps[moving, 0], steps[moving, 1] - steps[moving, 0] * np.tan(0.5 * steps[moving, 2])
     return float(np.median(np.abs(across)) / np.median(np.abs(along))) if moving.sum() >= 20 else float("nan")
 
 
-def _twist(wheels: OdometryStream) -> TwistComparison | None:
+def _compare_twist(wheels: OdometryStream) -> TwistComparison | None:
     if wheels.twists is None or len(wheels.twists) != len(wheels.stamps_ns):
         return None
     stamps, first = np.unique(wheels.stamps_ns, return_index=True)
-    told = wheels.twists[first]
-    starts, speeds, rates = _speeds(stamps, wheels.poses[first])
+    twists = wheels.twists[first]
+    starts, speeds, rates = _measure_speeds(stamps, wheels.poses[first])
     if not len(starts):
         return None
     middles = starts + BIN_NS // 2
-    at = np.stack([np.interp(middles, stamps, column) for column in told.T], axis=-1)
-    return TwistComparison(bool((told == told[0]).all()), _ratio(speeds, at[:, 0], 0.05), _ratio(rates, at[:, 1], 0.1))
+    at = np.stack([np.interp(middles, stamps, column) for column in twists.T], axis=-1)
+    return TwistComparison(
+        bool((twists == twists[0]).all()), _median_ratio(speeds, at[:, 0], 0.05), _median_ratio(rates, at[:, 1], 0.1)
+    )
 
 
-def _ratio(poses: Floats, told: Floats, least: float) -> float:
-    moving = (np.abs(told) > least) & (np.abs(poses) > least)
-    return float(np.median(poses[moving] / told[moving])) if moving.sum() >= 5 else float("nan")
+def _median_ratio(of_poses: Floats, of_twists: Floats, minimum: float) -> float:
+    moving = (np.abs(of_twists) > minimum) & (np.abs(of_poses) > minimum)
+    return float(np.median(of_poses[moving] / of_twists[moving])) if moving.sum() >= 5 else float("nan")
 
 
-def _degrees(pose: Floats) -> tuple[float, float, float]:
+def _pose_in_degrees(pose: Floats) -> tuple[float, float, float]:
     return float(pose[0]), float(pose[1]), math.degrees(float(pose[2]))
 
 
-def _mean(mask: Bools) -> float:
+def _mean_or_zero(mask: Bools) -> float:
     return float(np.mean(mask)) if len(mask) else 0.0

@@ -1,4 +1,4 @@
-"""The doctor's page: what a recording holds, drawn, and what to do about it."""
+"""The HTML page of an inspection: content, findings, plots and suggested configuration."""
 
 from __future__ import annotations
 
@@ -25,32 +25,32 @@ from evalkit.report.html.blocks import (
 )
 from evalkit.report.html.charts import Axis, Curve, Points
 from evalkit.report.html.palette import HUES
-from evalkit_datasets.inspection.findings import Level, LidarStats, times
+from evalkit_datasets.inspection.findings import Level, LidarStats, format_count
 from evalkit_datasets.inspection.inspector import Inspection
 from evalkit_datasets.inspection.odometry_stats import OdometryStats
 from evalkit_datasets.inspection.streams import LaserStream
 from evalkit_datasets.inspection.suggested_config import SuggestedConfig
 
 TONES: dict[Level, Tone] = {"problem": "bad", "warning": "warn", "note": ""}
-SHOWN = 2000  # points of a line or a scan: more cannot be seen
+MAX_POINTS = 2000  # points of a line: more are not visible
 
 
-def document(found: Inspection, advice: SuggestedConfig | None) -> Document:
-    """The whole page."""
+def build_document(found: Inspection, advice: SuggestedConfig | None) -> Document:
+    """Return the page."""
     sections = [
-        Section("What to know", list(_findings(found)), "findings"),
-        Section("How to run it", list(_prescription(advice)), "run"),
-        Section("Lidars", [_lidar_table(found.lidars), *_lidar_figures(found)], "lidars"),
-        Section("Odometry", list(_odometry(found)), "odometry"),
-        Section("FrameTree and topics", list(_frames(found)), "frames"),
+        Section("Findings", list(_render_findings(found)), "findings"),
+        Section("How to run it", list(_render_config(advice)), "run"),
+        Section("Lidars", [_render_lidar_table(found.lidars), *_render_lidar_figures(found)], "lidars"),
+        Section("Odometry", list(_render_odometry(found)), "odometry"),
+        Section("Frames and topics", list(_render_frames(found)), "frames"),
     ]
     counts = {level: sum(one.level == level for one in found.findings) for level in TONES}
-    lead = ", ".join(times(count, level) for level, count in counts.items() if count) or "nothing to remark"
-    return Document("evalkit inspect", found.path.name, f"{lead}.", sections, facts(found))
+    lead = ", ".join(format_count(count, level) for level, count in counts.items() if count) or "no findings"
+    return Document("evalkit inspect", found.path.name, f"{lead}.", sections, list_facts(found))
 
 
-def facts(found: Inspection) -> tuple[tuple[str, str], ...]:
-    """The recording in a few pairs of name and text."""
+def list_facts(found: Inspection) -> tuple[tuple[str, str], ...]:
+    """Return the main properties of the recording as pairs of name and text."""
     spans = [lidar.timing for lidar in found.lidars]
     seconds = max((one.duration_s for one in spans), default=0.0)
     return (
@@ -58,75 +58,75 @@ def facts(found: Inspection) -> tuple[tuple[str, str], ...]:
         ("size", f"{found.bytes / 1e6:.1f} MB"),
         ("duration", f"{seconds:.1f} s"),
         ("scans", ", ".join(f"{lidar.timing.count} on {lidar.topic}" for lidar in found.lidars) or "none"),
-        ("truth inside", found.truth_inside or "none"),
+        ("ground truth in it", found.truth_inside or "none"),
     )
 
 
-def _findings(found: Inspection) -> Iterator[Block]:
+def _render_findings(found: Inspection) -> Iterator[Block]:
     rows: list[list[Cell | str]] = [
         [Cell(f.level, tone=TONES[f.level]), f.about, f.what, f.advice] for f in found.findings
     ]
-    yield Table(("", "about", "what was seen", "what to do"), rows, sortable=False)
+    yield Table(("", "stream", "finding", "what to do"), rows, sortable=False)
     if found.remarks:
-        yield Fold("What the file says of itself", [Bullets(found.remarks)])
+        yield Fold("Comments in the file", [Bullets(found.remarks)])
 
 
-def _prescription(advice: SuggestedConfig | None) -> Iterator[Block]:
+def _render_config(advice: SuggestedConfig | None) -> Iterator[Block]:
     if advice is None:
-        yield Text("There is no laser scan in it: nothing can be run.", "warn")
+        yield Text("The recording contains no laser scan: it cannot be run.", "warn")
         return
     if advice.problem:
-        yield Text(f"It was tried and does not run: {advice.problem}", "warn")
+        yield Text(f"Opening it fails: {advice.problem}", "warn")
     else:
-        yield Text(f"Tried: the reader gives {advice.scans} scans; truth: {advice.truth or 'none'}.")
+        yield Text(f"Opened: {advice.scans} scans; ground truth: {advice.truth or 'none'}.")
     yield Command(advice.command)
-    yield Text("The same as a sequence of an experiment:")
-    yield from (Command(line) for line in advice.table.splitlines())  # a command is one line
+    yield Text("The same as a sequence in an experiment file:")
+    yield from (Command(line) for line in advice.table.splitlines())  # one line each
     yield Bullets(advice.reasons)
     if advice.notes:
         yield Bullets([f"the reader: {count} {name}" for name, count in advice.notes.items()])
     if advice.defects:
-        yield Fold("Known of this recording", [Bullets(advice.defects)])
+        yield Fold("Known defects of this recording", [Bullets(advice.defects)])
 
 
-def _lidar_table(lidars: tuple[LidarStats, ...]) -> Table:
+def _render_lidar_table(lidars: tuple[LidarStats, ...]) -> Table:
     columns = (
         "lidar", Column("scans", number=True), Column("beams", number=True), Column("field of view", "deg", True),
         Column("limits", "m"), Column("rate", "Hz", True), Column("jitter", "ms", True), Column("hits", "%", True),
         Column("no return", "%", True), Column("invalid", "%", True), Column("99 % of hits within", "m", True),
         Column("step", "mm", True), Column("sweep", "s", True),
     )  # fmt: skip
-    return Table(columns, [_lidar_row(lidar) for lidar in lidars], caption="Shares are of all beams.")
+    return Table(columns, [_make_lidar_row(lidar) for lidar in lidars], caption="Shares are of all beams.")
 
 
-def _lidar_row(lidar: LidarStats) -> list[str | Cell]:
+def _make_lidar_row(lidar: LidarStats) -> list[str | Cell]:
     low, high = (f"{limit:g}" if limit is not None else "?" for limit in (lidar.range_min_m, lidar.range_max_m))
-    seen = lidar.returns
-    nothing = seen.infinite + seen.at_maximum + seen.beyond_maximum + sum(code.share for code in seen.codes)
+    stats = lidar.returns
+    no_return = stats.infinite + stats.at_maximum + stats.beyond_maximum + sum(code.share for code in stats.codes)
     return [
         lidar.topic, str(lidar.timing.count), str(lidar.beams), f"{lidar.field_of_view_deg:.1f}", f"{low} to {high}",
-        f"{lidar.timing.rate_hz:.2f}", f"{1e3 * lidar.timing.jitter_s:.1f}", f"{100 * seen.hits:.1f}",
-        f"{100 * nothing:.1f}", f"{100 * seen.invalid:.1f}", f"{seen.p99_m:.2f}", f"{1e3 * seen.step_m:g}",
+        f"{lidar.timing.rate_hz:.2f}", f"{1e3 * lidar.timing.jitter_s:.1f}", f"{100 * stats.hits:.1f}",
+        f"{100 * no_return:.1f}", f"{100 * stats.invalid:.1f}", f"{stats.p99_m:.2f}", f"{1e3 * stats.step_m:g}",
         f"{lidar.sweep_s:.3f}",
     ]  # fmt: skip
 
 
-def _lidar_figures(found: Inspection) -> Iterator[Block]:
+def _render_lidar_figures(found: Inspection) -> Iterator[Block]:
     for lidar, laser in zip(found.lidars, found.streams.lasers, strict=True):
         drawn = [
-            Figure(_first_scan(laser), f"{lidar.topic}: a scan from the middle", "In the lidar's frame."),
-            Figure(_ranges(laser, lidar), f"{lidar.topic}: ranges", "All finite ranges of at most 500 scans."),
-            Figure(_directions(laser, lidar), f"{lidar.topic}: hits by direction",
-                   "A direction that never hits is covered by the robot itself, or looks at nothing."),
+            Figure(_plot_scan(laser), f"{lidar.topic}: a scan from the middle", "In the frame of the lidar."),
+            Figure(_plot_ranges(laser, lidar), f"{lidar.topic}: ranges", "All finite ranges of at most 500 scans."),
+            Figure(_plot_directions(laser, lidar), f"{lidar.topic}: hits by direction",
+                   "A direction without hits is blocked by the robot, or has nothing in range."),
         ]  # fmt: skip
         if len(laser.stamps_ns) > 2:
-            drawn.append(Figure(_periods(laser), f"{lidar.topic}: time between scans", "A peak is a gap."))
-        if lidar.clock is not None and lidar.clock.most_s - lidar.clock.least_s > 1e-4:
-            drawn.append(Figure(_offsets(laser), f"{lidar.topic}: stamp minus time of recording", ""))
+            drawn.append(Figure(_plot_periods(laser), f"{lidar.topic}: time between scans", "A peak is a gap."))
+        if lidar.clock is not None and lidar.clock.max_s - lidar.clock.min_s > 1e-4:
+            drawn.append(Figure(_plot_offsets(laser), f"{lidar.topic}: stamp minus time of recording", ""))
         yield Figures(drawn)
 
 
-def _first_scan(laser: LaserStream) -> bytes:
+def _plot_scan(laser: LaserStream) -> bytes:
     ranges = laser.ranges[len(laser.ranges) // 2]
     same = len(laser.angles) == len(ranges)
     first, last = float(laser.angles[0]), float(laser.angles[-1])
@@ -138,13 +138,13 @@ def _first_scan(laser: LaserStream) -> bytes:
     return charts.scatter(layers, Axis("x [m]"), Axis("y [m]"))
 
 
-def _ranges(laser: LaserStream, lidar: LidarStats) -> bytes:
+def _plot_ranges(laser: LaserStream, lidar: LidarStats) -> bytes:
     some = np.concatenate(laser.ranges[:: max(len(laser.ranges) // 500, 1)])
     levels = {"declared maximum": lidar.range_max_m} if lidar.range_max_m is not None else {}
     return charts.histogram({lidar.topic: some[np.isfinite(some)]}, Axis("range [m]"), 80, levels)
 
 
-def _directions(laser: LaserStream, lidar: LidarStats) -> bytes:
+def _plot_directions(laser: LaserStream, lidar: LidarStats) -> bytes:
     table = np.array([row for row in laser.ranges if len(row) == len(laser.angles)])
     low, high = lidar.range_min_m or 1e-9, lidar.range_max_m or np.inf
     plain = np.isfinite(table) & (table >= low) & (table < high)
@@ -154,13 +154,13 @@ def _directions(laser: LaserStream, lidar: LidarStats) -> bytes:
     return charts.lines([curve], Axis("direction [deg]"), Axis("hits [%]", low=0.0, high=102.0))
 
 
-def _periods(laser: LaserStream) -> bytes:
+def _plot_periods(laser: LaserStream) -> bytes:
     distinct = np.unique(laser.stamps_ns)
     curve = Curve("period", (distinct[1:] - distinct[0]) * 1e-9, np.diff(distinct) * 1e-9)
-    return charts.lines([curve], Axis("time [s]"), Axis("since the scan before [s]", low=0.0))
+    return charts.lines([curve], Axis("time [s]"), Axis("time since the previous scan [s]", low=0.0))
 
 
-def _offsets(laser: LaserStream) -> bytes:
+def _plot_offsets(laser: LaserStream) -> bytes:
     recorded = laser.recorded_ns if laser.recorded_ns is not None else laser.stamps_ns
     seconds: Floats = np.asarray((recorded - recorded[0]) * 1e-9, dtype=np.float64)
     ahead: Floats = np.asarray((laser.stamps_ns - recorded) * 1e-9, dtype=np.float64)
@@ -170,53 +170,54 @@ def _offsets(laser: LaserStream) -> bytes:
     )  # fmt: skip
 
 
-def _odometry(found: Inspection) -> Iterator[Block]:
+def _render_odometry(found: Inspection) -> Iterator[Block]:
     if not found.drivings:
         yield Text("None.")
         return
     columns = (
         "odometry", "frames", Column("poses", number=True), Column("rate", "Hz", True), Column("path", "m", True),
         Column("turned", "deg", True), Column("standing", "%", True), Column("fastest", "m/s", True),
-        Column("sideways", "%", True, "slip across the arc of a step"), Column("jumps", number=True),
+        Column("sideways", "%", True, "slip perpendicular to the arc of a step"), Column("jumps", number=True),
         Column("speed by twist", number=True, tip="1: poses and speeds in the messages agree"),
-        Column("turn by scans", number=True, tip="1: odometry and scans turn alike"),
+        Column("turn by scans", number=True, tip="1: odometry and scans rotate alike"),
     )  # fmt: skip
-    yield Table(columns, [_odometry_row(found, one) for one in found.drivings])
+    yield Table(columns, [_make_odometry_row(found, one) for one in found.drivings])
     poses = [wheels.poses[np.argsort(wheels.stamps_ns, kind="stable")] for wheels in found.streams.wheels]
     drawn = [
         Points(one.topic, _thin(rows[:, :2]), HUES[at % len(HUES)], 1.4, joined=True)
         for at, (one, rows) in enumerate(zip(found.drivings, poses, strict=True))
     ]
-    yield Figures(
-        [Figure(charts.scatter(drawn, Axis("x [m]"), Axis("y [m]")), "Paths as told", "In their own frames.")]
-    )
+    yield Figures([Figure(charts.scatter(drawn, Axis("x [m]"), Axis("y [m]")), "Paths", "Each in its own frame.")])
 
 
-def _odometry_row(found: Inspection, one: OdometryStats) -> list[str | Cell]:
+def _make_odometry_row(found: Inspection, one: OdometryStats) -> list[str | Cell]:
     turn = found.turnings.get(f"{one.topic} {one.child}")
     return [
         one.topic, f"{one.parent} to {one.child}", str(one.timing.count),
         f"{one.timing.count / max(one.timing.duration_s, 1e-9):.1f}", f"{one.path_m:.1f}", f"{one.turned_deg:.0f}",
-        f"{100 * one.standing:.0f}", f"{one.fastest_m_s:.2f}", _told(100 * one.sideways, 1), str(one.jump_count),
-        _told(one.twist.scale if one.twist else float("nan"), 2), _told(turn.scale if turn else float("nan"), 2),
+        f"{100 * one.standing:.0f}", f"{one.fastest_m_s:.2f}", _format_number(100 * one.sideways, 1),
+        str(one.jump_count), _format_number(one.twist.scale if one.twist else float("nan"), 2),
+        _format_number(turn.scale if turn else float("nan"), 2),
     ]  # fmt: skip
 
 
-def _frames(found: Inspection) -> Iterator[Block]:
-    for seat in found.frames.mountings:
-        where = seat.problem or f"x {seat.x_m:.3f} m, y {seat.y_m:.3f} m, turned {seat.theta_deg:.1f} deg"
-        yield Text(f"LidarStats '{seat.sensor}' on '{seat.base}': {where}.")
+def _render_frames(found: Inspection) -> Iterator[Block]:
+    for mounting in found.frames.mountings:
+        where = (
+            mounting.problem or f"x {mounting.x_m:.3f} m, y {mounting.y_m:.3f} m, rotated {mounting.theta_deg:.1f} deg"
+        )
+        yield Text(f"Lidar '{mounting.sensor}' on '{mounting.base}': {where}.")
     if found.frames.links:
         rows = [[k.parent, k.child, "static" if k.static else "moving", str(k.messages)] for k in found.frames.links]
-        yield Fold(f"tf tree: {times(len(found.frames.names), 'frame')}, roots {', '.join(found.frames.roots)}",
+        yield Fold(f"tf tree: {format_count(len(found.frames.names), 'frame')}, roots {', '.join(found.frames.roots)}",
                    [Table(("parent", "child", "", Column("messages", number=True)), rows)])  # fmt: skip
-    topics = [[topic.name, topic.kind, str(topic.count), _told(topic.rate_hz, 1)] for topic in found.topics]
+    topics = [[topic.name, topic.kind, str(topic.count), _format_number(topic.rate_hz, 1)] for topic in found.topics]
     yield Table(("topic", "type", Column("messages", number=True), Column("rate", "Hz", True)), topics)
 
 
-def _told(value: float, digits: int) -> str:
+def _format_number(value: float, digits: int) -> str:
     return f"{value:.{digits}f}" if np.isfinite(value) else "-"
 
 
 def _thin(points: Floats) -> Floats:
-    return points[:: max(len(points) // SHOWN, 1)]
+    return points[:: max(len(points) // MAX_POINTS, 1)]

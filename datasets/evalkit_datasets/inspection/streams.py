@@ -1,4 +1,4 @@
-"""Everything a recording holds, as arrays: what the doctor looks at, whatever the format it came in."""
+"""The content of a recording as arrays, independent of its format: input of the inspection."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from evalkit_datasets.transforms import TransformTree
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """A topic of a bag, or a kind of line in a log: its messages, and those a second (nan: untold)."""
+    """A topic of a bag or a type of line in a log, with the number of messages and their rate (nan: unknown)."""
 
     name: str
     kind: str
@@ -22,11 +22,11 @@ class Topic:
 
 @dataclass(frozen=True, eq=False)
 class LaserStream:
-    """All scans of one lidar in the order of the file, as sent.
+    """All scans of one lidar as sent, in file order.
 
-    ``stamps_ns`` (N,): the headers' times; ``recorded_ns`` (N,): when each was written down, None where untold.
-    ``angles`` (B,): of the first scan (rad). Limits are nan where the format does not tell. ``damaged``: messages left
-    out; ``unstamped``: those that carry no time of their own.
+    ``stamps_ns`` (N,): times in the headers; ``recorded_ns`` (N,): times of recording, None if unknown. ``angles``
+    (B,): those of the first scan (rad). Range limits are nan if the format does not contain them. ``damaged``: number
+    of messages dropped; ``unstamped``: number of messages without a stamp.
     """
 
     topic: str
@@ -45,7 +45,7 @@ class LaserStream:
 
 @dataclass(frozen=True, eq=False)
 class OdometryStream:
-    """One odometry in the order of the file: poses (N, 3) ``parent_from_child``, twists (N, 2) in m/s, rad/s."""
+    """One odometry in file order: poses (N, 3) ``parent_from_child``, twists (N, 2) in m/s and rad/s."""
 
     topic: str
     parent: str
@@ -58,10 +58,11 @@ class OdometryStream:
 
 @dataclass(frozen=True, eq=False)
 class RecordingStreams:
-    """A recording. ``poses_from``: who made the poses inside where they are corrected ones, "" else.
+    """All streams of a recording.
 
-    ``digits``: the most significant digits any scan's stamp is written with, 0 where stamps are binary. ``remarks``:
-    what the file says of itself.
+    ``poses_from``: program that computed the poses ("gmapping" or "graph"), "" if they are not corrected ones.
+    ``digits``: largest number of significant digits of a scan's stamp, 0 for binary stamps. ``remarks``: comments in
+    the file.
     """
 
     path: Path

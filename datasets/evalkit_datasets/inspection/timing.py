@@ -1,4 +1,4 @@
-"""What the stamps of a stream tell: rate, jitter, gaps, and how they go with another clock."""
+"""Measure the stamps of a stream: rate, jitter, gaps, and offset and drift against the recorder's clock."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import numpy as np
 from evalkit.core.se2 import Stamps
 
 GAP_PERIODS = 3.0
-"""A silence of more than so many usual periods is a gap: two scans in a row are missing."""
+"""A longer time between two messages, in typical periods, is a gap: at least two scans are missing."""
 
-LISTED_GAPS = 10
+MAX_LISTED_GAPS = 10
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """A silence: when it began after the first stamp (s) and how long it lasted (s)."""
+    """A gap: its start after the first stamp (s) and its length (s)."""
 
     at_s: float
     length_s: float
@@ -26,9 +26,9 @@ class Gap:
 class StreamTiming:
     """Rate and regularity of a stream, in order of time.
 
-    ``period_s``: median; ``jitter_s``: half of what lies between the 16th and 84th percentile of the periods, one
-    standard deviation where they are normal. ``gaps``: the longest, longest first, of ``gap_count``. ``backwards`` and
-    ``repeated``: of the file's order.
+    ``period_s``: median period; ``jitter_s``: half the range from the 16th to the 84th percentile of the periods, which
+    is one standard deviation of normal periods. ``gaps``: the longest of ``gap_count``, longest first. ``backwards``
+    and ``repeated``: decreasing and repeated stamps in file order.
     """
 
     count: int
@@ -45,31 +45,31 @@ class StreamTiming:
 
     @property
     def usable(self) -> bool:
-        """Whether the stamps tell at least every second message from the others."""
+        """Whether at most half of the stamps are repeated."""
         return self.repeated <= 0.5 * self.count
 
 
 @dataclass(frozen=True, slots=True)
 class ClockOffset:
-    """A stamp minus the time of recording (s): median, 5th and 95th percentile, extremes, drift."""
+    """Stamp minus time of recording (s): median, 5th and 95th percentile, extremes, drift."""
 
     median_s: float
     low_s: float
     high_s: float
-    least_s: float
-    most_s: float
+    min_s: float
+    max_s: float
     drift_ppm: float
 
 
 def measure_timing(stamps_ns: Stamps) -> StreamTiming:
-    """The timing of stamps (N,) in the order of the file; N at least 1."""
+    """Return the timing of stamps (N,) in file order, N >= 1."""
     distinct = np.unique(stamps_ns)
     periods = np.diff(distinct) * 1e-9
     period = float(np.median(periods)) if len(periods) else 0.0
     low, high = np.percentile(periods, [16, 84]) if len(periods) else (0.0, 0.0)
-    usual = max(period, float(periods.mean())) if len(periods) else 0.0  # messages may come in bunches
-    silent = np.flatnonzero(periods > GAP_PERIODS * usual)
-    longest = silent[np.argsort(-periods[silent], kind="stable")][:LISTED_GAPS]
+    typical = max(period, float(periods.mean())) if len(periods) else 0.0  # messages may come in bunches
+    gap_indices = np.flatnonzero(periods > GAP_PERIODS * typical)
+    longest = gap_indices[np.argsort(-periods[gap_indices], kind="stable")][:MAX_LISTED_GAPS]
     return StreamTiming(
         len(stamps_ns),
         int(distinct[0]),
@@ -78,7 +78,7 @@ def measure_timing(stamps_ns: Stamps) -> StreamTiming:
         period,
         1.0 / period if period > 0.0 else 0.0,
         0.5 * float(high - low),
-        len(silent),
+        len(gap_indices),
         tuple(Gap(float(distinct[at] - distinct[0]) * 1e-9, float(periods[at])) for at in longest),
         int(np.count_nonzero(np.diff(stamps_ns) < 0)),
         len(stamps_ns) - len(distinct),
@@ -86,7 +86,7 @@ def measure_timing(stamps_ns: Stamps) -> StreamTiming:
 
 
 def measure_clock_offset(stamps_ns: Stamps, recorded_ns: Stamps) -> ClockOffset:
-    """How stamps (N,) go with the clock of the recorder (N,); N at least 1."""
+    """Return the offset of stamps (N,) from the times of recording (N,), N >= 1."""
     offsets = (stamps_ns - recorded_ns) * 1e-9
     low, middle, high = np.percentile(offsets, [5, 50, 95])
     seconds = (recorded_ns - recorded_ns[0]) * 1e-9
