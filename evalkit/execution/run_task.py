@@ -22,7 +22,7 @@ from evalkit.config.experiment import Experiment, Limits, MapperChoice, RunSpec
 from evalkit.core.errors import StoreError
 from evalkit.core.run_result import NO_STEPS, Cause, RunResult, Score
 from evalkit.execution import environment, run_process
-from evalkit.execution.process_pool import start_pool
+from evalkit.execution.subprocesses import start_pool
 from evalkit.execution.worker import Request
 from evalkit.metrics import evaluate
 from evalkit.plugins import registry

@@ -7,19 +7,17 @@ from __future__ import annotations
 
 import os
 import pickle
-import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from evalkit.execution import subprocesses
+from evalkit.execution.subprocesses import ChildProcess, Usage
 from evalkit.execution.task import AnyTask, Result, Task, make_task
 from evalkit.execution.task_store import TaskStore
 
-SYSTEM_PATH, REQUEST, OUTPUT = "path.pickle", "request.pickle", "output.txt"
+SYSTEM_PATH, REQUEST = "path.pickle", "request.pickle"
 PLACE = "place.txt"
 PLACE_VARIABLE = "EVALKIT_PLACE"
 """Environment variable of the child: the file where it writes what it does next."""
@@ -49,16 +47,14 @@ def run(function: Callable[..., Result], arguments: Mapping[str, Any], limit_s: 
         path = [str(Path(entry or ".").resolve()) for entry in sys.path]
         (folder / SYSTEM_PATH).write_bytes(pickle.dumps(path))
         (folder / REQUEST).write_bytes(pickle.dumps(task))
-        with (folder / OUTPUT).open("ab") as output:
-            process = subprocesses.started(MODULE, folder, output)
-            try:
-                broken_limit = _wait(process, limit_s, memory_mib)
-            finally:
-                subprocesses.end_group(process, folder)
+        with ChildProcess(MODULE, folder) as child:
+            broken_limit = next(
+                (why for used in child.watch() if (why := _broken_limit(used, limit_s, memory_mib))), ""
+            )
         result = TaskStore(folder).load(task) if not broken_limit else None
         if result is not None:
             return result
-        how = broken_limit or subprocesses.last_words(process.returncode, folder / OUTPUT)
+        how = broken_limit or child.describe_end()
         at = (folder / PLACE).read_text(encoding="utf-8") if (folder / PLACE).exists() else ""
         return {ENDED: f"{how}; it was at {at}" if at else how}
 
@@ -81,16 +77,10 @@ def main() -> int:
     return 0
 
 
-def _wait(process: subprocess.Popen[bytes], limit_s: float, memory_mib: int) -> str:
-    """Waits for the process's end; which limit it broke, or ""."""
-    started, family = time.monotonic(), subprocesses.Family(process.pid)
-    while process.poll() is None:
-        time.sleep(subprocesses.POLL_S)
-        if time.monotonic() - started > limit_s:
-            return f"not finished after {limit_s:g} s"
-        if family.usage().resident_bytes > memory_mib * 2**20:
-            return f"used more than {memory_mib} MiB"
-    return ""
+def _broken_limit(used: Usage, limit_s: float, memory_mib: int) -> str:
+    if used.wall_s > limit_s:
+        return f"not finished after {limit_s:g} s"
+    return f"used more than {memory_mib} MiB" if used.resident_bytes > memory_mib * 2**20 else ""
 
 
 if __name__ == "__main__":

@@ -1,150 +1,243 @@
-"""A child process for foreign code: started apart, measured from outside, ended with all it started."""
+"""Child processes: start foreign code, measure and watch it, terminate it with all its descendants; process pools.
+
+Every child terminates when its parent dies. A child that runs foreign code is marked by an environment variable, so
+that descendants that leave its session are found as well.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import multiprocessing
 import os
+import platform
 import signal
 import subprocess
 import sys
+import threading
 import time
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from multiprocessing import parent_process
+from multiprocessing.queues import Queue
 from pathlib import Path
 from typing import IO
 
 import psutil
 
-from evalkit.execution import parent_watch
+from evalkit.core.errors import NotInstalled
 from evalkit.execution.environment import SINGLE_THREAD
-from evalkit.execution.parent_watch import PARENT, signal_name
 from evalkit.plugins.registry import MARK
 
 POLL_S = 0.05
-"""How often whoever waits for a child looks at it."""
+"""Interval between two measurements of a child."""
 
 COUNT_S = 0.5
-"""How often its children are counted: that means looking at every process there is."""
+"""Interval between two searches for the descendants of a child, which inspect every process of the system."""
 
-LAST_WORDS = 4096  # bytes of its output that are looked at for a reason
+TAIL_BYTES = 4096
+"""Length of the end of the output that is searched for the last line."""
 
-MAX_OUTPUT = 16 * 2**20
-"""Bytes of output that are kept; who says more loses what it said first."""
+MAX_OUTPUT_BYTES = 16 * 2**20
+"""Maximum size of the output of a child; the beginning of a longer output is deleted."""
+
+OUTPUT = "output.txt"
+"""File in the folder of a child with its standard output and standard error."""
+
+PARENT = "EVALKIT_PARENT"
+"""Environment variable with the process id of the parent, which may die before the child can ask for it."""
+
+_PR_SET_PDEATHSIG = 1  # of Linux's prctl
 
 
 @dataclass(frozen=True, slots=True)
 class Usage:
-    """What a child and its descendants hold and have used: resident memory in bytes, CPU time in seconds."""
+    """Resources that a child and its descendants have used: wall clock and CPU time in seconds, resident memory."""
 
-    resident_bytes: int = 0
-    cpu_s: float = 0.0
+    wall_s: float
+    cpu_s: float
+    resident_bytes: int
 
 
-def started(module: str, folder: Path, output: IO[bytes], threads: int = 1) -> subprocess.Popen[bytes]:
-    """``python -m module folder`` in a session of its own; what it says goes to ``output``.
+class ChildProcess:
+    """``python -m module folder`` in a session of its own; a context manager that terminates it with all descendants.
 
-    ``threads``: how many the libraries it uses may start.
-
-    ``output`` must be open for appending: see ``cut``. Whoever an evalkit that was killed left behind in this folder is
-    ended first.
+    The output goes to ``OUTPUT`` in the folder. ``threads``: number of threads that numeric libraries may start.
+    Processes that an earlier, killed evalkit left behind in this folder are terminated first. Raises NotInstalled on a
+    system without process groups: a run that hangs or leaves processes behind would disturb the next measurement.
     """
-    parent_watch.required()
-    _end_marked(folder)
-    environment = {**os.environ, **dict.fromkeys(SINGLE_THREAD, str(threads))}
-    environment |= {MARK: _mark(folder), PARENT: str(os.getpid())}
-    return subprocess.Popen(  # -P: modules of the folder we happen to be in must not stand in for others
-        [sys.executable, "-P", "-m", module, str(folder)],
-        stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True,
-        env=environment,
-    )  # fmt: skip
 
+    def __init__(self, module: str, folder: Path, threads: int = 1) -> None:
+        _require_process_groups()
+        self._folder = folder
+        _kill_marked(folder)
+        environment = {**os.environ, **dict.fromkeys(SINGLE_THREAD, str(threads))}
+        environment |= {MARK: _mark(folder), PARENT: str(os.getpid())}
+        with (folder / OUTPUT).open("ab") as output:  # for appending: see _truncate
+            self._process = self._start(module, environment, output)
+        self._started_at = self._searched_at = time.monotonic()
+        self._members = [psutil.Process(self._process.pid)]
+        self._cpu_s = 0.0
 
-def end_group(process: subprocess.Popen[bytes], folder: Path) -> None:
-    """Ends the process and all it started: its children, who shares its session, and who carries its mark."""
-    if process.poll() is None:  # its number is still its own
-        with contextlib.suppress(psutil.Error):  # ended meanwhile
-            for child in psutil.Process(process.pid).children(recursive=True):
-                child.kill()
-    with contextlib.suppress(ProcessLookupError, PermissionError):  # nobody is left, which macOS calls not permitted
-        os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    _end_marked(folder)
+    def _start(self, module: str, environment: dict[str, str], output: IO[bytes]) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(  # -P: modules in the working directory must not shadow others
+            [sys.executable, "-P", "-m", module, str(self._folder)],
+            stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True,
+            env=environment,
+        )  # fmt: skip
 
+    def __enter__(self) -> ChildProcess:
+        return self
 
-class Family:
-    """A child and its descendants, looked at from outside."""
+    def __exit__(self, *_: object) -> None:
+        self._terminate()
+        self._truncate_output()  # it may have grown since the last measurement
 
-    def __init__(self, pid: int) -> None:
-        self._pid, self._members, self._counted_at = pid, [psutil.Process(pid)], time.monotonic()
+    @property
+    def returncode(self) -> int:
+        """The return code of the ended process, negative for a signal."""
+        return self._process.returncode
 
-    def usage(self) -> Usage:
-        """What they use now; nothing once they have ended."""
-        if time.monotonic() - self._counted_at > COUNT_S:
-            self._count()
-        memory, cpu = 0, 0.0
+    def watch(self) -> Iterator[Usage]:
+        """Yield the resources used so far, every ``POLL_S``, until the process ends."""
+        while self._process.poll() is None:
+            time.sleep(POLL_S)
+            self._truncate_output()
+            yield self._measure()
+
+    def describe_end(self) -> str:
+        """How the process ended by itself, by its return code, and the last line of its output."""
+        code, last_line = self.returncode, _read_last_line(self._folder / OUTPUT)
+        last = f"; it said last: {last_line}" if last_line else ""
+        if code < 0:
+            hint = " (by the system, where memory ran out)" if -code == signal.SIGKILL else ""
+            return f"the process was ended by {signal_name(-code)}{hint}{last}"
+        return f"the process ended itself with code {code}{last}"
+
+    def _measure(self) -> Usage:
+        if time.monotonic() - self._searched_at > COUNT_S:
+            self._searched_at = time.monotonic()
+            with contextlib.suppress(psutil.Error):  # ended meanwhile
+                process = psutil.Process(self._process.pid)
+                self._members = [process, *process.children(recursive=True)]
+        memory, cpu_s = 0, 0.0
         for member in self._members:
-            with contextlib.suppress(psutil.Error):  # ended between two looks
+            with contextlib.suppress(psutil.Error):  # ended meanwhile
                 memory += int(member.memory_info().rss)
                 times = member.cpu_times()
-                cpu += times.user + times.system + times.children_user + times.children_system
-        return Usage(memory, cpu)
+                cpu_s += times.user + times.system + times.children_user + times.children_system
+        self._cpu_s = max(self._cpu_s, cpu_s)  # an ended child is not counted until its parent has waited for it
+        return Usage(time.monotonic() - self._started_at, self._cpu_s, memory)
 
-    def _count(self) -> None:
-        self._counted_at = time.monotonic()
-        with contextlib.suppress(psutil.Error):  # ended between two looks
-            process = psutil.Process(self._pid)
-            self._members = [process, *process.children(recursive=True)]
+    def _terminate(self) -> None:
+        """Kill the process, its children, all processes of its session, and all that carry its mark."""
+        process = self._process
+        if process.poll() is None:  # its process id is not reused yet
+            with contextlib.suppress(psutil.Error):  # ended meanwhile
+                for child in psutil.Process(process.pid).children(recursive=True):
+                    child.kill()
+        with contextlib.suppress(ProcessLookupError, PermissionError):  # none left, which macOS calls not permitted
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
+        _kill_marked(self._folder)
 
-
-def cut(output: Path) -> None:
-    """Leaves of a file of output that has grown too long its last words; the child goes on at its new end."""
-    with contextlib.suppress(OSError):  # the child has removed it
-        if output.stat().st_size > MAX_OUTPUT:
-            with output.open("r+b") as file:
-                file.seek(-LAST_WORDS, os.SEEK_END)
-                last = file.read()
-                file.truncate(0)
-            with output.open("ab") as file:
-                file.write(last)
+    def _truncate_output(self) -> None:
+        """Keep only the end of an output that has grown too long; the child continues to append."""
+        output = self._folder / OUTPUT
+        with contextlib.suppress(OSError):  # the child has removed it
+            if output.stat().st_size > MAX_OUTPUT_BYTES:
+                with output.open("r+b") as file:
+                    file.seek(-TAIL_BYTES, os.SEEK_END)
+                    tail = file.read()
+                    file.truncate(0)
+                with output.open("ab") as file:
+                    file.write(tail)
 
 
 def _mark(folder: Path) -> str:
-    """A name for all that is started in a folder, the same whoever asks."""
+    """The value of ``MARK`` for processes started in a folder; the same in every evalkit."""
     return str(uuid.uuid5(uuid.NAMESPACE_URL, folder.absolute().as_uri()))
 
 
-def _end_marked(folder: Path) -> None:
-    for stray in _marked(folder):
-        with contextlib.suppress(psutil.Error):  # ended meanwhile
-            stray.kill()
-
-
-def _marked(folder: Path) -> Iterator[psutil.Process]:
-    """Who carries the mark of a folder, whatever has become of their parents."""
+def _kill_marked(folder: Path) -> None:
+    """Kill all processes that carry the mark of a folder, also those whose parents have ended."""
     mark = _mark(folder)
     for process in psutil.process_iter():
-        with contextlib.suppress(psutil.Error, OSError):  # somebody else's, or ended meanwhile
+        with contextlib.suppress(psutil.Error, OSError):  # of another user, or ended meanwhile
             if process.environ().get(MARK) == mark:
-                yield process
+                process.kill()
 
 
-def last_words(code: int, output: Path) -> str:
-    """How a process that ended by itself did so, by its return code, and the last line it wrote."""
-    last = _last_line(output)
-    if code < 0:
-        hint = " (by the system, where memory ran out)" if -code == signal.SIGKILL else ""
-        return f"the process was ended by {signal_name(-code)}{hint}{last}"
-    return f"the process ended itself with code {code}{last}"
-
-
-def _last_line(output: Path) -> str:
-    """The last line it wrote that can be read, from the end of what may be a very long file."""
+def _read_last_line(output: Path) -> str:
+    """The last readable line of an output, which may be a very long file; "" if there is none."""
     if not output.exists():  # the back end removed it
         return ""
     with output.open("rb") as file:
-        file.seek(max(output.stat().st_size - LAST_WORDS, 0))
+        file.seek(max(output.stat().st_size - TAIL_BYTES, 0))
         text = file.read().decode("utf-8", errors="replace")
     lines = ["".join(char for char in line if char.isprintable()).strip() for line in text.splitlines()]
-    said = [line for line in lines if line]
-    return f"; it said last: {said[-1][:300]}" if said else ""
+    return next((line[:300] for line in reversed(lines) if line), "")
+
+
+def signal_name(number: int) -> str:
+    """The name of a signal, or "signal N" where the system has no name for it."""
+    try:
+        return signal.Signals(number).name
+    except ValueError:  # most real-time signals have none
+        return f"signal {number}"
+
+
+def _require_process_groups() -> None:
+    if os.name != "posix":
+        what = f"runs are not supported on {platform.system()}: it has no process groups to end a back end with"
+        raise NotInstalled("evalkit", what, "use Linux, macOS, or Linux within Windows (WSL)")
+
+
+def end_with_parent() -> None:
+    """Terminate this process when its parent dies; for processes that run foreign code.
+
+    On Linux the kernel does it, whatever foreign code does here; the thread that started this process must stay alive.
+    """
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+    else:
+        poll_parent()
+    if os.environ.get(PARENT, str(os.getppid())) != str(os.getppid()):  # dead already
+        os._exit(1)
+
+
+def poll_parent() -> None:
+    """Terminate this process when its parent dies, by polling in a thread; for processes without foreign code."""
+    started_by = parent_process()  # its process id is known even if it is dead already
+    parent = started_by.pid if started_by else os.getppid()
+
+    def poll() -> None:
+        while os.getppid() == parent:
+            time.sleep(1.0)
+        os._exit(1)
+
+    threading.Thread(target=poll, daemon=True).start()
+
+
+def start_pool(workers: int, cores: Sequence[int | None] = ()) -> ProcessPoolExecutor:
+    """A pool of spawned processes that terminate with their parent.
+
+    ``cores``: one per worker to pin it to; None: not pinned.
+    """
+    context = multiprocessing.get_context("spawn")
+    queue: Queue[int | None] = context.Queue()
+    for core in cores:
+        queue.put(core)
+    initargs = (queue if cores else None,)
+    return ProcessPoolExecutor(workers, mp_context=context, initializer=_initialise_worker, initargs=initargs)
+
+
+def _initialise_worker(cores: Queue[int | None] | None) -> None:
+    """Leave keyboard interrupts to the parent, terminate with it, and pin this process to a core."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    poll_parent()
+    core = cores.get() if cores is not None else None
+    if core is not None:
+        os.sched_setaffinity(0, {core})

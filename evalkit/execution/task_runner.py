@@ -16,7 +16,7 @@ from typing import Generic
 from evalkit.core.errors import EvalkitError, StoreError, plain
 from evalkit.execution import deadline, environment
 from evalkit.execution.dask_cluster import Call, Cluster, NoCluster, Slot
-from evalkit.execution.process_pool import start_pool
+from evalkit.execution.subprocesses import start_pool
 from evalkit.execution.task import R, Task
 from evalkit.execution.task_store import TaskStore
 from evalkit.results.store import REMEDY

@@ -24,7 +24,7 @@ from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.run_result import NO_STEPS, STEP, Cause, RunResult
 from evalkit.core.scan import Frame
 from evalkit.core.timing import CallTiming
-from evalkit.execution import parent_watch
+from evalkit.execution.subprocesses import end_with_parent
 from evalkit.odometry import frontend
 from evalkit.odometry.run_odometry import run_odometry
 from evalkit.plugins import registry
@@ -55,7 +55,7 @@ class Request:
 
 def main() -> int:
     """Runs the request of the folder named on the command line; the outcome is in ``outcome.json``."""
-    parent_watch.end_with_parent()
+    end_with_parent()
     folder = Path(sys.argv[1]).resolve()  # a back end may change the working directory
     request = Request(**json.loads((folder / "request.json").read_text(encoding="utf-8")))
     if request.core is not None and hasattr(os, "sched_setaffinity"):

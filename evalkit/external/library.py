@@ -24,7 +24,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import Cost, Stopwatch
-from evalkit.execution.parent_watch import signal_name
+from evalkit.execution.subprocesses import signal_name
 from evalkit.external import abi, elf
 from evalkit.external.declaration import (
     broken_spec,

@@ -17,7 +17,7 @@ from typing import IO, Any
 import psutil
 
 from evalkit.core.errors import BackendFailed, brief
-from evalkit.execution.parent_watch import signal_name
+from evalkit.execution.subprocesses import signal_name
 from evalkit.io import untrusted_io
 
 MAX_ANSWER_BYTES = 1 << 20

@@ -61,7 +61,7 @@ EXPECTED = (
     ("garbage", "failed", "code 9; it said last: [2J the wheel is off"),
     ("chdir", "complete", ""),
     ("remove-folder", "failed", "folder was removed"),
-    ("forge", "failed", "what it left in outcome.json tells no outcome"),
+    ("forge", "failed", "outcome.json contains no valid outcome"),
     ("linger", "complete", ""),
     ("hold", "timeout", f"no answer for 2.5 s after scan {AT}"),
     ("daemon", "timeout", "no answer for 2.5 s"),
@@ -131,7 +131,6 @@ def test_a_run_that_completes_has_every_scan_once_and_in_order(runs):
     assert run.steps["stamp_ns"].tolist() == [k * 100_000_000 for k in range(SCANS)]
     assert (run.steps["wall_ns"] > 0).all()
     assert (run.steps["harness_ns"][1:] > 0).all()
-    assert (run.backend, run.sequence) == ("f", "s")
 
 
 def test_no_process_is_left_by_whatever_fault(runs, root):
@@ -145,7 +144,7 @@ def left(folder):
 
 
 def test_who_never_stops_talking_does_not_fill_the_disk(runs, root):
-    assert (root / "flood" / run_process.OUTPUT).stat().st_size < 2 * subprocesses.MAX_OUTPUT
+    assert (root / "flood" / run_process.OUTPUT).stat().st_size < 2 * subprocesses.MAX_OUTPUT_BYTES
 
 
 def test_the_memory_of_a_run_is_its_own_and_not_that_of_the_process_that_started_it(strangers, tmp_path):

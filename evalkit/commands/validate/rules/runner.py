@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -15,7 +13,7 @@ from typing import Any
 from evalkit.commands.validate.rules.rule import Conformance, Rule, Verdict, not_asked
 from evalkit.commands.validate.rules.worker import NOT_INSTALLED, REQUEST, RULES, STARTS, VERDICTS, Request
 from evalkit.core.errors import BackendFailed, NotInstalled, UnknownName
-from evalkit.execution import subprocesses
+from evalkit.execution.subprocesses import ChildProcess
 from evalkit.plugins import registry
 from evalkit.plugins.address import Address, address_of, spec_at
 from evalkit.plugins.parameters import Value, resolve_parameters
@@ -27,7 +25,6 @@ PATIENCE = 3
 LOADING_S = 60.0
 """What the process may take before its first question: Python and the plug-in's module, not a rule's fault."""
 
-OUTPUT = "output.txt"
 _NO_ANSWER = "no answer"
 
 RECORDED = (
@@ -124,32 +121,25 @@ class _Examination:
             path = [str(Path(entry or ".").resolve()) for entry in sys.path]
             request = Request(asdict(self._address), self._parameters, names, path)
             (folder / REQUEST).write_text(json.dumps(asdict(request)), encoding="utf-8")
-            with (folder / OUTPUT).open("ab") as output:
-                process = subprocesses.started("evalkit.commands.validate.rules.worker", folder, output)
-                try:
-                    limit = self._watched(process, folder)
-                finally:
-                    subprocesses.end_group(process, folder)
+            with ChildProcess("evalkit.commands.validate.rules.worker", folder) as child:
+                limit = self._watched(child, folder)
             self._told(folder)
             lines = _lines(folder)
             at = lines[-1].get("begun", "") if lines else names[0]
             if at:
-                self._ended(self._rules[at], limit or subprocesses.last_words(process.returncode, folder / OUTPUT))
+                self._ended(self._rules[at], limit or child.describe_end())
 
-    def _watched(self, process: subprocess.Popen[bytes], folder: Path) -> str:
+    def _watched(self, child: ChildProcess, folder: Path) -> str:
         """Waits for the process's end, telling each verdict as it comes; which limit it broke, or ""."""
-        told, since = 0, time.monotonic()
-        family = subprocesses.Family(process.pid)
-        while process.poll() is None:
-            time.sleep(subprocesses.POLL_S)
+        told, since_s = 0, 0.0
+        for used in child.watch():
             if (size := len(_lines(folder))) > told:
-                told, since = size, time.monotonic()
+                told, since_s = size, used.wall_s
                 self._told(folder)
             limit_s = self._limit_s if told else LOADING_S
-            if time.monotonic() - since > limit_s:
+            if used.wall_s - since_s > limit_s:
                 return f"{_NO_ANSWER} for {limit_s:g} s"
-            subprocesses.cut(folder / OUTPUT)
-            if family.usage().resident_bytes > self._memory_mib * 2**20:
+            if used.resident_bytes > self._memory_mib * 2**20:
                 return f"used more than {self._memory_mib} MiB"
         return ""
 

@@ -17,7 +17,7 @@ from typing import Any, TextIO
 from evalkit.commands.validate.rules import odometry_rules, registration_rules
 from evalkit.commands.validate.rules.rule import Rule, verdict
 from evalkit.core.errors import NotInstalled
-from evalkit.execution import parent_watch
+from evalkit.execution.subprocesses import end_with_parent
 from evalkit.plugins import registry
 from evalkit.plugins.address import Address, spec_at
 from evalkit.plugins.parameters import Value
@@ -49,7 +49,7 @@ class Request:
 
 def main() -> int:
     """Asks the rules of the request in the folder named on the command line, one line each to ``verdicts.jsonl``."""
-    parent_watch.end_with_parent()
+    end_with_parent()
     folder = Path(sys.argv[1]).resolve()  # a back end may change the working directory
     request = Request(**json.loads((folder / REQUEST).read_text(encoding="utf-8")))
     sys.path.extend(entry for entry in request.path if entry not in sys.path)

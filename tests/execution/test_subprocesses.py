@@ -1,4 +1,4 @@
-"""Foreign code is started only where it can be ended."""
+"""Foreign code starts only where it can be terminated, and every child terminates with its parent."""
 
 import contextlib
 import os
@@ -11,27 +11,27 @@ import psutil
 import pytest
 
 from evalkit.core.errors import NotInstalled
-from evalkit.execution import parent_watch, subprocesses
+from evalkit.execution import subprocesses
 
 
-def test_where_nothing_can_be_ended_with_all_it_started_nothing_is_started(tmp_path, monkeypatch):
-    parent_watch.required()  # here all is well
+def test_nothing_starts_on_a_system_without_process_groups(tmp_path, monkeypatch):
+    subprocesses._require_process_groups()  # supported here
     monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: pytest.fail("something was started"))
-    with (tmp_path / "output.txt").open("ab") as output, monkeypatch.context() as windows:
+    with monkeypatch.context() as windows:
         windows.setattr(os, "name", "nt")
         with pytest.raises(NotInstalled, match=r"not supported .* use Linux, macOS, or Linux within Windows \(WSL\)"):
-            subprocesses.started("evalkit.execution.worker", tmp_path, output)
+            subprocesses.ChildProcess("evalkit.execution.worker", tmp_path)
 
 
 ORPHAN = """
 import multiprocessing, os, signal, time
-from evalkit.execution import parent_watch
+from evalkit.execution import subprocesses
 
 def late():
     os.kill(multiprocessing.parent_process().pid, signal.SIGKILL)
     while os.getppid() == multiprocessing.parent_process().pid:
         time.sleep(0.01)
-    parent_watch.watch_parent()
+    subprocesses.poll_parent()
     time.sleep(600)
 
 if __name__ == "__main__":
@@ -42,7 +42,7 @@ if __name__ == "__main__":
 """
 
 
-def test_who_looks_for_its_parent_only_after_that_was_killed_ends_as_well(tmp_path):
+def test_a_process_that_polls_only_after_its_parent_was_killed_terminates_too(tmp_path):
     (tmp_path / "orphan.py").write_text(ORPHAN)
     said = tmp_path / "said"
     with said.open("wb") as out:  # no pipe: the orphan would hold it
