@@ -55,7 +55,7 @@ EXPECTED = (
     ("leak", "out-of-memory", "used more than 300 MiB"),
     ("nan", "failed", "pose: not finite"),
     ("unchecked-nan", "failed", "a pose that is not finite: (nan, 0.0, 0.0)"),
-    ("no-pose", "failed", "update() answered a tuple, expected an evalkit.Pose"),
+    ("no-pose", "failed", "update() returned a tuple, expected an evalkit.OdometryEstimate"),
     ("child", "timeout", "no answer"),
     ("orphan", "failed", "left a child behind"),
     ("garbage", "failed", "code 9; it said last: [2J the wheel is off"),
@@ -68,7 +68,7 @@ EXPECTED = (
     ("spin-in-child", "timeout", f"no answer for 2 s of CPU time after scan {AT}"),
     ("leak-in-child", "out-of-memory", "used more than 300 MiB"),
     ("flood", "failed", "code 9; it said last: the wheel is off"),
-    ("matrix", "failed", "update() answered a ndarray, expected an evalkit.Pose"),
+    ("matrix", "failed", "update() returned a ndarray, expected an evalkit.OdometryEstimate"),
 )
 """Every fault with the status it ends in and what the reason says."""
 
