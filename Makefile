@@ -50,8 +50,8 @@ paper-quick: $(VENV)/evalkit  ## reproduce part of the paper in under 2 min: rep
 	$(BIN)/python -m evalkit_paper reports/paper-quick.toml
 
 metric-validation: $(VENV)/evalkit  ## measure how map metrics follow the true error: reports/build/metrics/index.html
-	$(BIN)/python -m evalkit.commands.metric_validation validate
-	$(BIN)/python -m evalkit.commands.metric_validation selftest
+	$(BIN)/python -m evalkit.commands.metric_validation validate --world lab --world office --world room
+	$(BIN)/python -m evalkit.commands.metric_validation selftest --world lab
 
 tune: $(VENV)/evalkit  ## tune back ends with equal budgets: reports/build/tune/index.html
 	$(BIN)/evalkit tune reports/tune.toml

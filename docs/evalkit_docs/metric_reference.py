@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from evalkit.commands.list.cards import card_facts
 from evalkit.metrics import all_metrics
-from evalkit.metrics.validated import shipped
+from evalkit.metrics.validated import load_validation
 from evalkit_docs.markup import code, facts, heading, page, text
 
 LEAD = """\
@@ -27,9 +27,9 @@ def write_metrics() -> str:
 
 
 def _describe_validation() -> str:
-    measured = shipped()
+    validation = load_validation()
     return (
-        f"*Follows the true error* is Spearman's rank correlation with the true error, over {measured.maps} maps built "
-        f"from trajectories with known errors (worlds: {', '.join(measured.worlds)}; measured {measured.made} by "
-        f"{code(measured.command)}): 1 means that the metric ranks maps like the true error, 0 that it does not."
+        f"*Follows the true error* is Spearman's rank correlation with the true error, over {validation.map_count} "
+        f"maps from perturbed trajectories (worlds: {', '.join(validation.worlds)}; measured {validation.created} by "
+        f"{code(validation.command)}): 1 means that the metric ranks maps like the true error, 0 that it does not."
     )

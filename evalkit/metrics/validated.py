@@ -1,4 +1,4 @@
-"""How far each map metric without a truth can be trusted: measured once, shipped, and shown beside its numbers."""
+"""The rank agreement of map metrics with the true error, measured once and shipped in ``validated.json``."""
 
 from __future__ import annotations
 
@@ -12,60 +12,63 @@ from typing import Any
 from evalkit.stats.intervals import Interval
 
 FILE = "validated.json"
+SCHEMA = {"name": "evalkit-metrics-validated", "version": 2}
 
 
 @dataclass(frozen=True)
-class Trust:
-    """How one metric ranked maps as their true error did: Spearman's correlation in all, by way, by world."""
+class RankAgreement:
+    """Spearman's correlation of a metric with the true error of maps: 1 same order, 0 no relation, -1 reverse order.
+
+    ``overall`` and ``by_perturbation``: mean over worlds of the correlation within each world. ``by_world``: the
+    correlation in each world. None where it is undefined.
+    """
 
     metric: str
     overall: Interval | None
-    by_way: Mapping[str, Interval | None]
+    by_perturbation: Mapping[str, Interval | None]
     by_world: Mapping[str, Interval | None]
 
 
 @dataclass(frozen=True)
-class Validation:
-    """A measurement of trust: how it was made, the ways in which trajectories were spoiled, and every metric's trust.
+class MetricValidation:
+    """The rank agreement of all map metrics, and how it was measured.
 
-    ``ways``: what each does, in words. ``maps``: how many were made.
+    ``perturbations``: what each does, in words. ``map_count``: number of maps.
     """
 
     command: str
-    made: str
+    created: str
     versions: Mapping[str, str]
     worlds: tuple[str, ...]
     mapper: str
-    maps: int
-    ways: Mapping[str, str]
-    trust: tuple[Trust, ...]
+    map_count: int
+    perturbations: Mapping[str, str]
+    agreement: tuple[RankAgreement, ...]
 
-    def of(self, metric: str) -> Trust | None:
-        """The trust in one metric; None where it was not measured."""
-        return next((each for each in self.trust if each.metric == metric), None)
+    def agreement_of(self, metric: str) -> RankAgreement | None:
+        """Return the rank agreement of one metric; None if it was not measured."""
+        return next((one for one in self.agreement if one.metric == metric), None)
 
 
 @cache
-def shipped() -> Validation:
-    """What ``make metric-validation`` found for the metrics of this version."""
-    return of(json.loads(files("evalkit.metrics").joinpath(FILE).read_text(encoding="utf-8")))
-
-
-def of(content: Mapping[str, Any]) -> Validation:
-    """The measurement in the JSON form that the command writes."""
-    trust = tuple(
-        Trust(row["metric"], _interval(row["overall"]), _intervals(row["by_way"]), _intervals(row["by_world"]))
-        for row in content["trust"]
+def load_validation() -> MetricValidation:
+    """Return the validation of the metrics of this version."""
+    content: Mapping[str, Any] = json.loads(files("evalkit.metrics").joinpath(FILE).read_text(encoding="utf-8"))
+    agreement = tuple(
+        RankAgreement(
+            row["metric"], _interval(row["overall"]), _intervals(row["by_perturbation"]), _intervals(row["by_world"])
+        )
+        for row in content["agreement"]
     )
-    return Validation(
-        content["command"], content["made"], content["versions"], tuple(content["worlds"]), content["mapper"],
-        len(content["rows"]), {way: told["what"] for way, told in content["ways"].items()}, trust,
+    return MetricValidation(
+        content["command"], content["created"], content["versions"], tuple(content["worlds"]), content["mapper"],
+        content["map_count"], {name: one["what"] for name, one in content["perturbations"].items()}, agreement,
     )  # fmt: skip
 
 
-def _intervals(found: Mapping[str, Any]) -> dict[str, Interval | None]:
-    return {name: _interval(one) for name, one in found.items()}
+def _intervals(content: Mapping[str, Any]) -> dict[str, Interval | None]:
+    return {name: _interval(one) for name, one in content.items()}
 
 
-def _interval(found: Mapping[str, Any] | None) -> Interval | None:
-    return None if found is None else Interval(**found)
+def _interval(content: Mapping[str, Any] | None) -> Interval | None:
+    return None if content is None else Interval(**content)

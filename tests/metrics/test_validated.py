@@ -1,4 +1,4 @@
-"""The trust that ships with the metrics: whole, and what a new computation of a part of it gives."""
+"""The shipped validation of the metrics is complete, and a part of it computed again is the same."""
 
 import json
 from importlib.resources import files
@@ -6,10 +6,10 @@ from importlib.resources import files
 import pytest
 
 from evalkit.commands.metric_validation import map_rebuilding
-from evalkit.commands.metric_validation.fault_injection import PLANTS
-from evalkit.commands.metric_validation.perturbation import WAYS
-from evalkit.commands.metric_validation.rank_agreement import reference_free
-from evalkit.metrics.validated import shipped
+from evalkit.commands.metric_validation.fault_injection import FAULTS
+from evalkit.commands.metric_validation.perturbation import PERTURBATIONS
+from evalkit.commands.metric_validation.rank_agreement import reference_free_metrics
+from evalkit.metrics.validated import load_validation
 
 
 @pytest.fixture(scope="module")
@@ -17,39 +17,36 @@ def content():
     return json.loads(files("evalkit.metrics").joinpath("validated.json").read_text(encoding="utf-8"))
 
 
-def test_every_reference_free_map_metric_was_validated_in_every_way():
-    trust = shipped()
-    assert {each.metric for each in trust.trust} == {metric.name for metric in reference_free()}
-    for each in trust.trust:
+def test_every_map_metric_without_ground_truth_was_validated_with_every_perturbation():
+    validation = load_validation()
+    assert {each.metric for each in validation.agreement} == {metric.name for metric in reference_free_metrics()}
+    for each in validation.agreement:
         assert each.overall is not None
-        assert each.by_way.keys() == WAYS.keys() == trust.ways.keys()
-        assert tuple(each.by_world) == trust.worlds
-    assert trust.of("ate_rmse_m") is None
+        assert each.by_perturbation.keys() == PERTURBATIONS.keys() == validation.perturbations.keys()
+        assert tuple(each.by_world) == validation.worlds
+    assert validation.agreement_of("ate_rmse_m") is None
 
 
-def test_it_tells_how_it_was_made(content):
-    trust = shipped()
-    assert trust.command.startswith("evalkit metrics validate")
-    assert {"evalkit", "numpy", "scipy"} <= trust.versions.keys()
-    assert trust.maps == len(content["rows"]) == 3 * (1 + sum(len(way.sizes) for way in WAYS.values()))
-    assert {row["plant"] for row in content["planted"]} == PLANTS.keys()
-    assert all(row["caught"] for row in content["planted"])
+def test_it_records_its_provenance(content):
+    validation = load_validation()
+    assert validation.command.startswith("python -m evalkit.commands.metric_validation validate")
+    assert {"evalkit", "numpy", "scipy"} <= validation.versions.keys()
+    assert validation.map_count == 3 * (1 + sum(len(one.sizes) for one in PERTURBATIONS.values()))
+    assert {row["fault"] for row in content["faults"]} == FAULTS.keys()
+    assert all(row["metric_count"] for row in content["faults"])
 
 
 def test_a_part_of_it_computed_again_is_the_same(content):
-    of = {(row["way"], row["size"]): row for row in content["rows"] if row["world"] == "room"}
-    size = 0.4
-    made = map_rebuilding.spoiled("room", "jump", [size], content["seed"], content["mapper"], content["scans"])["rows"][
-        0
-    ]
-    kept = of["jump", size]
-    assert made["ate_rmse_m"] == pytest.approx(kept["error_m"], rel=1e-6)
-    for name, value in kept["scores"].items():
-        assert made[name] == pytest.approx(value, rel=1e-3), name
+    sample, settings = content["sample"], (content["seed"], content["mapper"], content["scans"])
+    result = map_rebuilding.score_perturbed_maps(sample["world"], sample["perturbation"], [sample["size"]], *settings)
+    (computed,) = result["rows"]
+    assert computed["ate_rmse_m"] == pytest.approx(sample["error_m"], rel=1e-6)
+    for name, value in sample["scores"].items():
+        assert computed[name] == pytest.approx(value, rel=1e-3), name
 
 
-def test_the_metrics_that_follow_the_error_best_follow_it_well():
-    trust = shipped()
+def test_the_best_metrics_agree_well_with_the_true_error():
+    validation = load_validation()
     for name in ("split_distance_m", "cleared_percent", "mme_nat"):
-        assert trust.of(name).overall.low > 0.7
-    assert trust.of("occupied_percent").overall.value < 0.0
+        assert validation.agreement_of(name).overall.low > 0.7
+    assert validation.agreement_of("occupied_percent").overall.value < 0.0

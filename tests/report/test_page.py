@@ -11,7 +11,7 @@ from PIL import Image
 
 from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.grid import OccupancyGrid
-from evalkit.metrics.validated import shipped
+from evalkit.metrics.validated import load_validation
 from evalkit.report import MethodCard, SequenceCard, write_report
 from evalkit.report.analysis.sequence import analyse_sequence
 from evalkit.report.formatting import format_number
@@ -250,11 +250,11 @@ def test_nine_methods_have_nine_strokes():
     assert len(set(chosen.values())) == 9
 
 
-def test_how_far_map_metrics_can_be_trusted_stands_beside_them(html):
-    shown = html[html.index('id="trust"') : html.index('id="metric-map_entropy"')]
-    assert "evalkit metrics validate" in shown
-    of = shipped()
+def test_the_rank_agreement_of_map_metrics_is_shown_beside_them(html):
+    shown = html[html.index('id="rank-agreement"') : html.index('id="metric-map_entropy"')]
+    assert "evalkit.commands.metric_validation validate" in shown
+    validation = load_validation()
     for name in ("map_entropy", "wall_thickness_m", "split_distance_m", "corners"):
         assert f'href="#metric-{name}"' in shown
-        assert format_number(of.of(name).overall.value, 2) in shown
-    assert all(world in shown for world in of.worlds)
+        assert format_number(validation.agreement_of(name).overall.value, 2) in shown
+    assert all(world in shown for world in validation.worlds)

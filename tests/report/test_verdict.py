@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from evalkit.metrics.validated import shipped
+from evalkit.metrics.validated import load_validation
 from evalkit.report.analysis.analysis import analyse
 from evalkit.report.analysis.sequence import analyse_sequence
 from evalkit.report.analysis.verdict import compute_verdict
@@ -195,7 +195,7 @@ def test_a_map_best_in_every_metric_of_one_run_is_tied(record, build):
     assert (found.outcome, found.leaders, found.counts) == ("tied", ("a",), False)
     assert "one run each gives no interval. In every map metric a is best or tied." in _said(comparison)
     assert "compares maps only and does not detect global warp." in _said(comparison)
-    validated = shipped().of("split_distance_m")
+    validated = load_validation().agreement_of("split_distance_m")
     assert f"Spearman correlation with that error was {validated.overall.value:.2f}" in _said(comparison)
 
 

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from typing import Any
 
 from evalkit.metrics.table import Metric
-from evalkit.metrics.validated import shipped
+from evalkit.metrics.validated import load_validation
 from evalkit.stats.intervals import Interval
 
 DIRECTIONS = {"lower": "lower is better", "higher": "higher is better", "": "neither direction is better"}
@@ -14,8 +14,8 @@ DIRECTIONS = {"lower": "lower is better", "higher": "higher is better", "": "nei
 
 def card_as_json(metric: Metric) -> dict[str, Any]:
     """Return the card of a metric as JSON."""
-    trust = shipped().of(metric.name)
-    overall = None if trust is None or trust.overall is None else asdict(trust.overall)
+    agreement = load_validation().agreement_of(metric.name)
+    overall = None if agreement is None or agreement.overall is None else asdict(agreement.overall)
     return {
         "name": metric.name, "label": metric.label, "unit": metric.unit, "better": metric.better,
         "group": metric.group, "definition": metric.definition, "source": metric.source,
@@ -40,12 +40,14 @@ def card_facts(metric: Metric) -> list[tuple[str, str]]:
 
 
 def _correlations(metric: str) -> str:
-    """Return Spearman's correlation of a metric with the true error: overall, by error model and by world."""
-    trust = shipped().of(metric)
-    if trust is None:
+    """Return Spearman's correlation of a metric with the true error: overall, by perturbation and by world."""
+    agreement = load_validation().agreement_of(metric)
+    if agreement is None:
         return ""
-    parts = ", ".join(f"{name} {_number(one)}" for name, one in {**trust.by_way, **trust.by_world}.items())
-    overall = trust.overall
+    parts = ", ".join(
+        f"{name} {_number(one)}" for name, one in {**agreement.by_perturbation, **agreement.by_world}.items()
+    )
+    overall = agreement.overall
     if overall is None:
         return parts
     return f"Spearman {overall.value:.2f} (95 %: {overall.low:.2f} to {overall.high:.2f}): {parts}"

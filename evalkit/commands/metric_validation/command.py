@@ -1,4 +1,4 @@
-"""Measure how map metrics follow the true error, and inject faults that the metrics must show.
+"""Measure how map metrics follow the true error, and inject faults that the metrics must detect.
 
 Run it as ``python -m evalkit.commands.metric_validation validate`` or ``... selftest``.
 """
@@ -8,6 +8,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,6 +16,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from evalkit.execution import environment
+from evalkit.plugins import defaults
 from evalkit.results.store import write_texts
 from evalkit.terminal import options, progress
 from evalkit.terminal.options import Json, Out, err, out
@@ -24,118 +26,133 @@ if TYPE_CHECKING:
 
 app = typer.Typer(help="Validate the metrics themselves.", no_args_is_help=True, add_completion=False)
 
-Mapper = Annotated[str, typer.Option(help="What draws the maps.")]
-Seed = Annotated[int, typer.Option(min=0, help="Draws the worlds' noise and the random ways to go wrong.")]
+QUICK_SIZES, QUICK_SCANS = 2, 40
+
+Mapper = Annotated[str, typer.Option(help="Mapper of all maps.", show_default="the default mapper")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of the worlds' noise and of random perturbations.")]
 
 
 @app.command()
 def validate(
     world: Annotated[
-        list[str] | None, typer.Option(help="A data set (repeatable).", show_default="lab, office, room")
+        list[str] | None, typer.Option(help="A data set (repeatable).", show_default="a simulated one")
     ] = None,
-    mapper: Mapper = "log-odds",
-    scans: Annotated[int, typer.Option(min=20, help="Scans drawn into a map.")] = 150,
-    sizes: Annotated[int, typer.Option(min=2, max=5, help="Sizes of every way to go wrong.")] = 5,
+    mapper: Mapper = "",
+    scans: Annotated[int, typer.Option(min=20, help="Scans per map.")] = 150,
+    sizes: Annotated[int, typer.Option(min=2, max=5, help="Sizes of every perturbation.")] = 5,
     seed: Seed = 0,
     quick: Annotated[bool, typer.Option("--quick", help="One world, two sizes, few scans: seconds.")] = False,
     folder: Out = None,
     jobs: options.Jobs = None,
     as_json: Json = False,
 ) -> None:
-    """Measure how metrics without a truth follow the true error of maps that are spoiled in known ways."""
-    from evalkit.commands.metric_validation import measured as trust  # noqa: PLC0415 - loads scipy.stats
-    from evalkit.commands.metric_validation import page  # noqa: PLC0415 - loads matplotlib
+    """Measure how metrics without ground truth follow the true error of maps from perturbed trajectories."""
+    from evalkit.commands.metric_validation import page, validation  # noqa: PLC0415 - loads matplotlib
     from evalkit.report.html.blocks import render  # noqa: PLC0415 - as above
 
-    worlds = tuple(dict.fromkeys(world or (("lab",) if quick else trust.WORLDS)))
-    asked = trust.Asked(worlds, 2 if quick else sizes, seed, mapper, min(scans, 40) if quick else scans)
+    worlds = tuple(dict.fromkeys(world or [defaults.simulated_dataset()]))
+    plan = validation.ValidationPlan(
+        worlds[:1] if quick else worlds, mapper or defaults.default_mapper(), worlds[0],
+        QUICK_SIZES if quick else sizes, seed, min(scans, QUICK_SCANS) if quick else scans,
+    )  # fmt: skip
     folder = folder or Path("reports") / "build" / "metrics"
-    results = _made(trust.jobs(asked), folder, jobs)
-    content = trust.record(asked, results, _how())
+    results = _run_tasks(validation.make_tasks(plan), folder, jobs)
+    content, maps = validation.summarize(plan, results, _provenance()), validation.collect_maps(plan, results)
     texts = {
-        "validated.json": json.dumps(content, indent=1) + "\n",
-        "validated.csv": trust.as_csv(trust.rows(asked, results)),
-        "index.html": render(page.document(content)),
+        "validated.json": format_json(content) + "\n",
+        "maps.csv": validation.format_csv(maps),
+        "index.html": render(page.build_document(content, maps)),
     }
     write_texts(folder, texts)
     if as_json:
         options.print_json(content | {"page": str(folder / "index.html")})
     else:
-        _print(content)
+        _print_agreement(content)
+        _print_faults(content["faults"])
         out.print(str((folder / "index.html").resolve()), markup=False, highlight=False)
-    _judge(content["planted"])
+    _check_faults(content["faults"])
 
 
 @app.command()
 def selftest(
-    world: Annotated[str, typer.Option(help="A data set with a true trajectory.")] = "lab",
-    mapper: Mapper = "log-odds",
+    world: Annotated[
+        str, typer.Option(help="A data set with a ground-truth trajectory.", show_default="a simulated one")
+    ] = "",
+    mapper: Mapper = "",
     seed: Seed = 0,
     folder: Out = None,
     jobs: options.Jobs = None,
     as_json: Json = False,
 ) -> None:
-    """Plant mistakes between a sequence and its scores; exit code 1 if one of them is not plain in the numbers."""
-    from evalkit.commands.metric_validation import measured as trust  # noqa: PLC0415 - loads scipy.stats
+    """Inject faults between a sequence and its scores; exit code 1 if the metrics miss one of them."""
+    from evalkit.commands.metric_validation import validation  # noqa: PLC0415 - loads the metrics
 
-    asked = trust.Asked(seed=seed, mapper=mapper, plants_in=world)
-    results = _made(trust.planting(asked), folder or Path("reports") / "build" / "metrics", jobs)
-    found = [trust.told(name, seen) for name, seen in trust.sightings(results).items()]
+    plan = validation.ValidationPlan(
+        (), mapper or defaults.default_mapper(), world or defaults.simulated_dataset(), seed=seed
+    )
+    results = _run_tasks(validation.make_fault_tasks(plan), folder or Path("reports") / "build" / "metrics", jobs)
+    faults = [validation.fault_as_json(*one) for one in validation.detect_faults(results).items()]
     if as_json:
-        options.print_json(found)
+        options.print_json(faults)
     else:
-        progress.print_table(out, _planted(found))
-    _judge(found)
+        _print_faults(faults)
+    _check_faults(faults)
 
 
-def _made(jobs: list[AnyTask], folder: Path, workers: int | None) -> dict[str, Result]:
+def format_json(value: Any, indent: int = 0) -> str:
+    """Return JSON text in which containers without inner containers take one line."""
+    parts = list(value.values() if isinstance(value, dict) else value) if isinstance(value, dict | list | tuple) else []
+    if not any(isinstance(part, dict | list | tuple) for part in parts):
+        return json.dumps(value)
+    pad, end = " " * (indent + 1), "\n" + " " * indent
+    if isinstance(value, dict):
+        lines = [f"{pad}{json.dumps(name)}: {format_json(part, indent + 1)}" for name, part in value.items()]
+        return "{\n" + ",\n".join(lines) + end + "}"
+    return "[\n" + ",\n".join(pad + format_json(part, indent + 1) for part in parts) + end + "]"
+
+
+def _run_tasks(tasks: list[AnyTask], folder: Path, jobs: int | None) -> dict[str, Result]:
     from evalkit.execution.task_runner import run_tasks  # noqa: PLC0415 - loaded only if something is computed
     from evalkit.execution.task_store import TaskStore  # noqa: PLC0415 - as above
 
-    at_once = workers or environment.physical_cores()
-    with progress.say_what_is_kept(err, "finished jobs"), progress.show_tasks(err, len(jobs), at_once) as done:
-        return run_tasks(TaskStore(folder / "results"), jobs, at_once, done)
+    at_once = jobs or environment.physical_cores()
+    with progress.say_what_is_kept(err, "finished jobs"), progress.show_tasks(err, len(tasks), at_once) as done:
+        return run_tasks(TaskStore(folder / "results"), tasks, at_once, done)
 
 
-def _how() -> dict[str, Any]:
+def _provenance() -> dict[str, Any]:
     return {
         "command": shlex.join(["python", "-m", "evalkit.commands.metric_validation", *sys.argv[1:]]),
-        "made": datetime.now(UTC).strftime("%Y-%m-%d"),
+        "created": datetime.now(UTC).strftime("%Y-%m-%d"),
         "versions": environment.versions(("evalkit", "numpy", "scipy")),
     }
 
 
-def _print(content: dict[str, Any]) -> None:
-    from rich.table import Table  # noqa: PLC0415 - only where a table is printed
+def _print_agreement(content: Mapping[str, Any]) -> None:
+    from rich.table import Table  # noqa: PLC0415 - loaded only if a table is printed
 
-    ways = list(content["ways"])
-    table = Table("metric", "Spearman", "95 %", *ways)
-    for row in content["trust"]:
-        table.add_row(row["metric"], *_overall(row["overall"]), *(_told(row["by_way"][way]) for way in ways))
+    perturbations = list(content["perturbations"])
+    table = Table("metric", "Spearman", "95 %", *perturbations)
+    for row in content["agreement"]:
+        overall = row["overall"]
+        bounds = "-" if overall is None else f"{overall['low']:.2f} to {overall['high']:.2f}"
+        values = [overall, *(row["by_perturbation"][name] for name in perturbations)]
+        value, *parts = ["-" if one is None else f"{one['value']:.2f}" for one in values]
+        table.add_row(row["metric"], value, bounds, *parts)
     progress.print_table(out, table)
-    progress.print_table(out, _planted(content["planted"]))
 
 
-def _overall(found: dict[str, float] | None) -> tuple[str, str]:
-    return ("-", "-") if found is None else (_told(found), f"{found['low']:.2f} to {found['high']:.2f}")
+def _print_faults(faults: Sequence[Mapping[str, Any]]) -> None:
+    from rich.table import Table  # noqa: PLC0415 - loaded only if a table is printed
+
+    from evalkit.commands.metric_validation.page import format_detections  # noqa: PLC0415 - loads matplotlib
+
+    table = Table("fault", "what it is", "detected by (times worse)")
+    for row in faults:
+        table.add_row(row["fault"], row["what"], format_detections(row["strongest"][:3]))
+    progress.print_table(out, table)
 
 
-def _told(found: dict[str, float] | None) -> str:
-    return "-" if found is None else f"{found['value']:.2f}"
-
-
-def _planted(found: list[dict[str, Any]]) -> Any:
-    from rich.table import Table  # noqa: PLC0415 - only where a table is printed
-
-    from evalkit.commands.metric_validation.page import times  # noqa: PLC0415 - loads matplotlib
-
-    table = Table("planted mistake", "what it is", "shown by (times as bad)")
-    for row in found:
-        shown = ", ".join(f"{seen['metric']} {times(seen['factor'])}" for seen in row["seen"][:3])
-        table.add_row(row["plant"], row["what"], shown or "nothing")
-    return table
-
-
-def _judge(found: list[dict[str, Any]]) -> None:
-    if any(not row["caught"] for row in found):
+def _check_faults(faults: Sequence[Mapping[str, Any]]) -> None:
+    if any(not row["metric_count"] for row in faults):
         raise typer.Exit(1)

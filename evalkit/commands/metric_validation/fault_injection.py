@@ -1,4 +1,4 @@
-"""Mistakes planted into the path between a sequence and its scores: each must be plain in the numbers of a report."""
+"""Inject known faults between a sequence and its scores; the metrics must detect each of them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,13 @@ from numpy.typing import NDArray
 
 from evalkit import metrics
 from evalkit.commands.metric_validation import perturbation
-from evalkit.commands.metric_validation.map_rebuilding import recording, run_of, scored, true_poses
+from evalkit.commands.metric_validation.map_rebuilding import (
+    compute_values,
+    find_plugin_modules,
+    find_true_poses,
+    load_world,
+    make_run,
+)
 from evalkit.core import se2
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
@@ -19,44 +25,43 @@ from evalkit.core.run_result import RunResult
 from evalkit.core.scan import Frame, Scan
 from evalkit.execution.task import AnyTask, make_task
 from evalkit.metrics.table import Metric
-from evalkit.plugins import registry
 from evalkit.plugins.protocols import Sequence
 
 Steps = NDArray[np.void]
 
-GOOD_M = 0.01
-"""The run that mistakes are planted into is off by this jitter: as good as anybody's."""
+JITTER_M = 0.01
+"""Jitter of the poses of the run without a fault, a typical error of a good method."""
 
-CAUGHT = 2.0
-"""A mistake is caught where a metric gets worse by this factor at least."""
+MIN_FACTOR = 2.0
+"""A fault is detected by a metric that gets worse by at least this factor."""
 
-MOST = 1000.0
-"""A larger factor is told as this one: a share can fall to nothing."""
+MAX_FACTOR = 1000.0
+"""Larger factors are limited to this one: a share can fall to 0."""
 
-NO_MISTAKE = "none"
+NO_FAULT = "none"
 
 
 @dataclass(frozen=True)
-class Plant:
-    """A mistake: what it is, and what it does to the answers or to each frame that is drawn."""
+class Fault:
+    """A fault: its description, and its effect on the steps of a run or on each frame."""
 
     what: str
-    answers: Callable[[Steps], Steps] | None = None
-    frame: Callable[[Frame], Frame] | None = None
+    change_steps: Callable[[Steps], Steps] | None = None
+    change_frame: Callable[[Frame], Frame] | None = None
 
 
 @dataclass(frozen=True)
-class Sighting:
-    """A metric that shows a mistake: its value without and with it, and by which factor it got worse."""
+class Detection:
+    """A metric that got worse by a fault: its values without and with the fault, and the factor."""
 
     metric: Metric
     without: float
-    planted: float
+    with_fault: float
     factor: float
 
 
-class Tampered:
-    """A sequence whose frames somebody has got wrong; its truth is right."""
+class FaultySequence:
+    """A sequence with modified frames and unchanged ground truth."""
 
     def __init__(self, sequence: Sequence, change: Callable[[Frame], Frame]) -> None:
         self._sequence, self._change = sequence, change
@@ -65,54 +70,54 @@ class Tampered:
         return len(self._sequence)
 
     def frames(self) -> Iterator[Frame]:
-        """The frames with the mistake."""
+        """Return the modified frames."""
         return map(self._change, self._sequence.frames())
 
     def truth(self) -> Truth:
-        """That of the sequence."""
+        """Return the ground truth of the sequence."""
         return self._sequence.truth()
 
     def notes(self) -> Mapping[str, int]:
-        """Those of the sequence."""
+        """Return the notes of the sequence."""
         return self._sequence.notes()
 
 
-def _swapped(steps: Steps) -> Steps:
+def _swap_axes(steps: Steps) -> Steps:
     turned = steps.copy()
     turned["x"], turned["y"] = steps["y"], steps["x"]
     return turned
 
 
-def _flipped(steps: Steps) -> Steps:
+def _flip_yaw(steps: Steps) -> Steps:
     turned = steps.copy()
     turned["theta"] = -steps["theta"]
     return turned
 
 
-def _late(steps: Steps) -> Steps:
+def _shift_stamps(steps: Steps) -> Steps:
     shifted = steps[:-1].copy()
     shifted["stamp_ns"] = steps["stamp_ns"][1:]
     return shifted
 
 
-def _in_degrees(steps: Steps) -> Steps:
+def _convert_to_degrees(steps: Steps) -> Steps:
     turned = steps.copy()
     turned["theta"] = se2.wrap(np.degrees(steps["theta"]))
     return turned
 
 
-def _inverted(steps: Steps) -> Steps:
+def _invert_poses(steps: Steps) -> Steps:
     turned = steps.copy()
     rows = se2.inverse(np.stack([steps["x"], steps["y"], steps["theta"]], axis=-1))
     turned["x"], turned["y"], turned["theta"] = rows.T
     return turned
 
 
-def _without_extrinsics(frame: Frame) -> Frame:
+def _drop_extrinsics(frame: Frame) -> Frame:
     return replace(frame, base_from_sensor=Pose())
 
 
-def _mirrored(frame: Frame) -> Frame:
+def _mirror_beams(frame: Frame) -> Frame:
     scan = frame.scan
     other = Scan(
         scan.stamp_ns, scan.ranges, -scan.angles, scan.range_min_m, scan.range_max_m, scan.time_increment_ns
@@ -120,57 +125,63 @@ def _mirrored(frame: Frame) -> Frame:
     return replace(frame, scan=other)
 
 
-PLANTS: dict[str, Plant] = {
-    "axes swapped": Plant("x and y of the answers are exchanged", _swapped),
-    "yaw flipped": Plant("the heading of the answers has the wrong sign", _flipped),
-    "stamps one scan late": Plant("every answer carries the stamp of the next scan", _late),
-    "degrees for radians": Plant("the heading of the answers is in degrees", _in_degrees),
-    "pose inverted": Plant("the answers are base_from_start", _inverted),
-    "extrinsics dropped": Plant("scans are drawn as if the lidar sat in the base's origin", frame=_without_extrinsics),
-    "beams mirrored": Plant("the beams' angles run the wrong way round", frame=_mirrored),
+FAULTS: dict[str, Fault] = {
+    "axes swapped": Fault("x and y of the poses are exchanged", _swap_axes),
+    "yaw flipped": Fault("the heading of the poses has the wrong sign", _flip_yaw),
+    "stamps one scan late": Fault("every pose has the stamp of the next scan", _shift_stamps),
+    "degrees for radians": Fault("the heading of the poses is in degrees", _convert_to_degrees),
+    "pose inverted": Fault("the poses are base_from_start", _invert_poses),
+    "extrinsics dropped": Fault(
+        "scans are mapped with the lidar at the origin of the base", change_frame=_drop_extrinsics
+    ),
+    "beams mirrored": Fault("the angles of the beams have the wrong sign", change_frame=_mirror_beams),
 }
 
 
-def job(plant: str, world: str, seed: int, mapper: str, scans: int) -> AnyTask:
-    """The job of one mistake, or of none."""
-    plug_ins = (registry.plug_in_of("datasets", world).module, registry.plug_in_of("mappers", mapper).module)
+def make_fault_task(fault: str, world: str, seed: int, mapper: str, scans: int) -> AnyTask:
+    """Return the task of one fault, or of the run without a fault."""
     return make_task(
-        f"planted {plant}", planted, plant=plant, world=world, seed=seed, mapper=mapper, scans=scans
-    ).depending_on(*plug_ins)
+        f"fault {fault}", score_with_fault, fault=fault, world=world, seed=seed, mapper=mapper, scans=scans
+    ).depending_on(*find_plugin_modules(world, mapper))
 
 
-def planted(plant: str, world: str, seed: int, mapper: str, scans: int) -> dict[str, Any]:
-    """Every metric of a good run over a world with one mistake planted into it."""
-    sequence = recording(world, seed)
-    poses = perturbation.jitter(true_poses(sequence), GOOD_M, np.random.default_rng(seed))
-    run = run_of(sequence, poses)
-    if plant != NO_MISTAKE:
-        run, sequence = tampered(run, sequence, PLANTS[plant])
-    return {"scores": scored(run, sequence, mapper, scans)}
+def score_with_fault(fault: str, world: str, seed: int, mapper: str, scans: int) -> dict[str, Any]:
+    """Compute all metrics of a good run with one injected fault: ``scores``."""
+    sequence = load_world(world, seed)
+    poses = perturbation.jitter(find_true_poses(sequence), JITTER_M, np.random.default_rng(seed))
+    run = make_run(sequence, poses)
+    if fault != NO_FAULT:
+        run, sequence = inject_fault(run, sequence, FAULTS[fault])
+    return {"scores": compute_values(run, sequence, mapper, scans)}
 
 
-def tampered(run: RunResult, sequence: Sequence, plant: Plant) -> tuple[RunResult, Sequence]:
-    """The run and the sequence that its scoring meets."""
-    if plant.answers is not None:
-        run = replace(run, steps=plant.answers(run.steps))
-    return run, sequence if plant.frame is None else Tampered(sequence, plant.frame)
+def inject_fault(run: RunResult, sequence: Sequence, fault: Fault) -> tuple[RunResult, Sequence]:
+    """Return the run and the sequence with a fault."""
+    if fault.change_steps is not None:
+        run = replace(run, steps=fault.change_steps(run.steps))
+    return run, sequence if fault.change_frame is None else FaultySequence(sequence, fault.change_frame)
 
 
-def sightings(without: Mapping[str, float | None], planted: Mapping[str, float | None]) -> tuple[Sighting, ...]:
-    """The metrics that got worse, the worst first; runtime and those without a better direction are not asked."""
-    found = []
+def compare_scores(
+    without: Mapping[str, float | None], with_fault: Mapping[str, float | None]
+) -> tuple[Detection, ...]:
+    """Return the metrics that got worse, the worst first.
+
+    Runtime and metrics without a better direction are excluded.
+    """
+    detections = []
     for metric in metrics.METRICS:
-        before, after = without.get(metric.name), planted.get(metric.name)
+        before, after = without.get(metric.name), with_fault.get(metric.name)
         if metric.group != "runtime" and metric.better and before and after is not None:
-            factor = _worse(before, after, metric.better == "higher")
+            factor = _compute_factor(before, after, metric.better == "higher")
             if factor > 1.0:
-                found.append(Sighting(metric, before, after, factor))
-    return tuple(sorted(found, key=lambda sighting: -sighting.factor))
+                detections.append(Detection(metric, before, after, factor))
+    return tuple(sorted(detections, key=lambda one: -one.factor))
 
 
-def _worse(before: float, after: float, higher_is_better: bool) -> float:
-    """By which factor a number got worse; differential entropies may be negative: their difference is exponentiated."""
+def _compute_factor(before: float, after: float, higher_is_better: bool) -> float:
+    """Return the factor by which a value got worse; differences of negative values (entropies) are exponentiated."""
     if before < 0.0 or after < 0.0:
-        return float(np.exp(np.clip(before - after if higher_is_better else after - before, None, np.log(MOST))))
+        return float(np.exp(np.clip(before - after if higher_is_better else after - before, None, np.log(MAX_FACTOR))))
     better, worse = (after, before) if higher_is_better else (before, after)
-    return min(worse / better, MOST) if better > 0.0 else MOST
+    return min(worse / better, MAX_FACTOR) if better > 0.0 else MAX_FACTOR

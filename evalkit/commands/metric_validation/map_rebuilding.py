@@ -1,4 +1,4 @@
-"""Maps of a world made again from given poses, and scored: the jobs behind the trust in metrics."""
+"""Rebuild the map of a world from perturbed poses and compute its metrics: the tasks behind the rank agreement."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from evalkit import metrics
-from evalkit.commands.metric_validation.perturbation import WAYS
+from evalkit.commands.metric_validation.perturbation import PERTURBATIONS
 from evalkit.core import se2
 from evalkit.core.run_result import STEP, RunResult
 from evalkit.core.se2 import Floats
@@ -21,60 +21,75 @@ from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.plugins.protocols import Mapper
 from evalkit.plugins.protocols import Sequence as Recording
 
-SWIFT: dict[str, Value] = {"rate_hz": 5.0, "speed_mps": 0.6}
-"""A drive that takes half as many scans and half the time, where a world has these settings."""
+REDUCED_DRIVE: dict[str, Value] = {"rate_hz": 5.0, "speed_mps": 0.6}
+"""A drive with half as many scans in half the time, for worlds with these parameters."""
 
 CLEAN = "clean"
 
 
-def job(world: str, way: str, sizes: Sequence[float], seed: int, mapper: str, scans: int) -> AnyTask:
-    """The job of one way to spoil one world's trajectory, with the plug-ins it stands on."""
-    plug_ins = (registry.plug_in_of("datasets", world).module, registry.plug_in_of("mappers", mapper).module)
+def make_perturbation_task(
+    world: str, perturbation: str, sizes: Sequence[float], seed: int, mapper: str, scans: int
+) -> AnyTask:
+    """Return the task of one perturbation of one world."""
     return make_task(
-        f"{world} {way}", spoiled, world=world, way=way, sizes=list(sizes), seed=seed, mapper=mapper, scans=scans
-    ).depending_on(*plug_ins)
+        f"{world} {perturbation}",
+        score_perturbed_maps,
+        world=world,
+        perturbation=perturbation,
+        sizes=list(sizes),
+        seed=seed,
+        mapper=mapper,
+        scans=scans,
+    ).depending_on(*find_plugin_modules(world, mapper))
 
 
-def spoiled(world: str, way: str, sizes: list[float], seed: int, mapper: str, scans: int) -> dict[str, Any]:
-    """Every metric of the maps of a world with its true poses spoiled in one way: a row for each size, in their order.
+def find_plugin_modules(world: str, mapper: str) -> tuple[str, str]:
+    """Return the modules of a data set and a mapper, on which the result of a task depends."""
+    return registry.plug_in_of("datasets", world).module, registry.plug_in_of("mappers", mapper).module
 
-    "clean" leaves them as they are, whatever the sizes.
+
+def score_perturbed_maps(
+    world: str, perturbation: str, sizes: list[float], seed: int, mapper: str, scans: int
+) -> dict[str, Any]:
+    """Compute all metrics of the maps of a world with perturbed true poses: ``rows``, one per size.
+
+    "clean" leaves the poses unchanged and yields one row.
     """
-    sequence = recording(world, seed)
-    poses = true_poses(sequence)
+    sequence = load_world(world, seed)
+    poses = find_true_poses(sequence)
     rows = []
-    for number, size in enumerate([0.0] if way == CLEAN else sizes):
-        rng = np.random.default_rng([seed, number, zlib.crc32(way.encode())])
-        estimate = poses if way == CLEAN else WAYS[way].spoil(poses, size, rng)
-        rows.append({"size": size, **scored(run_of(sequence, estimate), sequence, mapper, scans)})
+    for number, size in enumerate([0.0] if perturbation == CLEAN else sizes):
+        rng = np.random.default_rng([seed, number, zlib.crc32(perturbation.encode())])
+        estimate = poses if perturbation == CLEAN else PERTURBATIONS[perturbation].perturb(poses, size, rng)
+        rows.append({"size": size, **compute_values(make_run(sequence, estimate), sequence, mapper, scans)})
     return {"rows": rows}
 
 
-def scored(run: RunResult, sequence: Recording, mapper: str, scans: int) -> dict[str, float | None]:
-    """The values of every own metric; None where it is not meaningful."""
-    evidence = evaluate.add_map(evaluate.collect_evidence(run, sequence), sequence, maker(mapper), scans)
+def compute_values(run: RunResult, sequence: Recording, mapper: str, scans: int) -> dict[str, float | None]:
+    """Compute the values of all metrics of evalkit; None where a metric has no value."""
+    evidence = evaluate.add_map(evaluate.collect_evidence(run, sequence), sequence, make_mapper_factory(mapper), scans)
     return {name: score.value for name, score in metrics.compute_scores(evidence).items()}
 
 
-@cache  # a process is asked for one world again and again, and a simulated one keeps its scans
-def recording(world: str, seed: int) -> Recording:
-    """The sequence of a name, driven swiftly where it can be."""
+@cache  # tasks in one process share the scans of a simulated sequence
+def load_world(world: str, seed: int) -> Recording:
+    """Return the sequence of a data set, with the reduced drive where it has these parameters."""
     spec = registry.dataset(world)
     known = {parameter.name for parameter in spec.parameters}
-    given = {name: value for name, value in {**SWIFT, "seed": seed}.items() if name in known}
-    return spec.make(**resolve_parameters(world, spec.parameters, given))
+    values = {name: value for name, value in {**REDUCED_DRIVE, "seed": seed}.items() if name in known}
+    return spec.make(**resolve_parameters(world, spec.parameters, values))
 
 
-def true_poses(sequence: Recording) -> Floats:
-    """The poses (N, 3) of every scan in the truth; ValueError without a true trajectory."""
+def find_true_poses(sequence: Recording) -> Floats:
+    """Return the true poses (N, 3) of all scans. Raises ValueError without a ground-truth trajectory."""
     truth = sequence.truth().trajectory
     if truth is None:
-        raise ValueError("world: its true trajectory is not known, so nothing can be spoiled")
+        raise ValueError("world: no ground-truth trajectory; choose a data set that has one")
     return truth.at([frame.scan.stamp_ns for frame in sequence.frames()])
 
 
-def run_of(sequence: Recording, world_from_base: Floats) -> RunResult:
-    """A run that answered these poses (N, 3), one a scan, in the frame of the first."""
+def make_run(sequence: Recording, world_from_base: Floats) -> RunResult:
+    """Return a completed run with these poses (N, 3), one per scan, relative to the first pose."""
     steps = np.zeros(len(world_from_base), STEP)
     steps["stamp_ns"] = [frame.scan.stamp_ns for frame in sequence.frames()]
     start_from_base = se2.between(world_from_base[0], world_from_base)
@@ -83,8 +98,8 @@ def run_of(sequence: Recording, world_from_base: Floats) -> RunResult:
     return RunResult(steps, len(steps))
 
 
-def maker(mapper: str, settings: Mapping[str, Value] | None = None) -> Callable[[], Mapper]:
-    """What makes a fresh mapper of a name."""
+def make_mapper_factory(mapper: str, settings: Mapping[str, Value] | None = None) -> Callable[[], Mapper]:
+    """Return a function that makes a new mapper of this name."""
     spec = registry.mapper(mapper)
     values = resolve_parameters(mapper, spec.parameters, settings or {})
     return lambda: spec.make(**values)

@@ -1,4 +1,4 @@
-"""The page of ``make metric-validation``: how metrics follow the true error, and where planted mistakes show."""
+"""The page of a validation of the metrics: rank agreement with the true error, and detection of injected faults."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.commands.metric_validation.fault_injection import CAUGHT, GOOD_M, MOST
-from evalkit.commands.metric_validation.measured import PILOT
+from evalkit.commands.metric_validation.fault_injection import JITTER_M, MAX_FACTOR, MIN_FACTOR
+from evalkit.commands.metric_validation.rank_agreement import MapScores
+from evalkit.commands.metric_validation.validation import PILOT
 from evalkit.metrics import METRICS
 from evalkit.metrics.table import Metric
 from evalkit.report.html import charts
@@ -16,139 +17,146 @@ from evalkit.report.html.blocks import Bullets, Cell, Column, Command, Document,
 from evalkit.report.html.charts import Axis, Points
 from evalkit.report.html.palette import HUES
 
-KNOWN = {metric.name: metric for metric in METRICS}
-SHOWN = 5
-"""Metrics told for each planted mistake."""
+BY_NAME = {metric.name: metric for metric in METRICS}
 
 GOOD, BAD = 0.8, 0.3
-"""Correlations above and below these are coloured: a metric to rely on, and one that says little."""
+"""Correlations from GOOD on, and below BAD, are coloured."""
 
 
-def document(content: Mapping[str, Any]) -> Document:
-    """The whole page, of the JSON form."""
+def build_document(content: Mapping[str, Any], maps: Sequence[MapScores]) -> Document:
+    """Return the page of a summary and of the scores of all maps."""
     facts = (
-        ("Maps", str(len(content["rows"]))),
+        ("Maps", str(content["map_count"])),
         ("Worlds", ", ".join(content["worlds"])),
         ("Mapper", f"{content['mapper']}, {content['scans']} scans"),
-        ("Made", content["made"]),
+        ("Created", content["created"]),
     )
     lead = (
-        "A map can be judged without a truth, but does the verdict follow the true error? Known trajectories are "
-        "spoiled in known ways, their maps drawn again, and every metric is held against the true error."
+        "Some metrics judge a map without ground truth. This page shows how well they follow the true error: known "
+        "trajectories are perturbed in known ways, their maps are rebuilt, and each metric is correlated with the true "
+        "error."
     )
-    sections = (_trust(content), _scatter(content), _planted(content), _how(content))
-    return Document("Validation of the metrics", "Numbers a person trusts", lead, sections, facts)
+    sections = (_agreement(content), _scatter(content, maps), _faults(content), _method(content))
+    return Document("Validation of the metrics", "Rank agreement and fault detection", lead, sections, facts)
 
 
-def _trust(content: Mapping[str, Any]) -> Section:
-    ways = list(content["ways"])
+def _agreement(content: Mapping[str, Any]) -> Section:
+    perturbations = list(content["perturbations"])
     columns = [
-        Column("Metric"), Column("All ways", "Spearman", number=True), Column("95 %", number=True),
-        *(Column(way, number=True, tip=content["ways"][way]["what"]) for way in ways),
-        *(Column(world, "all ways", number=True) for world in content["worlds"]),
-        Column("Pilot", number=True, tip="an earlier measurement by other code: one office, 64 trajectories"),
+        Column("Metric"), Column("All perturbations", "Spearman", number=True), Column("95 %", number=True),
+        *(Column(name, number=True, tip=content["perturbations"][name]["what"]) for name in perturbations),
+        *(Column(world, "all perturbations", number=True) for world in content["worlds"]),
+        Column("Pilot", number=True, tip="an earlier measurement with other code: one office, 64 trajectories"),
     ]  # fmt: skip
-    rows = [_line(row, ways) for row in content["trust"]]
-    told = [row for row in content["trust"] if row["overall"] is not None]
+    rows = [_agreement_row(row, perturbations) for row in content["agreement"]]
+    known = [row for row in content["agreement"] if row["overall"] is not None]
     chart = charts.bars(
-        [KNOWN[row["metric"]].label for row in told], _column(told, "value"),
+        [BY_NAME[row["metric"]].label for row in known], _overall(known, "value"),
         Axis("Spearman correlation with the true error", low=-1.0, high=1.0),
-        _column(told, "low"), _column(told, "high"),
+        _overall(known, "low"), _overall(known, "high"),
     )  # fmt: skip
     note = (
-        "1: maps are ranked exactly as their aligned trajectory error ranks them; 0: no relation; below 0: the wrong "
-        "way round. Where higher is better the sign is changed; where neither is, a larger value counts as worse. The "
-        "mean over worlds of the correlation within each: maps of different worlds cannot be compared. Intervals: "
-        "1,000 bootstrap draws of maps within their worlds; a way alone has few maps."
+        "1: the metric orders maps exactly as their aligned trajectory error; 0: no relation; below 0: reverse order. "
+        "If higher is better, the sign is changed; if neither direction is better, a larger value counts as worse. The "
+        "correlation is computed within each world and averaged, because maps of different worlds are not comparable. "
+        "Intervals: 1,000 bootstrap draws of maps within their worlds; a single perturbation has few maps."
     )
-    figure = Figure(chart, "Spearman correlation, all ways", "Lines: 95 % intervals.")
-    return Section("Do they follow the true error?", (Table(columns, rows), Text(note, "note"), figure), "trust")
+    figure = Figure(chart, "Spearman correlation, all perturbations", "Lines: 95 % intervals.")
+    return Section(
+        "Rank agreement with the true error", (Table(columns, rows), Text(note, "note"), figure), "agreement"
+    )
 
 
-def _line(row: Mapping[str, Any], ways: Sequence[str]) -> list[Cell | str]:
+def _agreement_row(row: Mapping[str, Any], perturbations: Sequence[str]) -> list[Cell | str]:
     overall, pilot = row["overall"], PILOT.get(row["metric"])
-    extent = "-" if overall is None else f"{overall['low']:.2f} to {overall['high']:.2f}"
+    bounds = "-" if overall is None else f"{overall['low']:.2f} to {overall['high']:.2f}"
     return [
-        Cell(KNOWN[row["metric"]].label, tip=row["metric"]),
+        Cell(BY_NAME[row["metric"]].label, tip=row["metric"]),
         _correlation(overall),
-        Cell(extent, sort=-2.0 if overall is None else overall["low"]),
-        *(_correlation(row["by_way"][way]) for way in ways),
+        Cell(bounds, sort=-2.0 if overall is None else overall["low"]),
+        *(_correlation(row["by_perturbation"][name]) for name in perturbations),
         *(_correlation(one) for one in row["by_world"].values()),
         Cell("-", sort=-2.0) if pilot is None else Cell(f"{pilot:.2f}", sort=pilot),
     ]
 
 
-def _correlation(found: Mapping[str, float] | None) -> Cell:
-    if found is None:
-        return Cell("-", sort=-2.0, tip="never two different values")
-    value = found["value"]
-    tip = f"95 %: {found['low']:.2f} to {found['high']:.2f}, {found['support']} maps"
+def _correlation(interval: Mapping[str, float] | None) -> Cell:
+    if interval is None:
+        return Cell("-", sort=-2.0, tip="undefined: constant values")
+    value = interval["value"]
+    tip = f"95 %: {interval['low']:.2f} to {interval['high']:.2f}, {interval['support']} maps"
     return Cell(f"{value:.2f}", sort=value, tone="good" if value >= GOOD else "bad" if value < BAD else "", tip=tip)
 
 
-def _column(rows: Sequence[Mapping[str, Any]], name: str) -> Any:
+def _overall(rows: Sequence[Mapping[str, Any]], name: str) -> Any:
     return np.array([row["overall"][name] for row in rows])
 
 
-def _scatter(content: Mapping[str, Any]) -> Section:
+def _scatter(content: Mapping[str, Any], maps: Sequence[MapScores]) -> Section:
     world = content["worlds"][0]
-    figures = [_cloud(content, world, KNOWN[row["metric"]]) for row in content["trust"] if row["overall"] is not None]
-    told = f"Every map of the world '{world}': true error against the metric, one colour a way to go wrong."
-    return Section("Map by map", (Text(told), Figures(figures, small=True)), "maps")
+    own = [row for row in maps if row.world == world]
+    known = [BY_NAME[row["metric"]] for row in content["agreement"] if row["overall"] is not None]
+    figures = [_scatter_figure(own, list(content["perturbations"]), metric) for metric in known]
+    text = f"Every map of the world '{world}': true error against the metric, one colour per perturbation."
+    return Section("Map by map", (Text(text), Figures(figures, small=True)), "maps")
 
 
-def _cloud(content: Mapping[str, Any], world: str, metric: Metric) -> Figure:
+def _scatter_figure(maps: Sequence[MapScores], perturbations: Sequence[str], metric: Metric) -> Figure:
     layers = []
-    for hue, way in zip(HUES, content["ways"], strict=False):
+    for hue, name in zip(HUES, perturbations, strict=False):
         points = [
-            (row["error_m"], row["scores"][metric.name])
-            for row in content["rows"]
-            if row["world"] == world and row["way"] == way and row["scores"][metric.name] is not None
+            (row.error_m, row.scores[metric.name])
+            for row in maps
+            if row.perturbation == name and row.scores[metric.name] is not None
         ]
-        layers.append(Points(way, np.array(points).reshape(-1, 2), hue, 5.0))
+        layers.append(Points(name, np.array(points).reshape(-1, 2), hue, 5.0))
     unit = f" [{metric.unit}]" if metric.unit else ""
     drawing = charts.scatter(layers, Axis("true error (ATE) [m]", "log"), Axis(metric.label + unit), equal=False)
     return Figure(drawing, metric.label)
 
 
-def _planted(content: Mapping[str, Any]) -> Section:
+def _faults(content: Mapping[str, Any]) -> Section:
     rows = [
         [
-            row["plant"], row["what"],
-            Cell("yes" if row["caught"] else "no", tone="good" if row["caught"] else "bad"),
-            str(len(row["seen"])), _sightings(row["seen"]),
+            row["fault"], row["what"],
+            Cell("yes" if row["metric_count"] else "no", tone="good" if row["metric_count"] else "bad"),
+            str(row["metric_count"]), format_detections(row["strongest"]),
         ]
-        for row in content["planted"]
+        for row in content["faults"]
     ]  # fmt: skip
-    told = (
-        f"A good run (true poses with {100 * GOOD_M:g} cm of jitter) over '{content['plants_in']}' is scored with one "
-        "mistake planted between the sequence and its scores. A mistake is caught where a metric gets at least "
-        f"{CAUGHT:g} times as bad."
+    text = (
+        f"A good run (true poses with {100 * JITTER_M:g} cm of jitter) over '{content['fault_world']}' is scored with "
+        "one fault injected between the sequence and its scores. A fault is detected if a metric gets at least "
+        f"{MIN_FACTOR:g} times worse."
     )
     columns: list[Column | str] = [
-        "Mistake", "What it is", "Caught", Column("Metrics", number=True), "Plainest, times as bad",
+        "Fault", "What it is", "Detected", Column("Metrics", number=True), "Largest factors",
     ]  # fmt: skip
-    return Section("Would a mistake of the harness show?", (Text(told), Table(columns, rows)), "planted")
+    return Section("Detection of injected faults", (Text(text), Table(columns, rows)), "faults")
 
 
-def _sightings(seen: Sequence[Mapping[str, Any]]) -> str:
-    return "; ".join(f"{KNOWN[each['metric']].label} {times(each['factor'])}" for each in seen[:SHOWN]) or "nothing"
+def format_detections(strongest: Sequence[Mapping[str, Any]]) -> str:
+    """Return the metrics that detect a fault, with their factors."""
+    return "; ".join(f"{BY_NAME[one['metric']].label} {format_factor(one['factor'])}" for one in strongest) or "nothing"
 
 
-def times(factor: float) -> str:
-    """A factor for a table: three digits, and no more than can be told."""
-    return f"over {MOST:,.0f}" if factor >= MOST else f"{factor:.0f}" if factor >= 100.0 else f"{factor:.3g}"
+def format_factor(factor: float) -> str:
+    """Return a factor with three digits, limited to the largest factor."""
+    if factor >= MAX_FACTOR:
+        return f"over {MAX_FACTOR:,.0f}"
+    return f"{factor:.0f}" if factor >= 100.0 else f"{factor:.3g}"
 
 
-def _how(content: Mapping[str, Any]) -> Section:
-    ways = [
-        (name, way["what"], ", ".join(f"{size:g}" for size in way["sizes"]), way["unit"])
-        for name, way in content["ways"].items()
+def _method(content: Mapping[str, Any]) -> Section:
+    perturbations = [
+        (name, one["what"], ", ".join(f"{size:g}" for size in one["sizes"]), one["unit"])
+        for name, one in content["perturbations"].items()
     ]
     items = (
-        "True poses are spoiled, maps and their halves drawn by the mapper as in any report, aligned to the truth.",
+        "True poses are perturbed; maps and maps of both halves are built by the mapper as in any report, aligned to "
+        "the ground truth.",
         "The true error is the root mean square of the position errors after alignment (ATE).",
         "Versions: " + ", ".join(f"{name} {version}" for name, version in content["versions"].items()) + ".",
     )
-    table = Table(["Way to go wrong", "What it does", "Sizes", "Unit"], ways, sortable=False)
-    return Section("How", (Bullets(items), table, Command(content["command"])), "how")
+    table = Table(["Perturbation", "What it does", "Sizes", "Unit"], perturbations, sortable=False)
+    return Section("Method", (Bullets(items), table, Command(content["command"])), "method")

@@ -6,7 +6,7 @@ import re
 from collections import defaultdict
 from collections.abc import Sequence
 
-from evalkit.metrics.validated import shipped
+from evalkit.metrics.validated import load_validation
 from evalkit.report.analysis.map_agreement import decided_by_maps
 from evalkit.report.analysis.ranking import Ranking
 from evalkit.report.analysis.scores import MAX_GUESSED, guessed_percent
@@ -30,7 +30,7 @@ def warn_of_evidence(ranking: Ranking) -> list[str]:
         warnings.append(
             f"Without ground truth, {ranking.metric.label} compares maps only and does not detect {limitations}."
         )
-        validated = shipped().of(ranking.metric.name)
+        validated = load_validation().agreement_of(ranking.metric.name)
         if validated is not None and validated.overall is not None:
             correlation = validated.overall
             warnings.append(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from evalkit.core.grid import OccupancyGrid
 from evalkit.metrics.table import Metric
-from evalkit.metrics.validated import shipped
+from evalkit.metrics.validated import load_validation
 from evalkit.report.analysis.analysis import Analysis
 from evalkit.report.analysis.comparison import Comparison, SequenceCard
 from evalkit.report.analysis.ranking import PairwiseTable
@@ -79,7 +79,7 @@ def render_report(analysis: Analysis) -> str:
         glance=view_models.build_glance(analysis),
         evidence=analysis.significance,
         metrics=_by_group(comparison.metrics),
-        trust=shipped(),
+        validation=load_validation(),
         strokes=lines,
         places={label: place for place, label in enumerate(comparison.methods, start=1)},
         status=STATUS_LABELS,

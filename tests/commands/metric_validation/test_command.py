@@ -9,11 +9,10 @@ from typer.testing import CliRunner
 
 from evalkit import metrics
 from evalkit.commands.metric_validation import command as commands
-from evalkit.commands.metric_validation import map_rebuilding
-from evalkit.commands.metric_validation import measured as trust
-from evalkit.commands.metric_validation.command import app
-from evalkit.commands.metric_validation.fault_injection import NO_MISTAKE, PLANTS
-from evalkit.commands.metric_validation.rank_agreement import reference_free
+from evalkit.commands.metric_validation import map_rebuilding, validation
+from evalkit.commands.metric_validation.command import app, format_json
+from evalkit.commands.metric_validation.fault_injection import FAULTS, NO_FAULT
+from evalkit.commands.metric_validation.rank_agreement import reference_free_metrics
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, Cause, RunResult
@@ -24,20 +23,20 @@ from evalkit.metrics.trajectory import match_trajectories
 from evalkit.report.html.blocks import render
 
 
-def told(*words):
+def run_app(*words):
     result = CliRunner().invoke(app, [*words], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     return result.output
 
 
-def test_every_own_metric_says_what_it_stands_on():
+def test_every_metric_states_its_support_and_its_reasons():
     for metric in metrics.METRICS:
         assert metric.support, metric.name
         assert metric.no_value, metric.name
 
 
-def poor():
-    """Evidence that lacks this or that."""
+def poor_evidence():
+    """Return evidence with different missing parts."""
     steps = np.zeros(3, STEP)
     steps["stamp_ns"] = np.arange(3) * 10**9
     steps["x"] = [0.0, 0.1, 0.2]
@@ -51,8 +50,8 @@ def poor():
                 yield Evidence(run, truth, matched, grid, first_half=grid, second_half=grid)
 
 
-def test_a_reason_that_a_metric_gives_stands_on_its_card():
-    for evidence in poor():
+def test_every_reason_of_a_metric_is_on_its_card():
+    for evidence in poor_evidence():
         for metric, score in zip(metrics.METRICS, metrics.compute_scores(evidence).values(), strict=True):
             if score.value is None:
                 patterns = [reason.replace("...", "*") for reason in metric.no_value]
@@ -64,59 +63,63 @@ def values(error):
     return {m.name: 1.0 / (1.0 + error) if m.better == "higher" else 1.0 + error for m in metrics.METRICS}
 
 
-def answer(job):
-    """What a job would give in a world where every metric follows the error."""
-    if job.function.__name__ == "planted":
-        return {"scores": values(0.0 if job.arguments["plant"] == NO_MISTAKE else 9.0)}
-    sizes = job.arguments["sizes"] or [0.0]
+def make_result(task):
+    """The result of a task in a world where every metric follows the error."""
+    if task.function.__name__ == "score_with_fault":
+        return {"scores": values(0.0 if task.arguments["fault"] == NO_FAULT else 9.0)}
+    sizes = task.arguments["sizes"] or [0.0]
     return {"rows": [{"size": size, **values(size), "ate_rmse_m": size} for size in sizes]}
 
 
-def test_a_page_tells_ranks_and_mistakes_of_any_result():
+def test_the_page_shows_rank_agreement_and_faults():
     from evalkit.commands.metric_validation import page as metrics_page
 
-    asked = trust.Asked(("lab", "room"), 3)
-    results = {job.name: answer(job) for job in trust.jobs(asked)}
-    made = {"command": "evalkit metrics validate", "made": "2026-01-01", "versions": {"numpy": "2"}}
-    content = trust.record(asked, results, made)
-    assert [row["overall"]["value"] for row in content["trust"]] == [1.0] * len(reference_free())
-    assert [row["plant"] for row in content["planted"]] == list(PLANTS)
-    assert all(row["caught"] and row["seen"][0]["factor"] == pytest.approx(10.0) for row in content["planted"])
-    page = render(metrics_page.document(content))
-    assert page.count('<td class="number good"') >= len(reference_free()) or "1.00" in page
+    plan = validation.ValidationPlan(("lab", "room"), "log-odds", "lab", 3)
+    results = {task.name: make_result(task) for task in validation.make_tasks(plan)}
+    provenance = {"command": "python -m ...", "created": "2026-01-01", "versions": {"numpy": "2"}}
+    content = validation.summarize(plan, results, provenance)
+    assert [row["overall"]["value"] for row in content["agreement"]] == [1.0] * len(reference_free_metrics())
+    assert [row["fault"] for row in content["faults"]] == list(FAULTS)
+    assert all(row["metric_count"] for row in content["faults"])
+    assert all(row["strongest"][0]["factor"] == pytest.approx(10.0) for row in content["faults"])
+    maps = validation.collect_maps(plan, results)
+    assert content["map_count"] == len(maps)
+    assert json.loads(format_json(content)) == json.loads(json.dumps(content))
+    page = render(metrics_page.build_document(content, maps))
+    assert page.count('<td class="number good"') >= len(reference_free_metrics()) or "1.00" in page
     assert "axes swapped" in page
-    lines = trust.as_csv(trust.rows(asked, results)).splitlines()
+    lines = validation.format_csv(maps).splitlines()
     assert len(lines) == 1 + 2 * (1 + 3 * 6)
-    assert lines[0].startswith("world,way,size,ate_rmse_m,")
+    assert lines[0].startswith("world,perturbation,size,ate_rmse_m,")
 
 
 def test_sizes_reach_from_the_smallest_to_the_largest():
-    assert trust.sizes("jump", 2) == (0.05, 0.8)
-    assert trust.sizes("jump", 5) == (0.05, 0.1, 0.2, 0.4, 0.8)
+    assert validation.choose_sizes("jump", 2) == (0.05, 0.8)
+    assert validation.choose_sizes("jump", 5) == (0.05, 0.1, 0.2, 0.4, 0.8)
 
 
 def test_a_clean_run_of_given_poses_has_no_error():
-    sequence = map_rebuilding.recording("room", 0)
-    run = map_rebuilding.run_of(sequence, map_rebuilding.true_poses(sequence))
+    sequence = map_rebuilding.load_world("room", 0)
+    run = map_rebuilding.make_run(sequence, map_rebuilding.find_true_poses(sequence))
     evidence = evaluate.collect_evidence(run, sequence)
     assert metrics.compute_scores(evidence)["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_self_test_fails_where_a_mistake_does_not_show(monkeypatch):
-    monkeypatch.setattr(commands, "_made", lambda jobs, *_: {job.name: answer(job) for job in jobs})
-    assert [row["caught"] for row in json.loads(told("selftest", "--json"))] == [True] * len(PLANTS)
+def test_the_self_test_fails_if_a_fault_is_not_detected(monkeypatch):
+    monkeypatch.setattr(commands, "_run_tasks", lambda tasks, *_: {task.name: make_result(task) for task in tasks})
+    assert [row["metric_count"] > 0 for row in json.loads(run_app("selftest", "--json"))] == [True] * len(FAULTS)
     blind = {"scores": values(0.0)}
-    monkeypatch.setattr(commands, "_made", lambda jobs, *_: {job.name: blind for job in jobs})
+    monkeypatch.setattr(commands, "_run_tasks", lambda tasks, *_: {task.name: blind for task in tasks})
     result = CliRunner().invoke(app, ["selftest"], catch_exceptions=False)
     assert result.exit_code == 1
     assert "nothing" in result.output
 
 
 def test_a_quick_validation_writes_table_page_and_values(monkeypatch, tmp_path):
-    monkeypatch.setattr(commands, "_made", lambda jobs, *_: {job.name: answer(job) for job in jobs})
-    output = told("validate", "--quick", "-o", str(tmp_path))
+    monkeypatch.setattr(commands, "_run_tasks", lambda tasks, *_: {task.name: make_result(task) for task in tasks})
+    output = run_app("validate", "--quick", "--world", "lab", "-o", str(tmp_path))
     assert "split_distance_m" in output
     content = json.loads((tmp_path / "validated.json").read_text(encoding="utf-8"))
     assert (content["worlds"], content["scans"]) == (["lab"], 40)
-    assert (tmp_path / "validated.csv").is_file()
+    assert (tmp_path / "maps.csv").is_file()
     assert (tmp_path / "index.html").is_file()

@@ -1,64 +1,67 @@
-"""How a metric ranks maps: against SciPy's Spearman, by hand, and in the right direction."""
+"""Rank agreement against SciPy's Spearman correlation and known orders."""
 
 import numpy as np
 import pytest
 from scipy import stats
 
-from evalkit.commands.metric_validation.rank_agreement import Row, ranks, reference_free, spearman
+from evalkit.commands.metric_validation.rank_agreement import MapScores, compute_agreement, reference_free_metrics
+from evalkit.stats.correlation import spearman_correlation
 
-NAMES = [metric.name for metric in reference_free()]
+NAMES = [metric.name for metric in reference_free_metrics()]
 
 
-def rows(world, errors, score, way="drift"):
-    """Maps with these errors, every metric a function of the error."""
-    return [Row(world, way, 1.0, error, {name: score(name, error) for name in NAMES}) for error in errors]
+def rows(world, errors, score, perturbation="drift"):
+    """Return maps with these errors and every metric as a function of the error."""
+    return [
+        MapScores(world, perturbation, 1.0, error, {name: score(name, error) for name in NAMES}) for error in errors
+    ]
 
 
 def found(*groups):
     everything = [row for group in groups for row in group]
-    return {rank.metric: rank for rank in ranks(everything, np.random.default_rng(0))}
+    return {one.metric: one for one in compute_agreement(everything, np.random.default_rng(0))}
 
 
-def test_the_correlation_is_scipys_ties_included():
+def test_the_correlation_equals_scipys_including_ties():
     rng = np.random.default_rng(1)
     a, b = rng.integers(0, 5, (7, 30)), rng.normal(size=(7, 30))
     expected = [stats.spearmanr(x, y).statistic for x, y in zip(a, b, strict=True)]
-    assert spearman(a.astype(float), b) == pytest.approx(expected)
-    assert np.isnan(spearman(np.ones(5), np.arange(5.0)))
+    assert spearman_correlation(a.astype(float), b) == pytest.approx(expected)
+    assert np.isnan(spearman_correlation(np.ones(5), np.arange(5.0)))
 
 
-def test_a_metric_that_follows_has_one_and_higher_is_better_is_turned_round():
-    told = found(
+def test_perfect_agreement_is_one_and_the_sign_changes_if_higher_is_better():
+    agreement = found(
         rows("lab", np.arange(1.0, 9.0), lambda name, error: -error if name == "wall_share_percent" else error)
     )
-    assert [rank.overall.value for rank in told.values()] == pytest.approx([1.0] * len(NAMES))
-    assert told["wall_share_percent"].flipped
-    assert told["map_entropy"].overall.low > 0.5
+    assert [one.overall.value for one in agreement.values()] == pytest.approx([1.0] * len(NAMES))
+    assert next(m for m in reference_free_metrics() if m.name == "wall_share_percent").better == "higher"
+    assert agreement["map_entropy"].overall.low > 0.5
 
 
-def test_worlds_are_never_compared_with_one_another():
-    # in each world the metric follows; thrown together it would run the wrong way round
+def test_correlations_are_computed_within_worlds():
+    # in each world the order agrees; over both worlds together it would be reversed
     small = rows("lab", np.arange(1.0, 7.0), lambda _, error: 100.0 + error)
     large = rows("office", np.arange(11.0, 17.0), lambda _, error: error)
-    rank = found(small, large)["corners"]
-    assert rank.overall.value == pytest.approx(1.0)
-    assert rank.overall.support == 12
-    assert [one.value for one in rank.by_world.values()] == pytest.approx([1.0, 1.0])
-    assert list(rank.by_world) == ["lab", "office"]
+    one = found(small, large)["corners"]
+    assert one.overall.value == pytest.approx(1.0)
+    assert one.overall.support == 12
+    assert [one.value for one in one.by_world.values()] == pytest.approx([1.0, 1.0])
+    assert list(one.by_world) == ["lab", "office"]
 
 
-def test_the_wrong_way_round_in_one_way_of_two_is_told_way_by_way():
+def test_reverse_order_in_one_of_two_perturbations_is_reported_separately():
     clean = rows("lab", [0.0], lambda *_: 0.0, "clean")
     good = rows("lab", np.arange(1.0, 6.0), lambda _, error: error, "drift")
     bad = rows("lab", np.arange(1.0, 6.0), lambda _, error: -error, "scale")
-    rank = found(clean, good, bad)["corners"]
-    assert rank.by_way["drift"].value == pytest.approx(1.0)
-    assert rank.by_way["scale"].value == pytest.approx(-1.0)
-    assert -0.5 < rank.overall.value < 0.5
+    one = found(clean, good, bad)["corners"]
+    assert one.by_perturbation["drift"].value == pytest.approx(1.0)
+    assert one.by_perturbation["scale"].value == pytest.approx(-1.0)
+    assert -0.5 < one.overall.value < 0.5
 
 
-def test_a_metric_without_values_or_without_differences_has_no_correlation():
-    told = found(rows("lab", np.arange(6.0), lambda name, _: None if name == "corners" else 7.0))
-    assert told["corners"].overall is None
-    assert told["map_entropy"].overall is None
-    assert list(told)[-1] in NAMES
+def test_missing_or_constant_values_have_no_correlation():
+    agreement = found(rows("lab", np.arange(6.0), lambda name, _: None if name == "corners" else 7.0))
+    assert agreement["corners"].overall is None
+    assert agreement["map_entropy"].overall is None
+    assert list(agreement)[-1] in NAMES
