@@ -92,9 +92,9 @@ def _written(outcome: StudyResult, folder: Path, ran_on: dict[str, str]) -> Path
     from evalkit.report.html.blocks import render  # noqa: PLC0415 - loads matplotlib
 
     texts = {
-        "points.csv": results_json.format_csv(results_json.runs(outcome)),
-        "effects.csv": results_json.format_csv(results_json.effects(outcome)),
-        "study.json": json.dumps(results_json.record(outcome), indent=1) + "\n",
+        "points.csv": results_json.format_csv(results_json.run_rows(outcome)),
+        "effects.csv": results_json.format_csv(results_json.effect_rows(outcome)),
+        "study.json": json.dumps(results_json.study_as_json(outcome), indent=1) + "\n",
         "index.html": render(page.document(outcome, ran_on)),
     }
     write_texts(folder, texts)

@@ -17,7 +17,7 @@ from evalkit.stats.intervals import Interval
 Row = dict[str, Any]
 
 
-def runs(outcome: StudyResult) -> list[Row]:
+def run_rows(outcome: StudyResult) -> list[Row]:
     """A row for every run of every design: levels, scores, and why it is lost, or ""."""
     study = outcome.study
     names = [factor.name for factor in study.factors]
@@ -33,7 +33,7 @@ def runs(outcome: StudyResult) -> list[Row]:
     return rows
 
 
-def effects(outcome: StudyResult) -> list[Row]:
+def effect_rows(outcome: StudyResult) -> list[Row]:
     """A row for every level's distance from the mean, and for every interaction's largest corner; natural logarithms.
 
     ``scale`` "log": exp(value) is a ratio.
@@ -63,7 +63,7 @@ def iterate_fits(outcome: StudyResult) -> Iterable[tuple[Design, Response, Model
                 yield design, response, fit
 
 
-def record(outcome: StudyResult) -> Row:
+def study_as_json(outcome: StudyResult) -> Row:
     """The whole study as JSON values."""
     study = outcome.study
     return {
@@ -72,8 +72,8 @@ def record(outcome: StudyResult) -> Row:
         "command": study.command,
         "backend": study.backend,
         "dataset": study.dataset,
-        "runs": runs(outcome),
-        "effects": effects(outcome),
+        "runs": run_rows(outcome),
+        "effects": effect_rows(outcome),
         "envelopes": [
             {
                 **dict(panel.others),

@@ -1,4 +1,4 @@
-"""``evalkit tune``: every back end gets the same search on training worlds, and is judged on others."""
+"""``evalkit tune``: search parameters with equal budgets on training worlds, and compare on held-out sequences."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def tune(
     workers = jobs or environment.physical_cores()
     ran_on = environment.describe(jobs=workers)
     started = datetime.now(UTC)
-    found = _searched(tuning, folder, workers, collect)
+    found = _run_search(tuning, folder, workers, collect)
     file = folder / "tuned.toml"
     plan = make_held_out_experiment(tuning, found, shlex.quote(str(file)))
     write_texts(folder, {file.name: f"# Written by: {tuning.command}\n{format_experiment(plan)}"})
@@ -81,15 +81,15 @@ def _tuning(what: list[str], on: list[str], held_out: list[str], budget: int | N
         return config.read(Path(what[0]), name, f"evalkit tune {shlex.quote(what[0])}")
     if not on:
         raise typer.BadParameter(f"give a tuning file (*{FILE}), or back ends and --on DATASET to train on")
-    options_said = [("--on", name) for name in on] + [("--held-out", name) for name in held_out]
-    options_said += [("--budget", str(budget or BUDGET)), *(("--set", item) for item in setting)]
-    command = shlex.join(["evalkit", "tune", *what, *(word for pair in options_said for word in pair)])
+    option_words = [("--on", name) for name in on] + [("--held-out", name) for name in held_out]
+    option_words += [("--budget", str(budget or BUDGET)), *(("--set", item) for item in setting)]
+    command = shlex.join(["evalkit", "tune", *what, *(word for pair in option_words for word in pair)])
     content = config.tuning_tables(what, on, held_out, budget or BUDGET, options.settings(setting))
     return config.tuning(content, "evalkit tune", f"tune-{'-'.join(on)}", command)
 
 
-def _searched(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tuple[SearchResult, ...]:
-    """What the search found; exit code 3 where it may make nothing and something is missing."""
+def _run_search(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tuple[SearchResult, ...]:
+    """The results of the search; exit code 3 if ``collect`` and a result is missing."""
     from evalkit.commands.tune import search_loop  # noqa: PLC0415 - loads scipy.stats
 
     for tunable in tuning.methods:
@@ -99,9 +99,11 @@ def _searched(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tupl
     if collect:
         try:
             return search_loop.run_search(tuning, search_loop.load_stored(results))
-        except search_loop.ResultsMissing as unmade:
-            told = f"the search is not done: {unmade.missing} runs of the next points are missing; the same command"
-            out.print(f"{told} without --collect goes on", markup=False, highlight=False)
+        except search_loop.ResultsMissing as error:
+            what = (
+                f"the search is not finished: {error.missing} runs of the next points are missing; repeat the command"
+            )
+            out.print(f"{what} without --collect to continue", markup=False, highlight=False)
             raise typer.Exit(3) from None
     with (
         progress.say_what_is_kept(err, "finished runs"),
@@ -113,7 +115,7 @@ def _searched(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tupl
 def _run_held_out(
     plan: Experiment, store: Store, workers: int, ran_on: dict[str, str], collect: bool
 ) -> tuple[RunRecord, ...]:
-    """Default and tuned rows on the held-out sequences, each run in a process of its own; what is done is kept."""
+    """Runs default and tuned methods on the held-out sequences; stored runs are not repeated."""
     from evalkit.execution.executors import LocalExecutor  # noqa: PLC0415 - with the search's modules
     from evalkit.execution.scheduler import Scheduler  # noqa: PLC0415 - as above
 
@@ -125,12 +127,12 @@ def _run_held_out(
 
 
 def _end(result: TuningResult, folder: Path, as_json: bool) -> None:
-    """Writes and prints what was found; exit code 1 if a method failed wholly, 3 if a run is not made yet."""
+    """Writes page and JSON, prints the verdicts; exit code 1 if a method completed no run, 3 if runs are missing."""
     from evalkit.commands.tune import page as pages  # noqa: PLC0415 - loads matplotlib
-    from evalkit.commands.tune.results_json import record  # noqa: PLC0415 - as above
+    from evalkit.commands.tune.results_json import tuning_as_json  # noqa: PLC0415 - as above
     from evalkit.report.html.blocks import render  # noqa: PLC0415 - as above
 
-    content = record(result)
+    content = tuning_as_json(result)
     write_texts(folder, {
         "tuned.json": json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
         "index.html": render(pages.document(result)),
@@ -143,7 +145,7 @@ def _end(result: TuningResult, folder: Path, as_json: bool) -> None:
         for one in result.searched:
             out.print(result.sentence(one), markup=False, highlight=False)
         if skipped:
-            out.print(f"{skipped} held-out runs not made yet", markup=False, highlight=False)
+            out.print(f"{skipped} held-out runs are missing", markup=False, highlight=False)
         for text in (result.report, str(page.resolve())):
             out.print(text, markup=False, highlight=False)
     if result.failed:

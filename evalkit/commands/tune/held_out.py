@@ -75,10 +75,10 @@ def _verdict(duel: PairedComparison | None, lost: tuple[int, int], worse: Sequen
         return "overfitted: worse than the default on held-out runs"
     where = f"; overfitted on {', '.join(worse)}, where it is worse than the default" if worse else ""
     if duel is None:
-        return f"nothing to compare over all runs: none has a truth and a geometry that fixes the pose{where}"
+        return f"not comparable over all runs: none has a ground truth and a geometry that determines the pose{where}"
     if duel.verdict == "better":
         return f"better on held-out runs too{where}"
-    alone = f", but shown to be better on {', '.join(better)}" if better else ""
+    alone = f", but significantly better on {', '.join(better)}" if better else ""
     return f"{duel.verdict} over all held-out runs{alone}{where}"
 
 

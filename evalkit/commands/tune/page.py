@@ -1,4 +1,4 @@
-"""The page of a tuning: what was gained, whether it holds, what accuracy costs, and what was spent on each."""
+"""The page of a tuning: gains, held-out comparison, error against CPU time, budgets, spaces and points."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from evalkit.commands.tune import charts
 from evalkit.commands.tune.plan import TUNED
 from evalkit.commands.tune.result import TuningResult
-from evalkit.commands.tune.rows import held_blocks, number
+from evalkit.commands.tune.rows import format_number, held_blocks
 from evalkit.commands.tune.search_loop import SearchResult
 from evalkit.commands.tune.space import is_continuous
 from evalkit.report.html.blocks import (
@@ -36,7 +36,7 @@ def document(result: TuningResult) -> Document:
     facts = (
         ("Budget", f"{tuning.points} points for every back end, the default among them"),
         ("A point", f"{len(tuning.search_runs)} training runs"),
-        ("Made small", f"geometric mean of {lost.metric.label}; lost runs first"),
+        ("Objective", f"geometric mean of {lost.metric.label}; lost runs first"),
         ("CPU time", f"{sum(one.cpu_s for one in result.searches) / 60.0:.1f} min of search"),
     )
     sections = (
@@ -55,26 +55,26 @@ def _summary(result: TuningResult) -> Section:
     unit = result.tuning.objective.metric.unit
     columns = (
         Column("Back end"),
-        Column("What is taken", tip="own parameters that differ from the default"),
+        Column("Chosen parameters", tip="own parameters that differ from the default"),
         Column("Search", unit, number=True, tip="geometric mean error: default → best point"),
-        Column("Fresh seeds", "x", number=True, tip="error of the best point by the default's, with 95 % interval"),
-        Column("Held out", "x", number=True, tip="error of tuned by the default's, median over all held-out runs"),
-        Column("CPU a scan", "ms", number=True, tip="median in training: default → what is taken"),
+        Column("Fresh seeds", "x", number=True, tip="error of best point / default, with 95 % interval"),
+        Column("Held out", "x", number=True, tip="error of tuned / default, median over all held-out runs"),
+        Column("CPU per scan", "ms", number=True, tip="median in training: default → chosen"),
         Column("Verdict"),
     )
     blocks: list[Block] = [
         Bullets([f"{result.sentence(one)}." for one in result.searched]),
         Table(columns, [_line(result, one) for one in result.searched]),
         Text(
-            "The best of many points looks better than it is: it was chosen by the runs it is judged on. Therefore it "
-            "is held against the default once more on fresh seeds of the training worlds, and taken only where it "
-            "loses no more runs, is at least 5 % better and the whole interval says so. What is taken is then judged "
-            "on held-out sequences.",
+            "The search overestimates its best point, because the same runs select and score it. Therefore the best "
+            "point and the default run again on fresh seeds of the training worlds. The best point replaces the "
+            "default only if it loses no more runs, is at least 5 % better and the whole interval is below 1. The "
+            "chosen point is then compared with the default on held-out sequences.",
             "note",
         ),
     ]
     if absent := [(each.label, each.missing) for each in result.tuning.methods if each.missing]:
-        blocks.append(Table(("Not here", "Why"), absent))
+        blocks.append(Table(("Not available here", "Why"), absent))
     return Section("Summary", blocks, "summary")
 
 
@@ -83,14 +83,14 @@ def _line(result: TuningResult, one: SearchResult) -> Sequence[Cell | str]:
     if one.failed:
         why = next(iter(filter(None, one.default.lost)), "")
         nothing = [Cell("-", sort=math.inf)] * 4
-        return (label, "the default", *nothing, Cell(result.verdict(one), tone="bad", tip=why))
+        return (label, "default", *nothing, Cell(result.verdict(one), tone="bad", tip=why))
     held = result.held.get(label)
     duel = held.duel if held is not None else None
     tone: Tone = "bad" if held is not None and held.overfitted else "good" if duel and duel.verdict == "better" else ""
     return (
         Cell(label, link=f"#{slug(f'points of {label}')}"),
         _changes(one),
-        Cell(f"{number(one.default.error)} → {number(one.best.error)}", sort=one.best.error),
+        Cell(f"{format_number(one.default.error)} → {format_number(one.best.error)}", sort=one.best.error),
         _fresh(one),
         Cell("-", sort=1.0) if duel is None or duel.ratio is None else Cell(f"{duel.ratio:.2f}", sort=duel.ratio),
         Cell(f"{one.default.cpu_ms:.2f} → {one.chosen.cpu_ms:.2f}", sort=one.chosen.cpu_ms),
@@ -99,7 +99,7 @@ def _line(result: TuningResult, one: SearchResult) -> Sequence[Cell | str]:
 
 
 def _fresh(one: SearchResult) -> Cell:
-    """How the best point did against the default on fresh seeds."""
+    """The error ratio of best point and default on fresh seeds."""
     found = one.ratio
     if found is None:
         return Cell("-", sort=1.0, tip=one.why)
@@ -109,24 +109,26 @@ def _fresh(one: SearchResult) -> Cell:
 def _changes(one: SearchResult) -> str:
     values, default = one.chosen.candidate.values, one.default.candidate.values
     changed = [
-        f"{name} {_told(default[name])} → {_told(values[name])}" for name in values if values[name] != default[name]
+        f"{name} {_format_value(default[name])} → {_format_value(values[name])}"
+        for name in values
+        if values[name] != default[name]
     ]
-    return ", ".join(changed) or "the default"
+    return ", ".join(changed) or "default"
 
 
 def _frontiers(result: TuningResult) -> Section:
     drawn = [one for one in result.searched if not one.failed]
     if not drawn:
-        return Section("Accuracy against compute", [Text("No point has an answer.")], "pareto-front")
+        return Section("Accuracy against compute", [Text("No point has a value.")], "pareto-front")
     return Section(
         "Accuracy against compute",
         (
             charts.pareto_fronts_chart(drawn, result.tuning.objective),
             Figures([charts.points_chart(one, result.tuning.objective) for one in drawn]),
             Text(
-                "Every tried point as it did in training: the median over runs of the median CPU time a scan, and the "
-                "geometric mean error, lost runs at their bound. CPU times are taken while other runs go on beside, "
-                "without a warm-up: read them as ratios.",
+                "All tried points in training: median over runs of the median CPU time per scan, and geometric mean "
+                "error with lost runs at their bound. CPU times are measured beside other runs and without a warm-up: "
+                "read them as ratios.",
                 "note",
             ),
         ),
@@ -140,8 +142,8 @@ def _budget(result: TuningResult) -> list[Block]:
         Column("Points", number=True),
         Column("Search runs", number=True),
         Column("Fresh runs", number=True, tip="default and best point on fresh seeds"),
-        Column("Lost runs", number=True, tip="failed, or beyond the bound; they count as the bound"),
-        Column("CPU time", "s", number=True, tip="spent on all of them"),
+        Column("Lost runs", number=True, tip="failed, or at or beyond the bound; their error is the bound"),
+        Column("CPU time", "s", number=True, tip="of all runs"),
         Column("Remark"),
     )
     return [Table(columns, [_spent(result, one) for one in result.searches]), *_sequences(result)]
@@ -152,7 +154,7 @@ def _spent(result: TuningResult, one: SearchResult) -> Sequence[Cell | str]:
     points, size = len(one.tried), one.tunable.space.size
     remark = ""
     if not one.tunable.space.factors:
-        remark = "nothing to search: a row to compare with"
+        remark = "nothing to search"
     elif points < result.tuning.points:
         remark = f"all {size} combinations were tried" if size else "no other point was found"
     lost = sum(each.losses for each in (*one.tried, *fresh))
@@ -177,20 +179,20 @@ def _sequences(result: TuningResult) -> list[Block]:
     trained = {one.sequence.dataset for one in result.tuning.training}
     for sequence in result.tuning.held_out:
         again = sequence.dataset in trained and sequence.seeds != (None,)
-        known = "same world, other seeds" if again else "never seen in training"
+        known = "same world, other seeds" if again else "not in training"
         rows.append(("held out", sequence.label, _seeds(sequence.seeds), known))
     return [
         Table(
             ("Used for", "Sequence", "Seeds", ""),
             rows,
-            "No world and seed, and no recording, stands on both sides",
+            "No world with the same seed and no recording is used for both training and held-out runs",
             False,
         )
     ]
 
 
 def _spaces(result: TuningResult) -> list[Block]:
-    columns = ("Back end", "Parameter", Column("Searched"), "Scale", Column("Default"), Column("Taken"))
+    columns = ("Back end", "Parameter", Column("Searched"), "Scale", Column("Default"), Column("Chosen"))
     rows: list[Sequence[Cell | str]] = []
     for one in result.searched:
         for factor in one.tunable.space.factors:
@@ -199,7 +201,7 @@ def _spaces(result: TuningResult) -> list[Block]:
             searched = f"{listed[0]} to {listed[-1]} {factor.unit}" if is_continuous(factor) else ", ".join(listed)
             taken = one.chosen.candidate.values[name]
             rows.append((one.tunable.label, name, searched, factor.scale if factor.numbers else "-",
-                         _told(one.default.candidate.values[name]), _told(taken)))  # fmt: skip
+                         _format_value(one.default.candidate.values[name]), _format_value(taken)))  # fmt: skip
     left = [
         (one.tunable.label, name, why) for one in result.searched for name, why in one.tunable.excluded.items()
     ]  # fmt: skip
@@ -219,11 +221,11 @@ def _points(result: TuningResult, one: SearchResult) -> Block:
     marks = charts.on_pareto_front(one.tried).tolist()
     rows: list[Sequence[Cell | str]] = []
     for position, (each, on) in enumerate(zip(one.tried, marks, strict=True)):
-        said = ["best"] * (each is one.best) + ["taken"] * (each is one.chosen) + ["Pareto front"] * on
+        said = ["best"] * (each is one.best) + ["chosen"] * (each is one.chosen) + ["Pareto front"] * on
         values = [_value(each.candidate.values[name]) for name in names]
         why = next(iter(filter(None, each.lost)), "")
         rows.append((
-            _count(position), each.candidate.found, *values, Cell(number(each.error), sort=each.error),
+            _count(position), each.candidate.found, *values, Cell(format_number(each.error), sort=each.error),
             Cell(str(each.losses), sort=each.losses, tone="warn" if each.losses else "", tip=why),
             Cell("-" if math.isnan(each.cpu_ms) else f"{each.cpu_ms:.2f}", sort=each.cpu_ms), ", ".join(said),
         ))  # fmt: skip
@@ -235,22 +237,22 @@ def _how(result: TuningResult) -> Section:
     bound = f"{tuning.objective.lost:g} {tuning.objective.metric.unit}".rstrip()
     items = (
         f"Point 0 is the default. Half of the {tuning.points} points are spread evenly (scrambled Sobol, seed "
-        f"{tuning.seed}), the other half are steps from the best so far that change fewer and fewer parameters at once "
-        "(dynamically dimensioned search, Tolson and Shoemaker 2007). No point is tried twice.",
-        f"A run that fails, takes more than {tuning.run_cpu_s:g} s of CPU time or errs by {bound} or more is lost and "
-        f"counts as {bound}. Fewer lost runs are better, whatever the errors; then the smaller geometric mean; of "
-        "equals the earliest, and so the default.",
-        "Searched are a back end's own parameters. Settings of the front end (guess, keyframes, local map, deskew), "
-        "the mapper, the scans and the metrics stay as they are for all.",
-        f"Held out, the rows end in '{TUNED.strip()}' where something better was found. Their runs have a process of "
-        "their own each and are scored like any report's: Wilcoxon's test over runs with Holm's adjustment over back "
-        "ends: seeds of one world are alike, so p is rather too small. Paired differences on one sequence have "
-        "block-bootstrap intervals, not adjusted for how many sequences there are: of twenty, one may differ by "
-        "chance. Overfitted: shown to be worse than the default over all or on one sequence, or losing more runs.",
+        f"{tuning.seed}). The other half are steps from the best point so far that change fewer and fewer parameters "
+        "at once (dynamically dimensioned search, Tolson and Shoemaker 2007). No point is tried twice.",
+        f"A run is lost if it fails, takes more than {tuning.run_cpu_s:g} s of CPU time or has an error of {bound} or "
+        f"more; its error is then {bound}. Points with fewer lost runs are better, whatever the errors; then those "
+        "with the smaller geometric mean; the earliest of equal points wins, so the default wins a tie.",
+        "The search covers the back end's own parameters. The front end's parameters (guess, keyframes, local map, "
+        "deskewing), the mapper, the scans and the metrics are the same for all.",
+        f"On held-out sequences, labels of tuned methods end in '{TUNED.strip()}'. Every run has its own process and "
+        "is scored as in any report. Wilcoxon's test over runs is adjusted over back ends (Holm); seeds of one world "
+        "are not independent, so p is somewhat too small. Paired differences on one sequence have block-bootstrap "
+        "intervals that are not adjusted for the number of sequences: one of twenty may differ by chance. "
+        "Overfitted: significantly worse than the default over all runs or on one sequence, or more lost runs.",
     )
     alone = shlex.split(result.report)[2]
     machine = Fold("This machine", (Table(("What", "Value"), list(result.ran_on.items())),))
-    full = Text(f"The full comparison of default and tuned rows, from {alone}:")
+    full = Text(f"The full comparison of default and tuned methods, from {alone}:")
     return Section("How", (Bullets(items), Command(tuning.command), full, Command(result.report), machine), "how")
 
 
@@ -264,10 +266,10 @@ def _count(value: int) -> Cell:
 
 def _value(value: object) -> Cell:
     numeric = isinstance(value, (int, float)) and not isinstance(value, bool)
-    return Cell(_told(value), sort=float(value) if numeric else None)  # type: ignore[arg-type]  # checked by numeric
+    return Cell(_format_value(value), sort=float(value) if numeric else None)  # type: ignore[arg-type]  # checked by numeric
 
 
-def _told(value: object) -> str:
+def _format_value(value: object) -> str:
     if isinstance(value, bool):
         return "on" if value else "off"
     return f"{value:g}" if isinstance(value, float) else str(value)

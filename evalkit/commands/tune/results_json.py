@@ -1,17 +1,17 @@
-"""A tuning for other programs: ``tuned.json``.
+"""The JSON form of a tuning: ``tuned.json``, schema version 1.
 
-Keys, schema version 1. Errors are in ``objective.unit``, CPU times in what their names end in.
+Errors are in ``objective.unit``; names of other values end in their unit.
 
 ``schema_version``, ``title``, ``command``, ``report`` (the command of the full held-out report), ``environment``;
-``objective``: metric, unit, what a lost run counts as; ``budget``: points a back end (the default among them), seed of
-the search, search and confirming runs a point, CPU limit of a run; ``training`` and ``held_out``: sequences with seeds;
+``objective``: metric, unit, value of a lost run; ``budget``: points per back end (including the default), seed of the
+search, search and confirming runs per point, CPU limit of a run; ``training`` and ``held_out``: sequences with seeds;
 ``backends``, one each: ``label``, ``backend``, ``missing`` (why it could not run), ``space`` (parameter: levels, scale,
 continuous), ``not_searched`` (parameter: why), ``spent`` (points, runs, lost_runs, cpu_s), ``points`` (found: default,
-spread, step or all; parameters that are searched, error, lost_runs, reasons, cpu_median_ms, pareto_front), ``best``
-(index of the best point), ``confirmed`` (errors of default and best on fresh seeds, ratio with low and high; null if
-the default was the best), ``tuned`` (whether the best is taken), ``why``, ``parameters`` (all that are taken),
-``held_out`` (verdict, overfitted, lost runs of both, runs, ratio, p by Holm, ``detectable_ratio``: the least factor
-above 1 between both that could have been shown; null where the default is kept).
+spread, step or all; searched parameters, error, lost_runs, reasons, cpu_median_ms, pareto_front), ``best`` (index of
+the best point), ``confirmed`` (errors of default and best on fresh seeds, ratio with low and high; null if the default
+was the best), ``tuned`` (whether the best point replaces the default), ``why``, ``parameters`` (all chosen ones),
+``held_out`` (verdict, overfitted, lost runs of both, runs, ratio, p by Holm, ``detectable_ratio``: the smallest factor
+above 1 between both that these runs detect; null if the default is kept).
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from evalkit.config.experiment import SequenceSpec
 SCHEMA_VERSION = 1
 
 
-def record(result: TuningResult) -> dict[str, Any]:
-    """All of it in numbers, texts, lists and dictionaries."""
+def tuning_as_json(result: TuningResult) -> dict[str, Any]:
+    """The JSON values of a tuning."""
     tuning = result.tuning
     by_label = {one.tunable.label: one for one in result.searches}
     return {

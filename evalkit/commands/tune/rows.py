@@ -1,4 +1,4 @@
-"""Tables of the held-out rows: every method on every sequence, and tuned against default."""
+"""Tables of the held-out comparison: every method on every sequence, and tuned against default."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from evalkit.report.html.blocks import Block, Cell, Column, Table, Text
 
 
 def held_blocks(result: TuningResult) -> list[Block]:
-    """The rows with their intervals, the tests over all runs, and the differences on each sequence."""
+    """The medians with their intervals, the tests over all runs, and the differences on each sequence."""
     comparison = result.comparison
     rankings = {sequence.label: sequence.deciding for sequence in result.analysis.sequences}
-    columns = [Column("Row"), *(_heading(name, found) for name, found in rankings.items())]
+    columns = [Column("Method"), *(_heading(name, found) for name, found in rankings.items())]
     rows = [
         [Cell(label), *(_score(result, label, name, found) for name, found in rankings.items())]
         for label in comparison.method_labels
@@ -26,15 +26,15 @@ def held_blocks(result: TuningResult) -> list[Block]:
     blocks: list[Block] = [Table(columns, rows, caption)]
     held = list(result.held.values())
     if not held:
-        return [*blocks, Text("No back end was tuned: all keep their default.")]
+        return [*blocks, Text("All back ends keep their default.")]
     blocks.append(_tests(held))
     if pairs := [(one.label, each) for one in held for each in one.sequences]:
         blocks.append(_differences(pairs))
     return blocks
 
 
-def number(value: float) -> str:
-    """Three digits, and "none" for what is not finite."""
+def format_number(value: float) -> str:
+    """A number with three digits, "none" if it is not finite."""
     return f"{value:.3g}" if math.isfinite(value) else "none"
 
 
@@ -52,21 +52,25 @@ def _score(result: TuningResult, label: str, sequence: str, found: Ranking | Non
         why = score.reason if score is not None else "; ".join(record.result.reason for record in own[:1])
         return Cell(", ".join(statuses) or "no value", sort=math.inf, tone="warn", tip=why)
     middle, between = score.median or 0.0, score.interval
-    shown = number(middle) if between is None else f"{number(middle)} ({number(between.low)} to {number(between.high)})"
-    made = [record.result.status for record in own if record.result.status not in NOT_EXECUTED]
-    lost = sum(status != RunStatus.COMPLETE for status in made)
-    text = f"{shown}, {lost} of {len(made)} lost" if lost else shown
+    shown = (
+        format_number(middle)
+        if between is None
+        else f"{format_number(middle)} ({format_number(between.low)} to {format_number(between.high)})"
+    )
+    executed = [record.result.status for record in own if record.result.status not in NOT_EXECUTED]
+    lost = sum(status != RunStatus.COMPLETE for status in executed)
+    text = f"{shown}, {lost} of {len(executed)} lost" if lost else shown
     return Cell(text, sort=middle, tone="warn" if lost else "", tip=f"{len(score.values)} runs")
 
 
 def _tests(held: Sequence[HeldOutVerdict]) -> Table:
     columns = (
         Column("Back end"),
-        Column("Runs", number=True, tip="runs both made on sequences with a truth and a geometry that fixes the pose"),
+        Column("Runs", number=True, tip="runs of both where ground truth is known and the geometry determines the pose"),
         Column("Better / worse", number=True, tip="runs in which tuned has the smaller / larger error"),
-        Column("Ratio", "x", number=True, tip="error of tuned by the default's, median over runs"),
+        Column("Ratio", "x", number=True, tip="error of tuned divided by the default's, median over runs"),
         Column("p", number=True, tip="Wilcoxon's signed-rank test, Holm over the back ends"),
-        Column("Detectable", "x", number=True, tip="the ratio these runs would have shown with 80 % power at 5 %"),
+        Column("Detectable", "x", number=True, tip="the ratio that these runs detect with 80 % power at 5 %"),
         Column("Lost", number=True, tip="runs lost: default → tuned"),
         Column("Verdict"),
     )  # fmt: skip
@@ -96,8 +100,8 @@ def _differences(pairs: Sequence[tuple[str, HeldOutSequence]]) -> Table:
     columns = (
         Column("Back end"), Column("Sequence"), Column("Metric"), Column("Default", number=True),
         Column("Tuned", number=True), Column("Tuned - default", number=True, tip="paired, with 95 % interval"),
-        Column("Detectable", number=True, tip="the difference these runs would have shown with 80 % power at 5 %"),
-        Column("Shown"),
+        Column("Detectable", number=True, tip="the difference that these runs detect with 80 % power at 5 %"),
+        Column("Significant"),
     )  # fmt: skip
     return Table(columns, [_difference(*pair) for pair in pairs], "Tuned against default, sequence by sequence")
 
@@ -106,13 +110,15 @@ def _difference(label: str, one: HeldOutSequence) -> Sequence[Cell | str]:
     metric = one.ranking.metric
     unit = f" {metric.unit}" if metric.unit else ""
     head = (label, one.ranking.sequence, metric.label)
-    medians = [Cell(f"{number(cell.median or 0.0)}{unit}", sort=cell.median) for cell in (one.default, one.tuned)]
+    medians = [
+        Cell(f"{format_number(cell.median or 0.0)}{unit}", sort=cell.median) for cell in (one.default, one.tuned)
+    ]
     if one.difference is None:
         return (*head, *medians, Cell("-"), Cell("-"), "one run, no interval")
-    found, said = one.difference.interval, "no difference shown"
+    found, said = one.difference.interval, "no"
     if one.shown:
         said = "worse" if one.worse else "better"
     result = f"{found.value:+.3g} ({found.low:+.3g} to {found.high:+.3g}){unit}"
     detectable = one.difference.detectable
-    return (*head, *medians, Cell(result, sort=found.value), Cell(f"{number(detectable)}{unit}", sort=detectable),
-            Cell(said, tone="bad" if one.worse else "good" if one.shown else ""))  # fmt: skip
+    return (*head, *medians, Cell(result, sort=found.value),
+            Cell(f"{format_number(detectable)}{unit}", sort=detectable), Cell(said, tone="bad" if one.worse else "good" if one.shown else ""))  # fmt: skip

@@ -1,4 +1,4 @@
-"""Which points to try next: the default, an even spread, then steps from the best so far."""
+"""The next points to try: the default, an even spread, then steps from the best point so far."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ from evalkit.commands.tune.space import Candidate, Space, is_continuous
 from evalkit.core.se2 import Floats
 
 ROUNDS = 4
-"""So often the steps of the second half are told what has become of those before."""
+"""Rounds of the second half; the steps of a round start from the best point of the rounds before."""
 
 STEP = 0.2
 """Standard deviation of a step, as a share of a factor's range (Tolson and Shoemaker's choice)."""
 
 SPARE = 8
-"""So many times the points are drawn before a spread counts as exhausted."""
+"""Points to draw for each point needed, because some draws repeat a tried point."""
 
 
 @dataclass(frozen=True)
 class Search:
-    """A search of ``budget`` points, the default among them; the same seed and scores give the same points.
+    """A search of ``budget`` points including the default; the same seed and scores give the same points.
 
-    Half are spread evenly (scrambled Sobol), and half are steps from the best so far that change fewer and fewer of the
-    parameters at once (dynamically dimensioned search; Tolson and Shoemaker, Water Resources Research 43, 2007), which
-    was made for budgets too small to converge. No point is tried twice; a space of fewer points than the budget is
-    tried in full.
+    Half of the points are spread evenly (scrambled Sobol). The other half are steps from the best point so far that
+    change fewer and fewer parameters at once (dynamically dimensioned search; Tolson and Shoemaker, Water Resources
+    Research 43, 2007), a method for budgets too small to converge. No point is tried twice; a space of fewer points
+    than the budget is tried completely.
     """
 
     space: Space
@@ -39,28 +39,28 @@ class Search:
     seed: int = 0
 
     def next(self, tried: Sequence[Candidate], best: Candidate | None) -> tuple[Candidate, ...]:
-        """The points to try after those tried, of which ``best`` is the best; none where the search is over."""
-        left = self._most() - len(tried)
+        """The points to try after ``tried``, of which ``best`` is the best; none if the search is over."""
+        left = self._point_count() - len(tried)
         if not tried:
             return self._spread()
         if left <= 0 or best is None:
             return ()
-        return self._steps(tried, best, min(left, math.ceil((self._most() - self._first()) / ROUNDS)))
+        return self._steps(tried, best, min(left, math.ceil((self._point_count() - self._spread_count()) / ROUNDS)))
 
-    def _most(self) -> int:
-        """Points in all; the default may lie outside the space's own."""
+    def _point_count(self) -> int:
+        """The number of points in all; the default may lie outside the levels of the space."""
         if not self.space.factors:
             return 1
         if self.space.size is None or self.space.size >= self.budget:
             return self.budget
-        beyond = self.space.start().key not in {candidate.key for candidate in self._everything()}
+        beyond = self.space.start().key not in {candidate.key for candidate in self._all_combinations()}
         return min(self.budget, self.space.size + beyond)
 
-    def _first(self) -> int:
-        most = self._most()
+    def _spread_count(self) -> int:
+        most = self._point_count()
         return most if most < self.budget else math.ceil(most / 2)
 
-    def _everything(self) -> Iterator[Candidate]:
+    def _all_combinations(self) -> Iterator[Candidate]:
         levels = [len(factor.levels) for factor in self.space.factors]
         for row in make_grid(levels).tolist():
             yield self.space.at([(at + 0.5) / of for at, of in zip(row, levels, strict=True)], "all")
@@ -69,42 +69,42 @@ class Search:
         start = self.space.start()
         if not self.space.factors:
             return (start,)
-        if self._most() < self.budget:
-            return _distinct(chain([start], self._everything()), (), self._most())
+        if self._point_count() < self.budget:
+            return _take_untried(chain([start], self._all_combinations()), (), self._point_count())
         factors, rng = len(self.space.factors), np.random.default_rng(self.seed)
-        shares = make_space_filling(factors, SPARE * self._first(), rng)
-        return _distinct(chain([start], (self.space.at(row, "spread") for row in shares)), (), self._first())
+        shares = make_space_filling(factors, SPARE * self._spread_count(), rng)
+        return _take_untried(chain([start], (self.space.at(row, "spread") for row in shares)), (), self._spread_count())
 
     def _steps(self, tried: Sequence[Candidate], best: Candidate, points: int) -> tuple[Candidate, ...]:
         rng = np.random.default_rng([self.seed, len(tried)])
-        begun, steps = self._first(), max(self._most() - self._first(), 2)
+        spread, steps = self._spread_count(), max(self._point_count() - self._spread_count(), 2)
 
-        def drawn() -> Iterator[Candidate]:
+        def draw_steps() -> Iterator[Candidate]:
             for attempt in range(SPARE * SPARE * points):
-                step = len(tried) - begun + attempt % points + 1
+                step = len(tried) - spread + attempt % points + 1
                 share = max(1.0 - math.log(step) / math.log(steps), 0.0) if step < steps else 0.0
-                yield self.space.at(_moved(self.space.factors, best.shares, share, rng), "step")
+                yield self.space.at(_move(self.space.factors, best.shares, share, rng), "step")
 
         anywhere = (self.space.at(row, "spread") for row in rng.random((SPARE * SPARE * points, len(best.shares))))
-        return _distinct(chain(drawn(), anywhere), tried, points)
+        return _take_untried(chain(draw_steps(), anywhere), tried, points)
 
 
-def _moved(factors: Sequence[Factor], shares: Sequence[float], share: float, rng: np.random.Generator) -> Floats:
-    """A place near another: each coordinate is moved with a probability, one at least."""
+def _move(factors: Sequence[Factor], shares: Sequence[float], share: float, rng: np.random.Generator) -> Floats:
+    """A place near another: each coordinate moves with probability ``share``, and at least one does."""
     chosen = rng.random(len(shares)) < share
     chosen[rng.integers(len(shares))] = True
-    made = np.array(shares)
+    moved = np.array(shares)
     for number in np.flatnonzero(chosen).tolist():
-        made[number] = _step(factors[number])(made[number], rng)
-    return made
+        moved[number] = _step(factors[number])(moved[number], rng)
+    return moved
 
 
 def _step(factor: Factor) -> Callable[[float, np.random.Generator], float]:
-    """What moves a coordinate: a step along a range, to a neighbour in a list, or to any other name."""
+    """A function that moves a coordinate: along a range, to a nearby level, or to any other unordered level."""
     count = len(factor.levels)
 
     def along(at: float, rng: np.random.Generator) -> float:
-        return _reflected(at + STEP * rng.standard_normal())
+        return _reflect(at + STEP * rng.standard_normal())
 
     def to_level(at: float, rng: np.random.Generator) -> float:
         known = min(int(at * count), count - 1)
@@ -115,15 +115,15 @@ def _step(factor: Factor) -> Callable[[float, np.random.Generator], float]:
     return along if is_continuous(factor) else to_level
 
 
-def _reflected(share: float) -> float:
-    """Back from the border by what lies beyond it."""
+def _reflect(share: float) -> float:
+    """A share reflected into 0 to 1."""
     inside = abs(share)
     inside = 2.0 - inside if inside > 1.0 else inside
     return min(max(inside, 0.0), 1.0)
 
 
-def _distinct(candidates: Iterable[Candidate], tried: Sequence[Candidate], points: int) -> tuple[Candidate, ...]:
-    """The first so many candidates whose values have not been tried."""
+def _take_untried(candidates: Iterable[Candidate], tried: Sequence[Candidate], points: int) -> tuple[Candidate, ...]:
+    """The first so many candidates whose values are not tried yet."""
     seen = {candidate.key for candidate in tried}
     chosen: list[Candidate] = []
     for candidate in candidates:

@@ -85,7 +85,7 @@ def test_the_test_over_runs_is_wilcoxons(build, record):
 
 
 def test_the_record_holds_every_point_and_what_was_spent(build, record):
-    whole = json.loads(json.dumps(results_json.record(told(build, record, 0.05)), allow_nan=False))
+    whole = json.loads(json.dumps(results_json.tuning_as_json(told(build, record, 0.05)), allow_nan=False))
     (backend,) = whole["backends"]
     assert whole["budget"] == {"points": 8, "seed": 0, "search_runs": 2, "confirming_runs": 4, "run_cpu_s": 60.0}
     assert len(backend["points"]) == backend["spent"]["points"] == 8

@@ -119,7 +119,7 @@ def test_a_killed_search_goes_on_and_computes_nothing_twice(file, tmp_path):
 def test_what_is_not_made_yet_is_told_by_exit_code_3(file, tmp_path):
     done = tune(file, "--out", tmp_path / "out", "--collect")
     assert done.exit_code == 3
-    assert "the search is not done: 6 runs" in done.output
+    assert "the search is not finished: 6 runs" in done.output
 
 
 @pytest.mark.parametrize(
