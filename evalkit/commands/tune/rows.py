@@ -66,7 +66,7 @@ def _score(result: TuningResult, label: str, sequence: str, found: Ranking | Non
 def _tests(held: Sequence[HeldOutVerdict]) -> Table:
     columns = (
         Column("Back end"),
-        Column("Runs", number=True, tip="runs of both where ground truth is known and the geometry determines the pose"),
+        Column("Runs", number=True, tip="runs of both with a known ground truth and a unique pose"),
         Column("Better / worse", number=True, tip="runs in which tuned has the smaller / larger error"),
         Column("Ratio", "x", number=True, tip="error of tuned divided by the default's, median over runs"),
         Column("p", number=True, tip="Wilcoxon's signed-rank test, Holm over the back ends"),
@@ -121,4 +121,5 @@ def _difference(label: str, one: HeldOutSequence) -> Sequence[Cell | str]:
     result = f"{found.value:+.3g} ({found.low:+.3g} to {found.high:+.3g}){unit}"
     detectable = one.difference.detectable
     return (*head, *medians, Cell(result, sort=found.value),
-            Cell(f"{format_number(detectable)}{unit}", sort=detectable), Cell(said, tone="bad" if one.worse else "good" if one.shown else ""))  # fmt: skip
+            Cell(f"{format_number(detectable)}{unit}", sort=detectable),
+            Cell(said, tone="bad" if one.worse else "good" if one.shown else ""))  # fmt: skip
