@@ -482,7 +482,7 @@ def carmen(tmp_path):
 def test_a_carmen_log_is_compared_in_one_line(evalkit, carmen, tmp_path):
     folder = tmp_path / "out"
     code, out, _ = evalkit(
-        "compare", carmen, "--reference", tmp_path / "true.tum", "--relations", tmp_path / "true.relations",
+        "compare", carmen, "--ground-truth", tmp_path / "true.tum", "--relations", tmp_path / "true.relations",
         "--spans", tmp_path / "tape.toml", "--backends", "wheel-odometry, paper", "--out", folder, "--json",
     )  # fmt: skip
     assert code == 0
@@ -537,7 +537,7 @@ def ros_bag(path):
 def test_a_ros_bag_is_compared_in_one_line(evalkit, carmen, tmp_path):
     ros_bag(tmp_path / "drive.bag")
     code, out, _ = evalkit(
-        "compare", tmp_path / "drive.bag", "--topic", "/scan", "--reference", tmp_path / "true.tum",
+        "compare", tmp_path / "drive.bag", "--topic", "/scan", "--ground-truth", tmp_path / "true.tum",
         "--backends", "paper,wheel-odometry", "--method", "paper", "--set", "every=2", "--out", tmp_path / "out",
     )  # fmt: skip
     assert code == 0
@@ -555,7 +555,7 @@ def test_a_ros_bag_is_compared_in_one_line(evalkit, carmen, tmp_path):
         (("absent.bag",), "absent.bag: no such file or folder; give the path of a bag or a log"),
         (("drive.log", "--relations", "no.relations"), "carmen: parameter 'relations': no file no.relations; check"),
         (
-            ("drive.log", "--reference", "other.tum"),
+            ("drive.log", "--ground-truth", "other.tum"),
             "have nothing in common with the recording: the scans are from 100",
         ),
         (("drive.log", "--spans", "no.toml"), "carmen: parameter 'spans': no file no.toml; check the path"),

@@ -63,14 +63,14 @@ class Carmen:
 
     No returns are ranges of ``range_max_m`` or more, 32.767 m, and 8.18 to 8.191 m if no range of the log is longer.
     Zero, negative and nan ranges are invalid. Odometry "auto" is the ODOM lines, else the robot pose of each scan,
-    else none. A corrected log (by GMapping, or with graph vertices) has no odometry: its poses are the reference.
+    else none. A corrected log (by GMapping, or with graph vertices) has no odometry: its poses are the ground truth.
     """
 
     def __init__(
         self,
         path: str,
         relations: str = "",
-        reference: str = "",
+        ground_truth: str = "",
         odometry: str = "auto",
         range_max_m: float = 50.0,
         base_from_sensor: str = "auto",
@@ -99,7 +99,7 @@ class Carmen:
         )
         self._codes = _select_no_return_codes(whole)
         self._odometry = self._find_odometry(log, scans, odometry)
-        self._truth = self._load_truth(log, whole, TruthPaths(relations, reference, spans, how))
+        self._truth = self._load_truth(log, whole, TruthPaths(relations, ground_truth, spans, how))
         self._counts["invalid ranges"] = int(self._taken.invalid.sum())
 
     def __len__(self) -> int:
@@ -115,7 +115,7 @@ class Carmen:
             yield Frame(scan, self._base_from_sensor, reader_common.pose_or_none(row))
 
     def truth(self) -> Truth:
-        """Return the truth of the files given; the poses of the log serve as reference if they are corrected ones."""
+        """Return the ground truth of the given files; without them the poses of a corrected log."""
         return self._truth
 
     def notes(self) -> Mapping[str, int]:
@@ -255,8 +255,8 @@ def _describe_truth(paths: TruthPaths, poses_from: str) -> str:
     parts = []
     if paths.relations:
         parts.append("relations between pairs of scans (Kuemmerle et al. 2009)")
-    if paths.reference:
-        parts.append(f"reference trajectory {Path(paths.reference).name}")
+    if paths.ground_truth:
+        parts.append(f"true trajectory {Path(paths.ground_truth).name}")
     elif poses_from:
         parts.append(POSES_FROM[poses_from])
     if paths.spans:

@@ -1,4 +1,4 @@
-"""Read ground truth files: relations (Kuemmerle et al. 2009), reference trajectories, measured distances."""
+"""Read ground truth files: relations (Kuemmerle et al. 2009), true trajectories, measured distances."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ TOLERANCE_NS = 100_000_000
 
 PARAMETERS: tuple[Parameter, ...] = (
     Parameter("relations", "", "", "path of Kuemmerle relations for this recording; empty: none"),
-    Parameter("reference", "", "", "path of a reference trajectory in TUM format, same clock; empty: none"),
+    Parameter("ground_truth", "", "", "path of a true trajectory in TUM format, same clock; empty: none"),
     Parameter("spans", "", "", "path of distances measured with a tape (TOML), times by the same clock; empty: none"),
 )
 
@@ -45,12 +45,12 @@ class TruthPaths:
     """Paths of ground truth files, "" for none; ``how`` describes the origin of the truth for the report."""
 
     relations: str = ""
-    reference: str = ""
+    ground_truth: str = ""
     spans: str = ""
     how: str = ""
 
     def __bool__(self) -> bool:
-        return bool(self.relations or self.reference or self.spans)
+        return bool(self.relations or self.ground_truth or self.spans)
 
 
 def load_truth(paths: TruthPaths, taken_ns: Stamps, recording_ns: tuple[int, int]) -> tuple[Truth, dict[str, int]]:
@@ -64,13 +64,13 @@ def load_truth(paths: TruthPaths, taken_ns: Stamps, recording_ns: tuple[int, int
     spans: tuple[Span, ...] = ()
     if paths.relations:
         relations, counts["relations outside the scans"] = _load_relations(paths.relations, taken_ns, recording_ns)
-    if paths.reference:
-        file = read_tum(Path(paths.reference))
+    if paths.ground_truth:
+        file = read_tum(Path(paths.ground_truth))
         poses = file.trajectory
-        _check_times(Path(paths.reference), "reference trajectory", poses.stamps_ns[None], recording_ns)
+        _check_times(Path(paths.ground_truth), "ground-truth trajectory", poses.stamps_ns[None], recording_ns)
         inside = _is_within(poses.stamps_ns, taken_ns)
-        counts |= {f"reference: {name}": count for name, count in file.notes.items()}
-        counts["reference poses outside the scans"] = int((~inside).sum())
+        counts |= {f"ground truth: {name}": count for name, count in file.notes.items()}
+        counts["ground-truth poses outside the scans"] = int((~inside).sum())
         trajectory = Trajectory(poses.stamps_ns[inside], poses.poses[inside]) if inside.any() else None
     if paths.spans:
         spans, counts["measured distances outside the scans"] = _load_spans(paths.spans, taken_ns, recording_ns)

@@ -20,7 +20,7 @@ def experiment_from_recording(
 ) -> Experiment:
     """All back ends, or those named, on one recording; the reader is chosen by the suffix of the file.
 
-    ``options``: parameters of the reader with an option of their own (topic, relations, reference, spans), if given.
+    ``options``: parameters of the reader with an option of their own (topic, relations, ground_truth, spans), if given.
     ``settings``: its other parameters, as text. ``source``: the command line, for the commands in the report.
     Raises BadData if no reader fits.
     """

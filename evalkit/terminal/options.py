@@ -91,7 +91,7 @@ Rerun = Annotated[
     list[str] | None,
     typer.Option(
         help="Keep finished runs except those with this status (repeatable); failed: any kind of failure.",
-        show_default=False, rich_help_panel=EXECUTION,
+        show_default=False, rich_help_panel=EXECUTION, autocompletion=lambda: [status.value for status in RunStatus],
     ),
 ]  # fmt: skip
 Collect = Annotated[

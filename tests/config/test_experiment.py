@@ -105,7 +105,7 @@ def test_a_file_that_is_none_is_named(tmp_path):
         load_experiment(tmp_path)
 
 
-@pytest.mark.parametrize("key", ["path", "reference", "relations"])
+@pytest.mark.parametrize("key", ["path", "ground_truth", "relations"])
 def test_a_readers_file_that_is_not_there_is_a_mistake(tmp_path, log, key):
     table = {"use": "carmen", "label": "mine", "path": str(log), key: str(tmp_path / "no.such")}
     with pytest.raises(BadExperiment, match=rf"sequence 1 \(mine\): carmen: parameter '{key}': no file .*no\.such"):

@@ -273,11 +273,11 @@ def test_relations_and_reference_are_cut_to_the_scans_taken(tmp_path):
     sequence = Carmen(path, str(tmp_path / "r"), str(tmp_path / "t"), limit=5)
     assert sequence.truth().relations.second_ns.tolist() == [2 * 10**9]
     assert sequence.truth().trajectory.poses[:, 0].tolist() == [0.0, 1.0]
-    assert sequence.notes() == {"relations outside the scans": 1, "reference poses outside the scans": 1}
+    assert sequence.notes() == {"relations outside the scans": 1, "ground-truth poses outside the scans": 1}
     assert "Kuemmerle" in sequence.truth().how
 
 
-@pytest.mark.parametrize("what", ["relations", "reference"])
+@pytest.mark.parametrize("what", ["relations", "ground_truth"])
 def test_truth_of_another_data_set_is_rejected(tmp_path, what):
     line = "976052896.7 976052905.1 1 0 0 0 0 0" if what == "relations" else "976052896.7 1 0 0 0 0 0 1"
     (tmp_path / "other").write_text(line + "\n")

@@ -246,7 +246,7 @@ def test_errors_of_bad_files_are_those_of_the_readers(tmp_path):
     with pytest.raises(BadData, match="give a bag"):
         inspect_recording(tmp_path / "picture.png")
     (tmp_path / "true.tum").write_text("1.0 0 0 0 0 0 0 1\n")
-    with pytest.raises(BadData, match="with its recording: evalkit compare RECORDING --reference FILE"):
+    with pytest.raises(BadData, match="with its recording: evalkit compare RECORDING --ground-truth FILE"):
         inspect_recording(tmp_path / "true.tum")
     (tmp_path / "empty").mkdir()
     with pytest.raises(BadData, match=r"without metadata\.yaml"):

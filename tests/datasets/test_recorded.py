@@ -78,7 +78,7 @@ def test_fr079_holds_what_its_card_says():
     assert sum(int(frame.scan.no_returns.sum()) for frame in frames) == 36004
     assert len(sequence.truth().relations) == 1685
     assert len(sequence.truth().trajectory) == 1463
-    assert sequence.notes() == {"reference poses outside the scans": 1}
+    assert sequence.notes() == {"ground-truth poses outside the scans": 1}
 
 
 @needs("fr079")

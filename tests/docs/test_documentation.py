@@ -163,7 +163,7 @@ def test_the_references_leave_nothing_out():
         for name in registry.names(kind):
             assert f"{{ #{name} }}" in made[f"reference/{page}.md"]
     compare = made["reference/commands.md"].split("{ #compare }")[1].split("\n## ")[0]
-    assert "<code>--reference</code></td><td>a path</td><td></td><td>Ground-truth trajectory (TUM).</td>" in compare
+    assert "<code>--ground-truth</code></td><td>a path</td><td></td><td>Ground-truth trajectory (TUM).</td>" in compare
     assert "<code>SOURCE</code></td><td>a path</td><td>required</td>" in compare
     assert "<code>--out, -o</code></td><td>a path</td><td>reports/build/NAME</td>" in compare
     assert "<code>--json</code></td><td></td><td></td>" in compare

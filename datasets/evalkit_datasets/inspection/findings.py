@@ -99,9 +99,9 @@ def _check_file(streams: RecordingStreams, inside: str) -> Iterator[InspectionFi
         yield InspectionFinding("warning", "file", what, "do not evaluate timing; use the original log if available")
     if streams.poses_from:
         what = f"its poses are not odometry but {inside}: scans and ODOM lines contain corrected poses"
-        yield InspectionFinding("warning", "odometry", what, "they are used as reference, without odometry")
+        yield InspectionFinding("warning", "odometry", what, "they are used as ground truth, without odometry")
     elif not inside:
-        yield InspectionFinding("note", "truth", "no ground truth in it", "give relations or a reference trajectory")
+        yield InspectionFinding("note", "truth", "no ground truth in it", "give relations or a true trajectory")
 
 
 def _check_lidars(lidars: Sequence[LidarStats]) -> Iterator[InspectionFinding]:

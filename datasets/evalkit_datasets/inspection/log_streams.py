@@ -15,7 +15,7 @@ from evalkit_datasets.carmen_parser import Log, Reading
 from evalkit_datasets.inspection.streams import LaserStream, OdometryStream, RecordingStreams, Topic
 
 OTHER_FILES = {
-    ".tum": "use a trajectory (.tum) with its recording: evalkit compare RECORDING --reference FILE",
+    ".tum": "use a trajectory (.tum) with its recording: evalkit compare RECORDING --ground-truth FILE",
     ".relations": "use relations with their recording: evalkit compare RECORDING --relations FILE",
     ".toml": "run an experiment with evalkit compare FILE; use measured distances with their recording: --spans FILE",
     ".yaml": "compare a map as the method file:MAP.yaml",

@@ -132,13 +132,13 @@ def _find_truth_files(found: Inspection) -> tuple[dict[str, Value], list[str]]:
     reader = "carmen" if found.kind == "CARMEN log" else "rosbag"
     parameters: dict[str, Value] = {}
     reasons = []
-    for name, ending in (("relations", "*.relations"), ("reference", "*.tum")):
+    for name, ending in (("relations", "*.relations"), ("ground_truth", "*.tum")):
         files = sorted(folder.glob(ending), key=lambda file: (not file.name.startswith(stem), "gmapping" in file.name))
         for file in files:
             tried = _try_reader(reader, _minimal_parameters(found) | {name: str(file)})
             if not tried.problem and tried.truth:
                 parameters[name] = str(file)
-                reasons.append(f"{name} {file.name}: in the same folder, and overlaps in time")
+                reasons.append(f"{name.replace('_', ' ')} {file.name}: in the same folder, and overlaps in time")
                 break
     return parameters, reasons
 
@@ -194,8 +194,8 @@ def _format_table(reader: str, path: Path, parameters: Mapping[str, Value]) -> s
 def _format_command(parameters: Mapping[str, Value]) -> str:
     words = ["evalkit", "compare", str(parameters["path"])]
     for name, value in parameters.items():
-        if name in {"topic", "relations", "reference"}:
-            words += [f"--{name}", str(value)]
+        if name in {"topic", "relations", "ground_truth"}:
+            words += [f"--{name.replace('_', '-')}", str(value)]
         elif name != "path":
             words += ["--set", f"{name}={value}"]
     return shlex.join(words)

@@ -33,7 +33,7 @@ def compare(
     topic: Annotated[
         str, typer.Option(help="Laser topic of a bag.", show_default="the only one", rich_help_panel=RECORDING)
     ] = "",
-    reference: Annotated[
+    ground_truth: Annotated[
         Path | None,
         typer.Option(help="Ground-truth trajectory (TUM).", show_default=False, rich_help_panel=RECORDING),
     ] = None,
@@ -76,10 +76,10 @@ def compare(
     The report is one HTML page with CSV and JSON tables, trajectories and maps beside it. Exit code 1 if a run failed,
     3 if a run is still missing.
     """
-    files = {"topic": topic, "relations": relations, "reference": reference, "spans": spans}
+    files = {"topic": topic, "relations": relations, "ground_truth": ground_truth, "spans": spans}
     given = {name: str(value) for name, value in files.items() if value}
     if source.suffix == ".toml":
-        for name in [*given, *(["backends"] if backends else []), *(["set"] if setting else [])]:
+        for name in [*map(_option, given), *(["backends"] if backends else []), *(["set"] if setting else [])]:
             raise typer.BadParameter(f"--{name}: needs a recording; in an experiment it is a key of the file")
         experiment = load_experiment(source)
     else:
@@ -91,10 +91,15 @@ def compare(
     (_run if no_page else _run_and_report)(experiment, store, how, as_json)
 
 
+def _option(parameter: str) -> str:
+    """Return the name of the option of a reader's parameter."""
+    return parameter.replace("_", "-")
+
+
 def _experiment_of_recording(source: Path, given: dict[str, str], backends: str, settings: list[str]) -> Experiment:
     """Return the experiment of all methods on one recording, whose first frame has been read."""
     words = ["compare", str(source)]
-    words += [word for name, value in given.items() for word in (f"--{name}", value)]
+    words += [word for name, value in given.items() for word in (f"--{_option(name)}", value)]
     words += ["--backends", backends] if backends else []
     words += [word for item in settings for word in ("--set", item)]
     names = [name for word in backends.split(",") if (name := word.strip())]
