@@ -174,8 +174,8 @@ def test_the_measurement_that_is_shipped_has_the_pages_keys():
     content = json.loads((Path(validated.__file__).parent / validated.FILE).read_text(encoding="utf-8"))
     line = next(line for line in PAGE.splitlines() if line.startswith("| `validated.json`"))
     assert set(re.findall(r"`(\w+)`", line.split(" | ")[2])) == set(content)
-    dossier = json.loads(
+    acceptance = json.loads(
         (Path(validated.__file__).parents[1] / "commands/validate/acceptance.schema.json").read_bytes()
     )
-    line = next(line for line in PAGE.splitlines() if line.startswith("| `dossier.json`"))
-    assert set(re.findall(r"`(\w+)`", line.split(" | ")[2])) == set(dossier["properties"])
+    line = next(line for line in PAGE.splitlines() if line.startswith("| `acceptance.json`"))
+    assert set(re.findall(r"`(\w+)`", line.split(" | ")[2])) == set(acceptance["properties"])

@@ -11,7 +11,7 @@ import numpy as np
 from evalkit.commands.basin import convergence, scenes, sequences
 from evalkit.commands.basin.scenes import Seen
 from evalkit.commands.basin.sequences import Recorded
-from evalkit.commands.validate.rules.rule import raised
+from evalkit.commands.validate.rules.rule import format_exception
 from evalkit.core.arrays import Bools
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
@@ -130,7 +130,7 @@ def answers(
             rows[number - begin] = match.target_from_source.row
             claimed[number - begin] = match.converged
         except Exception as error:  # noqa: BLE001 - a third party's crash is an answer it did not give
-            reason = reason or raised(error)
+            reason = reason or format_exception(error)
     return {"rows": rows, "claimed": claimed, "reason": reason}
 
 

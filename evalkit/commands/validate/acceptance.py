@@ -1,4 +1,4 @@
-"""What is known of an implementation, level by level, and the one sentence that sums it up."""
+"""The acceptance report of an implementation: checks grouped into levels, and the verdict on a claim."""
 
 from __future__ import annotations
 
@@ -6,111 +6,139 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any, Literal
 
-SCHEMA = 1
-"""Version of the JSON form (``acceptance.schema.json``): a new one where a reader of the old would be misled."""
+SCHEMA = 2
+"""Version of the JSON form (``acceptance.schema.json``). Increase it if a reader of the old form would be misled."""
 
 Claim = Literal["equal", "as-good"]
-Outcome = Literal["passed", "failed", "told", "not applicable"]
-Ground = Literal["always", "equal", "as-good", ""]
-"""Which claim a line decides: both, one of them, or none."""
+Outcome = Literal["passed", "failed", "informative", "not applicable"]
+Deciding = Literal["always", "equal", "as-good", "never"]
+"""The claim that a check can refute: every claim, one of them, or none."""
+
+DECIDING: Mapping[Deciding, str] = {
+    "always": "decides every claim",
+    "equal": 'decides the claim "equal"',
+    "as-good": 'decides the claim "as-good"',
+    "never": "informs only",
+}
 
 
 @dataclass(frozen=True)
-class Line:
-    """One question with its answer: what was found, and the margin it was held against with that margin's reason.
+class Check:
+    """One measurement or test: what was observed, and the margin it was compared with, with that margin's origin.
 
-    ``detail``: what else is worth telling. ``told`` and ``not applicable`` are outcomes that can decide nothing.
+    ``on``: sequence and seed, or "" for all. ``detail``: additional explanation. ``data``: the numbers behind the text,
+    as JSON values. The outcomes "informative" and "not applicable" never decide a claim.
     """
 
     name: str
     on: str
     outcome: Outcome
-    ground: Ground
+    deciding: Deciding
     observed: str
     margin: str = ""
     detail: str = ""
+    data: Mapping[str, Any] = field(default_factory=dict)
 
     def decides(self, claim: Claim) -> bool:
-        """Whether the verdict on a claim hangs on it."""
-        return self.ground in ("always", claim)
+        """Whether the verdict on a claim depends on this check."""
+        return self.deciding in ("always", claim)
 
 
 @dataclass(frozen=True)
-class Level:
-    """All lines of one level. ``shown``: numbers behind them, for drawings."""
+class AcceptanceLevel:
+    """All checks of one level. ``results``: the arrays and runs behind them, for the charts."""
 
     number: int
     name: str
     question: str
-    lines: tuple[Line, ...]
-    shown: Mapping[str, Any] = field(default_factory=dict, compare=False)
+    checks: tuple[Check, ...]
+    results: Mapping[str, Any] = field(default_factory=dict, compare=False)
 
-    def failed(self, claim: Claim) -> list[Line]:
-        """The lines that refute a claim."""
-        return [line for line in self.lines if line.outcome == "failed" and line.decides(claim)]
+    def failed(self, claim: Claim) -> list[Check]:
+        """The checks that refute a claim."""
+        return [check for check in self.checks if check.outcome == "failed" and check.decides(claim)]
+
+    def passed(self, claim: Claim) -> list[Check]:
+        """The checks that support a claim."""
+        return [check for check in self.checks if check.outcome == "passed" and check.decides(claim)]
 
     def outcome(self, claim: Claim) -> Outcome:
-        """What this level says of a claim."""
+        """The outcome of the level for a claim."""
         if self.failed(claim):
             return "failed"
-        deciding = [line for line in self.lines if line.decides(claim) and line.outcome == "passed"]
-        asked = [line for line in self.lines if line.outcome != "not applicable"]
-        return "passed" if deciding else "told" if asked else "not applicable"
+        if self.passed(claim):
+            return "passed"
+        applicable = any(check.outcome != "not applicable" for check in self.checks)
+        return "informative" if applicable else "not applicable"
+
+    def decisive_checks(self, claim: Claim) -> list[Check]:
+        """The checks to show first: those that refute the claim, else those that support it, else all that apply."""
+        applicable = [check for check in self.checks if check.outcome != "not applicable"]
+        return self.failed(claim) or self.passed(claim) or applicable or list(self.checks)
 
 
 @dataclass(frozen=True)
-class Dossier:
-    """An implementation held against its twin. ``within``: the margin of the claim "equal", in words."""
+class AcceptanceReport:
+    """The result of validating a back end, a mapper or a data set (``subject``).
 
-    backend: str
-    twin: str
-    why_twin: str
-    against: tuple[str, ...]
-    absent: Mapping[str, str]
+    ``reference``: the implementation it was compared with, "" if none was needed; ``why_reference``: how it was chosen.
+    ``peers``: other methods, shown for context. ``unavailable``: peers and sequences that are not installed here, and
+    why. ``margin``: the margin that was chosen; ``margin_text``: the same in words, with numbers.
+    """
+
+    subject: str
+    reference: str
+    why_reference: str
+    peers: tuple[str, ...]
+    unavailable: Mapping[str, str]
     claim: Claim
     margin: str
-    within: str
-    levels: tuple[Level, ...]
+    margin_text: str
+    levels: tuple[AcceptanceLevel, ...]
     settings: Mapping[str, Any]
     environment: Mapping[str, str]
 
     @property
     def passed(self) -> bool:
-        """Whether no level refutes the claim, and at least one speaks for it."""
+        """Whether no level refutes the claim, and at least one supports it."""
         outcomes = [level.outcome(self.claim) for level in self.levels]
         return "failed" not in outcomes and "passed" in outcomes
 
     @property
     def verdict(self) -> str:
-        """One sentence (or two): whether the claim holds, else where it first fails."""
+        """One sentence (or two): the claim holds, or where it first fails."""
         if self.passed:
-            asked = [level for level in self.levels if level.outcome(self.claim) == "passed"]
-            named = ", ".join(f"{level.number} {level.name}" for level in asked)
+            passed = [level for level in self.levels if level.outcome(self.claim) == "passed"]
+            levels = ", ".join(f"{level.number} {level.name}" for level in passed)
+            if not self.reference:
+                return f"{self.subject} passes every level that was run ({levels})"
             if self.claim == "equal":
-                return f"{self.backend} is equivalent to {self.twin} {self.within} at every level asked ({named})"
-            return f"{self.backend} is as good as {self.twin} at every level asked ({named})"
-        failed = [(level, line) for level in self.levels for line in level.failed(self.claim)]
+                equal = f"{self.subject} is equivalent to {self.reference} {self.margin_text}"
+                return f"{equal} at every level that was run ({levels})"
+            return f"{self.subject} is as good as {self.reference} at every level that was run ({levels})"
+        failed = [(level, check) for level in self.levels for check in level.failed(self.claim)]
         if not failed:
-            return f"nothing can be said of {self.backend}: no level could be asked"
-        first = f"{self.backend} {self._where(*failed[0])}"
-        beyond = next((one for one in failed if one[1].ground == self.claim), None)
-        if failed[0][1].ground != "always" or beyond is None:
+            return f"no verdict on {self.subject}: no level could be run"
+        first = f"{self.subject} {self._failure(*failed[0])}"
+        refuting = next((one for one in failed if one[1].deciding == self.claim), None)
+        if failed[0][1].deciding != "always" or refuting is None:
             return first
-        return f"{first}. It {self._where(*beyond)}"
+        return f"{first}. It {self._failure(*refuting)}"
 
-    def _where(self, level: Level, line: Line) -> str:
-        """A line that refutes the claim, as the rest of a sentence."""
-        place = f"level {level.number} ({level.name}{f', {line.on}' if line.on else ''})"
-        if line.ground == "equal":
-            return f"first differs from {self.twin} at {place}: {line.observed}"
-        return f"fails at {place}: {line.name}: {line.observed}"
+    def _failure(self, level: AcceptanceLevel, check: Check) -> str:
+        """A failed check as the rest of a sentence."""
+        place = f"level {level.number} ({level.name}{f', {check.on}' if check.on else ''})"
+        if check.deciding == "equal":
+            return f"first differs from {self.reference} at {place}: {check.observed}"
+        return f"fails at {place}: {check.name}: {check.observed}"
 
     def as_json(self) -> dict[str, Any]:
-        """All of it but the drawings, in numbers, texts, lists and dictionaries."""
+        """The report without its charts, as JSON values."""
         content = {
-            "backend": self.backend, "twin": self.twin, "why_twin": self.why_twin, "against": list(self.against),
-            "absent": dict(self.absent), "claim": self.claim, "margin": self.margin, "within": self.within,
-            "settings": dict(self.settings), "environment": dict(self.environment),
+            "subject": self.subject, "reference": self.reference, "why_reference": self.why_reference,
+            "peers": list(self.peers), "unavailable": dict(self.unavailable), "claim": self.claim,
+            "margin": self.margin, "margin_text": self.margin_text, "settings": dict(self.settings),
+            "environment": dict(self.environment),
         }  # fmt: skip
         levels = [
             {
@@ -118,7 +146,7 @@ class Dossier:
                 "name": level.name,
                 "question": level.question,
                 "outcome": level.outcome(self.claim),
-                "lines": [asdict(line) | {"decides": line.decides(self.claim)} for line in level.lines],
+                "checks": [asdict(check) | {"decides": check.decides(self.claim)} for check in level.checks],
             }
             for level in self.levels
         ]

@@ -1,77 +1,97 @@
-"""``evalkit validate``: validate an implementation against a reference, level by level."""
+"""``evalkit validate``: check a back end, a mapper or a data set, level by level, with one report."""
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import shlex
 import shutil
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal, get_args
 
 import typer
 from rich.table import Table
 from rich.text import Text
 
-from evalkit.commands.validate import single_level
-from evalkit.commands.validate.acceptance import Claim, Dossier
-from evalkit.config.experiment import Experiment
-from evalkit.core.errors import BadParameter
+from evalkit.core.errors import BadParameter, NotInstalled
 from evalkit.execution import environment
-from evalkit.execution.executors import Progress
 from evalkit.plugins import defaults, registry
-from evalkit.plugins.specs import Excerpt
-from evalkit.results.store import Store
+from evalkit.plugins.address import address_of, spec_at
+from evalkit.plugins.specs import DatasetSpec
 from evalkit.terminal import options, progress
 from evalkit.terminal.options import Jobs, Json, err, out
 
 if TYPE_CHECKING:
-    from evalkit.commands.validate.examination import Asked
+    from evalkit.commands.validate.acceptance import AcceptanceReport, Claim
+    from evalkit.commands.validate.plan import Only, ValidationRequest
+    from evalkit.commands.validate.run import ProgressDisplay
+    from evalkit.config.experiment import Experiment
+    from evalkit.execution.executors import Progress
 
-MOST = 4
-"""Lines of a level that are printed; the page has all."""
+MAX_LINES = 4
+"""Checks of a level in the printed summary of a report with several levels; the page shows all."""
 
-RULES, LOCKSTEP, DETERMINISM = "Only rules", "Only lockstep", "Only determinism"
-LEVELS = ("rules", "registrations", "lockstep", "determinism")
-"""The levels that can be asked for alone."""
+Group = Literal["rules", "registrations", "lockstep", "determinism"]
+ONLY: tuple[Group, ...] = get_args(Group)
+
+Subject = Literal["back end", "mapper", "data set"]
+
+RULES, LOCKSTEP, DETERMINISM = "Rules", "Lockstep", "Only determinism"
+"""Panels of the help."""
 
 
 def validate(
-    backends: options.Backends = None,
+    backends: Annotated[
+        list[str] | None,
+        typer.Argument(
+            help="A back end, a mapper or a data set: a registered name, module:SPEC, lib:./libmine.so or "
+            "'exec:ssh board ./my_icp'.",
+            show_default=False,
+            autocompletion=options.complete("backends"),
+        ),
+    ] = None,
     only: Annotated[
         str,
         typer.Option(
-            help=f"Only this level: {', '.join(LEVELS)}.", show_default="all", autocompletion=lambda: list(LEVELS)
+            help=f"Only these checks: {', '.join(ONLY)}.",
+            show_default="levels 0 to 5",
+            autocompletion=lambda: list(ONLY),
         ),
     ] = "",
     reference: Annotated[
         str,
         typer.Option(
-            help="What it is compared with.", show_default="by its role", autocompletion=options.complete("backends")
+            help="The implementation to compare with.",
+            show_default="by its role",
+            autocompletion=options.complete("backends"),
         ),
     ] = "",
-    against: Annotated[
+    peer: Annotated[
         list[str] | None,
         typer.Option(
-            help="A further back end beside it (repeatable).",
-            show_default=False,
+            help="Another method, for context (repeatable).",
+            show_default="by their role",
             autocompletion=options.complete("backends"),
         ),
     ] = None,
     on: options.On = None,
     seeds: Annotated[
-        int | None, typer.Option(min=1, help="Seeds of synthetic sequences.", show_default="3, quick: 1")
+        int | None, typer.Option(min=1, help="Seeds of simulated sequences.", show_default="3, quick: 1")
     ] = None,
-    claim: Annotated[str, typer.Option(help="equal: the same answers; as-good: no worse.")] = "equal",
-    margin: Annotated[str, typer.Option(help="auto, exact (1e-9), float32 (computed) or metres.")] = "auto",
+    claim: Annotated[str, typer.Option(help="equal: the answers of the reference; as-good: no worse.")] = "equal",
+    margin: Annotated[
+        str, typer.Option(help="auto, exact (1e-9), float32 (computed) or METRES[,RADIANS[,LOG_ODDS]].")
+    ] = "auto",
     share: Annotated[
-        float, typer.Option(min=0.01, max=1.0, help="as-good: the tolerated share of the spread by noise.")
+        float, typer.Option(min=0.01, max=1.0, help="as-good: the tolerated share of the noise level.")
     ] = 0.5,
     setting: Annotated[
-        list[str] | None, typer.Option("--set", help="NAME=VALUE of the back end, and of the reference if it has it.")
+        list[str] | None, typer.Option("--set", help="NAME=VALUE, also for the reference if it has it (repeatable).")
     ] = None,
     set_reference: Annotated[list[str] | None, typer.Option(help="NAME=VALUE of the reference.")] = None,
     mapper: Annotated[
@@ -85,19 +105,17 @@ def validate(
     quick: Annotated[bool, typer.Option("--quick", help="Fewer questions: under a minute.")] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help="Discard earlier results, and measure times again.")] = False,
     rule: Annotated[
-        list[str] | None, typer.Option(help="Only this rule (repeatable).", show_default="all", rich_help_panel=RULES)
+        list[str] | None,
+        typer.Option(help="Only this rule (repeatable); implies --only rules.", rich_help_panel=RULES),
     ] = None,
     limit: Annotated[float, typer.Option(min=0.1, help="Time limit of a rule (s).", rich_help_panel=RULES)] = 30.0,
-    scans: Annotated[int, typer.Option(min=3, help="Scans compared.", rich_help_panel=LOCKSTEP)] = 30,
-    margin_rad: Annotated[
-        float | None,
-        typer.Option(help="Margin of angles (rad).", show_default="metres at 1 m", rich_help_panel=LOCKSTEP),
+    frames: Annotated[int, typer.Option(min=1, help="Frames of a data set to check.", rich_help_panel=RULES)] = 50,
+    scans: Annotated[
+        int | None,
+        typer.Option(min=3, help="Scans compared.", show_default="150, quick: 45", rich_help_panel=LOCKSTEP),
     ] = None,
-    margin_log_odds: Annotated[
-        float, typer.Option(help="Margin of log-odds, for mappers.", rich_help_panel=LOCKSTEP)
-    ] = 1e-5,
     disturb: Annotated[
-        bool, typer.Option(help="Repeat with disturbed initial guesses.", rich_help_panel=LOCKSTEP)
+        bool, typer.Option(help="Repeat questions with disturbed guesses.", rich_help_panel=LOCKSTEP)
     ] = True,
     threads: Annotated[
         int, typer.Option(min=2, help="Threads of libraries, beside one.", rich_help_panel=DETERMINISM)
@@ -111,140 +129,178 @@ def validate(
 ) -> None:
     """Validate an implementation against a reference, level by level.
 
-    The levels are rules, registrations, scans in lockstep, trajectories, maps, and time and memory. Exit code 1 if a
-    level fails. BACKENDS is one back end; --only determinism takes several. --only lockstep takes a mapper as well.
+    The levels are rules, registrations, lockstep, trajectories, maps, and time and memory. Exit code 1 if the claim
+    does not hold. A data set has rules alone, a mapper lockstep alone. --only determinism takes any number of back
+    ends, none for every installed one.
     """
-    if only not in ("", *LEVELS):
-        raise BadParameter("validate", "only", only, ", ".join(LEVELS))
+    from evalkit.commands.validate import plan, run  # noqa: PLC0415 - imports scipy.stats
+
+    _add_module_path(*(backends or []), reference, *(peer or []))
+    group = "rules" if rule else _parse_only(only)
     names = backends or []
-    _add_working_directory(*names, reference, *(against or []))
-    if only == "determinism":
-        single_level.run_determinism(names, _one(on), threads, repetitions, as_json)
-        return
-    if len(names) != 1:
-        raise typer.BadParameter(f"found {len(names)} back ends, expected one")
-    given, given_reference = options.settings(setting or []), options.settings(set_reference or [], "--set-reference")
-    if only == "rules":
-        single_level.run_rules(names[0], given, rule or (), limit, as_json)
-        return
-    if only == "lockstep":
-        single_level.run_lockstep(
-            reference or _default_reference(names[0]), names[0], _one(on), (given_reference, given), _margin(margin),
-            margin_rad, margin_log_odds, scans, disturb, as_json,
-        )  # fmt: skip
-        return
-    from evalkit.commands.validate import examination  # noqa: PLC0415 - loads scipy.stats
-
-    asked = examination.Asked(
-        backend=names[0], given=given, twin=reference,
-        given_twin=given_reference, against=tuple(against or defaults.backends_with_role("peer")),
-        on=tuple(on or _excerpts("quick" if quick else "full")), seeds=seeds or (1 if quick else 3),
-        claim=_claim(claim), margin=_margin(margin), share=share, mapper=mapper,
-        effort=examination.QUICK if quick else examination.FULL,
+    name = _single_name(names, group)
+    effort = plan.QUICK if quick else plan.FULL
+    request = plan.ValidationRequest(
+        backend=name, given=options.settings(setting or []), reference=reference,
+        given_reference=options.settings(set_reference or [], "--set-reference"),
+        peers=tuple(peer or defaults.backends_with_role("peer")),
+        on=tuple(on or _default_sequences(quick=quick or group == "determinism", simulated=group == "determinism")),
+        seeds=seeds or (1 if quick else 3), claim=_parse_claim(claim), margin=_parse_margin(margin), noise_share=share,
+        mapper=mapper, effort=replace(effort, scans=scans or effort.scans), only=group, disturbed=disturb,
     )  # fmt: skip
-    _examine(asked, folder, jobs, fresh, only == "registrations", as_json)
-
-
-def _examine(
-    asked: Asked, folder: Path | None, jobs: int | None, fresh: bool, registrations: bool, as_json: bool
-) -> None:
-    """Examine all levels, or the registrations alone; write the page and print the outcome."""
-    from evalkit.commands.validate import examination  # noqa: PLC0415 - loads scipy.stats
-
-    examined = examination.examination(asked)
-    place = folder or Path("reports") / "build" / f"validate-{_word(asked.backend)}"
+    out_folder = folder or Path("reports") / "build" / f"validate-{_file_name(name or 'determinism')}"
     if fresh:
-        for name in ("jobs", "runs"):  # only the folders of this command: others may stand beside them
-            shutil.rmtree(place / name, ignore_errors=True)
-    for name, why in examined.absent.items():
-        err.print(f"missing here: {name}: {why}", markup=False, highlight=False)
-    watch = examination.Watch(lambda total, workers: progress.show_tasks(err, total, workers), _runs)
-    compute = examined.registrations if registrations else examined.dossier
-    found = compute(place, jobs or environment.physical_cores(), watch)
-    page = _write(found, place, "evalkit " + shlex.join(sys.argv[1:]))
-    if as_json:
-        options.print_json(found.as_json())
+        for part in ("tasks", "runs"):  # only what this command writes: the folder may contain other files
+            shutil.rmtree(out_folder / part, ignore_errors=True)
+    workers = jobs or environment.physical_cores()
+    display = run.ProgressDisplay(lambda total, count: progress.show_tasks(err, total, count), _show_runs)
+    subject = _subject(name) if name else "back end"
+    if subject == "data set":
+        _refuse_only(group, ("", "rules"), name, subject)
+        report = run.report_dataset(name, request.given, frames)
+    elif subject == "mapper":
+        _refuse_only(group, ("", "lockstep"), name, subject)
+        report = run.report_mapper(request, out_folder, workers, display)
+    elif group == "rules":
+        report = run.report_rules(name, request.given, tuple(rule or ()), limit)
+    elif group == "determinism":
+        report = run.report_determinism(names, request.given, request.on, threads, repetitions, _announce)
     else:
-        _tell(found, page)
-    if not found.passed:
+        report = _compare(request, out_folder, workers, display)
+    _finish(report, out_folder, as_json)
+
+
+def _compare(request: ValidationRequest, folder: Path, workers: int, display: ProgressDisplay) -> AcceptanceReport:
+    """The levels that need a reference."""
+    from evalkit.commands.validate import plan, run  # noqa: PLC0415 - as above
+
+    planned = plan.make_plan(request)
+    for name, why in planned.unavailable.items():
+        err.print(f"not available here: {name}: {why}", markup=False, highlight=False)
+    return run.ValidationRun(planned, folder, workers, display).report()
+
+
+def _finish(report: AcceptanceReport, folder: Path, as_json: bool) -> None:
+    """Writes the page and the JSON file, prints the report, and exits with code 1 if the claim does not hold."""
+    from evalkit.commands.validate import page  # noqa: PLC0415 - imports matplotlib
+    from evalkit.results.store import write_texts  # noqa: PLC0415 - as above
+
+    content = report.as_json()
+    command = "evalkit " + shlex.join(sys.argv[1:])
+    write_texts(
+        folder,
+        {"acceptance.json": json.dumps(content, indent=1) + "\n", "index.html": page.render_page(report, command)},
+    )
+    if as_json:
+        options.print_json(content)
+    else:
+        progress.print_table(out, _table(report))
+        out.print(report.verdict, markup=False, emoji=False, highlight=False)
+        out.print(str((folder / "index.html").resolve()), markup=False, highlight=False)
+    if not report.passed:
         raise typer.Exit(1)
 
 
-def _one(on: list[str] | None) -> str:
-    """Return the one sequence of a level that takes one."""
-    if len(on or ()) > 1:
-        raise typer.BadParameter(f"--on: found {len(on or ())} sequences, expected one")
-    return on[0] if on else defaults.simulated_dataset()
-
-
-def _excerpts(size: Excerpt) -> list[str]:
-    """Return the excerpts that the data sets declare, each as "NAME KEY=VALUE"."""
-    declared = defaults.excerpts(size).items()
-    return [" ".join((name, *(f"{key}={value}" for key, value in given.items()))) for name, given in declared]
-
-
-def _default_reference(backend: str) -> str:
-    """Return the reference of a back end, or of a mapper."""
-    is_mapper = backend in registry.names("mappers")
-    return defaults.default_mapper() if is_mapper else defaults.reference_backend()
+def _table(report: AcceptanceReport) -> Table:
+    """One row per level; of a single level, one row per check."""
+    if len(report.levels) == 1:
+        table = Table("check", "outcome", "observed", expand=out.is_terminal)
+        for check in report.levels[0].checks:
+            name = f"{check.name}, {check.on}" if check.on else check.name
+            table.add_row(Text(name), check.outcome, Text(check.observed))  # third-party text is no markup
+        return table
+    table = Table("level", "outcome", "observed", expand=out.is_terminal)
+    for level in report.levels:
+        checks = level.decisive_checks(report.claim)
+        lines = [f"{one.on + ': ' if one.on else ''}{one.name}: {one.observed}" for one in checks[:MAX_LINES]]
+        lines += [f"... and {len(checks) - MAX_LINES} more"] if len(checks) > MAX_LINES else []
+        table.add_row(f"{level.number} {level.name}", level.outcome(report.claim), Text("\n".join(lines)))
+    return table
 
 
 @contextmanager
-def _runs(plan: Experiment, workers: int) -> Iterator[Progress]:
+def _show_runs(plan: Experiment, workers: int) -> Iterator[Progress]:
     with progress.show_runs(err, list(plan.runs()), workers) as shown:
         yield shown
 
 
-def _write(found: Dossier, folder: Path, command: str) -> Path:
-    """The page and the JSON of a dossier in its folder."""
-    from evalkit.commands.validate import page as validate_page  # noqa: PLC0415 - loads matplotlib: only who draws pays for it
-
-    store = Store(folder)
-    store.write_text(folder / "dossier.json", validate_page.json_text(found))
-    store.write_text(folder / "index.html", validate_page.html(found, command))
-    return folder / "index.html"
+def _announce(name: str) -> None:
+    err.print(f"{name} ...", markup=False, highlight=False)
 
 
-def _tell(found: Dossier, page: Path) -> None:
-    table = Table("level", "outcome", "what was found", expand=out.is_terminal)
-    for level in found.levels:
-        failed = level.failed(found.claim)
-        passed = [line for line in level.lines if line.outcome == "passed" and line.decides(found.claim)]
-        shown = failed or passed or [line for line in level.lines if line.outcome != "not applicable"] or level.lines
-        said = "\n".join(f"{line.on + ': ' if line.on else ''}{line.name}: {line.observed}" for line in shown[:MOST])
-        said += f"\n... and {len(shown) - MOST} more" if len(shown) > MOST else ""
-        table.add_row(f"{level.number} {level.name}", level.outcome(found.claim), Text(said))
-    progress.print_table(out, table)
-    out.print(found.verdict, markup=False, emoji=False, highlight=False)
-    out.print(str(page.resolve()), markup=False, highlight=False)
+def _subject(name: str) -> Subject:
+    """The kind of plug-in behind a name; a name that is unknown counts as a back end."""
+    address = address_of(name)
+    if address.module:
+        with suppress(NotInstalled):  # its error is raised where the back end is loaded
+            spec_at(address, DatasetSpec, registry.dataset)
+            return "data set"
+    elif name not in registry.names("backends"):
+        if name in registry.names("mappers"):
+            return "mapper"
+        if name in registry.names("datasets"):
+            return "data set"
+    return "back end"
 
 
-def _claim(word: str) -> Claim:
+def _single_name(names: list[str], only: str) -> str:
+    """The subject; "" if there is another number of names than one, which only determinism accepts."""
+    if len(names) == 1:
+        return names[0]
+    if only == "determinism":
+        return ""
+    raise typer.BadParameter(f"found {len(names)} names, expected one (--only determinism accepts any number)")
+
+
+def _refuse_only(only: str, allowed: tuple[str, ...], name: str, subject: str) -> None:
+    if only not in allowed:
+        raise typer.BadParameter(f"--only {only}: '{name}' is a {subject}, expected --only {allowed[1]}")
+
+
+def _default_sequences(quick: bool, simulated: bool) -> list[str]:
+    """The excerpts that data sets declare, as texts "NAME key=value"; ``simulated``: only one simulated data set."""
+    excerpts = defaults.excerpts("quick" if quick else "full")
+    chosen = [defaults.simulated_dataset()] if simulated else list(excerpts)
+    if not chosen:
+        raise NotInstalled("sequence", "no installed data set declares an excerpt", "name one with --on")
+    return [shlex.join([name, *(f"{key}={value}" for key, value in excerpts[name].items())]) for name in chosen]
+
+
+def _parse_only(text: str) -> Only:
+    for name in ONLY:
+        if text == name:
+            return name
+    if text:
+        raise BadParameter("validate", "only", text, f"one of {', '.join(ONLY)}")
+    return ""
+
+
+def _parse_claim(text: str) -> Claim:
     known: dict[str, Claim] = {"equal": "equal", "as-good": "as-good"}
-    if word not in known:
-        raise BadParameter("validate", "claim", word, "equal or as-good")
-    return known[word]
+    if text not in known:
+        raise BadParameter("validate", "claim", text, "equal or as-good")
+    return known[text]
 
 
-def _margin(word: str) -> str:
-    if word in ("auto", "exact", "float32"):
-        return word
-    try:
-        metres = float(word)
-    except ValueError:
-        metres = 0.0
-    if not 0.0 < metres < 1e3:
-        raise BadParameter("validate", "margin", word, "auto, exact, float32 or metres")
-    return word
+def _parse_margin(text: str) -> str:
+    from evalkit.commands.validate.probes import parse_margin  # noqa: PLC0415 - imports scipy
+
+    if text != "auto":
+        try:
+            parse_margin(text)
+        except ValueError as error:
+            wanted = "auto, exact, float32 or METRES[,RADIANS[,LOG_ODDS]]"
+            raise BadParameter("validate", "margin", text, wanted) from error
+    return text
 
 
-def _add_working_directory(*names: str) -> None:
-    """A module under development stands in the working directory, for this process and for those it starts."""
+def _add_module_path(*names: str) -> None:
+    """Makes modules in the working directory importable in this process and in those it starts."""
     options.add_working_directory()
     if any(":" in name and name.partition(":")[0] not in registry.names("schemes") for name in names):
         path = [entry for entry in os.environ.get("PYTHONPATH", "").split(os.pathsep) if entry]
         os.environ["PYTHONPATH"] = os.pathsep.join([*path, str(Path.cwd())])
 
 
-def _word(backend: str) -> str:
-    return re.sub(r"[^\w.=+-]+", "-", backend)[:60].strip("-.") or "backend"
+def _file_name(name: str) -> str:
+    return re.sub(r"[^\w.=+-]+", "-", name)[:60].strip("-.") or "backend"

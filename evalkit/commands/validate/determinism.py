@@ -1,4 +1,4 @@
-"""Whether a back end gives the same answers, to the last bit, when it is asked again, and with more threads."""
+"""Determinism of a back end: whether repeated runs, and runs with more threads, give the same answers to the bit."""
 
 from __future__ import annotations
 
@@ -17,77 +17,78 @@ from evalkit.execution import run_process
 from evalkit.execution.worker import Request
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
+from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.results.store import hash_answers
 
-Verdict = Literal["bit-equal", "thread-dependent", "not deterministic", "no answer"]
+Repeatability = Literal["bit-equal", "thread-dependent", "not deterministic", "no answer"]
 
 
 @dataclass(frozen=True, slots=True)
 class Determinism:
-    """What repetitions of one run have in common.
+    """The comparison of repeated runs.
 
-    ``apart_m``: how far the farthest two positions for one scan are apart, over all repetitions; ``scans`` is how many
-    were compared. ``digests`` are those of the repetitions by their number of threads. ``reason`` is told where a
-    repetition did not complete.
+    ``apart_m``: the largest distance of two positions for one scan over all runs; ``scans``: scans that all runs
+    answered. ``digests``: those of the runs by number of threads. ``reason``: why a run did not complete, or "".
     """
 
     backend: str
-    verdict: Verdict
-    apart_m: float
+    verdict: Repeatability
+    apart_m: float | None
     scans: int
     digests: Mapping[int, tuple[str, ...]]
     reason: str = ""
 
 
-def determinism(
+def measure_determinism(
     backend: str,
+    given: Mapping[str, str],
     dataset: str,
-    settings: Mapping[str, Value],
+    parameters: Mapping[str, Value],
     threads: Iterable[int] = (1, 2),
     repetitions: int = 2,
     limits: Limits | None = None,
 ) -> Determinism:
-    """The back end followed over the sequence so often with each number of threads, each time in a fresh process."""
+    """Runs a back end over a sequence ``repetitions`` times with each number of threads, each in a new process."""
     spec = registry.backend(backend)
     sequence = registry.dataset(dataset)
+    settings = from_text(backend, frontend.settable_parameters(spec), given)
     request = Request(
         backend,
-        frontend.complete_parameters(backend, spec, {}),
+        frontend.complete_parameters(backend, spec, settings),
         dataset,
-        resolve_parameters(dataset, sequence.parameters, settings),
+        resolve_parameters(dataset, sequence.parameters, parameters),
     )
-    made: dict[int, list[RunResult]] = {}
-    with tempfile.TemporaryDirectory(prefix="evalkit-determinism-") as place:
+    runs: dict[int, list[RunResult]] = {}
+    with tempfile.TemporaryDirectory(prefix="evalkit-determinism-") as root:
         for number in threads:
             for repetition in range(repetitions):
-                folder = Path(place) / f"{number}-{repetition}"
+                folder = Path(root) / f"{number}-{repetition}"
                 folder.mkdir()
                 run = run_process.run(request, folder, limits or Limits(), lambda _: None, threading.Event(), number)
                 if not run.is_complete:
-                    return Determinism(backend, "no answer", np.nan, 0, {}, f"{run.status}: {run.reason}")
-                made.setdefault(number, []).append(run)
-    return judged(backend, made)
+                    return Determinism(backend, "no answer", None, 0, {}, f"{run.status}: {run.reason}")
+                runs.setdefault(number, []).append(run)
+    return compare_runs(backend, runs)
 
 
-def judged(backend: str, made: Mapping[int, list[RunResult]]) -> Determinism:
-    """The verdict over complete runs by their number of threads."""
-    digests = {number: tuple(hash_answers(run) for run in runs) for number, runs in made.items()}
-    every = [run for runs in made.values() for run in runs]
-    verdict: Verdict = "bit-equal"
+def compare_runs(backend: str, runs: Mapping[int, list[RunResult]]) -> Determinism:
+    """The comparison of complete runs by number of threads."""
+    digests = {number: tuple(hash_answers(run) for run in repeated) for number, repeated in runs.items()}
+    verdict: Repeatability = "bit-equal"
     if len({one for own in digests.values() for one in own}) > 1:
         verdict = "thread-dependent"
     if any(len(set(own)) > 1 for own in digests.values()):
         verdict = "not deterministic"
-    return Determinism(backend, verdict, *_apart(every), digests)
+    return Determinism(backend, verdict, *_largest_distance([run for own in runs.values() for run in own]), digests)
 
 
-def _apart(runs: list[RunResult]) -> tuple[float, int]:
-    """The largest distance (m) between two answers for one scan, and how many scans all have answered."""
+def _largest_distance(runs: list[RunResult]) -> tuple[float | None, int]:
+    """The largest distance (m) of two answers to one scan, None without a common scan, and the common scans."""
     stamps = set.intersection(*(set(run.steps["stamp_ns"].tolist()) for run in runs))
-    chosen = [run.steps[np.isin(run.steps["stamp_ns"], sorted(stamps))] for run in runs]
-    positions = np.array([[steps["x"], steps["y"]] for steps in chosen])
+    common = [run.steps[np.isin(run.steps["stamp_ns"], sorted(stamps))] for run in runs]
+    positions = np.array([[steps["x"], steps["y"]] for steps in common])
     if not stamps:
-        return np.nan, 0
+        return None, 0
     distances = np.hypot(*(positions[:, None] - positions[None]).transpose(2, 0, 1, 3))
     return float(distances.max()), len(stamps)

@@ -1,13 +1,11 @@
-"""The page of a dossier, and its JSON form."""
+"""The page of an acceptance report."""
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Mapping
 
-from evalkit.commands.validate.acceptance import Dossier, Level, Line, Outcome
-from evalkit.commands.validate.answers import GROUNDS
+from evalkit.commands.validate.acceptance import DECIDING, AcceptanceLevel, AcceptanceReport, Check, Outcome
 from evalkit.commands.validate.charts import figures
 from evalkit.report.html.blocks import (
     Block,
@@ -25,128 +23,135 @@ from evalkit.report.html.blocks import (
     render,
 )
 
-TONES: Mapping[Outcome, Tone] = {"passed": "good", "failed": "bad", "told": "", "not applicable": ""}
+TONES: Mapping[Outcome, Tone] = {"passed": "good", "failed": "bad", "informative": "", "not applicable": ""}
+
+MAX_CHECKS = 20
+"""Checks of a level that are shown at once; if there are more, those that passed are folded."""
 
 
-def json_text(found: Dossier) -> str:
-    """The JSON form (``evalkit/commands/validate/acceptance.schema.json``)."""
-    return json.dumps(found.as_json(), indent=1) + "\n"
+def render_page(report: AcceptanceReport, command: str) -> str:
+    """The HTML page; ``command``: the command line that writes it."""
+    sections = [_verdict(report, command), *(_level(report, level) for level in report.levels), _method(report)]
+    facts = [("Claim", f"{'equal to' if report.claim == 'equal' else 'as good as'} the reference")]
+    facts += [("Reference", f"{report.reference}: {report.why_reference}"), ("Margin", report.margin_text or "none")]
+    facts += [("Peers", ", ".join(report.peers) or "none")]
+    facts = facts if report.reference else []
+    if "on" in report.settings:
+        facts.append(("On", "; ".join(report.settings["on"])))
+    return render(Document("evalkit validate", _title(report), f"{report.verdict}.", sections, tuple(facts)))
 
 
-def html(found: Dossier, command: str) -> str:
-    """The whole page; ``command`` makes it again."""
-    sections = [_verdict(found, command), *(_level(found, level) for level in found.levels), _method(found)]
-    title = {
-        ("equal", True): f"{found.backend} is equivalent to {found.twin}",
-        ("equal", False): f"{found.backend} is not equivalent to {found.twin}",
-        ("as-good", True): f"{found.backend} is as good as {found.twin}",
-        ("as-good", False): f"{found.backend} is not shown to be as good as {found.twin}",
-    }[found.claim, found.passed]
-    facts = (
-        ("Claim", "equal to the twin" if found.claim == "equal" else "as good as the twin"),
-        ("Twin", f"{found.twin}: {found.why_twin}"),
-        ("Margin", found.within or "not reached"),
-        ("Beside it", ", ".join(found.against) or "nobody"),
-        ("On", "; ".join(found.settings["on"])),
-    )
-    return render(Document("evalkit validate", title, f"{found.verdict}.", sections, facts))
+def _title(report: AcceptanceReport) -> str:
+    if not report.reference:
+        return f"{report.subject} {'passes' if report.passed else 'does not pass'}"
+    relation = "equivalent to" if report.claim == "equal" else "as good as"
+    if report.passed:
+        return f"{report.subject} is {relation} {report.reference}"
+    negation = "not" if report.claim == "equal" else "not shown to be"
+    return f"{report.subject} is {negation} {relation} {report.reference}"
 
 
-def _verdict(found: Dossier, command: str) -> Section:
+def _verdict(report: AcceptanceReport, command: str) -> Section:
     rows: list[list[Cell | str]] = []
-    for level in found.levels:
-        outcome = level.outcome(found.claim)
-        deciding = [line for line in level.lines if line.decides(found.claim) and line.outcome in ("passed", "failed")]
-        passed = sum(line.outcome == "passed" for line in deciding)
-        told = f"{passed} of {len(deciding)}" if deciding else "none"
+    for level in report.levels:
+        outcome = level.outcome(report.claim)
+        passed, failed = len(level.passed(report.claim)), len(level.failed(report.claim))
+        first = level.decisive_checks(report.claim)[0] if level.checks else None
         rows.append(
             [
                 Cell(f"{level.number} {level.name}", link=f"#{_anchor(level)}", sort=level.number),
                 level.question,
                 Cell(outcome, tone=TONES[outcome]),
-                told,
-                _short(found, level),
+                f"{passed} of {passed + failed}" if passed + failed else "none",
+                "" if first is None else f"{first.on}: {first.observed}" if first.on else first.observed,
             ]
         )
-    columns = ("level", "question", "outcome", Column("lines that decide", tip="passed, of all that decide"), "found")
+    columns = (
+        "level",
+        "question",
+        "outcome",
+        Column("deciding checks", tip="passed, of all that decide"),
+        Column("first result", tip="of the first check that refutes the claim, or else supports it"),
+    )
     blocks: list[Block] = [Table(columns, rows, sortable=False)]
-    blocks += [Text(f"Not asked: {name}: {why}", "warn") for name, why in found.absent.items()]
-    blocks += [Text("This page was made by:", "note"), Command(command)]
+    blocks += [Text(f"Not available here: {name}: {why}", "warn") for name, why in report.unavailable.items()]
+    blocks += [Text("The command that wrote this page:", "note"), Command(command)]
     return Section("Verdict", blocks)
 
 
-def _short(found: Dossier, level: Level) -> str:
-    """The line that says most: the first that refutes, else the first that decides, else the first."""
-    lines = [line for line in level.lines if line.outcome != "not applicable"]
-    deciding = [line for line in lines if line.decides(found.claim) and line.outcome == "passed"]
-    deciding.sort(key=lambda line: line.ground != found.claim)
-    shown = (level.failed(found.claim) or deciding or lines or list(level.lines))[:1]
-    return "".join(f"{line.on}: {line.observed}" if line.on else line.observed for line in shown)
-
-
-def _level(found: Dossier, level: Level) -> Section:
+def _level(report: AcceptanceReport, level: AcceptanceLevel) -> Section:
     columns = (
-        "line",
+        "check",
         "on",
         "outcome",
-        "found",
-        Column("held against", tip="the margin, and where it comes from"),
-        Column("counts", tip="whether the verdict hangs on it"),
+        "observed",
+        Column("margin", tip="the margin, and its origin"),
+        Column("weight", tip="whether the verdict depends on this check"),
     )
-    outcome = level.outcome(found.claim)
+    outcome = level.outcome(report.claim)
+    many = len(level.checks) > MAX_CHECKS
+    shown = [check for check in level.checks if not many or check.outcome != "passed" or check is level.checks[0]]
+    folded = [check for check in level.checks if check not in shown]
     blocks: list[Block] = [
         Text(level.question),
-        Table(columns, [_row(found, line) for line in level.lines], caption=f"Outcome: {outcome}"),
+        Table(columns, [_row(report, check) for check in shown], caption=f"Outcome: {outcome}"),
     ]
-    drawn = figures(level, found.backend, found.twin, found.margin)
+    if folded:
+        blocks.append(Fold("Checks that passed", [Table(columns, [_row(report, check) for check in folded])]))
+    drawn = figures(level, report.subject, report.reference, report.margin)
     if drawn:
         blocks.append(Figures(drawn))
-    if verdicts := level.shown.get("verdicts"):
-        rules = [
-            [one["rule"], one["sentence"], Cell(one["outcome"], tone=TONES[one["outcome"]]), one["observed"]]
-            for one in verdicts
-        ]
-        blocks.append(Fold("All rules", [Table(("rule", "it says", "outcome", "seen"), rows=rules)]))
     return Section(f"{level.number} {level.name}", blocks, _anchor(level))
 
 
-def _row(found: Dossier, line: Line) -> list[Cell | str]:
-    decides = line.decides(found.claim) and line.outcome in ("passed", "failed")
-    tone: Tone = TONES[line.outcome] if decides else "warn" if line.outcome == "failed" else ""
-    counts = "decides" if decides else "informs" if line.ground in ("", "always") else f"if {line.ground} is claimed"
-    told = f"{line.observed}; {line.detail}" if line.detail else line.observed
+def _row(report: AcceptanceReport, check: Check) -> list[Cell | str]:
+    decides = check.decides(report.claim) and check.outcome in ("passed", "failed")
+    tone: Tone = TONES[check.outcome] if decides else "warn" if check.outcome == "failed" else ""
+    informs = check.deciding in ("never", "always")
+    weight = "decides" if decides else "informs" if informs else f'decides the claim "{check.deciding}"'
+    observed = f"{check.observed}; {check.detail}" if check.detail else check.observed
     return [
-        line.name, line.on or "all", Cell(line.outcome, tone=tone), told, line.margin or "-",
-        Cell(counts, tip=GROUNDS[line.ground]),
+        check.name, check.on or "all", Cell(check.outcome, tone=tone), observed, check.margin or "-",
+        Cell(weight, tip=DECIDING[check.deciding]),
     ]  # fmt: skip
 
 
-def _method(found: Dossier) -> Section:
-    asked, share = found.settings["effort"], found.settings["share"]
+def _method(report: AcceptanceReport) -> Section:
+    facts = [*report.environment.items(), *_settings(report)]
+    fold = Fold("Environment and settings", [Table(("name", "value"), facts, sortable=False)])
+    if not report.reference or "effort" not in report.settings:
+        return Section("Method", [fold])
+    effort, share = report.settings["effort"], report.settings["noise_share"]
     items = [
-        f"The twin is {found.twin} ({found.why_twin}); --twin names another. What is given with --set goes to the twin "
-        "too where it has a parameter of that name.",
-        "The twin decides. References are other methods: how far their answers lie is told, and refutes nothing.",
-        "Equal means: asked the same question, the same answer within the margin. In double precision that is 1e-9 m: "
-        "a million times what rounding leaves, and a millionth of what noise does.",
-        "Where nothing but rounding parts the two, the margin is what rounding to single precision may do, computed "
-        "for every set of questions; the formula stands beside the line. A tie between two equally near points, which "
-        "single precision may break otherwise, is counted apart; whole runs show what it leads to.",
-        f"As good means: the interval of the difference lies below the margin, one-sided at 5 %. The margin is "
-        f"{share:g} of what noise alone leaves open: an error half the size of another adds an eighth to it.",
-        f"Level 1 asks {asked['pairs']} pairs of scans a sequence and seed, each with a guess 5 cm and 2 degrees off "
-        f"and with one 0.3 m and 0.15 rad off. Level 2 asks at each of {asked['scans']} scans what the twin was asked. "
-        f"Times are taken in one process, methods in turns, over {asked['timed']} scans.",
-        "Every run and every set of questions has a process of its own: a crash, a hang or a leak of the "
-        "implementation is a line here.",
+        f"The reference is {report.reference} ({report.why_reference}); --reference names another one. Settings given "
+        "with --set apply to the reference too if it has a parameter of that name.",
+        "The reference decides. Peers are other methods: the distance to their answers is shown and decides nothing.",
+        "Equal: the same question has the same answer within the margin. In double precision the margin is 1e-9 m: "
+        "a million times the rounding error, and a millionth of the sensor's noise.",
+        "If only rounding separates the two, the margin is the computed effect of rounding to single precision on each "
+        "set of questions; the formula is shown with the check. A tie between two equally near points, which single "
+        "precision may break differently, is counted separately; whole runs show its effect.",
+        f"As good: the interval of the difference lies below the margin, one-sided at 5 %. The margin is {share:g} of "
+        "the noise level: an error half the size of another increases it by an eighth.",
+        f"Level 1 uses {effort['pairs']} pairs of scans per sequence and seed, each with a guess 5 cm and 2 degrees "
+        f"off and with one 0.3 m and 0.15 rad off. Level 2 repeats the questions to the reference at each of "
+        f"{effort['scans']} scans. Times are measured in one process, methods in turns, over {effort['timed']} scans.",
+        "Every run and every set of questions has its own process: a crash, a hang or a leak of the implementation is "
+        "a failed check.",
     ]
-    settings = [(f"{whose}: {name}", str(value)) for whose in ("backend", "twin")
-                for name, value in found.settings[whose].items()]  # fmt: skip
-    facts = [*found.environment.items(), *settings]
-    table = Table(("where", "what"), facts, sortable=False)
-    blocks: list[Block] = [Bullets(items), Fold("Where it ran, and every setting", [table])]
-    return Section("How it was judged", blocks)
+    return Section("Method", [Bullets(items), fold])
 
 
-def _anchor(level: Level) -> str:
+def _settings(report: AcceptanceReport) -> list[tuple[str, str]]:
+    """Every setting by name; those of a plug-in with its role."""
+    rows: list[tuple[str, str]] = []
+    for name, value in report.settings.items():
+        if isinstance(value, Mapping):
+            rows += [(f"{name}: {key}", str(one)) for key, one in value.items()]
+        else:
+            rows.append((name, str(value)))
+    return rows
+
+
+def _anchor(level: AcceptanceLevel) -> str:
     return re.sub(r"[^a-z0-9]+", "-", f"level-{level.number}-{level.name}")

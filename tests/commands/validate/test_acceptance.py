@@ -1,4 +1,4 @@
-"""What a dossier says of its lines: the verdict, what decides, and its JSON form."""
+"""Acceptance reports: the verdict, deciding checks, and the JSON form."""
 
 import json
 from dataclasses import replace
@@ -7,75 +7,82 @@ from pathlib import Path
 import pytest
 
 import evalkit.commands.validate as package
-from evalkit.commands.validate import examination
-from evalkit.commands.validate.acceptance import Claim, Dossier, Level, Line
+from evalkit.commands.validate import plan
+from evalkit.commands.validate.acceptance import AcceptanceLevel, AcceptanceReport, Check, Claim
 
 SCHEMA = json.loads((Path(package.__file__).parent / "acceptance.schema.json").read_text(encoding="utf-8"))
 EFFORT = {"pairs": 4, "scans": 8, "timed": 8}
-SETTINGS = {"backend": {}, "twin": {}, "on": ["room"], "seeds": 1, "share": 0.5, "effort": EFFORT, "mappers": ["", ""]}
+SETTINGS = {"backend": {}, "reference": {}, "on": ["room"], "seeds": 1, "noise_share": 0.5, "effort": EFFORT}
 
 
-def dossier(*levels: Level, claim: Claim = "equal") -> Dossier:
-    return Dossier("mine", "paper", "named", ("other",), {}, claim, "exact", "within 1e-09 m", levels, SETTINGS, {})
+def report(*levels: AcceptanceLevel, claim: Claim = "equal") -> AcceptanceReport:
+    return AcceptanceReport(
+        "mine", "paper", "named", ("other",), {}, claim, "exact", "within 1e-09 m", levels, SETTINGS, {}
+    )
 
 
 def level(number, name, *lines):
-    return Level(number, name, "Is it?", lines)
+    return AcceptanceLevel(number, name, "Is it?", lines)
 
 
-KEPT = level(0, "conformance", Line("rules kept", "", "passed", "always", "none broken"))
-SAME = Line("equal to paper", "room", "passed", "equal", "no difference")
-GOOD = Line("as good", "room", "passed", "as-good", "no larger")
+KEPT = level(0, "rules", Check("all rules", "", "passed", "always", "none broken"))
+SAME = Check("equal to paper", "room", "passed", "equal", "no difference")
+GOOD = Check("as good", "room", "passed", "as-good", "no larger")
 
 
-def test_the_verdict_of_an_equal_implementation_names_its_twin_the_margin_and_the_levels():
-    found = dossier(KEPT, level(1, "registration", SAME))
+def test_the_verdict_of_an_equal_implementation_names_the_reference_the_margin_and_the_levels():
+    found = report(KEPT, level(1, "registrations", SAME))
     assert found.passed
-    expected = "mine is equivalent to paper within 1e-09 m at every level asked (0 conformance, 1 registration)"
+    expected = "mine is equivalent to paper within 1e-09 m at every level that was run (0 rules, 1 registrations)"
     assert found.verdict == expected
 
 
-def test_the_first_line_that_refutes_is_the_verdict():
+def test_the_first_check_that_refutes_the_claim_is_the_verdict():
     wrong = replace(SAME, outcome="failed", observed="pair 3: units")
-    found = dossier(KEPT, level(1, "registration", SAME, wrong), level(2, "scan by scan", wrong))
+    found = report(KEPT, level(1, "registrations", SAME, wrong), level(2, "lockstep", wrong))
     assert not found.passed
-    assert found.verdict == "mine first differs from paper at level 1 (registration, room): pair 3: units"
+    assert found.verdict == "mine first differs from paper at level 1 (registrations, room): pair 3: units"
 
 
 def test_broken_rules_do_not_hide_where_the_answers_first_differ():
-    broken = level(0, "conformance", Line("rules kept", "", "failed", "always", "2 of 22 rules broken"))
+    broken = level(0, "rules", Check("all rules", "", "failed", "always", "2 of 22 rules broken"))
     wrong = replace(SAME, outcome="failed", observed="pair 1: transposed")
-    verdict = dossier(broken, level(1, "registration", wrong)).verdict
-    assert verdict.startswith("mine fails at level 0 (conformance): rules kept: 2 of 22 rules broken. ")
-    assert verdict.endswith("It first differs from paper at level 1 (registration, room): pair 1: transposed")
+    verdict = report(broken, level(1, "registrations", wrong)).verdict
+    assert verdict.startswith("mine fails at level 0 (rules): all rules: 2 of 22 rules broken. ")
+    assert verdict.endswith("It first differs from paper at level 1 (registrations, room): pair 1: transposed")
 
 
-def test_each_claim_hangs_on_its_own_lines():
-    other_method = level(1, "registration", replace(SAME, outcome="failed"), GOOD)
-    assert not dossier(KEPT, other_method).passed
-    assert dossier(KEPT, other_method, claim="as-good").passed
-    worse = level(1, "registration", SAME, replace(GOOD, outcome="failed"))
-    assert dossier(KEPT, worse).passed
-    assert not dossier(KEPT, worse, claim="as-good").passed
+def test_each_claim_depends_on_its_own_checks():
+    other_method = level(1, "registrations", replace(SAME, outcome="failed"), GOOD)
+    assert not report(KEPT, other_method).passed
+    assert report(KEPT, other_method, claim="as-good").passed
+    worse = level(1, "registrations", SAME, replace(GOOD, outcome="failed"))
+    assert report(KEPT, worse).passed
+    assert not report(KEPT, worse, claim="as-good").passed
 
 
-def test_what_was_only_told_speaks_for_nothing():
-    told = level(5, "time", Line("time", "room", "told", "", "1 ms"), Line("pace", "room", "failed", "", "slow"))
-    assert told.outcome("equal") == "told"
-    assert level(4, "maps", Line("map", "", "not applicable", "", "none")).outcome("equal") == "not applicable"
-    assert not dossier(told).passed
-    assert dossier(told).verdict == "nothing can be said of mine: no level could be asked"
+def test_informative_checks_support_no_claim():
+    timed = level(
+        5,
+        "time",
+        Check("time", "room", "informative", "never", "1 ms"),
+        Check("pace", "room", "failed", "never", "slow"),
+    )
+    assert timed.outcome("equal") == "informative"
+    assert level(4, "maps", Check("map", "", "not applicable", "never", "none")).outcome("equal") == "not applicable"
+    assert not report(timed).passed
+    assert report(timed).verdict == "no verdict on mine: no level could be run"
 
 
 @pytest.mark.parametrize("claim", ["equal", "as-good"])
-def test_the_json_form_is_what_the_schema_says(claim: Claim):
-    found = dossier(KEPT, level(1, "registration", SAME, GOOD), claim=claim).as_json()
+def test_the_json_form_follows_the_schema(claim: Claim):
+    found = report(KEPT, level(1, "registrations", SAME, GOOD), claim=claim).as_json()
     jsonschema = pytest.importorskip("jsonschema")
     jsonschema.validate(json.loads(json.dumps(found)), SCHEMA)
-    assert found["levels"][1]["lines"][0]["decides"] is (claim == "equal")
+    assert found["levels"][1]["checks"][0]["decides"] is (claim == "equal")
 
 
-def test_machine_code_is_the_library_named_or_what_the_plug_in_reaches(tmp_path):
-    assert examination.compiled(f"lib:{tmp_path / 'libmine.so'}") == [(tmp_path / "libmine.so").resolve()]
-    assert examination.compiled("paper") == []
-    assert {file.suffix for file in examination.compiled("embedded")} <= {".so"}
+def test_compiled_files_are_the_library_or_those_of_the_package(tmp_path):
+    assert plan.compiled_files(f"lib:{tmp_path / 'libmine.so'}") == [(tmp_path / "libmine.so").resolve()]
+    assert plan.compiled_files("paper") == []
+    assert {file.suffix for file in plan.compiled_files("embedded")} <= {".so"}

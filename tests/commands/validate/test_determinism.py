@@ -1,9 +1,9 @@
-"""Whether a back end answers the same when it is asked again."""
+"""Determinism of repeated runs."""
 
 import numpy as np
 import pytest
 
-from evalkit.commands.validate.determinism import determinism, judged
+from evalkit.commands.validate.determinism import compare_runs, measure_determinism
 from evalkit.core.run_result import STEP, RunResult
 
 
@@ -17,7 +17,7 @@ SAME, OTHER = run(0.0, 1.0), run(0.0, 1.0 + 2**-40)
 
 
 @pytest.mark.parametrize(
-    ("made", "verdict"),
+    ("runs", "verdict"),
     [
         ({1: [SAME, SAME], 2: [SAME, SAME]}, "bit-equal"),
         ({1: [SAME, SAME], 2: [OTHER, OTHER]}, "thread-dependent"),
@@ -25,16 +25,16 @@ SAME, OTHER = run(0.0, 1.0), run(0.0, 1.0 + 2**-40)
         ({1: [SAME, OTHER], 2: [SAME, SAME]}, "not deterministic"),
     ],
 )
-def test_one_bit_is_enough_and_its_place_decides(made, verdict):
-    found = judged("b", made)
+def test_a_difference_of_one_bit_is_found_and_classified_by_threads(runs, verdict):
+    found = compare_runs("b", runs)
     assert found.verdict == verdict
     assert found.apart_m == (0.0 if verdict == "bit-equal" else 2**-40)
     assert found.scans == 2
 
 
-def test_a_back_end_that_draws_lots_is_found_and_one_that_fails_says_why(strangers):
-    sound = determinism("faulty", "straight", {}, threads=(1,))
+def test_a_random_back_end_is_not_deterministic_and_a_sound_one_is(strangers):
+    sound = measure_determinism("faulty", {}, "straight", {}, threads=(1,))
     assert (sound.verdict, sound.apart_m, sound.scans) == ("bit-equal", 0.0, 12)
-    lots = determinism("lots", "straight", {}, threads=(1,))
+    lots = measure_determinism("lots", {}, "straight", {}, threads=(1,))
     assert lots.verdict == "not deterministic"
     assert 0.0 < lots.apart_m < 1.0

@@ -1,1 +1,1 @@
-"""Compare two implementations question by question, in lockstep."""
+"""Comparison of two implementations, question by question: equal or not, and where and why they first differ."""

@@ -1,4 +1,4 @@
-"""What usual mistakes would have answered: candidates that a differing answer, step or start is held against."""
+"""Diagnosis of a difference: the results that common mistakes would give, compared with the observed one."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 from evalkit.core import se2
 from evalkit.core.se2 import Floats
 
-Kind = Literal[
+DivergenceKind = Literal[
     "nearest-neighbour tie",
     "precision",
     "stop rule",
@@ -30,35 +30,35 @@ Kind = Literal[
 ]
 
 EXPLAINED = 0.01
-"""A mistake explains a difference if it leaves less than this share of it."""
+"""A mistake explains a difference if less than this share of it remains."""
 
 
 @dataclass(frozen=True, eq=False)
 class Mistake:
-    """A usual mistake: its class, what it is, and the motion (3,) it leads to."""
+    """A common mistake: its class, a description, and the motion (3,) that it leads to."""
 
-    kind: Kind
+    kind: DivergenceKind
     what: str
     row: Floats
 
 
-def explanation(mistakes: Sequence[Mistake], right: Floats, found: Floats, lever_m: float) -> Mistake | None:
-    """The mistake that leads from the right motion (3,) to the one found, if one does; turns weigh ``lever_m``."""
+def find_mistake(mistakes: Sequence[Mistake], right: Floats, observed: Floats, lever_m: float) -> Mistake | None:
+    """The mistake that leads from the right motion (3,) to the observed one, or None; turns weigh ``lever_m``."""
     if not mistakes:
         return None
-    left = [apart(mistake.row, found, lever_m) for mistake in mistakes]
+    left = [motion_distance_m(mistake.row, observed, lever_m) for mistake in mistakes]
     best = int(np.argmin(left))
-    return mistakes[best] if left[best] < EXPLAINED * apart(right, found, lever_m) else None
+    return mistakes[best] if left[best] < EXPLAINED * motion_distance_m(right, observed, lever_m) else None
 
 
-def apart(a: Floats, b: Floats, lever_m: float) -> float:
-    """How far (m) two motions lie apart, their turns as felt at the end of a lever."""
+def motion_distance_m(a: Floats, b: Floats, lever_m: float) -> float:
+    """The distance (m) of two motions, their turn measured at the end of a lever."""
     x, y, theta = se2.between(a, b)
     return float(math.hypot(x, y) + lever_m * abs(theta))
 
 
-def in_answer(answer: Floats, guess: Floats) -> list[Mistake]:
-    """Ways to tell a right answer (3,) wrongly."""
+def mistakes_in_answer(answer: Floats, guess: Floats) -> list[Mistake]:
+    """Mistakes in returning a right answer (3,)."""
     x, y, theta = answer
     swapped = np.array([y, x, theta])
     return [
@@ -68,22 +68,22 @@ def in_answer(answer: Floats, guess: Floats) -> list[Mistake]:
         Mistake("different", "the answer has x and y exchanged", swapped),
         Mistake("different", "the answer leaves out the guess", se2.compose(answer, se2.inverse(guess))),
         Mistake("different", "the answer is relative to the guess", se2.compose(se2.inverse(guess), answer)),
-        Mistake("different", "the guess comes back as the answer", guess),
+        Mistake("different", "the guess is returned as the answer", guess),
     ]
 
 
-def in_start(guess: Floats) -> list[Mistake]:
-    """Ways to start from something else than the guess (3,)."""
+def mistakes_in_start(guess: Floats) -> list[Mistake]:
+    """Mistakes in the start from a guess (3,)."""
     return [
         *_units("the guess", guess),
         *_signs("the guess", guess),
-        Mistake("different", "the guess is used the wrong way round: source_from_target", se2.inverse(guess)),
+        Mistake("different", "the guess is inverted: source_from_target", se2.inverse(guess)),
         Mistake("different", "the guess is not used", np.zeros(3)),
     ]
 
 
-def in_step(before: Floats, source: Floats, target: Floats, everything: Floats) -> list[Mistake]:
-    """Ways to take a wrong step from the pose before (3,): pairs (K, 2), moved, and all source points (N, 2), moved."""
+def mistakes_in_step(before: Floats, source: Floats, target: Floats, everything: Floats) -> list[Mistake]:
+    """Mistakes in a step from the pose before (3,): pairs (K, 2) and all source points (N, 2), moved by that pose."""
     p_bar, q_bar = source.mean(axis=0), target.mean(axis=0)
     step = best_step(source, target)
     theta = step[2]
@@ -108,7 +108,7 @@ def in_step(before: Floats, source: Floats, target: Floats, everything: Floats) 
 
 
 def best_step(source: Floats, target: Floats) -> Floats:
-    """The motion (3,) that is best in least squares for pairs (K, 2) (Umeyama, PAMI 1991, in the plane)."""
+    """The least-squares motion (3,) of pairs (K, 2) (Umeyama, PAMI 1991, in the plane)."""
     p_bar, q_bar = source.mean(axis=0), target.mean(axis=0)
     cross = (source - p_bar).T @ (target - q_bar)
     return _about(p_bar, q_bar, math.atan2(cross[0, 1] - cross[1, 0], cross[0, 0] + cross[1, 1]))
@@ -124,8 +124,8 @@ COSTS: dict[str, Callable[[Floats], float]] = {
 }
 
 
-def cost_told(error: float, before: Floats, after: Floats) -> str:
-    """Which cost of the pairs' distances (K,), before or after the step, an error is; "" if none of the usual."""
+def name_cost(error: float, before: Floats, after: Floats) -> str:
+    """The name of the cost of the distances (K,) before or after the step that equals an error; "" if none does."""
     for when, distances in (("after", after), ("before", before)):
         for name, cost in COSTS.items():
             if math.isclose(cost(distances), error, rel_tol=1e-5):
@@ -137,7 +137,7 @@ def _units(what: str, row: Floats) -> list[Mistake]:
     x, y, theta = row
     return [
         Mistake("units", f"{what}'s angle is in degrees", np.array([x, y, float(se2.wrap(math.degrees(theta)))])),
-        Mistake("units", f"{what}'s angle is taken for degrees", np.array([x, y, math.radians(theta)])),
+        Mistake("units", f"{what}'s angle is interpreted as degrees", np.array([x, y, math.radians(theta)])),
         *(
             Mistake("units", f"{what}'s translation is {name} of what it should be", np.array([x * by, y * by, theta]))
             for by, name in ((1e3, "1000 times"), (1e2, "100 times"), (1e-2, "a 100th"), (1e-3, "a 1000th"))

@@ -1,4 +1,4 @@
-"""How far apart two answers may lie and still be the same, and whether a series of differences stays within that."""
+"""Margins within which two answers are equal, and equivalence intervals of series of differences."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ FLOAT32_ROUNDOFF = 2.0**-24
 """Relative error of rounding once to single precision."""
 
 TIE_ROUNDINGS = 8.0
-"""Two distances count as equal within so many roundings to single precision of the largest coordinate."""
+"""Two distances are equal within this many single-precision roundings of the largest coordinate."""
 
 CONTRACTION = 2.0 / 3.0
-"""By what one ICP step shrinks the error of the one before (linear convergence), for the float32 budget."""
+"""Factor by which one ICP step reduces the error of the one before (linear convergence), for the float32 margin."""
 
 MIN_FOR_BOOTSTRAP = 30
 RESAMPLES = 2000
 LEVEL = 0.90
-"""Of the interval: inside the margin means both one-sided tests at 5 % reject "too far" (Schuirmann 1987)."""
+"""Confidence of the interval: within the margin, both one-sided tests at 5 % reject "too far" (Schuirmann 1987)."""
 
 
 @dataclass(frozen=True)
 class Margin:
-    """Differences smaller than this do not count: metres, radians, log-odds; ``origin`` says where it comes from."""
+    """The largest difference that counts as equal: metres, radians, log-odds; ``origin``: how it was determined."""
 
     metres: float = 1e-9
     radians: float = 1e-9
@@ -45,14 +45,14 @@ class Margin:
                 raise ValueError(f"margin {name}: expected a positive number, got {getattr(self, name)}")
 
     def holds(self, a: Pose, b: Pose) -> bool:
-        """Whether two poses are the same within the margin."""
+        """Whether two poses are equal within the margin."""
         away = a.inverse() @ b
         return math.hypot(away.x, away.y) <= self.metres and abs(away.theta) <= self.radians
 
 
 @dataclass(frozen=True)
 class Scale:
-    """What rounding grows with: largest coordinate (m), most points, least rms radius of a source (m)."""
+    """The quantities that determine rounding: largest coordinate (m), most points, least rms radius of a source (m)."""
 
     reach_m: float
     points: int
@@ -69,7 +69,7 @@ class Scale:
 
     @classmethod
     def largest(cls, scales: Iterable[Scale]) -> Scale:
-        """The scale at which rounding is worst."""
+        """The scale with the largest rounding error."""
         known = list(scales)
         radius = min((one.radius_m for one in known), default=0.0)
         return cls(
@@ -77,14 +77,14 @@ class Scale:
         )
 
 
-def float32(scale: Scale) -> Margin:
-    """What rounding to single precision may do to an ICP's answer.
+def float32_margin(scale: Scale) -> Margin:
+    """The margin of an ICP answer for rounding to single precision.
 
     Each of N points is rounded about three times (stored, turned, shifted), each time by u = 2^-24 of the largest
-    coordinate C. A sum of N terms, one after the other, errs like a random walk: by u C sqrt(N / 3) on their mean
-    (Higham and Mary 2019). One step therefore errs by s = u C (3 + sqrt(N / 3)) metres; felt as a turn about points of
-    rms radius r by s / r radians, and this moves what is C away by C s / r. A later step corrects all but a share of
-    2/3 (linear convergence), so the errors of all steps add up to at most three times that of one.
+    coordinate C. The error of a sequential sum of N terms is a random walk: u C sqrt(N / 3) on their mean
+    (Higham and Mary 2019). The error of one step is therefore s = u C (3 + sqrt(N / 3)) metres; as a turn of points
+    with rms radius r it is s / r radians, which moves a point at distance C by C s / r. A later step corrects all but
+    a share of 2/3 (linear convergence), so the errors of all steps add up to at most three times that of one.
     """
     gain = 1.0 / (1.0 - CONTRACTION)
     step = FLOAT32_ROUNDOFF * scale.reach_m * (3.0 + math.sqrt(scale.points / 3.0))
@@ -98,7 +98,7 @@ def float32(scale: Scale) -> Margin:
 
 
 @dataclass(frozen=True)
-class Interval:
+class EquivalenceInterval:
     """The 90 % interval of the mean of one quantity, in ``unit``, with the margin and the worst single value."""
 
     quantity: str
@@ -118,11 +118,11 @@ class Interval:
         return -self.margin < self.low and self.high < self.margin
 
 
-def interval(quantity: str, unit: str, values: ArrayLike, scans: ArrayLike, margin: float) -> Interval:
-    """The interval of the mean of values (N,), one a scan, in the order of time; infinite for fewer than two.
+def interval(quantity: str, unit: str, values: ArrayLike, scans: ArrayLike, margin: float) -> EquivalenceInterval:
+    """The interval of the mean of values (N,), one per scan, in the order of time; infinite for fewer than two.
 
-    From 30 on by moving blocks of n^(1/3) scans (Kuensch 1989), which assumes that differences farther apart do not
-    depend on each other; for fewer by Student's t, which assumes that none do.
+    From 30 values on by moving blocks of n^(1/3) scans (Kuensch 1989), which assumes that differences farther apart are
+    independent; for fewer by Student's t, which assumes that all are independent.
     """
     series, at = np.asarray(values, dtype=np.float64), np.asarray(scans)
     n = len(series)
@@ -132,17 +132,17 @@ def interval(quantity: str, unit: str, values: ArrayLike, scans: ArrayLike, marg
         half = float(stats.t.ppf(0.5 + LEVEL / 2.0, n - 1) * series.std(ddof=1) / math.sqrt(n))
         low, high, method = float(series.mean()) - half, float(series.mean()) + half, "Student's t"
     else:
-        low, high = _by_blocks(series, np.random.default_rng(0))
+        low, high = _block_interval(series, np.random.default_rng(0))
         method = "moving blocks"
     row = int(np.argmax(np.abs(series))) if n else 0
     mean, worst, worst_scan = (float(series.mean()), float(series[row]), int(at[row])) if n else (math.inf, math.inf, 0)
-    return Interval(quantity, unit, mean, low, high, worst, worst_scan, margin, n, method)
+    return EquivalenceInterval(quantity, unit, mean, low, high, worst, worst_scan, margin, n, method)
 
 
-def pose_intervals(stage: str, a_from_b: Floats, scans: ArrayLike, margin: Margin) -> tuple[Interval, ...]:
-    """Five intervals of differences (N, 3): signed along x, y and theta, which shows a bias, and the sizes.
+def pose_intervals(stage: str, a_from_b: Floats, scans: ArrayLike, margin: Margin) -> tuple[EquivalenceInterval, ...]:
+    """Five intervals of differences (N, 3): signed x, y and theta, which show a bias, and the magnitudes.
 
-    Signed differences can cancel over a sequence; sizes cannot.
+    Signed differences can cancel over a sequence; magnitudes cannot.
     """
     shift = np.hypot(a_from_b[:, 0], a_from_b[:, 1])
     return (
@@ -159,7 +159,7 @@ def difference(a: Pose, b: Pose) -> Floats:
     return se2.between(a.row, b.row)
 
 
-def _by_blocks(series: Floats, rng: np.random.Generator) -> tuple[float, float]:
+def _block_interval(series: Floats, rng: np.random.Generator) -> tuple[float, float]:
     n = len(series)
     length = math.ceil(n ** (1.0 / 3.0))
     starts = rng.integers(0, n - length + 1, (RESAMPLES, math.ceil(n / length)))

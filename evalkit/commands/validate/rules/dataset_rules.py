@@ -1,4 +1,4 @@
-"""What a data set must keep, rule by rule, asked of its first frames in this process."""
+"""The rules of a data set, checked on its first frames in this process."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from itertools import islice, pairwise
 
 import numpy as np
 
-from evalkit.commands.validate.rules.rule import Broken, Conformance, NotApplicable, Rule, table, verdict
+from evalkit.commands.validate.rules.rule import Rule, RuleBroken, RuleNotApplicable, RuleReport, check_rule, rule_table
 from evalkit.core.errors import DataMissing, EvalkitError
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
@@ -20,11 +20,11 @@ from evalkit.plugins.protocols import Sequence
 from evalkit.plugins.specs import DatasetSpec
 
 COVERED = 0.5
-"""Share of the frames that the truth must reach: recordings may begin before their reference does."""
+"""The share of the frames that the truth must cover; recordings may begin before their reference."""
 
 
-class Bench:
-    """A data set on the bench: opened once for most rules, because opening may be a simulation or a long file."""
+class DatasetFixture:
+    """A data set under test, opened once for most rules because opening may run a simulation or read a long file."""
 
     def __init__(self, spec: DatasetSpec, parameters: Mapping[str, Value], count: int) -> None:
         self.parameters, self.count, self.seeded = parameters, count, spec.seeded
@@ -32,151 +32,155 @@ class Bench:
 
     @cached_property
     def sequence(self) -> Sequence:
-        """The one that most rules look at."""
-        return self.opened()
+        """The sequence that most rules use."""
+        return self.open()
 
     @cached_property
     def frames(self) -> list[Frame]:
-        """The first frames of it."""
-        return self.first(self.sequence)
+        """Its first frames."""
+        return self.read(self.sequence)
 
-    def opened(self, **changes: Value) -> Sequence:
-        """A sequence of its own, with some parameters changed."""
+    def open(self, **changes: Value) -> Sequence:
+        """A new sequence, with some parameters changed."""
         return self._make(**{**self.parameters, **changes})
 
-    def first(self, sequence: Sequence) -> list[Frame]:
-        """The frames of it that are looked at."""
+    def read(self, sequence: Sequence) -> list[Frame]:
+        """The first ``count`` frames of a sequence."""
         return list(islice(sequence.frames(), self.count))
 
 
-def check(dataset: str | DatasetSpec, frames: int, parameters: Mapping[str, object]) -> Conformance:
-    """What every rule finds about the first frames of a data set: a registered name, "module:SPEC", or a spec.
+def check(dataset: str | DatasetSpec, frames: int, parameters: Mapping[str, object]) -> RuleReport:
+    """The results of all rules on the first frames of a data set: a registered name, "module:SPEC", or a spec.
 
-    Raises DataMissing where its files are not here, BadParameter or UnknownName for parameters.
+    Raises DataMissing if its files are not here, BadParameter or UnknownName for parameters.
     """
-    address = address_of(dataset)
-    spec = spec_at(address, DatasetSpec, registry.dataset)
+    address, spec = address_of(dataset), spec_of(dataset)
     complete = resolve_parameters(address.label, spec.parameters, parameters)
     if why := spec.missing(**{name: value for name, value in complete.items() if name != "seed"}):
         raise DataMissing(address.label, "cannot be checked here", why)
-    bench = Bench(spec, complete, frames)
-    return Conformance(address.label, tuple(verdict(rule, bench) for rule in RULES.values()))
+    fixture = DatasetFixture(spec, complete, frames)
+    return RuleReport(address.label, tuple(check_rule(rule, fixture) for rule in RULES.values()))
 
 
-def opens(bench: Bench) -> str:
-    """It opens, and gives frames with hits."""
-    frames = bench.frames
+def spec_of(dataset: str | DatasetSpec) -> DatasetSpec:
+    """The spec of a registered name, of "module:SPEC", or itself; NotInstalled if there is none."""
+    return spec_at(address_of(dataset), DatasetSpec, registry.dataset)
+
+
+def check_opens(fixture: DatasetFixture) -> str:
+    """It opens, and its frames have returns."""
+    frames = fixture.frames
     if not frames:
-        raise Broken("there is no frame")
+        raise RuleBroken("there is no frame")
     strange = next((frame for frame in frames if not isinstance(frame, Frame)), None)
     if strange is not None:
-        raise Broken(f"frames() gives a {type(strange).__name__}, expected an evalkit.Frame")
+        raise RuleBroken(f"frames() yields a {type(strange).__name__}, expected an evalkit.Frame")
     hits = sum(int(frame.scan.hits.sum()) for frame in frames)
     if not hits:
-        raise Broken(f"no beam of {len(frames)} frames met anything")
-    return f"{hits // len(frames)} hits a scan"
+        raise RuleBroken(f"no beam of {len(frames)} frames has a return")
+    return f"{hits // len(frames)} returns per scan"
 
 
-def again(bench: Bench) -> str:
-    """frames() twice, and a second object."""
-    once = bench.frames
-    _alike(once, bench.first(bench.sequence), "frames() called again")
-    _alike(once, bench.first(bench.opened()), "a second object with the same parameters")
+def check_again(fixture: DatasetFixture) -> str:
+    """Repeated frames() and a second object."""
+    once = fixture.frames
+    _require_equal(once, fixture.read(fixture.sequence), "frames() called again")
+    _require_equal(once, fixture.read(fixture.open()), "a second object with the same parameters")
     return f"{len(once)} frames agree to the bit"
 
 
-def seeds(bench: Bench) -> str:
+def check_seeds(fixture: DatasetFixture) -> str:
     """Another seed."""
-    if not bench.seeded:
-        raise NotApplicable("it has no seed")
-    seed = int(bench.parameters["seed"])
-    other = bench.first(bench.opened(seed=seed + 1))
-    if [_bits(frame) for frame in bench.frames] == [_bits(frame) for frame in other]:
-        raise Broken(f"seeds {seed} and {seed + 1} give the same frames")
+    if not fixture.seeded:
+        raise RuleNotApplicable("it has no seed")
+    seed = int(fixture.parameters["seed"])
+    other = fixture.read(fixture.open(seed=seed + 1))
+    if [_bits(frame) for frame in fixture.frames] == [_bits(frame) for frame in other]:
+        raise RuleBroken(f"seeds {seed} and {seed + 1} give the same frames")
     return f"seeds {seed} and {seed + 1} differ"
 
 
-def stamps(bench: Bench) -> str:
-    """The order of time."""
-    found = [frame.scan.stamp_ns for frame in bench.frames]
+def check_stamps(fixture: DatasetFixture) -> str:
+    """Increasing stamps."""
+    found = [frame.scan.stamp_ns for frame in fixture.frames]
     for index, (before, now) in enumerate(pairwise(found)):
         if now <= before:
-            raise Broken(f"frame {index + 2} is stamped {now} ns, the one before {before} ns")
+            raise RuleBroken(f"frame {index + 2} is stamped {now} ns, the one before {before} ns")
     odd = next((stamp for stamp in found if not isinstance(stamp, (int, np.integer))), None)
     if odd is not None:
-        raise Broken(f"a stamp is {odd!r}, expected whole nanoseconds")
+        raise RuleBroken(f"a stamp is {odd!r}, expected whole nanoseconds")
     return f"{len(found)} stamps, {(found[-1] - found[0]) * 1e-9:.2f} s"
 
 
-def length(bench: Bench) -> str:
-    """How many frames it says there are."""
-    said, found = len(bench.sequence), len(bench.frames)
-    if found < min(said, bench.count) or found > said:
-        raise Broken(f"len() says {said}, {found} frames came when {bench.count} were asked for")
-    return f"len() says {said}, {found} were looked at"
+def check_length(fixture: DatasetFixture) -> str:
+    """The number of frames."""
+    announced, found = len(fixture.sequence), len(fixture.frames)
+    if found < min(announced, fixture.count) or found > announced:
+        raise RuleBroken(f"len() is {announced}, but the first {fixture.count} frames are {found}")
+    return f"len() is {announced}, {found} frames were read"
 
 
-def odometry(bench: Bench) -> str:
+def check_odometry(fixture: DatasetFixture) -> str:
     """Wheel odometry, between scans and within them."""
-    given = [frame.odom_from_base is not None for frame in bench.frames]
-    within = [frame.start_from_end is not None for frame in bench.frames]
+    given = [frame.odom_from_base is not None for frame in fixture.frames]
+    within = [frame.start_from_end is not None for frame in fixture.frames]
     if alone := sum(inside and not between for inside, between in zip(within, given, strict=True)):
-        raise Broken(f"{alone} of {len(given)} frames have start_from_end but no odom_from_base")
+        raise RuleBroken(f"{alone} of {len(given)} frames have start_from_end but no odom_from_base")
     return f"in {sum(given)} of {len(given)} frames, within the scan in {sum(within)}"
 
 
-def truth(bench: Bench) -> str:
-    """What the estimates are held against."""
-    known = bench.sequence.truth()
+def check_truth(fixture: DatasetFixture) -> str:
+    """The ground truth."""
+    known = fixture.sequence.truth()
     if not isinstance(known, Truth):
-        raise Broken(f"truth() answers a {type(known).__name__}, expected an evalkit.Truth")
+        raise RuleBroken(f"truth() returns a {type(known).__name__}, expected an evalkit.Truth")
     if not known.how:
-        raise Broken("truth().how is empty: say how it was made, for the reader of a report")
+        raise RuleBroken("truth().how is empty: describe how the truth was determined")
     if known.trajectory is None:
         return f"no trajectory; {known.how}"
-    found = np.array([frame.scan.stamp_ns for frame in bench.frames])
+    found = np.array([frame.scan.stamp_ns for frame in fixture.frames])
     span = known.trajectory.stamps_ns
     inside = float(((found >= span[0]) & (found <= span[-1])).mean()) if len(span) else 0.0
     if inside < COVERED:
-        raise Broken(f"the true trajectory reaches {100 * inside:.0f} % of the frames: are both on the same clock?")
-    return f"the true trajectory reaches {100 * inside:.0f} % of the frames; {known.how}"
+        raise RuleBroken(f"the true trajectory covers {100 * inside:.0f} % of the frames: are both on the same clock?")
+    return f"the true trajectory covers {100 * inside:.0f} % of the frames; {known.how}"
 
 
-def mounting(bench: Bench) -> str:
-    """Where the lidar sits."""
-    found = {frame.base_from_sensor for frame in bench.frames}
+def check_mounting(fixture: DatasetFixture) -> str:
+    """The mounting of the lidar."""
+    found = {frame.base_from_sensor for frame in fixture.frames}
     if len(found) > 1:
-        raise Broken(f"base_from_sensor changes: {len(found)} different ones in {len(bench.frames)} frames")
+        raise RuleBroken(f"base_from_sensor changes: {len(found)} different values in {len(fixture.frames)} frames")
     pose = found.pop() if found else Pose()
     return f"({pose.x:.3f} m, {pose.y:.3f} m, {pose.theta:.3f} rad)"
 
 
-def notes(bench: Bench) -> str:
+def check_notes(fixture: DatasetFixture) -> str:
     """Defects, counted by name."""
-    found = bench.sequence.notes()
+    found = fixture.sequence.notes()
     for name, count in found.items():
         if not isinstance(name, str) or not isinstance(count, (int, np.integer)) or count < 0:
-            raise Broken(f"notes() has {name!r}: {count!r}, expected a name and a count")
+            raise RuleBroken(f"notes() has {name!r}: {count!r}, expected a name and a count")
     return ", ".join(f"{name}: {count}" for name, count in found.items()) or "none"
 
 
-def declared(bench: Bench) -> str:
-    """Every parameter it declares can be given."""
+def check_declared(fixture: DatasetFixture) -> str:
+    """Every declared parameter is accepted."""
     try:
-        _ = bench.sequence
+        _ = fixture.sequence
     except EvalkitError:
         raise
     except TypeError as error:
-        raise Broken(f"make() refuses its own parameters: {error}") from error
-    return f"takes {', '.join(bench.parameters) or 'none'}"
+        raise RuleBroken(f"make() rejects its declared parameters: {error}") from error
+    return f"accepts {', '.join(fixture.parameters) or 'none'}"
 
 
-def _alike(once: list[Frame], other: list[Frame], how: str) -> None:
+def _require_equal(once: list[Frame], other: list[Frame], how: str) -> None:
     if len(once) != len(other):
-        raise Broken(f"{how} gives {len(other)} frames instead of {len(once)}")
+        raise RuleBroken(f"{how} yields {len(other)} frames instead of {len(once)}")
     for index, (before, now) in enumerate(zip(once, other, strict=True)):
         if _bits(before) != _bits(now):
-            raise Broken(f"{how} gives another frame {index + 1}")
+            raise RuleBroken(f"{how} yields another frame {index + 1}")
 
 
 def _bits(frame: Frame) -> tuple[object, ...]:
@@ -187,15 +191,15 @@ def _bits(frame: Frame) -> tuple[object, ...]:
     )  # fmt: skip
 
 
-RULES = table(
-    Rule("parameters", "It is made from the parameters it declares.", declared),
-    Rule("opens", "It gives frames whose beams meet something.", opens),
-    Rule("again", "frames() may be called again and gives the same, as does a second object.", again),
-    Rule("seeds", "Another seed gives other frames.", seeds),
-    Rule("stamps", "Stamps are whole nanoseconds and strictly increasing.", stamps),
-    Rule("length", "There are as many frames as len() says.", length),
-    Rule("odometry", "Who knows the motion within a scan knows the motion between scans.", odometry),
-    Rule("mounting", "The lidar stays where it is.", mounting),
-    Rule("truth", "The truth says how it was made and lies on the clock of the scans.", truth),
-    Rule("notes", "Defects are counts by name.", notes),
+RULES = rule_table(
+    Rule("parameters", "It can be created with the parameters it declares.", check_declared),
+    Rule("opens", "Its frames have returns.", check_opens),
+    Rule("again", "A second call of frames() and a second object yield the same frames.", check_again),
+    Rule("seeds", "Another seed yields other frames.", check_seeds),
+    Rule("stamps", "Stamps are whole nanoseconds and strictly increasing.", check_stamps),
+    Rule("length", "len() is the number of frames.", check_length),
+    Rule("odometry", "A frame with the motion within a scan also has the motion between scans.", check_odometry),
+    Rule("mounting", "The mounting of the lidar does not change.", check_mounting),
+    Rule("truth", "The truth describes its origin and uses the clock of the scans.", check_truth),
+    Rule("notes", "Defects are counts by name.", check_notes),
 )

@@ -1,4 +1,4 @@
-"""How much memory calls leave behind, seen from inside the process that makes them."""
+"""Measurement of a memory leak, inside the process that makes the calls."""
 
 from __future__ import annotations
 
@@ -6,22 +6,22 @@ from collections.abc import Callable
 
 import psutil
 
-from evalkit.commands.validate.rules.rule import Broken
+from evalkit.commands.validate.rules.rule import RuleBroken
 
 WARM_UP_CALLS = 30
 CALLS = 40
 
 
-def grown_bytes(call: Callable[[], object], allowed: int) -> str:
-    """What was observed of the resident memory; Broken where a call leaves more than ``allowed`` bytes behind."""
+def check_memory_growth(call: Callable[[], object], allowed: int) -> str:
+    """The observed growth of the resident memory; raises RuleBroken for more than ``allowed`` bytes per call."""
     process = psutil.Process()
     for _ in range(WARM_UP_CALLS):
         call()
-    before = process.memory_info().rss
+    before_bytes = process.memory_info().rss
     for _ in range(CALLS):
         call()
-    each = (process.memory_info().rss - before) / CALLS
+    each = (process.memory_info().rss - before_bytes) / CALLS
     observed = f"{CALLS} calls after {WARM_UP_CALLS} to warm up: {max(each, 0.0) / 1000:.0f} kB more per call"
     if each > allowed:
-        raise Broken(f"{observed}, at most {allowed / 1000:.0f} kB are allowed")
+        raise RuleBroken(f"{observed}, at most {allowed / 1000:.0f} kB are allowed")
     return observed

@@ -1,4 +1,4 @@
-"""What an Odometry must keep, rule by rule, each asked with a short drive through a known room."""
+"""The rules of an Odometry, each checked on a short drive through a known room."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from evalkit.commands.validate.rules.memory_leak import grown_bytes
-from evalkit.commands.validate.rules.registration_rules import NEAR_ENOUGH, turn_in_radians
-from evalkit.commands.validate.rules.rule import Broken, NotApplicable, Rule, raised, table
-from evalkit.commands.validate.rules.scenes import Drive, away, drive, told, without_hits
+from evalkit.commands.validate.rules.memory_leak import check_memory_growth
+from evalkit.commands.validate.rules.registration_rules import UNIT_TOLERANCE, check_turn
+from evalkit.commands.validate.rules.rule import Rule, RuleBroken, RuleNotApplicable, format_exception, rule_table
+from evalkit.commands.validate.rules.scenes import SimulatedDrive, distance_m, drive, format_pose, without_hits
 from evalkit.core.errors import EvalkitError
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
@@ -21,283 +21,295 @@ from evalkit.plugins.protocols import NoAnswer, Odometry
 from evalkit.plugins.specs import Role
 
 ON_TRACK_M = 0.25
-"""At the end of 0.6 m and 0.6 rad: two voxels of a usual map, its turn felt half a room away."""
+"""Largest error after 0.6 m and 0.6 rad: two voxels of a usual map, its turn measured at 4 m."""
 
-MENDED = 0.5
-"""At most this share of a wheel slip of 20 % may be left."""
+MAX_REMAINING = 0.5
+"""The largest share of the error from a wheel slip of 20 % that may remain."""
 
 BEAM_SHARE = 0.3
-"""By which share of a scan's duration the answers may be late: half a scan is a scan that was not deskewed."""
+"""The share of a scan's duration by which answers may be late; without deskewing it is one half."""
 
 LEAK_BYTES = 100_000
-"""Per scan of a robot that stands still: half a gigabyte in 5,000 scans."""
+"""Per scan of a standing robot: half a gigabyte in 5,000 scans."""
 
 QUARTER_TURN = Pose(0.2, 0.1, math.pi / 2.0)
 
 
-class Bench:
-    """A back end on the bench: makes it, and follows drives with a fresh one each."""
+class OdometryFixture:
+    """A back end under test; runs each drive with a new object."""
 
     def __init__(self, make: Callable[[], Odometry], role: Role = "") -> None:
         self.make = make
         self.role = role
 
-    def follow(self, frames: Iterable[Frame]) -> Floats:
-        """Its answers (N, 3) to the frames; nan where it has none."""
+    def run(self, frames: Iterable[Frame]) -> Floats:
+        """The answers (N, 3) to the frames, nan if there is none."""
         odometry = self.make()
-        return np.array([answered(odometry, frame) for frame in frames])
+        return np.array([answer_row(odometry, frame) for frame in frames])
 
 
-def answered(odometry: Odometry, frame: Frame) -> Floats:
-    """Its answer (3,) to one frame; nan where it says that it has none."""
+def answer_row(odometry: Odometry, frame: Frame) -> Floats:
+    """The answer (3,) to one frame, nan if the odometry raises NoAnswer."""
     try:
-        return sound(odometry.update(frame)).row
+        return validate_pose(odometry.update(frame)).row
     except NoAnswer:
         return np.full(3, np.nan)
 
 
-def last(answers: Floats) -> Pose:
+def last_pose(answers: Floats) -> Pose:
     """The answer to the last scan."""
     if np.isnan(answers[-1]).any():
-        raise Broken("it has no answer to the last scan")
+        raise RuleBroken("it has no answer to the last scan")
     return Pose.of(answers[-1])
 
 
-def sound(answer: object) -> Pose:
-    """The pose of an estimate, if it is a finite one; Broken otherwise."""
+def validate_pose(answer: object) -> Pose:
+    """The pose of an estimate; raises RuleBroken if the answer is no finite estimate."""
     try:
         return checked_estimate(answer).pose
     except (TypeError, ValueError) as error:
-        raise Broken(str(error)) from error
+        raise RuleBroken(str(error)) from error
 
 
-def starts(bench: Bench) -> str:
-    """It can be made, and answers a pose."""
-    made = drive(8)
-    if np.isnan(answers := bench.follow(made.frames)).all():
-        raise Broken("it has no answer to any of 8 scans")
+def check_starts(fixture: OdometryFixture) -> str:
+    """It can be created, and returns a pose."""
+    simulated = drive(8)
+    if np.isnan(answers := fixture.run(simulated.frames)).all():
+        raise RuleBroken("it has no answer to any of 8 scans")
     return f"{int(np.isfinite(answers[:, 0]).sum())} poses for {len(answers)} scans"
 
 
-def first(bench: Bench) -> str:
+def check_first(fixture: OdometryFixture) -> str:
     """The first answer."""
-    for name, made in (("moving", drive(8)), ("standing", drive(8, standing=8))):
-        answers = bench.follow(made.frames)
+    for name, simulated in (("moving", drive(8)), ("standing", drive(8, standing=8))):
+        answers = fixture.run(simulated.frames)
         answer = Pose.of(answers[np.isfinite(answers[:, 0])][0])
-        if away(answer, Pose()) > 1e-9:
-            raise Broken(f"{name}, with the wheel odometry at (10, -5, 1): the first answer is {told(answer)}")
-    return "the identity, wherever the wheel odometry begins"
+        if distance_m(answer, Pose()) > 1e-9:
+            raise RuleBroken(
+                f"{name}, with the wheel odometry at (10, -5, 1): the first answer is {format_pose(answer)}"
+            )
+    return "the identity, independent of the start of the wheel odometry"
 
 
-def follows(bench: Bench) -> str:
+def check_follows(fixture: OdometryFixture) -> str:
     """A drive with true wheel odometry."""
-    return _on_track(bench, drive(), "with true wheel odometry")
+    return _on_track(fixture, drive(), "with true wheel odometry")
 
 
-def moves(bench: Bench) -> str:
+def check_moves(fixture: OdometryFixture) -> str:
     """A drive with wheels that slip."""
-    if bench.role == "baseline":
-        raise NotApplicable("its role is 'bar': it is what others have to beat")
-    made = drive(odometry_gain=1.2)
-    wheels = drive_end(made).inverse() @ _wheels(made)
-    answer = last(bench.follow(made.frames))
-    slip, left = away(wheels, Pose()), away(answer, drive_end(made))
-    if left > MENDED * slip:
-        raise Broken(
-            f"wheels that overstate by 20 % are {100 * slip:.0f} cm off half a room away, the answer is "
-            f"{100 * left:.0f} cm off: is the scan looked at? Normals of points at z = 0 stand upright and hold nothing"
+    if fixture.role == "baseline":
+        raise RuleNotApplicable("its role is 'baseline': it does not use the scans")
+    simulated = drive(odometry_gain=1.2)
+    wheels = end_pose(simulated).inverse() @ _odometry_motion(simulated)
+    answer = last_pose(fixture.run(simulated.frames))
+    slip, left = distance_m(wheels, Pose()), distance_m(answer, end_pose(simulated))
+    if left > MAX_REMAINING * slip:
+        raise RuleBroken(
+            f"wheel odometry 20 % too long is {100 * slip:.0f} cm off at 4 m, the answer {100 * left:.0f} cm: are the "
+            "scans used? Normals of points at z = 0 are vertical and constrain nothing"
         )
-    return f"of {100 * slip:.0f} cm of wheel slip {100 * left:.1f} cm were left"
+    return f"of {100 * slip:.0f} cm of wheel slip {100 * left:.1f} cm remained"
 
 
-def metres(bench: Bench) -> str:
-    """How far it went, straight ahead."""
-    made = drive(turn_radps=0.0)
-    wanted = drive_end(made).x
-    answer = last(bench.follow(made.frames))
+def check_metres(fixture: OdometryFixture) -> str:
+    """The length of a straight drive."""
+    simulated = drive(turn_radps=0.0)
+    wanted = end_pose(simulated).x
+    answer = last_pose(fixture.run(simulated.frames))
     found = math.hypot(answer.x, answer.y)
-    if abs(found - wanted) > max(NEAR_ENOUGH * wanted, 0.1):
-        millimetres = abs(found / 1000.0 - wanted) < NEAR_ENOUGH * wanted
-        raise Broken(
-            f"{wanted:g} m came back as {found:.4g}" + (": the answer is in millimetres?" if millimetres else "")
+    if abs(found - wanted) > max(UNIT_TOLERANCE * wanted, 0.1):
+        millimetres = abs(found / 1000.0 - wanted) < UNIT_TOLERANCE * wanted
+        raise RuleBroken(
+            f"{wanted:g} m was returned as {found:.4g}" + (": the answer is in millimetres?" if millimetres else "")
         )
     if answer.x < 0.0:
-        raise Broken(f"{wanted:g} m ahead came back as {told(answer)}: base_from_start instead of start_from_base?")
-    return f"{wanted:g} m came back as {found:.4f}"
+        raise RuleBroken(
+            f"{wanted:g} m ahead was returned as {format_pose(answer)}: base_from_start instead of start_from_base?"
+        )
+    return f"{wanted:g} m was returned as {found:.4f}"
 
 
-def radians(bench: Bench) -> str:
-    """How far it turned, and which way."""
-    made = drive(turn_radps=0.5)
-    return turn_in_radians(last(bench.follow(made.frames)).theta, drive_end(made).theta)
+def check_radians(fixture: OdometryFixture) -> str:
+    """The size and the sign of a turn."""
+    simulated = drive(turn_radps=0.5)
+    return check_turn(last_pose(fixture.run(simulated.frames)).theta, end_pose(simulated).theta)
 
 
-def first_beam(bench: Bench) -> str:
-    """When its poses are meant: after standing, a sweep's end is ahead of its beginning."""
-    made = drive(20, 0.6, 0.5, standing=4)
-    answers = bench.follow(made.frames)[-8:]
+def check_first_beam(fixture: OdometryFixture) -> str:
+    """The time of the poses: after standing, the end of a sweep is ahead of its beginning."""
+    simulated = drive(20, 0.6, 0.5, standing=4)
+    answers = fixture.run(simulated.frames)[-8:]
     late = []
-    for answer, truth, then in zip(answers[:-1], made.truth[-8:-1], made.truth[-7:], strict=True):
+    for answer, truth, then in zip(answers[:-1], simulated.truth[-8:-1], simulated.truth[-7:], strict=True):
         if np.isnan(answer).any():
             continue
         scan = Pose.of(truth).inverse() @ Pose.of(then)
         off = Pose.of(truth).inverse() @ Pose.of(answer)
         late.append((off.x * scan.x + off.y * scan.y) / (scan.x**2 + scan.y**2))
     if not late:
-        raise Broken("it has no answer to any of the last 7 scans")
+        raise RuleBroken("it has no answer to any of the last 7 scans")
     share = float(np.mean(late))
     if abs(share) > BEAM_SHARE:
-        raise Broken(
+        raise RuleBroken(
             f"on average the answers are {share:+.2f} of a scan's duration away from its first beam "
             "(0.5: a scan that is not deskewed; 1: the pose of its last beam)"
         )
     return f"{share:+.2f} of a scan's duration away from its first beam"
 
 
-def mounting(bench: Bench) -> str:
-    """A lidar that sits aside and looks to the left."""
-    return _on_track(bench, drive(base_from_sensor=QUARTER_TURN), "with the lidar turned by 90 degrees")
+def check_mounting(fixture: OdometryFixture) -> str:
+    """A lidar mounted off-centre and turned to the left."""
+    return _on_track(fixture, drive(base_from_sensor=QUARTER_TURN), "with the lidar turned by 90 degrees")
 
 
-def without_odometry(bench: Bench) -> str:
+def check_without_odometry(fixture: OdometryFixture) -> str:
     """A recording without wheel odometry."""
-    made = drive(odometry_gain=None)
+    simulated = drive(odometry_gain=None)
     try:
-        return _on_track(bench, made, "without wheel odometry")
+        return _on_track(fixture, simulated, "without wheel odometry")
     except EvalkitError as error:
-        raise NotApplicable(f"it says that it needs wheel odometry: {error}") from error
+        raise RuleNotApplicable(f"it requires wheel odometry: {error}") from error
 
 
-def odometry_gap(bench: Bench) -> str:
-    """Wheel odometry that falls silent for two scans."""
-    made = drive()
+def check_odometry_gap(fixture: OdometryFixture) -> str:
+    """A gap of two scans in the wheel odometry."""
+    simulated = drive()
     silent = tuple(
         replace(frame, odom_from_base=None, start_from_end=None) if index in (6, 7) else frame
-        for index, frame in enumerate(made.frames)
+        for index, frame in enumerate(simulated.frames)
     )
-    return _on_track(bench, replace(made, frames=silent), "with two scans without wheel odometry")
+    return _on_track(fixture, replace(simulated, frames=silent), "with two scans without wheel odometry")
 
 
-def no_hits(bench: Bench) -> str:
-    """Scans of nothing but no-returns."""
-    made = drive()
-    blind = tuple(without_hits(frame) if index in (6, 7) else frame for index, frame in enumerate(made.frames))
-    return _on_track(bench, replace(made, frames=blind), "with two scans without hits")
+def check_no_hits(fixture: OdometryFixture) -> str:
+    """Scans without returns."""
+    simulated = drive()
+    blind = tuple(without_hits(frame) if index in (6, 7) else frame for index, frame in enumerate(simulated.frames))
+    return _on_track(fixture, replace(simulated, frames=blind), "with two scans without hits")
 
 
-def no_hits_first(bench: Bench) -> str:
-    """A first scan of nothing but no-returns."""
-    made = drive()
-    blind = (without_hits(made.frames[0]), *made.frames[1:])
-    bench.follow(blind)
-    return "answers finite poses"
+def check_no_hits_first(fixture: OdometryFixture) -> str:
+    """A first scan without returns."""
+    simulated = drive()
+    blind = (without_hits(simulated.frames[0]), *simulated.frames[1:])
+    fixture.run(blind)
+    return "returns finite poses"
 
 
-def at_once(bench: Bench) -> str:
-    """Scans whose beams are all fired at once."""
-    return _on_track(bench, drive(sweeping=False), "with time_increment_ns = 0")
+def check_at_once(fixture: OdometryFixture) -> str:
+    """Scans with simultaneous beams."""
+    return _on_track(fixture, drive(sweeping=False), "with time_increment_ns = 0")
 
 
-def equal_stamps(bench: Bench) -> str:
+def check_equal_stamps(fixture: OdometryFixture) -> str:
     """Two scans with one stamp."""
-    made = drive(6)
-    third = made.frames[3]
-    twin = replace(third, scan=replace(third.scan, stamp_ns=made.frames[2].scan.stamp_ns))
+    simulated = drive(6)
+    third = simulated.frames[3]
+    repeated = replace(third, scan=replace(third.scan, stamp_ns=simulated.frames[2].scan.stamp_ns))
     try:
-        bench.follow((*made.frames[:3], twin, *made.frames[4:]))
-    except Broken:
+        fixture.run((*simulated.frames[:3], repeated, *simulated.frames[4:]))
+    except RuleBroken:
         raise
-    except Exception as error:  # noqa: BLE001 - refusing is allowed, and it is the back end's own exception
-        return raised(error)
-    return "answers finite poses"
+    except Exception as error:  # noqa: BLE001 - a back end may refuse with any exception
+        return format_exception(error)
+    return "returns finite poses"
 
 
-def fresh(bench: Bench) -> str:
-    """Two objects in turns."""
+def check_fresh(fixture: OdometryFixture) -> str:
+    """Two objects used alternately."""
     one, other = drive(8), drive(8, 0.2, -0.3)
-    alone = bench.follow(one.frames)
-    first, second = bench.make(), bench.make()
+    alone = fixture.run(one.frames)
+    first, second = fixture.make(), fixture.make()
     answers = []
     for frame, between in zip(one.frames, other.frames, strict=True):
-        answers.append(answered(first, frame))
-        answered(second, between)
+        answers.append(answer_row(first, frame))
+        answer_row(second, between)
     if not np.array_equal(alone, answers, equal_nan=True):
-        raise Broken("a second object that follows another drive changes the first one's answers: they share state")
-    return "two objects in turns answer as each alone"
+        raise RuleBroken("a second object on another drive changes the answers of the first one: they share state")
+    return "two objects used alternately answer as each alone"
 
 
-def deterministic(bench: Bench) -> str:
-    """The same drive, followed by fresh objects."""
-    made = drive(10)
-    once = bench.follow(made.frames)
+def check_deterministic(fixture: OdometryFixture) -> str:
+    """The same drive with new objects."""
+    simulated = drive(10)
+    once = fixture.run(simulated.frames)
     for _ in range(2):
-        if not np.array_equal(once, again := bench.follow(made.frames), equal_nan=True):
+        if not np.array_equal(once, again := fixture.run(simulated.frames), equal_nan=True):
             scan = int(np.argmax((once != again).any(axis=1)))
-            raise Broken(f"the same drive has another answer at scan {scan + 1}: {again[scan]} and before {once[scan]}")
-    return "3 fresh objects agree to the bit"
+            raise RuleBroken(
+                f"the same drive has another answer at scan {scan + 1}: {again[scan]}, before {once[scan]}"
+            )
+    return "3 new objects agree to the bit"
 
 
-def read_only(bench: Bench) -> str:
-    """Its arguments."""
-    made = drive(4)
-    before = [frame.scan.ranges.tobytes() + frame.scan.angles.tobytes() for frame in made.frames]
+def check_read_only(fixture: OdometryFixture) -> str:
+    """The arguments stay unchanged."""
+    simulated = drive(4)
+    before = [frame.scan.ranges.tobytes() + frame.scan.angles.tobytes() for frame in simulated.frames]
     try:
-        bench.follow(made.frames)
+        fixture.run(simulated.frames)
     except ValueError as error:
         if "read-only" in str(error) or "not writeable" in str(error):
-            raise Broken(f"it tries to write into a scan ({error}): work on a copy") from error
+            raise RuleBroken(f"it writes to a scan ({error}): use a copy") from error
         raise
-    if [frame.scan.ranges.tobytes() + frame.scan.angles.tobytes() for frame in made.frames] != before:
-        raise Broken("a scan is not the same after the call: work on a copy")
-    return "all scans are the same after the call"
+    if [frame.scan.ranges.tobytes() + frame.scan.angles.tobytes() for frame in simulated.frames] != before:
+        raise RuleBroken("a scan changed in the call: use a copy")
+    return "all scans are unchanged after the call"
 
 
-def memory(bench: Bench) -> str:
-    """What stays behind of each scan of a robot that stands still."""
+def check_memory(fixture: OdometryFixture) -> str:
+    """The memory that each scan of a standing robot leaves allocated."""
     frame = drive(1, standing=1).frames[0]
-    odometry = bench.make()
+    odometry = fixture.make()
     stamps = iter(range(frame.scan.stamp_ns, 2**62, 100_000_000))
-    return grown_bytes(
-        lambda: answered(odometry, replace(frame, scan=replace(frame.scan, stamp_ns=next(stamps)))), LEAK_BYTES
+    return check_memory_growth(
+        lambda: answer_row(odometry, replace(frame, scan=replace(frame.scan, stamp_ns=next(stamps)))), LEAK_BYTES
     )
 
 
-def drive_end(made: Drive) -> Pose:
+def end_pose(simulated: SimulatedDrive) -> Pose:
     """The true pose at the last scan's first beam."""
-    return Pose.of(made.truth[-1])
+    return Pose.of(simulated.truth[-1])
 
 
-def _wheels(made: Drive) -> Pose:
-    begin, end = made.frames[0].odom_from_base, made.frames[-1].odom_from_base
+def _odometry_motion(simulated: SimulatedDrive) -> Pose:
+    begin, end = simulated.frames[0].odom_from_base, simulated.frames[-1].odom_from_base
     return begin.inverse() @ end if begin is not None and end is not None else Pose()
 
 
-def _on_track(bench: Bench, made: Drive, how: str) -> str:
-    answer, truth = last(bench.follow(made.frames)), drive_end(made)
+def _on_track(fixture: OdometryFixture, simulated: SimulatedDrive, how: str) -> str:
+    answer, truth = last_pose(fixture.run(simulated.frames)), end_pose(simulated)
     left = truth.inverse() @ answer
     gap = f"{100 * math.hypot(left.x, left.y):.1f} cm and {math.degrees(abs(left.theta)):.1f} deg off after 0.6 m"
-    if away(answer, truth) > ON_TRACK_M:
-        raise Broken(f"{how}: {gap}: {told(answer)} instead of {told(truth)}")
+    if distance_m(answer, truth) > ON_TRACK_M:
+        raise RuleBroken(f"{how}: {gap}: {format_pose(answer)} instead of {format_pose(truth)}")
     return f"{how}: {gap}"
 
 
-RULES = table(
-    Rule("starts", "It is made from its parameters and answers finite poses.", starts),
-    Rule("first", "The first answer is the identity.", first),
-    Rule("follows", "It follows a drive whose wheel odometry is true.", follows),
-    Rule("moves", "It mends wheels that overstate every motion by 20 %.", moves),
-    Rule("metres", "A drive of 0.6 m ahead comes back as 0.6 m ahead.", metres),
-    Rule("radians", "A turn to the left comes back as a positive angle in radians.", radians),
-    Rule("first-beam", "Answers are the poses when a scan's first beam was fired.", first_beam),
-    Rule("mounting", "Poses are the base's, however the lidar is mounted.", mounting),
-    Rule("without-odometry", "Without wheel odometry it follows, or says that it needs it.", without_odometry),
-    Rule("odometry-gap", "It bridges a gap in the wheel odometry.", odometry_gap),
-    Rule("no-hits", "It survives scans without a single hit, and goes on.", no_hits),
-    Rule("no-hits-first", "It survives a first scan without a single hit.", no_hits_first),
-    Rule("all-at-once", "It follows scans whose beams are fired at once.", at_once),
-    Rule("equal-stamps", "Two scans with one stamp: an answer or an exception, never a crash.", equal_stamps),
-    Rule("fresh", "Two objects do not share state.", fresh),
-    Rule("deterministic", "The same drive has the same answers, to the bit.", deterministic),
-    Rule("read-only", "It does not write into its arguments.", read_only),
-    Rule("memory", "Scans of a robot that stands still leave no memory behind.", memory),
+RULES = rule_table(
+    Rule("starts", "It is created from its parameters and returns finite poses.", check_starts),
+    Rule("first", "The first answer is the identity.", check_first),
+    Rule("follows", "It tracks a drive with exact wheel odometry.", check_follows),
+    Rule("moves", "It corrects wheel odometry that is 20 % too long.", check_moves),
+    Rule("metres", "A drive of 0.6 m ahead is returned as 0.6 m ahead.", check_metres),
+    Rule("radians", "A left turn is returned as a positive angle in radians.", check_radians),
+    Rule("first-beam", "Answers are the poses at the first beam of each scan.", check_first_beam),
+    Rule("mounting", "Answers are poses of the base, for any mounting of the lidar.", check_mounting),
+    Rule(
+        "without-odometry",
+        "Without wheel odometry it tracks the drive, or raises an evalkit error.",
+        check_without_odometry,
+    ),
+    Rule("odometry-gap", "It bridges a gap in the wheel odometry.", check_odometry_gap),
+    Rule("no-hits", "It continues after scans without returns.", check_no_hits),
+    Rule("no-hits-first", "It continues after a first scan without returns.", check_no_hits_first),
+    Rule("all-at-once", "It tracks scans with simultaneous beams.", check_at_once),
+    Rule(
+        "equal-stamps", "Two scans with the same stamp give an answer or an exception, not a crash.", check_equal_stamps
+    ),
+    Rule("fresh", "Two objects do not share state.", check_fresh),
+    Rule("deterministic", "The same drive has the same answers, to the bit.", check_deterministic),
+    Rule("read-only", "It does not write to its arguments.", check_read_only),
+    Rule("memory", "Scans of a standing robot do not leak memory.", check_memory),
 )

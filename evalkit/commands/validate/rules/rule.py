@@ -1,4 +1,4 @@
-"""What a rule is, and what is found when a plug-in is asked whether it keeps it."""
+"""Rules for plug-ins, and the result of checking one."""
 
 from __future__ import annotations
 
@@ -8,79 +8,79 @@ from typing import Any, Literal
 
 from evalkit.core.errors import NotInstalled
 
-Outcome = Literal["passed", "failed", "not applicable"]
+RuleOutcome = Literal["passed", "failed", "not applicable"]
 
 
-class Broken(Exception):
-    """A rule that is not kept; its text is what was observed."""
+class RuleBroken(Exception):
+    """The plug-in breaks a rule; the text is the observation."""
 
 
-class NotApplicable(Exception):
-    """A rule that cannot be asked of this plug-in; its text is the reason."""
+class RuleNotApplicable(Exception):
+    """The rule cannot be checked for this plug-in; the text is the reason."""
 
 
 @dataclass(frozen=True)
 class Rule:
-    """A rule: its name, a sentence that states it, and the question.
+    """A rule: its name, a sentence that states it, and the function that checks it.
 
-    ``ask(bench)`` answers what was observed, or raises Broken or NotApplicable with it. Anything else it raises comes
-    from the plug-in and breaks the rule.
+    ``check(fixture)`` returns the observation, or raises RuleBroken or RuleNotApplicable with it. Any other exception
+    comes from the plug-in and breaks the rule.
     """
 
     name: str
     sentence: str
-    ask: Callable[[Any], str]
+    check: Callable[[Any], str]
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What one rule found: ``observed`` is what was seen, or why the rule could not be asked."""
+class RuleResult:
+    """The result of one rule; ``observed``: the observation, or why the rule could not be checked."""
 
     rule: str
     sentence: str
-    outcome: Outcome
+    outcome: RuleOutcome
     observed: str
 
 
 @dataclass(frozen=True)
-class Conformance:
-    """What all rules found about one plug-in, in the order they were asked."""
+class RuleReport:
+    """The results of all rules for one plug-in, in the order of the checks."""
 
     label: str
-    verdicts: tuple[Verdict, ...]
+    results: tuple[RuleResult, ...]
 
     @property
-    def broken(self) -> tuple[Verdict, ...]:
-        """The rules that are not kept."""
-        return tuple(verdict for verdict in self.verdicts if verdict.outcome == "failed")
+    def broken(self) -> tuple[RuleResult, ...]:
+        """The results of broken rules."""
+        return tuple(result for result in self.results if result.outcome == "failed")
 
 
-def verdict(rule: Rule, bench: object) -> Verdict:
-    """What one rule finds, asked in this process."""
-    outcome: Outcome = "passed"
+def check_rule(rule: Rule, fixture: object) -> RuleResult:
+    """Checks one rule in this process; raises NotInstalled if the plug-in turns out not to be installed."""
+    outcome: RuleOutcome = "passed"
     try:
-        observed = rule.ask(bench)
-    except NotInstalled:  # not the rule's business: nothing can be asked here
+        observed = rule.check(fixture)
+    except NotInstalled:
         raise
-    except NotApplicable as reason:
+    except RuleNotApplicable as reason:
         outcome, observed = "not applicable", str(reason)
-    except Broken as found:
-        outcome, observed = "failed", str(found)
-    except Exception as error:  # noqa: BLE001 - whatever a third party's code raises is what was observed
-        outcome, observed = "failed", raised(error)
-    return Verdict(rule.name, rule.sentence, outcome, observed)
+    except RuleBroken as observation:
+        outcome, observed = "failed", str(observation)
+    except Exception as error:  # noqa: BLE001 - any exception of a third party's code is the observation
+        outcome, observed = "failed", format_exception(error)
+    return RuleResult(rule.name, rule.sentence, outcome, observed)
 
 
-def raised(error: BaseException) -> str:
-    """An exception in the words of an observation."""
+def format_exception(error: BaseException) -> str:
+    """An exception as an observation."""
     return f"raises {type(error).__name__}: {error}"
 
 
-def table(*rules: Rule) -> dict[str, Rule]:
+def rule_table(*rules: Rule) -> dict[str, Rule]:
     """The rules by name, in order."""
     return {rule.name: rule for rule in rules}
 
 
-def not_asked(rules: Iterable[Rule], reason: str) -> list[Verdict]:
-    """Verdicts for rules that there was no sense in asking."""
-    return [Verdict(rule.name, rule.sentence, "not applicable", reason) for rule in rules]
+def skip_rules(rules: Iterable[Rule], reason: str) -> list[RuleResult]:
+    """The results of rules that were not checked."""
+    return [RuleResult(rule.name, rule.sentence, "not applicable", reason) for rule in rules]

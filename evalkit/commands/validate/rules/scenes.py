@@ -1,6 +1,6 @@
-"""Small made-up scenes with a known answer: a room's points for registrations, a drive through it for odometries.
+"""Small scenes with a known answer: the points of a room for registrations, a drive through it for odometries.
 
-They are made here and not by the synthetic data sets, so that the rules hang on nothing but evalkit.
+They do not use the simulated data sets, so that the rules depend on evalkit alone.
 """
 
 from __future__ import annotations
@@ -21,12 +21,12 @@ CORNERS = np.array([[-4.0, -3.0], [4.0, -3.0], [4.0, 1.0], [0.5, 1.0], [0.5, 4.0
 ROOM = World(closed_outline(CORNERS))
 
 REACH_M = 4.0
-"""Half the room: a turn is weighed by what it moves there."""
+"""Half the size of the room: the lever at which a turn is measured."""
 
 
 @dataclass(frozen=True)
-class Pair:
-    """Two clouds of the room, the true ``target_from_source``, and a guess that is somewhat off."""
+class CloudPair:
+    """Two clouds of the room, the true ``target_from_source``, and a guess with a small error."""
 
     target: Cloud
     source: Cloud
@@ -34,44 +34,44 @@ class Pair:
     guess: Pose
 
 
-def clear_pair(truth: Pose = Pose(0.3, 0.0, 0.3)) -> Pair:  # noqa: B008 - a Pose is frozen
-    """The same 150 points twice, without noise, so wide apart that with this guess every nearest neighbour is right.
+def clear_pair(truth: Pose = Pose(0.3, 0.0, 0.3)) -> CloudPair:  # noqa: B008 - a Pose is frozen
+    """The same 150 points twice, without noise, so far apart that with this guess every nearest neighbour is right.
 
     Any method that minimises distances, to points or to walls, reaches the truth within a few steps.
     """
     points = _along_walls(spacing_m=0.2)
     guess = truth @ Pose(0.03, -0.02, np.radians(0.5))
-    return Pair(Cloud(points), Cloud(truth.inverse().transform(points)), truth, guess)
+    return CloudPair(Cloud(points), Cloud(truth.inverse().transform(points)), truth, guess)
 
 
-def noisy_pair(truth: Pose = Pose(0.04, -0.03, 0.035)) -> Pair:  # noqa: B008 - a Pose is frozen
+def noisy_pair(truth: Pose = Pose(0.04, -0.03, 0.035)) -> CloudPair:  # noqa: B008 - a Pose is frozen
     """Two scans of the room with 3 cm of noise, no point twice; the guess is the identity: 5 cm and 2 degrees off."""
     rng = np.random.default_rng(7)
     target, source = (_sampled(rng, count, 0.03) for count in (1200, 500))
-    return Pair(Cloud(target), Cloud(truth.inverse().transform(source)), truth, Pose())
+    return CloudPair(Cloud(target), Cloud(truth.inverse().transform(source)), truth, Pose())
 
 
-def wall_pair() -> Pair:
-    """One straight wall seen twice, 5 cm off across it; along it nothing can be told."""
+def wall_pair() -> CloudPair:
+    """Two scans of one straight wall, 5 cm apart across it; the motion along it is unobservable."""
     along = np.random.default_rng(3).uniform(-4.0, 4.0, 400)
     wall = np.stack([along, np.full_like(along, 2.0)], axis=1)
     truth = Pose(0.0, -0.05, 0.0)
-    return Pair(Cloud(wall), Cloud(truth.inverse().transform(wall[::2])), truth, Pose())
+    return CloudPair(Cloud(wall), Cloud(truth.inverse().transform(wall[::2])), truth, Pose())
 
 
-def away(answer: Pose, truth: Pose) -> float:
-    """How far (m) an answer is from the truth: its shift, and its turn as felt half a room away."""
-    left = truth.inverse() @ answer
-    return float(np.hypot(left.x, left.y) + REACH_M * abs(left.theta))
+def distance_m(answer: Pose, truth: Pose) -> float:
+    """The distance (m) of an answer to the truth: its shift plus its turn at the lever ``REACH_M``."""
+    error = truth.inverse() @ answer
+    return float(np.hypot(error.x, error.y) + REACH_M * abs(error.theta))
 
 
-def told(pose: Pose) -> str:
+def format_pose(pose: Pose) -> str:
     """A pose for a message."""
     return f"({pose.x:.3f} m, {pose.y:.3f} m, {pose.theta:.4f} rad)"
 
 
 @dataclass(frozen=True)
-class Drive:
+class SimulatedDrive:
     """Frames along a known path: ``truth`` (N, 3) is ``start_from_base`` at each first beam."""
 
     frames: tuple[Frame, ...]
@@ -93,11 +93,11 @@ def drive(
     standing: int = 0,
     odometry_gain: float | None = 1.0,
     sweeping: bool = True,
-) -> Drive:
+) -> SimulatedDrive:
     """A drive along a left-hand arc, ten scans a second, 1 cm of noise; the first ``standing`` scans do not move.
 
-    ``odometry_gain``: by what the wheels overstate every motion; None: no odometry. ``sweeping``: beams are fired one
-    after the other, and each sees the room from where the sensor is then; otherwise all at once.
+    ``odometry_gain``: factor of wheel odometry on every motion; None: no odometry. ``sweeping``: beams are fired one
+    after the other, each from the pose of the sensor at that time; otherwise all at once.
     """
     rng = np.random.default_rng(11)
     frames, truth = [], []
@@ -109,17 +109,17 @@ def drive(
         truth.append(here.row)
         frame = _frame(index, WORLD_FROM_START @ here, step, share, base_from_sensor, rng)
         if odometry_gain is not None:
-            felt = Pose.of(step.row * odometry_gain)
-            within = Pose.of(se2.fraction(felt.row, share[-1:])[0])
+            measured = Pose.of(step.row * odometry_gain)
+            within = Pose.of(se2.fraction(measured.row, share[-1:])[0])
             frame = replace(frame, odom_from_base=odom, start_from_end=within)
-            odom = odom @ felt
+            odom = odom @ measured
         frames.append(frame)
         here = here @ step
-    return Drive(tuple(frames), np.array(truth))
+    return SimulatedDrive(tuple(frames), np.array(truth))
 
 
 def without_hits(frame: Frame) -> Frame:
-    """The same frame with every beam a no-return."""
+    """The same frame with no returns."""
     scan = frame.scan
     return replace(frame, scan=replace(scan, ranges=np.full(len(scan.ranges), np.inf)))
 

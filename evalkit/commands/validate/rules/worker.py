@@ -1,7 +1,6 @@
-"""Rules asked in this process: ``python -m evalkit.commands.validate.rules.worker FOLDER`` reads the request there.
+"""The process that checks rules: ``python -m evalkit.commands.validate.rules.worker FOLDER`` reads its request there.
 
-Each rule's beginning and verdict are on disk before the next one begins, so that whatever ends this process, it is
-known which question did.
+It writes the name of each rule before the check and the result after it, so that a crash can be attributed to a rule.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from evalkit.commands.validate.rules import odometry_rules, registration_rules
-from evalkit.commands.validate.rules.rule import Rule, verdict
+from evalkit.commands.validate.rules.rule import Rule, check_rule
 from evalkit.core.errors import NotInstalled
 from evalkit.execution.subprocesses import end_with_parent
 from evalkit.plugins import registry
@@ -24,12 +23,12 @@ from evalkit.plugins.parameters import Value
 from evalkit.plugins.specs import BackendSpec, RegistrationSpec
 
 REQUEST = "request.json"
-VERDICTS = "verdicts.jsonl"
+RESULTS = "results.jsonl"
 NOT_INSTALLED = "not installed"
-"""In place of an outcome: what ``make`` needs turns out to be absent."""
+"""In place of an outcome: a library that ``make`` needs is not installed."""
 
 STARTS = "starts"
-"""The first rule of every kind; where it is broken, the others cannot be asked."""
+"""The first rule of every kind; if it is broken, the others cannot be checked."""
 
 RULES: Mapping[str, Mapping[str, Rule]] = {
     "registration": registration_rules.RULES,
@@ -38,8 +37,8 @@ RULES: Mapping[str, Mapping[str, Rule]] = {
 
 
 @dataclass(frozen=True)
-class Request:
-    """What to ask: the back end's address and parameters, the rules' names, and where modules are looked for."""
+class RuleRequest:
+    """The back end's address and parameters, the names of the rules, and the module search path."""
 
     address: dict[str, str]
     parameters: dict[str, Value]
@@ -48,38 +47,38 @@ class Request:
 
 
 def main() -> int:
-    """Asks the rules of the request in the folder named on the command line, one line each to ``verdicts.jsonl``."""
+    """Checks the rules of the request in the folder named on the command line, writing lines to ``results.jsonl``."""
     end_with_parent()
     folder = Path(sys.argv[1]).resolve()  # a back end may change the working directory
-    request = Request(**json.loads((folder / REQUEST).read_text(encoding="utf-8")))
+    request = RuleRequest(**json.loads((folder / REQUEST).read_text(encoding="utf-8")))
     sys.path.extend(entry for entry in request.path if entry not in sys.path)
     spec = spec_at(Address(**request.address), BackendSpec, registry.backend)
-    bench = _bench(spec, request.parameters)
-    with (folder / VERDICTS).open("a", encoding="utf-8") as file:
+    fixture = _make_fixture(spec, request.parameters)
+    with (folder / RESULTS).open("a", encoding="utf-8") as file:
         for name in request.rules:
-            _tell(file, {"begun": name})
-            answer = _answer(RULES[spec.kind][name], bench)
-            _tell(file, answer)
-            if name == STARTS and answer["outcome"] != "passed":
+            _write_line(file, {"begun": name})
+            result = _check(RULES[spec.kind][name], fixture)
+            _write_line(file, result)
+            if name == STARTS and result["outcome"] != "passed":
                 break
     return 0
 
 
-def _bench(spec: BackendSpec, parameters: Mapping[str, Value]) -> object:
+def _make_fixture(spec: BackendSpec, parameters: Mapping[str, Value]) -> object:
     make = partial(spec.make, **parameters)
     if isinstance(spec, RegistrationSpec):
-        return registration_rules.Bench(make)
-    return odometry_rules.Bench(make, spec.role)
+        return registration_rules.RegistrationFixture(make)
+    return odometry_rules.OdometryFixture(make, spec.role)
 
 
-def _answer(rule: Rule, bench: object) -> dict[str, Any]:
+def _check(rule: Rule, fixture: object) -> dict[str, Any]:
     try:
-        return asdict(verdict(rule, bench))
+        return asdict(check_rule(rule, fixture))
     except NotInstalled as error:
         return {"outcome": NOT_INSTALLED, "observed": error.args}
 
 
-def _tell(file: TextIO, line: Mapping[str, Any]) -> None:
+def _write_line(file: TextIO, line: Mapping[str, Any]) -> None:
     file.write(json.dumps(line) + "\n")
     file.flush()
 

@@ -1,4 +1,4 @@
-"""Planted mistakes of registrations and odometries, each found and named; twins found to be the same."""
+"""Injected faults of registrations and odometries are found and named; equal implementations are equivalent."""
 
 import json
 import math
@@ -11,7 +11,7 @@ import pytest
 from evalkit.cli import app
 from evalkit.commands.validate.equivalence.comparison import NotEquivalent, assert_equivalent, equivalence
 from evalkit.commands.validate.equivalence.divergence import first_divergence
-from evalkit.commands.validate.equivalence.lockstep import Question, asked
+from evalkit.commands.validate.equivalence.lockstep import Question, answer
 from evalkit.commands.validate.equivalence.margins import Margin
 from evalkit.commands.validate.rules.scenes import drive
 from evalkit.core import se2
@@ -21,7 +21,7 @@ from evalkit.core.match import Match
 from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
-from evalkit.plugins import registry
+from evalkit.plugins import defaults, registry
 from evalkit.plugins.protocols import NoAnswer
 from evalkit.plugins.specs import BackendSpec, DatasetSpec, OdometrySpec
 from evalkit_baselines import open3d_icp, paper
@@ -33,7 +33,7 @@ FEW = 6
 
 
 class Drive:
-    """The drive through the L-shaped room of the conformance rules, as a sequence."""
+    """The drive through the L-shaped room of the rules, as a sequence."""
 
     def __init__(self, change: Callable[[Frame], Frame] = lambda frame: frame) -> None:
         self._frames = [change(frame) for frame in drive(scans=12).frames]
@@ -45,7 +45,7 @@ class Drive:
         return iter(self._frames)
 
     def truth(self) -> Truth:
-        return Truth("not told")
+        return Truth("unknown")
 
     def notes(self) -> dict[str, int]:
         return {}
@@ -58,7 +58,7 @@ def sequence(change: Callable[[Frame], Frame] = lambda frame: frame) -> DatasetS
 ROOM = sequence()
 
 
-def planted(make: Callable[..., object], spec: BackendSpec = paper.SPEC) -> BackendSpec:
+def with_fault(make: Callable[..., object], spec: BackendSpec = paper.SPEC) -> BackendSpec:
     return replace(spec, make=make)
 
 
@@ -170,12 +170,12 @@ class TiesToTheHigher(Icp):
         return at, nearest[at]
 
 
-def command(*words: str) -> int:
+def validate_lockstep(folder, *words: str) -> int:
     try:
-        app(["validate", words[1], "--only", "lockstep", "--reference", words[0], *words[2:]], standalone_mode=True)
+        app(["validate", *words, "--only", "lockstep", "--out", str(folder)], standalone_mode=True)
     except SystemExit as end:
         return int(end.code or 0)
-    except EvalkitError:  # main() makes it exit code 2
+    except EvalkitError:  # main() turns it into exit code 2
         return 2
     return 0
 
@@ -194,11 +194,11 @@ def test_a_registration_is_equal_to_itself_in_every_pair_of_every_iteration():
 
 NEAR = {"max_correspondence_m": 0.2}
 
-PLANTED = {
+FAULTS = {
     "transposed rotation": (Transposed, {}, "different pose", "rotation is transposed"),
     "translation without rotation": (WrongCentroid, {}, "different pose", "translation leaves out the rotation"),
     "inverted step": (Backwards, {}, "different pose", "step is inverted"),
-    "guess read as degrees": (GuessInDegrees, {}, "units pairs", "guess's angle is taken for degrees"),
+    "guess read as degrees": (GuessInDegrees, {}, "units pairs", "guess's angle is interpreted as degrees"),
     "answer in degrees": (AnswerInDegrees, {}, "units answer", "angle is in degrees"),
     "sign of the angle": (WrongSign, {}, "sign answer", "angle has the wrong sign"),
     "inverse answer": (Inverse, {}, "different answer", "inverse"),
@@ -215,10 +215,10 @@ PLANTED = {
 }
 
 
-@pytest.mark.parametrize("name", PLANTED)
-def test_a_planted_mistake_is_found_and_named(name):
-    make, parameters, found_as, words = PLANTED[name]
-    found = equivalence("paper", planted(make), ROOM, set_a=parameters, set_b=parameters, scans=4)
+@pytest.mark.parametrize("name", FAULTS)
+def test_an_injected_fault_is_found_and_named(name):
+    make, parameters, found_as, words = FAULTS[name]
+    found = equivalence("paper", with_fault(make), ROOM, set_a=parameters, set_b=parameters, scans=4)
     assert found.first is not None
     assert f"{found.first.kind} {found.first.quantity}" == found_as, str(found)
     assert words in found.first.what
@@ -238,23 +238,23 @@ UNTRACED = {
 
 
 @pytest.mark.parametrize("name", UNTRACED)
-def test_an_answer_without_its_path_still_tells_what_it_can(name):
+def test_a_fault_is_classified_without_iterations(name):
     make, kind = UNTRACED[name]
     parameters = {"epsilon": 0.0, "max_iterations": 1} if "filter" in name else {}
-    spec = planted(lambda **given: Untraced(make(**given)))
+    spec = with_fault(lambda **given: Untraced(make(**given)))
     found = equivalence("paper", spec, ROOM, set_a=parameters, set_b=parameters, scans=4)
     assert found.level == "answers"
     assert found.first is not None
     assert found.first.kind == kind
 
 
-def test_equal_distances_are_told_apart_from_other_rules():
+def test_ties_are_distinguished_from_outlier_rules():
     def doubled(frame):
         scan = frame.scan
         again = replace(scan, ranges=np.repeat(scan.ranges, 2), angles=np.repeat(scan.angles, 2), time_increment_ns=0)
         return replace(frame, scan=again, start_from_end=None)
 
-    found = equivalence("paper", planted(TiesToTheHigher), sequence(doubled), scans=4)
+    found = equivalence("paper", with_fault(TiesToTheHigher), sequence(doubled), scans=4)
     assert found.first is not None
     assert (found.first.kind, found.first.iteration, found.first.quantity) == ("nearest-neighbour tie", 1, "pairs")
 
@@ -266,25 +266,25 @@ def test_a_point_between_two_targets_is_a_tie():
     others = step.pairs.copy()
     others[0, 1] = 1 - others[0, 1]
     b = replace(a, history=(replace(step, pairs=others),))
-    found = first_divergence(asked(Fixed(b), question, a), Margin())
+    found = first_divergence(answer(Fixed(b), question, a), Margin())
     assert found is not None
     assert (found.kind, found.quantity) == ("nearest-neighbour tie", "pairs")
     others[0, 1] = 2
-    found = first_divergence(asked(Fixed(b), question, a), Margin())
+    found = first_divergence(answer(Fixed(b), question, a), Margin())
     assert found is not None
     assert found.kind == "different"
     assert "B does not take the nearest neighbour (source point 0: 1 m against 4.123 m" in found.what
 
 
 def test_rounding_to_float32_is_equivalent_within_its_budget_and_not_below():
-    assert equivalence("paper", planted(Rounded), ROOM, scans=FEW, margin="float32").equivalent
-    found = equivalence("paper", planted(Rounded), ROOM, scans=FEW)
+    assert equivalence("paper", with_fault(Rounded), ROOM, scans=FEW, margin="float32").equivalent
+    found = equivalence("paper", with_fault(Rounded), ROOM, scans=FEW)
     assert not found.equivalent
     assert set(found.classes) == {"precision"}
-    assert not equivalence("paper", planted(OneFewer), ROOM, scans=FEW, margin="float32").equivalent
+    assert not equivalence("paper", with_fault(OneFewer), ROOM, scans=FEW, margin="float32").equivalent
 
 
-def test_a_larger_limit_that_only_a_bad_guess_shows_is_found_by_the_disturbed_questions():
+def test_disturbed_questions_find_a_larger_correspondence_limit():
     options = {"set_a": {"max_correspondence_m": 0.5}, "set_b": {"max_correspondence_m": 1.0}, "scans": FEW}
     calm = equivalence("paper", "paper", ROOM, **options, disturbed=False)
     assert calm.equivalent
@@ -298,7 +298,12 @@ def test_a_larger_limit_that_only_a_bad_guess_shows_is_found_by_the_disturbed_qu
 def test_differences_that_cancel_are_not_equivalent():
     made = iter(range(1000))
     found = equivalence(
-        "paper", planted(lambda **given: Alternating(made)), ROOM, scans=12, margin=Margin(8e-4, 1e-9), disturbed=False
+        "paper",
+        with_fault(lambda **given: Alternating(made)),
+        ROOM,
+        scans=12,
+        margin=Margin(8e-4, 1e-9),
+        disturbed=False,
     )
     signed = {one.quantity: one.inside for one in found.intervals}
     assert signed["s2s x"]
@@ -306,18 +311,18 @@ def test_differences_that_cancel_are_not_equivalent():
     assert not found.equivalent
 
 
-def test_the_first_who_fails_alone_is_an_error_that_names_it():
+def test_a_failure_of_the_first_back_end_raises_an_error_with_its_label():
     with pytest.raises(BackendFailed, match="A: scan 2: raises ZeroDivisionError"):
-        equivalence(planted(Raises), "paper", ROOM, scans=FEW)
+        equivalence(with_fault(Raises), "paper", ROOM, scans=FEW)
 
 
-def test_the_assertion_says_what_the_comparison_found():
+def test_the_assertion_error_contains_the_comparison():
     assert assert_equivalent("paper", "paper", ROOM, scans=4).equivalent
     with pytest.raises(NotEquivalent, match="first divergence: scan 2, s2s, iteration 1, pose: different"):
-        assert_equivalent("paper", planted(Transposed), ROOM, scans=4)
+        assert_equivalent("paper", with_fault(Transposed), ROOM, scans=4)
 
 
-def test_open3d_is_the_paper_with_the_same_rule_of_pairs():
+def test_open3d_is_equivalent_to_the_paper_with_the_same_outlier_rule():
     if why := open3d_icp.POINT_TO_POINT.missing():
         pytest.skip(why)
     found = equivalence(
@@ -330,7 +335,7 @@ def test_open3d_is_the_paper_with_the_same_rule_of_pairs():
 
 
 @pytest.mark.parametrize(("name", "margin"), [("embedded", Margin()), ("embedded-f32", "float32")])
-def test_the_compiled_core_is_its_readable_twin(name, margin):
+def test_the_compiled_core_is_equivalent_to_the_python_implementation(name, margin):
     if name not in registry.names("backends"):
         pytest.skip(f"no back end named '{name}' is registered")
     if why := registry.backend(name).missing():
@@ -396,7 +401,7 @@ def test_unknown_names_and_parameters_are_refused():
 
 
 def test_everything_found_can_be_written_as_json():
-    found = equivalence("paper", planted(Raises), ROOM, scans=4)
+    found = equivalence("paper", with_fault(Raises), ROOM, scans=4)
     told = json.loads(json.dumps(found.as_json(), allow_nan=False))
     assert told["equivalent"] is False
     assert told["first"]["kind"] == "different"
@@ -404,12 +409,22 @@ def test_everything_found_can_be_written_as_json():
     assert found.unanswered == 9
 
 
-def test_the_command_ends_with_0_for_equivalent_1_for_different_and_2_for_usage(capsys):
-    assert command("paper", "paper", "--scans", "4") == 0
-    assert "A = paper, B = paper: equivalent on room" in capsys.readouterr().out
-    assert command("paper", "paper", "--scans", "4", "--set", "one_to_one=false", "--json") == 1
-    assert json.loads(capsys.readouterr().out)["first"]["kind"] == "outlier rule"
-    assert command("log-odds", "log-odds", "--scans", "3", "--set", "l_free=-0.4") == 1
+def test_the_command_ends_with_0_for_equivalent_1_for_different_and_2_for_usage(capsys, tmp_path):
+    short = ("--on", "room laps=0.04", "--seeds", "1", "--scans", "4")
+    assert validate_lockstep(tmp_path, "paper", *short, "--reference", "paper") == 0
+    assert "paper is equivalent to paper (reference) within 1e-09 m" in capsys.readouterr().out
+    filters = ("--set", "one_to_one=false", "--set-reference", "one_to_one=true")
+    assert validate_lockstep(tmp_path, "paper-tight", *short, *filters, "--json") == 1
+    report = json.loads(capsys.readouterr().out)
+    assert report["levels"][0]["checks"][0]["data"]["first"]["kind"] == "outlier rule"
+    assert (
+        validate_lockstep(tmp_path, "log-odds", *short, "--set", "l_free=-0.4", "--set-reference", "l_free=-0.8") == 1
+    )
     assert "increment" in capsys.readouterr().out
-    assert command("paper", "papper") == 2
-    assert command("paper", "paper", "--margin", "float16") == 2
+    assert validate_lockstep(tmp_path, "papper") == 2
+    assert validate_lockstep(tmp_path, "paper", "--margin", "float16") == 2
+
+
+def test_the_default_sequence_is_a_short_simulated_one():
+    result = equivalence("paper", "paper", scans=3)
+    assert (result.sequence, result.equivalent) == (defaults.simulated_dataset(), True)

@@ -1,4 +1,4 @@
-"""Planted mistakes of mappers, each found and named."""
+"""Injected faults of mappers are found and named."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -19,7 +19,7 @@ from evalkit_baselines.paper.grid import LogOddsGrid
 
 
 class Drive:
-    """The drive through the L-shaped room of the conformance rules, as a sequence."""
+    """The drive through the L-shaped room of the rules, as a sequence."""
 
     def __len__(self) -> int:
         return 12
@@ -28,7 +28,7 @@ class Drive:
         return iter(drive(scans=12).frames)
 
     def truth(self) -> Truth:
-        return Truth("not told")
+        return Truth("unknown")
 
     def notes(self) -> dict[str, int]:
         return {}
@@ -61,8 +61,8 @@ class RaisesAtOnce(LogOddsGrid):
 
 
 MAPPERS = {
-    "wrong sign of l_free": (LFreeSubtracted, "sign", 1, "what A adds along a beam, B takes away"),
-    "no occupied ends": (EndIsFree, "endpoint rule", 1, "differ where beams end"),
+    "wrong sign of l_free": (LFreeSubtracted, "sign", 1, "A adds along a beam what B subtracts"),
+    "no occupied ends": (EndIsFree, "endpoint rule", 1, "different at their ends"),
     "another traversal": (lambda **given: LogOddsGrid(**{**given, "traversal": "bresenham"}), "traversal", 1, ""),
     "a nearer bound": (lambda **given: LogOddsGrid(**{**given, "l_max": 2.0}), "clamp", 3, "B stops at 2"),
     "every beam counts": (lambda **given: LogOddsGrid(**{**given, "once_per_scan": False}), "counting rule", 1, ""),
@@ -74,7 +74,7 @@ MAPPERS = {
 
 
 @pytest.mark.parametrize("name", MAPPERS)
-def test_a_planted_mistake_of_a_mapper_is_found_and_named(name):
+def test_an_injected_fault_of_a_mapper_is_found_and_named(name):
     make, kind, scan, words = MAPPERS[name]
     found = mapper_equivalence("log-odds", replace(paper.MAPPER, make=make), ROOM, scans=5)
     assert found.first is not None
@@ -89,12 +89,12 @@ def test_a_mapper_is_equal_to_itself_and_fixed_point_is_within_half_a_step():
     assert mapper_equivalence("log-odds", fixed, ROOM, scans=5, margin=Margin(log_odds=2.0**-11)).equivalent
 
 
-def test_the_first_mapper_that_fails_alone_is_an_error_that_names_it():
+def test_a_failure_of_the_first_mapper_raises_an_error_with_its_label():
     with pytest.raises(BackendFailed, match="A: scan 1: raises ZeroDivisionError: no cells"):
         mapper_equivalence(replace(paper.MAPPER, make=RaisesAtOnce), "log-odds", ROOM, scans=3)
 
 
-def test_the_compiled_mapper_is_its_readable_twin():
+def test_the_compiled_mapper_is_equivalent_to_the_python_implementation():
     name = "embedded-log-odds"
     if name not in registry.names("mappers"):
         pytest.skip(f"no mapper named '{name}' is registered")

@@ -1,15 +1,15 @@
-"""Intervals and the float32 budget against calculations by hand."""
+"""Intervals and the float32 margin against calculations by hand."""
 
 import math
 
 import numpy as np
 import pytest
 
-from evalkit.commands.validate.equivalence.margins import Scale, float32, interval
+from evalkit.commands.validate.equivalence.margins import Scale, float32_margin, interval
 
 
-def test_the_float32_budget_is_what_its_derivation_says():
-    margin = float32(Scale(reach_m=10.0, points=300, radius_m=5.0))
+def test_the_float32_margin_matches_its_derivation():
+    margin = float32_margin(Scale(reach_m=10.0, points=300, radius_m=5.0))
     step = 2.0**-24 * 10.0 * (3.0 + 10.0)
     assert margin.metres == pytest.approx(3.0 * (step + 10.0 * step / 5.0))
     assert margin.radians == pytest.approx(3.0 * step / 5.0)

@@ -1,4 +1,4 @@
-"""The paper's ICP with a mistake in it, as back ends under development."""
+"""Back ends under development: ICPs of the paper, each with one injected fault."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from evalkit_baselines.paper.icp import Icp
 
 
 class Transposed(Icp):
-    """Every step turns the wrong way: R = U V^T taken as printed."""
+    """Every step turns in the wrong direction: R = U V^T as printed."""
 
     def _step(self, source, target, normals):
         theta = -super()._step(source, target, normals)[2]
@@ -34,7 +34,7 @@ class Degrees(Icp):
 
 
 class Rounded(Icp):
-    """Works on numbers of single precision."""
+    """Computes on points rounded to single precision."""
 
     def register(self, target, source, guess):
         """An answer from rounded points."""
@@ -42,10 +42,10 @@ class Rounded(Icp):
 
 
 class Crashes(Icp):
-    """Ends its process when it is given as many points as a real scan has."""
+    """Crashes on clouds of the size of a real scan."""
 
     def register(self, target, source, guess):
-        """An answer, or the end."""
+        """An answer, or a crash."""
         if 600 < len(source) < 1200 and len(target) < 1200:
             ctypes.string_at(0)
         return super().register(target, source, guess)

@@ -1,4 +1,4 @@
-"""Pairs of scans with what is known of the motion between them: what a registration is asked apart from any path."""
+"""Pairs of scans of a sequence with their known motion: questions to a single registration."""
 
 from __future__ import annotations
 
@@ -8,7 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from evalkit.commands.validate.equivalence.lockstep import DISTURBED, DISTURBED_M, DISTURBED_RAD, Question, Side
+from evalkit.commands.validate.equivalence.lockstep import (
+    DISTURBED,
+    DISTURBED_M,
+    DISTURBED_RAD,
+    ComparedBackend,
+    Question,
+)
 from evalkit.core import se2
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
@@ -20,49 +26,49 @@ from evalkit.odometry import frontend
 from evalkit.plugins.protocols import Odometry, Sequence
 
 STAGE = "pair"
-CALM_M, CALM_RAD = 0.05, 0.035
-"""How far off the guesses are that all depend on: 5 cm and 2 degrees, what wheels may be off between two scans."""
+NEAR_M, NEAR_RAD = 0.05, 0.035
+"""Error of a near guess: 5 cm and 2 degrees, a typical error of wheel odometry between two scans."""
 
-MAX_APART = 5  # scans from the first to the second of a pair
+MAX_SCANS_APART = 5
 PERIOD_NS = 100_000_000
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
-    """One question and the motion it asks for, None where that is not exactly known."""
+class ScanPair:
+    """A question and the true motion, None if that is not exactly known."""
 
     question: Question
     truth: Pose | None
 
 
-def pairs(sequence: Sequence, count: int, exact: bool) -> Iterator[Pair]:
-    """``count`` pairs spread over a sequence, each asked twice: with a guess little off, and far off (disturbed).
+def scan_pairs(sequence: Sequence, count: int, exact: bool) -> Iterator[ScanPair]:
+    """``count`` pairs spread over a sequence, each with a near guess and with a disturbed guess.
 
-    ``exact``: the truth of the sequence is without error, and a pair's is told. The second scan is one to five after
-    the first, where it is known how far that is; else it is the next one.
+    ``exact``: the truth of the sequence has no error, so the pairs include it. The second scan is one to five scans
+    after the first if the motion between them is known, else the next one.
     """
     frames, truth = list(sequence.frames()), sequence.truth().trajectory
     rng = np.random.default_rng(0)
-    for number, first in enumerate(_evenly(len(frames) - 1, count), start=1):
-        last = min(first + 1 + number % MAX_APART, len(frames) - 1)
+    for number, first in enumerate(_spread_indices(len(frames) - 1, count), start=1):
+        last = min(first + 1 + number % MAX_SCANS_APART, len(frames) - 1)
         motion = _motion(frames[first], frames[last], truth)
         if motion is None:
             last = first + 1
             motion = _motion(frames[first], frames[last], truth) or Pose()
         clouds = _cloud(frames[first]), _cloud(frames[last])
-        for stage, metres, radians in ((STAGE, CALM_M, CALM_RAD), (STAGE + DISTURBED, DISTURBED_M, DISTURBED_RAD)):
-            guess = motion @ _off(rng, metres, radians)
-            yield Pair(Question(number, stage, *clouds, guess), motion if exact else None)
+        for stage, metres, radians in ((STAGE, NEAR_M, NEAR_RAD), (STAGE + DISTURBED, DISTURBED_M, DISTURBED_RAD)):
+            guess = motion @ _random_motion(rng, metres, radians)
+            yield ScanPair(Question(number, stage, *clouds, guess), motion if exact else None)
 
 
 class TwoScans:
-    """An odometry as a Registration: a fresh one sees both clouds as scans, and wheels that say the guess."""
+    """An odometry as a Registration: a new one processes both clouds as scans, with the guess as wheel odometry."""
 
-    def __init__(self, side: Side) -> None:
+    def __init__(self, side: ComparedBackend) -> None:
         self._side = side
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
-        """Where the second scan was; neither iterations nor pairs are told."""
+        """The pose of the second scan; iterations and pairs are unknown."""
         odometry: Odometry = frontend.make_odometry(self._side.spec, self._side.parameters)
         odometry.update(_frame(target, 0, Pose()))
         pose = odometry.update(_frame(source, PERIOD_NS, guess)).pose
@@ -70,19 +76,19 @@ class TwoScans:
 
 
 def residual_m(question: Question, answer: Pose) -> float:
-    """The mean distance (m) of the source's points, where an answer puts them, to their nearest neighbours."""
+    """The mean distance (m) of the source points, moved by an answer, to their nearest neighbours in the target."""
     moved = answer.transform(question.source.points)
     return float(np.mean(cKDTree(question.target.points).query(moved)[0]))
 
 
 def radius_m(question: Question) -> float:
-    """The root mean square distance (m) of the source's points from their centroid."""
+    """The root mean square distance (m) of the source points from their centroid."""
     arms = question.source.points - question.source.points.mean(axis=0)
     return float(np.sqrt(np.mean(np.sum(arms**2, axis=1))))
 
 
 def _motion(first: Frame, last: Frame, truth: Trajectory | None) -> Pose | None:
-    """``first_from_last`` by the truth, else by the wheels, else None."""
+    """``first_from_last`` by the truth, else by wheel odometry, else None."""
     stamps = np.array([first.scan.stamp_ns, last.scan.stamp_ns])
     if truth is not None and can_interpolate(truth.stamps_ns, stamps, MAX_GAP_S).all():
         return Pose.of(se2.between(*truth.at(stamps)))
@@ -97,19 +103,19 @@ def _cloud(frame: Frame) -> Cloud:
 
 
 def _frame(cloud: Cloud, stamp_ns: int, odom_from_base: Pose) -> Frame:
-    """A cloud as one scan of all beams at once, from a sensor in the base's origin."""
+    """A cloud as a scan with simultaneous beams, from a sensor at the origin of the base."""
     ranges: Floats = np.hypot(*cloud.points.T)
     angles: Floats = np.arctan2(cloud.points[:, 1], cloud.points[:, 0])
     reach = float(ranges.max(initial=1.0)) + 1.0
     return Frame(Scan(stamp_ns, ranges, angles, 0.0, reach), Pose(), odom_from_base, Pose())
 
 
-def _off(rng: np.random.Generator, metres: float, radians: float) -> Pose:
-    """A motion of that size in a random direction, turning either way."""
-    way = rng.uniform(-np.pi, np.pi)
+def _random_motion(rng: np.random.Generator, metres: float, radians: float) -> Pose:
+    """A motion of the given size in a random direction, with a turn to a random side."""
+    bearing = rng.uniform(-np.pi, np.pi)
     turn = radians * rng.choice([-1.0, 1.0])
-    return Pose(metres * float(np.cos(way)), metres * float(np.sin(way)), turn)
+    return Pose(metres * float(np.cos(bearing)), metres * float(np.sin(bearing)), turn)
 
 
-def _evenly(count: int, most: int) -> list[int]:
+def _spread_indices(count: int, most: int) -> list[int]:
     return [int(i) for i in np.unique(np.linspace(0, count - 1, min(most, count)).astype(int))] if count > 0 else []

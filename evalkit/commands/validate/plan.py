@@ -1,0 +1,336 @@
+"""The plan of a validation: resolved names and settings, and the tasks of each level."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+from evalkit.commands.validate import probes, timing_probes
+from evalkit.commands.validate.acceptance import Claim
+from evalkit.commands.validate.equivalence.comparison import FLOAT32
+from evalkit.commands.validate.probes import EXACT
+from evalkit.config.experiment import Experiment, Limits, SequenceSpec, experiment_from_tables
+from evalkit.core.errors import BadParameter, NotInstalled
+from evalkit.execution import sandbox
+from evalkit.execution.task import AnyTask, Parameters, Result, make_task
+from evalkit.external.declaration import split_words
+from evalkit.odometry import frontend
+from evalkit.plugins import code_hash, defaults, registry
+from evalkit.plugins.parameter_parsing import from_text
+from evalkit.plugins.parameters import Value
+from evalkit.plugins.specs import BackendSpec, RegistrationSpec
+
+AUTO = "auto"
+WHY_REFERENCE = 'the first back end by name with the role "reference"'
+COPIES = 5
+"""Perturbed copies of a sequence from which the effect of rounding on a path is estimated."""
+
+Only = Literal["", "rules", "registrations", "lockstep", "determinism"]
+"""The one group of checks to run; "": levels 0 to 5."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """The size of a validation.
+
+    ``pairs``: pairs of scans; ``scans``: scans in lockstep; ``mapper_scans``: scans for the comparison of mappers;
+    ``timed``: scans timed; ``limit_s``, ``memory_mib``: limits of one task; ``map_scans``: scans in the map of a run.
+    """
+
+    pairs: int
+    scans: int
+    mapper_scans: int
+    timed: int
+    limit_s: float
+    map_scans: int
+    memory_mib: int = 2048
+
+
+FULL = Effort(pairs=40, scans=150, mapper_scans=40, timed=250, limit_s=240.0, map_scans=250)
+QUICK = Effort(pairs=16, scans=45, mapper_scans=12, timed=45, limit_s=60.0, map_scans=40)
+
+
+@dataclass(frozen=True)
+class ValidationRequest:
+    """A validation as requested on the command line; settings are texts by parameter name.
+
+    ``reference``: "" for the default one. ``peers``: other methods for context. ``on``: sequences such as
+    "name laps=0.3". ``margin``: "auto" or a text for ``probes.parse_margin``. ``noise_share``: see ``ComparisonTerms``.
+    ``mapper``: "" for the mapper in the module of the back end. ``disturbed``: include disturbed guesses in lockstep.
+    """
+
+    backend: str
+    given: Mapping[str, str]
+    reference: str
+    given_reference: Mapping[str, str]
+    peers: tuple[str, ...]
+    on: tuple[str, ...]
+    seeds: int
+    claim: Claim
+    margin: str
+    noise_share: float
+    mapper: str
+    effort: Effort
+    only: Only = ""
+    disturbed: bool = True
+
+    @property
+    def margins(self) -> list[str]:
+        """The margins to try, the strictest first."""
+        return [EXACT, FLOAT32] if self.margin == AUTO else [self.margin]
+
+
+@dataclass(frozen=True)
+class Place:
+    """One sequence with one seed: its label, its sequence, and the data for a probe."""
+
+    label: str
+    sequence: SequenceSpec
+    data: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class ValidationPlan:
+    """A request with all names resolved and all settings complete.
+
+    ``mappers``: those of the back end and of the reference, "" if there is none. ``unavailable``: peers and sequences
+    that are not installed here, and why.
+    """
+
+    request: ValidationRequest
+    reference: str
+    why_reference: str
+    given: Mapping[str, Value]
+    given_reference: Mapping[str, Value]
+    peers: tuple[str, ...]
+    unavailable: Mapping[str, str]
+    experiment: Experiment
+    mappers: tuple[str, str]
+
+    @property
+    def backend(self) -> str:
+        """The back end under test; also its label."""
+        return self.request.backend
+
+    @property
+    def reference_label(self) -> str:
+        """The label of the reference, which differs from its name where a back end is its own reference."""
+        return _reference_label(self.backend, self.reference)
+
+    @property
+    def methods(self) -> list[str]:
+        """The back end, the reference, and the peers that register scans."""
+        return list(dict.fromkeys((self.backend, self.reference, *self._registering_peers())))
+
+    @property
+    def registrations(self) -> list[str]:
+        """The methods that are registrations."""
+        return [name for name in self.methods if isinstance(registry.backend(name), RegistrationSpec)]
+
+    def settings(self) -> dict[str, Any]:
+        """The settings of the validation for the report."""
+        return {
+            "backend": dict(self.given), "reference": dict(self.given_reference), "on": list(self.request.on),
+            "seeds": self.request.seeds, "noise_share": self.request.noise_share,
+            "effort": asdict(self.request.effort), "mappers": list(self.mappers),
+        }  # fmt: skip
+
+    def rules_task(self) -> AnyTask:
+        """The task of level 0."""
+        spec = registry.backend(self.backend)
+        own = {p.name for p in spec.parameters}
+        given = {name: value for name, value in self.given.items() if name in own}
+        task = make_task("rules", probes.rules, name=self.backend, given=given, limit_s=30.0, digest=spec.digest)
+        return task.depending_on(*self._modules(self.backend))
+
+    def pair_tasks(self) -> Iterator[AnyTask]:
+        """The tasks of level 1."""
+        request, effort = self.request, self.request.effort
+        a, b = self._plugin(self.reference), self._plugin(self.backend)
+        for place in places_of(self.experiment):
+            exact = registry.dataset(place.sequence.dataset).seeded  # a simulated truth has no error
+            yield self._sandboxed(
+                f"pairs, {place.label}", place, probes.compare_pairs,
+                a=a, b=b, on=place.data, count=effort.pairs, exact=exact, margins=request.margins,
+            )  # fmt: skip
+            for name in self._registering_peers():
+                yield self._sandboxed(
+                    f"answers of {name}, {place.label}", place, probes.answer_pairs,
+                    backend=self._plugin(name), on=place.data, count=effort.pairs, exact=exact,
+                )  # fmt: skip
+
+    def lockstep_tasks(self) -> Iterator[AnyTask]:
+        """The tasks of level 2."""
+        request, a, b = self.request, self._plugin(self.reference), self._plugin(self.backend)
+        for place in places_of(self.experiment):
+            yield self._sandboxed(
+                f"scans, {place.label}", place, probes.compare_scans, a=a, b=b, on=place.data,
+                scans=request.effort.scans, margins=request.margins, disturbed=request.disturbed,
+            )  # fmt: skip
+
+    def mapper_tasks(self) -> Iterator[AnyTask]:
+        """The comparisons of mappers in level 4."""
+        own, reference = ({"name": name, "given": {}} for name in self.mappers)
+        for place in self._first_places() if all(self.mappers) else ():
+            yield self._sandboxed(
+                f"mapper, {place.label}", place, probes.compare_maps,
+                a=reference, b=own, on=place.data, scans=self.request.effort.mapper_scans, margin=EXACT,
+            )  # fmt: skip
+
+    def perturbation_tasks(self) -> Iterator[AnyTask]:
+        """The reference over copies of each sequence perturbed by rounding."""
+        for place in places_of(self.experiment):
+            backend = self._plugin(self.reference)
+            yield self._sandboxed(
+                f"copies, {place.label}", place, probes.perturbed_paths, backend=backend, on=place.data, copies=COPIES
+            )
+
+    def timing_tasks(self) -> Iterator[AnyTask]:
+        """The measurements of level 5; nothing else may run beside them."""
+        methods = [self._plugin(name) for name in self.methods]
+        registrations = [self._plugin(name) for name in self.registrations]
+        effort = self.request.effort
+        for place in self._first_places():
+            yield self._sandboxed(
+                f"time, {place.label}", place, timing_probes.time_scans,
+                methods=methods, on=place.data, scans=effort.timed,
+            )  # fmt: skip
+            if self.backend in self.registrations:
+                yield self._sandboxed(
+                    f"time of a pair, {place.label}", place, timing_probes.time_pairs,
+                    methods=registrations, on=place.data, count=effort.pairs,
+                )  # fmt: skip
+
+    def _first_places(self) -> list[Place]:
+        """The first seed of every sequence."""
+        first: dict[str, Place] = {}
+        for place in places_of(self.experiment):
+            first.setdefault(place.sequence.label, place)
+        return list(first.values())
+
+    def _sandboxed(
+        self, name: str, place: Place, function: Callable[Parameters, Result], /,
+        *args: Parameters.args, **kwargs: Parameters.kwargs,
+    ) -> AnyTask:  # fmt: skip
+        """The task that runs a probe in a sandbox."""
+        modules = (*self._modules(*self.methods), registry.plug_in_of("datasets", place.sequence.dataset).module)
+        probe = make_task(name, function, *args, **kwargs).depending_on(*modules)
+        return sandbox.sandboxed(probe, self.request.effort.limit_s, self.request.effort.memory_mib)
+
+    def _plugin(self, name: str) -> dict[str, Any]:
+        """A back end with its given parameters; the digest distinguishes builds of a library."""
+        given = self.given if name == self.backend else self.given_reference if name == self.reference else {}
+        return {"name": name, "given": dict(given), "digest": registry.backend(name).digest}
+
+    def _modules(self, *names: str) -> tuple[str, ...]:
+        return tuple(sorted({registry.plug_in_of("backends", name).module for name in names}))
+
+    def _registering_peers(self) -> list[str]:
+        """The peers that use the scans: a baseline does not."""
+        return [name for name in self.peers if registry.backend(name).role != "baseline"]
+
+
+def make_plan(request: ValidationRequest) -> ValidationPlan:
+    """Resolves a request before anything is computed; raises NotInstalled, UnknownName or BadParameter."""
+    backend = request.backend
+    reference, why = choose_reference(request.reference)
+    for name in (backend, reference):
+        if unusable := _unusable_reason(registry.backend(name)):
+            raise NotInstalled(name, "cannot be validated here", unusable)
+    given = _parse_settings(backend, request.given)
+    known = {parameter.name for parameter in frontend.settable_parameters(registry.backend(reference))}
+    shared = {name: text for name, text in request.given.items() if name in known}
+    given_reference = _parse_settings(reference, {**shared, **request.given_reference})
+    wanted = [name for name in dict.fromkeys(request.peers) if name not in (backend, reference)]
+    unavailable = {name: why_not for name in wanted if (why_not := _unusable_reason(registry.find_backend(name)))}
+    installed = [name for name in wanted if name not in unavailable]
+    baselines = [
+        name for name in defaults.backends_with_role("baseline") if name not in (backend, reference, *installed)
+    ]
+    mapper = request.mapper or defaults.mapper_of(backend)
+    mappers = (mapper, defaults.mapper_of(reference)) if mapper else ("", "")
+    peers = (*installed, *baselines)
+    methods: list[Mapping[str, Any]] = [
+        {"use": backend, **given},
+        {"use": reference, "label": _reference_label(backend, reference), **given_reference},
+        *({"use": name} for name in peers),
+    ]
+    planned = make_experiment(request, methods)
+    unavailable |= {sequence.label: sequence.missing for sequence in planned.sequences if sequence.missing}
+    return ValidationPlan(
+        request, reference, why, given, given_reference, peers, unavailable, installed_only(planned), mappers
+    )
+
+
+def choose_reference(name: str) -> tuple[str, str]:
+    """The back end to compare with, by name or by default, and how it was chosen; NotInstalled if there is none."""
+    return (name, "given with --reference") if name else (defaults.reference_backend(), WHY_REFERENCE)
+
+
+def make_experiment(request: ValidationRequest, methods: Iterable[Mapping[str, Any]]) -> Experiment:
+    """The experiment of methods over the sequences of a request."""
+    effort = request.effort
+    content = {
+        "method": list(methods),
+        "sequence": [parse_sequence(text, request.seeds) for text in request.on],
+        "mapper": {"scans": effort.map_scans},
+        "limits": asdict(Limits()) | {"run_s": 3.0 * effort.limit_s, "memory_mib": effort.memory_mib},
+    }
+    return experiment_from_tables(content, "evalkit validate", "validate", f"validate {shlex.quote(request.backend)}")
+
+
+def installed_only(planned: Experiment) -> Experiment:
+    """The experiment without the sequences that are not available here."""
+    return replace(planned, sequences=tuple(sequence for sequence in planned.sequences if not sequence.missing))
+
+
+def places_of(planned: Experiment) -> list[Place]:
+    """Every sequence of an experiment with every seed."""
+    return [
+        Place(
+            label,
+            sequence,
+            {"label": label, "dataset": sequence.dataset, "parameters": sequence.parameters_with_seed(seed)},
+        )
+        for sequence in planned.sequences
+        for seed in sequence.seeds
+        for label in [sequence.label if seed is None else f"{sequence.label}, seed {seed}"]
+    ]
+
+
+def parse_sequence(text: str, seeds: int) -> dict[str, Any]:
+    """The table of an experiment for a text such as "name laps=0.3"."""
+    name, *words = shlex.split(text) or [""]
+    spec = registry.dataset(name)
+    for word in words:
+        if "=" not in word:
+            raise BadParameter(name, word, word, "NAME=VALUE after the name of the sequence")
+    texts = {key: value for key, _, value in (word.partition("=") for word in words)}
+    given = from_text(name, spec.parameters, texts)
+    return {"use": name, **given, **({"seeds": list(range(seeds))} if spec.seeded else {})}
+
+
+def compiled_files(backend: str) -> list[Path]:
+    """The files of machine code of a back end: its library, or those of its plug-in's package."""
+    scheme, colon, rest = backend.partition(":")
+    if colon and scheme == "lib":
+        return [Path(split_words(backend, rest)[0]).resolve()]
+    module = registry.plug_in_of("backends", backend).module
+    files = code_hash.sources(module, frozenset({module.partition(".")[0]}))
+    return sorted(file for file in files if file.suffix == ".so")
+
+
+def _reference_label(backend: str, reference: str) -> str:
+    return reference if reference != backend else f"{reference} (reference)"
+
+
+def _unusable_reason(spec: BackendSpec) -> str:
+    """Why a back end cannot run here, or "" if it can."""
+    return spec.missing() or spec.broken
+
+
+def _parse_settings(name: str, given: Mapping[str, str]) -> dict[str, Value]:
+    return from_text(name, frontend.settable_parameters(registry.backend(name)), given)

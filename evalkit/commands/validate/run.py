@@ -1,0 +1,254 @@
+"""Run a validation: every kind of subject and every selection of levels gives one ``AcceptanceReport``."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from evalkit.commands.validate import level_answers, level_costs, level_runs, probes
+from evalkit.commands.validate.acceptance import AcceptanceLevel, AcceptanceReport, Check
+from evalkit.commands.validate.determinism import measure_determinism
+from evalkit.commands.validate.equivalence.comparison import FLOAT32
+from evalkit.commands.validate.level_answers import ComparisonTerms, Results
+from evalkit.commands.validate.plan import (
+    AUTO,
+    ValidationPlan,
+    ValidationRequest,
+    choose_reference,
+    compiled_files,
+    installed_only,
+    make_experiment,
+    parse_sequence,
+    places_of,
+)
+from evalkit.commands.validate.probes import EXACT
+from evalkit.commands.validate.rules import dataset_rules, runner
+from evalkit.config.experiment import Experiment
+from evalkit.execution import environment, sandbox
+from evalkit.execution.executors import LocalExecutor, Progress
+from evalkit.execution.scheduler import Scheduler
+from evalkit.execution.task import AnyTask, Result, make_task
+from evalkit.execution.task_runner import OnDone, run_tasks
+from evalkit.execution.task_store import TaskStore
+from evalkit.plugins import defaults, registry
+from evalkit.plugins.parameter_parsing import from_text
+from evalkit.plugins.parameters import Value
+from evalkit.results.run_record import RunRecord
+from evalkit.results.store import Store
+
+FATAL_RULES = ("rule starts", "rule in-time")
+"""Rules without which no other level can run."""
+
+
+@dataclass(frozen=True)
+class ProgressDisplay:
+    """Context managers that show progress: of so many tasks on so many workers, and of the runs of an experiment."""
+
+    tasks: Callable[[int, int], AbstractContextManager[OnDone]]
+    runs: Callable[[Experiment, int], AbstractContextManager[Progress]]
+
+
+@dataclass(frozen=True)
+class ValidationRun:
+    """A plan with the folder of its results, the number of workers and the progress display."""
+
+    plan: ValidationPlan
+    folder: Path
+    workers: int
+    progress: ProgressDisplay
+
+    def report(self) -> AcceptanceReport:
+        """Runs the levels of the request; results that are in the folder already are not computed again."""
+        plan, only = self.plan, self.plan.request.only
+        if only == "registrations":
+            return self._comparison_report(self._compute(plan.pair_tasks()))
+        if only == "lockstep":
+            return self._comparison_report(self._compute(plan.lockstep_tasks()))
+        rules = level_answers.rules_level(self._compute([plan.rules_task()], workers=1)["rules"]["rules"])
+        if any(check.outcome == "failed" and check.name in FATAL_RULES for check in rules.checks):
+            return self._report(EXACT, "", (rules,))
+        return self._full_report(rules)
+
+    def _comparison_report(self, results: Results) -> AcceptanceReport:
+        """The report of level 1 or level 2 alone."""
+        compared = _comparisons(results)
+        margin = level_answers.choose_margin(compared, self.plan.request.margins)
+        levels = self._comparison_levels(results, self._terms(margin))
+        return self._report(margin, level_answers.format_margin(compared, margin), levels)
+
+    def _comparison_levels(self, results: Results, terms: ComparisonTerms) -> tuple[AcceptanceLevel, ...]:
+        pairs, scans = _of_kind("pairs", results), _of_kind("scans", results)
+        answers = {name: _of_kind(f"answers of {name}", results) for name in self.plan.peers}
+        peers = {name: own for name, own in answers.items() if own}
+        levels = [level_answers.registrations_level(pairs, peers, terms)] if pairs else []
+        return (*levels, *([level_answers.lockstep_level(scans, terms)] if scans else []))
+
+    def _full_report(self, rules: AcceptanceLevel) -> AcceptanceReport:
+        plan = self.plan
+        results = self._compute([*plan.pair_tasks(), *plan.lockstep_tasks(), *plan.mapper_tasks()])
+        records = self._run_experiment()
+        compared = _comparisons(results)
+        margin = level_answers.choose_margin(compared, plan.request.margins)
+        perturbed = self._compute(plan.perturbation_tasks()) if margin == FLOAT32 else {}
+        times = self._compute(plan.timing_tasks(), workers=1)  # alone: nothing else may run beside a measurement
+        terms = self._terms(margin)
+        limits = {
+            place: (one[margin]["margin"]["metres"], one[margin]["margin"]["radians"])
+            for place, one in _of_kind("scans", results).items()
+            if sandbox.ENDED not in one
+        }
+        levels = (
+            rules,
+            *self._comparison_levels(results, terms),
+            level_runs.trajectories_level(records, limits, _of_kind("copies", perturbed), terms),
+            level_runs.maps_level(records, limits, _of_kind("mapper", results), plan.mappers, terms),
+            level_costs.costs_level(
+                _of_kind("time", times), _of_kind("time of a pair", times), plan.methods, plan.registrations, records,
+                terms, compiled_files(plan.backend),
+            ),
+        )  # fmt: skip
+        return self._report(margin, level_answers.format_margin(compared, margin), levels)
+
+    def _compute(self, tasks: Any, workers: int | None = None) -> dict[str, Result]:
+        every: list[AnyTask] = list(tasks)
+        count = workers or self.workers
+        with self.progress.tasks(len(every), count) as done:
+            return run_tasks(TaskStore(self.folder / "tasks"), every, count, done)
+
+    def _run_experiment(self) -> dict[str, dict[str, RunRecord]]:
+        """The runs of all methods by place and method."""
+        experiment, ran_on = self.plan.experiment, environment.describe(jobs=self.workers)
+        with self.progress.runs(experiment, self.workers) as shown:
+            scheduler = Scheduler(Store(self.folder), shown, ran_on, resume=True)
+            records = scheduler.run_and_load(experiment, LocalExecutor(self.workers))
+        by_place: dict[str, dict[str, RunRecord]] = {}
+        for record in records:
+            place = record.sequence if record.seed is None else f"{record.sequence}, seed {record.seed}"
+            by_place.setdefault(place, {})[record.method] = record
+        return by_place
+
+    def _terms(self, margin: str) -> ComparisonTerms:
+        plan = self.plan
+        return ComparisonTerms(plan.backend, plan.reference_label, margin, plan.request.noise_share, plan.peers)
+
+    def _report(self, margin: str, margin_text: str, levels: tuple[AcceptanceLevel, ...]) -> AcceptanceReport:
+        plan = self.plan
+        return AcceptanceReport(
+            plan.backend, plan.reference_label, plan.why_reference, plan.peers, plan.unavailable, plan.request.claim,
+            margin, margin_text, levels, plan.settings(), environment.describe(jobs=self.workers),
+        )  # fmt: skip
+
+
+def report_rules(backend: str, given: Mapping[str, str], rules: Sequence[str], limit_s: float) -> AcceptanceReport:
+    """Level 0 of a back end alone; ``rules``: names of the rules to check, () for all; ``limit_s``: time of one rule.
+
+    Raises UnknownName, BadParameter, NotInstalled or BackendFailed before anything runs.
+    """
+    values = from_text(backend, runner.spec_of(backend).parameters, given)
+    checked = runner.check(backend, values, limit_s=limit_s, only=rules)
+    level = level_answers.rules_level([asdict(one) for one in checked.results])
+    return _report_alone(checked.label, level, {"backend": values})
+
+
+def report_dataset(dataset: str, given: Mapping[str, str], frames: int) -> AcceptanceReport:
+    """Level 0 of a data set: its rules over its first ``frames`` frames."""
+    values = from_text(dataset, dataset_rules.spec_of(dataset).parameters, given)
+    checked = dataset_rules.check(dataset, frames, values)
+    level = level_answers.rules_level([asdict(one) for one in checked.results], "data set")
+    return _report_alone(checked.label, level, {"dataset": values, "frames": frames})
+
+
+def report_mapper(request: ValidationRequest, folder: Path, workers: int, display: ProgressDisplay) -> AcceptanceReport:
+    """Level 2 of a mapper: compared with another one, cell by cell after every scan."""
+    reference = request.reference or defaults.default_mapper()
+    given = from_text(request.backend, registry.mapper(request.backend).parameters, request.given)
+    known = {parameter.name for parameter in registry.mapper(reference).parameters}
+    texts = {name: text for name, text in request.given.items() if name in known} | dict(request.given_reference)
+    given_reference = from_text(reference, registry.mapper(reference).parameters, texts)
+    planned = make_experiment(request, [{"use": choose_reference("")[0]}])
+    unavailable = {sequence.label: sequence.missing for sequence in planned.sequences if sequence.missing}
+    margin = EXACT if request.margin == AUTO else request.margin
+    modules = [registry.plug_in_of("mappers", name).module for name in (request.backend, reference)]
+    tasks = [
+        sandbox.sandboxed(
+            make_task(
+                f"mapper, {place.label}", probes.compare_maps,
+                a={"name": reference, "given": given_reference}, b={"name": request.backend, "given": given},
+                on=place.data, scans=request.effort.scans, margin=margin,
+            ).depending_on(*modules, registry.plug_in_of("datasets", place.sequence.dataset).module),
+            request.effort.limit_s, request.effort.memory_mib,
+        )
+        for place in places_of(installed_only(planned))
+    ]  # fmt: skip
+    with display.tasks(len(tasks), workers) as done:
+        results = run_tasks(TaskStore(folder / "tasks"), tasks, workers, done)
+    label = reference if reference != request.backend else f"{reference} (reference)"
+    terms = ComparisonTerms(request.backend, label, margin, request.noise_share)
+    checks = [level_answers.mapper_check(place, one, terms) for place, one in _of_kind("mapper", results).items()]
+    question = f"Given the same scans as {label}, which cell differs first?"
+    level = AcceptanceLevel(2, "lockstep", question, tuple(checks))
+    settings = {"backend": given, "reference": given_reference, "on": list(request.on), "seeds": request.seeds}
+    alone = _report_alone(request.backend, level, settings)
+    why = "given with --reference" if request.reference else "the default mapper"
+    margins = {one["cells"]["margin"]["log_odds"] for one in results.values() if sandbox.ENDED not in one}
+    margin_text = f"within {max(margins):.2g} log-odds" if margins else "within no margin: no scan was drawn"
+    return replace(
+        alone, reference=label, why_reference=why, unavailable=unavailable, margin=margin, margin_text=margin_text
+    )
+
+
+def report_determinism(
+    backends: Sequence[str], given: Mapping[str, str], on: Sequence[str], threads: int, repetitions: int,
+    announce: Callable[[str], None],
+) -> AcceptanceReport:  # fmt: skip
+    """Level 6: repeated runs of back ends, with one thread and with ``threads``; () stands for all that can run here.
+
+    ``announce`` is called with each back end's name before it runs.
+    """
+    installed = backends or [name for name in registry.names("backends") if not registry.find_backend(name).missing()]
+    sequences = [parse_sequence(text, 1) for text in on]
+    checks = []
+    for name in installed:
+        announce(name)
+        for sequence in sequences:
+            parameters = {key: value for key, value in sequence.items() if key not in ("use", "seeds")}
+            checks.append(_determinism_check(name, given, sequence["use"], parameters, threads, repetitions))
+    question = f"Are the answers of {repetitions} runs equal to the bit, with one thread and with {threads}?"
+    level = AcceptanceLevel(6, "determinism", question, tuple(checks))
+    subject = ", ".join(backends) or "every installed back end"
+    settings = {"on": list(on), "threads": threads, "repetitions": repetitions, "backend": dict(given)}
+    return _report_alone(subject, level, settings)
+
+
+def _determinism_check(
+    backend: str, given: Mapping[str, str], dataset: str, parameters: Mapping[str, Value], threads: int,
+    repetitions: int,
+) -> Check:  # fmt: skip
+    result = measure_determinism(backend, given, dataset, parameters, (1, threads), repetitions)
+    passed = result.verdict in ("bit-equal", "thread-dependent")
+    if result.apart_m is None:
+        observed = f"{result.verdict}: {result.reason or 'the runs have no scan in common'}"
+    else:
+        observed = f"{result.verdict}: positions at most {result.apart_m:.3g} m apart over {result.scans} scans"
+    return Check(
+        f"repeats {backend}", dataset, "passed" if passed else "failed", "always", observed, data=asdict(result)
+    )
+
+
+def _report_alone(subject: str, level: AcceptanceLevel, settings: Mapping[str, Any]) -> AcceptanceReport:
+    """The report of one level that needs no reference."""
+    return AcceptanceReport(subject, "", "", (), {}, "equal", "", "", (level,), settings, environment.describe(jobs=1))
+
+
+def _comparisons(results: Results) -> dict[str, Result]:
+    """All comparisons with the reference, question by question."""
+    return {f"{kind}, {place}": one for kind in ("pairs", "scans") for place, one in _of_kind(kind, results).items()}
+
+
+def _of_kind(kind: str, results: Results) -> dict[str, Result]:
+    """The results of one kind of task by place."""
+    prefix = f"{kind}, "
+    return {name.removeprefix(prefix): result for name, result in results.items() if name.startswith(prefix)}
