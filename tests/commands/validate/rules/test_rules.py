@@ -4,6 +4,7 @@ import importlib
 import importlib.util
 import json
 import re
+import signal
 import sys
 from pathlib import Path
 
@@ -250,7 +251,7 @@ def test_the_rules_of_a_data_set_are_checked_by_name_and_as_a_module(evalkit):
 @pytest.fixture
 def evalkit(monkeypatch, capsys, tmp_path):
     """``evalkit(*words)``: exit code, and what is printed."""
-    monkeypatch.setattr(cli.signal, "signal", lambda *_handler: None)
+    monkeypatch.setattr(signal, "signal", lambda *_handler: None)
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "200")
