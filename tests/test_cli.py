@@ -305,8 +305,10 @@ def test_a_failed_run_is_exit_code_1_and_a_plain_line_and_the_others_stand(evalk
 def test_what_cannot_run_here_is_no_failure(evalkit, experiment, tmp_path):
     path = experiment(more='[[method]]\nuse = "absent"\n')
     code, out, err = evalkit("compare", "--no-page", path, "--out", tmp_path / "out")
-    assert (code, out) == (0, "0 runs complete, 0 failed, 1 not possible here: absent\n")
-    assert err.splitlines()[0] == "missing here: absent: the library 'nowhere' is not installed; pip install nowhere"
+    assert (code, out) == (0, "0 runs complete, 0 failed, 1 not available here: absent\n")
+    assert (
+        err.splitlines()[0] == "not available here: absent: the library 'nowhere' is not installed; pip install nowhere"
+    )
     assert "not-installed (the library 'nowhere' is not installed; pip install nowhere)" in err
 
 
@@ -440,8 +442,8 @@ def test_what_is_missing_is_exit_code_3_and_a_status_to_make_again_must_be_one(e
     code, out, _ = evalkit("compare", "--no-page", experiment("none", "raise"), "--out", tmp_path / "out", "--collect")
     assert code == 3
     assert out.splitlines() == [
-        "1 runs complete, 0 failed, 0 not possible here",
-        "1 not made yet: raise on straight",
+        "1 runs complete, 0 failed, 0 not available here",
+        "1 not run yet: raise on straight",
     ]
     code, _, err = evalkit("compare", "--no-page", experiment("none"), "--out", tmp_path / "out", "--rerun", "sleepy")
     assert code == 2
@@ -542,7 +544,7 @@ def test_a_ros_bag_is_compared_in_one_line(evalkit, carmen, tmp_path):
     )  # fmt: skip
     assert code == 0
     first, page = out.splitlines()
-    assert first == "1 runs complete, 0 failed, 0 not possible here"
+    assert first == "1 runs complete, 0 failed, 0 not available here"
     assert Path(page) == tmp_path / "out" / "index.html"
     trial = json.loads((tmp_path / "out" / "results.json").read_text())["runs"][0]
     assert (trial["scans_answered"], trial["dataset_parameters"]["every"]) == (12, 2)

@@ -1,7 +1,7 @@
-"""The workers of a Dask cluster, one call at a time for each of their threads.
+"""Calls on the workers of a Dask cluster, one at a time per thread.
 
-Calls are handed out here, not queued at the scheduler: it never holds more than the workers compute, and whoever is
-lost with a worker is known by name. Dask is imported only by who asks for a cluster.
+Calls are assigned to workers here instead of being queued at Dask's scheduler, which therefore never holds more calls
+than the workers compute; the calls lost with a worker are known. Dask is imported only when a cluster is used.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from typing import Any
 from evalkit.core.errors import EvalkitError, NotInstalled
 
 TIMED = "timed"
-"""The resource of workers on which times are measured: they have one thread, and nothing else of ours runs there."""
+"""Dask resource of workers on which times are measured: they have one thread and run nothing else of evalkit."""
 
-TRIES = 2
-"""Whoever ends those that make it so often is not tried again unasked."""
+MAX_LOST_WORKERS = 2
+"""A call that killed this many workers fails."""
 
-LOOK_S = 1.0
-"""How often the workers are counted."""
+LIST_S = 1.0
+"""Interval between two listings of the workers."""
 
 CONNECT_S = 10.0
-PATIENCE_S = 60.0
-"""How long we wait where there is no worker."""
+WORKER_TIMEOUT_S = 60.0
+"""Maximum time without any worker."""
 
 
 class NoCluster(EvalkitError):
-    """A cluster that cannot be used: ``NoCluster(scheduler, what, remedy)``."""
+    """The cluster cannot be used: ``NoCluster(scheduler, what, remedy)``."""
 
     def __init__(self, scheduler: str, what: str, remedy: str) -> None:
         super().__init__(scheduler, what, remedy)
@@ -47,12 +47,12 @@ class NoCluster(EvalkitError):
 
 
 class WorkerLost(Exception):
-    """A call that was lost with its worker as often as it may be; the message names them."""
+    """A call killed ``MAX_LOST_WORKERS`` workers; the message names them."""
 
 
 @dataclass(frozen=True)
 class Slot:
-    """A thread of a worker. ``beside``: so many threads of the cluster are on its host."""
+    """A thread of a worker. ``beside``: number of threads of the cluster on the same host."""
 
     address: str
     host: str
@@ -61,7 +61,7 @@ class Slot:
 
 @dataclass
 class Call:
-    """``function(*arguments, slot)``, on a worker. ``lost``: the hosts and addresses of workers lost with it."""
+    """``function(*arguments, slot)``, to be called on a worker. ``lost``: slots of workers that died during the call."""
 
     name: str
     function: Callable[..., Any]
@@ -69,16 +69,16 @@ class Call:
     lost: list[Slot] = field(default_factory=list)
 
     def best(self, slots: list[Slot]) -> Slot:
-        """One of the slots, on a host that no worker was lost on if there is one."""
+        """One of the slots, preferably on a host where no worker died during this call."""
         hosts = {slot.host for slot in self.lost}
         return next((slot for slot in slots if slot.host not in hosts), slots[0])
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """The workers of a scheduler; "" starts ``workers`` processes here for as long as it is asked.
+    """The workers of a Dask scheduler; "" starts ``workers`` local processes for the duration of the calls.
 
-    ``timed``: take only workers that are offered for measuring times.
+    ``timed``: use only workers with the resource ``TIMED``.
     """
 
     scheduler: str = ""
@@ -86,12 +86,12 @@ class Cluster:
     timed: bool = False
 
     def answers(self, calls: Iterable[Call]) -> Generator[tuple[Call, Future[Any]]]:
-        """Every call with what came of it, as they are done; WorkerLost for one that lost its worker twice.
+        """Yield every call with its result as it finishes; WorkerLost as the exception of a call that killed workers.
 
-        Takes a call only when a thread is free for it. NoCluster where there are no workers (any more).
+        The next call is taken only when a thread is free. Raises NoCluster where there are no workers (any more).
         """
         with self._client() as client:
-            yield from _Hall(client, self.scheduler or "the workers here", self.timed).answers(iter(calls))
+            yield from _Dispatcher(client, self.scheduler or "the workers here", self.timed).answers(iter(calls))
 
     @contextmanager
     def _client(self) -> Iterator[Any]:
@@ -108,7 +108,7 @@ class Cluster:
 
 
 def dask() -> Any:
-    """The library, which is an extra; NotInstalled where it does not load."""
+    """The module ``distributed``, an optional dependency. Raises NotInstalled if it cannot be imported."""
     try:
         return import_module("distributed")
     except ImportError as error:
@@ -117,11 +117,13 @@ def dask() -> Any:
 
 @contextmanager
 def _local(workers: int) -> Iterator[Any]:
-    """Processes of this machine, one thread each, restarted when they die; gone afterwards."""
-    steadfast = {"distributed.deploy.lost-worker-timeout": "1 day"}  # else who dies twice in 15 s is not restarted
-    distributed = dask()  # first: it brings the settings
+    """A cluster of local processes with one thread each, restarted when they die and closed after the block."""
+    always_restart = {
+        "distributed.deploy.lost-worker-timeout": "1 day"
+    }  # by default a worker that dies twice in 15 s is not restarted
+    distributed = dask()  # first: the import defines the settings
     with (
-        import_module("dask").config.set(steadfast),
+        import_module("dask").config.set(always_restart),
         tempfile.TemporaryDirectory(prefix="evalkit-workers-", ignore_cleanup_errors=True) as folder,
         distributed.LocalCluster(
             n_workers=workers, threads_per_worker=1, processes=True, host="127.0.0.1", dashboard_address="127.0.0.1:0",
@@ -131,85 +133,85 @@ def _local(workers: int) -> Iterator[Any]:
         yield cluster
 
 
-class _Hall:
-    """Who computes what."""
+class _Dispatcher:
+    """Assigns calls to the threads of the workers."""
 
     def __init__(self, client: Any, name: str, timed: bool) -> None:
         self._client, self._name, self._timed = client, name, timed
         self._threads: dict[str, int] = {}
         self._hosts: dict[str, str] = {}
         self._refused: dict[str, str] = {}
-        self._flying: dict[str, tuple[Call, Slot, Any]] = {}
-        self._landed: SimpleQueue[str] = SimpleQueue()
-        self._looked_at = self._staffed_at = time.monotonic()
-        self._flights = 0
+        self._running: dict[str, tuple[Call, Slot, Any]] = {}
+        self._ended_keys: SimpleQueue[str] = SimpleQueue()
+        self._listed_at = self._had_workers_at = time.monotonic()
+        self._submitted = 0
 
     def answers(self, calls: Iterator[Call]) -> Generator[tuple[Call, Future[Any]]]:
-        again: list[Call] = []
+        repeated: list[Call] = []
         exhausted = False
-        self._look()
+        self._list_workers()
         try:
             while True:
-                while (slots := self._free()) and (again or not exhausted):
-                    call = again.pop() if again else next(calls, None)
+                while (slots := self._idle_slots()) and (repeated or not exhausted):
+                    call = repeated.pop() if repeated else next(calls, None)
                     if call is None:
                         exhausted = True
                         break
-                    self._send(call, call.best(slots))
-                if exhausted and not again and not self._flying:
+                    self._submit(call, call.best(slots))
+                if exhausted and not repeated and not self._running:
                     return
-                for call, outcome in self._ended():
+                for call, outcome in self._collect_ended():
                     if outcome is None:
-                        again.append(call)
+                        repeated.append(call)
                     else:
                         yield call, outcome
         finally:
             with suppress(Exception):  # the scheduler may be gone
-                self._client.cancel([future for _, _, future in self._flying.values()], force=True)
+                self._client.cancel([future for _, _, future in self._running.values()], force=True)
 
-    def _send(self, call: Call, slot: Slot) -> None:
-        self._flights += 1
+    def _submit(self, call: Call, slot: Slot) -> None:
+        self._submitted += 1
         future = self._client.submit(
-            call.function, *call.arguments, slot, key=f"{call.name}-{os.getpid()}-{self._flights}", pure=False,
+            call.function, *call.arguments, slot, key=f"{call.name}-{os.getpid()}-{self._submitted}", pure=False,
             workers=[slot.address], allow_other_workers=False, retries=0, resources={TIMED: 1} if self._timed else None,
         )  # fmt: skip
-        self._flying[future.key] = call, slot, future
-        future.add_done_callback(self._land)
+        self._running[future.key] = call, slot, future
+        future.add_done_callback(self._note_end)
 
-    def _land(self, future: Any) -> None:
-        self._landed.put(future.key)
+    def _note_end(self, future: Any) -> None:
+        self._ended_keys.put(future.key)
 
-    def _ended(self) -> Iterator[tuple[Call, Future[Any] | None]]:
-        """What has come of calls since; None for one to be made again."""
+    def _collect_ended(self) -> Iterator[tuple[Call, Future[Any] | None]]:
+        """Calls that have ended since the last call of this method; None as the result of a call to repeat."""
         with suppress(Empty):
-            key = self._landed.get(timeout=LOOK_S)
-            if key in self._flying:
-                yield self._outcome(*self._flying.pop(key))
-        if time.monotonic() - self._looked_at >= LOOK_S:
-            self._look()
-            gone = [key for key, (_, slot, _) in self._flying.items() if slot.address not in self._threads]
+            key = self._ended_keys.get(timeout=LIST_S)
+            if key in self._running:
+                yield self._read_outcome(*self._running.pop(key))
+        if time.monotonic() - self._listed_at >= LIST_S:
+            self._list_workers()
+            gone = [key for key, (_, slot, _) in self._running.items() if slot.address not in self._threads]
             for key in gone:
-                call, slot, future = self._flying.pop(key)
+                call, slot, future = self._running.pop(key)
                 future.cancel(force=True)
-                yield call, _strike(call, slot)
+                yield call, _count_lost_worker(call, slot)
 
-    def _outcome(self, call: Call, slot: Slot, future: Any) -> tuple[Call, Future[Any] | None]:
+    def _read_outcome(self, call: Call, slot: Slot, future: Any) -> tuple[Call, Future[Any] | None]:
         outcome: Future[Any] = Future()
         try:
-            outcome.set_result(future.result(timeout=PATIENCE_S))
+            outcome.set_result(future.result(timeout=WORKER_TIMEOUT_S))
         except dask().KilledWorker:
-            return call, _strike(call, slot)
+            return call, _count_lost_worker(call, slot)
         except Exception as error:
             if isinstance(error, TimeoutError) and future.status != "error":  # its result was lost with its worker
-                return call, _strike(call, slot)
+                return call, _count_lost_worker(call, slot)
             if future.cancelled():
-                raise NoCluster(self._name, "the scheduler has gone", GO_ON) from error
+                raise NoCluster(self._name, "the scheduler has disappeared", RESUME_HINT) from error
             outcome.set_exception(error)
         return call, outcome
 
-    def _free(self) -> list[Slot]:
-        """A slot of every thread that computes nothing."""
-        busy = Counter(slot.address for _, slot, _ in self._flying.values())
+    def _idle_slots(self) -> list[Slot]:
+        """One slot per idle thread."""
+        busy = Counter(slot.address for _, slot, _ in self._running.values())
         beside = Counter[str]()
         for address, threads in self._threads.items():
             beside[self._hosts[address]] += threads
@@ -219,26 +221,26 @@ class _Hall:
             for _ in range(threads - busy[address])
         ]
 
-    def _look(self) -> None:
-        """Counts the workers, and asks the new ones whether they will do."""
+    def _list_workers(self) -> None:
+        """List the workers and check new ones."""
         try:
             present: dict[str, int] = dict(self._client.nthreads())
             new = [address for address in present if address not in self._hosts and address not in self._refused]
-            told = self._client.run(_about, workers=new, on_error="return") if new else {}
+            facts = self._client.run(_describe_worker, workers=new, on_error="return") if new else {}
         except (OSError, RuntimeError) as error:
-            raise NoCluster(self._name, f"the scheduler does not answer any more ({error})", GO_ON) from error
-        for address, about in told.items():
-            self._judge(address, present[address], about)
+            raise NoCluster(self._name, f"the scheduler does not answer any more ({error})", RESUME_HINT) from error
+        for address, about in facts.items():
+            self._check_worker(address, present[address], about)
         self._threads = {address: threads for address, threads in present.items() if address in self._hosts}
-        self._looked_at = time.monotonic()
+        self._listed_at = time.monotonic()
         if self._threads:
-            self._staffed_at = self._looked_at
+            self._had_workers_at = self._listed_at
         elif refused := [self._refused[address] for address in present if address in self._refused]:
-            raise NoCluster(self._name, refused[0], GO_ON)
-        elif self._looked_at - self._staffed_at > PATIENCE_S:
-            raise NoCluster(self._name, f"it has had no workers for {PATIENCE_S:g} s", GO_ON)
+            raise NoCluster(self._name, refused[0], RESUME_HINT)
+        elif self._listed_at - self._had_workers_at > WORKER_TIMEOUT_S:
+            raise NoCluster(self._name, f"it had no workers for {WORKER_TIMEOUT_S:g} s", RESUME_HINT)
 
-    def _judge(self, address: str, threads: int, about: object) -> None:
+    def _check_worker(self, address: str, threads: int, about: object) -> None:
         if not isinstance(about, tuple):
             self._refused[address] = f"its worker {address} cannot load evalkit ({about})"
         elif self._timed and (about[1] < 1 or threads != 1):
@@ -248,20 +250,20 @@ class _Hall:
             self._hosts[address] = about[0]
 
 
-GO_ON = "finished runs are kept: start workers, and repeat the command with --resume"
+RESUME_HINT = "finished runs are kept: start workers, and repeat the command with --resume"
 
 
-def _strike(call: Call, slot: Slot) -> Future[Any] | None:
-    """What comes of a call that lost its worker: WorkerLost the second time, None before."""
+def _count_lost_worker(call: Call, slot: Slot) -> Future[Any] | None:
+    """Count a worker that died during a call: WorkerLost for the last allowed one, None before."""
     call.lost.append(slot)
-    if len(call.lost) < TRIES:
+    if len(call.lost) < MAX_LOST_WORKERS:
         return None
     outcome: Future[Any] = Future()
     names = ", ".join(f"{slot.address} on {slot.host}" for slot in call.lost)
-    outcome.set_exception(WorkerLost(f"lost its worker twice ({names})"))
+    outcome.set_exception(WorkerLost(f"killed its worker twice ({names})"))
     return outcome
 
 
-def _about(dask_worker: Any) -> tuple[str, float]:
-    """A worker's host and how much of ``TIMED`` it offers."""
+def _describe_worker(dask_worker: Any) -> tuple[str, float]:
+    """The host of a worker and its amount of the resource ``TIMED``."""
     return platform.node(), float(dask_worker.state.total_resources.get(TIMED, 0))

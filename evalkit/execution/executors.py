@@ -133,7 +133,7 @@ class DaskExecutor:
                 except WorkerLost as error:
                     yield spec, run_task.quarantine(store, settings, spec, str(error))
                 except Exception as error:  # noqa: BLE001 - an error of one worker must not stop the others
-                    reason = f"the worker could not make it: {type(error).__name__}: {error}"
+                    reason = f"the worker failed: {type(error).__name__}: {error}"
                     yield spec, run_task.empty_result(Cause.WORKER_FAILED, reason)
                 else:
                     run_archive.unpack_run(store, spec.key, archive)

@@ -37,7 +37,9 @@ def unpack_run(store: Store, key: str, content: bytes) -> None:
                 folder, _, file = name.partition("/")
                 store.write_bytes(folders[folder] / Path(file).name, archive.read(name))
     except BadZipFile as error:
-        raise StoreError(str(store.run_folder(key)), f"what came for it is damaged ({error})", REMEDY) from error
+        raise StoreError(
+            str(store.run_folder(key)), f"the archive sent by the worker is damaged ({error})", REMEDY
+        ) from error
     store.clear_attempts(key)
 
 

@@ -167,7 +167,7 @@ def quarantine(
     """
     changes: dict[str, Any] = {
         "cause": Cause.QUARANTINED,
-        "reason": f"quarantined: {what}; --rerun crashed tries again",
+        "reason": f"quarantined: {what}; --rerun crashed runs it again",
         "provenance": _provenance(settings, spec, None),
     }
     result = replace(result, **changes) if result else RunResult(NO_STEPS, 0, **changes)
@@ -180,7 +180,7 @@ def _execute(store: Store, settings: RunSettings, pending: PendingRun, slot: Wor
     """Execute a run in a process of its own and store its result; quarantine a run that killed too many processes."""
     spec = pending.spec
     if len(pending.attempts) >= MAX_ATTEMPTS:
-        what = f"evalkit was ended twice while it ran ({', '.join(pending.attempts)})"
+        what = f"evalkit was killed twice while it ran ({', '.join(pending.attempts)})"
         return quarantine(store, settings, spec, what)
     request = Request(
         spec.method.backend, dict(spec.method.parameters), spec.sequence.dataset, spec.dataset_parameters, slot.core
@@ -203,7 +203,7 @@ def _score(store: Store, settings: RunSettings, spec: RunSpec, result: RunResult
     except StoreError:
         raise
     except BrokenProcessPool as error:
-        what = f"it ended the process that scored it twice ({error})"
+        what = f"scoring it killed its process twice ({error})"
         return quarantine(store, settings, spec, what, result)
     except Exception as error:  # noqa: BLE001 - a run that cannot be scored must not stop the others
         store.discard_scores(spec.key)  # of other code, from an earlier scoring

@@ -56,7 +56,7 @@ def run(function: Callable[..., Result], arguments: Mapping[str, Any], limit_s: 
             return result
         how = broken_limit or child.describe_end()
         at = (folder / PLACE).read_text(encoding="utf-8") if (folder / PLACE).exists() else ""
-        return {ENDED: f"{how}; it was at {at}" if at else how}
+        return {ENDED: f"{how}; it was in: {at}" if at else how}
 
 
 def note_place(place: str) -> None:

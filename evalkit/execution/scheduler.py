@@ -72,7 +72,7 @@ class Scheduler:
         if stored is not None:
             return stored if self._is_scored(spec, stored, settings) else None
         if self.collect:
-            reason = "not made yet; the same command without --collect makes it"
+            reason = "not run yet; the same command without --collect runs it"
             return run_task.empty_result(Cause.NOT_RUN, reason)
         return None
 

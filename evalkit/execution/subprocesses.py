@@ -110,11 +110,11 @@ class ChildProcess:
     def describe_end(self) -> str:
         """How the process ended by itself, by its return code, and the last line of its output."""
         code, last_line = self.returncode, _read_last_line(self._folder / OUTPUT)
-        last = f"; it said last: {last_line}" if last_line else ""
+        last = f"; last output: {last_line}" if last_line else ""
         if code < 0:
             hint = " (by the system, where memory ran out)" if -code == signal.SIGKILL else ""
-            return f"the process was ended by {signal_name(-code)}{hint}{last}"
-        return f"the process ended itself with code {code}{last}"
+            return f"the process was terminated by {signal_name(-code)}{hint}{last}"
+        return f"the process exited with code {code}{last}"
 
     def _measure(self) -> Usage:
         if time.monotonic() - self._searched_at > COUNT_S:

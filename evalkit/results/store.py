@@ -67,7 +67,7 @@ class Store:
             with lock.acquire(timeout=0):
                 yield
         except Timeout as error:
-            what = "another evalkit makes runs in this folder"
+            what = "another evalkit writes to this folder"
             raise StoreError(str(self.folder), what, "wait for it or name another folder with --out") from error
 
     def run_folder(self, key: str) -> Path:

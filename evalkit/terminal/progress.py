@@ -202,7 +202,7 @@ def unavailable_lines(experiment: Experiment) -> list[str]:
         if reason:
             labels[" ".join(reason.split())].append(label)
     by_system = sorted(labels, key=lambda reason: "apt-get" not in reason)
-    return [f"missing here: {', '.join(labels[reason])}: {reason}" for reason in by_system]
+    return [f"not available here: {', '.join(labels[reason])}: {reason}" for reason in by_system]
 
 
 def _line(spec: RunSpec, result: RunResult, seconds: float) -> str:

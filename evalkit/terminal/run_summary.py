@@ -57,12 +57,12 @@ def _print_counts(runs: Sequence[Run], skipped: Sequence[Run]) -> None:
     broken = sum(result.status in BROKEN for _, result in runs)
     unavailable = len(runs) - complete - broken - len(skipped)
     names = ", ".join(_unavailable_names(runs))
-    counts = f"{complete} runs complete, {broken} failed, {unavailable} not possible here"
+    counts = f"{complete} runs complete, {broken} failed, {unavailable} not available here"
     out.print(f"{counts}: {names}" if names else counts, markup=False, highlight=False)
     if skipped:
         missing = ", ".join(f"{spec.method.label} on {_sequence_with_seed(spec)}" for spec, _ in skipped[:MAX_NAMED])
         more = f" and {len(skipped) - MAX_NAMED:,} more" if len(skipped) > MAX_NAMED else ""
-        out.print(f"{len(skipped)} not made yet: {missing}{more}", markup=False, highlight=False)
+        out.print(f"{len(skipped)} not run yet: {missing}{more}", markup=False, highlight=False)
 
 
 def _sequence_with_seed(spec: RunSpec) -> str:

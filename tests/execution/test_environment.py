@@ -80,7 +80,7 @@ def test_runs_kept_from_earlier_are_one_line_with_their_dates_and_commits():
     assert earlier(executed(3, "b"), executed(1, "a"), executed(9)) == line
     assert ", made 2024-05-01 12:00 UTC, " in earlier(executed(1, "a"))
     assert earlier(RunResult(NO_STEPS, 0)) == "1 run, made at an unknown time, commit unknown, processor unknown"
-    assert earlier(RunResult(NO_STEPS, 0, Cause.NOT_RUN, "not made yet")) is None
+    assert earlier(RunResult(NO_STEPS, 0, Cause.NOT_RUN, "not run yet")) is None
 
 
 def test_runs_of_several_machines_are_one_line_with_a_count_for_each():

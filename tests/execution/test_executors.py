@@ -140,8 +140,8 @@ def test_a_run_that_ends_its_workers_is_quarantined_after_two_and_the_others_sta
         reasons(made)
     )
     reason = made["1 kill-parent"].result.reason
-    assert reason.startswith("quarantined: lost its worker twice (tcp://127.0.0.1:")
-    assert reason.endswith("); --rerun crashed tries again")
+    assert reason.startswith("quarantined: killed its worker twice (tcp://127.0.0.1:")
+    assert reason.endswith("); --rerun crashed runs it again")
     assert reason.count("tcp://") == 2
     alive = pids(workers)
     again = rows(deadly, tmp_path, there(workers), resume=True)

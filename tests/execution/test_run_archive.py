@@ -57,5 +57,5 @@ def test_a_parcel_writes_nothing_outside_its_run(tmp_path):
     store = Store(tmp_path / "out")
     run_archive.unpack_run(store, KEY, body.getvalue())
     assert {path.parent for path in tmp_path.rglob("*") if path.is_file()} == {store.run_folder(KEY)}
-    with pytest.raises(StoreError, match="what came for it is damaged"):
+    with pytest.raises(StoreError, match="the archive sent by the worker is damaged"):
         run_archive.unpack_run(store, KEY, b"no zip")

@@ -46,8 +46,8 @@ EXPECTED = (
     ("sigkill", "crashed", "SIGKILL (by the system, where memory ran out)"),
     ("unnamed-signal", "crashed", "signal "),
     ("abort", "crashed", "SIGABRT"),
-    ("exit", "failed", "ended itself with code 3"),
-    ("sys-exit", "failed", "ended itself with code 0"),
+    ("exit", "failed", "exited with code 3"),
+    ("sys-exit", "failed", "exited with code 0"),
     ("raise", "failed", "RuntimeError: lost the plot"),
     ("memory-error", "out-of-memory", "cannot allocate 7 TiB"),
     ("hang", "timeout", f"no answer for 2.5 s after scan {AT}"),
@@ -58,7 +58,7 @@ EXPECTED = (
     ("no-pose", "failed", "update() returned a tuple, expected an evalkit.OdometryEstimate"),
     ("child", "timeout", "no answer"),
     ("orphan", "failed", "left a child behind"),
-    ("garbage", "failed", "code 9; it said last: [2J the wheel is off"),
+    ("garbage", "failed", "code 9; last output: [2J the wheel is off"),
     ("chdir", "complete", ""),
     ("remove-folder", "failed", "folder was removed"),
     ("forge", "failed", "outcome.json contains no valid outcome"),
@@ -67,7 +67,7 @@ EXPECTED = (
     ("daemon", "timeout", "no answer for 2.5 s"),
     ("spin-in-child", "timeout", f"no answer for 2 s of CPU time after scan {AT}"),
     ("leak-in-child", "out-of-memory", "used more than 300 MiB"),
-    ("flood", "failed", "code 9; it said last: the wheel is off"),
+    ("flood", "failed", "code 9; last output: the wheel is off"),
     ("matrix", "failed", "update() returned a ndarray, expected an evalkit.OdometryEstimate"),
 )
 """Every fault with the status it ends in and what the reason says."""

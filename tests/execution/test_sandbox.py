@@ -49,7 +49,9 @@ def test_a_result_comes_back_with_its_arrays():
 
 
 def test_a_crash_says_how_and_where():
-    assert run("die", how="SIGSEGV") == {ENDED: "the process was ended by SIGSEGV; it was at the seventh question"}
+    assert run("die", how="SIGSEGV") == {
+        ENDED: "the process was terminated by SIGSEGV; it was in: the seventh question"
+    }
 
 
 def test_an_exception_is_told_in_its_own_words():
@@ -57,7 +59,7 @@ def test_an_exception_is_told_in_its_own_words():
 
 
 def test_a_hang_is_ended():
-    assert run("sleep", limit_s=3.0) == {ENDED: "not finished after 3 s; it was at a long one"}
+    assert run("sleep", limit_s=3.0) == {ENDED: "not finished after 3 s; it was in: a long one"}
 
 
 def test_word_is_left_only_in_such_a_process(tmp_path, monkeypatch):

@@ -154,13 +154,13 @@ def test_collecting_makes_no_run_and_says_what_is_missing(tmp_path, quick):
     made = run(plan("none", "nan", "raise"), tmp_path, collect=True)
     assert [record.result.status for record in made] == ["complete", "skipped", "failed"]
     assert made[0].scores.by_metric["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
-    assert made[1].result.reason == "not made yet; the same command without --collect makes it"
+    assert made[1].result.reason == "not run yet; the same command without --collect runs it"
     assert {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()} == stamps
 
 
 def test_two_at_once_do_not_share_a_results_folder(tmp_path, quick):
     store = Store(tmp_path)
-    with store.writer_lock(), pytest.raises(StoreError, match="another evalkit makes runs in this folder; wait for it"):
+    with store.writer_lock(), pytest.raises(StoreError, match="another evalkit writes to this folder; wait for it"):
         records(plan("none"), tmp_path)
     assert records(plan("none"), tmp_path)["none"].result.status == "complete"
 
@@ -238,7 +238,7 @@ def test_what_was_absent_is_tried_again(tmp_path, quick):
     file = tmp_path / "file"
     absent = records(plan("none", sequence={"file": str(file)}), tmp_path / "out")["none"]
     assert (absent.result.status, absent.result.reason) == ("data-missing", f"{file} is gone")
-    assert absent.truth.how == "the data are not here"
+    assert absent.truth.how == "the data are not available here"
     file.touch()
     assert (
         records(plan("none", sequence={"file": str(file)}), tmp_path / "out", resume=True)["none"].result.reason == ""
@@ -269,7 +269,7 @@ def test_a_mapper_that_ends_its_process_costs_the_run_it_draws_and_no_other(tmp_
     made = records(plan("far", "none", mapper=mapper), tmp_path, jobs=1)
     assert [record.result.status for record in made.values()] == ["crashed", "complete"]
     reason = made["far"].result.reason
-    assert reason.startswith("quarantined: it ended the process that scored it twice (")
+    assert reason.startswith("quarantined: scoring it killed its process twice (")
     assert len(made["far"].result.steps) == 12
     assert made["none"].scores.by_metric["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
 
@@ -284,7 +284,7 @@ def test_a_run_quarantined_for_its_scoring_is_tried_again_only_when_that_is_aske
     again = frozenset({"crashed"})
     for how, count in ({}, 2), ({"resume": True}, 2), ({"resume": True, "rerun": again}, 4):
         (record,) = run(plan("none"), tmp_path, **how)
-        assert record.result.reason.startswith("quarantined: it ended the process that scored it twice (")
+        assert record.result.reason.startswith("quarantined: scoring it killed its process twice (")
         assert len(asked) == count
 
 
@@ -311,7 +311,7 @@ def test_a_run_that_ends_evalkit_twice_is_quarantined_and_the_others_are_made(tm
     first, second, third = (subprocess.run(command, capture_output=True, text=True, check=False) for _ in range(3))
     assert (first.returncode, second.returncode, third.returncode) == (-9, -9, 1)
     deadly, other = json.loads(third.stdout)["runs"]
-    assert deadly["reason"].startswith("quarantined: evalkit was ended twice while it ran (process ")
+    assert deadly["reason"].startswith("quarantined: evalkit was killed twice while it ran (process ")
     assert (deadly["status"], other["status"]) == ("crashed", "complete")
 
 

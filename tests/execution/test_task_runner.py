@@ -194,7 +194,7 @@ def test_a_clusters_workers_compute_the_same_and_who_ends_them_twice_is_named(sq
     tasks.append(squares("slow", "give_up"))
     with pytest.raises(TasksFailed) as failed:
         run_tasks(TaskStore(tmp_path), tasks, cluster=Cluster(workers=1))
-    assert failed.value.failures["deadly"].reason.startswith("WorkerLost: lost its worker twice (tcp://")
+    assert failed.value.failures["deadly"].reason.startswith("WorkerLost: killed its worker twice (tcp://")
     assert failed.value.failures["bad"].reason == "ValueError: no"
     assert failed.value.failures["slow"].reason == "TimeoutError: no answer"  # its own, and not the cluster's
     kept = TaskStore(tmp_path).load(tasks[0])

@@ -74,9 +74,9 @@ def test_what_is_missing_is_one_line_a_reason_and_what_the_system_lacks_comes_fi
     entrants = [Method(label, "", {}, why) for label, why in (("a", pip), ("b", apt), ("c", apt), ("d", ""))]
     sequences = (SequenceSpec("e", "", {}, (None,), "no file e"),)
     assert unavailable_lines(replace(plan, methods=tuple(entrants), sequences=sequences)) == [
-        "missing here: b, c: needs libGL: apt-get install libgl1",
-        "missing here: a: not installed: pip install x",
-        "missing here: e: no file e",
+        "not available here: b, c: needs libGL: apt-get install libgl1",
+        "not available here: a: not installed: pip install x",
+        "not available here: e: no file e",
     ]
 
 

@@ -94,7 +94,7 @@ def _run_search(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tu
 
     for tunable in tuning.methods:
         if tunable.missing:
-            err.print(f"missing here: {tunable.label}: {tunable.missing}", markup=False, highlight=False)
+            err.print(f"not available here: {tunable.label}: {tunable.missing}", markup=False, highlight=False)
     results = folder / "results"
     if collect:
         try:

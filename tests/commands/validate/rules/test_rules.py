@@ -138,13 +138,13 @@ def test_a_crash_breaks_its_own_rule_and_no_other():
         "starts": "passed", "empty": "failed", "few-points": "passed", "wall": "passed", "alive": "failed",
         "in-time": "passed",
     }  # fmt: skip
-    crash = "the process was ended by SIGSEGV; it said last: about to read nothing"
+    crash = "the process was terminated by SIGSEGV; last output: about to read nothing"
     assert [one.observed for one in checked.broken] == [crash, f"empty: {crash}"]
 
 
 def test_a_back_end_that_ends_the_process_is_caught():
     checked = runner.check("faulty_backends:EXITS", only=("few-points",))
-    assert checked.broken[0].observed == "the process ended itself with code 3"
+    assert checked.broken[0].observed == "the process exited with code 3"
 
 
 def test_a_hang_is_ended_and_breaks_the_rule_in_time():
