@@ -23,7 +23,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, Cause, RunResult, RunStatus, Score, Scores
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.trajectory import Trajectory
-from evalkit.execution.worker import Request, perform
+from evalkit.execution.worker import Request, execute_request
 from evalkit.metrics.table import Group, Metric
 from evalkit.odometry import frontend
 from evalkit.plugins import registry
@@ -300,7 +300,7 @@ def followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
         folder = Path(mkdtemp(dir=tmp_path))
         with monkeypatch.context() as patched:
             patched.setattr(registry, "dataset", lambda _name: room)
-            outcome = perform(Request(name, complete, "square", {}), folder)
+            outcome = execute_request(Request(name, complete, "square", {}), folder)
         return outcome, read_steps(folder / "steps.bin")
 
     follow.truth, follow.drift_m = SquareRoom.truth, SquareRoom.drift_m  # type: ignore[attr-defined]

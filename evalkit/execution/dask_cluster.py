@@ -61,7 +61,7 @@ class Slot:
 
 @dataclass
 class Call:
-    """``function(*arguments, slot)``, to be called on a worker. ``lost``: slots of workers that died during the call."""
+    """``function(*arguments, slot)``, for a worker. ``lost``: slots of workers that died during the call."""
 
     name: str
     function: Callable[..., Any]

@@ -1,8 +1,7 @@
-"""One run in this process.
+"""Execute one run in this process: ``python -m evalkit.execution.worker FOLDER``.
 
-``python -m evalkit.execution.worker FOLDER`` reads the request there and leaves its answer there.
-
-Every scan's answer is on disk before the next scan begins, so whatever ends this process, nothing computed is lost.
+Reads the request from the folder and writes the outcome to it. The answer for every scan is on disk before the next
+scan begins, so that nothing computed is lost if the process dies.
 """
 
 from __future__ import annotations
@@ -44,7 +43,7 @@ NOT_REPORTED = -1
 
 @dataclass(frozen=True)
 class Request:
-    """What to run, by name; nothing but names and parameters crosses the process border."""
+    """What to run: only names and parameters pass from the parent process to this one. ``core``: to pin to."""
 
     backend: str
     backend_parameters: dict[str, Value]
@@ -54,18 +53,18 @@ class Request:
 
 
 def main() -> int:
-    """Runs the request of the folder named on the command line; the outcome is in ``outcome.json``."""
+    """Execute the request in the folder named on the command line; write the outcome to ``outcome.json``."""
     end_with_parent()
     folder = Path(sys.argv[1]).resolve()  # a back end may change the working directory
     request = Request(**json.loads((folder / "request.json").read_text(encoding="utf-8")))
     if request.core is not None and hasattr(os, "sched_setaffinity"):
         os.sched_setaffinity(0, {request.core})
-    result = perform(request, folder)
-    _leave(folder / "outcome.json", {name: value for name, value in vars(result).items() if name != "steps"})
+    result = execute_request(request, folder)
+    _write_json(folder / "outcome.json", {name: value for name, value in vars(result).items() if name != "steps"})
     return 0
 
 
-def perform(request: Request, folder: Path) -> RunResult:
+def execute_request(request: Request, folder: Path) -> RunResult:
     """Run the back end over the sequence; append one ``STEP`` record per scan to ``steps.bin``.
 
     Returns how the run went, without its steps.
@@ -78,19 +77,19 @@ def perform(request: Request, folder: Path) -> RunResult:
         spec = registry.backend(request.backend)
         if why := spec.missing():
             raise NotInstalled(request.backend, "not installed", why)
-        _leave(folder / "begun.json", {"reading": True})
+        _write_json(folder / "begun.json", {"reading": True})
         dataset = registry.dataset(request.dataset)
         sequence: Sequence = dataset.make(**request.dataset_parameters)
         if isinstance(spec, MapSpec):
-            spec.make(**request.backend_parameters)  # one that cannot be read has failed
+            spec.make(**request.backend_parameters)  # raises if the file cannot be read
             return RunResult(NO_STEPS, expected, peak_memory_bytes=_peak_memory_bytes())
         expected = len(sequence)
         every = _every(dataset, request)
         begun = {"expected": expected, "every": every}
-        _leave(folder / "begun.json", begun)  # for a back end that ends this process in its warm-up
+        _write_json(folder / "begun.json", begun)  # in case the back end kills this process in its warm-up
         warm = _warm_up(frontend.make_odometry(spec, request.backend_parameters), sequence)
         odometry = frontend.make_odometry(spec, request.backend_parameters)
-        _leave(folder / "begun.json", begun | {"warm_up_scans": warm})
+        _write_json(folder / "begun.json", begun | {"warm_up_scans": warm})
         with (folder / "steps.bin").open("ab", buffering=0) as file:
             record_run(odometry, sequence, request, file)
         notes = dict(sequence.notes())
@@ -100,7 +99,7 @@ def perform(request: Request, folder: Path) -> RunResult:
 
 
 def cause_of(error: Exception) -> tuple[Cause, str]:
-    """The cause and the reason of a run that raised; prints the traceback of an error that is not evalkit's own."""
+    """The cause and the reason of a run that raised; prints the traceback unless it is an EvalkitError."""
     if isinstance(error, NotInstalled):
         return Cause.NOT_INSTALLED, str(error)
     if isinstance(error, DataMissing):
@@ -114,11 +113,11 @@ def cause_of(error: Exception) -> tuple[Cause, str]:
 
 
 def _every(dataset: DatasetSpec, request: Request) -> int:
-    """The sequence holds one in so many of the sensor's scans."""
+    """The sequence holds one in ``every`` scans of the sensor."""
     return int(request.dataset_parameters.get(dataset.thinned_by, 1))
 
 
-def _leave(path: Path, content: dict[str, Any]) -> None:
+def _write_json(path: Path, content: dict[str, Any]) -> None:
     partial = path.with_name(path.name + ".part")
     partial.write_text(json.dumps(content), encoding="utf-8")
     partial.replace(path)
@@ -172,7 +171,7 @@ def _record(frame: Frame, estimate: OdometryEstimate, timing: CallTiming, around
 
 
 def _peak_memory_bytes() -> int:
-    """The resident set at its highest. Linux's ru_maxrss would not do: it starts at what the parent process held."""
+    """The largest resident set. Not ru_maxrss on Linux, which starts at the value of the parent process."""
     status = Path("/proc/self/status")
     if status.exists():
         for line in status.read_text(encoding="utf-8").splitlines():

@@ -1,4 +1,4 @@
-"""Summary of a command's runs at its end, and the exit code."""
+"""Print the summary of the runs of a command, and set its exit code."""
 
 from __future__ import annotations
 

@@ -24,15 +24,15 @@ pytestmark = pytest.mark.usefixtures("strangers")
 ROOM = {"laps": 0.02, "seed": 3}
 
 
-def perform(folder, backend="wheel-odometry", parameters=None, dataset="straight", sequence=None):
+def execute_request(folder, backend="wheel-odometry", parameters=None, dataset="straight", sequence=None):
     if dataset == "straight":
         sequence = {"scans": 12, "backwards": 0, "file": "", "breaks": False, "reads_s": 0.0, **(sequence or {})}
     request = Request(backend, parameters or {}, dataset, sequence or {})
-    return worker.perform(request, folder), read_steps(folder / "steps.bin")
+    return worker.execute_request(request, folder), read_steps(folder / "steps.bin")
 
 
 def test_the_warm_up_is_another_instance_so_the_first_answer_is_the_identity(tmp_path):
-    outcome, steps = perform(tmp_path)
+    outcome, steps = execute_request(tmp_path)
     assert (outcome.status, outcome.reason, outcome.expected, outcome.warm_up_scans) == ("complete", "", 12, 5)
     assert steps[["x", "y", "theta"]][0].tolist() == (0.0, 0.0, 0.0)
     assert steps["x"].tolist() == pytest.approx([0.1 * k for k in range(12)])
@@ -40,17 +40,17 @@ def test_the_warm_up_is_another_instance_so_the_first_answer_is_the_identity(tmp
 
 
 def test_a_sequence_shorter_than_the_warm_up_is_all_warm_up_and_all_run(tmp_path):
-    outcome, steps = perform(tmp_path, sequence={"scans": 3})
+    outcome, steps = execute_request(tmp_path, sequence={"scans": 3})
     assert (outcome.warm_up_scans, outcome.expected, len(steps)) == (3, 3, 3)
 
 
 def test_an_odometry_has_no_residuals_and_a_registration_has_those_of_both_stages(tmp_path):
-    _, steps = perform(tmp_path)
+    _, steps = execute_request(tmp_path)
     assert np.isnan(steps["s2s_error"]).all()
     assert (steps["s2m_inliers"] == 0).all()
     parameters = frontend.complete_parameters("t", registry.backend("paper"), {})
     (tmp_path / "paper").mkdir()
-    outcome, steps = perform(tmp_path / "paper", "paper", parameters, "room", ROOM)
+    outcome, steps = execute_request(tmp_path / "paper", "paper", parameters, "room", ROOM)
     assert outcome.status == "complete"
     assert np.isnan(steps["s2s_error"][0])
     assert (steps["s2s_error"][1:] > 0).all()
@@ -70,13 +70,13 @@ def shares(outcome, steps):
 def test_a_method_that_registers_nothing_is_complete_and_has_kept_every_guess(tmp_path):
     given = {"max_correspondence_m": 0.0001}
     parameters = frontend.complete_parameters("t", registry.backend("paper"), given)
-    outcome, steps = perform(tmp_path, "paper", parameters, "room", ROOM)
+    outcome, steps = execute_request(tmp_path, "paper", parameters, "room", ROOM)
     assert outcome.status == "complete"
     assert shares(outcome, steps)[0] == Score(100.0, len(steps) - 1)
 
 
 def test_an_odometry_that_does_not_tell_is_reported_as_such(tmp_path):
-    assert {score.reason for score in shares(*perform(tmp_path))} == {"not reported by the back end"}
+    assert {score.reason for score in shares(*execute_request(tmp_path))} == {"not reported by the back end"}
 
 
 class Doubtful:
@@ -93,7 +93,7 @@ class Doubtful:
 def test_an_odometry_can_tell_of_its_own_answers(tmp_path, monkeypatch):
     spec = OdometrySpec(Doubtful, "for a test", "none", "MIT")
     monkeypatch.setattr(registry, "backend", lambda name: spec)
-    outcome, steps = perform(tmp_path)
+    outcome, steps = execute_request(tmp_path)
     assert steps["s2m_accepted"].tolist() == [-1, *[1, 0] * 5, 1]
     assert (steps["s2s_accepted"] == -1).all()
     assert [score.value for score in shares(outcome, steps)] == [pytest.approx(500.0 / 11.0), None]
@@ -109,21 +109,21 @@ class TwoStaged:
 
 def test_an_odometry_can_tell_of_its_own_stages(tmp_path, monkeypatch):
     monkeypatch.setattr(registry, "backend", lambda name: OdometrySpec(TwoStaged, "a test", "none", "MIT"))
-    _, steps = perform(tmp_path)
+    _, steps = execute_request(tmp_path)
     assert set(steps[["s2s_iterations", "s2s_inliers", "s2s_accepted", "s2s_converged"]].tolist()) == {(7, 90, 1, 1)}
     assert set(steps[["s2m_iterations", "s2m_inliers", "s2m_accepted", "s2m_converged"]].tolist()) == {(40, 12, 0, 0)}
     assert set(steps["s2m_error"].tolist()) == {0.05}
 
 
 def test_the_sequences_notes_are_kept(tmp_path):
-    outcome, _ = perform(tmp_path, dataset="room", sequence=ROOM)
+    outcome, _ = execute_request(tmp_path, dataset="room", sequence=ROOM)
     assert outcome.notes["invalid ranges"] > 0
 
 
 def test_an_absent_library_and_absent_data_have_statuses_of_their_own(tmp_path):
-    outcome, steps = perform(tmp_path, "absent")
+    outcome, steps = execute_request(tmp_path, "absent")
     assert outcome.status == "not-installed"
     assert outcome.reason == "absent: not installed; the library 'nowhere' is not installed; pip install nowhere"
     assert len(steps) == 0
-    outcome, _ = perform(tmp_path, sequence={"file": str(tmp_path / "gone")})
+    outcome, _ = execute_request(tmp_path, sequence={"file": str(tmp_path / "gone")})
     assert outcome.status == "data-missing"

@@ -73,7 +73,7 @@ def test_the_true_map_itself_scores_perfectly_and_says_nothing_that_needs_a_traj
         assert found.get(name) is None
     assert shifted["scores"]["map_f1"] < 0.5
     page = Path(answer["page"]).read_text(encoding="utf-8")
-    assert "no trajectory: a map alone was made elsewhere" in page
+    assert "no trajectory: the back end is a map made elsewhere" in page
     assert "a map made elsewhere is held against the truth as it is" in page
 
 
