@@ -58,7 +58,7 @@ def trials(results):
     return {trial["method"]: trial for trial in results["runs"]}
 
 
-def test_every_method_is_in_the_page_and_complete_or_says_why_not(folder, trials):
+def test_every_method_is_on_the_page_and_complete_or_has_a_reason(folder, trials):
     page = (folder / "index.html").read_text(encoding="utf-8")
     assert "A small one" in page
     assert list(trials) == list(METHODS)
@@ -68,19 +68,19 @@ def test_every_method_is_in_the_page_and_complete_or_says_why_not(folder, trials
         assert bool(trial["reason"]) == (name not in HERE)
 
 
-def test_the_page_needs_nothing_from_anywhere_else(folder):
+def test_the_page_needs_no_other_file(folder):
     page = (folder / "index.html").read_text(encoding="utf-8")
     assert not any(f'{word}="http' in page for word in ("src", "srcset", "xlink:href"))
     assert "<link " not in page
 
 
-def test_the_results_keep_to_their_schema(folder, results):
+def test_the_results_match_their_schema(folder, results):
     schema = json.loads((folder / "results.schema.json").read_text(encoding="utf-8"))
     jsonschema = pytest.importorskip("jsonschema")
     jsonschema.Draft202012Validator(schema).validate(results)
 
 
-def test_every_number_is_finite_and_every_absent_one_has_a_reason(trials):
+def test_every_number_is_finite_and_every_missing_one_has_a_reason(trials):
     for name in HERE:
         scores = trials[name]["scores"]
         assert scores
@@ -99,7 +99,7 @@ def test_scan_matching_beats_wheels_that_are_wrong(trials):
         assert trials[name]["scores"]["ate_rmse_m"]["value"] < min(0.04, 0.7 * wheels), name
 
 
-def test_the_tables_for_programs_have_a_row_for_every_run(folder, trials):
+def test_the_csv_tables_have_a_row_for_every_run(folder, trials):
     for name in ("runs.csv", "scores.csv", "summary.csv"):
         with (folder / name).open(encoding="utf-8", newline="") as file:
             rows = list(csv.DictReader(file))
@@ -126,7 +126,7 @@ def test_the_map_for_other_tools_has_the_runs_walls(folder, trials):
     assert np.array_equal(read.occupied(), grid.occupied())
 
 
-def test_resuming_a_finished_report_runs_nothing_and_says_the_same(folder, results):
+def test_resuming_a_finished_report_executes_nothing_and_gives_the_same_results(folder, results):
     before = {path: path.stat().st_mtime_ns for path in folder.glob("runs/*/*")}
     file = folder.parent / "small.toml"
     assert evalkit("compare", file, "--out", folder, "--resume") == 0

@@ -36,12 +36,12 @@ def test_a_folder_is_read_by_the_reader_of_what_is_in_it(tmp_path):
     assert plan(folder).sequences[0].dataset == "rosbag"
 
 
-def test_all_back_ends_run_unless_some_are_named(log):
+def test_all_back_ends_run_by_default(log):
     assert [entrant.label for entrant in plan(log, backends=()).methods] == registry.names("backends")
     assert [entrant.label for entrant in plan(log, backends=("paper", "kiss-icp")).methods] == ["paper", "kiss-icp"]
 
 
-def test_a_broken_plugin_is_a_row_and_stops_neither_the_others_nor_the_reader(log, strangers, monkeypatch):
+def test_a_broken_plugin_does_not_affect_others(log, strangers, monkeypatch):
     original = registry.dataset
 
     def dataset(name):
@@ -62,7 +62,7 @@ def test_the_title_counts_the_back_ends(log):
     ]
 
 
-def test_files_of_one_name_and_topics_of_one_file_have_folders_of_their_own(tmp_path):
+def test_every_file_and_topic_has_its_own_results_folder(tmp_path):
     names = []
     for folder in ("a", "b"):
         (tmp_path / folder).mkdir()
@@ -73,7 +73,7 @@ def test_files_of_one_name_and_topics_of_one_file_have_folders_of_their_own(tmp_
     assert re.fullmatch(r"x-bag-left-scan-[0-9a-f]{6}", names[0])
 
 
-def test_a_bag_one_folder_down_is_found_and_of_several_one_must_be_named(tmp_path):
+def test_a_bag_one_level_down_is_found_unless_there_are_several(tmp_path):
     for name in ("one", "two"):
         (tmp_path / "top" / name).mkdir(parents=True)
         (tmp_path / "top" / name / "x_0.db3").write_text("")
@@ -91,7 +91,7 @@ def test_a_bag_one_folder_down_is_found_and_of_several_one_must_be_named(tmp_pat
         (b"# nothing\n", "drive.log"),
     ],
 )
-def test_what_cannot_be_read_is_known_before_anything_runs(tmp_path, content, message):
+def test_an_unreadable_file_is_reported_before_anything_runs(tmp_path, content, message):
     path = tmp_path / "drive.log"
     path.write_bytes(content)
     with pytest.raises(BadData, match=message) as caught:
@@ -99,7 +99,7 @@ def test_what_cannot_be_read_is_known_before_anything_runs(tmp_path, content, me
     assert "\n" not in str(caught.value)
 
 
-def test_a_reader_that_fails_in_a_way_of_its_own_and_one_without_a_scan_are_named(log, monkeypatch):
+def test_an_unexpected_reader_error_and_a_recording_without_scans_are_reported(log, monkeypatch):
     class Empty:
         def frames(self):
             return iter(())
@@ -134,12 +134,12 @@ def test_a_setting_that_does_not_fit_is_named(log, settings, error, message):
         plan(log, settings=settings)
 
 
-def test_a_back_end_that_is_none_is_named(log):
+def test_an_unknown_back_end_is_named(log):
     with pytest.raises(BadExperiment, match=r"compare .*my run.LOG: method 1: no backend named 'papper'"):
         plan(log, backends=("papper",))
 
 
-def test_what_no_reader_reads_lists_the_readers(tmp_path):
+def test_a_file_without_a_reader_lists_the_readers(tmp_path):
     with pytest.raises(BadData, match=r"nothing\.bag: no such file or folder"):
         plan(tmp_path / "nothing.bag")
     (tmp_path / "notes.txt").write_text("")

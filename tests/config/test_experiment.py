@@ -98,7 +98,7 @@ def test_a_mistake_is_named_with_file_place_and_what_is_known(tmp_path, text, pa
     assert all(part in message for part in parts), message
 
 
-def test_a_file_that_is_none_is_named(tmp_path):
+def test_a_missing_experiment_file_is_named(tmp_path):
     with pytest.raises(BadExperiment, match=r"nothing\.toml: no such file; give the path of an experiment"):
         load_experiment(tmp_path / "nothing.toml")
     with pytest.raises(BadExperiment, match=re.escape(f"{tmp_path}: cannot be read")):
@@ -106,18 +106,18 @@ def test_a_file_that_is_none_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("key", ["path", "ground_truth", "relations"])
-def test_a_readers_file_that_is_not_there_is_a_mistake(tmp_path, log, key):
+def test_a_missing_file_of_a_reader_is_an_error(tmp_path, log, key):
     table = {"use": "carmen", "label": "mine", "path": str(log), key: str(tmp_path / "no.such")}
     with pytest.raises(BadExperiment, match=rf"sequence 1 \(mine\): carmen: parameter '{key}': no file .*no\.such"):
         planned(sequences=[table])
 
 
-def test_a_reader_without_a_path_is_a_mistake():
+def test_a_reader_without_a_path_is_an_error():
     with pytest.raises(BadExperiment, match=r"sequence 1 \(carmen\): carmen: parameter 'path' is empty; give a path"):
         planned(sequences=[{"use": "carmen"}])
 
 
-def test_a_catalogued_recording_that_is_not_here_is_a_row_and_not_a_refusal(tmp_path, monkeypatch):
+def test_a_catalogued_recording_without_data_is_not_an_error(tmp_path, monkeypatch):
     monkeypatch.setenv("EVALKIT_DATA", str(tmp_path))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("HOME", str(tmp_path))
@@ -125,7 +125,7 @@ def test_a_catalogued_recording_that_is_not_here_is_a_row_and_not_a_refusal(tmp_
     assert "evalkit datasets fetch turtlebot4" in sequence.missing
 
 
-def test_a_back_end_whose_plugin_does_not_load_is_a_row_with_the_reason(strangers):
+def test_a_back_end_that_does_not_load_is_kept_with_the_reason(strangers):
     plan = planned([{"use": "unloadable", "speed": 3}, {"use": "wheel-odometry"}])
     assert [entrant.missing != "" for entrant in plan.methods] == [True, False]
     assert "the licence server does not answer" in plan.methods[0].missing
@@ -145,7 +145,7 @@ def test_the_smallest_experiment_takes_every_default(tmp_path):
     assert plan.sequences[0].parameters_with_seed(7) == {**defaults, "seed": 7}
 
 
-def test_what_is_written_is_taken(tmp_path):
+def test_given_values_replace_defaults(tmp_path):
     plan = read(
         tmp_path,
         "title = 'T'\ndescription = 'D'\n"
@@ -172,7 +172,7 @@ def test_a_recording_runs_once_without_a_seed(log):
     assert "seed" not in sequence.parameters_with_seed(None)
 
 
-def test_methods_take_turns_forth_and_back():
+def test_methods_alternate_and_every_second_repetition_is_reversed():
     plan = planned(
         [{"use": "wheel-odometry", "label": "A"}, {"use": "paper", "label": "B"}],
         [{"use": "room", "seeds": [0, 1]}, {"use": "lab"}],
@@ -197,14 +197,14 @@ def wide(log):
     )
 
 
-def test_a_part_keeps_the_order_of_the_plan_and_nothing_chosen_keeps_all(wide):
+def test_a_selection_keeps_the_order_and_an_empty_selection_keeps_all(wide):
     assert wide.select([], [], []) == wide
     part = wide.select(["lab; askew", "room"], ["wheel-odometry"], [0, 2])
     assert [(sequence.label, sequence.seeds) for sequence in part.sequences] == [("room", (0, 2)), ("lab; askew", (0,))]
     assert [entrant.label for entrant in part.methods] == ["wheel-odometry"]
 
 
-def test_a_recording_stays_whatever_seeds_are_chosen(wide):
+def test_a_recording_stays_selected_for_any_seeds(wide):
     assert wide.select([], [], [1]).sequences[2].seeds == (None,)
 
 
@@ -216,12 +216,12 @@ def test_a_recording_stays_whatever_seeds_are_chosen(wide):
         (([], [], [0, 5]), "compare exp.toml: no seed named '5'; known: 0, 1, 2"),
     ],
 )
-def test_a_part_that_is_none_is_refused(wide, choice, message):
+def test_an_unknown_selection_is_an_error(wide, choice, message):
     with pytest.raises(UnknownName, match=message):
         wide.select(*choice)
 
 
-def test_the_command_of_a_run_is_that_run_alone(wide):
+def test_the_command_of_a_run_selects_that_run_alone(wide):
     for item in wide.runs():
         words = shlex.split(wide.command(item))
         assert words[:3] == ["evalkit", "compare", "exp.toml"]
@@ -246,7 +246,7 @@ def test_the_command_of_a_file_with_blanks_in_its_name_is_one_word(tmp_path):
 # keys
 
 
-def test_keys_are_told_apart_and_fit_for_file_names(wide):
+def test_keys_are_distinct_and_valid_file_names(wide):
     keys = [item.key for item in wide.runs()]
     assert len(set(keys)) == len(keys) == 10
     assert all(re.fullmatch(r"[\w.-]+", key) for key in keys)
@@ -276,7 +276,7 @@ def test_what_cannot_change_a_result_does_not_change_the_key():
     assert only_key(methods=[{"use": "wheel-odometry"}, {"use": "paper"}]) == only_key()
 
 
-def test_other_code_is_another_key(monkeypatch):
+def test_other_code_changes_the_key(monkeypatch):
     before = only_key()
     monkeypatch.setattr(registry, "run_fingerprint", lambda backend, dataset: f"{backend} {dataset} changed")
     assert only_key() != before
@@ -288,7 +288,7 @@ def test_labels_alike_as_file_names_do_not_share_a_folder():
     assert first != second
 
 
-def test_a_recording_that_changed_is_another_key_and_one_read_again_is_not(log):
+def test_a_changed_recording_changes_the_key_and_reading_does_not(log):
     sequences = [{"use": "carmen", "path": str(log)}]
     before = only_key(sequences=sequences)
     log.read_text()
@@ -298,7 +298,7 @@ def test_a_recording_that_changed_is_another_key_and_one_read_again_is_not(log):
     assert only_key(sequences=sequences) != before
 
 
-def test_a_bag_in_a_folder_that_changed_is_another_key(tmp_path):
+def test_a_changed_bag_in_a_folder_changes_the_key(tmp_path):
     folder = tmp_path / "bag"
     folder.mkdir()
     (folder / "bag_0.db3").write_text("one")
@@ -309,7 +309,7 @@ def test_a_bag_in_a_folder_that_changed_is_another_key(tmp_path):
     assert only_key(sequences=sequences) != before
 
 
-def test_a_text_that_no_file_could_be_named_is_just_a_text(log):
+def test_a_text_that_cannot_be_a_file_name_is_allowed(log):
     long = {"use": "rosbag", "path": str(log), "topic": "/scan" * 1_000}
     assert only_key(sequences=[long])
 
@@ -327,7 +327,7 @@ def test_the_shipped_experiments_can_be_planned():
 @pytest.mark.parametrize(
     "label", ["=cmd|' /C calc'!A0", "+1", "-x", "@a", "", "a\x1b[2J", "a\u2028b", "a\u202eb", "a\nb"]
 )
-def test_a_label_is_no_command_to_whoever_shows_it(label):
+def test_a_label_cannot_be_a_terminal_or_spreadsheet_command(label):
     with pytest.raises(BadExperiment, match=r"method 1: 'label': found .*, expected printable text"):
         planned(methods=({"use": "wheel-odometry", "label": label},))
 
@@ -335,7 +335,7 @@ def test_a_label_is_no_command_to_whoever_shows_it(label):
 @pytest.mark.parametrize(
     "label", ["../../etc/x", "/etc/x", "..", "x" * 300, "\u8def" * 300, "NUL", "nul.txt", "a\\b", "C:x"]
 )
-def test_a_run_keeps_to_its_folder_whatever_it_is_called(label):
+def test_no_label_places_a_run_outside_its_folder(label):
     plan = planned(methods=({"use": "wheel-odometry", "label": label},), sequences=({"use": "room", "label": label},))
     (run,) = plan.runs()
     assert re.fullmatch(r"\w[\w.-]*", run.key)

@@ -17,7 +17,7 @@ from evalkit.execution import environment
 CHECKOUT = Path(evalkit.__file__).parent.parent
 
 
-def test_everything_a_reader_needs_is_told_in_words():
+def test_the_description_contains_machine_and_software():
     told = environment.describe(("numpy", "no-such-library"))
     assert list(told)[:5] == ["evalkit", "commit", "python", "system", "processor"]
     assert told["evalkit"] == evalkit.__version__
@@ -27,7 +27,7 @@ def test_everything_a_reader_needs_is_told_in_words():
     assert all(isinstance(text, str) and text for text in told.values())
 
 
-def test_the_commit_is_that_of_the_checkout_and_says_if_it_was_changed():
+def test_the_commit_is_that_of_the_checkout_and_marks_changes():
     if shutil.which("git") is None or not (CHECKOUT / ".git").exists():
         pytest.skip("not a checkout, or no git")
     head = subprocess.run(["git", "-C", CHECKOUT, "rev-parse", "HEAD"], capture_output=True, text=True, check=False)
@@ -56,7 +56,7 @@ def test_a_timed_process_has_one_thread_in_every_pool():
     assert {"OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"} <= set(environment.SINGLE_THREAD)
 
 
-def test_runs_at_a_time_are_told_where_known():
+def test_the_number_of_runs_at_a_time_is_described_where_known():
     assert environment.describe(jobs=3)["runs at a time"] == "3"
     assert "runs at a time" not in environment.describe()
 
@@ -71,7 +71,7 @@ def executed(day, commit="c", **changes):
 NOON = datetime(2024, 5, 9, 12, tzinfo=UTC)
 
 
-def test_runs_kept_from_earlier_are_one_line_with_their_dates_and_commits():
+def test_earlier_runs_are_described_in_one_line():
     def earlier(*results):
         return environment.describe_provenance({}, results, NOON).get("kept from earlier")
 
@@ -83,7 +83,7 @@ def test_runs_kept_from_earlier_are_one_line_with_their_dates_and_commits():
     assert earlier(RunResult(NO_STEPS, 0, Cause.NOT_RUN, "not run yet")) is None
 
 
-def test_runs_of_several_machines_are_one_line_with_a_count_for_each():
+def test_several_machines_are_described_in_one_line():
     results = [executed(9), executed(9, host="x", governor="fast"), executed(9)]
     lines = environment.describe_provenance({"host": "here"}, results, NOON)
     assert lines == {"host": "here", "made on": "2 runs on h (P, governor g); 1 run on x (P, governor fast)"}

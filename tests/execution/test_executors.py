@@ -82,7 +82,7 @@ def pids(workers):
     return {nanny.pid for nanny in workers.workers.values() if nanny.pid}
 
 
-def test_a_cluster_gives_the_rows_the_scores_and_the_bits_of_this_machine(workers, tmp_path):
+def test_a_cluster_gives_the_same_records_as_this_machine_to_the_bit(workers, tmp_path):
     faults = ("none", "raise", "segfault", "far", "nan")
     here = rows(plan(*faults), tmp_path / "here")
     away = rows(plan(*faults), tmp_path / "away", there(workers))
@@ -116,7 +116,7 @@ def test_a_cluster_gives_the_rows_the_scores_and_the_bits_of_this_machine(worker
     assert made["core"] in (*environment.cores(), None)
 
 
-def test_a_worker_killed_while_it_runs_costs_no_row_and_no_more_than_two_runs_are_under_way(workers, tmp_path):
+def test_a_killed_worker_loses_no_run_and_at_most_two_runs_are_active(workers, tmp_path):
     before = pids(workers)
     waits = plan("wait", "none", "none", "none", "none", "raise")
     killed = []
@@ -133,7 +133,7 @@ def test_a_worker_killed_while_it_runs_costs_no_row_and_no_more_than_two_runs_ar
     assert progress.most <= 3  # two threads, and one run that was lost
 
 
-def test_a_run_that_ends_its_workers_is_quarantined_after_two_and_the_others_stand(workers, tmp_path):
+def test_a_run_that_kills_two_workers_is_quarantined_and_others_complete(workers, tmp_path):
     deadly = plan("none", "kill-parent", "none", "none")
     made = rows(deadly, tmp_path, there(workers))
     assert [record.result.status for record in made.values()] == ["complete", "crashed", "complete", "complete"], (
@@ -152,7 +152,7 @@ def test_a_run_that_ends_its_workers_is_quarantined_after_two_and_the_others_sta
     assert last["1 kill-parent"].result.reason != reason  # other workers, the same end
 
 
-def test_who_was_lost_here_is_forgotten_once_a_worker_has_made_the_run(workers, tmp_path):
+def test_local_attempts_are_cleared_once_a_worker_has_executed_the_run(workers, tmp_path):
     store, asked = Store(tmp_path), plan("none", timed=False)
     key = next(iter(asked.runs())).key
     store.write_text(tmp_path / "attempts" / f"{key}.json", json.dumps(["process 1 on a", "process 2 on a"]))
@@ -161,7 +161,7 @@ def test_who_was_lost_here_is_forgotten_once_a_worker_has_made_the_run(workers, 
     assert store.attempts(key) == ()
 
 
-def test_where_times_do_not_count_there_are_none(workers, tmp_path):
+def test_an_untimed_experiment_stores_no_times(workers, tmp_path):
     untimed = rows(plan("none", timed=False), tmp_path, there(workers))["0 none"]
     assert untimed.scores.by_metric["cpu_median_ms"].reason == "not timed: executed where times do not count"
     assert untimed.scores.by_metric["peak_memory_mib"].value > 0
@@ -170,7 +170,7 @@ def test_where_times_do_not_count_there_are_none(workers, tmp_path):
     assert timed.scores.by_metric["cpu_median_ms"].value > 0
 
 
-def test_times_are_measured_only_by_workers_that_are_offered_for_it(strangers, tmp_path):
+def test_times_are_measured_only_on_workers_with_the_timed_resource(strangers, tmp_path):
     distributed = pytest.importorskip("distributed")
     with distributed.LocalCluster(
         n_workers=1,
@@ -203,7 +203,7 @@ def test_a_scheduler_that_is_not_there_is_named(monkeypatch):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_whatever_ends_evalkit_no_worker_is_left_behind(strangers, tmp_path, number):
+def test_no_worker_survives_the_end_of_evalkit(strangers, tmp_path, number):
     pytest.importorskip("distributed")
     (tmp_path / "small.toml").write_text(
         '[[method]]\nuse = "faulty"\nfault = "hang"\n[mapper]\nresolution_m = 0.25\n[[sequence]]\nuse = "straight"\n'

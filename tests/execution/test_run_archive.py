@@ -36,7 +36,7 @@ def files(store):
     }
 
 
-def test_a_run_arrives_as_it_was_but_for_what_it_said_long_ago(kept, tmp_path):
+def test_an_unpacked_run_is_unchanged_except_for_the_start_of_its_output(kept, tmp_path):
     other = Store(tmp_path / "other")
     (other.create_run_folder(KEY) / "stale").touch()
     run_archive.unpack_run(other, KEY, run_archive.pack_run(kept, KEY))
@@ -49,7 +49,7 @@ def test_a_run_arrives_as_it_was_but_for_what_it_said_long_ago(kept, tmp_path):
     assert {path: content for path, content in sent.items() if path != output} == arrived
 
 
-def test_a_parcel_writes_nothing_outside_its_run(tmp_path):
+def test_an_archive_writes_nothing_outside_its_run(tmp_path):
     body = io.BytesIO()
     with ZipFile(body, "w") as archive:
         for name in ("run/../../../evil", "/evil", "../evil", "elsewhere/evil", "run/fine"):

@@ -107,7 +107,7 @@ def test_a_thinned_recording_keeps_the_pace_of_its_sensor(tmp_path, every):
 
 
 @pytest.mark.parametrize(("fault", "status", "reason"), EXPECTED)
-def test_every_fault_has_its_status_and_a_reason_that_names_it(runs, fault, status, reason):
+def test_every_fault_has_its_status_and_a_reason_that_describes_it(runs, fault, status, reason):
     assert runs[fault].status == status, runs[fault].reason
     assert reason in runs[fault].reason
     assert runs[fault].reason.isprintable()
@@ -115,14 +115,14 @@ def test_every_fault_has_its_status_and_a_reason_that_names_it(runs, fault, stat
 
 
 @pytest.mark.parametrize("fault", sorted(set(FAULTS) - {"none", "chdir", "linger", "remove-folder"}))
-def test_what_was_answered_before_the_fault_is_kept(runs, fault):
+def test_answers_before_the_fault_are_kept(runs, fault):
     run = runs[fault]
     assert run.steps["x"].tolist() == pytest.approx([0.1 * k for k in range(AT)])
     assert run.expected == SCANS
     assert run.warm_up_scans == 5
 
 
-def test_answers_outlive_their_folder(runs):
+def test_answers_survive_a_removed_folder(runs):
     assert runs["remove-folder"].steps["x"].tolist() == pytest.approx([0.1 * k for k in range(AT + 1)])
 
 
@@ -133,7 +133,7 @@ def test_a_run_that_completes_has_every_scan_once_and_in_order(runs):
     assert (run.steps["harness_ns"][1:] > 0).all()
 
 
-def test_no_process_is_left_by_whatever_fault(runs, root):
+def test_no_fault_leaves_a_process_behind(runs, root):
     assert (root / "daemon" / "request.json").exists()
     assert left(root) == []
 
@@ -143,18 +143,18 @@ def left(folder):
     return [process.pid for process in psutil.process_iter(["cmdline"]) if str(folder) in str(process.info["cmdline"])]
 
 
-def test_who_never_stops_talking_does_not_fill_the_disk(runs, root):
+def test_endless_output_does_not_fill_the_disk(runs, root):
     assert (root / "flood" / run_process.OUTPUT).stat().st_size < 2 * subprocesses.MAX_OUTPUT_BYTES
 
 
-def test_the_memory_of_a_run_is_its_own_and_not_that_of_the_process_that_started_it(strangers, tmp_path):
+def test_the_memory_of_a_run_excludes_its_parent_process(strangers, tmp_path):
     ballast = bytearray(400 * 2**20)  # Linux hands a parent's peak down to its children in ru_maxrss
     ballast[::4096] = b"x" * len(ballast[::4096])
     run = made(tmp_path / "run", request())
     assert len(ballast) > run.peak_memory_bytes > 10 * 2**20
 
 
-def test_a_crash_in_the_warm_up_tells_how_many_scans_there_would_have_been(strangers, tmp_path):
+def test_a_crash_in_the_warm_up_reports_the_number_of_scans(strangers, tmp_path):
     run = made(tmp_path / "run", request("exit", at=2))
     assert (run.status, len(run.steps), run.expected, run.warm_up_scans) == ("failed", 0, SCANS, 0)
 
@@ -171,29 +171,29 @@ def test_a_file_that_vanished_is_missing_data(strangers, tmp_path):
     assert (run.status, run.reason) == ("data-missing", f"straight: {tmp_path / 'gone'} is gone; bring it back")
 
 
-def test_a_run_that_is_stopped_says_so_and_keeps_its_answers(strangers, tmp_path):
+def test_an_interrupted_run_keeps_its_answers(strangers, tmp_path):
     stop = threading.Event()
     run = made(tmp_path / "run", request("hang"), heard=lambda scans: stop.set() if scans == AT else None, stop=stop)
     assert (run.status, run.reason, len(run.steps)) == ("failed", "interrupted", AT)
 
 
-def test_modules_of_the_working_directory_stand_in_for_no_others(strangers, tmp_path, monkeypatch):
+def test_modules_in_the_working_directory_do_not_shadow_others(strangers, tmp_path, monkeypatch):
     (tmp_path / "numpy.py").write_text("raise SystemExit('wrong numpy')")
     monkeypatch.chdir(tmp_path)
     assert made(tmp_path / "run", request()).status == "complete"
 
 
-def test_the_request_stays_beside_the_answers(strangers, tmp_path):
+def test_the_request_is_stored_with_the_answers(strangers, tmp_path):
     made(tmp_path / "run", request("raise", at=0))
     assert json.loads((tmp_path / "run" / "request.json").read_text())["backend_parameters"]["fault"] == "raise"
     assert "lost the plot" in (tmp_path / "run" / "output.txt").read_text()
 
 
-def test_a_folder_that_cannot_be_written_is_the_users_to_mend(tmp_path):
+def test_a_folder_that_cannot_be_written_is_a_store_error(tmp_path):
     with pytest.raises(StoreError, match=r"absent: cannot be written \(No such file or directory\); free some space"):
         run_process.run(request(), tmp_path / "absent", HASTE, lambda _: None, threading.Event())
 
 
-def test_looking_through_a_long_recording_is_no_scan_without_an_answer(tmp_path):
+def test_indexing_a_long_recording_does_not_count_as_a_missing_answer(tmp_path):
     run = made(tmp_path / "run", request(reads_s=5.0), replace(HASTE, scan_s=2.5))
     assert (run.status, run.reason) == ("complete", "")

@@ -48,27 +48,27 @@ def test_a_result_comes_back_with_its_arrays():
     assert found["row"].tolist() == [2.0, np.inf]
 
 
-def test_a_crash_says_how_and_where():
+def test_a_crash_is_reported_with_signal_and_place():
     assert run("die", how="SIGSEGV") == {
         ENDED: "the process was terminated by SIGSEGV; it was in: the seventh question"
     }
 
 
-def test_an_exception_is_told_in_its_own_words():
+def test_an_exception_is_reported_with_its_message():
     assert "ZeroDivisionError: no pairs" in run("refuse")[ENDED]
 
 
-def test_a_hang_is_ended():
+def test_a_hang_is_terminated():
     assert run("sleep", limit_s=3.0) == {ENDED: "not finished after 3 s; it was in: a long one"}
 
 
-def test_word_is_left_only_in_such_a_process(tmp_path, monkeypatch):
+def test_a_place_is_noted_only_in_a_sandbox(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     sandbox.note_place("nowhere")
     assert not list(tmp_path.iterdir())
 
 
-def test_a_job_changes_with_what_it_calls_and_with_its_limits():
+def test_the_key_of_a_sandboxed_task_changes_with_arguments_and_limits():
     function = importlib.import_module("test_sandbox").doubled
     one, other = (make_task("x", function, row=row) for row in ([1.0], [2.0]))
     assert sandbox.sandboxed(one, 20.0, 500).key != sandbox.sandboxed(other, 20.0, 500).key

@@ -84,7 +84,7 @@ def written(folder):
     }
 
 
-def test_every_run_is_a_row_whatever_becomes_of_it(tmp_path):
+def test_every_run_has_a_record_with_its_cause(tmp_path):
     progress = RecordedProgress()
     faults = ("none", "raise", "remove-folder", "segfault", "far", {"use": "absent"})
     made = records(plan(*faults), tmp_path, progress=progress)
@@ -110,7 +110,7 @@ def test_every_run_is_a_row_whatever_becomes_of_it(tmp_path):
     assert multiprocessing.active_children() == []
 
 
-def test_resume_runs_only_what_is_missing_and_what_has_changed(tmp_path, quick):
+def test_resume_executes_only_missing_and_changed_runs(tmp_path, quick):
     first = records(plan("none", "raise"), tmp_path)
     before = written(tmp_path)
     progress = RecordedProgress()
@@ -127,7 +127,7 @@ def test_resume_runs_only_what_is_missing_and_what_has_changed(tmp_path, quick):
     assert sorted(progress.ends) == ["nan", "none", "raise"]
 
 
-def test_resume_repeats_a_time_out_when_the_limits_have_changed_and_only_then(tmp_path, quick):
+def test_resume_repeats_a_timeout_only_when_the_limits_have_changed(tmp_path, quick):
     first = records(plan("hang", "raise", run_s=3.0), tmp_path)
     assert [record.result.status for record in first.values()] == ["timeout", "failed"]
     stamps = {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()}
@@ -138,7 +138,7 @@ def test_resume_repeats_a_time_out_when_the_limits_have_changed_and_only_then(tm
     assert changed == {"hang"}
 
 
-def test_a_status_named_is_made_again_and_no_other(tmp_path, quick):
+def test_rerun_executes_only_runs_with_the_given_status(tmp_path, quick):
     records(plan("none", "raise", "nan", "segfault"), tmp_path)
     stamps = {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()}
     again = frozenset({"crashed"})
@@ -148,7 +148,7 @@ def test_a_status_named_is_made_again_and_no_other(tmp_path, quick):
     assert changed == {"segfault"}
 
 
-def test_collecting_makes_no_run_and_says_what_is_missing(tmp_path, quick):
+def test_collect_executes_no_run_and_lists_missing_runs(tmp_path, quick):
     records(plan("none", "raise"), tmp_path)
     stamps = {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()}
     made = run(plan("none", "nan", "raise"), tmp_path, collect=True)
@@ -158,14 +158,14 @@ def test_collecting_makes_no_run_and_says_what_is_missing(tmp_path, quick):
     assert {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()} == stamps
 
 
-def test_two_at_once_do_not_share_a_results_folder(tmp_path, quick):
+def test_two_processes_cannot_write_to_one_results_folder(tmp_path, quick):
     store = Store(tmp_path)
     with store.writer_lock(), pytest.raises(StoreError, match="another evalkit writes to this folder; wait for it"):
         records(plan("none"), tmp_path)
     assert records(plan("none"), tmp_path)["none"].result.status == "complete"
 
 
-def test_a_clock_that_is_set_while_runs_are_made_changes_nothing(tmp_path, quick, monkeypatch):
+def test_setting_the_system_clock_does_not_affect_limits(tmp_path, quick, monkeypatch):
     now, jumps = time.time(), itertools.cycle((-86_400.0, 0.0, 86_400.0))
     monkeypatch.setattr(time, "time", lambda: now + next(jumps))
     made = records(plan("none", "hang", scan_s=1.5), tmp_path)
@@ -177,7 +177,7 @@ def run_files(folder):
     return {path.parent.name.split("-")[1]: path for path in folder.glob("runs/*/result.json")}
 
 
-def test_every_run_keeps_when_on_what_and_under_which_limits_it_was_made(tmp_path, quick):
+def test_every_run_stores_its_provenance(tmp_path, quick):
     ran_on = {"commit": "abc", "processor": "slow", "memory": "not kept"}
     before = datetime.now(UTC)
     (record,) = run(plan("none"), tmp_path, environment=ran_on)
@@ -192,7 +192,7 @@ def test_every_run_keeps_when_on_what_and_under_which_limits_it_was_made(tmp_pat
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system cannot pin")
-def test_a_run_is_scored_on_its_own_core_which_is_given_back_afterwards(tmp_path, monkeypatch):
+def test_a_run_is_scored_on_its_core_before_the_core_is_released(tmp_path, monkeypatch):
     """With one core for two runs, the second must not begin before the first is scored."""
     told = []
 
@@ -214,7 +214,7 @@ def test_a_run_is_scored_on_its_own_core_which_is_given_back_afterwards(tmp_path
     assert told == ["started none", f"scored on {only}", "started far", f"scored on {only}"]
 
 
-def test_without_resume_everything_is_run_again(tmp_path, quick):
+def test_without_resume_every_run_is_executed_again(tmp_path, quick):
     records(plan("none"), tmp_path)
     before = written(tmp_path)
     records(plan("none"), tmp_path)
@@ -222,7 +222,7 @@ def test_without_resume_everything_is_run_again(tmp_path, quick):
 
 
 @pytest.mark.parametrize("what", ["code", "mapper"])
-def test_what_scores_stand_on_has_changed_so_they_are_made_anew_from_the_same_run(tmp_path, quick, monkeypatch, what):
+def test_changed_scoring_code_or_mapper_scores_the_stored_run_again(tmp_path, quick, monkeypatch, what):
     records(plan("none"), tmp_path)
     (answers, scores) = written(tmp_path)["none"]
     mapper = {"resolution_m": 0.5} if what == "mapper" else None
@@ -234,7 +234,7 @@ def test_what_scores_stand_on_has_changed_so_they_are_made_anew_from_the_same_ru
     assert again.scores.grid.resolution_m == (0.5 if what == "mapper" else 0.25)
 
 
-def test_what_was_absent_is_tried_again(tmp_path, quick):
+def test_resume_executes_a_run_whose_data_became_available(tmp_path, quick):
     file = tmp_path / "file"
     absent = records(plan("none", sequence={"file": str(file)}), tmp_path / "out")["none"]
     assert (absent.result.status, absent.result.reason) == ("data-missing", f"{file} is gone")
@@ -245,7 +245,7 @@ def test_what_was_absent_is_tried_again(tmp_path, quick):
     )
 
 
-def test_a_file_that_vanishes_after_the_planning_is_a_row(tmp_path, quick):
+def test_a_file_deleted_after_planning_is_missing_data(tmp_path, quick):
     file = tmp_path / "file"
     file.touch()
     planned = plan("none", "raise", sequence={"file": str(file)})
@@ -256,7 +256,7 @@ def test_a_file_that_vanishes_after_the_planning_is_a_row(tmp_path, quick):
         assert record.truth.how == f"cannot be read: straight: {file} is gone; bring it back"
 
 
-def test_a_run_that_cannot_be_scored_is_a_failed_row_with_its_answers(tmp_path, quick):
+def test_a_run_that_cannot_be_scored_has_failed_and_keeps_its_answers(tmp_path, quick):
     record = records(plan("none", sequence={"breaks": True}), tmp_path)["none"]
     assert record.result.status == "failed"
     assert record.result.reason == "scoring failed: RuntimeError: the truth is out there"
@@ -264,7 +264,7 @@ def test_a_run_that_cannot_be_scored_is_a_failed_row_with_its_answers(tmp_path, 
     assert record.scores.by_metric == {}
 
 
-def test_a_mapper_that_ends_its_process_costs_the_run_it_draws_and_no_other(tmp_path):
+def test_a_mapper_that_kills_the_scoring_process_affects_only_its_run(tmp_path):
     mapper = {"use": "faulty-mapper", "fault": "sigkill", "only_past_m": 1e3}
     made = records(plan("far", "none", mapper=mapper), tmp_path, jobs=1)
     assert [record.result.status for record in made.values()] == ["crashed", "complete"]
@@ -274,7 +274,7 @@ def test_a_mapper_that_ends_its_process_costs_the_run_it_draws_and_no_other(tmp_
     assert made["none"].scores.by_metric["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_run_quarantined_for_its_scoring_is_tried_again_only_when_that_is_asked_for(tmp_path, quick, monkeypatch):
+def test_a_run_quarantined_in_scoring_is_executed_again_only_with_rerun(tmp_path, quick, monkeypatch):
     def deadly(*_arguments):
         asked.append(1)
         raise BrokenProcessPool("ended")
@@ -288,7 +288,7 @@ def test_a_run_quarantined_for_its_scoring_is_tried_again_only_when_that_is_aske
         assert len(asked) == count
 
 
-def test_where_no_process_to_score_in_can_be_started_nothing_is_quarantined(tmp_path, monkeypatch):
+def test_no_run_is_quarantined_if_no_scoring_process_can_start(tmp_path, monkeypatch):
     class Broken(ThreadPoolExecutor):
         def submit(self, *_arguments):
             raise BrokenProcessPool("no memory")
@@ -300,7 +300,7 @@ def test_where_no_process_to_score_in_can_be_started_nothing_is_quarantined(tmp_
     assert records(plan("none"), tmp_path, resume=True)["none"].result.status == "complete"
 
 
-def test_a_run_that_ends_evalkit_twice_is_quarantined_and_the_others_are_made(tmp_path, quick):
+def test_a_run_that_kills_evalkit_twice_is_quarantined_and_others_are_executed(tmp_path, quick):
     """A back end that kills its parent, in evalkits of their own: the third leaves it alone, and tells their names."""
     (tmp_path / "t.toml").write_text(
         '[[method]]\nuse = "faulty"\nfault = "kill-parent"\n[[method]]\nuse = "faulty"\nlabel = "none"\n'
@@ -316,7 +316,7 @@ def test_a_run_that_ends_evalkit_twice_is_quarantined_and_the_others_are_made(tm
 
 
 @pytest.mark.parametrize("full", ["save_result", "save_scores", "begin"])
-def test_a_results_folder_that_fills_up_stops_all_and_keeps_what_is_done(tmp_path, quick, monkeypatch, full):
+def test_a_full_results_folder_stops_everything_and_keeps_finished_runs(tmp_path, quick, monkeypatch, full):
     original = getattr(Store, full)
 
     def guarded(self, run, *arguments):
@@ -332,7 +332,7 @@ def test_a_results_folder_that_fills_up_stops_all_and_keeps_what_is_done(tmp_pat
     assert written(tmp_path).keys() == {"none"}
 
 
-def test_a_run_that_cannot_be_scored_anew_keeps_no_scores_of_other_code(tmp_path, quick, monkeypatch):
+def test_a_failed_rescoring_leaves_no_scores_of_other_code(tmp_path, quick, monkeypatch):
     key = records(plan("none"), tmp_path)["none"].key
     store, path = Store(tmp_path), tmp_path / "runs" / key / "scores.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "fingerprint": "other code"}))

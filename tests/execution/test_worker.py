@@ -75,7 +75,7 @@ def test_a_method_that_registers_nothing_is_complete_and_has_kept_every_guess(tm
     assert shares(outcome, steps)[0] == Score(100.0, len(steps) - 1)
 
 
-def test_an_odometry_that_does_not_tell_is_reported_as_such(tmp_path):
+def test_an_odometry_without_reports_is_marked_as_not_reporting(tmp_path):
     assert {score.reason for score in shares(*execute_request(tmp_path))} == {"not reported by the back end"}
 
 
@@ -90,7 +90,7 @@ class Doubtful:
         return OdometryEstimate(Pose(), accepted=self.scans % 2 == 0 if self.scans > 1 else None)
 
 
-def test_an_odometry_can_tell_of_its_own_answers(tmp_path, monkeypatch):
+def test_an_odometry_can_report_whether_it_accepted_its_answer(tmp_path, monkeypatch):
     spec = OdometrySpec(Doubtful, "for a test", "none", "MIT")
     monkeypatch.setattr(registry, "backend", lambda name: spec)
     outcome, steps = execute_request(tmp_path)
@@ -107,7 +107,7 @@ class TwoStaged:
         return OdometryEstimate(Pose(), stages)
 
 
-def test_an_odometry_can_tell_of_its_own_stages(tmp_path, monkeypatch):
+def test_an_odometry_can_report_its_stages(tmp_path, monkeypatch):
     monkeypatch.setattr(registry, "backend", lambda name: OdometrySpec(TwoStaged, "a test", "none", "MIT"))
     _, steps = execute_request(tmp_path)
     assert set(steps[["s2s_iterations", "s2s_inliers", "s2s_accepted", "s2s_converged"]].tolist()) == {(7, 90, 1, 1)}
@@ -120,7 +120,7 @@ def test_the_sequences_notes_are_kept(tmp_path):
     assert outcome.notes["invalid ranges"] > 0
 
 
-def test_an_absent_library_and_absent_data_have_statuses_of_their_own(tmp_path):
+def test_missing_libraries_and_missing_data_have_their_own_statuses(tmp_path):
     outcome, steps = execute_request(tmp_path, "absent")
     assert outcome.status == "not-installed"
     assert outcome.reason == "absent: not installed; the library 'nowhere' is not installed; pip install nowhere"

@@ -58,7 +58,7 @@ def test_the_environment_is_the_one_before_the_first_run_with_the_versions_of_th
     assert list(told) == ["commit", "kept from earlier", "numpy", "scipy"]
 
 
-def test_runs_at_a_time_are_told_where_known(demo):
+def test_the_number_of_runs_at_a_time_is_described_where_known(demo):
     assert describe_fairness(demo.records, {"runs at a time": "2"})[0].startswith(
         "Runs at a time: 2; concurrent runs share"
     )

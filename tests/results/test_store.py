@@ -71,7 +71,7 @@ def scores(**changes):
 
 
 @pytest.mark.parametrize("ended", [(Cause.COMPLETED, ""), (Cause.SIGNAL, "ended by SIGSEGV")])
-def test_a_run_comes_back_bit_by_bit(store, ended):
+def test_a_stored_result_is_loaded_to_the_bit(store, ended):
     kept = saved_run(store, *ended)
     again = Store(store.folder).load_result(KEY)
     assert again is not None
@@ -83,7 +83,7 @@ def test_a_run_comes_back_bit_by_bit(store, ended):
     assert (record["method"], record["sequence"], record["status"]) == ("icp", "room <1>", kept.status)
 
 
-def test_a_record_cut_short_is_left_out(tmp_path):
+def test_an_incomplete_record_is_ignored(tmp_path):
     path, whole = tmp_path / "steps.bin", steps(3)
     for cut in (1, STEP.itemsize - 1, STEP.itemsize):
         path.write_bytes(whole.tobytes()[:-cut])
@@ -94,14 +94,14 @@ def test_a_record_cut_short_is_left_out(tmp_path):
 
 
 @pytest.mark.parametrize("keep", [0, 1, 40, -1])
-def test_a_half_written_run_is_no_run(store, keep):
+def test_a_half_written_result_is_not_loaded(store, keep):
     saved_run(store)
     path = store.run_folder(KEY) / "result.json"
     path.write_bytes(path.read_bytes()[:keep])
     assert store.load_result(KEY) is None
 
 
-def test_a_run_whose_answers_were_cut_later_is_no_run(store):
+def test_a_result_with_truncated_answers_is_not_loaded(store):
     saved_run(store)
     path = store.run_folder(KEY) / "steps.bin"
     path.write_bytes(path.read_bytes()[: -STEP.itemsize])
@@ -109,13 +109,13 @@ def test_a_run_whose_answers_were_cut_later_is_no_run(store):
 
 
 @pytest.mark.parametrize("record", [[], {"method": "icp"}, {"unheard": 1}])
-def test_a_record_of_something_else_is_no_run(store, record):
+def test_a_result_file_with_other_content_is_not_loaded(store, record):
     saved_run(store)
     (store.run_folder(KEY) / "result.json").write_text(json.dumps(record))
     assert store.load_result(KEY) is None
 
 
-def test_a_run_never_made_is_no_run_and_a_fresh_one_forgets_the_last(store):
+def test_a_missing_run_is_not_loaded_and_a_new_folder_is_empty(store):
     assert store.load_result(KEY) is None
     saved_run(store)
     assert list(store.create_run_folder(KEY).iterdir()) == []
@@ -125,7 +125,7 @@ def test_a_run_never_made_is_no_run_and_a_fresh_one_forgets_the_last(store):
 # scores
 
 
-def test_scores_map_and_errors_come_back_bit_by_bit(store):
+def test_scores_map_and_errors_are_loaded_to_the_bit(store):
     saved_run(store)
     store.save_scores(KEY, scores(), "f")
     again = Store(store.folder).load_scores(KEY)
@@ -139,7 +139,7 @@ def test_scores_map_and_errors_come_back_bit_by_bit(store):
     same_grid(again.grid, grid())
 
 
-def test_new_scores_without_a_map_forget_the_old_one(store):
+def test_new_scores_without_a_map_delete_the_old_map(store):
     saved_run(store)
     store.save_scores(KEY, scores(), "f")
     store.save_scores(KEY, scores(grid=None, errors_m=None), "f")
@@ -150,7 +150,7 @@ def test_new_scores_without_a_map_forget_the_old_one(store):
 
 @pytest.mark.parametrize("name", ["scores.json", "grid.npz", "errors.npy"])
 @pytest.mark.parametrize("keep", [0, 60, -1])
-def test_a_damaged_file_means_scoring_again(store, name, keep):
+def test_damaged_scores_are_not_loaded(store, name, keep):
     saved_run(store)
     store.save_scores(KEY, scores(), "f")
     path = store.run_folder(KEY) / name
@@ -158,7 +158,7 @@ def test_a_damaged_file_means_scoring_again(store, name, keep):
     assert store.load_scores(KEY) is None
 
 
-def test_scoring_cut_short_leaves_no_old_scores_behind(store, monkeypatch):
+def test_interrupted_scoring_leaves_no_old_scores_behind(store, monkeypatch):
     saved_run(store)
     store.save_scores(KEY, scores(), "f")
     monkeypatch.setattr(store, "write_map", lambda stem, grid: 1 / 0)
@@ -170,7 +170,7 @@ def test_scoring_cut_short_leaves_no_old_scores_behind(store, monkeypatch):
 # folders that cannot be written
 
 
-def test_a_folder_that_cannot_be_made_is_named_with_what_to_do(tmp_path):
+def test_a_folder_that_cannot_be_created_is_named_with_a_remedy(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(StoreError) as caught:
         Store(tmp_path / "file" / "out")
@@ -179,13 +179,13 @@ def test_a_folder_that_cannot_be_made_is_named_with_what_to_do(tmp_path):
 
 
 @pytest.mark.skipif(not Path("/proc/self").is_dir(), reason="no /proc here")
-def test_a_folder_nobody_may_write_to_is_named():
+def test_a_read_only_folder_is_named():
     with pytest.raises(StoreError, match=r"/proc/out: cannot be written \(.+\); free some space or name another"):
         Store(Path("/proc/out"))
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
-def test_a_full_disk_leaves_the_old_file_and_says_so(tmp_path):
+def test_a_full_disk_keeps_the_old_file_and_is_reported(tmp_path):
     store, path = Store(tmp_path / "out"), tmp_path / "result.json"
     store.write_text(path, "old")
     path.with_name("result.json.part").symlink_to("/dev/full")
@@ -196,7 +196,7 @@ def test_a_full_disk_leaves_the_old_file_and_says_so(tmp_path):
     assert path.read_text() == "old"
 
 
-def test_a_map_that_finds_no_room_is_a_store_error(store, monkeypatch):
+def test_a_map_that_does_not_fit_on_the_disk_is_a_store_error(store, monkeypatch):
     def full(*_args, **_arrays):
         raise OSError(28, os.strerror(28))
 
@@ -207,7 +207,7 @@ def test_a_map_that_finds_no_room_is_a_store_error(store, monkeypatch):
     assert store.load_scores(KEY) is None
 
 
-def test_what_is_written_leaves_nothing_else_behind(store):
+def test_no_temporary_files_are_left_behind(store):
     saved_run(store)
     store.save_scores(KEY, scores(), "f")
     names = sorted(str(path.relative_to(store.folder)) for path in store.folder.rglob("*") if path.is_file())
@@ -234,7 +234,7 @@ def test_a_map_is_grey_by_its_cells_and_row_0_is_on_top(store):
 
 
 @pytest.mark.parametrize("number", [float, np.float64])
-def test_a_map_read_again_has_the_same_cells_in_the_same_place(store, number):
+def test_a_written_map_is_read_with_the_same_cells_and_origin(store, number):
     pytest.importorskip("ruamel.yaml")
     kept = grid(resolution_m=number(0.1 / 3.0), origin_x=number(-1e-7 / 3.0), origin_y=number(12345.678901234567))
     store.write_map(store.folder / "maps" / KEY, kept)

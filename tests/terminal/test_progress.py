@@ -23,17 +23,17 @@ def planned():
     return list(experiment_from_tables(content, "x.toml", "x", "compare x.toml").runs())
 
 
-def test_nothing_is_known_before_the_first_run_ends(planned):
+def test_the_time_left_is_unknown_before_the_first_run_ends(planned):
     assert TimeLeft(planned, 1).seconds() is None
 
 
-def test_after_one_run_all_others_are_like_it(planned):
+def test_after_one_run_all_others_are_assumed_equal(planned):
     left = TimeLeft(planned, 1)
     left.finished("room", "fast", 4.0)
     assert left.seconds() == pytest.approx(5 * 4.0)
 
 
-def test_an_open_run_takes_its_sequences_mean_times_its_methods_share(planned):
+def test_an_open_run_takes_its_sequence_mean_times_its_method_ratio(planned):
     """Room: fast 1 s, slow 3 s, so mean 2 s: shares 1/2 and 3/2. Open: room 1 and lab 0, both unlike any other yet."""
     left = TimeLeft(planned, 1)
     left.finished("room", "fast", 1.0)
@@ -43,7 +43,7 @@ def test_an_open_run_takes_its_sequences_mean_times_its_methods_share(planned):
     assert left.seconds() == pytest.approx(2.0 * 3.0 / 3.0 + 2.0 * 3.0 / 3.0 + 5.0 * 3.0 / 3.0)
 
 
-def test_two_at_a_time_take_half_as_long_and_all_done_is_nothing_left(planned):
+def test_two_jobs_halve_the_time_left_and_zero_is_left_at_the_end(planned):
     left = TimeLeft(planned, 2)
     left.finished("room", "fast", 4.0)
     assert left.seconds() == pytest.approx(5 * 4.0 / 2)
@@ -52,7 +52,7 @@ def test_two_at_a_time_take_half_as_long_and_all_done_is_nothing_left(planned):
     assert left.seconds() == 0.0
 
 
-def test_a_pipe_gets_one_plain_line_a_run_with_its_reason(planned, monkeypatch):
+def test_a_pipe_gets_one_plain_line_per_run_with_its_reason(planned, monkeypatch):
     printed = io.StringIO()
     monkeypatch.setattr(time, "monotonic", itertools.count(0.0, 2.0).__next__)
     crashed = RunResult(NO_STEPS, 0, Cause.SIGNAL, "signal [bold]11[/bold]")
@@ -66,7 +66,7 @@ def test_a_pipe_gets_one_plain_line_a_run_with_its_reason(planned, monkeypatch):
     assert second.startswith("[2/6] room seed 0 / slow: crashed (signal [bold]11[/bold]), 2.0 s")
 
 
-def test_what_is_missing_is_one_line_a_reason_and_what_the_system_lacks_comes_first(planned):
+def test_unavailable_methods_are_one_line_per_reason_with_system_packages_first(planned):
     content = {"method": [{"use": "wheel-odometry"}], "sequence": [{"use": "room"}]}
     plan = experiment_from_tables(content, "x.toml", "x", "compare x.toml")
     assert unavailable_lines(plan) == []
@@ -91,7 +91,7 @@ def test_a_terminal_gets_a_line_only_for_what_did_not_complete(planned):
     assert "room seed 0 / fast: complete" not in told.getvalue()
 
 
-def test_a_study_tells_of_its_last_job_what_was_kept_and_what_is_left():
+def test_the_last_task_line_counts_stored_results_and_the_time_left():
     told = io.StringIO()
     with show_tasks(Console(file=told, width=100), 3, 2) as done:
         done("first", 0.0)
@@ -100,7 +100,7 @@ def test_a_study_tells_of_its_last_job_what_was_kept_and_what_is_left():
     assert told.getvalue().splitlines() == ["[3/3] third, 0:00 left, 1 kept from before"]
 
 
-def test_the_time_left_of_a_study_is_the_mean_of_its_jobs_shared_among_the_workers():
+def test_the_time_left_of_tasks_is_their_mean_divided_by_the_workers():
     told = io.StringIO()
     lines = TaskLines(Console(file=told, width=100), 5, 2)
     lines.EVERY_S = 0.0
