@@ -150,7 +150,6 @@ def validate(
     )  # fmt: skip
     out_folder = folder or Path("reports") / "build" / f"validate-{_file_name(name or 'determinism')}"
     if fresh:
-<<<<<<< HEAD
         for part in ("tasks", "runs"):  # only what this command writes: the folder may contain other files
             shutil.rmtree(out_folder / part, ignore_errors=True)
     workers = jobs or environment.physical_cores()
@@ -166,18 +165,6 @@ def validate(
         report = run.report_rules(name, request.given, tuple(rule or ()), limit)
     elif group == "determinism":
         report = run.report_determinism(names, request.given, request.on, threads, repetitions, _announce)
-=======
-        for name in ("jobs", "runs"):  # only the folders of this command: others may stand beside them
-            shutil.rmtree(place / name, ignore_errors=True)
-    for name, why in examined.absent.items():
-        err.print(f"not available here: {name}: {why}", markup=False, highlight=False)
-    watch = examination.Watch(lambda total, workers: progress.show_tasks(err, total, workers), _runs)
-    compute = examined.registrations if registrations else examined.dossier
-    found = compute(place, jobs or environment.physical_cores(), watch)
-    page = _write(found, place, "evalkit " + shlex.join(sys.argv[1:]))
-    if as_json:
-        options.print_json(found.as_json())
->>>>>>> 216001d (Write the messages of runs and the Dask dispatcher in plain English)
     else:
         report = _compare(request, out_folder, workers, display)
     _finish(report, out_folder, as_json)
