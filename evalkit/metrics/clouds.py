@@ -100,12 +100,14 @@ def _joint(evidence: Evidence) -> Score:
 
 
 def _directions(evidence: Evidence) -> Score:
-    found = find_all_wall_pieces(evidence).direction
-    if len(found) < MIN_SHARED:
+    directions = find_all_wall_pieces(evidence).direction
+    if len(directions) < MIN_SHARED:
         return Score(
-            None, len(found), f"the scans contain {len(found)} pieces of wall, at least {MIN_SHARED} are needed"
+            None,
+            len(directions),
+            f"the scans contain {len(directions)} pieces of wall, at least {MIN_SHARED} are needed",
         )
-    return make_score(direction_entropy(found), len(found))
+    return make_score(direction_entropy(directions), len(directions))
 
 
 _ROWS = (

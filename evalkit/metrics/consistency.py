@@ -187,10 +187,10 @@ def _of_thicknesses(statistic: Callable[[Floats], np.floating | float]) -> Calla
     def compute(evidence: Evidence) -> Score:
         if len(collect_all_hits(evidence)) == 0:
             return Score(None, 0, NO_HIT)
-        found, share = _thicknesses(evidence)
+        thicknesses, share = _thicknesses(evidence)
         if share < MIN_WALL_SHARE:
-            return Score(None, len(found), f"only {100.0 * share:.0f} % of the hits lie along a wall")
-        return make_score(statistic(found), len(found))
+            return Score(None, len(thicknesses), f"only {100.0 * share:.0f} % of the hits lie along a wall")
+        return make_score(statistic(thicknesses), len(thicknesses))
 
     return compute
 
@@ -258,7 +258,7 @@ _ROWS = (
     Metric("wall_thickness_p95_m", "wall thickness, 95 %", "m", "lower", "map consistency",
            f"{WALL}; 95th percentile.", "as wall thickness",
            f"duplicated walls so far apart that they do not count as a line; {WARP}",
-           _of_thicknesses(lambda found: np.percentile(found, 95))),
+           _of_thicknesses(lambda values: np.percentile(values, 95))),
     Metric("wall_share_percent", "hits along a wall", "%", "higher", "map consistency",
            "Share of the examined places at which the hits within 0.5 m lie along a line.", "as wall thickness",
            f"the thickness of the walls; furniture and corners lower it; {WARP}", _wall_share, 1),

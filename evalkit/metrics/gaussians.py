@@ -36,15 +36,15 @@ def fit_voxels(points: Floats, size_m: float = VOXEL_M, at_least: int = MIN_CELL
     """Return the Gaussians of points (N, 2) in squares of ``size_m``; one square has a corner at the origin."""
     squares_of = np.floor(points / size_m).astype(np.int64)
     flat = squares_of[:, 0] * _FAR + squares_of[:, 1]
-    found, which, counts = np.unique(flat, return_inverse=True, return_counts=True)
-    count = len(found)
+    keys_of_squares, which, counts = np.unique(flat, return_inverse=True, return_counts=True)
+    count = len(keys_of_squares)
     x, y = points.T
     means = np.stack([np.bincount(which, x, count), np.bincount(which, y, count)], axis=1) / counts[:, None]
     dx, dy = (points - means[which]).T
     xx, xy, yy = (np.bincount(which, one * other, count) for one, other in ((dx, dx), (dx, dy), (dy, dy)))
     squares = np.stack([xx, xy, xy, yy], axis=1).reshape(-1, 2, 2)
-    rows = (found + _FAR // 2) % _FAR - _FAR // 2
-    keys = np.stack([(found - rows) // _FAR, rows], axis=1)
+    rows = (keys_of_squares + _FAR // 2) % _FAR - _FAR // 2
+    keys = np.stack([(keys_of_squares - rows) // _FAR, rows], axis=1)
     kept = counts >= at_least
     return Voxels(keys[kept], means[kept], squares[kept] / counts[kept][:, None, None])
 

@@ -114,7 +114,7 @@ def _scored(
     return compute
 
 
-def _answered(evidence: Evidence) -> Score:
+def _covered_percent(evidence: Evidence) -> Score:
     relations = evidence.truth.relations
     if relations is None or len(relations) == 0:
         return Score(None, 0, _NO_RELATIONS)
@@ -185,7 +185,7 @@ _ROWS = (
     ),
     Metric("relations_answered_percent", "relations covered", "%", "higher", "relations",
            "Share of the relations both of whose times lie between poses at most 2 s apart.", "evalkit",
-           "errors of the poses", _answered, 1),
+           "errors of the poses", _covered_percent, 1),
 )  # fmt: skip
 
 METRICS = with_support(

@@ -80,11 +80,11 @@ def _relation_errors(part: relations.Part) -> Callable[[ScoredRun], Series | Non
         known = run.truth.relations
         if known is None or len(known) == 0:
             return None
-        motions, answered = relations.compute_estimated_motions(run.result.estimate, known)
-        errors = relations.symmetric_errors(motions, known.first_from_second[answered])[:, 0]
-        wanted = relations.select_part(known, part)[answered]
-        order = np.argsort(known.first_ns[answered][wanted], kind="stable")
-        return Series(np.flatnonzero(answered)[wanted][order], errors[wanted][order], "mean", None)
+        motions, covered = relations.compute_estimated_motions(run.result.estimate, known)
+        errors = relations.symmetric_errors(motions, known.first_from_second[covered])[:, 0]
+        wanted = relations.select_part(known, part)[covered]
+        order = np.argsort(known.first_ns[covered][wanted], kind="stable")
+        return Series(np.flatnonzero(covered)[wanted][order], errors[wanted][order], "mean", None)
 
     return series
 

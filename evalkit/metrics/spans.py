@@ -97,7 +97,7 @@ def _worst_sigmas(lengths: SpanLengths) -> float:
     return float(np.max(np.abs(lengths.estimated_m - lengths.measured_m) / lengths.sigma_m))
 
 
-def _answered(evidence: Evidence) -> Score:
+def _covered_percent(evidence: Evidence) -> Score:
     spans = evidence.truth.spans
     if not spans:
         return Score(None, 0, _NO_TAPE)
@@ -134,7 +134,7 @@ _ROWS = (
            _with_spans(_worst_sigmas), 1),
     Metric("span_answered_percent", "distances by tape covered", "%", "higher", "relations",
            "Share of the measured distances both of whose ends the estimate covers.", "evalkit",
-           "errors of the distances", _answered, 1),
+           "errors of the distances", _covered_percent, 1),
 )  # fmt: skip
 
 METRICS = with_support(

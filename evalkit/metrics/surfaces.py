@@ -72,9 +72,9 @@ def find_wall_pieces(mapped: PlacedScans) -> WallPieces:
         points = se2.transform(world_from_sensor, scan.points())
         if len(points):
             places = thin_evenly(points, PLACES_A_SCAN)
-            seen = compute_neighbourhoods(points, places)
-            middles.append(places[seen.flat])
-            directions.append(seen.direction[seen.flat])
+            around = compute_neighbourhoods(points, places)
+            middles.append(places[around.flat])
+            directions.append(around.direction[around.flat])
             sensors.append(np.broadcast_to(world_from_sensor[:2], middles[-1].shape))
     return WallPieces(np.concatenate(middles), np.concatenate(directions), np.concatenate(sensors))
 

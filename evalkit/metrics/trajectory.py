@@ -155,7 +155,7 @@ def _distances(one: Floats, other: Floats) -> Floats:
     return np.asarray(np.linalg.norm(one[:, :2] - other[:, :2], axis=1))
 
 
-def _answered(evidence: Evidence) -> Score:
+def _answered_percent(evidence: Evidence) -> Score:
     expected = evidence.run.expected
     if expected == 0:
         return Score(None, 0, _UNKNOWN_LENGTH)
@@ -193,7 +193,7 @@ _ROWS = (
            with_matched_poses(lambda m: make_score(np.degrees(rms(heading_errors(m))), len(m.stamps_ns))), 2),
     Metric("answered_percent", "scans answered", "%", "higher", "drift",
            "Share of the scans of the sequence for which the run returned a pose.", "evalkit",
-           "errors of the poses", _answered, 1),
+           "errors of the poses", _answered_percent, 1),
     Metric("covered_percent", "true time covered", "%", "higher", "drift",
            f"Share of the ground truth's time span between estimated poses at most {MAX_GAP_S:g} s apart.", "evalkit",
            "errors of the poses", _covered, 1),

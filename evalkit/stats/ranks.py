@@ -34,7 +34,7 @@ class FriedmanTest:
 
 @dataclass(frozen=True, slots=True)
 class NotTested:
-    """A test that was not made, and the reason."""
+    """A test without sufficient data, and the reason."""
 
     reason: str
 

@@ -55,7 +55,7 @@ def compute_agreement(maps: Sequence[MapScores], rng: np.random.Generator) -> tu
     """
     perturbations = [name for name in dict.fromkeys(row.perturbation for row in maps) if name != CLEAN]
     worlds = dict.fromkeys(row.world for row in maps)
-    found = []
+    agreement = []
     for metric in reference_free_metrics():
         sign = -1.0 if metric.better == "higher" else 1.0
         by_perturbation = {
@@ -64,8 +64,8 @@ def compute_agreement(maps: Sequence[MapScores], rng: np.random.Generator) -> tu
         }
         by_world = {w: _correlate([row for row in maps if row.world == w], metric.name, sign, rng) for w in worlds}
         overall = _correlate(maps, metric.name, sign, rng)
-        found.append(RankAgreement(metric.name, overall, by_perturbation, by_world))
-    return tuple(sorted(found, key=lambda one: -np.inf if one.overall is None else one.overall.value, reverse=True))
+        agreement.append(RankAgreement(metric.name, overall, by_perturbation, by_world))
+    return tuple(sorted(agreement, key=lambda one: -np.inf if one.overall is None else one.overall.value, reverse=True))
 
 
 def _correlate(maps: Iterable[MapScores], metric: str, sign: float, rng: np.random.Generator) -> Interval | None:

@@ -2,10 +2,8 @@
 
 import numpy as np
 import pytest
-from scipy import stats
 
 from evalkit.commands.metric_validation.rank_agreement import MapScores, compute_agreement, reference_free_metrics
-from evalkit.stats.correlation import spearman_correlation
 
 NAMES = [metric.name for metric in reference_free_metrics()]
 
@@ -20,14 +18,6 @@ def rows(world, errors, score, perturbation="drift"):
 def found(*groups):
     everything = [row for group in groups for row in group]
     return {one.metric: one for one in compute_agreement(everything, np.random.default_rng(0))}
-
-
-def test_the_correlation_equals_scipys_including_ties():
-    rng = np.random.default_rng(1)
-    a, b = rng.integers(0, 5, (7, 30)), rng.normal(size=(7, 30))
-    expected = [stats.spearmanr(x, y).statistic for x, y in zip(a, b, strict=True)]
-    assert spearman_correlation(a.astype(float), b) == pytest.approx(expected)
-    assert np.isnan(spearman_correlation(np.ones(5), np.arange(5.0)))
 
 
 def test_perfect_agreement_is_one_and_the_sign_changes_if_higher_is_better():

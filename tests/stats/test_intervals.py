@@ -1,0 +1,40 @@
+"""Intervals against published figures."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from evalkit.stats.intervals import Interval, wilson_interval
+
+
+def test_wilson_gives_the_published_interval():
+    """Newcombe, Stat. Med. 17, 1998, table I: 81 of 263 and 15 of 148, to four decimals."""
+    assert _bounds(wilson_interval(81, 263)) == pytest.approx((0.2553, 0.3662), abs=5e-5)
+    assert _bounds(wilson_interval(15, 148)) == pytest.approx((0.0624, 0.1605), abs=5e-5)
+    assert _bounds(wilson_interval(0, 20)) == pytest.approx((0.0, 0.1611), abs=5e-5)
+
+
+@given(st.integers(1, 200).flatmap(lambda n: st.tuples(st.integers(0, n), st.just(n))))
+def test_wilson_of_failures_mirrors_wilson_of_successes(case: tuple[int, int]):
+    successes, trials = case
+    low, high = _bounds(wilson_interval(successes, trials))
+    assert _bounds(wilson_interval(trials - successes, trials)) == pytest.approx((1.0 - high, 1.0 - low))
+    assert 0.0 <= low <= successes / trials <= high <= 1.0
+
+
+def test_wilson_needs_a_trial():
+    with pytest.raises(ValueError, match="at least one trial"):
+        wilson_interval(0, 0)
+
+
+def test_an_interval_excludes_values_outside_its_bounds():
+    assert Interval(0.5, 0.1, 0.9, 5).excludes(0.0)
+    assert not Interval(0.5, -0.1, 0.9, 5).excludes(0.0)
+    with pytest.raises(ValueError, match="low"):
+        Interval(0.0, 1.0, 0.0, 5)
+
+
+def _bounds(interval: Interval) -> tuple[float, float]:
+    return interval.low, interval.high
