@@ -194,7 +194,7 @@ def test_a_map_best_in_every_metric_of_one_run_is_tied(record, build):
     found = verdict(comparison, "room")
     assert (found.outcome, found.leaders, found.counts) == ("tied", ("a",), False)
     assert "one run each gives no interval. In every map metric a is best or tied." in _said(comparison)
-    assert "compares maps only and does not detect global warp." in _said(comparison)
+    assert "compares maps only. Limitations: global warp." in _said(comparison)
     validated = load_validation().agreement_of("split_distance_m")
     assert f"Spearman correlation with that error was {validated.overall.value:.2f}" in _said(comparison)
 

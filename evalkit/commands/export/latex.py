@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from evalkit.commands.export.results import ExportSelection, MetricColumn, SummaryRow
 from evalkit.report.formatting import escape_markdown
-from evalkit.report.html import figures
+from evalkit.report.html import run_figures
 
 WIDE = 4
 """A table with more metrics than this is scaled to the width of the text."""
@@ -50,8 +50,8 @@ def format_markdown(results: ExportSelection) -> Files:
 
 def draw_figures(results: ExportSelection, form: str) -> Files:
     """Yield trajectories, errors, run times and residuals of each sequence's lowest seed; ``form``: pdf or svg."""
-    kinds = (("trajectories", figures.trajectories), ("errors", figures.errors),
-             ("runtimes", figures.runtimes), ("residuals", figures.residuals))  # fmt: skip
+    kinds = (("trajectories", run_figures.draw_trajectories), ("errors", run_figures.draw_errors),
+             ("runtimes", run_figures.draw_runtimes), ("residuals", run_figures.draw_residuals))  # fmt: skip
     for sequence in results.sequences:
         for kind, draw in kinds:
             drawn = draw(results.first_runs(sequence), results.strokes)

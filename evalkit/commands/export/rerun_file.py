@@ -15,7 +15,7 @@ from evalkit.core import se2
 from evalkit.core.errors import NotInstalled
 from evalkit.core.se2 import Floats
 from evalkit.plugins.protocols import Sequence as SensorSequence
-from evalkit.report.html.figures import Strokes
+from evalkit.report.html.run_figures import Strokes
 from evalkit.results.run_record import RunRecord
 
 TIMELINE = "recording"

@@ -27,9 +27,7 @@ def warn_of_evidence(ranking: Ranking) -> list[str]:
     warnings = []
     if decided_by_maps(ranking):
         limitations = strip_full_stop(ranking.metric.limitations)
-        warnings.append(
-            f"Without ground truth, {ranking.metric.label} compares maps only and does not detect {limitations}."
-        )
+        warnings.append(f"Without ground truth, {ranking.metric.label} compares maps only. Limitations: {limitations}.")
         validated = load_validation().agreement_of(ranking.metric.name)
         if validated is not None and validated.overall is not None:
             correlation = validated.overall

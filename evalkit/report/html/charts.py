@@ -1,25 +1,19 @@
-"""Charts of numbers as SVG, for every page that is not the comparison: they know axes and units, but no run.
-
-Like ``figures``, without pyplot, on white, the same bytes for the same numbers.
-"""
+"""Charts of numbers as SVG: lines, panels, heat maps, histograms, scatter plots, bars, images and flow charts."""
 
 from __future__ import annotations
 
-import io
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm, Normalize
-from matplotlib.figure import Figure
 from matplotlib.patches import FancyArrowPatch, FancyBboxPatch
 
 from evalkit.core.se2 import Floats
-from evalkit.report.html.figures import STYLE
+from evalkit.report.html.chart_style import LIMIT, format_log_axis, line_style, render_figure
 from evalkit.report.html.palette import DASHES, HUES, Stroke
 
 WIDE = (7.6, 4.4)  # inches
@@ -29,7 +23,7 @@ Scale = Literal["linear", "log"]
 
 @dataclass(frozen=True, slots=True)
 class Axis:
-    """What stands on an axis, with its unit, and how it is divided; ``ticks`` are the only values marked, if given."""
+    """The label of an axis with its unit, its scale and limits; ``ticks``: the only marked values, if given."""
 
     label: str
     scale: Scale = "linear"
@@ -40,7 +34,7 @@ class Axis:
 
 @dataclass(frozen=True, slots=True)
 class Curve:
-    """A line through (x, y), both (N,); ``low`` and ``high`` (N,) are a band around it; ``marks`` shows its points."""
+    """A line through (x, y), both (N,); ``low`` and ``high`` (N,): a band around it; ``marks``: draw its points."""
 
     label: str
     x: Floats
@@ -53,7 +47,7 @@ class Curve:
 
 @dataclass(frozen=True, slots=True)
 class Points:
-    """Points (N, 2) under one name; ``size`` in points; ``joined`` draws them as a line; "" is not in the legend."""
+    """Points (N, 2) of one label; ``size`` in points; ``joined``: draw a line; a label "" is not in the legend."""
 
     label: str
     points: Floats
@@ -65,7 +59,7 @@ class Points:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A stretch of the horizontal axis that is shaded (``low`` < ``high``), or a line where they are equal."""
+    """A shaded range of the horizontal axis (``low`` < ``high``), or a line if they are equal."""
 
     low: float
     high: float
@@ -74,52 +68,52 @@ class Span:
 
 
 def stroke(number: int) -> Stroke:
-    """The n-th stroke of the palette, hues first."""
+    """Return the n-th stroke of the palette, hues first."""
     return Stroke(HUES[number % len(HUES)], DASHES[number // len(HUES) % len(DASHES)])
 
 
 def lines(
     curves: Sequence[Curve], x: Axis, y: Axis, spans: Sequence[Span] = (), levels: Mapping[str, float] | None = None
 ) -> bytes:
-    """Curves over one axis; ``spans`` shade stretches of x, ``levels`` are named horizontal lines."""
+    """Draw curves; ``spans`` shade ranges of x, ``levels`` are named horizontal lines."""
 
     def draw(axes: Axes) -> None:
-        _shade(axes, spans)
+        _draw_spans(axes, spans)
         for number, curve in enumerate(curves):
-            drawn = _stroke(curve.stroke or stroke(number))
+            drawn = line_style(curve.stroke or stroke(number))
             axes.plot(curve.x, curve.y, label=curve.label, marker="o" if curve.marks else "", markersize=4, **drawn)
             if curve.low is not None and curve.high is not None:
                 axes.fill_between(curve.x, curve.low, curve.high, color=drawn["color"], alpha=0.16, linewidth=0)
-        _levels(axes, levels or {})
-        _settle(axes, x, y)
+        _draw_levels(axes, levels or {})
+        _set_axes(axes, x, y)
 
-    return _svg([draw], WIDE)
+    return render_figure([draw], WIDE, min_legend=2)
 
 
 def panels(
     groups: Sequence[tuple[Sequence[Curve], Axis]], x: Axis, spans: Sequence[Span] = (), height: float = 2.3
 ) -> bytes:
-    """Several vertical axes one below the other over the same horizontal one; ``height`` of each in inches."""
+    """Draw panels one below the other over a common horizontal axis; ``height`` of each in inches."""
 
     def panel(curves: Sequence[Curve], y: Axis, last: bool) -> Callable[[Axes], None]:
         def draw(axes: Axes) -> None:
-            _shade(axes, spans)
+            _draw_spans(axes, spans)
             for number, curve in enumerate(curves):
-                drawn = _stroke(curve.stroke or stroke(number))
+                drawn = line_style(curve.stroke or stroke(number))
                 axes.plot(curve.x, curve.y, label=curve.label, marker="o" if curve.marks else "", markersize=3, **drawn)
-            _settle(axes, x if last else Axis("", x.scale, x.low, x.high, x.ticks), y)
+            _set_axes(axes, x if last else Axis("", x.scale, x.low, x.high, x.ticks), y)
 
         return draw
 
     drawings = [panel(curves, y, number == len(groups) - 1) for number, (curves, y) in enumerate(groups)]
-    return _svg(drawings, (WIDE[0], 0.8 + height * len(groups)))
+    return render_figure(drawings, (WIDE[0], 0.8 + height * len(groups)), min_legend=2 if len(groups) == 1 else 1)
 
 
 def heat(
     values: Floats, x: Axis, y: Axis, columns: Sequence[float], rows: Sequence[float], of: Axis,
     printed: Callable[[float], str] | None = None, contours: Sequence[float] = (),
 ) -> bytes:  # fmt: skip
-    """A table (R, C) of values as colours, first row lowest; NaN is grey. ``printed`` writes a value in its cell.
+    """Draw a table (R, C) of values as colours, first row lowest; NaN is grey. ``printed`` formats a value in its cell.
 
     ``columns`` (C,) and ``rows`` (R,) are the values at the cells' middles, drawn at even spacing; ``of`` names the
     colours and limits them; ``contours`` are lines between the cells where the values pass through them.
@@ -146,19 +140,18 @@ def heat(
         bar = axes.figure.colorbar(image, ax=axes, shrink=0.9)
         bar.set_label(of.label)
         if of.scale == "log":
-            bar.ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
-            bar.ax.yaxis.set_minor_formatter("")
+            format_log_axis(bar.ax.yaxis)
 
-    return _svg([draw], SQUARE, legend=False)
+    return render_figure([draw], SQUARE)
 
 
 def histogram(
     series: Mapping[str, Floats], x: Axis, bins: int = 40, levels: Mapping[str, float] | None = None
 ) -> bytes:
-    """How often values fall where, in the same bins for all series; ``levels`` are named vertical lines."""
+    """Draw histograms with common bins; ``levels`` are named vertical lines."""
     finite = {label: values[np.isfinite(values)] for label, values in series.items()}
     everything = np.concatenate([*finite.values(), np.zeros(0)])
-    edges = np.histogram_bin_edges(everything, bins=bins, range=_range(everything, x))
+    edges = np.histogram_bin_edges(everything, bins=bins, range=_data_range(everything, x))
 
     def draw(axes: Axes) -> None:
         for number, (label, values) in enumerate(finite.items()):
@@ -166,14 +159,14 @@ def histogram(
             axes.hist(values, bins=edges.tolist(), histtype="stepfilled", color=colour, alpha=0.25)
             axes.hist(values, bins=edges.tolist(), histtype="step", color=colour, linewidth=1.4, label=label)
         for label, value in (levels or {}).items():
-            axes.axvline(value, color="#b42318", linewidth=1.2, linestyle=(0, (5, 3)), label=label)
-        _settle(axes, x, Axis("count", low=0.0))
+            axes.axvline(value, **LIMIT, label=label)
+        _set_axes(axes, x, Axis("count", low=0.0))
 
-    return _svg([draw], WIDE)
+    return render_figure([draw], WIDE, min_legend=2)
 
 
 def scatter(layers: Sequence[Points], x: Axis, y: Axis, equal: bool = True) -> bytes:
-    """Points in the plane, the later layers on top; ``equal`` gives both axes one scale."""
+    """Draw points in the plane, later layers on top; ``equal`` gives both axes one scale."""
 
     def draw(axes: Axes) -> None:
         for layer in layers:
@@ -184,18 +177,18 @@ def scatter(layers: Sequence[Points], x: Axis, y: Axis, equal: bool = True) -> b
                 color=layer.colour, markersize=layer.size, linewidth=layer.size if layer.joined else 0.0,
                 markeredgewidth=0.0, alpha=layer.alpha, label=label,
             )  # fmt: skip
-        _settle(axes, x, y)
+        _set_axes(axes, x, y)
         if equal:
             axes.set_aspect("equal", adjustable="datalim" if x.low is None else "box")
 
-    return _svg([draw], SQUARE if equal else WIDE)
+    return render_figure([draw], SQUARE if equal else WIDE, min_legend=2)
 
 
 def bars(
     labels: Sequence[str], values: Floats, x: Axis, low: Floats | None = None, high: Floats | None = None,
     zero: float = 0.0, colours: Sequence[str] = (),
 ) -> bytes:  # fmt: skip
-    """One horizontal bar a label from ``zero``, the first on top, with intervals from ``low`` to ``high``."""
+    """Draw one horizontal bar per label from ``zero``, the first on top, with intervals from ``low`` to ``high``."""
     heights = np.arange(len(labels))[::-1]
 
     def draw(axes: Axes) -> None:
@@ -205,16 +198,16 @@ def bars(
             axes.hlines(heights, low, high, color="#1c2128", linewidth=1.4)
         axes.axvline(zero, color="#59636e", linewidth=1.0)
         axes.set_yticks(heights, labels)
-        _settle(axes, x, Axis(""))
+        _set_axes(axes, x, Axis(""))
         axes.grid(False, axis="y")
 
-    return _svg([draw], (WIDE[0], 0.9 + 0.32 * max(len(labels), 2)), legend=False)
+    return render_figure([draw], (WIDE[0], 0.9 + 0.32 * max(len(labels), 2)))
 
 
 def picture(
     image: Any, extent_m: tuple[float, float, float, float], layers: Sequence[Points] = (), title: str = ""
 ) -> bytes:
-    """An image (H, W) of grey in 0..1 or (H, W, 3), first row on top, at (left, right, bottom, top) in metres."""
+    """Draw an image (H, W) of grey in 0..1 or (H, W, 3), first row on top, at (left, right, bottom, top) in metres."""
 
     def draw(axes: Axes) -> None:
         axes.imshow(image, extent=extent_m, cmap="gray", vmin=0.0, vmax=1.0, interpolation="nearest")
@@ -228,12 +221,12 @@ def picture(
         axes.set_aspect("equal", adjustable="box")
         axes.grid(False)
 
-    return _svg([draw], SQUARE)
+    return render_figure([draw], SQUARE, min_legend=2)
 
 
 @dataclass(frozen=True, slots=True)
 class Box:
-    """A stage of a flow chart at (column, row), row 0 on top; ``kind`` "choice" is a question, "end" starts or ends."""
+    """A box of a flow chart at (column, row), row 0 on top; ``kind`` "choice": a question, "end": start or end."""
 
     name: str
     text: str
@@ -243,7 +236,7 @@ class Box:
 
 
 def flow(boxes: Sequence[Box], arrows: Sequence[tuple[str, str, str]]) -> bytes:
-    """Boxes and arrows: ``arrows`` are (from, to, words beside it) by the boxes' names."""
+    """Draw boxes and arrows; ``arrows``: (from, to, label) by the boxes' names."""
     known = {box.name: box for box in boxes}
     columns = [box.column for box in boxes]
     rows = [box.row for box in boxes]
@@ -251,20 +244,20 @@ def flow(boxes: Sequence[Box], arrows: Sequence[tuple[str, str, str]]) -> bytes:
 
     def draw(axes: Axes) -> None:
         for box in boxes:
-            _box(axes, box)
+            _draw_box(axes, box)
         for start, end, words in arrows:
-            _arrow(axes, known[start], known[end], words)
+            _draw_arrow(axes, known[start], known[end], words)
         axes.set(xlim=(min(columns) - 0.62, max(columns) + 0.62), ylim=(max(rows) + 0.5, min(rows) - 0.5))
         axes.axis("off")
 
-    return _svg([draw], size, legend=False)
+    return render_figure([draw], size)
 
 
 HALF_BOX = (0.44, 0.29)
 FILLS = {"step": "#e1ecfb", "choice": "#fff1d6", "end": "#e9edf2", "store": "#e3f0e6"}
 
 
-def _box(axes: Axes, box: Box) -> None:
+def _draw_box(axes: Axes, box: Box) -> None:
     wide, high = HALF_BOX
     shape = "round,pad=0,rounding_size=0.28" if box.kind == "end" else "round,pad=0,rounding_size=0.05"
     axes.add_patch(
@@ -276,7 +269,7 @@ def _box(axes: Axes, box: Box) -> None:
     axes.text(box.column, box.row, textwrap.fill(box.text, 26), ha="center", va="center", fontsize=8.5)
 
 
-def _arrow(axes: Axes, start: Box, end: Box, words: str) -> None:
+def _draw_arrow(axes: Axes, start: Box, end: Box, words: str) -> None:
     wide, high = HALF_BOX
     across, down = end.column - start.column, end.row - start.row
     if abs(across) < 1e-9 and 0 < down <= 1.5:  # to the next one below
@@ -305,7 +298,7 @@ def _arrow(axes: Axes, start: Box, end: Box, words: str) -> None:
         )
 
 
-def _shade(axes: Axes, spans: Sequence[Span]) -> None:
+def _draw_spans(axes: Axes, spans: Sequence[Span]) -> None:
     named = set()
     for span in spans:
         label = span.label if span.label not in named else ""
@@ -316,12 +309,12 @@ def _shade(axes: Axes, spans: Sequence[Span]) -> None:
             axes.axvline(span.low, color=span.colour, linewidth=1.2, label=label or "_span")
 
 
-def _levels(axes: Axes, levels: Mapping[str, float]) -> None:
+def _draw_levels(axes: Axes, levels: Mapping[str, float]) -> None:
     for label, value in levels.items():
-        axes.axhline(value, color="#b42318", linewidth=1.1, linestyle=(0, (5, 3)), label=label)
+        axes.axhline(value, **LIMIT, label=label)
 
 
-def _settle(axes: Axes, x: Axis, y: Axis) -> None:
+def _set_axes(axes: Axes, x: Axis, y: Axis) -> None:
     for axis, which, set_scale, set_limits, set_label in (
         (x, axes.xaxis, axes.set_xscale, axes.set_xlim, axes.set_xlabel),
         (y, axes.yaxis, axes.set_yscale, axes.set_ylim, axes.set_ylabel),
@@ -329,8 +322,7 @@ def _settle(axes: Axes, x: Axis, y: Axis) -> None:
         set_label(axis.label)
         if axis.scale == "log":
             set_scale("log")
-            which.set_major_formatter(lambda value, _: f"{value:g}")
-            which.set_minor_formatter("")
+            format_log_axis(which)
         if axis.ticks:
             which.set_ticks(list(axis.ticks), [f"{tick:g}" for tick in axis.ticks])
             which.set_ticks([], minor=True)
@@ -338,28 +330,7 @@ def _settle(axes: Axes, x: Axis, y: Axis) -> None:
             set_limits(axis.low, axis.high)
 
 
-def _range(values: Floats, x: Axis) -> tuple[float, float]:
+def _data_range(values: Floats, x: Axis) -> tuple[float, float]:
     low = float(values.min()) if len(values) else 0.0
     high = float(values.max()) if len(values) else 1.0
     return (low if x.low is None else x.low, high if x.high is None else x.high)
-
-
-def _stroke(drawn: Stroke) -> dict[str, Any]:
-    return {"color": drawn.colour, "linestyle": (0, drawn.dash) if drawn.dash else "-", "linewidth": 1.5}
-
-
-def _svg(drawings: Sequence[Callable[[Axes], None]], size: tuple[float, float], legend: bool = True) -> bytes:
-    with mpl.rc_context(STYLE):
-        figure = Figure(figsize=size, layout="constrained")
-        shared = list(figure.subplots(len(drawings), 1, sharex=True, squeeze=False)[:, 0])
-        handles: dict[str, Any] = {}
-        for draw, axes in zip(drawings, shared, strict=True):
-            draw(axes)
-            for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-                handles.setdefault(label, handle)
-        if legend and len(handles) > (1 if len(drawings) == 1 else 0):
-            columns = 4 if max(map(len, handles)) < 18 else 3 if max(map(len, handles)) < 30 else 2
-            figure.legend(handles.values(), handles.keys(), loc="outside lower center", ncols=columns)
-        out = io.BytesIO()
-        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
-    return out.getvalue()

@@ -15,7 +15,7 @@ from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.report.analysis.verdict import SequenceVerdict
 from evalkit.report.formatting import capitalise, format_bounds, format_number
-from evalkit.report.html import figures, view_models
+from evalkit.report.html import run_figures, view_models
 from evalkit.report.html.blocks import Document, Figure, NavigationLink, load_template
 from evalkit.report.html.maps import Window, find_window, render_map
 from evalkit.report.html.palette import Stroke, assign_strokes
@@ -127,15 +127,23 @@ def build_section(
 def draw_figures(runs: Sequence[RunRecord], lines: Mapping[str, Stroke]) -> list[Figure]:
     """Return the figures of a sequence that have content."""
     planned = (
-        (figures.trajectories, "Trajectories", "View from above, aligned to the ground truth if there is one."),
-        (figures.errors, "Error over time", "Distance to the ground truth; each point is the maximum of a stretch."),
         (
-            figures.runtimes,
+            run_figures.draw_trajectories,
+            "Trajectories",
+            "View from above, aligned to the ground truth if there is one.",
+        ),
+        (
+            run_figures.draw_errors,
+            "Error over time",
+            "Distance to the ground truth; each point is the maximum of a stretch.",
+        ),
+        (
+            run_figures.draw_runtimes,
             "CPU time per scan",
             "Box: 25 to 75 %. Bar: median. Whiskers: 5 to 95 %. Dot: maximum. Logarithmic axis.",
         ),
         (
-            figures.residuals,
+            run_figures.draw_residuals,
             "Registration residuals over time",
             "As reported by each method, by its own definition. Each point is the median of a stretch.",
         ),

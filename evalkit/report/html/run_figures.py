@@ -1,63 +1,35 @@
-"""The report's drawings as SVG, on white, without pyplot; with `charts` the only module that imports matplotlib."""
+"""Figures of runs: trajectories, errors, run times and residuals, as SVG for the page and as PDF for papers."""
 
 from __future__ import annotations
 
-import io
 import itertools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backend_bases import RendererBase
-from matplotlib.figure import Figure
-from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from evalkit.core import se2
 from evalkit.core.se2 import Floats
 from evalkit.metrics.runtime import period_ns
+from evalkit.report.html.chart_style import LIMIT, Draw, format_log_axis, line_style, render_figure
 from evalkit.report.html.palette import TRUTH, Stroke
 from evalkit.results.run_record import RunRecord
 
-POINTS = 600  # of a drawn line: more cannot be seen at this size
-STRETCHES = 150  # of a noisy line: more cannot be told apart
+POINTS = 600  # of a line: more are not visible at this size
+STRETCHES = 150  # of a noisy line: more cannot be distinguished
 SIZE = (6.6, 4.7)  # inches
-PLAN_RATIO = 1.5  # of width to height of what is seen from above
-STYLE: Any = {
-    "font.family": "sans-serif",
-    "font.sans-serif": ["DejaVu Sans"],
-    "font.size": 10.0,
-    "axes.edgecolor": "#9aa3ad",
-    "axes.labelcolor": "#30363d",
-    "axes.linewidth": 0.8,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "grid.color": "#e4e8ec",
-    "grid.linewidth": 0.7,
-    "xtick.color": "#59636e",
-    "ytick.color": "#59636e",
-    "legend.frameon": False,
-    "legend.fontsize": 9.0,
-    "text.parse_math": False,  # labels are names, not formulae
-    "svg.fonttype": "path",
-    "pdf.fonttype": 42,  # TrueType as journals ask for
-    "svg.hashsalt": "evalkit",  # the same report twice is the same bytes
-    "path.simplify_threshold": 0.5,
-}
-
+PLAN_RATIO = 1.5  # width to height of the view from above
 OF = "of:"
-"""What is drawn of a method has an identifier of this and its label, by which the page can leave it out."""
+"""Prefix of the identifier of everything drawn of a method, by which the page hides it."""
 
 Strokes = Mapping[str, Stroke]
 
 
 @dataclass(frozen=True, slots=True)
-class Drawing:
+class RunFigure:
     """An SVG file and what its caption must admit ("" if nothing). ``pdf()``: the same drawn again for a paper."""
 
     svg: bytes
@@ -65,8 +37,8 @@ class Drawing:
     pdf: Callable[[], bytes] = bytes
 
 
-def trajectories(records: Sequence[RunRecord], strokes: Strokes) -> Drawing | None:
-    """The paths seen from above, aligned to the truth (black) where there is one; None if nobody moved a scan."""
+def draw_trajectories(records: Sequence[RunRecord], strokes: Strokes) -> RunFigure | None:
+    """Draw the paths from above, aligned to the ground truth (black) if there is one; None without answers."""
     paths = {record.method: world_path(record) for record in records if len(record.result.steps)}
     if not paths:
         return None
@@ -82,11 +54,11 @@ def trajectories(records: Sequence[RunRecord], strokes: Strokes) -> Drawing | No
         axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="x [m]", ylabel="y [m]")
         axes.set_aspect("equal", adjustable="box")
 
-    return _drawing(draw, f"{', '.join(outside)} leaves the frame." if outside else "")
+    return _run_figure([draw], f"{', '.join(outside)} leaves the frame." if outside else "")
 
 
-def errors(records: Sequence[RunRecord], strokes: Strokes) -> Drawing | None:
-    """The distance to the truth over time, the largest of each stretch; None where there is no true trajectory."""
+def draw_errors(records: Sequence[RunRecord], strokes: Strokes) -> RunFigure | None:
+    """Draw the distance to the ground truth over time, the maximum of each stretch; None without a true trajectory."""
     lines = {}
     for record in records:
         if record.scores.errors_m is not None and np.isfinite(record.scores.errors_m).any():
@@ -99,18 +71,18 @@ def errors(records: Sequence[RunRecord], strokes: Strokes) -> Drawing | None:
     def draw(axes: Axes) -> None:
         for label, (seconds, values) in lines.items():
             axes.plot(seconds, np.maximum(values, 1e-4) if wide else values, **_line(strokes, label))
-        axes.set(xlabel="time [s]", ylabel="distance to the truth [m]")
+        axes.set(xlabel="time [s]", ylabel="distance to the ground truth [m]")
         if wide:
             axes.set_yscale("log")
-            _plain_log(axes, "y")
+            format_log_axis(axes.yaxis)
         else:
             axes.set_ylim(bottom=0.0)
 
-    return _drawing(draw, "Logarithmic axis." if wide else "")
+    return _run_figure([draw], "Logarithmic axis." if wide else "")
 
 
-def runtimes(records: Sequence[RunRecord], strokes: Strokes) -> Drawing | None:
-    """CPU time per scan: box 25 to 75 %, whiskers 5 to 95 %, dot the longest; line: the scan period."""
+def draw_runtimes(records: Sequence[RunRecord], strokes: Strokes) -> RunFigure | None:
+    """Draw the CPU time per scan: box 25 to 75 %, whiskers 5 to 95 %, dot the maximum; line: the scan period."""
     boxes, periods = [], []
     for record in records:
         steps = record.result.steps
@@ -126,21 +98,21 @@ def runtimes(records: Sequence[RunRecord], strokes: Strokes) -> Drawing | None:
     def draw(axes: Axes) -> None:
         _boxes(axes, boxes, strokes)
         period = float(np.median(periods))
-        axes.axvline(period, color="#b42318", linewidth=1.2, linestyle=(0, (5, 3)))
+        axes.axvline(period, **LIMIT)
         axes.annotate(
             f"scan period {period:.0f} ms ", (period, 1.0), (0, 3), xycoords=("data", "axes fraction"),
-            textcoords="offset points", color="#b42318", ha="right", fontsize=9,
+            textcoords="offset points", color=LIMIT["color"], ha="right", fontsize=9,
         )  # fmt: skip
         axes.set_xscale("log")
         axes.set_xlim(0.6 * min(row[1] for row in boxes), 1.6 * max(period, *(row[-1] for row in boxes)))
-        _plain_log(axes, "x")
+        format_log_axis(axes.xaxis)
         axes.set_xlabel("CPU time per scan [ms]")
 
-    return _drawing(draw, legend=False)
+    return _run_figure([draw], min_legend=None)
 
 
-def residuals(records: Sequence[RunRecord], strokes: Strokes) -> Drawing | None:
-    """What the registrations say of themselves over time, scan-to-scan and scan-to-map; None if nobody tells."""
+def draw_residuals(records: Sequence[RunRecord], strokes: Strokes) -> RunFigure | None:
+    """Draw the reported residuals over time, scan-to-scan and scan-to-map; None if no method reports them."""
     stages = (("s2s_error", "scan to scan [m]"), ("s2m_error", "scan to map [m]"))
     lines: dict[str, dict[str, tuple[Floats, Floats]]] = {stage: {} for stage, _ in stages}
     for record in records:
@@ -148,78 +120,44 @@ def residuals(records: Sequence[RunRecord], strokes: Strokes) -> Drawing | None:
             values = np.asarray(record.result.steps[stage], dtype=np.float64)
             if np.isfinite(values).any():
                 lines[stage][record.method] = _binned(_seconds(record), values, np.median, STRETCHES)
-    told = [(stage, title) for stage, title in stages if lines[stage]]
-    if not told:
+    panels = [
+        partial(_residual_panel, lines[stage], title, strokes) for stage, title in stages if lines[stage]
+    ]  # fmt: skip
+    if not panels:
         return None
 
-    def draw(*panels: Axes) -> None:
-        for axes, (stage, title) in zip(panels, told, strict=True):
-            for label, (seconds, values) in lines[stage].items():
-                axes.plot(seconds, values, **_line(strokes, label))
-            axes.set_ylim(bottom=0.0)
-            axes.set_ylabel(title)
-        panels[-1].set_xlabel("time [s]")
+    def last(axes: Axes) -> None:
+        panels[-1](axes)
+        axes.set_xlabel("time [s]")
 
-    return _drawing(draw, panels=len(told))
+    return _run_figure([*panels[:-1], last])
+
+
+def _residual_panel(
+    lines: Mapping[str, tuple[Floats, Floats]], title: str, strokes: Strokes, axes: Axes
+) -> None:  # fmt: skip
+    for label, (seconds, values) in lines.items():
+        axes.plot(seconds, values, **_line(strokes, label))
+    axes.set_ylim(bottom=0.0)
+    axes.set_ylabel(title)
 
 
 def world_path(record: RunRecord) -> Floats:
-    """The positions (N, 2) a run answered, in the frame of the truth (m); finite ones only."""
+    """Return the estimated positions (N, 2) in the frame of the ground truth (m); finite ones only."""
     steps = record.result.steps
     poses = np.stack([steps["x"], steps["y"], steps["theta"]], axis=-1).astype(np.float64)
     poses = poses[np.isfinite(poses).all(axis=1)]
     return se2.compose(record.scores.world_from_start.row, poses)[:, :2]
 
 
-def _drawing(draw: Callable[..., None], remark: str = "", panels: int = 1, legend: bool = True) -> Drawing:
-    return Drawing(_file(draw, panels, legend), remark, partial(_file, draw, panels, legend, "pdf"))
-
-
-class _DrawnOnce(Figure):
-    """A figure that is only laid out where matplotlib draws it unseen to lay it out: half the time, the same bytes."""
-
-    def draw(self, renderer: RendererBase) -> None:
-        """Lays itself out, or draws itself once that is done."""
-        engine = self.get_layout_engine()
-        if isinstance(engine, ConstrainedLayoutEngine):  # savefig puts another in its place after the layout
-            engine.execute(self)
-        else:
-            super().draw(renderer)
-
-
-def _file(draw: Callable[..., None], panels: int, legend: bool, form: Literal["svg", "pdf"] = "svg") -> bytes:
-    undated = {"svg": {"Date": None, "Creator": None}, "pdf": {"CreationDate": None, "Creator": None, "Producer": None}}
-    with mpl.rc_context(STYLE):
-        figure = _DrawnOnce(figsize=SIZE, layout="constrained")
-        axes = list(figure.subplots(panels, 1, sharex=True, squeeze=False)[:, 0])
-        draw(*axes)
-        if legend:
-            _legend(figure, axes)
-        out = io.BytesIO()
-        figure.savefig(out, format=form, metadata=undated[form])
-    return out.getvalue()
-
-
-def _legend(figure: Figure, panels: Sequence[Axes]) -> None:
-    handles: dict[str, Any] = {}
-    for axes in panels:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            handles.setdefault(label, handle)
-    columns = 5 if max(map(len, handles), default=0) < 14 else 4 if max(map(len, handles)) < 22 else 3
-    legend = figure.legend(
-        handles.values(), handles.keys(), loc="outside lower center", ncols=columns, handlelength=2.4
+def _run_figure(panels: Sequence[Draw], remark: str = "", min_legend: int | None = 1) -> RunFigure:
+    return RunFigure(
+        render_figure(panels, SIZE, min_legend), remark, partial(render_figure, panels, SIZE, min_legend, "pdf")
     )
-    for shown, text in zip(legend.legend_handles, legend.get_texts(), strict=True):
-        named = handles[text.get_text()].get_gid()
-        text.set_gid(named)
-        if shown is not None:
-            shown.set_gid(named)
 
 
 def _line(strokes: Strokes, label: str) -> dict[str, Any]:
-    stroke = strokes[label]
-    dashes = (0, stroke.dash) if stroke.dash else "-"
-    return {"color": stroke.colour, "linestyle": dashes, "linewidth": 1.3, "label": label, "gid": OF + label}
+    return line_style(strokes[label], 1.3) | {"label": label, "gid": OF + label}
 
 
 def _boxes(axes: Axes, boxes: Sequence[tuple[str, float, float, float, float, float, float]], strokes: Strokes) -> None:
@@ -235,19 +173,13 @@ def _boxes(axes: Axes, boxes: Sequence[tuple[str, float, float, float, float, fl
     axes.grid(False, axis="y")
 
 
-def _plain_log(axes: Axes, which: str) -> None:
-    axis = axes.xaxis if which == "x" else axes.yaxis
-    axis.set_major_formatter(lambda value, _: f"{value:g}")
-    axis.set_minor_formatter("")
-
-
 def _seconds(record: RunRecord) -> Floats:
     stamps = record.result.steps["stamp_ns"]
     return np.asarray((stamps - stamps[0]) * 1e-9)
 
 
 def _frame(paths: Sequence[Floats]) -> tuple[Floats, Floats]:
-    """The corners of the drawing: all paths with a margin, but none that spreads to twice what is usual."""
+    """Return the corners of the figure: all paths with a margin, except paths above twice the median size."""
     corners = np.array([[*path.min(axis=0), *path.max(axis=0)] for path in paths if len(path)])
     sides = np.hypot(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
     usual = corners[sides <= max(2.0 * float(np.median(sides)), 0.1)]
@@ -260,14 +192,14 @@ def _frame(paths: Sequence[Floats]) -> tuple[Floats, Floats]:
 
 
 def _thinned(points: Floats) -> Floats:
-    """At most POINTS of the points (N, 2), evenly spaced in index, first and last kept."""
+    """Return at most POINTS of the points (N, 2), evenly spaced in index, with the first and the last."""
     if len(points) <= POINTS:
         return points
     return np.asarray(points[np.linspace(0, len(points) - 1, POINTS).round().astype(int)])
 
 
 def _binned(seconds: Floats, values: Floats, of: Callable[[Floats], Any], most: int) -> tuple[Floats, Floats]:
-    """At most so many stretches of a series: their mean time and what ``of`` makes of their finite values."""
+    """Return at most so many stretches of a series: their mean time, and ``of`` applied to their finite values."""
     finite = np.isfinite(values)
     seconds, values = seconds[finite], values[finite]
     if len(values) <= most:
