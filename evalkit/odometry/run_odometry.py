@@ -11,6 +11,7 @@ from evalkit.core.errors import BadData
 from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
+from evalkit.core.se2 import Floats
 from evalkit.core.timing import CallTiming, timed
 from evalkit.plugins.protocols import NoAnswer, Odometry
 
@@ -41,6 +42,15 @@ def run_odometry(odometry: Odometry, frames: Iterable[Frame], source: str = "fra
         else:
             estimate = checked_estimate(answer)
             yield OdometryStep(frame, estimate, timing.including(estimate.cost))
+
+
+def estimate_poses(odometry: Odometry, frames: Iterable[Frame]) -> Floats:
+    """Return ``start_from_base`` (N, 3) for every frame, nan where the odometry has no answer.
+
+    Raises the exceptions of ``run_odometry``.
+    """
+    estimates = (step.estimate for step in run_odometry(odometry, frames))
+    return np.array([np.full(3, np.nan) if found is None else found.pose.row for found in estimates]).reshape(-1, 3)
 
 
 def in_order(frames: Iterable[Frame], source: str) -> Iterator[Frame]:

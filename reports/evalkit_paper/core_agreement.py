@@ -11,6 +11,7 @@ import numpy as np
 from evalkit.core import se2
 from evalkit.core.se2 import Floats
 from evalkit.odometry import frontend
+from evalkit.odometry.run_odometry import estimate_poses
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.specs import FIRST_STAGE
@@ -44,4 +45,4 @@ def _poses(
     own = {key: value for key, value in parameters.items() if key in known or key.startswith(FIRST_STAGE)}
     odometry = frontend.make_odometry(spec, frontend.complete_parameters(name, spec, own))
     frames = islice(registry.dataset(dataset).make(**sequence).frames(), scans)
-    return np.array([odometry.update(frame).pose.row for frame in frames])
+    return estimate_poses(odometry, frames)

@@ -10,6 +10,7 @@ import numpy as np
 from evalkit.commands.study.evaluate import RunScores, evaluate
 from evalkit.core import se2
 from evalkit.odometry import frontend
+from evalkit.odometry.run_odometry import estimate_poses
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Value
 
@@ -23,8 +24,8 @@ def error_over_path(
     """
     sequence = registry.dataset(world).make(seed=seed, laps=laps)
     spec = registry.backend(backend)
-    method = frontend.make_odometry(spec, frontend.complete_parameters(backend, spec, parameters))
-    poses = np.array([method.update(frame).pose.row for frame in sequence.frames()])
+    odometry = frontend.make_odometry(spec, frontend.complete_parameters(backend, spec, parameters))
+    poses = estimate_poses(odometry, sequence.frames())
     trajectory = sequence.truth().trajectory
     if trajectory is None:
         raise ValueError(f"{world}: has no true trajectory")

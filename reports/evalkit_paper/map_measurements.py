@@ -22,6 +22,7 @@ from evalkit.metrics.occupancy import log_loss, wall_width_m
 from evalkit.metrics.table import PlacedScans, Unmatched
 from evalkit.metrics.trajectory import match_trajectories, position_errors, rms
 from evalkit.odometry import frontend
+from evalkit.odometry.run_odometry import estimate_poses
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Value, resolve_parameters
 
@@ -180,8 +181,8 @@ def _estimate_poses(frames: Iterable[Frame]) -> Trajectory:
     if spec.missing():
         spec, parameters = registry.backend("paper-tight"), {}
     odometry = frontend.make_odometry(spec, frontend.complete_parameters("paper-tight", spec, parameters))
-    stamps, poses = zip(*((frame.scan.stamp_ns, odometry.update(frame).pose.row) for frame in frames), strict=True)
-    return Trajectory(np.array(stamps), np.array(poses))
+    known = list(frames)
+    return Trajectory(np.array([frame.scan.stamp_ns for frame in known]), estimate_poses(odometry, known))
 
 
 def _build_map(full: Variant, scans: PlacedScans) -> tuple[str, OccupancyGrid]:

@@ -11,7 +11,7 @@ from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.timing import Cost
-from evalkit.odometry.run_odometry import checked_estimate, run_odometry
+from evalkit.odometry.run_odometry import checked_estimate, estimate_poses, run_odometry
 from evalkit.plugins.protocols import NoAnswer
 
 FRAMES = [Frame(Scan(stamp, np.array([1.0]), np.array([0.0]), 0.1, 9.0)) for stamp in (10, 20, 30)]
@@ -48,6 +48,12 @@ def test_a_scan_without_an_answer_is_a_step_with_the_reason():
     steps = list(run_odometry(odometry, FRAMES))
     assert [step.estimate is None for step in steps] == [False, True, False]
     assert [step.reason for step in steps] == ["", "too dark", ""]
+
+
+def test_poses_are_nan_where_there_is_no_answer():
+    odometry = Scripted(OdometryEstimate(Pose()), NoAnswer("too dark"), OdometryEstimate(Pose(1.0)))
+    np.testing.assert_array_equal(estimate_poses(odometry, FRAMES), [[0.0] * 3, [np.nan] * 3, [1.0, 0.0, 0.0]])
+    assert estimate_poses(Scripted(), []).shape == (0, 3)
 
 
 def test_stamps_that_do_not_increase_are_bad_data():
