@@ -208,7 +208,7 @@ def kiss_icp_missing() -> str:
 def _import_kiss_icp() -> tuple[Any, Any]:
     """Import the modules of the pipeline and of its settings; raises NotInstalled."""
     try:
-        from kiss_icp import config, kiss_icp  # noqa: PLC0415 - heavy: only whoever runs it pays for it
+        from kiss_icp import config, kiss_icp  # noqa: PLC0415 - heavy: imported only for a run
     except (ImportError, OSError) as error:
         raise NotInstalled("kiss-icp", f"does not load ({error})", INSTALL) from error
     return kiss_icp, config

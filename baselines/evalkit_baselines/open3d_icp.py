@@ -212,7 +212,7 @@ def _loss(methods: Any, settings: PlaneSettings) -> Any:
 
 def _import_open3d() -> Any:
     try:
-        import open3d  # noqa: PLC0415 - heavy: only whoever registers pays for it
+        import open3d  # noqa: PLC0415 - heavy: imported only for a run
     except (ImportError, OSError) as error:
         raise NotInstalled("open3d", f"does not load ({error})", open3d_missing() or INSTALL) from error
     open3d.utility.set_max_threads(1)

@@ -115,7 +115,7 @@ CLOUDS = st.lists(st.tuples(COORDINATES, COORDINATES), max_size=40).map(lambda r
 @needs_core
 @settings(max_examples=150, deadline=None)
 @given(CLOUDS, CLOUDS, st.tuples(*[st.floats(-0.4, 0.4)] * 3))
-def test_whatever_the_clouds_the_answer_is_finite_repeatable_and_not_worse_than_asked(target, source, guess):
+def test_for_any_clouds_the_result_is_finite_repeatable_and_within_the_tolerance(target, source, guess):
     icp = made(embedded.SPEC, one_to_one=False, max_correspondence_m=0.0, epsilon=1e-6)
     found = icp.register(target, source, Pose(*guess))
     again = made(embedded.SPEC, one_to_one=False, max_correspondence_m=0.0, epsilon=1e-6)
@@ -143,7 +143,7 @@ def test_empty_and_hopeless_clouds_give_the_guess_back_to_the_bit(spec):
 
 @needs_core
 @pytest.mark.parametrize("spec", [embedded.SPEC, embedded.FLOAT], ids=["double", "float"])
-def test_what_was_asked_before_changes_nothing(spec):
+def test_earlier_calls_do_not_change_a_result(spec):
     icp = made(spec)
     (first, second) = (scans(seed) for seed in (1, 2))
     alone = icp.register(*first)
@@ -213,7 +213,7 @@ def test_the_map_grows_with_the_twins_wherever_the_robot_creeps_over_its_edge(cl
 
 
 @needs_core
-def test_a_map_of_nothing_is_empty_and_one_that_runs_away_says_so():
+def test_a_map_without_scans_is_empty_and_one_that_is_too_large_raises():
     mapper = made(embedded.MAPPER)
     assert mapper.grid().shape == (0, 0)
     mapper.update(Scan(0, np.array([np.inf, np.nan]), np.zeros(2), 0.0, 12.0), Pose())
@@ -288,7 +288,7 @@ def test_a_scan_without_beams_is_answered_with_the_guess_and_one_too_long_is_ref
         pipeline.update(Frame(long))
 
 
-def test_where_the_core_was_not_built_each_of_its_names_says_so_and_nothing_takes_its_place(monkeypatch):
+def test_without_the_compiled_core_every_name_is_missing_and_there_is_no_substitute(monkeypatch):
     monkeypatch.setattr(compiled, "MODULES", {"double": "_core_absent"})
     for spec in (embedded.SPEC, embedded.FLOAT, embedded.PIPELINE, embedded.MAPPER):
         assert spec.missing().startswith(

@@ -51,7 +51,7 @@ def test_the_cores_own_tests_pass_without_a_warning(tmp_path, sanitize):
     assert "100% tests passed" in answer.stdout
 
 
-def test_every_header_says_what_its_module_is_for():
+def test_every_header_begins_with_its_name_and_purpose():
     headers = sorted((FOLDER / "include" / "ek").glob("*.h"))
     assert headers
     for header in headers:
@@ -91,9 +91,7 @@ ANY_POINTS = st.integers(0, 30).flatmap(
     st.integers(-1, 4),
     ANY_NUMBER | st.floats(0.0, 1e19),
 )
-def test_whatever_comes_in_a_registration_answers_soundly_or_refuses(
-    precision, target, source, guess, most, least, error, reach
-):
+def test_for_any_input_a_registration_is_sound_or_raises(precision, target, source, guess, most, least, error, reach):
     core = compiled.core(precision)
     with np.errstate(over="ignore"):
         target, source = target.astype(core.REAL), source.astype(core.REAL)
@@ -119,7 +117,7 @@ def test_whatever_comes_in_a_registration_answers_soundly_or_refuses(
 @pytest.mark.parametrize("precision", PRECISIONS)
 @settings(max_examples=150, deadline=None)
 @given(ANY_POINTS, ANY_POINTS, st.tuples(ANY_NUMBER, ANY_NUMBER, ANY_NUMBER))
-def test_whatever_comes_in_a_map_draws_it_or_stays_as_it_was(precision, hits, misses, pose):
+def test_for_any_input_a_map_draws_it_or_stays_unchanged(precision, hits, misses, pose):
     core = compiled.core(precision)
     grid = core.Grid(extent=EXTENT, **MAP)
     grid.add((0.0, 0.0, 0.0), np.ones((1, 2), dtype=core.REAL), np.zeros((0, 2), dtype=core.REAL))
@@ -278,7 +276,7 @@ endforeach()
 
 @pytest.mark.slow
 @pytest.mark.skipif(bool(TOOLS), reason=f"not found: {', '.join(TOOLS)}; the core's own tests need them")
-def test_another_project_finds_the_installed_core_and_takes_the_memory_the_readme_says(tmp_path):
+def test_another_project_finds_the_installed_core_and_uses_the_memory_in_the_readme(tmp_path):
     (tmp_path / "robot.c").write_text(CONSUMER)
     (tmp_path / "CMakeLists.txt").write_text(PROJECT)
     core, there, robot = (str(tmp_path / name) for name in ("core", "installed", "robot"))

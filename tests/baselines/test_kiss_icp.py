@@ -191,7 +191,7 @@ def test_an_absent_package_is_named_with_what_installs_it(monkeypatch):
     assert kiss_icp.kiss_icp_missing() == "not installed: pip install 'evalkit[kiss-icp]'"
 
 
-def test_an_import_that_fails_is_told_as_not_installed(monkeypatch):
+def test_a_failing_import_raises_not_installed(monkeypatch):
     monkeypatch.setitem(sys.modules, "kiss_icp", None)
     with pytest.raises(NotInstalled, match="does not load"):
         answers([])

@@ -180,7 +180,7 @@ def test_a_library_that_does_not_exist_does_not_load():
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_an_import_that_fails_is_told_as_not_installed(method, monkeypatch):
+def test_a_failing_import_raises_not_installed(method, monkeypatch):
     monkeypatch.setitem(sys.modules, "open3d", None)
     with pytest.raises(NotInstalled, match="does not load"):
         backend(method)

@@ -173,7 +173,7 @@ def test_the_probability_of_log_odds_is_equation_10():
     assert mapper.grid().probability()[0] == pytest.approx([0.3, 0.3, 0.3, 0.3, 0.7], abs=1e-6)
 
 
-def test_the_sensor_stands_where_its_pose_says():
+def test_the_sensor_is_at_its_pose():
     turned = mapped((scan([2.0], [math.pi / 4]), Pose(0.5, -3.5, math.pi / 4)), resolution_m=1.0)
     assert turned == pytest.approx({(0, -4): -0.847, (0, -3): -0.847, (0, -2): 0.847})
 
@@ -230,7 +230,7 @@ def test_invalid_and_lost_beams_draw_nothing():
     assert mapped((scan([np.nan, np.inf], [0.0, 1.0]), Pose())) == {}
 
 
-def test_lost_beams_free_their_cells_up_to_the_maximum_range_if_asked():
+def test_beams_without_return_free_their_cells_where_enabled():
     lost = scan([np.inf, np.nan], [0.0, 1.5], range_max_m=3.0)
     for once in (True, False):
         found = mapped((lost, Pose(0.5, 0.5)), resolution_m=1.0, clear_no_returns=True, once_per_scan=once)

@@ -135,7 +135,7 @@ def test_an_index_is_built_once_for_the_same_cloud_and_anew_for_an_equal_one():
     assert [["a", "b", "c"][[a, b, c].index(cloud)] for cloud in built] == ["a", "b", "c", "b"]
 
 
-def test_the_trace_holds_the_pairs_only_if_asked():
+def test_the_trace_has_pairs_only_where_enabled():
     target, source = noisy_pair()
     traced = Icp(trace=True).register(target, source, Pose()).history[-1]
     assert traced.pairs is not None

@@ -120,7 +120,7 @@ def test_layers_are_three_and_flat_walls_become_walls():
 
 
 @pytest.mark.parametrize("spec", METHODS.values(), ids=METHODS)
-def test_an_absent_library_is_a_reason_and_an_error_that_says_what_to_install(monkeypatch, spec):
+def test_a_missing_library_gives_a_reason_and_an_error_with_the_install_command(monkeypatch, spec):
     monkeypatch.setattr(small_gicp.importlib.util, "find_spec", lambda _: None)
     assert spec.missing() == "not installed: pip install 'evalkit[small-gicp]'"
     monkeypatch.setitem(sys.modules, "small_gicp", None)

@@ -31,6 +31,6 @@ def test_a_gap_is_bridged_by_standing_still():
     assert [wheels.update(frame(k, pose)).pose.x for k, pose in enumerate(poses)] == [0.0, 1.0, 1.0, 1.0, 4.0]
 
 
-def test_a_recording_without_odometry_is_a_row_that_says_so():
+def test_a_recording_without_odometry_raises_data_missing():
     with pytest.raises(DataMissing, match="no wheel odometry at its first scan"):
         SPEC.make().update(frame(0, None))

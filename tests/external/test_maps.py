@@ -59,7 +59,7 @@ def wall(shape=(30, 40)):
     return OccupancyGrid(log_odds, np.ones(shape, dtype=bool), 0.1, -1.0, 2.0)
 
 
-def test_the_true_map_itself_scores_perfectly_and_says_nothing_that_needs_a_trajectory(saved, run):
+def test_the_true_map_scores_perfectly_and_has_no_metric_that_needs_a_trajectory(saved, run):
     drive = {p.name: p.default for p in registry.dataset("room").parameters} | {"laps": 0.02}
     use = saved(registry.dataset("room").make(**drive).truth().grid)
     code, answer = run([], "wheel-odometry", use, f"{use} x_m=0.5")

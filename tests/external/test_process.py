@@ -145,7 +145,7 @@ def test_what_was_answered_before_the_end_is_kept(program, followed):
         ("time.sleep(60)", "no answer within 0.3 s"),
     ],
 )
-def test_a_program_that_does_not_introduce_itself_has_failed(program, followed, monkeypatch, hello, said):
+def test_a_program_without_a_valid_description_has_failed(program, followed, monkeypatch, hello, said):
     monkeypatch.setattr(process, "HELLO_S", 0.3)
     outcome, _ = followed(program(hello=hello))
     assert said in reason(outcome)

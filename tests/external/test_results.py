@@ -95,7 +95,7 @@ def test_a_scan_it_leaves_out_is_not_answered_and_the_run_still_complete(poses, 
     assert steps["stamp_ns"].tolist() == STAMPS[2:].tolist()
 
 
-def test_who_leaves_out_more_than_one_in_twenty_has_failed_and_says_how_much(poses, followed):
+def test_a_run_without_answers_for_more_than_one_scan_in_twenty_has_failed(poses, followed):
     outcome, steps = followed(poses(STAMPS[:30], followed.truth[:30]))
     assert outcome.status == "failed"
     assert "no answer for 10 of 40 scans" in outcome.reason

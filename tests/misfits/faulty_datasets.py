@@ -63,7 +63,7 @@ class Once(Straight):
 
 
 class Unseeded(Straight):
-    """Draws from a generator nobody seeded."""
+    """Draws from an unseeded generator."""
 
     def frame(self, index, frame):
         return replace(frame, scan=replace(frame.scan, ranges=frame.scan.ranges + np.random.default_rng().random() / 9))

@@ -204,13 +204,13 @@ def swept(told):
     return [frame(pose, i, odom=pose, moved=moved, told=moved if told else None) for i, pose in enumerate(PATH)]
 
 
-def test_the_motion_within_a_scan_is_undone_by_what_the_odometry_says():
+def test_the_motion_within_a_scan_is_undone_with_the_odometry():
     exact = followed(made(ByIndex(), keyframe_distance_m=0.1), swept(told=True))
     np.testing.assert_allclose(exact, rows(PATH), atol=1e-9)
 
 
 @pytest.mark.parametrize(("told", "settings"), [(True, {"deskew": False}), (False, {}), (True, {"prior": "none"})])
-def test_else_the_map_stays_bent(told, settings):
+def test_without_deskewing_the_map_is_distorted(told, settings):
     registration = ByIndex()
     followed(made(registration, scan_to_scan=False, **settings), swept(told)[:2])
     assert np.abs(registration.targets[0].points - LANDMARKS).max() > 0.1
@@ -262,14 +262,14 @@ def test_a_grid_takes_every_scan_and_gives_its_occupied_cells():
         np.testing.assert_allclose(target.points, cells[np.lexsort(cells.T)] * 0.1 + 0.05, atol=1e-9)
 
 
-def test_a_lasting_map_is_asked_for_by_name():
+def test_a_lasting_map_is_selected_by_name():
     registration = ByIndex()
     method = made(registration, scan_to_scan=False, local_map="voxels", local_map_voxel_m=1.0)
     followed(method, [frame(PATH[0], 0), frame(PATH[1], 1)])
     assert len(registration.targets[0]) == len(np.unique(np.floor(LANDMARKS), axis=0))
 
 
-def test_only_points_near_the_base_are_used_if_asked():
+def test_local_radius_keeps_only_points_near_the_base():
     registration = ByIndex()
     method = made(registration, local_radius_m=3.0)
     followed(method, [frame(PATH[0], 0), frame(PATH[0], 1)])
@@ -307,7 +307,7 @@ def test_a_parameter_may_differ_in_the_first_stage_alone():
     assert asked_for(plain, {**own, "s2s.gain": 2}) == [{"gain": 2.0, "bias": 4}, own]
 
 
-def test_a_back_end_may_come_with_a_first_stage_of_its_own():
+def test_a_back_end_may_have_other_defaults_in_the_first_stage():
     eager = spec(ByIndex, parameters=(GAIN, BIAS), scan_to_scan={"gain": 9.0})
     assert asked_for(eager, {"bias": 1}) == [{"gain": 9.0, "bias": 1}, {"gain": 1.0, "bias": 1}]
     assert asked_for(eager, {"s2s.gain": 5.0})[0]["gain"] == 5.0

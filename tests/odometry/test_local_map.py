@@ -137,7 +137,7 @@ def test_beams_that_pass_a_cell_take_its_point_away():
     assert drawn(hit, *[([4.1, 0.1], Pose(), from_aside)] * 2) == [[2.25, 0.25], [4.25, 0.25]]
 
 
-def test_only_cells_more_probable_than_asked_for_are_matched_against():
+def test_only_cells_above_the_probability_are_matched():
     once, twice = ([2.1, 0.1], *AT_REST), ([0.1, 2.1], *AT_REST)
     assert drawn(once, twice, twice, probability=0.8) == [[0.25, 2.25]]  # 0.70 and 0.84
 

@@ -58,7 +58,7 @@ def test_a_matrix_moves_points_as_its_pose_does():
     ],
     ids=["lifted", "tilted", "scaled", "mirrored", "nan"],
 )
-def test_what_left_the_plane_is_refused(spoil, says):
+def test_a_matrix_outside_the_plane_is_rejected(spoil, says):
     matrix = planar3d.matrix_4x4(Pose(1.0, 2.0, 0.5))
     spoil(matrix)
     with pytest.raises(ValueError, match=says):

@@ -1,11 +1,19 @@
-"""Parameters take what their default's type takes, and say what they wanted."""
+"""Parameters: types, bounds, defaults, and their declaration as dataclass fields."""
 
 import math
+from dataclasses import dataclass
 
 import pytest
 
 from evalkit.core.errors import BadParameter, UnknownName
-from evalkit.plugins.parameters import Parameter, resolve_parameters, with_defaults
+from evalkit.plugins.parameters import (
+    Parameter,
+    check_fields,
+    declared_parameters,
+    parameter,
+    resolve_parameters,
+    with_defaults,
+)
 from evalkit.plugins.specs import nothing_missing
 
 FLAG = Parameter("flag", True, "", "on or off")
@@ -69,3 +77,29 @@ def test_a_variant_differs_in_its_defaults_alone():
 
 def test_what_needs_nothing_misses_nothing():
     assert nothing_missing(path="x") == ""
+
+
+@dataclass(frozen=True)
+class Settings:
+    width: float = parameter(0.5, "m", "how wide", low=0.0, high=2.0)
+    kind: str = parameter("near", "", "which", choices=("near", "far"))
+    cache: int = 0
+
+
+@dataclass(frozen=True)
+class MoreSettings(Settings):
+    count: int = parameter(3, "", "how many", low=1, high=9)
+
+
+def test_parameters_are_declared_as_fields_of_a_dataclass():
+    assert declared_parameters(Settings) == (WIDTH, KIND)
+    assert declared_parameters(MoreSettings) == (WIDTH, KIND, COUNT)
+    assert Settings() == Settings(0.5, "near")
+
+
+def test_fields_are_checked_and_converted_in_place():
+    settings = MoreSettings(width=1)
+    check_fields("icp", settings)
+    assert (settings.width, type(settings.width)) == (1.0, float)
+    with pytest.raises(BadParameter, match="icp: parameter 'count': found 10"):
+        check_fields("icp", MoreSettings(count=10))

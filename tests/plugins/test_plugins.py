@@ -70,7 +70,7 @@ def wheels_m(drive):
 
 
 @pytest.mark.parametrize("name", BACKENDS)
-def test_a_back_end_starts_at_the_identity_follows_and_says_the_same_again(name, drive, wheels_m):
+def test_a_back_end_starts_at_the_identity_follows_the_drive_and_is_repeatable(name, drive, wheels_m):
     poses = driven(name, drive)
     assert poses[0].tolist() == [0.0, 0.0, 0.0]
     assert np.array_equal(poses, driven(name, drive))
@@ -78,13 +78,13 @@ def test_a_back_end_starts_at_the_identity_follows_and_says_the_same_again(name,
         assert farthest_m(poses, seen_from_start(drive)) < min(0.05, wheels_m)
 
 
-def test_the_bar_is_one_that_can_be_beaten(wheels_m):
+def test_the_baseline_can_be_beaten(wheels_m):
     assert wheels_m > 0.05
     assert [name for name in BACKENDS if registry.backend(name).role == "baseline"] == ["wheel-odometry"]
 
 
 @pytest.mark.parametrize("name", BACKENDS)
-def test_a_back_end_writes_into_nothing_it_is_given(name):
+def test_a_back_end_does_not_write_into_its_arguments(name):
     method = made(name)
     frame, later = itertools.islice(sequence("room", laps=0.02).frames(), 2)
     before = frame.scan.ranges.copy(), frame.scan.angles.copy()
@@ -96,7 +96,7 @@ def test_a_back_end_writes_into_nothing_it_is_given(name):
 
 
 @pytest.mark.parametrize("name", BACKENDS)
-def test_two_instances_know_nothing_of_each_other(name, drive):
+def test_two_instances_share_no_state(name, drive):
     frames = list(itertools.islice(drive.frames(), 12))
     frames, others = frames[:6], frames[6:]
     alone, one, other = made(name), made(name), made(name)
@@ -190,7 +190,7 @@ def test_a_synthetic_sequence_is_in_order_and_its_truth_is_known_at_every_scan(n
 
 
 @pytest.mark.parametrize("name", sorted(set(DATASETS) - set(SYNTHETIC)))
-def test_a_recording_is_the_same_again_and_in_order_or_says_how_to_get_it(name):
+def test_a_recording_is_repeatable_and_in_order_or_reports_how_to_get_it(name):
     spec = registry.dataset(name)
     if spec.suffixes:
         assert "path" in {parameter.name for parameter in spec.parameters}

@@ -9,7 +9,7 @@ import pytest
 
 import evalkit
 from evalkit.core.errors import NotInstalled, UnknownName
-from evalkit.plugins import registry
+from evalkit.plugins import defaults, registry
 from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec, OdometrySpec
 
 HEAVY = (
@@ -92,7 +92,7 @@ def test_an_unknown_name_lists_the_known_and_the_near_one():
         ("math:pi", ["math:pi is a float", "expected a BackendSpec"]),
     ],
 )
-def test_a_broken_plug_in_is_told_from_an_unknown_one(points, value, parts):
+def test_a_broken_plug_in_and_an_unknown_name_give_different_errors(points, value, parts):
     points.append(EntryPoint("broken", value, "evalkit.backends"))
     assert registry.names("backends") == ["broken"]
     with pytest.raises(NotInstalled) as caught:
@@ -101,7 +101,7 @@ def test_a_broken_plug_in_is_told_from_an_unknown_one(points, value, parts):
     assert all(part in str(caught.value) for part in parts)
 
 
-def test_a_strangers_plug_in_is_found_as_the_shipped_ones_are(points, monkeypatch):
+def test_a_third_party_plug_in_is_found_like_the_shipped_ones(points, monkeypatch):
     spec = OdometrySpec(object, "a stranger", "none", "MIT")
     monkeypatch.setattr(evalkit, "STRANGER", spec, raising=False)
     points.append(EntryPoint("mine", "evalkit:STRANGER", "evalkit.backends"))
@@ -115,7 +115,7 @@ def test_a_strangers_plug_in_is_found_as_the_shipped_ones_are(points, monkeypatc
         ("evalkit_faults_stuck", "importing it takes more than 2 s"),
     ],
 )
-def test_a_plug_in_whose_import_crashes_or_hangs_does_not_take_us_along(strangers, points, monkeypatch, module, why):
+def test_a_plug_in_whose_import_crashes_or_hangs_is_reported_as_missing(strangers, points, monkeypatch, module, why):
     monkeypatch.setattr(registry, "LOADING_S", 2.0)
     registry._import_failure.cache_clear()
     points.append(EntryPoint("theirs", f"{module}:SPEC", "evalkit.backends"))
@@ -134,7 +134,7 @@ def test_a_back_end_under_development_is_found_in_its_module():
     assert of_module == of_name
 
 
-def test_results_stand_on_the_code_of_both_plug_ins():
+def test_the_fingerprint_covers_the_code_of_both_plug_ins():
     room = registry.run_fingerprint("paper", "room")
     assert room == registry.run_fingerprint("paper", "room")
     assert room == registry.run_fingerprint("paper-tight", "lab")  # the same modules; parameters are told elsewhere
@@ -145,7 +145,7 @@ def test_results_stand_on_the_code_of_both_plug_ins():
     assert registry.score_fingerprint("log-odds") != room
 
 
-def test_an_entrant_is_the_back_end_and_of_a_broken_plugin_one_that_says_why(strangers, monkeypatch):
+def test_find_backend_returns_the_spec_and_for_a_broken_plugin_one_with_the_reason(strangers, monkeypatch):
     assert registry.find_backend("paper") is registry.backend("paper")
     assert "the licence server does not answer" in registry.find_backend("unloadable").missing()
 
@@ -157,3 +157,18 @@ def test_an_entrant_is_the_back_end_and_of_a_broken_plugin_one_that_says_why(str
     assert spec.missing() == "its plug-in failed: OSError: no such device"
     with pytest.raises(NotInstalled, match="cannot be used; its plug-in failed"):
         spec.make()
+
+
+def test_the_default_mapper_is_the_one_that_declares_itself_the_default(points, monkeypatch):
+    def mapper(default):
+        return MapperSpec(object, "a mapper", "none", "MIT", default=default)
+
+    for name, default in (("a", False), ("b", True)):
+        monkeypatch.setattr(evalkit, name, mapper(default), raising=False)
+        points.append(EntryPoint(name, f"evalkit:{name}", "evalkit.mappers"))
+    points.append(EntryPoint("0", "nowhere_to_be_found:SPEC", "evalkit.mappers"))
+    assert defaults.default_mapper() == "b"
+    points[:] = points[:1]
+    registry._find_points.cache_clear()
+    with pytest.raises(NotInstalled, match="no installed mapper is declared as the default"):
+        defaults.default_mapper()

@@ -31,10 +31,10 @@ STEP_NS = 100_000_000
 
 
 class NoPose(Pose):
-    """A pose that was never checked."""
+    """A pose without the check of its values."""
 
     def __post_init__(self) -> None:
-        """Looks at nothing."""
+        """Skip the check."""
 
 
 def _spin() -> None:
@@ -56,7 +56,7 @@ def _sleeper(own_session: bool = False) -> None:
 
 
 def _daemon() -> None:
-    """A grandchild in a session of its own whose parent is gone at once: nobody's child."""
+    """A grandchild in a session of its own whose parent ends at once: an orphan."""
     if os.fork() == 0:
         _sleeper(own_session=True)
         os._exit(0)
@@ -109,7 +109,7 @@ def _remove_folder() -> None:
 
 
 def _forge() -> None:
-    """Writes over what the run tells of itself, as if it were the run."""
+    """Overwrite the outcome of the run."""
     (Path(sys.argv[-1]) / "outcome.json").write_text('{"notes": ' + "[" * 100_000)
     time.sleep(600)
 
@@ -163,13 +163,13 @@ FAULTS: dict[str, Callable[[], object]] = {
 
 
 class Faulty:
-    """An Odometry that knows the way, until at scan number ``at`` (from 0) its fault comes over it."""
+    """An Odometry with correct poses until its fault occurs at scan number ``at`` (from 0)."""
 
     def __init__(self, fault: str, at: int) -> None:
         self._fault, self._at, self._seen = FAULTS[fault], at, 0
 
     def update(self, frame: Frame) -> object:
-        """``start_from_base``, or worse."""
+        """Return the pose, or the faulty answer."""
         self._seen += 1
         answer = self._fault() if self._seen > self._at else None
         if answer is None:
@@ -178,14 +178,14 @@ class Faulty:
 
 
 class Lots:
-    """An Odometry that answers as chance has it."""
+    """An Odometry with random poses."""
 
     def __init__(self) -> None:
         self._drawn = np.random.default_rng()
         self._begun = False
 
     def update(self, frame: Frame) -> OdometryEstimate:
-        """Somewhere within 40 cm of the start."""
+        """Return a random pose within 40 cm of the start."""
         pose = Pose(*self._drawn.uniform(-0.2, 0.2, 2), 0.0) if self._begun else Pose()
         self._begun = True
         return OdometryEstimate(pose)
@@ -259,7 +259,7 @@ FAULT = Parameter("fault", "none", "", "what goes wrong", choices=tuple(FAULTS))
 
 FAULTY = OdometrySpec(
     make=Faulty,
-    summary="goes wrong in the way it is told",
+    summary="fails in the way set by its parameter",
     citation="Murphy",
     licence="MIT",
     parameters=(FAULT, Parameter("at", 8, "scans", "after how many good answers", low=0)),
@@ -282,7 +282,7 @@ ABSENT = OdometrySpec(
 
 MAPPER = MapperSpec(
     make=FaultyMapper,
-    summary="goes wrong in the way it is told",
+    summary="fails in the way set by its parameter",
     citation="Murphy",
     licence="MIT",
     parameters=(FAULT, Parameter("only_past_m", -1e9, "m", "goes wrong where x is greater")),

@@ -1,4 +1,4 @@
-"""A module whose import waits for a lock that nobody gives back."""
+"""A module whose import waits for a lock that is never released."""
 
 import threading
 

@@ -1,4 +1,4 @@
-"""Somebody else's back ends with one parameter that is best at 1: wheel odometry, stretched elsewhere."""
+"""Third-party back ends with one parameter that is best at 1: wheel odometry, stretched for other values."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from evalkit.plugins.specs import BackendSpec, OdometrySpec
 
 
 class Stretched:
-    """An Odometry: the wheels' own way, longer by a share of |log10(gain)|."""
+    """An Odometry: wheel odometry with lengths scaled by 1 + |log10(gain)|."""
 
     def __init__(self, gain: float) -> None:
         self._stretch = 1.0 + abs(math.log10(gain))
