@@ -67,7 +67,7 @@ def describe_provenance(
     ``description``: of this machine, from ``describe``.
     """
     provenances = [result.provenance for result in results if result.status not in NOT_EXECUTED]
-    lines = {"kept from earlier": _describe_earlier(provenances, started), "made on": _describe_machines(provenances)}
+    lines = {"earlier runs": _describe_earlier(provenances, started), "executed on": _describe_machines(provenances)}
     return {**description, **{name: line for name, line in lines.items() if line}}
 
 
@@ -91,7 +91,9 @@ def _describe_earlier(provenances: Iterable[Mapping[str, Any]], started: datetim
         return ""
     dates = sorted(f"{time:%Y-%m-%d %H:%M}" for time, _ in earlier if time is not None)
     parts = [f"{len(earlier)} {'run' if len(earlier) == 1 else 'runs'}"]
-    parts.append(f"made {'..'.join(dict.fromkeys((dates[0], dates[-1])))} UTC" if dates else "made at an unknown time")
+    parts.append(
+        f"executed {'..'.join(dict.fromkeys((dates[0], dates[-1])))} UTC" if dates else "executed at an unknown time"
+    )
     for name in ("commit", "processor"):
         values = sorted({str(provenance.get(name, "unknown")) for _, provenance in earlier})
         parts.append(f"{name} {' and '.join(values)}")

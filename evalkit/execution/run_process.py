@@ -17,11 +17,11 @@ from evalkit.execution.worker import Request
 from evalkit.io import untrusted_io
 from evalkit.results.store import STEPS, as_store_error, whole_records
 
-REQUEST, BEGUN, OUTCOME = "request.json", "begun.json", "outcome.json"
+REQUEST, STARTED, OUTCOME = "request.json", "started.json", "outcome.json"
 
 KNOWN = {"cause": str, "reason": str, "expected": int, "peak_memory_bytes": int, "warm_up_scans": int, "notes": dict,
          "every": int, "reading": bool}  # fmt: skip
-"""Keys and types that are accepted from ``BEGUN`` and ``OUTCOME``, because a back end can write to the run's folder."""
+"""Keys and types accepted from ``STARTED`` and ``OUTCOME``, because a back end can write to the folder of its run."""
 
 Ending = tuple[Cause, str]
 """A cause and its reason."""
@@ -59,7 +59,7 @@ class _Supervision:
 
     def __init__(self, child: ChildProcess, folder: Path, limits: Limits, answers: BinaryIO) -> None:
         self._child, self._folder, self._limits, self._answers = child, folder, limits, answers
-        self._begun: dict[str, Any] = {}
+        self._started: dict[str, Any] = {}
         self._peak_bytes = 0
 
     def wait(self, report_answers: Callable[[int], None], stop: threading.Event) -> Ending | None:
@@ -70,10 +70,10 @@ class _Supervision:
         size = 0
         last_answer = Usage(0.0, 0.0, 0)
         for used in self._child.watch():
-            self._begun = _read(self._folder / BEGUN) or self._begun
+            self._started = _read(self._folder / STARTED) or self._started
             self._peak_bytes = max(self._peak_bytes, used.resident_bytes)
             grown = os.fstat(self._answers.fileno()).st_size
-            if grown > size or self._begun.get("reading"):  # indexing a recording of a day may take minutes
+            if grown > size or self._started.get("reading"):  # indexing a recording of a day may take minutes
                 last_answer = used
             if grown > size:
                 size = grown
@@ -91,7 +91,7 @@ class _Supervision:
         self._answers.seek(0)
         steps = whole_records(self._answers.read())
         values: dict[str, Any] = {"expected": 0, "peak_memory_bytes": 0}
-        values |= self._begun | _read(self._folder / BEGUN) | _read(self._folder / OUTCOME)
+        values |= self._started | _read(self._folder / STARTED) | _read(self._folder / OUTCOME)
         values.pop("reading", None)
         values["peak_memory_bytes"] = max(values["peak_memory_bytes"], self._peak_bytes)
         cause, reason = values.pop("cause", None), values.pop("reason", "")

@@ -77,7 +77,7 @@ def execute_request(request: Request, folder: Path) -> RunResult:
         spec = registry.backend(request.backend)
         if why := spec.missing():
             raise NotInstalled(request.backend, "not installed", why)
-        _write_json(folder / "begun.json", {"reading": True})
+        _write_json(folder / "started.json", {"reading": True})
         dataset = registry.dataset(request.dataset)
         sequence: Sequence = dataset.make(**request.dataset_parameters)
         if isinstance(spec, MapSpec):
@@ -85,11 +85,11 @@ def execute_request(request: Request, folder: Path) -> RunResult:
             return RunResult(NO_STEPS, expected, peak_memory_bytes=_peak_memory_bytes())
         expected = len(sequence)
         every = _every(dataset, request)
-        begun = {"expected": expected, "every": every}
-        _write_json(folder / "begun.json", begun)  # in case the back end kills this process in its warm-up
+        started = {"expected": expected, "every": every}
+        _write_json(folder / "started.json", started)  # in case the back end kills this process in its warm-up
         warm = _warm_up(frontend.make_odometry(spec, request.backend_parameters), sequence)
         odometry = frontend.make_odometry(spec, request.backend_parameters)
-        _write_json(folder / "begun.json", begun | {"warm_up_scans": warm})
+        _write_json(folder / "started.json", started | {"warm_up_scans": warm})
         with (folder / "steps.bin").open("ab", buffering=0) as file:
             record_run(odometry, sequence, request, file)
         notes = dict(sequence.notes())

@@ -1,6 +1,6 @@
 """The results folder of an experiment: one folder per run, found by the key of its RunSpec.
 
-runs/<key>/  request.json  begun.json  steps.bin  outcome.json  output.txt    written by the process of the run
+runs/<key>/  request.json  started.json  steps.bin  outcome.json  output.txt    written by the process of the run
              result.json                                       how the run went: cause, cost, provenance
              scores.json  grid.npz  errors.npy                 its evaluation
 trajectories/<key>.tum   maps/<key>.pgm  maps/<key>.yaml       for other tools

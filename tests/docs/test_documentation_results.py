@@ -117,7 +117,7 @@ def test_the_page_the_schema_and_a_report_with_everything_in_it_have_the_same_ke
 @pytest.mark.parametrize(
     ("name", "free"),
     [
-        ("request.json", {"backend_parameters", "dataset_parameters"}), ("begun.json", ()),
+        ("request.json", {"backend_parameters", "dataset_parameters"}), ("started.json", ()),
         ("outcome.json", {"notes"}), ("result.json", {"notes", "provenance.versions"}), ("scores.json", {"scores"}),
     ],
 )  # fmt: skip

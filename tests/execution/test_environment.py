@@ -73,20 +73,20 @@ NOON = datetime(2024, 5, 9, 12, tzinfo=UTC)
 
 def test_earlier_runs_are_described_in_one_line():
     def earlier(*results):
-        return environment.describe_provenance({}, results, NOON).get("kept from earlier")
+        return environment.describe_provenance({}, results, NOON).get("earlier runs")
 
     assert earlier(executed(9), executed(10)) is None
-    line = "2 runs, made 2024-05-01 12:00..2024-05-03 12:00 UTC, commit a and b, processor P"
+    line = "2 runs, executed 2024-05-01 12:00..2024-05-03 12:00 UTC, commit a and b, processor P"
     assert earlier(executed(3, "b"), executed(1, "a"), executed(9)) == line
-    assert ", made 2024-05-01 12:00 UTC, " in earlier(executed(1, "a"))
-    assert earlier(RunResult(NO_STEPS, 0)) == "1 run, made at an unknown time, commit unknown, processor unknown"
+    assert ", executed 2024-05-01 12:00 UTC, " in earlier(executed(1, "a"))
+    assert earlier(RunResult(NO_STEPS, 0)) == "1 run, executed at an unknown time, commit unknown, processor unknown"
     assert earlier(RunResult(NO_STEPS, 0, Cause.NOT_RUN, "not run yet")) is None
 
 
 def test_several_machines_are_described_in_one_line():
     results = [executed(9), executed(9, host="x", governor="fast"), executed(9)]
     lines = environment.describe_provenance({"host": "here"}, results, NOON)
-    assert lines == {"host": "here", "made on": "2 runs on h (P, governor g); 1 run on x (P, governor fast)"}
+    assert lines == {"host": "here", "executed on": "2 runs on h (P, governor g); 1 run on x (P, governor fast)"}
 
 
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="this system cannot pin")

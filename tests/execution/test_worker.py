@@ -36,7 +36,7 @@ def test_the_warm_up_is_another_instance_so_the_first_answer_is_the_identity(tmp
     assert (outcome.status, outcome.reason, outcome.expected, outcome.warm_up_scans) == ("complete", "", 12, 5)
     assert steps[["x", "y", "theta"]][0].tolist() == (0.0, 0.0, 0.0)
     assert steps["x"].tolist() == pytest.approx([0.1 * k for k in range(12)])
-    assert json.loads((tmp_path / "begun.json").read_text()) == {"expected": 12, "every": 1, "warm_up_scans": 5}
+    assert json.loads((tmp_path / "started.json").read_text()) == {"expected": 12, "every": 1, "warm_up_scans": 5}
 
 
 def test_a_sequence_shorter_than_the_warm_up_is_all_warm_up_and_all_run(tmp_path):

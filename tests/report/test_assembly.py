@@ -54,8 +54,8 @@ def test_a_requirement_nobody_answers_keeps_its_name():
 
 def test_the_environment_is_the_one_before_the_first_run_with_the_versions_of_the_libraries(plan):
     noon = datetime(2024, 5, 1, 12, tzinfo=UTC)
-    told = build_comparison(plan, [], noon, noon, {"commit": "abc", "kept from earlier": "2 runs"}).environment
-    assert list(told) == ["commit", "kept from earlier", "numpy", "scipy"]
+    told = build_comparison(plan, [], noon, noon, {"commit": "abc", "earlier runs": "2 runs"}).environment
+    assert list(told) == ["commit", "earlier runs", "numpy", "scipy"]
 
 
 def test_the_number_of_runs_at_a_time_is_described_where_known(demo):
