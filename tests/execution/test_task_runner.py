@@ -65,14 +65,14 @@ def squares(monkeypatch):
     return make
 
 
-def test_results_come_by_name_in_the_order_of_the_jobs(squares, tmp_path):
+def test_results_are_by_name_in_the_order_of_the_tasks(squares, tmp_path):
     found = run_tasks(TaskStore(tmp_path), [squares("three", "square", number=3), squares("two", "square", number=2)])
     assert list(found) == ["three", "two"]
     assert found["three"]["square"] == 9
     assert found["three"]["row"].tolist() == [0, 1, 2]
 
 
-def test_what_is_kept_is_not_computed_again(squares, tmp_path):
+def test_stored_results_are_not_computed_again(squares, tmp_path):
     log = tmp_path / "log"
     tasks = [squares(f"n{n}", "square", number=n, log=str(log)) for n in range(4)]
     run_tasks(TaskStore(tmp_path / "kept"), tasks[:2])
@@ -81,7 +81,7 @@ def test_what_is_kept_is_not_computed_again(squares, tmp_path):
     assert [result["square"] for result in again.values()] == [0, 1, 4, 9]
 
 
-def test_other_arguments_are_another_result(squares):
+def test_the_key_changes_with_the_arguments(squares):
     assert squares("n", "square", number=1).key != squares("n", "square", number=2).key
 
 
@@ -92,7 +92,7 @@ def test_a_damaged_result_is_computed_again(squares, tmp_path):
     assert run_tasks(store, [task])["n"]["square"] == 25
 
 
-def test_a_job_that_raises_is_named_and_costs_no_other(squares, tmp_path):
+def test_a_task_that_raises_is_reported_and_does_not_stop_others(squares, tmp_path):
     tasks = [squares("bad", "refuse", why="no such wall"), squares("good", "square", number=2)]
     with pytest.raises(TasksFailed, match="bad failed: ValueError: no such wall"):
         run_tasks(TaskStore(tmp_path), tasks)
@@ -100,7 +100,7 @@ def test_a_job_that_raises_is_named_and_costs_no_other(squares, tmp_path):
     assert not list(tmp_path.glob("*.running"))
 
 
-def test_a_job_that_ends_its_process_is_named_and_costs_no_other(squares, tmp_path):
+def test_a_task_that_ends_its_process_is_reported_and_does_not_stop_others(squares, tmp_path):
     tasks = [squares("deadly", "die"), *(squares(f"n{n}", "square", number=n) for n in range(3))]
     with pytest.raises(TasksFailed, match="deadly failed: it ended its process"):
         run_tasks(TaskStore(tmp_path), tasks)
@@ -108,7 +108,7 @@ def test_a_job_that_ends_its_process_is_named_and_costs_no_other(squares, tmp_pa
 
 
 @pytest.mark.parametrize("how", ["sleeps", "spins", "holds"])
-def test_a_job_that_hangs_is_ended_once_named_and_costs_no_other(squares, tmp_path, how):
+def test_a_task_that_hangs_is_ended_once_and_does_not_stop_others(squares, tmp_path, how):
     hanging = squares("hanging", "hang", how=how).limited(1.0)
     tasks = [hanging, *(squares(f"n{n}", "square", number=n) for n in range(3))]
     begun = time.monotonic()
@@ -119,7 +119,7 @@ def test_a_job_that_hangs_is_ended_once_named_and_costs_no_other(squares, tmp_pa
     assert not list(tmp_path.glob("*.running"))
 
 
-def test_of_two_calls_in_one_process_the_second_waits_for_the_watch(tmp_path):
+def test_a_second_time_limit_in_a_process_waits_for_the_first(tmp_path):
     inside, order = threading.Event(), []
 
     def second():
@@ -138,17 +138,17 @@ def test_of_two_calls_in_one_process_the_second_waits_for_the_watch(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_limit_changes_no_result(squares):
+def test_the_key_does_not_change_with_the_time_limit(squares):
     task = squares("n", "square", number=1)
     assert task.limited(5.0).key == task.key
 
 
-def test_two_jobs_of_one_name_are_refused(squares, tmp_path):
+def test_two_tasks_with_one_name_are_an_error(squares, tmp_path):
     with pytest.raises(ValueError, match="two are named 'n'"):
         run_tasks(TaskStore(tmp_path), [squares("n", "square", number=1), squares("n", "square", number=2)])
 
 
-def test_a_killed_study_goes_on_without_repeating(squares, tmp_path):
+def test_a_killed_study_resumes_without_repeating(squares, tmp_path):
     script = tmp_path / "study.py"
     script.write_text(
         "from pathlib import Path\nfrom test_task_runner import doze\n"
@@ -171,7 +171,7 @@ def test_a_killed_study_goes_on_without_repeating(squares, tmp_path):
     assert len((tmp_path / "log").read_text().split()) - computed == 6 - kept
 
 
-def test_a_worker_with_other_code_is_no_failure_of_its_jobs(squares, tmp_path):
+def test_a_worker_with_other_code_stops_the_run_instead_of_failing_tasks(squares, tmp_path):
     task = squares("three", "square", number=3)
 
     class Stale(Cluster):
@@ -188,7 +188,7 @@ def test_a_worker_with_other_code_is_no_failure_of_its_jobs(squares, tmp_path):
         run_tasks(TaskStore(tmp_path), [task], cluster=Stale())
 
 
-def test_a_clusters_workers_compute_the_same_and_who_ends_them_twice_is_named(squares, tmp_path):
+def test_a_cluster_computes_the_same_and_a_task_that_ends_two_workers_is_reported(squares, tmp_path):
     pytest.importorskip("distributed")
     tasks = [squares("three", "square", number=3), squares("deadly", "die"), squares("bad", "refuse", why="no")]
     tasks.append(squares("slow", "give_up"))
@@ -200,3 +200,23 @@ def test_a_clusters_workers_compute_the_same_and_who_ends_them_twice_is_named(sq
     kept = TaskStore(tmp_path).load(tasks[0])
     assert kept["square"] == 9
     assert kept["row"].tolist() == [0, 1, 2]
+
+
+def test_a_function_inside_another_is_an_error():
+    def inner():
+        return {}
+
+    with pytest.raises(ValueError, match="no function at the top level of a module"):
+        make_task("inner", inner)
+
+
+def test_arguments_that_do_not_fit_the_function_are_an_error(squares):
+    with pytest.raises(TypeError, match="missing a required argument: 'number'"):
+        squares("n", "square")
+    with pytest.raises(TypeError, match="an argument of a task is a set"):
+        _ = squares("n", "square", number={1}).key
+
+
+def test_the_key_changes_with_the_modules_that_the_result_depends_on(squares):
+    task = squares("n", "square", number=1)
+    assert task.depending_on("evalkit.commands.study.design").key != task.key

@@ -1,4 +1,4 @@
-"""``evalkit study``: what each parameter does to drift and map, alone and together, and how far a back end holds."""
+"""``evalkit study``: effects and interactions of parameters on the metrics, and operating envelopes."""
 
 from __future__ import annotations
 
@@ -50,16 +50,16 @@ def study(
     if cluster:
         cluster = replace(cluster, timed=any(response.metric.group == "runtime" for response in plan.responses))
     ran_on = environment.describe(jobs=workers)
-    asked = plan.tasks()
-    with progress.say_what_is_kept(err, "finished points"), progress.show_tasks(err, len(asked), workers) as done:
-        outcome = StudyResult(plan, run_study_tasks(asked, folder / "results", workers, done, cluster))
-    page = _written(outcome, folder, ran_on)
+    tasks = plan.tasks()
+    with progress.say_what_is_kept(err, "finished points"), progress.show_tasks(err, len(tasks), workers) as done:
+        outcome = StudyResult(plan, run_study_tasks(tasks, folder / "results", workers, done, cluster))
+    page = _write(outcome, folder, ran_on)
     lost = sum(bool(outcome.lost(key, seed)) for key in plan.points for seed in plan.seeds(key))
     if as_json:
         options.print_json({"title": plan.title, "page": str(page), "points": len(plan.points), "lost": lost})
     else:
-        told = f"{len(plan.points):,} points, {len(asked):,} runs, {lost} lost"
-        out.print(told, markup=False, highlight=False)
+        counts = f"{len(plan.points):,} points, {len(tasks):,} runs, {lost} lost"
+        out.print(counts, markup=False, highlight=False)
         out.print(str(page.resolve()), markup=False, highlight=False)
 
 
@@ -69,25 +69,25 @@ def _point(plan: Study, key: str, as_json: bool) -> None:
 
     if key not in plan.points:
         raise UnknownName("point", key, plan.points, plan.command)
-    found = {}
+    results = {}
     for seed in plan.seeds(key):
         task = plan.task(plan.points[key], seed)
-        found[task.name], _ = task.run()
+        results[task.name], _ = task.run()
     if as_json:
-        options.print_json(found)
+        options.print_json(results)
         return
     out.print(plan.points[key].label, markup=False, highlight=False)
-    for name, result in found.items():
+    for name, result in results.items():
         out.print(f"{name}: {result['status']} {result['reason']}".rstrip(), markup=False, highlight=False)
         for metric, value in result["scores"].items():
-            told = result["why"][metric] if value is None else repr(value)
-            out.print(f"  {metric} {told}", markup=False, highlight=False)
-    out.print("\nThe same as an experiment:\n", markup=False)
+            text = result["why"][metric] if value is None else repr(value)
+            out.print(f"  {metric} {text}", markup=False, highlight=False)
+    out.print("\nThe experiment that runs this point:\n", markup=False)
     out.print(format_experiment(plan.point_experiment(key)), markup=False, highlight=False)
 
 
-def _written(outcome: StudyResult, folder: Path, ran_on: dict[str, str]) -> Path:
-    """The path of index.html, written with study.json, points.csv and effects.csv."""
+def _write(outcome: StudyResult, folder: Path, ran_on: dict[str, str]) -> Path:
+    """Writes index.html, study.json, points.csv and effects.csv; the path of index.html."""
     from evalkit.commands.study import page, results_json  # noqa: PLC0415 - as above
     from evalkit.report.html.blocks import render  # noqa: PLC0415 - loads matplotlib
 

@@ -65,7 +65,7 @@ def study(change=lambda content: None):
     return config.study(changed(change), "s.toml", "evalkit study s.toml")
 
 
-def test_points_hold_every_setting_and_one_key_each():
+def test_every_point_has_all_settings_and_its_own_key():
     made = study()
     grid, alone, between = made.designs
     assert (len(grid.points), len(alone.points), len(between.points)) == (24, 5, 8)
@@ -80,7 +80,7 @@ def test_points_hold_every_setting_and_one_key_each():
     assert len(alone.points[0].levels) == 1
 
 
-def test_points_between_levels_keep_to_the_range_and_to_names():
+def test_points_between_levels_stay_within_the_range_and_among_the_names():
     between = study().designs[2]
     values = [point.method["epsilon"] for point in between.points]
     assert all(1e-6 <= value <= 1e-2 for value in values)
@@ -89,7 +89,7 @@ def test_points_between_levels_keep_to_the_range_and_to_names():
     assert ((between.positions[:, 0] >= 0) & (between.positions[:, 0] <= 2)).all()
 
 
-def test_every_run_is_a_job_once_and_those_on_one_sequence_are_neighbours():
+def test_every_run_is_one_task_and_tasks_on_one_sequence_are_neighbours():
     jobs = study().tasks()
     assert len({job.name for job in jobs}) == len(jobs)
     seeds = [job.arguments["sequence"]["seed"] for job in jobs]
@@ -97,7 +97,7 @@ def test_every_run_is_a_job_once_and_those_on_one_sequence_are_neighbours():
     assert set(seeds) == {0, 1, 3}
 
 
-def test_seeds_dealt_out_give_every_point_one_in_turn():
+def test_dealt_seeds_give_each_point_one_seed_in_turn():
     grid = study(lambda content: content["design"][0].update(deal=True, seeds=[4, 5, 6])).designs[0]
     assert [grid.runs(point) for point in grid.points[:4]] == [(4,), (5,), (6,), (4,)]
 
@@ -157,7 +157,7 @@ def design(**entries):
         (lambda c: c["sequence"].update(laps=1e-9), "parameter 'laps'"),
     ],
 )
-def test_what_is_wrong_is_named_before_anything_runs(change, message):
+def test_errors_of_a_study_file_name_table_and_key(change, message):
     with pytest.raises(BadExperiment, match=message):
         study(change)
 
@@ -171,6 +171,6 @@ def test_two_factors_that_set_the_same_cannot_share_a_design():
         study(twice)
 
 
-def test_a_file_that_is_not_there_is_named(tmp_path):
+def test_a_missing_study_file_is_an_error(tmp_path):
     with pytest.raises(BadExperiment, match="no such file"):
         config.read(tmp_path / "none.toml", "")

@@ -24,7 +24,7 @@ def signs(factors, resolution):
     ("factors", "resolution", "runs"),
     [(3, 3, 4), (7, 3, 8), (4, 4, 8), (8, 4, 16), (5, 5, 16), (6, 5, 32), (8, 5, 64), (11, 5, 128)],
 )
-def test_a_fractional_factorial_is_as_small_as_the_tables_say(factors, resolution, runs):
+def test_a_fractional_factorial_has_the_published_size(factors, resolution, runs):
     assert len(make_fractional(factors, resolution)) == runs  # Box, Hunter and Hunter, Statistics for Experimenters
 
 
@@ -34,7 +34,7 @@ def test_every_column_of_a_fractional_factorial_is_balanced_and_orthogonal_to_al
     assert (columns.sum(axis=0) == 0).all()
 
 
-def test_resolution_five_keeps_pairs_clear_of_pairs_and_resolution_four_does_not():
+def test_resolution_5_does_not_confound_pairs_and_resolution_4_does():
     def products(columns):
         return np.array([columns[:, a] * columns[:, b] for a, b in combinations(range(columns.shape[1]), 2)])
 
@@ -44,7 +44,7 @@ def test_resolution_five_keeps_pairs_clear_of_pairs_and_resolution_four_does_not
     assert (four @ signs(8, 4) == 0).all()  # main effects stay clear of them
 
 
-def test_an_optimal_design_for_two_levels_finds_the_orthogonal_one():
+def test_an_optimal_design_for_two_levels_is_orthogonal():
     model = Model(tuple(DesignAxis(name, 2) for name in "abcd"), pairs=False)
     found = assess_design(model, make_optimal(model, 8, np.random.default_rng(0)))
     assert found.efficiency == pytest.approx(1.0)
@@ -52,7 +52,7 @@ def test_an_optimal_design_for_two_levels_finds_the_orthogonal_one():
     assert found.imbalance == 0.0
 
 
-def test_the_full_grid_is_the_measure_of_efficiency():
+def test_the_full_grid_has_efficiency_1():
     model = Model((DesignAxis("a", 3, (0.0, 1.0, 2.0)), DesignAxis("b", 2), DesignAxis("c", 4)))
     found = assess_design(model, make_grid([3, 2, 4]))
     assert found.points == 24
@@ -82,7 +82,7 @@ def test_the_same_seed_gives_the_same_design():
 
 
 @pytest.mark.parametrize("kind", ["sobol", "latin"])
-def test_space_filling_points_leave_no_quarter_of_any_factor_out(kind):
+def test_space_filling_points_lie_in_every_quarter_of_every_factor(kind):
     points = make_space_filling(5, 32, np.random.default_rng(1), kind)
     assert points.shape == (32, 5)
     for column in points.T:

@@ -13,7 +13,7 @@ def fit(model, positions, response):
     return ModelFit(model, np.asarray(positions, dtype=float), np.asarray(response, dtype=float))
 
 
-def test_a_linear_response_gives_back_its_effects_exactly():
+def test_effects_of_a_linear_response_are_exact():
     rows = make_grid([2, 2, 2])
     found = fit(Model(TWO), rows, 10.0 + 3.0 * rows[:, 0] - 2.0 * rows[:, 1])  # a adds 3, b takes 2, c does nothing
     a, b, c = (found.factor(k) for k in range(3))
@@ -37,7 +37,7 @@ def test_an_interaction_is_the_difference_of_differences():
     assert [other.value.value for other in others] == pytest.approx([0.0, 0.0], abs=1e-12)
 
 
-def test_a_planted_interaction_is_found_in_noise_and_no_other_is_accepted():
+def test_only_the_true_interaction_is_significant_in_noise():
     axes = (DesignAxis("a", 4, (0.0, 1.0, 2.0, 3.0)), *(DesignAxis(name, 2) for name in "bcde"))
     model = Model(axes)
     rng = np.random.default_rng(3)
@@ -51,7 +51,7 @@ def test_a_planted_interaction_is_found_in_noise_and_no_other_is_accepted():
     assert effect.low < 0.3 < effect.high
 
 
-def test_intervals_hold_as_often_as_they_say():
+def test_intervals_have_their_nominal_coverage():
     model = Model(tuple(DesignAxis(name, 2) for name in "abcde"), pairs=False)
     rows, rng = make_fractional(5, 5), np.random.default_rng(0)
     held = 0
@@ -61,7 +61,7 @@ def test_intervals_hold_as_often_as_they_say():
     assert 0.92 <= held / 400 <= 0.99
 
 
-def test_levels_of_names_each_have_an_effect_of_their_own():
+def test_every_unordered_level_has_its_own_effect():
     rows = make_grid([3, 2])
     response = np.array([1.0, 5.0, 3.0])[rows[:, 0]] + np.array([0.0, 1.0])[rows[:, 1]]
     found = fit(Model((DesignAxis("stages", 3), DesignAxis("b", 2)), pairs=False), rows, response)
@@ -70,7 +70,7 @@ def test_levels_of_names_each_have_an_effect_of_their_own():
     assert found.expected({0: 1, 1: 1}).value == pytest.approx(6.0)
 
 
-def test_a_model_foretells_points_between_its_levels():
+def test_a_model_predicts_points_between_its_levels():
     rows = make_grid([3, 2, 2])
     model = Model((DesignAxis("a", 3, (0.0, 1.0, 2.0)), DesignAxis("b", 2), DesignAxis("c", 2)))
     found = fit(model, rows, 2.0 * rows[:, 0] + rows[:, 0] * rows[:, 1])

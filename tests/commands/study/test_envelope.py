@@ -43,7 +43,7 @@ def outcome(error, seeds=(0, 1), status=lambda *_: "complete"):
     return StudyResult(study, results), choice, design
 
 
-def test_inside_means_all_that_is_slower_and_gentler_too():
+def test_inside_includes_all_smaller_conditions():
     held = np.array([[1, 1, 0, 1], [1, 0, 1, 1], [1, 1, 1, 1]], dtype=bool)
     assert enclosed_cells(held).astype(int).tolist() == [[1, 1, 0, 0], [1, 0, 0, 0], [1, 0, 0, 0]]
 
@@ -71,7 +71,7 @@ def test_the_envelope_of_a_product_is_its_hyperbola():
     assert 0.6 < off.held.low < off.held.value == 1.0
 
 
-def test_the_worst_seed_decides_and_a_lost_one_is_never_inside():
+def test_the_worst_seed_decides_and_a_cell_with_a_lost_seed_is_outside():
     found, choice, _ = outcome(
         lambda v, w, on, seed: 2.0 if (v, w, on, seed) == (1.0, 20.0, True, 1) else 0.01,
         status=lambda v, w, on, seed: "failed" if (v, w, on) == (0.5, 10.0, False) else "complete",
@@ -86,7 +86,7 @@ def test_the_worst_seed_decides_and_a_lost_one_is_never_inside():
     assert on.box == (1, 4)
 
 
-def test_the_sentence_tells_the_levels_and_the_drives():
+def test_the_sentence_names_levels_and_number_of_drives():
     found, choice, design = outcome(lambda v, w, on, seed: 0.001 * v * w * (0.1 if on else 4.0))
     assert describe_panels(choice, design, compute_panels(found, choice)) == [
         "deskew off: up to 1 m/s and 20 deg/s (8 of 8 drives).",
@@ -94,7 +94,7 @@ def test_the_sentence_tells_the_levels_and_the_drives():
     ]
 
 
-def test_a_lost_run_is_in_the_numbers_at_its_bound():
+def test_a_lost_run_has_its_bound_as_value():
     found, _, design = outcome(lambda v, w, on, seed: 50.0 if v == 2.0 else 0.5)
     table = found.table(design, ATE)
     assert table.shape == (24, 2)

@@ -70,7 +70,7 @@ def run(*words):
     return CliRunner().invoke(app, ["study", *map(str, words)])
 
 
-def test_a_study_leaves_a_page_and_its_numbers_and_every_point_comes_again(file, tmp_path):
+def test_a_study_writes_page_and_numbers_and_every_point_can_be_repeated(file, tmp_path):
     done = run(file, "--out", tmp_path / "out", "--jobs", "1")
     assert done.exit_code == 0, done.output
     page = (tmp_path / "out" / "index.html").read_text()
@@ -120,7 +120,7 @@ def test_a_back_end_that_fails_is_a_result_with_its_reason(strangers):
 
 
 @pytest.mark.slow
-def test_a_killed_study_goes_on_without_repeating_finished_points(file, tmp_path):
+def test_a_killed_study_resumes_without_repeating_finished_points(file, tmp_path):
     kept = tmp_path / "out" / "results"
     command = [
         sys.executable,

@@ -64,7 +64,7 @@ def told(build, record, tuned_ate, lost=0, status="failed"):
         (0.05, 3, "overfitted: it loses 3 held-out runs, the default 0", True),
     ],
 )
-def test_what_is_worse_or_lost_on_held_out_runs_is_overfitted(build, record, tuned_ate, lost, verdict, overfitted):
+def test_worse_or_lost_held_out_runs_are_overfitting(build, record, tuned_ate, lost, verdict, overfitted):
     result = told(build, record, tuned_ate, lost)
     held = result.held["a"]
     assert (held.verdict, held.overfitted) == (verdict, overfitted)
@@ -72,11 +72,11 @@ def test_what_is_worse_or_lost_on_held_out_runs_is_overfitted(build, record, tun
 
 
 @pytest.mark.parametrize(("status", "said"), [("failed", True), ("skipped", False)])
-def test_a_run_that_is_not_made_yet_is_not_told_as_lost(build, record, status, said):
+def test_a_missing_run_is_not_counted_as_lost(build, record, status, said):
     assert ("3 of 10 lost" in render(page.document(told(build, record, 0.05, 3, status)))) is said
 
 
-def test_the_test_over_runs_is_wilcoxons(build, record):
+def test_the_test_over_runs_is_wilcoxons_signed_rank_test(build, record):
     duel = told(build, record, 0.05).held["a"].duel
     assert duel is not None
     assert (duel.runs, duel.better, duel.worse) == (10, 10, 0)
@@ -84,7 +84,7 @@ def test_the_test_over_runs_is_wilcoxons(build, record):
     assert duel.ratio == pytest.approx(0.0545 / 0.1045, rel=0.02)
 
 
-def test_the_record_holds_every_point_and_what_was_spent(build, record):
+def test_the_json_has_every_point_and_the_cost(build, record):
     whole = json.loads(json.dumps(results_json.tuning_as_json(told(build, record, 0.05)), allow_nan=False))
     (backend,) = whole["backends"]
     assert whole["budget"] == {"points": 8, "seed": 0, "search_runs": 2, "confirming_runs": 4, "run_cpu_s": 60.0}
@@ -96,7 +96,7 @@ def test_the_record_holds_every_point_and_what_was_spent(build, record):
     assert backend["space"] == {"epsilon": {"levels": [1e-6, 1e-2], "scale": "linear", "continuous": True}}
 
 
-def test_a_point_that_loses_runs_is_on_no_frontier():
+def test_a_point_that_loses_runs_is_not_on_the_pareto_front():
     (one,) = found()
     on = on_pareto_front(one.tried)
     assert on[[not each.losses for each in one.tried]].all()  # more time, less error: nobody beats another
@@ -105,5 +105,5 @@ def test_a_point_that_loses_runs_is_on_no_frontier():
     assert math.isclose(one.default.error, 0.1 * math.sqrt(1.01))
 
 
-def test_a_name_that_is_a_script_stays_a_name(build, record):
+def test_a_title_with_a_script_is_escaped(build, record):
     assert "<script>alert(1)" not in render(page.document(told(build, record, 0.05)))

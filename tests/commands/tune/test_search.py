@@ -80,7 +80,7 @@ def off(arguments):
     return 0.01 * 2.0 ** (abs(decades[0]) + abs(decades[1])) * (1.0 + 0.01 * (arguments["sequence"]["seed"] % 3))
 
 
-def test_the_search_finds_the_minimum_of_a_known_function_and_takes_it():
+def test_the_search_finds_and_chooses_the_minimum_of_a_known_function():
     embedded, paper = search_loop.run_search(plan(), Known(off))
     assert embedded.tuned
     assert embedded.default.error == pytest.approx(0.02 * math.sqrt(1.01))
@@ -105,7 +105,7 @@ def test_every_back_end_gets_the_same_budget_and_the_default_first():
     assert search_loop.count_runs(plan()) == 2 * (32 + 8)
 
 
-def test_the_same_tuning_asks_for_the_same_points():
+def test_the_same_tuning_tries_the_same_points():
     names = []
     for _ in range(2):
         asked = Known(off)
@@ -125,7 +125,7 @@ def test_a_lucky_point_does_not_survive_fresh_seeds():
     assert one.why == "default kept: the gain of the best point is within noise on fresh seeds"
 
 
-def test_a_back_end_that_always_fails_keeps_its_default_and_is_told():
+def test_a_back_end_that_always_fails_keeps_its_default_and_is_marked_as_failed():
     one = search_loop.run_search(plan(), lambda jobs: {job.name: result(None, "failed") for job in jobs})[0]
     assert one.failed
     assert one.default.error == 1.0  # the worst that counts
@@ -146,7 +146,7 @@ def test_fewer_lost_runs_come_before_a_smaller_error():
     )  # a tie goes to the first
 
 
-def test_a_space_smaller_than_the_budget_is_tried_in_full_and_once():
+def test_a_space_smaller_than_the_budget_is_tried_completely_and_once():
     backend = registry.backend("embedded")
     default = frontend.complete_parameters("embedded", backend, {})
     parameters = [p for p in backend.parameters if p.name in ("error", "one_to_one")]
@@ -169,7 +169,7 @@ def test_steps_stay_within_the_bounds_and_repeat_no_point():
         assert candidate.values["max_iterations"] in (10, 20, 40, 80)
 
 
-def test_settings_of_the_front_end_are_nobodys_own():
+def test_parameters_of_the_front_end_are_not_tuned():
     names = {
         parameter.name for name in ("paper", "kiss-icp") for parameter in own_parameters(registry.find_backend(name))
     }
@@ -178,7 +178,7 @@ def test_settings_of_the_front_end_are_nobodys_own():
         plan(FILE.replace("search.max_iterations", "search.keyframes"))
 
 
-def test_a_space_follows_from_declared_bounds_or_a_decade_around_the_default():
+def test_a_space_has_declared_bounds_or_a_decade_around_the_default():
     parameters = (
         Parameter("share", 0.5, "", "bounded", low=0.0, high=1.0),
         Parameter("radius_m", 0.2, "m", "open", low=0.05),
@@ -215,12 +215,12 @@ def test_a_space_follows_from_declared_bounds_or_a_decade_around_the_default():
         ('use = "room"', 'use = "roam"', r"held-out 2: no dataset named 'roam'"),
     ],
 )
-def test_a_file_that_is_not_fair_is_refused(old, new, told):
+def test_an_unfair_or_wrong_tuning_file_is_an_error(old, new, told):
     with pytest.raises(BadExperiment, match=told):
         plan(FILE.replace(old, new))
 
 
-def test_a_recording_trained_on_is_not_judged_on_whatever_its_name(tmp_path):
+def test_a_recording_used_for_training_cannot_be_held_out_under_another_label(tmp_path):
     log = tmp_path / "own.log"
     log.write_text("FLASER 3 1.0 1.0 1.0 0 0 0 0 0 0 0.0 host 0.0\n")
     same = [{"use": "carmen", "path": str(log)}]
@@ -233,12 +233,12 @@ def test_a_recording_trained_on_is_not_judged_on_whatever_its_name(tmp_path):
         tuning(content, "some.toml", "some", "evalkit tune some.toml")
 
 
-def test_a_missing_file_says_what_to_give(tmp_path):
+def test_a_missing_tuning_file_is_an_error_with_a_remedy(tmp_path):
     with pytest.raises(BadExperiment, match="no such file; give the path of a tuning"):
         read(tmp_path / "none.toml", "none", "evalkit tune none.toml")
 
 
-def test_names_on_the_command_line_make_a_fair_tuning():
+def test_back_ends_named_on_the_command_line_make_a_fair_tuning():
     made = tuning(
         tuning_tables(["embedded", "paper"], ["lab"], ["room"], 8, {"laps": "0.05"}), "evalkit tune", "x", "y"
     )
@@ -247,7 +247,7 @@ def test_names_on_the_command_line_make_a_fair_tuning():
     assert [sequence.label for sequence in made.held_out] == ["room"]
 
 
-def test_a_tuned_row_stands_beside_its_default_in_an_experiment_that_reads_back():
+def test_the_held_out_experiment_has_default_and_tuned_methods_and_reads_back():
     made = plan()
     found = search_loop.run_search(made, Known(off))
     text = format_experiment(search_loop.make_held_out_experiment(made, found, "tuned.toml"))
@@ -258,13 +258,13 @@ def test_a_tuned_row_stands_beside_its_default_in_an_experiment_that_reads_back(
     assert (back.mapper, back.limits) == (made.mapper, made.limits)
 
 
-def test_the_frontier_is_what_no_other_point_beats():
+def test_the_pareto_front_has_the_points_that_no_other_dominates():
     costs = np.array([1.0, 2.0, 3.0, 2.0, 4.0, 1.0, 0.5])
     errors = np.array([5.0, 3.0, 3.0, 4.0, 1.0, 5.0, np.inf])
     assert pareto_front(costs, errors).tolist() == [True, True, False, False, True, True, False]
 
 
-def test_a_run_that_takes_too_long_has_failed_with_its_reason(strangers, monkeypatch):
+def test_a_run_beyond_its_cpu_time_has_failed_with_its_reason(strangers, monkeypatch):
     monkeypatch.setattr(trial, "CHECK_EVERY_S", 0.05)
     parameters = {"fault": "spin", "at": 1}
     sequence = {p.name: p.default for p in registry.dataset("straight").parameters}
@@ -275,7 +275,7 @@ def test_a_run_that_takes_too_long_has_failed_with_its_reason(strangers, monkeyp
     assert time.monotonic() - begun < 60.0  # it would have spun for ever
 
 
-def test_who_is_first_on_a_sequence_does_not_pay_for_its_simulation(strangers, monkeypatch):
+def test_the_first_run_on_a_sequence_is_not_charged_with_its_simulation(strangers, monkeypatch):
     class SlowAtFirst:
         def __init__(self, sequence):
             self.sequence, self.begun = sequence, False
@@ -305,7 +305,7 @@ def test_who_is_first_on_a_sequence_does_not_pay_for_its_simulation(strangers, m
     assert told["scores"]["pair_error"] is not None, told["why"]
 
 
-def test_keys_of_jobs_change_with_what_they_stand_on():
+def test_keys_of_tasks_change_with_their_arguments():
     made = plan()
     tunable, run = made.methods[0], made.search_runs[0]
     keys = {made.task(tunable, one, run).key for one in Search(tunable.space, 4).next([], None)}

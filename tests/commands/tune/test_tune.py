@@ -56,7 +56,7 @@ def tune(*words):
 
 
 @pytest.mark.slow
-def test_the_misset_is_tuned_the_perfect_keeps_its_default_and_the_hopeless_is_a_row_and_exit_code_1(file, tmp_path):
+def test_a_bad_default_is_tuned_a_perfect_one_is_kept_and_a_failing_back_end_gives_exit_code_1(file, tmp_path):
     out = tmp_path / "out"
     done = tune(file, "--out", out, "--jobs", "2")
     assert done.exit_code == 1, done.output
@@ -82,7 +82,7 @@ def test_the_misset_is_tuned_the_perfect_keeps_its_default_and_the_hopeless_is_a
 
 
 @pytest.mark.slow
-def test_a_killed_search_goes_on_and_computes_nothing_twice(file, tmp_path):
+def test_a_killed_search_resumes_and_computes_nothing_twice(file, tmp_path):
     made = []
     tuning = replace(read(file, "own", "evalkit tune own.toml"), points=2)
 
@@ -116,7 +116,7 @@ def test_a_killed_search_goes_on_and_computes_nothing_twice(file, tmp_path):
     assert len(list(folder.glob("*.npz"))) == runs
 
 
-def test_what_is_not_made_yet_is_told_by_exit_code_3(file, tmp_path):
+def test_missing_runs_give_exit_code_3_with_collect(file, tmp_path):
     done = tune(file, "--out", tmp_path / "out", "--collect")
     assert done.exit_code == 3
     assert "the search is not finished: 6 runs" in done.output
@@ -130,7 +130,7 @@ def test_what_is_not_made_yet_is_told_by_exit_code_3(file, tmp_path):
         (["paper", "--on", "lab", "--set", "laps"], "NAME=VALUE"),
     ],
 )
-def test_words_that_make_no_tuning_are_a_usage_error(words, told):
+def test_wrong_arguments_are_a_usage_error(words, told):
     done = tune(*words)
     assert done.exit_code == 2
     assert told in " ".join(done.output.replace("│", " ").split())
