@@ -1,4 +1,4 @@
-"""Shared array types and the check every frozen value runs on its arrays."""
+"""Array types, and the check that frozen dataclasses run on their arrays."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 Bools = NDArray[np.bool_]
-
-
 Ints = NDArray[np.int64]
 
 
@@ -18,7 +16,7 @@ def freeze(
     shape: tuple[int | None, ...],
     dtype: type | np.dtype[np.void] = np.float64,
 ) -> None:
-    """Sets the field to a read-only array of that type, or says which field has the wrong shape."""
+    """Set a field to a read-only array of ``dtype``; raises ValueError if it does not have ``shape`` (None: any)."""
     array = np.array(value, dtype=dtype)
     if array.ndim != len(shape) or any(want not in (None, have) for want, have in zip(shape, array.shape, strict=True)):
         wanted = ", ".join("N" if size is None else str(size) for size in shape)

@@ -1,6 +1,6 @@
-"""Everything evalkit says when something outside it is wrong: what, where, and what to do.
+"""Errors that a user can fix: each message contains what was found, where, and what to do.
 
-Arguments stay in ``args`` and messages are made in ``__str__``, so that every error survives the way between processes.
+Arguments are kept in ``args`` and messages are built in ``__str__``, so that errors can be pickled between processes.
 """
 
 from __future__ import annotations
@@ -8,38 +8,38 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 
-LONGEST = 2000
-"""Characters of a message: what is longer quotes a file, and loses its middle."""
+MAX_MESSAGE = 2000
+"""Longest message in characters; the middle of a longer one is removed."""
 
 
 def plain(text: str) -> str:
-    """The text as one line of a message: what cannot be printed escaped, the middle of a long one left out.
+    """Return a text as one printable line: other characters are escaped, the middle of a long text is removed.
 
-    What a file says may hold anything, codes that command a terminal among it.
+    Text quoted from a file can contain anything, including terminal control codes.
     """
-    if len(text) > LONGEST:
-        text = f"{text[: LONGEST // 2]} [...] {text[-LONGEST // 4 :]}"
+    if len(text) > MAX_MESSAGE:
+        text = f"{text[: MAX_MESSAGE // 2]} [...] {text[-MAX_MESSAGE // 4 :]}"
     if text.isprintable():
         return text
     return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
 
 
 def brief(value: object) -> str:
-    """What was found, at the length of a few words.
+    """Return a value as text of at most 80 characters.
 
     >>> brief([1, "x" * 200])
     "[1, 'xxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxxx[...]xxxxxxxxxxxxxxx']"
     """
-    said = repr(value)
-    return said if len(said) <= 80 else f"{said[:52]}[...]{said[-17:]}"
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:52]}[...]{text[-17:]}"
 
 
 class EvalkitError(Exception):
-    """Any error a user of evalkit can mend; the command line turns it into one line and exit code 2."""
+    """Base of all errors that a user can fix; the command line prints one line and exits with code 2."""
 
 
 class UnknownName(EvalkitError):
-    """A name that nothing is registered under: ``UnknownName(kind, name, known, where="")``."""
+    """A name that is not registered: ``UnknownName(kind, name, known, where="")``."""
 
     def __init__(self, kind: str, name: str, known: Iterable[str], where: str = "") -> None:
         super().__init__(kind, name, tuple(sorted(known)), where)
@@ -54,7 +54,7 @@ class UnknownName(EvalkitError):
 
 
 class BadParameter(EvalkitError):
-    """A parameter of a plug-in with a value it cannot take: ``BadParameter(owner, name, found, expected)``."""
+    """An invalid value of a plug-in's parameter: ``BadParameter(owner, name, found, expected)``."""
 
     def __init__(self, owner: str, name: str, found: object, expected: str) -> None:
         super().__init__(owner, name, found, expected)
@@ -65,7 +65,7 @@ class BadParameter(EvalkitError):
 
 
 class BadExperiment(EvalkitError):
-    """An experiment file that cannot be run: ``BadExperiment(file, place, what)``."""
+    """An invalid experiment file: ``BadExperiment(file, place, what)``."""
 
     def __init__(self, file: str, place: str, what: str) -> None:
         super().__init__(file, place, what)
@@ -98,7 +98,7 @@ class DataMissing(EvalkitError):
 
 
 class NotInstalled(EvalkitError):
-    """An optional library that is absent or does not load: ``NotInstalled(name, why, remedy)``."""
+    """An optional library that is missing or cannot be loaded: ``NotInstalled(name, why, remedy)``."""
 
     def __init__(self, name: str, why: str, remedy: str) -> None:
         super().__init__(name, why, remedy)
@@ -109,7 +109,7 @@ class NotInstalled(EvalkitError):
 
 
 class BackendFailed(EvalkitError):
-    """Somebody else's implementation that cannot go on: ``BackendFailed(name, what, remedy)``."""
+    """An external implementation that failed: ``BackendFailed(name, what, remedy)``."""
 
     def __init__(self, name: str, what: str, remedy: str) -> None:
         super().__init__(name, what, remedy)

@@ -13,7 +13,7 @@ from evalkit.core.se2 import Floats
 
 @dataclass(frozen=True, eq=False)
 class OccupancyGrid:
-    """Log-odds (H, W) of occupancy, and which cells were ever touched by a beam.
+    """Log-odds (H, W) of occupancy, and which cells were observed by at least one beam.
 
     Row 0 is the lowest y, column 0 the lowest x; ``(origin_x, origin_y)`` is the lower left *corner* of cell (0, 0) in
     the world frame (m). 0 is as likely occupied as free: p = 1 / (1 + exp(-l)) (paper, eq. 10).
@@ -38,25 +38,25 @@ class OccupancyGrid:
         return rows, columns
 
     def probability(self) -> Floats:
-        """The probability of occupancy (H, W); 0.5 where nothing was seen."""
-        with np.errstate(over="ignore"):  # a mapper without bounds: exp is inf where the probability is 0
+        """Return the probability of occupancy (H, W); 0.5 for unobserved cells."""
+        with np.errstate(over="ignore"):  # unbounded log-odds: exp is inf where the probability is 0
             return np.asarray(1.0 / (1.0 + np.exp(-self.log_odds.astype(np.float64))))
 
     def occupied(self, threshold: float = 0.65) -> Bools:
-        """Observed cells (H, W) with a probability above the threshold (map_server's default)."""
-        return np.asarray(self.observed & (self.log_odds > _log_odds(threshold)))
+        """Return the observed cells (H, W) with a probability above the threshold (map_server's default)."""
+        return np.asarray(self.observed & (self.log_odds > _log_odds_of(threshold)))
 
     def free(self, threshold: float = 0.196) -> Bools:
-        """Observed cells (H, W) with a probability below the threshold (map_server's default)."""
-        return np.asarray(self.observed & (self.log_odds < _log_odds(threshold)))
+        """Return the observed cells (H, W) with a probability below the threshold (map_server's default)."""
+        return np.asarray(self.observed & (self.log_odds < _log_odds_of(threshold)))
 
     def centres(self, cells: Bools) -> Floats:
-        """The centres (N, 2) in the world (m) of the cells marked in a mask (H, W)."""
+        """Return the centres (N, 2) in the world (m) of the cells in a mask (H, W)."""
         cell = np.argwhere(cells)[:, ::-1].astype(np.float64)  # column and row: x and y
         return np.asarray([self.origin_x, self.origin_y] + (cell + 0.5) * self.resolution_m)
 
 
-def _log_odds(probability: float) -> np.float64:
-    """Of a probability from 0 to 1; a float64, so that what is as probable in float32 is not rounded over it."""
+def _log_odds_of(probability: float) -> np.float64:
+    """Return the log-odds of a probability as float64, so that equal float32 values do not exceed it by rounding."""
     with np.errstate(divide="ignore"):
         return np.float64(np.log(probability) - np.log1p(-probability))

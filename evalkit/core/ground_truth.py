@@ -1,4 +1,4 @@
-"""What is known about a sequence beyond its scans."""
+"""Ground truth of a sequence: trajectory, relations, grid, measured distances."""
 
 from __future__ import annotations
 
@@ -32,11 +32,10 @@ class Relations:
 
 @dataclass(frozen=True, eq=False)
 class Truth:
-    """What is known about a sequence beyond its scans; any part may be None.
+    """Ground truth of a sequence; every part is optional.
 
-    ``how`` says how it was made ("exact: simulated", "graph-optimised poses, ~3 cm"), for the reader of a report.
-    ``plan``: a map of the place in a frame of its own, to be looked at: nothing is scored against it. ``spans``:
-    distances measured with a tape.
+    ``how``: origin and accuracy for the report ("exact: simulated", "graph-optimised poses, ~3 cm"). ``plan``: a map of
+    the place in its own frame, shown but not used for scores. ``spans``: distances measured with a tape.
     """
 
     how: str

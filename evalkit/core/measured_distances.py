@@ -1,4 +1,4 @@
-"""Distances that somebody has measured with a tape: between places of the robot, or between walls."""
+"""Distances measured with a tape, between positions of the robot or between walls."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class SpanEnd:
-    """One end of a tape: a point (m) seen from the base at a time, or, without a time, a wall of the map near it.
+    """One end of a measured distance: a point (m) relative to the robot at a time, or a wall of the map.
 
-    With ``stamp_ns`` x and y are coordinates in the base's frame at that time: (0, 0) is the robot itself. Without it
-    they are coordinates in the map: the true world's frame where the truth is known, else the frame of the first pose.
+    With ``stamp_ns``, x and y are coordinates in the base frame at that time; (0, 0) is the robot itself. Without it,
+    the end is the wall nearest to x, y in the map frame: the true world frame if known, else that of the first pose.
     """
 
     x: float = 0.0
@@ -25,7 +25,7 @@ class SpanEnd:
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A distance in metres between two places, with its standard deviation."""
+    """A measured distance between two ends in metres, with its standard deviation."""
 
     name: str
     first: SpanEnd

@@ -48,29 +48,29 @@ class Scan:
 
     @property
     def hits(self) -> Bools:
-        """Which beams (B,) met something."""
+        """Mask (B,) of beams with a valid range."""
         return np.isfinite(self.ranges)
 
     @property
     def no_returns(self) -> Bools:
-        """Which beams (B,) met nothing within range."""
+        """Mask (B,) of beams without a return."""
         return np.isposinf(self.ranges)
 
     @property
     def duration_ns(self) -> int:
-        """Time from the first beam to the last."""
+        """Time from the first beam to the last in ns."""
         return self.time_increment_ns * max(len(self.ranges) - 1, 0)
 
     def points(self) -> Floats:
-        """The hits (N, 2) in the sensor frame, in firing order."""
+        """Return the hits (N, 2) in the sensor frame, in firing order."""
         hits = self.hits
         return _polar(self.ranges[hits], self.angles[hits])
 
     def deskewed(self, base_from_sensor: Pose, start_from_end: Pose | None) -> Scan:
-        """The same scan as if every beam had been fired at ``stamp_ns``, for a base that moves steadily meanwhile.
+        """Return the scan as if all beams had been fired at ``stamp_ns``, for a base at constant velocity.
 
-        ``start_from_end`` is the motion of the *base* from the first beam to the last; None: unknown, nothing changes.
-        Hits move, no-returns turn, and the range limits widen where a moved hit needs it.
+        ``start_from_end`` is the motion of the *base* from the first beam to the last; None: unknown, the scan is
+        returned unchanged. Hits are moved, no-returns are rotated, and the range limits are widened for moved hits.
         """
         if start_from_end is None or len(self.ranges) < 2 or self.time_increment_ns == 0:
             return self
@@ -108,11 +108,11 @@ class Cloud:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One scan with all a back end may know about it.
+    """One scan and all other input of a back end.
 
-    ``base_from_sensor``: where the lidar sits. ``odom_from_base``: the wheel odometry's pose of the base when the first
-    beam was fired, None where a recording has none. ``start_from_end``: what the odometry says the base moved from
-    the first beam to the last, None where unknown.
+    ``base_from_sensor``: pose of the lidar on the base. ``odom_from_base``: pose of the base by wheel odometry at the
+    first beam, None if the recording has none. ``start_from_end``: motion of the base from the first beam to the last
+    by wheel odometry, None if unknown.
     """
 
     scan: Scan
@@ -122,5 +122,5 @@ class Frame:
 
 
 def _polar(ranges: Floats, angles: Floats) -> Floats:
-    """The points (N, 2) of ranges (N,) and angles (N,): equation 1 of the paper, x forward."""
+    """Return the points (N, 2) of ranges (N,) and angles (N,): equation 1 of the paper, x forward."""
     return np.stack([ranges * np.cos(angles), ranges * np.sin(angles)], axis=-1)

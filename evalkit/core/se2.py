@@ -1,6 +1,6 @@
 """Rigid motions of the plane on rows ``(..., 3)`` of x [m], y [m], theta [rad].
 
-A motion named ``a_from_b`` takes coordinates in frame b to frame a; names cancel like dominoes:
+A motion ``a_from_b`` transforms coordinates from frame b to frame a; adjacent names cancel:
 ``a_from_c = compose(a_from_b, b_from_c)``.
 """
 
@@ -14,12 +14,12 @@ Stamps = NDArray[np.int64]
 
 
 def wrap(theta: ArrayLike) -> Floats:
-    """The same angles in [-pi, pi) (rad)."""
+    """Return the angles wrapped to [-pi, pi) (rad)."""
     return np.asarray((np.asarray(theta, dtype=np.float64) + np.pi) % (2.0 * np.pi) - np.pi)
 
 
 def compose(a_from_b: ArrayLike, b_from_c: ArrayLike) -> Floats:
-    """The motions ``a_from_c``, shapes broadcast.
+    """Return the motions ``a_from_c``; shapes broadcast.
 
     >>> compose([1, 0, np.pi / 2], [1, 0, 0]).round(6).tolist()
     [1.0, 1.0, 1.570796]
@@ -38,19 +38,19 @@ def compose(a_from_b: ArrayLike, b_from_c: ArrayLike) -> Floats:
 
 
 def inverse(a_from_b: ArrayLike) -> Floats:
-    """The motions ``b_from_a``."""
+    """Return the motions ``b_from_a``."""
     a = np.asarray(a_from_b, dtype=np.float64)
     cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
     return np.stack([-cos * a[..., 0] - sin * a[..., 1], sin * a[..., 0] - cos * a[..., 1], wrap(-a[..., 2])], axis=-1)
 
 
 def between(w_from_a: ArrayLike, w_from_b: ArrayLike) -> Floats:
-    """The motions ``a_from_b`` of two frames known in a third."""
+    """Return the motions ``a_from_b`` between two frames given in a third."""
     return compose(inverse(w_from_a), w_from_b)
 
 
 def transform(a_from_b: ArrayLike, points: ArrayLike) -> Floats:
-    """The points ``(..., N, 2)`` of frame b in frame a; one motion per leading index of ``a_from_b``."""
+    """Return points ``(..., N, 2)`` of frame b in frame a; one motion per leading index of ``a_from_b``."""
     a = np.asarray(a_from_b, dtype=np.float64)
     p = np.asarray(points, dtype=np.float64)
     cos, sin = np.cos(a[..., 2])[..., None], np.sin(a[..., 2])[..., None]
@@ -60,12 +60,12 @@ def transform(a_from_b: ArrayLike, points: ArrayLike) -> Floats:
 
 
 def transform_each(a_from_b: ArrayLike, points: ArrayLike) -> Floats:
-    """The points ``(N, 2)`` moved by one motion each, ``(N, 3)``: for beams fired at different times."""
+    """Return points ``(N, 2)``, each transformed by its own motion ``(N, 3)``: for beams fired at different times."""
     return transform(a_from_b, np.asarray(points, dtype=np.float64)[:, None, :])[:, 0, :]
 
 
 def fraction(a_from_b: ArrayLike, share: ArrayLike) -> Floats:
-    """The part ``share`` (0 to 1, shape (N,)) of one motion, along its constant-velocity arc (SE(2) exponential)."""
+    """Return the fraction ``share`` (N,), 0 to 1, of a motion along its constant-velocity arc (SE(2) exponential)."""
     x, y, theta = np.asarray(a_from_b, dtype=np.float64)
     s = np.asarray(share, dtype=np.float64)
     if abs(theta) < 1e-9:
@@ -80,9 +80,9 @@ def fraction(a_from_b: ArrayLike, share: ArrayLike) -> Floats:
 
 
 def interpolate(stamps_ns: Stamps, poses: ArrayLike, at_ns: ArrayLike) -> Floats:
-    """The poses ``(K, 3)`` at times ``at_ns``: linear in x and y, the shorter way round in theta.
+    """Return the poses ``(K, 3)`` at times ``at_ns``: linear in x and y, the shorter rotation in theta.
 
-    Raises ValueError for a time outside ``[stamps_ns[0], stamps_ns[-1]]``: nothing is extrapolated.
+    Raises ValueError for a time outside ``[stamps_ns[0], stamps_ns[-1]]``: no extrapolation.
     """
     rows = np.asarray(poses, dtype=np.float64)
     at = np.asarray(at_ns, dtype=np.int64)
@@ -101,7 +101,7 @@ def interpolate(stamps_ns: Stamps, poses: ArrayLike, at_ns: ArrayLike) -> Floats
 
 
 def to_matrix(a_from_b: ArrayLike) -> Floats:
-    """The homogeneous matrices ``(..., 3, 3)``."""
+    """Return the homogeneous matrices ``(..., 3, 3)``."""
     a = np.asarray(a_from_b, dtype=np.float64)
     matrix = np.zeros((*a.shape[:-1], 3, 3))
     cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
@@ -112,6 +112,6 @@ def to_matrix(a_from_b: ArrayLike) -> Floats:
 
 
 def from_matrix(matrix: ArrayLike) -> Floats:
-    """The rows ``(..., 3)`` of homogeneous matrices ``(..., 3, 3)``; theta by atan2(r21, r11) (paper, eq. 7)."""
+    """Return the rows ``(..., 3)`` of homogeneous matrices ``(..., 3, 3)``; theta by atan2(r21, r11) (paper, eq. 7)."""
     m = np.asarray(matrix, dtype=np.float64)
     return np.stack([m[..., 0, 2], m[..., 1, 2], np.arctan2(m[..., 1, 0], m[..., 0, 0])], axis=-1)

@@ -1,4 +1,4 @@
-"""Poses over time."""
+"""A trajectory: poses over time."""
 
 from __future__ import annotations
 
@@ -39,20 +39,20 @@ class Trajectory:
 
     @property
     def duration_s(self) -> float:
-        """Seconds from the first pose to the last."""
+        """Time from the first pose to the last in s."""
         return float(self.stamps_ns[-1] - self.stamps_ns[0]) * 1e-9 if len(self) else 0.0
 
     @property
     def path_m(self) -> float:
-        """Metres travelled, summed from pose to pose."""
+        """Path length in m, summed from pose to pose."""
         return float(np.linalg.norm(np.diff(self.poses[:, :2], axis=0), axis=1).sum())
 
     def at(self, stamps_ns: ArrayLike) -> Floats:
-        """The poses (K, 3) at given times, interpolated; ValueError outside the span."""
+        """Return the interpolated poses (K, 3) at times (K,); raises ValueError outside the trajectory."""
         return se2.interpolate(self.stamps_ns, self.poses, stamps_ns)
 
     def moved(self, new_from_parent: Pose, parent: str | None = None) -> Trajectory:
-        """The same trajectory in another parent frame."""
+        """Return the trajectory in another parent frame."""
         return Trajectory(
             self.stamps_ns, se2.compose(new_from_parent.row, self.poses), parent or self.parent, self.child
         )

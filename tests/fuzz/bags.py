@@ -1,4 +1,4 @@
-"""Small bags for the fuzz targets: sound ones, and sound ones with one message of foreign bytes."""
+"""Small bags for the fuzz targets: valid ones, and valid ones with one message of arbitrary bytes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ KINDS = tuple(SUFFIXES)
 
 @cache
 def _tests():
-    """The module that tests the bag reader, for the bags it makes."""
+    """Return the test module of the bag reader, which makes bags."""
     path = Path(__file__).resolve().parent.parent / "datasets" / "test_rosbag.py"
     spec = importlib.util.spec_from_file_location("bag_tests", path)
     module = importlib.util.module_from_spec(spec)
@@ -42,7 +42,7 @@ def _with_echoes(kind: str):
 
 @cache
 def made(kind: str) -> bytes:
-    """The file of a sound bag."""
+    """Return the file content of a valid bag."""
     with tempfile.TemporaryDirectory() as place:
         path = _bag(kind).write(Path(place))
         return (path if path.is_file() else next(path.glob(f"*{SUFFIXES[kind]}"))).read_bytes()
@@ -50,7 +50,7 @@ def made(kind: str) -> bytes:
 
 @cache
 def messages(kind: str) -> list[bytes]:
-    """A message each of LaserScan, Odometry, TFMessage twice, and MultiEchoLaserScan, as it stands in a bag."""
+    """Return serialised messages: LaserScan, Odometry, TFMessage twice, and MultiEchoLaserScan."""
     bag = _with_echoes(kind)
     serialize = bag.store.serialize_ros1 if kind == "ros1" else bag.store.serialize_cdr
     found = {topic: bytes(serialize(message, name)) for topic, name, message, _ in bag.messages}
@@ -58,7 +58,7 @@ def messages(kind: str) -> list[bytes]:
 
 
 def written(path: Path, part: tuple[str, str], content: bytes) -> None:
-    """A ROS 1 bag of a sound scan, odometry and transforms, and one message of that topic and type of any bytes."""
+    """Write a ROS 1 bag of valid messages and one message of given topic, type and bytes."""
     bag = _with_echoes("ros1")
     with _tests().rosbag1.Writer(path) as writer:
         connections = {}
@@ -72,7 +72,7 @@ def written(path: Path, part: tuple[str, str], content: bytes) -> None:
 
 
 def frames_of(path: Path) -> None:
-    """Reads a bag to its last frame."""
+    """Read a bag to its last frame."""
     sequence = RosBag(str(path))
     for _ in sequence.frames():
         pass

@@ -1,4 +1,4 @@
-"""What evalkit owes any input: an answer, or a short EvalkitError that names the file, in bounded time and memory."""
+"""Check a reader: any input gives a result or a short EvalkitError with the file name, in bounded time and memory."""
 
 from __future__ import annotations
 
@@ -14,81 +14,83 @@ from evalkit.core.errors import EvalkitError
 
 SPARE_BYTES = 64 * 2**20
 BYTES_EACH = 50
-"""Memory a reader may ask for beyond what the process has: so much, and so many bytes for each of the input."""
+"""Limits of additional memory of a reader: a constant, and bytes per byte of input."""
 
 SECONDS = 1.0
 PIECE = 100_000
-"""CPU seconds a reader may take for each piece of so many bytes, begun ones counted."""
+"""CPU seconds allowed for each piece of ``PIECE`` bytes, partial pieces included."""
 
 free = False
-"""Whether nothing is measured: while libraries load, which is no reader's doing."""
+"""Whether the limits are disabled, while libraries are loaded."""
 
 SLACK = 5.0
-"""Factor on SECONDS: a slow machine, or a program that counts its own branches, is no hang."""
+"""Factor on SECONDS for slow machines and instrumented programs."""
 
-LONGEST = 1_000
-"""Characters of a message beyond those of the file's name."""
+MAX_MESSAGE = 1_000
+"""Longest message in characters, without the folder's name."""
 
 
-class InspectionFinding(AssertionError):
+class Violation(AssertionError):
     """A promise that an input broke."""
 
 
 class TooSlow(BaseException):
-    """The watchdog's; no reader may catch it."""
+    """Raised by the watchdog; a BaseException, so that readers do not catch it."""
 
 
 @cache
 def folder() -> Path:
-    """Where inputs are written, one over the other: in memory where this system has such a folder."""
+    """Return the folder where inputs are written, in memory if the system has such a folder."""
     memory = Path("/dev/shm")
     return Path(tempfile.mkdtemp(prefix="evalkit-fuzz-", dir=memory if memory.is_dir() else None))
 
 
-def held_file(
+def check_file_reader(
     read: Callable[[Path], object], data: bytes, name: str, named: str | None = None, resident: bool = False
 ) -> None:
-    """Writes the input as a file of that name and holds its reader to the promises; ``named``: see ``held``."""
+    """Write the input to a file of that name and check its reader; ``named``: see ``check_call``."""
     path = folder() / name
     path.write_bytes(data)
-    held(lambda: read(path), len(data), path.name if named is None else named, resident)
+    check_call(lambda: read(path), len(data), path.name if named is None else named, resident)
 
 
-def held(call: Callable[[], object], size: int, named: str, resident: bool = False) -> None:
-    """Raises whatever the call raises but an EvalkitError that keeps the promises; ``named`` must be in its message.
+def check_call(call: Callable[[], object], size: int, named: str, resident: bool = False) -> None:
+    """Run a call within the limits; an EvalkitError with ``named`` in its message is accepted, other errors are raised.
 
-    ``resident``: what is filled of memory counts, not what is asked for.
+    ``resident``: limit the resident memory instead of the address space.
     """
     try:
         with contextlib.ExitStack() as limits:
             if not free:
-                limits.enter_context((_filled if resident else _asked)(SPARE_BYTES + BYTES_EACH * size))
-                limits.enter_context(_time(size))
+                limits.enter_context(
+                    (_limit_resident if resident else _limit_address_space)(SPARE_BYTES + BYTES_EACH * size)
+                )
+                limits.enter_context(_limit_time(size))
             call()
     except EvalkitError as error:
-        _check(error, named, (RecursionError,) if resident else (RecursionError, MemoryError))
+        _check_error(error, named, (RecursionError,) if resident else (RecursionError, MemoryError))
     except TooSlow:
-        raise InspectionFinding(f"more than {_allowed(size):g} s of CPU time for {size} bytes") from None
+        raise Violation(f"more than {_allowed(size):g} s of CPU time for {size} bytes") from None
 
 
-def _check(error: EvalkitError, named: str, never: tuple[type[BaseException], ...]) -> None:
+def _check_error(error: EvalkitError, named: str, never: tuple[type[BaseException], ...]) -> None:
     cause: BaseException | None = error
     while cause is not None:
         if isinstance(cause, never):
-            raise InspectionFinding(f"{type(cause).__name__} behind: {str(error)[:300]}") from error
+            raise Violation(f"{type(cause).__name__} behind: {str(error)[:300]}") from error
         cause = cause.__cause__
-    told = str(error)
-    if named not in told:
-        raise InspectionFinding(f"does not name {named}: {told[:300]!r}")
-    if len(told) > LONGEST + len(str(folder())):
-        raise InspectionFinding(f"{len(told)} characters: {told[:300]!r}")
-    if not told.isprintable():
-        raise InspectionFinding(f"not printable on one line: {told[:300]!r}")
+    message = str(error)
+    if named not in message:
+        raise Violation(f"does not name {named}: {message[:300]!r}")
+    if len(message) > MAX_MESSAGE + len(str(folder())):
+        raise Violation(f"{len(message)} characters: {message[:300]!r}")
+    if not message.isprintable():
+        raise Violation(f"not printable on one line: {message[:300]!r}")
 
 
 @contextlib.contextmanager
-def _asked(more: int) -> Iterator[None]:
-    """Whoever asks for more than is allowed gets a MemoryError, where this system can see to it."""
+def _limit_address_space(more: int) -> Iterator[None]:
+    """Limit the address space, if the system supports it: beyond the limit a MemoryError is raised."""
     try:
         import resource
 
@@ -97,8 +99,8 @@ def _asked(more: int) -> Iterator[None]:
         yield
         return
     before = resource.getrlimit(resource.RLIMIT_AS)
-    most = pages * resource.getpagesize() + more
-    resource.setrlimit(resource.RLIMIT_AS, (most, before[1]))
+    limit = pages * resource.getpagesize() + more
+    resource.setrlimit(resource.RLIMIT_AS, (limit, before[1]))
     try:
         yield
     finally:
@@ -106,8 +108,8 @@ def _asked(more: int) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _filled(more: int) -> Iterator[None]:
-    """Whoever has had more than is allowed is found out afterwards, where this system can tell."""
+def _limit_resident(more: int) -> Iterator[None]:
+    """Check the growth of the peak resident memory afterwards, if the system reports it."""
     try:
         import resource
     except ImportError:
@@ -116,12 +118,12 @@ def _filled(more: int) -> Iterator[None]:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     yield
     if (grown := 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)) > more:
-        raise InspectionFinding(f"{grown} bytes of memory")
+        raise Violation(f"{grown} bytes of memory")
 
 
 @contextlib.contextmanager
-def _time(size: int) -> Iterator[None]:
-    """Ends whoever takes longer than is allowed: by CPU time, so that a busy machine is nobody's fault."""
+def _limit_time(size: int) -> Iterator[None]:
+    """Raise TooSlow beyond the limit of CPU time, which does not depend on the load of the machine."""
     if not hasattr(signal, "SIGPROF") or threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -130,7 +132,7 @@ def _time(size: int) -> Iterator[None]:
         raise TooSlow
 
     before = signal.signal(signal.SIGPROF, stop)
-    signal.setitimer(signal.ITIMER_PROF, _allowed(size), 1.0)  # again, where a destructor swallowed it
+    signal.setitimer(signal.ITIMER_PROF, _allowed(size), 1.0)  # repeated, in case a destructor swallows it
     try:
         yield
     finally:

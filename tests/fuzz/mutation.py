@@ -1,4 +1,4 @@
-"""Inputs made from valid ones by damage: for a few seconds in the tests, and where atheris is not installed."""
+"""Mutate valid inputs: used in the tests, and for fuzzing without atheris."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ WORDS = (
     b"\r", b"\n", b"\n\n", b" ", b"\t", b"[", b"]", b"{", b"}", b'"', b"'", b"#", b":", b",", b"=", b"[[", b"&a", b"*a",
     b"\xd9\xa3", b"9" * 5000, b"x" * 5000, b"[" * 3000,
 )  # fmt: skip
-"""What readers of numbers, texts and lengths stumble over."""
+"""Values that often break readers of numbers, texts and lengths."""
 
 
 def mutants(seeds: Sequence[bytes], count: int, seed: int) -> Iterator[bytes]:
-    """So many damaged inputs, the same for the same ``seed``."""
+    """Yield ``count`` mutated inputs, the same for the same ``seed``."""
     rng = np.random.default_rng(seed)
     for _ in range(count):
         made = bytearray(seeds[rng.integers(len(seeds))])
@@ -63,7 +63,7 @@ def _splice(made: bytearray, seeds: Sequence[bytes], rng: np.random.Generator) -
 
 
 def _number(made: bytearray, _seeds: Sequence[bytes], rng: np.random.Generator) -> None:
-    """A whole number, little-endian, of 4 or 8 bytes over what was there: lengths lie this way."""
+    """Overwrite 4 or 8 bytes with a little-endian integer, as used for lengths."""
     size = int(rng.choice([4, 8]))
     value = int(rng.choice([0, 1, 255, 10**6, 10**9, 2**31 - 1, 2**32 - 1]))
     begin = int(rng.integers(len(made) + 1))

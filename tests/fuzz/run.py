@@ -1,6 +1,6 @@
-"""Fuzzes the readers: ``python tests/fuzz/run.py --seconds 60 [TARGET ...]``, by coverage where atheris is installed.
+"""Fuzz the readers: ``python tests/fuzz/run.py --seconds 60 [TARGET ...]``, guided by coverage if atheris is installed.
 
-What breaks a promise is left as a file, and its place is printed. Without a target all take their turn.
+Inputs that violate a check are written to files. Without a target all targets are run.
 """
 
 from __future__ import annotations
@@ -20,37 +20,37 @@ INSTRUMENTED = ["evalkit", "evalkit_datasets", "rosbags", "ruamel", "tomllib", "
 
 
 def main() -> int:
-    """How many targets have a finding."""
-    asked = argparse.ArgumentParser(description="Fuzz evalkit's readers.")
-    asked.add_argument("targets", nargs="*", help=f"of: {', '.join(names())}; none: all")
-    asked.add_argument("--seconds", type=float, default=60.0, help="of each target")
-    asked.add_argument("--findings", type=Path, default=Path("fuzz-findings"), help="folder for inputs that break it")
-    asked.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
-    given = asked.parse_args()
-    if given.child:
-        return _fuzz(given.targets[0], given.seconds, given.findings)
+    """Run the targets and return 1 if any has a finding."""
+    parser = argparse.ArgumentParser(description="Fuzz evalkit's readers.")
+    parser.add_argument("targets", nargs="*", help=f"of: {', '.join(names())}; none: all")
+    parser.add_argument("--seconds", type=float, default=60.0, help="per target")
+    parser.add_argument("--findings", type=Path, default=Path("fuzz-findings"), help="folder for failing inputs")
+    parser.add_argument("--child", action="store_true", help=argparse.SUPPRESS)
+    arguments = parser.parse_args()
+    if arguments.child:
+        return _fuzz(arguments.targets[0], arguments.seconds, arguments.findings)
     found = 0
-    for name in given.targets or names():
-        found += _apart(name, given.seconds, given.findings)
+    for name in arguments.targets or names():
+        found += _run_target(name, arguments.seconds, arguments.findings)
     sys.stdout.write(f"{found} with findings" + "\n")
     return min(found, 1)
 
 
 def names() -> list[str]:
-    """All targets."""
+    """Return the names of all targets."""
     return sorted(path.stem for path in (HERE / "targets").glob("[a-z]*.py"))
 
 
-def _apart(name: str, seconds: float, findings: Path) -> bool:
-    """Fuzzes a target in a process of its own, and tells how that ended."""
+def _run_target(name: str, seconds: float, findings: Path) -> bool:
+    """Fuzz a target in a separate process and print the result; returns whether it has a finding."""
     findings.mkdir(parents=True, exist_ok=True)
     command = [sys.executable, __file__, "--child", "--seconds", str(seconds), "--findings", str(findings), name]
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
     began = time.monotonic()
-    with (findings / f"{name}.txt").open("w+", encoding="utf-8", errors="replace") as said:
-        code = subprocess.run(command, stdout=said, stderr=subprocess.STDOUT, env=environment, check=False).returncode
-        said.seek(0)
-        text = said.read()
+    with (findings / f"{name}.txt").open("w+", encoding="utf-8", errors="replace") as log:
+        code = subprocess.run(command, stdout=log, stderr=subprocess.STDOUT, env=environment, check=False).returncode
+        log.seek(0)
+        text = log.read()
     runs = re.findall(r"(?:Done (\d+) runs|number_of_executed_units: (\d+)|^#(\d+))", text, re.MULTILINE)
     executed = max((int(number) for each in runs for number in each if number), default=0)
     sys.stdout.write(
@@ -58,11 +58,11 @@ def _apart(name: str, seconds: float, findings: Path) -> bool:
         + "\n"
     )
     if code:
-        sys.stdout.write(_reason(text) or f"  see {findings / name}.txt" + "\n")
+        sys.stdout.write(_extract_reason(text) or f"  see {findings / name}.txt" + "\n")
     return bool(code)
 
 
-def _reason(text: str) -> str:
+def _extract_reason(text: str) -> str:
     lines = [line for line in text.splitlines() if not line.startswith(("#", "INFO", "stat::", "MS:"))]
     return "\n".join(f"  {line[:300]}" for line in lines[-60:])
 
@@ -70,7 +70,7 @@ def _reason(text: str) -> str:
 def _fuzz(name: str, seconds: float, findings: Path) -> int:
     sys.path[:0] = [str(HERE), str(HERE / "targets")]
     if importlib.util.find_spec("atheris") is None:
-        return _by_damage(name, seconds, findings)
+        return _fuzz_by_mutation(name, seconds, findings)
     import atheris
 
     with atheris.instrument_imports(include=INSTRUMENTED):
@@ -86,12 +86,12 @@ def _fuzz(name: str, seconds: float, findings: Path) -> int:
         f"-dict={words}", f"-artifact_prefix={findings / name}-",
     ]  # fmt: skip
     atheris.Setup([sys.argv[0], *options, str(corpus)], target.one, enable_python_coverage=True)
-    atheris.Fuzz()  # which ends the process
+    atheris.Fuzz()  # does not return
     return 0
 
 
 def load(name: str):
-    """The module of a target."""
+    """Return the module of a target."""
     for place in (HERE, HERE / "targets"):
         if str(place) not in sys.path:
             sys.path.append(str(place))
@@ -101,13 +101,13 @@ def load(name: str):
     import bounds
 
     bounds.free = True
-    for seed in module.seeds():  # which loads what is loaded when it is needed
+    for seed in module.seeds():  # loads lazily imported modules
         module.one(seed)
     bounds.free = False
     return module
 
 
-def _by_damage(name: str, seconds: float, findings: Path) -> int:
+def _fuzz_by_mutation(name: str, seconds: float, findings: Path) -> int:
     from mutation import mutants
 
     target = load(name)

@@ -1,22 +1,22 @@
-"""The bag reader from the file's bytes on: ROS 1, ROS 2 in SQLite and in MCAP, told apart by their first bytes."""
+"""The bag reader on whole files: ROS 1, ROS 2 in SQLite and in MCAP, selected by the first byte."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
 from bags import KINDS, SUFFIXES, frames_of, made
-from bounds import held_file
+from bounds import check_file_reader
 
 MAGIC = {b"#ROSBAG": "ros1", b"SQLite ": "sqlite3"}
 
 
 def seeds() -> list[bytes]:
-    """A bag of every kind with scans, odometry and transforms."""
+    """Return a bag of every format with scans, odometry and transforms."""
     return [made(kind) for kind in KINDS]
 
 
 def swollen() -> list[bytes]:
-    """Lengths that lie."""
+    """Return bags with wrong lengths."""
     one, sqlite, mcap = seeds()
     return [
         one[:13] + b"\xff\xff\xff\x7f" + one[17:],
@@ -29,9 +29,9 @@ def swollen() -> list[bytes]:
 
 
 def one(data: bytes) -> None:
-    """Reads a bag, and all of its frames. Whatever length it tells is asked for in one piece, though never filled."""
+    """Read a bag and all of its frames. The reader allocates any declared length, but does not fill it."""
     kind = MAGIC.get(data[:7], "mcap")
-    held_file(_read, data, f"fuzz{SUFFIXES[kind]}", resident=True)
+    check_file_reader(_read, data, f"fuzz{SUFFIXES[kind]}", resident=True)
 
 
 def _read(path: Path) -> None:

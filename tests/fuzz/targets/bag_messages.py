@@ -1,22 +1,22 @@
-"""The bag reader on sound ROS 1 bags whose messages are damaged: lying lengths, types that are not theirs."""
+"""The bag reader on valid ROS 1 bags with damaged messages: wrong lengths, wrong types."""
 
 from __future__ import annotations
 
 from bags import frames_of, messages, written
-from bounds import folder, held
+from bounds import check_call, folder
 
 PARTS = (("/scan", "sensor_msgs/msg/LaserScan"), ("/odom", "nav_msgs/msg/Odometry"), ("/tf", "tf2_msgs/msg/TFMessage"),
          ("/tf_static", "tf2_msgs/msg/TFMessage"), ("/echoes", "sensor_msgs/msg/MultiEchoLaserScan"))  # fmt: skip
-"""Topic and type that the first byte of an input chooses for the rest of it."""
+"""Topics and types; the first byte of an input selects one for the rest of it."""
 
 
 def seeds() -> list[bytes]:
-    """A message of every type."""
+    """Return a message of every type."""
     return [bytes([number]) + messages("ros1")[number] for number in range(len(PARTS))]
 
 
 def swollen() -> list[bytes]:
-    """A thousand million beams, chains of a thousand transforms, many transforms in one message."""
+    """Return messages with 10^9 beams, chains of 1,000 transforms, and many transforms in one message."""
     scan, _, transforms, _, echoes = seeds()
     lie = scan.rindex(b"\x05\x00\x00\x00")
     one = transforms[5:]
@@ -30,9 +30,9 @@ def swollen() -> list[bytes]:
 
 
 def one(data: bytes) -> None:
-    """Reads a bag with one message of the input among good ones."""
+    """Read a bag with the input as one message among valid ones."""
     part = PARTS[data[0] % len(PARTS)] if data else PARTS[0]
     path = folder() / "messages.bag"
     path.unlink(missing_ok=True)
     written(path, part, data[1:])
-    held(lambda: frames_of(path), len(data), path.name)
+    check_call(lambda: frames_of(path), len(data), path.name)

@@ -1,17 +1,17 @@
-"""The CARMEN reader, from the log's bytes to the last frame."""
+"""The CARMEN reader, from the bytes of a log to the last frame."""
 
 from __future__ import annotations
 
 import gzip
 from pathlib import Path
 
-from bounds import held_file
+from bounds import check_file_reader
 
 from evalkit_datasets.carmen import Carmen
 
 
 def seeds() -> list[bytes]:
-    """Logs of every kind of line, plain and packed."""
+    """Return logs with every type of line, plain and gzip."""
     beams = " ".join(["2.0"] * 180)
     flaser = "".join(f"FLASER 180 {beams} {k} 0 0 {k} 0 0 {k}.25 host {k}.25\n" for k in range(3))
     robot = "".join(
@@ -25,7 +25,7 @@ def seeds() -> list[bytes]:
 
 
 def swollen() -> list[bytes]:
-    """Inputs of 100 kB and more whose cost could grow faster than they do."""
+    """Return inputs of 100 kB and more whose cost could grow faster than their size."""
     return [
         b"FLASER 1000000000 " + b"1 " * 100_000,
         b"FLASER 50000 " + b"1 " * 50_000 + b"0 0 0 0 0 0 1 h 1\n",
@@ -38,8 +38,8 @@ def swollen() -> list[bytes]:
 
 
 def one(data: bytes) -> None:
-    """Reads a log, and all of its frames."""
-    held_file(_read, data, "fuzz.log")
+    """Read a log and all of its frames."""
+    check_file_reader(_read, data, "fuzz.log")
 
 
 def _read(path: Path) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bounds import held_file
+from bounds import check_file_reader
 
 from evalkit.config.experiment import load_experiment
 
@@ -29,12 +29,12 @@ seeds = [0, 1]
 
 
 def seeds() -> list[bytes]:
-    """Plans."""
+    """Return valid experiments."""
     return [SEED, b'[[method]]\nuse = "paper"\n[[sequence]]\nuse = "corridor"\nlabel = "c"\n']
 
 
 def swollen() -> list[bytes]:
-    """Deep tables, long texts and many methods."""
+    """Return deep tables, long texts and many methods."""
     one = b'[[method]]\nuse = "paper"\n[[sequence]]\nuse = "lab"\n'
     return [
         one + b"x = " + b"[" * 5_000,
@@ -56,5 +56,5 @@ def swollen() -> list[bytes]:
 
 
 def one(data: bytes) -> None:
-    """Reads a plan, and lists its runs."""
-    held_file(lambda path: list(load_experiment(path).runs()), data, "fuzz.toml")
+    """Read an experiment and list its runs."""
+    check_file_reader(lambda path: list(load_experiment(path).runs()), data, "fuzz.toml")

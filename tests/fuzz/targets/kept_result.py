@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import stored_run
-from bounds import InspectionFinding, folder, held
+from bounds import Violation, check_call, folder
 
 from evalkit.execution.task import Task
 from evalkit.execution.task_store import TaskStore
@@ -17,7 +17,7 @@ TASK = Task("fuzz", untrusted_io.read_arrays)
 
 
 def seeds() -> list[bytes]:
-    """A result with a number and an array."""
+    """Return a result with a number and an array."""
     with tempfile.TemporaryDirectory() as place:
         store = TaskStore(Path(place))
         store.save(TASK, {"value": 1.5, "array": np.arange(3.0)})
@@ -25,16 +25,16 @@ def seeds() -> list[bytes]:
 
 
 def swollen() -> list[bytes]:
-    """The archives of a stored run."""
+    """Return the archives of a stored run."""
     return [content[1:] for content in stored_run.swollen() if content[0] == 3]
 
 
 def one(data: bytes) -> None:
-    """Asks for a result; what is damaged counts as absent."""
+    """Load a result; a damaged one counts as absent."""
     untrusted_io.MAX_BYTES = 2**24  # as for a stored run
     store = TaskStore(folder())
     store.path(TASK).write_bytes(data)
     found: list[object] = []
-    held(lambda: found.append(store.load(TASK)), len(data), "")
+    check_call(lambda: found.append(store.load(TASK)), len(data), "")
     if not isinstance(found[0], (dict, type(None))):
-        raise InspectionFinding(f"a result that is a {type(found[0]).__name__}")
+        raise Violation(f"a result that is a {type(found[0]).__name__}")

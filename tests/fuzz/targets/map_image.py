@@ -1,11 +1,11 @@
-"""The image of a map_server map, PGM or PNG, under sound settings."""
+"""The image of a map_server map, PGM or PNG, with valid settings."""
 
 from __future__ import annotations
 
 from io import BytesIO
 
 import numpy as np
-from bounds import folder, held_file
+from bounds import check_file_reader, folder
 from PIL import Image
 
 from evalkit.io import map_server
@@ -14,7 +14,7 @@ SETTINGS = "image: fuzz.image\nresolution: 0.05\norigin: [0, 0, 0]\n"
 
 
 def seeds() -> list[bytes]:
-    """Images of every kind that is read."""
+    """Return images of every supported format."""
     made = [
         b"P5\n3 2\n255\n\x00\xcd\xfe\xfe\x00\x01",
         b"P2 # made\n2 2\n255\n0 205 254 254\n",
@@ -29,7 +29,7 @@ def seeds() -> list[bytes]:
 
 
 def swollen() -> list[bytes]:
-    """Headers that claim more than there is, comments without end, and a small file that holds much white."""
+    """Return headers with too large sizes, long comments, and a small file of many white pixels."""
     content = BytesIO()
     Image.new("1", (13_000, 13_000)).save(content, "PNG")
     return [
@@ -47,8 +47,8 @@ def swollen() -> list[bytes]:
 
 
 def one(data: bytes) -> None:
-    """Reads a map by its image."""
+    """Read a map with the input as its image."""
     map_server.MAX_PIXELS = 2**20  # what a sound image of that size takes is no finding
     settings = folder() / "image.yaml"
     settings.write_text(SETTINGS, encoding="utf-8")
-    held_file(lambda _path: map_server.read_map(settings), data, "fuzz.image")
+    check_file_reader(lambda _path: map_server.read_map(settings), data, "fuzz.image")

@@ -1,14 +1,14 @@
-"""The YAML file of a map_server map, beside a sound image."""
+"""The YAML file of a map_server map, with a valid image."""
 
 from __future__ import annotations
 
-from bounds import folder, held_file
+from bounds import check_file_reader, folder
 
 from evalkit.io import map_server
 
 
 def seeds() -> list[bytes]:
-    """Settings as map_server and nav2 write them."""
+    """Return settings as written by map_server and nav2."""
     return [
         b"image: fuzz.pgm\nresolution: 0.05\norigin: [-1.0, -2.0, 0.0]\nnegate: 0\noccupied_thresh: 0.65\n",
         b"image: fuzz.pgm\nmode: trinary\nresolution: 1e-2\norigin:\n- 0\n- 0\n- 0\nnegate: 1\n",
@@ -16,7 +16,7 @@ def seeds() -> list[bytes]:
 
 
 def swollen() -> list[bytes]:
-    """Aliases that double from line to line, and nesting without end."""
+    """Return aliases that double with every line, and deep nesting."""
     laughs = b"a0: &a0 [lol, lol]\n" + b"".join(
         b"a%d: &a%d [*a%d, *a%d]\n" % (k, k, k - 1, k - 1) for k in range(1, 40)
     )
@@ -39,7 +39,7 @@ def swollen() -> list[bytes]:
 
 
 def one(data: bytes) -> None:
-    """Reads a map by its settings."""
+    """Read a map with the input as its settings."""
     (folder() / "fuzz.pgm").write_bytes(b"P5\n2 2\n255\n\x00\xcd\xfe\xfe")
-    held_file(map_server.read_map, data, "fuzz.yaml", named="")  # it may name an image that is not there
+    check_file_reader(map_server.read_map, data, "fuzz.yaml", named="")  # it may name an image that is not there
     map_server.find_map_image(folder() / "fuzz.yaml")

@@ -1,10 +1,10 @@
-"""The lines of a program that speaks evalkit's protocol: what it says of itself, and what it answers."""
+"""Lines of a program with evalkit's protocol: its declaration and its answers."""
 
 from __future__ import annotations
 
 from collections import deque
 
-from bounds import held
+from bounds import check_call
 
 from evalkit.external.declaration import parameters_with, read_declaration
 from evalkit.external.process import ProgramSession
@@ -12,14 +12,14 @@ from evalkit.external.program import Program
 
 
 class _Nobody:
-    """A process that is not there."""
+    """A stub of the process."""
 
     def kill(self) -> None:
-        """Nothing to end."""
+        """Do nothing."""
 
 
 def seeds() -> list[bytes]:
-    """Declarations and answers, and words with which settings are chosen after a line."""
+    """Return declarations and answers, and settings after a line."""
     return [
         b'{"protocol": 1, "kind": "registration", "summary": "s", "device": "board", "parameters": '
         b'[{"name": "radius", "default": 0.5, "unit": "m", "meaning": "how far"}, {"name": "n", "default": 3}]}',
@@ -30,7 +30,7 @@ def seeds() -> list[bytes]:
 
 
 def swollen() -> list[bytes]:
-    """Nesting, digits and texts without end."""
+    """Return deep nesting, long numbers and long texts."""
     return [
         b"[" * 1_000_000,
         b'{"pose": ' + b"[" * 100_000 + b"]" * 100_000 + b"}",
@@ -49,11 +49,11 @@ def swollen() -> list[bytes]:
 
 
 def one(data: bytes) -> None:
-    """Hears a line as every kind of answer."""
+    """Parse a line as every type of answer."""
     program = Program.__new__(Program)
     program._name, program._process, program._last_words = "exec:fuzz", _Nobody(), deque([data[-200:]])
     for hear in (_describe_program, _matched, _posed):
-        held(lambda hear=hear: hear(program, data), len(data), "exec:fuzz")
+        check_call(lambda hear=hear: hear(program, data), len(data), "exec:fuzz")
 
 
 def _describe_program(program: Program, line: bytes) -> None:

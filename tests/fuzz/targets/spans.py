@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from bounds import held_file
+from bounds import check_file_reader
 
 from evalkit_datasets.truth_files import read_spans
 
 
 def seeds() -> list[bytes]:
-    """Distances of every kind of place."""
+    """Return distances with every type of end."""
     return [
         b'[[span]]\nname = "door"\nfrom = 1.5\nto = { at = "976052857.337284001", point = [0.1, 0] }\nmetres = 2.5\n',
         b"[[span]]\nfrom = { wall = [1.0, 2.0] }\nto = 3\nmetres = 4\nsigma_m = 0.02\n",
@@ -16,7 +16,7 @@ def seeds() -> list[bytes]:
 
 
 def swollen() -> list[bytes]:
-    """Numbers and texts that are long."""
+    """Return long numbers and texts."""
     one = b"[[span]]\nfrom = 1\nto = 2\nmetres = "
     return [
         one + b"1e" + b"9" * 100,
@@ -33,5 +33,5 @@ def swollen() -> list[bytes]:
 
 
 def one(data: bytes) -> None:
-    """Reads distances."""
-    held_file(read_spans, data, "fuzz.toml")
+    """Read measured distances."""
+    check_file_reader(read_spans, data, "fuzz.toml")

@@ -1,4 +1,4 @@
-"""A run's folder in a results folder: JSON, records and arrays that another version, or anybody, has left there."""
+"""The folder of a run: JSON, records and arrays from another version or an unknown source."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ import json
 import zipfile
 
 import numpy as np
-from bounds import folder, held
+from bounds import check_call, folder
 
 from evalkit.core.run_result import STEP
 from evalkit.io import untrusted_io
 from evalkit.results.store import RESULT, SCORES, STEPS, Store
 
 FILES = (RESULT, STEPS, SCORES, "grid.npz", "errors.npy")
-"""Which of them an input stands for is told by its first byte; the others are sound."""
+"""The files; the first byte of an input selects the one it replaces, the others are valid."""
 
 
 def _sound() -> dict[str, bytes]:
@@ -33,7 +33,7 @@ def _sound() -> dict[str, bytes]:
 
 
 def seeds() -> list[bytes]:
-    """Sound files."""
+    """Return valid files."""
     return [bytes([number]) + content for number, content in enumerate(_sound().values())]
 
 
@@ -43,7 +43,7 @@ def _npy(header: str) -> bytes:
 
 
 def swollen() -> list[bytes]:
-    """Arrays that claim more than there is, objects to be unpickled, archives that hold gigabytes, deep nesting."""
+    """Return arrays with too large shapes, pickled objects, archives of gigabytes, and deep nesting."""
     huge = "{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000000,), }"
     objects = "{'descr': '|O', 'fortran_order': False, 'shape': (1,), }"
     zipped = []
@@ -71,7 +71,7 @@ def swollen() -> list[bytes]:
 
 
 def one(data: bytes) -> None:
-    """Loads a run and its scores; what is damaged counts as absent."""
+    """Load a run and its scores; damaged ones count as absent."""
     place = folder() / "runs" / "key"
     place.mkdir(parents=True, exist_ok=True)
     for name, content in _sound().items():
@@ -80,4 +80,4 @@ def one(data: bytes) -> None:
     (place / name).write_bytes(data[1:])
     untrusted_io.MAX_BYTES = 2**24  # what a sound archive of that size takes is no finding
     store = Store.existing(folder())
-    held(lambda: (store.load_result("key"), store.load_scores("key")), len(data), "")
+    check_call(lambda: (store.load_result("key"), store.load_scores("key")), len(data), "")

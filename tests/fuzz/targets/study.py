@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bounds import held_file
+from bounds import check_file_reader
 
 from evalkit.commands.study.config import read
 
@@ -37,12 +37,12 @@ deal = true
 
 
 def seeds() -> list[bytes]:
-    """Studies."""
+    """Return valid studies."""
     return [SEED]
 
 
 def swollen() -> list[bytes]:
-    """Designs that would be enormous, deep tables and long texts."""
+    """Return enormous designs, deep tables and long texts."""
     head = SEED[: SEED.index(b"[[design]]")]
     return [
         head + b'[[design]]\nkind = "sobol"\npoints = 1000000000\nfactors = ["noise"]\n',
@@ -59,5 +59,5 @@ def swollen() -> list[bytes]:
 
 
 def one(data: bytes) -> None:
-    """Reads a study, and makes its jobs."""
-    held_file(lambda path: read(path, "evalkit study fuzz.toml").tasks(), data, "fuzz.toml")
+    """Read a study and build its tasks."""
+    check_file_reader(lambda path: read(path, "evalkit study fuzz.toml").tasks(), data, "fuzz.toml")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bounds import held_file
+from bounds import check_file_reader
 
 from evalkit.commands.tune.config import read
 
@@ -24,7 +24,7 @@ use = "lab"
 laps = 0.1
 seeds = [0, 1]
 confirm = [10, 11]
-[[held-out]]
+[[check_call-out]]
 use = "office"
 laps = 0.1
 seeds = [0]
@@ -35,12 +35,12 @@ lost = 1.0
 
 
 def seeds() -> list[bytes]:
-    """A tuning."""
+    """Return a valid tuning."""
     return [SEED]
 
 
 def swollen() -> list[bytes]:
-    """Budgets and lists without end, long texts."""
+    """Return huge budgets, long lists and long texts."""
     return [
         SEED.replace(b"points = 4", b"points = 1000000000"),
         SEED.replace(b"[5, 10]", b"[" + b"5," * 50_000 + b"]"),
@@ -51,5 +51,5 @@ def swollen() -> list[bytes]:
 
 
 def one(data: bytes) -> None:
-    """Reads a tuning."""
-    held_file(lambda path: read(path, "fuzz", "evalkit tune fuzz.toml"), data, "fuzz.toml")
+    """Read a tuning."""
+    check_file_reader(lambda path: read(path, "fuzz", "evalkit tune fuzz.toml"), data, "fuzz.toml")
