@@ -108,7 +108,7 @@ def scan(page):
 
 
 def rows(page, region):
-    names = page.locator(f"[aria-label='{region}'] tbody th .who > span:first-of-type")
+    names = page.locator(f"[aria-label='{region}'] tbody th .method > span:first-of-type")
     return [name.inner_text() for name in names.all() if name.is_visible()]
 
 
@@ -154,7 +154,7 @@ def test_the_filter_leaves_only_the_chosen_in_tables_and_legends_and_stands_in_t
     assert [run["label"] for run in again.evaluate(f"document.querySelector('{PLAYER}').player.state.runs")] == [
         "plane"
     ]
-    again.click("#everybody")
+    again.click("#show-all")
     assert len(rows(again, "Results on room")) == 6
 
 

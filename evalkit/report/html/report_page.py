@@ -148,11 +148,11 @@ def draw_figures(runs: Sequence[RunRecord], lines: Mapping[str, Stroke]) -> list
             "As reported by each method, by its own definition. Each point is the median of a stretch.",
         ),
     )
-    made = ((draw(runs, lines), title, caption) for draw, title, caption in planned)
+    drawn = ((draw(runs, lines), title, caption) for draw, title, caption in planned)
     return [
-        Figure(drawing.svg, title, f"{caption} {drawing.remark}".strip())
-        for drawing, title, caption in made
-        if drawing is not None
+        Figure(figure.svg, title, f"{caption} {figure.remark}".strip())
+        for figure, title, caption in drawn
+        if figure is not None
     ]
 
 

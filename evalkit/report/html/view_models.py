@@ -99,10 +99,10 @@ def build_headline(sequence: SequenceAnalysis) -> HeadlineTable:
 
     With a true map, map consistency appears only in the table of all metrics.
     """
-    found = [sequence.rankings[metric.name] for metric in _headline_metrics(sequence)]
-    present = [one for one in found if one.has_values]
+    rankings = [sequence.rankings[metric.name] for metric in _headline_metrics(sequence)]
+    present = [one for one in rankings if one.has_values]
     rows = [_row(sequence, label, own, present) for label, own in sequence.runs.items()]
-    return HeadlineTable(tuple(one.metric for one in present), tuple(rows), _absent(found))
+    return HeadlineTable(tuple(one.metric for one in present), tuple(rows), _absent(rankings))
 
 
 def format_success(records: Sequence[RunRecord]) -> str:
@@ -110,8 +110,8 @@ def format_success(records: Sequence[RunRecord]) -> str:
     started = [record for record in records if record.result.status not in NOT_EXECUTED]
     if not started:
         return ""
-    found = wilson_interval(len(started) - len(unfinished(started)), len(started))
-    return f"95 %: {100.0 * found.low:.0f}–{100.0 * found.high:.0f} %"
+    interval = wilson_interval(len(started) - len(unfinished(started)), len(started))
+    return f"95 %: {100.0 * interval.low:.0f}–{100.0 * interval.high:.0f} %"
 
 
 def find_absent(sequence: SequenceAnalysis) -> dict[str, tuple[str, ...]]:
@@ -123,8 +123,8 @@ def build_glance(analysis: Analysis) -> GlanceTable:
     """Return every method over every sequence in its deciding metric."""
     columns = tuple((sequence.label, sequence.deciding) for sequence in analysis.sequences)
     rows = tuple(
-        (who, tuple(_glanced(sequence, who) for sequence in analysis.sequences))
-        for who in analysis.comparison.method_labels
+        (method, tuple(_glance_number(sequence, method) for sequence in analysis.sequences))
+        for method in analysis.comparison.method_labels
     )
     return GlanceTable(columns, rows)
 
@@ -133,50 +133,50 @@ def build_all_metrics(sequence: SequenceAnalysis) -> dict[str, tuple[MetricRow, 
     """Return all metrics of a sequence with a value, by group."""
     degenerate = bool(sequence.card.degenerate)
     groups: dict[str, list[MetricRow]] = {}
-    for found in sequence.rankings.values():
-        metric = found.metric
-        if found.has_values:
-            numbers = tuple(format_score(found, cell, degenerate) for cell in found.scores)
+    for ranking in sequence.rankings.values():
+        metric = ranking.metric
+        if ranking.has_values:
+            numbers = tuple(format_score(ranking, score, degenerate) for score in ranking.scores)
             groups.setdefault(metric.group, []).append(MetricRow(metric, numbers))
     return {group: tuple(lines) for group, lines in groups.items()}
 
 
-def format_score(found: Ranking, cell: MethodScore, unranked: bool = False) -> TableNumber:
+def format_score(ranking: Ranking, score: MethodScore, unranked: bool = False) -> TableNumber:
     """Return a score as printed: the median with its interval or range, or a dash with the reason as its tip.
 
     ``unranked``: the geometry is degenerate, or the map metrics disagree, so nothing is marked as best.
     """
-    metric = found.metric
-    partial = ", ".join(format_value(metric, value) for value in cell.partial)
-    if not cell.values:
-        return TableNumber("–", tip=cell.reason, partial=partial)
-    middle = median(cell.values)
-    extent, runs = _extent(metric, cell), f"{len(cell.values)} of {cell.expected} runs"
-    if len(cell.values) < cell.expected:
+    metric = ranking.metric
+    partial = ", ".join(format_value(metric, value) for value in score.partial)
+    if not score.values:
+        return TableNumber("–", tip=score.reason, partial=partial)
+    middle = median(score.values)
+    extent, runs = _extent(metric, score), f"{len(score.values)} of {score.expected} runs"
+    if len(score.values) < score.expected:
         extent = f"{runs} {extent}".rstrip()
-    if len(cell.values) > 1:
-        runs += f" ({format_value(metric, min(cell.values))} to {format_value(metric, max(cell.values))})"
-    support = f", support {cell.support}" if cell.support else ""
-    contest = len(found.tied) < len(found.ranked) and not unranked
+    if len(score.values) > 1:
+        runs += f" ({format_value(metric, min(score.values))} to {format_value(metric, max(score.values))})"
+    support = f", support {score.support}" if score.support else ""
+    contest = len(ranking.tied) < len(ranking.ranked) and not unranked
     return TableNumber(
         format_value(metric, middle),
         extent,
         middle,
         f"{metric.label}: median of {runs}{support}",
-        best=contest and cell is found.ranked[0],
-        tied=contest and cell in found.tied and len(found.tied) > 1,
+        best=contest and score is ranking.ranked[0],
+        tied=contest and score in ranking.tied and len(ranking.tied) > 1,
         partial=partial,
     )
 
 
-def _extent(metric: Metric, cell: MethodScore) -> str:
+def _extent(metric: Metric, score: MethodScore) -> str:
     """Return the 95 % interval, or the lowest and highest of several runs, as printed below the number."""
-    found = cell.interval
-    if found is not None:
-        return f"95 %: {format_value(metric, found.low)}–{format_value(metric, found.high)}"
+    interval = score.interval
+    if interval is not None:
+        return f"95 %: {format_value(metric, interval.low)}–{format_value(metric, interval.high)}"
     return (
-        f"{format_value(metric, min(cell.values))}–{format_value(metric, max(cell.values))}"
-        if len(cell.values) > 1
+        f"{format_value(metric, min(score.values))}–{format_value(metric, max(score.values))}"
+        if len(score.values) > 1
         else ""
     )
 
@@ -192,8 +192,8 @@ def group_failures(records: Sequence[RunRecord]) -> tuple[FailedRuns, ...]:
     for record in unfinished(records):
         together.setdefault((record.method, record.result.status, record.result.reason), []).append(record)
     return tuple(
-        FailedRuns(who, _seeds(alike), STATUS_LABELS[status], _progress(alike), reason)
-        for (who, status, reason), alike in together.items()
+        FailedRuns(method, _seeds(own), STATUS_LABELS[status], _progress(own), reason)
+        for (method, status, reason), own in together.items()
     )
 
 
@@ -214,11 +214,11 @@ def build_published(sequence: SequenceAnalysis) -> tuple[Metric, tuple[Published
         )
         for row in rows
     ]
-    for cell in sequence.rankings[metric.name].ranked:
-        beside = sequence.rankings[deviation.name].of(cell.method) if deviation else None
+    for score in sequence.rankings[metric.name].ranked:
+        beside = sequence.rankings[deviation.name].of(score.method) if deviation else None
         spread = format_value(deviation, beside.median) if deviation and beside and beside.median is not None else ""
         references.append(
-            PublishedRow(cell.method, format_value(metric, median(cell.values)), spread, median(cell.values), "")
+            PublishedRow(score.method, format_value(metric, median(score.values)), spread, median(score.values), "")
         )
     return metric, tuple(sorted(references, key=lambda row: row.sort))
 
@@ -243,27 +243,27 @@ def _headline_metrics(sequence: SequenceAnalysis) -> list[Metric]:
 def _row(
     sequence: SequenceAnalysis, label: str, records: Sequence[RunRecord], present: Sequence[Ranking]
 ) -> HeadlineRow:
-    cells = [(found, cell) for found in present if (cell := found.of(label)) is not None]
+    cells = [(ranking, score) for ranking in present if (score := ranking.of(label)) is not None]
     complete = len(records) - len(unfinished(records))
     behind, degenerate = sequence.is_behind(label), bool(sequence.card.degenerate)
-    numbers = tuple(format_score(found, cell, degenerate) for found, cell in cells)
+    numbers = tuple(format_score(ranking, score, degenerate) for ranking, score in cells)
     return HeadlineRow(label, complete, len(records), format_success(records), numbers, group_failures(records), behind)
 
 
-def _glanced(sequence: SequenceAnalysis, method: str) -> TableNumber:
-    found = sequence.deciding
-    cell = found.of(method) if found else None
-    if found is None or cell is None:
-        return TableNumber("–", tip="no value for any headline metric" if found is None else "not run here")
+def _glance_number(sequence: SequenceAnalysis, method: str) -> TableNumber:
+    ranking = sequence.deciding
+    score = ranking.of(method) if ranking else None
+    if ranking is None or score is None:
+        return TableNumber("–", tip="no value for any headline metric" if ranking is None else "not run here")
     unranked = bool(sequence.card.degenerate) or sequence.map_agreement.disagrees
-    return format_score(found, cell, unranked)
+    return format_score(ranking, score, unranked)
 
 
-def _absent(found: Sequence[Ranking]) -> dict[str, tuple[str, ...]]:
+def _absent(rankings: Sequence[Ranking]) -> dict[str, tuple[str, ...]]:
     """Return the metrics without a value, by the reason of the complete runs; none if no run completed."""
     reasons: dict[str, tuple[str, ...]] = {}
-    for one in found:
-        reason = next((cell.reason for cell in one.scores if cell.complete), "")
+    for one in rankings:
+        reason = next((score.reason for score in one.scores if score.complete), "")
         if reason and not one.has_values:
             reasons[reason] = (*reasons.get(reason, ()), one.metric.label)
     return reasons

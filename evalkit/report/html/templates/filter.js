@@ -10,7 +10,7 @@ function isShown(label) {
 
 const allShown = () => chips.every((chip) => isShown(chip.value));
 
-// What disappears with a method's name: its table row (or the body of its own), list item or card.
+// The element hidden with a method: its table row (or its own table body), list item or card.
 function around(named) {
   const row = named.closest("tr");
   if (!row) return named.closest("li, article, figure") ?? named;
@@ -33,8 +33,8 @@ function applyFilter() {
     chip.classList.toggle("out", !isShown(chip.value));
   }
   const some = count < chips.length;
-  for (const told of document.querySelectorAll(".filtered")) told.textContent = some ? `${count} of ${chips.length} methods` : told.dataset.all;
-  document.getElementById("everybody").hidden = !some && !chosen.find;
+  for (const label of document.querySelectorAll(".filtered")) label.textContent = some ? `${count} of ${chips.length} methods` : label.dataset.all;
+  document.getElementById("show-all").hidden = !some && !chosen.find;
   document.dispatchEvent(new Event("methods"));
 }
 
@@ -60,7 +60,7 @@ finder.addEventListener("input", () => {
   chosen.find = finder.value.trim();
   changed();
 });
-document.getElementById("everybody").addEventListener("click", () => {
+document.getElementById("show-all").addEventListener("click", () => {
   chosen.only.clear();
   chosen.find = finder.value = "";
   changed();

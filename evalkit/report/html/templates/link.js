@@ -1,11 +1,11 @@
-// What the address keeps, so that a copied link shows the same again: #place?word=text,text&word=text
+// The state of the page in the address, so that a copied link shows the same view: #place?word=text,text&word=text
 const KEPT = ["only", "find", "open"]; // words of the whole page; all others belong to the player at the place
 
 const link = {
   place: "",
   words: new Map(),
 
-  // A link within the page keeps what is chosen; one from outside brings its own.
+  // A link within the page keeps the state; a link from outside sets it.
   read() {
     const [place, given] = location.hash.slice(1).split("?");
     link.place = decoded(place);
@@ -14,11 +14,11 @@ const link = {
     const kept = given === undefined ? [...link.words].filter(([word]) => KEPT.includes(word)) : [];
     link.words = new Map([...kept, ...brought]);
     if (given !== undefined) refold(brought.get("open") ?? []);
-    if (location.hash) unfold(); // what stands at the place, and once more where it came to stand
+    if (location.hash) unfold(); // the target, and once more after the layout has changed
     document.dispatchEvent(new Event("linked"));
   },
 
-  // ``words``: lists of texts by name, undefined for what need not be said.
+  // ``words``: lists of texts by name; undefined removes a word.
   write(words, place = link.place) {
     if (place !== link.place) link.words = new Map([...link.words].filter(([word]) => KEPT.includes(word)));
     link.place = place;
@@ -26,13 +26,13 @@ const link = {
       if (texts === undefined) link.words.delete(word);
       else link.words.set(word, texts);
     }
-    const said = [...link.words].map(([word, texts]) => `${word}=${texts.map(encodeURIComponent).join(",")}`);
-    const hash = place || said.length ? `#${encodeURIComponent(place)}${said.length ? `?${said.join("&")}` : ""}` : "";
+    const parts = [...link.words].map(([word, texts]) => `${word}=${texts.map(encodeURIComponent).join(",")}`);
+    const hash = place || parts.length ? `#${encodeURIComponent(place)}${parts.length ? `?${parts.join("&")}` : ""}` : "";
     if (hash !== location.hash) history.replaceState(null, "", hash || location.pathname + location.search);
   },
 };
 
-// What is unfolded otherwise than the page does at first.
+// The folds whose state differs from the initial one.
 const folds = [...document.querySelectorAll("details[id]")].map((fold) => ({ fold, first: fold.open }));
 
 function refold(named) {

@@ -1,5 +1,5 @@
 "use strict";
-// Sorting: a heading's button orders the bodies of its table; what has no value stays last.
+// Sorting: a heading's button orders the bodies of its table; rows without a value stay last.
 for (const table of document.querySelectorAll("table.sortable")) {
   const headings = [...table.tHead.rows[0].cells];
   headings.forEach((heading, column) => {
@@ -32,11 +32,11 @@ for (const button of document.querySelectorAll("button.enlarge")) {
   });
 }
 viewer.addEventListener("click", () => viewer.close());
-// A link cut short may end within a sign.
+// A truncated link may end within an escape sequence.
 function decoded(word) {
   try { return decodeURIComponent(word); } catch { return ""; }
 }
-// A link to something folded away unfolds it.
+// A link to a folded element opens its folds.
 const unfold = () => {
   const target = document.getElementById(decoded(location.hash.slice(1).split("?")[0]));
   document.querySelector(".aimed")?.classList.remove("aimed");
@@ -46,7 +46,7 @@ const unfold = () => {
 };
 addEventListener("hashchange", unfold);
 if (location.hash) unfold();
-// Paper shows everything; afterwards all is as it was.
+// Print shows every fold; afterwards their state is restored.
 let printing = false;
 let folded = [];
 addEventListener("beforeprint", () => {
@@ -56,9 +56,9 @@ addEventListener("beforeprint", () => {
 });
 addEventListener("afterprint", () => {
   for (const details of folded) details.open = false;
-  setTimeout(() => { printing = false; }); // what was toggled is told later
+  setTimeout(() => { printing = false; }); // toggle events arrive later
 });
-// A click on a command selects it whole.
+// A click on a command selects all of it.
 for (const command of document.querySelectorAll("code.command")) {
   command.addEventListener("click", () => getSelection().selectAllChildren(command));
 }

@@ -1,4 +1,4 @@
-// The scan-by-scan player of each sequence: its controls, its keys, and what is shown at the scan it stands at.
+// The scan-by-scan player of each sequence: its controls, its keys, and the view of the current scan.
 class Player {
   constructor(root) {
     this.root = root;
@@ -23,12 +23,12 @@ class Player {
     this.choose();
     this.home();
     this.go(this.worst[0]?.scan ?? 0);
-    this.first = said(this);
+    this.first = playerState(this);
     this.kept = JSON.stringify(this.first);
     new ResizeObserver(() => this.resize()).observe(canvas);
   }
 
-  // The pictures of the maps, which stand further down the page.
+  // The images of the maps, further down the page.
   async pictures() {
     const figures = [...document.querySelectorAll(`#${this.root.dataset.anchor} .maps figure`)];
     const loaded = await Promise.all(figures.map(async (figure) => {
@@ -62,14 +62,14 @@ class Player {
     }
   }
 
-  // Browsers forbid a page to change its address at every turn of a wheel.
+  // Browsers limit how often a page may change its address.
   rememberSoon() {
     clearTimeout(this.soon);
     this.soon = setTimeout(() => this.remember(), 250);
   }
 
   remember() {
-    const now = said(this);
+    const now = playerState(this);
     if (this.timer || JSON.stringify(now) === this.kept) return;
     this.kept = JSON.stringify(now);
     link.write(different(now, this.first), this.place);
@@ -79,11 +79,11 @@ class Player {
 
   async copy() {
     this.stop();
-    link.write(different(said(this), this.first), this.place);
-    const told = this.find(".copied");
+    link.write(different(playerState(this), this.first), this.place);
+    const status = this.find(".copied");
     const done = navigator.clipboard?.writeText(location.href) ?? Promise.reject(new Error("no clipboard"));
-    told.textContent = await done.then(() => "copied", () => "the address bar holds it");
-    setTimeout(() => { told.textContent = ""; }, 4000);
+    status.textContent = await done.then(() => "copied", () => "see the address bar");
+    setTimeout(() => { status.textContent = ""; }, 4000);
   }
 
   key(event, does) {
@@ -99,7 +99,7 @@ class Player {
     keys[event.key]();
   }
 
-  // Reads the controls: whom to show, on which map, who places the scan, which layers.
+  // Reads the controls: methods, map, method that places the scan, layers.
   choose() {
     if (!this.ready) return;
     this.offer();
@@ -119,7 +119,7 @@ class Player {
     this.draw();
   }
 
-  // Whom the filter leaves out can neither place a scan nor be compared, nor lie beneath.
+  // A filtered method neither places a scan nor is compared or drawn.
   offer() {
     for (const option of this.all("option[data-map]")) {
       option.hidden = !isShown(option.dataset.map);
@@ -149,11 +149,11 @@ class Player {
     }
     const path = (truth ?? runs[0]).poses;
     const of = (axis) => path.filter((value, i) => i % 3 === axis && !Number.isNaN(value));
-    const [xs, ys] = [[0, ...of(0)], [0, ...of(1)]]; // the world's origin too, should nobody have a pose
+    const [xs, ys] = [[0, ...of(0)], [0, ...of(1)]]; // with the world's origin, if no method has a pose
     this.view.fit(Math.min(...xs) - 1, Math.max(...xs) + 1, Math.min(...ys) - 1, Math.max(...ys) + 1);
   }
 
-  // Where the robot is on the canvas, if it is: keys and buttons zoom there.
+  // The position of the robot on the canvas, if visible: keys and buttons zoom there.
   spot() {
     const { truth, runs } = this.recording;
     const { poses } = this.state.first === "truth" ? truth : runs.find((run) => run.label === this.state.first);
@@ -182,7 +182,7 @@ class Player {
     let clock = times[this.state.scan];
     let last = performance.now();
     const tick = (now) => {
-      // whoever wants less motion gets single steps, four a second at most
+      // with reduced motion: single steps, at most four per second
       const calm = matchMedia("(prefers-reduced-motion: reduce)").matches && now - last < 250;
       if (!calm) {
         clock += (now - last) * Number(this.find("select.speed").value);
@@ -215,7 +215,7 @@ class Player {
   }
 
   rank() {
-    const [a, b] = ["a", "b"].map((who) => this.recording.runs.find((run) => run.label === this.find(`select[data-worst=${who}]`)?.value));
+    const [a, b] = ["a", "b"].map((side) => this.recording.runs.find((run) => run.label === this.find(`select[data-worst=${side}]`)?.value));
     const list = this.find(".worst ol");
     if (!a || !b) return;
     const by = this.find("select[data-worst=by]").value;
@@ -232,7 +232,7 @@ class Player {
     this.find(".worst .nothing").hidden = found.length > 0;
   }
 
-  // Both placements of one scan laid over each other, near enough to tell them apart.
+  // Both placements of one scan, zoomed in until they are distinguishable.
   compare(a, b, scan) {
     this.find("select[data-picks=first]").value = a.label;
     this.find("select[data-picks=second]").value = b.label;
@@ -250,11 +250,11 @@ class Player {
     const { scan } = this.state;
     this.stage.draw(this.view, this.state);
     for (const trace of this.traces) trace.draw(scan);
-    const told = `scan ${this.recording.numbers[scan]} of ${this.recording.of}, ${this.seconds(scan)}`;
+    const position = `scan ${this.recording.numbers[scan]} of ${this.recording.of}, ${this.seconds(scan)}`;
     const slider = this.find("input[type=range]");
     slider.value = scan;
-    slider.setAttribute("aria-valuetext", told);
-    this.find(".at").textContent = told;
+    slider.setAttribute("aria-valuetext", position);
+    this.find(".at").textContent = position;
     for (const cell of this.all("td[data-quantity]")) {
       const run = this.recording.runs.find((one) => one.label === cell.dataset.run);
       const value = run?.[cell.dataset.quantity]?.[scan];
@@ -263,7 +263,7 @@ class Player {
   }
 }
 
-// Where the browser cannot unpack the recording the pictures above tell what they can.
+// If the browser cannot unpack the recording, only the figures above are shown.
 if (window.DecompressionStream && window.OffscreenCanvas) {
   const started = (root) => {
     root.player ??= new Player(root);

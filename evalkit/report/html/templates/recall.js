@@ -1,8 +1,8 @@
-// What a link says of a player, as lists of texts by word, and the player brought to where a link says.
+// The state of a player as lists of texts by word, for links, and its restoration from a link.
 const PICKS = { by: "first", and: "second", on: "map", colour: "quantity" };
 const WORST = ["a", "b", "by"];
 
-function said(player) {
+function playerState(player) {
   const { view, recording, state } = player;
   const pick = (name) => player.find(`select[data-picks=${name}]`)?.value;
   return {
@@ -11,18 +11,18 @@ function said(player) {
     layers: player.all("input[data-layer]").filter((box) => box.checked).map((box) => box.dataset.layer),
     shown: player.all("input.shows").filter((box) => box.checked).map((box) => box.value),
     worst: WORST.map((name) => player.find(`select[data-worst=${name}]`)?.value).filter(Boolean),
-    // the middle and the width of what is seen (m), whatever the window's size
+    // centre and width of the view (m), independent of the window's size
     view: view.touched ? [view.x, view.y, view.size[0] / view.scale].map((value) => value.toFixed(3)) : [],
   };
 }
 
-// The scan and who placed it, and of all others only what is not as at first.
+// The scan and the method that places it, and every other word that differs from the initial state.
 function different(now, first) {
   const same = ([word, texts]) => !["scan", "by"].includes(word) && JSON.stringify(texts) === JSON.stringify(first[word]);
   return Object.fromEntries(Object.entries(now).map((entry) => [entry[0], same(entry) ? undefined : entry[1]]));
 }
 
-// What a link does not name is as at first, and what is not there is passed over.
+// Words missing in a link keep their initial state; unknown values are ignored.
 function restore(player, words) {
   const wanted = { ...player.first, ...Object.fromEntries(words) };
   const pick = (select, value) => {
@@ -41,5 +41,5 @@ function restore(player, words) {
   const number = Number(wanted.scan[0]);
   const nearest = numbers.reduce((best, one, i) => (Math.abs(one - number) < Math.abs(numbers[best] - number) ? i : best), 0);
   player.go(Number.isNaN(number) ? player.state.scan : nearest);
-  player.kept = JSON.stringify(said(player));
+  player.kept = JSON.stringify(playerState(player));
 }

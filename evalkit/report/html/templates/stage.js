@@ -1,5 +1,5 @@
 // Draws the player's map: the picture of a map, paths, placed scans, ghost walls, violations, residuals, scale bar.
-const RAMP = ["#f0d21f", "#f89540", "#cc4778", "#7e03a8", "#0d0887"]; // plasma, dark is bad: read by lightness alone too
+const RAMP = ["#f0d21f", "#f89540", "#cc4778", "#7e03a8", "#0d0887"]; // plasma, dark is bad: readable by lightness alone
 const FAR_M = 0.3;
 const GHOST = "#e69f00";
 const VIOLATION = "#8b1fa9";
@@ -87,7 +87,7 @@ class Stage {
     brush.stroke();
   }
 
-  // The part driven up to now is full, the rest faint.
+  // The path up to the current scan is opaque, the rest faint.
   path(brush, view, run, scan, width) {
     const line = (from, to) => {
       brush.beginPath();
@@ -122,7 +122,7 @@ class Stage {
     this.key(brush, view, { s2s: "S2S residual", s2m: "S2M residual", error: "error" }[quantity], most, 26);
   }
 
-  // Hollow is who is laid over another: colour alone tells them apart for too few.
+  // The second scan is hollow: colour alone does not distinguish them for every reader.
   scan(brush, view, run, state, hollow) {
     if (!this.recording.beams) return;
     const points = placeScan(this.recording, run.poses, state.scan);
@@ -139,7 +139,7 @@ class Stage {
     };
     const colour = (i) => (field ? ramp(this.lookUp(field, state.map, points[i], points[i + 1]) / FAR_M) : run.colour);
     const wide = hollow ? radius + 1.4 : radius;
-    dots(wide + 1.2, () => "#fff"); // told apart from walls and from grey
+    dots(wide + 1.2, () => "#fff"); // distinct from walls and from grey
     dots(wide, colour);
     if (hollow) dots(wide - 1.5, () => "#fff");
   }
@@ -215,7 +215,7 @@ function resized(canvas) {
   return brush;
 }
 
-// What 98 % of the values stay below.
+// The 98 % quantile of the values.
 const uppers = new WeakMap();
 function upper(values) {
   if (!uppers.has(values)) {

@@ -1,4 +1,4 @@
-// Light or dark as the system says, until the reader says otherwise; the choice is kept where the browser allows it.
+// Light or dark as set in the system, until the reader changes it; the choice is stored if the browser allows it.
 const THEMES = ["", "light", "dark"];
 const themeButton = document.getElementById("theme");
 themeButton.closest("li").hidden = false;

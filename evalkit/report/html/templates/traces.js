@@ -1,28 +1,28 @@
-// Draws a quantity of all shown methods over time, with the cursor of the player; a click tells the time it was at.
+// Draws a quantity of all shown methods over time, with the cursor of the player; a click sets the time.
 class Trace {
   constructor(canvas, recording, quantity, jump) {
     Object.assign(this, { canvas, recording, quantity, lines: new OffscreenCanvas(1, 1), margin: 52 });
-    const told = (event) => {
+    const seek = (event) => {
       const share = (event.offsetX - this.margin) / (canvas.clientWidth - this.margin - 8);
       jump(Math.min(Math.max(share, 0), 1) * recording.times.at(-1));
     };
     canvas.addEventListener("pointerdown", (event) => {
       canvas.setPointerCapture(event.pointerId);
-      told(event);
+      seek(event);
     });
-    canvas.addEventListener("pointermove", (event) => event.buttons && told(event));
+    canvas.addEventListener("pointermove", (event) => event.buttons && seek(event));
   }
 
   // Called when the shown methods or the size change; the cursor alone needs only draw().
   prepare(runs) {
-    const told = runs.filter((run) => run[this.quantity]);
-    const usual = told.map((run) => upper(run[this.quantity]));
+    const measured = runs.filter((run) => run[this.quantity]);
+    const usual = measured.map((run) => upper(run[this.quantity]));
     this.wide = usual.length > 0 && Math.max(...usual) > 20 * Math.max(Math.min(...usual), 1e-3);
-    this.most = 1.1 * told.reduce((most, run) => run[this.quantity].reduce((a, b) => (b > a ? b : a), most), 1e-3);
+    this.most = 1.1 * measured.reduce((most, run) => run[this.quantity].reduce((a, b) => (b > a ? b : a), most), 1e-3);
     this.least = this.wide ? Math.max(Math.min(...usual) / 10, 1e-4) : 0;
     const brush = resized(this.canvas);
     this.axes(brush);
-    for (const run of told) this.line(brush, run);
+    for (const run of measured) this.line(brush, run);
     this.lines.width = this.canvas.width;
     this.lines.height = this.canvas.height;
     if (this.canvas.width) this.lines.getContext("2d").drawImage(this.canvas, 0, 0);

@@ -1,4 +1,4 @@
-// Reads a sequence for the player: what packing.py wrote (base64, deflate, folded differences) made numbers again.
+// Reads a sequence for the player: decodes the texts of array_encoding.py (base64, deflate, folded differences).
 const NONE = -2147483648;
 
 async function unpack(text, columns = 1) {
@@ -44,7 +44,7 @@ async function readRecording(text) {
   return { ...raw, runs, beams, times, truth, numbers: await unpack(raw.numbers), count: times.length };
 }
 
-// Where the hits of scan i lie for one trajectory, as x, y, x, y (m), NaN without a hit; player.py's placed() in JavaScript.
+// The hits of scan i in the world for one trajectory, as x, y, x, y (m), NaN without a hit; as place_hits() of player.py.
 function placeScan(recording, trajectory, i) {
   const { width, ranges, angles, sensor, sweep } = recording.beams;
   const points = new Float64Array(2 * width).fill(NaN);

@@ -1,4 +1,4 @@
-// The ten scans in which two back ends differ most, one per second at most, so that one slip is listed once.
+// The ten scans in which two methods differ most, at most one per second, so that one jump is listed once.
 const TEN = 10;
 const APART_MS = 1000;
 
@@ -11,7 +11,7 @@ const orderings = {
   },
 };
 
-// The motion since the scan before, each in the frame of that scan: x, y, x, y (m).
+// The motion since the previous scan, in the frame of that scan: x, y, x, y (m).
 function motions(poses) {
   const moved = new Float64Array(2 * poses.length / 3).fill(NaN);
   for (let i = 3; i < poses.length; i += 3) {

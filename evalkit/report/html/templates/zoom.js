@@ -1,10 +1,10 @@
-// Which part of the plane a canvas shows, moved by wheel, drag, pinch, keys and buttons.
+// The part of the plane that a canvas shows, changed by wheel, drag, pinch, keys and buttons.
 class View {
   constructor(canvas, changed) {
     Object.assign(this, { canvas, changed, x: 0, y: 0, scale: 1, home: [0, 1, 0, 1], touched: false });
     const fingers = new Map();
     canvas.addEventListener("wheel", (event) => {
-      // the page scrolls unless the reader has turned to the map
+      // the page scrolls unless the map has the focus
       if (!event.ctrlKey && !canvas.parentElement.contains(document.activeElement)) return;
       event.preventDefault();
       this.zoom(Math.exp(-0.0015 * event.deltaY), event.offsetX, event.offsetY);
@@ -21,9 +21,9 @@ class View {
       fingers.set(event.pointerId, now);
       if (other === undefined) this.pan(now[0] - old[0], now[1] - old[1]);
       else {
-        const held = fingers.get(other);
-        const apart = (a) => Math.max(Math.hypot(a[0] - held[0], a[1] - held[1]), 1);
-        this.zoom(apart(now) / apart(old), held[0], held[1]);
+        const fixed = fingers.get(other);
+        const apart = (a) => Math.max(Math.hypot(a[0] - fixed[0], a[1] - fixed[1]), 1);
+        this.zoom(apart(now) / apart(old), fixed[0], fixed[1]);
       }
     });
     for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, (event) => fingers.delete(event.pointerId));
@@ -64,7 +64,7 @@ class View {
     this.changed();
   }
 
-  // The longest round length (m) that takes at most a quarter of the width.
+  // The largest round length (m) of at most a quarter of the width.
   get bar() {
     const quarter = this.size[0] / this.scale / 4;
     const power = 10 ** Math.floor(Math.log10(quarter));
