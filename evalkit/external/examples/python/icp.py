@@ -1,4 +1,4 @@
-"""Point-to-point ICP that speaks evalkit's protocol: ``exec:python3 icp.py``. Needs NumPy alone, not evalkit."""
+"""Point-to-point ICP with evalkit's line protocol: ``exec:python3 icp.py``. Needs only NumPy, not evalkit."""
 
 import json
 import math
@@ -19,7 +19,7 @@ HELLO = {
 
 
 def main():
-    """Answers every line of standard input with a line, until there is no more."""
+    """Answer every line of standard input with a line, until the end of the input."""
     settings = {}
     for line in sys.stdin:
         question = json.loads(line)
