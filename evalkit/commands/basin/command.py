@@ -1,4 +1,4 @@
-"""``evalkit basin``: from how far off a guess each registration still finds the truth."""
+"""``evalkit basin``: convergence basins of registrations, success against the error of the initial guess."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from evalkit.terminal import options, progress
 from evalkit.terminal.options import Jobs, Json, Out, err, out
 
 if TYPE_CHECKING:
-    from evalkit.commands.basin.result import Result
+    from evalkit.commands.basin.result import BasinResult
 
 
 def basin(
@@ -27,15 +27,15 @@ def basin(
     scene: Annotated[list[str] | None, typer.Option(help="Only this scene (repeatable).", show_default="all")] = None,
     on: options.On = None,
     setting: options.Settings = None,
-    offsets: Annotated[int, typer.Option(min=10, help="Wrong guesses a back end and scene.")] = 1024,
-    distance: Annotated[float, typer.Option(min=0.01, help="The farthest guess (m).")] = 1.0,
-    turn: Annotated[float, typer.Option(min=0.1, max=180.0, help="The most turned guess (deg).")] = 45.0,
-    within_m: Annotated[float, typer.Option(min=1e-6, help="Success: so near the truth (m).")] = 0.1,
-    within_deg: Annotated[float, typer.Option(min=1e-6, help="Success: so near the truth (deg).")] = 2.0,
+    offsets: Annotated[int, typer.Option(min=10, help="Disturbed guesses per back end and scene.")] = 1024,
+    distance: Annotated[float, typer.Option(min=0.01, help="Largest shift of a guess (m).")] = 1.0,
+    turn: Annotated[float, typer.Option(min=0.1, max=180.0, help="Largest turn of a guess (deg).")] = 45.0,
+    within_m: Annotated[float, typer.Option(min=1e-6, help="Success: largest error (m).")] = 0.1,
+    within_deg: Annotated[float, typer.Option(min=1e-6, help="Success: largest error (deg).")] = 2.0,
     noise: Annotated[float, typer.Option(min=0.0, help="Standard deviation of a range (m).")] = 0.0483,
-    beams: Annotated[int, typer.Option(min=8, help="Beams of a scan, all round.")] = 720,
-    pairs: Annotated[int, typer.Option(min=1, help="Pairs of scans a scene.")] = 16,
-    seed: Annotated[int, typer.Option(min=0, help="Draws scans and guesses.")] = 0,
+    beams: Annotated[int, typer.Option(min=8, help="Beams of a scan, over a full turn.")] = 720,
+    pairs: Annotated[int, typer.Option(min=1, help="Pairs of scans per scene.")] = 16,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of scans and guesses.")] = 0,
     folder: Out = None,
     jobs: Jobs = None,
     as_json: Json = False,
@@ -48,55 +48,57 @@ def basin(
     from evalkit.commands.basin import scenes, sequences  # noqa: PLC0415 - as above
     from evalkit.commands.basin import trials as attempts  # noqa: PLC0415 - as above
     from evalkit.commands.basin.convergence import Criterion  # noqa: PLC0415 - as above
-    from evalkit.commands.basin.result import result  # noqa: PLC0415 - as above
+    from evalkit.commands.basin.result import make_result  # noqa: PLC0415 - as above
     from evalkit.report.html.blocks import render  # noqa: PLC0415 - as above
 
     options.add_working_directory()
     given = options.settings(setting or [])
-    entrants = [attempts.entrant(name, given) for name in dict.fromkeys(backend or _registrations())]
-    names = scene or ([] if on else list(scenes.PLACES))
-    places: dict[str, dict[str, Any]] = {scenes.place(name).name: {} for name in names}
-    for each in map(sequences.Recorded.of, dict.fromkeys(on or ())):
+    methods = [attempts.find_method(name, given) for name in dict.fromkeys(backend or _registrations())]
+    names = scene or ([] if on else list(scenes.SCENES))
+    places: dict[str, dict[str, Any]] = {scenes.find_scene(name).name: {} for name in names}
+    for each in map(sequences.PairSource.of, dict.fromkeys(on or ())):
         if each.label in places:
-            raise typer.BadParameter(f"--on {each.label}: a scene is called so too; ask for one of them at a time")
+            raise typer.BadParameter(f"--on {each.label}: a scene has the same name; select one of them at a time")
         places[each.label] = each.data
     trials = [
-        attempts.Trials(name, offsets, pairs, beams, noise, distance, math.radians(turn), seed, data)
+        attempts.TrialPlan(name, offsets, pairs, beams, noise, distance, math.radians(turn), seed, data)
         for name, data in places.items()
     ]
     for one in trials:
-        one.seen()  # what has no pair is refused before anybody is asked
+        one.pairs_of_scans()  # raises before any trial if there is no pair
     folder = folder or Path("reports") / "build" / "basin"
-    outcomes = _asked(entrants, trials, folder / "results", jobs or environment.physical_cores())
-    found = result(trials, entrants, outcomes, Criterion(within_m, math.radians(within_deg)))
+    outcomes = _run(methods, trials, folder / "results", jobs or environment.physical_cores())
+    found = make_result(trials, methods, outcomes, Criterion(within_m, math.radians(within_deg)))
     content = found.as_json() | {"command": shlex.join(["evalkit", *sys.argv[1:]])}
     page = _write(folder, content, render(basin_page.document(found, content["command"])))
     _end(found, content, page, as_json)
 
 
 def _registrations() -> list[str]:
-    """Every registered back end but those that follow whole sequences; what does not load stays, to be told."""
+    """Every registered registration, and back ends that do not load, which are reported."""
     specs = {name: registry.find_backend(name) for name in registry.names("backends")}
     return [name for name, spec in specs.items() if isinstance(spec, RegistrationSpec) or spec.missing()]
 
 
-def _asked(entrants: list[Any], trials: list[Any], folder: Path, workers: int) -> list[Any]:
+def _run(methods: list[Any], trials: list[Any], folder: Path, workers: int) -> list[Any]:
     from evalkit.commands.basin import trials as attempts  # noqa: PLC0415 - as above
     from evalkit.execution.task_store import TaskStore  # noqa: PLC0415 - loaded only where a basin is computed
 
-    count = sum(not each.reason for each in entrants) * sum(-(-one.offsets // attempts.AT_ONCE) for one in trials)
+    count = sum(not each.reason for each in methods) * sum(
+        -(-one.offsets // attempts.TRIALS_PER_TASK) for one in trials
+    )
     with progress.say_what_is_kept(err, "finished jobs"), progress.show_tasks(err, count, workers) as done:
-        return attempts.ask(entrants, trials, TaskStore(folder), workers, done)
+        return attempts.run_trials(methods, trials, TaskStore(folder), workers, done)
 
 
 def _write(folder: Path, content: dict[str, Any], page: str) -> Path:
-    """Writes ``basin.json`` and ``index.html``; the page's path."""
+    """Writes ``basin.json`` and ``index.html``; returns the path of the page."""
     write_texts(folder, {"basin.json": json.dumps(content, indent=1) + "\n", "index.html": page})
     return folder / "index.html"
 
 
-def _end(found: Result, content: dict[str, Any], page: Path, as_json: bool) -> None:
-    """Prints what was found and where; exit code 1 if a back end raised or ended its process."""
+def _end(found: BasinResult, content: dict[str, Any], page: Path, as_json: bool) -> None:
+    """Prints the result and the path of the page; exit code 1 if a back end raised or ended its process."""
     if as_json:
         options.print_json(content | {"page": str(page)})
     else:
@@ -106,7 +108,7 @@ def _end(found: Result, content: dict[str, Any], page: Path, as_json: bool) -> N
         raise typer.Exit(1)
 
 
-def _table(found: Result) -> Any:
+def _table(found: BasinResult) -> Any:
     from rich.markup import escape  # noqa: PLC0415 - only where a table is printed
     from rich.table import Table  # noqa: PLC0415 - as above
 

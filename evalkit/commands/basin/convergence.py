@@ -1,4 +1,4 @@
-"""Convergence basins: from how far off a guess a registration still finds the truth, counted with intervals."""
+"""Convergence basins: counts of successes against the error of the guess, with confidence intervals."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def offsets(count: int, reach_m: float, reach_rad: float, rng: np.random.Generat
     return np.stack([distance * np.cos(bearing), distance * np.sin(bearing), turn], axis=1)
 
 
-def on_axes(offsets: Floats) -> Floats:
-    """The same offsets (N, 3), every fourth without its turn and every fourth without its shift: for curves."""
+def with_axes(offsets: Floats) -> Floats:
+    """The same offsets (N, 3), every fourth without its turn and every fourth without its shift, for curves."""
     rows = offsets.copy()
     rows[0::4, 2] = 0.0
     rows[1::4, :2] = 0.0
@@ -41,7 +41,7 @@ def on_axes(offsets: Floats) -> Floats:
 
 
 def off(rows: Floats, truths: Floats, world_from_target: Floats) -> Floats:
-    """How far motions (N, 3) are from the truth (N, 3), all ``target_from_source``, along the world's axes."""
+    """Differences (N, 3) of motions to the truth (N, 3), all ``target_from_source``, along the axes of the world."""
     cos, sin = np.cos(world_from_target[:, 2]), np.sin(world_from_target[:, 2])
     x, y = (rows - truths)[:, :2].T
     return np.stack([cos * x - sin * y, sin * x + cos * y, se2.wrap(rows[:, 2] - truths[:, 2])], axis=1)
@@ -58,8 +58,8 @@ def guesses(offsets: Floats, truths: Floats, world_from_target: Floats) -> Float
 
 
 @dataclass(frozen=True, eq=False)
-class Shares:
-    """Successes and trials of cells (...,), the share of success and its Wilson interval; nan where nothing was tried.
+class SuccessCounts:
+    """Successes and trials of cells (...,), the share of success and its Wilson interval; nan without trials.
 
     ``edges``: one array of K + 1 borders for each axis of the cells, K cells along it.
     """
@@ -72,8 +72,8 @@ class Shares:
     high: Floats
 
     @classmethod
-    def of(cls, coordinates: Sequence[Floats], success: Bools, edges: Sequence[ArrayLike]) -> Shares:
-        """Counts of attempts (N,) at coordinates (N,) each; attempts outside the edges do not count."""
+    def of(cls, coordinates: Sequence[Floats], success: Bools, edges: Sequence[ArrayLike]) -> SuccessCounts:
+        """Counts of trials (N,) at coordinates (N,) each; trials outside the edges do not count."""
         borders = tuple(np.asarray(edge, dtype=np.float64) for edge in edges)
         points = np.stack(coordinates, axis=1)
         trials = np.histogramdd(points, borders)[0].astype(np.int64)
@@ -81,8 +81,8 @@ class Shares:
         return cls.counted(borders, successes, trials)
 
     @classmethod
-    def counted(cls, edges: tuple[Floats, ...], successes: Ints, trials: Ints) -> Shares:
-        """Shares of counts that are known already."""
+    def counted(cls, edges: tuple[Floats, ...], successes: Ints, trials: Ints) -> SuccessCounts:
+        """The shares and intervals of given counts."""
         bounds = np.full((3, *trials.shape), np.nan)
         for at in np.argwhere(trials > 0):
             cell = tuple(at)
@@ -98,7 +98,7 @@ class Shares:
 
 @dataclass(frozen=True, eq=False)
 class Criterion:
-    """What counts as success: within so many metres and radians of the truth along the directions that can be told."""
+    """Success: an error within so many metres and radians along the observable directions."""
 
     within_m: float
     within_rad: float
@@ -111,11 +111,11 @@ class Criterion:
 
 @dataclass(frozen=True, eq=False)
 class Basin:
-    """Attempts (N,) of one back end at one place: where the guess was off, where the answer was, both observable only.
+    """Trials (N,) of one back end in one scene: errors of guess and answer, along observable directions only.
 
-    ``errors``: nan where there was no answer. ``claimed`` (N,): it said "converged". ``only_shifted`` and
-    ``only_turned`` (N,): attempts for curves over one of both; all others fill the volume, and shares, cells and
-    accuracy are over these.
+    ``errors``: nan where there was no answer. ``claimed`` (N,): it reported convergence. ``only_shifted`` and
+    ``only_turned`` (N,): trials for curves over one of both; all others fill the volume, and shares, cells and
+    accuracy refer to these.
     """
 
     offsets: Floats
@@ -127,24 +127,24 @@ class Basin:
 
     @classmethod
     def of(cls, offsets: Floats, errors: Floats, claimed: Bools, known: Observability, criterion: Criterion) -> Basin:
-        """The basin of guesses that were off by (N, 3) and of answers that are."""
+        """The basin of guesses with errors (N, 3) and answers with errors (N, 3)."""
         errors = known.observable(errors)
         shifted, turned = np.asarray(offsets[:, 2] == 0.0), np.asarray(~offsets[:, :2].any(axis=1))
         return cls(known.observable(offsets), errors, criterion.met(errors), claimed, shifted, turned)
 
     @property
     def filling(self) -> Bools:
-        """The attempts (N,) that fill the volume."""
+        """The trials (N,) that fill the volume."""
         return ~(self.only_shifted | self.only_turned)
 
     @property
     def distance_m(self) -> Floats:
-        """How far (N,) the guess was off."""
+        """The shift (N,) of the guess (m)."""
         return np.asarray(np.hypot(self.offsets[:, 0], self.offsets[:, 1]))
 
     @property
     def turn_rad(self) -> Floats:
-        """By how much (N,) the guess was turned, without sign."""
+        """The absolute turn (N,) of the guess (rad)."""
         return np.asarray(np.abs(self.offsets[:, 2]))
 
     def overall(self) -> Interval:
@@ -152,28 +152,28 @@ class Basin:
         return wilson_interval(int(self.success[self.filling].sum()), int(self.filling.sum()))
 
     def falsely_claimed(self) -> Interval | None:
-        """The share of all failures that were told as converged; None without failures."""
+        """The share of failures reported as converged; None without failures."""
         failed = int((~self.success).sum())
         return wilson_interval(int((self.claimed & ~self.success).sum()), failed) if failed else None
 
-    def by_distance_and_turn(self, distances: ArrayLike, turns: ArrayLike) -> Shares:
+    def by_distance_and_turn(self, distances: ArrayLike, turns: ArrayLike) -> SuccessCounts:
         """Cells over the distance (m) and the turn (rad)."""
         return self._shares((self.distance_m, self.turn_rad), (distances, turns), self.filling)
 
-    def by_place(self, borders: ArrayLike) -> Shares:
+    def by_place(self, borders: ArrayLike) -> SuccessCounts:
         """Cells over the offset in x and y (m), whatever the turn."""
         return self._shares((self.offsets[:, 0], self.offsets[:, 1]), (borders, borders), self.filling)
 
-    def along(self, borders: ArrayLike) -> Shares:
+    def along(self, borders: ArrayLike) -> SuccessCounts:
         """Bins over the distance (m) of guesses that were not turned."""
         return self._shares((self.distance_m,), (borders,), self.only_shifted)
 
-    def around(self, borders: ArrayLike) -> Shares:
+    def around(self, borders: ArrayLike) -> SuccessCounts:
         """Bins over the turn (rad) of guesses that were not shifted."""
         return self._shares((self.turn_rad,), (borders,), self.only_turned)
 
-    def _shares(self, values: Sequence[Floats], borders: Sequence[ArrayLike], chosen: Bools) -> Shares:
-        return Shares.of([one[chosen] for one in values], self.success[chosen], borders)
+    def _shares(self, values: Sequence[Floats], borders: Sequence[ArrayLike], chosen: Bools) -> SuccessCounts:
+        return SuccessCounts.of([one[chosen] for one in values], self.success[chosen], borders)
 
     def accuracy(self) -> Floats:
         """A50, A75 and A95 (3, 2) of the error in m and rad over the volume; inf where too many had no answer."""
@@ -183,7 +183,7 @@ class Basin:
         return np.asarray(np.quantile(sizes, QUANTILES, axis=0, method="inverted_cdf"))
 
     def worst(self, count: int) -> Ints:
-        """Up to so many failures (K,) that are hardest to forgive: the guess was nearest, in shares of the farthest."""
+        """Up to ``count`` failures (K,) with the best guesses, relative to the worst guess."""
         failed = np.flatnonzero(~self.success)
         far = self.distance_m / max(self.distance_m.max(), 1e-12) + self.turn_rad / max(self.turn_rad.max(), 1e-12)
         return np.asarray(failed[np.argsort(far[failed], kind="stable")][:count])

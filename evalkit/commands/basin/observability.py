@@ -1,4 +1,4 @@
-"""What of a pose a place can tell at all: the information of its walls, direction by direction."""
+"""Observability of a pose: the information in the walls of a scene, by direction."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from evalkit.core.se2 import Floats
 
 @dataclass(frozen=True, eq=False)
 class Observability:
-    """The directions of a motion by how well the walls fix them, worst first.
+    """The directions of a motion by how well the walls determine them, worst first.
 
     Coordinates are x (m), y (m) and ``lever_m`` times the turn (rad), along the world's axes, about the sensor.
     ``directions`` (3, 3): unit vectors as columns. ``shares`` (3,): the eigenvalues of the point-to-line Hessian for
-    each point: 0 where no wall stands across, at most 1. ``sigma_m`` (3,): the smallest standard deviation an unbiased
-    answer can have (Cramer and Rao), inf where nothing tells. ``is_open`` (3,): not fixed within the tolerance.
+    each point: 0 if no wall stands across, at most 1. ``sigma_m`` (3,): the smallest standard deviation an unbiased
+    answer can have (Cramer and Rao), inf if unobservable. ``is_open`` (3,): not determined within the tolerance.
     """
 
     lever_m: float
@@ -30,10 +30,10 @@ class Observability:
 
     def names(self) -> tuple[str, ...]:
         """The open directions in words."""
-        return tuple(told(direction) for direction in self.directions.T[self.is_open])
+        return tuple(name_direction(direction) for direction in self.directions.T[self.is_open])
 
     def observable(self, motions: Floats) -> Floats:
-        """Small motions (N, 3) of x, y (m), theta (rad) without what they do along open directions."""
+        """Small motions (N, 3) of x, y (m), theta (rad) without their components along open directions."""
         scale = np.array([1.0, 1.0, self.lever_m])
         lost = self.directions[:, self.is_open]
         scaled = motions * scale
@@ -43,7 +43,7 @@ class Observability:
 def observability(places: Iterable[tuple[Floats, Floats]], noise_m: float, within_m: float) -> Observability:
     """Observability from the points and unit normals (N, 2) of scans, by the Hessian of the distance to lines.
 
-    Both scans of a pair are taken to be off by ``noise_m`` (m) across their walls. A direction is open if twice the
+    Both scans of a pair have an error of ``noise_m`` (m) across their walls. A direction is open if twice the
     best possible standard deviation is more than ``within_m``.
     """
     known = list(places)
@@ -60,10 +60,10 @@ def observability(places: Iterable[tuple[Floats, Floats]], noise_m: float, withi
     return Observability(lever_m, directions, shares, sigma_m, 2.0 * sigma_m > within_m)
 
 
-def told(direction: Floats) -> str:
+def name_direction(direction: Floats) -> str:
     """A unit vector of x, y and scaled turn in words.
 
-    >>> told(np.array([0.0, -1.0, 0.0]))
+    >>> name_direction(np.array([0.0, -1.0, 0.0]))
     'shift along 90 deg'
     """
     x, y, turn = direction

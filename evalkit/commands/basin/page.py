@@ -1,4 +1,4 @@
-"""The page of ``evalkit basin``: curves, maps and overlays of the failures, scene by scene."""
+"""The page of ``evalkit basin``: curves, maps and overlays of failures, by scene."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from itertools import pairwise
 
 import numpy as np
 
-from evalkit.commands.basin.convergence import Shares
-from evalkit.commands.basin.result import LEVELS, Result, Row, Scene, answer
-from evalkit.commands.basin.sequences import APART_M, APART_RAD
+from evalkit.commands.basin.convergence import SuccessCounts
+from evalkit.commands.basin.result import LEVELS, BasinResult, BasinRow, BasinScene, answer
+from evalkit.commands.basin.sequences import MAX_APART_M, MAX_APART_RAD
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
 from evalkit.report.html import charts
@@ -33,37 +33,37 @@ from evalkit.report.html.blocks import (
 from evalkit.report.html.charts import Axis, Curve, Points
 from evalkit.stats.intervals import Interval
 
-DRAWN = 150
-"""Points of a cloud in an overlay: more cannot be seen."""
+MAX_POINTS = 150
+"""Points of a cloud in an overlay."""
 
 WORST = 3
-"""Overlays of failures a back end and scene."""
+"""Overlays of failures per back end and scene."""
 
 GREY, START, END = "#9aa3ad", "#e69f00", "#0072b2"
 BANDS = 4
-"""With more curves than this, bands hide one another."""
+"""The largest number of curves with bands; with more, the bands hide one another."""
 
 REACHES = (
     "Below, R50, R75 and R95 are the reach: the largest offset up to which every bin succeeds in at least so many per "
     "cent of its guesses, for guesses that are only shifted (m) or only turned (deg). A50, A75 and A95 are errors of "
-    "the answers, quantiles over the whole volume (Pomerleau et al. 2013): large where many fail."
+    "the answers, quantiles over the whole volume (Pomerleau et al. 2013): large if many fail."
 )
 SHARE = Axis("success [%]", low=0.0, high=100.0)
 
 
-def document(found: Result, command: str) -> Document:
+def document(found: BasinResult, command: str) -> Document:
     """The whole page."""
     trials = found.scenes[0].trials
     asked = sum(row.basin is not None for row in found.rows) * trials.offsets
     facts = (
-        ("Attempts", f"{asked:,}"),
+        ("Trials", f"{asked:,}"),
         ("Guesses", f"up to {trials.reach_m:g} m and {math.degrees(trials.reach_rad):g} deg off"),
         ("Success", f"within {found.criterion.within_m:g} m and {math.degrees(found.criterion.within_rad):g} deg"),
         ("Seed", str(trials.seed)),
     )
     lead = (
-        "From how far off a guess each registration still finds the truth: every back end, with its own settings, is "
-        "asked about the same pairs of scans from the same wrong guesses."
+        "The error of the initial guess up to which each registration finds the truth: every back end, with its own "
+        "settings, registers the same pairs of scans from the same disturbed guesses."
     )
     scenes = [_scene(found, scene) for scene in found.scenes]
     return Document(
@@ -71,11 +71,11 @@ def document(found: Result, command: str) -> Document:
     )
 
 
-def _summary(found: Result) -> Section:
+def _summary(found: BasinResult) -> Section:
     names = [scene.trials.place for scene in found.scenes]
     rows = [
         [Cell(each.label), *(_share_at(found, scene, each.label) for scene in found.scenes)]
-        for each in found.entrants
+        for each in found.methods
         if not each.reason
     ]
     columns = [Column("Back end"), *(Column(name, "%", number=True) for name in names)]
@@ -83,19 +83,19 @@ def _summary(found: Result) -> Section:
         Table(columns, rows, "Success in the whole volume of shifts and turns, with Wilson's 95 % interval"),
         Text(REACHES, "note"),
         Text(
-            "Success asks for the truth, not for the back end's own flag. Where a back end raised or ended its "
-            "process, the attempts count as failures.",
+            "Success is measured against the truth, not by the back end's own flag. If a back end raised an "
+            "exception or ended its process, the trials count as failures.",
             "note",
         ),
     ]
-    if absent := [(each.label, each.reason) for each in found.entrants if each.reason]:
-        blocks.append(Table(("Not asked", "Why"), absent))
+    if absent := [(each.label, each.reason) for each in found.methods if each.reason]:
+        blocks.append(Table(("Not run", "Reason"), absent))
     if raised := [(row.backend, row.scene, row.reason) for row in found.broken]:
-        blocks.append(Table(("Failed", "Scene", "What happened"), raised))
+        blocks.append(Table(("Failed", "Scene", "Reason"), raised))
     return Section("Summary", blocks, "summary")
 
 
-def _share_at(found: Result, scene: Scene, label: str) -> Cell:
+def _share_at(found: BasinResult, scene: BasinScene, label: str) -> Cell:
     row = next(row for row in found.at(scene) if row.backend == label)
     if row.basin is None:
         return Cell("no answer", sort=-1.0, tone="bad", tip=row.reason, link=f"#{slug(row.scene)}")
@@ -105,7 +105,7 @@ def _share_at(found: Result, scene: Scene, label: str) -> Cell:
     )
 
 
-def _table(rows: Sequence[Row]) -> Table:
+def _table(rows: Sequence[BasinRow]) -> Table:
     columns = [
         Column("Back end"),
         Column("Success", "%", number=True, tip="of the guesses that fill the volume"),
@@ -115,12 +115,12 @@ def _table(rows: Sequence[Row]) -> Table:
         *(Column(name, "m", number=True, tip="this share of the answers is nearer to the truth (Pomerleau 2013)")
           for name in ("A50", "A75", "A95")),
         *(Column(name, "deg", number=True) for name in ("A50", "A75", "A95")),
-        Column("False", "%", number=True, tip="of the failures told as converged"),
+        Column("False", "%", number=True, tip="of the failures reported as converged"),
     ]  # fmt: skip
     return Table(columns, [_line(row) for row in rows])
 
 
-def _line(row: Row) -> Sequence[Cell | str]:
+def _line(row: BasinRow) -> Sequence[Cell | str]:
     if row.basin is None:
         return (row.backend, Cell("no answer", sort=-1.0, tone="bad", tip=row.reason), *[Cell("-", sort=-1.0)] * 11)
     errors, claimed, share = row.basin.accuracy(), row.basin.falsely_claimed(), row.basin.overall()
@@ -137,9 +137,9 @@ def _line(row: Row) -> Sequence[Cell | str]:
     )
 
 
-def _scene(found: Result, scene: Scene) -> Section:
+def _scene(found: BasinResult, scene: BasinScene) -> Section:
     name = scene.trials.place
-    asked = {each.label for each in found.entrants if not each.reason}
+    asked = {each.label for each in found.methods if not each.reason}
     every = [row for row in found.at(scene) if row.backend in asked]
     rows = [row for row in every if row.basin is not None]
     blocks: list[Block] = [Text(f"{scene.what[0].upper()}{scene.what[1:]}. {_directions(scene)}")]
@@ -155,13 +155,13 @@ def _scene(found: Result, scene: Scene) -> Section:
     return Section(f"{name[0].upper()}{name[1:]}", blocks, slug(name))
 
 
-def _directions(scene: Scene) -> str:
+def _directions(scene: BasinScene) -> str:
     known = scene.known
     best = max(value for value in known.sigma_m if math.isfinite(value))
     if names := known.names():
         return (
-            f"Degenerate: the {' and the '.join(names)} cannot be told here; neither guesses nor answers are judged "
-            f"along it. The other directions can be told to {100 * best:.2g} cm at best."
+            f"Degenerate: the {' and the '.join(names)} is unobservable here; guesses and answers are not evaluated "
+            f"along it. The other directions can be determined to {100 * best:.2g} cm at best."
         )
     weakest = known.shares.min()
     return (
@@ -170,7 +170,7 @@ def _directions(scene: Scene) -> str:
     )
 
 
-def _over_distance(rows: Sequence[Row], name: str) -> Figure:
+def _over_distance(rows: Sequence[BasinRow], name: str) -> Figure:
     drawn = [_curve(row.backend, row.along(), 1.0, len(rows) <= BANDS) for row in rows]
     return Figure(
         charts.lines(drawn, Axis("offset of the guess [m]", low=0.0), SHARE),
@@ -179,7 +179,7 @@ def _over_distance(rows: Sequence[Row], name: str) -> Figure:
     )
 
 
-def _over_turn(rows: Sequence[Row], name: str) -> Figure:
+def _over_turn(rows: Sequence[BasinRow], name: str) -> Figure:
     drawn = [_curve(row.backend, row.around(), 180.0 / math.pi, len(rows) <= BANDS) for row in rows]
     return Figure(
         charts.lines(drawn, Axis("turn of the guess [deg]", low=0.0), SHARE),
@@ -188,40 +188,40 @@ def _over_turn(rows: Sequence[Row], name: str) -> Figure:
     )
 
 
-def _bands(rows: Sequence[Row]) -> str:
+def _bands(rows: Sequence[BasinRow]) -> str:
     most = max(float(np.nanmax(shares.high - shares.low)) for row in rows for shares in (row.along(), row.around()))
     within = f"Wilson's 95 % intervals, at most {100 * most:.0f} points wide"
     return f"; bands: {within}" if len(rows) <= BANDS else f"; {within}, stand in the JSON file"
 
 
-def _curve(label: str, shares: Shares, unit: float, band: bool) -> Curve:
+def _curve(label: str, shares: SuccessCounts, unit: float, band: bool) -> Curve:
     middles = unit * _middles(shares.edges[0])
     if not band:
         return Curve(label, middles, 100 * shares.share, marks=True)
     return Curve(label, middles, 100 * shares.share, 100 * shares.low, 100 * shares.high, marks=True)
 
 
-def _map(row: Row) -> Figure:
+def _map(row: BasinRow) -> Figure:
     shares = row.cells()
     body = charts.heat(
         100 * shares.share.T, Axis("offset of the guess [m]"), Axis("turn of the guess [deg]"),
-        _told(_middles(shares.edges[0])), _told(np.degrees(_middles(shares.edges[1]))), SHARE,
+        _tick_labels(_middles(shares.edges[0])), _tick_labels(np.degrees(_middles(shares.edges[1]))), SHARE,
         printed=lambda value: f"{value:.0f}",
     )  # fmt: skip
     return Figure(body, f"{row.backend}, {row.scene}", "Success in % of the guesses in each cell.")
 
 
-def _plane(row: Row) -> Figure:
+def _plane(row: BasinRow) -> Figure:
     shares = row.plane()
-    middles = _told(_middles(shares.edges[0]))
+    middles = _tick_labels(_middles(shares.edges[0]))
     body = charts.heat(
         100 * shares.share.T, Axis("offset in x [m]"), Axis("offset in y [m]"), middles, middles, SHARE,
         printed=lambda value: f"{value:.0f}",
     )  # fmt: skip
-    return Figure(body, f"{row.backend}, {row.scene}", "All turns; hatched or grey: nothing was tried.")
+    return Figure(body, f"{row.backend}, {row.scene}", "All turns; hatched or grey: no trials.")
 
 
-def _counts(row: Row) -> Table:
+def _counts(row: BasinRow) -> Table:
     shares = row.cells()
     distances, turns = shares.edges[0], np.degrees(shares.edges[1])
     heads = [f"{low:.2g} to {high:.2g} m" for low, high in pairwise(distances)]
@@ -232,15 +232,15 @@ def _counts(row: Row) -> Table:
     return Table(("turn", *(Column(head, number=True) for head in heads)), rows, f"{row.backend}, {row.scene}", False)
 
 
-def _count(shares: Shares, *cell: int) -> Cell:
+def _count(shares: SuccessCounts, *cell: int) -> Cell:
     if not shares.trials[cell]:
         return Cell("-")
     low, high = 100 * shares.low[cell], 100 * shares.high[cell]
     return Cell(f"{shares.successes[cell]}/{shares.trials[cell]} ({low:.0f} to {high:.0f} %)")
 
 
-def _failures(rows: Sequence[Row], scene: Scene) -> list[Block]:
-    """The failures that are hardest to forgive, drawn: the target, the source under the guess and under the answer."""
+def _failures(rows: Sequence[BasinRow], scene: BasinScene) -> list[Block]:
+    """The failures with the best guesses: the target, and the source moved by the guess and by the answer."""
     blocks: list[Block] = []
     for row in rows:
         worst = row.basin.worst(WORST) if row.basin is not None else ()
@@ -250,7 +250,7 @@ def _failures(rows: Sequence[Row], scene: Scene) -> list[Block]:
     return blocks or [Text("There are none.")]
 
 
-def _overlay(row: Row, scene: Scene, attempt: int) -> Figure:
+def _overlay(row: BasinRow, scene: BasinScene, attempt: int) -> Figure:
     number = attempt % len(scene.seen)
     pair, guess, end = scene.seen[number], Pose.of(scene.guesses()[attempt]), answer(row, attempt)
     layers = [
@@ -266,33 +266,33 @@ def _overlay(row: Row, scene: Scene, attempt: int) -> Figure:
     else:
         metres, degrees = _apart(end, pair.target_from_source)
         told += f"; answer {metres:.2f} m and {degrees:.1f} deg off"
-    flag = ", told as converged" if row.outcome.claimed[attempt] else ""
+    flag = ", reported as converged" if row.outcome.claimed[attempt] else ""
     body = charts.scatter(layers, Axis("x [m]"), Axis("y [m]"))
-    return Figure(body, f"Attempt {attempt}, pair {number}", f"{told}{flag}.")
+    return Figure(body, f"Trial {attempt}, pair {number}", f"{told}{flag}.")
 
 
-def _how(found: Result, command: str) -> Section:
+def _how(found: BasinResult, command: str) -> Section:
     trials = found.scenes[0].trials
     items = (
         *_pairs(found),
-        f"The guess is the truth put off: {trials.offsets} offsets, even in distance, bearing and turn (an additive "
-        "low-discrepancy sequence from a seeded start), the same for all; a quarter is only shifted and a quarter "
-        "only turned, for the curves.",
-        "Directions that no wall can tell are found from the point-to-line Hessian of the scene, its turn scaled by "
+        f"The guess is the truth plus an offset: {trials.offsets} offsets, even in distance, bearing and turn (an "
+        "additive low-discrepancy sequence from a seeded start), the same for all; a quarter is only shifted and "
+        "a quarter only turned, for the curves.",
+        "Unobservable directions are found from the point-to-line Hessian of the scene, its turn scaled by "
         "the points' mean square distance: a direction is degenerate where twice the best possible standard deviation "
-        "exceeds the tolerance. Guesses and answers are judged without them.",
-        "A back end that raises has no answer to that guess; one that ends its process has none in that batch.",
+        "exceeds the tolerance. Guesses and answers are evaluated without them.",
+        "A back end that raises has no answer to that guess; one that ends its process has none in its task.",
         "Back ends keep their own settings; the largest distance of a pair, chosen for tracking, decides the basin "
         "more than anything else.",
     )
-    rows = [(name, str(value)) for each in found.entrants for name, value in each.values.items()]
-    owners = [each.label for each in found.entrants for _ in each.values]
+    rows = [(name, str(value)) for each in found.methods for name, value in each.values.items()]
+    owners = [each.label for each in found.methods for _ in each.values]
     table = Table(("Back end", "Setting", "Value"), [(who, *row) for who, row in zip(owners, rows, strict=True)])
-    return Section("How", (Bullets(items), Command(command), Fold("Settings of the back ends", (table,))), "how")
+    return Section("Method", (Bullets(items), Command(command), Fold("Settings of the back ends", (table,))), "how")
 
 
-def _pairs(found: Result) -> list[str]:
-    """Where the pairs of scans come from."""
+def _pairs(found: BasinResult) -> list[str]:
+    """The origin of the pairs of scans."""
     told = []
     if made := [scene.trials for scene in found.scenes if not scene.trials.data]:
         told.append(
@@ -304,11 +304,11 @@ def _pairs(found: Result) -> list[str]:
         counts = ", ".join(f"{len(scene.seen)} of {scene.trials.place}" for scene in taken)
         told.append(
             f"A data set gives pairs of its scans, spread evenly ({counts}), as points of the robot's base with the "
-            "motion within a scan undone: near each other as in a simulated scene where its truth is a trajectory, "
-            f"within {APART_M:g} m and {math.degrees(APART_RAD):.1f} deg where it is measured relations: in a turn "
-            "their times are not the scans' closely enough, and they are no more exact than they were measured. "
-            "Directions are told from the walls of its scans, along the axes of the world, or of each first scan where "
-            "only relations are known."
+            "scans deskewed: as near each other as in a simulated scene if its truth is a trajectory, within "
+            f"{MAX_APART_M:g} m and {math.degrees(MAX_APART_RAD):.1f} deg if it is measured relations, whose times "
+            "differ too much from those of the scans in a turn, and whose errors remain. "
+            "Observability is computed from the walls of its scans, along the axes of the world, or of each first scan "
+            "where only relations are known."
         )
     return told
 
@@ -319,22 +319,22 @@ def _apart(pose: Pose, truth: Pose) -> tuple[float, float]:
 
 
 def _thinned(points: Floats) -> Floats:
-    return points[:: max(1, len(points) // DRAWN)]
+    return points[:: max(1, len(points) // MAX_POINTS)]
 
 
 def _middles(edges: Floats) -> Floats:
     return np.asarray(0.5 * (edges[:-1] + edges[1:]))
 
 
-def _told(values: Floats) -> list[float]:
+def _tick_labels(values: Floats) -> list[float]:
     return [float(f"{value:.2g}") for value in values]
 
 
-def _title(row: Row) -> str:
+def _title(row: BasinRow) -> str:
     return f"{row.backend} {'on' if row.trials.data else 'in the'} {row.scene}"
 
 
-def _anchor(row: Row) -> str:
+def _anchor(row: BasinRow) -> str:
     return f"#{slug(_title(row))}" if row.basin is not None and row.basin.worst(1).size else ""
 
 

@@ -1,4 +1,4 @@
-"""Four kinds of places with a known outline, seen from two poses close together: what a registration is asked about."""
+"""Four scenes with a known outline, and pairs of simulated scans from two poses close together."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from evalkit.core.se2 import Floats
 from evalkit.core.world import World, closed_outline
 
 RANGE_M = (0.15, 12.0)
-"""What the lidar can see: nearer and farther there is no point."""
+"""Shortest and longest range of the lidar (m)."""
 
 NEAR = Pose(0.3, 0.15, float(np.radians(10.0)))
-"""How far two scans of a pair are apart at most, in each coordinate."""
+"""The largest motion between the two scans of a pair, by coordinate."""
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
+class SceneModel:
     """A named world, and ``stands``: lower and upper corner (m) of a box of lidar positions clear of every boundary."""
 
     name: str
@@ -31,11 +31,11 @@ class Place:
 
 
 @dataclass(frozen=True, eq=False)
-class Seen:
-    """A pair of noisy scans of a place, each in its sensor's frame, and the exact answer.
+class KnownPair:
+    """A pair of noisy scans of a scene, each in its sensor's frame, and the exact motion.
 
-    ``world_from_target`` and ``target_from_source`` are true. ``points`` and ``normals`` (N, 2): where the source scan
-    met walls without noise, from the source's sensor, along the world's axes.
+    ``world_from_target`` and ``target_from_source`` are true. ``points`` and ``normals`` (N, 2): the points
+    of the source scan without noise, relative to the source's sensor, along the axes of the world.
     """
 
     target: Cloud
@@ -47,7 +47,7 @@ class Seen:
 
 
 def _box(x: float, y: float, width: float, depth: float, degrees: float = 0.0) -> Floats:
-    """Four walls of a box about (x, y), turned."""
+    """The four walls of a rotated box with centre (x, y)."""
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (width / 2.0, depth / 2.0)
     return closed_outline(se2.transform([x, y, np.radians(degrees)], corners))
 
@@ -65,11 +65,11 @@ _LEGS = np.array([
     (-0.2, -2.2), (0.3, -2.1), (-0.1, -2.6), (0.4, -2.5), (-2.3, 1.1), (-2.6, -0.9),
 ])  # fmt: skip
 
-PLACES = {
+SCENES = {
     place.name: place
     for place in (
-        Place(
-            "room",
+        SceneModel(
+            "bare-room",
             "a bare room of 8 x 6 m with a niche and a pillar",
             World(
                 closed_outline(_NICHED),
@@ -77,19 +77,19 @@ PLACES = {
             ),
             ((-1.5, -1.5), (1.2, 1.5)),
         ),
-        Place(
-            "corridor",
+        SceneModel(
+            "long-corridor",
             "two bare parallel walls 2 m apart that go on beyond the lidar's range",
             World(np.array([[-20.0, -1.0, 20.0, -1.0], [-20.0, 1.0, 20.0, 1.0]])),
             ((-2.0, -0.4), (2.0, 0.4)),
         ),
-        Place(
+        SceneModel(
             "corner",
             "two walls of 6 m that meet at a right angle, and nothing else within range",
             World(np.array([[0.0, 0.0, 6.0, 0.0], [0.0, 0.0, 0.0, 6.0]])),
             ((1.0, 1.0), (3.0, 3.0)),
         ),
-        Place(
+        SceneModel(
             "clutter",
             "a room of 8 x 6 m full of boxes, cupboards and the legs of tables and chairs",
             World(np.concatenate(_CLUTTERED), np.column_stack([_LEGS, np.full(len(_LEGS), 0.03)])),
@@ -100,14 +100,14 @@ PLACES = {
 """By name, in the order of the page."""
 
 
-def place(name: str) -> Place:
+def find_scene(name: str) -> SceneModel:
     """The place of a name; UnknownName lists the known ones."""
-    if name not in PLACES:
-        raise UnknownName("scene", name, PLACES)
-    return PLACES[name]
+    if name not in SCENES:
+        raise UnknownName("scene", name, SCENES)
+    return SCENES[name]
 
 
-def seen(where: Place, rng: np.random.Generator, beams: int, noise_m: float) -> Seen:
+def draw_pair(where: SceneModel, rng: np.random.Generator, beams: int, noise_m: float) -> KnownPair:
     """A pair of scans with so many beams all round, whose ranges (m) are off by Gaussian noise."""
     stand = rng.uniform(*where.stands)
     world_from_target = Pose(float(stand[0]), float(stand[1]), float(rng.uniform(-np.pi, np.pi)))
@@ -115,11 +115,11 @@ def seen(where: Place, rng: np.random.Generator, beams: int, noise_m: float) -> 
     world_from_source = world_from_target @ target_from_source
     target, _, _ = _scan(where, world_from_target, rng, beams, noise_m)
     source, points, normals = _scan(where, world_from_source, rng, beams, noise_m)
-    return Seen(target, source, world_from_target, target_from_source, points, normals)
+    return KnownPair(target, source, world_from_target, target_from_source, points, normals)
 
 
 def _scan(
-    where: Place, world_from_sensor: Pose, rng: np.random.Generator, beams: int, noise_m: float
+    where: SceneModel, world_from_sensor: Pose, rng: np.random.Generator, beams: int, noise_m: float
 ) -> tuple[Cloud, Floats, Floats]:
     """The noisy points in the sensor's frame, and exact points (from the sensor) and normals along the world's axes."""
     angles = np.arange(beams) * (2.0 * np.pi / beams)

@@ -1,4 +1,4 @@
-"""Pairs of scans of a data set whose motion is known, by its truth or by its relations: places that nobody made up."""
+"""Pairs of scans of a data set with a known motion, by its true trajectory or by its measured relations."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.commands.basin.scenes import NEAR, Seen
+from evalkit.commands.basin.scenes import NEAR, KnownPair
 from evalkit.core import se2
 from evalkit.core.arrays import Ints
 from evalkit.core.errors import BadData, BadParameter, DataMissing
@@ -28,28 +28,31 @@ from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.parameters import resolve_parameters
 
 MIN_M, MIN_RAD = 0.05, math.radians(2.0)
-"""Less than this between two scans of a pair, and the robot stands: one place would count twice."""
-AHEAD = 50
-"""So many scans after the first of a pair the second is looked for."""
-APART_M, APART_RAD = 0.5, math.radians(1.5)
-"""Farther apart two scans no longer show the same; and in a turn the times of relations and scans of the classic logs
-are too far apart: at 30 deg/s a tenth of a second is 3 deg, and scans were seen to disagree by so much."""
-AT_NS = 20_000_000
-"""A scan this close to a relation's time is the one it was measured from: 6 mm at 0.3 m/s."""
+"""The smallest motion between two scans of a pair; with less, the robot stands and a place would count twice."""
+
+MAX_SCANS_APART = 50
+"""The largest number of scans from the first to the second scan of a pair."""
+
+MAX_APART_M, MAX_APART_RAD = 0.5, math.radians(1.5)
+"""The largest motion of a relation that is used: farther scans show other walls, and in a turn the times of relations
+and scans of the classic logs differ too much: at 30 deg/s a tenth of a second is 3 deg."""
+
+MAX_STAMP_GAP_NS = 20_000_000
+"""The largest gap between the time of a relation and its scan: 6 mm at 0.3 m/s."""
 NEIGHBOURS, RADIUS_M = 10, 0.5
 
 
 @dataclass(frozen=True)
-class Recorded:
-    """A data set as it is asked for: what the reader called it, its registered name and all its parameters."""
+class PairSource:
+    """A data set to take pairs from: its label, registered name and all parameters."""
 
     label: str
     dataset: str
     parameters: Mapping[str, Any]
 
     @classmethod
-    def of(cls, text: str) -> Recorded:
-        """The data set of "fr079 limit=600"; UnknownName, BadParameter and DataMissing as usual."""
+    def of(cls, text: str) -> PairSource:
+        """The data set of a text "NAME limit=600"; raises UnknownName, BadParameter or DataMissing."""
         try:
             name, *words = shlex.split(text) or [""]
         except ValueError as error:
@@ -57,7 +60,7 @@ class Recorded:
         spec = registry.dataset(name)
         for word in words:
             if "=" not in word:
-                raise BadParameter(name, word, word, "NAME=VALUE behind the data set's name")
+                raise BadParameter(name, word, word, "NAME=VALUE after the name of the data set")
         given = from_text(name, spec.parameters, {key: value for key, _, value in (w.partition("=") for w in words)})
         values = resolve_parameters(name, spec.parameters, given)
         if missing := spec.missing(**values):
@@ -67,84 +70,84 @@ class Recorded:
 
     @property
     def data(self) -> dict[str, Any]:
-        """All but the label, as JSON takes it."""
+        """Everything but the label, as JSON values."""
         return {"dataset": self.dataset, "parameters": dict(self.parameters)}
 
     @property
     def what(self) -> str:
-        """In words."""
+        """A description."""
         spec = registry.dataset(self.dataset)
         return f"pairs of scans of a data set ({spec.summary}); the motion between them: {spec.truth}"
 
     @property
     def module(self) -> str:
-        """Where its code stands."""
+        """The module of the data set."""
         return registry.plug_in_of("datasets", self.dataset).module
 
 
-def seen(where: Recorded, pairs: int) -> tuple[Seen, ...]:
-    """Pairs of scans spread evenly over a data set, as points of the base frame, the motion within a scan undone.
+def load_pairs(where: PairSource, pairs: int) -> tuple[KnownPair, ...]:
+    """Pairs of scans spread evenly over a data set, deskewed, in the base frame.
 
-    The motion between two scans is a measured relation or, without any, what the truth says: where there are both,
-    the trajectory was made from a log and interpolated. BadData where neither knows of two scans close together.
+    The motion between two scans is a measured relation, or from the true trajectory if there are none. Raises BadData
+    if neither contains two scans close together.
     """
-    return _seen(where.label, where.dataset, json.dumps(dict(where.parameters), sort_keys=True), pairs)
+    return _load_pairs(where.label, where.dataset, json.dumps(dict(where.parameters), sort_keys=True), pairs)
 
 
 @lru_cache(maxsize=4)
-def _seen(label: str, dataset: str, parameters: str, pairs: int) -> tuple[Seen, ...]:
+def _load_pairs(label: str, dataset: str, parameters: str, pairs: int) -> tuple[KnownPair, ...]:
     sequence = registry.dataset(dataset).make(**json.loads(parameters))
     frames, truth = list(sequence.frames()), sequence.truth()
     if truth.relations is not None:
-        found = _related(frames, truth.relations, pairs)
+        found = _pairs_by_relations(frames, truth.relations, pairs)
     elif truth.trajectory is not None:
-        found = _along(frames, truth.trajectory, pairs)
+        found = _pairs_by_trajectory(frames, truth.trajectory, pairs)
     else:
         found = ()
     if not found:
-        what = "no truth and no relation says how two of its scans close together stand"
+        what = "it has no two scans close together with a known motion"
         raise BadData(label, "", what, "give a data set with a true trajectory or with relations")
     return found
 
 
-def _along(frames: list[Frame], truth: Trajectory, pairs: int) -> tuple[Seen, ...]:
-    """The first scan of a pair, and of those after it the farthest that is still near."""
+def _pairs_by_trajectory(frames: list[Frame], truth: Trajectory, pairs: int) -> tuple[KnownPair, ...]:
+    """Pairs of a scan and the farthest later scan that is still near."""
     stamps = _stamps(frames)
     known = np.flatnonzero(can_interpolate(truth.stamps_ns, stamps, MAX_GAP_S))
     poses = np.full((len(frames), 3), np.nan)
     poses[known] = truth.at(stamps[known])
     found = []
-    for first in _evenly(len(frames) - 1, 4 * pairs):
-        moved = np.abs(se2.between(poses[first], poses[first + 1 : first + 1 + AHEAD]))
+    for first in _spread_indices(len(frames) - 1, 4 * pairs):
+        moved = np.abs(se2.between(poses[first], poses[first + 1 : first + 1 + MAX_SCANS_APART]))
         near = np.flatnonzero((moved <= NEAR.row).all(axis=1) & _moving(moved))
         if len(near):
             second = first + 1 + int(near[-1])
             motion = Pose.of(se2.between(poses[first], poses[second]))
             found.append(_pair(frames[first], frames[second], Pose.of(poses[first]), motion))
-    return tuple(found[i] for i in _evenly(len(found), pairs))
+    return tuple(found[i] for i in _spread_indices(len(found), pairs))
 
 
-def _related(frames: list[Frame], relations: Relations, pairs: int) -> tuple[Seen, ...]:
-    """The scans of relations that are near; the world is turned as each first scan is."""
+def _pairs_by_relations(frames: list[Frame], relations: Relations, pairs: int) -> tuple[KnownPair, ...]:
+    """The scans of near relations; the axes of the world are those of each first scan."""
     stamps = _stamps(frames)
     first, second = _nearest(stamps, relations.first_ns), _nearest(stamps, relations.second_ns)
-    there = np.abs(stamps[first] - relations.first_ns) <= AT_NS
-    there &= np.abs(stamps[second] - relations.second_ns) <= AT_NS
+    there = np.abs(stamps[first] - relations.first_ns) <= MAX_STAMP_GAP_NS
+    there &= np.abs(stamps[second] - relations.second_ns) <= MAX_STAMP_GAP_NS
     moved = np.abs(relations.first_from_second)
-    near = (np.hypot(moved[:, 0], moved[:, 1]) <= APART_M) & (moved[:, 2] <= APART_RAD) & _moving(moved)
+    near = (np.hypot(moved[:, 0], moved[:, 1]) <= MAX_APART_M) & (moved[:, 2] <= MAX_APART_RAD) & _moving(moved)
     rows = np.flatnonzero(there & near & (first != second))
     return tuple(
         _pair(frames[first[row]], frames[second[row]], Pose(), Pose.of(relations.first_from_second[row]))
-        for row in rows[_evenly(len(rows), pairs)]
+        for row in rows[_spread_indices(len(rows), pairs)]
     )
 
 
-def _pair(target: Frame, source: Frame, world_from_target: Pose, target_from_source: Pose) -> Seen:
+def _pair(target: Frame, source: Frame, world_from_target: Pose, target_from_source: Pose) -> KnownPair:
     points = _cloud(source)
     heading = Pose(0.0, 0.0, (world_from_target @ target_from_source).theta)
     normals = planar3d.normals(points.points, NEIGHBOURS, RADIUS_M)
     walls = normals.any(axis=1)
-    return Seen(
+    return KnownPair(
         _cloud(target),
         points,
         world_from_target,
@@ -173,5 +176,5 @@ def _nearest(stamps: Stamps, times: Stamps) -> Ints:
     return np.asarray(after - (times - stamps[after - 1] < stamps[after] - times))
 
 
-def _evenly(count: int, most: int) -> list[int]:
+def _spread_indices(count: int, most: int) -> list[int]:
     return [int(i) for i in np.unique(np.linspace(0, count - 1, min(most, count)).astype(int))] if count > 0 else []

@@ -1,4 +1,4 @@
-"""A back end asked from many wrong guesses about pairs of scans with a known answer: the work behind a basin."""
+"""Trials of a basin: a back end registers pairs of scans with a known motion from many disturbed guesses."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from typing import Any, TypedDict
 import numpy as np
 
 from evalkit.commands.basin import convergence, scenes, sequences
-from evalkit.commands.basin.scenes import Seen
-from evalkit.commands.basin.sequences import Recorded
+from evalkit.commands.basin.scenes import KnownPair
+from evalkit.commands.basin.sequences import PairSource
 from evalkit.commands.validate.rules.rule import format_exception
 from evalkit.core.arrays import Bools
 from evalkit.core.pose import Pose
@@ -26,17 +26,17 @@ from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.plugins.protocols import Registration
 from evalkit.plugins.specs import BackendSpec, RegistrationSpec
 
-AT_ONCE = 512
-"""Attempts in one job: a few seconds of a compiled back end."""
+TRIALS_PER_TASK = 512
+"""Trials in one task: a few seconds of a compiled back end."""
 
 
 @dataclass(frozen=True)
-class Trials:
-    """What all back ends are asked alike at one place; metres and radians.
+class TrialPlan:
+    """The trials of all back ends in one scene; metres and radians.
 
     ``offsets``: how many guesses, spread over ``pairs`` pairs of scans with ``beams`` beams and ``noise_m`` of noise.
-    ``data``: name and parameters of the data set whose scans these are (beams and noise are then its own, and
-    ``noise_m`` what they are taken to be off), empty where the scans are simulated.
+    ``data``: name and parameters of the data set of the scans (then beams and noise are its own, and ``noise_m`` is the
+    assumed noise), empty if the scans are simulated.
     """
 
     place: str
@@ -50,41 +50,41 @@ class Trials:
     data: Mapping[str, Any] = field(default_factory=dict)
 
     @property
-    def recorded(self) -> Recorded | None:
-        """The data set the scans are of, None where they are simulated."""
-        return Recorded(self.place, **self.data) if self.data else None
+    def recorded(self) -> PairSource | None:
+        """The data set of the scans, None if they are simulated."""
+        return PairSource(self.place, **self.data) if self.data else None
 
     @property
     def what(self) -> str:
-        """The place in words."""
-        return self.recorded.what if self.recorded else scenes.place(self.place).what
+        """A description of the scene."""
+        return self.recorded.what if self.recorded else scenes.find_scene(self.place).what
 
     def rng(self) -> np.random.Generator:
-        """A generator that starts the same for the same trials."""
-        number = list(scenes.PLACES).index(scenes.place(self.place).name)
+        """A random generator with a seed that depends on the trials only."""
+        number = list(scenes.SCENES).index(scenes.find_scene(self.place).name)
         return np.random.default_rng([self.seed, number])
 
-    def seen(self) -> tuple[Seen, ...]:
-        """The pairs of scans, of a data set perhaps fewer; attempt i is about pair i modulo their number."""
+    def pairs_of_scans(self) -> tuple[KnownPair, ...]:
+        """The pairs of scans, possibly fewer for a data set; trial i uses pair i modulo their number."""
         if self.recorded:
-            return sequences.seen(self.recorded, self.pairs)
-        where, rng = scenes.place(self.place), self.rng()
-        return tuple(scenes.seen(where, rng, self.beams, self.noise_m) for _ in range(self.pairs))
+            return sequences.load_pairs(self.recorded, self.pairs)
+        where, rng = scenes.find_scene(self.place), self.rng()
+        return tuple(scenes.draw_pair(where, rng, self.beams, self.noise_m) for _ in range(self.pairs))
 
-    def drawn(self) -> Floats:
-        """By how much each guess (N, 3) is off, along the world's axes."""
-        rng = np.random.default_rng([self.seed, len(scenes.PLACES)])
-        return convergence.on_axes(convergence.offsets(self.offsets, self.reach_m, self.reach_rad, rng))
+    def offsets_drawn(self) -> Floats:
+        """The errors of the guesses (N, 3), along the axes of the world."""
+        rng = np.random.default_rng([self.seed, len(scenes.SCENES)])
+        return convergence.with_axes(convergence.offsets(self.offsets, self.reach_m, self.reach_rad, rng))
 
-    def truths(self, seen: tuple[Seen, ...]) -> tuple[Floats, Floats]:
-        """For each attempt the true ``target_from_source`` and the ``world_from_target`` (both (N, 3))."""
+    def truths(self, seen: tuple[KnownPair, ...]) -> tuple[Floats, Floats]:
+        """For each trial the true ``target_from_source`` and the ``world_from_target`` (both (N, 3))."""
         of = np.arange(self.offsets) % len(seen)
         rows = np.array([pair.target_from_source.row for pair in seen])
         return rows[of], np.array([pair.world_from_target.row for pair in seen])[of]
 
 
 class Answers(TypedDict):
-    """What a back end answers to attempts [begin, end).
+    """The answers of a back end to trials [begin, end).
 
     ``rows`` (N, 3): nan without an answer; ``claimed`` (N,): whether it reports convergence; ``reason``: the first
     exception it raised, or "".
@@ -95,17 +95,19 @@ class Answers(TypedDict):
     reason: str
 
 
-def make_tasks(label: str, spec: BackendSpec, values: Mapping[str, Value], trials: Trials) -> tuple[Task[Answers], ...]:
-    """The tasks of one back end; together their answers are those of all attempts."""
+def make_tasks(
+    label: str, spec: BackendSpec, values: Mapping[str, Value], trials: TrialPlan
+) -> tuple[Task[Answers], ...]:
+    """The tasks of one back end; together they cover all trials."""
     modules = (registry.plug_in_of("backends", label).module, *([trials.recorded.module] if trials.recorded else []))
     files = files_digest(trials.recorded.parameters) if trials.recorded else ""
     code = fingerprint(modules, ("numpy", "scipy", *spec.requires)) + spec.digest + files
     return tuple(
         make_task(
             f"{label} {trials.place} {begin}", answers, backend=label, values=dict(values), trials=trials, begin=begin,
-            end=min(begin + AT_ONCE, trials.offsets), code=code,
+            end=min(begin + TRIALS_PER_TASK, trials.offsets), code=code,
         )
-        for begin in range(0, trials.offsets, AT_ONCE)
+        for begin in range(0, trials.offsets, TRIALS_PER_TASK)
     )  # fmt: skip
 
 
@@ -113,15 +115,15 @@ def answers(
     *,
     backend: str,
     values: Mapping[str, Value],
-    trials: Trials,
+    trials: TrialPlan,
     begin: int,
     end: int,
     code: str,  # noqa: ARG001 - part of the task's key
 ) -> Answers:
-    """Registers attempts [begin, end) with a back end; ``code`` is a digest of the back end's sources."""
+    """Runs trials [begin, end) with a back end; ``code`` is a digest of the back end's sources."""
     registration: Registration = spec_of(backend).make(**values)
-    seen = trials.seen()
-    guesses = convergence.guesses(trials.drawn(), *trials.truths(seen))
+    seen = trials.pairs_of_scans()
+    guesses = convergence.guesses(trials.offsets_drawn(), *trials.truths(seen))
     rows, claimed, reason = np.full((end - begin, 3), np.nan), np.zeros(end - begin, dtype=np.bool_), ""
     for number in range(begin, end):
         pair = seen[number % len(seen)]
@@ -129,33 +131,33 @@ def answers(
             match = registration.register(pair.target, pair.source, Pose.of(guesses[number]))
             rows[number - begin] = match.target_from_source.row
             claimed[number - begin] = match.converged
-        except Exception as error:  # noqa: BLE001 - a third party's crash is an answer it did not give
+        except Exception as error:  # noqa: BLE001 - a third party's exception counts as no answer
             reason = reason or format_exception(error)
     return {"rows": rows, "claimed": claimed, "reason": reason}
 
 
 @dataclass(frozen=True, eq=False)
-class Outcome:
-    """What one back end answered at one place: ``rows`` (N, 3) with nan for none, ``claimed`` (N,), or why not at all.
+class TrialAnswers:
+    """The answers of one back end in one scene: ``rows`` (N, 3), nan without an answer, and ``claimed`` (N,).
 
-    ``reason``: what it raised first, or why nothing could be asked; "" where all was well.
+    ``reason``: its first exception, or why it could not run; "" if there was no problem.
     """
 
     backend: str
-    trials: Trials
+    trials: TrialPlan
     reason: str
     rows: Floats
     claimed: Bools
 
     @property
     def answered(self) -> int:
-        """How many attempts have an answer."""
+        """The number of trials with an answer."""
         return int(np.isfinite(self.rows).all(axis=1).sum())
 
 
 @dataclass(frozen=True, eq=False)
-class Entrant:
-    """A back end to be asked: its label, what makes it, its parameters, and why it cannot be asked ("" if it can)."""
+class BasinMethod:
+    """A back end: its label, spec and parameters, and why it cannot run ("" if it can)."""
 
     label: str
     spec: BackendSpec
@@ -163,24 +165,26 @@ class Entrant:
     reason: str = ""
 
 
-def entrant(label: str, given: Mapping[str, str]) -> Entrant:
-    """A back end by registered name or "module:SPEC" with parameters as text; UnknownName and BadParameter as usual."""
+def find_method(label: str, given: Mapping[str, str]) -> BasinMethod:
+    """A back end by registered name or "module:SPEC", with parameters as texts; raises UnknownName or BadParameter."""
     address = address_of(label)
     spec = spec_of(label) if address.module else registry.find_backend(label)
     if missing := spec.missing():
-        return Entrant(label, spec, {}, missing)
+        return BasinMethod(label, spec, {}, missing)
     if not isinstance(spec, RegistrationSpec):
-        return Entrant(label, spec, {}, "follows whole sequences: it cannot be asked about one pair of scans")
-    return Entrant(label, spec, resolve_parameters(label, spec.parameters, from_text(label, spec.parameters, given)))
+        return BasinMethod(label, spec, {}, "is an odometry of whole sequences: it cannot register one pair of scans")
+    return BasinMethod(
+        label, spec, resolve_parameters(label, spec.parameters, from_text(label, spec.parameters, given))
+    )
 
 
-def ask(
-    entrants: Sequence[Entrant], trials: Sequence[Trials], store: TaskStore, workers: int, done: OnDone
-) -> list[Outcome]:
-    """What all answer to the same questions, everywhere; whoever ends its process has no answer there and a reason."""
+def run_trials(
+    methods: Sequence[BasinMethod], trials: Sequence[TrialPlan], store: TaskStore, workers: int, done: OnDone
+) -> list[TrialAnswers]:
+    """The answers of all back ends in all scenes; a back end that ends its process has a reason instead."""
     planned = {
         (number, one.place): make_tasks(each.label, each.spec, each.values, one)
-        for number, each in enumerate(entrants)
+        for number, each in enumerate(methods)
         for one in trials
         if not each.reason
     }
@@ -193,17 +197,17 @@ def ask(
     return [
         _outcome(each, one, planned.get((number, one.place), ()), store, failures)
         for one in trials
-        for number, each in enumerate(entrants)
+        for number, each in enumerate(methods)
     ]
 
 
 def _outcome(
-    each: Entrant,
-    one: Trials,
+    each: BasinMethod,
+    one: TrialPlan,
     group: Sequence[Task[Answers]],
     store: TaskStore,
     failures: Mapping[str, TaskFailure],
-) -> Outcome:
+) -> TrialAnswers:
     rows, claimed, reason = np.full((one.offsets, 3), np.nan), np.zeros(one.offsets, dtype=np.bool_), each.reason
     for task in group:
         part = np.s_[task.arguments["begin"] : task.arguments["end"]]
@@ -214,7 +218,7 @@ def _outcome(
         else:
             rows[part], claimed[part] = answered["rows"], answered["claimed"]
             reason = reason or answered["reason"]
-    return Outcome(each.label, one, reason, rows, claimed)
+    return TrialAnswers(each.label, one, reason, rows, claimed)
 
 
 def spec_of(backend: str) -> BackendSpec:

@@ -9,8 +9,9 @@ from typer.testing import CliRunner
 from evalkit.cli import app
 from evalkit.commands.basin import command
 from evalkit.core.errors import EvalkitError
+from evalkit.plugins import registry
 
-QUICK = ["--offsets", "48", "--beams", "120", "--pairs", "4", "--jobs", "1", "--scene", "corridor"]
+QUICK = ["--offsets", "48", "--beams", "120", "--pairs", "4", "--jobs", "1", "--scene", "long-corridor"]
 
 
 @pytest.fixture
@@ -30,10 +31,10 @@ def test_a_back_end_that_keeps_its_guess_succeeds_where_the_guess_did(run):
     found, content, page = run("basin_backends:KEEPS", "kiss-icp")
     assert found.exit_code == 0, found.output
     kept, absent = content["rows"]
-    assert content["scenes"]["corridor"]["open_directions"] == ["shift along 0 deg"]
-    assert kept["failures_told_as_converged"] == 1.0
+    assert content["scenes"]["long-corridor"]["open_directions"] == ["shift along 0 deg"]
+    assert kept["failures_reported_as_converged"] == 1.0
     assert 0.0 <= kept["success"]["low"] <= kept["success"]["share"] < 0.2
-    assert kept["attempts"] == 24
+    assert kept["trials"] == 24
     assert kept["error_m"]["A95"] > 0.5
     assert set(absent) == {"backend", "scene", "reason"}
     assert absent["reason"]
@@ -52,7 +53,7 @@ def test_whoever_raises_or_ends_its_process_is_a_row_with_the_reason(run):
 
 
 @pytest.mark.parametrize("arguments", [["paper", "--scene", "roof"], ["papr"], ["paper", "--set", "epsilon=big"],
-    ["paper", "--scene", "room", "--on", "room"], ["paper", "--on", "room 'laps=1"]])  # fmt: skip
+    ["paper", "--on", "room 'laps=1"]])  # fmt: skip
 def test_what_cannot_be_asked_is_refused_before_anything_is(arguments, tmp_path):
     if command.basin not in [one.callback for one in app.registered_commands]:
         app.command()(command.basin)
@@ -60,3 +61,11 @@ def test_what_cannot_be_asked_is_refused_before_anything_is(arguments, tmp_path)
     assert found.exit_code != 0
     assert isinstance(found.exception, (EvalkitError, SystemExit))
     assert not list(tmp_path.iterdir())
+
+
+def test_a_data_set_with_the_name_of_a_scene_is_refused(tmp_path, monkeypatch):
+    room = registry.dataset("room")
+    monkeypatch.setattr(registry, "dataset", lambda _name: room)
+    found = CliRunner().invoke(app, ["basin", "paper", "--scene", "corner", "--on", "corner", "-o", str(tmp_path)])
+    assert found.exit_code == 2
+    assert "a scene has the same name" in " ".join(found.output.split())

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from evalkit.commands.basin.convergence import Basin, Criterion, Shares, guesses, off, offsets, on_axes
+from evalkit.commands.basin.convergence import Basin, Criterion, SuccessCounts, guesses, off, offsets, with_axes
 from evalkit.commands.basin.observability import observability
 from evalkit.stats.intervals import wilson_interval
 
@@ -16,7 +16,7 @@ def corridor():
     return observability([(points, np.tile([0.0, 1.0], (400, 1)))], 0.05, 0.1)
 
 
-def test_offsets_fill_distance_bearing_and_turn_evenly():
+def test_offsets_fill_distance_bearing_and_turn_spread_indices():
     drawn = offsets(1024, 2.0, 0.5, np.random.default_rng(0))
     distance, bearing = np.hypot(*drawn[:, :2].T), np.arctan2(drawn[:, 1], drawn[:, 0])
     for values, span in ((distance, (0, 2)), (bearing, (-np.pi, np.pi)), (drawn[:, 2], (-0.5, 0.5))):
@@ -44,7 +44,7 @@ def test_guesses_are_off_by_their_offsets_along_the_worlds_axes():
 def test_shares_count_by_hand_and_carry_wilsons_interval():
     at = np.array([0.1, 0.2, 0.3, 1.5, 1.6, 9.0])
     success = np.array([True, True, False, False, False, True])
-    found = Shares.of((at,), success, (np.array([0.0, 1.0, 2.0, 3.0]),))
+    found = SuccessCounts.of((at,), success, (np.array([0.0, 1.0, 2.0, 3.0]),))
     assert found.trials.tolist() == [3, 2, 0]
     assert found.successes.tolist() == [2, 0, 0]
     expected = wilson_interval(2, 3)
@@ -55,12 +55,12 @@ def test_shares_count_by_hand_and_carry_wilsons_interval():
 @pytest.mark.parametrize(("level", "reach"), [(0.5, 3.0), (0.75, 2.0), (0.95, 1.0), (0.1, 4.0)])
 def test_the_reach_ends_before_the_first_cell_that_fails(level, reach):
     counts = np.array([20, 17, 10, 4])
-    shares = Shares.counted((np.arange(5.0),), counts, np.full(4, 20))
+    shares = SuccessCounts.counted((np.arange(5.0),), counts, np.full(4, 20))
     assert shares.reach(level) == reach
 
 
 def test_a_cell_nobody_tried_ends_the_reach():
-    shares = Shares.counted((np.arange(4.0),), np.array([5, 0, 5]), np.array([5, 0, 5]))
+    shares = SuccessCounts.counted((np.arange(4.0),), np.array([5, 0, 5]), np.array([5, 0, 5]))
     assert shares.reach(0.5) == 1.0
 
 
@@ -82,7 +82,7 @@ def test_an_error_along_a_corridor_is_forgiven_and_one_across_is_not():
     assert (found.overall().value, found.overall().support) == (0.5, 2)
 
 
-def test_failures_told_as_converged_are_counted_among_failures():
+def test_failures_reported_as_converged_are_counted_among_failures():
     errors = np.array([[0.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 1.0, 0.0], [np.nan] * 3])
     found = Basin.of(np.ones((4, 3)), errors, np.array([True, True, False, False]), corridor(), CRITERION)
     claimed = found.falsely_claimed()
@@ -109,7 +109,7 @@ def test_the_worst_failure_is_the_one_with_the_best_guess():
 
 
 def test_curves_stand_on_guesses_that_are_only_shifted_or_only_turned():
-    offs = on_axes(offsets(64, 1.0, 0.5, np.random.default_rng(2)))
+    offs = with_axes(offsets(64, 1.0, 0.5, np.random.default_rng(2)))
     errors = np.where((offs[:, 2:] == 0.0) | (offs[:, :1] == 0.0), 0.0, 1.0) * np.array([[0.0, 1.0, 0.0]])
     found = Basin.of(offs, errors, np.ones(64, dtype=bool), corridor(), CRITERION)
     assert found.overall().value == 0.0

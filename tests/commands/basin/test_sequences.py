@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from evalkit.commands.basin import sequences
-from evalkit.commands.basin.sequences import Recorded, seen
-from evalkit.commands.basin.trials import Trials
+from evalkit.commands.basin.sequences import PairSource, load_pairs
+from evalkit.commands.basin.trials import TrialPlan
 from evalkit.core.errors import BadData, BadParameter, UnknownName
 from evalkit.core.ground_truth import Relations, Truth
 from evalkit.core.pose import Pose
@@ -54,9 +54,9 @@ def recorded(monkeypatch):
     parameters = (Parameter("knows", "truth", "", ""), Parameter("still", False, "", ""))
     spec = DatasetSpec(Drive, "a drive", "", "exact", "", "", parameters=parameters)
     monkeypatch.setattr(sequences.registry, "dataset", lambda name: spec if name == "drive" else _unknown(name))
-    sequences._seen.cache_clear()
-    yield Recorded.of
-    sequences._seen.cache_clear()
+    sequences._load_pairs.cache_clear()
+    yield PairSource.of
+    sequences._load_pairs.cache_clear()
 
 
 def _unknown(name):
@@ -64,7 +64,7 @@ def _unknown(name):
 
 
 def test_both_scans_lie_on_the_same_walls_through_the_true_motion(recorded):
-    pairs = seen(recorded("drive"), 6)
+    pairs = load_pairs(recorded("drive"), 6)
     assert len(pairs) == 6
     for pair in pairs[:-1]:  # the last one begins where the drive ends
         assert pair.target_from_source.row == pytest.approx([3 * STEP_M, 0.0, 0.0])  # the next would be beyond 0.3 m
@@ -76,29 +76,29 @@ def test_both_scans_lie_on_the_same_walls_through_the_true_motion(recorded):
 
 
 def test_relations_that_are_far_or_between_scans_make_no_pair(recorded):
-    (pair,) = seen(recorded("drive knows=relations"), 6)
+    (pair,) = load_pairs(recorded("drive knows=relations"), 6)
     assert pair.target_from_source == Pose(2 * STEP_M, 0.0, 0.0)
     assert pair.world_from_target == Pose()
 
 
 def test_attempts_go_round_the_pairs_there_are(recorded):
     asked = recorded("drive knows=relations")
-    trials = Trials(asked.label, 10, 6, 0, 0.02, 1.0, 0.5, 0, asked.data)
-    true, _ = trials.truths(trials.seen())
+    trials = TrialPlan(asked.label, 10, 6, 0, 0.02, 1.0, 0.5, 0, asked.data)
+    true, _ = trials.truths(trials.pairs_of_scans())
     assert true == pytest.approx(np.tile([2 * STEP_M, 0.0, 0.0], (10, 1)))
     assert "a drive" in trials.what
-    assert (replace(trials, seed=1).seen()[0].source.points == trials.seen()[0].source.points).all()
+    assert (replace(trials, seed=1).pairs_of_scans()[0].source.points == trials.pairs_of_scans()[0].source.points).all()
 
 
 @pytest.mark.parametrize(
     ("text", "error", "message"),
     [
-        ("drive knows=nothing", BadData, "no truth and no relation says how two of its scans close together stand"),
-        ("drive still=true", BadData, "no truth and no relation"),
-        ("drive fast", BadParameter, "expected NAME=VALUE behind the data set's name"),
+        ("drive knows=nothing", BadData, "it has no two scans close together with a known motion"),
+        ("drive still=true", BadData, "it has no two scans close together"),
+        ("drive fast", BadParameter, "expected NAME=VALUE after the name of the data set"),
         ("drove", UnknownName, "no dataset named 'drove'"),
     ],
 )
 def test_what_cannot_be_a_place_is_refused(recorded, text, error, message):
     with pytest.raises(error, match=message):
-        seen(recorded(text), 6)
+        load_pairs(recorded(text), 6)

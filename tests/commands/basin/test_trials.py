@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from evalkit.commands.basin import trials as attempts
-from evalkit.commands.basin.trials import Trials
+from evalkit.commands.basin.trials import TrialPlan
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
 from evalkit.plugins.specs import RegistrationSpec
 
-TRIALS = Trials("corridor", 40, 4, 90, 0.02, 1.0, 0.5, seed=3)
+TRIALS = TrialPlan("long-corridor", 40, 4, 90, 0.02, 1.0, 0.5, seed=3)
 
 
 class KeepsGuess:
@@ -34,8 +34,8 @@ def asked(monkeypatch, make, begin=0, end=40):
 
 def test_who_keeps_the_guess_is_off_by_the_offset(monkeypatch):
     found = asked(monkeypatch, KeepsGuess)
-    left = attempts.convergence.off(found["rows"], *TRIALS.truths(TRIALS.seen()))
-    np.testing.assert_allclose(left, TRIALS.drawn(), atol=1e-12)
+    left = attempts.convergence.off(found["rows"], *TRIALS.truths(TRIALS.pairs_of_scans()))
+    np.testing.assert_allclose(left, TRIALS.offsets_drawn(), atol=1e-12)
     assert found["claimed"].all()
 
 
@@ -47,31 +47,31 @@ def test_an_attempt_does_not_depend_on_the_job_it_is_in(monkeypatch):
 
 def test_what_raises_has_no_answer_and_a_reason(monkeypatch):
     found = asked(monkeypatch, Raises)
-    turned = attempts.convergence.guesses(TRIALS.drawn(), *TRIALS.truths(TRIALS.seen()))[:, 2] > 0.0
+    turned = attempts.convergence.guesses(TRIALS.offsets_drawn(), *TRIALS.truths(TRIALS.pairs_of_scans()))[:, 2] > 0.0
     assert np.isnan(found["rows"][turned]).all()
     assert np.isfinite(found["rows"][~turned]).all()
     assert "no turn to the left" in found["reason"]
 
 
 def test_every_place_and_seed_draws_its_own_scans():
-    first = TRIALS.seen()[0].source.points
-    assert (TRIALS.seen()[0].source.points == first).all()
-    other = replace(TRIALS, seed=4).seen()[0].source.points
+    first = TRIALS.pairs_of_scans()[0].source.points
+    assert (TRIALS.pairs_of_scans()[0].source.points == first).all()
+    other = replace(TRIALS, seed=4).pairs_of_scans()[0].source.points
     assert len(other) != len(first) or (other != first).any()
 
 
 def test_jobs_cover_all_attempts_once(monkeypatch):
-    monkeypatch.setattr(attempts, "AT_ONCE", 16)
+    monkeypatch.setattr(attempts, "TRIALS_PER_TASK", 16)
     spec = attempts.spec_of("paper")
     jobs = attempts.make_tasks("paper", spec, {}, TRIALS)
     assert [(job.arguments["begin"], job.arguments["end"]) for job in jobs] == [(0, 16), (16, 32), (32, 40)]
 
 
 def test_the_papers_icp_converges_from_near_and_not_from_far():
-    trials = replace(TRIALS, place="room", beams=360, offsets=24)
+    trials = replace(TRIALS, place="bare-room", beams=360, offsets=24)
     found = attempts.answers(backend="paper-tight", values={}, trials=trials, begin=0, end=24, code="")
-    left = attempts.convergence.off(found["rows"], *trials.truths(trials.seen()))
-    drawn = trials.drawn()
+    left = attempts.convergence.off(found["rows"], *trials.truths(trials.pairs_of_scans()))
+    drawn = trials.offsets_drawn()
     near = (np.hypot(*drawn[:, :2].T) < 0.3) & (np.abs(drawn[:, 2]) < np.radians(5.0))
     assert near.any()
     assert np.hypot(*left[near, :2].T).max() < 0.1
