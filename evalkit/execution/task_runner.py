@@ -47,7 +47,7 @@ class TasksFailed(EvalkitError):
         name, failure = next(iter(self.failures.items()))
         others = f" and {len(self.failures) - 1} more" if len(self.failures) > 1 else ""
         what = f"{self.args[0]}: {name}{others} failed: {failure.reason}"
-        return plain(f"{what}; the finished ones are kept, the same command goes on")
+        return plain(f"{what}; finished results are stored: repeat the command to continue")
 
 
 def run_tasks(

@@ -95,9 +95,9 @@ def interaction_chart(response: Response, design: Design, fit: ModelFit, found: 
     along, other = design.factors[a], design.factors[b]
     curves = []
     for level in b_levels:
-        told = [fit.expected({a: number, b: level}) for number in range(len(along.levels))]
+        intervals = [fit.expected({a: number, b: level}) for number in range(len(along.levels))]
         y, low, high = (
-            from_scale(response, np.array([getattr(one, end) for one in told])) for end in ("value", "low", "high")
+            from_scale(response, np.array([getattr(one, end) for one in intervals])) for end in ("value", "low", "high")
         )
         x = np.array(along.numbers or range(len(along.levels)))
         curves.append(Curve(f"{other.name} {other.levels[level].label}", x, y, low, high, marks=True))

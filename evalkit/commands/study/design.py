@@ -102,8 +102,8 @@ class Model:
     def pairings(self) -> Ints:
         """The columns of ``slopes`` to multiply (2, Q)."""
         columns = range(len(self.owner) if self.pairs else 0)
-        kept = [(a, b) for a, b in combinations(columns, 2) if self.owner[a] != self.owner[b]]
-        return np.array(kept, dtype=np.int64).reshape(-1, 2).T
+        crossed = [(a, b) for a, b in combinations(columns, 2) if self.owner[a] != self.owner[b]]
+        return np.array(crossed, dtype=np.int64).reshape(-1, 2).T
 
 
 @dataclass(frozen=True)

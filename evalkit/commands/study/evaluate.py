@@ -103,8 +103,8 @@ def _run(request: Request, sequence: protocols.Sequence) -> RunResult:
     except EvalkitError as error:
         cause, reason = Cause.EXCEPTION, str(error)
     except Exception as error:  # noqa: BLE001 - whatever a third party's code raises is a result to report
-        told = traceback.extract_tb(error.__traceback__)[-1]
-        cause, reason = Cause.EXCEPTION, f"{type(error).__name__}: {error} ({told.name})"
+        place = traceback.extract_tb(error.__traceback__)[-1]
+        cause, reason = Cause.EXCEPTION, f"{type(error).__name__}: {error} ({place.name})"
     answered = np.frombuffer(steps.getvalue(), dtype=STEP)
     return RunResult(answered, len(sequence), cause, plain(reason))
 

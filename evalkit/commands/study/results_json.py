@@ -50,8 +50,8 @@ def effect_rows(outcome: StudyResult) -> list[Row]:
                 for name, both in ((pair.a, pair.a_levels), (pair.b, pair.b_levels))
                 for at in both
             ]
-            told = "{} → {} | {} → {}".format(*levels)
-            rows.append(_row(design, response, "interaction", f"{pair.a} x {pair.b}", told, pair.value, pair.share))
+            corner = "{} → {} | {} → {}".format(*levels)
+            rows.append(_row(design, response, "interaction", f"{pair.a} x {pair.b}", corner, pair.value, pair.share))
     return rows
 
 
