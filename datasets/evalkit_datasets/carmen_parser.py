@@ -72,7 +72,7 @@ def iter_readings(path: Path, log: Log) -> Iterator[tuple[int, Reading]]:
             elif words[0] in _LINES:
                 _LINES[words[0]](log, words)
         except (ValueError, IndexError) as error:
-            log.damage = log.damage if log.damaged else (number, str(error) or "too short")
+            log.damage = log.damage if log.damaged else (number, str(error)[:160] or "too short")
             log.damaged += 1
         if words[0] == b"FLASER":
             markers |= {b"FLASER", *words[-2:-1]} & _FLASER_MARKERS

@@ -51,7 +51,7 @@ def swollen() -> list[bytes]:
 def one(data: bytes) -> None:
     """Parse a line as every type of answer."""
     program = Program.__new__(Program)
-    program._name, program._process, program._last_words = "exec:fuzz", _Nobody(), deque([data[-200:]])
+    program._name, program._process, program._last_messages = "exec:fuzz", _Nobody(), deque([data[-200:]])
     for hear in (_describe_program, _matched, _posed):
         check_call(lambda hear=hear: hear(program, data), len(data), "exec:fuzz")
 
