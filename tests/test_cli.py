@@ -62,7 +62,7 @@ def test_the_version(evalkit):
     assert evalkit("--version") == (0, f"evalkit {__version__}\n", "")
 
 
-def test_a_program_that_is_broken_is_a_failed_run_and_one_that_is_absent_is_not_possible_here(evalkit, tmp_path):
+def test_a_broken_program_is_a_failed_run_and_a_missing_one_is_not_installed(evalkit, tmp_path):
     for use, code, status in ((f"exec:{sys.executable} -c pass", 1, "failed"), ("exec:./nowhere", 0, "not-installed")):
         path = tmp_path / "small.toml"
         path.write_text(f'[[method]]\nuse = "{use}"\n{MAPPER}[[sequence]]\nuse = "straight"\n')
@@ -101,7 +101,7 @@ def rows(table):
     return found
 
 
-def test_the_list_tells_what_is_missing_and_why(evalkit):
+def test_the_list_shows_what_is_missing_and_why(evalkit):
     code, out, _ = evalkit("list", "backends")
     assert code == 0
     name, _, missing = next(row for row in rows(out) if row[0].startswith("absent"))
@@ -110,7 +110,7 @@ def test_the_list_tells_what_is_missing_and_why(evalkit):
     assert len([line for line in out.splitlines() if "│" in line]) == len(rows(out))  # piped: one line a row
 
 
-def test_the_list_for_programs(evalkit):
+def test_the_list_as_json(evalkit):
     code, out, _ = evalkit("list", "all", "--json")
     listed = json.loads(out)
     assert code == 0
@@ -265,7 +265,7 @@ def test_the_shell_completes_names(monkeypatch, evalkit, line, expected):
     ],
 )
 @pytest.mark.parametrize("command", [["--no-page"], []])
-def test_unknown_names_end_with_the_known_ones_and_nothing_was_run(
+def test_unknown_names_are_answered_with_the_known_ones_and_nothing_runs(
     evalkit, experiment, tmp_path, command, words, more, message
 ):
     folder = tmp_path / "out"
@@ -275,7 +275,7 @@ def test_unknown_names_end_with_the_known_ones_and_nothing_was_run(
     assert not folder.exists()
 
 
-def test_an_experiment_that_is_not_there(evalkit, tmp_path):
+def test_a_missing_experiment_file(evalkit, tmp_path):
     code, _, err = evalkit("compare", "--no-page", tmp_path / "absent.toml")
     assert code == 2
     assert "absent.toml: no such file" in err
@@ -284,7 +284,7 @@ def test_an_experiment_that_is_not_there(evalkit, tmp_path):
 # --- run
 
 
-def test_a_failed_run_is_exit_code_1_and_a_plain_line_and_the_others_stand(evalkit, experiment, tmp_path):
+def test_a_failed_run_is_exit_code_1_and_a_plain_line_and_the_other_runs_are_kept(evalkit, experiment, tmp_path):
     code, out, err = evalkit(
         "compare", "--no-page", experiment("none", "raise"), "--out", tmp_path / "out", "-j", 2, "--json"
     )
@@ -302,7 +302,7 @@ def test_a_failed_run_is_exit_code_1_and_a_plain_line_and_the_others_stand(evalk
     assert result["runs"][0]["scores"]["ate_rmse_m"] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_what_cannot_run_here_is_no_failure(evalkit, experiment, tmp_path):
+def test_a_method_that_is_not_installed_is_no_failure(evalkit, experiment, tmp_path):
     path = experiment(more='[[method]]\nuse = "absent"\n')
     code, out, err = evalkit("compare", "--no-page", path, "--out", tmp_path / "out")
     assert (code, out) == (0, "0 runs complete, 0 failed, 1 not available here: absent\n")
@@ -346,7 +346,7 @@ def started(path, folder, *words, **how):
 
 
 @pytest.mark.parametrize("ending", [signal.SIGINT, signal.SIGTERM])
-def test_an_interrupt_keeps_what_is_done_and_leaves_no_process(experiment, tmp_path, ending):
+def test_an_interrupt_keeps_finished_runs_and_leaves_no_process(experiment, tmp_path, ending):
     folder = tmp_path / "out"
     process = started(experiment("none", "hang", "raise"), folder, "-j", "1")
     deadline = time.monotonic() + 60.0
@@ -373,7 +373,7 @@ def test_a_disk_that_fills_up_is_exit_code_2_and_a_message(experiment, tmp_path)
     assert "Traceback" not in err
 
 
-def test_a_runner_that_is_killed_loses_nothing_and_leaves_nobody(experiment, tmp_path):
+def test_a_runner_that_is_killed_loses_no_result_and_leaves_no_process(experiment, tmp_path):
     path, folder = experiment("none", "daemon", "raise"), tmp_path / "out"
     process = started(path, folder, "-j", "1")
     deadline = time.monotonic() + 60.0
@@ -419,7 +419,7 @@ def small_disk(tmp_path):
     subprocess.run(["umount", folder], check=True)
 
 
-def test_a_disk_that_is_full_stops_all_and_what_was_done_is_there_when_there_is_room(experiment, small_disk):
+def test_a_disk_that_is_full_stops_the_command_and_keeps_finished_runs(experiment, small_disk):
     path = experiment("none", "raise", "nan")
     first = started(path, small_disk / "out", "-j", "1")
     first.communicate(timeout=60.0)
@@ -437,7 +437,7 @@ def test_a_disk_that_is_full_stops_all_and_what_was_done_is_there_when_there_is_
     assert [row["status"] for row in json.loads(out)["runs"]] == ["complete", "complete"]
 
 
-def test_what_is_missing_is_exit_code_3_and_a_status_to_make_again_must_be_one(evalkit, experiment, tmp_path):
+def test_missing_runs_are_exit_code_3_and_an_unknown_status_is_refused(evalkit, experiment, tmp_path):
     assert evalkit("compare", "--no-page", experiment("none"), "--out", tmp_path / "out")[0] == 0
     code, out, _ = evalkit("compare", "--no-page", experiment("none", "raise"), "--out", tmp_path / "out", "--collect")
     assert code == 3
@@ -481,7 +481,7 @@ def carmen(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_carmen_log_is_compared_in_one_line(evalkit, carmen, tmp_path):
+def test_a_carmen_log_is_compared_by_one_command(evalkit, carmen, tmp_path):
     folder = tmp_path / "out"
     code, out, _ = evalkit(
         "compare", carmen, "--ground-truth", tmp_path / "true.tum", "--relations", tmp_path / "true.relations",
@@ -536,7 +536,7 @@ def ros_bag(path):
 
 
 @pytest.mark.slow
-def test_a_ros_bag_is_compared_in_one_line(evalkit, carmen, tmp_path):
+def test_a_ros_bag_is_compared_by_one_command(evalkit, carmen, tmp_path):
     ros_bag(tmp_path / "drive.bag")
     code, out, _ = evalkit(
         "compare", tmp_path / "drive.bag", "--topic", "/scan", "--ground-truth", tmp_path / "true.tum",
@@ -573,7 +573,7 @@ def test_a_ros_bag_is_compared_in_one_line(evalkit, carmen, tmp_path):
         (("drive.log", "--backends", "paper", "--topic", "/scan"), "no parameter named 'topic'"),
     ],
 )
-def test_a_comparison_that_cannot_be_is_refused_before_anything_runs(
+def test_an_impossible_comparison_is_refused_before_the_first_run(
     evalkit, carmen, tmp_path, monkeypatch, words, message
 ):
     monkeypatch.chdir(tmp_path)

@@ -108,7 +108,7 @@ def followed(tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(filter(consoles, WRITTEN)))
-def test_every_command_of_the_page_runs_and_answers_as_printed(followed, name):
+def test_every_command_of_the_page_runs_and_prints_the_shown_output(followed, name):
     if own := ELSEWHERE.match(WRITTEN[name].read_text(encoding="utf-8")):
         assert Path(__file__).with_name(own[1]).exists()  # which follows the page
     else:
@@ -116,7 +116,7 @@ def test_every_command_of_the_page_runs_and_answers_as_printed(followed, name):
 
 
 @pytest.mark.parametrize("name", WRITTEN)
-def test_every_block_of_code_is_whole(name):
+def test_every_code_block_parses(name):
     for block in blocks(name):
         if block.language == "toml":
             tomllib.loads(block.content)
@@ -127,7 +127,7 @@ def test_every_block_of_code_is_whole(name):
             assert block.content.startswith("$ "), f"{name}: {block.content}"
 
 
-def test_the_example_is_made_as_the_tutorial_makes_it():
+def test_the_example_runs_the_commands_of_the_tutorial():
     typed = [command for block in consoles("tutorial.md") for command, _ in code.find_commands(block.content)]
     assert {f"evalkit {' '.join(words)}" for words in example.COMMANDS} <= set(typed)
 
@@ -155,7 +155,7 @@ def test_options_on_written_pages_exist():
                 assert option in known[name] or option in ("--help", "--version"), f"{page}: evalkit {command}"
 
 
-def test_the_references_leave_nothing_out():
+def test_the_reference_pages_are_complete():
     made = {name: write() for name, write in site.GENERATED.items()}
     for metric in all_metrics():
         assert f"{{ #{metric.name} }}" in made["reference/metrics.md"]
@@ -169,7 +169,7 @@ def test_the_references_leave_nothing_out():
     assert "<code>--json</code></td><td></td><td></td>" in compare
 
 
-def test_a_block_that_is_not_there_is_named():
+def test_a_missing_block_is_named():
     with pytest.raises(LookupError, match=r"README.md: \d+ blocks of toml, asked for number 99"):
         site.include_blocks("<!-- block: README.md toml 99 -->")
 
@@ -195,7 +195,7 @@ def html(built):
 
 
 @pytest.mark.slow
-def test_no_page_loads_anything_from_anywhere(built):
+def test_no_page_loads_anything_from_the_network(built):
     loading = re.compile(r"<(?:script|link|img|iframe|source)\b[^>]*?(?:src|href)=\"?(?:https?:)?//")
     for page in html(built):
         assert not loading.findall(page.read_text("utf-8")), page
@@ -204,7 +204,7 @@ def test_no_page_loads_anything_from_anywhere(built):
 
 
 @pytest.mark.slow
-def test_every_link_and_anchor_within_the_site_leads_somewhere(built):
+def test_every_internal_link_and_anchor_exists(built):
     anchors = {page: set(re.findall(r"\bid=\"?([^\s\">]+)", page.read_text("utf-8"))) for page in built.rglob("*.html")}
     for page in html(built):
         for link in re.findall(r"<a\b[^>]*?\bhref=\"([^\"]*)\"", page.read_text("utf-8")):
@@ -218,7 +218,7 @@ def test_every_link_and_anchor_within_the_site_leads_somewhere(built):
 
 
 @pytest.mark.slow
-def test_the_search_of_a_site_opened_from_disk_finds_a_metric_and_asks_nobody(built):
+def test_the_search_of_a_site_opened_from_disk_finds_a_metric_without_a_network(built):
     playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
     program = next(filter(None, map(shutil.which, ("chromium", "google-chrome", "chromium-browser"))), None)
     if program is None:

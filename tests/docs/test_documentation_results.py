@@ -100,7 +100,7 @@ ONLY_SOME = {"intervals[].detectable", "intervals[].reference", "intervals[].ver
 """The schema has one form for intervals and differences; these are of differences."""
 
 
-def test_the_page_the_schema_and_a_report_with_everything_in_it_have_the_same_keys(demo, small):
+def test_page_schema_and_a_full_report_have_the_same_keys(demo, small):
     label = demo.sequence_labels[0]
     figure = Published("theirs", 0.1, 0.2, "a paper", "ate_rmse_m", "ate_rmse_m")
     card = replace(demo.sequences[label], published=(figure,), defects=("one",))
@@ -121,7 +121,7 @@ def test_the_page_the_schema_and_a_report_with_everything_in_it_have_the_same_ke
         ("outcome.json", {"notes"}), ("result.json", {"notes", "provenance.versions"}), ("scores.json", {"scores"}),
     ],
 )  # fmt: skip
-def test_every_key_of_a_runs_own_files_is_on_the_page_and_every_key_of_the_page_in_them(small, name, free):
+def test_page_and_files_of_a_run_have_the_same_keys(small, name, free):
     real = set()
     for path in small.glob(f"runs/*/{name}"):
         real |= set(keys(json.loads(path.read_text(encoding="utf-8")), free))
@@ -129,7 +129,7 @@ def test_every_key_of_a_runs_own_files_is_on_the_page_and_every_key_of_the_page_
     assert page - absent <= real <= page
 
 
-def test_the_fields_of_a_scan_are_those_of_the_page():
+def test_the_page_lists_the_fields_of_a_step():
     page, _ = documented("Binary files")
     assert page == set(STEP.names)
     kinds = {"i8": "int64", "f8": "float64", "i4": "int32", "i1": "int8"}
@@ -137,7 +137,7 @@ def test_the_fields_of_a_scan_are_those_of_the_page():
         assert f"| `{name}` | {kinds[STEP[name].str[1:]]}" in PAGE
 
 
-def test_the_columns_of_the_tables_are_those_of_the_page(small):
+def test_the_page_lists_the_columns_of_the_tables(small):
     section = PAGE.split("## Tables")[1].split("## A run's")[0]
     named = [
         name
@@ -148,7 +148,7 @@ def test_the_columns_of_the_tables_are_those_of_the_page(small):
     assert sorted(named) == sorted(pd.read_csv(small / "summary.csv").columns)
 
 
-def test_the_pages_program_reads_what_its_experiment_leaves(small, monkeypatch, capsys):
+def test_the_program_of_the_page_reads_the_results_of_its_experiment(small, monkeypatch, capsys):
     monkeypatch.chdir(small.parent)
     run(READS)
     assert "paper" in capsys.readouterr().out
@@ -161,7 +161,7 @@ def test_every_file_in_the_folder_is_on_the_page(small):
         assert path.is_dir() or told in named, told
 
 
-def test_a_map_and_its_errors_are_as_the_page_says(small):
+def test_map_and_errors_have_the_documented_form(small):
     path = next(iter(small.glob("runs/*/grid.npz")))
     with np.load(path) as grid:
         assert (grid["log_odds"].dtype, grid["observed"].dtype) == (np.float32, bool)

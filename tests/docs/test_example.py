@@ -39,7 +39,7 @@ def test_the_truth_beside_it_is_the_simulations_at_the_bags_own_stamps(made):
     assert np.allclose(written.poses, true.poses, atol=1e-9)
 
 
-def test_nothing_that_exists_is_replaced(made):
+def test_existing_files_are_not_replaced(made):
     with pytest.raises(StoreError, match="drive: exists already; delete it"):
         example_bag.write_example(made.bag, "lab", {})
     made.bag.with_name("other.tum").touch()
@@ -47,7 +47,7 @@ def test_nothing_that_exists_is_replaced(made):
         example_bag.write_example(made.bag.with_name("other"), "lab", {})
 
 
-def test_a_world_or_setting_that_does_not_exist_is_answered_with_those_that_do(tmp_path):
+def test_an_unknown_world_or_parameter_is_answered_with_the_known_ones(tmp_path):
     with pytest.raises(UnknownName, match="known: corridor, lab, loop, office, room"):
         example_bag.write_example(tmp_path / "drive", "moon", {})
     with pytest.raises(BadParameter, match="laps"):
@@ -55,7 +55,7 @@ def test_a_world_or_setting_that_does_not_exist_is_answered_with_those_that_do(t
     assert not list(tmp_path.iterdir())
 
 
-def test_the_command_says_what_it_wrote(tmp_path):
+def test_the_command_prints_the_written_files(tmp_path):
     words = ["example", str(tmp_path / "drive"), "--world", "room", "--set", "laps=0.03", "--set", "rate_hz=5"]
     told = json.loads(CliRunner().invoke(command.app, [*words, "--json"]).output)
     assert (told["bag"], told["truth"]) == (str(tmp_path / "drive"), str(tmp_path / "drive.tum"))
