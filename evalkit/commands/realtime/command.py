@@ -1,4 +1,4 @@
-"""``evalkit realtime``: how slow a device may be before a back end drops scans, and before it loses its way."""
+"""``evalkit realtime``: the device factor from which a back end drops scans, and from which it loses track."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def realtime(
         found = run_tasks(store, [task], 1, done)[task.name]
     rows = _rows(found)
     if as_json:
-        options.print_json(_told(backend, dataset, found, rows))
+        options.print_json(_as_json(backend, dataset, found, rows))
     else:
         _show(backend, dataset, found, rows)
 
@@ -117,7 +117,7 @@ def _policy(text: str) -> Policy:
 
 
 def _rows(found: PacedResult) -> list[dict[str, Any]]:
-    """Every rung with whether it is broken, against the one of a device that takes no time."""
+    """Every device factor, and whether its run is broken compared with a device that takes no time."""
     reference = found["rungs"][0]["at_hand"]["ate_rmse_m"]
     return [rung | {"broken": _broken(rung, reference)} for rung in found["rungs"]]
 
@@ -127,7 +127,7 @@ def _broken(rung: dict[str, Any], reference: float | None) -> bool:
     return reference is None or RULE.broken(None if rung["lost"] else ate, reference)
 
 
-def _told(backend: str, on: str, found: PacedResult, rows: list[dict[str, Any]]) -> dict[str, Any]:
+def _as_json(backend: str, on: str, found: PacedResult, rows: list[dict[str, Any]]) -> dict[str, Any]:
     return {
         "backend": backend,
         "sequence": on,
@@ -146,7 +146,7 @@ def _breaks(rows: list[dict[str, Any]]) -> float | None:
 
 
 def _show(backend: str, on: str, found: PacedResult, rows: list[dict[str, Any]]) -> None:
-    told = _told(backend, on, found, rows)
+    told = _as_json(backend, on, found, rows)
     columns = ("device factor", "answered", "dropped %", "late %", "age p95 ms", "ATE of answers m", "ATE at hand m")
     table = Table(*columns, "", title=f"{backend} on {on}", title_justify="left", expand=out.is_terminal)
     for row in rows:
@@ -156,9 +156,9 @@ def _show(backend: str, on: str, found: PacedResult, rows: list[dict[str, Any]])
             f"broken {row['lost']}".strip() if row["broken"] else "",
         )  # fmt: skip
     progress.print_table(out, table)
-    breaks = f"breaks at {told['breaks_at']:g}" if told["breaks_at"] is not None else "holds at every factor asked"
+    breaks = f"breaks at {told['breaks_at']:g}" if told["breaks_at"] is not None else "holds at every factor"
     out.print(
-        f"{told['median_cost_ms']:.2f} ms a scan here (median); a device up to {told['headroom']:.3g} times slower "
+        f"{told['median_cost_ms']:.2f} ms per scan here (median); a device up to {told['headroom']:.3g} times slower "
         f"answers every scan in time; {breaks}. Broken: {RULE}.",
         markup=False, emoji=False, highlight=False,
     )  # fmt: skip

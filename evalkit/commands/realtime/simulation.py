@@ -1,4 +1,4 @@
-"""Measures what a back end's scans cost here, then lets it run on slower and slower virtual devices and scores it."""
+"""Measurement of the cost of each scan, and scores of runs on slower virtual devices."""
 
 from __future__ import annotations
 
@@ -54,13 +54,13 @@ class Method:
         return cls(name, frontend.complete_parameters(name, spec, given))
 
     def fresh(self) -> Odometry:
-        """An odometry that has seen nothing."""
+        """A new odometry."""
         return frontend.make_odometry(registry.backend(self.name), self.parameters)
 
 
 @dataclass(frozen=True, eq=False)
 class LoadedSequence:
-    """A sequence held in memory. ``bridged``: dropped scans are bridged by its wheel odometry, where it has any."""
+    """A sequence in memory. ``bridged``: dropped scans are bridged by its wheel odometry, where it has any."""
 
     frames: tuple[Frame, ...]
     truth: Truth
@@ -111,9 +111,9 @@ class Rung:
 
 
 def profile(method: Method, frames: Sequence[Frame], repetitions: int = 3) -> Measured:
-    """What every scan costs, median over the repetitions in CPU time; and how the cost grows with gaps.
+    """The cost of every scan, median CPU time over the repetitions, and its growth with gaps.
 
-    A back end whose work is done elsewhere is taken by its word (device time); BackendFailed where nobody measured.
+    For a back end that computes on another device, the time it reports counts. Raises BackendFailed without any time.
     """
     _follow(method, frames[:WARM_UP_SCANS])
     full, work = _costs(method, frames, repetitions)
@@ -212,7 +212,7 @@ def _costs(method: Method, frames: Sequence[Frame], repetitions: int) -> tuple[I
     costs = np.median([row.costs_ns for row in told], axis=0)
     if not (costs > 0).all():
         scan = int(np.argmin(costs > 0))
-        raise BackendFailed(method.name, f"nobody measured what scan {scan + 1} costs", "measure where it runs")
+        raise BackendFailed(method.name, f"no time was measured for scan {scan + 1}", "measure where it runs")
     return costs.astype(np.int64), told[0].work
 
 
@@ -238,7 +238,7 @@ def _follow(method: Method, frames: Sequence[Frame]) -> _Followed:
 
 
 def _driven(method: Method, frames: Sequence[Frame]) -> _Followed | str:
-    """What the back end makes of these frames, or why nothing."""
+    """The answers of the back end to these frames, or why there are none."""
     try:
         return _follow(method, frames)
     except Exception as error:  # noqa: BLE001 - whatever a third party's code raises is a result to report

@@ -1,6 +1,6 @@
-"""A virtual clock: which scans a busy robot answers, and when, on a device that is so many times slower.
+"""A virtual clock: the scans that a device slower by a factor answers, and when.
 
-Nothing here reads a clock: costs come from a profile measured once (``evalkit.commands.realtime.simulation``), so the
+No function here reads a clock: costs come from a profile measured once (``realtime.simulation``), so the
 same profile drops the same scans every time.
 """
 
@@ -18,9 +18,9 @@ from evalkit.core.arrays import Bools, Ints
 from evalkit.core.se2 import Floats, Stamps
 
 Policy = Literal["drop", "queue-of-one"]
-"""What becomes of a scan that arrives while the robot is busy.
+"""The treatment of a scan that arrives while the robot is busy.
 
-"drop": it is lost. "queue-of-one": it waits until a newer one takes its place; when done the robot takes it at once.
+"drop": it is lost. "queue-of-one": it waits until a newer one replaces it; the robot processes it next.
 """
 
 POLICIES: tuple[Policy, ...] = get_args(Policy)
@@ -49,7 +49,7 @@ class Schedule:
 
     @property
     def late(self) -> Bools:
-        """Which answers (K,) were not there when the next scan was."""
+        """Whether each answer (K,) was complete only after the next scan."""
         return np.asarray(self.done_ns > self.deadlines_ns[self.answered])
 
     @property
@@ -59,10 +59,10 @@ class Schedule:
 
 
 def schedule(arrivals_ns: ArrayLike, cost: Cost, policy: Policy = "queue-of-one") -> Schedule:
-    """Which scans are answered if one is worked on at a time and never given up.
+    """The scans that are answered if each is processed to its end, one at a time.
 
-    A scan that arrives in the very moment an answer is done finds the robot free. ValueError for arrivals (N,), N > 1,
-    that do not increase, a policy that is none, and a negative cost.
+    A scan that arrives at the moment an answer is complete finds the robot free. Raises ValueError for arrivals (N,),
+    N > 1, that do not increase, an unknown policy, and a negative cost.
     """
     arrivals = np.asarray(arrivals_ns, dtype=np.int64)
     if arrivals.ndim != 1 or len(arrivals) < 2 or (np.diff(arrivals) <= 0).any():
@@ -160,7 +160,7 @@ class LinearCost:
 def linear_cost(
     work: ArrayLike, cost_ns: ArrayLike, held_out_work: ArrayLike = (), held_out_ns: ArrayLike = ()
 ) -> LinearCost | None:
-    """The line of least squares through work and cost (N,); None where the work does not vary: nobody tells of it."""
+    """The line of least squares through work and cost (N,); None if the work does not vary."""
     x, y = np.asarray(work, dtype=np.float64), np.asarray(cost_ns, dtype=np.float64)
     if len(x) < 3 or np.ptp(x) == 0.0:
         return None
@@ -182,13 +182,13 @@ class Rule:
     floor_m: float = 0.05
 
     def broken(self, ate_m: float | None, undropped_m: float) -> bool:
-        """Whether a run with that ATE is (None: it was lost)."""
+        """Whether a run with this ATE is broken; None: it was lost."""
         return ate_m is None or (ate_m > self.times * undropped_m and ate_m > self.floor_m)
 
     def __str__(self) -> str:
         return (
             f"the ATE is over {self.times:g} times the one without dropped scans and over {100.0 * self.floor_m:g} cm, "
-            "or the back end has lost its way (fewer than two answers, or it failed)"
+            "or the back end has lost track (fewer than two answers, or it failed)"
         )
 
 
@@ -199,5 +199,5 @@ def headroom(arrivals_ns: ArrayLike, profile: CostProfile) -> float:
 
 
 def first_broken(factors: Sequence[float], broken: Sequence[bool]) -> float | None:
-    """The least factor that is broken; None where all hold."""
+    """The smallest factor that is broken; None if all hold."""
     return next((factor for factor, is_broken in sorted(zip(factors, broken, strict=True)) if is_broken), None)

@@ -83,7 +83,7 @@ def test_the_warm_up_is_in_no_number_and_gaps_are_held_against_the_same_scans(se
 
 def test_costs_that_nobody_measured_are_refused(sequence, invented):
     invented.append(0)
-    with pytest.raises(BackendFailed, match="nobody measured"):
+    with pytest.raises(BackendFailed, match="no time was measured"):
         profile(Method.of("wheel-odometry", {}), sequence.frames[:8], repetitions=1)
 
 
