@@ -39,7 +39,13 @@ class Room:
 
 @pytest.fixture(scope="module")
 def page_file(demo, tmp_path_factory):
-    same = [replace(record, sequence=SCRIPT, key=f"again-{record.key}") for record in demo.records[:4]]
+    same = [
+        replace(
+            record,
+            spec=replace(record.spec, key=f"again-{record.key}", sequence=replace(record.spec.sequence, label=SCRIPT)),
+        )
+        for record in demo.records[:4]
+    ]
     card = SequenceCard(f"A sequence called {SCRIPT}.", "360 beams", "exact", "Author", "MIT")
     same[3] = replace(
         same[3], scores=replace(same[3].scores, errors_m=None), result=replace(same[3].result, steps=NO_STEPS)
@@ -353,7 +359,7 @@ def test_a_map_alone_can_lie_beneath_and_the_page_says_why_it_has_no_path(opened
     page.wait_for_selector(f"{alone}.ready")
     assert page.input_value(f"{alone} [data-picks=map]") == "of lost"
     until(page, f"document.querySelector('{alone}').player.state.map === 'lost'")
-    assert "a map alone was given: lost." in page.locator(f"{alone} > .note").inner_text()
+    assert "Maps without a path: lost." in page.locator(f"{alone} > .note").inner_text()
     assert page.locator(f"{alone} .legend tbody tr").count() == 3
     page.fill("#find", "pa")
     until(page, f"document.querySelector('{alone}').player.state.map === 'paper'")
