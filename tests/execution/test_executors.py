@@ -96,24 +96,25 @@ def test_a_cluster_gives_the_same_records_as_this_machine_to_the_bit(workers, tm
         for name in timeless:
             assert one.result.steps[name].tobytes() == other.result.steps[name].tobytes(), name
         assert (other.result.steps["cpu_ns"] > 0).all()
-        assert one.scores.alignment == other.alignment
-        assert one.scores.keys() == other.scores.keys()
-        timed = {name for name in one.scores if name.startswith(("cpu_", "wall_", "harness_", "device_"))}
-        for name in one.scores.keys() - timed - {"conversion_percent", "real_time_factor", "peak_memory_mib"}:
-            assert one.scores.by_metric[name] == other.scores[name], name
-        assert (one.scores.grid is None) == (other.grid is None)
-        if one.scores.grid is not None:
-            assert one.scores.grid.log_odds.tobytes() == other.grid.log_odds.tobytes()
+        ours, theirs = one.scores, other.scores
+        assert ours.alignment == theirs.alignment
+        assert ours.by_metric.keys() == theirs.by_metric.keys()
+        timed = {name for name in ours.by_metric if name.startswith(("cpu_", "wall_", "harness_", "device_"))}
+        for name in ours.by_metric.keys() - timed - {"conversion_percent", "real_time_factor", "peak_memory_mib"}:
+            assert ours.by_metric[name] == theirs.by_metric[name], name
+        assert (ours.grid is None) == (theirs.grid is None)
+        if ours.grid is not None:
+            assert ours.grid.log_odds.tobytes() == theirs.grid.log_odds.tobytes()
         assert (
-            np.array_equal(one.scores.errors_m, other.errors_m, equal_nan=True)
-            or one.scores.errors_m is other.errors_m is None
+            np.array_equal(ours.errors_m, theirs.errors_m, equal_nan=True) or ours.errors_m is theirs.errors_m is None
         )
     files = {path.relative_to(tmp_path / "here") for path in (tmp_path / "here").rglob("*.*") if path.is_file()}
     assert files == {path.relative_to(tmp_path / "away") for path in (tmp_path / "away").rglob("*.*") if path.is_file()}
-    made = Store(tmp_path / "away").load_made(away["0 none"].key)
-    assert made["runs at a time"] == "2"
-    assert made["processor"] == environment.machine()["processor"] == away["0 none"].processor
-    assert made["core"] in (*environment.cores(), None)
+    provenance = away["0 none"].result.provenance
+    assert provenance["runs at a time"] == "2"
+    assert provenance["processor"] == environment.machine()["processor"]
+    assert Store(tmp_path / "away").load_result(away["0 none"].key).provenance == provenance
+    assert provenance["core"] in (*environment.cores(), None)
 
 
 def test_a_killed_worker_loses_no_run_and_at_most_two_runs_are_active(workers, tmp_path):

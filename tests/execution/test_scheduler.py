@@ -122,8 +122,8 @@ def test_resume_executes_only_missing_and_changed_runs(tmp_path, quick):
     assert again["raise"].key != first["raise"].key
     assert [len(again[label].result.steps) for label in ("none", "raise", "nan")] == [12, 6, 8]
     assert dict(again["none"].scores.by_metric) == dict(first["none"].scores.by_metric)
-    assert np.array_equal(again["none"].errors_m, first["none"].scores.errors_m)
-    assert np.array_equal(again["none"].grid.log_odds, first["none"].scores.grid.log_odds)
+    assert np.array_equal(again["none"].scores.errors_m, first["none"].scores.errors_m)
+    assert np.array_equal(again["none"].scores.grid.log_odds, first["none"].scores.grid.log_odds)
     assert sorted(progress.ends) == ["nan", "none", "raise"]
 
 
