@@ -1,1 +1,1 @@
-"""The commands that have a module of their own; ``evalkit.cli`` registers each in one line."""
+"""The commands of the program, one folder each; ``evalkit.cli`` imports a command when it is called."""

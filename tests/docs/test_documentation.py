@@ -1,4 +1,4 @@
-"""What the documentation says is so: every command runs and answers as printed, every file and link is there."""
+"""The documentation is correct: every command runs and prints the shown output, every file and link exists."""
 
 import ast
 import os
