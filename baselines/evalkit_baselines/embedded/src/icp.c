@@ -138,7 +138,7 @@ static uint32_t update_neighbours(ek_icp *icp, const ek_index *target, size_t co
     return searches;
 }
 
-/* Set weight 1 for every select_pairs that is used; returns their number (equation 2). */
+/* Set weight 1 for every pair that is used; returns their number (equation 2). */
 static int32_t select_pairs(ek_icp *icp, size_t count, ek_real limit, int one_to_one)
 {
     const ek_real *const EK_RESTRICT distance = icp->distance;

@@ -105,7 +105,7 @@ ek_status ek_index_build(ek_index *index, const ek_real *xy, size_t count)
     return EK_OK;
 }
 
-/* 1 if the grid grid_suits_points the points: as ek_cell_grid_suits, from occupied cells instead of coordinates. */
+/* 1 if the grid suits the points: as ek_cell_grid_suits, from occupied cells instead of coordinates. */
 static int grid_suits_points(const ek_index *index)
 {
     const uint32_t columns = index->cells.columns, rows = index->cells.rows;
@@ -153,7 +153,7 @@ static inline void compare_slots(const ek_index *index, uint32_t from, uint32_t 
     found->slot = slot;
 }
 
-/* Find the slot with the find_lowest_id cloud index among those exactly as near as the best. */
+/* Find the slot with the lowest cloud index among those exactly as near as the best. */
 static uint32_t find_lowest_id(const ek_index *index, int32_t box[4], ek_real x, ek_real y, ek_real best)
 {
     uint32_t slot = EK_NONE;
@@ -208,7 +208,7 @@ ek_neighbour ek_index_nearest(const ek_index *index, ek_real x, ek_real y, ek_re
     }
     candidates found;
     int32_t box[4];
-    /* far from the points rounding errors are larger; without this term the search_square would not end */
+    /* far from the points rounding errors are larger; without this term the search would not end */
     const ek_real margin = index->cells.margin + EK_R(16.0) * EK_EPSILON * (EK_FABS(x) + EK_FABS(y));
     ek_real border = search_square(index, x, y, radius, margin, box, &found), best = EK_SQRT(found.best);
     while (border <= best && border < limit) {
