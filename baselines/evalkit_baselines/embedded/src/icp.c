@@ -104,7 +104,7 @@ static void move_points(size_t padded, ek_pose pose, ek_real limit, const ek_rea
 }
 
 /* Move the source by a pose; compute each point's distance to its last target point and its slack. The neighbour cannot
- * have changed while distance + distance move_points since the search < lower bound on all other distances at the
+ * have changed while distance + distance moved since the search < lower bound on all other distances at the
  * search. */
 static void move_source(ek_icp *icp, size_t padded, ek_pose pose, ek_real limit)
 {
