@@ -12,22 +12,22 @@ from evalkit.metrics.neighbourhoods import compute_neighbourhoods
 from evalkit.metrics.table import Evidence
 
 
-def scores(mapped):
+def compute_scores(mapped):
     evidence = Evidence(RunResult(np.zeros(0, STEP), 0), Truth("none"), mapped=mapped)
     return {metric.name: metric.compute(evidence) for metric in clouds.METRICS}
 
 
-def wall(sigma_m, count=20_000, seed=0):
+def make_wall(sigma_m, count=20_000, seed=0):
     rng = np.random.default_rng(seed)
     return np.column_stack([rng.uniform(0.0, 20.0, count), rng.normal(0.0, sigma_m, count)])
 
 
-def scan_of(points):
+def make_scan(points):
     ranges, angles = np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0])
     return Scan(0, ranges, angles, 0.0, 100.0), np.zeros(3)
 
 
-def test_entropy_is_that_of_the_gaussian_by_its_determinant() -> None:
+def test_entropy_equals_the_closed_form_of_a_gaussian() -> None:
     points = np.random.default_rng(1).normal(0.0, [0.2, 0.05], (3000, 2))
     found = compute_neighbourhoods(points, np.zeros((1, 2)), 9.0)
     values, enough = clouds.entropies(found)
@@ -36,31 +36,31 @@ def test_entropy_is_that_of_the_gaussian_by_its_determinant() -> None:
     assert enough.tolist() == [True]
 
 
-def test_a_wall_e_times_as_thick_has_one_nat_more() -> None:
-    thin, thick = (clouds.mean_map_entropy(wall(sigma))[0] for sigma in (0.01, 0.01 * np.e))
+def test_a_wall_e_times_as_thick_has_one_more_nat_of_entropy() -> None:
+    thin, thick = (clouds.mean_map_entropy(make_wall(sigma))[0] for sigma in (0.01, 0.01 * np.e))
     assert thick - thin == pytest.approx(1.0, abs=0.01)
 
 
 def test_entropy_is_the_same_in_every_frame() -> None:
-    points = wall(0.03)
+    points = make_wall(0.03)
     here, moved = (clouds.mean_map_entropy(cloud)[0] for cloud in (points, se2.transform([3.0, -1.0, 0.7], points)))
     assert moved == pytest.approx(here)
 
 
 @pytest.mark.parametrize("apart_m", [0.0, 0.05, 0.2])
-def test_a_second_wall_adds_what_the_variance_of_both_says(apart_m) -> None:
+def test_a_second_wall_adds_the_entropy_of_the_combined_variance(apart_m) -> None:
     sigma = 0.03
-    first, second = wall(sigma, 8000), np.add(wall(sigma, 8000, seed=1), [0.0, apart_m])
+    first, second = make_wall(sigma, 8000), np.add(make_wall(sigma, 8000, seed=1), [0.0, apart_m])
     added, places = clouds.joint_minus_separate(first, second)
     assert added == pytest.approx(0.5 * np.log(1.0 + apart_m**2 / (4.0 * sigma**2)), abs=0.05)
     assert places == 1000
 
 
-def test_walls_that_share_no_place_have_nothing_to_compare() -> None:
-    assert clouds.joint_minus_separate(wall(0.03, 500), np.add(wall(0.03, 500), [0.0, 5.0])) == (0.0, 0)
+def test_walls_without_common_area_are_not_scored() -> None:
+    assert clouds.joint_minus_separate(make_wall(0.03, 500), np.add(make_wall(0.03, 500), [0.0, 5.0])) == (0.0, 0)
 
 
-def test_directions_all_round_have_the_entropy_of_a_half_turn() -> None:
+def test_evenly_spread_directions_have_the_entropy_of_half_a_turn() -> None:
     assert clouds.direction_entropy(np.linspace(0.0, np.pi, 5000, endpoint=False)) == pytest.approx(np.log(np.pi))
 
 
@@ -72,19 +72,19 @@ def test_two_bundles_of_directions_have_the_entropy_of_their_widths(turn) -> Non
     assert clouds.direction_entropy(both) == pytest.approx(np.log(2.0 * width), abs=0.08)
 
 
-def test_scans_that_turn_smear_the_directions_of_their_walls() -> None:
-    scan, _ = scan_of(np.column_stack([np.linspace(-3.0, 3.0, 400), np.full(400, 2.0)]))
+def test_rotated_scans_increase_the_entropy_of_wall_directions() -> None:
+    scan, _ = make_scan(np.column_stack([np.linspace(-3.0, 3.0, 400), np.full(400, 2.0)]))
     still = tuple((scan, np.zeros(3)) for _ in range(30))
     turning = tuple((scan, np.array([0.0, 0.0, turn])) for turn in np.radians(np.linspace(-10.0, 10.0, 30)))
-    one, other = (scores(mapped)["direction_spread_nat"] for mapped in (still, turning))
+    one, other = (compute_scores(mapped)["direction_spread_nat"] for mapped in (still, turning))
     assert one.value == pytest.approx(0.5 * np.log(2.0 * np.pi * np.e) + np.log(np.radians(1.0)), abs=1e-3)
     assert other.value == pytest.approx(np.log(np.radians(20.0)), abs=0.15)
     assert one.support == other.support > 1000
 
 
-def test_without_hits_there_is_a_reason() -> None:
-    found = scores(())
+def test_missing_hits_give_a_reason() -> None:
+    found = compute_scores(())
     assert found["mme_nat"].reason == found["coral_nat"].reason == "no mapped scan has a hit"
     assert found["direction_spread_nat"].reason == "the scans contain 0 pieces of wall, at least 100 are needed"
-    lonely = tuple(scan_of(np.array([[5.0 * k, 1.0], [5.0 * k + 2.0, 2.0]])) for k in range(1, 5))
-    assert scores(lonely)["mme_nat"].reason == "only 0 % of the hits have 5 others within 0.5 m"
+    lonely = tuple(make_scan(np.array([[5.0 * k, 1.0], [5.0 * k + 2.0, 2.0]])) for k in range(1, 5))
+    assert compute_scores(lonely)["mme_nat"].reason == "only 0 % of the hits have 5 others within 0.5 m"

@@ -1,4 +1,4 @@
-"""Maps judged by themselves: closed forms for bands, squares, slivers and certainties."""
+"""Consistency metrics of maps without ground truth: closed forms for bands, squares, slivers and probabilities."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from evalkit.metrics.table import NO_POSES, Evidence, MissingMap, PlacedScans
 
 
 def grid(occupied: Bools, free: Bools | None = None, resolution_m: float = 0.05) -> OccupancyGrid:
-    """Occupied cells, free cells (all others by default), the rest unobserved."""
+    """Build a grid from occupied cells and free cells (default: all others); the rest is unobserved."""
     free = ~occupied if free is None else free
     log_odds = np.where(occupied, 4.0, np.where(free, -4.0, 0.0)).astype(np.float32)
     return OccupancyGrid(log_odds, occupied | free, resolution_m, 0.0, 0.0)
 
 
 def band(cells: int, length: int = 200) -> Bools:
-    """A wall that many cells thick along x."""
+    """Return a wall along x with the given thickness in cells."""
     occupied = np.zeros((60, length), np.bool_)
     occupied[20 : 20 + cells] = True
     return occupied
 
 
 def square(side: int, thick: int, shape: tuple[int, int] = (160, 160)) -> Bools:
-    """The walls of a square room in the middle of the grid."""
+    """Return the walls of a square room in the centre of the grid."""
     occupied = np.zeros(shape, np.bool_)
     low, high = (shape[0] - side) // 2, (shape[0] + side) // 2
     occupied[low:high, low:high] = True
@@ -51,7 +51,7 @@ def scores(
     return {metric.name: metric.compute(evidence) for metric in consistency.METRICS}
 
 
-def test_entropy_is_that_of_the_observed_cells_alone() -> None:
+def test_entropy_uses_only_observed_cells() -> None:
     log_odds = np.array([[0.0, np.log(3.0)], [-np.log(3.0), 0.0]], np.float32)
     observed = np.array([[True, True], [True, False]])
     quarter = -(0.25 * np.log(0.25) + 0.75 * np.log(0.75))
@@ -60,33 +60,33 @@ def test_entropy_is_that_of_the_observed_cells_alone() -> None:
 
 
 def wall_hits(width_m: float, count: int = 20_000) -> Floats:
-    """Hits spread evenly over a wall 20 m long."""
+    """Return hits spread evenly over a wall 20 m long."""
     rng = np.random.default_rng(0)
     return np.column_stack([rng.uniform(0.0, 20.0, count), rng.uniform(0.0, width_m, count)])
 
 
 @pytest.mark.parametrize("width_m", [0.02, 0.1, 0.2])
-def test_a_wall_of_width_w_is_w_over_root_twelve_thick(width_m: float) -> None:
+def test_a_wall_of_width_w_has_thickness_w_over_root_twelve(width_m: float) -> None:
     found, share = consistency.wall_thicknesses(wall_hits(width_m))
     assert found.mean() == pytest.approx(width_m / np.sqrt(12.0), rel=0.01)
-    assert share > 0.97  # at its ends a thick wall is no line
+    assert share > 0.97  # the ends of a thick wall do not form a line
 
 
-def test_thickness_depends_neither_on_the_frame_nor_on_how_many_hits_there_are() -> None:
+def test_thickness_is_independent_of_the_frame_and_of_the_number_of_hits() -> None:
     hits = wall_hits(0.1)
     here = consistency.wall_thicknesses(hits)[0].mean()
     assert consistency.wall_thicknesses(se2.transform([3.0, 4.0, 1.0], hits))[0].mean() == pytest.approx(here)
     assert consistency.wall_thicknesses(hits[::4])[0].mean() == pytest.approx(here, rel=0.02)
 
 
-def test_a_wall_drawn_twice_a_little_apart_is_thicker() -> None:
+def test_a_doubled_wall_is_thicker() -> None:
     once = wall_hits(0.0)
     twice = np.concatenate([once[::2], np.add(once[1::2], [0.0, 0.15])])
     assert consistency.wall_thicknesses(once)[0].max() == pytest.approx(0.0, abs=1e-9)
     assert consistency.wall_thicknesses(twice)[0].mean() == pytest.approx(0.075, rel=0.01)
 
 
-def test_scattered_hits_are_no_wall() -> None:
+def test_scattered_hits_are_not_a_wall() -> None:
     rng = np.random.default_rng(0)
     scan = Scan(0, np.sqrt(rng.uniform(0.0, 25.0, 5000)), rng.uniform(-np.pi, np.pi, 5000), 0.0, 5.0)
     found = scores(None, mapped=((scan, np.zeros(3)),))
@@ -95,7 +95,7 @@ def test_scattered_hits_are_no_wall() -> None:
 
 
 @pytest.mark.parametrize("thick", [2, 3, 4])
-def test_a_square_room_has_four_corners_and_a_copy_beside_it_four_more(thick: int) -> None:
+def test_a_square_room_has_four_corners_and_a_second_copy_adds_four(thick: int) -> None:
     one = square(60, thick)
     assert len(consistency.find_corners(grid(one))) == 4
     two = np.concatenate([one, one])
@@ -104,19 +104,19 @@ def test_a_square_room_has_four_corners_and_a_copy_beside_it_four_more(thick: in
     assert len(consistency.find_corners(grid(band(thick) & False))) == 0
 
 
-def test_slivers_between_copies_of_a_wall_are_counted_without_the_room_and_the_border() -> None:
+def test_slivers_between_wall_copies_count_without_the_room_and_the_border() -> None:
     occupied = square(60, 2) | np.roll(square(60, 2), 6, axis=1)
     free = np.zeros_like(occupied)
     free[52:108, 52:116] = ~occupied[52:108, 52:116]
     free[0, :10] = True
-    # one sliver on either side of the room, 4 columns wide and 56 rows high; the room is 50 columns wide
+    # one sliver on each side of the room, 4 columns wide and 56 rows high; the room is 50 columns wide
     assert consistency.find_enclosed_areas(grid(occupied, free)).tolist() == [224, 224]
     found = scores(grid(occupied, free))
     assert found["enclosed_areas"].value == 2
     assert found["enclosed_m2"].value == pytest.approx(2 * 224 * 0.05**2)
 
 
-def test_unknown_cells_enclose_and_three_cells_are_no_area() -> None:
+def test_unknown_cells_enclose_an_area_and_three_cells_are_not_an_area() -> None:
     free = np.zeros((30, 30), np.bool_)
     free[2:12, 2:12] = True
     free[20, 4:8] = True
@@ -126,21 +126,21 @@ def test_unknown_cells_enclose_and_three_cells_are_no_area() -> None:
     assert consistency.find_enclosed_areas(grid(occupied, free & ~occupied)).tolist() == [4]
 
 
-def test_occupied_share_leaves_the_unknown_out() -> None:
+def test_occupied_share_excludes_unknown_cells() -> None:
     occupied, free = band(1), np.zeros((60, 200), np.bool_)
     free[30:33] = True
     assert scores(grid(occupied, free))["occupied_percent"].value == pytest.approx(25.0)
 
 
 def wall_scan(distance_m: float) -> tuple[Scan, Floats]:
-    """200 hits on a wall across x, seen from the lower left, and where the sensor stood."""
+    """Return 200 hits on a wall across x, seen from the lower left, and the sensor position."""
     y = np.linspace(-1.0, 1.0, 200)
     scan = Scan(0, np.hypot(distance_m, y), np.arctan2(y, distance_m), 0.0, 20.0)
     return scan, np.array([0.5, 1.5, 0.0])
 
 
-def test_hits_where_the_other_half_saw_free_space_are_violations() -> None:
-    # the wall stands at x = 3.0; half of the hits of the second half lie 0.5 m before it
+def test_hits_in_free_space_of_the_other_half_are_violations() -> None:
+    # the wall is at x = 3.0; half of the hits of the second half are 0.5 m in front of it
     occupied = np.zeros((60, 80), np.bool_)
     occupied[:, 60] = True
     half = grid(occupied)
@@ -149,7 +149,7 @@ def test_hits_where_the_other_half_saw_free_space_are_violations() -> None:
     assert found == Score(25.0, 800)
 
 
-def test_hits_a_little_before_the_other_halfs_wall_are_noise() -> None:
+def test_hits_slightly_in_front_of_the_wall_of_the_other_half_are_noise() -> None:
     occupied = np.zeros((60, 80), np.bool_)
     occupied[:, 60] = True  # centres at x = 3.025
     half = grid(occupied)
@@ -158,19 +158,19 @@ def test_hits_a_little_before_the_other_halfs_wall_are_noise() -> None:
         assert scores(half, half, half, mapped)["cleared_percent"].value == violations
 
 
-def test_halves_that_see_different_places_have_no_violations_to_count() -> None:
+def test_halves_without_common_area_have_no_violation_score() -> None:
     nowhere = OccupancyGrid(np.zeros((3, 3), np.float32), np.zeros((3, 3), np.bool_), 0.05, 0.0, 0.0)
     found = scores(grid(band(1)), nowhere, grid(band(1)), (wall_scan(2.5), wall_scan(2.5)))
     assert found["cleared_percent"].reason == "the two halves of the run observed almost no common places"
     assert found["split_distance_m"].reason == "the two halves of the run observed almost no common places"
 
 
-def test_halves_three_cells_apart_are_fifteen_centimetres_apart() -> None:
+def test_halves_shifted_by_three_cells_are_fifteen_centimetres_apart() -> None:
     first, second = grid(band(1)), grid(np.roll(band(1), 3, axis=0))
     assert scores(first, first, second)["split_distance_m"].value == pytest.approx(0.15)
 
 
-def test_without_a_map_there_is_a_reason_for_everything() -> None:
+def test_a_missing_map_gives_every_metric_a_reason() -> None:
     nothing = scores(None)
     assert all(score.value is None and score.reason for score in nothing.values())
     unseen = OccupancyGrid(np.zeros((3, 3), np.float32), np.zeros((3, 3), np.bool_), 0.05, 0.0, 0.0)

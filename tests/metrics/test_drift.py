@@ -1,4 +1,4 @@
-"""Relative errors, against hand calculations, invariances, a literal KITTI loop and evo."""
+"""Relative errors, compared with hand calculations, invariances, a literal KITTI loop and evo."""
 
 from __future__ import annotations
 
@@ -13,15 +13,15 @@ from evalkit.metrics import drift
 from evalkit.metrics.table import Evidence, MatchedPoses
 
 
-def path(steps: Floats, start: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Floats:
-    """The poses (N + 1, 3) after each of the steps (N, 3)."""
+def integrate_steps(steps: Floats, start: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Floats:
+    """Return the poses (N + 1, 3) after each of the steps (N, 3)."""
     poses = [np.array(start)]
     for step in steps:
         poses.append(se2.compose(poses[-1], step))
     return np.array(poses)
 
 
-def matched(estimate: Floats, truth: Floats) -> MatchedPoses:
+def match(estimate: Floats, truth: Floats) -> MatchedPoses:
     return MatchedPoses(np.arange(len(truth)) * 100_000_000, estimate, truth, "none", "equal stamps")
 
 
@@ -37,64 +37,70 @@ def value(name: str, found: MatchedPoses) -> float:
     return answer
 
 
-def winding(count: int = 400, seed: int = 0) -> Floats:
+def make_winding_path(count: int = 400, seed: int = 0) -> Floats:
     rng = np.random.default_rng(seed)
     return np.stack([rng.uniform(0.0, 0.2, count), np.zeros(count), rng.normal(0.0, 0.1, count)], axis=1)
 
 
-def noisy(steps: Floats, seed: int = 1) -> Floats:
+def add_noise(steps: Floats, seed: int = 1) -> Floats:
     return se2.compose(steps, np.random.default_rng(seed).normal(0.0, 0.01, steps.shape))
 
 
 STRAIGHT = np.tile([0.05, 0.0, 0.0], (500, 1))  # 25 m
 
 
-def test_wheels_two_percent_too_large_drift_two_percent_over_every_length() -> None:
-    found = matched(path(STRAIGHT * 1.02), path(STRAIGHT))
+def test_wheels_two_percent_too_large_drift_two_percent_at_every_length() -> None:
+    found = match(integrate_steps(STRAIGHT * 1.02), integrate_steps(STRAIGHT))
     for name in ("drift_percent", *(f"drift_{length}m_percent" for length in (1, 2, 5, 10, 20)), "end_error_percent"):
         assert value(name, found) == pytest.approx(2.0), name
     assert value("rpe_1m_m", found) == pytest.approx(0.02)
     assert value("drift_deg_per_m", found) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_gyro_bias_of_one_degree_per_metre_is_read_off() -> None:
+def test_a_gyro_bias_of_one_degree_per_metre_is_measured() -> None:
     biased = np.add(STRAIGHT, [0.0, 0.0, np.radians(0.05)])
-    found = matched(path(biased), path(STRAIGHT))
+    found = match(integrate_steps(biased), integrate_steps(STRAIGHT))
     assert value("drift_deg_per_m", found) == pytest.approx(1.0)
     assert value("rpe_step_deg", found) == pytest.approx(0.05)
 
 
-def test_a_gyro_one_percent_too_fast_errs_by_3_6_degrees_per_turn_whichever_way_it_turns() -> None:
+def test_a_gyro_one_percent_too_fast_errs_by_3_6_degrees_per_turn_in_both_directions() -> None:
     turn = np.tile([0.02, 0.0, np.radians(3.0)], (150, 1))
     both_ways = np.concatenate([turn, turn * [1, 1, -1]])
-    assert value("drift_deg_per_turn", matched(path(turn * [1, 1, 1.01]), path(turn))) == pytest.approx(3.6)
+    assert value(
+        "drift_deg_per_turn", match(integrate_steps(turn * [1, 1, 1.01]), integrate_steps(turn))
+    ) == pytest.approx(3.6)
     right = turn * [1, 1, -1]
-    assert value("drift_deg_per_turn", matched(path(right * [1, 1, 1.01]), path(right))) == pytest.approx(3.6)
-    assert value("drift_deg_per_turn", matched(path(both_ways * [1, 1, 1.01]), path(both_ways))) < 3.6
+    assert value(
+        "drift_deg_per_turn", match(integrate_steps(right * [1, 1, 1.01]), integrate_steps(right))
+    ) == pytest.approx(3.6)
+    assert (
+        value("drift_deg_per_turn", match(integrate_steps(both_ways * [1, 1, 1.01]), integrate_steps(both_ways))) < 3.6
+    )
 
 
-def test_rpe_sees_one_wrong_step() -> None:
+def test_rpe_detects_one_wrong_step() -> None:
     wrong = STRAIGHT.copy()
     wrong[100, 1] = 0.3
-    found = matched(path(wrong), path(STRAIGHT))
+    found = match(integrate_steps(wrong), integrate_steps(STRAIGHT))
     assert value("rpe_step_m", found) == pytest.approx(0.3 / np.sqrt(500))
     assert score("rpe_step_m", found).support == 500
 
 
-def test_relative_errors_ignore_the_choice_of_frame() -> None:
-    steps = winding()
-    estimated = noisy(steps)
-    here = matched(path(estimated), path(steps))
-    there = matched(path(estimated, (5.0, -3.0, 2.0)), path(steps, (0.0, 9.0, -1.0)))
+def test_relative_errors_are_independent_of_the_frame() -> None:
+    steps = make_winding_path()
+    estimated = add_noise(steps)
+    here = match(integrate_steps(estimated), integrate_steps(steps))
+    there = match(integrate_steps(estimated, (5.0, -3.0, 2.0)), integrate_steps(steps, (0.0, 9.0, -1.0)))
     for metric in drift.METRICS:
         assert value(metric.name, there) == pytest.approx(value(metric.name, here)), metric.name
 
 
-def test_segments_are_those_of_a_literal_kitti_loop() -> None:
-    steps = winding(120)
-    truth = path(steps)
-    estimate = path(noisy(steps))
-    found = matched(estimate, truth)
+def test_segments_equal_those_of_a_literal_kitti_loop() -> None:
+    steps = make_winding_path(120)
+    truth = integrate_steps(steps)
+    estimate = integrate_steps(add_noise(steps))
+    found = match(estimate, truth)
     progress = drift.travelled_m(found)
     errors, start_from = [], 0.0
     for first in range(len(truth)):
@@ -113,13 +119,13 @@ def test_segments_are_those_of_a_literal_kitti_loop() -> None:
     assert answer.value == pytest.approx(np.mean(errors))
 
 
-def test_steps_and_seconds_are_those_of_evo() -> None:
+def test_rpe_over_steps_and_seconds_equals_evo() -> None:
     pytest.importorskip("evo")
     from evo.core import metrics
     from evo.core.trajectory import PosePath3D
 
-    steps = winding()
-    truth, estimate = path(steps), path(noisy(steps))
+    steps = make_winding_path()
+    truth, estimate = integrate_steps(steps), integrate_steps(add_noise(steps))
 
     def as_evo(rows: Floats) -> PosePath3D:
         half, zero = 0.5 * rows[:, 2], np.zeros(len(rows))
@@ -137,29 +143,29 @@ def test_steps_and_seconds_are_those_of_evo() -> None:
         rpe = metrics.RPE(relation, delta=frames, delta_unit=metrics.Unit.frames, all_pairs=True)
         rpe.process_data((as_evo(truth), as_evo(estimate)))
         expected = rpe.get_statistic(metrics.StatisticsType.rmse)
-        assert value(name, matched(estimate, truth)) == pytest.approx(expected)
+        assert value(name, match(estimate, truth)) == pytest.approx(expected)
 
 
 def test_standing_still_counts_once() -> None:
     rest = np.zeros((300, 3))
     slow = np.concatenate([STRAIGHT[:100], rest, STRAIGHT[:100]])
-    with_rest = matched(path(slow * 1.02), path(slow))
-    without = matched(path(STRAIGHT[:200] * 1.02), path(STRAIGHT[:200]))
+    with_rest = match(integrate_steps(slow * 1.02), integrate_steps(slow))
+    without = match(integrate_steps(STRAIGHT[:200] * 1.02), integrate_steps(STRAIGHT[:200]))
     assert score("drift_1m_percent", with_rest) == score("drift_1m_percent", without)
 
 
-def test_a_path_that_is_too_short_says_so() -> None:
-    still = matched(np.zeros((10, 3)), np.zeros((10, 3)))
+def test_a_path_that_is_too_short_gives_a_reason() -> None:
+    still = match(np.zeros((10, 3)), np.zeros((10, 3)))
     assert score("drift_percent", still).reason == "a path of 0.0 m is too short for segments of 1 m"
     assert score("end_error_percent", still).reason == "a path of 0.0 m is too short (1 m needed)"
     assert score("drift_deg_per_turn", still).reason == "a path that turns 0 deg has no segment of 360 deg"
-    short = matched(path(STRAIGHT[:200]), path(STRAIGHT[:200]))
+    short = match(integrate_steps(STRAIGHT[:200]), integrate_steps(STRAIGHT[:200]))
     assert score("drift_20m_percent", short).reason == "a path of 10.0 m is too short for segments of 20 m"
 
 
-def test_pairs_a_second_apart_are_found_by_time_and_not_by_count() -> None:
+def test_pairs_a_second_apart_are_found_by_time_not_by_count() -> None:
     stamps = np.array([0, 400, 800, 1210, 1400, 5000, 6010]) * 1_000_000
     first, last = drift.find_pairs_in_time(stamps, 1.0)
     assert list(zip(first.tolist(), last.tolist(), strict=True)) == [(0, 2), (1, 4), (5, 6)]
-    still = matched(np.zeros((5, 3)), np.zeros((5, 3)))
+    still = match(np.zeros((5, 3)), np.zeros((5, 3)))
     assert score("rpe_1s_m", still).reason == "no two matched poses are 1 s apart"

@@ -1,4 +1,4 @@
-"""A run made numbers: alignment, map and scores, and what becomes of them when the estimate has run away."""
+"""Scoring of a run: alignment, map and scores, also for an estimate that diverged."""
 
 import numpy as np
 import pytest
@@ -15,8 +15,8 @@ from evalkit.plugins.parameters import resolve_parameters
 SCANS = 12
 
 
-class Listener:
-    """A mapper that remembers what it was given; ``made`` remembers the mapper."""
+class RecordingMapper:
+    """Mapper that records the scans it receives."""
 
     def __init__(self, made):
         self.scans = []
@@ -29,20 +29,20 @@ class Listener:
         return OccupancyGrid(np.zeros((1, 1)), np.zeros((1, 1)), 0.05, 0.0, 0.0)
 
 
-class Listeners(list):
-    """Makes a new one whenever it is called, and keeps it."""
+class RecordingMapperFactory(list):
+    """Factory of recording mappers; keeps every mapper it creates."""
 
     def __call__(self):
-        return Listener(self)
+        return RecordingMapper(self)
 
 
 @pytest.fixture
-def listener():
-    return Listeners()
+def mapper_factory():
+    return RecordingMapperFactory()
 
 
 @pytest.fixture
-def straight(strangers):
+def straight_run(strangers):
     return registry.dataset("straight").make(SCANS, 0, "", False)
 
 
@@ -63,23 +63,23 @@ def perfect():
     return run_of(0.1 * np.arange(SCANS))
 
 
-def test_a_perfect_run_is_put_where_the_truth_is_and_has_no_error(straight):
-    scored = evaluate.evaluate_run(perfect(), straight, log_odds, 400)
+def test_a_perfect_run_is_aligned_with_the_ground_truth_and_has_no_error(straight_run):
+    scored = evaluate.evaluate_run(perfect(), straight_run, log_odds, 400)
     assert np.allclose(scored.world_from_start.row, [1.0, 0.0, 0.0], atol=1e-9)
     assert np.allclose(scored.errors_m, 0.0, atol=1e-9)
     assert scored.alignment == "least squares over 12 poses; 12 equal stamps"
     assert scored.by_metric["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
     assert scored.by_metric["cpu_median_ms"].value == pytest.approx(2.0)
     x, y = scored.grid.centres(scored.grid.occupied()).T
-    assert min(x.min(), 8.0 - x.max(), y.min() + 2.0, 2.0 - y.max()) > -0.051  # the walls of the box, to a cell
+    assert min(x.min(), 8.0 - x.max(), y.min() + 2.0, 2.0 - y.max()) > -0.051  # the walls of the box, within a cell
 
 
 @pytest.mark.parametrize("far_m", [1e6, 1e300])
-def test_an_estimate_beyond_any_map_loses_its_map_and_nothing_else(straight, far_m):
+def test_an_estimate_beyond_the_map_limit_loses_only_its_map(straight_run, far_m):
     x = 0.1 * np.arange(SCANS)
     x[-3:] = far_m
     with np.errstate(all="ignore"):
-        scored = evaluate.evaluate_run(run_of(x, -x), straight, log_odds, 400)
+        scored = evaluate.evaluate_run(run_of(x, -x), straight_run, log_odds, 400)
     assert scored.grid is None
     for name in ("map_entropy", "occupied_percent", "corners"):
         assert scored.by_metric[name].value is None
@@ -89,24 +89,24 @@ def test_an_estimate_beyond_any_map_loses_its_map_and_nothing_else(straight, far
     assert all(score.reason or np.isfinite(score.value) for score in scored.by_metric.values())
 
 
-def test_a_mapper_that_raises_costs_the_map_alone(straight):
+def test_a_mapper_that_raises_loses_only_the_map(straight_run):
     def broken():
         return registry.mapper("faulty-mapper").make("raise", 1.35)
 
-    scored = evaluate.evaluate_run(perfect(), straight, broken, 400)
+    scored = evaluate.evaluate_run(perfect(), straight_run, broken, 400)
     assert scored.grid is None
     assert scored.by_metric["map_entropy"].reason == "no map: the mapper failed (lost the plot)"
     assert scored.by_metric["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
 
 
-def test_the_mapper_gets_so_many_scans_evenly_and_each_half_of_them_again(straight, listener):
-    evaluate.evaluate_run(perfect(), straight, listener, 5)
-    whole, first, second = ([pose.x for _, pose in mapper.scans] for mapper in listener)
+def test_the_mapper_gets_the_given_number_of_evenly_spaced_scans_and_each_half_again(straight_run, mapper_factory):
+    evaluate.evaluate_run(perfect(), straight_run, mapper_factory, 5)
+    whole, first, second = ([pose.x for _, pose in mapper.scans] for mapper in mapper_factory)
     assert whole == pytest.approx([1.0, 1.2, 1.5, 1.8, 2.1])  # scans 0, 2, 5, 8, 11 of 12
     assert (first, second) == (whole[:2], whole[2:])
 
 
-def test_free_space_is_hardly_violated_under_true_poses_and_clearly_under_those_of_the_wheels():
+def test_free_space_violations_are_rare_with_true_poses_and_common_with_wheel_odometry():
     spec = registry.dataset("lab")
     lab = spec.make(**resolve_parameters("lab", spec.parameters, {"laps": 0.5, "seed": 1, "rate_hz": 5.0}))
     wheels = [frame.odom_from_base.row for frame in lab.frames()]
@@ -121,67 +121,69 @@ def test_free_space_is_hardly_violated_under_true_poses_and_clearly_under_those_
     assert violations[1] > 4.0 * violations[0]
 
 
-def test_a_scan_without_an_answer_is_not_drawn_and_shifts_no_other(straight, listener):
+def test_a_scan_without_an_answer_is_not_mapped_and_does_not_shift_others(straight_run, mapper_factory):
     run = perfect()
     answered = np.delete(run.steps, 4)
-    evaluate.evaluate_run(RunResult(answered, SCANS), straight, listener, 400)
-    assert [scan.stamp_ns for scan, _ in listener[0].scans] == answered["stamp_ns"].tolist()
-    assert [pose.x for _, pose in listener[0].scans] == pytest.approx((1.0 + answered["x"]).tolist())
+    evaluate.evaluate_run(RunResult(answered, SCANS), straight_run, mapper_factory, 400)
+    assert [scan.stamp_ns for scan, _ in mapper_factory[0].scans] == answered["stamp_ns"].tolist()
+    assert [pose.x for _, pose in mapper_factory[0].scans] == pytest.approx((1.0 + answered["x"]).tolist())
 
 
-def test_the_scans_drawn_are_the_same_for_every_method(straight, listener):
+def test_every_method_is_mapped_with_the_same_scans(straight_run, mapper_factory):
     whole = perfect()
     for missing in ((), (2, 3), (0,), range(6, SCANS)):
         steps = np.delete(whole.steps, missing)
-        evaluate.evaluate_run(RunResult(steps, SCANS), straight, listener, 5)
-        drawn = [scan.stamp_ns // 100_000_000 for scan, _ in listener[-3].scans]
+        evaluate.evaluate_run(RunResult(steps, SCANS), straight_run, mapper_factory, 5)
+        drawn = [scan.stamp_ns // 100_000_000 for scan, _ in mapper_factory[-3].scans]
         assert drawn == [scan for scan in (0, 2, 5, 8, 11) if scan not in missing]
 
 
-def test_a_residual_from_scan_to_scan_is_that_of_scans_in_a_row_however_few_are_drawn(straight, monkeypatch):
+def test_scan_to_scan_residuals_use_consecutive_scans_even_if_few_are_mapped(straight_run, monkeypatch):
     seen = []
     monkeypatch.setattr(evaluate.metrics, "compute_scores", lambda evidence, _: seen.append(evidence) or {})
     run = perfect()
-    evaluate.evaluate_run(RunResult(np.delete(run.steps, 4), SCANS), straight, log_odds, 3)
+    evaluate.evaluate_run(RunResult(np.delete(run.steps, 4), SCANS), straight_run, log_odds, 3)
     pairs = [(a.stamp_ns // 100_000_000, b.stamp_ns // 100_000_000) for (a, _), (b, _) in seen[0].successive]
     assert pairs == [(k, k + 1) for k in range(SCANS - 1) if k not in (3, 4)]
     for (_, earlier), (_, later) in seen[0].successive:
         assert np.allclose(later - earlier, [0.1, 0.0, 0.0])
 
 
-def test_a_run_that_broke_off_is_scored_as_far_as_it_came(straight, listener):
+def test_an_incomplete_run_is_scored_up_to_its_last_answer(straight_run, mapper_factory):
     x = 0.1 * np.arange(4)
-    scored = evaluate.evaluate_run(run_of(x, cause=Cause.SIGNAL, reason="signal"), straight, listener, 400)
-    assert len(listener[0].scans) == len(scored.errors_m) == 4
+    scored = evaluate.evaluate_run(run_of(x, cause=Cause.SIGNAL, reason="signal"), straight_run, mapper_factory, 400)
+    assert len(mapper_factory[0].scans) == len(scored.errors_m) == 4
 
 
-def test_a_run_without_answers_has_scores_that_say_so(straight, listener):
-    scored = evaluate.evaluate_run(run_of(np.zeros(0), cause=Cause.TIME_LIMIT, reason="slow"), straight, listener, 400)
+def test_a_run_without_answers_gets_reasons_instead_of_values(straight_run, mapper_factory):
+    scored = evaluate.evaluate_run(
+        run_of(np.zeros(0), cause=Cause.TIME_LIMIT, reason="slow"), straight_run, mapper_factory, 400
+    )
     assert scored.grid is None
-    assert listener == []
+    assert mapper_factory == []
     assert scored.by_metric["map_entropy"].reason == "no map: the run has no poses"
     assert scored.by_metric["ate_rmse_m"].value is None
     assert scored.alignment == "the run has no poses"
 
 
-def test_without_truth_nothing_is_aligned(straight, monkeypatch):
-    monkeypatch.setattr(straight, "truth", lambda: Truth("none"))
-    scored = evaluate.evaluate_run(perfect(), straight, log_odds, 400)
+def test_without_ground_truth_nothing_is_aligned(straight_run, monkeypatch):
+    monkeypatch.setattr(straight_run, "truth", lambda: Truth("none"))
+    scored = evaluate.evaluate_run(perfect(), straight_run, log_odds, 400)
     assert scored.world_from_start == Pose()
     assert scored.errors_m is None
     assert scored.alignment == ""
     assert scored.grid is not None
 
 
-def test_the_motion_within_a_scan_is_undone_by_the_estimates_own_speed(straight, listener, monkeypatch):
+def test_motion_within_a_scan_is_corrected_with_the_estimated_velocity(straight_run, mapper_factory, monkeypatch):
     ahead = np.zeros(3)  # three beams straight ahead, 50 ms from first to last: 5 cm at 1 m/s
 
-    def frames(original=straight.frames):
+    def frames(original=straight_run.frames):
         for frame in original():
             scan = Scan(frame.scan.stamp_ns, [4.0, 4.0, 4.0], ahead, 0.1, 20.0, 25_000_000)
             yield type(frame)(scan)
 
-    monkeypatch.setattr(straight, "frames", frames)
-    evaluate.evaluate_run(perfect(), straight, listener, 3)
-    for scan, _ in listener[0].scans:
+    monkeypatch.setattr(straight_run, "frames", frames)
+    evaluate.evaluate_run(perfect(), straight_run, mapper_factory, 3)
+    for scan, _ in mapper_factory[0].scans:
         assert scan.ranges.tolist() == pytest.approx([4.0, 4.025, 4.05])

@@ -1,4 +1,4 @@
-"""Distances between Gaussians: by SciPy's matrix root, by hand, and for maps of a few walls."""
+"""Distances between Gaussians: compared with SciPy, with hand calculations, and for maps of a few walls."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def one(mean, cov, other_mean, other_cov):
     return float(gaussians.wasserstein_distances(*rows)[0])
 
 
-def test_the_distance_is_that_of_the_matrix_root() -> None:
+def test_the_distance_equals_the_matrix_root_form() -> None:
     rng = np.random.default_rng(0)
     for _ in range(20):
         roots = rng.normal(size=(2, 2, 2))
@@ -34,17 +34,17 @@ def test_the_distance_is_that_of_the_matrix_root() -> None:
 
 
 @pytest.mark.parametrize("degrees", [0.0, 30.0, 45.0, 75.0])
-def test_a_tilted_wall_is_not_apart_from_itself(degrees) -> None:
+def test_a_tilted_wall_has_distance_zero_to_itself(degrees) -> None:
     wall = covariance(0.02, 0.3, degrees)
     assert one([1, 2], wall, [1, 2], wall) == pytest.approx(0.0, abs=1e-7)
     assert one([1, 2], wall, [1, 2.5], wall) == pytest.approx(0.5)
 
 
-def test_spreads_on_the_same_axes_differ_by_their_standard_deviations() -> None:
+def test_covariances_on_the_same_axes_differ_by_their_standard_deviations() -> None:
     assert one([0, 0], covariance(0.1, 0.4, 20), [0, 0], covariance(0.2, 0.7, 20)) == pytest.approx(np.hypot(0.1, 0.3))
 
 
-def test_voxels_are_counted_as_numpy_counts_them() -> None:
+def test_voxel_counts_equal_those_of_numpy() -> None:
     points = np.random.default_rng(2).uniform(-2.0, 2.0, (300, 2))
     found = gaussians.fit_voxels(points)
     assert len(found.at) == 16
@@ -54,7 +54,7 @@ def test_voxels_are_counted_as_numpy_counts_them() -> None:
         assert np.allclose(cov, np.cov(inside.T, bias=True))
 
 
-def test_an_even_error_is_consistent_and_an_uneven_one_is_not() -> None:
+def test_a_uniform_error_is_consistent_and_a_varying_error_is_not() -> None:
     at = np.array([[0, 0], [1, 0], [2, 0]])
     assert gaussians.spatial_consistency(at, np.array([0.3, 0.3, 0.3])) == pytest.approx(0.0, abs=1e-7)
     assert gaussians.spatial_consistency(at, np.array([1.0, 2.0, 3.0])) == pytest.approx(np.sqrt(2 / 3) / 2)
@@ -74,14 +74,14 @@ def scores(mapped, true):
     return {metric.name: metric.compute(evidence) for metric in gaussians.METRICS}
 
 
-def test_a_wall_two_cells_off_is_two_cells_away_in_every_square() -> None:
+def test_a_wall_two_cells_off_has_distance_two_cells_in_every_square() -> None:
     found = scores(grid(2), grid(0))
     assert found["map_awd_m"].value == pytest.approx(0.1)
     assert found["map_awd_m"].support == 5
     assert found["map_scs"].value == pytest.approx(0.0, abs=1e-6)
 
 
-def test_without_a_map_or_walls_there_is_a_reason() -> None:
+def test_a_missing_map_or_missing_walls_give_a_reason() -> None:
     nothing = OccupancyGrid(np.zeros((2, 2), np.float32), np.zeros((2, 2), np.bool_), 0.05, 0.0, 0.0)
     assert scores(grid(0), None)["map_awd_m"].reason == "no ground-truth map"
     assert scores(None, grid(0))["map_awd_m"].reason == "no map: the run has no poses"

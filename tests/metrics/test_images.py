@@ -1,4 +1,4 @@
-"""Structural similarity: equal pictures, the closed form of plain ones, and maps on other lattices."""
+"""Structural similarity: equal images, the closed form of uniform images, and maps on different lattices."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ def grid(p, resolution_m=0.05, origin=(0.0, 0.0), observed=None):
     return OccupancyGrid(np.log(p / (1.0 - p)).astype(np.float32), observed, resolution_m, *origin)
 
 
-def scored(mapped, true):
+def compute_similarity(mapped, true):
     (metric,) = images.METRICS
     run = RunResult(np.zeros(0, STEP), 0)
     return metric.compute(Evidence(run, Truth("exact", grid=true), grid=mapped or MissingMap(NO_POSES)))
@@ -28,19 +28,19 @@ def room(cells=60, wall=12):
     return p
 
 
-def test_equal_pictures_are_wholly_alike() -> None:
+def test_equal_images_have_similarity_one() -> None:
     picture = np.random.default_rng(0).random((30, 40))
     assert images.ssim(picture, picture) == pytest.approx(np.ones((30, 40)))
-    assert scored(grid(room()), grid(room())).value == pytest.approx(1.0)
+    assert compute_similarity(grid(room()), grid(room())).value == pytest.approx(1.0)
 
 
-def test_plain_pictures_differ_by_their_brightness_alone() -> None:
+def test_uniform_images_differ_only_in_brightness() -> None:
     one, other = 0.3, 0.8
     found = images.ssim(np.full((20, 20), one), np.full((20, 20), other))
     assert found == pytest.approx((2 * one * other + 1e-4) / (one**2 + other**2 + 1e-4))
 
 
-def test_one_window_is_that_of_the_formula_by_hand() -> None:
+def test_one_window_equals_the_formula_by_hand() -> None:
     rng = np.random.default_rng(1)
     one, other = rng.random((2, 11, 11))
     weights = np.exp(-0.5 * (np.arange(-5, 6) / 1.5) ** 2)
@@ -52,35 +52,36 @@ def test_one_window_is_that_of_the_formula_by_hand() -> None:
     assert images.ssim(one, other)[5, 5] == pytest.approx(expected)
 
 
-def test_whole_cells_of_shift_are_taken_out_and_more_than_three_are_not() -> None:
-    near, far = (scored(grid(room(), origin=(cells * 0.05, 0.0)), grid(room())) for cells in (2, 5))
+def test_shifts_up_to_three_whole_cells_are_compensated() -> None:
+    near, far = (compute_similarity(grid(room(), origin=(cells * 0.05, 0.0)), grid(room())) for cells in (2, 5))
     assert near.value == pytest.approx(1.0)
     assert far.value is not None
     assert far.value < 0.9
 
 
-def test_a_finer_true_map_is_brought_to_the_cells_of_the_coarser_one() -> None:
+def test_a_finer_true_map_is_resampled_to_the_coarser_cells() -> None:
     fine = np.repeat(np.repeat(room(), 2, axis=0), 2, axis=1)
-    found = scored(grid(room(), 0.05, (-1.0, 2.0)), grid(fine, 0.025, (-1.0, 2.0)))
+    found = compute_similarity(grid(room(), 0.05, (-1.0, 2.0)), grid(fine, 0.025, (-1.0, 2.0)))
     assert (found.value, found.support) == (pytest.approx(1.0, abs=1e-6), 3600)
 
 
-def test_maps_that_do_not_meet_are_not_compared() -> None:
-    found = scored(grid(room(), origin=(100.0, 0.0)), grid(room()))
+def test_maps_that_do_not_overlap_are_not_compared() -> None:
+    found = compute_similarity(grid(room(), origin=(100.0, 0.0)), grid(room()))
     assert found.reason == "both maps have observed only 0 common cells"
     half = np.zeros((60, 60), np.bool_)
     half[:, :1] = True
-    assert scored(grid(room(), observed=half), grid(room())).reason == "both maps have observed only 60 common cells"
-    assert scored(None, grid(room())).reason.startswith("no map:")
-    assert scored(grid(room()), None).reason == "no ground-truth map"
+    assert (
+        compute_similarity(grid(room(), observed=half), grid(room())).reason
+        == "both maps have observed only 60 common cells"
+    )
+    assert compute_similarity(None, grid(room())).reason.startswith("no map:")
+    assert compute_similarity(grid(room()), None).reason == "no ground-truth map"
 
 
-def test_what_one_map_shows_beyond_the_other_is_not_compared() -> None:
-    """Both fill their grids, 2 cells apart: what they share is the same, and nothing stands beyond a border."""
+def test_only_the_overlap_of_both_maps_is_compared() -> None:
+    """Both maps fill their grids and are 2 cells apart: the overlap is equal, and no map is padded at its border."""
     world = np.random.default_rng(3).random((40, 44))
     value, cells = images.mean_similarity(grid(world[:, 2:42], origin=(0.1, 0.0)), grid(world[:, :40]))
     assert (round(value, 9), cells) == (1.0, 38 * 40)
-    value, cells = images.mean_similarity(
-        grid(world[:, 2:42]), grid(world[:, :40])
-    )  # the same, said to stand elsewhere
+    value, cells = images.mean_similarity(grid(world[:, 2:42]), grid(world[:, :40]))  # the same map at another origin
     assert (round(value, 9), cells) == (1.0, 38 * 40)

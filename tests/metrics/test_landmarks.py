@@ -1,4 +1,4 @@
-"""Sets of points and hits beside walls: OSPA by hand and by brute force, signed offsets of known size."""
+"""Landmark metrics: OSPA by hand and by brute force, and signed wall offsets of known size."""
 
 from itertools import permutations
 
@@ -19,19 +19,21 @@ SETS = st.lists(st.tuples(st.floats(-1.0, 1.0), st.floats(-1.0, 1.0)), max_size=
 )
 
 
-def test_ospa_of_sets_by_hand() -> None:
+def test_ospa_of_small_sets_equals_the_hand_calculation() -> None:
     corners = [[0.0, 0.0], [4.0, 0.0], [4.0, 3.0]]
     assert landmarks.ospa(corners, corners[::-1]) == 0.0
-    assert landmarks.ospa(corners, corners[:2]) == pytest.approx(0.5 / 3)  # one is missing
+    assert landmarks.ospa(corners, corners[:2]) == pytest.approx(0.5 / 3)  # one point is missing
     moved = [[0.3, 0.0], [4.0, 0.0], [9.0, 3.0]]
-    assert landmarks.ospa(corners, moved) == pytest.approx((0.3 + 0.0 + 0.5) / 3)  # far off is no worse than missing
+    assert landmarks.ospa(corners, moved) == pytest.approx(
+        (0.3 + 0.0 + 0.5) / 3
+    )  # a point far away costs as much as a missing one
     assert landmarks.ospa(corners, moved, 1.0, 2.0) == pytest.approx(np.sqrt((0.09 + 1.0) / 3))
     assert landmarks.ospa([], corners) == 0.5
     assert landmarks.ospa([], []) == 0.0
 
 
 @given(SETS, SETS)
-def test_ospa_is_the_best_of_all_assignments_and_a_distance(one, other) -> None:
+def test_ospa_is_a_distance_and_the_minimum_over_all_assignments(one, other) -> None:
     found = landmarks.ospa(one, other)
     short, long = sorted((one, other), key=len)
     if len(long):
@@ -43,12 +45,12 @@ def test_ospa_is_the_best_of_all_assignments_and_a_distance(one, other) -> None:
 
 
 @given(SETS, SETS, SETS)
-def test_ospa_obeys_the_triangle(one, two, three) -> None:
+def test_ospa_satisfies_the_triangle_inequality(one, two, three) -> None:
     assert landmarks.ospa(one, three) <= landmarks.ospa(one, two) + landmarks.ospa(two, three) + 1e-9
 
 
 def square(side_m=4.0, resolution_m=0.01):
-    """The walls of a square room around the origin, one cell thick."""
+    """Return the walls of a square room around the origin, one cell thick."""
     cells = round(side_m / resolution_m) + 1
     occupied = np.zeros((cells, cells), np.bool_)
     occupied[[0, -1]] = occupied[:, [0, -1]] = True
@@ -58,7 +60,7 @@ def square(side_m=4.0, resolution_m=0.01):
 
 
 def scan(side_m):
-    """A scan of a square room from its middle."""
+    """Return a scan of a square room from its centre."""
     angles = np.linspace(0.0, 2.0 * np.pi, 1000, endpoint=False)
     ranges = 0.5 * side_m / np.maximum(np.abs(np.cos(angles)), np.abs(np.sin(angles)))
     return Scan(0, ranges, angles, 0.0, 20.0), np.zeros(3)
@@ -71,18 +73,18 @@ def scores(mapped, true, grid=None):
 
 
 @pytest.mark.parametrize("off_m", [-0.1, -0.03, 0.03, 0.1])
-def test_a_room_drawn_too_large_has_its_walls_behind_the_true_ones(off_m: float) -> None:
+def test_a_room_mapped_too_large_has_its_walls_behind_the_true_walls(off_m: float) -> None:
     found = scores((scan(4.0 + 2.0 * off_m),), square())["map_wall_offset_m"]
     assert found.value == pytest.approx(off_m, abs=0.005)
     assert found.support == 1000
 
 
-def test_what_is_far_from_every_true_wall_has_no_side() -> None:
+def test_cells_far_from_every_true_wall_have_no_signed_offset() -> None:
     assert scores((scan(8.0),), square())["map_wall_offset_m"].reason.startswith("only 0 hits are within 0.5 m")
     assert scores((), square())["map_wall_offset_m"].reason == "no mapped scan has a hit"
 
 
-def test_the_corners_of_the_true_map_are_where_they_are() -> None:
+def test_the_corners_of_the_true_map_are_at_their_known_positions() -> None:
     room = np.zeros((120, 120), np.bool_)
     room[20:100, 20:23] = room[20:100, 97:100] = room[20:23, 20:100] = room[97:100, 20:100] = True
     grid = OccupancyGrid(np.where(room, 5.0, -5.0).astype(np.float32), np.ones_like(room), 0.05, -1.0, 2.0)

@@ -1,4 +1,4 @@
-"""Maps held against the truth: shifted walls, brute force, and grids that share neither origin nor resolution."""
+"""Maps compared with ground truth: shifted walls, brute force, and grids that differ in origin and resolution."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def grid(occupied: Bools, resolution_m: float = 0.05, origin_x: float = 0.0, ori
 
 
 def wall(column: int, shape: tuple[int, int] = (40, 60)) -> Bools:
-    """One wall along y, one cell thick."""
+    """Return one wall along y, one cell thick."""
     occupied = np.zeros(shape, np.bool_)
     occupied[:, column] = True
     return occupied
@@ -31,7 +31,7 @@ def scores(mapped: OccupancyGrid | None, true: OccupancyGrid | None) -> dict[str
     return {metric.name: metric.compute(evidence) for metric in maps.METRICS}
 
 
-def test_the_true_map_scores_perfectly_against_itself() -> None:
+def test_the_true_map_has_a_perfect_score_against_itself() -> None:
     same = scores(grid(wall(20)), grid(wall(20)))
     assert same["map_f1"] == same["map_iou"] == Score(1.0, 80)
     assert same["map_chamfer_m"].value == same["map_wall_p95_m"].value == 0.0
@@ -55,7 +55,7 @@ def test_a_doubled_wall_costs_precision_and_a_missing_one_recall() -> None:
     assert missing["map_chamfer_m"].value == pytest.approx(0.25)
 
 
-def test_random_maps_score_as_by_brute_force() -> None:
+def test_scores_of_random_maps_equal_brute_force() -> None:
     rng = np.random.default_rng(0)
     mapped = grid(rng.random((20, 25)) < 0.03, 0.05, 0.3, -0.2)
     true = grid(rng.random((24, 18)) < 0.03, 0.04, 0.1, -0.1)
@@ -77,7 +77,7 @@ def test_random_maps_score_as_by_brute_force() -> None:
     assert found["map_com"].value == pytest.approx((distances.min(axis=0) <= 0.2).mean())
 
 
-def test_moving_both_grids_or_padding_one_changes_nothing() -> None:
+def test_moving_both_grids_or_padding_one_does_not_change_scores() -> None:
     rng = np.random.default_rng(1)
     ours, theirs = rng.random((30, 30)) < 0.05, rng.random((30, 30)) < 0.05
     here = scores(grid(ours), grid(theirs))
@@ -88,20 +88,20 @@ def test_moving_both_grids_or_padding_one_changes_nothing() -> None:
         assert padded[name].value == pytest.approx(score.value), name
 
 
-def test_iou_compares_at_the_coarser_resolution() -> None:
+def test_iou_is_computed_at_the_coarser_resolution() -> None:
     coarse = grid(wall(5, (10, 15)), 0.2)
     fine = grid(np.kron(coarse.occupied(), np.ones((4, 4))) > 0, 0.05)
     assert scores(fine, coarse)["map_iou"].value == 1.0
     assert scores(coarse, fine)["map_iou"].value == 1.0
 
 
-def test_iou_with_a_tolerance_forgives_two_cells_and_counts_each_cell_once() -> None:
+def test_iou_with_a_tolerance_accepts_two_cells_and_counts_each_cell_once() -> None:
     two, three = (scores(grid(wall(20 + cells)), grid(wall(20)))["map_iou_10cm"].value for cells in (2, 3))
     assert (two, three) == (1.0, 0.0)
     assert scores(grid(wall(20) | wall(40)), grid(wall(20)))["map_iou_10cm"].value == 0.5
 
 
-def test_accuracy_looks_at_near_walls_and_completeness_at_true_ones() -> None:
+def test_accuracy_uses_near_walls_and_completeness_uses_true_walls() -> None:
     found = scores(grid(wall(22) | wall(50)), grid(wall(20) | wall(5)))
     assert found["map_ac_m"].value == pytest.approx(0.10)
     assert found["map_com"].value == 0.5
@@ -111,7 +111,7 @@ def test_accuracy_looks_at_near_walls_and_completeness_at_true_ones() -> None:
     assert far["map_com"].value == 0.0
 
 
-def test_a_map_without_walls_scores_nothing_and_without_truth_has_no_score() -> None:
+def test_a_map_without_walls_scores_zero_and_without_ground_truth_has_no_score() -> None:
     empty = grid(np.zeros((5, 5), np.bool_))
     found = scores(empty, grid(wall(20)))
     assert (found["map_f1"].value, found["map_recall"].value) == (0.0, 0.0)
@@ -120,7 +120,7 @@ def test_a_map_without_walls_scores_nothing_and_without_truth_has_no_score() -> 
     assert scores(None, grid(wall(20)))["map_f1"].reason == "no map: the run has no poses"
 
 
-def test_coverage_is_the_share_of_the_true_map_s_observed_cells_that_are_observed() -> None:
+def test_coverage_is_the_observed_share_of_the_observed_cells_of_the_true_map() -> None:
     true = grid(wall(20))
     half = grid(wall(20)[:, :30])
     seen = np.ones((40, 60), np.bool_)

@@ -1,4 +1,4 @@
-"""The table of all metrics: complete cards, unique names, and an answer to every kind of run."""
+"""The table of all metrics: complete cards, unique names, and a value or a reason for every kind of run."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def evidence(of: RunResult, truth: Truth) -> Evidence:
     return Evidence(of, truth, match_trajectories(of.estimate, truth.trajectory))
 
 
-def test_names_are_unique_and_every_card_is_filled_in() -> None:
+def test_names_are_unique_and_every_card_is_complete() -> None:
     names = [metric.name for metric in metrics.METRICS]
     assert len(names) == len(set(names))
     for metric in metrics.METRICS:
@@ -40,7 +40,7 @@ def test_names_are_unique_and_every_card_is_filled_in() -> None:
         assert metric.limitations, metric.name
 
 
-def test_names_end_in_the_unit_of_their_numbers() -> None:
+def test_names_end_in_the_unit_of_their_values() -> None:
     endings = {
         "m": "_m",
         "deg": "_deg",
@@ -55,13 +55,13 @@ def test_names_end_in_the_unit_of_their_numbers() -> None:
             assert metric.name.endswith(endings[metric.unit]), metric.name
 
 
-def test_about_ten_metrics_lead_and_each_has_a_direction() -> None:
+def test_about_ten_metrics_are_headline_metrics_and_each_has_a_direction() -> None:
     leading = [metric for metric in metrics.METRICS if metric.headline]
     assert 8 <= len(leading) <= 12
     assert all(metric.better for metric in leading)
 
 
-def test_a_run_that_answered_nothing_gets_a_reason_from_every_metric_but_what_it_answered() -> None:
+def test_a_run_without_answers_gets_a_reason_from_every_metric_except_the_answer_rate() -> None:
     truth = Truth("exact", Trajectory(np.arange(5) * 100_000_000, np.zeros((5, 3))))
     found = metrics.compute_scores(evidence(run([]), truth))
     assert list(found) == [metric.name for metric in metrics.METRICS]
@@ -69,7 +69,7 @@ def test_a_run_that_answered_nothing_gets_a_reason_from_every_metric_but_what_it
     assert told == {"answered_percent": 0.0, "covered_percent": 0.0}
 
 
-def test_a_sequence_without_truth_gets_a_reason_from_every_metric_that_needs_it() -> None:
+def test_a_sequence_without_ground_truth_gets_a_reason_from_every_metric_that_needs_it() -> None:
     found = metrics.compute_scores(evidence(run([(0.0, 0, 0), (1.0, 0, 0)]), Truth("none")))
     reasons = {"ate_rmse_m": "no ground-truth trajectory", "drift_percent": "no ground-truth trajectory"}
     reasons |= {"relations_all_mean_m": "no measured relations", "map_f1": "no ground-truth map"}
@@ -78,24 +78,24 @@ def test_a_sequence_without_truth_gets_a_reason_from_every_metric_that_needs_it(
 
 
 @pytest.mark.filterwarnings("error")
-def test_an_estimate_that_flew_away_is_answered_without_a_warning() -> None:
+def test_a_diverged_estimate_is_scored_without_a_warning() -> None:
     truth = Truth("exact", Trajectory(np.arange(3) * 100_000_000, np.array([[0.0, 0, 0], [1, 0, 0], [2, 1, 0]])))
     found = metrics.compute_scores(evidence(run([(0.0, 0, 0), (1e200, 0, 0), (-1e300, 3, 0)]), truth))
     assert found["ate_rmse_m"] == Score(None, 3, "not finite: the estimate has diverged")
 
 
-def test_a_strangers_metric_is_scored_like_our_own() -> None:
+def test_a_third_party_metric_is_scored_like_a_built_in_one() -> None:
     card: Metric = replace(metrics.METRICS[0], name="scans", compute=lambda seen: make_score(len(seen.run.steps), 1))
     of = run([(0.0, 0, 0)])
     assert metrics.compute_scores(evidence(of, Truth("none")), [card]) == {"scans": Score(1.0, 1)}
 
 
-def test_a_number_that_is_not_finite_is_no_score() -> None:
+def test_a_value_that_is_not_finite_is_not_a_score() -> None:
     assert make_score(math.nan, 7).value is None
     assert make_score(np.float64(2.0), 7) == Score(2.0, 7)
 
 
-def test_a_look_that_metrics_share_is_taken_once_and_forgotten_with_its_evidence() -> None:
+def test_shared_intermediate_results_are_computed_once_and_released_with_the_evidence() -> None:
     looks = []
 
     @cached

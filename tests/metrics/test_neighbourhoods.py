@@ -1,4 +1,4 @@
-"""Ellipses of neighbourhoods, against NumPy's covariances and by hand."""
+"""Covariance ellipses of point neighbourhoods, compared with NumPy's covariances and with hand calculations."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from evalkit.metrics.neighbourhoods import compute_neighbourhoods, thin_evenly
 
 
-def test_the_ellipse_of_each_patch_is_that_of_numpys_covariance() -> None:
+def test_the_ellipse_of_each_neighbourhood_equals_numpys_covariance() -> None:
     rng = np.random.default_rng(0)
     points, middles = rng.uniform(0.0, 2.0, (400, 2)), rng.uniform(0.0, 2.0, (20, 2))
     found = compute_neighbourhoods(points, middles, 0.4)
@@ -19,14 +19,14 @@ def test_the_ellipse_of_each_patch_is_that_of_numpys_covariance() -> None:
         assert np.sin(found.direction[place] - along) == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_place_without_points_is_no_wall() -> None:
+def test_a_neighbourhood_without_points_is_not_a_wall() -> None:
     line = np.column_stack([np.linspace(0.0, 1.0, 50), np.zeros(50)])
     found = compute_neighbourhoods(line, np.array([[0.5, 0.0], [9.0, 9.0]]))
     assert found.flat.tolist() == [True, False]
     assert np.isnan(found.small[1])
 
 
-def test_the_direction_of_a_wall_is_that_it_was_drawn_in() -> None:
+def test_the_direction_of_a_wall_is_recovered() -> None:
     angles = np.radians([0.0, 30.0, 90.0, 150.0])
     for angle in angles:
         line = np.outer(np.linspace(-1.0, 1.0, 99), [np.cos(angle), np.sin(angle)])

@@ -1,4 +1,4 @@
-"""Maps of a few cells, worked out by hand."""
+"""Map cells compared with ground truth: maps of a few cells, calculated by hand."""
 
 import math
 
@@ -18,41 +18,41 @@ def grid(rows, resolution_m=0.1, x=0.0, y=0.0, observed=None):
     return OccupancyGrid(log_odds, log_odds != 0.0 if observed is None else observed, resolution_m, x, y)
 
 
-def test_a_true_cell_of_half_the_size_marks_the_cell_its_centre_is_in():
+def test_a_true_cell_of_half_the_size_marks_the_cell_that_contains_its_centre():
     true = grid([[-5, 0, 0, 5]], resolution_m=0.05)  # centres 0.025 free, 0.175 occupied
     occupied, free = find_true_states(grid([[1, 1, 1]]), true)
     assert occupied.tolist() == [[False, True, False]]
     assert free.tolist() == [[True, False, False]]
 
 
-def test_a_centre_on_an_edge_counts_for_both_sides_and_a_wall_before_free_space():
+def test_a_centre_on_an_edge_counts_for_both_cells_and_walls_win_over_free_space():
     true = grid([[5, -5]], resolution_m=0.05, x=0.075)  # centres 0.1, on the edge, and 0.15
     occupied, free = find_true_states(grid([[1, 1]]), true)
     assert occupied.tolist() == [[True, True]]
     assert not free.any()
 
 
-def test_the_truth_must_not_be_coarser():
+def test_a_coarser_ground_truth_is_rejected():
     with pytest.raises(ValueError, match="coarser"):
         find_true_states(grid([[1.0]], 0.05), grid([[5.0]], 0.1))
 
 
-def test_log_loss_is_the_mean_surprise_and_ln_2_where_nothing_is_known():
+def test_log_loss_is_the_mean_surprise_and_ln_2_for_unknown_cells():
     true = grid([[-5, -5, 5, 5]], resolution_m=0.1)
     unsure = grid([[0.0] * 4], observed=np.ones((1, 4), dtype=bool))
     assert log_loss(unsure, true) == pytest.approx((math.log(2.0), 4))
-    # p(occupied) = 0.2 for a free cell and 0.9 for a wall, the other two not looked at
+    # p(occupied) = 0.2 for a free cell and 0.9 for a wall; the other two cells are unobserved
     mapped = grid([[math.log(0.25), 0.0, math.log(9.0), 0.0]])
     assert log_loss(mapped, true) == pytest.approx((-0.5 * (math.log(0.8) + math.log(0.9)), 2))
 
 
-def test_log_loss_is_least_for_the_right_probability():
+def test_log_loss_is_minimal_for_the_true_probability():
     true = grid([[5.0] * 7 + [-5.0] * 3])
     losses = {p: log_loss(grid([[math.log(p / (1.0 - p))] * 10]), true)[0] for p in (0.5001, 0.6, 0.7, 0.8, 0.9)}
     assert min(losses, key=losses.get) == 0.7
 
 
-def test_log_loss_of_what_was_never_seen_is_not_a_number():
+def test_log_loss_of_unobserved_cells_is_nan():
     value, cells = log_loss(grid([[0.0]]), grid([[5.0]]))
     assert math.isnan(value)
     assert cells == 0
@@ -74,7 +74,7 @@ def scores(mapped, true):
     return {metric.name: metric.compute(evidence) for metric in occupancy.METRICS}
 
 
-def test_the_table_tells_log_loss_and_wall_width_or_why_not():
+def test_the_metric_table_contains_log_loss_and_wall_width_or_a_reason():
     rows = np.full((60, 60), -5.0)
     rows[20:23, :] = 5.0
     found = scores(grid(rows), grid(rows))

@@ -1,4 +1,4 @@
-"""The pair error: closed forms for turns and shifts, and the scale of the scene."""
+"""The pair error: closed forms for rotations and translations, and independence of the scale of the scene."""
 
 from itertools import pairwise
 
@@ -21,18 +21,18 @@ CIRCLE = 4.0 * np.stack([np.cos(ANGLES), np.sin(ANGLES)], axis=1)
 
 
 @given(st.floats(-3.0, 3.0), st.floats(0.01, 100.0))
-def test_a_pure_turn_about_the_centroid_costs_its_chord_at_any_scale(turn: float, scale: float) -> None:
+def test_a_pure_rotation_about_the_centroid_costs_its_chord_at_any_scale(turn: float, scale: float) -> None:
     assert pairs.pair_error(scale * CIRCLE, np.zeros(3), np.array([0.0, 0.0, turn])) == pytest.approx(
         2.0 * abs(np.sin(turn / 2.0)), abs=1e-9
     )
 
 
 @given(st.floats(-2.0, 2.0), st.floats(-2.0, 2.0))
-def test_a_pure_shift_of_a_circle_costs_its_length_over_the_radius(x: float, y: float) -> None:
+def test_a_pure_translation_of_a_circle_costs_its_length_over_the_radius(x: float, y: float) -> None:
     assert pairs.pair_error(CIRCLE, np.zeros(3), np.array([x, y, 0.0])) == pytest.approx(np.hypot(x, y) / 4.0)
 
 
-def test_the_error_is_the_same_wherever_the_target_stands() -> None:
+def test_the_error_is_independent_of_the_position_of_the_target() -> None:
     points = np.random.default_rng(0).normal(0.0, [3.0, 1.0], (200, 2))
     true, off, away = np.array([0.3, -0.1, 0.2]), np.array([0.32, -0.12, 0.23]), np.array([5.0, 7.0, 2.0])
     here = pairs.pair_error(points, true, off)
@@ -42,12 +42,14 @@ def test_the_error_is_the_same_wherever_the_target_stands() -> None:
     assert here == pytest.approx(np.mean(np.linalg.norm(by_hand[1] - by_hand[0], axis=1) / reach))
 
 
-def test_points_that_are_one_have_no_error() -> None:
+def test_coincident_points_have_no_error() -> None:
     assert np.isnan(pairs.pair_error(np.ones((5, 2)), np.zeros(3), np.array([1.0, 0.0, 0.0])))
 
 
-def scored(estimated_step, sensor=(0.1, 0.0, 0.5)):
-    """The score of ten steps, each estimated as given where the truth goes 0.2 m ahead; the lidar sits aside."""
+def compute_pair_error(estimated_step, sensor=(0.1, 0.0, 0.5)):
+    """Score ten steps, each estimated as given where the ground truth moves 0.2 m ahead; the lidar is mounted off-
+    centre.
+    """
     stamps = np.arange(11) * 100_000_000
     base_from_sensor = np.array(sensor)
     estimate, true = ([np.zeros(3)], [np.array([5.0, 2.0, 1.0])])
@@ -68,13 +70,13 @@ def scored(estimated_step, sensor=(0.1, 0.0, 0.5)):
     return metric.compute(evidence)
 
 
-def test_steps_are_held_against_the_truth_of_the_sensor_that_made_the_scans() -> None:
-    assert scored([0.2, 0.0, 0.0]).value == pytest.approx(0.0, abs=1e-9)
-    found = scored([0.24, 0.0, 0.0])
+def test_steps_are_compared_with_the_true_motion_of_the_sensor() -> None:
+    assert compute_pair_error([0.2, 0.0, 0.0]).value == pytest.approx(0.0, abs=1e-9)
+    found = compute_pair_error([0.24, 0.0, 0.0])
     assert (found.value, found.support) == (pytest.approx(0.01), 10)  # 4 cm on a circle of 4 m
 
 
-def test_without_a_truth_there_is_a_reason() -> None:
+def test_missing_ground_truth_gives_a_reason() -> None:
     (metric,) = pairs.METRICS
     bare = Evidence(RunResult(np.zeros(0, STEP), 0), Truth("none"))
     assert metric.compute(bare).reason == "no ground-truth trajectory"

@@ -1,4 +1,4 @@
-"""Residuals of scans on each other: known distances, brute force, and what back ends say themselves."""
+"""Residuals between scans: known distances, brute force, and values reported by back ends."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from evalkit.metrics.table import Evidence, PlacedScans
 ANGLES = np.linspace(-np.pi, np.pi, 400, endpoint=False)
 
 
-def room(x: float, y: float, theta: float, half_m: float = 3.0) -> Scan:
-    """What a perfect lidar sees from there in a square room around the origin."""
+def scan_room(x: float, y: float, theta: float, half_m: float = 3.0) -> Scan:
+    """Return the scan of an ideal lidar at a pose in a square room around the origin."""
     cos, sin = np.cos(ANGLES + theta), np.sin(ANGLES + theta)
     with np.errstate(divide="ignore"):
         to_x = np.where(cos > 0.0, half_m - x, -half_m - x) / cos
@@ -29,9 +29,11 @@ def room(x: float, y: float, theta: float, half_m: float = 3.0) -> Scan:
     return Scan(0, np.minimum(to_x, to_y), ANGLES, 0.0, 20.0)
 
 
-def mapped_at(poses: Floats, shown: Floats | None = None) -> PlacedScans:
-    """Scans taken at poses (N, 3), mapped as if taken at ``shown`` (N, 3)."""
-    return tuple((room(*pose), place) for pose, place in zip(poses, poses if shown is None else shown, strict=True))
+def map_scans(poses: Floats, shown: Floats | None = None) -> PlacedScans:
+    """Map scans taken at poses (N, 3) as if taken at the poses ``shown`` (N, 3)."""
+    return tuple(
+        (scan_room(*pose), place) for pose, place in zip(poses, poses if shown is None else shown, strict=True)
+    )
 
 
 def scores(mapped: PlacedScans, steps: NDArray[np.void] | None = None) -> dict[str, Score]:
@@ -41,13 +43,13 @@ def scores(mapped: PlacedScans, steps: NDArray[np.void] | None = None) -> dict[s
     return {metric.name: metric.compute(evidence) for metric in registration.METRICS}
 
 
-def test_each_target_keeps_its_closest_source_and_no_other() -> None:
+def test_each_target_keeps_only_its_closest_source() -> None:
     source = np.array([[0.0, 0.1], [0.0, 0.2], [1.0, 0.3], [5.0, 5.0]])
     target = cKDTree([[0.0, 0.0], [1.0, 0.0], [9.0, 9.0]])
     assert registration.keep_one_to_one(*registration.find_nearest(source, target)) == pytest.approx([0.1, 0.3])
 
 
-def test_one_to_one_pairs_are_those_of_brute_force() -> None:
+def test_one_to_one_pairs_equal_brute_force() -> None:
     rng = np.random.default_rng(0)
     source, target = rng.uniform(size=(60, 2)), rng.uniform(size=(40, 2))
     distances = np.linalg.norm(source[:, None] - target[None], axis=2)
@@ -61,10 +63,10 @@ def test_one_to_one_pairs_are_those_of_brute_force() -> None:
     assert len(found) > 5
 
 
-def test_a_scan_laid_on_itself_has_no_residual_in_any_frame() -> None:
+def test_a_scan_registered_on_itself_has_no_residual_in_any_frame() -> None:
     poses = np.tile([0.3, -0.2, 0.7], (5, 1))
     elsewhere = se2.compose([5.0, 1.0, 2.0], poses)
-    for mapped in (mapped_at(poses), mapped_at(poses, elsewhere)):
+    for mapped in (map_scans(poses), map_scans(poses, elsewhere)):
         found = scores(mapped)
         assert found["s2s_m"].value == pytest.approx(0.0, abs=1e-9)
         assert found["s2m_m"].value == pytest.approx(0.0, abs=1e-9)
@@ -76,39 +78,39 @@ def test_the_residual_grows_with_the_error_of_the_estimate() -> None:
     residuals = []
     for sigma in (0.0, 0.03, 0.1):
         noise = np.random.default_rng(0).normal(0.0, sigma, poses.shape) * [1, 1, 0]
-        found = scores(mapped_at(poses, poses + noise))
+        found = scores(map_scans(poses, poses + noise))
         residuals.append((found["s2s_m"].value, found["s2m_m"].value))
     assert residuals == sorted(residuals)
     assert residuals[2][1] > 2.0 * residuals[0][1]  # type: ignore[operator]
 
 
-def test_a_wall_seen_three_centimetres_off_has_a_residual_of_three_centimetres() -> None:
+def test_a_wall_mapped_three_centimetres_off_has_a_residual_of_three_centimetres() -> None:
     angles = np.radians([-1.0, -0.8, -0.6, -0.4, -0.2, 0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
     wall = Scan(0, 2.0 / np.cos(angles), angles, 0.0, 20.0)
     steps = np.array([[0.0, 0, 0], [0.03, 0, 0], [0.0, 0, 0]])
     assert scores(tuple((wall, pose) for pose in steps))["s2s_m"].value == pytest.approx(0.03, abs=1e-6)
 
 
-def test_a_keyframe_is_half_a_metre_or_twenty_degrees_on() -> None:
+def test_keyframes_are_half_a_metre_or_twenty_degrees_apart() -> None:
     straight = np.column_stack([np.arange(0, 2.05, 0.25), np.zeros((9, 2))])
     assert registration.find_keyframes(straight).tolist() == [0, 2, 4, 6, 8]
     turning = np.column_stack([np.zeros((9, 2)), np.radians(np.arange(0, 85, 10.0) * 1.001)])
     assert registration.find_keyframes(turning).tolist() == [0, 2, 4, 6, 8]
 
 
-def test_scans_too_far_apart_or_too_few_say_so() -> None:
+def test_scans_too_far_apart_or_too_few_give_a_reason() -> None:
     far = np.array([[0.0, 0, 0], [2.5, 0, 0], [0.0, 0, 0]])
-    found = scores(mapped_at(far))
+    found = scores(map_scans(far))
     assert found["s2s_m"].reason == "successive scans are 2.5 m apart: too far to overlap"
     assert found["s2m_m"].reason == "mapped scans are 2.5 m apart: too far to overlap"
     assert scores(())["s2s_m"].reason == "no two successive scans have poses"
     assert scores(())["s2m_m"].reason == "fewer than two mapped scans"
     near = np.array([[0.0, 0, 0], [0.1, 0, 0]])
-    nowhere = mapped_at(near, np.array([[0.0, 0, 0], [1.5, 1.5, 0.4]]))
+    nowhere = map_scans(near, np.array([[0.0, 0, 0], [1.5, 1.5, 0.4]]))
     assert scores(nowhere)["s2s_m"].reason == "successive scans are 2.1 m apart: too far to overlap"
 
 
-def test_what_a_back_end_tells_is_passed_on_and_silence_is_named() -> None:
+def test_reported_residuals_are_passed_on_and_missing_ones_give_a_reason() -> None:
     steps = np.zeros(5, STEP)
     steps["s2s_error"] = [np.nan, 0.01, 0.02, 0.03, 0.5]
     steps["s2s_iterations"] = [0, 4, 5, 6, 9]
@@ -120,7 +122,7 @@ def test_what_a_back_end_tells_is_passed_on_and_silence_is_named() -> None:
     assert found["s2m_iterations"].reason == "not reported by the back end"
 
 
-def test_the_last_stage_that_tells_is_the_one_whose_guess_counts() -> None:
+def test_the_last_stage_with_a_residual_provides_the_residual_of_the_guess() -> None:
     steps = np.zeros(5, STEP)
     steps["s2s_accepted"] = steps["s2s_converged"] = [-1, 0, 0, 0, 1]
     steps["s2m_accepted"] = [-1, 1, 1, 1, 0]

@@ -1,4 +1,4 @@
-"""Errors against measured relations, by hand, by symmetry, and on the published recordings."""
+"""Errors relative to measured relations: hand calculations, symmetry, and the published recordings."""
 
 from __future__ import annotations
 
@@ -34,21 +34,23 @@ def scores(estimate: Trajectory, measured: Relations | None) -> dict[str, Score]
     return {metric.name: metric.compute(evidence) for metric in relations.METRICS}
 
 
-def line(seconds: int) -> Trajectory:
-    """One metre per second along x."""
+def make_straight_line(seconds: int) -> Trajectory:
+    """Return a trajectory of one metre per second along x."""
     stamps = np.arange(seconds + 1) * SECOND
     return Trajectory(stamps, np.array([[1e-9 * stamp, 0.0, 0.0] for stamp in stamps]))
 
 
-def related(*rows: tuple[float, float, float, float, float]) -> Relations:
-    """Relations of rows t1, t2 (s), x, y, theta."""
+def make_relations(*rows: tuple[float, float, float, float, float]) -> Relations:
+    """Build relations from rows t1, t2 (s), x, y, theta."""
     table = np.array(rows)
     return Relations((table[:, 0] * SECOND).astype(np.int64), (table[:, 1] * SECOND).astype(np.int64), table[:, 2:])
 
 
-def test_mean_and_spread_are_those_of_a_hand_calculation() -> None:
-    measured = related((0, 2, 2.1, 0, 0), (1, 4, 3.0, 0.3, 0), (0, 20, 21, 0, 0), (3.5, 4.5, 1, 0, np.radians(4)))
-    found = scores(line(30), measured)
+def test_mean_and_standard_deviation_equal_a_hand_calculation() -> None:
+    measured = make_relations(
+        (0, 2, 2.1, 0, 0), (1, 4, 3.0, 0.3, 0), (0, 20, 21, 0, 0), (3.5, 4.5, 1, 0, np.radians(4))
+    )
+    found = scores(make_straight_line(30), measured)
     assert found["relations_short_mean_deg"].value == pytest.approx(4 / 3)
     assert found["relations_long_mean_m"].value == pytest.approx(1.0)
     assert (found["relations_long_mean_m"].support, found["relations_short_mean_m"].support) == (1, 3)
@@ -59,7 +61,7 @@ def test_mean_and_spread_are_those_of_a_hand_calculation() -> None:
     assert found["relations_all_mean_m"].value == pytest.approx((errors.sum() + 1.0) / 4)
 
 
-def test_our_error_does_not_depend_on_the_order_of_the_pair_and_the_published_ones_do() -> None:
+def test_our_error_is_independent_of_the_order_of_the_pair_and_the_published_ones_are_not() -> None:
     rng = np.random.default_rng(0)
     estimated, measured = rng.normal(size=(50, 3)), rng.normal(size=(50, 3))
     back = se2.inverse(estimated), se2.inverse(measured)
@@ -76,29 +78,31 @@ def test_our_error_does_not_depend_on_the_order_of_the_pair_and_the_published_on
     assert np.abs(metres(relations.ordered_errors(*back)) - forward).max() > 0.1
 
 
-def test_errors_ignore_the_choice_of_frame_and_of_the_clocks_origin() -> None:
-    measured = related((0, 2, 2.1, 0, 0.1), (1, 4, 3.0, 0.3, 0), (0, 20, 21, 0, 0))
-    here = scores(line(30), measured)
-    moved = Trajectory(line(30).stamps_ns + 5 * SECOND, se2.compose([5.0, 5.0, 2.0], line(30).poses))
+def test_errors_are_independent_of_the_frame_and_of_the_time_origin() -> None:
+    measured = make_relations((0, 2, 2.1, 0, 0.1), (1, 4, 3.0, 0.3, 0), (0, 20, 21, 0, 0))
+    here = scores(make_straight_line(30), measured)
+    moved = Trajectory(
+        make_straight_line(30).stamps_ns + 5 * SECOND, se2.compose([5.0, 5.0, 2.0], make_straight_line(30).poses)
+    )
     later = Relations(measured.first_ns + 5 * SECOND, measured.second_ns + 5 * SECOND, measured.first_from_second)
     there = scores(moved, later)
     for name, score in here.items():
         assert there[name].value == pytest.approx(score.value), name
 
 
-def test_relations_outside_the_estimate_or_in_its_gaps_are_counted_as_unanswered() -> None:
+def test_relations_outside_the_estimate_or_in_its_gaps_count_as_unanswered() -> None:
     estimate = Trajectory(np.array([0, 1, 2, 8, 9]) * SECOND, np.zeros((5, 3)))
-    measured = related((0, 1.5, 0, 0, 0), (1, 5, 0, 0, 0), (2, 8, 0, 0, 0), (8, 10, 0, 0, 0))
+    measured = make_relations((0, 1.5, 0, 0, 0), (1, 5, 0, 0, 0), (2, 8, 0, 0, 0), (8, 10, 0, 0, 0))
     found = scores(estimate, measured)
     assert found["relations_answered_percent"] == Score(50.0, 4)
     assert found["relations_all_mean_m"] == Score(0.0, 2)
     assert found["relations_long_mean_m"].reason == "the estimate covers none of 0 long relations"
 
 
-def test_without_relations_or_answers_there_is_a_reason() -> None:
+def test_missing_relations_or_answers_give_a_reason() -> None:
     nothing = Trajectory(np.zeros(0, np.int64), np.zeros((0, 3)))
-    assert scores(line(3), None)["relations_all_mean_m"].reason == "no measured relations"
-    found = scores(nothing, related((0, 1, 0, 0, 0)))
+    assert scores(make_straight_line(3), None)["relations_all_mean_m"].reason == "no measured relations"
+    found = scores(nothing, make_relations((0, 1, 0, 0, 0)))
     assert found["relations_all_mean_m"].reason == "the estimate covers none of 1 relations"
     assert found["relations_answered_percent"].value == 0.0
 
@@ -118,7 +122,7 @@ def nanoseconds(seconds: Floats) -> Stamps:
     return np.round(np.asarray(seconds) * 1e6).astype(np.int64) * 1000
 
 
-def test_gmapping_on_fr079_scores_what_was_found_before() -> None:
+def test_gmapping_on_fr079_has_the_known_errors() -> None:
     _, estimate, measured = recorded("fr079")
     found = scores(estimate, measured)
     assert found["relations_all_mean_m"].value == pytest.approx(0.060, abs=0.001)
@@ -126,8 +130,8 @@ def test_gmapping_on_fr079_scores_what_was_found_before() -> None:
     assert found["relations_answered_percent"].value == pytest.approx(99.8, abs=0.1)
 
 
-def test_gmapping_on_intel_scores_what_was_found_before() -> None:
-    """Its poses are seconds apart: as in the published evaluation, odometry carries the nearest pose to each stamp."""
+def test_gmapping_on_intel_has_the_known_errors() -> None:
+    """Its poses are seconds apart. As in the published evaluation, odometry carries the nearest pose to each stamp."""
     folder, sparse, measured = recorded("intel")
     with gzip.open(folder / "intel-merged.clf.gz", "rt") as file:
         words = [row.split() for row in file if row.startswith("ODOM ")]
@@ -143,17 +147,19 @@ def test_gmapping_on_intel_scores_what_was_found_before() -> None:
     assert found["relations_all_sd_m"].value == pytest.approx(0.052, abs=0.002)
 
 
-def test_both_published_evaluators_forms_stand_in_the_table_and_ours_is_their_mean() -> None:
+def test_both_published_error_forms_are_in_the_table_and_ours_is_their_mean() -> None:
     rng = np.random.default_rng(3)
-    measured = related(*([k, k + 3, *(0.1 * rng.normal(size=3) + [3.0, 0.0, 0.0])] for k in range(20)))
-    found = scores(line(30), measured)
+    measured = make_relations(*([k, k + 3, *(0.1 * rng.normal(size=3) + [3.0, 0.0, 0.0])] for k in range(20)))
+    found = scores(make_straight_line(30), measured)
     theirs = [found[f"relations_{form}_mean_m"].value for form in ("kuemmerle", "cartographer")]
     assert found["relations_all_mean_m"].value == pytest.approx(np.mean(theirs))
     assert theirs[0] != pytest.approx(theirs[1], rel=0.01)
 
 
-def test_squared_errors_are_those_of_a_hand_calculation() -> None:
-    found = scores(line(30), related((0, 2, 2.1, 0, 0), (0, 10, 10.3, 0, np.radians(2)), (3, 4, 1, 0, 0)))
+def test_squared_errors_equal_a_hand_calculation() -> None:
+    found = scores(
+        make_straight_line(30), make_relations((0, 2, 2.1, 0, 0), (0, 10, 10.3, 0, np.radians(2)), (3, 4, 1, 0, 0))
+    )
     squares = np.array([0.01, 0.09, 0.0])
     assert found["relations_square_mean_m2"].value == pytest.approx(squares.mean())
     assert found["relations_square_sd_m2"].value == pytest.approx(squares.std())

@@ -1,4 +1,4 @@
-"""Relations made of a true trajectory, by hand on circles and lines."""
+"""Relations derived from a true trajectory: hand calculations on circles and lines."""
 
 import numpy as np
 import pytest
@@ -29,28 +29,30 @@ def scores(estimate, truth):
     return {metric.name: metric.compute(evidence) for metric in revisits.METRICS}
 
 
-def test_two_laps_of_a_circle_meet_once_at_every_place_of_the_first() -> None:
+def test_two_laps_of_a_circle_have_one_revisit_per_place_of_the_first_lap() -> None:
     found = revisits.find_revisits(laps(1.9), near_m=0.5)
     assert len(found) == pytest.approx(0.9 * 2.0 * np.pi * 3.0 / 0.2, abs=4)
     same_place = found.second_ns - found.first_ns == 40_000_000_000
-    assert same_place.mean() > 0.95  # but for the last half metre, which nears what it does not reach
+    assert (
+        same_place.mean() > 0.95
+    )  # except for the last half metre, which approaches the next start without reaching it
     assert np.allclose(found.first_from_second[same_place], 0.0, atol=1e-9)
 
 
-def test_each_later_pass_counts_once_and_the_near_past_not_at_all() -> None:
+def test_each_later_pass_counts_once_and_the_recent_past_is_ignored() -> None:
     three = revisits.find_revisits(laps(2.9), near_m=0.5, covered_m=10.0)
     gaps = np.unique(np.round((three.second_ns - three.first_ns) / 4e10).astype(int), return_counts=True)
     assert gaps[0].tolist() == [1, 2]
     assert gaps[1].tolist() == pytest.approx([1.9 * 94.2, 0.9 * 94.2], abs=5)
 
 
-def test_a_straight_line_never_comes_back() -> None:
+def test_a_straight_line_has_no_revisits() -> None:
     x = np.linspace(0.0, 30.0, 300)
     found = scores(trajectory(x, 0.0 * x, 0.0), trajectory(x, 0.0 * x, 0.0))
     assert found["revisit_mean_m"].reason == "the true path does not revisit a place"
 
 
-def test_a_lap_that_is_drawn_a_little_aside_is_so_far_off_on_coming_back() -> None:
+def test_a_shifted_second_lap_has_the_shift_as_error() -> None:
     truth = laps(1.9)
     shifted = np.array(truth.poses)
     shifted[400:, 0] += 0.25
@@ -61,14 +63,14 @@ def test_a_lap_that_is_drawn_a_little_aside_is_so_far_off_on_coming_back() -> No
     assert scores(truth, truth)["revisit_mean_m"].value == pytest.approx(0.0, abs=1e-9)
 
 
-def test_an_estimate_that_ends_before_it_comes_back_answers_nothing() -> None:
+def test_an_estimate_that_ends_before_the_revisit_has_no_answers() -> None:
     truth = laps(2)
     found = scores(Trajectory(truth.stamps_ns[:50], truth.poses[:50]), truth)
     assert found["revisit_mean_m"].reason.startswith("the estimate covers none of ")
     assert scores(truth, None)["revisit_mean_m"].reason == "no ground-truth trajectory"
 
 
-def test_returns_beyond_either_limit_are_outliers() -> None:
+def test_revisits_beyond_either_limit_are_outliers() -> None:
     errors = np.array([[0.15, 0.02], [0.16, 0.0], [0.0, 0.021], [0.0, 0.0]])
     assert revisits.within_limits(errors).tolist() == [True, False, False, True]
     truth = laps(1.9)
@@ -81,4 +83,4 @@ def test_returns_beyond_either_limit_are_outliers() -> None:
         drawn = np.array(truth.poses)
         drawn[400:] += off
         found = scores(Trajectory(truth.stamps_ns, drawn), truth)["revisit_within_percent"]
-        assert found.value == pytest.approx(share, abs=6.0)  # the first lap meets itself where the second begins
+        assert found.value == pytest.approx(share, abs=6.0)  # the first lap ends where the second begins

@@ -1,4 +1,4 @@
-"""What a run cost, from records with known times."""
+"""Run-time metrics, computed from records with known times."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from evalkit.metrics.table import Evidence
 
 
 def scores(cpu_ms: list[float], wall_ms: list[float], memory_bytes: int = 0, shift_ns: int = 0) -> dict[str, Score]:
-    """Scores of a run at 10 Hz; a tenth of the CPU time is conversion."""
+    """Score a run at 10 Hz; a tenth of the CPU time is conversion."""
     steps = np.zeros(len(cpu_ms), STEP)
     steps["stamp_ns"] = np.arange(len(cpu_ms)) * 100_000_000 + shift_ns
     steps["cpu_ns"] = np.array(cpu_ms) * 1e6
@@ -24,7 +24,7 @@ def scores(cpu_ms: list[float], wall_ms: list[float], memory_bytes: int = 0, shi
     return {metric.name: metric.compute(evidence) for metric in runtime.METRICS}
 
 
-def test_times_are_those_of_a_hand_calculation() -> None:
+def test_times_equal_a_hand_calculation() -> None:
     found = scores([10.0, 20.0, 30.0, 40.0, 150.0], [12.0, 22.0, 32.0, 100.0, 101.0], 256 * 2**20)
     assert found["cpu_median_ms"] == Score(30.0, 5)
     assert found["cpu_max_ms"].value == 150.0
@@ -32,23 +32,23 @@ def test_times_are_those_of_a_hand_calculation() -> None:
     assert found["wall_median_ms"].value == 32.0
     assert found["conversion_percent"].value == pytest.approx(10.0)
     assert found["real_time_factor"].value == pytest.approx(2.0)  # 100 ms over a mean of 50 ms
-    assert found["late_percent"].value == 20.0  # 100 ms at 10 Hz is just in time
+    assert found["late_percent"].value == 20.0  # 100 ms at 10 Hz is exactly real time
     assert found["peak_memory_mib"].value == 256.0
     assert found["harness_median_ms"].value == 2.0
 
 
-def test_the_clocks_origin_does_not_matter() -> None:
+def test_the_time_origin_does_not_matter() -> None:
     times = [10.0, 20.0, 30.0]
     assert scores(times, times) == scores(times, times, shift_ns=1_700_000_000 * 10**9)
 
 
-def test_one_dropped_scan_does_not_change_the_sensors_period() -> None:
+def test_one_dropped_scan_does_not_change_the_sensor_period() -> None:
     steps = np.zeros(9, STEP)
     steps["stamp_ns"] = np.delete(np.arange(10), 4) * 100_000_000
     assert runtime.period_ns(RunResult(steps, 10)) == 100_000_000
 
 
-def test_leaving_out_scans_does_not_make_the_sensor_slower() -> None:
+def test_skipped_scans_do_not_change_the_sensor_period() -> None:
     steps = np.zeros(10, STEP)
     steps["stamp_ns"], steps["cpu_ns"], steps["wall_ns"] = np.arange(10) * 100_000_000, 50_000_000, 101_000_000
     found = []
@@ -60,7 +60,7 @@ def test_leaving_out_scans_does_not_make_the_sensor_slower() -> None:
     assert found[0]["late_percent"] == found[1]["late_percent"] == 100.0
 
 
-def test_what_was_not_measured_says_so() -> None:
+def test_unmeasured_times_give_a_reason() -> None:
     nothing = scores([], [])
     assert nothing["cpu_median_ms"].reason == "the run has no poses"
     assert nothing["real_time_factor"].reason == "fewer than two scans have a pose"

@@ -1,4 +1,4 @@
-"""Pieces of wall under all scans: closed forms for two faces, second copies and walls at right angles."""
+"""Wall pieces under all scans: closed forms for two faces, double walls and walls at right angles."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def scores(mapped):
 
 
 def seen(points, sensor=(0.0, 0.0)):
-    """A scan that hits these points of the world, and where its sensor was."""
+    """Return a scan that hits the given points of the world, and the pose of its sensor."""
     offsets = points - np.asarray(sensor)
     ranges, angles = np.hypot(*offsets.T), np.arctan2(offsets[:, 1], offsets[:, 0])
     return Scan(0, ranges, angles, 0.0, 100.0), np.array([*sensor, 0.0])
@@ -30,7 +30,7 @@ def along_x(length_m, y, sigma_m=0.005, seed=0, count_a_metre=100):
     return np.column_stack([np.sort(rng.uniform(0.0, length_m, count)), rng.normal(y, sigma_m, count)])
 
 
-def test_a_wall_seen_twice_over_half_its_length_is_half_a_ghost_that_far_off() -> None:
+def test_a_wall_doubled_over_half_its_length_has_a_ghost_share_of_one_half() -> None:
     once = [seen(along_x(20.0, 3.0, seed=seed), (10.0, 0.0)) for seed in range(20)]
     again = [seen(along_x(10.0, 3.2, seed=seed), (10.0, 0.0)) for seed in range(20, 40)]
     found = scores((*once, *again))
@@ -41,24 +41,24 @@ def test_a_wall_seen_twice_over_half_its_length_is_half_a_ghost_that_far_off() -
     assert alone["ghost_wall_m"].reason == "no wall has a second copy"
 
 
-def test_the_other_face_of_a_wall_is_no_copy_of_it() -> None:
+def test_the_other_face_of_a_wall_is_not_a_ghost() -> None:
     faces = seen(along_x(20.0, 3.0), (10.0, 0.0)), seen(along_x(20.0, 3.2), (10.0, 6.0))
     assert scores(faces)["ghost_wall_percent"].value == 0.0
 
 
 @pytest.mark.parametrize(("apart_m", "copied"), [(0.04, 0.0), (0.15, 100.0), (0.45, 100.0), (0.7, 0.0)])
-def test_copies_too_near_are_noise_and_copies_too_far_other_walls(apart_m: float, copied: float) -> None:
+def test_near_copies_are_noise_and_far_copies_are_other_walls(apart_m: float, copied: float) -> None:
     both = [seen(along_x(20.0, y, seed=round(100 * y)), (10.0, 0.0)) for y in (3.0, 3.0 + apart_m)]
     assert scores(tuple(both))["ghost_wall_percent"].value == pytest.approx(copied, abs=3.0)
 
 
-def test_smearing_alone_makes_no_ghost() -> None:
+def test_smearing_alone_is_not_a_ghost() -> None:
     rng = np.random.default_rng(3)
     smeared = [seen(along_x(20.0, 3.0 + shift, seed=i), (10.0, 0.0)) for i, shift in enumerate(rng.normal(0, 0.05, 40))]
     assert scores(tuple(smeared))["ghost_wall_percent"].value == pytest.approx(0.0, abs=5.0)
 
 
-def test_orthogonal_walls_add_their_variances_and_a_wall_between_them_does_not_count() -> None:
+def test_orthogonal_walls_add_their_variances_and_oblique_walls_do_not_count() -> None:
     level = along_x(20.0, 5.0, 0.03, count_a_metre=200)
     upright = along_x(20.0, -5.0, 0.01, 1, count_a_metre=200)[:, ::-1]
     turn = np.radians(45.0)
@@ -68,13 +68,13 @@ def test_orthogonal_walls_add_their_variances_and_a_wall_between_them_does_not_c
     assert found["mpv_cm2"].value == pytest.approx(np.average([9.0, 1.0, 25.0], weights=[4000, 4000, 500]), rel=0.15)
 
 
-def test_families_are_those_at_right_angles_with_most_pieces_each() -> None:
+def test_the_families_are_the_two_orthogonal_directions_with_most_pieces() -> None:
     directions = np.radians([0.0] * 50 + [30.0] * 8 + [120.0] * 9 + [93.0] * 3)
     level, upright = surfaces.find_orthogonal_families(directions)
     assert {len(level), len(upright)} == {8, 9}
 
 
-def test_mean_variance_is_that_of_brute_force() -> None:
+def test_mean_variance_equals_brute_force() -> None:
     points = np.random.default_rng(0).normal(0.0, [1.0, 0.3], (60, 2))
     middles = points
     small = []
@@ -89,7 +89,7 @@ def test_mean_variance_is_that_of_brute_force() -> None:
     )
 
 
-def test_what_shows_no_wall_says_so() -> None:
+def test_scans_without_walls_give_a_reason() -> None:
     nothing = scores((seen(np.zeros((0, 2))),))
     assert {score.reason for score in nothing.values()} == {"no mapped scan has a hit"}
     dots = scores((seen(np.random.default_rng(0).uniform(-3.0, 3.0, (50, 2))),))

@@ -1,4 +1,4 @@
-"""Matching, alignment and absolute errors, against hand calculations, invariances and evo."""
+"""Matching, alignment and absolute errors, compared with hand calculations, invariances and evo."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ from evalkit.metrics.table import Evidence, MatchedPoses, Unmatched
 SECOND = 1_000_000_000
 
 
-def wandering(seed: int = 0, count: int = 60, period_ns: int = SECOND // 10) -> Trajectory:
-    """A smooth random walk starting anywhere."""
+def make_random_walk(seed: int = 0, count: int = 60, period_ns: int = SECOND // 10) -> Trajectory:
+    """Return a smooth random walk from a random start."""
     rng = np.random.default_rng(seed)
     steps = np.stack([rng.uniform(0.0, 0.1, count), np.zeros(count), rng.normal(0.0, 0.1, count)], axis=1)
     poses = [np.array([3.0, -2.0, 2.5])]
@@ -27,21 +27,21 @@ def wandering(seed: int = 0, count: int = 60, period_ns: int = SECOND // 10) -> 
     return Trajectory(np.arange(count) * period_ns, np.array(poses))
 
 
-def disturbed(truth: Trajectory, seed: int = 1, sigma_m: float = 0.05) -> Trajectory:
-    """The truth with noise on every pose, told in the frame of its own first pose."""
+def disturb(truth: Trajectory, seed: int = 1, sigma_m: float = 0.05) -> Trajectory:
+    """Return the ground truth with noise on every pose, expressed in the frame of its own first pose."""
     noise = np.random.default_rng(seed).normal(0.0, sigma_m, (len(truth), 3))
     start_from_base = se2.between(truth.poses[0], se2.compose(truth.poses, noise))
     return Trajectory(truth.stamps_ns, start_from_base, "start")
 
 
-def matched(estimate: Trajectory, truth: Trajectory, **how: object) -> MatchedPoses:
+def match(estimate: Trajectory, truth: Trajectory, **how: object) -> MatchedPoses:
     found = trajectory.match_trajectories(estimate, truth, **how)  # type: ignore[arg-type]
     assert isinstance(found, MatchedPoses)
     return found
 
 
 def ate(estimate: Trajectory, truth: Trajectory) -> float:
-    return trajectory.rms(trajectory.position_errors(matched(estimate, truth)))
+    return trajectory.rms(trajectory.position_errors(match(estimate, truth)))
 
 
 def evidence_of(estimate: Trajectory, truth: Trajectory | None, expected: int) -> Evidence:
@@ -57,13 +57,13 @@ def values(evidence: Evidence) -> dict[str, float | None]:
     return {metric.name: metric.compute(evidence).value for metric in trajectory.METRICS}
 
 
-def test_rigid_finds_the_motion_that_was_applied() -> None:
+def test_rigid_alignment_recovers_the_applied_motion() -> None:
     points = np.random.default_rng(0).normal(size=(20, 2))
     motion = np.array([4.0, 5.0, np.radians(150.0)])
     assert trajectory.align_rigidly(points, se2.transform(motion, points)) == pytest.approx(motion)
 
 
-def test_rigid_is_the_least_squares_optimum() -> None:
+def test_rigid_alignment_is_the_least_squares_optimum() -> None:
     rng = np.random.default_rng(0)
     source, target = rng.normal(size=(30, 2)), rng.normal(size=(30, 2))
     best = trajectory.align_rigidly(source, target)
@@ -75,27 +75,27 @@ def test_rigid_is_the_least_squares_optimum() -> None:
     assert all(cost(row) >= cost(best) for row in nearby)
 
 
-def test_a_rigidly_moved_copy_of_the_truth_has_no_error() -> None:
-    truth = wandering()
+def test_a_rigidly_moved_copy_of_the_ground_truth_has_no_error() -> None:
+    truth = make_random_walk()
     estimate = truth.moved(Pose(-7.0, 3.0, 1.0))
     found = values(evidence_of(estimate, truth, len(truth)))
     assert found["ate_max_m"] == pytest.approx(0.0, abs=1e-9)
     assert found["heading_rmse_deg"] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_errors_of_a_square_with_one_corner_displaced_are_what_a_hand_finds() -> None:
+def test_errors_of_a_square_with_one_displaced_corner_equal_a_hand_calculation() -> None:
     corners = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]])
     shifted = np.add(corners, [[0.3, 0.4, 0.1], [0, 0, 0], [0, 0, 0], [0, 0, 0]])
     stamps = np.arange(4) * SECOND
-    found = matched(Trajectory(stamps, shifted), Trajectory(stamps, corners), alignment="none")
+    found = match(Trajectory(stamps, shifted), Trajectory(stamps, corners), alignment="none")
     assert trajectory.position_errors(found) == pytest.approx([0.5, 0, 0, 0])
     assert trajectory.rms(trajectory.position_errors(found)) == pytest.approx(0.25)
     assert np.degrees(trajectory.rms(trajectory.heading_errors(found))) == pytest.approx(np.degrees(0.05))
 
 
-def test_ate_ignores_the_choice_of_frame_and_of_the_clocks_origin() -> None:
-    truth = wandering()
-    estimate = disturbed(truth)
+def test_ate_is_independent_of_the_frame_and_of_the_time_origin() -> None:
+    truth = make_random_walk()
+    estimate = disturb(truth)
     here = ate(estimate, truth)
     assert here > 0.01
     assert ate(estimate.moved(Pose(10.0, -4.0, 2.0)), truth.moved(Pose(1.0, 1.0, -1.0))) == pytest.approx(here)
@@ -103,13 +103,13 @@ def test_ate_ignores_the_choice_of_frame_and_of_the_clocks_origin() -> None:
     assert ate(*later) == pytest.approx(here)
 
 
-def test_ate_is_that_of_evo() -> None:
+def test_ate_equals_evo() -> None:
     pytest.importorskip("evo")
     from evo.core import metrics
     from evo.core.trajectory import PoseTrajectory3D
 
-    truth = wandering()
-    estimate = disturbed(truth)
+    truth = make_random_walk()
+    estimate = disturb(truth)
 
     def as_evo(planar: Trajectory) -> PoseTrajectory3D:
         half = 0.5 * planar.poses[:, 2]
@@ -130,35 +130,35 @@ def test_ate_is_that_of_evo() -> None:
     assert found["ate_max_m"] == pytest.approx(ape.get_statistic(metrics.StatisticsType.max))
 
 
-def test_a_dense_estimate_is_interpolated_at_the_stamps_of_a_sparse_truth() -> None:
+def test_a_dense_estimate_is_interpolated_at_the_stamps_of_sparse_ground_truth() -> None:
     stamps = np.arange(101) * SECOND // 10
     line = np.array([[1e-9 * stamp, 0.0, 0.0] for stamp in stamps])
     sparse = np.array([0, 1.05 * SECOND, 5.51 * SECOND, 12 * SECOND], dtype=np.int64)
     truth = Trajectory(sparse, np.array([[1e-9 * stamp, 0.0, 0.0] for stamp in sparse]))
-    found = matched(Trajectory(stamps, line), truth)
+    found = match(Trajectory(stamps, line), truth)
     assert found.stamps_ns.tolist() == sparse[:3].tolist()
     assert trajectory.position_errors(found) == pytest.approx(np.zeros(3), abs=1e-12)
     assert found.rule == "estimate interpolated at 3 stamps of the ground truth, gaps up to 1 s"
 
 
-def test_nothing_is_interpolated_across_a_long_gap() -> None:
+def test_long_gaps_are_not_interpolated() -> None:
     stamps = np.array([0, 1, 2, 7, 8], dtype=np.int64) * SECOND
     at = np.array([-1, 0, 1, 1.5, 2, 4, 7, 7.9, 8, 9]) * SECOND
     inside = trajectory.can_interpolate(stamps, at.astype(np.int64), 1.0)
     assert inside.tolist() == [False, True, True, True, True, False, True, True, True, False]
 
 
-def test_a_robot_that_stands_still_is_aligned_by_its_first_pose() -> None:
+def test_a_stationary_robot_is_aligned_by_its_first_pose() -> None:
     stamps = np.arange(5) * SECOND
     truth = Trajectory(stamps, np.tile([2.0, 1.0, np.pi / 2], (5, 1)))
     jitter = np.random.default_rng(0).normal(0.0, 0.001, (5, 3))
-    found = matched(Trajectory(stamps, jitter), truth)
+    found = match(Trajectory(stamps, jitter), truth)
     assert found.alignment.startswith("first pose (the true path spreads only 0.00 m")
     assert np.abs(trajectory.heading_errors(found)).max() < 0.01
 
 
-def test_what_cannot_be_matched_says_why() -> None:
-    truth = wandering()
+def test_unmatched_trajectories_give_a_reason() -> None:
+    truth = make_random_walk()
     nothing = Trajectory(np.zeros(0, np.int64), np.zeros((0, 3)))
     later = Trajectory(truth.stamps_ns + 3600 * SECOND, truth.poses)
     assert trajectory.match_trajectories(truth, None) == Unmatched("no ground-truth trajectory")
@@ -167,7 +167,7 @@ def test_what_cannot_be_matched_says_why() -> None:
     assert trajectory.match_trajectories(later, truth) == too_few
 
 
-def test_errors_over_time_are_nan_where_the_truth_is_not_known() -> None:
+def test_errors_over_time_are_nan_without_ground_truth() -> None:
     truth = Trajectory(np.array([1, 2, 9]) * SECOND, np.array([[1.0, 0, 0], [2.0, 0, 0], [9.0, 0, 0]]))
     stamps = np.array([0, 1, 1.5, 5, 9]) * SECOND
     poses = np.array([[0.0, 0, 0], [1, 0.2, 0], [1.5, 0, 0], [5, 0, 0], [9, 0, 0]])
@@ -176,15 +176,15 @@ def test_errors_over_time_are_nan_where_the_truth_is_not_known() -> None:
     assert errors == pytest.approx([np.nan, 0.2, 0.0, np.nan, 0.0], nan_ok=True)
 
 
-def test_a_run_that_ends_half_way_answers_and_covers_half() -> None:
-    truth = wandering(count=61)
+def test_a_run_that_ends_half_way_covers_half_of_the_sequence() -> None:
+    truth = make_random_walk(count=61)
     half = Trajectory(truth.stamps_ns[:31], truth.poses[:31])
     found = values(evidence_of(half, truth, 61 + 1))
     assert found["covered_percent"] == pytest.approx(50.0)
     assert found["answered_percent"] == pytest.approx(50.0)
 
 
-def test_a_hole_in_the_answers_is_not_covered() -> None:
+def test_a_gap_in_the_answers_is_not_covered() -> None:
     stamps = np.array([0, 1, 2, 6, 7, 8, 9, 10]) * SECOND
     poses = np.zeros((8, 3))
     whole = Trajectory(np.arange(11) * SECOND, np.zeros((11, 3)))

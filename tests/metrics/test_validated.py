@@ -1,4 +1,4 @@
-"""The shipped validation of the metrics is complete, and a part of it computed again is the same."""
+"""The shipped validation of the metrics is complete, and a part of it is reproduced exactly."""
 
 import json
 from importlib.resources import files
@@ -27,7 +27,7 @@ def test_every_map_metric_without_ground_truth_was_validated_with_every_perturba
     assert validation.agreement_of("ate_rmse_m") is None
 
 
-def test_it_records_its_provenance(content):
+def test_the_validation_records_its_provenance(content):
     validation = load_validation()
     assert validation.command.startswith("python -m evalkit.commands.metric_validation validate")
     assert {"evalkit", "numpy", "scipy"} <= validation.versions.keys()
@@ -36,7 +36,7 @@ def test_it_records_its_provenance(content):
     assert all(row["metric_count"] for row in content["faults"])
 
 
-def test_a_part_of_it_computed_again_is_the_same(content):
+def test_a_recomputed_part_is_identical(content):
     sample, settings = content["sample"], (content["seed"], content["mapper"], content["scans"])
     result = map_rebuilding.score_perturbed_maps(sample["world"], sample["perturbation"], [sample["size"]], *settings)
     (computed,) = result["rows"]
@@ -45,7 +45,7 @@ def test_a_part_of_it_computed_again_is_the_same(content):
         assert computed[name] == pytest.approx(value, rel=1e-3), name
 
 
-def test_the_best_metrics_agree_well_with_the_true_error():
+def test_the_best_metrics_correlate_with_the_true_error():
     validation = load_validation()
     for name in ("split_distance_m", "cleared_percent", "mme_nat"):
         assert validation.agreement_of(name).overall.low > 0.7
