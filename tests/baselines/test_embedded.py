@@ -1,4 +1,4 @@
-"""The compiled core answers as its NumPy twin: registrations, maps and whole sequences."""
+"""The compiled core compared with the NumPy reference: registrations, maps and whole sequences."""
 
 import math
 import sys
@@ -21,7 +21,7 @@ from evalkit_baselines.paper.icp import Icp
 
 needs_core = pytest.mark.skipif(bool(why := compiled.compiled_missing()), reason=why or "the core is here")
 
-SAME = 1e-9  # m and rad: both compute in double precision, in another order
+SAME = 1e-9  # m and rad: both compute in double precision, in a different order
 FLOAT_M, FLOAT_RAD = 2e-4, 5e-5
 """What single precision may change 10 m around the origin: a float is good to 1e-6 m there, and the stop rule (1e-4 m)
 may be met an iteration earlier or later."""
@@ -39,12 +39,12 @@ VARIANTS = (
 )
 
 
-def made(spec, **parameters):
+def make_plugin(spec, **parameters):
     return spec.make(**resolve_parameters("embedded", spec.parameters, parameters))
 
 
 def room(n, rng, noise_m=0.02):
-    """Points on the walls of an L-shaped room."""
+    """Return points on the walls of an L-shaped room."""
     corners = np.array([[-4.0, -3.0], [4.0, -3.0], [4.0, 1.0], [0.0, 1.0], [0.0, 4.0], [-4.0, 4.0]])
     sides = np.roll(corners, -1, axis=0) - corners
     lengths = np.linalg.norm(sides, axis=1)
@@ -53,14 +53,14 @@ def room(n, rng, noise_m=0.02):
 
 
 def scans(seed):
-    """A local map, a scan of it, and a guess some centimetres and degrees off."""
+    """Return a local map, a scan of it, and a guess that is some centimetres and degrees off."""
     rng = np.random.default_rng(seed)
     truth = Pose(*rng.normal(0.0, [0.5, 0.5, 0.5]))
     source = truth.inverse().transform(room(900, rng))
     return Cloud(room(3000, rng)), Cloud(source), truth @ Pose(*rng.normal(0.0, [0.08, 0.08, 0.04]))
 
 
-def assert_alike(found, twin, metres=SAME, radians=SAME):
+def assert_close(found, twin, metres=SAME, radians=SAME):
     ours, theirs = found.target_from_source, twin.target_from_source
     assert math.hypot(ours.x - theirs.x, ours.y - theirs.y) < metres
     assert abs(Pose(0.0, 0.0, ours.theta - theirs.theta).theta) < radians
@@ -68,14 +68,14 @@ def assert_alike(found, twin, metres=SAME, radians=SAME):
 
 
 def assert_same(found, twin):
-    assert_alike(found, twin)
+    assert_close(found, twin)
     assert (found.converged, found.iterations, found.inliers) == (twin.converged, twin.iterations, twin.inliers)
 
 
 @needs_core
 @pytest.mark.parametrize("variant", VARIANTS, ids=str)
-def test_every_variant_of_the_icp_is_that_of_the_twin(variant):
-    compiled_icp, twin = made(embedded.SPEC, **variant), Icp(**variant)
+def test_every_variant_of_the_icp_equals_the_reference(variant):
+    compiled_icp, twin = make_plugin(embedded.SPEC, **variant), Icp(**variant)
     for seed in range(6):
         target, source, guess = scans(seed)
         assert_same(compiled_icp.register(target, source, guess), twin.register(target, source, guess))
@@ -83,23 +83,23 @@ def test_every_variant_of_the_icp_is_that_of_the_twin(variant):
 
 @needs_core
 @pytest.mark.parametrize("variant", VARIANTS[:-1], ids=str)
-def test_single_precision_stays_within_its_budget(variant):
-    narrow = made(embedded.FLOAT, **variant)
+def test_single_precision_stays_within_its_error_budget(variant):
+    narrow = make_plugin(embedded.FLOAT, **variant)
     for seed in range(6):
         target, source, guess = scans(seed)
-        if variant.get("epsilon", 1.0) < 1e-5:  # below the rounding of a float: both then run as far as they get
-            narrow_, wide = (made(s, **variant | {"epsilon": 0.0}) for s in (embedded.FLOAT, embedded.SPEC))
-            assert_alike(narrow_.register(target, source, guess), wide.register(target, source, guess), 1e-3, 1e-4)
+        if variant.get("epsilon", 1.0) < 1e-5:  # below the rounding of a float: both then iterate until the limit
+            narrow_, wide = (make_plugin(s, **variant | {"epsilon": 0.0}) for s in (embedded.FLOAT, embedded.SPEC))
+            assert_close(narrow_.register(target, source, guess), wide.register(target, source, guess), 1e-3, 1e-4)
         else:
             twin = Icp(**variant).register(target, source, guess)
-            assert_alike(narrow.register(target, source, guess), twin, FLOAT_M, FLOAT_RAD)
+            assert_close(narrow.register(target, source, guess), twin, FLOAT_M, FLOAT_RAD)
 
 
 @needs_core
 @pytest.mark.parametrize("error", ["mean", "mean-squared", "rmse"])
-def test_the_trace_tells_every_iteration_and_pair_as_the_twin_does(error):
+def test_the_trace_contains_the_same_iterations_and_pairs_as_the_reference(error):
     target, source, guess = scans(3)
-    found = made(embedded.SPEC, trace=True, error=error).register(target, source, guess)
+    found = make_plugin(embedded.SPEC, trace=True, error=error).register(target, source, guess)
     twin = Icp(trace=True, error=error).register(target, source, guess)
     assert len(found.history) == found.iterations == len(twin.history)
     for ours, theirs in zip(found.history, twin.history, strict=True):
@@ -116,24 +116,24 @@ CLOUDS = st.lists(st.tuples(COORDINATES, COORDINATES), max_size=40).map(lambda r
 @settings(max_examples=150, deadline=None)
 @given(CLOUDS, CLOUDS, st.tuples(*[st.floats(-0.4, 0.4)] * 3))
 def test_for_any_clouds_the_result_is_finite_repeatable_and_within_the_tolerance(target, source, guess):
-    icp = made(embedded.SPEC, one_to_one=False, max_correspondence_m=0.0, epsilon=1e-6)
+    icp = make_plugin(embedded.SPEC, one_to_one=False, max_correspondence_m=0.0, epsilon=1e-6)
     found = icp.register(target, source, Pose(*guess))
-    again = made(embedded.SPEC, one_to_one=False, max_correspondence_m=0.0, epsilon=1e-6)
+    again = make_plugin(embedded.SPEC, one_to_one=False, max_correspondence_m=0.0, epsilon=1e-6)
     repeated = again.register(target, source, Pose(*guess))
     assert found.target_from_source == repeated.target_from_source
     if not len(target) or len(source) < 3:
         assert (found.target_from_source, found.converged) == (Pose(*guess), False)
         return
-    assert found.inliers == len(source)  # no limit, many-to-one: every point has a partner
+    assert found.inliers == len(source)  # no limit, many-to-one: every point has a pair
     assert np.isfinite([*found.target_from_source.row, found.error]).all()
     nearest = np.linalg.norm(Pose(*guess).transform(source.points)[:, None] - target.points, axis=2).min(axis=1)
-    assert found.error <= math.sqrt(np.mean(nearest**2)) + 1e-9  # each step lessens the squared distances
+    assert found.error <= math.sqrt(np.mean(nearest**2)) + 1e-9  # each step reduces the squared distances
 
 
 @needs_core
 @pytest.mark.parametrize("spec", [embedded.SPEC, embedded.FLOAT], ids=["double", "float"])
-def test_empty_and_hopeless_clouds_give_the_guess_back_to_the_bit(spec):
-    icp, guess, none = made(spec), Pose(0.1, 0.2, 0.3), Cloud(np.zeros((0, 2)))
+def test_empty_and_unmatchable_clouds_return_the_exact_guess(spec):
+    icp, guess, none = make_plugin(spec), Pose(0.1, 0.2, 0.3), Cloud(np.zeros((0, 2)))
     some, far = Cloud(np.eye(2).repeat(5, axis=0)), Cloud(np.full((9, 2), 50.0))
     for target, source in ((none, some), (some, none), (none, none), (some, far)):
         match = icp.register(target, source, guess)
@@ -144,7 +144,7 @@ def test_empty_and_hopeless_clouds_give_the_guess_back_to_the_bit(spec):
 @needs_core
 @pytest.mark.parametrize("spec", [embedded.SPEC, embedded.FLOAT], ids=["double", "float"])
 def test_earlier_calls_do_not_change_a_result(spec):
-    icp = made(spec)
+    icp = make_plugin(spec)
     (first, second) = (scans(seed) for seed in (1, 2))
     alone = icp.register(*first)
     icp.register(*second)
@@ -154,17 +154,17 @@ def test_earlier_calls_do_not_change_a_result(spec):
 
 
 @needs_core
-def test_a_coordinate_beyond_the_limit_is_refused_with_the_cores_words():
-    icp, some = made(embedded.SPEC), Cloud(np.eye(2))
+def test_a_coordinate_beyond_the_limit_raises_with_the_message_of_the_core():
+    icp, some = make_plugin(embedded.SPEC), Cloud(np.eye(2))
     with pytest.raises(ValueError, match="registration: a parameter is outside its range"):
         icp.register(some, Cloud(np.full((3, 2), 2e6)), Pose())
     with pytest.raises(ValueError, match="target: a parameter is outside its range"):
         icp.register(Cloud(np.full((3, 2), 2e6)), some, Pose())
     with pytest.raises(ValueError, match="nan or infinite"):  # 1e39 m is infinite in single precision
-        made(embedded.FLOAT).register(some, Cloud(np.full((3, 2), 1e39)), Pose())
+        make_plugin(embedded.FLOAT).register(some, Cloud(np.full((3, 2), 1e39)), Pose())
 
 
-def test_its_parameters_are_the_papers_but_for_the_lines():
+def test_the_parameters_equal_those_of_the_paper_except_the_lines():
     theirs = {p.name: (p.default, p.unit, p.low, p.high, p.choices) for p in paper.SPEC.parameters}
     ours = {p.name: (p.default, p.unit, p.low, p.high, p.choices) for p in embedded.SPEC.parameters}
     assert ours.items() <= theirs.items()
@@ -182,10 +182,10 @@ def lab(scans_wanted=120, every=1):
 
 @needs_core
 @pytest.mark.parametrize("clear", [False, True])
-def test_the_map_is_the_twins_cell_by_cell(clear):
-    ours, theirs = made(embedded.MAPPER, clear_no_returns=clear), LogOddsGrid(clear_no_returns=clear)
+def test_the_map_equals_the_reference_cell_by_cell(clear):
+    ours, theirs = make_plugin(embedded.MAPPER, clear_no_returns=clear), LogOddsGrid(clear_no_returns=clear)
     for index, frame in enumerate(lab(25, every=5)):
-        # off the corners of cells, where rounding decides; and far enough that the map grows
+        # not on cell corners, where rounding decides; and far enough away that the map grows
         pose = Pose(30.0 * (index // 13) - 7.2931, 0.02 * index + 0.00113, 0.0977 * index)
         ours.update(frame.scan, pose)
         theirs.update(frame.scan, pose)
@@ -199,8 +199,8 @@ def test_the_map_is_the_twins_cell_by_cell(clear):
 
 @needs_core
 @pytest.mark.parametrize("clear", [False, True])
-def test_the_map_grows_with_the_twins_wherever_the_robot_creeps_over_its_edge(clear):
-    ours, theirs = made(embedded.MAPPER, clear_no_returns=clear), LogOddsGrid(clear_no_returns=clear)
+def test_the_map_grows_like_the_reference_when_the_robot_slowly_crosses_its_edge(clear):
+    ours, theirs = make_plugin(embedded.MAPPER, clear_no_returns=clear), LogOddsGrid(clear_no_returns=clear)
     angles = np.arange(36) * 0.1737
     for step in range(60):
         ranges = np.where(np.arange(36) % 9 == step % 9, np.inf, 0.71 + 0.013 * step + 0.2 * np.cos(5.0 * angles))
@@ -214,7 +214,7 @@ def test_the_map_grows_with_the_twins_wherever_the_robot_creeps_over_its_edge(cl
 
 @needs_core
 def test_a_map_without_scans_is_empty_and_one_that_is_too_large_raises():
-    mapper = made(embedded.MAPPER)
+    mapper = make_plugin(embedded.MAPPER)
     assert mapper.grid().shape == (0, 0)
     mapper.update(Scan(0, np.array([np.inf, np.nan]), np.zeros(2), 0.0, 12.0), Pose())
     assert mapper.grid().shape == (0, 0)
@@ -228,8 +228,8 @@ def test_a_map_without_scans_is_empty_and_one_that_is_too_large_raises():
 
 
 @needs_core
-def test_a_longer_beam_than_any_before_is_drawn_whole():
-    mapper, twin = made(embedded.MAPPER), LogOddsGrid()
+def test_a_beam_longer_than_all_earlier_ones_is_mapped_completely():
+    mapper, twin = make_plugin(embedded.MAPPER), LogOddsGrid()
     for length in (1.0, 30.0, 3.0):
         scan = Scan(0, np.full(3, length), np.arange(3.0), 0.0, length)
         mapper.update(scan, Pose())
@@ -239,7 +239,7 @@ def test_a_longer_beam_than_any_before_is_drawn_whole():
 
 @needs_core
 @pytest.mark.parametrize("odometry", [True, False])
-def test_the_pipeline_follows_a_sequence_as_the_twin_behind_the_front_end_does(odometry):
+def test_the_pipeline_follows_a_sequence_like_the_reference_behind_the_front_end(odometry):
     frames = [
         Frame(f.scan, f.base_from_sensor, f.odom_from_base, f.start_from_end)
         if odometry
@@ -247,21 +247,21 @@ def test_the_pipeline_follows_a_sequence_as_the_twin_behind_the_front_end_does(o
         for f in lab(90)
     ]
     twin = frontend.make_odometry(paper.SPEC, frontend.complete_parameters("paper", paper.SPEC, {}))
-    pipeline = made(embedded.PIPELINE)
+    pipeline = make_plugin(embedded.PIPELINE)
     worst = max(np.abs((twin.update(f).pose.inverse() @ pipeline.update(f).pose).row).max() for f in frames)
     assert worst < 1e-8
-    narrow, wide = made(embedded.PIPELINE, precision="float"), made(embedded.PIPELINE)
+    narrow, wide = make_plugin(embedded.PIPELINE, precision="float"), make_plugin(embedded.PIPELINE)
     off = max(np.abs((wide.update(f).pose.inverse() @ narrow.update(f).pose).row).max() for f in frames)
-    assert 0.0 < off < 0.02  # m and rad: where the stop rule is met decides what comes after
+    assert 0.0 < off < 0.02  # m and rad: an iteration more or less changes all later poses
 
 
 @needs_core
-def test_the_pipeline_reports_both_stages_as_the_front_end_does_for_the_twin():
+def test_the_pipeline_reports_both_stages_like_the_front_end():
     twin = frontend.make_odometry(paper.SPEC, frontend.complete_parameters("paper", paper.SPEC, {"min_inliers": 60}))
-    pipeline = made(embedded.PIPELINE, min_inliers=60)
+    pipeline = make_plugin(embedded.PIPELINE, min_inliers=60)
     nothing = np.full(50, np.inf)
     for index, frame in enumerate(lab(12)):
-        if index in (5, 6):  # a scan of which nothing, and one of which not enough came back
+        if index in (5, 6):  # one scan without returns, and one with too few returns
             ranges = nothing if index == 5 else np.concatenate([nothing, frame.scan.ranges[:40]])
             scan = Scan(frame.scan.stamp_ns, ranges, frame.scan.angles[: len(ranges)], 0.15, 12.0)
             frame = Frame(scan, frame.base_from_sensor, frame.odom_from_base)  # noqa: PLW2901
@@ -277,8 +277,8 @@ def test_the_pipeline_reports_both_stages_as_the_front_end_does_for_the_twin():
 
 
 @needs_core
-def test_a_scan_without_beams_is_answered_with_the_guess_and_one_too_long_is_refused():
-    pipeline = made(embedded.PIPELINE, beams=300)
+def test_a_scan_without_beams_returns_the_guess_and_one_with_too_many_raises():
+    pipeline = make_plugin(embedded.PIPELINE, beams=300)
     walls = Scan(0, np.full(300, 2.0), np.linspace(0.0, 6.0, 300), 0.0, 12.0)
     assert pipeline.update(Frame(walls, odom_from_base=Pose())).pose == Pose()
     none = Scan(1, np.zeros(0), np.zeros(0), 0.0, 12.0)
@@ -288,7 +288,7 @@ def test_a_scan_without_beams_is_answered_with_the_guess_and_one_too_long_is_ref
         pipeline.update(Frame(long))
 
 
-def test_without_the_compiled_core_every_name_is_missing_and_there_is_no_substitute(monkeypatch):
+def test_without_the_compiled_core_every_method_is_unavailable_and_has_no_substitute(monkeypatch):
     monkeypatch.setattr(compiled, "MODULES", {"double": "_core_absent"})
     for spec in (embedded.SPEC, embedded.FLOAT, embedded.PIPELINE, embedded.MAPPER):
         assert spec.missing().startswith(
@@ -298,4 +298,4 @@ def test_without_the_compiled_core_every_name_is_missing_and_there_is_no_substit
     monkeypatch.setitem(sys.modules, "evalkit_baselines.embedded._core64", None)
     monkeypatch.delattr(embedded, "_core64", raising=False)
     with pytest.raises(NotInstalled, match="does not load"):
-        made(embedded.SPEC)
+        make_plugin(embedded.SPEC)

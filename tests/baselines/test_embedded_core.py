@@ -1,4 +1,4 @@
-"""The C library and its binding by themselves: its own tests under sanitizers, and what the binding refuses."""
+"""The C library and its binding: the tests of the library under sanitizers, and the input that the binding rejects."""
 
 import math
 import shutil
@@ -39,7 +39,7 @@ LAB = {p.name: p.default for p in registry.dataset("lab").parameters} | {"laps":
 @pytest.mark.slow
 @pytest.mark.skipif(bool(TOOLS), reason=f"not found: {', '.join(TOOLS)}; the core's own tests need them")
 @pytest.mark.parametrize("sanitize", ["OFF", "ON"])
-def test_the_cores_own_tests_pass_without_a_warning(tmp_path, sanitize):
+def test_the_tests_of_the_core_pass_without_a_warning(tmp_path, sanitize):
     options = [f"-DEK_SANITIZE={sanitize}", "-DEK_WERROR=ON", "-DCMAKE_BUILD_TYPE=Debug", "-DEK_BUILD_PROGRAMS=OFF"]
     for command in (
         ["cmake", "-S", str(FOLDER), "-B", str(tmp_path), *options],
@@ -65,8 +65,8 @@ def small_pipeline(core):
     )  # fmt: skip
 
 
-def asked(call):
-    """Its answer and "", or None and the words with which it was refused."""
+def call_or_message(call):
+    """Return the result and "", or None and the error message."""
     try:
         return call(), ""
     except ValueError as error:
@@ -91,13 +91,13 @@ ANY_POINTS = st.integers(0, 30).flatmap(
     st.integers(-1, 4),
     ANY_NUMBER | st.floats(0.0, 1e19),
 )
-def test_for_any_input_a_registration_is_sound_or_raises(precision, target, source, guess, most, least, error, reach):
+def test_for_any_input_a_registration_is_valid_or_raises(precision, target, source, guess, most, least, error, reach):
     core = compiled.core(precision)
     with np.errstate(over="ignore"):
         target, source = target.astype(core.REAL), source.astype(core.REAL)
     parameters = PARAMETERS | {"max_iterations": min(most, 50), "min_pairs": least, "error": error}
     parameters["max_correspondence"] = reach
-    answer, refused = asked(lambda: core.Icp(**parameters).register(core.Index(target), source, guess, True))
+    answer, refused = call_or_message(lambda: core.Icp(**parameters).register(core.Index(target), source, guess, True))
     assert refused.partition(": ")[0] in ("", "parameters", "target", "registration")
     if answer is None:
         return
@@ -117,14 +117,14 @@ def test_for_any_input_a_registration_is_sound_or_raises(precision, target, sour
 @pytest.mark.parametrize("precision", PRECISIONS)
 @settings(max_examples=150, deadline=None)
 @given(ANY_POINTS, ANY_POINTS, st.tuples(ANY_NUMBER, ANY_NUMBER, ANY_NUMBER))
-def test_for_any_input_a_map_draws_it_or_stays_unchanged(precision, hits, misses, pose):
+def test_for_any_input_a_map_is_updated_or_stays_unchanged(precision, hits, misses, pose):
     core = compiled.core(precision)
     grid = core.Grid(extent=EXTENT, **MAP)
     grid.add((0.0, 0.0, 0.0), np.ones((1, 2), dtype=core.REAL), np.zeros((0, 2), dtype=core.REAL))
     before = grid.cells()
     with np.errstate(over="ignore"):
         hits, misses = hits.astype(core.REAL), misses.astype(core.REAL)
-    _, refused = asked(lambda: grid.add(pose, hits, misses))
+    _, refused = call_or_message(lambda: grid.add(pose, hits, misses))
     if refused:
         assert refused.startswith("scan: ")
         assert np.array_equal(grid.cells(), before)
@@ -145,7 +145,7 @@ def test_for_any_input_a_map_draws_it_or_stays_unchanged(precision, hits, misses
     st.none() | st.tuples(ANY_NUMBER, ANY_NUMBER, ANY_NUMBER),
     st.tuples(ANY_NUMBER, ANY_NUMBER),
 )
-def test_whatever_comes_in_the_pipeline_answers_a_finite_pose_or_refuses(
+def test_for_any_input_the_pipeline_returns_a_finite_pose_or_raises(
     precision, ranges, stamp, step, odom, moved, limits
 ):
     core = compiled.core(precision)
@@ -156,13 +156,13 @@ def test_whatever_comes_in_the_pipeline_answers_a_finite_pose_or_refuses(
     scan = {"time_increment_ns": step, "ranges": ranges, "angles": angles, "odom_from_base": odom}
     for later, scan_limits in enumerate(((0.1, 12.0), limits, (0.1, 12.0))):
         now = {"stamp_ns": stamp + later, "range_limits": scan_limits, "start_from_end": moved}
-        answer, refused = asked(partial(pipeline.update, base_from_sensor=(0.1, 0.0, 0.0), **scan, **now))
+        answer, refused = call_or_message(partial(pipeline.update, base_from_sensor=(0.1, 0.0, 0.0), **scan, **now))
         assert refused.startswith("scan: ") if answer is None else np.isfinite(answer[0]).all()
 
 
 @needs_core
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_arrays_of_another_kind_are_refused_instead_of_converted(precision):
+def test_arrays_of_another_type_raise_instead_of_being_converted(precision):
     core = compiled.core(precision)
     good = np.zeros((4, 2), dtype=core.REAL)
     other = np.float32 if core.REAL == "float64" else np.float64
@@ -181,7 +181,7 @@ def test_arrays_of_another_kind_are_refused_instead_of_converted(precision):
 
 
 @needs_core
-def test_parameters_and_extents_outside_their_ranges_are_refused():
+def test_parameters_and_extents_outside_their_ranges_raise():
     core = compiled.core("double")
     for name, wrong in (("epsilon", -1.0), ("epsilon", np.nan), ("max_iterations", 0), ("max_iterations", -(2**40)),
                         ("min_pairs", 1), ("error", 3), ("max_correspondence", np.inf)):  # fmt: skip
@@ -205,7 +205,7 @@ def test_parameters_and_extents_outside_their_ranges_are_refused():
 
 
 @needs_core
-def test_a_map_that_moves_keeps_the_cells_inside_both_extents():
+def test_a_shifted_map_keeps_the_cells_inside_both_extents():
     core, none = compiled.core("double"), np.zeros((0, 2))
     grid = core.Grid(extent=EXTENT, **MAP)
     rng = np.random.default_rng(0)
@@ -218,7 +218,7 @@ def test_a_map_that_moves_keeps_the_cells_inside_both_extents():
 
 
 @needs_core
-def test_two_threads_may_ask_the_same_objects():
+def test_two_threads_may_use_the_same_objects():
     core = compiled.core("double")
     rng = np.random.default_rng(0)
     targets = [core.Index(rng.uniform(-3.0, 3.0, (n, 2))) for n in (4000, 300)]
@@ -276,7 +276,7 @@ endforeach()
 
 @pytest.mark.slow
 @pytest.mark.skipif(bool(TOOLS), reason=f"not found: {', '.join(TOOLS)}; the core's own tests need them")
-def test_another_project_finds_the_installed_core_and_uses_the_memory_in_the_readme(tmp_path):
+def test_another_project_finds_the_installed_core_and_uses_the_memory_stated_in_the_readme(tmp_path):
     (tmp_path / "robot.c").write_text(CONSUMER)
     (tmp_path / "CMakeLists.txt").write_text(PROJECT)
     core, there, robot = (str(tmp_path / name) for name in ("core", "installed", "robot"))
@@ -302,11 +302,11 @@ def _bytes(count):
 
 @needs_core
 @pytest.mark.parametrize("precision", PRECISIONS)
-def test_the_defaults_of_the_core_are_those_of_python(precision):
+def test_the_defaults_of_the_core_equal_those_of_python(precision):
     values = compiled.core(precision).defaults()
     icp, front_end, grid = ({p.name: p.default for p in table} for table in TABLES)
     icp["error"], icp["error_before"] = registration.ERRORS.index(icp["error"]), icp.pop("error_at") == "before"
-    del icp["trace"]  # no parameter of the core
+    del icp["trace"]  # not a parameter of the core
     for stage in ("icp", "scan_to_scan", "scan_to_map"):
         assert values[stage] == pytest.approx(icp, rel=1e-6)
     stages = {name: front_end[name] for name in pipeline.FRONT_END}
@@ -348,4 +348,4 @@ def test_evalkit_run_gives_the_poses_of_the_method_embedded(tmp_path):
     written = np.loadtxt(poses)
     found = np.column_stack([written[:, 1:3], 2.0 * np.arctan2(written[:, 6], written[:, 7])])
     np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-7)
-    assert np.hypot(*np.diff(found[:, :2], axis=0).T).sum() > 1.0  # a drive, not a robot at rest
+    assert np.hypot(*np.diff(found[:, :2], axis=0).T).sum() > 1.0  # a moving robot, not one at rest

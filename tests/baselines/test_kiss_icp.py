@@ -1,4 +1,4 @@
-"""KISS-ICP on planar scans: it answers for the first beam, from the guess it was told, and survives thin scans."""
+"""KISS-ICP on planar scans: poses at the first beam, the given guess, and sparse scans."""
 
 import sys
 from dataclasses import replace
@@ -26,8 +26,8 @@ WALLS = np.array(
 )  # fmt: skip
 
 
-def seen(origins, headings, walls):
-    """Distances (B,) to the nearest wall along rays, inf where there is none."""
+def measure_ranges(origins, headings, walls):
+    """Return the distances (B,) to the nearest wall along rays, inf where there is none."""
     ray = np.stack([np.cos(headings), np.sin(headings)], axis=-1)[:, None]
     to_wall, side = walls[None, :, 0] - origins[:, None], (walls[:, 1] - walls[:, 0])[None]
     cross = ray[..., 0] * side[..., 1] - ray[..., 1] * side[..., 0]
@@ -39,14 +39,16 @@ def seen(origins, headings, walls):
 
 
 def drive(steps, odometry_scale=1.0, walls=WALLS):
-    """Frames of a lidar that turns while it moves by ``steps`` (N, 3) per revolution, and the true poses (N, 3)."""
+    """Return frames of a lidar that moves by ``steps`` (N, 3) per revolution, and the true poses (N, 3)."""
     increment = PERIOD_NS // BEAMS
     share, angles = np.arange(BEAMS) * increment / PERIOD_NS, -np.arange(BEAMS) * 2.0 * np.pi / BEAMS
     start = np.array([-2.0, -1.0, 0.2])
     world, wheels, frames, truth = start, np.zeros(3), [], []
     for k, step in enumerate(np.asarray(steps, dtype=float)):
         sensors = se2.compose(se2.compose(world, se2.fraction(step, share)), MOUNT.row)
-        scan = Scan(k * PERIOD_NS, seen(sensors[:, :2], sensors[:, 2] + angles, walls), angles, 0.15, 12.0, increment)
+        scan = Scan(
+            k * PERIOD_NS, measure_ranges(sensors[:, :2], sensors[:, 2] + angles, walls), angles, 0.15, 12.0, increment
+        )
         told = odometry_scale * step
         within = Pose.of(se2.fraction(told, share[-1:])[0])
         frames.append(Frame(scan, MOUNT, Pose.of(wheels), within))
@@ -55,44 +57,44 @@ def drive(steps, odometry_scale=1.0, walls=WALLS):
     return frames, np.array(truth)
 
 
-def answers(frames, **parameters):
+def run_poses(frames, **parameters):
     follower = kiss_icp.SPEC.make(**resolve_parameters("kiss-icp", kiss_icp.SPEC.parameters, parameters))
     return np.array([follower.update(frame).pose.row for frame in frames])
 
 
-def off(truth, poses):
-    """Metres (N,) and radians (N,) between poses and truth."""
+def compute_errors(truth, poses):
+    """Return the errors in metres (N,) and radians (N,) between poses and ground truth."""
     difference = se2.between(truth, poses)
     return np.hypot(difference[:, 0], difference[:, 1]), np.abs(difference[:, 2])
 
 
-# a second's standstill, then 0.5 m/s and 50 deg/s: each scan spans 10 cm and 10 degrees
+# one second at rest, then 0.5 m/s and 50 deg/s: each scan spans 10 cm and 10 degrees
 START_UP = np.array([[0.0, 0.0, 0.0]] * 5 + [[0.1, 0.0, np.radians(10.0)]] * 15)
 
 
 @needs_kiss_icp
-def test_answers_are_for_the_first_beam_of_a_scan_taken_on_the_move():
+def test_poses_refer_to_the_first_beam_of_a_scan_taken_in_motion():
     frames, truth = drive(START_UP)
-    metres, radians = off(truth, answers(frames))
+    metres, radians = compute_errors(truth, run_poses(frames))
     assert metres.max() < 0.01  # the end of the scan is 0.10 m away, its middle 0.05 m
     assert radians.max() < np.radians(0.5)
-    blurred, turned = off(truth, answers(frames, deskew=False))
+    blurred, turned = compute_errors(truth, run_poses(frames, deskew=False))
     assert blurred.max() > 0.03
     assert turned.max() > np.radians(3.0)
 
 
 @needs_kiss_icp
-def test_wheels_that_lie_are_corrected():
+def test_wrong_wheel_odometry_is_corrected():
     frames, truth = drive(START_UP, odometry_scale=1.1)
     wheels = np.array([frame.odom_from_base.row for frame in frames])
-    metres, radians = off(truth, answers(frames))
-    assert off(truth, wheels)[1][-1] > np.radians(14.0)
+    metres, radians = compute_errors(truth, run_poses(frames))
+    assert compute_errors(truth, wheels)[1][-1] > np.radians(14.0)
     assert metres.max() < 0.03
     assert radians.max() < np.radians(2.0)
 
 
 @needs_kiss_icp
-def test_no_returns_at_the_ends_of_a_scan_do_not_stretch_its_time():
+def test_missing_returns_at_the_ends_of_a_scan_do_not_stretch_its_duration():
     frames, truth = drive(START_UP)
     seeing = (np.arange(BEAMS) >= 200) & (np.arange(BEAMS) < BEAMS - 150)
     half_blind = [
@@ -101,54 +103,54 @@ def test_no_returns_at_the_ends_of_a_scan_do_not_stretch_its_time():
         )
         for f in frames
     ]
-    metres, radians = off(truth, answers(half_blind))
-    assert metres.max() < 0.02  # 0.07 m and 4.7 degrees if the half that is seen were the whole revolution
+    metres, radians = compute_errors(truth, run_poses(half_blind))
+    assert metres.max() < 0.02  # 0.07 m and 4.7 degrees if the visible half were taken as the whole revolution
     assert radians.max() < np.radians(1.0)
 
 
 @needs_kiss_icp
-def test_constant_velocity_looks_at_no_odometry():
+def test_constant_velocity_does_not_use_odometry():
     frames, truth = drive([[0.02, 0.0, np.radians(2.0)]] * 20, odometry_scale=5.0)
     blind = [Frame(frame.scan, frame.base_from_sensor) for frame in frames]
-    told = answers(frames, prior="constant-velocity")
-    assert told.tobytes() == answers(blind, prior="constant-velocity").tobytes() == answers(blind).tobytes()
-    metres, radians = off(truth, told)
+    told = run_poses(frames, prior="constant-velocity")
+    assert told.tobytes() == run_poses(blind, prior="constant-velocity").tobytes() == run_poses(blind).tobytes()
+    metres, radians = compute_errors(truth, told)
     assert metres.max() < 0.03
     assert radians.max() < np.radians(2.0)
 
 
 @needs_kiss_icp
-def test_a_dropped_scan_prolongs_the_steady_motion():
+def test_a_dropped_scan_extrapolates_the_steady_motion():
     frames, truth = drive([[0.05, 0.0, np.radians(2.0)]] * 20)
     kept = [k for k in range(20) if k not in (10, 15)]
-    metres, _ = off(truth[kept], answers([frames[k] for k in kept], prior="constant-velocity"))
+    metres, _ = compute_errors(truth[kept], run_poses([frames[k] for k in kept], prior="constant-velocity"))
     assert metres.max() < 0.05
 
 
 @needs_kiss_icp
-def test_scans_of_one_instant_are_followed():
+def test_scans_with_simultaneous_beams_are_followed():
     frames, truth = drive(np.zeros((5, 3)))
     instant = [Frame(replace(f.scan, time_increment_ns=0), MOUNT) for f in frames]
     moved = [Frame(f.scan, MOUNT, Pose(0.05 * k, 0.0, 0.0), Pose(0.05, 0.0, 0.0)) for k, f in enumerate(instant)]
-    assert off(truth, answers(instant))[0].max() < 1e-3
-    assert off(truth, answers(moved))[0].max() < 0.02
+    assert compute_errors(truth, run_poses(instant))[0].max() < 1e-3
+    assert compute_errors(truth, run_poses(moved))[0].max() < 0.02
 
 
 @needs_kiss_icp
 @pytest.mark.parametrize("first", [0, 8])
-def test_a_scan_with_next_to_nothing_in_it_keeps_the_prediction(first):
+def test_a_nearly_empty_scan_keeps_the_prediction(first):
     frames, truth = drive(START_UP, odometry_scale=1.01)
     for k in (first, first + 1):
         scan = replace(frames[k].scan, ranges=np.where(np.arange(BEAMS) < 6, frames[k].scan.ranges, np.inf))
         frames[k] = Frame(scan, MOUNT, frames[k].odom_from_base, frames[k].start_from_end)
-    poses = answers(frames)
-    assert off(truth, poses)[0].max() < 0.03
+    poses = run_poses(frames)
+    assert compute_errors(truth, poses)[0].max() < 0.03
     after, before = frames[first + 1].odom_from_base, frames[first].odom_from_base
     assert np.allclose(se2.between(poses[first], poses[first + 1]), (before.inverse() @ after).row, atol=1e-12)
 
 
 @needs_kiss_icp
-def test_a_scan_of_too_few_points_or_without_a_pair_is_reported_as_not_accepted():
+def test_a_scan_with_too_few_points_or_without_pairs_is_not_accepted():
     frames, _ = drive(START_UP, odometry_scale=1.01)
     frames[8] = Frame(replace(frames[8].scan, ranges=np.full(BEAMS, np.inf)), MOUNT, frames[8].odom_from_base)
     lost = replace(frames[-1].scan, stamp_ns=frames[-1].scan.stamp_ns + PERIOD_NS)
@@ -161,32 +163,32 @@ def test_a_scan_of_too_few_points_or_without_a_pair_is_reported_as_not_accepted(
 
 
 @needs_kiss_icp
-def test_the_first_answer_is_the_identity_even_on_the_move():
+def test_the_first_pose_is_the_identity_even_in_motion():
     frames, _ = drive(START_UP[5:7])
-    assert answers(frames)[0].tolist() == [0.0, 0.0, 0.0]
+    assert run_poses(frames)[0].tolist() == [0.0, 0.0, 0.0]
 
 
 @needs_kiss_icp
-def test_twice_the_same_is_the_same_to_the_bit_and_nothing_in_the_environment_changes_it(monkeypatch):
+def test_repeated_runs_are_identical_and_independent_of_the_environment(monkeypatch):
     frames, _ = drive(START_UP[:8])
-    once = answers(frames)
+    once = run_poses(frames)
     monkeypatch.setenv("kiss_icp_data", '{"max_range": 1.0, "deskew": false}')
     monkeypatch.setenv("kiss_icp_mapping", '{"voxel_size": 1.0}')
-    assert answers(frames).tobytes() == once.tobytes()
+    assert run_poses(frames).tobytes() == once.tobytes()
 
 
 @needs_kiss_icp
 def test_ranges_outside_the_limits_are_not_used():
     frames, _ = drive(np.zeros((3, 3)))
-    near = answers(frames, max_range_m=4.0, min_range_m=1.0)
+    near = run_poses(frames, max_range_m=4.0, min_range_m=1.0)
     cut = [np.where((f.scan.ranges < 1.0) | (f.scan.ranges > 4.0), np.inf, f.scan.ranges) for f in frames]
     scans = [
         replace(f.scan, ranges=ranges, range_min_m=1.0, range_max_m=4.0) for f, ranges in zip(frames, cut, strict=True)
     ]
-    assert near.tobytes() == answers([Frame(s, MOUNT, Pose(), Pose()) for s in scans]).tobytes()
+    assert near.tobytes() == run_poses([Frame(s, MOUNT, Pose(), Pose()) for s in scans]).tobytes()
 
 
-def test_an_absent_package_is_named_with_what_installs_it(monkeypatch):
+def test_a_missing_package_is_reported_with_its_install_command(monkeypatch):
     monkeypatch.setattr(kiss_icp.importlib.util, "find_spec", lambda _name: None)
     assert kiss_icp.kiss_icp_missing() == "not installed: pip install 'evalkit[kiss-icp]'"
 
@@ -194,4 +196,4 @@ def test_an_absent_package_is_named_with_what_installs_it(monkeypatch):
 def test_a_failing_import_raises_not_installed(monkeypatch):
     monkeypatch.setitem(sys.modules, "kiss_icp", None)
     with pytest.raises(NotInstalled, match="does not load"):
-        answers([])
+        run_poses([])

@@ -1,4 +1,4 @@
-"""Open3D on planar clouds: each method finds a known motion, and none falls into what z = 0 does to it."""
+"""Open3D on planar clouds: each method recovers a known motion, and none is degraded by z = 0."""
 
 import sys
 
@@ -28,7 +28,7 @@ def backend(method, **parameters):
 
 
 def room(n=1200, noise_m=0.0, seed=0):
-    """Points on the walls of an L-shaped room."""
+    """Return points on the walls of an L-shaped room."""
     rng = np.random.default_rng(seed)
     corners = np.array([[-4.0, -3.0], [4.0, -3.0], [4.0, 1.0], [0.0, 1.0], [0.0, 4.0], [-4.0, 4.0]])
     sides = np.roll(corners, -1, axis=0) - corners
@@ -37,34 +37,34 @@ def room(n=1200, noise_m=0.0, seed=0):
     return corners[side] + rng.uniform(size=(n, 1)) * sides[side] + rng.normal(0.0, noise_m, (n, 2))
 
 
-def away_from_truth_m(match):
+def compute_error_m(match):
     left = TRUTH.inverse() @ match.target_from_source
-    return np.hypot(left.x, left.y) + 4.0 * abs(left.theta)  # metres at the far end of the room
+    return np.hypot(left.x, left.y) + 4.0 * abs(left.theta)  # error in metres at the far end of the room
 
 
 @needs_open3d
 @pytest.mark.parametrize("method", METHODS)
-def test_a_known_motion_is_found_to_the_millimetre(method):
+def test_a_known_motion_is_recovered_to_the_millimetre(method):
     target = room()
     source = TRUTH.inverse().transform(target[::2])
     match = backend(method, max_iterations=300, relative_rmse=1e-9).register(Cloud(target), Cloud(source), Pose())
     assert match.converged
-    assert away_from_truth_m(match) < 1e-3
+    assert compute_error_m(match) < 1e-3
     assert match.inliers == len(source)
     assert match.error < 1e-3
 
 
 @needs_open3d
 @pytest.mark.parametrize("method", METHODS)
-def test_with_the_lidars_noise_a_known_motion_is_found_to_centimetres(method):
+def test_with_lidar_noise_a_known_motion_is_recovered_to_centimetres(method):
     match = backend(method).register(
         Cloud(room(3000, 0.03)), Cloud(TRUTH.inverse().transform(room(800, 0.03, seed=1))), Pose()
     )
-    assert away_from_truth_m(match) < 0.03
+    assert compute_error_m(match) < 0.03
 
 
 @needs_open3d
-def test_open3ds_own_normals_return_the_guess_with_a_perfect_fitness_and_ours_do_not():
+def test_normals_from_open3d_return_the_guess_with_perfect_fitness_and_ours_do_not():
     import open3d as o3d
 
     target, source = room(3000, 0.01), TRUTH.inverse().transform(room(800, 0.01, seed=1))
@@ -77,11 +77,11 @@ def test_open3ds_own_normals_return_the_guess_with_a_perfect_fitness_and_ours_do
     assert trapped.fitness > 0.99
     assert np.allclose(trapped.transformation, np.eye(4), atol=1e-9)
     ours = backend("point-to-plane").register(Cloud(target), Cloud(source), Pose())
-    assert away_from_truth_m(ours) < 0.01
+    assert compute_error_m(ours) < 0.01
 
 
 @needs_open3d
-def test_planar_covariances_make_generalized_icp_another_method_than_point_to_point():
+def test_planar_covariances_make_generalized_icp_differ_from_point_to_point():
     target, source = Cloud(room(3000, 0.03)), Cloud(TRUTH.inverse().transform(room(800, 0.03, seed=1)))
     answers = [backend(method).register(target, source, Pose()).target_from_source.row for method in METHODS]
     assert np.abs(answers[2] - answers[0]).max() > 1e-4
@@ -89,7 +89,7 @@ def test_planar_covariances_make_generalized_icp_another_method_than_point_to_po
 
 @needs_open3d
 @pytest.mark.parametrize("method", METHODS)
-def test_a_single_wall_leaves_the_guess_along_it(method):
+def test_a_single_wall_keeps_the_guess_along_the_wall(method):
     along = np.random.default_rng(0).uniform(-5.0, 5.0, 1500)
     wall = Cloud(np.stack([along, np.zeros_like(along)], axis=-1))
     match = backend(method).register(wall, Cloud(Pose(0.0, 0.05).transform(wall.points[::3])), Pose())
@@ -100,7 +100,7 @@ def test_a_single_wall_leaves_the_guess_along_it(method):
 
 @needs_open3d
 @pytest.mark.parametrize("method", METHODS)
-def test_the_same_question_has_the_same_answer_to_the_bit_whatever_came_before(method):
+def test_the_same_input_gives_identical_results_independent_of_earlier_calls(method):
     target, source = Cloud(room(3000, 0.03)), Cloud(TRUTH.inverse().transform(room(800, 0.03, seed=1)))
     before = target.points.tobytes(), source.points.tobytes()
     used = backend(method)
@@ -114,7 +114,7 @@ def test_the_same_question_has_the_same_answer_to_the_bit_whatever_came_before(m
 
 
 @needs_open3d
-def test_a_targets_normals_are_made_once_and_forgotten_with_it(monkeypatch):
+def test_the_normals_of_a_target_are_computed_once_and_released_with_it(monkeypatch):
     made = []
     normals = planar3d.normals
     monkeypatch.setattr(planar3d, "normals", lambda *a: made.append(len(a[0])) or normals(*a))
@@ -130,7 +130,7 @@ def test_a_targets_normals_are_made_once_and_forgotten_with_it(monkeypatch):
 
 @needs_open3d
 @pytest.mark.parametrize("method", METHODS)
-def test_too_little_to_register_is_an_answer_with_the_guess(method):
+def test_too_few_points_return_the_guess(method):
     guess, enough, none = Pose(0.1, 0.2, 0.3), Cloud(room(200)), Cloud(np.zeros((0, 2)))
     for target, source in (
         (none, enough), (enough, none), (none, none), (enough, Cloud(enough.points[:2])),
@@ -144,19 +144,19 @@ def test_too_little_to_register_is_an_answer_with_the_guess(method):
 
 @needs_open3d
 @pytest.mark.parametrize("kernel", ["none", "tukey", "huber", "cauchy"])
-def test_every_kernel_finds_the_motion(kernel):
+def test_every_kernel_recovers_the_motion(kernel):
     source = Cloud(TRUTH.inverse().transform(room()[::2]))
     for method in ("point-to-plane", "generalized"):
         match = backend(method, kernel=kernel).register(Cloud(room()), source, Pose())
-        assert away_from_truth_m(match) < 5e-3
+        assert compute_error_m(match) < 5e-3
 
 
-def test_an_absent_package_is_named_with_what_installs_it(monkeypatch):
+def test_a_missing_package_is_reported_with_its_install_command(monkeypatch):
     monkeypatch.setattr(open3d_icp.importlib.util, "find_spec", lambda _name: None)
     assert open3d_icp.open3d_missing() == "not installed: pip install 'evalkit[open3d]'"
 
 
-def test_an_absent_system_library_is_named_with_what_installs_it(monkeypatch):
+def test_a_missing_system_library_is_reported_with_its_install_command(monkeypatch):
     monkeypatch.setattr(open3d_icp.importlib.util, "find_spec", lambda _name: object())
     monkeypatch.setattr(open3d_icp, "_version", lambda: (0, 20))
     monkeypatch.setattr(open3d_icp.sys, "platform", "linux")
@@ -167,7 +167,7 @@ def test_an_absent_system_library_is_named_with_what_installs_it(monkeypatch):
     )
 
 
-def test_a_version_without_a_thread_limit_is_named_with_what_replaces_it(monkeypatch):
+def test_a_version_without_a_thread_limit_is_reported_with_its_replacement(monkeypatch):
     monkeypatch.setattr(open3d_icp.importlib.util, "find_spec", lambda _name: object())
     monkeypatch.setattr(open3d_icp.importlib.metadata, "version", lambda _name: "0.19.0+1e7b174")
     assert open3d_icp.open3d_missing() == (
@@ -175,7 +175,7 @@ def test_a_version_without_a_thread_limit_is_named_with_what_replaces_it(monkeyp
     )
 
 
-def test_a_library_that_does_not_exist_does_not_load():
+def test_a_library_that_does_not_exist_is_not_loaded():
     assert not open3d_icp._loads("libno-such-thing.so.77")
 
 
@@ -187,8 +187,8 @@ def test_a_failing_import_raises_not_installed(method, monkeypatch):
 
 
 @needs_open3d
-def test_an_answer_that_turned_the_plane_over_is_not_accepted():
-    """A rough wall and its mirror image: half a turn about the wall fits best in space, no motion of the plane."""
+def test_a_result_that_flips_the_plane_is_not_accepted():
+    """A rough wall and its mirror image: half a turn about the wall fits best in 3D, but leaves the plane."""
     wall = np.array([[0.0, 0.01], [1.0, -0.01], [2.0, 0.01], [3.0, -0.01]])
     guess = Pose(0.001, 0.0, 0.0)
     match = backend("point-to-point").register(Cloud(wall), Cloud(wall * [1.0, -1.0]), guess)

@@ -1,4 +1,4 @@
-"""The paper's ICP: closed form, pairs, stop rule, Table 1, and what it does where there is nothing to match."""
+"""The ICP of the paper: closed form, pairs, stop rule, Table 1, and scans with nothing to match."""
 
 import math
 from typing import Any
@@ -22,14 +22,14 @@ MOTION = Pose(0.12, -0.08, math.radians(5.0))
 
 
 def corner():
-    """An L of two walls, 3 m and 2 m, a point every 2 cm: no symmetry to slide along."""
+    """Return an L of two walls, 3 m and 2 m, with a point every 2 cm: it has no symmetry to slide along."""
     long, short = np.arange(0.0, 3.0, 0.02), np.arange(0.02, 2.0, 0.02)
     walls = [np.stack([long, 0 * long], axis=1), np.stack([0 * short, short], axis=1)]
     return np.concatenate(walls)
 
 
 def table_1_scene(seed):
-    """Room [0, 10]^2 with a circle, 480 points, and the same turned by 30 deg and moved by (4, 5) m, with noise."""
+    """Return 480 points of a room [0, 10]^2 with a circle, and the same moved by 30 deg and (4, 5) m, with noise."""
     along, none, all_ = np.linspace(0, 10, 70, endpoint=False), np.zeros(70), np.full(70, 10.0)
     angle = np.linspace(0, 2 * np.pi, 200, endpoint=False)
     sides = [(along, none), (all_, along), (10 - along, all_), (none, 10 - along)]
@@ -49,7 +49,7 @@ def noisy_pair(seed=3):
 # closed form
 
 
-def test_the_closed_form_is_scipys_best_rotation():
+def test_the_closed_form_equals_scipys_best_rotation():
     rng = np.random.default_rng(0)
     for _ in range(30):
         source = rng.normal(size=(15, 2))
@@ -61,7 +61,7 @@ def test_the_closed_form_is_scipys_best_rotation():
         np.testing.assert_allclose(se2.transform(row, source).mean(axis=0), target.mean(axis=0), atol=1e-12)
 
 
-def test_the_closed_form_is_the_guarded_svd_of_equation_4():
+def test_the_closed_form_equals_the_guarded_svd_of_equation_4():
     rng = np.random.default_rng(1)
     for _ in range(50):
         source, target = rng.normal(size=(2, 9, 2))
@@ -71,7 +71,7 @@ def test_the_closed_form_is_the_guarded_svd_of_equation_4():
         assert icp.rigid(source, target)[2] == pytest.approx(math.atan2(R[1, 0], R[0, 0]), abs=1e-9)
 
 
-def test_equation_4_as_printed_turns_the_wrong_way():
+def test_equation_4_as_printed_rotates_in_the_wrong_direction():
     source = corner()
     target = Pose(0.0, 0.0, 0.3).transform(source)
     K = (source - source.mean(axis=0)).T @ (target - target.mean(axis=0))
@@ -89,7 +89,7 @@ def test_a_single_wall_is_never_mirrored():
 # pairs
 
 
-def test_one_to_one_keeps_what_brute_force_keeps():
+def test_one_to_one_pairs_equal_brute_force():
     rng = np.random.default_rng(2)
     for _ in range(30):
         nearest = rng.integers(0, 12, 40)
@@ -102,12 +102,12 @@ def test_one_to_one_keeps_what_brute_force_keeps():
         assert icp.closest_only(nearest, distance, 12).tolist() == sorted(kept.values())
 
 
-def test_one_to_one_of_nothing_is_nothing():
+def test_one_to_one_pairs_of_empty_clouds_are_empty():
     assert icp.closest_only(np.empty(0, dtype=np.int64), np.empty(0), 5).size == 0
 
 
 @pytest.mark.parametrize("limit", [math.inf, 0.1])
-def test_remembered_neighbours_are_those_of_a_fresh_search(limit):
+def test_cached_neighbours_equal_a_new_search(limit):
     rng = np.random.default_rng(4)
     targets, points = rng.uniform(0, 1, (200, 2)), rng.uniform(-0.3, 1.3, (300, 2))
     tree = cKDTree(targets)
@@ -121,13 +121,13 @@ def test_remembered_neighbours_are_those_of_a_fresh_search(limit):
         assert (nearest[found] == np.asarray(expected)[found]).all()
 
 
-def test_a_lone_target_point_is_everybodys_neighbour():
+def test_a_single_target_point_is_the_neighbour_of_every_point():
     nearest, distance = Association(cKDTree([[1.0, 0.0]]), 2).of(np.array([[0.0, 0.0], [1.0, 3.0]]))
     assert nearest.tolist() == [0, 0]
     assert distance.tolist() == [1.0, 3.0]
 
 
-def test_an_index_is_built_once_for_the_same_cloud_and_anew_for_an_equal_one():
+def test_an_index_is_built_once_per_cloud_object_and_again_for_an_equal_one():
     built, recent = [], Recent(size=2)
     a, b, c = (Cloud(corner()) for _ in range(3))
     for cloud in (a, b, a, c, a, b):
@@ -135,7 +135,7 @@ def test_an_index_is_built_once_for_the_same_cloud_and_anew_for_an_equal_one():
     assert [["a", "b", "c"][[a, b, c].index(cloud)] for cloud in built] == ["a", "b", "c", "b"]
 
 
-def test_the_trace_has_pairs_only_where_enabled():
+def test_the_trace_contains_pairs_only_if_enabled():
     target, source = noisy_pair()
     traced = Icp(trace=True).register(target, source, Pose()).history[-1]
     assert traced.pairs is not None
@@ -147,7 +147,7 @@ def test_the_trace_has_pairs_only_where_enabled():
 # registration
 
 
-def test_a_cloud_onto_itself_is_the_identity_after_two_iterations():
+def test_a_cloud_on_itself_gives_the_identity_after_two_iterations():
     match = Icp().register(Cloud(corner()), Cloud(corner()), Pose())
     assert match.target_from_source.row == pytest.approx([0, 0, 0], abs=1e-12)
     assert (match.converged, match.iterations, match.inliers) == (True, 2, len(corner()))
@@ -160,20 +160,20 @@ def test_a_cloud_onto_itself_is_the_identity_after_two_iterations():
         (
             {},
             Pose(0.01, -0.007, math.radians(0.3)),
-        ),  # point to point: within the spacing, else it may settle a point off
+        ),  # point to point: within the point spacing, otherwise it may converge one point off
         ({"one_to_one": False}, Pose(0.01, -0.007, math.radians(0.3))),
         ({"metric": "line"}, MOTION),
         ({"metric": "line", "cauchy_m": 0.1}, MOTION),
     ],
 )
-def test_a_known_motion_of_a_noise_free_corner_comes_back(parameters: dict[str, Any], motion):
+def test_a_known_motion_of_a_noise_free_corner_is_recovered(parameters: dict[str, Any], motion):
     source = Cloud(motion.inverse().transform(corner()))
     match = Icp(epsilon=1e-12, max_iterations=300, **parameters).register(Cloud(corner()), source, Pose())
     assert match.converged
     assert match.target_from_source.row == pytest.approx(motion.row, abs=1e-6)
 
 
-def test_the_choice_of_the_target_frame_only_moves_the_answer():
+def test_a_moved_target_frame_moves_the_result_equally():
     target, source = noisy_pair()
     new_from_old = Pose(3.0, -7.0, 2.5)
     match = Icp().register(target, source, Pose())
@@ -183,7 +183,7 @@ def test_the_choice_of_the_target_frame_only_moves_the_answer():
     assert moved.error == pytest.approx(match.error, abs=1e-9)
 
 
-def test_nothing_is_remembered_from_call_to_call_that_changes_an_answer():
+def test_cached_data_does_not_change_later_results():
     target, source = noisy_pair()
     other = Cloud(source.points + 0.05)
     registration = Icp()
@@ -194,14 +194,14 @@ def test_nothing_is_remembered_from_call_to_call_that_changes_an_answer():
     assert [step.error for step in again.history] == [step.error for step in first.history]
 
 
-def test_lines_leave_a_single_wall_where_the_guess_put_it_along_the_wall():
+def test_point_to_line_keeps_the_guess_along_a_single_wall():
     wall = np.stack([np.linspace(0, 4, 200), np.zeros(200)], axis=1)
     source = Cloud(wall[50:150] - np.array([0.0, 0.2]))
     match = Icp(metric="line", epsilon=1e-9).register(Cloud(wall), source, Pose(0.005, 0.0, 0.0))
     assert match.target_from_source.row == pytest.approx([0.005, 0.2, 0.0], abs=1e-9)
 
 
-def test_the_cauchy_weight_makes_little_of_a_displaced_third():
+def test_the_cauchy_weight_reduces_the_influence_of_a_displaced_third():
     source = corner()
     target = source.copy()
     target[-80:] += [0.1, 0.0]
@@ -214,7 +214,7 @@ def test_the_cauchy_weight_makes_little_of_a_displaced_third():
 
 
 @pytest.mark.parametrize("parameters", [{}, {"error": "rmse"}, {"error": "mean-squared"}, {"error_at": "before"}])
-def test_it_stops_at_the_first_change_of_error_below_epsilon(parameters: dict[str, Any]):
+def test_iteration_stops_at_the_first_change_of_error_below_epsilon(parameters: dict[str, Any]):
     target, source = noisy_pair()
     epsilon = 1e-5
     match = Icp(epsilon=epsilon, **parameters).register(target, source, Pose())
@@ -226,9 +226,11 @@ def test_it_stops_at_the_first_change_of_error_below_epsilon(parameters: dict[st
     assert match.iterations == len(match.history) >= 3
 
 
-def test_the_error_before_a_step_is_that_of_the_guess_and_after_it_is_smaller():
+def test_the_first_error_is_that_of_the_guess_and_decreases_after_a_step():
     wall = Cloud(corner())
-    source = Cloud(corner() + np.array([0.004, 0.0]))  # 4 mm to the same point everywhere, the nearest is 20 mm away
+    source = Cloud(
+        corner() + np.array([0.004, 0.0])
+    )  # 4 mm to the same point everywhere; the nearest other point is 20 mm away
     before = Icp(error_at="before").register(wall, source, Pose()).history[0]
     after = Icp(error_at="after").register(wall, source, Pose()).history[0]
     assert before.error == pytest.approx(0.004)
@@ -236,7 +238,7 @@ def test_the_error_before_a_step_is_that_of_the_guess_and_after_it_is_smaller():
     assert before.target_from_source.row == pytest.approx([-0.004, 0, 0], abs=1e-12)
 
 
-def test_the_three_errors_of_known_residuals():
+def test_the_three_error_definitions_of_known_residuals():
     residuals = np.array([[3.0, 4.0], [0.0, 1.0]])
     assert Icp(error="mean")._error(residuals, None) == pytest.approx(3.0)
     assert Icp(error="mean-squared")._error(residuals, None) == pytest.approx(13.0)
@@ -244,7 +246,7 @@ def test_the_three_errors_of_known_residuals():
     assert Icp()._error(residuals, np.array([[1.0, 0.0], [0.0, 1.0]])) == pytest.approx(2.0)
 
 
-def test_the_iteration_limit_is_an_answer_that_did_not_converge():
+def test_reaching_the_iteration_limit_gives_a_result_that_did_not_converge():
     target, source = noisy_pair()
     match = Icp(epsilon=0.0, max_iterations=3).register(target, source, Pose())
     assert (match.converged, match.iterations, len(match.history)) == (False, 3, 3)
@@ -266,14 +268,14 @@ def test_the_iteration_limit_is_an_answer_that_did_not_converge():
     ids=["no target", "no source", "two points", "too far", "one target point"],
 )
 @pytest.mark.parametrize("metric", ["point", "line"])
-def test_without_enough_pairs_the_guess_comes_back_not_converged(target, source, pairs, metric):
+def test_with_too_few_pairs_the_guess_is_returned_as_not_converged(target, source, pairs, metric):
     guess = Pose(0.001, 0.0, 0.0)
     match = Icp(metric=metric).register(Cloud(target), Cloud(source), guess)
     assert (match.target_from_source, match.converged, match.iterations, match.inliers) == (guess, False, 0, pairs)
     assert math.isnan(match.error)
 
 
-def test_points_all_in_one_place_only_translate():
+def test_coincident_points_give_a_pure_translation():
     source, target = Cloud(np.zeros((5, 2))), Cloud(np.full((5, 2), 0.1))
     match = Icp(one_to_one=False).register(target, source, Pose())
     assert match.target_from_source.row == pytest.approx([0.1, 0.1, 0.0])
@@ -286,12 +288,12 @@ def test_the_defaults_of_the_class_are_those_of_its_parameters():
     assert Icp() == paper.SPEC.make(**resolve_parameters("icp", icp.PARAMETERS, {}))
 
 
-def test_a_wrong_parameter_is_refused_by_name():
+def test_a_wrong_parameter_is_reported_by_name():
     with pytest.raises(BadParameter, match="error_at"):
         paper.SPEC.make(error_at="sometimes")
 
 
-def test_the_four_readings_differ_only_where_they_say():
+def test_the_four_readings_differ_only_in_the_documented_settings():
     def settings(spec) -> dict[str, Any]:
         return resolve_parameters("paper", spec.parameters, {})
 
@@ -316,7 +318,7 @@ def table_1_rows(**parameters: Any):
     return np.array(rows)
 
 
-def test_table_1_is_the_mean_distance_with_one_to_one_pairs():
+def test_table_1_equals_the_mean_distance_with_one_to_one_pairs():
     k, first, last, x, y, theta = table_1_rows().T
     assert k.mean() == pytest.approx(24.2, abs=1.0)
     assert k.min() <= 25 <= k.max()
@@ -335,7 +337,7 @@ def test_table_1_is_the_mean_distance_with_one_to_one_pairs():
         ({"one_to_one": False}, 19.3, 2.505, 0.0499),
     ],
 )
-def test_table_1_does_not_fit_the_other_readings_as_well(parameters: dict[str, Any], iterations, first, last):
+def test_table_1_fits_the_other_readings_worse(parameters: dict[str, Any], iterations, first, last):
     rows = table_1_rows(**parameters)
     assert rows[:, 0].mean() == pytest.approx(iterations, abs=1.0)
     assert rows[:, 1].mean() == pytest.approx(first, rel=0.02)

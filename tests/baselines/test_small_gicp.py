@@ -1,4 +1,4 @@
-"""small_gicp on planar clouds: both methods find a known motion, and the walls are what makes it possible."""
+"""small_gicp on planar clouds: both methods recover a known motion because flat points are turned into walls."""
 
 import sys
 
@@ -24,7 +24,7 @@ def backend(method, **parameters):
 
 
 def room(n=1200, noise_m=0.0, seed=0):
-    """Points on the walls of an L-shaped room."""
+    """Return points on the walls of an L-shaped room."""
     rng = np.random.default_rng(seed)
     corners = np.array([[-4.0, -3.0], [4.0, -3.0], [4.0, 1.0], [0.0, 1.0], [0.0, 4.0], [-4.0, 4.0]])
     sides = np.roll(corners, -1, axis=0) - corners
@@ -33,35 +33,35 @@ def room(n=1200, noise_m=0.0, seed=0):
     return corners[side] + rng.uniform(size=(n, 1)) * sides[side] + rng.normal(0.0, noise_m, (n, 2))
 
 
-def away_from_truth_m(match):
+def compute_error_m(match):
     left = TRUTH.inverse() @ match.target_from_source
-    return np.hypot(left.x, left.y) + 4.0 * abs(left.theta)  # metres at the far end of the room
+    return np.hypot(left.x, left.y) + 4.0 * abs(left.theta)  # error in metres at the far end of the room
 
 
 @needs_small_gicp
 @pytest.mark.parametrize("method", METHODS)
-def test_a_known_motion_is_found_to_the_millimetre(method):
+def test_a_known_motion_is_recovered_to_the_millimetre(method):
     target = room()
     match = backend(method, max_iterations=300, translation_epsilon_m=1e-7, rotation_epsilon_deg=1e-5).register(
         Cloud(target), Cloud(TRUTH.inverse().transform(target[::2])), Pose()
     )
     assert match.converged
-    assert away_from_truth_m(match) < 1e-3
+    assert compute_error_m(match) < 1e-3
     assert match.inliers == 600
     assert match.error < 1e-3
 
 
 @needs_small_gicp
 @pytest.mark.parametrize("method", METHODS)
-def test_with_the_lidars_noise_a_known_motion_is_found_to_centimetres(method):
+def test_with_lidar_noise_a_known_motion_is_recovered_to_centimetres(method):
     match = backend(method).register(
         Cloud(room(3000, 0.03)), Cloud(TRUTH.inverse().transform(room(800, 0.03, seed=1))), Pose()
     )
-    assert away_from_truth_m(match) < 0.03
+    assert compute_error_m(match) < 0.03
 
 
 @needs_small_gicp
-def test_its_own_normals_of_a_flat_target_hold_nothing_and_those_of_three_layers_do():
+def test_library_normals_of_a_flat_target_give_no_constraint_and_those_of_three_layers_do():
     import small_gicp as library
 
     target, source = room(3000, 0.01), TRUTH.inverse().transform(room(800, 0.01, seed=1))
@@ -70,7 +70,7 @@ def test_its_own_normals_of_a_flat_target_hold_nothing_and_those_of_three_layers
     library.estimate_normals_covariances(cloud, tree)
     flat = library.align(cloud, library.PointCloud(planar3d.points_3d(source)), tree, registration_type="PLANE_ICP")
     assert np.allclose(flat.T_target_source, np.eye(4), atol=1e-9)
-    assert away_from_truth_m(backend("point-to-plane").register(Cloud(target), Cloud(source), Pose())) < 0.01
+    assert compute_error_m(backend("point-to-plane").register(Cloud(target), Cloud(source), Pose())) < 0.01
 
 
 @needs_small_gicp
@@ -86,7 +86,7 @@ def test_the_error_of_point_to_point_is_the_root_mean_square_distance():
 
 @needs_small_gicp
 @pytest.mark.parametrize("method", METHODS)
-def test_too_little_to_stand_on_gives_the_guess_not_converged(method):
+def test_too_few_points_return_the_guess_as_not_converged(method):
     guess, none, two = Pose(0.1, 0.2, 0.3), Cloud(np.zeros((0, 2))), Cloud(np.eye(2))
     far = Cloud(room(50) + 100.0)
     for target, source in (
@@ -103,7 +103,7 @@ def test_too_little_to_stand_on_gives_the_guess_not_converged(method):
 
 @needs_small_gicp
 @pytest.mark.parametrize("method", METHODS)
-def test_the_same_question_has_the_same_answer_to_the_bit_whatever_came_before(method):
+def test_the_same_input_gives_identical_results_independent_of_earlier_calls(method):
     target, source = Cloud(room(2000, 0.02)), Cloud(room(500, 0.02, seed=1))
     one = backend(method)
     first = one.register(target, source, TRUTH)
@@ -112,7 +112,7 @@ def test_the_same_question_has_the_same_answer_to_the_bit_whatever_came_before(m
     assert backend(method).register(target, source, TRUTH).target_from_source == first.target_from_source
 
 
-def test_layers_are_three_and_flat_walls_become_walls():
+def test_a_flat_cloud_becomes_three_layers_with_vertical_walls():
     space = small_gicp.layers(np.array([[1.0, 2.0], [3.0, 4.0]]), 0.12)
     assert space.tolist() == [
         [1.0, 2.0, -0.12], [3.0, 4.0, -0.12], [1.0, 2.0, 0.0], [3.0, 4.0, 0.0], [1.0, 2.0, 0.12], [3.0, 4.0, 0.12],

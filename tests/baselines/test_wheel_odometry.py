@@ -1,4 +1,4 @@
-"""Wheel odometry alone: the recording's own poses, seen from the first one."""
+"""Wheel odometry alone: the poses of the recording, relative to the first one."""
 
 import numpy as np
 import pytest
@@ -14,7 +14,7 @@ def frame(stamp_ns, odom_from_base):
     return Frame(scan, odom_from_base=odom_from_base)
 
 
-def test_poses_are_seen_from_the_first_one():
+def test_poses_are_relative_to_the_first_one():
     wheels = SPEC.make()
     answers = [
         wheels.update(frame(k, pose)).pose
@@ -25,7 +25,7 @@ def test_poses_are_seen_from_the_first_one():
     assert np.allclose(answers[2].row, [1.0, 1.0, np.pi / 2], atol=1e-12)
 
 
-def test_a_gap_is_bridged_by_standing_still():
+def test_a_gap_is_bridged_with_zero_motion():
     wheels = SPEC.make()
     poses = [Pose(1.0, 0.0, 0.0), Pose(2.0, 0.0, 0.0), None, None, Pose(5.0, 0.0, 0.0)]
     assert [wheels.update(frame(k, pose)).pose.x for k, pose in enumerate(poses)] == [0.0, 1.0, 1.0, 1.0, 4.0]

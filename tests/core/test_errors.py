@@ -1,4 +1,4 @@
-"""Messages say what, where and what to do, and survive the way between processes."""
+"""Error messages state what is wrong, where, and what to do, and survive pickling between processes."""
 
 import inspect
 import pickle
@@ -33,30 +33,30 @@ EXAMPLES = {
 
 
 @pytest.mark.parametrize(("error", "message"), EXAMPLES.items(), ids=str)
-def test_an_error_says_the_same_on_the_other_side_of_a_pickle(error, message):
+def test_an_error_has_the_same_message_after_pickling(error, message):
     again = pickle.loads(pickle.dumps(error))
     assert str(error) == message
     assert (type(again), str(again), again.args) == (type(error), message, error.args)
 
 
 @pytest.mark.parametrize("kind", EvalkitError.__subclasses__())
-def test_every_error_survives_pickling_and_says_all_it_was_told(kind):
+def test_every_error_survives_pickling_with_all_its_arguments(kind):
     told = ("one", "two", "three", "four")[: len(inspect.signature(kind).parameters)]
     error = pickle.loads(pickle.dumps(kind(*told)))
     assert type(error) is kind
     assert all(word in str(error) for word in told if word != "three" or kind is not UnknownName)
 
 
-def test_a_name_far_from_all_known_ones_gets_no_suggestion():
+def test_a_name_unlike_all_known_names_gets_no_suggestion():
     assert str(UnknownName("mapper", "zzz", ["log-odds"])) == "no mapper named 'zzz'; known: log-odds"
 
 
-def test_a_message_is_one_line_that_commands_no_terminal():
+def test_a_message_is_one_line_without_terminal_control_characters():
     told = str(BadData("a\x1b[2J.log", "line 3", "'\x07\n\u2028\u202e\udc80'", "take it out"))
     assert told == r"a\x1b[2J.log: line 3: '\x07\n\u2028\u202e\udc80'; take it out"
 
 
-def test_a_message_quotes_no_megabyte():
+def test_a_message_does_not_quote_a_megabyte():
     told = str(BadExperiment("x.toml", "sequence 2", "x" * 1_000_000 + ": remove it"))
     assert told.startswith("x.toml: sequence 2: xxx")
     assert told.endswith("xxx: remove it")

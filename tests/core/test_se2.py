@@ -1,4 +1,4 @@
-"""Rigid motions of the plane against matrices, scipy and their own laws."""
+"""Rigid motions of the plane, compared with matrices, SciPy and group laws."""
 
 import doctest
 import math
@@ -16,19 +16,19 @@ METRES = st.floats(-1e3, 1e3)
 ROWS = st.tuples(METRES, METRES, st.floats(-math.pi, math.pi))
 
 
-def same(a, b, atol=1e-9):
-    """Equal motions, whichever way round the angle is told."""
+def assert_same_motion(a, b, atol=1e-9):
+    """Assert that two motions are equal, with angles compared modulo a full turn."""
     np.testing.assert_allclose(np.asarray(a)[..., :2], np.asarray(b)[..., :2], atol=atol)
     np.testing.assert_allclose(se2.wrap(np.asarray(a)[..., 2] - np.asarray(b)[..., 2]), 0.0, atol=atol)
 
 
-def test_the_examples_in_the_docstrings_hold():
+def test_the_docstring_examples_are_correct():
     assert doctest.testmod(se2).failed == 0
     assert doctest.testmod(se2).attempted > 0
 
 
 @given(st.floats(-1e3, 1e3))
-def test_wrapping_changes_an_angle_by_whole_turns_only(theta):
+def test_wrapping_changes_an_angle_by_full_turns_only(theta):
     wrapped = float(se2.wrap(theta))
     assert -math.pi <= wrapped <= math.pi
     assert (wrapped - theta) / (2 * math.pi) == pytest.approx(round((wrapped - theta) / (2 * math.pi)), abs=1e-9)
@@ -39,30 +39,30 @@ def test_half_a_turn_is_minus_pi():
 
 
 @given(ROWS, ROWS)
-def test_composing_is_the_matrix_product(a, b):
+def test_compose_equals_the_matrix_product(a, b):
     np.testing.assert_allclose(se2.to_matrix(se2.compose(a, b)), se2.to_matrix(a) @ se2.to_matrix(b), atol=1e-9)
 
 
 @given(ROWS)
-def test_inverting_is_the_matrix_inverse_and_undone_by_itself(a):
+def test_inverse_equals_the_matrix_inverse_and_is_its_own_inverse(a):
     np.testing.assert_allclose(se2.to_matrix(se2.inverse(a)), np.linalg.inv(se2.to_matrix(a)), atol=1e-9)
-    same(se2.inverse(se2.inverse(a)), a)
-    same(se2.compose(a, se2.inverse(a)), [0, 0, 0])
+    assert_same_motion(se2.inverse(se2.inverse(a)), a)
+    assert_same_motion(se2.compose(a, se2.inverse(a)), [0, 0, 0])
 
 
 @given(ROWS, ROWS, ROWS)
-def test_composing_is_associative_and_between_cancels_the_common_frame(a, b, c):
-    same(se2.compose(se2.compose(a, b), c), se2.compose(a, se2.compose(b, c)), atol=1e-8)
-    same(se2.compose(a, se2.between(a, b)), b, atol=1e-8)
-    same(se2.between(se2.compose(c, a), se2.compose(c, b)), se2.between(a, b), atol=1e-8)
+def test_compose_is_associative_and_between_cancels_a_common_frame(a, b, c):
+    assert_same_motion(se2.compose(se2.compose(a, b), c), se2.compose(a, se2.compose(b, c)), atol=1e-8)
+    assert_same_motion(se2.compose(a, se2.between(a, b)), b, atol=1e-8)
+    assert_same_motion(se2.between(se2.compose(c, a), se2.compose(c, b)), se2.between(a, b), atol=1e-8)
 
 
 @given(ROWS)
-def test_a_matrix_tells_its_row(a):
-    same(se2.from_matrix(se2.to_matrix(a)), a)
+def test_a_matrix_converts_back_to_its_row(a):
+    assert_same_motion(se2.from_matrix(se2.to_matrix(a)), a)
 
 
-def test_points_turn_as_scipy_turns_them():
+def test_points_rotate_as_in_scipy():
     rng = np.random.default_rng(0)
     rows, points = rng.uniform(-3, 3, (20, 3)), rng.normal(size=(20, 7, 2))
     spatial = np.pad(points, ((0, 0), (0, 0), (0, 1)))
@@ -71,13 +71,13 @@ def test_points_turn_as_scipy_turns_them():
         np.testing.assert_allclose(after, turned + row[:2], atol=1e-12)
 
 
-def test_each_point_is_moved_by_its_own_motion():
+def test_each_point_is_transformed_by_its_own_motion():
     moved = se2.transform_each([[1, 0, 0], [0, 0, math.pi / 2], [2, 3, math.pi]], [[5, 5], [1, 0], [1, 1]])
     np.testing.assert_allclose(moved, [[6, 5], [0, 1], [1, 2]], atol=1e-12)
 
 
 @pytest.mark.parametrize("theta", [-3.1, -math.pi / 2, -0.3, -1e-8, 0.0, 1e-10, 1e-5, 0.02, 1.0, 3.1])
-def test_a_fraction_is_the_matrix_power_along_the_exponential(theta):
+def test_a_fraction_equals_the_matrix_power_along_the_exponential(theta):
     motion = [0.7, -0.4, theta]
     velocity = np.real(logm(se2.to_matrix(motion)))
     shares = np.array([0.0, 0.25, 0.5, 1.0, 1.5])
@@ -86,20 +86,20 @@ def test_a_fraction_is_the_matrix_power_along_the_exponential(theta):
 
 
 def test_half_of_a_quarter_circle_is_an_eighth():
-    quarter = [1.0, 1.0, math.pi / 2]  # radius 1, ahead and to the left
+    quarter = [1.0, 1.0, math.pi / 2]  # radius 1, forward and to the left
     eighth = [math.sin(math.pi / 4), 1 - math.cos(math.pi / 4), math.pi / 4]
     np.testing.assert_allclose(se2.fraction(quarter, [0.5]), [eighth], atol=1e-12)
 
 
-def test_interpolation_is_linear_and_goes_the_shorter_way_round():
+def test_interpolation_is_linear_and_takes_the_shorter_rotation():
     stamps = np.array([0, 100, 300])
     poses = [[0, 0, 3.0], [1, 2, -3.0], [3, 2, -2.0]]
     gap = 2 * math.pi - 6.0
     found = se2.interpolate(stamps, poses, [0, 25, 100, 200, 300])
-    same(found, [[0, 0, 3], [0.25, 0.5, 3.0 + gap / 4], [1, 2, -3], [2, 2, -2.5], [3, 2, -2]])
+    assert_same_motion(found, [[0, 0, 3], [0.25, 0.5, 3.0 + gap / 4], [1, 2, -3], [2, 2, -2.5], [3, 2, -2]])
 
 
-def test_interpolation_between_stamps_of_our_days_loses_no_nanosecond():
+def test_interpolation_between_present_day_stamps_keeps_every_nanosecond():
     start = 1_700_000_000_123_456_789
     found = se2.interpolate(np.array([start, start + 1000]), [[0, 0, 0], [1000, 0, 0]], [start + 1, start + 999])
     assert found[:, 0].tolist() == [1.0, 999.0]
@@ -111,7 +111,7 @@ def test_nothing_is_extrapolated(at):
         se2.interpolate(np.array([0, 10]), [[0, 0, 0], [1, 0, 0]], at)
 
 
-def test_one_pose_is_known_at_its_own_time_alone_and_none_at_no_time():
+def test_a_single_pose_is_known_only_at_its_own_time():
     assert se2.interpolate(np.array([5]), [[1, 2, 3]], [5, 5]).tolist() == [[1, 2, 3]] * 2
     assert se2.interpolate(np.array([5]), [[1, 2, 3]], []).shape == (0, 3)
     with pytest.raises(ValueError, match="outside"):

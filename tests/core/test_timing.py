@@ -1,4 +1,4 @@
-"""Timing of a call, on a clock that moves only by command."""
+"""Timing of a call, on a clock that the test advances."""
 
 import pytest
 
@@ -6,8 +6,8 @@ from evalkit.core import timing
 from evalkit.core.timing import CallTiming, Cost, Stopwatch, timed
 
 
-class Hands:
-    """Wall and CPU time in ns."""
+class ManualClock:
+    """Clock with wall and CPU time in ns."""
 
     def __init__(self):
         self.wall = self.cpu = 1_000
@@ -25,12 +25,12 @@ class Hands:
 
 @pytest.fixture
 def hands(monkeypatch):
-    made = Hands()
+    made = ManualClock()
     monkeypatch.setattr(timing, "time", made)
     return made
 
 
-def test_a_call_costs_its_wall_and_cpu_time_and_answers(hands):
+def test_a_timed_call_returns_its_result_with_wall_and_cpu_time(hands):
     def call():
         hands.work(500, 300)
         return "answer"
@@ -39,7 +39,7 @@ def test_a_call_costs_its_wall_and_cpu_time_and_answers(hands):
     assert timed(call) == ("answer", CallTiming(500, 300))
 
 
-def test_a_stopwatch_sums_the_cpu_time_of_its_blocks_and_nothing_between_them(hands):
+def test_a_stopwatch_sums_the_cpu_time_of_its_blocks_only(hands):
     conversion = Stopwatch()
     hands.work(1_000, 1_000)
     for cpu in (10, 20):
@@ -49,7 +49,7 @@ def test_a_stopwatch_sums_the_cpu_time_of_its_blocks_and_nothing_between_them(ha
     assert conversion.cpu_ns == 30
 
 
-def test_a_stopwatch_counts_a_block_that_fails_and_lets_its_error_pass(hands):
+def test_a_stopwatch_counts_a_failing_block_and_propagates_its_error(hands):
     conversion = Stopwatch()
 
     def fail():
@@ -80,6 +80,6 @@ def test_costs_add_up():
     assert Cost(1, 2, 3) + Cost(10, 20, 30, frozenset({"cpu"})) == Cost(11, 22, 33, frozenset({"cpu"}))
 
 
-def test_a_failing_call_fails_as_it_is():
+def test_a_failing_call_raises_its_own_error():
     with pytest.raises(ZeroDivisionError):
         timed(lambda: 1 // 0)

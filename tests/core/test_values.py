@@ -1,4 +1,4 @@
-"""Values are checked once, at birth, and what is wrong is named."""
+"""Values are checked once, at construction, and errors name the wrong field."""
 
 import dataclasses
 import math
@@ -34,7 +34,7 @@ def occupancy(log_odds, observed, *place):
     return OccupancyGrid(log_odds, observed, *place)
 
 
-# birth
+# construction
 
 
 @pytest.mark.parametrize(
@@ -63,13 +63,13 @@ def occupancy(log_odds, observed, *place):
         (Score, (math.nan, 3), "value: not finite: nan; say None and why"),
     ],
 )
-def test_what_is_wrong_is_named(kind, values, message):
+def test_an_invalid_field_is_named(kind, values, message):
     with pytest.raises(ValueError, match=message):
         kind(*values)
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, 12.001, 0.149, -math.inf])
-def test_a_range_outside_the_limits_names_its_beam(bad):
+def test_a_range_outside_the_limits_is_reported_with_its_beam(bad):
     with pytest.raises(ValueError, match=r"at beam 2 lies outside \[0.15, 12.0\] m; mark no return as inf") as caught:
         scan([1.0, math.inf, bad, math.nan, bad])
     assert str(bad) in str(caught.value)
@@ -94,14 +94,14 @@ def test_values_are_frozen_and_their_arrays_read_only(value, field):
         setattr(value, field, None)
 
 
-def test_the_callers_array_stays_its_own():
+def test_the_array_of_the_caller_stays_writable():
     points = np.zeros((2, 2))
     kept = cloud(points)
     points[0, 0] = 9.0
     assert kept.points[0, 0] == 0.0
 
 
-def test_empty_is_a_value():
+def test_empty_values_are_valid():
     assert cloud([]).points.shape == (0, 2)
     assert trajectory([], []).poses.shape == (0, 3)
     assert (trajectory([], []).duration_s, trajectory([], []).path_m) == (0.0, 0.0)
@@ -112,7 +112,7 @@ def test_empty_is_a_value():
 # poses
 
 
-def test_names_of_poses_cancel_like_dominoes():
+def test_compose_cancels_the_adjacent_frame_names():
     a_from_b, b_from_c = Pose(1.0, 2.0, math.pi / 2), Pose(3.0, 0.0, math.pi)
     a_from_c = a_from_b @ b_from_c
     assert a_from_c.row == pytest.approx([1.0, 5.0, -math.pi / 2])
@@ -127,7 +127,7 @@ def test_a_pose_keeps_its_angle_within_half_a_turn():
 # scans
 
 
-def test_hits_become_points_by_equation_1():
+def test_hits_are_converted_to_points_by_equation_1():
     ranges, angles = [2.0, math.inf, 3.0, math.nan, 1.0], [0.0, 0.1, math.pi / 2, 0.2, math.pi]
     made = scan(ranges, angles)
     np.testing.assert_allclose(made.points(), [[2, 0], [0, 3], [-1, 0]], atol=1e-12)
@@ -139,13 +139,13 @@ def test_a_scan_lasts_from_its_first_beam_to_its_last():
     assert scan([1.0, 1.0, 1.0], increment_ns=50).duration_ns == 100
 
 
-def test_unknown_motion_or_beams_fired_at_once_change_nothing():
+def test_deskewing_changes_nothing_without_motion_or_with_simultaneous_beams():
     slow, at_once = scan([1.0, 2.0], increment_ns=10), scan([1.0, 2.0])
     assert slow.deskewed(Pose(), None) is slow
     assert at_once.deskewed(Pose(), Pose(1.0, 0.0, 0.0)) is at_once
 
 
-def test_a_pure_rotation_turns_each_beam_by_its_share_and_keeps_ranges():
+def test_a_pure_rotation_turns_each_beam_by_its_time_share_and_keeps_ranges():
     made = scan([2.0, 2.0, math.inf, math.nan, 2.0], np.zeros(5), increment_ns=10)
     still = made.deskewed(Pose(), Pose(0.0, 0.0, 0.4))
     np.testing.assert_allclose(still.angles, [0.0, 0.1, 0.2, 0.3, 0.4], atol=1e-12)
@@ -153,21 +153,21 @@ def test_a_pure_rotation_turns_each_beam_by_its_share_and_keeps_ranges():
     assert (still.stamp_ns, still.time_increment_ns) == (1_000, 0)
 
 
-def test_a_pure_translation_moves_each_hit_by_its_share():
+def test_a_pure_translation_moves_each_hit_by_its_time_share():
     made = scan([2.0, 2.0, 2.0], np.zeros(3), increment_ns=10)
     still = made.deskewed(Pose(), Pose(0.5, 0.0, 0.0))
     np.testing.assert_allclose(still.points(), [[2.0, 0.0], [2.25, 0.0], [2.5, 0.0]], atol=1e-12)
 
 
-def test_the_motion_is_that_of_the_base_not_of_the_sensor():
-    """A base turning on the spot swings a sensor 1 m ahead of it sideways."""
+def test_the_motion_refers_to_the_base_not_to_the_sensor():
+    """A base that turns on the spot moves a sensor mounted 1 m ahead sideways."""
     made = scan([2.0, 2.0], np.zeros(2), increment_ns=10)
     still = made.deskewed(Pose(1.0, 0.0, 0.0), Pose(0.0, 0.0, math.pi / 2))
     np.testing.assert_allclose(still.points(), [[2.0, 0.0], [-1.0, 3.0]], atol=1e-12)  # in the base: (0, 3)
 
 
-def test_a_wall_seen_by_a_moving_askew_sensor_is_straight_again():
-    """The wall y = 3 of the start frame; the base drives an arc while 90 beams are fired."""
+def test_a_wall_seen_by_a_moving_rotated_sensor_is_straight_after_deskewing():
+    """The wall is y = 3 in the start frame; the base drives an arc while 90 beams are fired."""
     base_from_sensor, start_from_end = Pose(0.2, -0.1, math.radians(40.0)), Pose(0.3, 0.05, math.radians(25.0))
     angles = np.linspace(math.radians(10.0), math.radians(80.0), 90)
     start_from_sensor = se2.compose(se2.fraction(start_from_end.row, np.linspace(0, 1, 90)), base_from_sensor.row)
@@ -179,14 +179,14 @@ def test_a_wall_seen_by_a_moving_askew_sensor_is_straight_again():
     np.testing.assert_allclose(straight[:, 1], 3.0, atol=1e-12)
 
 
-def test_a_hit_may_move_beyond_the_sensors_limits():
+def test_a_deskewed_hit_may_exceed_the_sensor_limits():
     still = scan([12.0, 12.0], np.zeros(2), increment_ns=10).deskewed(Pose(), Pose(0.5, 0.0, 0.0))
     assert (still.ranges[1], still.range_max_m) == (12.5, 12.5)
     near = scan([0.15, 0.15], np.zeros(2), increment_ns=10).deskewed(Pose(), Pose(-0.1, 0.0, 0.0))
     assert near.range_min_m == pytest.approx(0.05)
 
 
-def test_a_frame_knows_no_odometry_unless_told():
+def test_a_frame_has_no_odometry_by_default():
     frame = Frame(scan([1.0]))
     assert (frame.base_from_sensor, frame.odom_from_base, frame.start_from_end) == (Pose(), None, None)
 
@@ -194,7 +194,7 @@ def test_a_frame_knows_no_odometry_unless_told():
 # trajectories
 
 
-def test_a_trajectory_tells_its_length_in_space_and_time_and_what_lies_between():
+def test_a_trajectory_has_a_length_a_duration_and_interpolated_poses():
     lap = trajectory([0, 10**9, 3 * 10**9], [[0, 0, 0], [3, 4, 0], [3, 0, 0]])
     assert (len(lap), lap.path_m, lap.duration_s) == (3, 9.0, 3.0)
     assert lap.at([5 * 10**8, 2 * 10**9]).tolist() == [[1.5, 2.0, 0.0], [3.0, 2.0, 0.0]]
@@ -210,7 +210,7 @@ def test_a_trajectory_in_another_frame_keeps_its_steps():
 # grids
 
 
-def test_cells_know_their_centres_row_0_lowest():
+def test_cell_centres_start_at_row_0_at_the_bottom():
     grid = occupancy(np.zeros((2, 3)), np.ones((2, 3)), 0.5, -1.0, 10.0)
     cells = np.zeros((2, 3), dtype=bool)
     cells[0, 0] = cells[1, 2] = True
@@ -219,7 +219,7 @@ def test_cells_know_their_centres_row_0_lowest():
 
 
 def test_occupied_and_free_are_observed_cells_beyond_the_thresholds():
-    """Map_server's thresholds 0.65 and 0.196 as log-odds: 0.619 and -1.412."""
+    """The thresholds 0.65 and 0.196 of map_server as log-odds: 0.619 and -1.412."""
     log_odds = np.array([[0.62, 0.61, 0.0, -1.41, -1.42, 9.0, -9.0]])
     grid = occupancy(log_odds, np.array([[1, 1, 1, 1, 1, 0, 0]]), 0.05, 0.0, 0.0)
     assert grid.occupied().tolist() == [[True, False, False, False, False, False, False]]
@@ -227,7 +227,7 @@ def test_occupied_and_free_are_observed_cells_beyond_the_thresholds():
     assert grid.occupied(0.6)[0].tolist() == [True, True, False, False, False, False, False]
 
 
-def test_log_odds_without_bounds_are_probabilities_all_the_same():
+def test_log_odds_without_bounds_convert_to_probabilities():
     grid = occupancy(np.array([[-3000.0, 0.0, math.log(3.0), 3000.0]]), np.ones((1, 4)), 0.05, 0.0, 0.0)
     np.testing.assert_allclose(grid.probability(), [[0.0, 0.5, 0.75, 1.0]], atol=1e-7)
 
@@ -235,7 +235,7 @@ def test_log_odds_without_bounds_are_probabilities_all_the_same():
 # runs
 
 
-def test_a_runs_estimate_is_its_answers():
+def test_the_estimate_of_a_run_is_the_trajectory_of_its_answers():
     steps = np.zeros(2, dtype=STEP)
     steps["stamp_ns"], steps["x"], steps["y"], steps["theta"] = [7, 9], [0, 1], [0, 2], [0, 0.5]
     estimate = RunResult(steps, 2).estimate
@@ -244,6 +244,6 @@ def test_a_runs_estimate_is_its_answers():
     assert (estimate.parent, estimate.child) == ("start", "base")
 
 
-def test_no_value_is_a_score_with_a_reason():
+def test_a_score_without_a_value_has_a_reason():
     assert Score(None, 0, "no truth").value is None
     assert Score(0.0).support == 0

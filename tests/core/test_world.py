@@ -17,31 +17,31 @@ def test_beams_in_a_rectangle_measure_its_sides():
     np.testing.assert_allclose(cast(ROOM, (2.0, 1.0), 0, 45, 90, 180, 270), expected, atol=1e-12)
 
 
-def test_every_beam_leaves_its_own_origin():
+def test_every_beam_starts_at_its_own_origin():
     ranges = ROOM.cast([(1.0, 1.0), (3.0, 1.0), (3.0, 2.5)], [0.0, 0.0, np.pi / 2])
     np.testing.assert_allclose(ranges, [3.0, 1.0, 0.5], atol=1e-12)
 
 
-def test_a_circle_is_met_at_its_near_side_from_outside_and_at_its_far_side_from_inside():
+def test_a_circle_is_hit_on_its_near_side_from_outside_and_on_its_far_side_from_inside():
     world = World(np.zeros((0, 4)), [[5.0, 0.0, 1.0]])
     ranges = world.cast([(0.0, 0.0), (0.0, 0.6), (5.0, 0.0), (5.5, 0.0)], [0.0, 0.0, 1.0, np.pi])
     np.testing.assert_allclose(ranges, [4.0, 4.2, 1.0, 1.5], atol=1e-12)
 
 
-def test_beams_that_pass_by_or_look_away_meet_nothing():
+def test_beams_that_miss_or_point_away_return_nothing():
     world = World([[2.0, -1.0, 2.0, 1.0]], [[5.0, 4.0, 1.0]])
     origins = [(0.0, 0.0), (0.0, 1.1), (0.0, 5.001), (2.0, -3.0)]
     assert np.isposinf(world.cast(origins, [np.pi, 0.0, 0.0, np.pi / 2])).all()
     assert np.isfinite(world.cast([(0.0, 4.999), (0.0, 0.999)], [0.0, 0.0])).all()
 
 
-def test_a_grazing_beam_meets_a_wall_far_away():
-    # 1 m beside a wall at 0.5 degrees: 1 / sin 0.5 degrees
+def test_a_grazing_beam_hits_a_wall_far_away():
+    # 1 m from a wall at 0.5 degrees: 1 / sin 0.5 degrees
     world = World([[-500.0, 1.0, 500.0, 1.0]])
     np.testing.assert_allclose(cast(world, (0.0, 0.0), 0.5), 1.0 / np.sin(np.radians(0.5)), rtol=1e-9)
 
 
-def test_no_beam_slips_out_through_a_corner():
+def test_no_beam_escapes_through_a_corner():
     generator = np.random.default_rng(0)
     origins = generator.uniform([0.1, 0.1], [3.9, 2.9], (400, 2))
     corners = ROOM.segments[generator.integers(0, 4, 400), :2]
@@ -49,8 +49,8 @@ def test_no_beam_slips_out_through_a_corner():
     np.testing.assert_allclose(ranges, np.linalg.norm(corners - origins, axis=1), atol=1e-6)
 
 
-def solved_one_by_one(world, origin, angle):
-    """The nearest crossing by a linear solver for walls and polynomial roots for circles."""
+def cast_one_by_one(world, origin, angle):
+    """Return the nearest intersection from a linear solver for walls and polynomial roots for circles."""
     direction = np.array([np.cos(angle), np.sin(angle)])
     found = [np.inf]
     for x1, y1, x2, y2 in world.segments:
@@ -65,19 +65,19 @@ def solved_one_by_one(world, origin, angle):
     return min(found)
 
 
-def test_random_beams_agree_with_a_solver_that_takes_them_one_by_one():
+def test_random_beams_agree_with_a_solver_for_single_beams():
     generator = np.random.default_rng(1)
     world = World(
         generator.uniform(-5, 5, (20, 4)),
         np.column_stack([generator.uniform(-5, 5, (8, 2)), generator.uniform(0.1, 1.0, 8)]),
     )
     origins, angles = generator.uniform(-5, 5, (300, 2)), generator.uniform(-10, 10, 300)
-    expected = [solved_one_by_one(world, origin, angle) for origin, angle in zip(origins, angles, strict=True)]
+    expected = [cast_one_by_one(world, origin, angle) for origin, angle in zip(origins, angles, strict=True)]
     np.testing.assert_allclose(world.cast(origins, angles), expected, atol=1e-9)
 
 
 @pytest.mark.parametrize("beams", [400, 1600])
-def test_leaving_out_what_lies_beside_the_sector_changes_nothing(beams):
+def test_skipping_boundaries_outside_the_sector_changes_nothing(beams):
     generator = np.random.default_rng(beams)
     world = World(
         generator.uniform(-8, 8, (60, 4)),
@@ -86,7 +86,7 @@ def test_leaving_out_what_lies_beside_the_sector_changes_nothing(beams):
     origins = np.linspace([0.0, 0.0], [0.6, -0.3], beams)  # a sensor that moves while it turns
     angles = 1.0 - np.linspace(0.0, 2.5 * np.pi, beams)
     alone = np.concatenate([world.cast(origins[[k]], angles[[k]]) for k in range(beams)])
-    shuffled = generator.permutation(beams)  # no sector is narrow: nothing is left out
+    shuffled = generator.permutation(beams)  # no sector is narrow: nothing is skipped
     np.testing.assert_allclose(world.cast(origins, angles), alone, atol=1e-9)
     np.testing.assert_allclose(world.cast(origins[shuffled], angles[shuffled]), alone[shuffled], atol=1e-9)
 
@@ -106,12 +106,12 @@ def test_clearance_is_the_distance_to_the_nearest_wall_end_or_circle():
     ("segments", "circles", "word"),
     [([[0, 0, 0, 0]], [], "wall"), ([[0, 0, np.nan, 1]], [], "finite"), ([[0, 0, 1, 1]], [[0, 0, 0]], "radius")],
 )
-def test_a_world_with_an_impossible_boundary_is_refused(segments, circles, word):
+def test_a_world_with_an_invalid_boundary_is_rejected(segments, circles, word):
     with pytest.raises(ValueError, match=word):
         World(np.array(segments, dtype=float), np.array(circles, dtype=float))
 
 
-def test_normals_are_those_of_the_nearest_wall_or_circle():
+def test_normals_belong_to_the_nearest_wall_or_circle():
     world = World([[2.0, -1.0, 2.0, 1.0], [5.0, -1.0, 5.0, 1.0]], [[0.0, 3.0, 1.0]])
     ranges = cast(world, (0.0, 0.0), 0, 90, 180)
     assert ranges.tolist() == [2.0, 2.0, np.inf]

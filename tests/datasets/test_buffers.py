@@ -1,4 +1,4 @@
-"""Scans put in order while they are read, however far out of order they are."""
+"""Scans reordered by time while they are read, for any disorder of the input."""
 
 from dataclasses import dataclass, field
 
@@ -22,14 +22,14 @@ def readings(ranks):
 @pytest.mark.parametrize(
     "ranks", [[0, 1, 2, 3], [3, 2, 1, 0], [4, 5, 6, 0, 1, 2, 3], np.random.default_rng(0).permutation(50).tolist()]
 )
-def test_every_scan_comes_in_its_turn_with_its_own_ranges_in_memory_or_on_disk(ranks, max_ahead):
+def test_scans_are_returned_in_order_with_their_own_ranges_from_memory_or_disk(ranks, max_ahead):
     found = list(sort_by_rank(readings(ranks), max_ahead))
     assert [scan.name for scan in found] == [f"scan {rank}" for rank in range(len(ranks))]
     for rank, scan in enumerate(found):
         np.testing.assert_array_equal(scan.ranges, [rank, np.nan, np.inf])
 
 
-def test_what_is_in_order_is_handed_on_before_the_next_is_read():
+def test_a_scan_in_order_is_returned_before_the_next_is_read():
     read = []
 
     def reading():
@@ -41,16 +41,16 @@ def test_what_is_in_order_is_handed_on_before_the_next_is_read():
         assert read == list(range(seen + 1))
 
 
-def test_no_more_than_so_many_scans_out_of_turn_keep_their_ranges_in_memory():
+def test_a_limited_number_of_out_of_order_scans_keep_their_ranges_in_memory():
     alive = []
 
-    class Watched(np.ndarray):
+    class TrackedReading(np.ndarray):
         def __del__(self):
             alive.remove(id(self))
 
     def watched(count):
         for rank in reversed(range(count)):
-            ranges = np.arange(8.0).view(Watched)
+            ranges = np.arange(8.0).view(TrackedReading)
             alive.append(id(ranges))
             yield rank, Reading("", ranges)
             most.append(len(alive))
@@ -60,5 +60,5 @@ def test_no_more_than_so_many_scans_out_of_turn_keep_their_ranges_in_memory():
     assert max(most) <= 6
 
 
-def test_after_a_scan_that_is_missing_nothing_follows():
+def test_reading_stops_after_a_missing_scan():
     assert [scan.name for scan in sort_by_rank(readings([0, 2, 3]))] == ["scan 0"]

@@ -46,7 +46,7 @@ def beams(*values, fill=2.0):
     return [*values, *[fill] * (180 - len(values))]
 
 
-# --- what a line means
+# --- meaning of the lines
 
 
 def test_the_stamp_is_the_ipc_time_to_the_nanosecond(tmp_path):
@@ -54,7 +54,7 @@ def test_the_stamp_is_the_ipc_time_to_the_nanosecond(tmp_path):
     assert frame.scan.stamp_ns == 976052857337534001
 
 
-def test_headers_and_comments_that_name_flaser_are_no_scans(tmp_path):
+def test_headers_and_comments_that_contain_flaser_are_not_scans(tmp_path):
     header = ["# message formats defined: PARAM ODOM FLASER", "# FLASER n r1 r2", "", "PARAM x y nohost 0"]
     sequence = Carmen(log(tmp_path, *header, flaser(1.0)))
     assert len(sequence) == 1
@@ -62,13 +62,13 @@ def test_headers_and_comments_that_name_flaser_are_no_scans(tmp_path):
 
 
 @pytest.mark.parametrize(("count", "last_deg"), [(180, 89.0), (181, 90.0), (360, 89.5), (361, 90.0)])
-def test_the_number_of_beams_gives_the_angles(tmp_path, count, last_deg):
+def test_the_number_of_beams_determines_the_angles(tmp_path, count, last_deg):
     angles = next(Carmen(log(tmp_path, flaser(1.0, [2.0] * count))).frames()).scan.angles
     assert math.degrees(angles[0]) == pytest.approx(-90.0)
     assert math.degrees(angles[-1]) == pytest.approx(last_deg)
 
 
-def test_an_unknown_number_of_beams_needs_the_step(tmp_path):
+def test_an_unknown_number_of_beams_requires_the_angle_step(tmp_path):
     path = log(tmp_path, flaser(1.0, [2.0] * 541))
     with pytest.raises(BadData, match=r"541 beams.*step_deg"):
         Carmen(path)
@@ -76,7 +76,7 @@ def test_an_unknown_number_of_beams_needs_the_step(tmp_path):
     assert math.degrees(angles[-1]) == pytest.approx(135.0)
 
 
-def test_robotlaser_lines_bring_their_own_angles_and_may_have_remissions(tmp_path):
+def test_robotlaser_lines_contain_their_own_angles_and_optional_remissions(tmp_path):
     lines = [robotlaser(1.0, [2.0, 3.0, 4.0]), robotlaser(2.0, [2.0, 3.0, 4.0], remissions=(7, 8, 9))]
     first, second = Carmen(log(tmp_path, *lines)).frames()
     assert first.scan.angles.tolist() == second.scan.angles.tolist() == [-1.0, -0.5, 0.0]
@@ -84,12 +84,12 @@ def test_robotlaser_lines_bring_their_own_angles_and_may_have_remissions(tmp_pat
     assert second.scan.stamp_ns == 2 * 10**9
 
 
-def test_the_step_of_a_robotlaser_line_counts_not_its_field_of_view(tmp_path):
+def test_a_robotlaser_line_uses_its_angle_step_not_its_field_of_view(tmp_path):
     angles = next(Carmen(log(tmp_path, robotlaser(1.0, [2.0] * 361, step=0.008727, fov=3.150319))).frames()).scan.angles
     assert angles[-1] == pytest.approx(-1.0 + 360 * 0.008727)
 
 
-def test_gzip_is_told_by_content_not_by_name(tmp_path):
+def test_gzip_is_detected_by_content_not_by_name(tmp_path):
     assert len(Carmen(log(tmp_path, flaser(1.0), pack=True, name="packed.log"))) == 1
     assert len(Carmen(log(tmp_path, flaser(1.0), name="plain.log.gz"))) == 1
 
@@ -104,7 +104,7 @@ def test_no_return_codes_become_inf(tmp_path, code):
     assert ranges[1] == 49.9
 
 
-def test_millimetre_codes_count_only_where_nothing_is_longer(tmp_path):
+def test_millimetre_codes_apply_only_if_no_range_is_longer(tmp_path):
     short = Carmen(log(tmp_path, flaser(1.0, beams(8.19, 8.0)), name="short.log"))
     long = Carmen(log(tmp_path, flaser(1.0, beams(8.19, 12.0)), name="long.log"))
     assert np.isposinf(ranges_of(short)[0])
@@ -145,12 +145,12 @@ def test_start_every_and_limit_choose_scans(tmp_path):
         Carmen(path, start=10)
 
 
-def test_a_raw_log_whose_scans_share_stamps_is_refused(tmp_path):
+def test_a_raw_log_with_repeated_scan_stamps_is_rejected(tmp_path):
     with pytest.raises(BadData, match="3 scans share 1 stamps"):
         Carmen(log(tmp_path, *[flaser(0)] * 3))
 
 
-def test_frames_can_be_asked_for_again(tmp_path):
+def test_frames_can_be_iterated_again(tmp_path):
     sequence = Carmen(log(tmp_path, flaser(1.0), flaser(2.0)))
     assert [f.scan.stamp_ns for f in sequence.frames()] == [f.scan.stamp_ns for f in sequence.frames()]
 
@@ -158,14 +158,14 @@ def test_frames_can_be_asked_for_again(tmp_path):
 # --- odometry and mounting
 
 
-def test_odom_lines_are_interpolated_at_the_scan_the_short_way_round(tmp_path):
+def test_odometry_is_interpolated_at_the_scan_along_the_shorter_rotation(tmp_path):
     lines = [odom(1.0, 0.0, 0.0, 3.1), flaser(1.5), odom(2.0, 1.0, -2.0, -3.1)]
     pose = next(Carmen(log(tmp_path, *lines)).frames()).odom_from_base
     assert (pose.x, pose.y) == (0.5, -1.0)
     assert abs(pose.theta) == pytest.approx(np.pi)
 
 
-def test_odometry_is_not_invented_outside_its_time(tmp_path):
+def test_odometry_is_not_extrapolated(tmp_path):
     lines = [flaser(1.0), odom(2.0, 1.0), flaser(2.5), odom(3.0, 2.0), flaser(3.04), flaser(4.0)]
     sequence = Carmen(log(tmp_path, *lines))
     poses = [frame.odom_from_base for frame in sequence.frames()]
@@ -176,27 +176,27 @@ def test_odometry_is_not_invented_outside_its_time(tmp_path):
     }
 
 
-def test_scans_in_a_gap_of_the_odometry_are_counted_if_the_robot_moved(tmp_path):
+def test_scans_in_an_odometry_gap_are_counted_if_the_robot_moved(tmp_path):
     lines = [odom(0.0), flaser(1.0), odom(5.0), flaser(6.0), odom(9.0, 3.0), flaser(9.5), odom(10.0, 3.1)]
     assert Carmen(log(tmp_path, *lines)).notes() == {"scans in a gap of the odometry over 1 s": 1}
 
 
-def test_without_odom_lines_the_robot_pose_beside_the_scan_is_the_odometry(tmp_path):
+def test_without_odom_lines_the_robot_pose_of_the_scan_is_the_odometry(tmp_path):
     path = log(tmp_path, flaser(1.0), flaser(2.0, robot=(1.0, 2.0, 0.3)))
     assert list(Carmen(path).frames())[1].odom_from_base == Pose(1.0, 2.0, 0.3)
     assert list(Carmen(path, odometry="none").frames())[1].odom_from_base is None
 
 
-def test_a_log_whose_robot_pose_never_changes_has_no_odometry(tmp_path):
+def test_a_log_with_a_constant_robot_pose_has_no_odometry(tmp_path):
     assert next(Carmen(log(tmp_path, flaser(1.0), flaser(2.0))).frames()).odom_from_base is None
 
 
-def test_odom_lines_asked_for_but_absent_are_an_error(tmp_path):
+def test_required_but_missing_odom_lines_are_an_error(tmp_path):
     with pytest.raises(BadData, match="no ODOM line"):
         Carmen(log(tmp_path, flaser(1.0)), odometry="odom-lines")
 
 
-def test_the_two_poses_of_a_scan_tell_where_the_laser_sits(tmp_path):
+def test_the_two_poses_of_a_scan_determine_the_mounting(tmp_path):
     heading = 1.0
     robot = (5.0, 6.0, heading)
     laser = (5.0 - 0.04 * math.cos(heading), 6.0 - 0.04 * math.sin(heading), heading)
@@ -204,7 +204,7 @@ def test_the_two_poses_of_a_scan_tell_where_the_laser_sits(tmp_path):
     assert next(Carmen(path).frames()).base_from_sensor == Pose(-0.04, 0.0, 0.0)
 
 
-def test_else_param_tells_and_a_parameter_overrides(tmp_path):
+def test_otherwise_param_lines_determine_the_mounting_and_a_parameter_overrides(tmp_path):
     path = log(tmp_path, "PARAM robot_frontlaser_offset -0.04 nohost 0", flaser(1.0))
     assert next(Carmen(path).frames()).base_from_sensor == Pose(-0.04)
     assert next(Carmen(path, base_from_sensor="0.1 0.2 0.3").frames()).base_from_sensor == Pose(0.1, 0.2, 0.3)
@@ -221,7 +221,7 @@ def corrected(*stamps):
         yield from (odom(stamp, *pose), flaser(stamp, laser=pose, robot=pose, host="pippo"), "NEFF 29.1", odom(8.9e-67))
 
 
-def test_the_poses_of_a_corrected_log_are_reference_not_odometry(tmp_path):
+def test_the_poses_of_a_corrected_log_are_ground_truth_not_odometry(tmp_path):
     sequence = Carmen(log(tmp_path, *corrected("21.0199", "23.8599")))
     assert all(frame.odom_from_base is None for frame in sequence.frames())
     assert sequence.truth().trajectory.poses[:, 0].tolist() == [0.0, 0.5]
@@ -242,7 +242,7 @@ def test_unusable_stamps_of_a_corrected_log_are_replaced_by_line_order(tmp_path)
     assert sequence.notes() == {name: 4}
 
 
-def test_poses_beside_graph_vertices_are_optimised_ones(tmp_path):
+def test_poses_of_graph_vertices_are_treated_as_optimised(tmp_path):
     lines = [
         "VERTEX2 0 1 2 0.5",
         robotlaser(1.0, [2.0] * 3),
@@ -255,7 +255,7 @@ def test_poses_beside_graph_vertices_are_optimised_ones(tmp_path):
     assert next(sequence.frames()).odom_from_base is None
 
 
-def test_gfs_readings_carry_odometry_and_the_odom_line_beside_them_is_passed_over(tmp_path):
+def test_gfs_readings_contain_odometry_and_the_adjacent_odom_line_is_skipped(tmp_path):
     reading = " ".join(map(str, ["LASER_READING", 180, *[2.0] * 180]))
     lines = [f"{reading} 0 0 0 1.0", "ODOM 9 9 9 2.0", f"{reading} 1 2 0.3 2.0", "NEFF 20"]
     sequence = Carmen(log(tmp_path, *lines, name="some.gfs"))
@@ -263,10 +263,10 @@ def test_gfs_readings_carry_odometry_and_the_odom_line_beside_them_is_passed_ove
     assert sequence.notes() == {}
 
 
-# --- truth in files
+# --- ground truth in files
 
 
-def test_relations_and_reference_are_cut_to_the_scans_taken(tmp_path):
+def test_relations_and_reference_are_cropped_to_the_selected_scans(tmp_path):
     path = log(tmp_path, *(flaser(float(stamp)) for stamp in range(10)))
     (tmp_path / "r").write_text("0 2 1 0 0 0 0 0\n1 8 1 0 0 0 0 0\n")
     (tmp_path / "t").write_text("0 0 0 0 0 0 0 1\n4.05 1 0 0 0 0 0 1\n7 2 0 0 0 0 0 1\n")
@@ -278,7 +278,7 @@ def test_relations_and_reference_are_cut_to_the_scans_taken(tmp_path):
 
 
 @pytest.mark.parametrize("what", ["relations", "ground_truth"])
-def test_truth_of_another_data_set_is_rejected(tmp_path, what):
+def test_ground_truth_of_another_data_set_is_rejected(tmp_path, what):
     line = "976052896.7 976052905.1 1 0 0 0 0 0" if what == "relations" else "976052896.7 1 0 0 0 0 0 1"
     (tmp_path / "other").write_text(line + "\n")
     with pytest.raises(BadData, match=r"other: its times.*do not overlap the recording"):
@@ -312,14 +312,14 @@ def test_damaged_lines_are_dropped_and_counted(tmp_path):
         (b"\x1f\x8b\x08\x00" + b"garbage" * 30, ["damaged gzip"]),
     ],
 )
-def test_a_log_without_a_usable_scan_says_where_and_why(tmp_path, content, parts):
+def test_a_log_without_a_usable_scan_is_reported_with_place_and_cause(tmp_path, content, parts):
     (tmp_path / "bad.clf").write_bytes(content)
     with pytest.raises(BadData) as caught:
         Carmen(str(tmp_path / "bad.clf"))
     assert all(part in str(caught.value) for part in ["bad.clf", *parts])
 
 
-def test_an_absent_log_is_missing_data_before_and_at_opening(tmp_path):
+def test_a_missing_log_raises_data_missing_before_and_when_opening(tmp_path):
     path = str(tmp_path / "none.log")
     assert SPEC.missing(path=path) == f"carmen: parameter 'path': no file {path}; check the path"
     assert "give a path" in SPEC.missing()
@@ -339,7 +339,7 @@ def test_an_absent_log_is_missing_data_before_and_at_opening(tmp_path):
         ("intel", 910, 180, 0.0, {"scans out of order": 4}),
     ],
 )
-def test_the_radish_logs_read_as_corrected_ones(name, scans, count, offset, backwards):
+def test_the_radish_logs_are_read_as_corrected_logs(name, scans, count, offset, backwards):
     sequence = Carmen(str(DATA / "radish-corrected" / f"{name}-corrected.log.gz"))
     first = next(sequence.frames())
     assert (len(sequence), len(first.scan.ranges)) == (scans, count)
@@ -349,7 +349,7 @@ def test_the_radish_logs_read_as_corrected_ones(name, scans, count, offset, back
     assert sequence.notes() == backwards
 
 
-def test_a_log_that_changes_while_it_is_read_is_no_recording(tmp_path):
+def test_a_log_that_changes_while_it_is_read_is_rejected(tmp_path):
     sequence = Carmen(log(tmp_path, flaser(1.0), flaser(2.0)))
     log(tmp_path, flaser(1.0))
     with pytest.raises(BadData, match="has changed since it was first read"):

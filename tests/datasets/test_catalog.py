@@ -13,7 +13,7 @@ from evalkit_datasets.catalog import CatalogFile
 
 @pytest.fixture
 def folders(tmp_path, monkeypatch):
-    """A data folder and a cache of the test's own."""
+    """Use a data folder and a cache inside the temporary folder."""
     monkeypatch.setenv(catalog.VARIABLE, str(tmp_path / "data"))
     monkeypatch.setattr(catalog, "cache_folder", lambda: tmp_path / "cache")
     return tmp_path
@@ -49,7 +49,7 @@ def test_every_card_is_complete(name):
     assert not entry.path.startswith("/")
 
 
-def test_every_data_set_needs_only_catalogued_files():
+def test_every_data_set_needs_only_files_of_the_catalogue():
     assert all(catalog.get_file(name) for names in recorded.FILES.values() for name in names)
 
 
@@ -58,7 +58,7 @@ def test_an_unknown_file_lists_the_known_ones():
         catalog.get_file("fr079.relation")
 
 
-def test_the_data_folder_comes_before_the_cache(folders):
+def test_the_data_folder_is_searched_before_the_cache(folders):
     inside = put(folders / "data", b"hello")
     assert catalog.find_local(card()) == inside
     inside.unlink()
@@ -68,7 +68,7 @@ def test_the_data_folder_comes_before_the_cache(folders):
     assert catalog.find_local(card()) == folders / "cache" / "set" / "a.log"
 
 
-def test_a_right_file_passes_by_sha256_and_by_git_blob(tmp_path):
+def test_a_correct_file_passes_by_sha256_and_by_git_blob(tmp_path):
     path = put(tmp_path, b"hello")
     catalog.verify(card(), path)
     # `printf hello | git hash-object --stdin`
@@ -83,14 +83,14 @@ def test_a_right_file_passes_by_sha256_and_by_git_blob(tmp_path):
         ({"sha256": "", "git_blob": "0" * 40}, r"git blob b6fc4c620b67\.\.\. instead of 000000000000"),
     ],
 )
-def test_a_wrong_file_is_named_with_what_to_do(tmp_path, changes, part):
+def test_a_wrong_file_is_reported_with_a_remedy(tmp_path, changes, part):
     with pytest.raises(BadData, match=rf"a\.log: {part}.*replace it with the catalogued file"):
         catalog.verify(card(**changes), put(tmp_path, b"hello"))
     with pytest.raises(BadData, match=r"fetch it again: .* fetch a\.log"):
         catalog.verify(card(**changes, url="https://x"), tmp_path / "set" / "a.log")
 
 
-def test_an_absent_file_says_where_it_was_sought_and_how_to_get_it(folders):
+def test_a_missing_file_is_reported_with_the_searched_places_and_a_remedy(folders):
     with pytest.raises(
         DataMissing, match=r"EVALKIT_DATA=.*data or in the cache .*cache; fetch it: .* fr079\.relations"
     ):
@@ -104,7 +104,7 @@ def test_the_error_of_a_derived_file_gives_the_reason_and_a_replacement(folders)
     assert recorded.STATIC.missing().endswith("fetch it: evalkit datasets fetch static")
 
 
-def test_a_data_set_is_complete_or_names_what_it_lacks(folders):
+def test_a_data_set_is_complete_or_lists_its_missing_files(folders):
     lacking = catalog.describe_missing("turtlebot4", recorded.FILES["turtlebot4"])
     assert lacking.startswith("macfirst_floor_take_2_0.db3 (and 1 more): not found")
     for name in recorded.FILES["turtlebot4"]:

@@ -1,4 +1,4 @@
-"""Downloading, against a server in the same process."""
+"""Downloads from a server in the same process."""
 
 import hashlib
 import http.server
@@ -17,7 +17,7 @@ CONTENT = bytes(range(256)) * 2000
 
 
 class Server(http.server.BaseHTTPRequestHandler):
-    """Serves CONTENT under /file, with ranges; /norange without; /break breaks off half way; /lie serves else."""
+    """HTTP server of CONTENT: /file with ranges, /norange without, /break stops half way, /lie sends other content."""
 
     def do_GET(self):
         asked = self.headers.get("Range")
@@ -34,7 +34,7 @@ class Server(http.server.BaseHTTPRequestHandler):
         self.wfile.write(body[: len(body) // 2] if self.path == "/break" else body)
 
     def log_message(self, *_):
-        """Keeps the test's output clean."""
+        """Print nothing."""
 
 
 @pytest.fixture
@@ -50,13 +50,13 @@ def server():
 
 @pytest.fixture
 def known(server, tmp_path, monkeypatch):
-    """Catalogues one file under the server's given path; gives its place in the cache."""
+    """Add one file under the given server path to the catalogue; returns its place in the cache."""
     monkeypatch.delenv(catalog.VARIABLE, raising=False)
     for proxy in ("http_proxy", "HTTP_PROXY", "all_proxy", "ALL_PROXY"):
         monkeypatch.delenv(proxy, raising=False)
     monkeypatch.setattr(catalog, "cache_folder", lambda: tmp_path / "cache")
 
-    def catalogued(path="/file", **changes):
+    def add_to_catalog(path="/file", **changes):
         url = f"http://127.0.0.1:{server.server_port}{path}" if path else ""
         card = CatalogFile(
             "a.log", "set/a.log", "", "", "", hashlib.sha256(CONTENT).hexdigest(), bytes=len(CONTENT), url=url
@@ -64,10 +64,10 @@ def known(server, tmp_path, monkeypatch):
         monkeypatch.setattr(catalog, "load_catalog", lambda: MappingProxyType({"a.log": replace(card, **changes)}))
         return tmp_path / "cache" / "set" / "a.log"
 
-    return catalogued
+    return add_to_catalog
 
 
-def part_of(target, content):
+def find_part_file(target, content):
     target.parent.mkdir(parents=True)
     part = target.with_name("a.log.part")
     part.write_bytes(content)
@@ -85,7 +85,7 @@ def test_a_file_is_downloaded_verified_and_then_found(known, server):
     assert server.asked == [None]
 
 
-def test_what_broke_off_is_kept_and_resumed(known, server):
+def test_an_interrupted_download_is_kept_and_resumed(known, server):
     target = known("/break")
     with pytest.raises(DataMissing, match=r"could not be downloaded .* bytes are kept"):
         fetch("a.log")
@@ -97,25 +97,25 @@ def test_what_broke_off_is_kept_and_resumed(known, server):
     assert server.asked == [None, f"bytes={kept}-"]
 
 
-def test_a_server_without_ranges_sends_all_of_it_again(known, server):
+def test_a_server_without_ranges_sends_the_whole_file_again(known, server):
     target = known("/norange")
-    part_of(target, CONTENT[:1000])
+    find_part_file(target, CONTENT[:1000])
     assert fetch("a.log").read_bytes() == CONTENT
     assert server.asked == ["bytes=1000-"]
 
 
 @pytest.mark.parametrize("size", [0, len(CONTENT)])
-def test_a_part_that_is_already_whole_is_taken(known, server, size):
-    part_of(known(bytes=size), CONTENT)
+def test_a_complete_part_file_is_used(known, server, size):
+    find_part_file(known(bytes=size), CONTENT)
     assert fetch("a.log").read_bytes() == CONTENT
     assert server.asked == ([] if size else [f"bytes={len(CONTENT)}-"])
 
 
 @pytest.mark.parametrize("path", ["/lie", "/file"])
-def test_a_wrong_file_is_deleted_and_said_to_be(known, path):
+def test_a_wrong_file_is_deleted_and_reported(known, path):
     target = known(path)
     if path == "/file":
-        part_of(target, b"y" * 1000)  # the beginning of something else
+        find_part_file(target, b"y" * 1000)  # the beginning of another file
     with pytest.raises(BadData, match=r"not the catalogued file .* and was deleted; fetch it again"):
         fetch("a.log")
     assert not target.exists()
@@ -128,14 +128,14 @@ def test_a_git_blob_verifies_a_file_of_unknown_size(known):
     assert fetch("a.log").read_bytes() == CONTENT
 
 
-def test_a_damaged_file_in_the_cache_is_fetched_anew(known):
+def test_a_damaged_file_in_the_cache_is_downloaded_again(known):
     target = known()
     target.parent.mkdir(parents=True)
     target.write_bytes(b"rotten")
     assert fetch("a.log").read_bytes() == CONTENT
 
 
-def test_a_damaged_file_in_the_users_own_folder_is_left_alone(known, tmp_path, monkeypatch):
+def test_a_damaged_file_in_the_users_folder_is_not_changed(known, tmp_path, monkeypatch):
     known()
     own = tmp_path / "own" / "set" / "a.log"
     own.parent.mkdir(parents=True)
@@ -146,7 +146,7 @@ def test_a_damaged_file_in_the_users_own_folder_is_left_alone(known, tmp_path, m
     assert own.read_bytes() == b"rotten"
 
 
-def test_an_absent_address_and_an_absent_server_are_said(known):
+def test_a_missing_address_and_an_unreachable_server_are_reported(known):
     known("/absent")
     with pytest.raises(DataMissing, match=r"404.*check the connection"):
         fetch("a.log")
@@ -155,14 +155,14 @@ def test_an_absent_address_and_an_absent_server_are_said(known):
         fetch("a.log")
 
 
-def test_fetching_a_derived_file_fails_with_a_replacement(known):
+def test_fetching_a_derived_file_fails_and_suggests_a_replacement(known):
     known("", derived="joined from b and c", instead=("b", "c"))
     with pytest.raises(DataMissing, match=r"no public URL \(joined from b and c\).*fetch a replacement: .* fetch b c"):
         fetch("a.log")
 
 
 @pytest.mark.parametrize("size", [0, len(CONTENT)])
-def test_a_server_that_sends_more_than_the_file_has_does_not_fill_the_disk(known, size, monkeypatch):
+def test_a_server_that_sends_too_much_does_not_fill_the_disk(known, size, monkeypatch):
     monkeypatch.setattr("evalkit_datasets.fetch.MAX_BYTES", len(CONTENT))
     target = known("/endless", bytes=size)
     with pytest.raises(BadData, match=f"sends more than {len(CONTENT)} bytes; the download was deleted"):

@@ -8,7 +8,7 @@ PLANS = {name: getattr(floorplans, name)() for name in ("room", "lab", "loop", "
 
 
 @pytest.mark.parametrize("name", PLANS)
-def test_a_route_never_comes_within_30_cm_of_anything(name):
+def test_a_route_keeps_30_cm_from_every_boundary(name):
     plan = PLANS[name]
     path = plan.route.poses_at(np.arange(0.0, plan.route.length_m, 0.01))
     assert plan.world.clearance(path[:, :2]).min() >= 0.3
@@ -17,14 +17,14 @@ def test_a_route_never_comes_within_30_cm_of_anything(name):
 @pytest.mark.parametrize(
     ("name", "length_m"), [("room", 22.7), ("lab", 23.5), ("loop", 40.9), ("corridor", 20.9), ("office", 34.8)]
 )
-def test_a_route_is_as_long_as_its_description_says(name, length_m):
+def test_a_route_has_the_length_in_its_description(name, length_m):
     assert PLANS[name].route.length_m == pytest.approx(length_m, abs=0.1)
 
 
 @pytest.mark.parametrize(
     ("name", "fastest_dps"), [("room", 69), ("lab", 69), ("loop", 69), ("corridor", 43), ("office", 69)]
 )
-def test_a_route_turns_as_fast_as_its_description_says(name, fastest_dps):
+def test_a_route_has_the_yaw_rate_in_its_description(name, fastest_dps):
     assert np.degrees(RouteDrive(PLANS[name].route, 0.3).top_yaw_rate) == pytest.approx(fastest_dps, abs=0.5)
 
 
@@ -35,13 +35,13 @@ def test_routes_have_straights_gentle_curves_and_quick_turns(name):
     assert [bool(length[kind].sum() > 0.3) for kind in kinds] == [True, True, True]
 
 
-def test_the_room_is_the_papers():
+def test_the_room_has_the_dimensions_of_the_paper():
     world = PLANS["room"].world
     np.testing.assert_array_equal(world.circles, [[2.0, 8.0, 1.5]])
     assert np.linalg.norm(world.segments[:, 2:] - world.segments[:, :2], axis=1).tolist() == [10.0] * 4
 
 
-def test_the_corridor_shows_nothing_but_two_walls_longer_than_the_lidar_sees():
+def test_the_corridor_shows_only_two_walls_longer_than_the_lidar_range():
     plan = PLANS["corridor"]
     assert len(plan.world.segments) == 2
     assert len(plan.world.circles) == 0

@@ -1,4 +1,4 @@
-"""The inspection, on recordings with one known defect each, and on real ones with known properties."""
+"""The inspection of recordings: recordings with one known defect each, and real ones with known properties."""
 
 import json
 import math
@@ -39,7 +39,7 @@ def laser(ranges, stamps=None, high=np.nan, step=0.0174533):
 
 
 def walls(count=60, beams=180, seed=0):
-    """Plain ranges between 1 and 8 m in centimetres, other ones in every scan."""
+    """Return plain ranges between 1 and 8 m in centimetres, different in every scan."""
     rng = np.random.default_rng(seed)
     return np.round(rng.uniform(1.0, 8.0, (count, beams)), 2)
 
@@ -62,7 +62,7 @@ def test_jitter_is_the_standard_deviation_of_normal_periods():
     assert measure_timing(seconds(*np.cumsum(periods))).jitter_s == pytest.approx(0.003, rel=0.05)
 
 
-def test_a_clock_that_is_ahead_and_runs_away():
+def test_a_clock_with_offset_and_drift_is_reported():
     recorded = seconds(*np.arange(0.0, 100.0, 0.1))
     found = measure_clock_offset(recorded + np.int64(0.25 * S) + (recorded * 40e-6).astype(np.int64), recorded)
     assert found.median_s == pytest.approx(0.252, abs=1e-4)
@@ -88,14 +88,14 @@ def test_a_cluster_of_codes_is_one_code():
     assert (found.low_m, found.high_m) == (51.06, 51.25)
 
 
-def test_walls_even_far_ones_are_no_codes():
+def test_far_walls_are_not_no_return_codes():
     rows = walls()
     assert find_no_return_codes(rows) == ()
     rows[:, 90:94] = 20.0  # a door at the end of a corridor, seen in four directions
     assert find_no_return_codes(rows) == ()
 
 
-def test_shares_of_what_is_no_hit():
+def test_shares_of_invalid_ranges():
     row = [0.0, -1.0, np.nan, np.inf, 12.0, 13.0, 1.0, 2.0, 3.0, 4.0]
     found = measure_ranges(laser([row, row], high=12.0))
     assert (found.zero, found.negative, found.nan, found.infinite) == (0.1, 0.1, 0.1, 0.1)
@@ -103,7 +103,7 @@ def test_shares_of_what_is_no_hit():
     assert found.repeated == 1
 
 
-def test_ranges_tell_the_step_they_are_written_in_and_whether_the_robot_stands():
+def test_ranges_reveal_their_quantisation_and_whether_the_robot_is_at_rest():
     still = np.repeat(walls(1), 60, axis=0)
     assert measure_ranges(laser(walls())).step_m == 0.01
     assert measure_ranges(laser(still)).still == 1.0
@@ -114,7 +114,7 @@ def test_ranges_tell_the_step_they_are_written_in_and_whether_the_robot_stands()
 
 
 def arc(count=200, speed=0.3, rate=0.4, noise=0.0, stop=20):
-    """A base that drives along an arc and stands for the last ``stop`` poses, ten poses a second."""
+    """Return poses of a base that drives along an arc and rests for the last ``stop`` poses, ten poses a second."""
     moving = np.arange(count) < count - stop
     distance, heading = np.cumsum(speed * 0.1 * moving), np.cumsum(rate * 0.1 * moving)
     radius = speed / rate
@@ -125,7 +125,7 @@ def arc(count=200, speed=0.3, rate=0.4, noise=0.0, stop=20):
                   np.stack([speed * moving, rate * moving], axis=-1))  # fmt: skip
 
 
-def test_an_arc_driven_by_wheels_is_like_wheels():
+def test_an_arc_driven_by_wheels_is_classified_as_wheel_odometry():
     found = measure_odometry(arc())
     assert found.path_m == pytest.approx(179 * 0.03, rel=1e-3)
     assert found.turned_deg == pytest.approx(math.degrees(179 * 0.04), rel=1e-6)
@@ -137,11 +137,11 @@ def test_an_arc_driven_by_wheels_is_like_wheels():
     assert found.twist.turn_scale == pytest.approx(1.0, abs=0.02)
 
 
-def test_noisy_poses_are_not_like_wheels():
+def test_noisy_poses_are_not_classified_as_wheel_odometry():
     assert not measure_odometry(arc(noise=0.002)).like_wheels
 
 
-def test_a_jump_is_told_with_its_time_and_size():
+def test_a_jump_is_reported_with_its_time_and_size():
     wheels = arc()
     wheels.poses[100:, 0] += 2.0
     found = measure_odometry(wheels)
@@ -151,8 +151,8 @@ def test_a_jump_is_told_with_its_time_and_size():
 
 
 @pytest.mark.parametrize("sign", [1.0, 0.5, -1.0])
-def test_the_scans_judge_the_turns_of_the_odometry(sign):
-    """A lidar that turns on the spot in an L-shaped room; the odometry tells ``sign`` times its turn."""
+def test_turns_of_the_odometry_are_compared_with_the_scans(sign):
+    """A lidar turns on the spot in an L-shaped room; the odometry reports ``sign`` times its turn."""
     turns = np.radians(4.0) * np.arange(40)
     directions = np.radians(np.arange(-90.0, 90.0))
     rows = []
@@ -166,7 +166,7 @@ def test_the_scans_judge_the_turns_of_the_odometry(sign):
     assert found.scale == pytest.approx(1.0 / sign, rel=0.02)
 
 
-def test_turns_are_not_judged_by_too_few_pairs():
+def test_turns_are_not_compared_with_too_few_pairs():
     assert compare_turns(arc(count=5, stop=0), laser(walls(5))) is None
     assert odometry_stats.MIN_PAIRS > 5
 
@@ -187,7 +187,7 @@ def flaser(stamp, ranges, pose=(0.0, 0.0, 0.0), host="h", logger=None):
 
 
 def drive(count=60, code=None):
-    """A log of scans ten times a second and wheels that drive an arc."""
+    """Write a log of scans at 10 Hz with wheel odometry along an arc."""
     rows, poses = walls(count), arc(count=count).poses
     if code is not None:
         rows[np.random.default_rng(5).random(rows.shape) < 0.03] = code
@@ -211,7 +211,7 @@ def test_a_suggested_config_is_a_valid_experiment_and_an_unknown_code_sets_range
     assert advice.command == f"evalkit compare {path} --set range_max_m=30.0"
 
 
-def test_a_corrected_log_has_no_odometry_but_a_reference(tmp_path):
+def test_a_corrected_log_has_a_reference_but_no_odometry(tmp_path):
     rows = walls(30)
     lines = [flaser(f"{1000 + at}", rows[at], (0.9 * at, 0.01 * at, 0.0), "pippo") for at in range(30)]
     found = inspect_recording(log(tmp_path, *lines, "NEFF 0.5"))
@@ -229,13 +229,13 @@ def test_relations_beside_a_log_are_used_if_they_share_its_time(tmp_path):
     assert suggest_config(inspect_recording(path)).parameters["relations"] == str(tmp_path / "truth.relations")
 
 
-def test_a_log_without_a_scan_is_a_problem_and_prescribes_nothing(tmp_path):
+def test_a_log_without_a_scan_is_a_problem_and_gets_no_suggested_config(tmp_path):
     found = inspect_recording(log(tmp_path, "ODOM 0 0 0 0 0 0 1.0 h 1.0", "ODOM 1 0 0 0 0 0 2.0 h 2.0"))
     assert found.findings[0].level == "problem"
     assert suggest_config(found) is None
 
 
-def test_errors_of_bad_files_are_those_of_the_readers(tmp_path):
+def test_errors_of_invalid_files_are_those_of_the_readers(tmp_path):
     (tmp_path / "torn.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(40))
     with pytest.raises(BadData, match="not a readable bag"):
         inspect_recording(tmp_path / "torn.bag")
@@ -262,13 +262,13 @@ def test_the_command_prints_json_and_writes_a_page(tmp_path):
     told = json.loads(result.stdout)
     assert told["lidars"][0]["timing"]["count"] == 60
     assert told["run"]["command"].startswith("evalkit compare")
-    assert "<svg" not in (tmp_path / "page" / "index.html").read_text(encoding="utf-8")  # drawings are data URIs
+    assert "<svg" not in (tmp_path / "page" / "index.html").read_text(encoding="utf-8")  # figures are data URIs
     assert json.loads((tmp_path / "page" / "inspection.json").read_text(encoding="utf-8"))["kind"] == "CARMEN log"
     told = CliRunner().invoke(app, [str(path)]).stdout
     assert "[[sequence]]" in told
 
 
-# --- what is known of real recordings
+# --- known properties of real recordings
 
 
 def recorded(*names):
@@ -278,7 +278,7 @@ def recorded(*names):
     return path
 
 
-def test_the_wheelchairs_clock_zeros_and_missing_frames_are_found():
+def test_clock_zeros_and_missing_frames_of_the_wheelchair_are_found():
     found = inspect_recording(recorded("bags", "wheelchair-3xhokuyo.bag"))
     assert [lidar.topic for lidar in found.lidars] == ["/left_scan", "/rear_scan", "/right_scan"]
     assert all(lidar.beams == 768 and lidar.field_of_view_deg == pytest.approx(270, abs=1) for lidar in found.lidars)
@@ -288,13 +288,13 @@ def test_the_wheelchairs_clock_zeros_and_missing_frames_are_found():
     assert best_lidar(found)[0].topic == "/right_scan"
 
 
-def test_the_standing_robot_is_seen_to_stand():
+def test_the_stationary_robot_is_found_to_be_at_rest():
     found = inspect_recording(recorded("bags", "static-2xhokuyo.bag"))
     assert all(lidar.returns.still > 0.99 for lidar in found.lidars)
     assert "the robot stands still" in said(found)
 
 
-def test_the_turtlebots_lidar_is_turned_and_its_two_bases_are_told():
+def test_the_turtlebots_lidar_is_rotated_and_its_two_bases_are_reported():
     found = inspect_recording(recorded("turtlebot4-rplidar", "macfirst_floor_take_2"))
     (seat,) = found.frames.mountings
     assert (seat.x_m, seat.y_m, seat.theta_deg) == pytest.approx((0.004, 0.0, 90.0), abs=1e-3)
@@ -320,7 +320,7 @@ def test_pseudo_odometry_is_rejected():
     assert build_document(found, advice).title == "fr079-fullrate.clf.gz"
 
 
-def test_raw_odometry_of_wheels_is_told_from_pseudo_odometry():
+def test_raw_wheel_odometry_is_distinguished_from_pseudo_odometry():
     found = inspect_recording(recorded("intel", "intel-merged.clf.gz"))
     assert all(one.like_wheels for one in found.drivings)
     assert found.lidars[0].returns.codes[0].low_m == 81.83

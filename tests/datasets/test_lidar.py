@@ -11,16 +11,16 @@ def measured(lidar, ranges, seed=0):
 
 
 @pytest.mark.parametrize(("rate_hz", "beams"), [(5.0, 1600), (10.0, 800), (15.0, 533)])
-def test_a_revolution_has_as_many_beams_as_the_paper_says(rate_hz, beams):
+def test_a_revolution_has_the_number_of_beams_in_the_paper(rate_hz, beams):
     assert LidarModel(rate_hz).beams == len(LidarModel(rate_hz).angles()) == beams
 
 
 @pytest.mark.parametrize("rate_hz", [5.0, 7.3, 15.0])
-def test_beams_turn_clockwise_once_round(rate_hz):
+def test_beams_rotate_clockwise_through_one_revolution(rate_hz):
     lidar = LidarModel(rate_hz)
     steps = np.diff(lidar.angles())
     np.testing.assert_allclose(steps, -2.0 * np.pi * rate_hz / 8000.0, rtol=1e-9)
-    gap = 2.0 * np.pi + steps.sum()  # from the last beam to the next revolution's first
+    gap = 2.0 * np.pi + steps.sum()  # from the last beam to the first of the next revolution
     assert -steps[0] <= gap + 1e-12 < -2.0 * steps[0]
 
 
@@ -34,41 +34,41 @@ def test_every_beam_has_its_own_time():
     assert beams.max() <= 1_000_000_000
 
 
-def test_a_revolution_that_does_not_end_in_time_is_not_begun():
+def test_a_revolution_that_does_not_end_in_time_is_not_started():
     lidar = LidarModel(5.0)
     assert len(lidar.stamps(1599 * 125_000)) == 1
     assert len(lidar.stamps(1599 * 125_000 - 1)) == 0
     assert len(lidar.stamps(200_000_000 + 1599 * 125_000)) == 2
 
 
-def test_without_noise_and_dropouts_the_truth_comes_through():
+def test_without_noise_and_dropouts_ranges_are_exact():
     true = np.array([0.149, 0.15, 3.0, 12.0, 12.001, np.inf])
     np.testing.assert_array_equal(
         measured(LidarModel(noise_m=0.0, dropout=0.0), true), [np.nan, 0.15, 3.0, 12.0, np.inf, np.inf]
     )
 
 
-def test_range_noise_has_the_papers_spread():
+def test_range_noise_has_the_standard_deviation_of_the_paper():
     count = 200_000
     error = measured(LidarModel(dropout=0.0), np.full(count, 5.0)) - 5.0
     assert abs(error.mean()) < 4.0 * 0.0483 / np.sqrt(count)
     assert abs(error.std() - 0.0483) < 4.0 * 0.0483 / np.sqrt(2.0 * count)
 
 
-def test_a_noisy_range_that_leaves_the_limits_becomes_no_return_or_invalid():
+def test_a_noisy_range_outside_the_limits_becomes_no_return_or_invalid():
     far, near = measured(LidarModel(dropout=0.0), np.full((2, 10_000), [[12.0], [0.15]]))
     for found, lost in ((far, np.isposinf(far)), (near, np.isnan(near))):
         assert 0.48 < lost.mean() < 0.52
-        Scan(0, found, np.zeros(len(found)), 0.15, 12.0)  # what is left lies within the limits
+        Scan(0, found, np.zeros(len(found)), 0.15, 12.0)  # the remaining ranges are within the limits
 
 
-def test_dropouts_are_invalid_and_as_many_as_asked_for():
+def test_dropouts_are_invalid_and_have_the_given_rate():
     count = 100_000
     lost = np.isnan(measured(LidarModel(dropout=0.01), np.full(count, 5.0)))
     assert abs(lost.mean() - 0.01) < 4.0 * np.sqrt(0.01 * 0.99 / count)
 
 
-def test_noise_and_dropouts_do_not_disturb_each_other():
+def test_noise_and_dropouts_are_independent():
     true = np.full(5000, 5.0)
     quiet, noisy = measured(LidarModel(noise_m=0.0), true), measured(LidarModel(noise_m=0.1), true)
     np.testing.assert_array_equal(np.isnan(quiet), np.isnan(noisy))
@@ -77,6 +77,6 @@ def test_noise_and_dropouts_do_not_disturb_each_other():
 
 
 @pytest.mark.parametrize("wrong", [{"rate_hz": 0.0}, {"noise_m": -0.1}, {"dropout": 1.5}])
-def test_an_impossible_lidar_is_refused(wrong):
+def test_an_invalid_lidar_is_rejected(wrong):
     with pytest.raises(ValueError, match=next(iter(wrong))):
         LidarModel(**wrong)

@@ -1,4 +1,4 @@
-"""The recordings known by name: their published figures, where their files are at hand."""
+"""The named recordings: their published error values, if the files are available."""
 
 import numpy as np
 import pytest
@@ -25,7 +25,7 @@ def sequence_of(name, **parameters):
 
 
 def nearest(trajectory, stamps):
-    """Index of the pose nearest to each time, and how far away it is (ns)."""
+    """Return the index of the pose nearest to each time, and its time distance (ns)."""
     right = np.clip(np.searchsorted(trajectory.stamps_ns, stamps), 1, len(trajectory) - 1)
     left = right - 1
     before, after = stamps - trajectory.stamps_ns[left], trajectory.stamps_ns[right] - stamps
@@ -34,13 +34,13 @@ def nearest(trajectory, stamps):
 
 
 def errors_m(relations, first, second, chosen):
-    """Kuemmerle's translational error, component-wise, of the relations chosen."""
+    """Return Kuemmerle's translational error, component-wise, of the selected relations."""
     delta = se2.between(first, second)[chosen] - relations.first_from_second[chosen]
     return np.hypot(delta[:, 0], delta[:, 1])
 
 
 def keyframe_errors(name):
-    """The reference trajectory against the relations whose two times are keyframes."""
+    """Compare the reference trajectory with the relations whose two times are keyframes."""
     truth = sequence_of(name).truth()
     (first, a), (second, b) = (
         nearest(truth.trajectory, s) for s in (truth.relations.first_ns, truth.relations.second_ns)
@@ -60,7 +60,7 @@ def test_each_spec_has_a_card(name):
 
 
 @pytest.mark.parametrize("name", [name for name in NAMES if not absent(name)])
-def test_every_file_at_hand_is_the_catalogued_one(name):
+def test_every_available_file_equals_its_catalogue_entry(name):
     assert all(catalog.locate(file).is_file() for file in recorded.FILES[name])
 
 
@@ -68,7 +68,7 @@ def test_every_file_at_hand_is_the_catalogued_one(name):
 
 
 @needs("fr079")
-def test_fr079_holds_what_its_card_says():
+def test_fr079_matches_its_card():
     sequence = sequence_of("fr079")
     frames = list(sequence.frames())
     assert len(sequence) == len(frames) == 4791
@@ -105,7 +105,7 @@ def test_fr079_gmapping_scores_0_060_0_042_m_on_the_relations():
 
 
 @needs("intel")
-def test_intel_holds_what_its_card_says():
+def test_intel_matches_its_card():
     sequence = sequence_of("intel")
     frames = list(sequence.frames())
     assert len(sequence) == len(frames) == 5438
@@ -130,9 +130,9 @@ def test_intel_reference_scores_0_029_m_on_the_relations():
 )
 @pytest.mark.parametrize(("beyond_s", "mean", "spread"), [(0.0, 0.051, 0.052), (0.1, 0.069, 0.081)])
 def test_intel_gmapping_on_the_relations_depends_on_how_poses_are_carried(beyond_s, mean, spread):
-    """0.051 m: every pose carried to the relation's time by the odometry; 0.069 m: only those over 0.1 s away.
-
-    The second is the official evaluator's rule; Kuemmerle et al. print 0.070 +- 0.083 m.
+    """0.051 m if odometry carries every pose to the time of the relation; 0.069 m if only poses more than 0.1 s
+    away are carried. The second is the rule of the official evaluator; Kuemmerle et al. print 0.070 +- 0.083
+    m.
     """
     relations = sequence_of("intel").truth().relations
     gmapping = read_tum(catalog.locate("intel-gmapping.tum")).trajectory
@@ -155,7 +155,7 @@ def test_intel_gmapping_on_the_relations_depends_on_how_poses_are_carried(beyond
 
 
 @needs("turtlebot4")
-def test_turtlebot4_holds_what_its_card_says():
+def test_turtlebot4_matches_its_card():
     sequence = sequence_of("turtlebot4")
     frames = list(sequence.frames())
     assert len(frames) == len(sequence) == 357
@@ -172,7 +172,7 @@ def test_turtlebot4_holds_what_its_card_says():
 
 
 @needs("turtlebot4")
-def test_turtlebot4_shows_the_map_of_its_floor_and_scores_nothing_against_it():
+def test_turtlebot4_shows_the_map_of_its_floor_without_scoring_it():
     truth = sequence_of("turtlebot4").truth()
     assert truth.grid is None
     if truth.plan is None:

@@ -1,4 +1,4 @@
-"""ROS bags as sequences, against bags written for the purpose."""
+"""ROS bags as sequences, compared with bags written by the tests."""
 
 import math
 import os
@@ -18,11 +18,11 @@ typesys = pytest.importorskip("rosbags.typesys")
 
 DATA = Path(os.environ.get("EVALKIT_DATA") or "absent")
 KINDS = ("ros1", "sqlite3", "mcap")
-T0 = 1663967375_000000001  # no float of seconds can hold it
+T0 = 1663967375_000000001  # not representable as a float of seconds
 
 
 class Bag:
-    """Messages of one ROS version, to be written in the order they were added."""
+    """Messages of one ROS version, written in the order they were added."""
 
     def __init__(self, kind):
         self.kind = kind
@@ -98,7 +98,7 @@ class Bag:
         return self.add("/tf_static" if static else "/tf", "tf2_msgs/msg/TFMessage", message, max(stamp, T0))
 
     def write(self, folder):
-        """The path of the finished bag."""
+        """Write the bag; returns its path."""
         if self.kind == "ros1":
             path, serialize = folder / "made.bag", self.store.serialize_ros1
             writer = rosbag1.Writer(path)
@@ -118,11 +118,11 @@ def frames_of(bag, folder, **parameters):
     return list(RosBag(str(bag.write(folder)), **parameters).frames())
 
 
-# --- exact values there and back
+# --- exact round trip
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_scan_comes_back_exactly(tmp_path, kind):
+def test_a_scan_is_read_back_exactly(tmp_path, kind):
     sequence = RosBag(
         str(Bag(kind).scan(T0, [1.5, 2.25, math.inf, 11.5, 3.0], recorded=T0 + 240_000_000).write(tmp_path))
     )
@@ -145,7 +145,7 @@ def test_odometry_is_interpolated_at_the_first_and_the_last_beam(tmp_path, kind)
     np.testing.assert_allclose((frame.odom_from_base @ frame.start_from_end).row, end.row, atol=1e-12)
 
 
-def test_no_motion_within_the_scan_is_invented_beyond_the_odometry(tmp_path):
+def test_motion_within_a_scan_is_not_extrapolated_beyond_the_odometry(tmp_path):
     bag = Bag("sqlite3").odom(T0, 0.0).odom(T0 + 20_000_000, 1.0).scan(T0 + 10_000_000, [1.0] * 5)
     frame = frames_of(bag, tmp_path)[0]
     assert frame.odom_from_base == Pose(0.5)
@@ -171,7 +171,7 @@ def test_a_scan_that_turns_clockwise_keeps_its_firing_order(tmp_path):
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_first_of_several_echoes_counts_and_none_is_no_return(tmp_path, kind):
+def test_the_first_of_several_echoes_is_used_and_no_echo_is_no_return(tmp_path, kind):
     ranges = frames_of(Bag(kind).echoes(T0, [2.5], [1.5, 4.0], []), tmp_path)[0].scan.ranges
     assert ranges.tolist() == [2.5, 1.5, math.inf]
 
@@ -196,7 +196,7 @@ def test_scans_are_sorted_by_header_time_and_repeated_ones_dropped(tmp_path):
     assert sequence.notes() == {"scans out of order": 1, "scans with a repeated stamp dropped": 1}
 
 
-def test_a_header_without_a_time_gets_the_time_of_recording(tmp_path):
+def test_a_header_without_a_time_gets_the_recording_time(tmp_path):
     sequence = RosBag(str(Bag("ros1").scan(0, [1, 2], recorded=T0).write(tmp_path)))
     assert next(sequence.frames()).scan.stamp_ns == T0
     assert sequence.notes() == {"scans without a stamp, given the time of recording": 1}
@@ -213,7 +213,7 @@ def test_start_every_and_limit_choose_scans(tmp_path):
 # --- frames
 
 
-def test_the_mounting_is_looked_up_through_the_tree(tmp_path):
+def test_the_mounting_is_found_in_the_transform_tree(tmp_path):
     bag = (
         Bag("sqlite3")
         .tf(T0, "base_link", "plate", 0.25)
@@ -223,7 +223,7 @@ def test_the_mounting_is_looked_up_through_the_tree(tmp_path):
     np.testing.assert_allclose(found.row, [0.25, 0.5, math.pi / 2], atol=1e-12)
 
 
-def test_frame_names_with_a_slash_are_the_same_frames(tmp_path):
+def test_frame_names_with_and_without_a_slash_are_equal(tmp_path):
     bag = Bag("ros1").tf(T0, "/base_link", "/laser", 0.25).scan(T0, [1, 2], frame="laser")
     assert frames_of(bag, tmp_path)[0].base_from_sensor == Pose(0.25)
 
@@ -249,7 +249,7 @@ def test_without_transforms_the_lidar_is_the_base_and_a_parameter_overrides(tmp_
     assert next(RosBag(path, base_from_sensor="0.1 0 1").frames()).base_from_sensor == Pose(0.1, 0.0, 1.0)
 
 
-def test_tf_serves_as_odometry_and_prefers_base_link(tmp_path):
+def test_tf_serves_as_odometry_with_preference_for_base_link(tmp_path):
     bag = Bag("sqlite3")
     for stamp, x in [(T0, 1.0), (T0 + 10, 2.0)]:
         bag.tf(stamp, "odom", "base_footprint", x + 100, static=False).tf(stamp, "odom", "base_link", x, static=False)
@@ -259,14 +259,14 @@ def test_tf_serves_as_odometry_and_prefers_base_link(tmp_path):
     assert next(RosBag(path, odometry="none").frames()).odom_from_base is None
 
 
-def test_tf_fills_up_where_the_odometry_topic_is_silent(tmp_path):
+def test_tf_fills_gaps_of_the_odometry_topic(tmp_path):
     bag = Bag("sqlite3").odom(T0 + 10**9, 1.0).odom(T0 + 2 * 10**9, 2.0).tf(T0, "odom", "base_link", 0.0, static=False)
     path = str(bag.scan(T0 + 5 * 10**8, [1, 2], frame="base_link").write(tmp_path))
     assert next(RosBag(path).frames()).odom_from_base == Pose(0.5)
     assert next(RosBag(path, odometry="/odom").frames()).odom_from_base is None
 
 
-def test_another_base_frame_moves_the_odometry_along(tmp_path):
+def test_another_base_frame_transforms_the_odometry(tmp_path):
     bag = (
         Bag("sqlite3")
         .odom(T0, 1.0, 0.0, math.pi / 2)
@@ -278,10 +278,10 @@ def test_another_base_frame_moves_the_odometry_along(tmp_path):
     np.testing.assert_allclose(frame.base_from_sensor.row, [1.0, 0.0, 0.0], atol=1e-12)
 
 
-# --- what the user may have to mend
+# --- errors for the user to fix
 
 
-def test_several_laser_topics_are_named_with_their_counts(tmp_path):
+def test_several_laser_topics_are_listed_with_their_counts(tmp_path):
     path = str(
         Bag("ros1")
         .scan(T0, [1, 2], "/left")
@@ -298,12 +298,12 @@ def test_several_laser_topics_are_named_with_their_counts(tmp_path):
     assert len(RosBag(path, topic="right")) == 2
 
 
-def test_a_bag_without_laser_says_so(tmp_path):
+def test_a_bag_without_laser_scans_is_reported(tmp_path):
     with pytest.raises(BadData, match=r"0 topics with laser scans; topics: /odom \(Odometry, 1\).*LaserScan messages"):
         RosBag(str(Bag("sqlite3").odom(T0, 0.0).write(tmp_path)))
 
 
-def test_wrong_odometry_and_frames_name_the_known_ones(tmp_path):
+def test_wrong_odometry_and_frame_names_list_the_known_ones(tmp_path):
     path = str(Bag("ros1").odom(T0, 0.0, topic="/a").odom(T0, 0.0, topic="/b").scan(T0, [1, 2]).write(tmp_path))
     with pytest.raises(BadData, match="topics with odometry: /a, /b"):
         RosBag(path)
@@ -330,7 +330,7 @@ def test_a_ros2_bag_without_type_definitions_is_read(tmp_path):
 
 
 @pytest.mark.parametrize(("kind", "ending"), [("sqlite3", "db3"), ("mcap", "mcap")])
-def test_the_file_inside_a_ros2_bag_means_the_bag_and_opens_alone_too(tmp_path, kind, ending):
+def test_a_file_inside_a_ros2_bag_opens_the_bag_or_itself_alone(tmp_path, kind, ending):
     path = Bag(kind).scan(T0, [1.5, 2.5]).write(tmp_path)
     assert len(RosBag(str(path / f"made.{ending}"))) == 1
     (path / "metadata.yaml").unlink()
@@ -341,7 +341,7 @@ def test_the_file_inside_a_ros2_bag_means_the_bag_and_opens_alone_too(tmp_path, 
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("share", [0.02, 0.5, 0.9])
-def test_a_bag_cut_short_says_how_to_mend_it(tmp_path, kind, share):
+def test_a_truncated_bag_is_reported_with_a_remedy(tmp_path, kind, share):
     bag = Bag(kind)
     for index in range(200):
         bag.scan(T0 + index, np.full(300, 1.0))
@@ -356,7 +356,7 @@ def test_a_bag_cut_short_says_how_to_mend_it(tmp_path, kind, share):
 @pytest.mark.parametrize(
     "content", [b"", b"#ROSBAG V2.0\n" + bytes(range(256)) * 9, b"nothing of the kind", bytes(5000)]
 )
-def test_garbage_is_no_bag(tmp_path, name, content):
+def test_a_file_of_random_bytes_is_not_a_bag(tmp_path, name, content):
     (tmp_path / name).write_bytes(content)
     with pytest.raises(BadData, match=name):
         RosBag(str(tmp_path / name))
@@ -371,11 +371,11 @@ def test_other_suffixes_and_absent_files_are_rejected(tmp_path):
     assert SPEC.missing(path=str(tmp_path / "absent.bag")).endswith("check the path")
 
 
-# --- never all scans at once
+# --- bounded memory
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_frames_follow_a_clock_that_was_set_back_by_hundreds_of_scans(tmp_path, kind):
+def test_frames_are_in_order_after_a_clock_was_set_back_by_hundreds_of_scans(tmp_path, kind):
     bag = Bag(kind)
     stamps = [*range(700, 1400), *range(700)]
     for recorded, stamp in enumerate(stamps):
@@ -387,7 +387,7 @@ def test_frames_follow_a_clock_that_was_set_back_by_hundreds_of_scans(tmp_path, 
     assert sequence.notes() == {"scans out of order": 1}
 
 
-def test_a_bag_that_changes_while_it_is_read_is_no_recording(tmp_path):
+def test_a_bag_that_changes_while_it_is_read_is_rejected(tmp_path):
     path = Bag("ros1").scan(T0, [1.0, 2.0]).scan(T0 + 10**8, [1.0, 2.0]).write(tmp_path)
     sequence = RosBag(str(path))
     path.unlink()
@@ -396,7 +396,7 @@ def test_a_bag_that_changes_while_it_is_read_is_no_recording(tmp_path):
         list(sequence.frames())
 
 
-def test_of_transforms_that_move_the_nearest_to_the_first_scan_taken_counts(tmp_path):
+def test_a_moving_mounting_uses_the_transform_nearest_to_the_first_selected_scan(tmp_path):
     bag = Bag("sqlite3").scan(T0, [1.0, 2.0]).scan(T0 + 10 * 10**9, [1.0, 2.0])
     for second, x in ((1, 0.1), (9, 0.9), (14, 1.4)):
         bag.tf(T0 + second * 10**9, "base_link", "laser", x=x, static=False)

@@ -49,7 +49,7 @@ def in_world(world_from_sensor, scan):
 
 
 @pytest.mark.parametrize("name", SPECS)
-def test_a_spec_makes_a_sequence_from_its_own_defaults(name):
+def test_a_spec_opens_a_sequence_with_its_own_defaults(name):
     spec = SPECS[name]
     assert isinstance(spec, DatasetSpec)
     assert spec.seeded
@@ -64,7 +64,7 @@ def test_a_spec_makes_a_sequence_from_its_own_defaults(name):
 
 
 @pytest.mark.parametrize(("rate_hz", "beams"), [(5.0, 1600), (10.0, 800), (15.0, 533)])
-def test_frames_come_at_the_lidars_rate_with_all_beams(rate_hz, beams):
+def test_frames_have_the_rate_and_the_beams_of_the_lidar(rate_hz, beams):
     sequence = short("room", rate_hz=rate_hz)
     scans = [frame.scan for frame in sequence.frames()]
     assert len(scans) == len(sequence)
@@ -76,7 +76,7 @@ def test_frames_come_at_the_lidars_rate_with_all_beams(rate_hz, beams):
 
 
 @pytest.mark.parametrize("name", SPECS)
-def test_a_beam_without_noise_ends_on_a_boundary_seen_from_where_it_was_fired(name):
+def test_a_noise_free_beam_ends_on_a_boundary_as_seen_from_its_firing_pose(name):
     sequence = exact(name)
     for frame in list(sequence.frames())[::25]:
         stamps = frame.scan.stamp_ns + frame.scan.time_increment_ns * np.arange(len(frame.scan.ranges))
@@ -87,7 +87,7 @@ def test_a_beam_without_noise_ends_on_a_boundary_seen_from_where_it_was_fired(na
 
 
 @pytest.mark.parametrize("name", ["room", "lab"])
-def test_a_deskewed_scan_falls_on_the_walls_and_a_raw_one_does_not(name):
+def test_a_deskewed_scan_fits_the_walls_and_a_raw_one_does_not(name):
     sequence = exact(name)
     boundaries = np.cumsum(sequence.drive.route.sections[:, 4])
     cleared, raw = [], []
@@ -95,18 +95,18 @@ def test_a_deskewed_scan_falls_on_the_walls_and_a_raw_one_does_not(name):
         begin, end = sequence.drive.distance([frame.scan.stamp_ns, frame.scan.stamp_ns + frame.scan.duration_ns])
         cruising = end - begin > 0.3 * frame.scan.duration_ns * 1e-9 - 1e-9
         if not cruising or ((boundaries > begin) & (boundaries < end)).any():
-            continue  # deskewing takes the motion as steady: skip scans in which the curvature or the speed changes
+            continue  # deskewing assumes constant motion: skip scans in which the curvature or the speed changes
         world_from_sensor = se2.compose(pose, frame.base_from_sensor.row)
         deskewed = frame.scan.deskewed(frame.base_from_sensor, frame.start_from_end)
         cleared.append(sequence.plan.world.clearance(in_world(world_from_sensor, deskewed)).max())
         raw.append(sequence.plan.world.clearance(in_world(world_from_sensor, frame.scan)).max())
     assert len(cleared) > 20
     assert max(cleared) < 1e-6
-    assert min(raw) > 0.02  # 6 cm are driven in one scan
-    assert max(raw) > 0.2  # and up to 13 degrees turned
+    assert min(raw) > 0.02  # the robot moves 6 cm during a scan
+    assert max(raw) > 0.2  # and turns by up to 13 degrees
 
 
-def test_faultless_odometry_is_the_true_motion():
+def test_error_free_odometry_equals_the_true_motion():
     sequence = exact("lab")
     true = sequence.truth().trajectory.poses
     np.testing.assert_allclose(odometry(sequence), se2.between(true[:1], true), atol=1e-9)
@@ -124,13 +124,13 @@ def test_odometry_starts_at_the_identity_and_drifts():
     assert 0.01 < off < 5.0
 
 
-def test_frames_are_the_same_every_time():
+def test_frames_are_repeatable():
     first, again = list(short("lab").frames()), list(short("lab").frames())
     assert [a.scan.ranges.tobytes() for a in first] == [b.scan.ranges.tobytes() for b in again]
 
 
 @pytest.mark.parametrize("name", SPECS)
-def test_the_same_seed_gives_the_same_bits_and_another_seed_others(name):
+def test_the_same_seed_gives_identical_scans_and_another_seed_different_ones(name):
     first, again, other = (SPECS[name].make(laps=0.05, seed=seed) for seed in (5, 5, 6))
     assert ranges(first).tobytes() == ranges(again).tobytes()
     assert odometry(first).tobytes() == odometry(again).tobytes()
@@ -138,19 +138,19 @@ def test_the_same_seed_gives_the_same_bits_and_another_seed_others(name):
     assert not np.array_equal(odometry(first)[1:], odometry(other)[1:])
 
 
-def test_changing_one_error_leaves_the_others_as_they_were():
+def test_changing_one_error_keeps_the_others():
     usual, quiet, straight = short("lab"), short("lab", noise_m=0.0), short("lab", gyro_bias_dps=5.0)
     np.testing.assert_array_equal(np.isnan(ranges(usual)), np.isnan(ranges(quiet)))
     assert odometry(usual).tobytes() == odometry(quiet).tobytes()
     assert ranges(usual).tobytes() == ranges(straight).tobytes()
 
 
-def test_range_errors_have_the_papers_spread():
+def test_range_errors_have_the_standard_deviation_of_the_paper():
     error = ranges(short("lab", dropout=0.0)) - ranges(short("lab", dropout=0.0, noise_m=0.0))
     assert error.std() == pytest.approx(0.0483, rel=4.0 / np.sqrt(2.0 * error.size))
 
 
-def test_notes_count_what_came_back_empty():
+def test_notes_count_invalid_and_no_return_ranges():
     sequence = short("corridor")
     found = ranges(sequence)
     assert sequence.notes() == {
@@ -164,7 +164,7 @@ def test_notes_count_what_came_back_empty():
 @pytest.mark.parametrize(
     ("name", "path_m"), [("room", 22.7), ("lab", 23.5), ("loop", 43.0), ("corridor", 20.9), ("office", 34.8)]
 )
-def test_the_true_path_has_its_length_and_keeps_its_speed(name, path_m):
+def test_the_true_path_has_the_given_length_and_speed(name, path_m):
     truth = whole(name).truth()
     assert len(truth.trajectory) == len(whole(name))
     steps = np.linalg.norm(np.diff(truth.trajectory.poses[:, :2], axis=0), axis=1)
@@ -173,7 +173,7 @@ def test_the_true_path_has_its_length_and_keeps_its_speed(name, path_m):
     assert (steps / np.diff(truth.trajectory.stamps_ns) * 1e9).max() <= 0.3 + 1e-6
 
 
-def test_the_loop_ends_where_it_has_been_before():
+def test_the_loop_ends_at_a_place_visited_before():
     poses = whole("loop").truth().trajectory.poses
     back = np.linalg.norm(poses[-200:, None, :2] - poses[None, :200, :2], axis=2).min(axis=1)
     assert back[-1] < 0.02
@@ -181,7 +181,7 @@ def test_the_loop_ends_where_it_has_been_before():
 
 
 @pytest.mark.parametrize("name", ["room", "lab", "corridor", "office"])
-def test_what_perfect_beams_meet_is_on_the_true_map(name):
+def test_ideal_beams_end_on_the_true_map(name):
     sequence = whole(name)
     grid = sequence.truth().grid
     stamps = sequence.lidar.beam_stamps(sequence.stamps_ns[::20])
@@ -200,13 +200,13 @@ def test_only_the_corridor_is_degenerate():
     assert [name for name, spec in SPECS.items() if spec.degenerate] == ["corridor"]
 
 
-def test_lidars_do_not_sit_in_the_middle_and_not_all_straight():
+def test_lidars_are_mounted_off_centre_and_some_are_rotated():
     mounts = [SPECS[name].make(laps=0.1).base_from_sensor for name in SPECS]
     assert all((mount.x, mount.y) != (0.0, 0.0) for mount in mounts)
     assert any(mount.theta != 0.0 for mount in mounts)
 
 
-def test_lost_scans_are_missing_and_the_others_stay_as_they_were():
+def test_lost_scans_are_missing_and_the_others_unchanged():
     usual, thinned = short("lab"), short("lab", drop_every_s=3.0, drop_s=0.35)
     kept = np.isin(usual.stamps_ns, thinned.stamps_ns)
     missing = usual.stamps_ns[~kept] * 1e-9
@@ -217,7 +217,7 @@ def test_lost_scans_are_missing_and_the_others_stay_as_they_were():
     assert thinned.notes()["scans lost"] == 12
 
 
-def test_people_hide_walls_and_leave_all_else_as_it_was():
+def test_pedestrians_hide_walls_and_change_nothing_else():
     empty, busy = short("room", noise_m=0.0), short("room", noise_m=0.0, people=2)
     before, after = ranges(empty), ranges(busy)
     hidden = ~np.isclose(before, after, equal_nan=True)
@@ -227,7 +227,7 @@ def test_people_hide_walls_and_leave_all_else_as_it_was():
     np.testing.assert_array_equal(busy.truth().grid.log_odds, empty.truth().grid.log_odds)
 
 
-def test_slips_reach_the_odometry_alone():
+def test_slips_affect_only_the_odometry():
     usual, slipping = short("lab"), short("lab", slip_every_s=4.0, slip_mps=1.0)
     assert ranges(usual).tobytes() == ranges(slipping).tobytes()
     steps = [np.hypot(*np.diff(odometry(each), axis=0)[:, :2].T) for each in (usual, slipping)]
@@ -235,7 +235,7 @@ def test_slips_reach_the_odometry_alone():
     assert longer.tolist() == [20, 21, 22, 23, 24, 60, 61, 62, 63, 64]
 
 
-TODAY = [  # scans, invalid ranges, sum of the others (m), the last odometry
+TODAY = [  # scans, invalid ranges, sum of the others (m), the last odometry pose
     ("room", 81, 703, 303837.664910, [2.250688867, -0.02610002, -0.022688902]),
     ("lab", 84, 724, 236079.611691, [2.323129756, -0.161805775, -0.165427769]),
     ("loop", 142, 1185, 246712.175834, [4.047829788, -0.328444252, -0.151043841]),
@@ -254,7 +254,7 @@ def test_published_sequences_do_not_change(name, scans, invalid, metres, last):
 
 
 @pytest.mark.parametrize(("speed_mps", "turn_dps"), [(0.2, 90.0), (1.0, 30.0)])
-def test_turns_go_at_the_yaw_rate_asked_for_at_any_speed(speed_mps, turn_dps):
+def test_turns_have_the_given_yaw_rate_at_any_speed(speed_mps, turn_dps):
     drive = SPECS["lab"].make(speed_mps=speed_mps, turn_dps=turn_dps).drive
     poses = drive.poses(np.arange(0, drive.duration_ns, 10_000_000))
     steps = se2.between(poses[:-1], poses[1:]) / 0.01
@@ -262,14 +262,14 @@ def test_turns_go_at_the_yaw_rate_asked_for_at_any_speed(speed_mps, turn_dps):
     assert np.hypot(steps[:, 0], steps[:, 1]).max() == pytest.approx(speed_mps, rel=1e-6)
 
 
-def test_unknown_and_impossible_parameters_are_refused():
+def test_unknown_and_invalid_parameters_are_rejected():
     with pytest.raises(UnknownName, match="speed_mps"):
         SPECS["lab"].make(speed=1.0)
     with pytest.raises(BadParameter, match="rate_hz"):
         SPECS["lab"].make(rate_hz=20.0)
 
 
-def test_a_drive_too_long_to_be_kept_gives_the_same_scans_and_counts(monkeypatch):
+def test_a_drive_too_long_to_be_cached_gives_the_same_scans_and_counts(monkeypatch):
     settings = {"laps": 0.05, "drop_every_s": 3.0, "seed": 4}
     kept = SPECS["lab"].make(**settings)
     known = ranges(kept), odometry(kept), kept.notes()
@@ -283,7 +283,7 @@ def test_a_drive_too_long_to_be_kept_gives_the_same_scans_and_counts(monkeypatch
     assert next(simulated.frames()) is not next(simulated.frames())
 
 
-def test_a_day_at_ten_scans_a_second_can_be_asked_for_and_begins_at_once():
+def test_a_sequence_of_a_day_at_10_hz_starts_at_once():
     day = SPECS["lab"].make(laps=1110.0, rate_hz=10.0)
     assert len(day) > 864_000
     assert day.stamps_ns[-1] > 24 * 3600 * 10**9

@@ -28,14 +28,14 @@ def tree(*static, moving=()):
     return made
 
 
-def test_a_chain_is_composed():
+def test_a_chain_of_transforms_is_composed():
     made = tree(("base", "plate", (1, 0, 0.2), yaw(math.pi / 2)), ("plate", "lidar", (0.5, 0, 0.1), yaw(math.pi / 2)))
     found = made.find_mounting("base", "lidar", 0)
     np.testing.assert_allclose(found.base_from_sensor.row, [1.0, 0.5, -math.pi], atol=1e-12)
     assert not found.mirrored
 
 
-def test_frames_meet_in_a_common_parent():
+def test_frames_are_connected_through_a_common_parent():
     made = tree(("foot", "base", (0.1, 0, 0), LEVEL), ("foot", "lidar", (0.3, 0, 0), LEVEL))
     np.testing.assert_allclose(made.find_mounting("base", "lidar", 0).base_from_sensor.row, [0.2, 0, 0], atol=1e-12)
 
@@ -45,7 +45,7 @@ def test_a_lidar_upside_down_is_mirrored():
     assert made.find_mounting("base", "lidar", 0) == Mounting(Pose(0.1, 0.2, 0.0), mirrored=True)
 
 
-def test_mirrored_angles_and_the_planar_pose_give_the_beams_of_the_3d_pose():
+def test_mirrored_angles_and_the_planar_pose_equal_the_beams_of_the_3d_pose():
     rng = np.random.default_rng(3)
     for _ in range(20):
         heading, angle = rng.uniform(-3, 3, 2)
@@ -65,7 +65,7 @@ def test_a_lidar_on_its_side_is_rejected():
         tree(("base", "lidar", (0, 0, 0), about((1, 0, 0), math.pi / 2))).find_mounting("base", "lidar", 0)
 
 
-def test_the_last_static_transform_counts_and_the_nearest_moving_one():
+def test_the_last_static_and_the_nearest_moving_transform_are_used():
     made = tree(
         ("base", "arm", (1, 0, 0), LEVEL), ("base", "arm", (2, 0, 0), LEVEL),
         moving=[(10, "arm", "lidar", (0, 1, 0), LEVEL), (20, "arm", "lidar", (0, 5, 0), LEVEL)],

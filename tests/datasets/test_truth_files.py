@@ -1,4 +1,4 @@
-"""Files of ground truth: measured distances and relations, and what is wrong with invalid ones."""
+"""Files of ground truth: measured distances and relations, and the errors of invalid files."""
 
 import numpy as np
 import pytest
@@ -34,7 +34,7 @@ def file(tmp_path, text):
     return path
 
 
-def test_places_are_times_points_seen_then_and_walls(tmp_path):
+def test_places_are_times_observed_points_and_walls(tmp_path):
     assert read_spans(file(tmp_path, DOORS)) == (
         Span("door to door", SpanEnd(stamp_ns=976052857337284001), SpanEnd(0.5, -1.0, 976052860 * 10**9), 4.09, 0.01),
         Span("span 2", SpanEnd(0.0, 1.5), SpanEnd(3.0, 1.5), 3.0, 0.02),
@@ -55,7 +55,7 @@ def test_places_are_times_points_seen_then_and_walls(tmp_path):
         ("[[span]\n", "not valid TOML"),
     ],
 )
-def test_an_error_names_its_place(tmp_path, text, message):
+def test_an_error_contains_the_invalid_place(tmp_path, text, message):
     with pytest.raises(BadData) as caught:
         read_spans(file(tmp_path, text))
     assert message in str(caught.value)
@@ -67,7 +67,7 @@ def test_an_absent_file_is_missing_data(tmp_path):
 
 
 def log(tmp_path):
-    """Eleven scans, one a second and one a metre; the odometry is the robot pose beside each scan."""
+    """Write eleven scans, 1 s and 1 m apart; the odometry is the robot pose of each scan."""
     beams = " ".join(["5.0"] * 180)
     lines = [f"FLASER 180 {beams} {k} 0 0 {k} 0 0 {100 + k}.5 host {k}.5" for k in range(11)]
     path = tmp_path / "run.log"
@@ -75,7 +75,7 @@ def log(tmp_path):
     return path
 
 
-def test_a_recording_contains_the_distances_given_for_it(tmp_path):
+def test_a_recording_contains_its_measured_distances(tmp_path):
     tape = file(tmp_path, "[[span]]\nfrom = 101.5\nto = 109.5\nmetres = 8.16\n")
     sequence = Carmen(str(log(tmp_path)), spans=str(tape))
     assert sequence.truth().how == "distances measured with a tape"
@@ -94,7 +94,7 @@ def test_distances_of_another_recording_are_rejected(tmp_path):
         Carmen(str(log(tmp_path)), spans=str(tape))
 
 
-def test_every_reader_of_recordings_accepts_them():
+def test_every_reader_of_recordings_accepts_measured_distances():
     for name in ("carmen", "rosbag"):
         assert "spans" in {parameter.name for parameter in registry.dataset(name).parameters}
 
@@ -108,14 +108,14 @@ def relations_file(tmp_path, text):
     return path
 
 
-def test_a_line_becomes_two_stamps_and_a_motion(tmp_path):
+def test_a_line_is_read_as_two_stamps_and_a_motion(tmp_path):
     read = read_relations(relations_file(tmp_path, "1216.630413 1217.490267 0.407950 -0.016330 0 0 0 -0.069620\n"))
     assert read.first_ns.tolist() == [1216630413000]
     assert read.second_ns.tolist() == [1217490267000]
     assert read.first_from_second.tolist() == [[0.40795, -0.01633, -0.06962]]
 
 
-def test_order_and_repeated_pairs_stay_as_published(tmp_path):
+def test_the_order_and_repeated_pairs_are_kept(tmp_path):
     read = read_relations(relations_file(tmp_path, "5 3 1 0 0 0 0 0\n1 2 2 0 0 0 0 0\n5 3 1 0 0 0 0 0\n"))
     assert read.first_ns.tolist() == [5 * 10**9, 10**9, 5 * 10**9]
 
@@ -131,7 +131,7 @@ def test_order_and_repeated_pairs_stay_as_published(tmp_path):
         ("1 2 inf 0 0 0 0 0\n", ["line 1", "not finite"]),
     ],
 )
-def test_garbage_names_file_line_and_remedy(tmp_path, text, parts):
+def test_an_invalid_line_is_reported_with_file_line_and_remedy(tmp_path, text, parts):
     with pytest.raises(BadData) as caught:
         read_relations(relations_file(tmp_path, text))
     assert all(part in str(caught.value) for part in ["some.relations", *parts])

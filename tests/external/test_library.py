@@ -1,4 +1,4 @@
-"""Shared libraries as back ends: the examples follow, broken ones are a reason."""
+"""Shared libraries as back ends: the examples work, broken libraries fail with a reason."""
 
 import shutil
 import subprocess
@@ -33,28 +33,28 @@ def built(output, compiler, *words):
 
 
 @pytest.fixture(scope="session")
-def workshop(tmp_path_factory):
-    """Where the examples are built."""
+def build_folder(tmp_path_factory):
+    """Folder in which the examples are built."""
     return tmp_path_factory.mktemp("examples")
 
 
 @pytest.fixture(scope="session")
-def c_library(workshop):
+def c_library(build_folder):
     c = EXAMPLES / "c"
     words = ("-std=c99", "-shared", "-fPIC", "-I", INCLUDE, c / "library.c", c / "icp.c")
-    return f"lib:{built(workshop / 'libicp.so', 'cc', *words)}"
+    return f"lib:{built(build_folder / 'libicp.so', 'cc', *words)}"
 
 
 @pytest.fixture(scope="session")
-def c_program(workshop):
+def c_program(build_folder):
     c = EXAMPLES / "c"
-    return f"exec:{built(workshop / 'icp', 'cc', '-std=c99', c / 'program.c', c / 'icp.c')}"
+    return f"exec:{built(build_folder / 'icp', 'cc', '-std=c99', c / 'program.c', c / 'icp.c')}"
 
 
 @pytest.fixture(scope="session")
-def cpp_library(workshop):
+def cpp_library(build_folder):
     words = ("-std=c++17", "-shared", "-fPIC", "-I", INCLUDE, EXAMPLES / "cpp" / "odometry.cpp")
-    return f"lib:{built(workshop / 'libodometry.so', 'c++', *words)}"
+    return f"lib:{built(build_folder / 'libodometry.so', 'c++', *words)}"
 
 
 @pytest.fixture(scope="session")
@@ -79,8 +79,8 @@ const char *evalkit_last_error(void *self) { (void)self; return said; }
 
 
 @pytest.fixture
-def small(tmp_path):
-    """Builds GOOD with one piece replaced; its name for evalkit."""
+def build_variant(tmp_path):
+    """Build GOOD with one piece replaced; returns its method name."""
 
     def build(old="", new=""):
         assert old in GOOD
@@ -92,36 +92,37 @@ def small(tmp_path):
 
 
 @pytest.mark.parametrize("which", ["c_library", "c_program", "python_program"])
-def test_a_registration_from_outside_undoes_the_drift_of_the_wheels(which, request, followed):
+def test_an_external_registration_corrects_the_drift_of_the_wheels(which, request, followed):
     outcome, steps = followed(request.getfixturevalue(which), **LIGHT)
     assert (outcome.status, outcome.reason) == ("complete", "")
     answered = np.stack([steps["x"], steps["y"], steps["theta"]], axis=1)
-    assert np.abs(answered - followed.truth).max() < 0.03  # the wheels alone: 0.2 m at the end
+    assert np.abs(answered - followed.truth).max() < 0.03  # wheel odometry alone: 0.2 m at the end
     assert steps["s2m_inliers"][1:].min() > 50
     assert steps["s2m_error"][1:].max() < 0.05
 
 
-def test_an_odometry_from_outside_undoes_the_drift_of_the_wheels(cpp_library, followed):
+def test_an_external_odometry_corrects_the_drift_of_the_wheels(cpp_library, followed):
     outcome, steps = followed(cpp_library)
     assert (outcome.status, outcome.reason) == ("complete", "")
     answered = np.stack([steps["x"], steps["y"], steps["theta"]], axis=1)
     assert np.abs(answered - followed.truth).max() < 0.05
-    assert steps["device_ns"].tolist() == [0] * len(steps)  # a library tells none
+    assert steps["device_ns"].tolist() == [0] * len(steps)  # a library reports none
 
 
-def made(name, **given):
+def make_odometry(name, **given):
     spec = registry.backend(name)
     assert not spec.missing() + spec.broken
     return spec.make(**resolve_parameters(name, spec.parameters, given))
 
 
-def test_one_method_gives_one_answer_in_three_wrappings(c_library, c_program, python_program):
+def test_one_method_gives_one_result_as_a_library_and_as_programs(c_library, c_program, python_program):
     rng = np.random.default_rng(5)
     target = rng.uniform(-3, 3, (80, 2))
     motion = Pose(0.05, -0.03, 0.04)
     source = motion.inverse().transform(target)
     answers = [
-        made(name).register(Cloud(target), Cloud(source), Pose()) for name in (c_library, c_program, python_program)
+        make_odometry(name).register(Cloud(target), Cloud(source), Pose())
+        for name in (c_library, c_program, python_program)
     ]
     for answer in answers:
         assert answer.target_from_source.row == pytest.approx(motion.row, abs=1e-12)
@@ -131,8 +132,8 @@ def test_one_method_gives_one_answer_in_three_wrappings(c_library, c_program, py
 
 
 @pytest.mark.parametrize("which", ["c_library", "c_program", "python_program"])
-def test_without_points_the_guess_is_kept_and_nothing_converged(which, request):
-    follower = made(request.getfixturevalue(which))
+def test_without_points_the_guess_is_kept_and_nothing_converges(which, request):
+    follower = make_odometry(request.getfixturevalue(which))
     empty, guess = Cloud(np.zeros((0, 2))), Pose(1.0, 2.0, 0.5)
     for target, source in ((empty, empty), (Cloud(np.eye(2)), empty), (empty, Cloud(np.eye(2)))):
         answer = follower.register(target, source, guess)
@@ -140,12 +141,12 @@ def test_without_points_the_guess_is_kept_and_nothing_converged(which, request):
         assert (answer.converged, answer.inliers, np.isnan(answer.error)) == (False, 0, True)
 
 
-def test_a_traced_library_tells_every_iteration_and_answers_the_same(c_library):
+def test_a_traced_library_reports_every_iteration_with_the_same_result(c_library):
     rng = np.random.default_rng(6)
     target = rng.uniform(-3, 3, (60, 2))
     source = Pose(0.1, 0.05, -0.05).transform(target)
-    plain = made(c_library).register(Cloud(target), Cloud(source), Pose())
-    traced = made(c_library, trace=True).register(Cloud(target), Cloud(source), Pose())
+    plain = make_odometry(c_library).register(Cloud(target), Cloud(source), Pose())
+    traced = make_odometry(c_library, trace=True).register(Cloud(target), Cloud(source), Pose())
     assert plain.history == ()
     assert len(traced.history) == traced.iterations == plain.iterations
     assert traced.history[-1].target_from_source == traced.target_from_source == plain.target_from_source
@@ -153,7 +154,7 @@ def test_a_traced_library_tells_every_iteration_and_answers_the_same(c_library):
     assert errors[0] > errors[-1] == traced.error
 
 
-def test_settings_behind_the_file_are_its_defaults(c_library):
+def test_settings_after_the_file_name_are_the_defaults(c_library):
     once = registry.backend(f"{c_library} max_iterations=1 max_correspondence_m=2")
     defaults = {parameter.name: parameter.default for parameter in once.parameters}
     assert defaults == {"max_correspondence_m": 2.0, "max_iterations": 1, "trace": False}
@@ -167,9 +168,9 @@ def test_settings_behind_the_file_are_its_defaults(c_library):
         registry.backend(f"{c_library} fast")
 
 
-def test_a_library_may_refuse_its_parameters_in_its_own_words(c_library):
+def test_a_library_may_reject_its_parameters_with_its_own_message(c_library):
     with pytest.raises(BackendFailed, match="evalkit_create returned NULL: max_correspondence_m must be more than 0"):
-        made(c_library, max_correspondence_m=-1.0)
+        make_odometry(c_library, max_correspondence_m=-1.0)
 
 
 @pytest.mark.parametrize(
@@ -188,8 +189,8 @@ def test_a_library_may_refuse_its_parameters_in_its_own_words(c_library):
         ("#include <math.h>", "extern int absent(void); int (*needed)(void) = absent;", "undefined symbol: absent"),
     ],
 )
-def test_a_library_that_does_not_fit_has_failed_with_a_reason(small, followed, old, new, said):
-    outcome, steps = followed(small(old, new))
+def test_an_incompatible_library_fails_with_a_reason(build_variant, followed, old, new, said):
+    outcome, steps = followed(build_variant(old, new))
     assert outcome.status == "failed"
     assert said in outcome.reason
     assert len(steps) == 0
@@ -203,14 +204,16 @@ def test_a_library_that_does_not_fit_has_failed_with_a_reason(small, followed, o
         ("= *frame->odom_from_base; return 0", '= frame->base_from_sensor; said = "lost"; return 3', "error 3: lost"),
     ],
 )
-def test_a_library_that_fails_is_a_reason_in_its_own_words(small, followed, old, new, said):
-    outcome, _ = followed(small(old, new))
+def test_a_failing_library_gives_its_own_message_as_the_reason(build_variant, followed, old, new, said):
+    outcome, _ = followed(build_variant(old, new))
     assert outcome.status == "failed"
     assert said in outcome.reason
 
 
-def test_a_library_that_crashes_takes_its_own_run_along_and_nothing_else(small, tmp_path):
-    name = small("*answer = *frame->odom_from_base;", "(void)frame; *(volatile int *)answer = 0; __builtin_trap();")
+def test_a_library_that_crashes_ends_only_its_own_run(build_variant, tmp_path):
+    name = build_variant(
+        "*answer = *frame->odom_from_base;", "(void)frame; *(volatile int *)answer = 0; __builtin_trap();"
+    )
     request = Request(name, {}, "room", {**defaults("room"), "laps": 0.02})
     run = run_process.run(request, tmp_path, Limits(60, 30, 2048), lambda _: None, threading.Event())
     assert run.status == "crashed"
@@ -221,14 +224,14 @@ def defaults(dataset):
     return {parameter.name: parameter.default for parameter in registry.dataset(dataset).parameters}
 
 
-def test_a_library_that_hangs_when_loaded_has_failed(small, followed, monkeypatch):
+def test_a_library_that_hangs_when_loaded_fails(build_variant, followed, monkeypatch):
     monkeypatch.setattr(library, "LOADING_S", 1.0)
     begin = "#include <unistd.h>\n__attribute__((constructor)) static void begin(void) { sleep(60); }"
-    outcome, _ = followed(small("#include <math.h>", begin))
+    outcome, _ = followed(build_variant("#include <math.h>", begin))
     assert (outcome.status, "was not loaded within 1 s" in outcome.reason) == ("failed", True)
 
 
-def test_a_file_that_is_no_library_of_this_machine_is_said_to_be_none(tmp_path, foreign_elf):
+def test_a_file_that_is_not_a_library_of_this_machine_is_reported(tmp_path, foreign_elf):
     if sys.platform != "linux":
         pytest.skip("this system does not use ELF")
     path = tmp_path / "libmine.so"
@@ -243,7 +246,7 @@ def test_a_file_that_is_no_library_of_this_machine_is_said_to_be_none(tmp_path, 
     assert "an object file or a program" in registry.backend(f"lib:{path}").broken
 
 
-def test_the_static_memory_of_a_library_is_what_its_sections_take(tmp_path):
+def test_the_static_memory_of_a_library_is_the_size_of_its_sections(tmp_path):
     compiler, size = shutil.which("cc"), shutil.which("size")
     if sys.platform != "linux" or compiler is None:
         pytest.skip("no compiler that makes ELF files")
@@ -263,16 +266,16 @@ def test_the_static_memory_of_a_library_is_what_its_sections_take(tmp_path):
     assert elf.sizes(path) is None
 
 
-def test_machines_are_read_in_both_byte_orders():
+def test_elf_headers_are_read_in_both_byte_orders():
     assert elf.machine(b"\x7fELF\x01\x02\x01" + bytes(9) + b"\x00\x03\x00\x08") == "32-bit MIPS"
     assert elf.machine(b"\x7fELF\x02\x01\x01" + bytes(9) + b"\x03\x00\xb7\x00") == "64-bit AArch64"
     assert elf.machine(b"\x7fELF\x02\x01\x01" + bytes(9) + b"\x03\x00\x99\x99") == "64-bit machine 0x9999"
     assert elf.machine(b"#!/bin/sh\nexec ./icp\n") == elf.machine(b"") == ""
 
 
-def test_results_are_keyed_by_what_the_library_contains(small):
-    name = small()
+def test_the_cache_key_contains_the_content_of_the_library(build_variant):
+    name = build_variant()
     before = registry.run_fingerprint(name, "room")
-    small("said;", "said = 0;\nint another_build;")
+    build_variant("said;", "said = 0;\nint another_build;")
     assert registry.run_fingerprint(name, "room") != before
     assert replace(registry.backend(name), digest="").kind == "odometry"

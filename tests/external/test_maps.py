@@ -1,4 +1,4 @@
-"""Maps made elsewhere as methods: held against the true map as they are, and asked nothing else."""
+"""External maps as methods: compared with the true map as they are, without a run."""
 
 import json
 import sys
@@ -22,7 +22,7 @@ COARSE = "[mapper]\nresolution_m = 0.25\n"
 
 @pytest.fixture
 def saved(tmp_path):
-    """Saves a map as map_server would; its name for evalkit."""
+    """Save a map in the format of map_server; returns its method name."""
 
     def save(grid):
         Store(tmp_path / "elsewhere").write_map(tmp_path / "elsewhere" / "map", grid)
@@ -33,7 +33,7 @@ def saved(tmp_path):
 
 @pytest.fixture
 def run(tmp_path, monkeypatch, capsys):
-    """Runs an experiment of methods named so; exit code and rows."""
+    """Run an experiment with the named methods; returns the exit code and the rows."""
 
     def call(command, *uses):
         path = tmp_path / "maps.toml"
@@ -48,7 +48,7 @@ def run(tmp_path, monkeypatch, capsys):
     return call
 
 
-def made(name, **given):
+def make_map(name, **given):
     spec = registry.backend(name)
     return spec.make(**resolve_parameters(name, spec.parameters, given))
 
@@ -59,7 +59,7 @@ def wall(shape=(30, 40)):
     return OccupancyGrid(log_odds, np.ones(shape, dtype=bool), 0.1, -1.0, 2.0)
 
 
-def test_the_true_map_scores_perfectly_and_has_no_metric_that_needs_a_trajectory(saved, run):
+def test_the_true_map_has_a_perfect_score_and_no_trajectory_metrics(saved, run):
     drive = {p.name: p.default for p in registry.dataset("room").parameters} | {"laps": 0.02}
     use = saved(registry.dataset("room").make(**drive).truth().grid)
     code, answer = run([], "wheel-odometry", use, f"{use} x_m=0.5")
@@ -77,17 +77,17 @@ def test_the_true_map_scores_perfectly_and_has_no_metric_that_needs_a_trajectory
     assert "a map made elsewhere is held against the truth as it is" in page
 
 
-def test_settings_place_the_map_in_the_world_of_the_truth(saved):
-    grid = made(saved(wall()), x_m=3.0, y_m=-2.0)
+def test_settings_place_the_map_in_the_world_frame(saved):
+    grid = make_map(saved(wall()), x_m=3.0, y_m=-2.0)
     assert (grid.origin_x, grid.origin_y) == (2.0, 0.0)
     assert np.array_equal(grid.occupied(), wall().occupied())
 
 
-def test_a_quarter_turn_turns_every_cell():
+def test_a_quarter_turn_rotates_every_cell():
     grid = maps.transform_map(wall(), Pose(0.0, 0.0, np.pi / 2))
     walls = grid.centres(grid.occupied())
     assert len(walls) == 30
-    assert walls[:, 1] == pytest.approx(np.full(30, 0.05), abs=0.051)  # x = 0.05 has become y = 0.05
+    assert walls[:, 1] == pytest.approx(np.full(30, 0.05), abs=0.051)  # x = 0.05 becomes y = 0.05
     assert walls[:, 0].min() == pytest.approx(-4.95, abs=0.051)
     assert grid.observed.sum() == 30 * 40
 
@@ -101,7 +101,7 @@ def test_a_slanted_map_keeps_its_walls_within_a_cell():
     assert grid.observed.sum() == pytest.approx(30 * 40, rel=0.01)
 
 
-def test_a_map_or_an_image_that_is_not_there_is_absent_and_one_that_is_damaged_has_failed(saved, run, tmp_path):
+def test_a_missing_map_or_image_is_unavailable_and_a_damaged_one_fails(saved, run, tmp_path):
     use = saved(wall())
     image = tmp_path / "elsewhere" / "map.pgm"
     image.write_bytes(b"P5 3 2 255\n\0")
@@ -113,10 +113,10 @@ def test_a_map_or_an_image_that_is_not_there_is_absent_and_one_that_is_damaged_h
     assert registry.backend(use).missing() == "no such file: map.pgm; correct its path"
     (tmp_path / "elsewhere" / "map.yaml").write_text("words")
     with pytest.raises(BadData, match="no keys"):
-        made(use)
+        make_map(use)
 
 
-def test_results_are_keyed_by_what_the_image_contains(saved):
+def test_the_cache_key_contains_the_content_of_the_image(saved):
     use = saved(wall())
     before = registry.run_fingerprint(use, "room")
     assert before == registry.run_fingerprint(use, "room")

@@ -1,4 +1,4 @@
-"""Programs as back ends: a good one follows, a bad one is a reason."""
+"""Programs as back ends: a correct one is followed, an incorrect one fails with a reason."""
 
 import json
 import sys
@@ -38,7 +38,7 @@ ANSWER = "say(pose=[x, 0.0, 0.0], elapsed_ns=5_000_000)"
 
 @pytest.fixture
 def program(tmp_path):
-    """Writes a program that answers what the wheels say, but for the lines given; its name for evalkit."""
+    """Write a program that returns the wheel odometry except for the given lines; returns its method name."""
 
     def write(answer=ANSWER, hello=HELLO):
         path = tmp_path / "program.py"
@@ -56,7 +56,7 @@ def reason(outcome, status="failed"):
     return outcome.reason
 
 
-def test_a_program_follows_and_its_device_time_stands_beside_the_round_trip(program, followed):
+def test_the_device_time_of_a_program_is_reported_with_the_round_trip(program, followed):
     outcome, steps = followed(program())
     assert outcome.status == "complete"
     assert steps["x"].tolist() == pytest.approx((followed.truth[:, 0] + followed.drift_m).tolist(), abs=1e-15)
@@ -64,13 +64,13 @@ def test_a_program_follows_and_its_device_time_stands_beside_the_round_trip(prog
     assert (steps["wall_ns"] > 0).all()
 
 
-def test_cpu_time_includes_what_the_program_itself_spends(program, followed):
+def test_cpu_time_includes_the_cpu_time_of_the_program(program, followed):
     spin = "end = time.process_time() + 0.005\nwhile time.process_time() < end: pass\n" + ANSWER
     _, steps = followed(program(spin))
     assert (steps["cpu_ns"] >= 5_000_000).all()
 
 
-def test_on_a_named_device_there_is_no_cpu_time_but_its_own(program, followed):
+def test_a_named_device_has_device_time_and_no_cpu_time(program, followed):
     _, steps = followed(program(hello=HELLO.replace("summary=", 'device="a board", summary=')))
     run = RunResult(steps, len(steps))
     scores = {m.name: m.compute(Evidence(run, Truth("none"))) for m in runtime.METRICS}
@@ -79,7 +79,7 @@ def test_on_a_named_device_there_is_no_cpu_time_but_its_own(program, followed):
     assert scores["real_time_factor"].value == pytest.approx(100.0 / 5.0)  # a scan every 100 ms
 
 
-def test_a_back_end_that_tells_no_device_time_has_none(program, followed):
+def test_a_back_end_that_reports_no_device_time_has_none(program, followed):
     _, steps = followed(program("say(pose=[x, 0.0, 0.0])"))
     run = RunResult(steps, len(steps))
     score = next(m for m in runtime.METRICS if m.name == "device_median_ms").compute(Evidence(run, Truth("none")))
@@ -111,23 +111,23 @@ def test_a_back_end_that_tells_no_device_time_has_none(program, followed):
         ("sys.stderr.write('error 7\\n' * 200_000); time.sleep(60)", "error 7 | error 7; see where it hangs"),
     ],
 )
-def test_a_program_that_does_not_answer_as_it_should_is_a_reason(program, followed, answer, said):
+def test_a_program_with_an_invalid_answer_fails_with_a_reason(program, followed, answer, said):
     outcome, steps = followed(program(answer), answer_timeout_s=0.5)
     assert said in reason(outcome)
     assert len(steps) == 0
 
 
-def test_a_program_may_flood_its_standard_error_and_answer(program, followed):
+def test_a_program_may_flood_its_standard_error_and_still_answer(program, followed):
     outcome, steps = followed(program("sys.stderr.write('x' * 500_000)\n" + ANSWER))
     assert (outcome.status, len(steps)) == ("complete", len(followed.truth))
 
 
-def test_words_without_a_question_are_noticed_before_they_answer_the_next(program, followed):
+def test_output_without_a_request_is_detected_before_the_next_answer(program, followed):
     outcome, _ = followed(program(ANSWER + "\nprint('done', flush=True)"))
     assert "without being asked" in reason(outcome) or "not one line of JSON" in reason(outcome)
 
 
-def test_what_was_answered_before_the_end_is_kept(program, followed):
+def test_answers_before_the_end_are_kept(program, followed):
     outcome, steps = followed(program(f"if q['stamp_ns'] > 600_000_000: sys.exit(1)\n{ANSWER}"))
     assert "ended with code 1" in reason(outcome)
     assert len(steps) == 7
@@ -149,10 +149,10 @@ def test_a_program_without_a_valid_description_has_failed(program, followed, mon
     monkeypatch.setattr(process, "HELLO_S", 0.3)
     outcome, _ = followed(program(hello=hello))
     assert said in reason(outcome)
-    assert outcome.expected == len(followed.truth)  # it counts as one that answered none of the scans
+    assert outcome.expected == len(followed.truth)  # counted as a program that answered no scan
 
 
-def test_a_program_that_does_not_introduce_itself_may_have_settings_all_the_same(program):
+def test_a_program_without_a_description_may_have_settings(program):
     name = program(hello="sys.exit(7)")
     content = {"method": [{"use": name, "max_iterations": 3}], "sequence": [{"use": "room"}]}
     (method,) = experiment_from_tables(content, "x.toml", "x", "compare x.toml").methods
@@ -160,19 +160,19 @@ def test_a_program_that_does_not_introduce_itself_may_have_settings_all_the_same
     assert "ended with code 7 instead of answering" in registry.backend(name).broken
 
 
-def test_only_a_program_that_does_not_exist_is_absent(tmp_path):
+def test_only_a_program_that_does_not_exist_is_unavailable(tmp_path):
     for words in ("./nowhere-to-be-found x", str(tmp_path)):
         spec = registry.backend(f"exec:{words}")
         assert ("no program found" in spec.missing(), spec.broken) == (True, "")
 
 
-def test_a_command_line_that_is_none_is_a_mistake_in_the_experiment():
+def test_an_invalid_command_line_is_an_error_in_the_experiment():
     for rest, said in (("", "expected exec:PROGRAM"), ("'a", "correct the quotation marks")):
         with pytest.raises(BadParameter, match=said):
             registry.backend(f"exec:{rest}")
 
 
-def test_a_program_for_another_machine_is_said_to_be_one(tmp_path, foreign_elf):
+def test_a_program_for_another_machine_is_reported(tmp_path, foreign_elf):
     path = tmp_path / "icp"
     path.write_bytes(foreign_elf)
     assert "chmod" in registry.backend(f"exec:{path}").broken
@@ -185,7 +185,7 @@ def test_an_unknown_scheme_lists_the_known_ones():
         registry.backend("execute:./x")
 
 
-def test_its_parameters_are_set_in_an_experiment_and_reach_it(program, followed):
+def test_parameters_of_an_experiment_are_passed_to_the_program(program, followed):
     listed = '[dict(name="offset_m", default=0.0, unit="m", meaning="added to x"), dict(name="on", default=True)]'
     name = program("say(pose=[x + s['offset_m'] * s['on'], 0.0, 0.0])", HELLO.replace("[]", listed))
     path = Path(name.split()[-1])
@@ -200,13 +200,13 @@ def test_its_parameters_are_set_in_an_experiment_and_reach_it(program, followed)
     assert steps["x"][0] == pytest.approx(2.0)
 
 
-def test_an_absent_program_with_parameters_is_still_a_row_with_a_reason():
+def test_a_missing_program_with_parameters_has_a_row_with_a_reason():
     content = {"method": [{"use": "exec:./nowhere", "max_iterations": 3}], "sequence": [{"use": "room"}]}
     (method,) = experiment_from_tables(content, "x.toml", "x", "compare x.toml").methods
     assert "no program found" in method.missing
 
 
-def test_results_are_keyed_by_what_the_program_contains(program):
+def test_the_cache_key_contains_the_content_of_the_program(program):
     name = program()
     before = registry.run_fingerprint(name, "room")
     assert before == registry.run_fingerprint(name, "room")
@@ -214,14 +214,14 @@ def test_results_are_keyed_by_what_the_program_contains(program):
     assert before != registry.run_fingerprint(name, "room")
 
 
-def test_no_return_is_null_and_invalid_is_nan_in_the_question(program):
+def test_no_return_is_null_and_invalid_is_nan_in_the_request(program):
     name = program("say(pose=[float([v is None for v in q['ranges']].index(True)), q['ranges'].index('nan'), 0.0])")
     follower = registry.backend(name).make(answer_timeout_s=5.0)
     scan = Scan(0, np.array([1.0, np.inf, np.nan]), np.zeros(3), 0.1, 9.0)
     assert follower.update(Frame(scan, odom_from_base=Pose())).pose.row.tolist() == [1.0, 2.0, 0.0]
 
 
-def test_a_question_is_one_line_of_ascii_in_the_order_of_the_protocol(tmp_path):
+def test_a_request_is_one_ascii_line_in_the_order_of_the_protocol(tmp_path):
     heard = tmp_path / "heard"
     script = tmp_path / "echo.py"
     script.write_text(

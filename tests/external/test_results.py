@@ -1,4 +1,4 @@
-"""Poses computed elsewhere as a back end: what the file says is answered, what it does not say is not."""
+"""External trajectories as back ends: scans covered by the file are answered, others are not."""
 
 import numpy as np
 import pytest
@@ -21,7 +21,7 @@ STAMPS = np.arange(40) * 100_000_000
 
 @pytest.fixture
 def poses(tmp_path):
-    """Writes a trajectory in TUM format; its name for evalkit."""
+    """Write a trajectory in TUM format; returns its method name."""
 
     def write(stamps_ns, rows):
         path = tmp_path / "poses.tum"
@@ -35,7 +35,7 @@ def rows_of(steps):
     return np.stack([steps["x"], steps["y"], steps["theta"]], axis=1)
 
 
-def made(name, **given):
+def make_odometry(name, **given):
     spec = registry.backend(name)
     return spec.make(**resolve_parameters(name, spec.parameters, given))
 
@@ -44,14 +44,14 @@ def at(stamp_ns, base_from_sensor=None):
     return Frame(Scan(stamp_ns, np.array([1.0]), np.zeros(1), 0.1, 9.0), base_from_sensor or Pose())
 
 
-def test_the_answers_are_the_file_s_poses_from_the_first_on(poses, followed):
+def test_the_answers_are_the_poses_of_the_file_relative_to_the_first(poses, followed):
     world_from_start = Pose(3.0, -2.0, 1.0)
     outcome, steps = followed(poses(STAMPS, Trajectory(STAMPS, followed.truth).moved(world_from_start).poses))
     assert (outcome.status, len(steps)) == ("complete", 40)
     assert rows_of(steps) == pytest.approx(followed.truth, abs=1e-8)
 
 
-def test_its_times_are_withheld(poses, followed):
+def test_times_of_a_trajectory_file_are_not_reported(poses, followed):
     _, steps = followed(poses(STAMPS, followed.truth))
     assert not steps["wall_ns"].any()
     assert not steps["cpu_ns"].any()
@@ -62,40 +62,40 @@ def test_its_times_are_withheld(poses, followed):
     assert scores["wall_median_ms"].reason == "the poses were computed elsewhere"
 
 
-def test_between_two_poses_it_interpolates_if_they_are_not_too_far_apart(poses):
+def test_poses_are_interpolated_if_they_are_not_too_far_apart(poses):
     name = poses(np.array([0, 1_000_000_000, 5_000_000_000]), np.array([[0.0, 0, 0], [1.0, 0, 0.2], [2.0, 0, 0]]))
-    follower = made(name)
+    follower = make_odometry(name)
     assert follower.update(at(0)).pose == Pose()
     assert follower.update(at(250_000_000)).pose.row == pytest.approx([0.25, 0.0, 0.05])
     with pytest.raises(NoAnswer, match=r"no pose near 3\.000 s; it reaches from 0\.000 s to 5\.000 s"):
         follower.update(at(3_000_000_000))
-    assert made(name, max_gap_s=4.0).update(at(3_000_000_000)).pose == Pose()
+    assert make_odometry(name, max_gap_s=4.0).update(at(3_000_000_000)).pose == Pose()
 
 
-def test_outside_its_span_only_a_pose_within_the_tolerance_answers(poses):
-    follower = made(poses(STAMPS, np.zeros((40, 3))), tolerance_s=0.05)
+def test_outside_the_time_span_only_a_pose_within_the_tolerance_is_used(poses):
+    follower = make_odometry(poses(STAMPS, np.zeros((40, 3))), tolerance_s=0.05)
     assert follower.update(at(-50_000_000)).pose == Pose()
     for stamp_ns in (-51_000_000, int(STAMPS[-1]) + 51_000_000):
         with pytest.raises(NoAnswer):
             follower.update(at(stamp_ns))
 
 
-def test_poses_of_the_sensor_become_those_of_the_base(poses):
+def test_poses_of_the_sensor_are_converted_to_the_base(poses):
     base_from_sensor = Pose(0.2, 0.0, np.pi / 2)
     truth = Trajectory(np.array([0, 10]), np.array([[0.0, 0, 0], [1.0, 0, 0.5]]))
     world_from_sensor = np.array([(Pose.of(row) @ base_from_sensor).row for row in truth.poses])
-    follower = made(poses(truth.stamps_ns, world_from_sensor), poses_of="sensor")
+    follower = make_odometry(poses(truth.stamps_ns, world_from_sensor), poses_of="sensor")
     assert follower.update(at(0, base_from_sensor)).pose == Pose()
     assert follower.update(at(10, base_from_sensor)).pose.row == pytest.approx([1.0, 0.0, 0.5], abs=1e-8)
 
 
-def test_a_scan_it_leaves_out_is_not_answered_and_the_run_still_complete(poses, followed):
+def test_a_scan_missing_from_the_file_is_unanswered_and_the_run_is_complete(poses, followed):
     outcome, steps = followed(poses(STAMPS[2:], followed.truth[2:]))  # 38 of 40: 95 %
     assert (outcome.status, outcome.expected) == ("complete", 40)
     assert steps["stamp_ns"].tolist() == STAMPS[2:].tolist()
 
 
-def test_a_run_without_answers_for_more_than_one_scan_in_twenty_has_failed(poses, followed):
+def test_a_run_with_more_than_one_unanswered_scan_in_twenty_has_failed(poses, followed):
     outcome, steps = followed(poses(STAMPS[:30], followed.truth[:30]))
     assert outcome.status == "failed"
     assert "no answer for 10 of 40 scans" in outcome.reason
@@ -103,12 +103,12 @@ def test_a_run_without_answers_for_more_than_one_scan_in_twenty_has_failed(poses
     assert len(steps) == 30
 
 
-def test_quotation_marks_must_close():
+def test_unclosed_quotation_marks_are_rejected():
     with pytest.raises(BadParameter, match="No closing quotation"):
         registry.backend("file:'poses.tum")
 
 
-def test_a_file_that_is_not_there_is_absent(tmp_path, followed):
+def test_a_missing_file_is_unavailable(tmp_path, followed):
     outcome, _ = followed(f"file:{tmp_path / 'none.tum'}")
     assert (outcome.status, "no such file: none.tum" in outcome.reason) == ("not-installed", True)
 
@@ -126,7 +126,7 @@ def test_a_file_that_is_not_there_is_absent(tmp_path, followed):
         ("1e400 0 0 0 0 0 0 1\n", "line 1"),
     ],
 )
-def test_a_file_that_cannot_be_read_fails_with_its_line(tmp_path, followed, text, said):
+def test_an_unreadable_file_fails_with_its_line(tmp_path, followed, text, said):
     path = tmp_path / "poses.tum"
     path.write_text(text)
     outcome, _ = followed(f"file:{path}")
@@ -147,7 +147,7 @@ def test_times_keep_every_nanosecond_and_their_order(tmp_path):
     assert trajectory.poses[:, 0].tolist() == [0.0, 1.0]
 
 
-def test_results_are_keyed_by_what_the_file_contains(poses):
+def test_the_cache_key_contains_the_content_of_the_file(poses):
     name = poses(STAMPS, np.zeros((40, 3)))
     before = registry.run_fingerprint(name, "room")
     poses(STAMPS, np.ones((40, 3)))

@@ -1,4 +1,4 @@
-"""No input, however made, costs more than an answer or a short error; the same targets are fuzzed by hand."""
+"""Any input is read within limits of time and memory, with a result or a short error. The same targets are fuzzed."""
 
 import ast
 import importlib.util
@@ -21,7 +21,7 @@ COUNT = {"bag_file": 12, "bag_messages": 12, "study": 5, "tuning": 5, "experimen
 
 @pytest.fixture(scope="module")
 def load():
-    """``load(name)``: the module of a target."""
+    """Return a function ``load(name)`` that imports the module of a fuzz target."""
     spec = importlib.util.spec_from_file_location("fuzz_run", FUZZ / "run.py")
     run = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(run)
@@ -31,21 +31,21 @@ def load():
 
 
 @pytest.fixture
-def caps(monkeypatch):
-    """The product's own caps again afterwards: some targets lower them."""
+def restore_caps(monkeypatch):
+    """Restore the product's caps after the test, because some targets lower them."""
     monkeypatch.setattr(map_server, "MAX_PIXELS", map_server.MAX_PIXELS)
     monkeypatch.setattr(untrusted_io, "MAX_BYTES", untrusted_io.MAX_BYTES)
 
 
 @pytest.mark.usefixtures("caps")
 @pytest.mark.parametrize("name", TARGETS)
-def test_whatever_is_read_ends_soon_in_little_memory_with_an_answer_or_a_short_error(load, name):
+def test_any_input_is_read_within_limits_with_a_result_or_a_short_error(load, name):
     if name in NEEDS:
         pytest.importorskip(NEEDS[name])
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # a damaged number overflows: the answer counts
+        warnings.simplefilter("ignore")  # a damaged number overflows; only the result matters
         target = load(name)
-        from mutation import mutants  # which stands beside the targets
+        from mutation import mutants  # in the folder of the targets
 
         for data in (*target.seeds(), *target.swollen(), b"", *mutants(target.seeds(), COUNT.get(name, 50), seed=7)):
             try:
@@ -55,7 +55,7 @@ def test_whatever_is_read_ends_soon_in_little_memory_with_an_answer_or_a_short_e
                 raise
 
 
-# --- what runs or unpacks what it is given
+# --- code that executes or unpickles its input
 
 FORBIDDEN = {
     "eval", "exec", "__import__", "pickle", "cPickle", "dill", "cloudpickle", "marshal", "shelve", "joblib",
@@ -80,8 +80,8 @@ ALLOWED = {
 }
 
 
-def found_in(tree):
-    """The forbidden names a module uses: imports, calls by (dotted) name, and keywords of calls that are not False."""
+def find_forbidden_names(tree):
+    """Return the forbidden names in a module: imports, calls by (dotted) name, keywords of calls that are not False."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (alias.name.partition(".")[0] for alias in node.names)
@@ -95,7 +95,7 @@ def found_in(tree):
 
 @cache
 def sources():
-    """Every Python source that is shipped, by its place, but the examples of other people's programs."""
+    """Return every shipped Python source by its path, except the examples of external programs."""
     return {
         path.relative_to(ROOT).as_posix(): ast.parse(path.read_text(encoding="utf-8"))
         for folder in ("evalkit", "baselines", "datasets")
@@ -104,8 +104,10 @@ def sources():
     }
 
 
-def test_no_source_runs_or_unpacks_what_it_is_given():
-    used = {(place, name) for place, tree in sources().items() for name in found_in(tree) if name in FORBIDDEN}
+def test_no_source_executes_or_unpickles_its_input():
+    used = {
+        (place, name) for place, tree in sources().items() for name in find_forbidden_names(tree) if name in FORBIDDEN
+    }
     assert used <= set(ALLOWED)
 
 
@@ -113,11 +115,11 @@ def test_no_source_runs_or_unpacks_what_it_is_given():
     "text",
     ["import pickle", "from tarfile import open", "eval('1')", "np.load(f)", "run(c, shell=True)", "a.extractall(p)"],
 )
-def test_the_search_finds_what_it_looks_for(text):
-    assert FORBIDDEN & set(found_in(ast.parse(text)))
+def test_the_search_finds_forbidden_names(text):
+    assert FORBIDDEN & set(find_forbidden_names(ast.parse(text)))
 
 
-def test_yaml_is_read_without_building_what_it_names():
+def test_yaml_is_read_without_constructing_objects():
     calls = [
         ast.unparse(node)
         for tree in sources().values()

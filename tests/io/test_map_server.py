@@ -1,4 +1,4 @@
-"""Maps as map_server saves them."""
+"""Maps in the format of map_server."""
 
 from io import BytesIO
 
@@ -12,7 +12,7 @@ from evalkit.io import map_server
 YAML = "image: map.pgm\nmode: trinary\nresolution: 0.05\norigin: [-1.5, 2.0, 0]\nnegate: 0\noccupied_thresh: 0.65\n"
 
 
-def written(tmp_path, pgm, yaml=YAML + "free_thresh: 0.196\n"):
+def write_map(tmp_path, pgm, yaml=YAML + "free_thresh: 0.196\n"):
     (tmp_path / "map.pgm").write_bytes(pgm)
     path = tmp_path / "map.yaml"
     path.write_text(yaml)
@@ -20,7 +20,9 @@ def written(tmp_path, pgm, yaml=YAML + "free_thresh: 0.196\n"):
 
 
 def test_row_0_of_the_image_is_the_top_of_the_map(tmp_path):
-    grid = map_server.read_map(written(tmp_path, b"P5\n# made by hand\n3 2\n255\n" + bytes([0, 254, 205, 254, 254, 0])))
+    grid = map_server.read_map(
+        write_map(tmp_path, b"P5\n# made by hand\n3 2\n255\n" + bytes([0, 254, 205, 254, 254, 0]))
+    )
     assert grid.occupied().tolist() == [[False, False, True], [True, False, False]]
     assert grid.free().tolist() == [[True, True, False], [False, True, False]]
     assert grid.observed.tolist() == [[True, True, True], [True, True, False]]
@@ -28,37 +30,37 @@ def test_row_0_of_the_image_is_the_top_of_the_map(tmp_path):
     np.testing.assert_allclose(grid.centres(grid.occupied()), [[-1.375, 2.025], [-1.475, 2.075]])
 
 
-def test_text_pgm_reads_as_the_binary_one(tmp_path):
-    binary = map_server.read_map(written(tmp_path, b"P5 3 1 255\n" + bytes([0, 205, 254])))
-    text = map_server.read_map(written(tmp_path, b"P2\n3 1\n255\n0 205 # unknown\n254\n"))
+def test_a_text_pgm_equals_the_binary_one(tmp_path):
+    binary = map_server.read_map(write_map(tmp_path, b"P5 3 1 255\n" + bytes([0, 205, 254])))
+    text = map_server.read_map(write_map(tmp_path, b"P2\n3 1\n255\n0 205 # unknown\n254\n"))
     assert text.log_odds.tolist() == binary.log_odds.tolist()
 
 
-def test_unknown_stays_unknown_under_the_old_free_threshold(tmp_path):
-    grid = map_server.read_map(written(tmp_path, b"P5 2 1 255\n" + bytes([205, 254]), YAML + "free_thresh: 0.25\n"))
+def test_unknown_stays_unknown_with_the_old_free_threshold(tmp_path):
+    grid = map_server.read_map(write_map(tmp_path, b"P5 2 1 255\n" + bytes([205, 254]), YAML + "free_thresh: 0.25\n"))
     assert grid.observed.tolist() == [[False, True]]
 
 
 def test_negate_swaps_black_and_white(tmp_path):
     grid = map_server.read_map(
-        written(tmp_path, b"P5 2 1 255\n" + bytes([0, 255]), YAML.replace("negate: 0", "negate: 1"))
+        write_map(tmp_path, b"P5 2 1 255\n" + bytes([0, 255]), YAML.replace("negate: 0", "negate: 1"))
     )
     assert grid.occupied().tolist() == [[False, True]]
 
 
 def test_sixteen_bit_images_are_big_endian(tmp_path):
-    grid = map_server.read_map(written(tmp_path, b"P5 2 1 65535\n" + bytes([0, 255, 255, 0])))
+    grid = map_server.read_map(write_map(tmp_path, b"P5 2 1 65535\n" + bytes([0, 255, 255, 0])))
     assert grid.occupied().tolist() == [[True, False]]
     assert grid.free().tolist() == [[False, True]]
 
 
 @pytest.mark.parametrize("mode", ["L", "RGB", "P", "RGBA"])
-def test_a_png_reads_as_the_pgm_of_the_same_greys(tmp_path, mode):
+def test_a_png_equals_the_pgm_with_the_same_grey_values(tmp_path, mode):
     greys = np.array([[0, 254, 205], [254, 254, 0]], dtype=np.uint8)
     image = BytesIO()
     Image.fromarray(greys).convert(mode).save(image, "PNG")
-    found = map_server.read_map(written(tmp_path, image.getvalue()))
-    twin = map_server.read_map(written(tmp_path, b"P5 3 2 255\n" + greys.tobytes()))
+    found = map_server.read_map(write_map(tmp_path, image.getvalue()))
+    twin = map_server.read_map(write_map(tmp_path, b"P5 3 2 255\n" + greys.tobytes()))
     assert np.array_equal(found.log_odds, twin.log_odds)
     assert np.array_equal(found.observed, twin.observed)
 
@@ -94,9 +96,9 @@ LAUGHS = "a0: &a0 [ha, ha]\n" + "".join(f"a{k}: &a{k} [*a{k - 1}, *a{k - 1}]\n" 
         (b"P5 1 1 255\n\0", LAUGHS + YAML.replace("0.05", "*a40"), "not a number"),
     ],
 )
-def test_a_bad_map_says_what_is_wrong(tmp_path, pgm, yaml, part):
+def test_an_invalid_map_is_reported_with_the_cause(tmp_path, pgm, yaml, part):
     with pytest.raises(BadData) as caught:
-        map_server.read_map(written(tmp_path, pgm, yaml))
+        map_server.read_map(write_map(tmp_path, pgm, yaml))
     assert part in str(caught.value)
 
 
@@ -105,4 +107,4 @@ def test_a_small_png_of_very_many_pixels_is_not_decoded(tmp_path):
     Image.new("1", (9000, 9000)).save(image, "PNG")
     assert len(image.getvalue()) < 12_000
     with pytest.raises(BadData, match="9000 x 9000 pixels"):
-        map_server.read_map(written(tmp_path, image.getvalue()))
+        map_server.read_map(write_map(tmp_path, image.getvalue()))

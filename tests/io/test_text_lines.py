@@ -13,14 +13,14 @@ from evalkit.io.input_files import BLOCK_BYTES
 from evalkit.io.text_lines import MAX_LINE_BYTES, iter_lines
 
 
-def written(folder, content):
+def write_text(folder, content):
     path = folder / "lines.txt"
     path.write_bytes(content)
     return path
 
 
 def lines(folder, content):
-    return list(iter_lines(written(folder, content), "text"))
+    return list(iter_lines(write_text(folder, content), "text"))
 
 
 TEXT = b"first\n\n" + random.Random(0).randbytes(3 * BLOCK_BYTES).replace(b"\n", b" ") + b"\nlast but one\r\nlast"
@@ -69,7 +69,7 @@ def test_an_endless_compressed_line_is_rejected_before_it_fills_the_memory(tmp_p
 
 
 def test_a_long_compressed_text_is_read_in_bounded_memory(tmp_path):
-    path = written(tmp_path, gzip.compress(b"0123456789abcdef" * 64 + b"\n") * 10_000)
+    path = write_text(tmp_path, gzip.compress(b"0123456789abcdef" * 64 + b"\n") * 10_000)
     tracemalloc.start()
     assert sum(len(line) for line in iter_lines(path, "text")) == 10_000 * 1024
     assert tracemalloc.get_traced_memory()[1] < 2**20

@@ -8,14 +8,14 @@ from evalkit.core.trajectory import Trajectory
 from evalkit.io.tum import format_tum, read_tum, yaw_from_quaternion
 
 
-def written(tmp_path, text):
+def write_tum(tmp_path, text):
     path = tmp_path / "poses.tum"
     path.write_bytes(text if isinstance(text, bytes) else text.encode())
     return path
 
 
-def test_a_line_becomes_stamp_x_y_and_yaw(tmp_path):
-    path = written(
+def test_a_line_is_read_as_stamp_x_y_and_yaw(tmp_path):
+    path = write_tum(
         tmp_path, "# t x y z qx qy qz qw\n\n976052857.337284 1.5 -2 0 0 0 0.7071067811865476 0.7071067811865476\n"
     )
     read = read_tum(path)
@@ -25,12 +25,12 @@ def test_a_line_becomes_stamp_x_y_and_yaw(tmp_path):
 
 
 def test_commas_and_trailing_comments_are_allowed(tmp_path):
-    read = read_tum(written(tmp_path, "1,0,0,0,0,0,0,1\r\n2, 3, 4, 0, 0, 0, 0, 1 # end\r\n"))
+    read = read_tum(write_tum(tmp_path, "1,0,0,0,0,0,0,1\r\n2, 3, 4, 0, 0, 0, 0, 1 # end\r\n"))
     assert read.trajectory.poses[1].tolist() == [3.0, 4.0, 0.0]
 
 
 def test_unsorted_and_repeated_lines_are_corrected_and_counted(tmp_path):
-    read = read_tum(written(tmp_path, "3 3 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n3 9 0 0 0 0 0 1\n2 2 0 0 0 0 0 1\n"))
+    read = read_tum(write_tum(tmp_path, "3 3 0 0 0 0 0 1\n1 1 0 0 0 0 0 1\n3 9 0 0 0 0 0 1\n2 2 0 0 0 0 0 1\n"))
     assert read.trajectory.poses[:, 0].tolist() == [1.0, 2.0, 3.0]
     assert read.notes == {"poses out of order": 2, "poses with a repeated stamp ignored": 1}
 
@@ -39,7 +39,7 @@ def test_writing_and_reading_gives_the_same_trajectory(tmp_path):
     rng = np.random.default_rng(7)
     stamps = 1663967375543606542 + np.cumsum(rng.integers(1, 10**9, 50))
     poses = rng.uniform([-100, -100, -3.14], [100, 100, 3.14], (50, 3))
-    again = read_tum(written(tmp_path, format_tum(Trajectory(stamps, poses), "a comment"))).trajectory
+    again = read_tum(write_tum(tmp_path, format_tum(Trajectory(stamps, poses), "a comment"))).trajectory
     assert again.stamps_ns.tolist() == stamps.tolist()
     np.testing.assert_allclose(again.poses, poses, atol=1e-11)
 
@@ -66,9 +66,9 @@ def test_a_tilted_pose_keeps_its_heading():
         (b"\x1f\x8b\x08\x00\xff\xfe\x00\x01", ["not UTF-8 text"]),
     ],
 )
-def test_garbage_names_file_line_and_remedy(tmp_path, text, parts):
+def test_an_invalid_line_is_reported_with_file_line_and_remedy(tmp_path, text, parts):
     with pytest.raises(BadData) as caught:
-        read_tum(written(tmp_path, text))
+        read_tum(write_tum(tmp_path, text))
     assert all(part in str(caught.value) for part in ["poses.tum", *parts])
 
 

@@ -19,7 +19,7 @@ ARRAYS = {
 
 
 @pytest.mark.parametrize("save", [np.savez, np.savez_compressed])
-def test_arrays_come_back_as_they_were(tmp_path, save):
+def test_saved_arrays_are_read_back_unchanged(tmp_path, save):
     save(tmp_path / "a.npz", **ARRAYS)
     found = untrusted_io.read_arrays(tmp_path / "a.npz")
     assert found.keys() == ARRAYS.keys()
@@ -28,7 +28,7 @@ def test_arrays_come_back_as_they_were(tmp_path, save):
         assert found[name].dtype == array.dtype
 
 
-def test_an_array_comes_back_as_it_was(tmp_path):
+def test_a_saved_array_is_read_back_unchanged(tmp_path):
     np.save(tmp_path / "a.npy", ARRAYS["columns"])
     np.testing.assert_array_equal(untrusted_io.read_array(tmp_path / "a.npy"), ARRAYS["columns"])
 

@@ -1,4 +1,4 @@
-"""The two-stage front end, driven by registrations whose answers are known."""
+"""The two-stage front end, driven by registrations with known results."""
 
 import math
 from dataclasses import replace
@@ -24,8 +24,8 @@ STEP_NS = 100_000_000
 PATH = [Pose(0.15 * i, 0.02 * i * i, 0.06 * i) for i in range(12)]
 
 
-class ByIndex:
-    """The true motion: point i of the source is point i of the target. Notes what it was asked."""
+class RegistrationByIndex:
+    """Registration that returns the true motion, with point i of the source matched to point i of the target."""
 
     def __init__(self, inliers=60):
         self.inliers, self.targets, self.guesses = inliers, [], []
@@ -40,8 +40,8 @@ class ByIndex:
         return Match(Pose(move.real, move.imag, float(theta)), True, 1, 0.0, self.inliers)
 
 
-class Nonsense:
-    """Far off, and standing on few pairs."""
+class WrongRegistration:
+    """Registration with a large error and few pairs."""
 
     def __init__(self, inliers):
         self.inliers = inliers
@@ -55,7 +55,7 @@ def complex_(points):
 
 
 def frame(start_from_base, index=0, *, stamp_ns=None, odom=None, moved=None, told=None):
-    """The landmarks from a pose; ``moved``: the base's motion meanwhile; ``told``: what odometry says of it."""
+    """Return the landmarks seen from a pose; ``moved``: the motion of the base; ``told``: that of the odometry."""
     share = np.linspace(0.0, 1.0, len(LANDMARKS))
     start_from_beam = se2.compose(start_from_base.row, se2.fraction((moved or Pose()).row, share))
     sensor_from_start = se2.inverse(se2.compose(start_from_beam, BASE_FROM_SENSOR.row))
@@ -76,12 +76,12 @@ def spec(make, **changes):
 
 
 def made(registration, **given):
-    """An odometry around one registration object, which serves both stages."""
+    """Return an odometry with one registration object for both stages."""
     described = spec(lambda: registration)
     return make_odometry(described, complete_parameters("test", described, given))
 
 
-def followed(method, frames):
+def run_poses(method, frames):
     return np.array([method.update(item).pose.row for item in frames])
 
 
@@ -99,25 +99,25 @@ def rows(poses):
 )
 def test_a_perfect_registration_gives_the_exact_trajectory(stages):
     frames = [frame(pose, i) for i, pose in enumerate(PATH)]
-    np.testing.assert_allclose(followed(made(ByIndex(), **stages), frames), rows(PATH), atol=1e-9)
+    np.testing.assert_allclose(run_poses(made(RegistrationByIndex(), **stages), frames), rows(PATH), atol=1e-9)
 
 
-def test_the_first_answer_is_the_identity_wherever_the_odometry_stands():
-    method = made(ByIndex())
+def test_the_first_pose_is_the_identity_for_any_odometry_pose():
+    method = made(RegistrationByIndex())
     assert method.update(frame(Pose(), odom=Pose(8.0, 9.0, 1.0))) == OdometryEstimate(Pose())
 
 
-def test_an_answer_on_too_few_pairs_is_not_accepted():
+def test_a_result_from_too_few_pairs_is_not_accepted():
     frames = [frame(pose, i, odom=Pose(3.0, 1.0, 2.0) @ pose) for i, pose in enumerate(PATH)]
-    kept = followed(made(Nonsense(inliers=9), min_inliers=10), frames)
+    kept = run_poses(made(WrongRegistration(inliers=9), min_inliers=10), frames)
     np.testing.assert_allclose(kept, rows(PATH), atol=1e-12)
-    accepted = followed(made(Nonsense(inliers=10), min_inliers=10), frames)
+    accepted = run_poses(made(WrongRegistration(inliers=10), min_inliers=10), frames)
     assert accepted[1].tolist() == [70.0, 80.0, 1.0]
 
 
 @pytest.mark.parametrize(("inliers", "accepted"), [(9, True), (8, False)])
 def test_an_estimate_reports_which_stages_were_accepted(inliers, accepted):
-    method = made(ByIndex(inliers=inliers), min_inliers=9)
+    method = made(RegistrationByIndex(inliers=inliers), min_inliers=9)
     method.update(frame(PATH[0], 0))
     estimate = method.update(frame(PATH[1], 1))
     assert [(name, stage.accepted) for name, stage in estimate.stages.items()] == [("s2s", accepted), ("s2m", accepted)]
@@ -125,28 +125,28 @@ def test_an_estimate_reports_which_stages_were_accepted(inliers, accepted):
 
 
 def test_an_estimate_sums_the_cost_of_both_stages():
-    class Costly(ByIndex):
+    class CostlyRegistration(RegistrationByIndex):
         def register(self, target, source, guess):
             cost = Cost(conversion_ns=3, program_cpu_ns=5, device_ns=7)
             return replace(super().register(target, source, guess), cost=cost)
 
-    method = made(Costly())
+    method = made(CostlyRegistration())
     costs = [method.update(frame(pose, i)).cost for i, pose in enumerate(PATH[:2])]
     assert costs == [Cost(), Cost(6, 10, 14)]
 
 
-def test_a_back_end_without_any_stage_is_its_prior():
+def test_a_back_end_without_stages_returns_its_prior():
     frames = [frame(pose, i, odom=pose) for i, pose in enumerate(PATH)]
-    alone = made(Nonsense(99), scan_to_scan=False, scan_to_map=False)
-    np.testing.assert_allclose(followed(alone, frames), rows(PATH), atol=1e-12)
+    alone = made(WrongRegistration(99), scan_to_scan=False, scan_to_map=False)
+    np.testing.assert_allclose(run_poses(alone, frames), rows(PATH), atol=1e-12)
 
 
 # guesses
 
 
-def test_odometry_guesses_its_own_step():
-    registration = ByIndex()
-    followed(
+def test_the_odometry_prior_predicts_the_step_of_the_odometry():
+    registration = RegistrationByIndex()
+    run_poses(
         made(registration, scan_to_map=False),
         [frame(Pose(), 0, odom=Pose(1.0, 0.0, math.pi / 2)), frame(PATH[1], 1, odom=Pose(1.0, 0.5, math.pi))],
     )
@@ -154,42 +154,42 @@ def test_odometry_guesses_its_own_step():
 
 
 @pytest.mark.parametrize(("elapsed", "expected"), [(1, 0.2), (2, 0.4), (0.5, 0.1), (9, 0.4)])
-def test_constant_velocity_guesses_the_last_step_by_time_and_at_most_twice(elapsed, expected):
-    registration = ByIndex()
+def test_constant_velocity_predicts_the_last_step_scaled_by_time_up_to_twice(elapsed, expected):
+    registration = RegistrationByIndex()
     last = STEP_NS + int(elapsed * STEP_NS)
     frames = [
         frame(Pose(), 0, odom=Pose()),
         frame(Pose(0.2, 0.0, 0.0), 1, odom=Pose(5.0, 0.0, 0.0)),
         frame(Pose(0.3, 0.0, 0.0), stamp_ns=last, odom=Pose(9.0, 0.0, 0.0)),
     ]
-    followed(made(registration, scan_to_map=False, prior="constant-velocity"), frames)
+    run_poses(made(registration, scan_to_map=False, prior="constant-velocity"), frames)
     np.testing.assert_allclose(rows(registration.guesses), [[0, 0, 0], [expected, 0, 0]], atol=1e-9)
 
 
-def test_without_a_prior_the_guess_is_no_motion():
-    registration = ByIndex()
+def test_without_a_prior_the_guess_is_the_identity_motion():
+    registration = RegistrationByIndex()
     frames = [frame(pose, i, odom=pose) for i, pose in enumerate(PATH)]
-    followed(made(registration, scan_to_map=False, prior="none"), frames)
+    run_poses(made(registration, scan_to_map=False, prior="none"), frames)
     assert set(registration.guesses) == {Pose()}
 
 
-def test_where_odometry_is_not_recorded_the_velocity_stays():
-    registration = ByIndex()
+def test_without_recorded_odometry_the_velocity_is_the_prior():
+    registration = RegistrationByIndex()
     odom = [Pose(), Pose(0.2, 0.0, 0.0), None, Pose(0.7, 0.0, 0.0)]
     frames = [frame(Pose(0.2 * i, 0.0, 0.0), i, odom=told) for i, told in enumerate(odom)]
-    followed(made(registration, scan_to_map=False), frames)
+    run_poses(made(registration, scan_to_map=False), frames)
     np.testing.assert_allclose(rows(registration.guesses), [[0.2, 0, 0]] * 3, atol=1e-9)
 
 
-def test_the_second_stage_starts_from_the_answer_of_the_first():
-    registration = ByIndex()
-    followed(made(registration, prior="none"), [frame(PATH[0], 0), frame(PATH[1], 1), frame(PATH[2], 2)])
+def test_the_second_stage_starts_from_the_result_of_the_first():
+    registration = RegistrationByIndex()
+    run_poses(made(registration, prior="none"), [frame(PATH[0], 0), frame(PATH[1], 1), frame(PATH[2], 2)])
     expected = [Pose(), PATH[1], Pose(), PATH[2]]  # s2s, s2m, s2s, s2m
     np.testing.assert_allclose(rows(registration.guesses), rows(expected), atol=1e-9)
 
 
 def test_both_stages_are_reported_in_order_from_the_second_scan_on():
-    method = made(ByIndex(inliers=33))
+    method = made(RegistrationByIndex(inliers=33))
     estimates = [method.update(frame(pose, i)) for i, pose in enumerate(PATH[:3])]
     reported = [[(name, stage.inliers) for name, stage in estimate.stages.items()] for estimate in estimates]
     assert reported == [[], *[[("s2s", 33), ("s2m", 33)]] * 2]
@@ -199,88 +199,94 @@ def test_both_stages_are_reported_in_order_from_the_second_scan_on():
 
 
 def swept(told):
-    """Scans during which the base moves; odometry tells that motion or not."""
+    """Return scans during which the base moves; the odometry contains that motion or not."""
     moved = Pose(0.12, 0.01, 0.25)
     return [frame(pose, i, odom=pose, moved=moved, told=moved if told else None) for i, pose in enumerate(PATH)]
 
 
-def test_the_motion_within_a_scan_is_undone_with_the_odometry():
-    exact = followed(made(ByIndex(), keyframe_distance_m=0.1), swept(told=True))
+def test_the_motion_within_a_scan_is_corrected_with_the_odometry():
+    exact = run_poses(made(RegistrationByIndex(), keyframe_distance_m=0.1), swept(told=True))
     np.testing.assert_allclose(exact, rows(PATH), atol=1e-9)
 
 
 @pytest.mark.parametrize(("told", "settings"), [(True, {"deskew": False}), (False, {}), (True, {"prior": "none"})])
 def test_without_deskewing_the_map_is_distorted(told, settings):
-    registration = ByIndex()
-    followed(made(registration, scan_to_scan=False, **settings), swept(told)[:2])
+    registration = RegistrationByIndex()
+    run_poses(made(registration, scan_to_scan=False, **settings), swept(told)[:2])
     assert np.abs(registration.targets[0].points - LANDMARKS).max() > 0.1
 
 
-def test_steady_motion_is_undone_without_odometry_from_the_second_step_on():
-    """The base goes on at the speed of the last step, 0.2 m in 0.1 s; a scan takes 59 % of that."""
+def test_steady_motion_is_corrected_without_odometry_from_the_second_step_on():
+    """The base continues at the speed of the last step, 0.2 m in 0.1 s; a scan takes 59 % of that time."""
     moved = Pose(0.2 * 0.59, 0.0, 0.0)
     frames = [frame(Pose(0.2 * i, 0.0, 0.0), i, moved=moved) for i in range(4)]
-    registration = ByIndex()
-    followed(made(registration, scan_to_map=False, prior="constant-velocity"), frames)
+    registration = RegistrationByIndex()
+    run_poses(made(registration, scan_to_map=False, prior="constant-velocity"), frames)
     seen = Pose(0.4, 0.0, 0.0).transform(registration.targets[2].points)
     np.testing.assert_allclose(seen, LANDMARKS, atol=1e-9)
 
 
-# what is matched
+# local maps
 
 
-def held(path, **settings):
-    """How many keyframes the local map holds when each scan but the first is matched."""
-    registration = ByIndex()
-    followed(made(registration, scan_to_scan=False, **settings), [frame(pose, i) for i, pose in enumerate(path)])
+def count_keyframes(path, **settings):
+    """Return the number of keyframes in the local map when each scan but the first is matched."""
+    registration = RegistrationByIndex()
+    run_poses(made(registration, scan_to_scan=False, **settings), [frame(pose, i) for i, pose in enumerate(path)])
     return [len(target) // len(LANDMARKS) for target in registration.targets]
 
 
-def test_a_keyframe_is_kept_after_every_half_metre():
-    assert held([Pose(0.2 * i, 0.0, 0.0) for i in range(9)]) == [1, 1, 1, 2, 2, 2, 3, 3]
+def test_a_keyframe_is_added_after_every_half_metre():
+    assert count_keyframes([Pose(0.2 * i, 0.0, 0.0) for i in range(9)]) == [1, 1, 1, 2, 2, 2, 3, 3]
 
 
-def test_or_after_a_turn_either_way():
-    assert held([Pose(0.0, 0.0, math.radians(-15.0 * i)) for i in range(6)]) == [1, 1, 2, 2, 3]
+def test_a_keyframe_is_added_after_a_turn_in_either_direction():
+    assert count_keyframes([Pose(0.0, 0.0, math.radians(-15.0 * i)) for i in range(6)]) == [1, 1, 2, 2, 3]
 
 
-def test_the_local_map_is_made_of_the_last_keyframes():
-    assert held([Pose(0.6 * i, 0.0, 0.0) for i in range(7)], keyframes=3) == [1, 2, 3, 3, 3, 3]
+def test_the_local_map_consists_of_the_last_keyframes():
+    assert count_keyframes([Pose(0.6 * i, 0.0, 0.0) for i in range(7)], keyframes=3) == [1, 2, 3, 3, 3, 3]
 
 
-def test_the_last_scans_make_a_local_map_however_little_they_moved():
-    assert held([Pose(0.01 * i, 0.0, 0.0) for i in range(6)], keyframes=3, local_map="scans") == [1, 2, 3, 3, 3]
+def test_a_local_map_of_recent_scans_is_independent_of_their_motion():
+    assert count_keyframes([Pose(0.01 * i, 0.0, 0.0) for i in range(6)], keyframes=3, local_map="scans") == [
+        1,
+        2,
+        3,
+        3,
+        3,
+    ]
 
 
-def test_a_grid_takes_every_scan_and_gives_its_occupied_cells():
-    registration = ByIndex(inliers=0)  # not accepted: the odometry's poses stay
+def test_a_grid_receives_every_scan_and_returns_its_occupied_cells():
+    registration = RegistrationByIndex(inliers=0)  # not accepted: the poses of the odometry are kept
     method = made(registration, scan_to_scan=False, local_map="grid", local_map_cell_m=0.1)
-    followed(method, [frame(Pose(), i, odom=Pose()) for i in range(3)])
+    run_poses(method, [frame(Pose(), i, odom=Pose()) for i in range(3)])
     cells = np.unique(np.floor(LANDMARKS / 0.1), axis=0)
     for target in registration.targets:
         assert target.frame == "start"
         np.testing.assert_allclose(target.points, cells[np.lexsort(cells.T)] * 0.1 + 0.05, atol=1e-9)
 
 
-def test_a_lasting_map_is_selected_by_name():
-    registration = ByIndex()
+def test_a_persistent_map_is_selected_by_name():
+    registration = RegistrationByIndex()
     method = made(registration, scan_to_scan=False, local_map="voxels", local_map_voxel_m=1.0)
-    followed(method, [frame(PATH[0], 0), frame(PATH[1], 1)])
+    run_poses(method, [frame(PATH[0], 0), frame(PATH[1], 1)])
     assert len(registration.targets[0]) == len(np.unique(np.floor(LANDMARKS), axis=0))
 
 
 def test_local_radius_keeps_only_points_near_the_base():
-    registration = ByIndex()
+    registration = RegistrationByIndex()
     method = made(registration, local_radius_m=3.0)
-    followed(method, [frame(PATH[0], 0), frame(PATH[0], 1)])
+    run_poses(method, [frame(PATH[0], 0), frame(PATH[0], 1)])
     near = LANDMARKS[np.hypot(LANDMARKS[:, 0], LANDMARKS[:, 1]) <= 3.0]
     np.testing.assert_allclose(registration.targets[0].points, near, atol=1e-9)
     assert registration.targets[0].frame == "base"
 
 
-def test_a_scan_may_be_thinned_to_voxel_means():
-    registration = ByIndex()
-    followed(made(registration, source_voxel_m=2.0), [frame(PATH[0], 0), frame(PATH[0], 1)])
+def test_a_scan_may_be_reduced_to_voxel_means():
+    registration = RegistrationByIndex()
+    run_poses(made(registration, source_voxel_m=2.0), [frame(PATH[0], 0), frame(PATH[0], 1)])
     assert len(registration.targets[0]) == len(np.unique(np.floor(LANDMARKS / 2.0), axis=0))
 
 
@@ -289,11 +295,11 @@ def test_a_scan_may_be_thinned_to_voxel_means():
 GAIN, BIAS = Parameter("gain", 1.0, "", "how much", low=0.0), Parameter("bias", 0, "", "how far")
 
 
-def asked_for(described, given):
-    """What the two stages' registrations are made with."""
+def stage_parameters(described, given):
+    """Return the parameters of the registrations of both stages."""
     calls = []
     told = spec(
-        lambda **parameters: calls.append(parameters) or ByIndex(),
+        lambda **parameters: calls.append(parameters) or RegistrationByIndex(),
         parameters=described.parameters,
         scan_to_scan=described.scan_to_scan,
     )
@@ -301,24 +307,26 @@ def asked_for(described, given):
     return calls
 
 
-def test_a_parameter_may_differ_in_the_first_stage_alone():
-    plain, own = spec(ByIndex, parameters=(GAIN, BIAS)), {"gain": 3.0, "bias": 4}
-    assert asked_for(plain, own) == [own, own]
-    assert asked_for(plain, {**own, "s2s.gain": 2}) == [{"gain": 2.0, "bias": 4}, own]
+def test_a_parameter_may_differ_in_the_first_stage_only():
+    plain, own = spec(RegistrationByIndex, parameters=(GAIN, BIAS)), {"gain": 3.0, "bias": 4}
+    assert stage_parameters(plain, own) == [own, own]
+    assert stage_parameters(plain, {**own, "s2s.gain": 2}) == [{"gain": 2.0, "bias": 4}, own]
 
 
 def test_a_back_end_may_have_other_defaults_in_the_first_stage():
-    eager = spec(ByIndex, parameters=(GAIN, BIAS), scan_to_scan={"gain": 9.0})
-    assert asked_for(eager, {"bias": 1}) == [{"gain": 9.0, "bias": 1}, {"gain": 1.0, "bias": 1}]
-    assert asked_for(eager, {"s2s.gain": 5.0})[0]["gain"] == 5.0
+    eager = spec(RegistrationByIndex, parameters=(GAIN, BIAS), scan_to_scan={"gain": 9.0})
+    assert stage_parameters(eager, {"bias": 1}) == [{"gain": 9.0, "bias": 1}, {"gain": 1.0, "bias": 1}]
+    assert stage_parameters(eager, {"s2s.gain": 5.0})[0]["gain"] == 5.0
     assert [p.name for p in settable_parameters(eager)][:3] == ["gain", "bias", "s2s.gain"]
 
 
-def test_a_back_ends_own_front_end_settings_are_defaults():
-    wide = spec(ByIndex, frontend={"keyframes": 4})
+def test_front_end_settings_of_a_back_end_are_defaults():
+    wide = spec(RegistrationByIndex, frontend={"keyframes": 4})
     assert complete_parameters("test", wide, {})["keyframes"] == 4
     assert complete_parameters("test", wide, {"keyframes": 5})["keyframes"] == 5
-    assert complete_parameters("test", spec(ByIndex), {}) == {p.name: p.default for p in frontend.PARAMETERS}
+    assert complete_parameters("test", spec(RegistrationByIndex), {}) == {
+        p.name: p.default for p in frontend.PARAMETERS
+    }
 
 
 @pytest.mark.parametrize(
@@ -331,12 +339,12 @@ def test_a_back_ends_own_front_end_settings_are_defaults():
         ({"prior": "gps"}, BadParameter, "one of odometry, constant-velocity, none"),
     ],
 )
-def test_unknown_and_unfit_parameters_are_refused(given, error, message):
+def test_unknown_and_invalid_parameters_are_rejected(given, error, message):
     with pytest.raises(error, match=message):
-        complete_parameters("test", spec(ByIndex, parameters=(GAIN,)), given)
+        complete_parameters("test", spec(RegistrationByIndex, parameters=(GAIN,)), given)
 
 
-def test_an_odometry_is_made_as_it_is_and_has_no_front_end():
+def test_an_odometry_back_end_is_created_without_a_front_end():
     calls = []
     own = OdometrySpec(lambda **p: calls.append(p) or "made", "", "", "MIT", parameters=(GAIN,))
     assert make_odometry(own, complete_parameters("test", own, {})) == "made"

@@ -1,4 +1,4 @@
-"""What scans are matched against, by hand."""
+"""Local maps, compared with hand calculations."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from evalkit.odometry.local_map import GridMap, KeyframeMap, VoxelMap, voxel_mea
 from evalkit.plugins import registry
 
 
-def ordered(points):
+def sort_points(points):
     return sorted(np.round(points, 9).tolist())
 
 
@@ -17,10 +17,10 @@ def ordered(points):
 
 def test_every_cell_keeps_the_mean_of_its_points():
     points = np.array([[0.1, 0.1], [0.9, 0.3], [1.5, 0.5], [-0.2, 0.4], [-0.4, -0.1]])
-    assert ordered(voxel_means(points, 1.0)) == [[-0.4, -0.1], [-0.2, 0.4], [0.5, 0.2], [1.5, 0.5]]
+    assert sort_points(voxel_means(points, 1.0)) == [[-0.4, -0.1], [-0.2, 0.4], [0.5, 0.2], [1.5, 0.5]]
 
 
-def test_voxel_means_are_those_of_a_dictionary_and_ordered_by_cell():
+def test_voxel_means_equal_those_of_a_dictionary_and_are_ordered_by_cell():
     points = np.random.default_rng(0).uniform(-3, 3, (500, 2))
     cells = {}
     for point in points:
@@ -29,35 +29,35 @@ def test_voxel_means_are_those_of_a_dictionary_and_ordered_by_cell():
     np.testing.assert_allclose(voxel_means(points, 0.5), expected, atol=1e-12)
 
 
-def test_no_points_have_no_means():
+def test_empty_clouds_have_no_voxel_means():
     assert voxel_means(np.empty((0, 2)), 0.1).shape == (0, 2)
 
 
 # keyframes
 
 
-def test_the_oldest_keyframe_leaves():
+def test_the_oldest_keyframe_is_removed():
     local_map = KeyframeMap(2, 0.0)
     for x in (1.0, 2.0, 3.0):
         local_map.add(np.array([[0.0, 0.0]]), Pose(x, 0.0, 0.0))
     assert local_map.cloud(Pose()).points.tolist() == [[2.0, 0.0], [3.0, 0.0]]
 
 
-def test_keyframes_stand_in_the_start_frame():
+def test_keyframes_are_in_the_start_frame():
     local_map = KeyframeMap(2, 0.0)
     local_map.add(np.array([[1.0, 0.0]]), Pose(5.0, 0.0, np.pi / 2))
     np.testing.assert_allclose(local_map.cloud(Pose()).points, [[5.0, 1.0]], atol=1e-12)
     assert local_map.cloud(Pose()).frame == "start"
 
 
-def test_keyframes_may_be_thinned_together():
+def test_keyframes_may_be_reduced_together():
     local_map = KeyframeMap(2, 1.0)
     local_map.add(np.array([[0.2, 0.2]]), Pose())
     local_map.add(np.array([[0.4, 0.6], [3.5, 0.5]]), Pose())
     np.testing.assert_allclose(local_map.cloud(Pose()).points, [[0.3, 0.4], [3.5, 0.5]])
 
 
-def test_the_local_map_is_one_object_until_a_keyframe_comes():
+def test_the_local_map_object_is_reused_until_a_keyframe_is_added():
     local_map = KeyframeMap(3, 0.0)
     local_map.add(np.zeros((1, 2)), Pose())
     before = local_map.cloud(Pose())
@@ -66,7 +66,7 @@ def test_the_local_map_is_one_object_until_a_keyframe_comes():
     assert local_map.cloud(Pose()) is not before
 
 
-# the lasting map
+# the persistent map
 
 
 def test_an_open_voxel_is_the_mean_of_all_its_points():
@@ -76,21 +76,21 @@ def test_an_open_voxel_is_the_mean_of_all_its_points():
     np.testing.assert_allclose(lasting.cloud(Pose()).points, [[0.4, 0.5]])
 
 
-def test_a_settled_voxel_does_not_move_but_others_may_open():
+def test_a_settled_voxel_is_fixed_while_new_ones_open():
     lasting = VoxelMap(1.0, 10.0, max_points=2)
     lasting.add(np.array([[0.2, 0.2], [0.4, 0.4]]), Pose())
     lasting.add(np.array([[0.9, 0.9], [1.5, 0.5]]), Pose())
     np.testing.assert_allclose(lasting.cloud(Pose()).points, [[0.3, 0.3], [1.5, 0.5]])
 
 
-def test_a_lasting_map_that_never_settles_is_the_voxel_mean_of_everything():
+def test_a_persistent_map_that_never_settles_is_the_voxel_mean_of_all_points():
     rng = np.random.default_rng(1)
     batches, lasting = rng.uniform(-20, 20, (40, 100, 2)), VoxelMap(0.5, 100.0, max_points=10**9)
     for points in batches:
         lasting.add(points, Pose())
     points = lasting.cloud(Pose()).points
     assert len(points) > 1024  # more voxels than the first allocation holds
-    np.testing.assert_allclose(ordered(points), ordered(voxel_means(batches.reshape(-1, 2), 0.5)), atol=1e-8)
+    np.testing.assert_allclose(sort_points(points), sort_points(voxel_means(batches.reshape(-1, 2), 0.5)), atol=1e-8)
 
 
 def test_only_voxels_within_the_radius_are_matched():
@@ -100,7 +100,7 @@ def test_only_voxels_within_the_radius_are_matched():
     np.testing.assert_allclose(lasting.cloud(Pose(4.0, 0.0, 0.0)).points, [[2.45, 0.05]])
 
 
-def test_the_lasting_map_is_one_object_until_it_grows_or_the_pose_moves_on():
+def test_the_persistent_map_object_is_reused_until_it_grows_or_the_pose_moves():
     lasting = VoxelMap(0.1, 10.0)
     lasting.add(np.zeros((1, 2)), Pose())
     before = lasting.cloud(Pose())
@@ -114,36 +114,36 @@ def test_the_lasting_map_is_one_object_until_it_grows_or_the_pose_moves_on():
 # occupied cells
 
 
-def drawn(*adds, probability=0.5, radius_m=9.0):
-    """The cells matched against, in the order of their place, after scans of single points."""
+def map_points(*adds, probability=0.5, radius_m=9.0):
+    """Return the matched cells, ordered by position, after scans of single points."""
     local_map = GridMap(registry.mapper("log-odds").make(resolution_m=0.5), probability, radius_m)
     for point, *poses in adds:
         local_map.add(np.array([point]), *poses)
-    return ordered(local_map.cloud(Pose()).points)
+    return sort_points(local_map.cloud(Pose()).points)
 
 
 AT_REST = (Pose(), Pose())
 
 
-def test_a_hit_makes_the_centre_of_its_cell_a_point():
-    assert drawn(([2.1, 0.1], *AT_REST)) == [[2.25, 0.25]]
-    assert drawn(([2.1, 0.1], Pose(1.0, 1.0, np.pi / 2), Pose())) == [[0.75, 3.25]]
+def test_a_hit_adds_the_centre_of_its_cell_as_a_point():
+    assert map_points(([2.1, 0.1], *AT_REST)) == [[2.25, 0.25]]
+    assert map_points(([2.1, 0.1], Pose(1.0, 1.0, np.pi / 2), Pose())) == [[0.75, 3.25]]
 
 
-def test_beams_that_pass_a_cell_take_its_point_away():
+def test_beams_through_a_cell_remove_its_point():
     hit, past = ([2.1, 0.1], *AT_REST), ([4.1, 0.1], *AT_REST)
-    assert drawn(hit, past, past) == [[4.25, 0.25]]  # -0.847 once free, twice for good
+    assert map_points(hit, past, past) == [[4.25, 0.25]]  # -0.847 after two free observations, which removes the point
     from_aside = Pose(4.0, 3.0, 0.0)
-    assert drawn(hit, *[([4.1, 0.1], Pose(), from_aside)] * 2) == [[2.25, 0.25], [4.25, 0.25]]
+    assert map_points(hit, *[([4.1, 0.1], Pose(), from_aside)] * 2) == [[2.25, 0.25], [4.25, 0.25]]
 
 
 def test_only_cells_above_the_probability_are_matched():
     once, twice = ([2.1, 0.1], *AT_REST), ([0.1, 2.1], *AT_REST)
-    assert drawn(once, twice, twice, probability=0.8) == [[0.25, 2.25]]  # 0.70 and 0.84
+    assert map_points(once, twice, twice, probability=0.8) == [[0.25, 2.25]]  # 0.70 and 0.84
 
 
 def test_only_cells_within_the_radius_are_matched_against():
-    assert drawn(([2.1, 0.1], *AT_REST), ([0.1, 5.1], *AT_REST), radius_m=3.0) == [[2.25, 0.25]]
+    assert map_points(([2.1, 0.1], *AT_REST), ([0.1, 5.1], *AT_REST), radius_m=3.0) == [[2.25, 0.25]]
 
 
 @pytest.mark.parametrize(

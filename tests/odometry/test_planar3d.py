@@ -1,4 +1,4 @@
-"""Between the plane and space: nothing is lost on the way, and what is not planar is refused."""
+"""Conversion between 2D and 3D: lossless for planar motions, an error for all others."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def wall(angle: float, n: int = 30) -> np.ndarray:
     return along * [np.cos(angle), np.sin(angle)] + [3.0, -2.0]
 
 
-def test_points_keep_x_and_y_and_get_z_zero_in_memory_of_their_own():
+def test_points_keep_x_and_y_and_get_z_zero_in_new_memory():
     flat = np.array([[1.0, 2.0], [3.0, 4.0]])
     space = planar3d.points_3d(flat)
     assert space.tolist() == [[1.0, 2.0, 0.0], [3.0, 4.0, 0.0]]
@@ -27,7 +27,7 @@ def test_points_keep_x_and_y_and_get_z_zero_in_memory_of_their_own():
 
 
 @given(METRES, METRES, RADIANS)
-def test_a_pose_survives_the_way_to_a_matrix_and_back(x, y, theta):
+def test_a_pose_survives_conversion_to_a_matrix_and_back(x, y, theta):
     pose = Pose(x, y, theta)
     back = planar3d.pose_2d(planar3d.matrix_4x4(pose))
     assert (back.x, back.y) == (pose.x, pose.y)
@@ -40,7 +40,7 @@ def test_a_matrix_is_orthogonal_to_the_last_bits(theta):
     assert np.abs(rotation @ rotation.T - np.eye(3)).max() < 4e-16
 
 
-def test_a_matrix_moves_points_as_its_pose_does():
+def test_a_matrix_moves_points_like_its_pose():
     pose = Pose(0.3, -0.7, 2.0)
     points = wall(0.4)
     homogeneous = np.column_stack([planar3d.points_3d(points), np.ones(len(points))])
@@ -65,13 +65,13 @@ def test_a_matrix_outside_the_plane_is_rejected(spoil, says):
         planar3d.pose_2d(matrix)
 
 
-def test_a_matrix_of_another_shape_is_refused():
+def test_a_matrix_of_another_shape_is_rejected():
     with pytest.raises(ValueError, match=r"expected shape \(4, 4\), got \(3, 3\)"):
         planar3d.pose_2d(np.eye(3))
 
 
 @pytest.mark.parametrize("degrees", [0.0, 30.0, 90.0, 135.0, -20.0])
-def test_the_normals_of_a_straight_wall_stand_upright_on_it(degrees):
+def test_the_normals_of_a_straight_wall_are_perpendicular_to_it(degrees):
     angle = np.radians(degrees)
     normals = planar3d.normals(wall(angle), neighbours=5, radius_m=1.0)
     assert np.allclose(np.abs(normals @ [-np.sin(angle), np.cos(angle)]), 1.0, atol=1e-12)
@@ -84,7 +84,7 @@ def test_the_normals_of_a_circle_point_to_its_centre():
     assert np.allclose(np.abs((normals * directions).sum(axis=1)), 1.0, atol=1e-9)
 
 
-def test_normals_agree_with_eigenvectors_of_neighbours_found_by_brute_force():
+def test_normals_agree_with_eigenvectors_of_brute_force_neighbours():
     points = np.random.default_rng(1).uniform(-1.0, 1.0, (60, 2))
     normals = planar3d.normals(points, neighbours=8, radius_m=0.3)
     for point, normal in zip(points, normals, strict=True):
@@ -98,15 +98,15 @@ def test_normals_agree_with_eigenvectors_of_neighbours_found_by_brute_force():
             assert abs(normal @ least) == pytest.approx(1.0, abs=1e-9)
 
 
-def test_no_wall_gives_no_normal():
+def test_points_without_a_wall_get_no_normal():
     assert planar3d.normals(np.zeros((0, 2)), 5, 1.0).shape == (0, 2)
     assert not planar3d.normals([[0.0, 0.0], [0.1, 0.0]], 5, 1.0).any()  # two points
-    assert not planar3d.normals(np.ones((6, 2)), 5, 1.0).any()  # six times the same
+    assert not planar3d.normals(np.ones((6, 2)), 5, 1.0).any()  # six identical points
     far = np.vstack([wall(0.0), [[30.0, 30.0]]])
-    assert planar3d.normals(far, 5, 1.0).any(axis=1).tolist() == [True] * 30 + [False]  # one alone
+    assert planar3d.normals(far, 5, 1.0).any(axis=1).tolist() == [True] * 30 + [False]  # a single point
 
 
-def test_covariances_are_thin_across_the_wall_and_round_where_there_is_none():
+def test_covariances_are_thin_across_a_wall_and_isotropic_elsewhere():
     covariances = planar3d.covariances_3d([[0.0, 1.0], [0.6, 0.8], [0.0, 0.0]], epsilon=0.01)
     assert np.allclose(covariances[0], np.diag([1.0, 0.01, 1.0]))
     assert np.allclose(np.linalg.eigvalsh(covariances[1]), [0.01, 1.0, 1.0])

@@ -1,4 +1,4 @@
-"""Running an odometry over frames: order, answers, scans without an answer."""
+"""Running an odometry over frames: order, poses, and scans without an answer."""
 
 import math
 from dataclasses import replace
@@ -17,8 +17,8 @@ from evalkit.plugins.protocols import NoAnswer
 FRAMES = [Frame(Scan(stamp, np.array([1.0]), np.array([0.0]), 0.1, 9.0)) for stamp in (10, 20, 30)]
 
 
-class Scripted:
-    """Returns or raises what the list says, in turn."""
+class ScriptedOdometry:
+    """Odometry that returns or raises the items of a list in order."""
 
     def __init__(self, *answers):
         self.answers = list(answers)
@@ -37,36 +37,36 @@ class UncheckedPose(Pose):
 
 def test_every_frame_gives_a_step_with_its_estimate_and_the_time_of_the_call():
     estimates = [OdometryEstimate(Pose(x), cost=Cost(device_ns=5)) for x in (0.0, 1.0, 2.0)]
-    steps = list(run_odometry(Scripted(*estimates), FRAMES))
+    steps = list(run_odometry(ScriptedOdometry(*estimates), FRAMES))
     assert [step.estimate for step in steps] == estimates
     assert [step.frame for step in steps] == FRAMES
     assert all(step.timing.wall_ns > 0 and step.timing.device_ns == 5 for step in steps)
 
 
 def test_a_scan_without_an_answer_is_a_step_with_the_reason():
-    odometry = Scripted(OdometryEstimate(Pose()), NoAnswer("too dark"), OdometryEstimate(Pose(1.0)))
+    odometry = ScriptedOdometry(OdometryEstimate(Pose()), NoAnswer("too dark"), OdometryEstimate(Pose(1.0)))
     steps = list(run_odometry(odometry, FRAMES))
     assert [step.estimate is None for step in steps] == [False, True, False]
     assert [step.reason for step in steps] == ["", "too dark", ""]
 
 
-def test_poses_are_nan_where_there_is_no_answer():
-    odometry = Scripted(OdometryEstimate(Pose()), NoAnswer("too dark"), OdometryEstimate(Pose(1.0)))
+def test_poses_are_nan_for_unanswered_scans():
+    odometry = ScriptedOdometry(OdometryEstimate(Pose()), NoAnswer("too dark"), OdometryEstimate(Pose(1.0)))
     np.testing.assert_array_equal(estimate_poses(odometry, FRAMES), [[0.0] * 3, [np.nan] * 3, [1.0, 0.0, 0.0]])
-    assert estimate_poses(Scripted(), []).shape == (0, 3)
+    assert estimate_poses(ScriptedOdometry(), []).shape == (0, 3)
 
 
 def test_stamps_that_do_not_increase_are_bad_data():
     frames = [*FRAMES, replace(FRAMES[0], scan=replace(FRAMES[0].scan, stamp_ns=30))]
-    odometry = Scripted(*[OdometryEstimate(Pose())] * 4)
+    odometry = ScriptedOdometry(*[OdometryEstimate(Pose())] * 4)
     with pytest.raises(BadData, match="log: scan 4: stamp 30 ns is not later than the one before, 30 ns"):
         list(run_odometry(odometry, frames, "log"))
-    assert len(odometry.answers) == 1  # the odometry does not see the frame
+    assert len(odometry.answers) == 1  # the odometry does not receive the frame
 
 
-def test_other_exceptions_pass():
+def test_other_exceptions_propagate():
     with pytest.raises(RuntimeError, match="lost the plot"):
-        list(run_odometry(Scripted(RuntimeError("lost the plot")), FRAMES))
+        list(run_odometry(ScriptedOdometry(RuntimeError("lost the plot")), FRAMES))
 
 
 @pytest.mark.parametrize(
@@ -78,6 +78,6 @@ def test_other_exceptions_pass():
         (OdometryEstimate(UncheckedPose(math.nan)), ValueError, r"not finite: \(nan, 0.0, 0.0\)"),
     ],
 )
-def test_an_answer_of_another_kind_is_refused(answer, error, message):
+def test_a_result_of_another_type_raises(answer, error, message):
     with pytest.raises(error, match=message):
         checked_estimate(answer)

@@ -1,4 +1,4 @@
-"""A digest changes with the code a result stands on, and with nothing else."""
+"""The code hash changes with the code that determines a result, and with nothing else."""
 
 import importlib
 import sys
@@ -11,14 +11,14 @@ from evalkit.plugins.code_hash import files_digest, fingerprint, sources
 
 @pytest.fixture
 def package(tmp_path, monkeypatch):
-    """A stranger's package: plug-in -> step -> deep, a relative import inside a function, and a bystander."""
+    """Write a third-party package: plug-in -> step -> deep, a relative import in a function, and an unused module."""
     home = tmp_path / "stranger_plugin"
     home.mkdir()
     files = {
         "__init__": "",
         "plugin": "from stranger_plugin.step import walk\nimport json\n",
         "step": "def walk():\n    from . import deep\n    from .deeper import far\n",
-        "deep": "import stranger_plugin.plugin\n",  # a circle
+        "deep": "import stranger_plugin.plugin\n",  # a circular import
         "deeper": "far = 1\n",
         "bystander": "",
     }
@@ -38,7 +38,7 @@ def digest():
     return fingerprint(("stranger_plugin.plugin",), ())
 
 
-def test_everything_a_module_imports_within_its_package_counts_however_far(package):
+def test_all_modules_imported_within_the_package_are_hashed(package):
     files = sources("stranger_plugin.plugin", frozenset({"stranger_plugin"}))
     assert {"plugin.py", "step.py", "deep.py", "deeper.py"} <= {file.name for file in files}
     assert "bystander.py" not in {file.name for file in files}
@@ -46,7 +46,7 @@ def test_everything_a_module_imports_within_its_package_counts_however_far(packa
 
 
 @pytest.mark.parametrize("name", ["plugin", "step", "deep", "deeper"])
-def test_a_change_of_reached_code_changes_the_digest(package, name):
+def test_a_change_of_imported_code_changes_the_hash(package, name):
     before = digest()
     assert digest() == before
     with (package / f"{name}.py").open("a") as file:
@@ -54,13 +54,13 @@ def test_a_change_of_reached_code_changes_the_digest(package, name):
     assert digest() != before
 
 
-def test_a_change_beside_the_reached_code_changes_nothing(package):
+def test_a_change_of_other_code_does_not_change_the_hash(package):
     before = digest()
     (package / "bystander.py").write_text("x = 1\n")
     assert digest() == before
 
 
-def test_the_versions_of_libraries_count(monkeypatch):
+def test_library_versions_are_part_of_the_hash(monkeypatch):
     found = {"numpy": "1.0"}
     monkeypatch.setattr(module, "_version", lambda name: found.get(name, "absent"))
     before = fingerprint(("evalkit.core.se2",), ("numpy", "open3d"))
@@ -68,13 +68,13 @@ def test_the_versions_of_libraries_count(monkeypatch):
     assert fingerprint(("evalkit.core.se2",), ("numpy", "open3d")) != before
 
 
-def test_the_harness_counts_through_what_the_worker_reaches():
+def test_harness_code_used_by_the_worker_is_part_of_the_hash():
     reached = {file.name for file in sources("evalkit.execution.worker", frozenset({"evalkit"}))}
     assert {"worker.py", "frontend.py", "local_map.py", "scan.py", "se2.py", "timing.py"} <= reached
     assert not {"cli.py", "progress.py", "charts.py"} & reached
 
 
-def test_a_recording_replaced_under_its_name_is_another_one(tmp_path):
+def test_a_recording_replaced_under_its_name_changes_the_hash(tmp_path):
     log, bag = tmp_path / "run.log", tmp_path / "bag"
     log.write_text("FLASER")
     bag.mkdir()

@@ -27,7 +27,7 @@ ALL = (FLAG, COUNT, WIDTH, KIND)
     ("parameter", "value", "expected"),
     [(FLAG, False, False), (COUNT, 1, 1), (COUNT, 9, 9), (WIDTH, 2, 2.0), (WIDTH, 0.0, 0.0), (KIND, "far", "far")],
 )
-def test_a_fitting_value_comes_back_in_the_defaults_type(parameter, value, expected):
+def test_a_valid_value_is_converted_to_the_type_of_the_default(parameter, value, expected):
     found = parameter.check("icp", value)
     assert (found, type(found)) == (expected, type(parameter.default))
 
@@ -49,24 +49,24 @@ def test_a_fitting_value_comes_back_in_the_defaults_type(parameter, value, expec
         (KIND, ["far"], "icp: parameter 'kind': found ['far'], expected a text (which)"),
     ],
 )
-def test_any_other_value_is_refused_by_name(parameter, value, message):
+def test_an_invalid_value_is_rejected_by_name(parameter, value, message):
     with pytest.raises(BadParameter) as caught:
         parameter.check("icp", value)
     assert str(caught.value) == message
 
 
-def test_what_is_not_given_keeps_its_default():
+def test_a_missing_value_keeps_its_default():
     assert resolve_parameters("icp", ALL, {"width": 1}) == {"flag": True, "count": 3, "width": 1.0, "kind": "near"}
 
 
-def test_an_unknown_parameter_is_met_with_the_near_one():
+def test_an_unknown_parameter_suggests_the_nearest_name():
     with pytest.raises(UnknownName) as caught:
         resolve_parameters("icp", ALL, {"widht": 1.0})
     known = "known: count, flag, kind, width"
     assert str(caught.value) == f"icp: no parameter named 'widht' (did you mean 'width'?); {known}"
 
 
-def test_a_variant_differs_in_its_defaults_alone():
+def test_a_variant_differs_only_in_its_defaults():
     variant = with_defaults(ALL, count=7)
     assert resolve_parameters("icp", variant, {}) == {"flag": True, "count": 7, "width": 0.5, "kind": "near"}
     assert variant[1].high == COUNT.high
@@ -75,7 +75,7 @@ def test_a_variant_differs_in_its_defaults_alone():
         with_defaults(ALL, cuont=7)
 
 
-def test_what_needs_nothing_misses_nothing():
+def test_a_plug_in_without_requirements_is_available():
     assert nothing_missing(path="x") == ""
 
 

@@ -1,4 +1,4 @@
-"""Following baselines/README.md and datasets/README.md to the letter gives plug-ins that run."""
+"""The steps of baselines/README.md and datasets/README.md give working plug-ins."""
 
 import json
 import os
@@ -14,12 +14,12 @@ ROOT = Path(__file__).parents[2]
 
 
 def blocks(readme, language):
-    """A README's code blocks in a language, in order."""
+    """Return the code blocks of a README in one language, in order."""
     return re.findall(rf"^```{language}\n(.*?)^```$", readme.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)
 
 
-def installed(folder, kind, package, readme):
-    """The environment in which the README's file stands in a package of its own, and its line in the entry points."""
+def install(folder, kind, package, readme):
+    """Install the README's file as a package with its entry points; returns the environment."""
     (source,) = blocks(readme, "python")
     lines = tomllib.loads(blocks(readme, "toml")[0])["project"]["entry-points"][f"evalkit.{kind}"]
     ((name, value),) = lines.items()
@@ -48,14 +48,14 @@ def runs(environment, folder, experiment):
     return json.loads(answer.stdout)["runs"]
 
 
-def test_the_readmes_back_end_is_listed_runs_and_beats_the_wheels(tmp_path):
+def test_the_back_end_of_the_readme_is_listed_runs_and_beats_the_wheels(tmp_path):
     readme = ROOT / "baselines" / "README.md"
-    name, environment = installed(tmp_path / "site", "backends", "evalkit_baselines", readme)
+    name, environment = install(tmp_path / "site", "backends", "evalkit_baselines", readme)
     assert name in evalkit(environment, "list", "backends").stdout
     tree, wheels = runs(
         environment,
         tmp_path,
-        blocks(readme, "toml")[1]  # the README's own method, with its setting
+        blocks(readme, "toml")[1]  # the README's own method, with its parameter
         + '[[method]]\nuse = "wheel-odometry"\n'
         + '[[sequence]]\nuse = "room"\nlaps = 0.1\nodometry_scale = 0.1\n',
     )
@@ -65,9 +65,9 @@ def test_the_readmes_back_end_is_listed_runs_and_beats_the_wheels(tmp_path):
     assert request["backend_parameters"]["max_iterations"] == 20
 
 
-def test_the_readmes_data_set_is_listed_and_its_exact_wheels_are_exact(tmp_path):
+def test_the_data_set_of_the_readme_is_listed_and_its_error_free_wheels_are_exact(tmp_path):
     readme = ROOT / "datasets" / "README.md"
-    name, environment = installed(tmp_path / "site", "datasets", "evalkit_datasets", readme)
+    name, environment = install(tmp_path / "site", "datasets", "evalkit_datasets", readme)
     assert name in evalkit(environment, "list", "datasets").stdout
     wheels, paper = runs(
         environment,
@@ -79,7 +79,7 @@ def test_the_readmes_data_set_is_listed_and_its_exact_wheels_are_exact(tmp_path)
 
 
 @pytest.mark.parametrize(("folder", "kind"), [("baselines", "backends"), ("datasets", "datasets")])
-def test_the_readme_names_everything_that_is_shipped(folder, kind):
+def test_the_readme_lists_every_shipped_plug_in(folder, kind):
     named = set(re.findall(r"`([\w-]+)`", (ROOT / folder / "README.md").read_text(encoding="utf-8")))
     if not (ROOT / "pyproject.toml").exists():
         pytest.skip("not in a checkout")

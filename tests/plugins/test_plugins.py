@@ -1,4 +1,4 @@
-"""What every shipped plug-in must do, whatever it is: the contract of its seam."""
+"""The contract that every shipped plug-in must meet."""
 
 import itertools
 import math
@@ -18,7 +18,7 @@ SHIPPED = ("evalkit_baselines", "evalkit_datasets")
 
 
 def shipped(kind):
-    """The names evalkit itself brings; strangers' plug-ins keep their own promises."""
+    """Return the names shipped with evalkit; third-party plug-ins have tests of their own."""
     found = entry_points(group=f"evalkit.{kind}")
     return sorted(point.name for point in found if point.value.startswith(SHIPPED))
 
@@ -34,7 +34,7 @@ def sequence(name, **parameters):
 
 @pytest.fixture(scope="module")
 def drive():
-    """2 m of the room in 41 scans without noise, its frames and truth; only the wheels are wrong, by up to 10 cm."""
+    """2 m of the room in 41 noise-free scans, with ground truth; only the wheels have errors, up to 10 cm."""
     return sequence(
         "room", laps=0.09, speed_mps=0.8, noise_m=0.0, dropout=0.0, odometry_scale=0.1, gyro_bias_dps=2.0, seed=1
     )
@@ -47,23 +47,23 @@ def made(name):
     return frontend.make_odometry(spec, frontend.complete_parameters(name, spec, {}))
 
 
-def driven(name, sequence):
+def run_poses(name, sequence):
     method = made(name)
     return np.array([method.update(frame).pose.row for frame in sequence.frames()])
 
 
-def seen_from_start(sequence):
+def relative_to_start(sequence):
     poses = sequence.truth().trajectory
     return poses.moved(Pose.of(poses.poses[0]).inverse()).poses
 
 
-def farthest_m(poses, true):
+def compute_max_error_m(poses, true):
     return np.linalg.norm(poses[:, :2] - true[:, :2], axis=1).max()
 
 
 @pytest.fixture(scope="module")
 def wheels_m(drive):
-    return farthest_m(driven("wheel-odometry", drive), seen_from_start(drive))
+    return compute_max_error_m(run_poses("wheel-odometry", drive), relative_to_start(drive))
 
 
 # --- back ends
@@ -71,11 +71,11 @@ def wheels_m(drive):
 
 @pytest.mark.parametrize("name", BACKENDS)
 def test_a_back_end_starts_at_the_identity_follows_the_drive_and_is_repeatable(name, drive, wheels_m):
-    poses = driven(name, drive)
+    poses = run_poses(name, drive)
     assert poses[0].tolist() == [0.0, 0.0, 0.0]
-    assert np.array_equal(poses, driven(name, drive))
+    assert np.array_equal(poses, run_poses(name, drive))
     if registry.backend(name).role != "baseline":
-        assert farthest_m(poses, seen_from_start(drive)) < min(0.05, wheels_m)
+        assert compute_max_error_m(poses, relative_to_start(drive)) < min(0.05, wheels_m)
 
 
 def test_the_baseline_can_be_beaten(wheels_m):
@@ -117,7 +117,7 @@ SPECS = [
 
 
 @pytest.mark.parametrize(("kind", "name", "of"), SPECS)
-def test_a_spec_tells_what_it_is_and_what_every_parameter_means(kind, name, of):
+def test_a_spec_describes_itself_and_every_parameter(kind, name, of):
     spec = registry.load(kind, name, of)
     assert spec.summary
     assert spec.citation
@@ -143,7 +143,7 @@ def test_every_shipped_name_is_found():
 
 
 @pytest.mark.parametrize("name", MAPPERS)
-def test_a_mapper_frees_the_cells_before_the_end_of_a_beam_and_fills_its_end(name):
+def test_a_mapper_frees_the_cells_before_the_end_of_a_beam_and_occupies_its_end(name):
     spec = registry.mapper(name)
     mapper = spec.make(**resolve_parameters(name, spec.parameters, {"resolution_m": 0.1}))
     beam = Scan(0, [1.0], [0.0], 0.1, 10.0)
@@ -170,7 +170,7 @@ def bits(sequence):
 
 
 @pytest.mark.parametrize("name", SYNTHETIC)
-def test_a_synthetic_sequence_is_the_same_again_and_another_with_another_seed(name):
+def test_a_synthetic_sequence_is_repeatable_and_differs_with_another_seed(name):
     sequence = small(name, 3)
     first = bits(sequence)
     assert len(first) == len(sequence) > 10
@@ -180,7 +180,7 @@ def test_a_synthetic_sequence_is_the_same_again_and_another_with_another_seed(na
 
 
 @pytest.mark.parametrize("name", SYNTHETIC)
-def test_a_synthetic_sequence_is_in_order_and_its_truth_is_known_at_every_scan(name):
+def test_a_synthetic_sequence_is_in_order_with_ground_truth_at_every_scan(name):
     sequence = small(name, 0)
     stamps = [frame.scan.stamp_ns for frame in sequence.frames()]
     assert (np.diff(stamps) > 0).all()

@@ -1,4 +1,4 @@
-"""Names by entry points; a light import."""
+"""Plug-in names from entry points, found without heavy imports."""
 
 import signal
 import subprocess
@@ -26,7 +26,7 @@ HEAVY = (
 
 
 def loaded_by(statement):
-    """Which of the heavy modules a fresh process has after a statement."""
+    """Return the heavy modules that a new process has loaded after a statement."""
     code = f"import sys\n{statement}\nprint(*(name for name in {HEAVY} if name in sys.modules))"
     answer = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return answer.stdout.split()
@@ -34,7 +34,7 @@ def loaded_by(statement):
 
 @pytest.fixture
 def points(monkeypatch):
-    """Entry points that are all there is."""
+    """Replace all entry points."""
     known = []
     monkeypatch.setattr(registry, "entry_points", lambda group: [p for p in known if p.group == group])
     registry._find_points.cache_clear()
@@ -42,7 +42,7 @@ def points(monkeypatch):
     registry._find_points.cache_clear()
 
 
-def test_importing_evalkit_loads_nothing_heavy():
+def test_importing_evalkit_loads_no_heavy_module():
     assert loaded_by("import evalkit") == []
 
 
@@ -51,7 +51,7 @@ def test_listing_names_loads_no_plug_in():
     assert loaded_by(f"from evalkit.plugins import registry\nfor kind in {kinds}: registry.names(kind)") == []
 
 
-def test_loading_a_name_loads_its_own_module_and_no_other_back_end():
+def test_loading_a_name_loads_only_its_own_module():
     statement = "from evalkit.plugins import registry\nregistry.backend('open3d-icp')\nregistry.backend('kiss-icp')"
     assert not {"open3d", "kiss_icp", "evalkit_datasets"} & set(loaded_by(statement))
 
@@ -64,19 +64,19 @@ def test_loading_a_name_loads_its_own_module_and_no_other_back_end():
         ("datasets", registry.dataset, DatasetSpec),
     ],
 )
-def test_every_shipped_name_leads_to_its_spec(kind, load, spec):
+def test_every_shipped_name_resolves_to_its_spec(kind, load, spec):
     names = registry.names(kind)
     assert names
     assert names == sorted(names)
     assert all(isinstance(load(name), spec) for name in names)
 
 
-def test_names_are_sorted_however_packages_list_them(points):
+def test_names_are_sorted_independent_of_package_order(points):
     points += [EntryPoint(name, "nowhere:SPEC", "evalkit.mappers") for name in ("b", "c", "a")]
     assert registry.names("mappers") == ["a", "b", "c"]
 
 
-def test_an_unknown_name_lists_the_known_and_the_near_one():
+def test_an_unknown_name_lists_the_known_names_and_suggests_the_nearest():
     with pytest.raises(
         UnknownName, match=r"no backend named 'wheel-odometri' \(did you mean 'wheel-odometry'\?\)"
     ) as e:
@@ -124,7 +124,7 @@ def test_a_plug_in_whose_import_crashes_or_hangs_is_reported_as_missing(stranger
     )
 
 
-def test_a_back_end_under_development_is_found_in_its_module():
+def test_a_back_end_under_development_is_found_by_its_module():
     assert registry.backend("evalkit_baselines.paper:TIGHT") is registry.backend("paper-tight")
     with pytest.raises(UnknownName, match=r"no scheme named 'nowhere\.at\.all'"):
         registry.backend("nowhere.at.all:SPEC")
@@ -137,7 +137,7 @@ def test_a_back_end_under_development_is_found_in_its_module():
 def test_the_fingerprint_covers_the_code_of_both_plug_ins():
     room = registry.run_fingerprint("paper", "room")
     assert room == registry.run_fingerprint("paper", "room")
-    assert room == registry.run_fingerprint("paper-tight", "lab")  # the same modules; parameters are told elsewhere
+    assert room == registry.run_fingerprint("paper-tight", "lab")  # the same modules; parameters are hashed elsewhere
     assert (
         len({room, registry.run_fingerprint("paper", "carmen"), registry.run_fingerprint("wheel-odometry", "room")})
         == 3
