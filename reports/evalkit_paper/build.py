@@ -27,14 +27,14 @@ def build_page(file: Path, folder: Path | None, workers: int | None) -> Path:
     started = datetime.now(UTC)
     settings = page.read_settings(file, CHAPTERS)
     planned = page.make_tasks(settings, CHAPTERS)
-    every = [_with_chapter_name(chapter, job) for chapter, own in planned.items() for job in own]
+    every = [_with_chapter_name(chapter, task) for chapter, own in planned.items() for task in own]
     folder = folder or Path("reports") / "build" / file.stem
     workers = workers or environment.physical_cores()
     ran_on = environment.describe(("numpy", "scipy", "open3d-cpu", "kiss-icp", "small-gicp"), jobs=workers)
-    with progress.say_what_is_kept(err, "finished jobs"), progress.show_tasks(err, len(every), workers) as done:
+    with progress.say_what_is_kept(err, "finished tasks"), progress.show_tasks(err, len(every), workers) as done:
         found = run_tasks(TaskStore(folder / "results"), every, workers, done)
     results = {
-        chapter: {job.name: found[_with_chapter_name(chapter, job).name] for job in own}
+        chapter: {task.name: found[_with_chapter_name(chapter, task).name] for task in own}
         for chapter, own in planned.items()
     }
     facts = (("Computations", f"{len(every):,}"), ("Finished", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"))
@@ -46,9 +46,9 @@ def build_page(file: Path, folder: Path | None, workers: int | None) -> Path:
     return written
 
 
-def _with_chapter_name(chapter: str, job: AnyTask) -> AnyTask:
+def _with_chapter_name(chapter: str, task: AnyTask) -> AnyTask:
     """The task under a name that is unique among all chapters."""
-    return replace(job, name=f"{chapter} {job.name}")
+    return replace(task, name=f"{chapter} {task.name}")
 
 
 def _write_page(path: Path, body: str) -> Path:

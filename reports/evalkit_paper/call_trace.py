@@ -81,7 +81,7 @@ def _recorded_call(frame: FrameType) -> Call | None:
     return Call(name, str(frame.f_locals.get("stage", "")) if name == "FrontEnd._register" else "")
 
 
-def drive(
+def trace_drive(
     *, sequence: Mapping[str, Any], parameters: Mapping[str, Any], mapper: Mapping[str, Any]
 ) -> dict[str, Any]:  # fmt: skip
     """Calls of one scan of a drive through the laboratory: the scan that called the most different functions.

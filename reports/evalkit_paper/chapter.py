@@ -36,14 +36,14 @@ class Finding:
 class Chapter:
     """A chapter: ``name`` is its table in the settings file, ``parameters`` its allowed keys.
 
-    ``jobs`` says what must be computed, ``sections`` and ``findings`` only draw and word the results, by the jobs'
+    ``tasks`` are the computations; ``sections`` and ``findings`` present their results, by the tasks'
     names. ``read`` turns the table into settings where it holds more than single values; its first argument says whose
     table it is, for messages.
     """
 
     name: str
     parameters: tuple[Parameter, ...]
-    jobs: Callable[[Settings], tuple[AnyTask, ...]]
+    tasks: Callable[[Settings], tuple[AnyTask, ...]]
     sections: Callable[[Settings, Results], tuple[Section, ...]]
     findings: Callable[[Settings, Results], tuple[Finding, ...]]
     read: Callable[[str, Mapping[str, object]], Settings] | None = None

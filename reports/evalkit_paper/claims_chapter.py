@@ -55,7 +55,7 @@ PARAMETERS = (
 )
 
 
-def jobs(settings: Settings) -> tuple[AnyTask, ...]:
+def tasks(settings: Settings) -> tuple[AnyTask, ...]:
     """Tasks: a long drive for every method, world and seed, and drives among people."""
     long = [
         make_task(
@@ -249,4 +249,4 @@ def _crowd_name(people: int, seed: int) -> str:
     return f"{people} people | {seed}"
 
 
-CHAPTER = Chapter("claims", PARAMETERS, jobs, sections, findings)
+CHAPTER = Chapter("claims", PARAMETERS, tasks, sections, findings)

@@ -17,7 +17,7 @@ from evalkit.plugins.parameters import Value
 from evalkit.plugins.specs import FIRST_STAGE
 
 
-def apart(
+def compare_poses(
     backends: tuple[str, str],
     parameters: Mapping[str, Value],
     dataset: str,

@@ -25,26 +25,27 @@ PARAMETERS = (
 )
 
 
-def jobs(settings: Settings) -> tuple[AnyTask, ...]:
-    """One computation per check; each takes seconds."""
+def tasks(settings: Settings) -> tuple[AnyTask, ...]:
+    """One task per check; each takes seconds."""
     sequence, laps, seeds = settings["sequence"], settings["laps"], settings["seeds"]
     on_sequence = (
         make_task(
-            "stopped odometry", checks.stopped, sequence=sequence, seed=0, laps=laps, most=settings["pairs"],
+            "stopped odometry", checks.compare_stop_rules, sequence=sequence, seed=0, laps=laps, most=settings["pairs"],
             guess="odometry",
         ),
         make_task(
-            "stopped off", checks.stopped, sequence=sequence, seed=0, laps=laps, most=settings["pairs"], guess="off"
+            "stopped off", checks.compare_stop_rules, sequence=sequence, seed=0, laps=laps, most=settings["pairs"],
+            guess="off",
         ),
-        make_task("composed", checks.composed, sequence=sequence, seed=0, laps=laps),
-        make_task("subtracted", checks.subtracted, sequence=sequence, seed=0, laps=laps, every=settings["every"]),
+        make_task("composed", checks.check_composition, sequence=sequence, seed=0, laps=laps),
+        make_task("subtracted", checks.check_l_free, sequence=sequence, seed=0, laps=laps, every=settings["every"]),
     )  # fmt: skip
     return (
-        make_task("transposed", checks.transposed, seeds=seeds),
-        make_task("mirrored", checks.mirrored, walls=settings["walls"]),
-        make_task("evaluated", checks.evaluated, seeds=seeds),
-        make_task("headings", checks.headings, count=3600),
-        make_task("shared", checks.shared, seeds=seeds),
+        make_task("transposed", checks.check_transpose, seeds=seeds),
+        make_task("mirrored", checks.check_mirrored_walls, walls=settings["walls"]),
+        make_task("evaluated", checks.compare_error_times, seeds=seeds),
+        make_task("headings", checks.check_heading, count=3600),
+        make_task("shared", checks.count_shared_targets, seeds=seeds),
         *(task.depending_on("evalkit_datasets.synthetic") for task in on_sequence),
     )
 
@@ -208,4 +209,4 @@ def _map_figure(found: Result, name: str) -> Figure:
     return Figure(body, title, f"Black: occupied. {wrong:.1f} % of the truly free cells are marked occupied.")
 
 
-CHAPTER = Chapter(ANCHOR, PARAMETERS, jobs, sections, findings)
+CHAPTER = Chapter(ANCHOR, PARAMETERS, tasks, sections, findings)

@@ -66,7 +66,7 @@ def icp_with_rotation(target: Floats, source: Floats, rotation: Rotation, iterat
     return np.array(errors), motion
 
 
-def transposed(*, seeds: int) -> dict[str, Any]:
+def check_transpose(*, seeds: int) -> dict[str, Any]:
     """Equation 4 as printed and corrected on Table 1's scene: mean distances (S, 40) "printed" and "correct".
 
     "printed_reached" and "correct_reached": number of seeds that end within 0.1 m and 2 deg of the true motion.
@@ -86,7 +86,7 @@ def transposed(*, seeds: int) -> dict[str, Any]:
     return {**found, "seeds": seeds}
 
 
-def mirrored(*, walls: int, points: int = 50, noise_m: float = table_1.SIGMA_M) -> dict[str, Any]:
+def check_mirrored_walls(*, walls: int, points: int = 50, noise_m: float = table_1.SIGMA_M) -> dict[str, Any]:
     """Count single walls (3 m, measured twice with noise) that are mirrored, without and with the guard.
 
     "worst_m": largest displacement of a point 1 m in front of the wall; "exact_determinant": for a wall without noise.
@@ -114,7 +114,7 @@ STOP_RULES: Mapping[str, Mapping[str, Any]] = {
 """Mean squared with 1e-4 m^2, mean distance with 1e-4 m, mean distance with 1e-6 m."""
 
 
-def stopped(*, sequence: str, seed: int, laps: float, most: int, guess: str) -> dict[str, Any]:
+def compare_stop_rules(*, sequence: str, seed: int, laps: float, most: int, guess: str) -> dict[str, Any]:
     """Compare three stop rules on successive simulated scans, from the odometry's guess ("odometry") or a worse one
     ("off").
 
@@ -164,7 +164,7 @@ def _distance_and_angle(found: Pose, true: Pose) -> tuple[float, float]:
     return math.hypot(left.x, left.y), abs(math.degrees(left.theta))
 
 
-def evaluated(*, seeds: int) -> dict[str, Any]:
+def compare_error_times(*, seeds: int) -> dict[str, Any]:
     """Iterations (S,) on Table 1's scene with the error computed "after" the step and "before" it."""
     found = {}
     for when, reading in (("after", "mean distance"), ("before", "mean distance, before the step")):
@@ -172,7 +172,7 @@ def evaluated(*, seeds: int) -> dict[str, Any]:
     return found
 
 
-def composed(*, sequence: str, seed: int, laps: float) -> dict[str, Any]:
+def check_composition(*, sequence: str, seed: int, laps: float) -> dict[str, Any]:
     """Compose the exact body-frame steps of a short drive on the left (eq. 9) and on the right.
 
     "true", "left" and "right": positions (N, 2); "left_error_m" and "right_error_m": errors at the end; "turned_deg":
@@ -196,7 +196,7 @@ def composed(*, sequence: str, seed: int, laps: float) -> dict[str, Any]:
     }
 
 
-def subtracted(*, sequence: str, seed: int, laps: float, every: int) -> dict[str, Any]:
+def check_l_free(*, sequence: str, seed: int, laps: float, every: int) -> dict[str, Any]:
     """Map with true poses, with the printed l_free = ln(0.3 / 0.7) added and subtracted.
 
     "added" and "subtracted": probabilities (H, W), lowest y first, 0.5 where unobserved; "extent_m"; "added_wrong" and
@@ -222,7 +222,7 @@ def subtracted(*, sequence: str, seed: int, laps: float, every: int) -> dict[str
     }
 
 
-def headings(*, count: int) -> dict[str, Any]:
+def check_heading(*, count: int) -> dict[str, Any]:
     """Largest error "worst_rad" of equation 7, atan2(r21, r11), over ``count`` headings."""
     rows = np.zeros((count, 3))
     rows[:, 2] = np.linspace(-np.pi, np.pi, count, endpoint=False)
@@ -230,7 +230,7 @@ def headings(*, count: int) -> dict[str, Any]:
     return {"worst_rad": float(np.abs(se2.wrap(found - rows[:, 2])).max()), "count": count}
 
 
-def shared(*, seeds: int) -> dict[str, Any]:
+def count_shared_targets(*, seeds: int) -> dict[str, Any]:
     """First association on Table 1's scene with and without the one-to-one filter, means over seeds.
 
     "points": points of the scan; "pairs_all" and "targets_all": pairs without the filter and reference points they use;

@@ -28,19 +28,19 @@ PARAMETERS = (
 )
 
 
-def jobs(settings: Settings) -> tuple[AnyTask, ...]:
+def tasks(settings: Settings) -> tuple[AnyTask, ...]:
     """The true map, a map for each variant, and the maps of the recording if its files are available."""
     sequence = {name: settings[name] for name in ("laps", "speed_mps", "turn_dps", "rate_hz", "seed")}
     uses = ("evalkit_datasets.synthetic", "evalkit_baselines.paper")
     maps = [
         make_task(
-            each.name, lab_maps.lab, backend=each.backend, parameters=dict(each.parameters), sequence=sequence,
-            scans=settings["scans"],
+            each.name, lab_maps.map_laboratory, backend=each.backend, parameters=dict(each.parameters),
+            sequence=sequence, scans=settings["scans"],
         ).depending_on(*uses)
         for each in VARIANTS
     ]  # fmt: skip
-    plan = make_task("plan", lab_maps.plan, sequence=sequence).depending_on(*uses)
-    return (plan, *maps, *(recorded_drive.jobs() if settings["recording"] else ()))
+    plan = make_task("plan", lab_maps.true_lab_map, sequence=sequence).depending_on(*uses)
+    return (plan, *maps, *(recorded_drive.tasks() if settings["recording"] else ()))
 
 
 def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
@@ -163,4 +163,4 @@ def _map_figure(result: Result, true: OccupancyGrid, name: str) -> Figure:
     )  # fmt: skip
 
 
-CHAPTER = Chapter("figure-10", PARAMETERS, jobs, sections, findings)
+CHAPTER = Chapter("figure-10", PARAMETERS, tasks, sections, findings)

@@ -132,10 +132,10 @@ _FRONT_END = ("scan_to_scan", "scan_to_map", "deskew", "one_to_one", "local_radi
 _MAPPER = ("traversal", "once_per_scan")
 
 
-def jobs(settings: Settings) -> tuple[AnyTask, ...]:
+def tasks(settings: Settings) -> tuple[AnyTask, ...]:
     """The one computation."""
     recording = make_task(
-        RECORDED, call_trace.drive, sequence={"laps": settings["laps"], "rate_hz": settings["rate_hz"]},
+        RECORDED, call_trace.trace_drive, sequence={"laps": settings["laps"], "rate_hz": settings["rate_hz"]},
         parameters={"keyframe_distance_m": 0.1, **{name: settings[name] for name in _FRONT_END}},
         mapper={name: settings[name] for name in _MAPPER},
     )  # fmt: skip
@@ -189,4 +189,4 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     )  # fmt: skip
 
 
-CHAPTER = Chapter("stages", PARAMETERS, jobs, sections, findings)
+CHAPTER = Chapter("stages", PARAMETERS, tasks, sections, findings)

@@ -63,22 +63,22 @@ def causes(settings: Mapping[str, Any]) -> tuple[Cause, ...]:
     )
 
 
-def job(settings: Mapping[str, Any], cause: Cause, rate_hz: float) -> AnyTask:
+def make_drive_task(settings: Mapping[str, Any], cause: Cause, rate_hz: float) -> AnyTask:
     """Computation of one drive."""
     sequence = {"seed": settings["seed"], "speed_mps": settings["speed_mps"], "rate_hz": rate_hz, **cause.sequence}
     return make_task(
-        name(cause, rate_hz), drive, sequence=sequence, parameters=dict(cause.parameters), marked=cause.marked,
+        name(cause, rate_hz), run_drive, sequence=sequence, parameters=dict(cause.parameters), marked=cause.marked,
         every_pair=cause.marked == "start",
     ).depending_on(*USES)  # fmt: skip
 
 
-def turn_job(settings: Mapping[str, Any], turn_dps: float, rate_hz: float) -> AnyTask:
+def make_turn_task(settings: Mapping[str, Any], turn_dps: float, rate_hz: float) -> AnyTask:
     """Computation of a drive whose turns have one yaw rate."""
     sequence = {
         "seed": settings["seed"], "speed_mps": settings["speed_mps"], "rate_hz": rate_hz, "turn_dps": turn_dps,
         "laps": settings["yaw_laps"],
     }  # fmt: skip
-    return make_task(turn_name(turn_dps, rate_hz), turn, sequence=sequence).depending_on(*USES)
+    return make_task(turn_name(turn_dps, rate_hz), measure_turn_peak, sequence=sequence).depending_on(*USES)
 
 
 def turn_name(turn_dps: float, rate_hz: float) -> str:
@@ -94,7 +94,7 @@ def name(cause: Cause, rate_hz: float) -> str:
 USES = ("evalkit_datasets.synthetic", "evalkit_baselines.paper")
 
 
-def drive(
+def run_drive(
     *, sequence: Mapping[str, Any], parameters: Mapping[str, Any], marked: str, every_pair: bool
 ) -> dict[str, Any]:  # fmt: skip
     """One drive through the laboratory with ``paper``.
@@ -137,11 +137,11 @@ def _events(
             gaps if marked == "gaps" else [gap for gap, turned in zip(gaps, yaw[after], strict=True) if turned > TURNED]
         )
     if marked == "people":
-        return spikes.find_events(times, hidden(lab, sequence) >= HIDDEN)
+        return spikes.find_events(times, hidden_share(lab, sequence) >= HIDDEN)
     return [(0.0, START_S)]
 
 
-def hidden(busy: Sequence, sequence: Mapping[str, Any]) -> Floats:
+def hidden_share(busy: Sequence, sequence: Mapping[str, Any]) -> Floats:
     """Share (N,) of beams of each scan that hit people: those that differ from the empty laboratory."""
     empty = registry.dataset("lab").make(**{**sequence, "people": 0})
     return np.array(
@@ -152,7 +152,7 @@ def hidden(busy: Sequence, sequence: Mapping[str, Any]) -> Floats:
     )
 
 
-def turn(*, sequence: Mapping[str, Any]) -> dict[str, Any]:
+def measure_turn_peak(*, sequence: Mapping[str, Any]) -> dict[str, Any]:
     """Peak of the scan-to-scan residual in turns, and its steady median and sigma (m).
 
     Without the second stage and without deskewing.

@@ -41,7 +41,7 @@ MAX_SHOWN = 4000
 """Maximum number of contradicted hits in the figure, evenly spaced."""
 
 
-def lab(
+def map_laboratory(
     *, backend: str, parameters: Mapping[str, Any], sequence: Mapping[str, Any], scans: int
 ) -> dict[str, Any]:  # fmt: skip
     """Map the laboratory in the frame of the ground truth. Keys: those of ``grid_to_json``, "path", "ate_m", "f1"."""
@@ -59,7 +59,7 @@ def lab(
     }
 
 
-def plan(*, sequence: Mapping[str, Any]) -> dict[str, Any]:
+def true_lab_map(*, sequence: Mapping[str, Any]) -> dict[str, Any]:
     """True map of the laboratory."""
     grid = registry.dataset("lab").make(**sequence).truth().grid
     if grid is None:
@@ -67,7 +67,7 @@ def plan(*, sequence: Mapping[str, Any]) -> dict[str, Any]:
     return grid_to_json(grid)
 
 
-def recording(*, name: str, backend: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
+def map_recording(*, name: str, backend: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     """Map a recording in the frame of its first pose, with residuals over time and contradictions between its halves.
 
     Keys: "times_s", "yaw_dps" (from odometry), "s2s" and "s2m" (N, 6); "hits" and "contradicted", their numbers;
@@ -94,7 +94,7 @@ def recording(*, name: str, backend: str, parameters: Mapping[str, Any]) -> dict
     }
 
 
-def floor(*, name: str, backend: str) -> dict[str, Any]:
+def fit_recording_on_floor(*, name: str, backend: str) -> dict[str, Any]:
     """Fit a recording's own map on the map that comes with it.
 
     Keys: those of ``grid_to_json``, "walls" (N, 2) of the fitted map, the fields of ``plan_fit.PlanFit``, and

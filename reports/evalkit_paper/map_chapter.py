@@ -38,7 +38,7 @@ NUMERIC: Mapping[str, tuple[str, str, Axis]] = {
 }
 
 
-def jobs(settings: Settings) -> tuple[AnyTask, ...]:
+def tasks(settings: Settings) -> tuple[AnyTask, ...]:
     """Tasks: every world, seed and kind of poses; drift, pictures, no-returns, comparison of the mappers."""
     variants = [dict(variant) for variant in map_measurements.variants(bool(settings["interactions"]))]
     laps = settings["laps"]
@@ -72,7 +72,7 @@ def jobs(settings: Settings) -> tuple[AnyTask, ...]:
         for seed in seeds
     ]  # fmt: skip
     drawn = _task(
-        "pictures", map_measurements.pictures, world="lab", seed=0, laps=laps, poses="estimated", variants=sizes
+        "pictures", map_measurements.render_maps, world="lab", seed=0, laps=laps, poses="estimated", variants=sizes
     )
     compare_mappers = _task("twins", map_measurements.compare_mappers, world="lab", seed=0, laps=min(laps, 0.3),
                  variants=[{}, {"resolution_m": 0.1}, {"l_free": -0.405}, {"l_min": -10.0, "l_max": 10.0}])  # fmt: skip
@@ -127,7 +127,7 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     )  # fmt: skip
 
 
-CHAPTER = Chapter("maps", PARAMETERS, jobs, sections, findings)
+CHAPTER = Chapter("maps", PARAMETERS, tasks, sections, findings)
 
 
 def _task(

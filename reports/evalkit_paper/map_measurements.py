@@ -135,7 +135,7 @@ def measure_drift(
     }
 
 
-def pictures(world: str, seed: int, laps: float, poses: str, variants: Sequence[Variant]) -> dict[str, Any]:
+def render_maps(world: str, seed: int, laps: float, poses: str, variants: Sequence[Variant]) -> dict[str, Any]:
     """Maps of all variants as probabilities in 0..255 ("0", "1", ...), "extents" (V, 4) in m, and the true "walls"."""
     sequence = make_drive(world, seed, laps, poses)
     result: dict[str, Any] = {"walls": sequence.true.centres(sequence.true.occupied()), "ate_m": sequence.ate_m}

@@ -40,7 +40,7 @@ def read_settings(file: Path, chapters: Sequence[Chapter]) -> dict[str, Settings
 
 def make_tasks(settings: Mapping[str, Settings], chapters: Sequence[Chapter]) -> dict[str, tuple[AnyTask, ...]]:
     """Tasks of every chosen chapter, by chapter name."""
-    return {chapter.name: chapter.jobs(settings[chapter.name]) for chapter in chapters if chapter.name in settings}
+    return {chapter.name: chapter.tasks(settings[chapter.name]) for chapter in chapters if chapter.name in settings}
 
 
 def build_document(

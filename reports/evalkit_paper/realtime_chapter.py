@@ -64,7 +64,7 @@ PARAMETERS = (
 )
 
 
-def jobs(settings: Settings) -> tuple[AnyTask, ...]:
+def tasks(settings: Settings) -> tuple[AnyTask, ...]:
     """One job for every method, rate and seed: its costs here, and its ladder of device factors."""
     return tuple(
         make_task(
@@ -127,7 +127,7 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     )  # fmt: skip
 
 
-CHAPTER = Chapter("realtime", PARAMETERS, jobs, sections, findings)
+CHAPTER = Chapter("realtime", PARAMETERS, tasks, sections, findings)
 
 
 def _entries(settings: Settings) -> list[RealtimeMethod]:

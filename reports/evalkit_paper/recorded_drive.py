@@ -37,21 +37,21 @@ def missing() -> str:
     return registry.dataset(RECORDING).missing()
 
 
-def jobs() -> tuple[AnyTask, ...]:
+def tasks() -> tuple[AnyTask, ...]:
     """A map for each variant and the map of the floor; none if the recording is not available."""
     if missing():
         return ()
     maps = (
         make_task(
             result_name(each),
-            lab_maps.recording,
+            lab_maps.map_recording,
             name=RECORDING,
             backend=each.backend,
             parameters=dict(each.parameters),
         ).depending_on(*USES)
         for each in VARIANTS
     )
-    floor = make_task(FLOOR, lab_maps.floor, name=RECORDING, backend=lab_maps.TIGHT.backend)
+    floor = make_task(FLOOR, lab_maps.fit_recording_on_floor, name=RECORDING, backend=lab_maps.TIGHT.backend)
     return (*maps, floor.depending_on(*USES))
 
 

@@ -43,12 +43,14 @@ PARAMETERS = (
 )  # fmt: skip
 
 
-def jobs(settings: Settings) -> tuple[AnyTask, ...]:
+def tasks(settings: Settings) -> tuple[AnyTask, ...]:
     """Tasks: every cause at every rate, and every yaw rate."""
     rates = steady_bands.parse_numbers(settings["rates_hz"])
-    drives = [lab_drives.job(settings, cause, rate) for rate in rates for cause in lab_drives.causes(settings)]
+    drives = [
+        lab_drives.make_drive_task(settings, cause, rate) for rate in rates for cause in lab_drives.causes(settings)
+    ]
     turns = [
-        lab_drives.turn_job(settings, dps, rate)
+        lab_drives.make_turn_task(settings, dps, rate)
         for rate in rates
         for dps in steady_bands.parse_numbers(settings["yaw_dps"])
     ]
@@ -242,4 +244,4 @@ def _turn_blocks(settings: Settings, results: Results) -> Iterator[Block]:
     )  # fmt: skip
 
 
-CHAPTER = Chapter("residuals", PARAMETERS, jobs, sections, findings)
+CHAPTER = Chapter("residuals", PARAMETERS, tasks, sections, findings)

@@ -65,12 +65,12 @@ PARAMETERS = (
 )
 
 
-def jobs(settings: Settings) -> tuple[AnyTask, ...]:
+def tasks(settings: Settings) -> tuple[AnyTask, ...]:
     """Tasks: every configuration for every seed."""
-    return tuple(_job(settings, each, seed) for each in CONFIGURATIONS for seed in range(settings["seeds"]))
+    return tuple(_task(settings, each, seed) for each in CONFIGURATIONS for seed in range(settings["seeds"]))
 
 
-def _job(settings: Settings, each: Configuration, seed: int) -> AnyTask:
+def _task(settings: Settings, each: Configuration, seed: int) -> AnyTask:
     drive = {"seed": seed, **{name: settings[name] for name in ("laps", "speed_mps", "rate_hz")}}
     return make_task(
         f"{each.name}, seed {seed}",
@@ -154,4 +154,4 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     )  # fmt: skip
 
 
-CHAPTER = Chapter("configurations", PARAMETERS, jobs, sections, findings)
+CHAPTER = Chapter("configurations", PARAMETERS, tasks, sections, findings)

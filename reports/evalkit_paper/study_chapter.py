@@ -38,7 +38,7 @@ STUDY = "study"
 ENVELOPE = "study-envelope"
 
 
-def jobs(settings: Settings) -> tuple[AnyTask, ...]:
+def tasks(settings: Settings) -> tuple[AnyTask, ...]:
     """Runs of the study, and the points at which core and reference are compared."""
     study = read_study(settings)
     return () if study.missing else (*study.tasks(), *_comparison_tasks(study, settings))
@@ -119,7 +119,7 @@ def describe_cost(outcome: StudyResult) -> str:
 def describe_agreement(settings: Settings, results: Results) -> str:
     """Describe the difference between core and reference."""
     study = read_study(settings)
-    names = [job.name for job in _comparison_tasks(study, settings)]
+    names = [task.name for task in _comparison_tasks(study, settings)]
     metres = max(float(results[name]["apart_m"]) for name in names)
     scans = sum(int(results[name]["scans"]) for name in names)
     return (
@@ -138,7 +138,7 @@ def _comparison_tasks(study: Study, settings: Settings) -> tuple[AnyTask, ...]:
     return tuple(
         make_task(
             f"comparison {point.key}",
-            core_agreement.apart,
+            core_agreement.compare_poses,
             backends=(REFERENCE, study.backend),
             parameters=dict(point.method),
             dataset=study.dataset,
@@ -158,4 +158,4 @@ def _read_cached(file: Path, _changed_ns: int) -> Study:
     return read(file, f"evalkit study {file}")
 
 
-CHAPTER = Chapter("study", PARAMETERS, jobs, sections, findings)
+CHAPTER = Chapter("study", PARAMETERS, tasks, sections, findings)

@@ -52,7 +52,7 @@ VARIANTS = (
 )
 
 
-def jobs(settings: Settings) -> tuple[AnyTask, ...]:
+def tasks(settings: Settings) -> tuple[AnyTask, ...]:
     """One task per variant and rotation."""
     return tuple(
         make_task(

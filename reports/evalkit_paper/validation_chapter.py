@@ -89,7 +89,7 @@ class Fit:
         return int(np.argmin(np.mean(apart * apart, axis=1)))
 
 
-def jobs(settings: Settings) -> tuple[AnyTask, ...]:
+def tasks(settings: Settings) -> tuple[AnyTask, ...]:
     """Tasks: every reading in both rooms in batches of seeds, the extents, and the basin."""
     batches = [
         make_task(
@@ -101,7 +101,7 @@ def jobs(settings: Settings) -> tuple[AnyTask, ...]:
         for begin in range(0, settings["seeds"], SEEDS_PER_TASK)
     ]  # fmt: skip
     spans = [make_task(f"spans {room}", table_1.measure_extents, room=room) for room in ROOMS]
-    return (*batches, *spans, *validation_basin.jobs(settings))
+    return (*batches, *spans, *validation_basin.tasks(settings))
 
 
 def load_fits(settings: Settings, results: Results, room: str) -> dict[str, Fit]:
@@ -311,4 +311,4 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     )  # fmt: skip
 
 
-CHAPTER = Chapter("validation", PARAMETERS, jobs, sections, findings)
+CHAPTER = Chapter("validation", PARAMETERS, tasks, sections, findings)

@@ -9,8 +9,8 @@ from evalkit_paper.flowchart_chapter import MAPPING, PIPELINE, REGISTRATION, TWO
 
 def recording(**settings):
     chosen = flowchart_chapter.CHAPTER.settings("test", {"laps": 0.02, **settings})
-    (job,) = flowchart_chapter.CHAPTER.jobs(chosen)
-    return chosen, {job.name: job.run()[0]}
+    (task,) = flowchart_chapter.CHAPTER.tasks(chosen)
+    return chosen, {task.name: task.run()[0]}
 
 
 def ran(words, below="", **settings):

@@ -29,13 +29,13 @@ def made(settings, percent):
     """Results in which every method is off by so many percent of the way, and people cost 1 cm each."""
     way = np.linspace(1.0, 100.0, claims_chapter.MARKS)
     results = {}
-    for job in claims_chapter.CHAPTER.jobs(settings):
-        if job.function.__name__ == "error_over_path":
-            share = percent[job.name.partition(" | ")[0]] / 100.0
-            results[job.name] = {"path_m": way, "end_m": share * way, "rmse_m": share * way}
+    for task in claims_chapter.CHAPTER.tasks(settings):
+        if task.function.__name__ == "error_over_path":
+            share = percent[task.name.partition(" | ")[0]] / 100.0
+            results[task.name] = {"path_m": way, "end_m": share * way, "rmse_m": share * way}
         else:
-            people = job.arguments["people"]
-            results[job.name] = {"scores": {"ate_rmse_m": 0.01 * people, "map_f1": 0.9, "map_entropy": 0.1}}
+            people = task.arguments["people"]
+            results[task.name] = {"scores": {"ate_rmse_m": 0.01 * people, "map_f1": 0.9, "map_entropy": 0.1}}
     return results
 
 

@@ -24,14 +24,14 @@ def test_the_printed_rotation_is_the_transpose_of_the_right_one():
 
 
 def test_with_the_printed_rotation_icp_does_not_converge():
-    found = equation_checks.transposed(seeds=4)
+    found = equation_checks.check_transpose(seeds=4)
     assert found["printed_reached"] == 0
     assert found["correct_reached"] == 4
     assert found["printed"][:, -1].min() > 10 * found["correct"][:, -1].max()
 
 
 def test_without_the_guard_about_half_of_noisy_walls_are_mirrored_and_with_it_none():
-    found = equation_checks.mirrored(walls=300)
+    found = equation_checks.check_mirrored_walls(walls=300)
     assert 100 < found["unguarded"] < 200
     assert found["guarded"] == 0
     assert found["worst_m"] == pytest.approx(2.0, abs=0.01)
@@ -44,14 +44,14 @@ def test_the_guard_changes_nothing_where_nothing_is_mirrored():
 
 
 def test_the_mean_square_stops_after_two_iterations_from_the_odometrys_guess():
-    found = equation_checks.stopped(**DRIVE, most=6, guess="odometry")
+    found = equation_checks.compare_stop_rules(**DRIVE, most=6, guess="odometry")
     assert np.median(found["rules"]["printed"]["iterations"]) == 2.0
     assert np.median(found["rules"]["tight"]["iterations"]) > 6.0
     assert np.median(found["rules"]["printed"]["first_square"]) < 3e-3
 
 
 def test_from_a_worse_guess_the_mean_square_stops_farther_from_the_truth():
-    found = equation_checks.stopped(**DRIVE, most=6, guess="off")
+    found = equation_checks.compare_stop_rules(**DRIVE, most=6, guess="off")
     assert found["guess_m"] == pytest.approx([0.05] * 6)
     assert found["guess_deg"] == pytest.approx([2.0] * 6)
     printed, tight = (np.median(found["rules"][rule]["error_deg"]) for rule in ("printed", "tight"))
@@ -59,40 +59,40 @@ def test_from_a_worse_guess_the_mean_square_stops_farther_from_the_truth():
 
 
 def test_before_or_after_the_step_is_less_than_an_iteration():
-    found = equation_checks.evaluated(seeds=12)
+    found = equation_checks.compare_error_times(seeds=12)
     assert 0.0 <= (found["before"] - found["after"]).mean() < 1.5
 
 
 def test_body_steps_on_the_left_throw_the_pose_away_and_on_the_right_they_do_not():
-    found = equation_checks.composed(sequence="room", seed=0, laps=0.6)
+    found = equation_checks.check_composition(sequence="room", seed=0, laps=0.6)
     assert found["right_error_m"] < 1e-9
     assert found["left_error_m"] > 0.1 * found["path_m"]
 
 
 def test_subtracting_a_negative_l_free_marks_free_space_occupied():
-    found = equation_checks.subtracted(**DRIVE, every=5)
+    found = equation_checks.check_l_free(**DRIVE, every=5)
     assert found["cells"] > 10_000
     assert found["subtracted_wrong"] > 0.99
     assert found["added_wrong"] < 0.02
 
 
 def test_only_the_filter_makes_both_subsets_of_equal_size():
-    found = equation_checks.shared(seeds=2)
+    found = equation_checks.count_shared_targets(seeds=2)
     assert found["pairs_all"] == found["points"] > found["targets_all"]
     assert found["pairs_one"] == found["targets_one"] == found["targets_all"]
 
 
 def test_the_heading_of_equation_7_is_right_as_printed():
-    assert equation_checks.headings(count=360)["worst_rad"] < 1e-12
+    assert equation_checks.check_heading(count=360)["worst_rad"] < 1e-12
 
 
 def test_every_finding_is_on_the_page_and_no_number_is_missing():
     chapter = equation_chapter.CHAPTER
     settings = chapter.settings("test", {"seeds": 3, "walls": 50, "sequence": "room", "laps": 0.1, "pairs": 5})
     results = {}
-    for job in chapter.jobs(settings):
-        assert job.function.__module__ == equation_checks.__name__
-        results[job.name], _ = job.run()
+    for task in chapter.tasks(settings):
+        assert task.function.__module__ == equation_checks.__name__
+        results[task.name], _ = task.run()
     page = render(Document("", "", "", chapter.sections(settings, results)))
     for finding in chapter.findings(settings, results):
         assert finding.anchor == "equations"

@@ -73,7 +73,7 @@ def test_a_cropped_map_is_found_on_its_plan():
 
 def small_page(settings):
     chosen = figure_10_chapter.CHAPTER.settings("test", settings)
-    results = {job.name: job.run()[0] for job in figure_10_chapter.CHAPTER.jobs(chosen)}
+    results = {task.name: task.run()[0] for task in figure_10_chapter.CHAPTER.tasks(chosen)}
     return figure_10_chapter.CHAPTER.sections(chosen, results), figure_10_chapter.CHAPTER.findings(chosen, results)
 
 
@@ -96,8 +96,8 @@ def test_the_page_shows_plan_and_maps_and_says_how_to_get_a_recording_that_is_no
 @pytest.mark.slow
 @pytest.mark.skipif(bool(recorded_drive.missing()), reason="the recording is not here")
 def test_the_recording_contradicts_itself_least_with_the_best_method_and_fits_its_floor_map():
-    jobs = recorded_drive.jobs()
-    results = {job.name: job.run()[0] for job in jobs}
+    tasks = recorded_drive.tasks()
+    results = {task.name: task.run()[0] for task in tasks}
     shares = [results[recorded_drive.result_name(each)]["contradicted"] for each in recorded_drive.VARIANTS]
     assert shares == sorted(shares, reverse=True)  # odometry, paper, paper-tight
     shown = [block.kind for block in recorded_drive.blocks(results)]

@@ -77,19 +77,19 @@ def test_both_mappers_draw_the_same():
     assert not map_measurements.is_compiled({"traversal": "bresenham"})
 
 
-def invented(job):
+def invented(task):
     """A result of the right shape."""
     rng = np.random.default_rng(0)
-    asked = job.arguments
-    if job.function.__name__ == "measure_maps":
+    asked = task.arguments
+    if task.function.__name__ == "measure_maps":
         shape = (len(asked["variants"]), len(map_measurements.THRESHOLDS))
         names = [map_measurements.COMPILED[not map_measurements.is_compiled(v)] for v in asked["variants"]]
         thresholded = {name: rng.uniform(0.5, 0.9, shape) for name in map_measurements.MEASURES[:5]}
         plain = {name: rng.uniform(0.1, 0.2, shape[0]) for name in map_measurements.MEASURES[5:]}
         return thresholded | plain | {"ate_m": 0.01, "mappers": names}
-    if job.function.__name__ == "measure_drift":
+    if task.function.__name__ == "measure_drift":
         return {key: rng.uniform(0.5, 1.0, (len(asked[key]), 6)) for key in ("metres", "degrees")}
-    if job.function.__name__ == "pictures":
+    if task.function.__name__ == "render_maps":
         grids = {str(n): np.zeros((4, 5), dtype=np.uint8) for n in range(len(asked["variants"]))}
         return grids | {"extents": np.tile([0.0, 1.0, 0.0, 0.8], (4, 1)), "walls": np.zeros((3, 2)), "ate_m": 0.01}
     return {"log_odds": 1e-6, "cells": 1000, "observed by one only": 0}
@@ -98,9 +98,9 @@ def invented(job):
 @pytest.mark.parametrize("changed", [{}, {"seeds": 1, "interactions": False}])
 def test_the_chapter_draws_whatever_is_found(changed):
     settings = map_chapter.CHAPTER.settings("test", SETTINGS | changed)
-    jobs = map_chapter.CHAPTER.jobs(settings)
-    assert len({job.name for job in jobs}) == len(jobs)
-    results = {job.name: invented(job) for job in jobs}
+    tasks = map_chapter.CHAPTER.tasks(settings)
+    assert len({task.name for task in tasks}) == len(tasks)
+    results = {task.name: invented(task) for task in tasks}
     (section,) = map_chapter.CHAPTER.sections(settings, results)
     page = render(Document("test", "test", "", (section,)))
     assert "recommended" in page

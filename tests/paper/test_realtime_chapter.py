@@ -35,27 +35,27 @@ def test_who_is_lost_with_most_seeds_is_broken():
     assert ladder((0.02, None, 0.02), (0.02, 0.02, 0.02), (0.02, 0.02, 0.02)).breaks_at() is None
 
 
-def invented(job):
-    factors = [0.0, *job.arguments["factors"]]
+def invented(task):
+    factors = [0.0, *task.arguments["factors"]]
     rungs = [
         rung(factor, 0.01 + 0.002 * factor, policy=policy, dropped=min(factor / 100.0, 0.9))
-        for policy in job.arguments["policies"]
+        for policy in task.arguments["policies"]
         for factor in factors
     ]
     linear = {"base_ns": 1e6, "step_ns": 10.0, "residual": 0.1, "held_out": 0.2}
     return {
         "rungs": rungs, "costs_ns": np.full(5, 1_000_000), "headroom": 50.0, "gaps": np.array([1, 2]),
-        "growth": np.array([1.0, 1.2]), "linear": linear if job.arguments["backend"] == "paper" else None,
+        "growth": np.array([1.0, 1.2]), "linear": linear if task.arguments["backend"] == "paper" else None,
     }  # fmt: skip
 
 
 @pytest.mark.parametrize("changed", [{}, {"methods": "all"}])
 def test_the_chapter_draws_whatever_is_found(changed):
     settings = realtime_chapter.CHAPTER.settings("test", SETTINGS | changed)
-    jobs = realtime_chapter.CHAPTER.jobs(settings)
-    assert len({job.name for job in jobs}) == len(jobs)
-    assert jobs[0].arguments["factors"] == [1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0]
-    results = {job.name: invented(job) for job in jobs}
+    tasks = realtime_chapter.CHAPTER.tasks(settings)
+    assert len({task.name for task in tasks}) == len(tasks)
+    assert tasks[0].arguments["factors"] == [1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0]
+    results = {task.name: invented(task) for task in tasks}
     (section,) = realtime_chapter.CHAPTER.sections(settings, results)
     page = render(Document("test", "test", "", (section,)))
     assert "No board is measured" in page

@@ -94,7 +94,7 @@ QUICK = {
 @pytest.mark.slow
 def test_quick_turns_spike_and_undoing_the_motion_in_the_scan_ends_it():
     settings = residual_chapter.CHAPTER.settings("test", QUICK)
-    results = {job.name: job.run()[0] for job in residual_chapter.CHAPTER.jobs(settings)}
+    results = {task.name: task.run()[0] for task in residual_chapter.CHAPTER.tasks(settings)}
     rows = {row.cause.name: row for row in spike_causes.cause_spikes(settings, results, "s2s")}
     assert rows["quick turns"].hit == rows["quick turns"].count == 1
     assert rows["quick turns, deskewed"].hit == rows["slow turns"].hit == 0

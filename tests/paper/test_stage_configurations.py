@@ -33,9 +33,9 @@ def test_without_a_stage_nothing_is_iterated_and_the_answer_is_the_odometry():
 def test_a_line_stands_for_every_configuration():
     settings = CHAPTER.settings("test", {"laps": 0.05, "rate_hz": 5.0, "seeds": 2})
     made = {}
-    for job in CHAPTER.jobs(settings):
-        first = next(iter(made.values()), None) or job.run()[0]
-        made[job.name] = {**first, "s2s": 3.0, "s2m": 4.0}
+    for task in CHAPTER.tasks(settings):
+        first = next(iter(made.values()), None) or task.run()[0]
+        made[task.name] = {**first, "s2s": 3.0, "s2m": 4.0}
     (section,) = CHAPTER.sections(settings, made)
     table = section.blocks[1]
     assert [row[0] for row in table.rows] == [each.name for each in CONFIGURATIONS]

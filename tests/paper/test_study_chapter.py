@@ -3,7 +3,7 @@
 import pytest
 
 from evalkit.plugins import registry
-from evalkit_paper.core_agreement import apart
+from evalkit_paper.core_agreement import compare_poses
 from evalkit_paper.study_chapter import CHAPTER
 
 STUDY = """
@@ -34,13 +34,13 @@ def settings(tmp_path):
 
 @needs_core
 def test_the_chapter_reports_the_results_of_its_tasks(settings):
-    jobs = CHAPTER.jobs(settings)
-    assert len(jobs) == 8 + 1
+    tasks = CHAPTER.tasks(settings)
+    assert len(tasks) == 8 + 1
     found = {
-        job.name: {"apart_m": 1e-12, "apart_rad": 0.0, "scans": 3}
-        if job.name.startswith("comparison")
+        task.name: {"apart_m": 1e-12, "apart_rad": 0.0, "scans": 3}
+        if task.name.startswith("comparison")
         else {"status": "complete", "reason": "", "scores": {"ate_rmse_m": 0.1}, "why": {}, "cpu_s": 0.5}
-        for job in jobs
+        for task in tasks
     }
     first, *rest = CHAPTER.sections(settings, found)
     words = " ".join(block.body for block in first.blocks if block.kind == "text")
@@ -56,7 +56,9 @@ def test_the_chapter_reports_the_results_of_its_tasks(settings):
 
 @needs_core
 def test_core_and_reference_give_the_same_poses_with_the_same_parameters():
-    found = apart(("paper", "embedded"), {"epsilon": 1e-5, "one_to_one": False}, "lab", {"laps": 0.03, "seed": 1}, 5)
+    found = compare_poses(
+        ("paper", "embedded"), {"epsilon": 1e-5, "one_to_one": False}, "lab", {"laps": 0.03, "seed": 1}, 5
+    )
     assert found["scans"] == 5
     assert found["apart_m"] < 1e-9
     assert found["apart_rad"] < 1e-9
@@ -65,4 +67,4 @@ def test_core_and_reference_give_the_same_poses_with_the_same_parameters():
 def test_a_study_that_is_not_there_is_named(tmp_path):
     settings = CHAPTER.settings("paper.toml: [study]", {"file": str(tmp_path / "none.toml")})
     with pytest.raises(Exception, match=r"none\.toml: no such file"):
-        CHAPTER.jobs(settings)
+        CHAPTER.tasks(settings)

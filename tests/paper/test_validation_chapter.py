@@ -19,14 +19,14 @@ READING = "mean distance"
 def chapter():
     settings = validation_chapter.CHAPTER.settings("test", {"seeds": SEEDS, "basin_seeds": 2})
     results = {}
-    for job in validation_chapter.CHAPTER.jobs(settings):
-        name = job.function.__name__
+    for task in validation_chapter.CHAPTER.tasks(settings):
+        name = task.function.__name__
         if name == "basin":  # counted here as if every start up to 40 deg succeeded: the real ones have a test below
-            good = job.arguments["turn_deg"] <= 40.0
+            good = task.arguments["turn_deg"] <= 40.0
             full, none = np.full(len(validation_basin.DISTANCES_M), 2), np.zeros(len(validation_basin.DISTANCES_M), int)
-            results[job.name] = {"successes": full if good else none, "misled": none, "ran_out": none, "trials": 2}
+            results[task.name] = {"successes": full if good else none, "misled": none, "ran_out": none, "trials": 2}
         else:
-            results[job.name] = getattr(table_1, name)(**job.arguments)
+            results[task.name] = getattr(table_1, name)(**task.arguments)
     return settings, results
 
 
