@@ -22,10 +22,9 @@ import contextlib
 import ctypes
 import importlib.metadata
 import importlib.util
-import math
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -109,7 +108,7 @@ class Open3DRegistration:
         """
         conversion = Stopwatch()
         if min(len(target), len(source)) < MIN_PAIRS:
-            return _not_converged(guess, 0, conversion)
+            return Match.not_converged(guess, 0, Cost(conversion.cpu_ns))
         fixed = self._targets.get(target)
         if fixed is None:
             fixed = self._targets[target] = self._to_open3d(target, self._describe_target, conversion)
@@ -120,12 +119,12 @@ class Open3DRegistration:
         with conversion:
             pairs = len(result.correspondence_set)
         if pairs < MIN_PAIRS:
-            return _not_converged(guess, pairs, conversion)
+            return Match.not_converged(guess, pairs, Cost(conversion.cpu_ns))
         try:
             with conversion:
                 answer = planar3d.pose_2d(result.transformation)
         except ValueError:  # turned over
-            return _not_converged(guess, 0, conversion)
+            return Match.not_converged(guess, 0, Cost(conversion.cpu_ns))
         cost = Cost(conversion.cpu_ns)
         return Match(answer, converged=True, iterations=0, error=float(result.inlier_rmse), inliers=pairs, cost=cost)
 
@@ -192,10 +191,6 @@ def open3d_missing() -> str:
     return f"open3d needs system libraries that are not here ({', '.join(absent)}): {INSTALL_SYSTEM}" if absent else ""
 
 
-def _not_converged(guess: Pose, pairs: int, conversion: Stopwatch) -> Match:
-    return Match(guess, converged=False, iterations=0, error=math.nan, inliers=pairs, cost=Cost(conversion.cpu_ns))
-
-
 def _bare(_library: Any, _space: Any, _cloud: Cloud, _conversion: Stopwatch) -> None:
     """Point-to-point needs only points."""
 
@@ -249,22 +244,19 @@ POINT_TO_POINT = RegistrationSpec(
     missing=open3d_missing,
 )
 
-POINT_TO_PLANE = RegistrationSpec(
+POINT_TO_PLANE = replace(
+    POINT_TO_POINT,
     make=point_to_plane,
-    summary="Open3D point-to-plane ICP with normals made in the plane",
+    summary="Open3D point-to-plane ICP with normals computed in the plane",
     citation=f"Chen and Medioni, IVC 1992; {_OPEN3D}",
-    licence="MIT",
-    requires=("open3d",),
+    role="",
     parameters=declared_parameters(PlaneSettings),
-    missing=open3d_missing,
 )
 
-GENERALIZED = RegistrationSpec(
+GENERALIZED = replace(
+    POINT_TO_PLANE,
     make=generalized,
-    summary="Open3D generalised ICP with covariances made in the plane",
+    summary="Open3D generalised ICP with covariances computed in the plane",
     citation=f"Segal, Haehnel and Thrun, RSS 2009; {_OPEN3D}",
-    licence="MIT",
-    requires=("open3d",),
     parameters=declared_parameters(GeneralizedSettings),
-    missing=open3d_missing,
 )

@@ -24,7 +24,7 @@ from __future__ import annotations
 import importlib.util
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 from weakref import WeakKeyDictionary
 
@@ -86,7 +86,7 @@ class SmallGicpRegistration:
         """Return the motion ``target_from_source``; the guess, not converged, with fewer than three pairs."""
         conversion = Stopwatch()
         if min(len(target), len(source)) < MIN_PAIRS:
-            return _not_converged(guess, 0, conversion)
+            return Match.not_converged(guess, 0, Cost(conversion.cpu_ns))
         if target not in self._targets:
             self._targets[target] = self._prepare(self._library, target, conversion)
         cloud, tree = self._targets[target]
@@ -96,12 +96,12 @@ class SmallGicpRegistration:
         result = self._library.align(cloud, moving, tree, init_T_target_source=initial, **self._settings)
         pairs = int(result.num_inliers)
         if pairs < MIN_PAIRS:
-            return _not_converged(guess, pairs, conversion)
+            return Match.not_converged(guess, pairs, Cost(conversion.cpu_ns))
         try:
             with conversion:
                 answer = planar3d.pose_2d(result.T_target_source)
         except ValueError:  # left the plane
-            return _not_converged(guess, 0, conversion)
+            return Match.not_converged(guess, 0, Cost(conversion.cpu_ns))
         error = math.sqrt(2.0 * max(float(result.error), 0.0) / pairs)
         cost = Cost(conversion.cpu_ns)
         return Match(answer, bool(result.converged), int(result.iterations), error, pairs, cost=cost)
@@ -144,10 +144,6 @@ def _flat(library: Any, target: Cloud, conversion: Stopwatch) -> tuple[Any, Any]
     return cloud, library.KdTree(cloud, num_threads=1)
 
 
-def _not_converged(guess: Pose, pairs: int, conversion: Stopwatch) -> Match:
-    return Match(guess, converged=False, iterations=0, error=math.nan, inliers=pairs, cost=Cost(conversion.cpu_ns))
-
-
 def _import_small_gicp() -> Any:
     try:
         import small_gicp  # noqa: PLC0415 - optional
@@ -168,12 +164,10 @@ POINT_TO_PLANE = RegistrationSpec(
     missing=small_gicp_missing,
 )
 
-POINT_TO_POINT = RegistrationSpec(
+POINT_TO_POINT = replace(
+    POINT_TO_PLANE,
     make=point_to_point,
     summary="small_gicp point-to-point ICP",
     citation=f"Besl and McKay, PAMI 1992; {_LIBRARY}",
-    licence="MIT",
-    requires=("small_gicp",),
     parameters=declared_parameters(PointSettings),
-    missing=small_gicp_missing,
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -264,10 +265,6 @@ def _describe_truth(paths: TruthPaths, poses_from: str) -> str:
     return "; ".join(parts) or "none"
 
 
-def _describe_missing(**given: object) -> str:
-    return reader_common.describe_missing_files("carmen", given)
-
-
 SPEC = DatasetSpec(
     make=Carmen,
     summary="A CARMEN log (.log, .clf, also gzip) with FLASER or ROBOTLASER1 scans",
@@ -287,6 +284,6 @@ SPEC = DatasetSpec(
         Parameter("step_deg", 0.0, "deg", "angle between its beams; 0: by their number", low=0.0, high=10.0),
         *reader_common.SELECTION,
     ),
-    missing=_describe_missing,
+    missing=partial(reader_common.describe_missing_files, "carmen"),
     thinned_by="every",
 )  # fmt: skip

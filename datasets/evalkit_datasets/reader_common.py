@@ -82,7 +82,7 @@ def parse_sensor_pose(owner: str, text: str) -> Pose:
         ) from None
 
 
-def describe_missing_files(owner: str, given: Mapping[str, object]) -> str:
+def describe_missing_files(owner: str, **given: object) -> str:
     """Return which file among a reader's parameters is missing and what to do, "" if all exist."""
     paths = [("path", str(given.get("path", "")))]
     paths += [(each.name, str(given[each.name])) for each in truth_files.PARAMETERS if given.get(each.name)]

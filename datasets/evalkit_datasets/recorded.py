@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 
@@ -12,8 +13,9 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.ground_truth import Truth
 from evalkit.core.trajectory import Trajectory
 from evalkit.io import map_server
-from evalkit.plugins.parameters import Parameter
-from evalkit.plugins.specs import DatasetSpec, Published
+from evalkit.plugins.parameters import Parameter, Value
+from evalkit.plugins.protocols import Sequence
+from evalkit.plugins.specs import DatasetSpec, Excerpt, Published
 from evalkit_datasets import catalog, reader_common
 from evalkit_datasets.carmen import Carmen
 from evalkit_datasets.rosbag import RosBag
@@ -60,7 +62,7 @@ def _intel(start: int = 0, every: int = 1, limit: int = 0) -> Carmen:
 
 
 class RosBagWithFloorMap(RosBag):
-    """A bag with a map of the building floor, in a frame of its own."""
+    """A bag with a map of the building floor; the map has a separate frame."""
 
     def truth(self) -> Truth:
         """Return the map of the floor if its files are present; no other truth exists."""
@@ -102,112 +104,88 @@ def _static(topic: str = "/front_scan", start: int = 0, every: int = 1, limit: i
     return StaticRosBag(bag, topic, odometry="none", start=start, every=every, limit=limit)
 
 
-def _describe_missing(dataset: str, **_: object) -> str:
-    return catalog.describe_missing(dataset, FILES[dataset])
-
-
-def _topic(default: str, *others: str) -> Parameter:
-    return Parameter("topic", default, "", "topic of the lidar", choices=(default, *others))
-
-
-def _metadata(dataset: str, field: str) -> str:
-    """Return a metadata field of the data set's recording."""
-    return str(getattr(catalog.get_file(FILES[dataset][0]), field))
-
-
-def _list_defects(dataset: str) -> tuple[str, ...]:
-    return catalog.get_file(FILES[dataset][0]).defects
-
-
 def _make_published(label: str, mean_m: float, sd_m: float) -> Published:
     return Published(label, mean_m, sd_m, KUEMMERLE, "relations_all_mean_m", "relations_all_sd_m")
 
 
-FR079 = DatasetSpec(
-    make=_fr079,
-    summary="Freiburg building 079, full rate: 4,791 scans, 1,061 s, about 400 m",
-    sensor=_metadata("fr079", "sensor"),
-    truth=FR079_HOW,
-    citation=_metadata("fr079", "citation"),
-    licence=_metadata("fr079", "licence"),
-    defects=_list_defects("fr079"),
+def _describe_missing(dataset: str, **_: object) -> str:
+    return catalog.describe_missing(dataset, FILES[dataset])
+
+
+def _make_spec(
+    dataset: str,
+    make: Callable[..., Sequence],
+    summary: str,
+    truth: str = "",
+    topics: tuple[str, ...] = (),
+    published: tuple[Published, ...] = (),
+    excerpts: Mapping[Excerpt, Mapping[str, Value]] = MappingProxyType({}),
+) -> DatasetSpec:
+    """Return the spec of a recording with the metadata of the catalogue; ``topics``: its lidars, the default first."""
+    card = catalog.get_file(FILES[dataset][0])
+    topic = [Parameter("topic", topics[0], "", "topic of the lidar", choices=topics)] if topics else []
+    return DatasetSpec(
+        make=make,
+        summary=summary,
+        sensor=card.sensor,
+        truth=truth or card.truth,
+        citation=card.citation,
+        licence=card.licence,
+        defects=card.defects,
+        published=published,
+        parameters=(*topic, *reader_common.SELECTION),
+        missing=partial(_describe_missing, dataset),
+        thinned_by="every",
+        excerpts=excerpts,
+    )
+
+
+FR079 = _make_spec(
+    "fr079",
+    _fr079,
+    "Freiburg building 079, full rate: 4,791 scans, 1,061 s, about 400 m",
+    FR079_HOW,
     published=(
         _make_published("scan matching", 0.258, 0.427),
         _make_published("RBPF (GMapping)", 0.061, 0.044),
         _make_published("graph mapping", 0.056, 0.042),
     ),
-    parameters=reader_common.SELECTION,
-    missing=partial(_describe_missing, "fr079"),
-    thinned_by="every",
     excerpts={"full": {"limit": 600}, "quick": {"limit": 90}},
 )
 
-INTEL = DatasetSpec(
-    make=_intel,
-    summary="Intel Research Lab, Seattle: 5,438 scans, 2,684 s, about 500 m, raw wheel odometry",
-    sensor=_metadata("intel", "sensor"),
-    truth=INTEL_HOW,
-    citation=_metadata("intel", "citation"),
-    licence=_metadata("intel", "licence"),
-    defects=_list_defects("intel"),
+INTEL = _make_spec(
+    "intel",
+    _intel,
+    "Intel Research Lab, Seattle: 5,438 scans, 2,684 s, about 500 m, raw wheel odometry",
+    INTEL_HOW,
     published=(
         _make_published("scan matching", 0.220, 0.296),
         _make_published("RBPF (GMapping)", 0.070, 0.083),
         _make_published("graph mapping", 0.031, 0.026),
     ),
-    parameters=reader_common.SELECTION,
-    missing=partial(_describe_missing, "intel"),
-    thinned_by="every",
 )
 
-TURTLEBOT4 = DatasetSpec(
-    make=_turtlebot4,
-    summary="A TurtleBot 4 with an RPLIDAR on a university floor: 357 scans, 46 s, 8.4 m",
-    sensor=_metadata("turtlebot4", "sensor"),
-    truth="none; the floor map is 0.6 m and 4 deg off the odometry of the first scan, and no survey relates the two",
-    citation=_metadata("turtlebot4", "citation"),
-    licence=_metadata("turtlebot4", "licence"),
-    defects=_list_defects("turtlebot4"),
-    parameters=reader_common.SELECTION,
-    missing=partial(_describe_missing, "turtlebot4"),
-    thinned_by="every",
+TURTLEBOT4 = _make_spec(
+    "turtlebot4",
+    _turtlebot4,
+    "A TurtleBot 4 with an RPLIDAR on a university floor: 357 scans, 46 s, 8.4 m",
+    "none; the floor map is 0.6 m and 4 deg off the odometry of the first scan, and no survey relates the two",
 )
 
-WHEELCHAIR = DatasetSpec(
-    make=_wheelchair,
-    summary="A robotic wheelchair around one closed loop: 435 scans, 58 s, about 36 m",
-    sensor=_metadata("wheelchair", "sensor"),
-    truth=_metadata("wheelchair", "truth"),
-    citation=_metadata("wheelchair", "citation"),
-    licence=_metadata("wheelchair", "licence"),
-    defects=_list_defects("wheelchair"),
-    parameters=(_topic("/right_scan", "/left_scan", "/rear_scan"), *reader_common.SELECTION),
-    missing=partial(_describe_missing, "wheelchair"),
-    thinned_by="every",
+WHEELCHAIR = _make_spec(
+    "wheelchair",
+    _wheelchair,
+    "A robotic wheelchair around one closed loop: 435 scans, 58 s, about 36 m",
+    topics=("/right_scan", "/left_scan", "/rear_scan"),
 )
 
-STATIC = DatasetSpec(
-    make=_static,
-    summary="A robot that does not move: 331 scans, 33 s",
-    sensor=_metadata("static", "sensor"),
-    truth=_metadata("static", "truth"),
-    citation=_metadata("static", "citation"),
-    licence=_metadata("static", "licence"),
-    defects=_list_defects("static"),
-    parameters=(_topic("/front_scan", "/rear_scan"), *reader_common.SELECTION),
-    missing=partial(_describe_missing, "static"),
-    thinned_by="every",
+STATIC = _make_spec(
+    "static", _static, "A robot that does not move: 331 scans, 33 s", topics=("/front_scan", "/rear_scan")
 )
 
-BACKPACK = DatasetSpec(
-    make=_backpack,
-    summary="A backpack carried through the Deutsches Museum: 345 scans, 10 s, no wheel odometry",
-    sensor=_metadata("backpack", "sensor"),
-    truth="none",
-    citation=_metadata("backpack", "citation"),
-    licence=_metadata("backpack", "licence"),
-    defects=_list_defects("backpack"),
-    parameters=reader_common.SELECTION,
-    missing=partial(_describe_missing, "backpack"),
-    thinned_by="every",
+BACKPACK = _make_spec(
+    "backpack",
+    _backpack,
+    "A backpack carried through the Deutsches Museum: 345 scans, 10 s, no wheel odometry",
+    "none",
 )

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -241,10 +242,6 @@ def _merge_poses(parts: list[PoseBuffer]) -> Trajectory:
     return Trajectory(stamps[keep], np.concatenate([part.poses for part in parts])[keep], "odom", "base")
 
 
-def _describe_missing(**given: object) -> str:
-    return reader_common.describe_missing_files("rosbag", given)
-
-
 SPEC = DatasetSpec(
     make=RosBag,
     summary="A ROS 1 or ROS 2 bag with LaserScan or MultiEchoLaserScan messages",
@@ -264,6 +261,6 @@ SPEC = DatasetSpec(
         ),
         *reader_common.SELECTION,
     ),
-    missing=_describe_missing,
+    missing=partial(reader_common.describe_missing_files, "rosbag"),
     thinned_by="every",
 )

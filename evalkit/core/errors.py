@@ -86,45 +86,28 @@ class BadData(EvalkitError):
         return plain(f"{file}: {place}: {found}; {remedy}" if place else f"{file}: {found}; {remedy}")
 
 
-class DataMissing(EvalkitError):
+class _RemediedError(EvalkitError):
+    """An error of three parts: what it concerns, what is wrong and what to do."""
+
+    def __init__(self, concerned: str, what: str, remedy: str) -> None:
+        super().__init__(concerned, what, remedy)
+
+    def __str__(self) -> str:
+        concerned, what, remedy = self.args
+        return plain(f"{concerned}: {what}; {remedy}")
+
+
+class DataMissing(_RemediedError):
     """A data set whose files are not on this machine: ``DataMissing(dataset, what, remedy)``."""
 
-    def __init__(self, dataset: str, what: str, remedy: str) -> None:
-        super().__init__(dataset, what, remedy)
 
-    def __str__(self) -> str:
-        dataset, what, remedy = self.args
-        return plain(f"{dataset}: {what}; {remedy}")
-
-
-class NotInstalled(EvalkitError):
+class NotInstalled(_RemediedError):
     """An optional library that is missing or cannot be loaded: ``NotInstalled(name, why, remedy)``."""
 
-    def __init__(self, name: str, why: str, remedy: str) -> None:
-        super().__init__(name, why, remedy)
 
-    def __str__(self) -> str:
-        name, why, remedy = self.args
-        return plain(f"{name}: {why}; {remedy}")
-
-
-class BackendFailed(EvalkitError):
+class BackendFailed(_RemediedError):
     """An external implementation that failed: ``BackendFailed(name, what, remedy)``."""
 
-    def __init__(self, name: str, what: str, remedy: str) -> None:
-        super().__init__(name, what, remedy)
 
-    def __str__(self) -> str:
-        name, what, remedy = self.args
-        return plain(f"{name}: {what}; {remedy}")
-
-
-class StoreError(EvalkitError):
+class StoreError(_RemediedError):
     """A results folder that cannot be written or read: ``StoreError(path, what, remedy)``."""
-
-    def __init__(self, path: str, what: str, remedy: str) -> None:
-        super().__init__(path, what, remedy)
-
-    def __str__(self) -> str:
-        path, what, remedy = self.args
-        return plain(f"{path}: {what}; {remedy}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 from evalkit.core.arrays import Ints
@@ -38,3 +39,8 @@ class Match:
     inliers: int
     history: tuple[Iteration, ...] = ()
     cost: Cost = NO_COST
+
+    @classmethod
+    def not_converged(cls, guess: Pose, inliers: int = 0, cost: Cost = NO_COST) -> Match:
+        """Return the answer of a registration without a result: the guess, with error nan."""
+        return cls(guess, converged=False, iterations=0, error=math.nan, inliers=inliers, cost=cost)

@@ -120,6 +120,14 @@ class Frame:
     odom_from_base: Pose | None = None
     start_from_end: Pose | None = None
 
+    def points_in_base(self, start_from_end: Pose | None) -> Floats:
+        """Return the hits (N, 2) in the base frame at the first beam (m), in firing order.
+
+        ``start_from_end``: motion within the scan to undo (see ``Scan.deskewed``); None: the scan is not deskewed.
+        """
+        scan = self.scan.deskewed(self.base_from_sensor, start_from_end)
+        return self.base_from_sensor.transform(scan.points())
+
 
 def _polar(ranges: Floats, angles: Floats) -> Floats:
     """Return the points (N, 2) of ranges (N,) and angles (N,): equation 1 of the paper, x forward."""

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Generic
 
 from evalkit.core.errors import EvalkitError, StoreError, plain
-from evalkit.execution import deadline, environment
+from evalkit.execution import environment, task_time_limit
 from evalkit.execution.dask_cluster import Call, Cluster, NoCluster, Slot
 from evalkit.execution.subprocesses import start_pool
 from evalkit.execution.task import R, Task
@@ -128,7 +128,7 @@ def _run_locally(tasks: list[Task[R]], workers: int, collector: _Collector[R]) -
     waiting = tasks
     while waiting:
         lost = collector.collect(_computed(waiting, collector.store, workers))
-        notes = {task.name: deadline.take_note(collector.store.note(task), task.limit_s) for task in lost}
+        notes = {task.name: task_time_limit.take_note(collector.store.note(task), task.limit_s) for task in lost}
         started = [task for task in lost if notes[task.name].started] or lost  # or no process started any task
         for task in started:
             timeout = notes[task.name].timeout
@@ -143,7 +143,7 @@ def _run_alone(task: Task[R], collector: _Collector[R]) -> TaskFailure | None:
     """Runs a task in a process of its own; why that process died, None if it did not."""
     if not collector.collect(_computed([task], collector.store, 1)):
         return None
-    timeout = deadline.take_note(collector.store.note(task), task.limit_s).timeout
+    timeout = task_time_limit.take_note(collector.store.note(task), task.limit_s).timeout
     return TaskFailure(timeout or "it ended its process", timed_out=bool(timeout))
 
 
@@ -168,7 +168,7 @@ def on_worker(task: Task[R], key: str, _slot: Slot) -> tuple[R, float]:
 
 
 def _run_with_note(task: Task[R], note: Path) -> tuple[R, float]:
-    with deadline.time_limit(note, task.limit_s):
+    with task_time_limit.time_limit(note, task.limit_s):
         return task.run()
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import shlex
 import shutil
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats
-from evalkit.core.timing import Cost, Stopwatch
+from evalkit.core.timing import Answer, Cost, Stopwatch
 from evalkit.external import elf
 from evalkit.external.declaration import Declaration, broken_spec, digest_of, make_spec, missing_spec, read_declaration
 from evalkit.external.program import Program
@@ -69,20 +69,14 @@ class ProgramRegistration:
         """Register with the program; raises BackendFailed where it gives no valid match."""
         conversion = Stopwatch()
         with conversion:
-            question = self._session.program.encode_line(
-                {
-                    "ask": "register",
-                    "guess": guess.row.tolist(),
-                    "source": source.points.ravel().tolist(),
-                    "target": target.points.ravel().tolist(),
-                }
-            )
-        line, program_cpu_ns = self._session.exchange(question)
-        with conversion:
-            answer = self._session.program.read(line)
-            device_ns = self._session.device_ns(answer)
-            match = self._session.match(answer)
-        return replace(match, cost=self._session.cost(conversion.cpu_ns, program_cpu_ns, device_ns))
+            question = {
+                "ask": "register",
+                "guess": guess.row.tolist(),
+                "source": source.points.ravel().tolist(),
+                "target": target.points.ravel().tolist(),
+            }
+        match, cost = self._session.ask(question, self._session.match, conversion)
+        return replace(match, cost=cost)
 
 
 class ProgramOdometry:
@@ -96,26 +90,20 @@ class ProgramOdometry:
         conversion = Stopwatch()
         with conversion:
             scan = frame.scan
-            question = self._session.program.encode_line(
-                {
-                    "ask": "update",
-                    "stamp_ns": scan.stamp_ns,
-                    "time_increment_ns": scan.time_increment_ns,
-                    "range_min_m": scan.range_min_m,
-                    "range_max_m": scan.range_max_m,
-                    "base_from_sensor": frame.base_from_sensor.row.tolist(),
-                    "odom_from_base": None if frame.odom_from_base is None else frame.odom_from_base.row.tolist(),
-                    "start_from_end": None if frame.start_from_end is None else frame.start_from_end.row.tolist(),
-                    "angles": scan.angles.tolist(),
-                    "ranges": _ranges(scan.ranges),
-                }
-            )
-        line, program_cpu_ns = self._session.exchange(question)
-        with conversion:
-            answer = self._session.program.read(line)
-            device_ns = self._session.device_ns(answer)
-            pose = self._session.pose(answer)
-        return OdometryEstimate(pose, cost=self._session.cost(conversion.cpu_ns, program_cpu_ns, device_ns))
+            question = {
+                "ask": "update",
+                "stamp_ns": scan.stamp_ns,
+                "time_increment_ns": scan.time_increment_ns,
+                "range_min_m": scan.range_min_m,
+                "range_max_m": scan.range_max_m,
+                "base_from_sensor": frame.base_from_sensor.row.tolist(),
+                "odom_from_base": None if frame.odom_from_base is None else frame.odom_from_base.row.tolist(),
+                "start_from_end": None if frame.start_from_end is None else frame.start_from_end.row.tolist(),
+                "angles": scan.angles.tolist(),
+                "ranges": _encode_ranges(scan.ranges),
+            }
+        pose, cost = self._session.ask(question, self._session.pose, conversion)
+        return OdometryEstimate(pose, cost=cost)
 
 
 class ProgramSession:
@@ -135,21 +123,22 @@ class ProgramSession:
         self.program.answer_timeout_s = answer_timeout_s
         self.program.ask({"ask": "create", "parameters": dict(parameters)})
 
-    def exchange(self, question: bytes) -> tuple[bytes, int]:
-        """Send a line; return the line answered and the CPU time (ns) that the program spent on it."""
-        before = self.program.cpu_ns()
-        line = self.program.exchange(question)
-        return line, self.program.cpu_ns() - before
-
-    def device_ns(self, answer: dict[str, Any]) -> int:
-        """Return the time (ns) that the program itself reports with an answer, 0 where it reports none."""
-        return int(self.number(answer, "elapsed_ns")) if "elapsed_ns" in answer else 0
-
-    def cost(self, conversion_ns: int, program_cpu_ns: int, device_ns: int) -> Cost:
-        """Return the cost of one answer; for work on a device, this machine's CPU time is withheld."""
+    def ask(
+        self, question: dict[str, Any], parse: Callable[[dict[str, Any]], Answer], conversion: Stopwatch
+    ) -> tuple[Answer, Cost]:
+        """Send a question; return the parsed answer and its cost. For work on a device, CPU time is withheld."""
+        with conversion:
+            line = self.program.encode_line(question)
+        before_ns = self.program.cpu_ns()
+        line = self.program.exchange(line)
+        program_cpu_ns = self.program.cpu_ns() - before_ns
+        with conversion:
+            content = self.program.read(line)
+            device_ns = int(self.number(content, "elapsed_ns")) if "elapsed_ns" in content else 0
+            answer = parse(content)
         if self._elsewhere:
-            return Cost(conversion_ns, device_ns=device_ns, withheld=frozenset({"cpu"}))
-        return Cost(conversion_ns, program_cpu_ns, device_ns)
+            return answer, Cost(conversion.cpu_ns, device_ns=device_ns, withheld=frozenset({"cpu"}))
+        return answer, Cost(conversion.cpu_ns, program_cpu_ns, device_ns)
 
     def number(self, answer: dict[str, Any], key: str, *, optional: bool = False, most: float = 2.0**63) -> float:
         """Return a number (or true, false) of an answer, less than ``most``; nan where it is optional and absent."""
@@ -224,7 +213,7 @@ def _resolve_command(words: list[str]) -> tuple[list[str], str]:
     return [str(path), *words[1:]], f"{words[0]} {why}; {remedy}" if why else ""
 
 
-def _ranges(ranges: Floats) -> list[float | str | None]:
+def _encode_ranges(ranges: Floats) -> list[float | str | None]:
     """Encode ranges for JSON, which has neither infinity nor nan: null for no return, "nan" for invalid."""
     if np.isfinite(ranges).all():
         return list(ranges.tolist())

@@ -1,4 +1,4 @@
-"""The types of a metric: its card, its input, and helpers for the METRICS tables."""
+"""The types of a metric: its card, its input, and helpers for METRICS tables; ``evalkit.metrics`` joins the tables."""
 
 from __future__ import annotations
 

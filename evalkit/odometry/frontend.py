@@ -164,9 +164,7 @@ class FrontEnd:
         )
 
     def _source(self, frame: Frame) -> Cloud:
-        moved = self._motion.within_scan(frame) if self._settings.deskew else None
-        scan = frame.scan.deskewed(frame.base_from_sensor, moved)
-        points = frame.base_from_sensor.transform(scan.points())
+        points = frame.points_in_base(self._motion.within_scan(frame) if self._settings.deskew else None)
         if self._settings.local_radius_m > 0.0:
             points = points_within(points, self._settings.local_radius_m)
         if self._settings.source_voxel_m > 0.0:

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from evalkit.execution import deadline
+from evalkit.execution import task_time_limit
 from evalkit.execution.dask_cluster import Cluster, NoCluster, Slot
 from evalkit.execution.task import make_task
 from evalkit.execution.task_runner import TasksFailed, on_worker, run_tasks
@@ -124,12 +124,12 @@ def test_a_second_time_limit_in_a_process_waits_for_the_first(tmp_path):
 
     def second():
         inside.wait()
-        with deadline.time_limit(tmp_path / "second", 60.0):
+        with task_time_limit.time_limit(tmp_path / "second", 60.0):
             order.append("second")
 
     thread = threading.Thread(target=second)
     thread.start()
-    with deadline.time_limit(tmp_path / "first", 60.0):
+    with task_time_limit.time_limit(tmp_path / "first", 60.0):
         inside.set()
         thread.join(0.2)
         order.append("first")

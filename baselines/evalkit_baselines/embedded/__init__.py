@@ -4,6 +4,7 @@ The NumPy implementation in ``evalkit_baselines.paper`` is its specification: in
 1e-9. The README in this folder describes the core and its speed.
 """
 
+from dataclasses import replace
 from functools import partial
 
 from evalkit.plugins.specs import MapperSpec, OdometrySpec, RegistrationSpec
@@ -23,13 +24,10 @@ SPEC = RegistrationSpec(
     missing=compiled_missing,
 )
 
-FLOAT = RegistrationSpec(
+FLOAT = replace(
+    SPEC,
     make=partial(CompiledIcp, "float"),
     summary="the paper's ICP in C99, single precision: what a board without double arithmetic computes",
-    citation=CITATION,
-    licence="MIT",
-    parameters=registration.PARAMETERS,
-    missing=compiled_missing,
 )
 
 PIPELINE = OdometrySpec(

@@ -46,7 +46,7 @@ class CompiledIcp:
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """Return the motion ``target_from_source``; with too few pairs the guess, not converged, with error nan."""
         if not len(target) or not len(source):
-            return Match(guess, False, 0, math.nan, 0)
+            return Match.not_converged(guess)
         conversion = Stopwatch()
         index = self._recent.of(target, lambda cloud: self._index(cloud, conversion))
         with conversion:

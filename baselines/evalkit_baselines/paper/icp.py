@@ -81,7 +81,7 @@ class Icp:
         """Return the motion ``target_from_source``, starting from ``guess``; history has one entry per iteration."""
         history: list[Iteration] = []
         if not len(target) or not len(source):
-            return Match(guess, False, 0, math.nan, 0)
+            return Match.not_converged(guess)
         tree, normals = self._recent.of(target, self._index)
         association = Association(tree, len(source), self.max_correspondence_m or math.inf)
         pose = guess.row

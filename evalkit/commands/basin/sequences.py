@@ -143,23 +143,18 @@ def _pairs_by_relations(frames: list[Frame], relations: Relations, pairs: int) -
 
 
 def _pair(target: Frame, source: Frame, world_from_target: Pose, target_from_source: Pose) -> KnownPair:
-    points = _cloud(source)
+    points = Cloud(source.points_in_base(source.start_from_end))
     heading = Pose(0.0, 0.0, (world_from_target @ target_from_source).theta)
     normals = planar3d.normals(points.points, NEIGHBOURS, RADIUS_M)
     walls = normals.any(axis=1)
     return KnownPair(
-        _cloud(target),
+        Cloud(target.points_in_base(target.start_from_end)),
         points,
         world_from_target,
         target_from_source,
         heading.transform(points.points[walls]),
         heading.transform(normals[walls]),
     )
-
-
-def _cloud(frame: Frame) -> Cloud:
-    scan = frame.scan.deskewed(frame.base_from_sensor, frame.start_from_end)
-    return Cloud(frame.base_from_sensor.transform(scan.points()), "base")
 
 
 def _moving(moved: Floats) -> Any:

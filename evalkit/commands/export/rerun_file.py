@@ -81,9 +81,7 @@ def _scans(sequence: SensorSequence | None, stamps: list[int]) -> dict[int, Floa
         return {}
     shown = set(stamps[:: max(len(stamps) // MAX_SCANS, 1)])
     return {
-        frame.scan.stamp_ns: frame.base_from_sensor.transform(frame.scan.points())
-        for frame in sequence.frames()
-        if frame.scan.stamp_ns in shown
+        frame.scan.stamp_ns: frame.points_in_base(None) for frame in sequence.frames() if frame.scan.stamp_ns in shown
     }
 
 

@@ -55,7 +55,7 @@ def scan_pairs(sequence: Sequence, count: int, exact: bool) -> Iterator[ScanPair
         if motion is None:
             last = first + 1
             motion = _motion(frames[first], frames[last], truth) or Pose()
-        clouds = _cloud(frames[first]), _cloud(frames[last])
+        clouds = [Cloud(each.points_in_base(each.start_from_end)) for each in (frames[first], frames[last])]
         for stage, metres, radians in ((STAGE, NEAR_M, NEAR_RAD), (STAGE + DISTURBED, DISTURBED_M, DISTURBED_RAD)):
             guess = motion @ _random_motion(rng, metres, radians)
             yield ScanPair(Question(number, stage, *clouds, guess), motion if exact else None)
@@ -95,11 +95,6 @@ def _motion(first: Frame, last: Frame, truth: Trajectory | None) -> Pose | None:
     if first.odom_from_base is None or last.odom_from_base is None:
         return None
     return first.odom_from_base.inverse() @ last.odom_from_base
-
-
-def _cloud(frame: Frame) -> Cloud:
-    scan = frame.scan.deskewed(frame.base_from_sensor, frame.start_from_end)
-    return Cloud(frame.base_from_sensor.transform(scan.points()), "base")
 
 
 def _frame(cloud: Cloud, stamp_ns: int, odom_from_base: Pose) -> Frame:
