@@ -55,10 +55,10 @@ def scan_pairs(sequence: Sequence, count: int, exact: bool) -> Iterator[ScanPair
         if motion is None:
             last = first + 1
             motion = _motion(frames[first], frames[last], truth) or Pose()
-        clouds = [Cloud(each.points_in_base(each.start_from_end)) for each in (frames[first], frames[last])]
+        target, source = (Cloud(each.points_in_base(each.start_from_end)) for each in (frames[first], frames[last]))
         for stage, metres, radians in ((STAGE, NEAR_M, NEAR_RAD), (STAGE + DISTURBED, DISTURBED_M, DISTURBED_RAD)):
             guess = motion @ _random_motion(rng, metres, radians)
-            yield ScanPair(Question(number, stage, *clouds, guess), motion if exact else None)
+            yield ScanPair(Question(number, stage, target, source, guess), motion if exact else None)
 
 
 class TwoScans:
