@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.commands.realtime.virtual_clock import Rule, first_broken
+from evalkit.commands.realtime.virtual_clock import BreakingRule, find_breaking_factor
 from evalkit.core.se2 import Floats
 from evalkit.execution.task import Result
 
-RULE = Rule()
+RULE = BreakingRule()
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +28,7 @@ class Ladder:
     @cached_property
     def rungs(self) -> list[list[Mapping[str, Any]]]:
         """Rungs (S, K) of this policy; the first of each seed is for a device that takes no time."""
-        return [[rung for rung in result["rungs"] if rung["policy"] == self.policy] for result in self.results]
+        return [[rung for rung in result["devices"] if rung["policy"] == self.policy] for result in self.results]
 
     @property
     def factors(self) -> Floats:
@@ -44,11 +44,11 @@ class Ladder:
         ate = self.values("at_hand", "ate_rmse_m")
         lost = np.array([[bool(rung["lost"]) for rung in own] for own in self.rungs])
         middle = np.median(np.where(np.isfinite(ate) & ~lost, ate, np.inf), axis=0)
-        return [RULE.broken(value if np.isfinite(value) else None, float(middle[0])) for value in middle.tolist()]
+        return [RULE.is_broken(value if np.isfinite(value) else None, float(middle[0])) for value in middle.tolist()]
 
     def breaks_at(self) -> float | None:
         """Smallest factor that is broken."""
-        return first_broken(self.factors.tolist(), self.broken())
+        return find_breaking_factor(self.factors.tolist(), self.broken())
 
     def rung(self, factor: float) -> int:
         """Index of a factor."""

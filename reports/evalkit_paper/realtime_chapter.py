@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from evalkit.commands.realtime import simulation
-from evalkit.commands.realtime.virtual_clock import first_broken
+from evalkit.commands.realtime.virtual_clock import find_breaking_factor
 from evalkit.core.se2 import Floats
 from evalkit.execution.task import AnyTask, make_task
 from evalkit.plugins.parameters import Parameter, Value
@@ -68,7 +68,7 @@ def tasks(settings: Settings) -> tuple[AnyTask, ...]:
     """One job for every method, rate and seed: its costs here, and its ladder of device factors."""
     return tuple(
         make_task(
-            _name(entry.label, rate, seed), simulation.paced, backend=entry.backend,
+            _name(entry.label, rate, seed), simulation.simulate_realtime, backend=entry.backend,
             parameters=dict(entry.parameters), dataset=settings["world"],
             dataset_parameters={"seed": seed, "rate_hz": rate, "laps": settings["laps"]}, factors=_factors(settings),
             policies=["queue-of-one", "drop"] if entry.label in BOTH else ["queue-of-one"],
@@ -198,7 +198,7 @@ def _breaking_table(ladders: Sequence[Ladder]) -> Table:
 
 def _breaking_row(ladder: Ladder) -> list[Cell | str]:
     dropped = np.median(ladder.values("dropped"), axis=0)
-    half = first_broken(ladder.factors.tolist(), (dropped >= 0.5).tolist())
+    half = find_breaking_factor(ladder.factors.tolist(), (dropped >= 0.5).tolist())
     at = ladder.breaks_at()
     there = None if at is None else ladder.rung(at)
     age = np.median([[rung["age_ms"][1] for rung in own] for own in ladder.rungs], axis=0) * 1e-3

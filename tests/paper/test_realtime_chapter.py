@@ -20,7 +20,9 @@ def rung(factor, ate_m, lost="", policy="queue-of-one", dropped=0.0):
 
 def ladder(*ates):
     factors = (0.0, 10.0, 100.0)
-    results = [{"rungs": [rung(f, a, "" if a else "lost") for f, a in zip(factors, own, strict=True)]} for own in ates]
+    results = [
+        {"devices": [rung(f, a, "" if a else "lost") for f, a in zip(factors, own, strict=True)]} for own in ates
+    ]
     return Ladder("one", 10.0, results)
 
 
@@ -44,7 +46,7 @@ def invented(task):
     ]
     linear = {"base_ns": 1e6, "step_ns": 10.0, "residual": 0.1, "held_out": 0.2}
     return {
-        "rungs": rungs, "costs_ns": np.full(5, 1_000_000), "headroom": 50.0, "gaps": np.array([1, 2]),
+        "devices": rungs, "costs_ns": np.full(5, 1_000_000), "headroom": 50.0, "gaps": np.array([1, 2]),
         "growth": np.array([1.0, 1.2]), "linear": linear if task.arguments["backend"] == "paper" else None,
     }  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""``evalkit realtime``: the device factor from which a back end drops scans, and from which it loses track."""
+"""``evalkit realtime``: simulate slower devices; from which factor on a back end drops scans and is broken."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 from rich.table import Table
 
-from evalkit.commands.realtime.virtual_clock import POLICIES, Policy, Rule, first_broken
+from evalkit.commands.realtime.virtual_clock import POLICIES, BreakingRule, Policy, find_breaking_factor
 from evalkit.core.errors import DataMissing
 from evalkit.execution.task import Task, make_task
 from evalkit.execution.task_runner import run_tasks
@@ -23,9 +23,9 @@ from evalkit.terminal import options, progress
 from evalkit.terminal.options import Json, err, out
 
 if TYPE_CHECKING:
-    from evalkit.commands.realtime.simulation import PacedResult
+    from evalkit.commands.realtime.simulation import RealtimeResult
 
-RULE = Rule()
+RULE = BreakingRule()
 
 
 def realtime(
@@ -56,25 +56,24 @@ def realtime(
 ) -> None:
     """Simulate a slower device and measure the drift caused by dropped scans.
 
-    The time per scan is measured on this machine once and kept: the same command again drops the same scans.
+    The time per scan is measured once on this machine and stored: the same command again drops the same scans.
     """
-    known = _factors(factors)
-    ladder = _Ladder(known, _policy(policy), repetitions, odometry)
+    simulation = _SimulationOptions(_parse_factors(factors), _parse_policy(policy), repetitions, odometry)
     dataset, given_on = options.split_sequence(on or defaults.simulated_dataset())
-    task = _task(backend, dataset, options.settings(setting or []), given_on, ladder)
+    task = _make_task(backend, dataset, options.settings(setting or []), given_on, simulation)
     store = TaskStore(folder or Path("reports") / "build" / "realtime")
     with progress.show_tasks(err, 1, 1) as done:
-        found = run_tasks(store, [task], 1, done)[task.name]
-    rows = _rows(found)
+        result = run_tasks(store, [task], 1, done)[task.name]
+    content = _as_json(backend, dataset, result)
     if as_json:
-        options.print_json(_as_json(backend, dataset, found, rows))
+        options.print_json(content)
     else:
-        _show(backend, dataset, found, rows)
+        _print(content)
 
 
 @dataclass(frozen=True)
-class _Ladder:
-    """The device factors to simulate and how; see ``simulation.paced``."""
+class _SimulationOptions:
+    """The arguments of ``simulation.simulate_realtime`` that apply to any back end and sequence."""
 
     factors: list[float]
     policy: Policy
@@ -82,88 +81,84 @@ class _Ladder:
     bridged: bool
 
 
-def _task(backend: str, on: str, given: dict[str, str], given_on: dict[str, str], ladder: _Ladder) -> Task[PacedResult]:
-    """The task that measures and simulates, with its arguments checked."""
-    from evalkit.commands.realtime.simulation import Method, paced  # noqa: PLC0415 - loads scipy
+def _make_task(
+    backend: str, on: str, given: dict[str, str], given_on: dict[str, str], simulation: _SimulationOptions
+) -> Task[RealtimeResult]:
+    """Make the task that measures and simulates, with its arguments checked."""
+    from evalkit.commands.realtime.simulation import ProfiledMethod, simulate_realtime  # noqa: PLC0415 - loads scipy
 
     parameters = from_text(backend, frontend.settable_parameters(registry.backend(backend)), given)
-    Method.of(backend, parameters)
+    ProfiledMethod.load(backend, parameters)
     spec = registry.dataset(on)
     of_sequence: dict[str, Value] = resolve_parameters(on, spec.parameters, from_text(on, spec.parameters, given_on))
     if why := spec.missing(**of_sequence):
-        raise DataMissing(on, "is not here", why)
+        raise DataMissing(on, "is not available", why)
     return make_task(
-        f"{backend} on {on}", paced, backend=backend, parameters=parameters, dataset=on,
-        dataset_parameters=of_sequence, factors=ladder.factors, policies=[ladder.policy],
-        repetitions=ladder.repetitions, bridged=ladder.bridged, code=registry.run_fingerprint(backend, on),
+        f"{backend} on {on}", simulate_realtime, backend=backend, parameters=parameters, dataset=on,
+        dataset_parameters=of_sequence, factors=simulation.factors, policies=[simulation.policy],
+        repetitions=simulation.repetitions, bridged=simulation.bridged, code=registry.run_fingerprint(backend, on),
     )  # fmt: skip
 
 
-def _factors(text: str) -> list[float]:
+def _parse_factors(text: str) -> list[float]:
     try:
-        found = [float(word) for word in text.split(",")]
+        factors = [float(word) for word in text.split(",")]
     except ValueError:
-        found = [-1.0]
-    if not all(0.0 < factor < math.inf for factor in found):
+        factors = [-1.0]
+    if not all(0.0 < factor < math.inf for factor in factors):
         raise typer.BadParameter(f"--factors: found '{text}', expected positive numbers: 1,5,10")
-    return sorted(found)
+    return sorted(factors)
 
 
-def _policy(text: str) -> Policy:
+def _parse_policy(text: str) -> Policy:
     for policy in POLICIES:
         if text == policy:
             return policy
     raise typer.BadParameter(f"--policy: found '{text}', expected one of: {', '.join(POLICIES)}")
 
 
-def _rows(found: PacedResult) -> list[dict[str, Any]]:
-    """Every device factor, and whether its run is broken compared with a device that takes no time."""
-    reference = found["rungs"][0]["at_hand"]["ate_rmse_m"]
-    return [rung | {"broken": _broken(rung, reference)} for rung in found["rungs"]]
-
-
-def _broken(rung: dict[str, Any], reference: float | None) -> bool:
-    ate = rung["at_hand"]["ate_rmse_m"]
-    return reference is None or RULE.broken(None if rung["lost"] else ate, reference)
-
-
-def _as_json(backend: str, on: str, found: PacedResult, rows: list[dict[str, Any]]) -> dict[str, Any]:
+def _as_json(backend: str, on: str, result: RealtimeResult) -> dict[str, Any]:
+    """The result as JSON values; a device is ``broken`` compared with the first one, which takes no time."""
+    reference = result["devices"][0]["at_hand"]["ate_rmse_m"]
+    devices = [device | {"broken": _is_broken(device, reference)} for device in result["devices"]]
     return {
         "backend": backend,
         "sequence": on,
-        "median_cost_ms": float(sorted(found["costs_ns"])[len(found["costs_ns"]) // 2] * 1e-6),
-        "period_ms": found["period_ns"] * 1e-6,
-        "headroom": found["headroom"],
-        "growth": dict(zip(map(str, found["gaps"].tolist()), found["growth"].tolist(), strict=True)),
-        "linear": found["linear"],
-        "breaks_at": _breaks(rows),
-        "rungs": rows,
+        "median_cost_ms": float(sorted(result["costs_ns"])[len(result["costs_ns"]) // 2] * 1e-6),
+        "period_ms": result["period_ns"] * 1e-6,
+        "headroom": result["headroom"],
+        "growth": dict(zip(map(str, result["gaps"].tolist()), result["growth"].tolist(), strict=True)),
+        "linear": result["linear"],
+        "breaks_at": find_breaking_factor([one["factor"] for one in devices], [one["broken"] for one in devices]),
+        "devices": devices,
     }
 
 
-def _breaks(rows: list[dict[str, Any]]) -> float | None:
-    return first_broken([row["factor"] for row in rows], [row["broken"] for row in rows])
+def _is_broken(device: dict[str, Any], reference: float | None) -> bool:
+    ate = device["at_hand"]["ate_rmse_m"]
+    return reference is None or RULE.is_broken(None if device["lost"] else ate, reference)
 
 
-def _show(backend: str, on: str, found: PacedResult, rows: list[dict[str, Any]]) -> None:
-    told = _as_json(backend, on, found, rows)
+def _print(content: dict[str, Any]) -> None:
     columns = ("device factor", "answered", "dropped %", "late %", "age p95 ms", "ATE of answers m", "ATE at hand m")
-    table = Table(*columns, "", title=f"{backend} on {on}", title_justify="left", expand=out.is_terminal)
-    for row in rows:
+    title = f"{content['backend']} on {content['sequence']}"
+    table = Table(*columns, "", title=title, title_justify="left", expand=out.is_terminal)
+    for device in content["devices"]:
         table.add_row(
-            f"{row['factor']:g}" if row["factor"] else "no drops", str(row["answered"]), f"{100 * row['dropped']:.1f}",
-            f"{100 * row['late']:.1f}", f"{row['age_ms'][1]:.1f}", _metres(row["of_answers"]), _metres(row["at_hand"]),
-            f"broken {row['lost']}".strip() if row["broken"] else "",
+            f"{device['factor']:g}" if device["factor"] else "no drops", str(device["answered"]),
+            f"{100 * device['dropped']:.1f}", f"{100 * device['late']:.1f}", f"{device['age_ms'][1]:.1f}",
+            _format_ate(device["of_answers"]), _format_ate(device["at_hand"]),
+            f"broken {device['lost']}".strip() if device["broken"] else "",
         )  # fmt: skip
     progress.print_table(out, table)
-    breaks = f"breaks at {told['breaks_at']:g}" if told["breaks_at"] is not None else "holds at every factor"
+    breaks = "not broken at any factor" if content["breaks_at"] is None else f"broken from {content['breaks_at']:g} on"
     out.print(
-        f"{told['median_cost_ms']:.2f} ms per scan here (median); a device up to {told['headroom']:.3g} times slower "
-        f"answers every scan in time; {breaks}. Broken: {RULE}.",
+        f"{content['median_cost_ms']:.2f} ms per scan on this machine (median); a device up to "
+        f"{content['headroom']:.3g} times slower answers every scan in time; {breaks}. Broken: {RULE}.",
         markup=False, emoji=False, highlight=False,
     )  # fmt: skip
 
 
-def _metres(measures: dict[str, float | None]) -> str:
-    value = measures["ate_rmse_m"]
+def _format_ate(scores: dict[str, float | None]) -> str:
+    value = scores["ate_rmse_m"]
     return "-" if value is None else f"{value:.3f}"

@@ -1,7 +1,7 @@
-"""A virtual clock: the scans that a device slower by a factor answers, and when.
+"""Schedule of a slower device on a virtual clock: which scans it answers, and when.
 
-No function here reads a clock: costs come from a profile measured once (``realtime.simulation``), so the
-same profile drops the same scans every time.
+No function here reads a clock. The costs come from a measured profile (``realtime.simulation``), so the same profile
+always drops the same scans.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ Policy = Literal["drop", "queue-of-one"]
 POLICIES: tuple[Policy, ...] = get_args(Policy)
 
 Cost = Callable[[int, int], int]
-"""Nanoseconds of a scan by its index and its gap: so many scans after the last one answered (1: none between)."""
+"""Cost (ns) of a scan by its index and its gap, the number of scans since the last answered one (1: no drop)."""
 
 
 @dataclass(frozen=True, eq=False)
 class Schedule:
-    """The scans answered, in order: their indices ``answered`` (K,), begun and done (K,) on the virtual clock.
+    """The answered scans, in order: indices ``answered`` (K,), start and end of processing (K,) on the virtual clock.
 
-    ``arrivals_ns`` (N,): when each scan of the sequence is complete. ``deadlines_ns`` (N,): when the next one is.
+    ``arrivals_ns`` (N,): the time at which each scan is complete. ``deadlines_ns`` (N,): that of the next scan.
     """
 
     arrivals_ns: Stamps
@@ -44,25 +44,25 @@ class Schedule:
 
     @property
     def dropped_share(self) -> float:
-        """Scans never answered, of all."""
+        """The share of scans without an answer."""
         return 1.0 - len(self.answered) / len(self.arrivals_ns)
 
     @property
     def late(self) -> Bools:
-        """Whether each answer (K,) was complete only after the next scan."""
+        """Whether each answer (K,) is complete only after the next scan."""
         return np.asarray(self.done_ns > self.deadlines_ns[self.answered])
 
     @property
     def age_ns(self) -> Stamps:
-        """Time (K,) from a scan being complete to its answer."""
+        """The time (K,) from the end of a scan to its answer."""
         return np.asarray(self.done_ns - self.arrivals_ns[self.answered])
 
 
-def schedule(arrivals_ns: ArrayLike, cost: Cost, policy: Policy = "queue-of-one") -> Schedule:
-    """The scans that are answered if each is processed to its end, one at a time.
+def compute_schedule(arrivals_ns: ArrayLike, cost: Cost, policy: Policy = "queue-of-one") -> Schedule:
+    """Compute which scans are answered if they are processed one at a time, each to its end.
 
-    A scan that arrives at the moment an answer is complete finds the robot free. Raises ValueError for arrivals (N,),
-    N > 1, that do not increase, an unknown policy, and a negative cost.
+    A scan that arrives at the moment an answer is complete is processed at once. Raises ValueError if ``arrivals_ns``
+    (N,) has fewer than two times or does not increase, for an unknown policy, and for a negative cost.
     """
     arrivals = np.asarray(arrivals_ns, dtype=np.int64)
     if arrivals.ndim != 1 or len(arrivals) < 2 or (np.diff(arrivals) <= 0).any():
@@ -79,32 +79,33 @@ def schedule(arrivals_ns: ArrayLike, cost: Cost, policy: Policy = "queue-of-one"
         free = begun + spent
         rows.append((index, begun, free))
         side: Literal["left", "right"] = "left" if policy == "drop" else "right"
-        next_one = int(np.searchsorted(arrivals, free, side))  # drop: the first to come; else behind the newest here
+        next_one = int(np.searchsorted(arrivals, free, side))  # drop: the next to arrive; else the newest that waits
         index = max(next_one if policy == "drop" else next_one - 1, index + 1)
     answered, begun_ns, done_ns = np.array(rows, dtype=np.int64).T
     period = int(np.median(np.diff(arrivals)))
     return Schedule(arrivals, np.append(arrivals[1:], arrivals[-1] + period), answered, begun_ns, done_ns)
 
 
-def at_hand(stamps_ns: ArrayLike, made: Schedule, answers: Floats, odometry: Floats | None) -> Floats:
-    """The poses (N, 3) the robot goes by when each scan begins: the newest answer done by then, carried on to then.
+def compute_live_poses(stamps_ns: ArrayLike, schedule: Schedule, answers: Floats, odometry: Floats | None) -> Floats:
+    """Compute the newest known pose (N, 3) at the start of each scan, extrapolated to that time.
 
-    ``answers`` (K, 3): ``start_from_base`` of the scans answered. ``odometry`` (N, 3): ``odom_from_base`` at the stamps
-    (N,), which carries an answer on as REP-105's map-from-odom does; None: as fast as between the last two answers, for
-    twice that time at most. Before the first answer the robot goes by the odometry alone, or stands still.
+    ``answers`` (K, 3): ``start_from_base`` of the answered scans. ``odometry`` (N, 3): ``odom_from_base`` at the stamps
+    (N,); it extrapolates an answer as the map-from-odom transform of REP-105 does. If None, the motion between the last
+    two answers continues at the same speed, for at most twice their time. Before the first answer the pose is that of
+    the odometry alone, or the origin.
     """
     stamps = np.asarray(stamps_ns, dtype=np.int64)
-    newest = np.searchsorted(made.done_ns, stamps, "right") - 1
+    newest = np.searchsorted(schedule.done_ns, stamps, "right") - 1
     known = np.concatenate([np.zeros((1, 3)), answers])[newest + 1]
-    scan = np.where(newest < 0, 0, made.answered[newest])
+    scan = np.where(newest < 0, 0, schedule.answered[newest])
     if odometry is not None:
         return se2.compose(known, se2.between(odometry[scan], odometry))
     if len(answers) < 2:
         return known
     step = se2.between(answers[:-1], answers[1:])
-    took = np.diff(stamps[made.answered])
+    durations = np.diff(stamps[schedule.answered])
     last = np.maximum(newest - 1, 0)
-    share = np.where(newest > 0, np.minimum((stamps - stamps[scan]) / took[last], 2.0), 0.0)
+    share = np.where(newest > 0, np.minimum((stamps - stamps[scan]) / durations[last], 2.0), 0.0)
     onward = [
         se2.fraction(step[row], np.array([part]))[0] for row, part in zip(last.tolist(), share.tolist(), strict=True)
     ]
@@ -113,11 +114,11 @@ def at_hand(stamps_ns: ArrayLike, made: Schedule, answers: Floats, odometry: Flo
 
 @dataclass(frozen=True, eq=False)
 class CostProfile:
-    """What each scan costs a back end here: ``scans_ns`` (N,) with every scan answered, and ``growth`` with gaps.
+    """The cost (ns) of each scan on this machine: ``scans_ns`` (N,) without drops, and its ``growth`` with gaps.
 
-    Where scans are dropped the next one has moved further and costs more: ``growth[k]`` is the mean cost with only
-    every ``gaps[k]``-th scan answered, in units of that of the same scans with all answered (so ``gaps[0]`` and
-    ``growth[0]`` are 1). Between the gaps measured it is interpolated over their logarithm, beyond them it stays.
+    After dropped scans the robot has moved further, and the next scan costs more. ``growth[k]`` is the mean cost if
+    only every ``gaps[k]``-th scan is processed, divided by the cost of the same scans if all are (``gaps[0]`` and
+    ``growth[0]`` are 1). It is interpolated over the logarithm of the gap, and constant beyond the largest gap.
     """
 
     scans_ns: Stamps
@@ -135,7 +136,7 @@ class CostProfile:
         return float(self.scans_ns[index] * np.interp(np.log(gap), np.log(self.gaps), self.growth))
 
     def slowed(self, factor: float) -> Cost:
-        """The cost on a device that takes ``factor`` times as long, as ``schedule`` asks for it."""
+        """The cost on a device that takes ``factor`` times as long, for ``compute_schedule``."""
         return lambda index, gap: round(factor * self.ns(index, gap))
 
 
@@ -143,8 +144,8 @@ class CostProfile:
 class LinearCost:
     """Cost = ``base_ns`` + ``step_ns`` times the work, where the work of a scan is its iterations times its points.
 
-    ``residual``: median of the relative differences, predicted to measured, without sign, where it was fitted;
-    ``held_out``: the same on runs with gaps, which had no part in the fit.
+    ``residual``: median absolute relative difference of predicted and measured cost on the fitted scans; ``held_out``:
+    the same on runs with gaps, which are not part of the fit.
     """
 
     base_ns: float
@@ -153,36 +154,36 @@ class LinearCost:
     held_out: float
 
     def ns(self, work: ArrayLike) -> Floats:
-        """The cost predicted for work of any shape."""
+        """The predicted cost for work of any shape."""
         return np.asarray(self.base_ns + self.step_ns * np.asarray(work, dtype=np.float64))
 
 
-def linear_cost(
+def fit_linear_cost(
     work: ArrayLike, cost_ns: ArrayLike, held_out_work: ArrayLike = (), held_out_ns: ArrayLike = ()
 ) -> LinearCost | None:
-    """The line of least squares through work and cost (N,); None if the work does not vary."""
+    """Fit the least-squares line through work and cost (N,); None for fewer than three scans or constant work."""
     x, y = np.asarray(work, dtype=np.float64), np.asarray(cost_ns, dtype=np.float64)
     if len(x) < 3 or np.ptp(x) == 0.0:
         return None
     step, base = np.polyfit(x, y, 1)
-    apart = _apart(base + step * x, y)
-    unseen = np.asarray(held_out_work, dtype=np.float64)
-    return LinearCost(float(base), float(step), apart, _apart(base + step * unseen, np.asarray(held_out_ns)))
+    unseen = base + step * np.asarray(held_out_work, dtype=np.float64)
+    residual, held_out = _median_difference(base + step * x, y), _median_difference(unseen, np.asarray(held_out_ns))
+    return LinearCost(float(base), float(step), residual, held_out)
 
 
-def _apart(predicted: Floats, measured: Floats) -> float:
+def _median_difference(predicted: Floats, measured: Floats) -> float:
     return float(np.median(np.abs(predicted / measured - 1.0))) if len(predicted) else 0.0
 
 
 @dataclass(frozen=True, slots=True)
-class Rule:
-    """When a slowed run counts as broken: an ATE over ``times`` that without drops *and* over ``floor_m``, or lost."""
+class BreakingRule:
+    """A run is broken if it is lost, or its ATE exceeds ``floor_m`` and ``times`` the ATE without drops."""
 
     times: float = 2.0
     floor_m: float = 0.05
 
-    def broken(self, ate_m: float | None, undropped_m: float) -> bool:
-        """Whether a run with this ATE is broken; None: it was lost."""
+    def is_broken(self, ate_m: float | None, undropped_m: float) -> bool:
+        """Whether a run with this ATE is broken; None: the run is lost."""
         return ate_m is None or (ate_m > self.times * undropped_m and ate_m > self.floor_m)
 
     def __str__(self) -> str:
@@ -192,12 +193,12 @@ class Rule:
         )
 
 
-def headroom(arrivals_ns: ArrayLike, profile: CostProfile) -> float:
-    """The largest device factor at which every scan is answered before the next one is complete."""
+def compute_headroom(arrivals_ns: ArrayLike, profile: CostProfile) -> float:
+    """Compute the largest device factor at which every scan is answered before the next one is complete."""
     periods = np.diff(np.asarray(arrivals_ns, dtype=np.int64))
     return float((np.append(periods, np.median(periods)) / profile.scans_ns).min())
 
 
-def first_broken(factors: Sequence[float], broken: Sequence[bool]) -> float | None:
-    """The smallest factor that is broken; None if all hold."""
+def find_breaking_factor(factors: Sequence[float], broken: Sequence[bool]) -> float | None:
+    """Find the smallest factor whose run is broken; None if there is none."""
     return next((factor for factor, is_broken in sorted(zip(factors, broken, strict=True)) if is_broken), None)

@@ -1,4 +1,4 @@
-"""``evalkit realtime``: one back end, slower and slower devices."""
+"""``evalkit realtime``: one back end on slower devices."""
 
 import json
 
@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 from evalkit.commands.realtime.command import realtime
 from evalkit.core.errors import UnknownName
 
-ASKED = ["wheel-odometry", "--on", "lab laps=0.05", "--factors", "1,1e6", "--repetitions", "1"]
+ARGUMENTS = ["wheel-odometry", "--on", "lab laps=0.05", "--factors", "1,1e6", "--repetitions", "1"]
 
 
 def call(*words):
@@ -18,27 +18,27 @@ def call(*words):
     return CliRunner().invoke(app, [*map(str, words)])
 
 
-def test_it_tells_the_ladder_and_keeps_the_costs_it_was_made_of(tmp_path):
-    told = [json.loads(call(*ASKED, "--json", "--out", tmp_path).stdout) for _ in range(2)]
-    assert told[0] == told[1]  # the second takes the costs of the first, so the same scans are dropped
-    assert [rung["factor"] for rung in told[0]["rungs"]] == [0.0, 1.0, 1e6]
-    assert [rung["dropped"] > 0.5 for rung in told[0]["rungs"]] == [False, False, True]
-    assert told[0]["headroom"] > 1.0
-    shown = call(*ASKED, "--out", tmp_path).stdout
+def test_it_prints_the_devices_and_stores_the_measured_costs(tmp_path):
+    contents = [json.loads(call(*ARGUMENTS, "--json", "--out", tmp_path).stdout) for _ in range(2)]
+    assert contents[0] == contents[1]  # the second run uses the stored costs
+    assert [device["factor"] for device in contents[0]["devices"]] == [0.0, 1.0, 1e6]
+    assert [device["dropped"] > 0.5 for device in contents[0]["devices"]] == [False, False, True]
+    assert contents[0]["headroom"] > 1.0
+    shown = call(*ARGUMENTS, "--out", tmp_path).stdout
     assert "device factor" in shown
     assert "answers every scan in time" in shown
 
 
 @pytest.mark.parametrize(
-    ("words", "complaint"),
+    ("words", "option"),
     [(["--factors", "1,-2"], "--factors"), (["--factors", "fast"], "--factors"), (["--policy", "wait"], "--policy")],
 )
-def test_what_cannot_be_asked_is_a_usage_error(tmp_path, words, complaint):
-    result = call(*ASKED, *words, "--out", tmp_path)
+def test_an_invalid_option_is_a_usage_error(tmp_path, words, option):
+    result = call(*ARGUMENTS, *words, "--out", tmp_path)
     assert result.exit_code == 2
-    assert complaint in result.output
+    assert option in result.output
 
 
-def test_an_unknown_back_end_is_told_before_anything_is_measured(tmp_path):
+def test_an_unknown_back_end_is_refused_before_any_measurement(tmp_path):
     assert isinstance(call("papper", "--out", tmp_path).exception, UnknownName)
     assert not list(tmp_path.iterdir())
