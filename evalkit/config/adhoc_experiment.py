@@ -33,7 +33,7 @@ def experiment_from_recording(
         "method": [{"use": name} for name in backends or registry.names("backends")],
     }
     return experiment_from_tables(
-        content, f"compare {path}", _experiment_name(recording, {**settings, **options}), source
+        content, f"compare {path}", _make_experiment_name(recording, {**settings, **options}), source
     )
 
 
@@ -53,7 +53,7 @@ def read_first_frame(experiment: Experiment) -> Frame:
     return frame
 
 
-def _experiment_name(path: Path, settings: Mapping[str, str]) -> str:
+def _make_experiment_name(path: Path, settings: Mapping[str, str]) -> str:
     """File, topic, and a hash of path and settings, so that every combination has its own results folder."""
     identity = json.dumps([str(path.resolve()), dict(settings)], sort_keys=True)
     digest = hashlib.sha256(identity.encode()).hexdigest()[:6]

@@ -123,7 +123,7 @@ class Experiment:
         files = cache(code_hash.file_state)
         repetitions = [(sequence, seed) for sequence in self.sequences for seed in sequence.seeds]
         return tuple(
-            RunSpec(_key(method, sequence, seed, code, files), method, sequence, seed)
+            RunSpec(_compute_key(method, sequence, seed, code, files), method, sequence, seed)
             for turn, (sequence, seed) in enumerate(repetitions)
             for method in self.methods[:: -1 if turn % 2 else 1]
         )
@@ -166,9 +166,9 @@ def experiment_from_tables(content: Mapping[str, Any], file: str, name: str, sou
     table.check_keys(("title", "description", "timed", "mapper", "limits", "method", "sequence"))
     timed = table.flag("timed", default=True)
     with table.errors():
-        methods = tuple(_method(each) for each in table.tables("method", "an experiment"))
-        sequences = tuple(_sequence(each) for each in table.tables("sequence", "an experiment"))
-        mapper = _mapper(table.table("mapper", " with use = NAME"))
+        methods = tuple(_read_method(each) for each in table.tables("method", "an experiment"))
+        sequences = tuple(_read_sequence(each) for each in table.tables("sequence", "an experiment"))
+        mapper = _read_mapper(table.table("mapper", " with use = NAME"))
     _require_distinct("method", [method.label for method in methods], file)
     _require_distinct("sequence", [sequence.label for sequence in sequences], file)
     return Experiment(
@@ -179,21 +179,21 @@ def experiment_from_tables(content: Mapping[str, Any], file: str, name: str, sou
         methods,
         sequences,
         mapper,
-        _limits(table.table("limits", "")),
+        _read_limits(table.table("limits", "")),
         timed,
     )
 
 
-def _method(table: TomlTable) -> Method:
-    use, label = table.text("use"), _label(table)
+def _read_method(table: TomlTable) -> Method:
+    use, label = table.text("use"), _read_label(table)
     given = flatten({key: value for key, value in table.content.items() if key not in ("use", "label")})
     with table.errors():
         spec = registry.find_backend(use)
     return Method(label, use, frontend.complete_parameters(table.labelled(label).place, spec, given), spec.missing())
 
 
-def _sequence(table: TomlTable) -> SequenceSpec:
-    use, label = table.text("use"), _label(table)
+def _read_sequence(table: TomlTable) -> SequenceSpec:
+    use, label = table.text("use"), _read_label(table)
     given = flatten({key: value for key, value in table.content.items() if key not in ("use", "label", "seeds")})
     with table.errors():
         spec = registry.dataset(use)
@@ -215,7 +215,7 @@ def _sequence(table: TomlTable) -> SequenceSpec:
     return SequenceSpec(label, use, parameters, seeds, missing)
 
 
-def _mapper(table: TomlTable) -> MapperChoice:
+def _read_mapper(table: TomlTable) -> MapperChoice:
     name = table.text("use") if "use" in table.content else defaults.default_mapper()
     scans = table.whole_number("scans", MapperChoice.scans, low=2)
     given = {key: value for key, value in table.content.items() if key not in ("use", "scans")}
@@ -224,7 +224,7 @@ def _mapper(table: TomlTable) -> MapperChoice:
     return MapperChoice(name, resolve_parameters("mapper", spec.parameters, given), scans)
 
 
-def _limits(table: TomlTable) -> Limits:
+def _read_limits(table: TomlTable) -> Limits:
     known = asdict(Limits())
     table.check_keys(known)
     for key, value in table.content.items():
@@ -233,7 +233,7 @@ def _limits(table: TomlTable) -> Limits:
     return Limits(**{**known, **table.content})
 
 
-def _label(table: TomlTable) -> str:
+def _read_label(table: TomlTable) -> str:
     """The label of a method or sequence; refuses text that a terminal, spreadsheet or file system would interpret."""
     label = table.text("label", table.text("use"))
     if not label or not label.isprintable() or label[0] in "=+-@":
@@ -257,7 +257,7 @@ def _select(
     return tuple(item for item in known if not wanted or label(item) in wanted)
 
 
-def _key(
+def _compute_key(
     method: Method,
     sequence: SequenceSpec,
     seed: int | None,
@@ -273,10 +273,10 @@ def _key(
     }
     digest = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:10]
     words = [sequence.label, *([] if seed is None else [f"s{seed}"]), method.label]
-    return "-".join(_filename(word) for word in words) + f"-{digest}"
+    return "-".join(_make_filename(word) for word in words) + f"-{digest}"
 
 
-def _filename(word: str) -> str:
+def _make_filename(word: str) -> str:
     """A word as part of a file name on any system: at most 60 bytes, and not the name of a device ("nul.txt")."""
     plain = "".join(char if char.isalnum() or char in "._" else "-" for char in word).strip("-.")
     short = plain.encode()[:60].decode(errors="ignore") or "x"

@@ -37,7 +37,7 @@ def describe(distributions: Iterable[str] = (), *, jobs: int | None = None) -> d
     """
     return {
         "evalkit": __version__,
-        "commit": _commit(),
+        "commit": _read_commit(),
         **machine(),
         "cores": f"{psutil.cpu_count(logical=False) or '?'} physical, {psutil.cpu_count()} logical",
         "memory": f"{psutil.virtual_memory().total / 2**30:.1f} GiB",
@@ -52,9 +52,9 @@ def machine() -> dict[str, str]:
     return {
         "python": f"{platform.python_implementation()} {platform.python_version()}",
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
-        "processor": _processor(),
+        "processor": _read_processor(),
         "host": platform.node() or "unknown",
-        "governor": _governor(),
+        "governor": _read_governor(),
         "load before": f"{os.getloadavg()[0]:.2f}" if hasattr(os, "getloadavg") else "unknown",
     }
 
@@ -85,7 +85,7 @@ def _describe_machines(provenances: Iterable[Mapping[str, Any]]) -> str:
 
 def _describe_earlier(provenances: Iterable[Mapping[str, Any]], started: datetime) -> str:
     """The runs executed before ``started``: how many, when, on which commit and processor; "" where there are none."""
-    times = [(_time(provenance.get("executed_at")), provenance) for provenance in provenances]
+    times = [(_parse_time(provenance.get("executed_at")), provenance) for provenance in provenances]
     earlier = [(time, provenance) for time, provenance in times if time is None or time < started]
     if not earlier:
         return ""
@@ -102,7 +102,7 @@ def _describe_earlier(provenances: Iterable[Mapping[str, Any]], started: datetim
 
 def versions(distributions: Iterable[str]) -> dict[str, str]:
     """The version of each distribution, or "not installed"."""
-    return {name: _version(name) for name in distributions}
+    return {name: _find_version(name) for name in distributions}
 
 
 def cores() -> list[int | None]:
@@ -112,7 +112,7 @@ def cores() -> list[int | None]:
     seen: dict[str, int] = {}
     order: list[tuple[int, int]] = []
     for cpu in sorted(os.sched_getaffinity(0)):
-        core = _siblings(cpu)
+        core = _read_siblings(cpu)
         seen[core] = seen.get(core, 0) + 1
         order.append((seen[core], cpu))
     return [cpu for _, cpu in sorted(order)]
@@ -128,10 +128,10 @@ def physical_cores() -> int:
     """Number of physical cores this process may use: so many runs do not disturb each other."""
     usable = cores()
     known = psutil.cpu_count(logical=False) or psutil.cpu_count() or 1
-    return min(known, len({_siblings(cpu) for cpu in usable})) if usable else known
+    return min(known, len({_read_siblings(cpu) for cpu in usable})) if usable else known
 
 
-def _siblings(cpu: int | None) -> str:
+def _read_siblings(cpu: int | None) -> str:
     """Identifier that the logical CPUs of one physical core share; other systems than Linux have one per CPU."""
     path = Path(f"/sys/devices/system/cpu/cpu{cpu}/topology/thread_siblings_list")
     try:
@@ -140,21 +140,21 @@ def _siblings(cpu: int | None) -> str:
         return str(cpu)
 
 
-def _time(text: object) -> datetime | None:
+def _parse_time(text: object) -> datetime | None:
     try:
         return datetime.fromisoformat(str(text))
     except ValueError:
         return None
 
 
-def _version(distribution: str) -> str:
+def _find_version(distribution: str) -> str:
     try:
         return version(distribution)
     except PackageNotFoundError:
         return "not installed"
 
 
-def _governor() -> str:
+def _read_governor() -> str:
     """Frequency governor of the first core; Linux only."""
     try:
         return Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor").read_text(encoding="ascii").strip()
@@ -163,7 +163,7 @@ def _governor() -> str:
 
 
 @cache
-def _processor() -> str:
+def _read_processor() -> str:
     if sys.platform == "linux":
         for line in Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines():
             if line.startswith("model name"):
@@ -171,7 +171,7 @@ def _processor() -> str:
     return platform.processor() or "unknown"
 
 
-def _commit() -> str:
+def _read_commit() -> str:
     """The commit of the checkout evalkit runs from, "-dirty" if changed, or "none (installed package)"."""
     folder = Path(__file__).resolve().parents[1]
     if not (folder.parent / ".git").exists():

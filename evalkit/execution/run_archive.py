@@ -21,7 +21,7 @@ def pack_run(store: Store, key: str) -> bytes:
     """All files of a stored run as a zip archive."""
     body = io.BytesIO()
     with ZipFile(body, "w", ZIP_DEFLATED, compresslevel=1) as archive:
-        for name, path in _files(store, key):
+        for name, path in _list_files(store, key):
             archive.writestr(name, path.read_bytes()[-MAX_OUTPUT_BYTES if name == "run/output.txt" else 0 :])
     return body.getvalue()
 
@@ -29,11 +29,11 @@ def pack_run(store: Store, key: str) -> bytes:
 def unpack_run(store: Store, key: str, content: bytes) -> None:
     """Replace a stored run by an unpacked one, each file atomically. Raises StoreError if the archive is damaged."""
     store.create_run_folder(key)
-    folders = _folders(store, key)
+    folders = _list_folders(store, key)
     try:
         with ZipFile(io.BytesIO(content)) as archive:
             names = [name for name in archive.namelist() if name.partition("/")[0] in folders]
-            for name in sorted(names, key=_unpacking_order):
+            for name in sorted(names, key=_order_for_unpacking):
                 folder, _, file = name.partition("/")
                 store.write_bytes(folders[folder] / Path(file).name, archive.read(name))
     except BadZipFile as error:
@@ -43,13 +43,13 @@ def unpack_run(store: Store, key: str, content: bytes) -> None:
     store.clear_attempts(key)
 
 
-def _unpacking_order(name: str) -> int:
+def _order_for_unpacking(name: str) -> int:
     file = Path(name).name
     return WRITTEN_LAST.index(file) if file in WRITTEN_LAST else -1
 
 
-def _files(store: Store, key: str) -> Iterator[tuple[str, Path]]:
-    for name, folder in _folders(store, key).items():
+def _list_files(store: Store, key: str) -> Iterator[tuple[str, Path]]:
+    for name, folder in _list_folders(store, key).items():
         if folder.is_dir():
             stem = "" if name == "run" else f"{key}."
             yield from (
@@ -57,5 +57,5 @@ def _files(store: Store, key: str) -> Iterator[tuple[str, Path]]:
             )
 
 
-def _folders(store: Store, key: str) -> dict[str, Path]:
+def _list_folders(store: Store, key: str) -> dict[str, Path]:
     return {"run": store.run_folder(key), "trajectories": store.folder / "trajectories", "maps": store.folder / "maps"}

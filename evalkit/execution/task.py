@@ -47,8 +47,8 @@ class Task(Generic[R_co]):
     def key(self) -> str:
         """The stem of the result's file name; it changes with everything that can change the result."""
         name = function_name(self.function)
-        code = _code((name.partition(":")[0], *self.modules))
-        identity = json.dumps([name, dict(self.arguments), code], sort_keys=True, default=_as_json)
+        code = _hash_code((name.partition(":")[0], *self.modules))
+        identity = json.dumps([name, dict(self.arguments), code], sort_keys=True, default=_argument_as_json)
         word = re.sub(r"[^\w.=+-]+", "-", self.name)[:80].strip("-.") or "task"
         word = word.encode()[:80].decode(errors="ignore")  # file systems limit names in bytes
         return f"{word}-{hashlib.sha256(identity.encode()).hexdigest()[:12]}"
@@ -93,7 +93,7 @@ def function_name(function: Callable[..., object]) -> str:
     return f"{function.__module__}:{function.__qualname__}"
 
 
-def _as_json(value: object) -> object:
+def _argument_as_json(value: object) -> object:
     """The JSON form of an argument that JSON does not know."""
     if is_dataclass(value) and not isinstance(value, type):
         return asdict(value)
@@ -103,5 +103,5 @@ def _as_json(value: object) -> object:
 
 
 @cache  # hundreds of tasks depend on the same sources
-def _code(modules: tuple[str, ...]) -> str:
+def _hash_code(modules: tuple[str, ...]) -> str:
     return fingerprint(modules, ("numpy", "scipy"))

@@ -84,7 +84,7 @@ def execute_request(request: Request, folder: Path) -> RunResult:
             spec.make(**request.backend_parameters)  # raises if the file cannot be read
             return RunResult(NO_STEPS, expected, peak_memory_bytes=_peak_memory_bytes())
         expected = len(sequence)
-        every = _every(dataset, request)
+        every = _find_scan_stride(dataset, request)
         started = {"expected": expected, "every": every}
         _write_json(folder / "started.json", started)  # in case the back end kills this process in its warm-up
         warm = _warm_up(frontend.make_odometry(spec, request.backend_parameters), sequence)
@@ -112,7 +112,7 @@ def cause_of(error: Exception) -> tuple[Cause, str]:
     return Cause.EXCEPTION, f"{type(error).__name__}: {error}"
 
 
-def _every(dataset: DatasetSpec, request: Request) -> int:
+def _find_scan_stride(dataset: DatasetSpec, request: Request) -> int:
     """The sequence holds one in ``every`` scans of the sensor."""
     return int(request.dataset_parameters.get(dataset.thinned_by, 1))
 
@@ -144,7 +144,7 @@ def record_run(odometry: Odometry, sequence: Sequence, request: Request, steps: 
         if step.estimate is None:
             unanswered, reason = unanswered + 1, step.reason
         else:
-            steps.write(_record(step.frame, step.estimate, step.timing, around_ns))
+            steps.write(_record_step(step.frame, step.estimate, step.timing, around_ns))
             around_ns = time.perf_counter_ns() - begun_ns - step.timing.wall_ns
         begun_ns = time.perf_counter_ns()
     if unanswered > (1.0 - MIN_ANSWERED) * scans:
@@ -152,7 +152,7 @@ def record_run(odometry: Odometry, sequence: Sequence, request: Request, steps: 
         raise BackendFailed(request.backend, what, f"reason for the last one: {reason}")
 
 
-def _record(frame: Frame, estimate: OdometryEstimate, timing: CallTiming, around_ns: int) -> bytes:
+def _record_step(frame: Frame, estimate: OdometryEstimate, timing: CallTiming, around_ns: int) -> bytes:
     record = np.zeros((), dtype=STEP)
     record["stamp_ns"] = frame.scan.stamp_ns
     record["x"], record["y"], record["theta"] = estimate.pose.row

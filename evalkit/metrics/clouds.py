@@ -76,7 +76,7 @@ def direction_entropy(directions: Floats) -> float:
     return float(-np.sum(density * np.log(density)) * spacing)
 
 
-def _mean_map_entropy(evidence: Evidence) -> Score:
+def _score_mean_map_entropy(evidence: Evidence) -> Score:
     points = collect_all_hits(evidence)
     if len(points) == 0:
         return Score(None, 0, NO_HIT)
@@ -88,7 +88,7 @@ def _mean_map_entropy(evidence: Evidence) -> Score:
     return make_score(value, places)
 
 
-def _joint(evidence: Evidence) -> Score:
+def _score_joint_entropy(evidence: Evidence) -> Score:
     middle = len(evidence.mapped) // 2
     first, second = collect_hits(evidence.mapped[:middle]), collect_hits(evidence.mapped[middle:])
     if len(first) == 0 or len(second) == 0:
@@ -99,7 +99,7 @@ def _joint(evidence: Evidence) -> Score:
     return make_score(value, places)
 
 
-def _directions(evidence: Evidence) -> Score:
+def _score_directions(evidence: Evidence) -> Score:
     directions = find_all_wall_pieces(evidence).direction
     if len(directions) < MIN_SHARED:
         return Score(
@@ -115,17 +115,18 @@ _ROWS = (
            f"Entropy 1/2 ln |2 pi e Sigma| of the hits of all mapped scans within {PATCH_M:g} m of a hit; mean over "
            f"those of at most 1,000 places that have {MIN_HITS} hits.",
            "Razlaw et al., ECMR 2015 (mean map entropy), in the plane",
-           f"errors so large that they scatter the hits, which can even lower it; {WARP}", _mean_map_entropy),
+           f"errors so large that they scatter the hits, which can even lower it; {WARP}", _score_mean_map_entropy),
     Metric("coral_nat", "entropy added by the other half", "nat", "lower", "map consistency",
            "Mean entropy of the hits of both halves of the run together minus that of each half alone, at places "
            f"observed in both ({MIN_HITS} hits of each within {PATCH_M:g} m). The entropy of the scene cancels.",
            "Adolfsson et al., ECMR 2021 (CorAl), with one radius and for the halves of a run",
-           f"drift within places observed in one half only; errors that blur both halves equally; {WARP}", _joint),
+           f"drift within places observed in one half only; errors that blur both halves equally; {WARP}",
+           _score_joint_entropy),
     Metric("direction_spread_nat", "angular fragmentation", "nat", "lower", "map consistency",
            "Differential entropy of the directions of walls in single scans, in the world, modulo 180 deg, smoothed by "
            "1 deg: ln pi = 1.14 if all directions are equally frequent, less for fewer directions.",
            "evalkit",
-           "errors of position; places with walls in all directions", _directions),
+           "errors of position; places with walls in all directions", _score_directions),
 )  # fmt: skip
 
 METRICS = with_support(

@@ -104,7 +104,7 @@ def find_mapped_corners(evidence: Evidence) -> Floats:
     return np.zeros((0, 2)) if isinstance(evidence.grid, MissingMap) else find_corners(evidence.grid)
 
 
-def _corners(evidence: Evidence) -> Score:
+def _score_corners(evidence: Evidence) -> Score:
     return with_cells(lambda grid: make_score(len(find_mapped_corners(evidence)), int(grid.occupied().sum())))(evidence)
 
 
@@ -183,11 +183,11 @@ def with_cells(measure: Callable[[OccupancyGrid], Score]) -> Callable[[Evidence]
     return with_grid(check)
 
 
-def _of_thicknesses(statistic: Callable[[Floats], np.floating | float]) -> Callable[[Evidence], Score]:
+def _make_thickness_score(statistic: Callable[[Floats], np.floating | float]) -> Callable[[Evidence], Score]:
     def compute(evidence: Evidence) -> Score:
         if len(collect_all_hits(evidence)) == 0:
             return Score(None, 0, NO_HIT)
-        thicknesses, share = _thicknesses(evidence)
+        thicknesses, share = _compute_thicknesses(evidence)
         if share < MIN_WALL_SHARE:
             return Score(None, len(thicknesses), f"only {100.0 * share:.0f} % of the hits lie along a wall")
         return make_score(statistic(thicknesses), len(thicknesses))
@@ -195,27 +195,27 @@ def _of_thicknesses(statistic: Callable[[Floats], np.floating | float]) -> Calla
     return compute
 
 
-def _wall_share(evidence: Evidence) -> Score:
+def _score_wall_share(evidence: Evidence) -> Score:
     points = collect_all_hits(evidence)
     if len(points) == 0:
         return Score(None, 0, NO_HIT)
-    return make_score(100.0 * _thicknesses(evidence)[1], min(len(points), MAX_PLACES))
+    return make_score(100.0 * _compute_thicknesses(evidence)[1], min(len(points), MAX_PLACES))
 
 
 @cached
-def _thicknesses(evidence: Evidence) -> tuple[Floats, float]:
+def _compute_thicknesses(evidence: Evidence) -> tuple[Floats, float]:
     return wall_thicknesses(collect_all_hits(evidence))
 
 
-def _enclosed(grid: OccupancyGrid) -> Score:
+def _score_enclosed_areas(grid: OccupancyGrid) -> Score:
     return make_score(len(find_enclosed_areas(grid)), int(grid.free().sum()))
 
 
-def _enclosed_m2(grid: OccupancyGrid) -> Score:
+def _score_enclosed_size(grid: OccupancyGrid) -> Score:
     return make_score(find_enclosed_areas(grid).sum() * grid.resolution_m**2, int(grid.free().sum()))
 
 
-def _cleared(evidence: Evidence) -> Score:
+def _score_cleared(evidence: Evidence) -> Score:
     first, second, middle = evidence.first_half, evidence.second_half, len(evidence.mapped) // 2
     if isinstance(first, MissingMap) or isinstance(second, MissingMap):
         return Score(None, 0, _NO_HALVES)
@@ -226,7 +226,7 @@ def _cleared(evidence: Evidence) -> Score:
     return make_score(50.0 * (one + other), shared_one + shared_other)
 
 
-def _split(evidence: Evidence) -> Score:
+def _score_split(evidence: Evidence) -> Score:
     first, second = evidence.first_half, evidence.second_half
     if isinstance(first, MissingMap) or isinstance(second, MissingMap):
         return Score(None, 0, _NO_HALVES)
@@ -236,7 +236,7 @@ def _split(evidence: Evidence) -> Score:
     return make_score(distances.mean(), len(distances))
 
 
-def _cells(grid: OccupancyGrid) -> int:
+def _count_cells(grid: OccupancyGrid) -> int:
     return int((grid.occupied() | grid.free()).sum())
 
 
@@ -254,40 +254,40 @@ _ROWS = (
            f"{WALL} (lambda_max > 9 lambda_min), over all mapped scans; mean over at most 1,000 places. A wall of "
            "width w gives w / sqrt(12).", "after Razlaw et al., ECMR 2015 (mean plane variance)",
            f"duplicated walls so far apart that they do not count as a line; {WARP}",
-           _of_thicknesses(np.mean)),
+           _make_thickness_score(np.mean)),
     Metric("wall_thickness_p95_m", "wall thickness, 95 %", "m", "lower", "map consistency",
            f"{WALL}; 95th percentile.", "as wall thickness",
            f"duplicated walls so far apart that they do not count as a line; {WARP}",
-           _of_thicknesses(lambda values: np.percentile(values, 95))),
+           _make_thickness_score(lambda values: np.percentile(values, 95))),
     Metric("wall_share_percent", "hits along a wall", "%", "higher", "map consistency",
            "Share of the examined places at which the hits within 0.5 m lie along a line.", "as wall thickness",
-           f"the thickness of the walls; furniture and corners lower it; {WARP}", _wall_share, 1),
+           f"the thickness of the walls; furniture and corners lower it; {WARP}", _score_wall_share, 1),
     Metric("split_distance_m", "distance between the halves of the run", "m", "lower", "map consistency",
            "Mean distance from the occupied cells of the map of one half of the run, observed in the other half, to "
            "the nearest occupied cell of the other half's map; over both directions.", "evalkit",
-           f"drift within places observed in one half only; {WARP}", _split, headline=True),
+           f"drift within places observed in one half only; {WARP}", _score_split, headline=True),
     Metric("cleared_percent", "free-space violation", "%", "lower", "map consistency",
            "Share of the hits of one half of the run, in cells observed in the other half, that lie in cleared cells "
            "(log-odds < -1) without an occupied cell within 10 cm; mean of both directions.", "evalkit",
            "walls duplicated less than 10 cm apart; drift along a wall. Sensor noise and pedestrians raise it: with 5 "
            "cm (1 sigma) of noise, perfect poses give 2 to 6 %; " + WARP,
-           _cleared, 2),
+           _score_cleared, 2),
     Metric("occupied_percent", "occupied share", "%", "", "map consistency",
            "Number of occupied cells (p > 0.65) divided by the number of occupied and free (p < 0.196) cells.", FILATOV,
            "most errors: blurred walls can raise or lower it",
-           with_cells(lambda grid: make_score(100.0 * occupied_share(grid), _cells(grid))), 2),
+           with_cells(lambda grid: make_score(100.0 * occupied_share(grid), _count_cells(grid))), 2),
     Metric("corners", "corners", "", "lower", "map consistency",
            "Number of corners of the occupied cells: Harris peaks of their Laplacian of Gaussian, at most one in 0.2 "
            "m.",
            FILATOV, f"walls so blurred that they have no corners; {WARP}",
-           _corners, 0),
+           _score_corners, 0),
     Metric("enclosed_areas", "enclosed areas", "", "lower", "map consistency",
            "Number of free areas of at least 4 cells enclosed by occupied or unknown cells, without the largest area "
            "and without areas at the border of the grid.",
-           FILATOV, f"duplicated walls without a gap between them; {WARP}", with_cells(_enclosed), 0),
+           FILATOV, f"duplicated walls without a gap between them; {WARP}", with_cells(_score_enclosed_areas), 0),
     Metric("enclosed_m2", "enclosed area", "m2", "lower", "map consistency",
            "Total size of the enclosed areas.", FILATOV, f"duplicated walls without a gap between them; {WARP}",
-           with_cells(_enclosed_m2), 2),
+           with_cells(_score_enclosed_size), 2),
 )  # fmt: skip
 
 NO_MAP = ("no map: ...", _NO_CELLS)

@@ -77,60 +77,60 @@ def segment_errors(matched: MatchedPoses, lengths_m: tuple[float, ...]) -> Float
     for length in lengths_m:
         first, last = find_segments(progress, length, START_EVERY_M)
         errors = relative_errors(matched, first, last)
-        rows.append(np.stack([_norms(errors), np.abs(errors[:, 2]), progress[last] - progress[first]], axis=1))
+        rows.append(np.stack([_compute_norms(errors), np.abs(errors[:, 2]), progress[last] - progress[first]], axis=1))
     return np.concatenate(rows)
 
 
-def _norms(motions: Floats) -> Floats:
+def _compute_norms(motions: Floats) -> Floats:
     return np.asarray(np.linalg.norm(motions[:, :2], axis=1))
 
 
-def _steps(matched: MatchedPoses) -> Floats:
+def _compute_steps(matched: MatchedPoses) -> Floats:
     count = len(matched.stamps_ns)
     return relative_errors(matched, np.arange(count - 1), np.arange(1, count))
 
 
-def _step_m(matched: MatchedPoses) -> Score:
-    return make_score(rms(_norms(_steps(matched))), len(matched.stamps_ns) - 1)
+def _score_step_m(matched: MatchedPoses) -> Score:
+    return make_score(rms(_compute_norms(_compute_steps(matched))), len(matched.stamps_ns) - 1)
 
 
-def _step_deg(matched: MatchedPoses) -> Score:
-    return make_score(np.degrees(rms(_steps(matched)[:, 2])), len(matched.stamps_ns) - 1)
+def _score_step_deg(matched: MatchedPoses) -> Score:
+    return make_score(np.degrees(rms(_compute_steps(matched)[:, 2])), len(matched.stamps_ns) - 1)
 
 
-def _second(matched: MatchedPoses, column: Literal["m", "deg"]) -> Score:
+def _score_second(matched: MatchedPoses, column: Literal["m", "deg"]) -> Score:
     first, last = find_pairs_in_time(matched.stamps_ns, STEP_S)
     if len(first) == 0:
         return Score(None, 0, f"no two matched poses are {STEP_S:g} s apart")
     errors = relative_errors(matched, first, last)
-    return make_score(rms(_norms(errors)) if column == "m" else np.degrees(rms(errors[:, 2])), len(first))
+    return make_score(rms(_compute_norms(errors)) if column == "m" else np.degrees(rms(errors[:, 2])), len(first))
 
 
-def _too_short(matched: MatchedPoses, length_m: float) -> Score:
+def _report_too_short(matched: MatchedPoses, length_m: float) -> Score:
     path = travelled_m(matched)[-1]
     return Score(None, 0, f"a path of {path:.1f} m is too short for segments of {length_m:g} m")
 
 
-def _percent(lengths_m: tuple[float, ...], matched: MatchedPoses) -> Score:
+def _score_percent(lengths_m: tuple[float, ...], matched: MatchedPoses) -> Score:
     rows = segment_errors(matched, lengths_m)
     if len(rows) == 0:
-        return _too_short(matched, min(lengths_m))
+        return _report_too_short(matched, min(lengths_m))
     return make_score(100.0 * np.mean(rows[:, 0] / rows[:, 2]), len(rows))
 
 
-def _deg_per_m(matched: MatchedPoses) -> Score:
+def _score_deg_per_m(matched: MatchedPoses) -> Score:
     rows = segment_errors(matched, LENGTHS_M)
     if len(rows) == 0:
-        return _too_short(matched, min(LENGTHS_M))
+        return _report_too_short(matched, min(LENGTHS_M))
     return make_score(np.degrees(np.mean(rows[:, 1] / rows[:, 2])), len(rows))
 
 
-def _metre_rms(matched: MatchedPoses) -> Score:
+def _score_metre_rms(matched: MatchedPoses) -> Score:
     rows = segment_errors(matched, (1.0,))
-    return make_score(rms(rows[:, 0]), len(rows)) if len(rows) else _too_short(matched, 1.0)
+    return make_score(rms(rows[:, 0]), len(rows)) if len(rows) else _report_too_short(matched, 1.0)
 
 
-def _deg_per_turn(matched: MatchedPoses) -> Score:
+def _score_deg_per_turn(matched: MatchedPoses) -> Score:
     progress = turned_rad(matched)
     first, last = find_segments(progress, TURN, START_EVERY_TURN)
     if len(first) == 0:
@@ -139,12 +139,14 @@ def _deg_per_turn(matched: MatchedPoses) -> Score:
     return make_score(np.degrees(np.mean(errors * TURN / (progress[last] - progress[first]))), len(first))
 
 
-def _end_percent(matched: MatchedPoses) -> Score:
+def _score_end_percent(matched: MatchedPoses) -> Score:
     path = travelled_m(matched)[-1]
     if path < 1.0:
         return Score(None, 0, f"a path of {path:.1f} m is too short (1 m needed)")
     last = len(matched.stamps_ns) - 1
-    return make_score(100.0 * _norms(relative_errors(matched, np.array([0]), np.array([last])))[0] / path, last + 1)
+    return make_score(
+        100.0 * _compute_norms(relative_errors(matched, np.array([0]), np.array([last])))[0] / path, last + 1
+    )
 
 
 KITTI = "Geiger et al., CVPR 2012 (KITTI odometry benchmark), with shorter lengths for rooms"
@@ -161,38 +163,38 @@ _ROWS = (
            "Translation error over segments of 1, 2, 5, 10 and 20 m of true path (those that fit), in percent of the "
            f"segment, mean over all of them; {START}.", KITTI,
            "how errors accumulate over the whole path; lengths that do not fit; scans without a pose",
-           with_matched_poses(partial(_percent, LENGTHS_M)), 2, headline=True),
+           with_matched_poses(partial(_score_percent, LENGTHS_M)), 2, headline=True),
     *(Metric(f"drift_{length:g}m_percent", f"drift over {length:g} m", "%", "lower", "drift",
              f"Translation error over segments of {length:g} m of true path, in percent, mean; {START}.", KITTI,
              "errors on longer or shorter scales; scans without a pose",
-             with_matched_poses(partial(_percent, (length,))), 2) for length in LENGTHS_M),
+             with_matched_poses(partial(_score_percent, (length,))), 2) for length in LENGTHS_M),
     Metric("drift_deg_per_m", "heading drift per metre", "deg/m", "lower", "drift",
            f"Rotation error over the same segments of all lengths, per metre, mean; {START}.", KITTI,
-           "errors of translation; how errors accumulate over the whole path", with_matched_poses(_deg_per_m)),
+           "errors of translation; how errors accumulate over the whole path", with_matched_poses(_score_deg_per_m)),
     Metric("drift_deg_per_turn", "heading drift per turn", "deg", "lower", "drift",
            "Rotation error over segments with 360 deg of true rotation, left and right both counted as positive, "
            "scaled to exactly 360 deg, mean; segments start every 10 deg.", "evalkit, after KITTI",
            "errors that cancel between a left and a right turn; noise of the ground truth counts as turning",
-           with_matched_poses(_deg_per_turn), 2),
+           with_matched_poses(_score_deg_per_turn), 2),
     Metric("end_error_percent", "end-point error", "%", "lower", "drift",
            "Translation error of the motion from the first matched pose to the last, in percent of the true path.",
            "common practice for loops; Sturm et al., IROS 2012 (relative pose error)",
            "errors between start and end; errors that cancel, as on a closed loop",
-           with_matched_poses(_end_percent), 2),
+           with_matched_poses(_score_end_percent), 2),
     Metric("rpe_step_m", "RPE, step", "m", "lower", "drift",
            "Root mean square translation error from each matched pose to the next (consecutive pairs).", RPE,
-           "slow drift, which is smaller than the noise of one step", with_matched_poses(_step_m), 4),
+           "slow drift, which is smaller than the noise of one step", with_matched_poses(_score_step_m), 4),
     Metric("rpe_step_deg", "RPE, step, heading", "deg", "lower", "drift",
            "Root mean square rotation error from each matched pose to the next (consecutive pairs).", RPE,
-           "slow drift, which is smaller than the noise of one step", with_matched_poses(_step_deg)),
+           "slow drift, which is smaller than the noise of one step", with_matched_poses(_score_step_deg)),
     *(Metric(f"rpe_1s_{unit}", f"RPE, 1 s{heading}", unit, "lower", "drift",
              f"Root mean square {what} error between all matched poses 1 s apart (to half a step), including "
              "overlapping pairs.", RPE, "drift over much more than a second; depends on the speed of the robot",
-             with_matched_poses(partial(_second, column=unit)), digits)
+             with_matched_poses(partial(_score_second, column=unit)), digits)
       for unit, what, heading, digits in _SECONDS),
     Metric("rpe_1m_m", "RPE, 1 m", "m", "lower", "drift",
            f"Root mean square translation error over segments of 1 m of true path; {START}.", RPE,
-           "drift over much more than a metre; scans without a pose", with_matched_poses(_metre_rms)),
+           "drift over much more than a metre; scans without a pose", with_matched_poses(_score_metre_rms)),
 )  # fmt: skip
 
 _TOO_SHORT = (*UNMATCHED, "a path of ... m is too short for segments of ... m")

@@ -38,7 +38,7 @@ def evaluate_run(result: RunResult, sequence: Sequence, make_mapper: Callable[[]
     ``scans``: maximum number of scans in the map.
     """
     evidence = add_map(collect_evidence(result, sequence), sequence, make_mapper, scans)
-    world_from_start = _world_from_start(evidence)
+    world_from_start = _find_world_from_start(evidence)
     true = evidence.truth.trajectory
     errors = None if true is None else compute_errors_m(result.estimate.moved(world_from_start, "world"), true)
     scores = metrics.compute_scores(evidence, metrics.all_metrics())
@@ -69,7 +69,7 @@ def add_map(
     evidence: Evidence, sequence: Sequence, make_mapper: Callable[[], Mapper], scans: int, halves: bool = True
 ) -> Evidence:
     """The evidence with scans and map. ``halves``: also the maps of both halves, for some consistency metrics."""
-    world_from_base = evidence.run.estimate.moved(_world_from_start(evidence), "world")
+    world_from_base = evidence.run.estimate.moved(_find_world_from_start(evidence), "world")
     mapped, successive = _place_scans(sequence, world_from_base, scans)
     with_grid = replace(evidence, grid=render_map(mapped, make_mapper), mapped=mapped, successive=successive)
     if not halves:
@@ -96,7 +96,7 @@ def render_map(mapped: PlacedScans, make_mapper: Callable[[], Mapper]) -> Occupa
         return MissingMap(f"the mapper failed ({error})")
 
 
-def _world_from_start(evidence: Evidence) -> Pose:
+def _find_world_from_start(evidence: Evidence) -> Pose:
     return evidence.matched.world_from_start if isinstance(evidence.matched, MatchedPoses) else Pose()
 
 
@@ -116,13 +116,13 @@ def _place_scans(
     Scans are deskewed with the speed of the estimate, whatever the back end did.
     """
     expected = len(sequence)
-    chosen, earlier = _evenly_spaced(expected, most), _evenly_spaced(expected - 1, MAX_PAIRS)
+    chosen, earlier = _choose_evenly(expected, most), _choose_evenly(expected - 1, MAX_PAIRS)
     wanted = {*chosen, *earlier, *(index + 1 for index in earlier)}
     placed: dict[int, PlacedScan] = {}
     for index, frame in enumerate(sequence.frames()):
         if index > max(wanted, default=-1):
             break
-        row = _row_at(world_from_base, frame.scan.stamp_ns) if index in wanted else None
+        row = _find_row(world_from_base, frame.scan.stamp_ns) if index in wanted else None
         if row is not None:
             scan = frame.scan.deskewed(frame.base_from_sensor, _motion_within_scan(frame, world_from_base, row))
             placed[index] = scan, se2.compose(world_from_base.poses[row], frame.base_from_sensor.row)
@@ -130,13 +130,13 @@ def _place_scans(
     return tuple(placed[i] for i in chosen if i in placed), tuple((placed[i], placed[j]) for i, j in pairs)
 
 
-def _row_at(trajectory: Trajectory, stamp_ns: int) -> int | None:
+def _find_row(trajectory: Trajectory, stamp_ns: int) -> int | None:
     """The row of the pose with exactly this stamp; None where there is none."""
     row = int(np.searchsorted(trajectory.stamps_ns, stamp_ns))
     return row if row < len(trajectory) and trajectory.stamps_ns[row] == stamp_ns else None
 
 
-def _evenly_spaced(count: int, most: int) -> list[int]:
+def _choose_evenly(count: int, most: int) -> list[int]:
     """At most ``most`` of the indices 0..count-1 in order, first and last included."""
     return [int(i) for i in np.unique(np.linspace(0, count - 1, min(most, count)).astype(int))] if count > 0 else []
 

@@ -86,11 +86,14 @@ def find_best_shift(one: Floats, other: Floats, reach: int = REACH_CELLS) -> tup
     ours, theirs = (np.asarray(image - 0.5, dtype=np.float32) for image in (one, other))
     shifts = sorted(np.ndindex(2 * reach + 1, 2 * reach + 1), key=lambda at: np.hypot(at[0] - reach, at[1] - reach))
     steps = [(row - reach, column - reach) for row, column in shifts]
-    sums = [float(np.einsum("ij,ij->", _shift(ours, step), _shift(theirs, (-step[0], -step[1])))) for step in steps]
+    sums = [
+        float(np.einsum("ij,ij->", _crop_shifted(ours, step), _crop_shifted(theirs, (-step[0], -step[1]))))
+        for step in steps
+    ]
     return steps[int(np.argmax(np.round(sums, 1)))]
 
 
-def _shift(image: NDArray[Cell], step: tuple[int, int]) -> NDArray[Cell]:
+def _crop_shifted(image: NDArray[Cell], step: tuple[int, int]) -> NDArray[Cell]:
     """Return the part of an image, shifted by ``step``, that overlaps the image that is not shifted."""
     rows, columns = (slice(max(-by, 0), max(size - max(by, 0), 0)) for by, size in zip(step, image.shape, strict=True))
     return image[rows, columns]
@@ -106,13 +109,13 @@ def mean_similarity(mapped: OccupancyGrid, true: OccupancyGrid) -> tuple[float, 
         return float("nan"), 0
     step = find_best_shift(p, q)
     back = -step[0], -step[1]
-    both = _shift(seen, step) & _shift(known, back)
+    both = _crop_shifted(seen, step) & _crop_shifted(known, back)
     if not both.any():
         return float("nan"), 0
-    return float(ssim(_shift(p, step), _shift(q, back))[both].mean()), int(both.sum())
+    return float(ssim(_crop_shifted(p, step), _crop_shifted(q, back))[both].mean()), int(both.sum())
 
 
-def _similarity(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
+def _score_similarity(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
     value, cells = mean_similarity(mapped, true)
     if cells < MIN_CELLS:
         return Score(None, cells, f"both maps have observed only {cells} common cells")
@@ -125,7 +128,7 @@ _ROWS = (
            f"resolution of both) over the cells observed in both maps, after a shift of up to {REACH_CELLS} whole "
            "cells to the maximum correlation.", "Wang et al., IEEE TIP 13(4), 2004",
            "shifts of up to three cells; areas that either map has not observed. It overstates shifts by less than a "
-           "cell: a secondary metric", with_true_grid(_similarity)),
+           "cell: a secondary metric", with_true_grid(_score_similarity)),
 )  # fmt: skip
 
 METRICS = with_support(

@@ -69,7 +69,7 @@ def signed_offsets(mapped: PlacedScans, true: OccupancyGrid, within_m: float = B
     return np.concatenate(offsets)
 
 
-def _corners(evidence: Evidence) -> Score:
+def _score_corners(evidence: Evidence) -> Score:
     def measure(_mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
         mapped_corners, true_corners = find_mapped_corners(evidence), find_corners(true)
         if not len(true_corners):
@@ -79,7 +79,7 @@ def _corners(evidence: Evidence) -> Score:
     return with_true_grid(measure)(evidence)
 
 
-def _offset(evidence: Evidence) -> Score:
+def _score_offset(evidence: Evidence) -> Score:
     true = evidence.truth.grid
     if true is None or not true.occupied().any():
         return Score(None, 0, NO_TRUE_MAP if true is None else NO_TRUE_WALL)
@@ -99,12 +99,12 @@ _ROWS = (
            "Mean distance of the hits behind the nearest true wall cell, as seen from the sensor, over the hits within "
            f"{BESIDE_M:g} m of one: positive if rooms are too large, negative if too small.", "evalkit",
            "errors that move walls outwards as often as inwards; errors below half a cell of the ground-truth map",
-           _offset, 4),
+           _score_offset, 4),
     Metric("map_corner_ospa_m", "corners, OSPA", "m", "lower", "map against truth",
            f"Optimal sub-pattern assignment distance (order {ORDER:g}, cutoff {CUTOFF_M:g} m) between the corners of "
            "both maps: a missing or false corner counts as the cutoff.",
            "Schuhmacher, Vo and Vo, IEEE TSP 56(8), 2008", "errors away from corners; corners not detected in the "
-           "ground-truth map, which depend on its cell size", _corners),
+           "ground-truth map, which depend on its cell size", _score_corners),
 )  # fmt: skip
 
 METRICS = with_support(

@@ -86,7 +86,7 @@ def chamfer(walls: WallDistances) -> float:
 
 def iou(walls: WallDistances) -> float:
     """Return the cells with a wall in both maps, divided by the cells with a wall in either, on the coarser lattice."""
-    ours, theirs = _keys(walls.mapped, walls.lattice), _keys(walls.true, walls.lattice)
+    ours, theirs = _index_cells(walls.mapped, walls.lattice), _index_cells(walls.true, walls.lattice)
     both = len(np.intersect1d(ours, theirs, assume_unique=True))
     return both / (len(ours) + len(theirs) - both)
 
@@ -100,8 +100,8 @@ def iou_within(walls: WallDistances, tolerance_m: float = TOLERANCE_M) -> float:
         walls.mapped[walls.to_true <= tolerance_m + _SLACK_M],
         walls.true[walls.to_mapped <= tolerance_m + _SLACK_M],
     ]
-    either = len(np.union1d(_keys(walls.mapped, walls.lattice), _keys(walls.true, walls.lattice)))
-    return len(np.union1d(_keys(near[0], walls.lattice), _keys(near[1], walls.lattice))) / either
+    either = len(np.union1d(_index_cells(walls.mapped, walls.lattice), _index_cells(walls.true, walls.lattice)))
+    return len(np.union1d(_index_cells(near[0], walls.lattice), _index_cells(near[1], walls.lattice))) / either
 
 
 def accuracy(walls: WallDistances, inlier_m: float = INLIER_M) -> float:
@@ -110,7 +110,7 @@ def accuracy(walls: WallDistances, inlier_m: float = INLIER_M) -> float:
     return float(np.sqrt(np.mean(inliers**2))) if len(inliers) else float("nan")
 
 
-def _keys(points: Floats, lattice: OccupancyGrid) -> Ints:
+def _index_cells(points: Floats, lattice: OccupancyGrid) -> Ints:
     cells = np.floor((points - [lattice.origin_x, lattice.origin_y]) / lattice.resolution_m + 1e-6).astype(np.int64)
     return np.unique(cells[:, 0] * (1 << 32) + cells[:, 1])
 
@@ -169,7 +169,7 @@ def find_cells(grid: OccupancyGrid, other: OccupancyGrid) -> tuple[Ints, Ints]:
     return cells[0], cells[1]
 
 
-def _coverage(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
+def _score_coverage(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
     if not true.observed.any():
         return Score(None, 0, _NOTHING_OBSERVED)
     return make_score(100.0 * map_coverage(mapped, true), int(true.observed.sum()))
@@ -226,7 +226,7 @@ _ROWS = (
            _scored(lambda walls: float(walls.to_mapped.mean()))),
     Metric("map_coverage_percent", "ground-truth map covered", "%", "higher", "map against truth",
            "Share of the observed cells of the ground-truth map whose centre lies in an observed cell of the map.",
-           "evalkit", "errors of the observed cells", with_true_grid(_coverage), 1),
+           "evalkit", "errors of the observed cells", with_true_grid(_score_coverage), 1),
 )  # fmt: skip
 
 METRICS = with_support(

@@ -51,7 +51,7 @@ def compute_neighbourhoods(points: Floats, middles: Floats, radius_m: float = PA
     some = counts > 0
     if some.any():
         offsets = points[np.concatenate(neighbours)] - np.repeat(middles, counts, axis=0)
-        small[some], large[some], direction[some] = _ellipses(offsets, counts[some])
+        small[some], large[some], direction[some] = _compute_ellipses(offsets, counts[some])
     return Neighbourhoods(counts, small, large, direction)
 
 
@@ -67,7 +67,7 @@ def thin_evenly(points: Floats, max_rows: int) -> Floats:
     return np.asarray(points[np.unique(np.linspace(0, len(points) - 1, min(max_rows, len(points))).astype(int))])
 
 
-def _ellipses(offsets: Floats, counts: Ints) -> tuple[Floats, Floats, Floats]:
+def _compute_ellipses(offsets: Floats, counts: Ints) -> tuple[Floats, Floats, Floats]:
     """Return smaller and larger eigenvalue (K,) and the long axis of the covariance of each group of ``counts`` (K,)
     offsets.
     """

@@ -62,15 +62,17 @@ def _touched(mapped: OccupancyGrid, true: OccupancyGrid, cells: Bools) -> Bools:
     height, width = mapped.shape
     marked = np.zeros((height, width), dtype=np.bool_)
     rows, columns = np.nonzero(cells)
-    for at_y in _reached(true.origin_y, true, mapped.origin_y, mapped, len(cells)):
-        for at_x in _reached(true.origin_x, true, mapped.origin_x, mapped, cells.shape[1]):
+    for at_y in _find_cells(true.origin_y, true, mapped.origin_y, mapped, len(cells)):
+        for at_x in _find_cells(true.origin_x, true, mapped.origin_x, mapped, cells.shape[1]):
             y, x = at_y[rows], at_x[columns]
             inside = (y >= 0) & (y < height) & (x >= 0) & (x < width)
             marked[y[inside], x[inside]] = True
     return marked
 
 
-def _reached(own_m: float, grid: OccupancyGrid, other_m: float, other: OccupancyGrid, count: int) -> tuple[Ints, ...]:
+def _find_cells(
+    own_m: float, grid: OccupancyGrid, other_m: float, other: OccupancyGrid, count: int
+) -> tuple[Ints, ...]:
     """Return, along one axis, the other grid's cell (N,) of each centre, and a second array if a centre lies on an
     edge.
     """
@@ -79,7 +81,7 @@ def _reached(own_m: float, grid: OccupancyGrid, other_m: float, other: Occupancy
     return (low,) if (low == high).all() else (low, high)
 
 
-def _log_loss(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
+def _score_log_loss(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
     if true.resolution_m > mapped.resolution_m * (1.0 + _EDGE):
         return Score(
             None, 0, f"the cells of the ground-truth map ({true.resolution_m:g} m) are coarser than those of the map"
@@ -88,7 +90,7 @@ def _log_loss(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
     return make_score(value, cells, _NO_TRUE_STATE)
 
 
-def _wall_width(grid: OccupancyGrid) -> Score:
+def _score_wall_width(grid: OccupancyGrid) -> Score:
     width, cells = wall_width_m(grid), int(grid.occupied().sum())
     return make_score(width, cells, _NO_LINE)
 
@@ -103,12 +105,12 @@ _ROWS = (
            "right, ln 2 for a map without information, more for a map that is certain and wrong.",
            "Good, JRSS B 14, 1952 (a proper score)",
            "cells never observed; the size of an offset of a wall. The mapper's clamping sets the least value",
-           with_true_grid(_log_loss)),
+           with_true_grid(_score_log_loss)),
     Metric("wall_width_m", "wall width in the map", "m", "lower", "map consistency",
            "Width of the walls in the map: where occupied cells lie along a line, the width of a band of cells with "
            "the same variance; mean over at most 1,000 places.", "evalkit",
            f"walls so blurred that they are missing in the map; the cell size sets the least value; {WARP}",
-           with_cells(_wall_width)),
+           with_cells(_score_wall_width)),
 )  # fmt: skip
 
 METRICS = with_support(

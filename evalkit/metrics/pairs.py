@@ -49,7 +49,7 @@ def pair_errors(evidence: Evidence, truth: Trajectory, world_from_start: Floats)
     return np.asarray(values[~np.isnan(values)])
 
 
-def _median(evidence: Evidence) -> Score:
+def _score_median(evidence: Evidence) -> Score:
     truth, matched = evidence.truth.trajectory, evidence.matched
     if isinstance(matched, Unmatched):
         return Score(None, 0, matched.reason)
@@ -67,7 +67,7 @@ _ROWS = (
            "distance from their centroid; mean over points, median over at most 100 steps, the same for all methods.",
            "Fontana et al., Robotics and Autonomous Systems 140, 2021",
            "drift too slow for one step; the position of an error in the scan. Points near the centroid count most",
-           _median, 5),
+           _score_median, 5),
 )  # fmt: skip
 
 METRICS = with_support(

@@ -52,7 +52,9 @@ def scan_to_scan_residuals(successive: Iterable[tuple[PlacedScan, PlacedScan]]) 
 
     A pair of scans with fewer than ten pairs of points has a distance of nan; pairs with an empty scan are omitted.
     """
-    return _residuals((_points(later), build_kd_tree(_points(earlier))) for earlier, later in successive)
+    return _compute_residuals(
+        (_transform_points(later), build_kd_tree(_transform_points(earlier))) for earlier, later in successive
+    )
 
 
 def scan_to_map_residuals(mapped: PlacedScans) -> Floats:
@@ -62,7 +64,7 @@ def scan_to_map_residuals(mapped: PlacedScans) -> Floats:
     A keyframe is a scan whose sensor moved 0.5 m or 20 deg since the previous keyframe; ten keyframes are the local
     map.
     """
-    return _residuals(_against_local_map(mapped))
+    return _compute_residuals(_iterate_local_maps(mapped))
 
 
 def median_step_m(pairs: Iterable[tuple[PlacedScan, PlacedScan]]) -> float:
@@ -82,28 +84,28 @@ def find_keyframes(poses: Floats) -> Ints:
     return np.array(indices, dtype=np.int64)
 
 
-def _against_local_map(mapped: PlacedScans) -> Iterator[tuple[Floats, cKDTree]]:
+def _iterate_local_maps(mapped: PlacedScans) -> Iterator[tuple[Floats, cKDTree]]:
     frames = find_keyframes(np.array([pose for _, pose in mapped]))
     tree, until = build_kd_tree(np.zeros((0, 2))), 0
-    for index in _measured(len(mapped)):
+    for index in _choose_measured(len(mapped)):
         before = int(np.searchsorted(frames, index))  # keyframes strictly before this scan
         if before != until:
-            clouds = [_points(mapped[k]) for k in frames[:before][-KEYFRAMES:]]
+            clouds = [_transform_points(mapped[k]) for k in frames[:before][-KEYFRAMES:]]
             tree, until = build_kd_tree(np.concatenate(clouds)), before
-        yield _points(mapped[index]), tree
+        yield _transform_points(mapped[index]), tree
 
 
-def _measured(count: int) -> list[int]:
+def _choose_measured(count: int) -> list[int]:
     """Return the indices of the scans to measure; never the first, which has no predecessor."""
     return [int(i) for i in np.unique(np.linspace(1, count - 1, min(MAX_SCANS, count - 1)).astype(int))]
 
 
-def _points(placed: PlacedScan) -> Floats:
+def _transform_points(placed: PlacedScan) -> Floats:
     scan, world_from_sensor = placed
     return se2.transform(world_from_sensor, scan.points())
 
 
-def _residuals(clouds: Iterator[tuple[Floats, cKDTree]]) -> Floats:
+def _compute_residuals(clouds: Iterator[tuple[Floats, cKDTree]]) -> Floats:
     rows = [np.zeros((0, 2))]
     for source, target in clouds:
         if len(source) == 0 or target.n == 0:
@@ -115,30 +117,30 @@ def _residuals(clouds: Iterator[tuple[Floats, cKDTree]]) -> Floats:
     return np.concatenate(rows)
 
 
-def _successive(evidence: Evidence) -> Score:
+def _score_successive(evidence: Evidence) -> Score:
     if not evidence.successive:
         return Score(None, 0, _NO_PAIR)
     step = median_step_m(evidence.successive)
     if step > MAX_STEP_M:
         return Score(None, 0, f"successive scans are {step:.1f} m apart: too far to overlap")
-    return _median(scan_to_scan_residuals(evidence.successive), 0)
+    return _score_median(scan_to_scan_residuals(evidence.successive), 0)
 
 
-def _mapped(column: int, evidence: Evidence) -> Score:
+def _score_mapped(column: int, evidence: Evidence) -> Score:
     if len(evidence.mapped) < 2:
         return Score(None, 0, _TOO_FEW)
     step = median_step_m(pairwise(evidence.mapped))
     if step > MAX_STEP_M:
         return Score(None, 0, f"mapped scans are {step:.1f} m apart: too far to overlap")
-    return _median(_to_map(evidence), column)
+    return _score_median(_compute_map_residuals(evidence), column)
 
 
 @cached
-def _to_map(evidence: Evidence) -> Floats:
+def _compute_map_residuals(evidence: Evidence) -> Floats:
     return scan_to_map_residuals(evidence.mapped)
 
 
-def _median(residuals: Floats, column: int) -> Score:
+def _score_median(residuals: Floats, column: int) -> Score:
     values = residuals[:, column]
     values = values[np.isfinite(values)]
     if len(values) == 0:
@@ -146,7 +148,7 @@ def _median(residuals: Floats, column: int) -> Score:
     return make_score(np.median(values) * (100.0 if column else 1.0), len(values))
 
 
-def _own(stage: str, field: Literal["error", "iterations"], evidence: Evidence) -> Score:
+def _score_own_values(stage: str, field: Literal["error", "iterations"], evidence: Evidence) -> Score:
     values = evidence.run.steps[f"{stage}_{field}"].astype(np.float64)
     reported = np.isfinite(values) if field == "error" else values > 0.0
     if not reported.any():
@@ -154,7 +156,7 @@ def _own(stage: str, field: Literal["error", "iterations"], evidence: Evidence) 
     return make_score(np.median(values[reported]), int(reported.sum()))
 
 
-def _share(field: Literal["accepted", "converged"], evidence: Evidence) -> Score:
+def _score_share(field: Literal["accepted", "converged"], evidence: Evidence) -> Score:
     """Return the percentage of scans whose last stage reports ``False``."""
     steps = evidence.run.steps
     last = np.where(steps[f"s2m_{field}"] >= 0, steps[f"s2m_{field}"], steps[f"s2s_{field}"])
@@ -175,33 +177,34 @@ _ROWS = (
     Metric("s2s_m", "S2S residual", "m", "lower", "residuals",
            "Mean distance over the one-to-one nearest pairs within 0.5 m between a scan and the next one of the "
            "sequence under the estimated trajectory; median over at most 100 such steps, the same for all methods.",
-           PAPER, CONSISTENT, _successive, 4),
+           PAPER, CONSISTENT, _score_successive, 4),
     Metric("s2m_m", "S2M residual", "m", "lower", "residuals",
            "Mean distance over the one-to-one nearest pairs within 0.5 m between a mapped scan and the local map of "
            "the last ten keyframes (0.5 m or 20 deg apart); median over at most 100 scans.",
-           PAPER, CONSISTENT, partial(_mapped, 0), 4, headline=True),
+           PAPER, CONSISTENT, partial(_score_mapped, 0), 4, headline=True),
     Metric("s2m_paired_percent", "S2M points paired", "%", "higher", "residuals",
            "Share of the points of a mapped scan within 0.5 m of the local map of the last ten keyframes; median over "
            "scans.",
            "evalkit", "the distance of the paired points; unmapped places lower it without an error of the estimate",
-           partial(_mapped, 1), 1),
+           partial(_score_mapped, 1), 1),
     Metric("guess_kept_percent", "initial guess kept", "%", "lower", "residuals",
            "Share of the scans after the first whose last registration was rejected (too few pairs, or a pose exactly "
            "equal to the guess), so that the initial guess was kept.", "evalkit",
-           "errors of accepted poses; back ends that do not report it", partial(_share, "accepted"), 1,
+           "errors of accepted poses; back ends that do not report it", partial(_score_share, "accepted"), 1,
            headline=True),
     Metric("not_converged_percent", "not converged", "%", "lower", "residuals",
            "Share of the scans after the first whose last stage ended without meeting its own convergence criterion.",
            "the back end", "errors of converged poses; not comparable between methods with different criteria",
-           partial(_share, "converged"), 1),
+           partial(_score_share, "converged"), 1),
     *(Metric(f"own_{stage}_m", f"{stage.upper()} error reported by the back end", "m", "", "residuals",
              f"Error reported by the back end for its {words} stage, by its own definition; median over scans.",
              "the back end", "errors outside that definition; not comparable between back ends",
-             partial(_own, stage, "error"), 4) for stage, words in (("s2s", "scan-to-scan"), ("s2m", "scan-to-map"))),
+             partial(_score_own_values, stage, "error"), 4)
+      for stage, words in (("s2s", "scan-to-scan"), ("s2m", "scan-to-map"))),
     *(Metric(f"{stage}_iterations", f"{stage.upper()} iterations", "", "", "residuals",
              f"Iterations of the {words} stage; median over scans.", "the back end",
              "the cost of an iteration; not comparable between methods",
-             partial(_own, stage, "iterations"), 1)
+             partial(_score_own_values, stage, "iterations"), 1)
       for stage, words in (("s2s", "scan-to-scan"), ("s2m", "scan-to-map"))),
 )  # fmt: skip
 

@@ -82,7 +82,7 @@ Errors = Callable[[Floats, Floats], Floats]
 """Metres and radians (M, 2) between estimated and measured motions (M, 3)."""
 
 
-def _norms(errors: Errors) -> Errors:
+def _compute_norms(errors: Errors) -> Errors:
     def sizes(estimated: Floats, measured: Floats) -> Floats:
         motions = errors(estimated, measured)
         return np.stack([np.linalg.norm(motions[:, :2], axis=1), np.abs(motions[:, 2])], axis=1)
@@ -114,7 +114,7 @@ def _scored(
     return compute
 
 
-def _covered_percent(evidence: Evidence) -> Score:
+def _score_covered(evidence: Evidence) -> Score:
     relations = evidence.truth.relations
     if relations is None or len(relations) == 0:
         return Score(None, 0, _NO_RELATIONS)
@@ -145,12 +145,12 @@ _FORMS: dict[str, tuple[str, str, Errors]] = {
     "kuemmerle": (
         "the evaluator of Kuemmerle et al., in the order of the relation",
         "Kuemmerle et al., Autonomous Robots 27, 2009 (its evaluator takes component-wise differences)",
-        _norms(componentwise_errors),
+        _compute_norms(componentwise_errors),
     ),
     "cartographer": (
         "Cartographer's evaluator, estimated times measured inverse",
         "Hess et al., ICRA 2016 (Cartographer, compute_relations_metrics)",
-        _norms(cartographer_errors),
+        _compute_norms(cartographer_errors),
     ),
 }
 
@@ -179,13 +179,13 @@ _ROWS = (
                "relations",
                f"{words} squared {what} error between all pairs of times, for comparison with published tables; "
                "dominated by few large errors.", "Kuemmerle et al., Autonomous Robots 27, 2009", _LIMITATIONS["all"],
-               _scored("all", column, statistic, _norms(componentwise_errors), squared=True), digits)
+               _scored("all", column, statistic, _compute_norms(componentwise_errors), squared=True), digits)
         for name, (words, statistic) in _STATISTICS.items()
         for column, (unit, what, digits) in enumerate(_SQUARES)
     ),
     Metric("relations_answered_percent", "relations covered", "%", "higher", "relations",
            "Share of the relations both of whose times lie between poses at most 2 s apart.", "evalkit",
-           "errors of the poses", _covered_percent, 1),
+           "errors of the poses", _score_covered, 1),
 )  # fmt: skip
 
 METRICS = with_support(

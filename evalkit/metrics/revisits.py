@@ -38,7 +38,9 @@ def find_revisits(reference: Trajectory, near_m: float = NEAR_M, covered_m: floa
     path = np.concatenate([[0.0], np.cumsum(steps)])[: len(reference)]
     covered = min(COVERED_M, COVERED_SHARE * reference.path_m) if covered_m is None else covered_m
     places = np.unique(np.searchsorted(path, np.arange(0.0, reference.path_m, EVERY_M)))
-    pairs = [(first, second) for first in places for second in _visits(reference.poses, path, first, covered, near_m)]
+    pairs = [
+        (first, second) for first in places for second in _find_visits(reference.poses, path, first, covered, near_m)
+    ]
     chosen = np.array(pairs, dtype=np.int64).reshape(-1, 2)
     chosen = chosen[np.unique(np.linspace(0, len(chosen) - 1, min(MAX_REVISITS, len(chosen))).astype(int))]
     first, second = chosen.T
@@ -46,14 +48,14 @@ def find_revisits(reference: Trajectory, near_m: float = NEAR_M, covered_m: floa
     return Relations(reference.stamps_ns[first], reference.stamps_ns[second], motions)
 
 
-def _visits(poses: Floats, path: Floats, first: int, covered_m: float, near_m: float) -> list[int]:
+def _find_visits(poses: Floats, path: Floats, first: int, covered_m: float, near_m: float) -> list[int]:
     """Return the nearest pose of each later stretch of path within ``near_m`` of one pose."""
     begin = int(np.searchsorted(path, path[first] + covered_m))
     apart = np.linalg.norm(poses[begin:, :2] - poses[first, :2], axis=1)
-    return [begin + run[0] + int(np.argmin(apart[slice(*run)])) for run in _runs(apart <= near_m)]
+    return [begin + run[0] + int(np.argmin(apart[slice(*run)])) for run in _find_runs(apart <= near_m)]
 
 
-def _runs(marks: Bools) -> Ints:
+def _find_runs(marks: Bools) -> Ints:
     """Return the first index and the index after the last (K, 2) of each run of marks (N,)."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], marks, [False]]).astype(np.int8)))
     return np.asarray(edges.reshape(-1, 2), dtype=np.int64)
@@ -64,14 +66,14 @@ def within_limits(errors: Floats, metres: float = MAX_OFF_M, radians: float = MA
     return np.asarray((errors[:, 0] <= metres) & (errors[:, 1] <= radians))
 
 
-def _mean(column: int) -> Callable[[Floats], float]:
+def _make_mean(column: int) -> Callable[[Floats], float]:
     def mean(errors: Floats) -> float:
         return float(np.mean(np.degrees(errors[:, column]) if column else errors[:, column]))
 
     return mean
 
 
-def _scored(measure: Callable[[Floats], float]) -> Callable[[Evidence], Score]:
+def _make_score_function(measure: Callable[[Floats], float]) -> Callable[[Evidence], Score]:
     def compute(evidence: Evidence) -> Score:
         reference = evidence.truth.trajectory
         if reference is None or len(reference) < 2:
@@ -99,15 +101,15 @@ SOURCE = "after Cartographer's automatic relations, Hess et al., ICRA 2016; scal
 _ROWS = (
     Metric("revisit_mean_m", "error at revisited places, mean", "m", "lower", "relations",
            f"Mean translation error of the estimated motions between two visits of a place. {HOW}.", SOURCE,
-           "places visited once; errors of the ground truth", _scored(_mean(0))),
+           "places visited once; errors of the ground truth", _make_score_function(_make_mean(0))),
     Metric("revisit_mean_deg", "heading error at revisited places, mean", "deg", "lower", "relations",
            f"Mean rotation error of the same motions. {HOW}.", SOURCE,
-           "places visited once; errors of the ground truth", _scored(_mean(1)), 2),
+           "places visited once; errors of the ground truth", _make_score_function(_make_mean(1)), 2),
     Metric("revisit_within_percent", "revisits within limits", "%", "higher", "relations",
            f"Share of the estimated motions between two visits of a place with errors of at most {MAX_OFF_M:g} m and "
            f"{MAX_OFF_RAD:g} rad. {HOW}.", "limits: Cartographer's outlier thresholds of automatic relations; score: "
            "evalkit", "the size of larger errors; places visited once; errors of the ground truth",
-           _scored(lambda errors: 100.0 * float(within_limits(errors).mean())), 1),
+           _make_score_function(lambda errors: 100.0 * float(within_limits(errors).mean())), 1),
 )  # fmt: skip
 
 METRICS = with_support(

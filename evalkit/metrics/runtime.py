@@ -26,7 +26,7 @@ def period_ns(run: RunResult) -> float:
     return float(np.median(np.diff(run.steps["stamp_ns"]))) / run.every
 
 
-def _milliseconds(field: str, statistic: Callable[[Floats], np.floating], evidence: Evidence) -> Score:
+def _score_milliseconds(field: str, statistic: Callable[[Floats], np.floating], evidence: Evidence) -> Score:
     steps = evidence.run.steps
     if len(steps) == 0:
         return Score(None, 0, NO_POSES)
@@ -35,7 +35,7 @@ def _milliseconds(field: str, statistic: Callable[[Floats], np.floating], eviden
     return make_score(statistic(steps[field] * 1e-6), len(steps))
 
 
-def _conversion_percent(evidence: Evidence) -> Score:
+def _score_conversion(evidence: Evidence) -> Score:
     steps = evidence.run.steps
     total = steps["cpu_ns"].sum()
     if total == 0:
@@ -43,7 +43,7 @@ def _conversion_percent(evidence: Evidence) -> Score:
     return make_score(100.0 * steps["conversion_ns"].sum() / total, len(steps))
 
 
-def _real_time_factor(evidence: Evidence) -> Score:
+def _score_real_time_factor(evidence: Evidence) -> Score:
     run = evidence.run
     if len(run.steps) < 2:
         return Score(None, len(run.steps), _TOO_FEW)
@@ -53,7 +53,7 @@ def _real_time_factor(evidence: Evidence) -> Score:
     return make_score(period_ns(run) / mean, len(run.steps))
 
 
-def _late_percent(evidence: Evidence) -> Score:
+def _score_late(evidence: Evidence) -> Score:
     run = evidence.run
     if len(run.steps) < 2:
         return Score(None, len(run.steps), _TOO_FEW)
@@ -62,13 +62,13 @@ def _late_percent(evidence: Evidence) -> Score:
     return make_score(100.0 * np.mean(run.steps["wall_ns"] > period_ns(run)), len(run.steps))
 
 
-def _memory(evidence: Evidence) -> Score:
+def _score_memory(evidence: Evidence) -> Score:
     if evidence.run.peak_memory_bytes == 0:
         return Score(None, 0, _NO_MEMORY)
     return make_score(evidence.run.peak_memory_bytes / 2**20, 1)
 
 
-def _percentile(percent: int) -> Callable[[Floats], np.floating]:
+def _make_percentile(percent: int) -> Callable[[Floats], np.floating]:
     return partial(np.percentile, q=percent)
 
 
@@ -77,8 +77,8 @@ _NO_MEMORY = "memory was not measured"
 
 _STATISTICS: dict[str, tuple[str, Callable[[Floats], np.floating]]] = {
     "median": ("Median", np.median),
-    "p95": ("95th percentile", _percentile(95)),
-    "p99": ("99th percentile", _percentile(99)),
+    "p95": ("95th percentile", _make_percentile(95)),
+    "p99": ("99th percentile", _make_percentile(99)),
     "max": ("Maximum", np.max),
 }
 _CLOCKS = {
@@ -91,35 +91,35 @@ _ROWS = (
         Metric(f"{clock}_{name}_ms", f"{title} time per scan, {name}", "ms", "lower", "runtime",
                f"{words} over all scans of the time {whose} during the call of the back end, including the conversion "
                "of values; warm-up scans are excluded.", "evalkit", f"{limits}; depends on the machine",
-               partial(_milliseconds, f"{clock}_ns", statistic), 2, headline=(clock, name) == ("cpu", "median"))
+               partial(_score_milliseconds, f"{clock}_ns", statistic), 2, headline=(clock, name) == ("cpu", "median"))
         for clock, (title, whose, limits) in _CLOCKS.items()
         for name, (words, statistic) in _STATISTICS.items()
     ),
     Metric("device_median_ms", "device time per scan, median", "ms", "lower", "runtime",
            "Median time per scan reported by the back end, by the clock of the device it runs on; the wall time also "
            "includes the communication.", "evalkit",
-           "work that the back end does not count; depends on the device", partial(_milliseconds, "device_ns",
+           "work that the back end does not count; depends on the device", partial(_score_milliseconds, "device_ns",
            np.median),
            2),
     Metric("conversion_percent", "conversion", "%", "lower", "runtime",
            "Share of the CPU time spent on conversion between evalkit's types and those of the library.", "evalkit",
-           "conversion inside the library itself", _conversion_percent, 1),
+           "conversion inside the library itself", _score_conversion, 1),
     Metric("real_time_factor", "real-time factor", "x", "higher", "runtime",
            "Period of the sensor (median time between its scans, including those omitted by a thinned sequence) "
            "divided by the mean CPU time per scan (on another machine: the mean device time): above 1, the back end "
            "processes every scan in real time on one such core.", "evalkit",
-           "single slow scans; depends on the machine", _real_time_factor, 1, headline=True),
+           "single slow scans; depends on the machine", _score_real_time_factor, 1, headline=True),
     Metric("late_percent", "scans too slow", "%", "lower", "runtime",
            "Share of the scans whose processing took longer on the wall clock than the period of the sensor.",
-           "evalkit", "the size of a delay; accumulation of delays", _late_percent, 1),
+           "evalkit", "the size of a delay; accumulation of delays", _score_late, 1),
     Metric("peak_memory_mib", "peak memory", "MiB", "lower", "runtime",
            "Largest resident set of the run's process, including interpreter, libraries, the loaded data set and the "
            "instance used for warm-up.", "evalkit",
-           "the share of the method itself", _memory, 0),
+           "the share of the method itself", _score_memory, 0),
     Metric("harness_median_ms", "harness time per scan", "ms", "lower", "runtime",
            "Median wall time of the harness per scan (reading, checking, storing); not part of any other metric.",
            "evalkit", "the cost of the back end",
-           partial(_milliseconds, "harness_ns", np.median), 3),
+           partial(_score_milliseconds, "harness_ns", np.median), 3),
 )  # fmt: skip
 
 METRICS = with_support(

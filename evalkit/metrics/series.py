@@ -36,20 +36,22 @@ class ScoredRun(Protocol):
         ...
 
 
-def _position_errors(run: ScoredRun) -> Series | None:
+def _make_error_series(run: ScoredRun) -> Series | None:
     """Return the distances to the truth, scan by scan, where the truth is known."""
     if run.scores.errors_m is None or len(run.scores.errors_m) != len(run.result.steps):
         return None
     known = np.isfinite(run.scores.errors_m)
-    return _time_series(run.result.steps["stamp_ns"][known], run.scores.errors_m[known], "rms")
+    return _make_time_series(run.result.steps["stamp_ns"][known], run.scores.errors_m[known], "rms")
 
 
-def _cpu_times(statistic: Statistic) -> Callable[[ScoredRun], Series | None]:
+def _make_cpu_series(statistic: Statistic) -> Callable[[ScoredRun], Series | None]:
     """Return a function for the CPU times in milliseconds, scan by scan, where they were measured."""
 
     def series(run: ScoredRun) -> Series | None:
         steps = run.result.steps
-        return _time_series(steps["stamp_ns"], steps["cpu_ns"] * 1e-6, statistic) if steps["cpu_ns"].any() else None
+        return (
+            _make_time_series(steps["stamp_ns"], steps["cpu_ns"] * 1e-6, statistic) if steps["cpu_ns"].any() else None
+        )
 
     return series
 
@@ -89,17 +91,17 @@ def _relation_errors(part: relations.Part) -> Callable[[ScoredRun], Series | Non
     return series
 
 
-def _time_series(stamps_ns: Ints, values: Floats, statistic: Statistic) -> Series | None:
+def _make_time_series(stamps_ns: Ints, values: Floats, statistic: Statistic) -> Series | None:
     if len(stamps_ns) < MIN_VALUES:
         return None
     return Series(stamps_ns, values, statistic, float(np.median(np.diff(stamps_ns))) * 1e-9)
 
 
 SERIES: Mapping[str, Callable[[ScoredRun], Series | None]] = {
-    "ate_rmse_m": _position_errors,
+    "ate_rmse_m": _make_error_series,
     "drift_percent": _segment_errors,
     **{f"relations_{part}_mean_m": _relation_errors(part) for part in ("all", "short", "long")},
-    "cpu_median_ms": _cpu_times("median"),
-    "real_time_factor": _cpu_times("inverse"),
+    "cpu_median_ms": _make_cpu_series("median"),
+    "real_time_factor": _make_cpu_series("inverse"),
 }
 """The series of a record by the name of the metric; None where the record does not have it."""

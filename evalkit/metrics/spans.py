@@ -36,7 +36,7 @@ class SpanLengths:
 
 def measure_spans(spans: tuple[Span, ...], world_from_base: Trajectory, points: Floats) -> SpanLengths:
     """Return the spans that the estimate covers; ``points`` (N, 2): the mapped hits, for spans that end at a wall."""
-    lengths = [(_length(span, world_from_base, points), span.metres, span.sigma_m) for span in spans]
+    lengths = [(_measure_length(span, world_from_base, points), span.metres, span.sigma_m) for span in spans]
     rows = np.array([row for row in lengths if row[0] is not None], dtype=np.float64).reshape(-1, 3)
     return SpanLengths(rows[:, 0], rows[:, 1], rows[:, 2])
 
@@ -48,20 +48,20 @@ def fit_stretch(lengths: SpanLengths) -> float:
     return float(scale - 1.0)
 
 
-def _length(span: Span, world_from_base: Trajectory, points: Floats) -> float | None:
-    ends = [_point(place, world_from_base) for place in (span.first, span.second)]
+def _measure_length(span: Span, world_from_base: Trajectory, points: Floats) -> float | None:
+    ends = [_locate_point(place, world_from_base) for place in (span.first, span.second)]
     if ends[0] is None or ends[1] is None:
         return None
     along = ends[1] - ends[0]
     length = float(np.linalg.norm(along))
     if length == 0.0:  # both ends coincide in the estimate
         return 0.0
-    before = _to_wall(span.first, ends[0], along / length, points)
-    beyond = _to_wall(span.second, ends[1], along / length, points)
+    before = _measure_to_wall(span.first, ends[0], along / length, points)
+    beyond = _measure_to_wall(span.second, ends[1], along / length, points)
     return None if before is None or beyond is None else length + beyond - before
 
 
-def _point(place: SpanEnd, world_from_base: Trajectory) -> Floats | None:
+def _locate_point(place: SpanEnd, world_from_base: Trajectory) -> Floats | None:
     if place.stamp_ns is None:
         return np.array([place.x, place.y])
     if not can_interpolate(world_from_base.stamps_ns, [place.stamp_ns], MAX_GAP_S)[0]:
@@ -69,7 +69,7 @@ def _point(place: SpanEnd, world_from_base: Trajectory) -> Floats | None:
     return np.asarray(se2.transform(world_from_base.at([place.stamp_ns])[0], [[place.x, place.y]])[0])
 
 
-def _to_wall(place: SpanEnd, end: Floats, direction: Floats, points: Floats) -> float | None:
+def _measure_to_wall(place: SpanEnd, end: Floats, direction: Floats, points: Floats) -> float | None:
     """Return the distance from an end along the tape to the wall (m): 0 at the robot, None without a wall."""
     if place.stamp_ns is not None:
         return 0.0
@@ -80,7 +80,7 @@ def _to_wall(place: SpanEnd, end: Floats, direction: Floats, points: Floats) -> 
     return float(np.median(near)) if len(near) >= MIN_HITS else None
 
 
-def _with_spans(measure: Callable[[SpanLengths], float]) -> Callable[[Evidence], Score]:
+def _make_score_function(measure: Callable[[SpanLengths], float]) -> Callable[[Evidence], Score]:
     def compute(evidence: Evidence) -> Score:
         spans = evidence.truth.spans
         if not spans:
@@ -93,11 +93,11 @@ def _with_spans(measure: Callable[[SpanLengths], float]) -> Callable[[Evidence],
     return compute
 
 
-def _worst_sigmas(lengths: SpanLengths) -> float:
+def _find_worst_sigmas(lengths: SpanLengths) -> float:
     return float(np.max(np.abs(lengths.estimated_m - lengths.measured_m) / lengths.sigma_m))
 
 
-def _covered_percent(evidence: Evidence) -> Score:
+def _score_covered(evidence: Evidence) -> Score:
     spans = evidence.truth.spans
     if not spans:
         return Score(None, 0, _NO_TAPE)
@@ -121,20 +121,20 @@ _ROWS = (
     Metric("span_rmse_m", "distances by tape, RMSE", "m", "lower", "relations",
            f"Root mean square difference between distances in the estimate and by tape. {ENDS}.", TAPE,
            "errors away from the ends of the tapes",
-           _with_spans(lambda lengths: rms(lengths.estimated_m - lengths.measured_m))),
+           _make_score_function(lambda lengths: rms(lengths.estimated_m - lengths.measured_m))),
     Metric("span_stretch_percent", "stretch by tape", "%", "", "relations",
            "Excess length of the estimate over the tape in percent: the least-squares scale of all distances, "
            f"weighted by their standard deviations; 0 is exact. {ENDS}.", TAPE,
            "errors that stretch one distance and shorten another",
-           _with_spans(lambda lengths: 100.0 * fit_stretch(lengths)), 2),
+           _make_score_function(lambda lengths: 100.0 * fit_stretch(lengths)), 2),
     Metric("span_worst_sigmas", "distances by tape, worst", "sigma", "lower", "relations",
            "Largest difference between a distance in the estimate and by tape, in standard deviations of the tape. "
            f"{ENDS}.",
            TAPE, "all distances but the worst",
-           _with_spans(_worst_sigmas), 1),
+           _make_score_function(_find_worst_sigmas), 1),
     Metric("span_answered_percent", "distances by tape covered", "%", "higher", "relations",
            "Share of the measured distances both of whose ends the estimate covers.", "evalkit",
-           "errors of the distances", _covered_percent, 1),
+           "errors of the distances", _score_covered, 1),
 )  # fmt: skip
 
 METRICS = with_support(

@@ -126,13 +126,13 @@ def find_second_copies(hits: Floats, sensors: Floats, pieces: WallPieces) -> Flo
     copies of a wall do, one represents the stretch. Only hits observed from the piece's own side count, so that the
     opposite face of a wall is not a copy.
     """
-    stretches = pieces.at(_apart(pieces))
+    stretches = pieces.at(_choose_spaced(pieces))
     if len(stretches) == 0:
         return np.zeros(0)
-    return np.array([_second_mode(density) for density in _profiles(hits, sensors, stretches)])
+    return np.array([_find_second_mode(density) for density in _compute_profiles(hits, sensors, stretches)])
 
 
-def _apart(pieces: WallPieces) -> Ints:
+def _choose_spaced(pieces: WallPieces) -> Ints:
     """Return the indices of pieces of which no two lie within 0.25 m along and 0.5 m across,
     in nearly equal direction."""
     if len(pieces) == 0:
@@ -151,7 +151,7 @@ def _apart(pieces: WallPieces) -> Ints:
     return np.array(kept, dtype=np.int64)
 
 
-def _profiles(hits: Floats, sensors: Floats, stretches: WallPieces) -> Floats:
+def _compute_profiles(hits: Floats, sensors: Floats, stretches: WallPieces) -> Floats:
     """Return for each stretch (K, B) the smoothed histogram of hits across it, towards its sensor, in bins of 1 cm."""
     from scipy import ndimage
 
@@ -170,7 +170,7 @@ def _profiles(hits: Floats, sensors: Floats, stretches: WallPieces) -> Floats:
     return np.asarray(ndimage.gaussian_filter1d(counts, SMOOTH_M / BIN_M, axis=1, mode="constant"))
 
 
-def _second_mode(density: Floats) -> float:
+def _find_second_mode(density: Floats) -> float:
     """Return the distance from the highest peak of a density (B,) to the highest other peak that is a separate mode
     (m).
     """
@@ -196,7 +196,7 @@ def find_all_wall_pieces(evidence: Evidence) -> WallPieces:
 
 
 @cached
-def _copies(evidence: Evidence) -> Floats:
+def _find_copies(evidence: Evidence) -> Floats:
     points = collect_all_hits(evidence)
     sensors = np.repeat(
         np.array([world_from_sensor[:2] for _, world_from_sensor in evidence.mapped]),
@@ -208,7 +208,7 @@ def _copies(evidence: Evidence) -> Floats:
     )
 
 
-def _mean_variance(evidence: Evidence) -> Score:
+def _score_mean_variance(evidence: Evidence) -> Score:
     points = collect_all_hits(evidence)
     if len(points) == 0:
         return Score(None, 0, NO_HIT)
@@ -218,7 +218,7 @@ def _mean_variance(evidence: Evidence) -> Score:
     return make_score(CM2 * value, places)
 
 
-def _orthogonal(evidence: Evidence) -> Score:
+def _score_orthogonal(evidence: Evidence) -> Score:
     points = collect_all_hits(evidence)
     if len(points) == 0:
         return Score(None, 0, NO_HIT)
@@ -228,20 +228,20 @@ def _orthogonal(evidence: Evidence) -> Score:
     return make_score(CM2 * value, places)
 
 
-def _ghost_percent(evidence: Evidence) -> Score:
+def _score_ghost_percent(evidence: Evidence) -> Score:
     if len(collect_all_hits(evidence)) == 0:
         return Score(None, 0, NO_HIT)
-    copies = _copies(evidence)
+    copies = _find_copies(evidence)
     if len(copies) < MIN_STRETCHES:
         return Score(None, len(copies), f"single scans contain only {len(copies)} stretches of wall")
     return make_score(100.0 * float(np.isfinite(copies).mean()), len(copies))
 
 
-def _ghost_distance(evidence: Evidence) -> Score:
-    share = _ghost_percent(evidence)
+def _score_ghost_distance(evidence: Evidence) -> Score:
+    share = _score_ghost_percent(evidence)
     if share.value is None:
         return share
-    copies = _copies(evidence)
+    copies = _find_copies(evidence)
     copies = copies[np.isfinite(copies)]
     return make_score(np.median(copies), len(copies)) if len(copies) else Score(None, 0, _NO_COPY)
 
@@ -261,19 +261,19 @@ _ROWS = (
     Metric("mpv_cm2", "mean plane variance", "cm2", "lower", "map consistency",
            f"{SCATTER} of a hit with at least {MIN_HITS} of them, over all mapped scans; at most 1,000 places, "
            "including corners and furniture.", "Razlaw et al., ECMR 2015 (mean plane variance), in the plane",
-           f"errors along a wall; clutter sets its least value; {WARP}", _mean_variance, 1),
+           f"errors along a wall; clutter sets its least value; {WARP}", _score_mean_variance, 1),
     Metric("mom_cm2", "orthogonal walls' variance", "cm2", "lower", "map consistency",
            f"{SCATTER} of a piece of wall, which lies along a line in a single scan; over the walls within 10 deg of "
            "one direction, plus that of the walls orthogonal to them (the two most frequent directions).",
-           KORNILOVA, f"walls in other directions; slips at places visited once; {WARP}", _orthogonal, 1,
+           KORNILOVA, f"walls in other directions; slips at places visited once; {WARP}", _score_orthogonal, 1,
            headline=True),
     Metric("ghost_wall_percent", "ghost walls", "%", "lower", "map consistency",
            f"Share of the stretches of wall with a second copy. {COPY}.", "evalkit",
            "copies outside this range, so that a large slip can count less than a small one; blur without copies; "
-           f"clutter in front of a wall counts as a copy; {WARP}", _ghost_percent, 1),
+           f"clutter in front of a wall counts as a copy; {WARP}", _score_ghost_percent, 1),
     Metric("ghost_wall_m", "distance of ghost walls", "m", "", "map consistency",
            f"Median distance between a wall and its second copy. {COPY}.", "evalkit",
-           "the number of copies; which copy is correct", _ghost_distance, 2),
+           "the number of copies; which copy is correct", _score_ghost_distance, 2),
 )  # fmt: skip
 
 _GHOSTS = (NO_HIT, "single scans contain only ... stretches of wall")

@@ -50,7 +50,7 @@ def match_trajectories(
         return Unmatched(NO_TRUE_TRAJECTORY)
     if len(estimate) == 0 or len(truth) == 0:
         return Unmatched(NO_POSES if len(truth) else _EMPTY)
-    inside_estimate, inside_truth = _within(estimate, truth), _within(truth, estimate)
+    inside_estimate, inside_truth = _mark_within(estimate, truth), _mark_within(truth, estimate)
     denser, stamps = estimate, truth.stamps_ns[inside_truth]
     if inside_estimate.sum() < inside_truth.sum():
         denser, stamps = truth, estimate.stamps_ns[inside_estimate]
@@ -61,7 +61,7 @@ def match_trajectories(
     if not np.isin(stamps, denser.stamps_ns).all():
         names = ("estimate", "ground truth") if denser is estimate else ("ground truth", "estimate")
         rule = f"{names[0]} interpolated at {len(stamps)} stamps of the {names[1]}, gaps up to {max_gap_s:g} s"
-    return _aligned(stamps, estimate.at(stamps), truth.at(stamps), alignment, rule)
+    return _align(stamps, estimate.at(stamps), truth.at(stamps), alignment, rule)
 
 
 def can_interpolate(stamps_ns: Stamps, at_ns: ArrayLike, max_gap_s: float) -> Bools:
@@ -94,13 +94,13 @@ def compute_errors_m(estimate: Trajectory, truth: Trajectory, max_gap_s: float =
     """
     known = can_interpolate(truth.stamps_ns, estimate.stamps_ns, max_gap_s)
     errors = np.full(len(estimate), np.nan)
-    errors[known] = _distances(estimate.poses[known], truth.at(estimate.stamps_ns[known]))
+    errors[known] = _compute_distances(estimate.poses[known], truth.at(estimate.stamps_ns[known]))
     return errors
 
 
 def position_errors(matched: MatchedPoses) -> Floats:
     """Return the distances (N,) between estimated and true positions in metres."""
-    return _distances(matched.estimate, matched.truth)
+    return _compute_distances(matched.estimate, matched.truth)
 
 
 def heading_errors(matched: MatchedPoses) -> Floats:
@@ -110,7 +110,7 @@ def heading_errors(matched: MatchedPoses) -> Floats:
 
 def covered_share(estimate: Trajectory, truth: Trajectory, max_gap_s: float = MAX_GAP_S) -> float:
     """Return the share of the ground truth's time span between estimated poses at most ``max_gap_s`` apart."""
-    stamps = estimate.stamps_ns[_within(estimate, truth)]
+    stamps = estimate.stamps_ns[_mark_within(estimate, truth)]
     gaps = np.diff(stamps) * 1e-9
     return float(gaps[gaps <= max_gap_s].sum() / truth.duration_s)
 
@@ -131,14 +131,14 @@ def with_matched_poses(measure: Callable[[MatchedPoses], Score]) -> Callable[[Ev
     return compute
 
 
-def _within(trajectory: Trajectory, span: Trajectory) -> Bools:
+def _mark_within(trajectory: Trajectory, span: Trajectory) -> Bools:
     stamps = trajectory.stamps_ns
     if len(span) == 0:
         return np.zeros(len(stamps), dtype=np.bool_)
     return np.asarray((stamps >= span.stamps_ns[0]) & (stamps <= span.stamps_ns[-1]))
 
 
-def _aligned(stamps: Stamps, estimate: Floats, truth: Floats, alignment: Alignment, rule: str) -> MatchedPoses:
+def _align(stamps: Stamps, estimate: Floats, truth: Floats, alignment: Alignment, rule: str) -> MatchedPoses:
     spread = rms(np.linalg.norm(truth[:, :2] - truth[:, :2].mean(axis=0), axis=1))
     how: str = alignment
     if alignment == "none":
@@ -151,18 +151,18 @@ def _aligned(stamps: Stamps, estimate: Floats, truth: Floats, alignment: Alignme
     return MatchedPoses(stamps, se2.compose(row, estimate), truth, how, rule, Pose.of(row))
 
 
-def _distances(one: Floats, other: Floats) -> Floats:
+def _compute_distances(one: Floats, other: Floats) -> Floats:
     return np.asarray(np.linalg.norm(one[:, :2] - other[:, :2], axis=1))
 
 
-def _answered_percent(evidence: Evidence) -> Score:
+def _score_answered(evidence: Evidence) -> Score:
     expected = evidence.run.expected
     if expected == 0:
         return Score(None, 0, _UNKNOWN_LENGTH)
     return make_score(100.0 * len(evidence.run.steps) / expected, expected)
 
 
-def _covered(evidence: Evidence) -> Score:
+def _score_covered(evidence: Evidence) -> Score:
     truth = evidence.truth.trajectory
     if truth is None or truth.duration_s == 0.0:
         return Score(None, 0, NO_TRUE_TRAJECTORY if truth is None else _NO_DURATION)
@@ -193,10 +193,10 @@ _ROWS = (
            with_matched_poses(lambda m: make_score(np.degrees(rms(heading_errors(m))), len(m.stamps_ns))), 2),
     Metric("answered_percent", "scans answered", "%", "higher", "drift",
            "Share of the scans of the sequence for which the run returned a pose.", "evalkit",
-           "errors of the poses", _answered_percent, 1),
+           "errors of the poses", _score_answered, 1),
     Metric("covered_percent", "true time covered", "%", "higher", "drift",
            f"Share of the ground truth's time span between estimated poses at most {MAX_GAP_S:g} s apart.", "evalkit",
-           "errors of the poses", _covered, 1),
+           "errors of the poses", _score_covered, 1),
 )  # fmt: skip
 
 UNMATCHED = (

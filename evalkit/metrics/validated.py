@@ -56,7 +56,10 @@ def load_validation() -> MetricValidation:
     content: Mapping[str, Any] = json.loads(files("evalkit.metrics").joinpath(FILE).read_text(encoding="utf-8"))
     agreement = tuple(
         RankAgreement(
-            row["metric"], _interval(row["overall"]), _intervals(row["by_perturbation"]), _intervals(row["by_world"])
+            row["metric"],
+            _read_interval(row["overall"]),
+            _read_intervals(row["by_perturbation"]),
+            _read_intervals(row["by_world"]),
         )
         for row in content["agreement"]
     )
@@ -66,9 +69,9 @@ def load_validation() -> MetricValidation:
     )  # fmt: skip
 
 
-def _intervals(content: Mapping[str, Any]) -> dict[str, Interval | None]:
-    return {name: _interval(one) for name, one in content.items()}
+def _read_intervals(content: Mapping[str, Any]) -> dict[str, Interval | None]:
+    return {name: _read_interval(one) for name, one in content.items()}
 
 
-def _interval(content: Mapping[str, Any] | None) -> Interval | None:
+def _read_interval(content: Mapping[str, Any] | None) -> Interval | None:
     return None if content is None else Interval(**content)

@@ -40,7 +40,7 @@ def signed_rank_tests(pairs: Mapping[str, tuple[ArrayLike, ArrayLike]]) -> dict[
 
     An infinite value is a failure: larger than any number, and equal to another failure.
     """
-    single = {name: _signed_rank(_differences(a, b)) for name, (a, b) in pairs.items()}
+    single = {name: _test_signed_ranks(_compute_differences(a, b)) for name, (a, b) in pairs.items()}
     adjusted = adjust_by_holm([p for _, p in single.values()])
     return {name: SignedRankTest(n, p, by) for (name, (n, p)), by in zip(single.items(), adjusted, strict=True)}
 
@@ -88,13 +88,13 @@ def detectable_standard_errors(freedom: float, power: float = 0.8, alpha: float 
     return float(optimize.brentq(missing_power, 0.0, 2.0 * (critical + 4.0)))
 
 
-def _differences(a: ArrayLike, b: ArrayLike) -> Floats:
+def _compute_differences(a: ArrayLike, b: ArrayLike) -> Floats:
     first, second = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     same = first == second
     return np.asarray(np.subtract(first, second, out=np.zeros_like(first), where=~same))
 
 
-def _signed_rank(differences: Floats) -> tuple[int, float]:
+def _test_signed_ranks(differences: Floats) -> tuple[int, float]:
     from scipy import stats
 
     nonzero = differences[differences != 0.0]

@@ -6,18 +6,18 @@ from functools import lru_cache
 from pathlib import Path
 from typing import cast
 
-from evalkit.commands.study.config import read
-from evalkit.commands.study.curves import curve_blocks, envelope_blocks
-from evalkit.commands.study.effect_tables import effect_blocks
+from evalkit.commands.study.config import load_study
+from evalkit.commands.study.curves import build_curve_blocks, build_envelope_blocks
+from evalkit.commands.study.effect_tables import build_effect_blocks
 from evalkit.commands.study.envelope import compute_panels, describe_panels
 from evalkit.commands.study.evaluate import RunScores
 from evalkit.commands.study.formatting import (
     describe_interactions,
     describe_limit,
     describe_main_effects,
-    fitted_designs,
+    fit_designs,
 )
-from evalkit.commands.study.page import cpu_minutes, design_blocks, point_blocks, summary_blocks
+from evalkit.commands.study.page import build_design_blocks, build_point_blocks, build_summary, sum_cpu_minutes
 from evalkit.commands.study.plan import Study
 from evalkit.commands.study.result import StudyResult
 from evalkit.execution.task import AnyTask, make_task
@@ -53,15 +53,15 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
     first: tuple[Block, ...] = (
         Text(study.description),
         Text(describe_cost(outcome) + " " + describe_agreement(settings, results)),
-        *summary_blocks(outcome),
-        Fold("Designs, and why these", design_blocks(outcome)),
-        Fold("Points, each with the command that computes it again", point_blocks(outcome)),
+        *build_summary(outcome),
+        Fold("Designs, and why these", build_design_blocks(outcome)),
+        Fold("Points, each with the command that computes it again", build_point_blocks(outcome)),
     )
     made = (
         Section("The study", first, STUDY),
-        Section("Study: effects", effect_blocks(outcome), "study-effects"),
-        Section("Study: one factor at a time", curve_blocks(outcome), "study-curves"),
-        Section("Study: operating envelope", envelope_blocks(outcome), ENVELOPE),
+        Section("Study: effects", build_effect_blocks(outcome), "study-effects"),
+        Section("Study: one factor at a time", build_curve_blocks(outcome), "study-curves"),
+        Section("Study: operating envelope", build_envelope_blocks(outcome), ENVELOPE),
     )
     return tuple(section for section in made if section.blocks)
 
@@ -74,7 +74,7 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     outcome = _study_result(study, results)
     response = study.responses[0]
     told = [f"{design.name}: {describe_main_effects(response, design, fit)} {describe_interactions(response, fit, 2)}"
-            for design, fit in fitted_designs(outcome, response)]  # fmt: skip
+            for design, fit in fit_designs(outcome, response)]  # fmt: skip
     made = [Finding(
         "Contribution 3: study of grid resolution, ICP parameters and vehicle speed",
         "announced; no table or figure of it is printed",
@@ -112,7 +112,7 @@ def describe_cost(outcome: StudyResult) -> str:
     lost = sum(bool(outcome.lost(key, seed)) for key in study.points for seed in study.seeds(key))
     return (
         f"{len(study.points):,} points in {len(study.designs)} designs, {len(outcome.results):,} runs in "
-        f"{cpu_minutes(outcome):.1f} minutes of CPU; {lost:,} runs failed and count as failed in every number."
+        f"{sum_cpu_minutes(outcome):.1f} minutes of CPU; {lost:,} runs failed and count as failed in every number."
     )
 
 
@@ -155,7 +155,7 @@ def _study_result(study: Study, results: Results) -> StudyResult:
 
 @lru_cache(maxsize=4)
 def _read_cached(file: Path, _changed_ns: int) -> Study:
-    return read(file, f"evalkit study {file}")
+    return load_study(file, f"evalkit study {file}")
 
 
 CHAPTER = Chapter("study", PARAMETERS, tasks, sections, findings)

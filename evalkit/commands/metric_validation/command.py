@@ -57,7 +57,7 @@ def validate(
     )  # fmt: skip
     folder = folder or Path("reports") / "build" / "metrics"
     results = _run_tasks(validation.make_tasks(plan), folder, jobs)
-    content, maps = validation.summarize(plan, results, _provenance()), validation.collect_maps(plan, results)
+    content, maps = validation.summarize(plan, results, _describe_provenance()), validation.collect_maps(plan, results)
     texts = {
         "validated.json": format_json(content) + "\n",
         "maps.csv": validation.format_csv(maps),
@@ -120,7 +120,7 @@ def _run_tasks(tasks: list[AnyTask], folder: Path, jobs: int | None) -> dict[str
         return run_tasks(TaskStore(folder / "results"), tasks, at_once, done)
 
 
-def _provenance() -> dict[str, Any]:
+def _describe_provenance() -> dict[str, Any]:
     return {
         "command": shlex.join(["python", "-m", "evalkit.commands.metric_validation", *sys.argv[1:]]),
         "created": datetime.now(UTC).strftime("%Y-%m-%d"),

@@ -36,11 +36,16 @@ def build_document(content: Mapping[str, Any], maps: Sequence[MapScores]) -> Doc
         "trajectories are perturbed in known ways, their maps are rebuilt, and each metric is correlated with the true "
         "error."
     )
-    sections = (_agreement(content), _scatter(content, maps), _faults(content), _method(content))
+    sections = (
+        _build_agreement(content),
+        _build_scatter(content, maps),
+        _build_faults(content),
+        _build_method(content),
+    )
     return Document("Validation of the metrics", "Rank agreement and fault detection", lead, sections, facts)
 
 
-def _agreement(content: Mapping[str, Any]) -> Section:
+def _build_agreement(content: Mapping[str, Any]) -> Section:
     perturbations = list(content["perturbations"])
     columns = [
         Column("Metric"), Column("All perturbations", "Spearman", number=True), Column("95 %", number=True),
@@ -48,12 +53,12 @@ def _agreement(content: Mapping[str, Any]) -> Section:
         *(Column(world, "all perturbations", number=True) for world in content["worlds"]),
         Column("Pilot", number=True, tip="an earlier measurement with other code: one office, 64 trajectories"),
     ]  # fmt: skip
-    rows = [_agreement_row(row, perturbations) for row in content["agreement"]]
+    rows = [_make_agreement_row(row, perturbations) for row in content["agreement"]]
     known = [row for row in content["agreement"] if row["overall"] is not None]
     chart = charts.bars(
-        [BY_NAME[row["metric"]].label for row in known], _overall(known, "value"),
+        [BY_NAME[row["metric"]].label for row in known], _collect_overall(known, "value"),
         Axis("Spearman correlation with the true error", low=-1.0, high=1.0),
-        _overall(known, "low"), _overall(known, "high"),
+        _collect_overall(known, "low"), _collect_overall(known, "high"),
     )  # fmt: skip
     note = (
         "1: the metric orders maps exactly as their aligned trajectory error; 0: no relation; below 0: reverse order. "
@@ -67,20 +72,20 @@ def _agreement(content: Mapping[str, Any]) -> Section:
     )
 
 
-def _agreement_row(row: Mapping[str, Any], perturbations: Sequence[str]) -> list[Cell | str]:
+def _make_agreement_row(row: Mapping[str, Any], perturbations: Sequence[str]) -> list[Cell | str]:
     overall, pilot = row["overall"], PILOT.get(row["metric"])
     bounds = "-" if overall is None else f"{overall['low']:.2f} to {overall['high']:.2f}"
     return [
         Cell(BY_NAME[row["metric"]].label, tip=row["metric"]),
-        _correlation(overall),
+        _make_correlation_cell(overall),
         Cell(bounds, sort=-2.0 if overall is None else overall["low"]),
-        *(_correlation(row["by_perturbation"][name]) for name in perturbations),
-        *(_correlation(one) for one in row["by_world"].values()),
+        *(_make_correlation_cell(row["by_perturbation"][name]) for name in perturbations),
+        *(_make_correlation_cell(one) for one in row["by_world"].values()),
         Cell("-", sort=-2.0) if pilot is None else Cell(f"{pilot:.2f}", sort=pilot),
     ]
 
 
-def _correlation(interval: Mapping[str, float] | None) -> Cell:
+def _make_correlation_cell(interval: Mapping[str, float] | None) -> Cell:
     if interval is None:
         return Cell("-", sort=-2.0, tip="undefined: constant values")
     value = interval["value"]
@@ -88,20 +93,20 @@ def _correlation(interval: Mapping[str, float] | None) -> Cell:
     return Cell(f"{value:.2f}", sort=value, tone="good" if value >= GOOD else "bad" if value < BAD else "", tip=tip)
 
 
-def _overall(rows: Sequence[Mapping[str, Any]], name: str) -> Any:
+def _collect_overall(rows: Sequence[Mapping[str, Any]], name: str) -> Any:
     return np.array([row["overall"][name] for row in rows])
 
 
-def _scatter(content: Mapping[str, Any], maps: Sequence[MapScores]) -> Section:
+def _build_scatter(content: Mapping[str, Any], maps: Sequence[MapScores]) -> Section:
     world = content["worlds"][0]
     own = [row for row in maps if row.world == world]
     known = [BY_NAME[row["metric"]] for row in content["agreement"] if row["overall"] is not None]
-    figures = [_scatter_figure(own, list(content["perturbations"]), metric) for metric in known]
+    figures = [_draw_scatter(own, list(content["perturbations"]), metric) for metric in known]
     text = f"Every map of the world '{world}': true error against the metric, one colour per perturbation."
     return Section("Map by map", (Text(text), Figures(figures, small=True)), "maps")
 
 
-def _scatter_figure(maps: Sequence[MapScores], perturbations: Sequence[str], metric: Metric) -> Figure:
+def _draw_scatter(maps: Sequence[MapScores], perturbations: Sequence[str], metric: Metric) -> Figure:
     layers = []
     for hue, name in zip(HUES, perturbations, strict=False):
         points = [
@@ -115,7 +120,7 @@ def _scatter_figure(maps: Sequence[MapScores], perturbations: Sequence[str], met
     return Figure(drawing, metric.label)
 
 
-def _faults(content: Mapping[str, Any]) -> Section:
+def _build_faults(content: Mapping[str, Any]) -> Section:
     rows = [
         [
             row["fault"], row["what"],
@@ -147,7 +152,7 @@ def format_factor(factor: float) -> str:
     return f"{factor:.0f}" if factor >= 100.0 else f"{factor:.3g}"
 
 
-def _method(content: Mapping[str, Any]) -> Section:
+def _build_method(content: Mapping[str, Any]) -> Section:
     perturbations = [
         (name, one["what"], ", ".join(f"{size:g}" for size in one["sizes"]), one["unit"])
         for name, one in content["perturbations"].items()

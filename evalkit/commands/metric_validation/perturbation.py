@@ -31,17 +31,17 @@ class Perturbation:
 
 def drift(poses: Floats, size: float, rng: np.random.Generator) -> Floats:
     """Return poses (N, 3) with a random walk of the heading: ``size`` degrees over a metre, twice that over four."""
-    steps = _steps(poses)
+    steps = _compute_steps(poses)
     lengths = np.hypot(steps[:, 0], steps[:, 1])
     steps[:, 2] += np.radians(size) * np.sqrt(lengths) * rng.standard_normal(len(steps))
-    return _chain(poses[0], steps)
+    return _compose_steps(poses[0], steps)
 
 
 def yaw_bias(poses: Floats, size: float, _rng: np.random.Generator) -> Floats:
     """Return poses (N, 3) that turn an additional ``size`` degrees to the left on every metre."""
-    steps = _steps(poses)
+    steps = _compute_steps(poses)
     steps[:, 2] += np.radians(size) * np.hypot(steps[:, 0], steps[:, 1])
-    return _chain(poses[0], steps)
+    return _compose_steps(poses[0], steps)
 
 
 def jitter(poses: Floats, size: float, rng: np.random.Generator) -> Floats:
@@ -51,19 +51,19 @@ def jitter(poses: Floats, size: float, rng: np.random.Generator) -> Floats:
 
 def scale(poses: Floats, size: float, _rng: np.random.Generator) -> Floats:
     """Return poses (N, 3) with every step ``size`` percent too long."""
-    steps = _steps(poses)
+    steps = _compute_steps(poses)
     steps[:, :2] *= 1.0 + 0.01 * size
-    return _chain(poses[0], steps)
+    return _compose_steps(poses[0], steps)
 
 
 def jump(poses: Floats, size: float, _rng: np.random.Generator) -> Floats:
     """Return poses (N, 3) displaced ``size`` metres to the left from half the path on."""
-    return _displace(poses, size, _progress(poses) >= JUMP_AT)
+    return _displace(poses, size, _compute_progress(poses) >= JUMP_AT)
 
 
 def ghost(poses: Floats, size: float, _rng: np.random.Generator) -> Floats:
     """Return poses (N, 3) displaced ``size`` metres to the left from 40 to 70 % of the path: a ghost room."""
-    progress = _progress(poses)
+    progress = _compute_progress(poses)
     return _displace(poses, size, (progress >= GHOST[0]) & (progress < GHOST[1]))
 
 
@@ -81,18 +81,18 @@ PERTURBATIONS: dict[str, Perturbation] = {
 }
 
 
-def _steps(poses: Floats) -> Floats:
+def _compute_steps(poses: Floats) -> Floats:
     return se2.between(poses[:-1], poses[1:])
 
 
-def _chain(first: Floats, steps: Floats) -> Floats:
+def _compose_steps(first: Floats, steps: Floats) -> Floats:
     rows = [first]
     for step in steps:
         rows.append(se2.compose(rows[-1], step))
     return np.array(rows)
 
 
-def _progress(poses: Floats) -> Floats:
+def _compute_progress(poses: Floats) -> Floats:
     """Return the share (N,) of the path travelled."""
     lengths = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1)
     gone = np.concatenate([[0.0], np.cumsum(lengths)]) / max(lengths.sum(), 1e-12)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from evalkit.commands.study.effects import FactorEffect, Interaction, ModelFit
-from evalkit.commands.study.envelope import Panel, envelope_axes
+from evalkit.commands.study.envelope import Panel, find_envelope_axes
 from evalkit.commands.study.factors import Factor
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Response
 from evalkit.commands.study.result import StudyResult, to_scale
@@ -20,12 +20,12 @@ from evalkit.stats.intervals import Interval
 GREY = "#aab2bd"
 
 
-def response_axis(response: Response, *values: Floats) -> Axis:
+def make_response_axis(response: Response, *values: Floats) -> Axis:
     """A vertical axis for a response, with ticks around the values to show."""
-    return Axis(response_label(response), response.scale, ticks=response_ticks(response, *values))
+    return Axis(format_response(response), response.scale, ticks=compute_response_ticks(response, *values))
 
 
-def response_ticks(response: Response, *values: Floats) -> tuple[float, ...]:
+def compute_response_ticks(response: Response, *values: Floats) -> tuple[float, ...]:
     """Ticks at 1, 2 and 5 times the powers of ten around values on a log scale; none on a linear one."""
     known = np.concatenate([np.ravel(part) for part in values])
     known = known[np.isfinite(known) & (known > 0.0)]
@@ -37,19 +37,19 @@ def response_ticks(response: Response, *values: Floats) -> tuple[float, ...]:
     return tuple(mark for mark in marks if known.min() / 2.0 <= mark <= known.max() * 2.0)
 
 
-def response_label(response: Response) -> str:
+def format_response(response: Response) -> str:
     """A response with its unit."""
     unit = f" [{response.metric.unit}]" if response.metric.unit else ""
     return response.metric.label + unit
 
 
-def factor_axis(factor: Factor) -> Axis:
+def make_factor_axis(factor: Factor) -> Axis:
     """A horizontal axis with a tick at every level."""
     unit = f" [{factor.unit}]" if factor.unit else ""
     return Axis(factor.name + unit, factor.scale, ticks=factor.numbers or ())
 
 
-def main_effects_chart(response: Response, design: Design, effects: Sequence[FactorEffect]) -> Figure:
+def draw_main_effects(response: Response, design: Design, effects: Sequence[FactorEffect]) -> Figure:
     """A bar for every factor: the worst level against the best, with its interval, the largest on top."""
     ordered = sorted(effects, key=lambda effect: -effect.largest.value.value)
     by_name = {factor.name: factor for factor in design.factors}
@@ -62,7 +62,7 @@ def main_effects_chart(response: Response, design: Design, effects: Sequence[Fac
     colours = [HUES[0] if effect.largest.value.excludes(0.0) else GREY for effect in ordered]
     unit = "times" if response.scale == "log" else response.metric.unit
     label = f"{response.metric.label}: largest against smallest [{unit}]".replace(" []", "")
-    axis = Axis(label, response.scale, ticks=response_ticks(response, low, high))
+    axis = Axis(label, response.scale, ticks=compute_response_ticks(response, low, high))
     title = f"{design.name}: effects on {response.metric.label}"
     caption = (
         "From the level with the smallest value to the level with the largest, averaged over all other factors. Line: "
@@ -71,7 +71,7 @@ def main_effects_chart(response: Response, design: Design, effects: Sequence[Fac
     return Figure(bars(labels, values, axis, low, high, neutral, colours), title, caption)
 
 
-def profile_chart(response: Response, factor: Factor, levels: Sequence[Interval], mean: float) -> Figure:
+def draw_profile(response: Response, factor: Factor, levels: Sequence[Interval], mean: float) -> Figure:
     """The response over the levels of an ordered factor, averaged over all others."""
     x = np.array(factor.numbers)
     y, low, high = (
@@ -80,12 +80,12 @@ def profile_chart(response: Response, factor: Factor, levels: Sequence[Interval]
     )
     curve = Curve(response.metric.label, x, y, low, high, marks=True)
     return Figure(
-        lines([curve], factor_axis(factor), response_axis(response, low, high)),
+        lines([curve], make_factor_axis(factor), make_response_axis(response, low, high)),
         f"{response.metric.label} over {factor.name}",
     )
 
 
-def interaction_chart(response: Response, design: Design, fit: ModelFit, found: Interaction) -> Figure:
+def draw_interaction(response: Response, design: Design, fit: ModelFit, found: Interaction) -> Figure:
     """The response over one factor at two levels of another, averaged over the rest."""
     numbers = {factor.name: number for number, factor in enumerate(design.factors)}
     a, b = numbers[found.a], numbers[found.b]
@@ -102,11 +102,11 @@ def interaction_chart(response: Response, design: Design, fit: ModelFit, found: 
         x = np.array(along.numbers or range(len(along.levels)))
         curves.append(Curve(f"{other.name} {other.levels[level].label}", x, y, low, high, marks=True))
     title = f"{along.name} with {other.name}"
-    vertical = response_axis(response, *(curve.y for curve in curves))
-    return Figure(lines(curves, factor_axis(along), vertical), title, "" if along.numbers else _names(along))
+    vertical = make_response_axis(response, *(curve.y for curve in curves))
+    return Figure(lines(curves, make_factor_axis(along), vertical), title, "" if along.numbers else _list_levels(along))
 
 
-def curve_chart(outcome: StudyResult, response: Response, factor: Factor, designs: Sequence[Design]) -> Figure:
+def draw_curve(outcome: StudyResult, response: Response, factor: Factor, designs: Sequence[Design]) -> Figure:
     """The response over a factor in every design that varies it alone: mean of the seeds and their span."""
     curves = []
     for design in designs:
@@ -115,36 +115,36 @@ def curve_chart(outcome: StudyResult, response: Response, factor: Factor, design
         y, low, high = (from_scale(response, ends) for ends in (rows.mean(axis=1), rows.min(axis=1), rows.max(axis=1)))
         curves.append(Curve(design.name, np.array(factor.numbers), y, low, high, marks=True))
     levels = {} if response.lost is None or response.scale == "linear" else {"lost": response.lost}
-    vertical = response_axis(response, *(curve.y for curve in curves), np.array([*levels.values()]))
-    drawn = lines(curves, factor_axis(factor), vertical, levels=levels)
+    vertical = make_response_axis(response, *(curve.y for curve in curves), np.array([*levels.values()]))
+    drawn = lines(curves, make_factor_axis(factor), vertical, levels=levels)
     return Figure(drawn, f"{response.metric.label} over {factor.name}", "Lines: means of the seeds; bands: their span.")
 
 
-def prediction_chart(response: Response, expected: Floats, measured: Floats) -> Figure:
+def draw_prediction(response: Response, expected: Floats, measured: Floats) -> Figure:
     """Predicted against measured values at points that were not used to compute the effects."""
     ends = [float(min(expected.min(), measured.min())), float(max(expected.max(), measured.max()))]
     layers = [
         Points("the same", np.array([[ends[0]] * 2, [ends[1]] * 2]), GREY, 1.0, joined=True),
         Points("a point", np.stack([expected, measured], axis=1), HUES[0], 5.0),
     ]
-    x = Axis(f"predicted: {response_label(response)}", response.scale)
-    drawn = scatter(layers, x, Axis(f"measured: {response_label(response)}", response.scale), equal=False)
+    x = Axis(f"predicted: {format_response(response)}", response.scale)
+    drawn = scatter(layers, x, Axis(f"measured: {format_response(response)}", response.scale), equal=False)
     return Figure(drawn, f"{response.metric.label} between the levels")
 
 
-def envelope(choice: EnvelopeChoice, design: Design, panel: Panel, limits: tuple[float, float]) -> Figure:
+def draw_envelope(choice: EnvelopeChoice, design: Design, panel: Panel, limits: tuple[float, float]) -> Figure:
     """One map of an envelope: the value of the worst seed in every cell, the limit as a line, lost cells empty."""
-    x, y = envelope_axes(design, choice)
+    x, y = find_envelope_axes(design, choice)
     response = choice.response
     drawn = heat(
         panel.worst,
-        factor_axis(x),
-        factor_axis(y),
+        make_factor_axis(x),
+        make_factor_axis(y),
         x.numbers or (),
         y.numbers or (),
-        Axis(response_label(response), response.scale, *limits),
+        Axis(format_response(response), response.scale, *limits),
         lambda value: f"{value:.3f}" if value < 1.0 else f"{value:.2g}",
-        (choice.limit,) if _crossed(panel.worst, choice.limit) else (),
+        (choice.limit,) if _is_crossed(panel.worst, choice.limit) else (),
     )
     lost = int((panel.lost > 0).sum())
     return Figure(drawn, panel.label, f"{lost} of {panel.worst.size} cells lost" if lost else "")
@@ -160,10 +160,10 @@ def describe_step(factor: Factor, one: int, other: int) -> str:
     return f"{factor.name}: {factor.levels[one].label} → {factor.levels[other].label}"
 
 
-def _crossed(values: Floats, limit: float) -> bool:
+def _is_crossed(values: Floats, limit: float) -> bool:
     known = values[np.isfinite(values)]
     return bool(len(known) and known.min() < limit < known.max())
 
 
-def _names(factor: Factor) -> str:
+def _list_levels(factor: Factor) -> str:
     return "; ".join(f"{number}: {level.label}" for number, level in enumerate(factor.levels))

@@ -34,15 +34,15 @@ def study(
 
     Finished points are kept: repeat the command to continue an interrupted study.
     """
-    from evalkit.commands.study.config import read  # noqa: PLC0415 - as above
+    from evalkit.commands.study.config import load_study  # noqa: PLC0415 - as above
     from evalkit.commands.study.result import StudyResult, run_study_tasks  # noqa: PLC0415 - loads scipy.stats
 
     options.add_working_directory()
-    plan = read(file, f"evalkit study {shlex.quote(str(file))}")
+    plan = load_study(file, f"evalkit study {shlex.quote(str(file))}")
     if plan.missing:
         raise NotInstalled(str(file), "cannot be run here", plan.missing)
     if point:
-        _point(plan, point, as_json)
+        _run_point(plan, point, as_json)
         return
     folder = folder or Path("reports") / "build" / file.stem
     workers = jobs or environment.physical_cores()
@@ -63,7 +63,7 @@ def study(
         out.print(str(page.resolve()), markup=False, highlight=False)
 
 
-def _point(plan: Study, key: str, as_json: bool) -> None:
+def _run_point(plan: Study, key: str, as_json: bool) -> None:
     """Computes one point, prints its scores, and prints the experiment that runs it."""
     from evalkit.config.experiment_toml import format_experiment  # noqa: PLC0415 - loaded only to print a point
 
@@ -92,10 +92,10 @@ def _write(outcome: StudyResult, folder: Path, ran_on: dict[str, str]) -> Path:
     from evalkit.report.html.blocks import render  # noqa: PLC0415 - loads matplotlib
 
     texts = {
-        "points.csv": results_json.format_csv(results_json.run_rows(outcome)),
-        "effects.csv": results_json.format_csv(results_json.effect_rows(outcome)),
+        "points.csv": results_json.format_csv(results_json.make_run_rows(outcome)),
+        "effects.csv": results_json.format_csv(results_json.make_effect_rows(outcome)),
         "study.json": json.dumps(results_json.study_as_json(outcome), indent=1) + "\n",
-        "index.html": render(page.document(outcome, ran_on)),
+        "index.html": render(page.build_document(outcome, ran_on)),
     }
     write_texts(folder, texts)
     return folder / "index.html"

@@ -27,19 +27,19 @@ REQUIRED = {"optimal": "points", "sobol": "points", "latin": "points", "fraction
 """The key that a kind of design requires."""
 
 
-def read(path: Path, command: str) -> Study:
+def load_study(path: Path, command: str) -> Study:
     """The study of a file (TOML). Raises BadExperiment with the file, the key and what was found."""
-    return study(load_toml(path, "a study (*.toml)"), str(path), command)
+    return study_from_tables(load_toml(path, "a study (*.toml)"), str(path), command)
 
 
-def study(content: Mapping[str, Any], file: str, command: str) -> Study:
+def study_from_tables(content: Mapping[str, Any], file: str, command: str) -> Study:
     """The study of a file's tables; ``file`` is named in errors, ``command`` runs the study."""
     table = TomlTable(content, file)
     table.check_keys(TOP)
     base = _BaseSettings(table)
-    factors = [_factor(each, base) for each in table.tables("factor", "a study")]
-    responses = [_response(each) for each in table.tables("response", "a study")]
-    designs = [_design(each, factors, base) for each in table.tables("design", "a study")]
+    factors = [_read_factor(each, base) for each in table.tables("factor", "a study")]
+    responses = [_read_response(each) for each in table.tables("response", "a study")]
+    designs = [_read_design(each, factors, base) for each in table.tables("design", "a study")]
     for kind, names in (("factor", [f.name for f in factors]), ("design", [d.name for d in designs])):
         if doubled := [name for name in names if names.count(name) > 1]:
             raise table.error(f"two {kind}s are named '{doubled[0]}'; give one another name")
@@ -55,7 +55,7 @@ def study(content: Mapping[str, Any], file: str, command: str) -> Study:
         tuple(responses),
         tuple(factors),
         tuple(designs),
-        tuple(_envelope(each, designs, responses) for each in table.tables("envelope")),
+        tuple(_read_envelope(each, designs, responses) for each in table.tables("envelope")),
         base.limit_s,
     )
 
@@ -136,15 +136,15 @@ class _BaseSettings:
         return table.whole_numbers("seeds", [])
 
 
-def _factor(table: TomlTable, base: _BaseSettings) -> Factor:
+def _read_factor(table: TomlTable, base: _BaseSettings) -> Factor:
     """A factor whose levels can all be set."""
-    factor = read_factor(_named(table), base.settings)
+    factor = read_factor(_label_table(table), base.settings)
     for level in factor.levels:
         base.point({factor.name: level}, {}, replace(table, place=f"factor '{factor.name}'"))
     return factor
 
 
-def _response(table: TomlTable) -> Response:
+def _read_response(table: TomlTable) -> Response:
     table.check_keys(("metric", "scale", "lost"))
     metric = table.choice("metric", "metric", {metric.name: metric for metric in all_metrics()})
     scale: Any = table.content.get("scale", "linear")
@@ -157,13 +157,13 @@ def _response(table: TomlTable) -> Response:
     return Response(metric, scale, lost)
 
 
-def _design(table: TomlTable, factors: list[Factor], base: _BaseSettings) -> Design:
-    table = _named(table)
+def _read_design(table: TomlTable, factors: list[Factor], base: _BaseSettings) -> Design:
+    table = _label_table(table)
     table.check_keys(DESIGN)
     kinds: dict[str, Kind] = {kind: kind for kind in get_args(Kind)}
     kind = table.choice("kind", "kind of design", kinds)
-    numbers = {key: _number(table, key, kind) for key in ("points", "resolution")}
-    chosen = _chosen_factors(table, factors)
+    numbers = {key: _read_number(table, key, kind) for key in ("points", "resolution")}
+    chosen = _read_chosen_factors(table, factors)
     if not isinstance(table.content.get("with", {}), Mapping):
         raise table.bad_value("with", "a table of settings")
     with table.errors():
@@ -175,7 +175,7 @@ def _design(table: TomlTable, factors: list[Factor], base: _BaseSettings) -> Des
     return Design(name, kind, chosen, positions, points, base.seeds(table), numbers["resolution"], dealt)
 
 
-def _number(table: TomlTable, key: str, kind: Kind) -> int:
+def _read_number(table: TomlTable, key: str, kind: Kind) -> int:
     """The value of a key that this kind of design requires, 0 if the kind has no such key."""
     if REQUIRED.get(kind) == key:
         return table.whole_number(key, low=1)
@@ -185,7 +185,7 @@ def _number(table: TomlTable, key: str, kind: Kind) -> int:
     return 0
 
 
-def _chosen_factors(table: TomlTable, factors: list[Factor]) -> tuple[Factor, ...]:
+def _read_chosen_factors(table: TomlTable, factors: list[Factor]) -> tuple[Factor, ...]:
     """The factors that a design names; no two of them set the same parameter."""
     by_name = {factor.name: factor for factor in factors}
     names = table.content.get("factors")
@@ -202,7 +202,7 @@ def _chosen_factors(table: TomlTable, factors: list[Factor]) -> tuple[Factor, ..
     return tuple(by_name[name] for name in names)
 
 
-def _envelope(table: TomlTable, designs: list[Design], responses: list[Response]) -> EnvelopeChoice:
+def _read_envelope(table: TomlTable, designs: list[Design], responses: list[Response]) -> EnvelopeChoice:
     table.check_keys(("design", "x", "y", "metric", "limit"))
     grids = {design.name: design for design in designs if design.kind == "grid"}
     grid = table.choice("design", "grid design", grids)
@@ -214,6 +214,6 @@ def _envelope(table: TomlTable, designs: list[Design], responses: list[Response]
     return EnvelopeChoice(grid.name, x, y, response, table.number("limit"))
 
 
-def _named(table: TomlTable) -> TomlTable:
+def _label_table(table: TomlTable) -> TomlTable:
     """The table with its name, or what it sets, in its place."""
     return table.labelled(str(table.content.get("name", table.content.get("sets", ""))))

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from evalkit.commands.study import charts
-from evalkit.commands.study.envelope import Panel, compute_panels, envelope_axes
+from evalkit.commands.study.envelope import Panel, compute_panels, find_envelope_axes
 from evalkit.commands.study.factors import Factor
 from evalkit.commands.study.formatting import describe_limit
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Point, Response
@@ -15,7 +15,7 @@ from evalkit.commands.study.result import StudyResult, to_scale
 from evalkit.report.html.blocks import Block, Cell, Column, Figures, Fold, Table, Text
 
 
-def curve_blocks(outcome: StudyResult) -> tuple[Block, ...]:
+def build_curve_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     """A chart for every factor varied alone and every bounded response, and a table of all values."""
     designs = [design for design in outcome.study.designs if design.kind == "curves"]
     shown = [response for response in outcome.study.responses if response.lost is not None] or outcome.study.responses[
@@ -25,25 +25,30 @@ def curve_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     for factor in outcome.study.factors:
         own = [design for design in designs if factor in design.factors]
         if own and factor.numbers is not None:
-            blocks.append(Figures([charts.curve_chart(outcome, response, factor, own) for response in shown]))
+            blocks.append(Figures([charts.draw_curve(outcome, response, factor, own) for response in shown]))
         elif own:
-            blocks.append(_by_name(outcome, shown[0], factor, own))
+            blocks.append(_build_unordered_table(outcome, shown[0], factor, own))
     rows: list[tuple[Cell | str, ...]] = [
-        (design.name, factor, Cell(level.label, level.number), *_values(outcome, design, point))
+        (design.name, factor, Cell(level.label, level.number), *_make_cells(outcome, design, point))
         for design in designs
         for point in design.points
         for factor, level in point.levels.items()
     ]
-    measured = (_column(response) for response in outcome.study.responses)
+    measured = (_make_column(response) for response in outcome.study.responses)
     columns: tuple[Column | str, ...] = ("Design", "Factor", "Level", *measured, Column("Lost"))
     return (*blocks, Fold("All values", (Table(columns, rows),))) if rows else ()
 
 
-def _by_name(outcome: StudyResult, response: Response, factor: Factor, designs: Sequence[Design]) -> Table:
+def _build_unordered_table(
+    outcome: StudyResult, response: Response, factor: Factor, designs: Sequence[Design]
+) -> Table:
     """The levels of an unordered factor against the designs that vary it."""
     points = {(d.name, p.levels[factor.name].label): p for d in designs for p in d.points if factor.name in p.levels}
     rows: list[tuple[Cell | str, ...]] = [
-        (level.label, *(_value(outcome, design, response, points[design.name, level.label]) for design in designs))
+        (
+            level.label,
+            *(_make_value_cell(outcome, design, response, points[design.name, level.label]) for design in designs),
+        )
         for level in factor.levels
     ]
     heads = (Column(design.name, response.metric.unit, number=True) for design in designs)
@@ -51,12 +56,12 @@ def _by_name(outcome: StudyResult, response: Response, factor: Factor, designs: 
     return Table((factor.name, *heads), rows, caption, sortable=False)
 
 
-def _column(response: Response) -> Column:
+def _make_column(response: Response) -> Column:
     return Column(response.metric.label, response.metric.unit, number=True, tip="mean of the seeds, lowest to highest")
 
 
-def _values(outcome: StudyResult, design: Design, point: Point) -> list[Cell]:
-    cells = [_value(outcome, design, response, point) for response in outcome.study.responses]
+def _make_cells(outcome: StudyResult, design: Design, point: Point) -> list[Cell]:
+    cells = [_make_value_cell(outcome, design, response, point) for response in outcome.study.responses]
     lost = [outcome.lost(point.key, seed) for seed in design.runs(point)]
     count = sum(map(bool, lost))
     return [
@@ -65,7 +70,7 @@ def _values(outcome: StudyResult, design: Design, point: Point) -> list[Cell]:
     ]
 
 
-def _value(outcome: StudyResult, design: Design, response: Response, point: Point) -> Cell:
+def _make_value_cell(outcome: StudyResult, design: Design, response: Response, point: Point) -> Cell:
     values = outcome.row(design, response, point)
     if not np.isfinite(values).any():
         return Cell("no value")
@@ -76,7 +81,7 @@ def _value(outcome: StudyResult, design: Design, response: Response, point: Poin
     return Cell(text, middle, "bad" if lost else "")
 
 
-def envelope_blocks(outcome: StudyResult) -> tuple[Block, ...]:
+def build_envelope_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     """For every envelope, the table of its boxes and its maps."""
     blocks: list[Block] = []
     for choice in outcome.study.envelopes:
@@ -86,38 +91,40 @@ def envelope_blocks(outcome: StudyResult) -> tuple[Block, ...]:
         limits = (float(known.min()), float(known.max())) if len(known) else (0.1, 1.0)
         blocks += [
             Text(f"{describe_limit(choice)} in every drive and with every seed, for all levels up to these:"),
-            envelope_table(choice, design, found),
+            build_envelope_table(choice, design, found),
             Text(
                 "Every cell has the value of its worst seed; the white line is the limit, empty cells are lost.", "note"
             ),
         ]
-        for name in dict.fromkeys(_last(panel) for panel in found):
-            row = [charts.envelope(choice, design, panel, limits) for panel in found if _last(panel) == name]
+        for name in dict.fromkeys(_format_last(panel) for panel in found):
+            row = [
+                charts.draw_envelope(choice, design, panel, limits) for panel in found if _format_last(panel) == name
+            ]
             blocks.append(Figures(row, small=True))
     return tuple(blocks)
 
 
-def envelope_table(choice: EnvelopeChoice, design: Design, found: Sequence[Panel]) -> Table:
+def build_envelope_table(choice: EnvelopeChoice, design: Design, found: Sequence[Panel]) -> Table:
     """The largest box of every panel; rows: levels of the last other factor, columns: the others."""
-    x, y = envelope_axes(design, choice)
-    heads = list(dict.fromkeys(_head(panel) for panel in found))
-    names = list(dict.fromkeys(_last(panel) for panel in found))
-    by_place = {(_last(panel), _head(panel)): panel for panel in found}
+    x, y = find_envelope_axes(design, choice)
+    heads = list(dict.fromkeys(_format_head(panel) for panel in found))
+    names = list(dict.fromkeys(_format_last(panel) for panel in found))
+    by_place = {(_format_last(panel), _format_head(panel)): panel for panel in found}
     rows: list[tuple[Cell | str, ...]] = [
-        (name, *(_box(x, y, by_place[name, head]) for head in heads)) for name in names
+        (name, *(_make_box_cell(x, y, by_place[name, head]) for head in heads)) for name in names
     ]
     return Table(("", *heads), rows, sortable=False)
 
 
-def _last(panel: Panel) -> str:
+def _format_last(panel: Panel) -> str:
     return list(panel.others.values())[-1] if panel.others else ""
 
 
-def _head(panel: Panel) -> str:
+def _format_head(panel: Panel) -> str:
     return ", ".join(f"{name} {level}" for name, level in list(panel.others.items())[:-1]) or "largest box"
 
 
-def _box(x: Factor, y: Factor, panel: Panel) -> Cell:
+def _make_box_cell(x: Factor, y: Factor, panel: Panel) -> Cell:
     columns, rows = panel.box
     lost = int((panel.lost > 0).sum())
     gone = f"; {lost} of {panel.worst.size} cells lost" if lost else ""

@@ -88,8 +88,8 @@ class Model:
     @property
     def full_grid(self) -> float:
         """The logarithm of det(X'X / N) over the full grid, where all terms are orthogonal."""
-        own = [_log_det(axis.main) for axis in self.axes]
-        crossed = [(_log_det(axis.crossed), axis.crossed.shape[1]) for axis in self.axes]
+        own = [_compute_log_det(axis.main) for axis in self.axes]
+        crossed = [(_compute_log_det(axis.crossed), axis.crossed.shape[1]) for axis in self.axes]
         pairs = combinations(crossed, 2) if self.pairs else ()
         return float(sum(own) + sum(one * m + other * n for (one, n), (other, m) in pairs))
 
@@ -134,7 +134,7 @@ def make_fractional(factors: int, resolution: int) -> Ints:
     if factors < 1 or not 3 <= resolution <= 5:
         raise ValueError(f"fractional: expected factors from 1 and resolution 3, 4 or 5, got {factors}, {resolution}")
     for base in count(1):
-        words = _independent(base, factors, resolution - 1)
+        words = _find_independent(base, factors, resolution - 1)
         if len(words) == factors:
             return np.array([[(run & word).bit_count() % 2 for word in words] for run in range(1 << base)])
     raise AssertionError  # counting has no end
@@ -149,7 +149,7 @@ def make_optimal(model: Model, points: int, rng: np.random.Generator) -> Ints:
     if points < len(model.terms):
         raise ValueError(f"points: {points} are too few for a model of {len(model.terms)} columns")
     levels = np.array([axis.levels for axis in model.axes])
-    search = _Exchange(model, np.asarray((_units(len(levels), points, rng) * levels).astype(np.int64)))
+    search = _Exchange(model, np.asarray((_draw_hypercube(len(levels), points, rng) * levels).astype(np.int64)))
     for _ in range(MAX_PASSES):
         search.renew()
         changed = [search.improve(row, factor) for row, factor in product(range(points), range(len(levels)))]
@@ -161,7 +161,7 @@ def make_optimal(model: Model, points: int, rng: np.random.Generator) -> Ints:
 def make_space_filling(factors: int, points: int, rng: np.random.Generator, kind: str = "sobol") -> Floats:
     """Space-filling points (N, K) within (0, 1): "sobol" (scrambled) or "latin" (hypercube)."""
     if kind == "latin":
-        return _units(factors, points, rng)
+        return _draw_hypercube(factors, points, rng)
     drawn = qmc.Sobol(factors, scramble=True, seed=rng).random_base2(max(points - 1, 1).bit_length())
     return np.asarray(drawn[:points])
 
@@ -176,7 +176,7 @@ def assess_design(model: Model, positions: Floats) -> Quality:
     rows = np.asarray(positions, dtype=np.float64)
     columns = model.matrix(rows)
     sign, logarithm = np.linalg.slogdet(columns.T @ columns / len(rows))
-    slopes = [interpolate_rows(_ordered(axis), rows[:, k]) for k, axis in enumerate(model.axes)]
+    slopes = [interpolate_rows(_select_slopes(axis), rows[:, k]) for k, axis in enumerate(model.axes)]
     centred = [slope - slope.mean(axis=0) for slope in slopes]
     correlations = [
         abs(float(a @ b)) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12)
@@ -201,7 +201,7 @@ def interpolate_rows(levels: Floats, positions: Floats) -> Floats:
     return np.asarray((1.0 - share) * levels[low] + share * levels[high])
 
 
-def _independent(base: int, factors: int, together: int) -> list[int]:
+def _find_independent(base: int, factors: int, together: int) -> list[int]:
     """Up to so many numbers of ``base`` bits of which any ``together`` have no subset whose exclusive or is 0."""
     words: list[int] = []
     reached = {0}  # what subsets of up to together - 1 words give
@@ -246,7 +246,7 @@ class _Exchange:
         if best == self.design[row, factor] or gain[best] < 1.0 + 1e-6:
             return False
         self.design[row, factor], self.columns[row], self.slopes[row] = best, candidates[best], slopes[best]
-        self.inverse = _updated(_updated(self.inverse, candidates[best], 1.0), old, -1.0)
+        self.inverse = _update_inverse(_update_inverse(self.inverse, candidates[best], 1.0), old, -1.0)
         return True
 
     def _tried(self, row: int, factor: int) -> tuple[Floats, Floats]:
@@ -261,19 +261,19 @@ class _Exchange:
         return columns, slopes
 
 
-def _updated(inverse: Floats, column: Floats, sign: float) -> Floats:
+def _update_inverse(inverse: Floats, column: Floats, sign: float) -> Floats:
     """The inverse of (A + sign c c') from that of A (Sherman and Morrison)."""
     moved = inverse @ column
     return np.asarray(inverse - sign * np.outer(moved, moved) / (1.0 + sign * float(column @ moved)))
 
 
-def _units(factors: int, points: int, rng: np.random.Generator) -> Floats:
+def _draw_hypercube(factors: int, points: int, rng: np.random.Generator) -> Floats:
     return np.asarray(qmc.LatinHypercube(factors, seed=rng).random(points))
 
 
-def _log_det(columns: Floats) -> float:
+def _compute_log_det(columns: Floats) -> float:
     return float(np.linalg.slogdet(columns.T @ columns / len(columns))[1])
 
 
-def _ordered(axis: DesignAxis) -> Floats:
+def _select_slopes(axis: DesignAxis) -> Floats:
     return axis.crossed if axis.scores is not None else axis.main

@@ -10,7 +10,7 @@ from evalkit.commands.study import charts
 from evalkit.commands.study.effects import Interaction, ModelFit
 from evalkit.commands.study.formatting import (
     describe_change,
-    fitted_designs,
+    fit_designs,
     format_effect,
     format_scatter,
     rank_effects,
@@ -26,14 +26,14 @@ MIN_LISTED = 5
 """Fewest interactions in the table that is not folded."""
 
 
-def effect_blocks(outcome: StudyResult) -> tuple[Block, ...]:
+def build_effect_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     """Main effects and interactions of every design that has them, and their predictions at other points."""
     blocks: list[Block] = []
     for number, response in enumerate(outcome.study.responses):
         made = [
             block
-            for design, fit in fitted_designs(outcome, response)
-            for block in _effects(outcome, response, design, fit)
+            for design, fit in fit_designs(outcome, response)
+            for block in _build_effects(outcome, response, design, fit)
         ]
         if not made:
             continue
@@ -42,12 +42,12 @@ def effect_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def _effects(outcome: StudyResult, response: Response, design: Design, fit: ModelFit) -> list[Block]:
+def _build_effects(outcome: StudyResult, response: Response, design: Design, fit: ModelFit) -> list[Block]:
     found = rank_effects(design, fit)
     pairs = fit.interactions()
     drawn = [pair for pair in pairs if pair.significant][:MAX_SHOWN]
     ordered = [
-        charts.profile_chart(response, factor, fit.factor(k).levels, fit.mean.value)
+        charts.draw_profile(response, factor, fit.factor(k).levels, fit.mean.value)
         for k, factor in enumerate(design.factors)
         if factor.numbers is not None and len(factor.levels) > 2
     ]
@@ -56,18 +56,21 @@ def _effects(outcome: StudyResult, response: Response, design: Design, fit: Mode
         f"{100.0 * fit.explained:.0f} % of the variance over {len(fit.response)} points; the residuals have a standard "
         f"deviation of {format_scatter(response, fit.residual)}."
     )
-    blocks: list[Block] = [Text(quality_words), charts.main_effects_chart(response, design, found)]
+    blocks: list[Block] = [Text(quality_words), charts.draw_main_effects(response, design, found)]
     blocks.append(
-        Fold(f"{design.name}: levels of every factor", (Figures(ordered, small=True), _levels(response, design, fit)))
+        Fold(
+            f"{design.name}: levels of every factor",
+            (Figures(ordered, small=True), _build_levels(response, design, fit)),
+        )
     )
     if pairs:
-        blocks += _pairs(response, design, pairs)
+        blocks += _build_pairs(response, design, pairs)
     if drawn:
-        blocks.append(Figures([charts.interaction_chart(response, design, fit, pair) for pair in drawn], small=True))
-    return [*blocks, *_checks(outcome, response, design, fit)]
+        blocks.append(Figures([charts.draw_interaction(response, design, fit, pair) for pair in drawn], small=True))
+    return [*blocks, *_build_checks(outcome, response, design, fit)]
 
 
-def _levels(response: Response, design: Design, fit: ModelFit) -> Table:
+def _build_levels(response: Response, design: Design, fit: ModelFit) -> Table:
     rows = []
     for number, factor in enumerate(design.factors):
         found = fit.factor(number)
@@ -79,7 +82,7 @@ def _levels(response: Response, design: Design, fit: ModelFit) -> Table:
     return Table(columns, rows)
 
 
-def _pairs(response: Response, design: Design, pairs: Sequence[Interaction]) -> list[Block]:
+def _build_pairs(response: Response, design: Design, pairs: Sequence[Interaction]) -> list[Block]:
     rows = [
         (
             f"{pair.a} x {pair.b}",
@@ -101,7 +104,7 @@ def _pairs(response: Response, design: Design, pairs: Sequence[Interaction]) -> 
     return [*blocks, Fold("The other pairs", (Table(columns, rows[shown:]),))] if rows[shown:] else blocks
 
 
-def _checks(outcome: StudyResult, response: Response, design: Design, fit: ModelFit) -> list[Block]:
+def _build_checks(outcome: StudyResult, response: Response, design: Design, fit: ModelFit) -> list[Block]:
     """Predictions at space-filling points of the same factors against the measured values."""
     blocks: list[Block] = []
     for other in outcome.study.designs:
@@ -119,5 +122,5 @@ def _checks(outcome: StudyResult, response: Response, design: Design, fit: Model
             f"{format_scatter(response, around)}{verdict}."
         )
         ends = (charts.from_scale(response, values) for values in (expected, measured[known]))
-        blocks += [Text(words), Fold("Predicted and measured", (charts.prediction_chart(response, *ends),))]
+        blocks += [Text(words), Fold("Predicted and measured", (charts.draw_prediction(response, *ends),))]
     return blocks

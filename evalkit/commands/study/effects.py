@@ -64,7 +64,7 @@ class Interaction:
 
 @dataclass(frozen=True, eq=False)
 class ModelFit:
-    """A model fitted_designs to the response (N,) at positions (N, K) by least squares.
+    """A model fit_designs to the response (N,) at positions (N, K) by least squares.
 
     Intervals are Student's t with a covariance that allows unequal variances (HC3, MacKinnon and White, J. Econometrics
     29, 1985). Raises ValueError if there are not more points than columns, or the columns are not independent.
@@ -192,8 +192,8 @@ class ModelFit:
         one, other = self.model.axes[a], self.model.axes[b]
         mask = self._mask((a, b))
         corners: list[tuple[float, Floats, tuple[int, int], tuple[int, int]]] = []
-        for from_a, to_a in _steps(one.levels, one.scores is not None):
-            for from_b, to_b in _steps(other.levels, other.scores is not None):
+        for from_a, to_a in _list_steps(one.levels, one.scores is not None):
+            for from_b, to_b in _list_steps(other.levels, other.scores is not None):
                 row = np.zeros(len(mask))
                 step_a, step_b = one.crossed[to_a] - one.crossed[from_a], other.crossed[to_b] - other.crossed[from_b]
                 row[mask] = np.outer(step_a, step_b).ravel()
@@ -204,5 +204,5 @@ class ModelFit:
         return Interaction(one.name, other.name, a_levels, b_levels, value, wide, self._share((a, b)))
 
 
-def _steps(levels: int, ordered: bool) -> list[tuple[int, int]]:
+def _list_steps(levels: int, ordered: bool) -> list[tuple[int, int]]:
     return [(0, levels - 1)] if ordered else list(combinations(range(levels), 2))

@@ -43,13 +43,13 @@ def describe_level(factor: str, level: str) -> str:
     return level if level[:1].isalpha() and level not in ("on", "off") else f"{factor} {level}"
 
 
-def enclosed_cells(within: Bools) -> Bools:
+def mark_enclosed_cells(within: Bools) -> Bools:
     """Marks (R, C) of the cells that are true together with all cells before them in both directions."""
     rows = np.logical_and.accumulate(within, axis=0)
     return np.asarray(np.logical_and.accumulate(rows, axis=1))
 
 
-def largest_box(inside: Bools) -> tuple[int, int]:
+def find_largest_box(inside: Bools) -> tuple[int, int]:
     """Columns and rows of the largest rectangle inside from the first cell on; the widest of equal ones."""
     heights = [int(column.argmin()) if not column.all() else len(column) for column in inside.T]
     found = (0, 0)
@@ -62,19 +62,19 @@ def largest_box(inside: Bools) -> tuple[int, int]:
 def compute_panels(outcome: StudyResult, choice: EnvelopeChoice) -> tuple[Panel, ...]:
     """A panel for every combination of the other factors' levels, in the order of the design."""
     design = outcome.study.design(choice.design)
-    x, y = envelope_axes(design, choice)
+    x, y = find_envelope_axes(design, choice)
     others = [factor for factor in design.factors if factor.name not in (choice.x, choice.y)]
     grouped: dict[tuple[str, ...], dict[tuple[str, str], Point]] = {}
     for point in design.points:
         name = tuple(point.levels[factor.name].label for factor in others)
         grouped.setdefault(name, {})[point.levels[y.name].label, point.levels[x.name].label] = point
     return tuple(
-        _panel(outcome, design, choice, dict(zip((f.name for f in others), name, strict=True)), points)
+        _compute_panel(outcome, design, choice, dict(zip((f.name for f in others), name, strict=True)), points)
         for name, points in grouped.items()
     )
 
 
-def envelope_axes(design: Design, choice: EnvelopeChoice) -> tuple[Factor, Factor]:
+def find_envelope_axes(design: Design, choice: EnvelopeChoice) -> tuple[Factor, Factor]:
     """The factors of the two axes."""
     by_name = {factor.name: factor for factor in design.factors}
     return by_name[choice.x], by_name[choice.y]
@@ -89,17 +89,17 @@ def is_within_limit(choice: EnvelopeChoice, values: Floats) -> Bools:
 def describe_panels(choice: EnvelopeChoice, design: Design, found: Sequence[Panel]) -> list[str]:
     """A sentence for each level of the last other factor: the ends of the box, and the number of drives."""
     lines = []
-    for name in dict.fromkeys(_last(panel) for panel in found):
-        own = [panel for panel in found if _last(panel) == name]
+    for name in dict.fromkeys(_format_last(panel) for panel in found):
+        own = [panel for panel in found if _format_last(panel) == name]
         reached = [describe_reach(choice, design, panel) for panel in own]
         drives = [panel.held.support if panel.held else 0 for panel in own]
         if len(set(reached)) == 1:
             words = reached[0] + ("" if len(own) == 1 else f" at every {' and '.join(list(own[0].others)[:-1])}")
-            parts = [_with_drives(words, sum(drives))]
+            parts = [_add_drives(words, sum(drives))]
         else:
             heads = (", ".join(f"{key} {value}" for key, value in list(panel.others.items())[:-1]) for panel in own)
             parts = [
-                _with_drives(f"{words} at {head}", count)
+                _add_drives(f"{words} at {head}", count)
                 for words, head, count in zip(reached, heads, drives, strict=True)
             ]
         lines.append(f"{name}: {'; '.join(parts)}." if name else f"{parts[0]}.")
@@ -108,42 +108,43 @@ def describe_panels(choice: EnvelopeChoice, design: Design, found: Sequence[Pane
 
 def describe_reach(choice: EnvelopeChoice, design: Design, panel: Panel) -> str:
     """The ends of a panel's box as text."""
-    x, y = envelope_axes(design, choice)
+    x, y = find_envelope_axes(design, choice)
     columns, rows = panel.box
     if not columns:
-        return f"not even at {_level(x, 0)} and {_level(y, 0)}"
+        return f"not even at {_format_level(x, 0)} and {_format_level(y, 0)}"
     most = columns == len(x.levels) and rows == len(y.levels)
-    return f"up to {_level(x, columns - 1)} and {_level(y, rows - 1)}{', the largest levels tested,' if most else ''}"
+    ends = f"up to {_format_level(x, columns - 1)} and {_format_level(y, rows - 1)}"
+    return f"{ends}, the largest levels tested," if most else ends
 
 
-def _last(panel: Panel) -> str:
+def _format_last(panel: Panel) -> str:
     return describe_level(list(panel.others)[-1], list(panel.others.values())[-1]) if panel.others else ""
 
 
-def _with_drives(words: str, drives: int) -> str:
+def _add_drives(words: str, drives: int) -> str:
     return f"{words.rstrip(',')} ({drives} of {drives} drives)" if drives else words.rstrip(",")
 
 
-def _panel(
+def _compute_panel(
     outcome: StudyResult,
     design: Design,
     choice: EnvelopeChoice,
     others: Mapping[str, str],
     points: Mapping[tuple[str, str], Point],
 ) -> Panel:
-    x, y = envelope_axes(design, choice)
+    x, y = find_envelope_axes(design, choice)
     rows = [[points[b.label, a.label] for a in x.levels] for b in y.levels]
     response = choice.response
     values = np.array([[outcome.row(design, response, point) for point in row] for row in rows])
     gone = np.array([[[bool(outcome.lost(p.key, seed)) for seed in design.runs(p)] for p in row] for row in rows])
     pick = np.min if response.metric.better == "higher" else np.max
     worst = np.where(gone.any(axis=2), np.nan, pick(values, axis=2))
-    inside = enclosed_cells(is_within_limit(choice, worst))
-    columns, height = largest_box(inside)
+    inside = mark_enclosed_cells(is_within_limit(choice, worst))
+    columns, height = find_largest_box(inside)
     drives = columns * height * values.shape[2]
     held = wilson_interval(drives, drives) if drives else None
     return Panel(others, worst, gone.sum(axis=2).astype(np.float64), inside, (columns, height), held)
 
 
-def _level(factor: Factor, number: int) -> str:
+def _format_level(factor: Factor, number: int) -> str:
     return f"{factor.levels[number].label} {factor.unit}".rstrip()

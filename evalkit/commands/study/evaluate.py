@@ -66,10 +66,10 @@ def evaluate(
     ``scans``: scans per map; ``code``: a digest of the plug-ins' sources. A failure of the back end is a result.
     """
     begun = time.process_time()
-    driven = _sequence(dataset, json.dumps(dict(sequence), sort_keys=True))
+    driven = _load_sequence(dataset, json.dumps(dict(sequence), sort_keys=True))
     run = _run(Request(backend, dict(parameters), dataset, dict(sequence)), driven)
     make = partial(registry.mapper(mapper).make, **mapper_parameters)
-    scored = _scored(run, driven, make, scans, metrics)
+    scored = _compute_scores(run, driven, make, scans, metrics)
     return {
         "status": run.status,
         "reason": run.reason,
@@ -83,13 +83,13 @@ def evaluate(
 
 def prepare_sequence(dataset: str, sequence: Mapping[str, Value]) -> None:
     """Simulates a sequence, so that the first run on it is not charged with that time."""
-    driven = _sequence(dataset, json.dumps(dict(sequence), sort_keys=True))
+    driven = _load_sequence(dataset, json.dumps(dict(sequence), sort_keys=True))
     with suppress(Exception):  # the run raises and reports it again
         next(iter(driven.frames()), None)
 
 
 @lru_cache(maxsize=KEPT_SEQUENCES)
-def _sequence(dataset: str, parameters: str) -> protocols.Sequence:
+def _load_sequence(dataset: str, parameters: str) -> protocols.Sequence:
     return registry.dataset(dataset).make(**json.loads(parameters))
 
 
@@ -109,7 +109,7 @@ def _run(request: Request, sequence: protocols.Sequence) -> RunResult:
     return RunResult(answered, len(sequence), cause, plain(reason))
 
 
-def _scored(
+def _compute_scores(
     run: RunResult, sequence: protocols.Sequence, make_mapper: Any, scans: int, names: Sequence[str]
 ) -> dict[str, Score]:
     """The named scores; the map is drawn only if a metric needs it, or has no value without it."""
@@ -117,7 +117,7 @@ def _scored(
     evidence = scoring.collect_evidence(run, sequence)
     plain = [metric for metric in table.values() if metric.group not in DRAWN and metric.name not in OF_SCANS]
     found = metrics.compute_scores(evidence, plain)
-    drawn = [metric for metric in table.values() if metric not in plain or _lacks_scans(metric, found)]
+    drawn = [metric for metric in table.values() if metric not in plain or _needs_scans(metric, found)]
     if drawn:
         halves = any(metric.group == "map consistency" for metric in drawn)
         evidence = scoring.add_map(evidence, sequence, make_mapper, scans, halves)
@@ -125,5 +125,5 @@ def _scored(
     return {name: found[name] for name in names}
 
 
-def _lacks_scans(metric: Metric, found: Mapping[str, Score]) -> bool:
+def _needs_scans(metric: Metric, found: Mapping[str, Score]) -> bool:
     return metric.group == "residuals" and found[metric.name].value is None

@@ -98,8 +98,8 @@ def read_factor(table: TomlTable, base: Settings) -> Factor:
     given = table.content.get("levels")
     if not given or not isinstance(given, (list, Mapping)):
         raise table.bad_value("levels", "a list of at least two values, or a table of named settings")
-    sets = _sets(table) if isinstance(given, list) else ()
-    levels = _plain_levels(table, given, sets) if isinstance(given, list) else _named_levels(table, given)
+    sets = _read_sets(table) if isinstance(given, list) else ()
+    levels = _read_plain_levels(table, given, sets) if isinstance(given, list) else _read_named_levels(table, given)
     if len(levels) < 2 or len({level.label for level in levels}) < len(levels):
         raise table.bad_value("levels", "at least two that differ")
     name, scale = table.content.get("name", "".join(sets[:1])), table.content.get("scale", "linear")
@@ -113,7 +113,7 @@ def read_factor(table: TomlTable, base: Settings) -> Factor:
     return factor
 
 
-def _sets(table: TomlTable) -> tuple[str, ...]:
+def _read_sets(table: TomlTable) -> tuple[str, ...]:
     """The settings that a factor with plain levels changes, by their full names."""
     value = table.content.get("sets")
     names: list[Any] = value if isinstance(value, list) else [value]
@@ -123,7 +123,7 @@ def _sets(table: TomlTable) -> tuple[str, ...]:
     return tuple(map(str, names))
 
 
-def _plain_levels(table: TomlTable, values: list[Any], sets: tuple[str, ...]) -> tuple[FactorLevel, ...]:
+def _read_plain_levels(table: TomlTable, values: list[Any], sets: tuple[str, ...]) -> tuple[FactorLevel, ...]:
     for value in values:
         if not isinstance(value, (bool, int, float, str)):
             raise table.error(f"'levels': found {brief(value)}, expected numbers, texts, true or false")
@@ -133,11 +133,12 @@ def _plain_levels(table: TomlTable, values: list[Any], sets: tuple[str, ...]) ->
         raise table.bad_value("levels", "values of one type")
     same: list[Value] = [float(value) for value in values] if kinds == {int, float} else values
     return tuple(
-        FactorLevel(_label(value), dict.fromkeys(sets, value), float(value) if numbers else None) for value in same
+        FactorLevel(_format_level(value), dict.fromkeys(sets, value), float(value) if numbers else None)
+        for value in same
     )
 
 
-def _named_levels(table: TomlTable, values: Mapping[str, Any]) -> tuple[FactorLevel, ...]:
+def _read_named_levels(table: TomlTable, values: Mapping[str, Any]) -> tuple[FactorLevel, ...]:
     levels = []
     for label, settings in values.items():
         if not isinstance(settings, Mapping) or not settings:
@@ -163,7 +164,7 @@ def _check_order(table: TomlTable, factor: Factor) -> None:
         raise table.error(f"'levels': found {list(numbers)}, expected numbers in rising order")
 
 
-def _label(value: Value) -> str:
+def _format_level(value: Value) -> str:
     if isinstance(value, bool):
         return "on" if value else "off"
     return value if isinstance(value, str) else f"{value:g}"

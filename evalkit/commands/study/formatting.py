@@ -12,7 +12,7 @@ from evalkit.report.formatting import join_words
 from evalkit.stats.intervals import Interval
 
 
-def fitted_designs(outcome: StudyResult, response: Response) -> list[tuple[Design, ModelFit]]:
+def fit_designs(outcome: StudyResult, response: Response) -> list[tuple[Design, ModelFit]]:
     """The designs for which effects on a response can be computed, with their fits."""
     return [(design, fit) for design in outcome.study.designs if (fit := outcome.fit(design, response)) is not None]
 

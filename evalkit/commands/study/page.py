@@ -7,16 +7,16 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from evalkit.commands.study.curves import curve_blocks, envelope_blocks
+from evalkit.commands.study.curves import build_curve_blocks, build_envelope_blocks
 from evalkit.commands.study.design import assess_design
-from evalkit.commands.study.effect_tables import effect_blocks
+from evalkit.commands.study.effect_tables import build_effect_blocks
 from evalkit.commands.study.envelope import compute_panels, describe_panels
 from evalkit.commands.study.formatting import (
     describe_interactions,
     describe_limit,
     describe_lost_runs,
     describe_main_effects,
-    fitted_designs,
+    fit_designs,
 )
 from evalkit.commands.study.result import StudyResult
 from evalkit.report.html.blocks import Block, Bullets, Cell, Column, Command, Document, Fold, Section, Table, Text
@@ -32,34 +32,29 @@ KIND_SENTENCES = {
 }
 
 
-def document(outcome: StudyResult, ran_on: Mapping[str, str]) -> Document:
+def build_document(outcome: StudyResult, ran_on: Mapping[str, str]) -> Document:
     """The whole page of one study."""
     study = outcome.study
-    runs = len(outcome.results)
     facts = (("Back end", study.backend), ("Data set", study.dataset), ("Points", f"{len(study.points):,}"),
-             ("Runs", f"{runs:,}"), ("CPU time", f"{cpu_minutes(outcome):.1f} min"))  # fmt: skip
-    machine = Section("Provenance", (Command(study.command), Table(("What", "This machine"), list(ran_on.items()))))
-    return Document("evalkit study", study.title, study.description, (*sections(outcome), machine), facts)
+             ("Runs", f"{len(outcome.results):,}"), ("CPU time", f"{sum_cpu_minutes(outcome):.1f} min"))  # fmt: skip
+    every = (
+        Section("What matters", build_summary(outcome), "summary"),
+        Section("Design", build_design_blocks(outcome), "design"),
+        Section("Effects", build_effect_blocks(outcome), "effects"),
+        Section("One factor at a time", build_curve_blocks(outcome), "curves"),
+        Section("Operating envelope", build_envelope_blocks(outcome), "envelope"),
+        Section("Points", build_point_blocks(outcome), "points"),
+        Section("Provenance", (Command(study.command), Table(("What", "This machine"), list(ran_on.items())))),
+    )
+    sections = tuple(section for section in every if section.blocks)
+    return Document("evalkit study", study.title, study.description, sections, facts)
 
 
-def sections(outcome: StudyResult, prefix: str = "") -> tuple[Section, ...]:
-    """All sections of a study's page; ``prefix`` starts their anchors, for a page with other sections too."""
-    every = [
-        Section("What matters", summary_blocks(outcome), f"{prefix}summary"),
-        Section("Design", design_blocks(outcome), f"{prefix}design"),
-        Section("Effects", effect_blocks(outcome), f"{prefix}effects"),
-        Section("One factor at a time", curve_blocks(outcome), f"{prefix}curves"),
-        Section("Operating envelope", envelope_blocks(outcome), f"{prefix}envelope"),
-        Section("Points", point_blocks(outcome), f"{prefix}points"),
-    ]
-    return tuple(section for section in every if section.blocks)
-
-
-def summary_blocks(outcome: StudyResult) -> tuple[Block, ...]:
+def build_summary(outcome: StudyResult) -> tuple[Block, ...]:
     """Sentences on the largest effects, the interactions and the envelopes."""
     lines = []
     for response in [response for response in outcome.study.responses if response.lost is not None]:
-        for design, fit in fitted_designs(outcome, response):
+        for design, fit in fit_designs(outcome, response):
             lines.append(
                 f"{design.name}: {describe_main_effects(response, design, fit)} {describe_interactions(response, fit)}"
             )
@@ -72,7 +67,7 @@ def summary_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     return (Bullets(lines),) if lines else ()
 
 
-def design_blocks(outcome: StudyResult) -> tuple[Block, ...]:
+def build_design_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     """The table of designs, and the definition of a lost run."""
     rows = []
     for design in outcome.study.designs:
@@ -100,7 +95,7 @@ def design_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     return (Table(columns, rows, sortable=False), Text(describe_lost_runs(outcome.study), "note"))
 
 
-def point_blocks(outcome: StudyResult) -> tuple[Block, ...]:
+def build_point_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     """Every point with its key, and the command that computes it again."""
     rows = []
     for design in outcome.study.designs:
@@ -115,16 +110,16 @@ def point_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     key = rows[0][0]
     return (
         Text("Compute one point again, and print its settings as an experiment, by its key:"),
-        Command(point_command(outcome.study.command, key)),
+        Command(format_point_command(outcome.study.command, key)),
         Fold(f"{len(rows):,} points", (Table(columns, rows),)),
     )
 
 
-def point_command(command: str, key: str) -> str:
+def format_point_command(command: str, key: str) -> str:
     """The command that computes one point."""
     return f"{command} --point {shlex.quote(key)}"
 
 
-def cpu_minutes(outcome: StudyResult) -> float:
+def sum_cpu_minutes(outcome: StudyResult) -> float:
     """CPU time of all runs, in minutes."""
     return float(sum(result["cpu_s"] for result in outcome.results.values())) / 60.0

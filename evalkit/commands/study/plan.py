@@ -156,7 +156,7 @@ class Study:
         """One run: a point with one seed."""
         sequence = dict(point.sequence) if seed is None else {**point.sequence, "seed": seed}
         return make_task(
-            task_name(point.key, seed), evaluate, backend=self.backend, parameters=dict(point.method),
+            format_task_name(point.key, seed), evaluate, backend=self.backend, parameters=dict(point.method),
             dataset=self.dataset, sequence=sequence, mapper=self.mapper, mapper_parameters=dict(point.mapper),
             scans=self.scans, metrics=[response.name for response in self.responses],
             code=self.code + files_digest(sequence),
@@ -177,6 +177,6 @@ class Study:
         return registry.run_fingerprint(self.backend, self.dataset) + registry.score_fingerprint(self.mapper)
 
 
-def task_name(key: str, seed: int | None) -> str:
+def format_task_name(key: str, seed: int | None) -> str:
     """The name of a run's task: the point's key and the seed."""
     return key if seed is None else f"{key} seed {seed}"

@@ -11,7 +11,7 @@ import numpy as np
 
 from evalkit.commands.study.effects import ModelFit
 from evalkit.commands.study.evaluate import RunScores
-from evalkit.commands.study.plan import Design, Point, Response, Study, task_name
+from evalkit.commands.study.plan import Design, Point, Response, Study, format_task_name
 from evalkit.core.se2 import Floats
 from evalkit.execution.dask_cluster import Cluster
 from evalkit.execution.task import Task
@@ -28,7 +28,7 @@ class StudyResult:
 
     def result(self, key: str, seed: int | None) -> RunScores:
         """The result of one run."""
-        return self.results[task_name(key, seed)]
+        return self.results[format_task_name(key, seed)]
 
     def value(self, response: Response, key: str, seed: int | None) -> float | None:
         """The value of a metric, None if it has none."""
@@ -110,11 +110,12 @@ def run_study_tasks(
     except TasksFailed as failed:
         failures = failed.failures
         return {
-            task.name: store.load(task) or _failed_run(task, failures.get(task.name, TaskFailure(""))) for task in tasks
+            task.name: store.load(task) or _make_failed_run(task, failures.get(task.name, TaskFailure("")))
+            for task in tasks
         }
 
 
-def _failed_run(task: Task[RunScores], failure: TaskFailure) -> RunScores:
+def _make_failed_run(task: Task[RunScores], failure: TaskFailure) -> RunScores:
     """The scores of a run that has none."""
     metrics = task.arguments["metrics"]
     return {

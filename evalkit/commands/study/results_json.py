@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import Any
 
 from evalkit.commands.study.effects import ModelFit
-from evalkit.commands.study.envelope import Panel, compute_panels, envelope_axes
+from evalkit.commands.study.envelope import Panel, compute_panels, find_envelope_axes
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Response
 from evalkit.commands.study.result import StudyResult
 from evalkit.stats.intervals import Interval
@@ -17,7 +17,7 @@ from evalkit.stats.intervals import Interval
 Row = dict[str, Any]
 
 
-def run_rows(outcome: StudyResult) -> list[Row]:
+def make_run_rows(outcome: StudyResult) -> list[Row]:
     """A row for every run of every design: levels, scores, and why it is lost, or ""."""
     study = outcome.study
     names = [factor.name for factor in study.factors]
@@ -33,7 +33,7 @@ def run_rows(outcome: StudyResult) -> list[Row]:
     return rows
 
 
-def effect_rows(outcome: StudyResult) -> list[Row]:
+def make_effect_rows(outcome: StudyResult) -> list[Row]:
     """A row for every level's distance from the mean, and for every interaction's largest corner; natural logarithms.
 
     ``scale`` "log": exp(value) is a ratio.
@@ -43,7 +43,7 @@ def effect_rows(outcome: StudyResult) -> list[Row]:
         for number, factor in enumerate(design.factors):
             found = fit.factor(number)
             for level, interval in zip(factor.levels, found.levels, strict=True):
-                rows.append(_row(design, response, "main", factor.name, level.label, interval, found.share))
+                rows.append(_effect_as_json(design, response, "main", factor.name, level.label, interval, found.share))
         for pair in fit.interactions():
             levels = [
                 design.factors[[f.name for f in design.factors].index(name)].levels[at].label
@@ -51,7 +51,9 @@ def effect_rows(outcome: StudyResult) -> list[Row]:
                 for at in both
             ]
             corner = "{} → {} | {} → {}".format(*levels)
-            rows.append(_row(design, response, "interaction", f"{pair.a} x {pair.b}", corner, pair.value, pair.share))
+            rows.append(
+                _effect_as_json(design, response, "interaction", f"{pair.a} x {pair.b}", corner, pair.value, pair.share)
+            )
     return rows
 
 
@@ -72,14 +74,14 @@ def study_as_json(outcome: StudyResult) -> Row:
         "command": study.command,
         "backend": study.backend,
         "dataset": study.dataset,
-        "runs": run_rows(outcome),
-        "effects": effect_rows(outcome),
+        "runs": make_run_rows(outcome),
+        "effects": make_effect_rows(outcome),
         "envelopes": [
             {
                 **dict(panel.others),
                 "limit": choice.limit,
                 "metric": choice.response.name,
-                **_box(outcome, choice, panel),
+                **_box_as_json(outcome, choice, panel),
             }
             for choice in study.envelopes
             for panel in compute_panels(outcome, choice)
@@ -96,13 +98,15 @@ def format_csv(rows: list[Row]) -> str:
     return out.getvalue()
 
 
-def _box(outcome: StudyResult, choice: EnvelopeChoice, panel: Panel) -> Row:
+def _box_as_json(outcome: StudyResult, choice: EnvelopeChoice, panel: Panel) -> Row:
     """The ends of a panel's box by factor, None without a box, and the number of lost cells."""
-    ends = zip(envelope_axes(outcome.study.design(choice.design), choice), panel.box, strict=True)
+    ends = zip(find_envelope_axes(outcome.study.design(choice.design), choice), panel.box, strict=True)
     reached = {factor.name: factor.numbers[count - 1] if factor.numbers and count else None for factor, count in ends}
     return {**reached, "lost_cells": int((panel.lost > 0).sum())}
 
 
-def _row(design: Design, response: Response, kind: str, factor: str, level: str, value: Interval, share: float) -> Row:
+def _effect_as_json(
+    design: Design, response: Response, kind: str, factor: str, level: str, value: Interval, share: float
+) -> Row:
     head = {"design": design.name, "metric": response.name, "scale": response.scale, "kind": kind, "factor": factor}
     return {**head, "level": level, **asdict(value), "share": share}

@@ -28,7 +28,7 @@ def sample(
         return np.zeros((0, len(factors))), [{f.name: level} for f in factors for level in f.levels]
     if kind in ("sobol", "latin"):
         shares = make_space_filling(len(factors), points, np.random.default_rng(seed), kind)
-        return _between(factors, shares)
+        return _interpolate_levels(factors, shares)
     levels = [len(factor.levels) for factor in factors]
     if kind == "grid":
         if math.prod(levels) > MAX_POINTS:
@@ -53,7 +53,7 @@ def sample(
     return positions.astype(np.float64), rows
 
 
-def _between(factors: Sequence[Factor], shares: Floats) -> tuple[Floats, list[LevelsByFactor]]:
+def _interpolate_levels(factors: Sequence[Factor], shares: Floats) -> tuple[Floats, list[LevelsByFactor]]:
     """Positions and levels at shares (N, K) of the way from the first level of each factor to the last."""
     rows = [[factor.at(float(share)) for factor, share in zip(factors, row, strict=True)] for row in shares]
     positions = np.array([[position for _, position in row] for row in rows])

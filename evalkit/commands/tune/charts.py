@@ -9,7 +9,7 @@ import numpy as np
 
 from evalkit.commands.study.plan import Response
 from evalkit.commands.tune.objective import ScoredCandidate
-from evalkit.commands.tune.pareto import pareto_front
+from evalkit.commands.tune.pareto import find_pareto_front
 from evalkit.commands.tune.search_loop import SearchResult
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
@@ -25,26 +25,29 @@ MIN_MS = 1e-3
 """The smallest time drawn, because a logarithmic axis has no zero."""
 
 
-def on_pareto_front(tried: Sequence[ScoredCandidate]) -> Bools:
+def mark_pareto_front(tried: Sequence[ScoredCandidate]) -> Bools:
     """Marks of the points on the Pareto front of training error and CPU time; a point that loses a run is not on it."""
     errors = np.array([math.inf if one.losses else one.error for one in tried])
-    return pareto_front(np.array([one.cpu_ms for one in tried]), errors)
+    return find_pareto_front(np.array([one.cpu_ms for one in tried]), errors)
 
 
-def pareto_fronts_chart(results: Sequence[SearchResult], objective: Response) -> Figure:
+def draw_pareto_fronts(results: Sequence[SearchResult], objective: Response) -> Figure:
     """The Pareto fronts of all back ends, with default and tuned points."""
-    x, y = _axes([_places(one.tried) for one in results], objective)
+    x, y = _make_axes([_collect_places(one.tried) for one in results], objective)
     layers: list[Points] = []
     for number, one in enumerate(results):
         colour = charts.stroke(number).colour
-        best = _places([each for each, on in zip(one.tried, on_pareto_front(one.tried), strict=True) if on])
+        best = _collect_places([each for each, on in zip(one.tried, mark_pareto_front(one.tried), strict=True) if on])
         label = one.tunable.label
-        layers += [Points(label, _stairs(best), colour, 1.4, joined=True), Points("", best, colour, 5.0)]
+        layers += [Points(label, _compute_stairs(best), colour, 1.4, joined=True), Points("", best, colour, 5.0)]
     for number, one in enumerate(results):
         colour = charts.stroke(number).colour
         marks = [(one.default, INK), *([(one.chosen, WHITE)] if one.tuned else [])]
         for each, core in marks:
-            layers += [Points("", _places([each]), colour, 11.0), Points("", _places([each]), core, 5.0)]
+            layers += [
+                Points("", _collect_places([each]), colour, 11.0),
+                Points("", _collect_places([each]), core, 5.0),
+            ]
     caption = (
         "Each line is the Pareto front of one back end's tried points. Black core: the default; white core: tuned. "
         "Lower and further left is better."
@@ -52,20 +55,20 @@ def pareto_fronts_chart(results: Sequence[SearchResult], objective: Response) ->
     return Figure(charts.scatter(layers, x, y, equal=False), "Accuracy against compute, all back ends", caption)
 
 
-def points_chart(one: SearchResult, objective: Response) -> Figure:
+def draw_points(one: SearchResult, objective: Response) -> Figure:
     """Every point of one back end."""
-    x, y = _axes([_places(one.tried)], objective)
-    on_front = on_pareto_front(one.tried)
+    x, y = _make_axes([_collect_places(one.tried)], objective)
+    on_front = mark_pareto_front(one.tried)
     plain = [each for each in one.tried if not each.losses]
     losing = [each for each in one.tried if each.losses]
-    best = _places([each for each, chosen in zip(one.tried, on_front, strict=True) if chosen])
+    best = _collect_places([each for each, chosen in zip(one.tried, on_front, strict=True) if chosen])
     layers = [
-        Points("tried", _places(plain), GREY, 6.0),
-        *([Points("loses runs", _places(losing), ORANGE, 6.0)] if losing else []),
-        Points("Pareto front", _stairs(best), "#0072b2", 1.4, joined=True),
+        Points("tried", _collect_places(plain), GREY, 6.0),
+        *([Points("loses runs", _collect_places(losing), ORANGE, 6.0)] if losing else []),
+        Points("Pareto front", _compute_stairs(best), "#0072b2", 1.4, joined=True),
         Points("", best, "#0072b2", 6.0),
-        Points("default", _places([one.default]), INK, 11.0),
-        *([Points("tuned", _places([one.chosen]), GREEN, 11.0)] if one.tuned else []),
+        Points("default", _collect_places([one.default]), INK, 11.0),
+        *([Points("tuned", _collect_places([one.chosen]), GREEN, 11.0)] if one.tuned else []),
     ]
     caption = f"{len(one.tried)} points, {int(on_front.sum())} on the Pareto front" + (
         "" if one.tuned else "; default kept"
@@ -73,13 +76,13 @@ def points_chart(one: SearchResult, objective: Response) -> Figure:
     return Figure(charts.scatter(layers, x, y, equal=False), one.tunable.label, f"{caption}.")
 
 
-def _places(tried: Sequence[ScoredCandidate]) -> Floats:
+def _collect_places(tried: Sequence[ScoredCandidate]) -> Floats:
     """CPU time in ms and error (N, 2) of the points with finite values."""
     both = np.array([[max(one.cpu_ms, MIN_MS), one.error] for one in tried]).reshape(-1, 2)
     return np.asarray(both[np.isfinite(both).all(axis=1)])
 
 
-def _stairs(places: Floats) -> Floats:
+def _compute_stairs(places: Floats) -> Floats:
     """The border of the dominated region: right to the next point's time, then down to its error."""
     ordered = places[np.lexsort((places[:, 1], places[:, 0]))]
     corners = np.column_stack([ordered[1:, 0], ordered[:-1, 1]]) if len(ordered) > 1 else np.zeros((0, 2))
@@ -88,7 +91,7 @@ def _stairs(places: Floats) -> Floats:
     return stairs
 
 
-def _axes(places: Sequence[Floats], objective: Response) -> tuple[Axis, Axis]:
+def _make_axes(places: Sequence[Floats], objective: Response) -> tuple[Axis, Axis]:
     every = np.concatenate(places)
     unit = f" [{objective.metric.unit}]" if objective.metric.unit else ""
     if not len(every):

@@ -54,7 +54,7 @@ def tune(
     from evalkit.report import build_comparison  # noqa: PLC0415 - as below
 
     options.add_working_directory()
-    tuning = _tuning(what, on or [], held_out or [], budget, setting or [])
+    tuning = _read_tuning(what, on or [], held_out or [], budget, setting or [])
     folder = folder or Path("reports") / "build" / tuning.name
     workers = jobs or environment.physical_cores()
     ran_on = environment.describe(jobs=workers)
@@ -66,10 +66,10 @@ def tune(
     records = _run_held_out(plan, Store(folder / "report"), workers, ran_on, collect)
     comparison = build_comparison(plan, records, started, datetime.now(UTC), ran_on)
     report = f"evalkit compare {shlex.quote(str(file))} --resume --out {shlex.quote(str(folder / 'report'))}"
-    _end(TuningResult(tuning, found, comparison, ran_on, report), folder, as_json)
+    _write_results(TuningResult(tuning, found, comparison, ran_on, report), folder, as_json)
 
 
-def _tuning(what: list[str], on: list[str], held_out: list[str], budget: int | None, setting: list[str]) -> Tuning:
+def _read_tuning(what: list[str], on: list[str], held_out: list[str], budget: int | None, setting: list[str]) -> Tuning:
     """The tuning of a file, or of back ends and data sets named on the command line."""
     from evalkit.commands.tune import config  # noqa: PLC0415 - loads scipy.stats
 
@@ -78,14 +78,14 @@ def _tuning(what: list[str], on: list[str], held_out: list[str], budget: int | N
             raise typer.BadParameter("a tuning file stands alone: its points, data sets and settings are in it")
         stem = Path(what[0]).stem
         name = stem if stem.startswith("tune") else f"tune-{stem}"
-        return config.read(Path(what[0]), name, f"evalkit tune {shlex.quote(what[0])}")
+        return config.load_tuning(Path(what[0]), name, f"evalkit tune {shlex.quote(what[0])}")
     if not on:
         raise typer.BadParameter(f"give a tuning file (*{FILE}), or back ends and --on DATASET to train on")
     option_words = [("--on", name) for name in on] + [("--held-out", name) for name in held_out]
     option_words += [("--budget", str(budget or BUDGET)), *(("--set", item) for item in setting)]
     command = shlex.join(["evalkit", "tune", *what, *(word for pair in option_words for word in pair)])
-    content = config.tuning_tables(what, on, held_out, budget or BUDGET, options.settings(setting))
-    return config.tuning(content, "evalkit tune", f"tune-{'-'.join(on)}", command)
+    content = config.make_tuning_tables(what, on, held_out, budget or BUDGET, options.settings(setting))
+    return config.tuning_from_tables(content, "evalkit tune", f"tune-{'-'.join(on)}", command)
 
 
 def _run_search(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tuple[SearchResult, ...]:
@@ -126,7 +126,7 @@ def _run_held_out(
         return scheduler.run_and_load(plan, LocalExecutor(workers))
 
 
-def _end(result: TuningResult, folder: Path, as_json: bool) -> None:
+def _write_results(result: TuningResult, folder: Path, as_json: bool) -> None:
     """Writes page and JSON, prints the verdicts; exit code 1 if a method completed no run, 3 if runs are missing."""
     from evalkit.commands.tune import page as pages  # noqa: PLC0415 - loads matplotlib
     from evalkit.commands.tune.results_json import tuning_as_json  # noqa: PLC0415 - as above
@@ -135,7 +135,7 @@ def _end(result: TuningResult, folder: Path, as_json: bool) -> None:
     content = tuning_as_json(result)
     write_texts(folder, {
         "tuned.json": json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n",
-        "index.html": render(pages.document(result)),
+        "index.html": render(pages.build_document(result)),
     })  # fmt: skip
     page = folder / "index.html"
     skipped = sum(record.result.status == RunStatus.SKIPPED for record in result.comparison.records)

@@ -10,7 +10,7 @@ from typing import Any
 from evalkit.commands.study.factors import Factor, read_factor
 from evalkit.commands.study.plan import Response
 from evalkit.commands.tune.plan import TUNED, Training, TunableMethod, Tuning
-from evalkit.commands.tune.space import METHOD, SHARED, Space, declared_factors, own_parameters, settings
+from evalkit.commands.tune.space import METHOD, SHARED, Space, list_own_parameters, make_declared_factors, settings
 from evalkit.config.experiment import Experiment, Method, SequenceSpec, experiment_from_tables
 from evalkit.config.toml_tables import TomlTable
 from evalkit.core.errors import BadExperiment, UnknownName
@@ -29,23 +29,23 @@ MIN_CONFIRM_RUNS = 4
 METRIC, LOST_M, RUN_CPU_S = "ate_rmse_m", 1.0, 60.0
 
 
-def read(path: Path, name: str, command: str) -> Tuning:
+def load_tuning(path: Path, name: str, command: str) -> Tuning:
     """The tuning of a file (TOML). Raises BadExperiment with the file, the key and what was found."""
     content = load_toml(path, "a tuning (*.toml), or back ends and --on DATASET")
-    return tuning(content, str(path), name, command)
+    return tuning_from_tables(content, str(path), name, command)
 
 
-def tuning(content: Mapping[str, Any], file: str, name: str, command: str) -> Tuning:
+def tuning_from_tables(content: Mapping[str, Any], file: str, name: str, command: str) -> Tuning:
     """The tuning of a file's tables; ``file`` is named in errors, ``command`` runs the tuning."""
     table = TomlTable(content, file)
     table.check_keys(TOP)
     methods = table.tables("method", "a tuning")
-    held_out = _plan(table, table.tables("held-out", "a tuning"), "held-out")
+    held_out = _make_plan(table, table.tables("held-out", "a tuning"), "held-out")
     for method in held_out.methods:
         if method.label.endswith(TUNED):
             what = f"'label': found {method.label!r}, but tuned methods end in '{TUNED}'; take another label"
             raise BadExperiment(file, "method", what)
-    training = _training(table)
+    training = _read_training(table)
     _check_disjoint(training, held_out.sequences, file)
     return Tuning(
         name,
@@ -54,10 +54,10 @@ def tuning(content: Mapping[str, Any], file: str, name: str, command: str) -> Tu
         command,
         table.whole_number("points", POINTS, low=2),
         table.whole_number("seed", 0),
-        _objective(table.table("objective", " with metric and lost")),
+        _read_objective(table.table("objective", " with metric and lost")),
         table.number("run_cpu_s", RUN_CPU_S, low=1e-3),
         tuple(
-            _tunable(each.labelled(method.label), method)
+            _make_tunable(each.labelled(method.label), method)
             for each, method in zip(methods, held_out.methods, strict=True)
         ),
         training,
@@ -67,7 +67,7 @@ def tuning(content: Mapping[str, Any], file: str, name: str, command: str) -> Tu
     )
 
 
-def tuning_tables(
+def make_tuning_tables(
     backends: Sequence[str], on: Sequence[str], held_out: Sequence[str], budget: int, given: Mapping[str, str]
 ) -> dict[str, Any]:
     """The tables of a tuning of back ends and data sets named on the command line.
@@ -90,11 +90,11 @@ def tuning_tables(
     }
 
 
-def _plan(table: TomlTable, sequences: Sequence[TomlTable], kind: str) -> Experiment:
+def _make_plan(table: TomlTable, sequences: Sequence[TomlTable], kind: str) -> Experiment:
     """The experiment of the methods on some sequences; ``kind`` names these in errors."""
-    methods = [_without(each, "search") for each in table.tables("method", "a tuning")]
+    methods = [_remove_key(each, "search") for each in table.tables("method", "a tuning")]
     rest = {key: table.content[key] for key in ("mapper", "limits") if key in table.content}
-    content = {**rest, "method": methods, "sequence": [_without(each, "confirm") for each in sequences]}
+    content = {**rest, "method": methods, "sequence": [_remove_key(each, "confirm") for each in sequences]}
     try:
         return experiment_from_tables(content, table.file, "tuning", "tuning")
     except BadExperiment as error:
@@ -102,19 +102,19 @@ def _plan(table: TomlTable, sequences: Sequence[TomlTable], kind: str) -> Experi
         raise BadExperiment(where, place.replace("sequence", kind), what.replace("sequences", kind)) from error
 
 
-def _without(table: TomlTable, key: str) -> dict[str, Any]:
+def _remove_key(table: TomlTable, key: str) -> dict[str, Any]:
     return {name: value for name, value in table.content.items() if name != key}
 
 
-def _training(table: TomlTable) -> tuple[Training, ...]:
+def _read_training(table: TomlTable) -> tuple[Training, ...]:
     tables = table.tables("training", "a tuning")
-    sequences = _plan(table, tables, "training").sequences
+    sequences = _make_plan(table, tables, "training").sequences
     training = []
     for each, sequence in zip(tables, sequences, strict=True):
         place = each.labelled(sequence.label)
         if sequence.missing:
             raise place.error(f"cannot be trained on here: {sequence.missing}")
-        training.append(Training(sequence, _confirm(place, sequences, sequence)))
+        training.append(Training(sequence, _read_confirm_seeds(place, sequences, sequence)))
     if sum(len(one.confirm) for one in training) < MIN_CONFIRM_RUNS:
         what = (
             "'confirm': the best point is compared with the default on fresh seeds, and it takes "
@@ -125,7 +125,7 @@ def _training(table: TomlTable) -> tuple[Training, ...]:
     return tuple(training)
 
 
-def _confirm(table: TomlTable, sequences: Sequence[SequenceSpec], sequence: SequenceSpec) -> tuple[int, ...]:
+def _read_confirm_seeds(table: TomlTable, sequences: Sequence[SequenceSpec], sequence: SequenceSpec) -> tuple[int, ...]:
     """The fresh seeds of a sequence: no training table searches with any of them on the same data set."""
     seeds = table.whole_numbers("confirm", [], empty=True)
     if seeds and sequence.seeds == (None,):
@@ -138,9 +138,9 @@ def _confirm(table: TomlTable, sequences: Sequence[SequenceSpec], sequence: Sequ
 
 def _check_disjoint(training: Sequence[Training], held_out: Sequence[SequenceSpec], file: str) -> None:
     """Refuses a world and seed, or a recording, in both training and held-out tables, whatever its parameters."""
-    trained = {one: each.sequence.label for each in training for one in _identities(each.sequence, each.confirm)}
+    trained = {one: each.sequence.label for each in training for one in _identify_data(each.sequence, each.confirm)}
     for sequence in held_out:
-        for identity in _identities(sequence, ()):
+        for identity in _identify_data(sequence, ()):
             if identity in trained:
                 name, seed = identity
                 subject = f"{name} is" if seed is None else f"{name} with seed {seed} is"
@@ -148,7 +148,7 @@ def _check_disjoint(training: Sequence[Training], held_out: Sequence[SequenceSpe
                 raise BadExperiment(file, f"held-out ({sequence.label})", what)
 
 
-def _identities(sequence: SequenceSpec, more: Sequence[int]) -> set[tuple[str, int | None]]:
+def _identify_data(sequence: SequenceSpec, more: Sequence[int]) -> set[tuple[str, int | None]]:
     """What a sequence shows: its world with each seed, or its recording by name and by the file it reads."""
     seeded = registry.dataset(sequence.dataset).seeded
     if seeded:
@@ -157,26 +157,26 @@ def _identities(sequence: SequenceSpec, more: Sequence[int]) -> set[tuple[str, i
     return {(str(Path(path).resolve()) if isinstance(path, str) and path else sequence.dataset, None)}
 
 
-def _tunable(table: TomlTable, method: Method) -> TunableMethod:
+def _make_tunable(table: TomlTable, method: Method) -> TunableMethod:
     """A method with the space to search: what its table names, or what its back end's parameters declare."""
     default = method.parameters
-    parameters = () if method.missing else own_parameters(registry.find_backend(method.backend))
+    parameters = () if method.missing else list_own_parameters(registry.find_backend(method.backend))
     if "search" not in table.content or method.missing:
-        factors, excluded = declared_factors([p for p in parameters if p.name in default], default)
+        factors, excluded = make_declared_factors([p for p in parameters if p.name in default], default)
         return TunableMethod(method, Space(factors, default), excluded)
     search = table.content["search"]
     if not isinstance(search, Mapping):
         raise table.bad_value("search", "a table of parameters and their levels")
     known = {parameter.name: parameter for parameter in parameters}
     chosen = tuple(
-        _factor(replace(table, place=f"{table.place}: search.{name}"), name, value, known, default)
+        _make_factor(replace(table, place=f"{table.place}: search.{name}"), name, value, known, default)
         for name, value in search.items()
     )
     excluded = {name: "not named in 'search'" for name in known if name not in search}
     return TunableMethod(method, Space(chosen, default), excluded)
 
 
-def _factor(
+def _make_factor(
     table: TomlTable, name: str, value: object, known: Mapping[str, Parameter], default: Mapping[str, Value]
 ) -> Factor:
     """The factor of one parameter; ``value``: its levels, or a table with ``levels`` and other keys of a factor."""
@@ -201,7 +201,7 @@ def _factor(
     return factor
 
 
-def _objective(table: TomlTable) -> Response:
+def _read_objective(table: TomlTable) -> Response:
     table.check_keys(("metric", "lost"))
     with_walls = {metric.name for metric in spans.METRICS}  # spans end at walls; training runs draw no map
     metrics = {m.name: m for m in all_metrics() if m.better == "lower" and m.group in ("drift", "relations")}

@@ -56,19 +56,23 @@ def judge_held_out(analysis: Analysis, results: Sequence[SearchResult]) -> tuple
     labels = [one.tunable.label for one in results if one.tuned]
     pairs = compare_pairs(analysis.comparison, analysis.sequences, [(label + TUNED, label) for label in labels])
     by_default = {pair.reference: pair for pair in pairs}
-    return tuple(_judge(analysis, label, by_default.get(label)) for label in labels)
+    return tuple(_judge_method(analysis, label, by_default.get(label)) for label in labels)
 
 
-def _judge(analysis: Analysis, label: str, duel: PairedComparison | None) -> HeldOutVerdict:
-    sequences = tuple(one for sequence in analysis.sequences if (one := _on_sequence(sequence, label)) is not None)
-    lost = _lost(analysis.comparison, label), _lost(analysis.comparison, label + TUNED)
+def _judge_method(analysis: Analysis, label: str, duel: PairedComparison | None) -> HeldOutVerdict:
+    sequences = tuple(
+        one for sequence in analysis.sequences if (one := _compare_on_sequence(sequence, label)) is not None
+    )
+    lost = _count_lost(analysis.comparison, label), _count_lost(analysis.comparison, label + TUNED)
     worse = [one.ranking.sequence for one in sequences if one.worse]
     better = [one.ranking.sequence for one in sequences if one.shown and not one.worse]
     overfitted = lost[1] > lost[0] or bool(worse) or (duel is not None and duel.verdict == "worse")
-    return HeldOutVerdict(label, duel, sequences, lost, overfitted, _verdict(duel, lost, worse, better))
+    return HeldOutVerdict(label, duel, sequences, lost, overfitted, _describe_verdict(duel, lost, worse, better))
 
 
-def _verdict(duel: PairedComparison | None, lost: tuple[int, int], worse: Sequence[str], better: Sequence[str]) -> str:
+def _describe_verdict(
+    duel: PairedComparison | None, lost: tuple[int, int], worse: Sequence[str], better: Sequence[str]
+) -> str:
     if lost[1] > lost[0]:
         return f"overfitted: it loses {lost[1]} held-out runs, the default {lost[0]}"
     if duel is not None and duel.verdict == "worse":
@@ -82,7 +86,7 @@ def _verdict(duel: PairedComparison | None, lost: tuple[int, int], worse: Sequen
     return f"{duel.verdict} over all held-out runs{alone}{where}"
 
 
-def _on_sequence(sequence: SequenceAnalysis, label: str) -> HeldOutSequence | None:
+def _compare_on_sequence(sequence: SequenceAnalysis, label: str) -> HeldOutSequence | None:
     ranking = sequence.deciding
     if ranking is None or ranking.metric.better != "lower":
         return None
@@ -93,6 +97,6 @@ def _on_sequence(sequence: SequenceAnalysis, label: str) -> HeldOutSequence | No
     return HeldOutSequence(ranking, default, tuned, compute_difference(tuned, default), shown)
 
 
-def _lost(comparison: Comparison, label: str) -> int:
+def _count_lost(comparison: Comparison, label: str) -> int:
     own = [record.result.status for record in comparison.records if record.method == label]
     return sum(status != RunStatus.COMPLETE and status not in NOT_EXECUTED for status in own)

@@ -70,7 +70,7 @@ def score_candidate(candidate: Candidate, results: Sequence[RunScores], objectiv
     )
 
 
-def best_candidate(tried: Sequence[ScoredCandidate]) -> ScoredCandidate:
+def find_best_candidate(tried: Sequence[ScoredCandidate]) -> ScoredCandidate:
     """The best point; the earliest of equal ones, so that the default wins a tie."""
     return min(tried, key=lambda one: one.order)
 

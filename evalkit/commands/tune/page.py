@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from evalkit.commands.tune import charts
 from evalkit.commands.tune.plan import TUNED
 from evalkit.commands.tune.result import TuningResult
-from evalkit.commands.tune.rows import format_number, held_blocks
+from evalkit.commands.tune.rows import build_held_out_blocks, format_number
 from evalkit.commands.tune.search_loop import SearchResult
 from evalkit.commands.tune.space import is_continuous
 from evalkit.report.html.blocks import (
@@ -29,7 +29,7 @@ from evalkit.report.html.blocks import (
 )
 
 
-def document(result: TuningResult) -> Document:
+def build_document(result: TuningResult) -> Document:
     """The whole page."""
     tuning = result.tuning
     lost = tuning.objective
@@ -40,18 +40,18 @@ def document(result: TuningResult) -> Document:
         ("CPU time", f"{sum(one.cpu_s for one in result.searches) / 60.0:.1f} min of search"),
     )
     sections = (
-        _summary(result),
-        Section("Held out", held_blocks(result), "held-out"),
-        _frontiers(result),
-        Section("Budget", _budget(result), "budget"),
-        Section("Search space", _spaces(result), "space"),
-        Section("Points", [_points(result, one) for one in result.searched], "points"),
-        _how(result),
+        _build_summary(result),
+        Section("Held out", build_held_out_blocks(result), "held-out"),
+        _build_fronts(result),
+        Section("Budget", _build_budget(result), "budget"),
+        Section("Search space", _build_spaces(result), "space"),
+        Section("Points", [_build_points(result, one) for one in result.searched], "points"),
+        _build_method(result),
     )
     return Document("evalkit tune", tuning.title, tuning.description, sections, facts)
 
 
-def _summary(result: TuningResult) -> Section:
+def _build_summary(result: TuningResult) -> Section:
     unit = result.tuning.objective.metric.unit
     columns = (
         Column("Back end"),
@@ -64,7 +64,7 @@ def _summary(result: TuningResult) -> Section:
     )
     blocks: list[Block] = [
         Bullets([f"{result.sentence(one)}." for one in result.searched]),
-        Table(columns, [_line(result, one) for one in result.searched]),
+        Table(columns, [_make_summary_row(result, one) for one in result.searched]),
         Text(
             "The search overestimates its best point, because the same runs select and score it. Therefore the best "
             "point and the default run again on fresh seeds of the training worlds. The best point replaces the "
@@ -78,7 +78,7 @@ def _summary(result: TuningResult) -> Section:
     return Section("Summary", blocks, "summary")
 
 
-def _line(result: TuningResult, one: SearchResult) -> Sequence[Cell | str]:
+def _make_summary_row(result: TuningResult, one: SearchResult) -> Sequence[Cell | str]:
     label = one.tunable.label
     if one.failed:
         why = next(iter(filter(None, one.default.lost)), "")
@@ -89,16 +89,16 @@ def _line(result: TuningResult, one: SearchResult) -> Sequence[Cell | str]:
     tone: Tone = "bad" if held is not None and held.overfitted else "good" if duel and duel.verdict == "better" else ""
     return (
         Cell(label, link=f"#{slug(f'points of {label}')}"),
-        _changes(one),
+        _describe_changes(one),
         Cell(f"{format_number(one.default.error)} → {format_number(one.best.error)}", sort=one.best.error),
-        _fresh(one),
+        _make_ratio_cell(one),
         Cell("-", sort=1.0) if duel is None or duel.ratio is None else Cell(f"{duel.ratio:.2f}", sort=duel.ratio),
         Cell(f"{one.default.cpu_ms:.2f} → {one.chosen.cpu_ms:.2f}", sort=one.chosen.cpu_ms),
         Cell(result.verdict(one), tone=tone),
     )  # fmt: skip
 
 
-def _fresh(one: SearchResult) -> Cell:
+def _make_ratio_cell(one: SearchResult) -> Cell:
     """The error ratio of best point and default on fresh seeds."""
     found = one.ratio
     if found is None:
@@ -106,7 +106,7 @@ def _fresh(one: SearchResult) -> Cell:
     return Cell(f"{found.value:.2f} ({found.low:.2f} to {found.high:.2f})", found.value, tip=f"{found.support} runs")
 
 
-def _changes(one: SearchResult) -> str:
+def _describe_changes(one: SearchResult) -> str:
     values, default = one.chosen.candidate.values, one.default.candidate.values
     changed = [
         f"{name} {_format_value(default[name])} → {_format_value(values[name])}"
@@ -116,15 +116,15 @@ def _changes(one: SearchResult) -> str:
     return ", ".join(changed) or "default"
 
 
-def _frontiers(result: TuningResult) -> Section:
+def _build_fronts(result: TuningResult) -> Section:
     drawn = [one for one in result.searched if not one.failed]
     if not drawn:
         return Section("Accuracy against compute", [Text("No point has a value.")], "pareto-front")
     return Section(
         "Accuracy against compute",
         (
-            charts.pareto_fronts_chart(drawn, result.tuning.objective),
-            Figures([charts.points_chart(one, result.tuning.objective) for one in drawn]),
+            charts.draw_pareto_fronts(drawn, result.tuning.objective),
+            Figures([charts.draw_points(one, result.tuning.objective) for one in drawn]),
             Text(
                 "All tried points in training: median over runs of the median CPU time per scan, and geometric mean "
                 "error with lost runs at their bound. CPU times are measured beside other runs and without a warm-up: "
@@ -136,7 +136,7 @@ def _frontiers(result: TuningResult) -> Section:
     )
 
 
-def _budget(result: TuningResult) -> list[Block]:
+def _build_budget(result: TuningResult) -> list[Block]:
     columns = (
         Column("Back end"),
         Column("Points", number=True),
@@ -146,10 +146,10 @@ def _budget(result: TuningResult) -> list[Block]:
         Column("CPU time", "s", number=True, tip="of all runs"),
         Column("Remark"),
     )
-    return [Table(columns, [_spent(result, one) for one in result.searches]), *_sequences(result)]
+    return [Table(columns, [_make_budget_row(result, one) for one in result.searches]), *_build_sequences(result)]
 
 
-def _spent(result: TuningResult, one: SearchResult) -> Sequence[Cell | str]:
+def _make_budget_row(result: TuningResult, one: SearchResult) -> Sequence[Cell | str]:
     fresh = one.confirmed or ()
     points, size = len(one.tried), one.tunable.space.size
     remark = ""
@@ -160,18 +160,18 @@ def _spent(result: TuningResult, one: SearchResult) -> Sequence[Cell | str]:
     lost = sum(each.losses for each in (*one.tried, *fresh))
     return (
         one.tunable.label,
-        _count(points),
-        _count(sum(len(each.errors) for each in one.tried)),
-        _count(sum(len(each.errors) for each in fresh)),
+        _make_count_cell(points),
+        _make_count_cell(sum(len(each.errors) for each in one.tried)),
+        _make_count_cell(sum(len(each.errors) for each in fresh)),
         Cell(str(lost), sort=lost, tone="warn" if lost else ""),
         Cell(f"{one.cpu_s:.1f}", sort=one.cpu_s),
         remark,
     )
 
 
-def _sequences(result: TuningResult) -> list[Block]:
+def _build_sequences(result: TuningResult) -> list[Block]:
     rows: list[Sequence[Cell | str]] = [
-        (kind, one.sequence.label, _seeds(seeds), "")
+        (kind, one.sequence.label, _format_seeds(seeds), "")
         for one in result.tuning.training
         for kind, seeds in (("search", one.sequence.seeds), ("fresh seeds", one.confirm))
         if seeds
@@ -180,7 +180,7 @@ def _sequences(result: TuningResult) -> list[Block]:
     for sequence in result.tuning.held_out:
         again = sequence.dataset in trained and sequence.seeds != (None,)
         known = "same world, other seeds" if again else "not in training"
-        rows.append(("held out", sequence.label, _seeds(sequence.seeds), known))
+        rows.append(("held out", sequence.label, _format_seeds(sequence.seeds), known))
     return [
         Table(
             ("Used for", "Sequence", "Seeds", ""),
@@ -191,7 +191,7 @@ def _sequences(result: TuningResult) -> list[Block]:
     ]
 
 
-def _spaces(result: TuningResult) -> list[Block]:
+def _build_spaces(result: TuningResult) -> list[Block]:
     columns = ("Back end", "Parameter", Column("Searched"), "Scale", Column("Default"), Column("Chosen"))
     rows: list[Sequence[Cell | str]] = []
     for one in result.searched:
@@ -211,28 +211,28 @@ def _spaces(result: TuningResult) -> list[Block]:
     return blocks
 
 
-def _points(result: TuningResult, one: SearchResult) -> Block:
+def _build_points(result: TuningResult, one: SearchResult) -> Block:
     names = [factor.sets[0].partition(".")[2] for factor in one.tunable.space.factors]
     columns: tuple[Column | str, ...] = (
         Column("#", number=True), "found by", *names,
         Column("error", result.tuning.objective.metric.unit, number=True),
         Column("lost runs", number=True), Column("CPU", "ms", number=True), "",
     )  # fmt: skip
-    marks = charts.on_pareto_front(one.tried).tolist()
+    marks = charts.mark_pareto_front(one.tried).tolist()
     rows: list[Sequence[Cell | str]] = []
     for position, (each, on) in enumerate(zip(one.tried, marks, strict=True)):
         said = ["best"] * (each is one.best) + ["chosen"] * (each is one.chosen) + ["Pareto front"] * on
-        values = [_value(each.candidate.values[name]) for name in names]
+        values = [_make_value_cell(each.candidate.values[name]) for name in names]
         why = next(iter(filter(None, each.lost)), "")
         rows.append((
-            _count(position), each.candidate.found, *values, Cell(format_number(each.error), sort=each.error),
+            _make_count_cell(position), each.candidate.found, *values, Cell(format_number(each.error), sort=each.error),
             Cell(str(each.losses), sort=each.losses, tone="warn" if each.losses else "", tip=why),
             Cell("-" if math.isnan(each.cpu_ms) else f"{each.cpu_ms:.2f}", sort=each.cpu_ms), ", ".join(said),
         ))  # fmt: skip
     return Fold(f"Points of {one.tunable.label}", (Table(columns, rows),))
 
 
-def _how(result: TuningResult) -> Section:
+def _build_method(result: TuningResult) -> Section:
     tuning = result.tuning
     bound = f"{tuning.objective.lost:g} {tuning.objective.metric.unit}".rstrip()
     items = (
@@ -256,15 +256,15 @@ def _how(result: TuningResult) -> Section:
     return Section("How", (Bullets(items), Command(tuning.command), full, Command(result.report), machine), "how")
 
 
-def _seeds(seeds: Sequence[int | None]) -> str:
+def _format_seeds(seeds: Sequence[int | None]) -> str:
     return ", ".join("recording" if seed is None else str(seed) for seed in seeds)
 
 
-def _count(value: int) -> Cell:
+def _make_count_cell(value: int) -> Cell:
     return Cell(f"{value:,}", sort=value)
 
 
-def _value(value: object) -> Cell:
+def _make_value_cell(value: object) -> Cell:
     numeric = isinstance(value, (int, float)) and not isinstance(value, bool)
     return Cell(_format_value(value), sort=float(value) if numeric else None)  # type: ignore[arg-type]  # checked by numeric
 

@@ -8,7 +8,7 @@ from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
 
 
-def pareto_front(costs: Floats, errors: Floats) -> Bools:
+def find_pareto_front(costs: Floats, errors: Floats) -> Bools:
     """Marks (N,) of the points on the Pareto front; smaller is better in both.
 
     A point dominates another if it is no worse in both and better in one. Points with a value that is not finite are

@@ -19,7 +19,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from evalkit.commands.tune.charts import on_pareto_front
+from evalkit.commands.tune.charts import mark_pareto_front
 from evalkit.commands.tune.held_out import HeldOutVerdict
 from evalkit.commands.tune.objective import ScoredCandidate
 from evalkit.commands.tune.plan import TunableMethod
@@ -53,19 +53,19 @@ def tuning_as_json(result: TuningResult) -> dict[str, Any]:
             "confirming_runs": len(tuning.confirm_runs),
             "run_cpu_s": tuning.run_cpu_s,
         },
-        "training": [_sequence(one.sequence) | {"confirm": list(one.confirm)} for one in tuning.training],
-        "held_out": [_sequence(sequence) for sequence in tuning.held_out],
-        "backends": [_backend(result, tunable, by_label.get(tunable.label)) for tunable in tuning.methods],
+        "training": [_sequence_as_json(one.sequence) | {"confirm": list(one.confirm)} for one in tuning.training],
+        "held_out": [_sequence_as_json(sequence) for sequence in tuning.held_out],
+        "backends": [_backend_as_json(result, tunable, by_label.get(tunable.label)) for tunable in tuning.methods],
     }
 
 
-def _sequence(sequence: SequenceSpec) -> dict[str, Any]:
+def _sequence_as_json(sequence: SequenceSpec) -> dict[str, Any]:
     seeds = [seed for seed in sequence.seeds if seed is not None]
     parameters = dict(sequence.parameters)
     return {"label": sequence.label, "dataset": sequence.dataset, "seeds": seeds, "parameters": parameters}
 
 
-def _backend(result: TuningResult, tunable: TunableMethod, one: SearchResult | None) -> dict[str, Any]:
+def _backend_as_json(result: TuningResult, tunable: TunableMethod, one: SearchResult | None) -> dict[str, Any]:
     space = {
         factor.name: {
             "levels": [level.label if level.number is None else level.number for level in factor.levels],
@@ -81,11 +81,11 @@ def _backend(result: TuningResult, tunable: TunableMethod, one: SearchResult | N
         "space": space,
         "not_searched": dict(tunable.excluded),
     }
-    return head if one is None else head | _searched(result, one)
+    return head if one is None else head | _search_as_json(result, one)
 
 
-def _searched(result: TuningResult, one: SearchResult) -> dict[str, Any]:
-    on = on_pareto_front(one.tried).tolist()
+def _search_as_json(result: TuningResult, one: SearchResult) -> dict[str, Any]:
+    on = mark_pareto_front(one.tried).tolist()
     pair = (*one.tried, *(one.confirmed or ()))
     runs = sum(len(each.errors) for each in pair)
     held = result.held.get(one.tunable.label)
@@ -96,17 +96,17 @@ def _searched(result: TuningResult, one: SearchResult) -> dict[str, Any]:
             "lost_runs": sum(each.losses for each in pair),
             "cpu_s": one.cpu_s,
         },
-        "points": [_point(one, each, chosen) for each, chosen in zip(one.tried, on, strict=True)],
+        "points": [_point_as_json(one, each, chosen) for each, chosen in zip(one.tried, on, strict=True)],
         "best": one.tried.index(one.best),
-        "confirmed": _confirmed(one),
+        "confirmed": _confirmed_as_json(one),
         "tuned": one.tuned,
         "why": one.why,
         "parameters": dict(one.chosen.candidate.values),
-        "held_out": None if held is None else _held(held),
+        "held_out": None if held is None else _held_out_as_json(held),
     }
 
 
-def _point(one: SearchResult, each: ScoredCandidate, on: bool) -> dict[str, Any]:
+def _point_as_json(one: SearchResult, each: ScoredCandidate, on: bool) -> dict[str, Any]:
     names = [name for factor in one.tunable.space.factors for name in factor.sets]
     return {
         "found": each.candidate.found,
@@ -114,12 +114,12 @@ def _point(one: SearchResult, each: ScoredCandidate, on: bool) -> dict[str, Any]
         "error": each.error,
         "lost_runs": each.losses,
         "reasons": list(dict.fromkeys(filter(None, each.lost))),
-        "cpu_median_ms": _finite(each.cpu_ms),
+        "cpu_median_ms": _replace_infinite(each.cpu_ms),
         "pareto_front": on,
     }
 
 
-def _confirmed(one: SearchResult) -> dict[str, Any] | None:
+def _confirmed_as_json(one: SearchResult) -> dict[str, Any] | None:
     if one.confirmed is None or one.ratio is None:
         return None
     default, best = one.confirmed
@@ -127,17 +127,17 @@ def _confirmed(one: SearchResult) -> dict[str, Any] | None:
     return {"default": default.errors.tolist(), "best": best.errors.tolist(), "ratio": ratio}
 
 
-def _held(held: HeldOutVerdict) -> dict[str, Any]:
+def _held_out_as_json(held: HeldOutVerdict) -> dict[str, Any]:
     duel = held.duel
     tested = {} if duel is None else {
         "runs": duel.runs,
         "ratio": duel.ratio,
         "p_holm": duel.p,
-        "detectable_ratio": _finite(duel.detectable),
+        "detectable_ratio": _replace_infinite(duel.detectable),
     }  # fmt: skip
     lost = {"default": held.lost[0], "tuned": held.lost[1]}
     return {"verdict": held.verdict, "overfitted": held.overfitted, "lost_runs": lost} | tested
 
 
-def _finite(value: float) -> float | None:
+def _replace_infinite(value: float) -> float | None:
     return value if math.isfinite(value) else None

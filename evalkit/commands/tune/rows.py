@@ -13,13 +13,13 @@ from evalkit.report.analysis.scores import STATUS_LABELS
 from evalkit.report.html.blocks import Block, Cell, Column, Table, Text
 
 
-def held_blocks(result: TuningResult) -> list[Block]:
+def build_held_out_blocks(result: TuningResult) -> list[Block]:
     """The medians with their intervals, the tests over all runs, and the differences on each sequence."""
     comparison = result.comparison
     rankings = {sequence.label: sequence.deciding for sequence in result.analysis.sequences}
-    columns = [Column("Method"), *(_heading(name, found) for name, found in rankings.items())]
+    columns = [Column("Method"), *(_make_heading(name, found) for name, found in rankings.items())]
     rows = [
-        [Cell(label), *(_score(result, label, name, found) for name, found in rankings.items())]
+        [Cell(label), *(_make_score_cell(result, label, name, found) for name, found in rankings.items())]
         for label in comparison.method_labels
     ]
     caption = "Median over the runs with its 95 % interval, in the metric that decides the sequence"
@@ -27,9 +27,9 @@ def held_blocks(result: TuningResult) -> list[Block]:
     held = list(result.held.values())
     if not held:
         return [*blocks, Text("All back ends keep their default.")]
-    blocks.append(_tests(held))
+    blocks.append(_build_tests(held))
     if pairs := [(one.label, each) for one in held for each in one.sequences]:
-        blocks.append(_differences(pairs))
+        blocks.append(_build_differences(pairs))
     return blocks
 
 
@@ -38,13 +38,13 @@ def format_number(value: float) -> str:
     return f"{value:.3g}" if math.isfinite(value) else "none"
 
 
-def _heading(name: str, found: Ranking | None) -> Column:
+def _make_heading(name: str, found: Ranking | None) -> Column:
     if found is None:
         return Column(name, number=True)
     return Column(f"{name}: {found.metric.label}", found.metric.unit, number=True)
 
 
-def _score(result: TuningResult, label: str, sequence: str, found: Ranking | None) -> Cell:
+def _make_score_cell(result: TuningResult, label: str, sequence: str, found: Ranking | None) -> Cell:
     score = None if found is None else found.of(label)
     own = [record for record in result.comparison.records if (record.method, record.sequence) == (label, sequence)]
     if score is None or not score.values:
@@ -63,7 +63,7 @@ def _score(result: TuningResult, label: str, sequence: str, found: Ranking | Non
     return Cell(text, sort=middle, tone="warn" if lost else "", tip=f"{len(score.values)} runs")
 
 
-def _tests(held: Sequence[HeldOutVerdict]) -> Table:
+def _build_tests(held: Sequence[HeldOutVerdict]) -> Table:
     columns = (
         Column("Back end"),
         Column("Runs", number=True, tip="runs of both with a known ground truth and a unique pose"),
@@ -74,10 +74,10 @@ def _tests(held: Sequence[HeldOutVerdict]) -> Table:
         Column("Lost", number=True, tip="runs lost: default → tuned"),
         Column("Verdict"),
     )  # fmt: skip
-    return Table(columns, [_test(one) for one in held], "Tuned against default, over all held-out runs")
+    return Table(columns, [_make_test_row(one) for one in held], "Tuned against default, over all held-out runs")
 
 
-def _test(one: HeldOutVerdict) -> Sequence[Cell | str]:
+def _make_test_row(one: HeldOutVerdict) -> Sequence[Cell | str]:
     duel = one.duel
     lost = Cell(f"{one.lost[0]} → {one.lost[1]}", sort=one.lost[1] - one.lost[0])
     verdict = Cell(one.verdict, tone="bad" if one.overfitted else "")
@@ -96,17 +96,19 @@ def _test(one: HeldOutVerdict) -> Sequence[Cell | str]:
     )
 
 
-def _differences(pairs: Sequence[tuple[str, HeldOutSequence]]) -> Table:
+def _build_differences(pairs: Sequence[tuple[str, HeldOutSequence]]) -> Table:
     columns = (
         Column("Back end"), Column("Sequence"), Column("Metric"), Column("Default", number=True),
         Column("Tuned", number=True), Column("Tuned - default", number=True, tip="paired, with 95 % interval"),
         Column("Detectable", number=True, tip="the difference that these runs detect with 80 % power at 5 %"),
         Column("Significant"),
     )  # fmt: skip
-    return Table(columns, [_difference(*pair) for pair in pairs], "Tuned against default, sequence by sequence")
+    return Table(
+        columns, [_make_difference_row(*pair) for pair in pairs], "Tuned against default, sequence by sequence"
+    )
 
 
-def _difference(label: str, one: HeldOutSequence) -> Sequence[Cell | str]:
+def _make_difference_row(label: str, one: HeldOutSequence) -> Sequence[Cell | str]:
     metric = one.ranking.metric
     unit = f" {metric.unit}" if metric.unit else ""
     head = (label, one.ranking.sequence, metric.label)

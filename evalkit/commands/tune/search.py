@@ -83,28 +83,28 @@ class Search:
             for attempt in range(SPARE * SPARE * points):
                 step = len(tried) - spread + attempt % points + 1
                 share = max(1.0 - math.log(step) / math.log(steps), 0.0) if step < steps else 0.0
-                yield self.space.at(_move(self.space.factors, best.shares, share, rng), "step")
+                yield self.space.at(_change_some(self.space.factors, best.shares, share, rng), "step")
 
         anywhere = (self.space.at(row, "spread") for row in rng.random((SPARE * SPARE * points, len(best.shares))))
         return _take_untried(chain(draw_steps(), anywhere), tried, points)
 
 
-def _move(factors: Sequence[Factor], shares: Sequence[float], share: float, rng: np.random.Generator) -> Floats:
+def _change_some(factors: Sequence[Factor], shares: Sequence[float], share: float, rng: np.random.Generator) -> Floats:
     """A place near another: each coordinate moves with probability ``share``, and at least one does."""
     chosen = rng.random(len(shares)) < share
     chosen[rng.integers(len(shares))] = True
     moved = np.array(shares)
     for number in np.flatnonzero(chosen).tolist():
-        moved[number] = _step(factors[number])(moved[number], rng)
+        moved[number] = _make_step(factors[number])(moved[number], rng)
     return moved
 
 
-def _step(factor: Factor) -> Callable[[float, np.random.Generator], float]:
+def _make_step(factor: Factor) -> Callable[[float, np.random.Generator], float]:
     """A function that moves a coordinate: along a range, to a nearby level, or to any other unordered level."""
     count = len(factor.levels)
 
     def along(at: float, rng: np.random.Generator) -> float:
-        return _reflect(at + STEP * rng.standard_normal())
+        return _reflect_share(at + STEP * rng.standard_normal())
 
     def to_level(at: float, rng: np.random.Generator) -> float:
         known = min(int(at * count), count - 1)
@@ -115,7 +115,7 @@ def _step(factor: Factor) -> Callable[[float, np.random.Generator], float]:
     return along if is_continuous(factor) else to_level
 
 
-def _reflect(share: float) -> float:
+def _reflect_share(share: float) -> float:
     """A share reflected into 0 to 1."""
     inside = abs(share)
     inside = 2.0 - inside if inside > 1.0 else inside

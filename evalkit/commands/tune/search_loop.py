@@ -11,8 +11,8 @@ from evalkit.commands.study.evaluate import RunScores
 from evalkit.commands.study.result import run_study_tasks
 from evalkit.commands.tune.objective import (
     ScoredCandidate,
-    best_candidate,
     compute_error_ratio,
+    find_best_candidate,
     is_better,
     score_candidate,
 )
@@ -62,7 +62,7 @@ class SearchResult:
     @property
     def best(self) -> ScoredCandidate:
         """The best point of the search."""
-        return best_candidate(self.tried)
+        return find_best_candidate(self.tried)
 
     @property
     def chosen(self) -> ScoredCandidate:
@@ -87,7 +87,7 @@ def run_search(tuning: Tuning, compute: Compute) -> tuple[SearchResult, ...]:
     while candidates := _next_candidates(tuning, methods, tried):
         for tunable, scored in _score(tuning, compute, candidates, tuning.search_runs):
             tried[tunable.label].append(scored)
-    return _confirm(tuning, compute, methods, tried)
+    return _confirm_best(tuning, compute, methods, tried)
 
 
 def make_held_out_experiment(tuning: Tuning, results: Sequence[SearchResult], file: str) -> Experiment:
@@ -140,7 +140,7 @@ def _next_candidates(
     for tunable in methods:
         known = tried[tunable.label]
         search = Search(tunable.space, tuning.points, tuning.seed)
-        best = best_candidate(known).candidate if known else None
+        best = find_best_candidate(known).candidate if known else None
         candidates += [(tunable, candidate) for candidate in search.next([one.candidate for one in known], best)]
     return candidates
 
@@ -158,22 +158,22 @@ def _score(
     ]
 
 
-def _confirm(
+def _confirm_best(
     tuning: Tuning, compute: Compute, methods: Sequence[TunableMethod], tried: Mapping[str, Sequence[ScoredCandidate]]
 ) -> tuple[SearchResult, ...]:
     """Runs default and best point on fresh seeds for every back end whose best point is not the default."""
     candidates: Candidates = []
     for tunable in methods:
         known = tried[tunable.label]
-        if (best := best_candidate(known)) is not known[0]:
+        if (best := find_best_candidate(known)) is not known[0]:
             candidates += [(tunable, known[0].candidate), (tunable, best.candidate)]
     pairs: dict[str, list[ScoredCandidate]] = {}
     for tunable, scored in _score(tuning, compute, candidates, tuning.confirm_runs) if candidates else []:
         pairs.setdefault(tunable.label, []).append(scored)
-    return tuple(_decide(tuning, each, tried[each.label], pairs.get(each.label, [])) for each in methods)
+    return tuple(_decide_result(tuning, each, tried[each.label], pairs.get(each.label, [])) for each in methods)
 
 
-def _decide(
+def _decide_result(
     tuning: Tuning, tunable: TunableMethod, tried: Sequence[ScoredCandidate], pair: Sequence[ScoredCandidate]
 ) -> SearchResult:
     """Takes the best point or keeps the default, by the ``pair`` of default and best on fresh seeds."""
@@ -183,11 +183,11 @@ def _decide(
     default, candidate = pair
     ratio = compute_error_ratio(candidate, default, tuning.seed)
     taken = is_better(candidate, default, ratio)
-    why = "better on fresh seeds by more than noise" if taken else _reason_to_keep(candidate, default)
+    why = "better on fresh seeds by more than noise" if taken else _explain_default(candidate, default)
     return SearchResult(tunable, tuple(tried), (default, candidate), ratio, taken, why)
 
 
-def _reason_to_keep(candidate: ScoredCandidate, default: ScoredCandidate) -> str:
+def _explain_default(candidate: ScoredCandidate, default: ScoredCandidate) -> str:
     if candidate.losses > default.losses:
         return "default kept: the best point of the search loses more runs on fresh seeds"
     return "default kept: the gain of the best point is within noise on fresh seeds"

@@ -66,7 +66,7 @@ class Space:
 
     def start(self) -> Candidate:
         """The default exactly, even if it lies outside the bounds; its place is then at the border."""
-        shares = tuple(_share(factor, self.default) for factor in self.factors)
+        shares = tuple(_find_share(factor, self.default) for factor in self.factors)
         return Candidate(shares, dict(self.default), "default")
 
     @property
@@ -87,7 +87,7 @@ def settings(level: FactorLevel) -> dict[str, Value]:
     return {name.removeprefix(METHOD): value for name, value in level.sets.items()}
 
 
-def own_parameters(spec: BackendSpec) -> tuple[Parameter, ...]:
+def list_own_parameters(spec: BackendSpec) -> tuple[Parameter, ...]:
     """The parameters to tune: those that the back end declares, without the front end's.
 
     An odometry with its own front end declares those under the same names; they are not tuned either.
@@ -95,7 +95,7 @@ def own_parameters(spec: BackendSpec) -> tuple[Parameter, ...]:
     return tuple(p for p in frontend.settable_parameters(spec) if p.name not in SHARED)
 
 
-def declared_factors(
+def make_declared_factors(
     parameters: Sequence[Parameter], default: Mapping[str, Value]
 ) -> tuple[tuple[Factor, ...], dict[str, str]]:
     """Factors from the declarations of parameters, and why other parameters are not searched, by name.
@@ -107,7 +107,7 @@ def declared_factors(
     excluded: dict[str, str] = {}
     for parameter in parameters:
         try:
-            factors.append(_factor(parameter, _levels(parameter, default[parameter.name])))
+            factors.append(_make_factor(parameter, _choose_levels(parameter, default[parameter.name])))
         except NotSearchable as error:
             excluded[parameter.name] = str(error)
     return tuple(factors), excluded
@@ -117,7 +117,7 @@ class NotSearchable(Exception):
     """A parameter declares too little to search it; the message says what."""
 
 
-def _levels(parameter: Parameter, default: Value) -> Sequence[Value]:
+def _choose_levels(parameter: Parameter, default: Value) -> Sequence[Value]:
     """The levels of a parameter. Raises NotSearchable if its declaration gives none."""
     if parameter.name.removeprefix(FIRST_STAGE) == TRACE.name:
         raise NotSearchable("it adds a trace to the output, it does not change the result")
@@ -138,13 +138,15 @@ def _levels(parameter: Parameter, default: Value) -> Sequence[Value]:
         low, high = max(ends[0], parameter.low), min(ends[1], parameter.high)
         levels: Sequence[Value] = (low, high) if low < high else ()
     else:
-        levels = _whole_levels(parameter, default, ends, bounded)
+        levels = _choose_whole_levels(parameter, default, ends, bounded)
     if len(levels) < 2:
         raise NotSearchable("its bounds leave one value")
     return levels
 
 
-def _whole_levels(parameter: Parameter, default: int, ends: tuple[float, float], bounded: bool) -> tuple[int, ...]:
+def _choose_whole_levels(
+    parameter: Parameter, default: int, ends: tuple[float, float], bounded: bool
+) -> tuple[int, ...]:
     if bounded and ends == (parameter.low, parameter.high):
         span = np.linspace(*ends, min(MAX_LEVELS, int(ends[1] - ends[0]) + 1))
     else:
@@ -153,7 +155,7 @@ def _whole_levels(parameter: Parameter, default: int, ends: tuple[float, float],
     return tuple(int(value) for value in np.unique(inside))
 
 
-def _factor(parameter: Parameter, levels: Sequence[Value]) -> Factor:
+def _make_factor(parameter: Parameter, levels: Sequence[Value]) -> Factor:
     name = METHOD + parameter.name
     numbers = isinstance(levels[0], (int, float)) and not isinstance(levels[0], bool)
     factor_levels = tuple(FactorLevel(str(value), {name: value}, float(value) if numbers else None) for value in levels)
@@ -162,11 +164,11 @@ def _factor(parameter: Parameter, levels: Sequence[Value]) -> Factor:
     return Factor(parameter.name, factor_levels, None, "log" if wide else "linear", parameter.unit, (name,))
 
 
-def _share(factor: Factor, default: Mapping[str, Value]) -> float:
+def _find_share(factor: Factor, default: Mapping[str, Value]) -> float:
     """The place of the default between a factor's ends, or the middle of its level's share."""
     numbers = factor.numbers
     if numbers is not None:
-        value = float(default[settings_name(factor)])
+        value = float(default[get_parameter_name(factor)])
         known = [factor.coordinate(number) for number in numbers]
         if factor.scale == "log" and value <= 0.0:
             return 0.0
@@ -178,6 +180,6 @@ def _share(factor: Factor, default: Mapping[str, Value]) -> float:
     return (at + 0.5) / len(factor.levels)
 
 
-def settings_name(factor: Factor) -> str:
+def get_parameter_name(factor: Factor) -> str:
     """The parameter that a factor of plain values sets."""
     return factor.sets[0].removeprefix(METHOD)

@@ -35,12 +35,12 @@ def run_trial(
     The time to simulate the sequence does not count: it would be charged only to the first run on the sequence.
     """
     prepare_sequence(dataset, sequence)
-    with _limited(cpu_s):
+    with _limit_cpu_time(cpu_s):
         return evaluate(backend, parameters, dataset, sequence, mapper, {}, MAP_SCANS, metrics, code)
 
 
 @contextmanager
-def _limited(cpu_s: float) -> Iterator[None]:
+def _limit_cpu_time(cpu_s: float) -> Iterator[None]:
     """Raises CpuTimeExceeded in the main thread, between two calls of C code, when this process has used ``cpu_s``.
 
     A wall-clock timer checks the CPU time: with a CPU timer, some systems count CPU time in ticks of milliseconds, and

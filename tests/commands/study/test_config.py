@@ -62,7 +62,7 @@ def changed(change):
 
 
 def study(change=lambda content: None):
-    return config.study(changed(change), "s.toml", "evalkit study s.toml")
+    return config.study_from_tables(changed(change), "s.toml", "evalkit study s.toml")
 
 
 def test_every_point_has_all_settings_and_its_own_key():
@@ -173,4 +173,4 @@ def test_two_factors_that_set_the_same_cannot_share_a_design():
 
 def test_a_missing_study_file_is_an_error(tmp_path):
     with pytest.raises(BadExperiment, match="no such file"):
-        config.read(tmp_path / "none.toml", "")
+        config.load_study(tmp_path / "none.toml", "")

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from evalkit.commands.study.envelope import compute_panels, describe_panels, enclosed_cells, largest_box
+from evalkit.commands.study.envelope import compute_panels, describe_panels, find_largest_box, mark_enclosed_cells
 from evalkit.commands.study.factors import Factor, FactorLevel
-from evalkit.commands.study.plan import Design, EnvelopeChoice, Point, Response, Study, task_name
+from evalkit.commands.study.plan import Design, EnvelopeChoice, Point, Response, Study, format_task_name
 from evalkit.commands.study.result import StudyResult
 from evalkit.metrics import METRICS
 
@@ -33,7 +33,7 @@ def outcome(error, seeds=(0, 1), status=lambda *_: "complete"):
                 for seed in seeds:
                     value = error(speed.number, turn.number, deskew.label == "on", seed)
                     how = status(speed.number, turn.number, deskew.label == "on", seed)
-                    results[task_name(points[-1].key, seed)] = {
+                    results[format_task_name(points[-1].key, seed)] = {
                         "status": how, "reason": "" if how == "complete" else "it broke",
                         "scores": {"ate_rmse_m": value}, "why": {}, "cpu_s": 0.1,
                     }  # fmt: skip
@@ -45,7 +45,7 @@ def outcome(error, seeds=(0, 1), status=lambda *_: "complete"):
 
 def test_inside_includes_all_smaller_conditions():
     held = np.array([[1, 1, 0, 1], [1, 0, 1, 1], [1, 1, 1, 1]], dtype=bool)
-    assert enclosed_cells(held).astype(int).tolist() == [[1, 1, 0, 0], [1, 0, 0, 0], [1, 0, 0, 0]]
+    assert mark_enclosed_cells(held).astype(int).tolist() == [[1, 1, 0, 0], [1, 0, 0, 0], [1, 0, 0, 0]]
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_inside_includes_all_smaller_conditions():
     ],
 )
 def test_the_largest_box_starts_at_the_smallest_levels(rows, box):
-    assert largest_box(enclosed_cells(np.array(rows, dtype=bool))) == box
+    assert find_largest_box(mark_enclosed_cells(np.array(rows, dtype=bool))) == box
 
 
 def test_the_envelope_of_a_product_is_its_hyperbola():

@@ -15,7 +15,7 @@ import pytest
 from typer.testing import CliRunner
 
 from evalkit.cli import app
-from evalkit.commands.study.config import study
+from evalkit.commands.study.config import study_from_tables
 from evalkit.commands.study.evaluate import evaluate
 from evalkit.commands.study.result import StudyResult, run_study_tasks
 from evalkit.execution.task import make_task
@@ -108,7 +108,7 @@ def test_an_unknown_point_is_refused_and_the_known_ones_are_listed(file):
 
 
 def test_a_back_end_that_fails_is_a_result_with_its_reason(strangers):
-    made = study(tomllib.loads(STUDY), "s.toml", "")
+    made = study_from_tables(tomllib.loads(STUDY), "s.toml", "")
     found = evaluate(**{**made.tasks()[0].arguments, "backend": "faulty", "parameters": {"fault": "raise", "at": 3}})
     assert found["status"] == "failed"
     assert found["reason"].startswith("RuntimeError: lost the plot")

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from evalkit.commands.tune import page, results_json, search_loop
-from evalkit.commands.tune.charts import on_pareto_front
-from evalkit.commands.tune.config import tuning
+from evalkit.commands.tune.charts import mark_pareto_front
+from evalkit.commands.tune.config import tuning_from_tables
 from evalkit.commands.tune.result import TuningResult
 from evalkit.report.html.blocks import render
 
@@ -18,7 +18,7 @@ SEEDS = range(10)
 
 def plan():
     sequence = {"use": "lab", "laps": 0.05}
-    return tuning(
+    return tuning_from_tables(
         {
             "title": "<script>alert(1)</script>",
             "points": 8,
@@ -68,12 +68,12 @@ def test_worse_or_lost_held_out_runs_are_overfitting(build, record, tuned_ate, l
     result = told(build, record, tuned_ate, lost)
     held = result.held["a"]
     assert (held.verdict, held.overfitted) == (verdict, overfitted)
-    assert verdict in render(page.document(result))
+    assert verdict in render(page.build_document(result))
 
 
 @pytest.mark.parametrize(("status", "said"), [("failed", True), ("skipped", False)])
 def test_a_missing_run_is_not_counted_as_lost(build, record, status, said):
-    assert ("3 of 10 lost" in render(page.document(told(build, record, 0.05, 3, status)))) is said
+    assert ("3 of 10 lost" in render(page.build_document(told(build, record, 0.05, 3, status)))) is said
 
 
 def test_the_test_over_runs_is_wilcoxons_signed_rank_test(build, record):
@@ -98,7 +98,7 @@ def test_the_json_has_every_point_and_the_cost(build, record):
 
 def test_a_point_that_loses_runs_is_not_on_the_pareto_front():
     (one,) = found()
-    on = on_pareto_front(one.tried)
+    on = mark_pareto_front(one.tried)
     assert on[[not each.losses for each in one.tried]].all()  # more time, less error: nobody beats another
     assert not on[[bool(each.losses) for each in one.tried]].any()
     assert np.isfinite([each.error for each in one.tried]).all()
@@ -106,4 +106,4 @@ def test_a_point_that_loses_runs_is_not_on_the_pareto_front():
 
 
 def test_a_title_with_a_script_is_escaped(build, record):
-    assert "<script>alert(1)" not in render(page.document(told(build, record, 0.05)))
+    assert "<script>alert(1)" not in render(page.build_document(told(build, record, 0.05)))

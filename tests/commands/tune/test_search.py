@@ -10,11 +10,11 @@ import pytest
 
 from evalkit.commands.study import evaluate
 from evalkit.commands.tune import search_loop, trial
-from evalkit.commands.tune.config import read, tuning, tuning_tables
-from evalkit.commands.tune.objective import best_candidate, score_candidate
-from evalkit.commands.tune.pareto import pareto_front
+from evalkit.commands.tune.config import load_tuning, make_tuning_tables, tuning_from_tables
+from evalkit.commands.tune.objective import find_best_candidate, score_candidate
+from evalkit.commands.tune.pareto import find_pareto_front
 from evalkit.commands.tune.search import Search
-from evalkit.commands.tune.space import Space, declared_factors, own_parameters
+from evalkit.commands.tune.space import Space, list_own_parameters, make_declared_factors
 from evalkit.config.experiment import experiment_from_tables
 from evalkit.config.experiment_toml import format_experiment
 from evalkit.core.errors import BadExperiment
@@ -54,7 +54,7 @@ laps = 0.05
 
 
 def plan(text=FILE):
-    return tuning(tomllib.loads(text), "some.toml", "some", "evalkit tune some.toml")
+    return tuning_from_tables(tomllib.loads(text), "some.toml", "some", "evalkit tune some.toml")
 
 
 def result(error, status="complete"):
@@ -140,9 +140,9 @@ def test_fewer_lost_runs_come_before_a_smaller_error():
     bold = score_candidate(start, [result(0.001), result(1.5)], objective)
     assert bold.error == pytest.approx(math.sqrt(0.001))
     assert bold.lost == ("", "ATE RMSE 1.5 m")
-    assert best_candidate([bold, sure]) is sure
+    assert find_best_candidate([bold, sure]) is sure
     assert (
-        best_candidate([sure, score_candidate(start, [result(0.3), result(0.3)], objective)]) is sure
+        find_best_candidate([sure, score_candidate(start, [result(0.3), result(0.3)], objective)]) is sure
     )  # a tie goes to the first
 
 
@@ -150,7 +150,7 @@ def test_a_space_smaller_than_the_budget_is_tried_completely_and_once():
     backend = registry.backend("embedded")
     default = frontend.complete_parameters("embedded", backend, {})
     parameters = [p for p in backend.parameters if p.name in ("error", "one_to_one")]
-    factors, left = declared_factors(parameters, default)
+    factors, left = make_declared_factors(parameters, default)
     search = Search(Space(factors, default), 20)
     first = search.next([], None)
     assert left == {}
@@ -171,7 +171,9 @@ def test_steps_stay_within_the_bounds_and_repeat_no_point():
 
 def test_parameters_of_the_front_end_are_not_tuned():
     names = {
-        parameter.name for name in ("paper", "kiss-icp") for parameter in own_parameters(registry.find_backend(name))
+        parameter.name
+        for name in ("paper", "kiss-icp")
+        for parameter in list_own_parameters(registry.find_backend(name))
     }
     assert not names & {"prior", "deskew", "local_map", "keyframes", "min_inliers"}
     with pytest.raises(BadExperiment, match=r"method 1 \(embedded\): search.keyframes: .*all methods alike"):
@@ -186,7 +188,7 @@ def test_a_space_has_declared_bounds_or_a_decade_around_the_default():
         Parameter("off", 0.0, "", "open"),
         Parameter("kernel", "none", "", "choices", choices=("none", "tukey")),
     )
-    factors, left = declared_factors(parameters, {parameter.name: parameter.default for parameter in parameters})
+    factors, left = make_declared_factors(parameters, {parameter.name: parameter.default for parameter in parameters})
     assert {factor.name: factor.numbers for factor in factors} == {
         "share": (0.0, 1.0), "radius_m": (0.05, 2.0), "points": (4.0, 8.0, 16.0, 32.0), "kernel": None,
     }  # fmt: skip
@@ -230,17 +232,17 @@ def test_a_recording_used_for_training_cannot_be_held_out_under_another_label(tm
     content["training"] += same
     content["held-out"] = other
     with pytest.raises(BadExperiment, match=r"own\.log is in training too"):
-        tuning(content, "some.toml", "some", "evalkit tune some.toml")
+        tuning_from_tables(content, "some.toml", "some", "evalkit tune some.toml")
 
 
 def test_a_missing_tuning_file_is_an_error_with_a_remedy(tmp_path):
     with pytest.raises(BadExperiment, match="no such file; give the path of a tuning"):
-        read(tmp_path / "none.toml", "none", "evalkit tune none.toml")
+        load_tuning(tmp_path / "none.toml", "none", "evalkit tune none.toml")
 
 
 def test_back_ends_named_on_the_command_line_make_a_fair_tuning():
-    made = tuning(
-        tuning_tables(["embedded", "paper"], ["lab"], ["room"], 8, {"laps": "0.05"}), "evalkit tune", "x", "y"
+    made = tuning_from_tables(
+        make_tuning_tables(["embedded", "paper"], ["lab"], ["room"], 8, {"laps": "0.05"}), "evalkit tune", "x", "y"
     )
     assert [one.label for one in made.methods] == ["embedded", "paper"]
     assert made.training[0].sequence.parameters["laps"] == 0.05
@@ -261,7 +263,7 @@ def test_the_held_out_experiment_has_default_and_tuned_methods_and_reads_back():
 def test_the_pareto_front_has_the_points_that_no_other_dominates():
     costs = np.array([1.0, 2.0, 3.0, 2.0, 4.0, 1.0, 0.5])
     errors = np.array([5.0, 3.0, 3.0, 4.0, 1.0, 5.0, np.inf])
-    assert pareto_front(costs, errors).tolist() == [True, True, False, False, True, True, False]
+    assert find_pareto_front(costs, errors).tolist() == [True, True, False, False, True, True, False]
 
 
 def test_a_run_beyond_its_cpu_time_has_failed_with_its_reason(strangers, monkeypatch):

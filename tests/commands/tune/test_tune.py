@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 
 from evalkit.cli import app
 from evalkit.commands.tune import search_loop
-from evalkit.commands.tune.config import read
+from evalkit.commands.tune.config import load_tuning
 from evalkit.commands.tune.results_json import SCHEMA_VERSION
 
 FILE = """
@@ -84,7 +84,7 @@ def test_a_bad_default_is_tuned_a_perfect_one_is_kept_and_a_failing_back_end_giv
 @pytest.mark.slow
 def test_a_killed_search_resumes_and_computes_nothing_twice(file, tmp_path):
     made = []
-    tuning = replace(read(file, "own", "evalkit tune own.toml"), points=2)
+    tuning = replace(load_tuning(file, "own", "evalkit tune own.toml"), points=2)
 
     class Killed(Exception):
         pass

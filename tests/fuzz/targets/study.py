@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bounds import check_file_reader
 
-from evalkit.commands.study.config import read
+from evalkit.commands.study.config import load_study
 
 SEED = b"""title = "Fuzz"
 seeds = [0, 1]
@@ -60,4 +60,4 @@ def swollen() -> list[bytes]:
 
 def one(data: bytes) -> None:
     """Read a study and build its tasks."""
-    check_file_reader(lambda path: read(path, "evalkit study fuzz.toml").tasks(), data, "fuzz.toml")
+    check_file_reader(lambda path: load_study(path, "evalkit study fuzz.toml").tasks(), data, "fuzz.toml")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bounds import check_file_reader
 
-from evalkit.commands.tune.config import read
+from evalkit.commands.tune.config import load_tuning
 
 SEED = b"""title = "Fuzz"
 points = 4
@@ -52,4 +52,4 @@ def swollen() -> list[bytes]:
 
 def one(data: bytes) -> None:
     """Read a tuning."""
-    check_file_reader(lambda path: read(path, "fuzz", "evalkit tune fuzz.toml"), data, "fuzz.toml")
+    check_file_reader(lambda path: load_tuning(path, "fuzz", "evalkit tune fuzz.toml"), data, "fuzz.toml")
