@@ -298,7 +298,7 @@ def test_the_first_run_on_a_sequence_is_not_charged_with_its_simulation(stranger
     monkeypatch.setattr(trial, "CHECK_EVERY_S", 0.05)
     sequence = {p.name: p.default for p in registry.dataset("straight").parameters}
     slow = SlowAtFirst(registry.dataset("straight").make(**sequence))
-    monkeypatch.setattr(evaluate, "_sequence", lambda *_: slow)
+    monkeypatch.setattr(evaluate, "_load_sequence", lambda *_: slow)
     parameters = {p.name: p.default for p in registry.backend("wheel-odometry").parameters}
     told = trial.run_trial(
         1.0, "wheel-odometry", parameters, "straight", sequence, "log-odds", ["ate_rmse_m", "pair_error"], ""
