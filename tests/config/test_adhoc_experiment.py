@@ -1,4 +1,4 @@
-"""A plan from the words of a command line."""
+"""Experiments built from command-line arguments."""
 
 import re
 from types import SimpleNamespace
@@ -28,7 +28,7 @@ def test_a_log_is_read_by_the_reader_of_its_suffix(log):
     assert (sequence.seeds, made.source) == ((None,), "compare it")
 
 
-def test_a_folder_is_read_by_the_reader_of_what_is_in_it(tmp_path):
+def test_a_folder_is_read_by_the_reader_of_its_content(tmp_path):
     folder = tmp_path / "drive"
     folder.mkdir()
     (folder / "metadata.yaml").write_text("")
@@ -73,7 +73,7 @@ def test_every_file_and_topic_has_its_own_results_folder(tmp_path):
     assert re.fullmatch(r"x-bag-left-scan-[0-9a-f]{6}", names[0])
 
 
-def test_a_bag_one_level_down_is_found_unless_there_are_several(tmp_path):
+def test_a_bag_in_a_subfolder_is_found_unless_there_are_several(tmp_path):
     for name in ("one", "two"):
         (tmp_path / "top" / name).mkdir(parents=True)
         (tmp_path / "top" / name / "x_0.db3").write_text("")
@@ -129,7 +129,7 @@ def test_settings_take_the_type_of_their_parameter_and_options_come_first(log):
         ({"range_max": "3"}, BadExperiment, r"no parameter named 'range_max' \(did you mean 'range_max_m'\?\); known:"),
     ],
 )
-def test_a_setting_that_does_not_fit_is_named(log, settings, error, message):
+def test_an_invalid_setting_is_named(log, settings, error, message):
     with pytest.raises(error, match=message):
         plan(log, settings=settings)
 

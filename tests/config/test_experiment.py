@@ -1,4 +1,4 @@
-"""An experiment file is checked whole before the first run, and its runs have names that mean them."""
+"""Experiment files: complete validation before the first run, and run keys that identify their content."""
 
 import os
 import re
@@ -43,7 +43,7 @@ def log(tmp_path):
     return path
 
 
-# what is refused
+# invalid files
 
 
 @pytest.mark.parametrize(
@@ -89,7 +89,7 @@ def log(tmp_path):
         ("limits = 9\n" + WHEELS + ROOM, ["limits: found 9, expected a table [limits]"]),
     ],
 )  # fmt: skip
-def test_a_mistake_is_named_with_file_place_and_what_is_known(tmp_path, text, parts):
+def test_an_error_is_reported_with_file_place_and_known_names(tmp_path, text, parts):
     with pytest.raises(BadExperiment) as caught:
         read(tmp_path, text)
     message = str(caught.value)
@@ -132,10 +132,10 @@ def test_a_back_end_that_does_not_load_is_kept_with_the_reason(strangers):
     assert len(list(plan.runs())) == 2
 
 
-# what is planned
+# planned runs
 
 
-def test_the_smallest_experiment_takes_every_default(tmp_path):
+def test_the_smallest_experiment_uses_every_default(tmp_path):
     plan = read(tmp_path, WHEELS + ROOM)
     assert (plan.name, plan.title, plan.description, plan.limits) == ("exp", "exp", "", Limits())
     assert (plan.mapper.name, plan.mapper.scans) == ("log-odds", 400)
@@ -182,7 +182,7 @@ def test_methods_alternate_and_every_second_repetition_is_reversed():
     assert order == [(label, seed, who) for label, seed, both in turns for who in both]
 
 
-# a part of it
+# selections
 
 
 @pytest.fixture
@@ -233,10 +233,10 @@ def test_the_command_of_a_run_selects_that_run_alone(wide):
         assert [(alone.key, alone.method, alone.sequence.label, alone.seed) for alone in part.runs()] == [
             (item.key, item.method, item.sequence.label, item.seed)
         ]
-        assert given["--out"] == ["reports/build/exp-one"]  # never the folder of the whole
+        assert given["--out"] == ["reports/build/exp-one"]  # never the folder of the whole experiment
 
 
-def test_the_command_of_a_file_with_blanks_in_its_name_is_one_word(tmp_path):
+def test_a_file_name_with_blanks_is_quoted_in_the_command(tmp_path):
     path = tmp_path / "my first.toml"
     path.write_text(WHEELS + ROOM)
     plan = load_experiment(path)
@@ -269,10 +269,10 @@ def test_anything_that_could_change_a_result_changes_the_key(changes):
     assert digest(**{"methods": [{"use": "paper"}], **changes}) != digest(methods=[{"use": "paper"}])
 
 
-def test_what_cannot_change_a_result_does_not_change_the_key():
+def test_settings_that_cannot_change_a_result_do_not_change_the_key():
     told = {"title": "T", "description": "D", "limits": {"run_s": 1}, "mapper": {"scans": 9}}
     assert only_key(**told) == only_key()
-    assert only_key(sequences=[{"use": "room", "laps": 1}]) == only_key()  # the default, written as a whole number
+    assert only_key(sequences=[{"use": "room", "laps": 1}]) == only_key()  # the default, written as an integer
     assert only_key(methods=[{"use": "wheel-odometry"}, {"use": "paper"}]) == only_key()
 
 
@@ -282,7 +282,7 @@ def test_other_code_changes_the_key(monkeypatch):
     assert only_key() != before
 
 
-def test_labels_alike_as_file_names_do_not_share_a_folder():
+def test_labels_with_equal_file_names_do_not_share_a_folder():
     alike = [{"use": "paper", "label": "a/b"}, {"use": "paper", "label": "a b"}]
     first, second = (item.key for item in planned(alike).runs())
     assert first != second
@@ -309,7 +309,7 @@ def test_a_changed_bag_in_a_folder_changes_the_key(tmp_path):
     assert only_key(sequences=sequences) != before
 
 
-def test_a_text_that_cannot_be_a_file_name_is_allowed(log):
+def test_a_text_that_is_not_a_valid_file_name_is_allowed(log):
     long = {"use": "rosbag", "path": str(log), "topic": "/scan" * 1_000}
     assert only_key(sequences=[long])
 
@@ -317,7 +317,7 @@ def test_a_text_that_cannot_be_a_file_name_is_allowed(log):
 def test_the_shipped_experiments_can_be_planned():
     shipped = sorted(Path(__file__).parents[2].glob("reports/*.toml"))
     tables = {file: tomllib.loads(file.read_text()) for file in shipped}
-    lists = ("method", "sequence")  # other files ask else
+    lists = ("method", "sequence")  # other files are about other questions
     files = [file for file, given in tables.items() if all(isinstance(given.get(name), list) for name in lists)]
     if not files:
         pytest.skip("no experiment beside the tests")

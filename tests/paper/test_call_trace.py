@@ -1,4 +1,4 @@
-"""Figures 2 to 5: the stages are recorded, not drawn from memory."""
+"""Figures 2 to 5: the stages of the pipeline are recorded from a run."""
 
 import pytest
 
@@ -13,13 +13,13 @@ def recording(**settings):
     return chosen, {task.name: task.run()[0]}
 
 
-def ran(words, below="", **settings):
+def run_stages(words, below="", **settings):
     _, results = recording(**settings)
     return set(path(Call.from_json(results["stages"]["calls"]), words, below).stages)
 
 
 def tree(*names):
-    """Calls one below the other by indentation: "a", " b", " c"."""
+    """Build a call tree from lines indented by depth: "a", " b", " c"."""
     root = Call("")
     above = [root]
     for name in names:
@@ -31,12 +31,12 @@ def tree(*names):
     return root
 
 
-def test_a_path_lists_what_ran_in_order_and_folds_a_round():
+def test_a_path_lists_the_calls_in_order_and_folds_repetitions():
     drawn = path(tree("a", " x", "b", "c", "b", "c", "b", "c", "d"), dict.fromkeys("abcd", ""))
     assert (drawn.stages, drawn.first, drawn.last, drawn.times) == (["a", "b", "c", "d"], 1, 2, 3)
 
 
-def test_what_is_below_a_stage_comes_after_it_and_what_is_not_named_is_looked_through():
+def test_children_follow_their_stage_and_unnamed_calls_are_skipped():
     assert path(tree("a", " unnamed", "  b", "c"), dict.fromkeys("abc", "")).stages == ["a", "b", "c"]
     assert path(tree("a", " b", "c"), dict.fromkeys("abc", ""), below="a").stages == ["a", "b"]
 
@@ -46,7 +46,7 @@ def test_calls_are_recorded_below_their_callers():
     assert [each.name for each in root.walk()] == ["", "points_within"]
 
 
-def test_a_tree_of_calls_survives_the_way_through_json():
+def test_a_call_tree_survives_json():
     root = tree("a", " b", "c")
     assert Call.from_json(root.to_json()).to_json() == root.to_json()
 
@@ -63,18 +63,18 @@ def test_a_tree_of_calls_survives_the_way_through_json():
     ],
     ids=["scan to scan", "scan to map", "scan to map of two", "deskew", "local radius", "one to one"],
 )
-def test_a_stage_switched_off_leaves_its_figure_and_nothing_else(words, settings, gone):
-    assert ran(words) - ran(words, **settings) == gone
+def test_a_disabled_stage_is_missing_from_its_figure_and_changes_nothing_else(words, settings, gone):
+    assert run_stages(words) - run_stages(words, **settings) == gone
 
 
-def test_another_choice_is_another_stage():
-    assert ran(MAPPING) - ran(MAPPING, traversal="bresenham") == {"exact"}
-    assert ran(MAPPING, traversal="bresenham") - ran(MAPPING) == {"bresenham"}
-    assert ran(MAPPING) ^ ran(MAPPING, once_per_scan=False) == {"LogOddsGrid._once", "LogOddsGrid._every"}
-    assert ran(TWO_STAGES) ^ ran(TWO_STAGES, local_map="grid") >= {"KeyframeMap.cloud", "GridMap.cloud"}
+def test_another_option_is_another_stage():
+    assert run_stages(MAPPING) - run_stages(MAPPING, traversal="bresenham") == {"exact"}
+    assert run_stages(MAPPING, traversal="bresenham") - run_stages(MAPPING) == {"bresenham"}
+    assert run_stages(MAPPING) ^ run_stages(MAPPING, once_per_scan=False) == {"LogOddsGrid._once", "LogOddsGrid._every"}
+    assert run_stages(TWO_STAGES) ^ run_stages(TWO_STAGES, local_map="grid") >= {"KeyframeMap.cloud", "GridMap.cloud"}
 
 
-def test_a_box_stands_on_the_page_for_every_stage_that_ran():
+def test_the_page_has_a_box_for_every_executed_stage():
     chosen, results = recording()
     (section,) = flowchart_chapter.CHAPTER.sections(chosen, results)
     figures = section.blocks[1].figures

@@ -1,4 +1,4 @@
-"""The chapter on the paper's claims: how far off a drive is as it grows, and what people do to it."""
+"""The chapter on the claims of the paper: drift over the path length, and the effect of pedestrians."""
 
 import numpy as np
 import pytest
@@ -6,14 +6,14 @@ import pytest
 from evalkit_paper import claims_chapter, long_drives
 
 
-def test_wheels_without_errors_stay_on_the_way(monkeypatch):
+def test_error_free_wheels_stay_on_the_path(monkeypatch):
     found = long_drives.error_over_path("wheel-odometry", {}, "lab", 0, 0.1, 8)
     assert found["path_m"].shape == (8,)
     assert found["path_m"] == pytest.approx(found["path_m"][-1] * np.arange(1, 9) / 8, abs=0.05)
     assert found["end_m"][0] < 0.1
 
 
-def test_the_mean_error_up_to_a_mark_is_that_of_all_scans_before_it():
+def test_the_mean_error_up_to_a_mark_includes_all_scans_before_it():
     found = long_drives.error_over_path("wheel-odometry", {}, "lab", 1, 0.1, 200)
     assert found["rmse_m"][0] <= found["end_m"][:3].max() + 1e-9
     assert found["rmse_m"][-1] <= found["end_m"].max()
@@ -25,8 +25,8 @@ def settings():
     return claims_chapter.CHAPTER.settings("t", {"seeds": 2, "laps": 2.0})
 
 
-def made(settings, percent):
-    """Results in which every method is off by so many percent of the way, and people cost 1 cm each."""
+def make_results(settings, percent):
+    """Return results in which every method drifts by a given percentage, and pedestrians cost 1 cm each."""
     way = np.linspace(1.0, 100.0, claims_chapter.MARKS)
     results = {}
     for task in claims_chapter.CHAPTER.tasks(settings):
@@ -47,17 +47,17 @@ def made(settings, percent):
         (3.0, 1.5, "not determined by the text"),
     ],
 )
-def test_the_verdict_follows_what_was_measured(settings, literal, reading, verdict):
+def test_the_verdict_follows_the_measured_values(settings, literal, reading, verdict):
     wheels, printed, read, tight = (entry.label for entry in claims_chapter.ENTRIES)
-    results = made(settings, {wheels: 5.0, printed: literal, read: reading, tight: 0.1})
+    results = make_results(settings, {wheels: 5.0, printed: literal, read: reading, tight: 0.1})
     loops, crowd = claims_chapter.CHAPTER.findings(settings, results)
     assert loops.verdict == verdict
     assert f"{read}: {reading:.2f} ({reading:.2f} to {reading:.2f}) %" in loops.measured
     assert "with 10 people in the lab ATE RMSE 0.100 m against 0.000 m without people" in crowd.measured
 
 
-def test_a_drift_in_proportion_to_the_way_grows_as_its_first_power(settings):
-    results = made(settings, {entry.label: 1.0 for entry in claims_chapter.ENTRIES})
+def test_a_drift_proportional_to_the_path_grows_with_exponent_one(settings):
+    results = make_results(settings, {entry.label: 1.0 for entry in claims_chapter.ENTRIES})
     section = claims_chapter.CHAPTER.sections(settings, results)[0]
     (table,) = (block for block in section.blocks if block.kind == "table")
     assert all(row[-1].text == "1.0" for row in table.rows)

@@ -1,4 +1,4 @@
-"""The paper's equations taken literally: every consequence that its page tells is computed and holds."""
+"""The equations of the paper taken literally: every consequence on the page is computed and correct."""
 
 import re
 
@@ -12,13 +12,13 @@ from evalkit_paper.equation_checks import rotation_as_printed, rotation_with_gua
 DRIVE = {"sequence": "room", "seed": 0, "laps": 0.1}
 
 
-def turned(points, angle):
+def rotate(points, angle):
     return points @ np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
 
 
-def test_the_printed_rotation_is_the_transpose_of_the_right_one():
+def test_the_printed_rotation_is_the_transpose_of_the_correct_one():
     source = np.random.default_rng(0).normal(size=(20, 2))
-    K = source.T @ turned(source, 0.4)
+    K = source.T @ rotate(source, 0.4)
     np.testing.assert_allclose(rotation_as_printed(K), rotation_with_guard(K).T, atol=1e-12)
     assert np.arctan2(rotation_with_guard(K)[1, 0], rotation_with_guard(K)[0, 0]) == pytest.approx(0.4)
 
@@ -37,20 +37,20 @@ def test_without_the_guard_about_half_of_noisy_walls_are_mirrored_and_with_it_no
     assert found["worst_m"] == pytest.approx(2.0, abs=0.01)
 
 
-def test_the_guard_changes_nothing_where_nothing_is_mirrored():
+def test_the_guard_changes_only_mirrored_results():
     source = np.random.default_rng(1).normal(size=(20, 2))
-    K = source.T @ turned(source, -1.0)
+    K = source.T @ rotate(source, -1.0)
     np.testing.assert_allclose(rotation_without_guard(K), rotation_with_guard(K), atol=1e-12)
 
 
-def test_the_mean_square_stops_after_two_iterations_from_the_odometrys_guess():
+def test_the_mean_square_stops_after_two_iterations_from_the_odometry_guess():
     found = equation_checks.compare_stop_rules(**DRIVE, most=6, guess="odometry")
     assert np.median(found["rules"]["printed"]["iterations"]) == 2.0
     assert np.median(found["rules"]["tight"]["iterations"]) > 6.0
     assert np.median(found["rules"]["printed"]["first_square"]) < 3e-3
 
 
-def test_from_a_worse_guess_the_mean_square_stops_farther_from_the_truth():
+def test_from_a_worse_guess_the_mean_square_stops_farther_from_the_solution():
     found = equation_checks.compare_stop_rules(**DRIVE, most=6, guess="off")
     assert found["guess_m"] == pytest.approx([0.05] * 6)
     assert found["guess_deg"] == pytest.approx([2.0] * 6)
@@ -58,12 +58,12 @@ def test_from_a_worse_guess_the_mean_square_stops_farther_from_the_truth():
     assert printed > 1.5 * tight
 
 
-def test_before_or_after_the_step_is_less_than_an_iteration():
+def test_the_error_before_or_after_the_step_differs_by_less_than_one_iteration():
     found = equation_checks.compare_error_times(seeds=12)
     assert 0.0 <= (found["before"] - found["after"]).mean() < 1.5
 
 
-def test_body_steps_on_the_left_throw_the_pose_away_and_on_the_right_they_do_not():
+def test_body_frame_steps_multiplied_on_the_left_diverge_and_on_the_right_do_not():
     found = equation_checks.check_composition(sequence="room", seed=0, laps=0.6)
     assert found["right_error_m"] < 1e-9
     assert found["left_error_m"] > 0.1 * found["path_m"]
@@ -76,17 +76,17 @@ def test_subtracting_a_negative_l_free_marks_free_space_occupied():
     assert found["added_wrong"] < 0.02
 
 
-def test_only_the_filter_makes_both_subsets_of_equal_size():
+def test_only_the_filter_gives_both_subsets_equal_size():
     found = equation_checks.count_shared_targets(seeds=2)
     assert found["pairs_all"] == found["points"] > found["targets_all"]
     assert found["pairs_one"] == found["targets_one"] == found["targets_all"]
 
 
-def test_the_heading_of_equation_7_is_right_as_printed():
+def test_the_heading_of_equation_7_is_correct_as_printed():
     assert equation_checks.check_heading(count=360)["worst_rad"] < 1e-12
 
 
-def test_every_finding_is_on_the_page_and_no_number_is_missing():
+def test_every_finding_is_on_the_page_with_all_its_numbers():
     chapter = equation_chapter.CHAPTER
     settings = chapter.settings("test", {"seeds": 3, "walls": 50, "sequence": "room", "laps": 0.1, "pairs": 5})
     results = {}

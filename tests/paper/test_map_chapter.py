@@ -1,4 +1,4 @@
-"""Figure 10's chapter: faults of maps that were put there, and places that are known."""
+"""The chapter of Figure 10: injected map faults and known places."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ SIZE = 40  # cells of 0.1 m
 
 
 def room(*, walls=(), free=True):
-    """A square room of 4 m, its outermost cells occupied, and further occupied cells (row, column)."""
+    """Return a square room of 4 m with occupied border cells, and further occupied cells (row, column)."""
     log_odds = np.full((SIZE, SIZE), -3.0 if free else 0.0, dtype=np.float32)
     log_odds[[0, -1], :] = log_odds[:, [0, -1]] = 3.0
     for row, column in walls:
@@ -26,7 +26,7 @@ def test_a_perfect_map_has_no_faults():
     assert len(found.missing) == 0
 
 
-def test_a_wall_that_is_not_there_is_a_ghost_and_one_drawn_too_thick_a_smear():
+def test_a_false_wall_is_a_ghost_and_a_thick_wall_a_smear():
     found = map_faults.find_faults(room(walls=[(20, 20), (20, 21), (2, 10)]), room())
     assert np.argwhere(found.ghosts).tolist() == [[20, 20], [20, 21]]
     assert np.argwhere(found.smeared).tolist() == [[2, 10]]  # 0.2 m off
@@ -38,18 +38,18 @@ def test_a_true_wall_on_free_cells_is_missing():
     assert len(map_faults.find_faults(room(free=False), room(walls=[(20, 20)])).missing) == 0  # unknown is not missing
 
 
-def test_cells_that_lie_together_are_one_fault_with_a_place():
+def test_adjacent_cells_are_one_fault_with_a_position():
     found = map_faults.find_clusters(np.array([[1.0, 1.0], [1.1, 1.0], [1.2, 1.0], [3.0, 3.0]]), np.array([[1.0, 0.5]]))
     assert [(each.cells, round(each.x, 3), round(each.y, 3)) for each in found] == [(3, 1.1, 1.0), (1, 3.0, 3.0)]
     assert (found[0].extent_m, found[0].wall_distance_m) == (pytest.approx(0.2), pytest.approx(np.hypot(0.2, 0.5)))
 
 
-def test_hits_in_what_another_map_holds_free_contradict_it():
+def test_hits_in_free_space_of_another_map_are_contradictions():
     hits = np.array([[2.05, 2.05], [0.05, 2.0], [0.12, 2.0], [9.0, 9.0]])
     assert map_faults.find_contradicted(hits, room()).tolist() == [True, False, False, False]
 
 
-def test_a_cropped_map_is_found_on_its_plan():
+def test_a_cropped_map_is_located_on_its_floor_plan():
     rng = np.random.default_rng(3)
     steps = np.arange(0.0, 6.0, 0.05)
     plan = np.concatenate(
@@ -77,7 +77,7 @@ def small_page(settings):
     return figure_10_chapter.CHAPTER.sections(chosen, results), figure_10_chapter.CHAPTER.findings(chosen, results)
 
 
-def test_the_page_shows_plan_and_maps_and_says_how_to_get_a_recording_that_is_not_here(monkeypatch):
+def test_the_page_shows_plan_and_maps_and_explains_how_to_get_a_missing_recording(monkeypatch):
     monkeypatch.setattr(recorded_drive, "missing", lambda: "not here; fetch it: so and so")
     (lab, recorded), (finding,) = small_page({"laps": 0.1, "scans": 20})
     titles = [figure.title for figure in lab.blocks[1].figures]
@@ -95,7 +95,7 @@ def test_the_page_shows_plan_and_maps_and_says_how_to_get_a_recording_that_is_no
 
 @pytest.mark.slow
 @pytest.mark.skipif(bool(recorded_drive.missing()), reason="the recording is not here")
-def test_the_recording_contradicts_itself_least_with_the_best_method_and_fits_its_floor_map():
+def test_the_best_method_has_fewest_contradictions_and_fits_the_floor_map():
     tasks = recorded_drive.tasks()
     results = {task.name: task.run()[0] for task in tasks}
     shares = [results[recorded_drive.result_name(each)]["contradicted"] for each in recorded_drive.VARIANTS]

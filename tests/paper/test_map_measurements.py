@@ -1,4 +1,4 @@
-"""The maps of the paper's page: small drives with answers known in advance."""
+"""The map measurements of the paper's page: short drives with known results."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ def sequence():
     return map_measurements.make_drive("lab", 0, LAPS)
 
 
-def test_every_map_is_measured_once_and_the_papers_settings_come_first():
+def test_every_map_is_measured_once_with_the_settings_of_the_paper_first():
     variants = map_measurements.variants(True)
     assert variants[0] == {}
     words = [describe_variant(variant) for variant in variants]
@@ -26,7 +26,7 @@ def test_every_map_is_measured_once_and_the_papers_settings_come_first():
     assert all({} in map(map_measurements.departures, own) for own in map_measurements.factors().values())
 
 
-def test_the_defaults_are_those_of_the_mapper():
+def test_the_defaults_equal_those_of_the_mapper():
     own = {parameter.name: parameter.default for parameter in registry.mapper("log-odds").parameters}
     assert {name: map_measurements.DEFAULT[name] for name in own} == own
 
@@ -39,36 +39,36 @@ def test_scans_are_spread_over_the_whole_drive(sequence):
     assert len(sequence.select_scans(10_000)) == len(sequence.frames)
 
 
-def test_undoing_the_motion_by_true_poses_puts_hits_without_noise_on_the_walls():
+def test_deskewing_with_true_poses_puts_noise_free_hits_on_the_walls():
     silent = map_measurements.make_drive("lab", 0, LAPS, noise_m=0.0, dropout=0.0)
     scan, world_from_sensor = silent.select_scans(3)[1]
     hits = map_measurements.se2.transform(world_from_sensor, scan.points())
     walls = silent.true.centres(silent.true.occupied())
     assert (
         map_measurements.nearest_distances_m(hits, walls).max() < 0.05
-    )  # half a cell's diagonal and the grid of the truth
+    )  # half a cell diagonal and the grid of the true map
     kept, _ = silent.select_scans(3, deskewed=False)[1]
     assert not np.allclose(kept.points(), scan.points(), atol=1e-3)
 
 
-def test_ranges_without_noise_give_hardly_a_wall_that_is_not_there():
+def test_noise_free_ranges_give_hardly_any_false_walls():
     found = map_measurements.measure_maps("lab", 0, LAPS, "true", [{}], {"noise_m": 0.0})
     assert found["precision"][0, map_measurements.DEFAULT_THRESHOLD] > 0.98
     assert found["ate_m"] == 0.0
 
 
-def test_estimated_poses_cost_something_and_are_told():
+def test_the_cost_of_estimated_poses_is_reported():
     assert 0.0 < map_measurements.measure_maps("lab", 0, LAPS, "estimated", [{}])["ate_m"] < 0.05
 
 
-def test_no_drift_changes_nothing_and_more_moves_walls_further_off():
+def test_zero_drift_changes_nothing_and_more_drift_moves_walls_further():
     found = map_measurements.measure_drift("lab", 0, LAPS, [0.0, 0.1, 0.4], [0.0, 4.0])
     assert found["metres"][0].tolist() == found["degrees"][0].tolist()
     distances = found["metres"][:, map_measurements.DRIFT_MEASURES.index("mean distance to wall")]
     assert (np.diff(distances) > 0).all()
 
 
-def test_both_mappers_draw_the_same():
+def test_both_mappers_give_the_same_map():
     if registry.mapper("embedded-log-odds").missing():
         pytest.skip("the compiled core was not built")
     found = map_measurements.compare_mappers("lab", 0, LAPS, [{}, {"l_free": -0.405}])
@@ -77,8 +77,8 @@ def test_both_mappers_draw_the_same():
     assert not map_measurements.is_compiled({"traversal": "bresenham"})
 
 
-def invented(task):
-    """A result of the right shape."""
+def make_result(task):
+    """Return a synthetic result with all fields."""
     rng = np.random.default_rng(0)
     asked = task.arguments
     if task.function.__name__ == "measure_maps":
@@ -96,11 +96,11 @@ def invented(task):
 
 
 @pytest.mark.parametrize("changed", [{}, {"seeds": 1, "interactions": False}])
-def test_the_chapter_draws_whatever_is_found(changed):
+def test_the_chapter_is_rendered_for_any_result(changed):
     settings = map_chapter.CHAPTER.settings("test", SETTINGS | changed)
     tasks = map_chapter.CHAPTER.tasks(settings)
     assert len({task.name for task in tasks}) == len(tasks)
-    results = {task.name: invented(task) for task in tasks}
+    results = {task.name: make_result(task) for task in tasks}
     (section,) = map_chapter.CHAPTER.sections(settings, results)
     page = render(Document("test", "test", "", (section,)))
     assert "recommended" in page

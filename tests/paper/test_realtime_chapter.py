@@ -1,4 +1,4 @@
-"""The chapter on real time: ladders of invented rungs."""
+"""The real-time chapter: synthetic results for several device speeds."""
 
 import numpy as np
 import pytest
@@ -26,18 +26,18 @@ def ladder(*ates):
     return Ladder("one", 10.0, results)
 
 
-def test_it_breaks_where_the_median_over_the_seeds_is_twice_as_bad_and_over_5_cm():
+def test_a_method_breaks_where_the_median_over_seeds_doubles_and_exceeds_5_cm():
     assert ladder((0.02, 0.03, 0.06)).breaks_at() == 100.0
     assert ladder((0.02, 0.03, 0.06), (0.02, 0.03, 0.03), (0.02, 0.03, 0.03)).breaks_at() is None
-    assert ladder((0.001, 0.01, 0.04)).breaks_at() is None  # 40 times as bad, but good enough
+    assert ladder((0.001, 0.01, 0.04)).breaks_at() is None  # 40 times as large, but small enough
 
 
-def test_who_is_lost_with_most_seeds_is_broken():
+def test_a_method_lost_with_most_seeds_is_broken():
     assert ladder((0.02, None, 0.02), (0.02, None, 0.02), (0.02, 0.02, 0.02)).breaks_at() == 10.0
     assert ladder((0.02, None, 0.02), (0.02, 0.02, 0.02), (0.02, 0.02, 0.02)).breaks_at() is None
 
 
-def invented(task):
+def make_ladder(task):
     factors = [0.0, *task.arguments["factors"]]
     rungs = [
         rung(factor, 0.01 + 0.002 * factor, policy=policy, dropped=min(factor / 100.0, 0.9))
@@ -52,12 +52,12 @@ def invented(task):
 
 
 @pytest.mark.parametrize("changed", [{}, {"methods": "all"}])
-def test_the_chapter_draws_whatever_is_found(changed):
+def test_the_chapter_is_rendered_for_any_result(changed):
     settings = realtime_chapter.CHAPTER.settings("test", SETTINGS | changed)
     tasks = realtime_chapter.CHAPTER.tasks(settings)
     assert len({task.name for task in tasks}) == len(tasks)
     assert tasks[0].arguments["factors"] == [1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0]
-    results = {task.name: invented(task) for task in tasks}
+    results = {task.name: make_ladder(task) for task in tasks}
     (section,) = realtime_chapter.CHAPTER.sections(settings, results)
     page = render(Document("test", "test", "", (section,)))
     assert "No board is measured" in page

@@ -1,4 +1,4 @@
-"""Figure 9's chapter: what a spike is, which error is which, and that the page can be made of a short drive."""
+"""The chapter of Figure 9: spikes, error definitions, and the page of a short drive."""
 
 import numpy as np
 import pytest
@@ -8,10 +8,10 @@ from evalkit_paper import lab_drives, residual_chapter, spike_causes, spikes, st
 from evalkit_paper.spikes import Band
 
 S = 1.0
-CALM = Band(1.0, 0.1)  # a spike exceeds 1.5, is over at 1.2
+CALM = Band(1.0, 0.1)  # a spike starts above 1.5 and ends below 1.2
 
 
-def test_a_band_is_median_and_robust_spread_of_the_calm_scans():
+def test_a_band_is_the_median_and_robust_spread_of_the_calm_scans():
     values = np.array([1.0, 2.0, 3.0, 4.0, 5.0, 900.0, np.nan])
     calm = np.array([True, True, True, True, True, False, True])
     found = spikes.compute_band(values, calm)
@@ -20,7 +20,7 @@ def test_a_band_is_median_and_robust_spread_of_the_calm_scans():
 
 def test_a_spike_lasts_from_the_first_scan_above_the_band_to_the_last():
     values = np.array([1.0, 1.3, 1.8, 1.6, 1.25, 1.1, 1.4, 1.0])
-    (found,) = spikes.find_spikes(values, CALM)  # 1.4 leaves the band but is no spike
+    (found,) = spikes.find_spikes(values, CALM)  # 1.4 leaves the band but is not a spike
     assert (found.first, found.last, found.peak, found.height, found.ended) == (1, 4, 2, 1.8, True)
     assert spikes.duration_s(found, np.arange(8.0)) == 4.0
 
@@ -31,7 +31,7 @@ def test_a_spike_at_the_end_of_a_drive_has_not_ended():
     assert spikes.duration_s(found, np.arange(4.0)) == 1.0
 
 
-def test_a_spike_belongs_to_the_event_it_peaks_in_or_soon_after():
+def test_a_spike_belongs_to_the_event_at_or_shortly_before_its_peak():
     times = np.arange(0.0, 10.0, 0.1)
     (found,) = spikes.find_spikes(np.where(np.arange(100) == 50, 2.0, 1.0), CALM)  # at 5.0 s
     assert spikes.belongs_to(found, times, (4.2, 4.5))
@@ -40,12 +40,12 @@ def test_a_spike_belongs_to_the_event_it_peaks_in_or_soon_after():
     assert not spikes.belongs_to(found, times, (5.3, 5.5))
 
 
-def test_events_are_the_runs_of_marks():
+def test_events_are_the_runs_of_marked_scans():
     marked = np.array([True, False, True, True, False, True])
     assert spikes.find_events(np.arange(6.0), marked) == [(0.0, 0.0), (2.0, 3.0), (5.0, 5.0)]
 
 
-def test_the_three_errors_of_known_distances():
+def test_the_three_error_definitions_of_known_distances():
     assert stage_errors.compute_readings(np.array([3.0, 4.0])) == (3.5, pytest.approx(np.sqrt(12.5)), 12.5)
 
 
@@ -63,16 +63,16 @@ def test_recorded_errors_and_poses_equal_those_of_the_front_end():
         errors = [estimate.stages[stage].residual_m for estimate in estimates[1:]]
         np.testing.assert_allclose(found.errors[stage][1:, 0], errors, atol=1e-12)
         assert np.isnan(found.errors[stage][0]).all()
-        assert (found.errors[stage][1:, 3] >= found.errors[stage][1:, 0]).all()  # the filter keeps the closest
+        assert (found.errors[stage][1:, 3] >= found.errors[stage][1:, 0]).all()  # the filter keeps the closest pair
 
 
-def test_yaw_rates_are_those_of_the_quicker_step():
+def test_yaw_rates_are_those_of_the_faster_step():
     poses = np.array([[0, 0, 0.0], [0, 0, 0.1], [0, 0, 0.4], [0, 0, 0.4]])
     stamps = np.arange(4) * 500_000_000
     np.testing.assert_allclose(stage_errors.yaw_rates_dps(stamps, poses), np.degrees([0.2, 0.6, 0.6, 0.0]))
 
 
-def test_lost_scans_are_found_by_their_gaps_and_slips_by_their_schedule():
+def test_lost_scans_are_found_from_gaps_and_slips_from_their_schedule():
     times = np.array([0.0, 0.1, 0.2, 0.7, 0.8])
     assert lab_drives._events("gaps", times, np.zeros(5), None, {"rate_hz": 10.0}) == [(0.2, 0.7)]
     assert lab_drives._events("gaps in turns", times, np.zeros(5), None, {"rate_hz": 10.0}) == []
@@ -92,7 +92,7 @@ QUICK = {
 
 
 @pytest.mark.slow
-def test_quick_turns_spike_and_undoing_the_motion_in_the_scan_ends_it():
+def test_fast_turns_cause_spikes_and_deskewing_removes_them():
     settings = residual_chapter.CHAPTER.settings("test", QUICK)
     results = {task.name: task.run()[0] for task in residual_chapter.CHAPTER.tasks(settings)}
     rows = {row.cause.name: row for row in spike_causes.cause_spikes(settings, results, "s2s")}

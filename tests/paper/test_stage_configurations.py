@@ -1,4 +1,4 @@
-"""The table of what the two stages leave open."""
+"""The table of stage configurations that the paper leaves open."""
 
 import pytest
 
@@ -8,7 +8,7 @@ from evalkit_paper import stage_configurations
 from evalkit_paper.stage_configurations import CHAPTER, CONFIGURATIONS
 
 
-def test_every_configuration_is_one_the_front_end_takes():
+def test_every_configuration_is_valid_for_the_front_end():
     for each in CONFIGURATIONS:
         spec = registry.backend(each.backend)
         frontend.complete_parameters(each.name, spec, each.parameters)
@@ -18,7 +18,7 @@ def test_names_of_configurations_differ():
     assert len({each.name for each in CONFIGURATIONS}) == len(CONFIGURATIONS)
 
 
-def test_without_a_stage_nothing_is_iterated_and_the_answer_is_the_odometry():
+def test_without_stages_there_are_no_iterations_and_the_result_is_the_odometry():
     odometry = stage_configurations.measure_configuration(
         backend="paper",
         parameters=dict(CONFIGURATIONS[0].parameters),
@@ -30,7 +30,7 @@ def test_without_a_stage_nothing_is_iterated_and_the_answer_is_the_odometry():
     assert odometry["final_percent"] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_a_line_stands_for_every_configuration():
+def test_the_table_has_a_row_for_every_configuration():
     settings = CHAPTER.settings("test", {"laps": 0.05, "rate_hz": 5.0, "seeds": 2})
     made = {}
     for task in CHAPTER.tasks(settings):

@@ -1,4 +1,4 @@
-"""The study's chapter of the paper's page, with a study that takes a second."""
+"""The study chapter of the paper's page, with a study of one second."""
 
 import pytest
 
@@ -51,7 +51,7 @@ def test_the_chapter_reports_the_results_of_its_tasks(settings):
     study, envelope = CHAPTER.findings(settings, found)
     assert study.verdict == "not determined by the text"
     assert "pairs on: up to 1.2 m/s and 15 Hz, the largest levels tested (4 of 4 drives)" in envelope.measured
-    assert envelope.verdict == "not determined by the text"  # nothing here is too fast
+    assert envelope.verdict == "not determined by the text"  # no drive here is too fast
 
 
 @needs_core
@@ -64,7 +64,7 @@ def test_core_and_reference_give_the_same_poses_with_the_same_parameters():
     assert found["apart_rad"] < 1e-9
 
 
-def test_a_study_that_is_not_there_is_named(tmp_path):
+def test_a_missing_study_is_reported(tmp_path):
     settings = CHAPTER.settings("paper.toml: [study]", {"file": str(tmp_path / "none.toml")})
     with pytest.raises(Exception, match=r"none\.toml: no such file"):
         CHAPTER.tasks(settings)

@@ -1,4 +1,4 @@
-"""Table 1 and its figures: the scene, the reading named by computation, and the basin."""
+"""Table 1 and its figures: the scene, the best-fitting reading, and the basin."""
 
 import math
 
@@ -21,7 +21,7 @@ def chapter():
     results = {}
     for task in validation_chapter.CHAPTER.tasks(settings):
         name = task.function.__name__
-        if name == "basin":  # counted here as if every start up to 40 deg succeeded: the real ones have a test below
+        if name == "basin":  # assumes here that every start up to 40 deg succeeds: another test computes the real ones
             good = task.arguments["turn_deg"] <= 40.0
             full, none = np.full(len(validation_basin.DISTANCES_M), 2), np.zeros(len(validation_basin.DISTANCES_M), int)
             results[task.name] = {"successes": full if good else none, "misled": none, "ran_out": none, "trials": 2}
@@ -30,21 +30,21 @@ def chapter():
     return settings, results
 
 
-def test_the_room_has_the_points_and_the_spans_the_paper_tells():
+def test_the_room_has_the_points_and_dimensions_of_the_paper():
     assert len(ROOMS["first"].points()) == 480
     found = table_1.measure_extents(room="first")
     assert found["reference"] == pytest.approx([10.0, 10.0])
     assert found["scan"] == pytest.approx([10 * (math.cos(math.pi / 6) + 0.5)] * 2)
 
 
-def test_the_scan_is_the_room_moved_back_with_the_papers_noise():
+def test_the_scan_is_the_room_moved_back_with_the_noise_of_the_paper():
     room = ROOMS["first"]
     left = np.concatenate([APPLIED.transform(table_1.make_scan(room, seed)) - room.points() for seed in range(20)])
     assert left.std() == pytest.approx(table_1.SIGMA_M, rel=0.02)
     assert np.abs(left.mean(axis=0)).max() < 0.002
 
 
-def test_the_reading_that_fits_is_found_by_computation(chapter):
+def test_the_best_fitting_reading_is_found_by_computation(chapter):
     settings, results = chapter
     for room in ROOMS:
         known = validation_chapter.load_fits(settings, results, room)
@@ -55,7 +55,7 @@ def test_the_reading_that_fits_is_found_by_computation(chapter):
                 assert known[reading].largest[0] > 4.0
 
 
-def test_deviations_are_standardised_and_forgive_what_the_digits_hide():
+def test_deviations_are_standardised_and_allow_for_rounding():
     rows = np.tile(PRINTED, (3, 1)) + np.array([-1.0, 0.0, 1.0])[:, None] * [1, 0.1, 0.01, 0.1, 0.01, 0.01]
     rows[:, 0] -= 2.0
     rows[:, 4] -= 0.025
@@ -65,7 +65,7 @@ def test_deviations_are_standardised_and_forgive_what_the_digits_hide():
     assert fit.nearest_in_errors == 2
 
 
-def test_a_run_tells_its_profile_and_its_residuals():
+def test_a_run_contains_its_profile_and_its_residuals():
     found = table_1.run_seeds(room="first", reading=READING, begin=3, end=5)
     for row, errors, residuals in zip(found["rows"], found["errors"], found["residuals"], strict=True):
         told = errors[np.isfinite(errors)]
@@ -73,10 +73,10 @@ def test_a_run_tells_its_profile_and_its_residuals():
         assert (told[0], told[-1]) == (row[1], row[2])
         assert np.nanmean(residuals) == pytest.approx(row[2], rel=1e-9)
     squared = table_1.run_seeds(room="first", reading="mean square (eq. 5 as printed)", begin=3, end=4)["rows"][0]
-    assert squared[1] > found["rows"][0][1] ** 2  # the mean of squares exceeds the square of the mean
+    assert squared[1] > found["rows"][0][1] ** 2  # the mean square exceeds the squared mean
 
 
-def test_a_displaced_guess_puts_the_rooms_middle_where_it_says():
+def test_a_displaced_guess_moves_the_centre_of_the_room_by_the_given_offset():
     room = ROOMS["first"]
     guess = table_1.displaced_guess(room, 0.3, np.array([1.0, -2.0]))
     middle = APPLIED.inverse().transform(room.middle[None])
@@ -84,7 +84,7 @@ def test_a_displaced_guess_puts_the_rooms_middle_where_it_says():
     assert (guess @ APPLIED.inverse()).theta == pytest.approx(0.3)
 
 
-def test_the_papers_guess_is_as_far_off_as_the_basin_says():
+def test_the_guess_of_the_paper_has_the_distance_used_for_the_basin():
     metres, degrees = table_1.initial_offset(ROOMS["first"])
     back = table_1.displaced_guess(ROOMS["first"], 0.0, np.zeros(2))
     assert (back.x, back.y, back.theta) == pytest.approx((4.0, 5.0, math.pi / 6))
@@ -92,7 +92,7 @@ def test_the_papers_guess_is_as_far_off_as_the_basin_says():
     assert Pose() != back
 
 
-def test_the_basin_is_whole_near_the_truth_and_empty_at_a_quarter_turn():
+def test_the_basin_is_complete_near_the_solution_and_empty_at_a_quarter_turn():
     given = {"room": "first", "distances_m": [0.0, 3.0], "seeds": 3, "within_m": 0.1, "within_deg": 2.0}
     for one_to_one in (True, False):
         near, far = (
@@ -104,7 +104,7 @@ def test_the_basin_is_whole_near_the_truth_and_empty_at_a_quarter_turn():
         assert (far["misled"] + far["ran_out"]).tolist() == [3, 3]
 
 
-def test_the_page_names_the_reading_and_shows_every_figure(chapter):
+def test_the_page_names_the_reading_and_contains_every_figure(chapter):
     sections = validation_chapter.CHAPTER.sections(*chapter)
     page = render(Document("", "", "", sections))
     assert f"Best fit: {READING}" in page

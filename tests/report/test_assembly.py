@@ -1,4 +1,4 @@
-"""A plan becomes the cards of a report."""
+"""The cards of a report, built from an experiment."""
 
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
@@ -22,7 +22,7 @@ def plan():
     return experiment_from_tables(content, "two.toml", "two", "compare two.toml")
 
 
-def test_cards_tell_every_setting_a_method_runs_with(plan):
+def test_cards_contain_every_setting_of_a_method(plan):
     noon = datetime(2024, 5, 1, 12, tzinfo=UTC)
     made = build_comparison(plan, [], noon, noon)
     assert made.command == "evalkit compare two.toml"
@@ -43,16 +43,16 @@ def test_the_mapper_is_named_with_its_settings(plan):
     assert build_comparison(plan, [], noon, noon).mapper.startswith("log-odds (")
 
 
-def test_warm_up_is_named_as_it_was(demo):
+def test_the_executed_warm_up_is_reported(demo):
     assert any("processes the first 5 scans before" in sentence for sentence in describe_fairness(demo.records, {}))
 
 
-def test_a_requirement_nobody_answers_keeps_its_name():
+def test_an_unknown_requirement_keeps_its_name():
     assert find_distribution("numpy") == "numpy"
     assert find_distribution("no-such-library") == "no-such-library"
 
 
-def test_the_environment_is_the_one_before_the_first_run_with_the_versions_of_the_libraries(plan):
+def test_the_environment_is_that_of_the_first_run_with_library_versions(plan):
     noon = datetime(2024, 5, 1, 12, tzinfo=UTC)
     told = build_comparison(plan, [], noon, noon, {"commit": "abc", "earlier runs": "2 runs"}).environment
     assert list(told) == ["commit", "earlier runs", "numpy", "scipy"]
@@ -66,7 +66,7 @@ def test_the_number_of_runs_at_a_time_is_described_where_known(demo):
     assert not any("at a time" in sentence for sentence in describe_fairness(demo.records, {}))
 
 
-def test_a_sequence_tells_its_settings_and_the_truth_its_runs_met(plan, record):
+def test_a_sequence_has_its_settings_and_the_ground_truth_of_its_runs(plan, record):
     sequence = plan.sequences[0]
     met = replace(record("paper", "room", {}), truth=Truth("exact: as met"))
     card = build_sequence_card(sequence, [met])
@@ -75,20 +75,20 @@ def test_a_sequence_tells_its_settings_and_the_truth_its_runs_met(plan, record):
     assert build_sequence_card(sequence, []).truth != "exact: as met"
 
 
-def test_an_odometry_that_does_not_say_what_it_starts_from_is_given_no_guess():
+def test_an_odometry_that_does_not_declare_its_guess_gets_none():
     assert RegistrationSpec(Truth, "", "", "").guess == "wheel odometry where recorded, else constant velocity"
     assert OdometrySpec(Truth, "", "", "").guess == "not reported"
     assert OdometrySpec(Truth, "", "", "", guess="its own").guess == "its own"
 
 
-def test_trials_are_told_in_the_plans_order_though_every_second_repetition_ran_backwards(plan, record):
+def test_trials_are_in_experiment_order_even_if_repetitions_ran_in_reverse(plan, record):
     sequence, labels = plan.sequences[0], [method.label for method in plan.methods]
     run = [record(who, sequence.label, {}, seed=seed) for seed in sequence.seeds for who in reversed(labels)]
     told = sort_runs(plan, run)
     assert [(t.seed, t.method) for t in told] == [(seed, who) for seed in sequence.seeds for who in labels]
 
 
-def test_the_limits_that_were_in_force_are_told(plan):
+def test_the_limits_in_force_are_reported(plan):
     noon = datetime(2024, 5, 1, 12, tzinfo=UTC)
     told = build_comparison(plan, [], noon, noon).fairness[-1]
     for name, value in asdict(plan.limits).items():

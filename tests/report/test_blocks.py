@@ -1,4 +1,4 @@
-"""A page made of blocks."""
+"""Pages built from blocks."""
 
 from html.parser import HTMLParser
 
@@ -24,7 +24,7 @@ VOID = {"meta", "img", "br", "input", "link", "hr"}
 
 
 class Tags(HTMLParser):
-    """All elements, refusing one that is not closed where it should be."""
+    """Parser that collects all elements and raises at an element closed in the wrong place."""
 
     def __init__(self):
         super().__init__()
@@ -74,19 +74,19 @@ def test_every_block_is_on_the_page():
     assert any(attrs.get("id") == "one-thing" for _, attrs in tags.seen)
 
 
-def test_what_comes_from_data_is_no_markup():
+def test_data_is_escaped():
     evil = "<script>alert(1)</script>"
     tags = page(Text(evil), Table((evil,), ((Cell(evil, tip=evil),),), evil), Figure(b"", evil, evil), Command(evil))
     assert sum(tag == "script" for tag, _ in tags.seen) == 1
     assert tags.text.count(evil) == 7
 
 
-def test_a_row_of_another_length_is_refused():
+def test_a_row_of_another_length_raises():
     with pytest.raises(ValueError, match="row 1: expected 2 cells, got 3"):
         Table(("a", "b"), (("1", "2"), ("1", "2", "3")))
 
 
 @pytest.mark.parametrize("link", ["javascript:alert(1)", "data:text/html,x", " javascript:x", "//evil"])
-def test_a_link_runs_nothing(link):
+def test_a_link_executes_nothing(link):
     with pytest.raises(ValueError, match="link: expected an anchor or a web address"):
         Cell("here", link=link)

@@ -1,4 +1,4 @@
-"""The page in a real browser: offline, without an error, for keyboards and screen readers, and the player plays."""
+"""The page in a real browser: offline, without errors, with keyboard and screen reader, and with a working player."""
 
 import json
 import re
@@ -25,7 +25,7 @@ PLAYER = "#sequence-1 .player"
 
 
 class Room:
-    """60 scans of 90 beams within a circle of 3 m, as stamped as the demo's runs, 10 ms each."""
+    """60 scans of 90 beams inside a circle of 3 m, with the stamps of the demo's runs, 10 ms apart."""
 
     def __len__(self):
         return 60
@@ -49,7 +49,7 @@ def page_file(demo, tmp_path_factory):
     card = SequenceCard(f"A sequence called {SCRIPT}.", "360 beams", "exact", "Author", "MIT")
     same[3] = replace(
         same[3], scores=replace(same[3].scores, errors_m=None), result=replace(same[3].result, steps=NO_STEPS)
-    )  # "lost" is a map alone there
+    )  # "lost" is a map without a path there
     made = replace(
         demo, records=(*demo.records, *same), sequences={**demo.sequences, SCRIPT: card}, scans={"room": Room}
     )
@@ -68,8 +68,8 @@ def browser():
 
 
 @pytest.fixture
-def opened(browser, page_file):
-    """``opened(hash, width=..., **options)``: a page that must neither say nor ask for anything."""
+def open_page(browser, page_file):
+    """Return ``open_page(hash, width=..., **options)``: a page that must not log messages or request anything."""
     contexts, complaints = [], []
 
     def open_(hash_="", width=1300, **options):
@@ -79,11 +79,11 @@ def opened(browser, page_file):
         page.on("console", lambda message: complaints.append(message.text))
         page.on("pageerror", lambda error: complaints.append(str(error)))
         page.on("dialog", lambda dialog: complaints.append(f"dialog {dialog.message}"))
-        page.on("request", lambda request: asked(request.url))
+        page.on("request", lambda request: requests(request.url))
         page.goto(page_file.as_uri() + hash_)
         return page
 
-    def asked(url):
+    def requests(url):
         if not url.startswith(("data:", page_file.as_uri())):
             complaints.append(f"request {url}")
 
@@ -93,15 +93,15 @@ def opened(browser, page_file):
     assert complaints == []
 
 
-def played(page):
-    """The page with the first sequence's player ready."""
+def player_page(page):
+    """The page with the player of the first sequence ready."""
     page.locator(PLAYER).scroll_into_view_if_needed()
     page.wait_for_selector(f"{PLAYER}.ready")
     return page
 
 
-def until(page, true):
-    """Waits for a condition without eval, which the page forbids."""
+def wait_until(page, true):
+    """Wait for a condition without eval, which the page forbids."""
     for _ in range(100):
         if page.evaluate(true):
             return
@@ -118,21 +118,21 @@ def rows(page, region):
     return [name.inner_text() for name in names.all() if name.is_visible()]
 
 
-def test_the_page_says_nothing_asks_for_nothing_and_soon_answers(opened, record_property):
-    page = played(opened())
+def test_the_page_logs_nothing_requests_nothing_and_responds_soon(open_page, record_property):
+    page = player_page(open_page())
     spent = page.evaluate("performance.now()")
     record_property("player ready after ms", spent)
     assert page.title() == "Demo"
 
 
-def test_a_name_that_tries_to_be_a_script_is_text(opened):
-    page = opened()
+def test_a_name_with_a_script_is_shown_as_text(open_page):
+    page = open_page()
     assert SCRIPT in page.locator("h2").all_inner_texts()
     assert page.locator(f"button.pick[value='{SCRIPT}']").inner_text() == SCRIPT
 
 
-def test_a_click_on_a_heading_sorts(opened):
-    page = opened()
+def test_a_click_on_a_heading_sorts_the_table(open_page):
+    page = open_page()
     heading = page.get_by_role("region", name="Results on room").get_by_role("button", name=re.compile("ATE RMSE"))
     heading.click()
     rising = rows(page, "Results on room")
@@ -142,8 +142,8 @@ def test_a_click_on_a_heading_sorts(opened):
     assert falling[:4] == ["lost", "wheel", "paper", SCRIPT]
 
 
-def test_the_filter_leaves_only_the_chosen_in_tables_and_legends_and_stands_in_the_link(opened):
-    page = opened()
+def test_the_filter_applies_to_tables_and_legends_and_is_kept_in_the_link(open_page):
+    page = open_page()
     page.fill("#find", "pa la")
     assert rows(page, "Results on room") == ["paper", "plane"]
     assert page.evaluate("location.hash") == "#?find=pa%20la"
@@ -152,11 +152,11 @@ def test_the_filter_leaves_only_the_chosen_in_tables_and_legends_and_stands_in_t
     page.keyboard.press("Enter")
     assert rows(page, "At a glance") == ["plane"]
     page.click("nav a[href='#results']")
-    until(page, "location.hash === '#results?only=plane'")
-    again = played(opened(page.evaluate("location.hash")))
+    wait_until(page, "location.hash === '#results?only=plane'")
+    again = player_page(open_page(page.evaluate("location.hash")))
     assert rows(again, "Results on fr079") == ["plane"]
     assert again.locator(f"{PLAYER} .legend tbody tr:visible").count() == 1
-    assert again.locator("#sequence-1 .maps figure:visible").count() == 2  # the truth's too
+    assert again.locator("#sequence-1 .maps figure:visible").count() == 2  # including that of the ground truth
     assert [run["label"] for run in again.evaluate(f"document.querySelector('{PLAYER}').player.state.runs")] == [
         "plane"
     ]
@@ -164,8 +164,8 @@ def test_the_filter_leaves_only_the_chosen_in_tables_and_legends_and_stands_in_t
     assert len(rows(again, "Results on room")) == 6
 
 
-def test_a_copied_link_shows_the_same_scan_again(opened):
-    page = played(opened())
+def test_a_copied_link_shows_the_same_scan_again(open_page):
+    page = player_page(open_page())
     page.select_option(f"{PLAYER} [data-picks=first]", "plane")
     page.select_option(f"{PLAYER} [data-picks=second]", "truth")
     page.select_option(f"{PLAYER} [data-picks=map]", "own")
@@ -182,8 +182,8 @@ def test_a_copied_link_shows_the_same_scan_again(opened):
         f"(({{ state, view }}) => [state.scan, state.first, state.second, state.map, state.layers,"
         f" state.runs.map((run) => run.label), view.x, view.y, view.scale])(document.querySelector('{PLAYER}').player)"
     )
-    again = played(opened(link))
-    until(again, f"document.querySelector('{PLAYER}').player.state.scan === 20")
+    again = player_page(open_page(link))
+    wait_until(again, f"document.querySelector('{PLAYER}').player.state.scan === 20")
     *exact, x, y, scale = page.evaluate(looks)
     assert again.evaluate(looks) == [
         *exact,
@@ -194,33 +194,33 @@ def test_a_copied_link_shows_the_same_scan_again(opened):
     assert again.evaluate("location.hash") == link
 
 
-def test_a_link_by_hand_needs_a_scan_and_a_name_alone(opened):
-    page = played(opened("#sequence-1-player?scan=31&by=wheel&and=nobody&layers="))
-    until(page, f"document.querySelector('{PLAYER}').player.state.scan === 30")
+def test_a_hand_written_link_needs_only_a_scan_and_a_name(open_page):
+    page = player_page(open_page("#sequence-1-player?scan=31&by=wheel&and=nobody&layers="))
+    wait_until(page, f"document.querySelector('{PLAYER}').player.state.scan === 30")
     assert page.input_value(f"{PLAYER} [data-picks=first]") == "wheel"
     assert page.input_value(f"{PLAYER} [data-picks=second]") == ""
     assert page.locator(f"{PLAYER} [data-layer]:checked").count() == 0
     assert page.locator("#sequence-1-player").is_visible()
     page.evaluate("location.hash = '#sequence-1-player?scan=5000'")
-    until(page, f"document.querySelector('{PLAYER}').player.state.scan === 59")
+    wait_until(page, f"document.querySelector('{PLAYER}').player.state.scan === 59")
     assert page.input_value(f"{PLAYER} [data-picks=first]") == "paper"
     assert page.locator(f"{PLAYER} [data-layer]:checked").count() > 1
 
 
-def test_what_is_unfolded_stands_in_the_link(opened):
-    page = opened()
+def test_opened_details_are_kept_in_the_link(open_page):
+    page = open_page()
     page.locator("#sequence-1-everything > summary").click()
     page.locator("#sequence-1-runs > summary").click()
-    until(page, "location.hash === '#?open=sequence-1-everything,sequence-1-runs'")
+    wait_until(page, "location.hash === '#?open=sequence-1-everything,sequence-1-runs'")
     page.fill("#find", "plane")
-    again = opened(page.evaluate("location.hash"))
+    again = open_page(page.evaluate("location.hash"))
     assert again.locator("details[open]:not([id$=failures])").evaluate_all("all => all.map((one) => one.id)") == [
         "sequence-1-everything",
         "sequence-1-runs",
     ]
     assert rows(again, "At a glance") == ["plane"]
     again.evaluate("location.hash = '#results'")
-    until(again, "location.hash === '#results?open=sequence-1-everything,sequence-1-runs&find=plane'")
+    wait_until(again, "location.hash === '#results?open=sequence-1-everything,sequence-1-runs&find=plane'")
     again.evaluate("dispatchEvent(new Event('beforeprint'))")
     assert again.locator("details:not([open])").count() == 0
     again.evaluate("dispatchEvent(new Event('afterprint'))")
@@ -228,23 +228,23 @@ def test_what_is_unfolded_stands_in_the_link(opened):
     assert again.locator("#sequence-1-everything[open]").count() == 1
 
 
-def test_drawings_leave_out_whom_the_filter_leaves_out(opened):
-    page = opened("#?only=paper")
+def test_drawings_leave_out_filtered_methods(open_page):
+    page = open_page("#?only=paper")
     source = page.locator("#sequence-1 .pictures img").first.get_attribute("src")
     left = [rest for _, rest in re.findall(r'id="of:([^"]*)"([^>]*)>', unquote(source)) if "display: none" not in rest]
     assert len(left) == unquote(source).count('id="of:paper"') > 1
 
 
-def test_columns_of_methods_are_filtered_too(opened):
-    page = opened("#?only=paper,plane")
+def test_columns_of_methods_are_filtered_too(open_page):
+    page = open_page("#?only=paper,plane")
     page.locator("#sequence-1 summary", has_text="All metrics").click()
     table = page.locator("[aria-label='All metrics on room'] table")
     assert table.locator("thead th:visible").all_inner_texts() == ["Metric", "paper", "plane"]
     assert table.locator("tbody tr").nth(1).locator("td:visible").count() == 2
 
 
-def test_a_number_leads_to_the_run_that_made_it(opened):
-    page = opened()
+def test_a_number_links_to_its_run(open_page):
+    page = open_page()
     page.locator("[aria-label='Results on room'] a.run").first.click()
     row = page.locator("tr.aimed")
     assert row.is_visible()
@@ -253,8 +253,8 @@ def test_a_number_leads_to_the_run_that_made_it(opened):
     assert page.locator("#settings-1").get_attribute("open") is not None
 
 
-def test_keys_step_zoom_and_play(opened):
-    page = played(opened())
+def test_keys_step_zoom_and_play(open_page):
+    page = player_page(open_page())
     page.locator(f"{PLAYER} .stage").focus()
     for key in ("Home", "ArrowRight", "ArrowRight", "ArrowRight", "ArrowLeft"):
         page.keyboard.press(key)
@@ -270,23 +270,23 @@ def test_keys_step_zoom_and_play(opened):
     page.keyboard.press("0")
     assert page.evaluate(scale) == pytest.approx(before)
     page.keyboard.press(" ")
-    until(page, f"document.querySelector('{PLAYER}').player.state.scan > 14")
+    wait_until(page, f"document.querySelector('{PLAYER}').player.state.scan > 14")
     page.keyboard.press(" ")
     stopped = scan(page)
     page.wait_for_timeout(250)
     assert scan(page) == stopped
 
 
-def test_whoever_wants_less_motion_still_plays(opened):
-    page = played(opened(reduced_motion="reduce"))
+def test_the_player_works_with_reduced_motion(open_page):
+    page = player_page(open_page(reduced_motion="reduce"))
     page.click(f"{PLAYER} [data-does=first]")
     assert page.evaluate("getComputedStyle(document.documentElement).scrollBehavior") == "auto"
     page.click(f"{PLAYER} [data-does=play]")
-    until(page, f"document.querySelector('{PLAYER}').player.state.scan > 1")
+    wait_until(page, f"document.querySelector('{PLAYER}').player.state.scan > 1")
 
 
-def test_the_map_moves_by_wheel_and_drag_only_once_it_is_chosen(opened):
-    page = played(opened())
+def test_the_map_reacts_to_wheel_and_drag_only_when_focused(open_page):
+    page = player_page(open_page())
     view = f"(({{x, y, scale}}) => [x, y, scale])(document.querySelector('{PLAYER}').player.view)"
     page.locator(f"{PLAYER} .zoom").scroll_into_view_if_needed()
     box = page.locator(f"{PLAYER} canvas.map").bounding_box()
@@ -303,11 +303,11 @@ def test_the_map_moves_by_wheel_and_drag_only_once_it_is_chosen(opened):
     moved = page.evaluate(view)
     assert moved[:2] == pytest.approx([before[0] - 50 / before[2], before[1] - 20 / before[2]])
     page.mouse.wheel(0, -200)
-    until(page, f"{view}[2] > {moved[2]}")
+    wait_until(page, f"{view}[2] > {moved[2]}")
 
 
-def test_a_click_on_a_curve_goes_to_its_time(opened):
-    page = played(opened())
+def test_a_click_on_a_curve_seeks_to_its_time(open_page):
+    page = player_page(open_page())
     trace = page.locator(f"{PLAYER} canvas.trace").first
     box = trace.bounding_box()
     trace.click(position={"x": 52 + 0.5 * (box["width"] - 60), "y": 20})
@@ -317,8 +317,8 @@ def test_a_click_on_a_curve_goes_to_its_time(opened):
     assert float(error) == pytest.approx(1000 * trial_error, abs=0.06)
 
 
-def test_the_page_places_scans_as_python_does(opened, page_file):
-    page = played(opened())
+def test_the_page_transforms_scans_like_python(open_page, page_file):
+    page = player_page(open_page())
     content = json.loads(page.evaluate(f"document.querySelector('{PLAYER} template').content.textContent"))
     poses = unpack_array(content["runs"][1]["poses"], (60, 3)) * [1e-3, 1e-3, 1e-5]
     stamps = np.arange(60) * 100_000_000
@@ -332,8 +332,8 @@ def test_the_page_places_scans_as_python_does(opened, page_file):
         assert np.array(got, dtype=float).reshape(-1, 2) == pytest.approx(expected[row], abs=1e-9, nan_ok=True)
 
 
-def test_the_worst_scans_of_two_are_a_click_away(opened):
-    page = played(opened())
+def test_the_worst_scans_of_two_methods_can_be_selected_by_click(open_page):
+    page = player_page(open_page())
     page.select_option(f"{PLAYER} [data-worst=a]", "lost")
     page.select_option(f"{PLAYER} [data-worst=b]", "plane")
     page.select_option(f"{PLAYER} [data-worst=by]", "apart")
@@ -353,20 +353,20 @@ def test_the_worst_scans_of_two_are_a_click_away(opened):
     assert "more error" in buttons.first.inner_text()
 
 
-def test_a_map_alone_can_lie_beneath_and_the_page_says_why_it_has_no_path(opened):
+def test_a_map_without_a_path_can_be_shown_with_the_reason(open_page):
     alone = "#sequence-4 .player"
-    page = opened("#sequence-4-player?on=of%20lost")
+    page = open_page("#sequence-4-player?on=of%20lost")
     page.wait_for_selector(f"{alone}.ready")
     assert page.input_value(f"{alone} [data-picks=map]") == "of lost"
-    until(page, f"document.querySelector('{alone}').player.state.map === 'lost'")
+    wait_until(page, f"document.querySelector('{alone}').player.state.map === 'lost'")
     assert "Maps without a path: lost." in page.locator(f"{alone} > .note").inner_text()
     assert page.locator(f"{alone} .legend tbody tr").count() == 3
     page.fill("#find", "pa")
-    until(page, f"document.querySelector('{alone}').player.state.map === 'paper'")
+    wait_until(page, f"document.querySelector('{alone}').player.state.map === 'paper'")
 
 
-def test_something_is_drawn_on_every_canvas(opened):
-    page = played(opened())
+def test_every_canvas_shows_content(open_page):
+    page = player_page(open_page())
     for canvas in page.locator(f"{PLAYER} canvas").all():
         colours = canvas.evaluate(
             "(c) => new Set(new Uint32Array(c.getContext('2d').getImageData(0, 0, c.width, c.height).data.buffer)).size"
@@ -374,8 +374,8 @@ def test_something_is_drawn_on_every_canvas(opened):
         assert colours > 3
 
 
-def test_the_reader_may_have_it_dark_or_light(opened):
-    page = opened(color_scheme="light")
+def test_the_colour_scheme_can_be_dark_or_light(open_page):
+    page = open_page(color_scheme="light")
     ground = "getComputedStyle(document.body).backgroundColor"
     light = page.evaluate(ground)
     page.click("#theme")
@@ -388,8 +388,8 @@ def test_the_reader_may_have_it_dark_or_light(opened):
     assert page.evaluate(ground) == "rgb(255, 255, 255)"
 
 
-def test_paper_gets_a_still_picture_without_controls(opened):
-    page = played(opened())
+def test_a_printed_page_has_a_still_picture_without_controls(open_page):
+    page = player_page(open_page())
     page.emulate_media(media="print")
     assert page.locator(f"{PLAYER} canvas.map").is_visible()
     assert not page.locator(f"{PLAYER} .transport button").first.is_visible()
@@ -397,12 +397,12 @@ def test_paper_gets_a_still_picture_without_controls(opened):
     assert len(page.pdf()) > 50_000
 
 
-def test_a_link_that_was_cut_short_still_opens(opened):
-    page = opened("#results?only=%3Cscript&find=%E2%8")
+def test_a_truncated_link_still_opens(open_page):
+    page = open_page("#results?only=%3Cscript&find=%E2%8")
     assert len(rows(page, "Results on room")) == 6
 
 
-def test_a_page_of_blocks_may_be_dark_too(browser, tmp_path):
+def test_a_page_of_blocks_can_be_dark(browser, tmp_path):
     file = tmp_path / "blocks.html"
     sections = [Section("Found", [Text("Something."), Table(["who", "what"], [["a", "b"]])])]
     file.write_text(render(Document("evalkit", "Blocks", "Of blocks.", sections)), encoding="utf-8")
@@ -418,17 +418,17 @@ def test_a_page_of_blocks_may_be_dark_too(browser, tmp_path):
 
 
 @pytest.mark.parametrize("width", [1400, 400])
-def test_nothing_is_wider_than_the_window(opened, width):
-    page = played(opened(width=width))
+def test_nothing_is_wider_than_the_window(open_page, width):
+    page = player_page(open_page(width=width))
     assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_accessible_by_the_rules_of_axe(opened, scheme):
+def test_the_page_passes_the_accessibility_rules_of_axe(open_page, scheme):
     axe = pytest.importorskip(
         "axe_playwright_python.sync_playwright", reason="axe is not installed: pip install axe-playwright-python"
     )
-    page = played(opened(color_scheme=scheme))
+    page = player_page(open_page(color_scheme=scheme))
     found = axe.Axe().run(page, options={"runOnly": ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "best-practice"]})
     told = [(v["id"], v["nodes"][0]["target"], v["nodes"][0]["failureSummary"]) for v in found.response["violations"]]
     assert not told, "\n".join(map(str, told))

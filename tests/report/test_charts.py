@@ -28,12 +28,12 @@ DRAWN = {
 
 
 @pytest.mark.parametrize("name", DRAWN)
-def test_the_same_numbers_are_the_same_bytes(name):
+def test_equal_numbers_give_equal_bytes(name):
     drawn = DRAWN[name]()
     assert ET.fromstring(drawn).tag.endswith("svg")
     assert drawn == DRAWN[name]()
 
 
-def test_another_number_is_another_drawing():
+def test_different_numbers_give_different_drawings():
     other = Curve("a < b", X, X + 1.1, X, X + 2.0)
     assert charts.lines([CURVE], Axis("t"), Axis("e")) != charts.lines([other], Axis("t"), Axis("e"))

@@ -1,4 +1,4 @@
-"""What was driven is measured from the runs, not copied from the data set's card."""
+"""Driven paths, measured from the runs and not copied from the card of the data set."""
 
 from dataclasses import replace
 
@@ -11,19 +11,19 @@ from evalkit.report.analysis.sequence import analyse_sequence
 
 
 def _line(metres):
-    """A straight way there, 1 cm a step, with 1 mm of noise across that alternates."""
+    """Return a straight path with steps of 1 cm and alternating lateral noise of 1 mm."""
     x = np.arange(0.0, metres + 1e-9, 0.01)
     poses = np.stack([x, 0.001 * (np.arange(len(x)) % 2), np.zeros(len(x))], axis=1)
     return Trajectory(np.arange(len(x)) * 100_000_000, poses)
 
 
-def test_noise_adds_nothing_to_a_path():
+def test_noise_does_not_lengthen_a_path():
     assert path_m(_line(3.0)) == pytest.approx(3.0, abs=0.002)
     assert path_m(Trajectory(np.arange(50), np.zeros((50, 3)))) == 0.0
     assert path_m(Trajectory(np.zeros(0, dtype=np.int64), np.zeros((0, 3)))) == 0.0
 
 
-def test_scans_seconds_rate_and_the_true_path_are_measured(record, build):
+def test_scans_duration_rate_and_true_path_are_measured(record, build):
     made = record("a", "room", {"ate_rmse_m": 0.1})
     way = _line(0.59)
     spec = replace(made.spec, sequence=replace(made.spec.sequence, parameters={"beams": 360}))
@@ -38,17 +38,17 @@ def test_scans_seconds_rate_and_the_true_path_are_measured(record, build):
     }
 
 
-def test_without_truth_the_path_is_an_estimate_that_is_named_and_never_the_odometry(record, build):
+def test_without_ground_truth_the_path_comes_from_a_named_estimate_not_from_odometry(record, build):
     values = {"a": 0.1, "b": 0.2, "wheel": 0.3}
     names = ("split_distance_m", "mom_cm2", "cleared_percent", "s2m_m")
     runs = [record(n, "room", dict.fromkeys(names, v), seed=None, truth=False, error_m=0.0) for n, v in values.items()]
     path = dict(analyse_sequence(build(runs), "room").drive)["Path"]
     metres, unit, whose = path.partition(" m ")
     assert (unit, whose) == (" m ", "(estimate of a)")
-    assert float(metres) == pytest.approx(20.7, abs=0.3)  # an ellipse of 4 and 2.5 m
+    assert float(metres) == pytest.approx(20.7, abs=0.3)  # an ellipse with axes of 4 and 2.5 m
 
 
-def test_where_nobody_knows_the_best_estimate_the_path_is_the_median_of_all(record, build):
+def test_without_a_best_estimate_the_path_is_the_median_of_all(record, build):
     runs = [
         record(n, "room", {"split_distance_m": v}, seed=None, truth=False)
         for n, v in (("wheel", 0.1), ("a", 0.2), ("b", 0.3))
@@ -56,12 +56,12 @@ def test_where_nobody_knows_the_best_estimate_the_path_is_the_median_of_all(reco
     assert "(median of 2 estimates, " in dict(analyse_sequence(build(runs), "room").drive)["Path"]
 
 
-def test_nothing_is_measured_where_nothing_ran(record, build):
+def test_nothing_is_measured_without_runs(record, build):
     absent = record("a", "room", {}, status="not-installed", reason="no module", answered=0)
     assert analyse_sequence(build([absent]), "room").drive == ()
 
 
-def test_each_way_of_aligning_is_told_once_with_its_runs(record):
+def test_each_alignment_is_reported_once_with_its_runs(record):
     words = ["least squares over 60 poses; 60 equal stamps"] * 2 + ["the run has no poses", ""]
     made = [(record("a", "room", {}, seed=seed), text) for seed, text in enumerate(words)]
     runs = [replace(run, scores=replace(run.scores, alignment=text)) for run, text in made]

@@ -1,4 +1,4 @@
-"""The page shows everything, loads nothing and runs nothing it was given."""
+"""The page: complete, self-contained, and with all data escaped."""
 
 import io
 import re
@@ -21,7 +21,7 @@ from evalkit.report.html.view_models import build_headline
 
 
 class Tags(HTMLParser):
-    """Collects (tag, attributes) and checks that what is opened is closed."""
+    """Parser that collects (tag, attributes) and checks that every element is closed."""
 
     VOID = ("meta", "img", "br", "line", "link", "input")
 
@@ -57,11 +57,11 @@ def tags(html):
     return parser
 
 
-def test_every_tag_that_opens_closes(tags):
+def test_every_opened_tag_is_closed(tags):
     assert tags.open == []
 
 
-def test_names_that_try_to_be_scripts_stay_text(tags, html):
+def test_names_with_scripts_are_escaped(tags, html):
     assert "<script>alert" not in html
     assert "<script>alert(1)</script>" in tags.text
     assert sum(tag == "script" for tag, _ in tags.found) == 1
@@ -70,7 +70,7 @@ def test_names_that_try_to_be_scripts_stay_text(tags, html):
 EVIL = "</script><!--<script>alert(1)//--></style>\u2028\"'><img src=x onerror=alert(1)>{{7*7}}javascript:alert(1)"
 
 
-def test_whatever_comes_from_data_stays_text_wherever_it_stands(build, record, tmp_path):
+def test_data_is_escaped_in_every_place(build, record, tmp_path):
     made = record(EVIL, EVIL, {"ate_rmse_m": 0.1, "cpu_median_ms": 1.0}, status="failed", reason=EVIL, answered=30)
     made = replace(
         made, result=replace(made.result, notes={EVIL: 3}), truth=replace(made.truth, how=EVIL),
@@ -97,7 +97,7 @@ def test_whatever_comes_from_data_stays_text_wherever_it_stands(build, record, t
     assert "49javascript" not in html
 
 
-def test_nothing_is_loaded_from_anywhere(tags):
+def test_nothing_is_loaded_from_elsewhere(tags):
     for tag, attributes in tags.found:
         for name in ("src", "srcset", "data", "action", "poster", "background"):
             assert attributes.get(name, "data:").startswith("data:"), tag
@@ -107,12 +107,12 @@ def test_nothing_is_loaded_from_anywhere(tags):
             assert tag == "a"
 
 
-def test_the_browser_is_told_to_load_nothing(tags):
+def test_the_content_policy_forbids_loading(tags):
     policies = [a["content"] for tag, a in tags.found if a.get("http-equiv") == "Content-Security-Policy"]
     assert policies[0].startswith("default-src 'none'")
 
 
-def test_links_within_the_page_lead_somewhere(tags):
+def test_links_within_the_page_have_targets(tags):
     anchors = [attributes["id"] for _, attributes in tags.found if "id" in attributes]
     assert len(anchors) == len(set(anchors))
     targets = {a["href"][1:] for _, a in tags.found if a.get("href", "").startswith("#")}
@@ -127,7 +127,7 @@ def test_every_run_has_its_command_and_its_files(tags, demo):
         assert (file in links) == (len(record.result.steps) > 0)
 
 
-def test_every_number_leads_to_its_runs(tags, demo):
+def test_every_number_links_to_its_runs(tags, demo):
     numbers = [a["href"] for tag, a in tags.found if tag == "a" and a.get("class") in ("run", "none")]
     assert {"#sequence-1-runs-1", "#sequence-2-runs-1"} <= set(numbers)
     rows = [a["id"] for tag, a in tags.found if tag == "tr" and "-runs-" in a.get("id", "")]
@@ -136,7 +136,7 @@ def test_every_number_leads_to_its_runs(tags, demo):
     assert {href[1:] for href in numbers} <= set(rows)
 
 
-def test_runs_that_failed_are_counted_and_shown_with_their_reason(tags):
+def test_failed_runs_are_counted_and_shown_with_their_reason(tags):
     text = " ".join(tags.text.split())
     assert "1 of 3" in text
     for said in (
@@ -149,7 +149,7 @@ def test_runs_that_failed_are_counted_and_shown_with_their_reason(tags):
         assert said in text
 
 
-def test_arrows_point_where_better_is(html):
+def test_arrows_point_to_the_better_direction(html):
     heading = {
         name: re.search(rf"{name}.*?</th>", html[html.index("<table") :], re.DOTALL)[0]
         for name in ("ATE RMSE", "Map F1")
@@ -158,18 +158,18 @@ def test_arrows_point_where_better_is(html):
     assert "↑" in heading["Map F1"]
 
 
-def test_a_number_that_means_nothing_is_a_dash_with_its_reason(tags):
+def test_a_score_without_a_value_is_a_dash_with_its_reason(tags):
     reasons = [a["title"] for tag, a in tags.found if tag in ("a", "span") and a.get("class") == "none"]
     assert "failed: no odometry was recorded" in reasons
     assert "not installed: no module named 'absent'; pip install absent" in reasons
 
 
-def test_metrics_that_mean_nothing_to_anybody_are_named_with_the_reason(tags):
+def test_metrics_without_any_value_are_listed_with_the_reason(tags):
     text = " ".join(tags.text.split())
     assert "Not shown, because no method has a value: relation error, mean (no relations_mean_m here)." in text
 
 
-def test_only_who_completed_every_run_is_best(demo):
+def test_only_methods_that_completed_every_run_can_be_best(demo):
     table = build_headline(analyse_sequence(demo, "room"))
     best = {m.name: [r.method for r in table.rows if r.numbers[i].best] for i, m in enumerate(table.metrics)}
     assert best["ate_rmse_m"] == ["plane"]
@@ -177,7 +177,7 @@ def test_only_who_completed_every_run_is_best(demo):
     assert best["cpu_median_ms"] == ["paper"]
 
 
-def test_what_decides_and_what_it_costs_stand_first(demo):
+def test_the_deciding_metrics_and_the_costs_come_first(demo):
     names = [
         [metric.name for metric in build_headline(analyse_sequence(demo, label)).metrics] for label in ("room", "fr079")
     ]
@@ -185,7 +185,7 @@ def test_what_decides_and_what_it_costs_stand_first(demo):
     assert names[1][:2] == ["relations_mean_m", "cpu_median_ms"]
 
 
-def test_where_a_true_map_is_known_consistency_leaves_the_first_table(record, build):
+def test_with_a_true_map_consistency_is_not_in_the_first_table(record, build):
     def shown(truth):
         runs = [record(who, "room", {"map_f1": 0.9, "split_distance_m": 0.1}, truth=truth) for who in "ab"]
         return {metric.name for metric in build_headline(analyse_sequence(build(runs), "room")).metrics}
@@ -194,19 +194,19 @@ def test_where_a_true_map_is_known_consistency_leaves_the_first_table(record, bu
     assert shown(False) == {"map_f1", "split_distance_m"}
 
 
-def test_what_was_driven_stands_beside_what_the_data_set_says_of_itself(tags):
+def test_the_driven_path_is_shown_with_the_description_of_the_data_set(tags):
     text = " ".join(tags.text.split())
     assert "The data set: A sequence called room." in text
     assert "Scans answered31 of 60 to 60 of 60, by run" in text
 
 
-def test_who_is_worse_than_the_bar_is_marked(demo):
+def test_methods_worse_than_the_baseline_are_marked(demo):
     assert [row.method for row in build_headline(analyse_sequence(demo, "room")).rows if row.behind_baseline] == [
         "lost"
     ]
 
 
-def test_published_figures_stand_among_ours_in_order(tags):
+def test_published_results_are_sorted_among_the_measured_ones(tags):
     text = " ".join(tags.text.split())
     table = text[text.index("Comparison with published results") :]
     places = [table.index(f"{name} {value}") for name, value in (("plane", "0.051"), ("graph mapping", "0.056"))]
@@ -214,11 +214,11 @@ def test_published_figures_stand_among_ours_in_order(tags):
     assert table.index("scan matching 0.258") < table.index("paper 0.270")
 
 
-def test_counted_defects_of_the_data_are_printed(tags):
+def test_counted_data_defects_are_printed(tags):
     assert "2 scans out of order" in " ".join(tags.text.split())
 
 
-def test_a_map_shows_walls_black_where_they_stand():
+def test_walls_are_black_at_their_position_in_a_map():
     log_odds = np.full((40, 80), -4.0, dtype=np.float32)
     log_odds[5, 10] = 4.0
     observed = np.ones((40, 80), dtype=bool)
@@ -236,7 +236,7 @@ def test_a_map_shows_walls_black_where_they_stand():
     assert np.array_equal(read, levels * 17)
 
 
-def test_a_map_that_has_spread_does_not_shrink_the_others():
+def test_a_diverged_map_does_not_shrink_the_others():
     def room(size):
         cells = np.ones((size, size), dtype=bool)
         return OccupancyGrid(np.zeros((size, size)), cells, 1.0, 0.0, 0.0)
@@ -245,12 +245,12 @@ def test_a_map_that_has_spread_does_not_shrink_the_others():
     assert find_window([]) is None
 
 
-def test_nine_methods_have_nine_strokes():
+def test_nine_methods_have_nine_line_styles():
     chosen = assign_strokes([f"c{i}" for i in range(9)], ["c0"])
     assert len(set(chosen.values())) == 9
 
 
-def test_the_rank_agreement_of_map_metrics_is_shown_beside_them(html):
+def test_the_rank_agreement_of_map_metrics_is_shown_with_them(html):
     shown = html[html.index('id="rank-agreement"') : html.index('id="metric-map_entropy"')]
     assert "evalkit.commands.metric_validation validate" in shown
     validation = load_validation()

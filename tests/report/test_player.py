@@ -1,4 +1,4 @@
-"""What the player shows stands where the run has put it, within its budget, and is the same bytes twice."""
+"""The player's data: positions as in the run, size within the budget, and reproducible bytes."""
 
 import json
 from dataclasses import replace
@@ -30,7 +30,7 @@ WINDOW = Window(0.0, 12.0, 0.0, 8.0)
 
 
 class Wall:
-    """60 scans of 9 beams that all see a wall 2 m ahead of the sensor, which sits 10 cm ahead of the base."""
+    """60 scans of 9 beams that all hit a wall 2 m ahead of the sensor, which is mounted 10 cm ahead of the base."""
 
     def __len__(self):
         return 60
@@ -59,7 +59,7 @@ def content(made):
     return json.loads(made.content)
 
 
-def test_a_wall_ahead_is_drawn_where_the_pose_puts_it():
+def test_a_wall_ahead_is_drawn_at_the_position_given_by_the_pose():
     stamps = np.array([0, 100_000_000])
     beams = load_beams(Wall(), stamps, 10_000)
     points = place_hits(beams, np.array([[1.0, 5.0, np.pi / 2], [4.0, 0.0, 0.0]]), stamps)
@@ -68,7 +68,7 @@ def test_a_wall_ahead_is_drawn_where_the_pose_puts_it():
     assert points[1, 4] == pytest.approx([6.1, 0.0], abs=1e-3)
 
 
-def test_the_motion_within_a_scan_is_undone():
+def test_the_motion_within_a_scan_is_corrected():
     stamps = np.array([0, 100_000_000])
     beams = replace(load_beams(Wall(), stamps, 10_000), sweep=np.array([100, 100], dtype=np.int32))
     points = place_hits(beams, np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]]), stamps)
@@ -76,7 +76,7 @@ def test_the_motion_within_a_scan_is_undone():
     assert points[1, :, 0] == pytest.approx(3.1 + np.linspace(0.0, 1.0, 9), abs=1e-3)
 
 
-def test_a_placed_point_is_less_than_two_millimetres_off(runs):
+def test_a_drawn_point_has_an_error_below_two_millimetres(runs):
     stamps = runs[0].result.steps["stamp_ns"]
     made = content(build_player(runs, Wall, WINDOW, lines(runs)))
     poses = unpack_array(made["runs"][0]["poses"], (60, 3)) * [1e-3, 1e-3, 1e-5]
@@ -87,14 +87,14 @@ def test_a_placed_point_is_less_than_two_millimetres_off(runs):
         assert np.linalg.norm(drawn[row] - points, axis=1).max() < 2e-3
 
 
-def test_no_more_ranges_than_the_budget_and_no_gap_in_the_fan():
+def test_the_number_of_ranges_is_within_the_budget_and_the_beams_have_no_gap():
     beams = load_beams(Wall(), np.arange(60) * 100_000_000, 60 * 3)
     assert beams.ranges.shape == (60, 3)
     assert beams.every == 3
     assert beams.angles[0].tolist() == [-40000, -10000, 20000]
 
 
-def test_many_sequences_share_the_page():
+def test_many_sequences_share_the_budget_of_the_page():
     assert ranges_per_sequence(1) == ranges_per_sequence(10) == module.MAX_RANGES
     assert ranges_per_sequence(20) * 20 == module.MAX_ON_PAGE
 
@@ -118,7 +118,7 @@ def test_few_scans_are_all_kept():
 
 
 def room():
-    """4 x 4 m at 10 cm: free inside, a wall along the lower edge."""
+    """A room of 4 x 4 m at 10 cm resolution: free inside, a wall along the lower edge."""
     log_odds = np.full((40, 40), -3.0, dtype=np.float32)
     log_odds[0] = 3.0
     return log_odds
@@ -128,18 +128,20 @@ def grid(log_odds):
     return OccupancyGrid(log_odds, np.ones_like(log_odds, dtype=bool), 0.1, 0.0, 0.0)
 
 
-def test_a_ghost_is_a_wall_away_from_every_true_one():
+def test_a_ghost_is_a_wall_far_from_every_true_wall():
     mapped = room()
     mapped[2, 5] = mapped[10, 7] = 3.0  # 0.2 m and 1 m above the wall
     assert find_ghosts(grid(mapped), grid(room())) == pytest.approx(np.array([[0.75, 1.05]]))
 
 
-def test_a_hit_in_what_the_run_found_free_is_a_violation_but_not_one_beside_a_wall():
-    points = np.array([[1.02, 2.01], [1.03, 2.02], [2.0, 0.12], [9.0, 9.0]])  # twice one cell, at the wall, outside
+def test_a_hit_in_free_space_is_a_violation_unless_it_is_next_to_a_wall():
+    points = np.array(
+        [[1.02, 2.01], [1.03, 2.02], [2.0, 0.12], [9.0, 9.0]]
+    )  # the same cell twice, at the wall, outside
     assert find_violations(points, grid(room())) == pytest.approx(np.array([[1.05, 2.05]]))
 
 
-def test_the_same_runs_twice_are_the_same_bytes(runs):
+def test_the_same_runs_give_identical_bytes(runs):
     made = [build_player(runs, Wall, WINDOW, lines(runs)) for _ in range(2)]
     assert made[0] == made[1]
 
@@ -155,7 +157,7 @@ def test_a_run_that_ended_early_has_no_pose_after_its_end(record):
     assert errors[:31] == pytest.approx(short.scores.errors_m, abs=0.5e-4)
 
 
-def test_a_pose_that_ran_away_or_is_no_number_is_not_there(runs):
+def test_diverged_or_nan_poses_are_missing(runs):
     steps = runs[1].result.steps.copy()
     steps["x"][7], steps["y"][8], steps["theta"][9] = np.inf, np.nan, 1e9
     gone = replace(runs[1], result=replace(runs[1].result, steps=steps))
@@ -164,13 +166,13 @@ def test_a_pose_that_ran_away_or_is_no_number_is_not_there(runs):
     assert np.flatnonzero((poses == module.NONE).all(axis=1)).tolist() == [7, 8, 9]
 
 
-def test_a_recording_that_cannot_be_read_leaves_the_paths_and_says_why(runs):
+def test_an_unreadable_recording_keeps_the_paths_and_gives_a_reason(runs):
     made = build_player(runs, Broken, WINDOW, lines(runs))
     assert content(made)["beams"] is None
     assert "no such disk" in made.remarks
 
 
-def test_a_map_alone_is_shown_with_its_ghosts_and_has_no_path(runs):
+def test_a_map_without_a_path_is_shown_with_its_ghosts(runs):
     log_odds = np.full((40, 40), -3.5, dtype=np.float32)
     log_odds[:, 10] = 3.5
     true = OccupancyGrid(log_odds, np.ones((40, 40), dtype=bool), 0.1, 0.0, 0.0)
@@ -184,11 +186,11 @@ def test_a_map_alone_is_shown_with_its_ghosts_and_has_no_path(runs):
     cells = unpack_array(theirs["ghosts"], (40, 2)) * 1e-3
     assert (made.methods, made.maps) == (("a", "b"), ("theirs",))
     assert "Maps without a path: theirs." in made.remarks
-    assert cells[:, 0] == pytest.approx(2.05)  # the wall of the column at 1.0 to 1.1 m, a metre off
+    assert cells[:, 0] == pytest.approx(2.05)  # the wall of the column at 1.0 to 1.1 m, one metre off
     assert build_player([alone], None, WINDOW, lines([alone])) is None
 
 
-def test_who_answered_nothing_is_not_there(record):
+def test_a_run_without_answers_is_not_shown(record):
     absent = record("c", "room", {}, status="not-installed", reason="no module", answered=0)
     assert build_player([absent], None, WINDOW, lines([absent])) is None
     present = record("a", "room", {}, truth=False)
@@ -199,7 +201,7 @@ def test_who_answered_nothing_is_not_there(record):
 
 
 class Noisy:
-    """3000 scans of 360 beams with 5 cm of noise: as hard to make short as any sensor is."""
+    """3000 scans of 360 beams with 5 cm of noise, which compress badly."""
 
     def __len__(self):
         return 3000

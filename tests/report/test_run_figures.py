@@ -1,17 +1,17 @@
-"""Figures stay small, admit what they cut off, and are absent where there is nothing to draw."""
+"""Figures: small, with clipped parts stated, and absent where there is nothing to draw."""
 
 from evalkit.report.html.palette import assign_strokes
 from evalkit.report.html.run_figures import draw_errors, draw_residuals, draw_runtimes, draw_trajectories
 
 
-def test_a_long_run_is_drawn_no_larger_than_its_line_can_show(record):
+def test_a_long_run_is_drawn_with_a_limited_number_of_points(record):
     short = [record("a", "room", {}, answered=600, expected=600)]
     long = [record("a", "room", {}, answered=6000, expected=6000)]
     for draw in (draw_trajectories, draw_errors, draw_residuals):
         assert len(draw(long, assign_strokes(["a"])).svg) < 1.5 * len(draw(short, assign_strokes(["a"])).svg)
 
 
-def test_who_leaves_the_frame_is_named(record):
+def test_clipped_methods_are_named(record):
     pair = [record("near", "room", {}, error_m=0.02), record("far", "room", {}, error_m=30.0)]
     drawn = draw_trajectories(pair, assign_strokes(["near", "far"]))
     assert drawn.remark == "far leaves the frame."
@@ -23,7 +23,7 @@ def test_errors_of_very_different_size_share_a_logarithmic_axis(record):
     assert draw_errors(pair[:1], assign_strokes(["near"])).remark == ""
 
 
-def test_nothing_is_drawn_of_runs_that_never_answered(record):
+def test_runs_without_answers_have_no_figure(record):
     none = [record("a", "room", {}, status="failed", reason="no odometry", answered=0)]
     assert [
         draw(none, assign_strokes(["a"])) for draw in (draw_trajectories, draw_errors, draw_runtimes, draw_residuals)
@@ -34,10 +34,10 @@ def test_wheel_odometry_has_no_residuals(record):
     assert draw_residuals([record("wheel", "room", {})], assign_strokes(["wheel"])) is None
 
 
-def test_what_is_drawn_of_a_method_is_named_so_that_the_page_can_leave_it_out(record):
+def test_drawn_elements_carry_the_name_of_their_method_for_the_filter(record):
     runs = [record(name, "room", {}) for name in ("a", "<b>")]
     for draw in (draw_trajectories, draw_errors, draw_residuals, draw_runtimes):
         svg = draw(runs, assign_strokes(["a", "<b>"])).svg.decode()
-        assert svg.count('id="of:a"') >= 2  # a line and a place in the legend, or a box and its name
+        assert svg.count('id="of:a"') >= 2  # a line and a legend entry, or a box and its name
         assert svg.count('id="of:a"') == svg.count('id="of:&lt;b&gt;"')
         assert "of:truth" not in svg

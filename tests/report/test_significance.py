@@ -1,4 +1,4 @@
-"""Intervals, paired differences and tests of a comparison, against answers known from how its records were made."""
+"""Intervals, paired differences and tests of a comparison, with results known from the construction of the records."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def with_scores(record, **changes):
 
 
 def _with_errors(record, errors_m):
-    """A record whose errors are these; its ATE is their root mean square."""
+    """Return a record with the given errors; its ATE is their root mean square."""
     ate = float(np.sqrt(np.mean(errors_m**2)))
     scores = {ATE: replace(record.scores.by_metric[ATE], value=ate)}
     return with_scores(record, errors_m=errors_m, by_metric=scores)
@@ -44,8 +44,8 @@ def test_a_constant_error_has_an_interval_without_width(record, build):
     assert (found.value, found.low, found.high, found.support) == pytest.approx((0.25, 0.25, 0.25, 60))
 
 
-def test_both_are_drawn_from_the_same_stretches(record, build):
-    """b errs twice as much as a on every scan: every draw of b is twice that of a, and the difference is a's own."""
+def test_both_methods_are_resampled_with_the_same_blocks(record, build):
+    """b has twice the error of a on every scan: every draw of b is twice that of a, and the difference equals a."""
     errors = np.random.default_rng(2).gamma(4.0, 0.01, 60)
     comparison = build([
         _with_errors(record("a", "room", {ATE: 1.0}), errors),
@@ -58,7 +58,7 @@ def test_both_are_drawn_from_the_same_stretches(record, build):
     assert between.resampled == "blocks"
 
 
-def test_pairs_use_only_scans_that_both_answered(record, build):
+def test_pairs_use_only_scans_answered_by_both(record, build):
     a, b = record("a", "room", {ATE: 0.02}), record("b", "room", {ATE: 0.03})
     partly = np.where(np.arange(60) < 40, 0.03, np.nan)
     comparison = build([with_scores(a, errors_m=np.full(60, 0.02)), with_scores(b, errors_m=partly)])
@@ -67,21 +67,21 @@ def test_pairs_use_only_scans_that_both_answered(record, build):
     assert len(bootstrap._shared_keys(comparison.records[0], ATE)) == 40
 
 
-def test_errors_that_make_another_score_are_not_used(record, build):
+def test_errors_that_do_not_match_the_score_are_not_used(record, build):
     claimed = record("a", "room", {ATE: 0.02})
     comparison = build([with_scores(claimed, errors_m=3.0 * claimed.scores.errors_m)])
     assert _of(comparison, "a").interval is None
 
 
-def test_few_values_have_no_interval():
+def test_too_few_values_have_no_interval():
     assert bootstrap_score(Series(np.arange(19), np.ones(19), "mean", 0.1), 1.0, np.random.default_rng(0)) is None
 
 
 @pytest.mark.parametrize(
     ("statistic", "score"), [("mean", 2.5), ("rms", math.sqrt(7.5)), ("median", 2.5), ("inverse", 0.4)]
 )
-def test_draws_of_every_statistic_are_of_the_score(statistic, score):
-    """1, 2, 3, 4 over and over: any ten stretches of 40 values have the same mean, root mean square and median."""
+def test_draws_of_every_statistic_match_the_score(statistic, score):
+    """1, 2, 3, 4 repeated: any ten blocks of 40 values have the same mean, root mean square and median."""
     series = Series(np.arange(400), np.tile([1.0, 2.0, 3.0, 4.0], 100), statistic, 0.25)
     found = bootstrap_score(series, score, np.random.default_rng(0))
     assert found is not None
@@ -111,7 +111,7 @@ def test_the_same_results_give_the_same_numbers(demo):
     assert all(row["low"] <= row["high"] for row in once["intervals"])
 
 
-def test_the_table_of_pairs_says_what_the_verdict_says(record, build):
+def test_the_table_of_pairs_agrees_with_the_verdict(record, build):
     comparison = build([
         record(who, "room", {ATE: ate}, seed=seed)
         for who, ate in (("plane", 0.010), ("near", 0.0105), ("paper", 0.050)) for seed in (0, 1)
@@ -126,7 +126,7 @@ def test_the_table_of_pairs_says_what_the_verdict_says(record, build):
 
 
 def _many(record, build, sequences, failed=()):
-    """Three methods over so many sequences: a always best, b 10 % worse, c twice as bad; failures of a by name."""
+    """Three methods over a number of sequences: a always best, b 10 % worse, c twice as bad; failures of a by name."""
     made = []
     for number in range(sequences):
         for who, factor in (("a", 1.0), ("b", 1.1), ("c", 2.0)):
@@ -138,7 +138,7 @@ def _many(record, build, sequences, failed=()):
 
 
 def test_over_ten_sequences_the_test_and_the_ranks_agree_with_hand_calculation(record, build):
-    """All ten one way: p = 2 / 2^10 alone, 3 questions by Holm; ranks 1, 2, 3; CD = 2.343 sqrt(3 * 4 / 60) = 1.048."""
+    """All ten in one direction: p = 2 / 2^10, Holm over 3 tests; ranks 1, 2, 3; CD = 2.343 sqrt(3 * 4 / 60) = 1.048."""
     found = analyse(_many(record, build, 10)).significance
     assert isinstance(found.ranks, FriedmanTest)
     assert found.ranks.mean_ranks == (1.0, 2.0, 3.0)
@@ -150,13 +150,13 @@ def test_over_ten_sequences_the_test_and_the_ranks_agree_with_hand_calculation(r
     assert duel.detectable == pytest.approx(1.0, abs=1e-6)
 
 
-def test_five_runs_are_too_few_to_show_anything(record, build):
+def test_five_runs_are_too_few_for_significance(record, build):
     found = analyse(_many(record, build, 5)).significance
     assert {duel.verdict for duel in found.comparisons} == {"too few runs"}
     assert found.ranks == NotTested("ranks with a critical difference need at least 8 sequences, found 5")
 
 
-def test_a_failed_run_is_the_worst_and_never_left_out(record, build):
+def test_a_failed_run_has_the_worst_rank_and_is_never_left_out(record, build):
     found = analyse(_many(record, build, 10, failed=(0, 1, 2, 3, 4, 5))).significance
     record = {r.method: r for r in found.records}["a"]
     assert (record.finished, record.runs) == (4, 10)
@@ -166,7 +166,7 @@ def test_a_failed_run_is_the_worst_and_never_left_out(record, build):
     assert duel.runs == 10
 
 
-def test_methods_that_agree_to_rounding_are_equal(record, build):
+def test_methods_that_agree_to_rounding_are_tied(record, build):
     made = [
         record(who, f"s{number}", {ATE: (0.01 + 0.01 * number) * factor})
         for number in range(10) for who, factor in (("a", 1.0), ("b", 1.0 + 1e-13))

@@ -1,4 +1,4 @@
-"""What programs read is what was scored."""
+"""Machine-readable tables contain exactly the scores."""
 
 import csv
 import json
@@ -18,7 +18,7 @@ def _rows(path):
         return list(csv.DictReader(file))
 
 
-def test_runs_csv_holds_every_run_and_every_score(folder, demo):
+def test_runs_csv_contains_every_run_and_every_score(folder, demo):
     rows = _rows(folder / "runs.csv")
     assert [row["key"] for row in rows] == [record.key for record in demo.records]
     for row, record in zip(rows, demo.records, strict=True):
@@ -34,7 +34,7 @@ def test_runs_csv_holds_every_run_and_every_score(folder, demo):
             assert (float(row[metric.name]) if row[metric.name] else None) == value
 
 
-def test_scores_csv_keeps_the_reason_of_what_is_not_meaningful(folder, demo):
+def test_scores_csv_contains_the_reason_of_a_missing_value(folder, demo):
     rows = _rows(folder / "scores.csv")
     assert len(rows) == sum(len(record.scores.by_metric) for record in demo.records)
     empty = [row for row in rows if not row["value"]]
@@ -52,7 +52,7 @@ def test_summary_csv_has_medians_over_complete_runs_only(folder):
     assert [survivor[k] for k in ("runs_complete", "runs_expected", "rank")] == ["1", "3", ""]
 
 
-def test_results_json_holds_the_same_scores(folder, demo):
+def test_results_json_contains_the_same_scores(folder, demo):
     results = json.loads((folder / "results.json").read_text(encoding="utf-8"))
     assert results["schema"] == {"name": "evalkit-results", "version": 2}
     for row, record in zip(results["runs"], demo.records, strict=True):
@@ -63,7 +63,7 @@ def test_results_json_holds_the_same_scores(folder, demo):
         assert row["scans_answered"] == len(record.result.steps)
 
 
-def test_results_json_obeys_the_schema_that_lies_beside_it(folder):
+def test_results_json_conforms_to_the_schema_next_to_it(folder):
     jsonschema = pytest.importorskip("jsonschema")
     schema = json.loads((folder / "results.schema.json").read_text(encoding="utf-8"))
     jsonschema.Draft202012Validator.check_schema(schema)
@@ -76,6 +76,6 @@ def test_the_same_comparison_writes_the_same_files(folder, demo, tmp_path):
         assert (again / path.name).read_bytes() == path.read_bytes(), path.name
 
 
-def test_a_comparison_refuses_a_run_that_stands_there_twice(record, build):
+def test_a_comparison_with_a_duplicate_run_raises(record, build):
     with pytest.raises(ValueError, match="a over room with seed 0 occurs twice"):
         build([record("a", "room", {}), record("a", "room", {})])

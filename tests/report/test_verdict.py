@@ -1,4 +1,4 @@
-"""The sentences say what the numbers say, and no more."""
+"""The sentences of the verdict state what the numbers support."""
 
 import re
 from dataclasses import replace
@@ -49,24 +49,24 @@ def test_a_lead_that_reverses_in_one_seed_gives_no_winner(record, build):
     assert "which may be chance; these runs can detect a difference of 0.0" in _said(comparison)
 
 
-def test_a_lead_in_every_seed_wins_though_the_seeds_overlap(record, build):
+def test_a_lead_in_every_seed_wins_even_if_the_seeds_overlap(record, build):
     comparison = build([*_seeds(record, "a", [0.010, 0.011, 0.020]), *_seeds(record, "b", [0.019, 0.022, 0.024])])
     assert (verdict(comparison, "room").outcome, verdict(comparison, "room").leaders) == ("winner", ("a",))
 
 
 @pytest.mark.parametrize(("other", "outcome"), [(1.049, "tied"), (1.051, "winner")])
-def test_a_winner_is_better_by_five_percent(record, build, other, outcome):
+def test_a_winner_is_better_by_at_least_five_percent(record, build, other, outcome):
     comparison = build([*_seeds(record, "a", [1.0, 1.0]), *_seeds(record, "b", [other, other])])
     assert verdict(comparison, "room").outcome == outcome
 
 
-def test_a_millimetre_wins_nothing(record, build):
+def test_a_lead_of_a_millimetre_is_a_tie(record, build):
     comparison = build([*_seeds(record, "a", [0.010, 0.011]), *_seeds(record, "b", [0.0115, 0.0125])])
     assert verdict(comparison, "room").outcome == "tied"
     assert "are less than 5 % or 2 mm apart" in _said(comparison)
 
 
-def test_relations_closer_than_their_own_noise_make_no_winner(record, build):
+def test_differences_below_the_noise_of_the_relations_are_a_tie(record, build):
     near = build([record(n, "room", {"relations_mean_m": v}, seed=None) for n, v in (("a", 0.051), ("b", 0.080))])
     far = build(
         [*_seeds(record, "a", [0.05, 0.05], "relations_mean_m"), *_seeds(record, "b", [0.09, 0.09], "relations_mean_m")]
@@ -76,14 +76,14 @@ def test_relations_closer_than_their_own_noise_make_no_winner(record, build):
     assert verdict(far, "room").leaders == ("a",)
 
 
-def test_one_run_without_an_error_for_every_scan_shows_nothing(record, build):
+def test_one_run_without_per_scan_errors_gives_no_decision(record, build):
     comparison = build([record(n, "room", {"map_f1": v}, seed=None) for n, v in (("a", 0.9), ("b", 0.2))])
     assert verdict(comparison, "room").outcome == "tied"
     assert "On map F1 at 10 cm, a (0.900) and b (0.200) are tied: one run each" in _said(comparison)
 
 
-def test_two_seeds_that_scatter_as_much_as_they_differ_show_nothing(record, build):
-    """Student's t with one degree of freedom: 0.10 and 0.12 apart is 0.11 +- 12.7 x 0.01."""
+def test_two_seeds_that_scatter_as_much_as_they_differ_give_no_decision(record, build):
+    """Student's t with one degree of freedom: differences 0.10 and 0.12 give 0.11 +- 12.7 x 0.01."""
     near = build([*_seeds(record, "a", [0.90, 0.92], "map_f1"), *_seeds(record, "b", [0.80, 0.80], "map_f1")])
     assert verdict(near, "room").outcome == "tied"
     assert "run by run, b is worse by 0.1100 (95 % interval −0.0171 to 0.2371), which may be chance" in _said(near)
@@ -95,7 +95,7 @@ def test_the_same_gap_in_metres_of_drift_is_a_lead(record, build):
     assert (found.outcome, found.leaders) == ("ahead", ("a",))
 
 
-def test_one_run_each_wins_nothing(record, build):
+def test_one_run_each_gives_no_winner(record, build):
     pair = (("a", 0.051), ("b", 0.080), ("paper", 0.1))
     comparison = build([record(n, "room", {"ate_rmse_m": v}, seed=None) for n, v in pair])
     assert "a is ahead in its single run, on ATE RMSE: 0.051 m (95 % interval " in _said(comparison)
@@ -105,7 +105,7 @@ def test_one_run_each_wins_nothing(record, build):
     assert not {"wins", "winner", "loses"} & set(f"{said} {_said(comparison)}".split())
 
 
-def test_higher_wins_where_higher_is_better(record, build):
+def test_the_higher_value_wins_where_higher_is_better(record, build):
     comparison = build([*_seeds(record, "a", [0.90, 0.91], "map_f1"), *_seeds(record, "b", [0.70, 0.71], "map_f1")])
     assert verdict(comparison, "room").leaders == ("a",)
 
@@ -118,7 +118,7 @@ def test_a_method_with_a_lost_run_cannot_win(record, build):
     assert _said(comparison).startswith("5 of 6 runs finished. Did not finish: a (1 of 2 crashed).")
 
 
-def test_a_score_that_is_not_meaningful_on_one_seed_cannot_win(record, build):
+def test_a_method_without_a_score_on_one_seed_cannot_win(record, build):
     comparison = build([*_seeds(record, "a", [0.001, None]), *_seeds(record, "b", [0.02, 0.03])])
     assert verdict(comparison, "room").outcome == "single"
 
@@ -129,7 +129,7 @@ def test_a_loss_of_the_reference_method_is_stated(record, build):
     assert "The reference method, paper, loses 1 of 1 (room)." in _overview(comparison)
 
 
-def test_worse_than_wheel_odometry_is_said(record, build):
+def test_a_method_worse_than_wheel_odometry_is_reported(record, build):
     comparison = build(
         [*_seeds(record, "wheel", [0.4, 0.41]), *_seeds(record, "a", [2, 3]), *_seeds(record, "b", [1, 1])]
     )
@@ -155,8 +155,9 @@ def test_a_degenerate_sequence_is_named_and_not_counted(record, build):
 
 
 def _maps(record, build, **measures):
-    """One run each without truth; per method halves apart (m), variance across walls (1000 cm2), cleared share and
-    S2M residual (m)."""
+    """One run each without ground truth; per method: halves apart (m), variance across walls (1000 cm2), cleared share
+    and S2M residual (m).
+    """
     names = ("split_distance_m", "mom_cm2", "cleared_percent", "s2m_m")
 
     def scaled(values):
@@ -166,7 +167,7 @@ def _maps(record, build, **measures):
     return build([record(n, "room", scaled(v), seed=None, truth=False) for n, v in measures.items()])
 
 
-def test_halves_close_together_alone_lead_nothing(record, build):
+def test_a_lead_in_the_distance_of_the_halves_alone_gives_no_winner(record, build):
     comparison = _maps(
         record, build, lost=(0.10, 0.09, 0.30, 0.08), a=(0.12, 0.02, 0.05, 0.03), b=(0.2, 0.03, 0.04, 0.04)
     )
@@ -178,7 +179,7 @@ def test_halves_close_together_alone_lead_nothing(record, build):
     ) in _said(comparison)
 
 
-def test_a_map_best_in_every_measure_is_ahead(record, build):
+def test_a_map_best_in_every_metric_leads(record, build):
     names, values = ("split_distance_m", "mom_cm2", "cleared_percent", "s2m_m"), {"a": 0.02, "b": 0.04}
     comparison = build([
         record(who, "room", dict.fromkeys(names, value), seed=seed, truth=False)
@@ -205,7 +206,7 @@ def test_a_map_metric_without_value_leaves_the_map_undecided(record, build):
     assert "Without ground truth there is no leader: free-space violation has no value." in _said(comparison)
 
 
-def test_without_truth_worse_than_odometry_takes_every_measure(record, build):
+def test_without_ground_truth_worse_than_odometry_requires_every_metric(record, build):
     wheel = (0.10, 0.02, 0.04, 0.03)
     one = _maps(record, build, wheel=wheel, a=(0.20, 0.01, 0.05, 0.04))
     every = _maps(record, build, wheel=wheel, a=(0.20, 0.03, 0.05, 0.04))
@@ -235,7 +236,7 @@ def test_damaged_data_are_reported_above_one_percent(record, build):
     assert "The data are damaged: 30 damaged lines dropped (50 % of the scans)." in noted({"damaged lines dropped": 30})
 
 
-def test_what_could_not_start_is_no_failure_of_the_method(demo):
+def test_a_method_that_could_not_start_has_not_failed(demo):
     first = _overview(demo)[0]
     assert first.startswith(
         "16 of 23 runs finished. Did not finish: <script>alert(1)</script> (1 of 3 crashed, 1 of 3 "
@@ -247,7 +248,7 @@ def test_a_method_slower_than_the_sensor_is_named(demo):
     assert "Slower than the sensor on more than 1 % of the scans: <script>alert(1)</script> on room." in _overview(demo)
 
 
-def test_a_comparison_of_nothing_claims_nothing(build):
+def test_an_empty_comparison_claims_nothing(build):
     said = _overview(build([]))
     assert said[0] == "There were no runs."
     assert all("No method is clearly worse" not in sentence and "No run took" not in sentence for sentence in said)
@@ -255,7 +256,7 @@ def test_a_comparison_of_nothing_claims_nothing(build):
 
 
 @pytest.mark.parametrize("status", ["complete", "not-installed"])
-def test_with_the_baseline_alone_nothing_is_compared_with_it(record, build, status):
+def test_a_baseline_alone_is_not_compared(record, build, status):
     alone = record("wheel", "room", {"ate_rmse_m": 0.4}, status="complete")
     other = record("a", "room", {}, status="not-installed", reason="no module", answered=0)
     comparison = build([alone] if status == "complete" else [other])
@@ -277,7 +278,7 @@ def test_a_gap_across_zero_is_formatted_as_a_difference(demo):
     assert format_gap(demo.metrics[0], 0.5, -0.25).replace("\u00a0", " ") == "0.750 m more"
 
 
-def test_lists_read_like_sentences():
+def test_lists_are_formatted_as_sentences():
     assert [join_words(words) for words in ("", "a", "ab", "abc")] == ["none", "a", "a and b", "a, b and c"]
 
 
@@ -301,5 +302,5 @@ def test_a_leader_needs_a_lead_over_every_method(record, build):
     runs = {"a": [0.010, 0.011, 0.012], "b": [0.0101, 0.0111, 0.0121], "c": [0.5, 0.51, 0.52]}
     comparison = build([one for name, values in runs.items() for one in _seeds(record, name, values)])
     found = verdict(comparison, "room")
-    assert (found.outcome, found.leaders) == ("tied", ("a", "b"))  # far ahead of c alone is no lead
+    assert (found.outcome, found.leaders) == ("tied", ("a", "b"))  # a lead over c alone is not enough
     assert any("against every other method" in sentence for sentence in _overview(comparison))

@@ -1,4 +1,4 @@
-"""Results on disk come back as they were, whole or not at all."""
+"""Stored results: read back unchanged, completely or not at all."""
 
 import json
 import os
@@ -247,7 +247,7 @@ def test_a_written_map_is_read_with_the_same_cells_and_origin(store, number):
 # trajectories for other tools
 
 
-def test_a_trajectory_reads_again_to_the_nanosecond(store):
+def test_a_trajectory_is_read_back_to_the_nanosecond(store):
     kept = saved_run(store).estimate
     again = read_tum(store.folder / "trajectories" / f"{KEY}.tum").trajectory
     assert again.stamps_ns.tolist() == kept.stamps_ns.tolist()

@@ -27,7 +27,7 @@ def test_a_block_is_ten_seconds_and_at_most_a_fifth():
 
 
 def test_blocks_of_one_agree_with_the_interval_of_independent_values():
-    """The expanded percentile of a mean is Student's t interval but for the shape of the values (Hesterberg 2015)."""
+    """The expanded percentile of a mean approximates Student's t interval (Hesterberg 2015)."""
     values = np.random.default_rng(4).normal(3.0, 2.0, 12)
     found = bootstrap_interval(values, np.mean, np.random.default_rng(0), block=1, draws=20000)
     exact = stats.t.interval(0.95, 11, values.mean(), values.std(ddof=1) / math.sqrt(12))
@@ -35,7 +35,7 @@ def test_blocks_of_one_agree_with_the_interval_of_independent_values():
     assert _bounds(found) == pytest.approx(exact, abs=0.12)
 
 
-def test_fast_means_are_the_means_of_the_same_blocks():
+def test_fast_means_equal_the_means_of_the_same_blocks():
     values = np.random.default_rng(1).normal(1e6, 1.0, 103)
     rows = draw_block_rows(103, 10, np.random.default_rng(7), 50)
     fast = draw_block_means(values, 10, np.random.default_rng(7), 50)
@@ -44,7 +44,7 @@ def test_fast_means_are_the_means_of_the_same_blocks():
 
 
 def test_intervals_of_dependent_values_have_their_coverage():
-    """AR(1) with coefficient 0.9 (one part in 400 is left after 6 s at 10 Hz), 60 s a run: 95 % of 400 runs."""
+    """AR(1) with coefficient 0.9 (correlation 1/400 after 6 s at 10 Hz), 60 s per run: 95 % of 400 runs."""
     rng = np.random.default_rng(11)
     held = naive = 0
     for _ in range(400):

@@ -16,12 +16,12 @@ from evalkit.stats.paired_tests import (
 
 
 def test_holm_adjusts_step_by_step_and_keeps_the_order():
-    """Worked by hand: 0.01 x 4, 0.02 x 3, 0.03 x 2 raised to 0.06, 0.04 x 1 raised to 0.06."""
+    """Calculated by hand: 0.01 x 4, 0.02 x 3, 0.03 x 2 raised to 0.06, 0.04 x 1 raised to 0.06."""
     assert adjust_by_holm([0.04, 0.01, 0.03, 0.02]) == pytest.approx((0.06, 0.04, 0.06, 0.06))
     assert adjust_by_holm([0.9, 0.8]) == (1.0, 1.0)
 
 
-def test_wilcoxon_is_exact_and_a_failure_is_the_worst():
+def test_wilcoxon_is_exact_and_a_failure_has_the_worst_rank():
     """Better in all of 6: p = 2 / 2^6. A failure on one side is the largest rank: 2 P(W <= 6) = 2 * 14 / 64."""
     better = np.arange(6) + 1.0
     failed = np.array([0.5, 1.0, 1.5, 2.0, 2.5, math.inf])
@@ -37,14 +37,14 @@ def test_wilcoxon_is_exact_and_a_failure_is_the_worst():
 
 
 def test_vargha_delaney_equals_hand_counts():
-    """Of 3 x 3 pairs, 2 are larger and 2 are ties: (2 + 1) / 9; turned round it is the rest."""
+    """Of 3 x 3 pairs, 2 are larger and 2 are ties: (2 + 1) / 9; with exchanged arguments the complement."""
     a, b = [1.0, 2.0, 4.0], [2.0, 3.0, 4.0]
     assert vargha_delaney_a12(a, b) == pytest.approx(3 / 9)
     assert vargha_delaney_a12(b, a) == pytest.approx(6 / 9)
     assert vargha_delaney_a12([math.inf], [math.inf]) == 0.5
 
 
-def test_half_a_standard_deviation_needs_thirty_four_pairs():
+def test_an_effect_of_half_a_standard_deviation_needs_thirty_four_pairs():
     """The textbook sample size for d = 0.5, 80 % power, 5 %, two-sided, paired (Cohen 1988): 34, not 33."""
 
     def detectable(pairs: int) -> float:

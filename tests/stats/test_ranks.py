@@ -9,8 +9,8 @@ import pytest
 
 from evalkit.stats.ranks import FriedmanTest, NotTested, friedman_test, success_curve, success_quantiles
 
-# Demsar, JMLR 7, 2006, table 6: AUC of C4.5, C4.5+m, C4.5+cf, C4.5+m+cf over 14 data sets. In the last but one line
-# he prints 0.975 twice and ranks the first before the second: they are equal only as printed.
+# Demsar, JMLR 7, 2006, table 6: AUC of C4.5, C4.5+m, C4.5+cf, C4.5+m+cf over 14 data sets. The last but one row prints
+# 0.975 twice and ranks the first before the second: they are equal only as printed.
 DEMSAR = (
     (0.763, 0.768, 0.771, 0.798), (0.599, 0.591, 0.590, 0.569), (0.954, 0.971, 0.968, 0.967),
     (0.628, 0.661, 0.654, 0.657), (0.882, 0.888, 0.886, 0.898), (0.936, 0.931, 0.916, 0.931),
@@ -21,13 +21,13 @@ DEMSAR = (
 
 
 def test_friedman_and_the_critical_difference_equal_demsars():
-    """His example: mean ranks 3.143, 2.000, 2.893, 1.964, chi-square 9.28, critical difference 1.25."""
+    """Example of Demsar: mean ranks 3.143, 2.000, 2.893, 1.964, chi-square 9.28, critical difference 1.25."""
     found = friedman_test(-np.array(DEMSAR))
     assert isinstance(found, FriedmanTest)
     assert found.mean_ranks == pytest.approx((3.143, 2.000, 2.893, 1.964), abs=5e-4)
     uncorrected = 12 * 14 / (4 * 5) * (sum(rank**2 for rank in found.mean_ranks) - 4 * 25 / 4)
     assert uncorrected == pytest.approx(9.28, abs=5e-3)
-    tied = 3 * (2**3 - 2) + (4**3 - 4)  # three pairs and a line of four, which he did not allow for
+    tied = 3 * (2**3 - 2) + (4**3 - 4)  # three pairs and one group of four, which Demsar's procedure excludes
     assert found.statistic == pytest.approx(uncorrected / (1 - tied / (14 * 4 * (4**2 - 1))))
     assert found.critical_difference == pytest.approx(1.25, abs=5e-3)
 

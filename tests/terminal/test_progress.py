@@ -1,4 +1,4 @@
-"""The time left, by hand, and the lines of a pipe."""
+"""Time estimates, calculated by hand, and the progress lines of a pipe."""
 
 import io
 import itertools
@@ -15,7 +15,7 @@ from evalkit.terminal.progress import TaskLines, TimeLeft, show_runs, show_tasks
 
 @pytest.fixture
 def planned():
-    """Two methods, one sequence with two seeds and one with one."""
+    """Two methods, one sequence with two seeds and one with one seed."""
     content = {
         "method": [{"use": "wheel-odometry", "label": "fast"}, {"use": "paper", "label": "slow"}],
         "sequence": [{"use": "room", "seeds": [0, 1]}, {"use": "lab"}],
@@ -34,7 +34,7 @@ def test_after_one_run_all_others_are_assumed_equal(planned):
 
 
 def test_an_open_run_takes_its_sequence_mean_times_its_method_ratio(planned):
-    """Room: fast 1 s, slow 3 s, so mean 2 s: shares 1/2 and 3/2. Open: room 1 and lab 0, both unlike any other yet."""
+    """Room: fast 1 s, slow 3 s, so mean 2 s: ratios 1/2 and 3/2. Open: room 1 and lab 0, without a finished run."""
     left = TimeLeft(planned, 1)
     left.finished("room", "fast", 1.0)
     left.finished("room", "slow", 3.0)
