@@ -92,7 +92,7 @@ def test_several_machines_are_described_in_one_line():
 @pytest.mark.skipif(not hasattr(os, "sched_getaffinity"), reason="this system cannot pin")
 def test_cores_are_one_of_each_physical_core_before_the_second_of_any(monkeypatch):
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {0, 1, 2, 3, 4})
-    monkeypatch.setattr(environment, "_siblings", lambda cpu: f"{cpu // 2}")
+    monkeypatch.setattr(environment, "_read_siblings", lambda cpu: f"{cpu // 2}")
     monkeypatch.setattr(psutil, "cpu_count", lambda logical=True: 6 if logical else 3)
     assert environment.cores() == [0, 2, 4, 1, 3]
     assert environment.physical_cores() == 3
