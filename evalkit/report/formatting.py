@@ -85,3 +85,8 @@ def strip_full_stop(text: str) -> str:
 def capitalise(text: str) -> str:
     """Capitalise the first letter and keep the rest."""
     return text[:1].upper() + text[1:]
+
+
+def label_with_unit(label: str, unit: str) -> str:
+    """Return "label [unit]", or the label alone without a unit."""
+    return f"{label} [{unit}]" if unit else label

@@ -10,7 +10,7 @@ from statistics import fmean
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from evalkit.config.experiment import Experiment, RunSpec
@@ -70,14 +70,14 @@ class RunLines:
         seconds = 0.0 if started_at is None else time.monotonic() - started_at
         self._done += 1
         self._left.finished(spec.sequence.label, spec.method.label, seconds)
-        self._print(result, _line(spec, result, seconds))
+        self._print(result, _format_line(spec, result, seconds))
 
     def _print(self, result: RunResult, line: str) -> None:  # noqa: ARG002 - used by RunBar
         self._console.print(f"[{self._done}/{self._total}] {line}, {self._time_left()}", markup=False)
 
     def _time_left(self) -> str:
         left = self._left.seconds()
-        return "time left unknown" if left is None else f"{_clock(left)} left"
+        return "time left unknown" if left is None else f"{_format_clock(left)} left"
 
 
 class NoProgress(RunLines):
@@ -92,9 +92,7 @@ class RunBar(RunLines):
 
     def __init__(self, console: Console, specs: Sequence[RunSpec], jobs: int) -> None:
         super().__init__(console, specs, jobs)
-        columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
-        self.bar = Progress(*columns, console=console, transient=True)
-        self._task = self.bar.add_task("starting", total=self._total)
+        self.bar, self._task = _make_bar(console, self._total)
 
     def answered(self, spec: RunSpec, scans: int) -> None:
         """Show the current scan of the run."""
@@ -151,7 +149,7 @@ class TaskLines:
         kept = f", {self._kept} kept from before" if self._kept else ""
         if not self._took:
             return f"time left unknown{kept}"
-        return f"{_clock((self._total - self._done) * fmean(self._took) / self._workers)} left{kept}"
+        return f"{_format_clock((self._total - self._done) * fmean(self._took) / self._workers)} left{kept}"
 
 
 class TaskBar(TaskLines):
@@ -159,9 +157,7 @@ class TaskBar(TaskLines):
 
     def __init__(self, console: Console, total: int, workers: int) -> None:
         super().__init__(console, total, workers)
-        columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
-        self.bar = Progress(*columns, console=console, transient=True)
-        self._task = self.bar.add_task("starting", total=total)
+        self.bar, self._task = _make_bar(console, total)
 
     def _print(self, name: str) -> None:
         self.bar.update(self._task, completed=self._done, description=f"{self._time_left()}  {escape(name)}")
@@ -179,7 +175,7 @@ def show_tasks(console: Console, total: int, workers: int) -> Iterator[TaskLines
 
 
 @contextmanager
-def say_what_is_kept(console: Console, what: str, option: str = "") -> Iterator[None]:
+def announce_kept(console: Console, what: str, option: str = "") -> Iterator[None]:
     """On an interrupt, print how to continue, and raise it again. ``what`` is kept; ``option``: " with --resume"."""
     try:
         yield
@@ -193,7 +189,7 @@ def print_table(console: Console, table: Table) -> None:
     (console if console.is_terminal else Console(width=WIDE)).print(table)
 
 
-def unavailable_lines(experiment: Experiment) -> list[str]:
+def format_unavailable(experiment: Experiment) -> list[str]:
     """One line per reason why methods or sequences are not available here; reasons with a system package first."""
     methods = [(method.label, method.missing) for method in experiment.methods]
     sequences = [(sequence.label, sequence.missing) for sequence in experiment.sequences]
@@ -205,12 +201,18 @@ def unavailable_lines(experiment: Experiment) -> list[str]:
     return [f"not available here: {', '.join(labels[reason])}: {reason}" for reason in by_system]
 
 
-def _line(spec: RunSpec, result: RunResult, seconds: float) -> str:
+def _make_bar(console: Console, total: int) -> tuple[Progress, TaskID]:
+    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+    bar = Progress(*columns, console=console, transient=True)
+    return bar, bar.add_task("starting", total=total)
+
+
+def _format_line(spec: RunSpec, result: RunResult, seconds: float) -> str:
     seed = "" if spec.seed is None else f" seed {spec.seed}"
     reason = f" ({result.reason})" if result.reason else ""
     return f"{spec.sequence.label}{seed} / {spec.method.label}: {result.status}{reason}, {seconds:.1f} s"
 
 
-def _clock(seconds: float) -> str:
+def _format_clock(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes}:{rest:02d}"

@@ -27,7 +27,7 @@ def print_summary(runs: Sequence[Run], title: str, store: Store, page: Path | No
     """
     skipped = [(spec, result) for spec, result in runs if result.status == RunStatus.SKIPPED]
     if as_json:
-        rows = [_as_json(spec, result, store) for spec, result in runs]
+        rows = [_run_as_json(spec, result, store) for spec, result in runs]
         options.print_json({"title": title, "page": str(page) if page else None, "runs": rows})
     else:
         _print_counts(runs, skipped)
@@ -39,7 +39,7 @@ def print_summary(runs: Sequence[Run], title: str, store: Store, page: Path | No
         raise typer.Exit(3)
 
 
-def _as_json(spec: RunSpec, result: RunResult, store: Store) -> dict[str, Any]:
+def _run_as_json(spec: RunSpec, result: RunResult, store: Store) -> dict[str, Any]:
     return {
         "method": spec.method.label,
         "sequence": spec.sequence.label,
@@ -56,20 +56,20 @@ def _print_counts(runs: Sequence[Run], skipped: Sequence[Run]) -> None:
     complete = sum(result.is_complete for _, result in runs)
     broken = sum(result.status in BROKEN for _, result in runs)
     unavailable = len(runs) - complete - broken - len(skipped)
-    names = ", ".join(_unavailable_names(runs))
+    names = ", ".join(_list_unavailable(runs))
     counts = f"{complete} runs complete, {broken} failed, {unavailable} not available here"
     out.print(f"{counts}: {names}" if names else counts, markup=False, highlight=False)
     if skipped:
-        missing = ", ".join(f"{spec.method.label} on {_sequence_with_seed(spec)}" for spec, _ in skipped[:MAX_NAMED])
+        missing = ", ".join(f"{spec.method.label} on {_format_sequence(spec)}" for spec, _ in skipped[:MAX_NAMED])
         more = f" and {len(skipped) - MAX_NAMED:,} more" if len(skipped) > MAX_NAMED else ""
         out.print(f"{len(skipped)} not run yet: {missing}{more}", markup=False, highlight=False)
 
 
-def _sequence_with_seed(spec: RunSpec) -> str:
+def _format_sequence(spec: RunSpec) -> str:
     return spec.sequence.label if spec.seed is None else f"{spec.sequence.label} seed {spec.seed}"
 
 
-def _unavailable_names(runs: Sequence[Run]) -> list[str]:
+def _list_unavailable(runs: Sequence[Run]) -> list[str]:
     """Methods and sequences that are not available, each once; "METHOD on SEQUENCE" where only the pair is not."""
     without_data = [(spec, result) for spec, result in runs if result.status == RunStatus.DATA_MISSING]
     missing = {spec.sequence.label for spec, result in without_data if result.expected == 0}

@@ -31,7 +31,7 @@ def build_page(file: Path, folder: Path | None, workers: int | None) -> Path:
     folder = folder or Path("reports") / "build" / file.stem
     workers = workers or environment.physical_cores()
     ran_on = environment.describe(("numpy", "scipy", "open3d-cpu", "kiss-icp", "small-gicp"), jobs=workers)
-    with progress.say_what_is_kept(err, "finished tasks"), progress.show_tasks(err, len(every), workers) as done:
+    with progress.announce_kept(err, "finished tasks"), progress.show_tasks(err, len(every), workers) as done:
         found = run_tasks(TaskStore(folder / "results"), every, workers, done)
     results = {
         chapter: {task.name: found[_with_chapter_name(chapter, task).name] for task in own}

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from evalkit.config.experiment import Method, SequenceSpec, experiment_from_tables
 from evalkit.core.run_result import NO_STEPS, Cause, RunResult
-from evalkit.terminal.progress import TaskLines, TimeLeft, show_runs, show_tasks, unavailable_lines
+from evalkit.terminal.progress import TaskLines, TimeLeft, show_runs, show_tasks, format_unavailable
 
 
 @pytest.fixture
@@ -69,11 +69,11 @@ def test_a_pipe_gets_one_plain_line_per_run_with_its_reason(planned, monkeypatch
 def test_unavailable_methods_are_one_line_per_reason_with_system_packages_first(planned):
     content = {"method": [{"use": "wheel-odometry"}], "sequence": [{"use": "room"}]}
     plan = experiment_from_tables(content, "x.toml", "x", "compare x.toml")
-    assert unavailable_lines(plan) == []
+    assert format_unavailable(plan) == []
     pip, apt = "not installed: pip install x", "needs libGL:\napt-get install libgl1"
     entrants = [Method(label, "", {}, why) for label, why in (("a", pip), ("b", apt), ("c", apt), ("d", ""))]
     sequences = (SequenceSpec("e", "", {}, (None,), "no file e"),)
-    assert unavailable_lines(replace(plan, methods=tuple(entrants), sequences=sequences)) == [
+    assert format_unavailable(replace(plan, methods=tuple(entrants), sequences=sequences)) == [
         "not available here: b, c: needs libGL: apt-get install libgl1",
         "not available here: a: not installed: pip install x",
         "not available here: e: no file e",

@@ -87,7 +87,7 @@ def _run(methods: list[Any], trials: list[Any], folder: Path, workers: int) -> l
     count = sum(not each.reason for each in methods) * sum(
         -(-one.offsets // attempts.TRIALS_PER_TASK) for one in trials
     )
-    with progress.say_what_is_kept(err, "finished jobs"), progress.show_tasks(err, count, workers) as done:
+    with progress.announce_kept(err, "finished jobs"), progress.show_tasks(err, count, workers) as done:
         return attempts.run_trials(methods, trials, TaskStore(folder), workers, done)
 
 

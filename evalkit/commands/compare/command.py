@@ -136,11 +136,11 @@ def _run_and_report(experiment: Experiment, store: Store, how: RunOptions, as_js
 @contextmanager
 def _scheduler(experiment: Experiment, store: Store, how: RunOptions) -> Iterator[Scheduler]:
     """Yield the scheduler, with progress on standard error; the environment is read before the first run."""
-    for line in progress.unavailable_lines(experiment):
+    for line in progress.format_unavailable(experiment):
         err.print(line, markup=False, highlight=False)
     description = describe(jobs=how.jobs)
     with (
-        progress.say_what_is_kept(err, "finished runs", " with --resume"),
+        progress.announce_kept(err, "finished runs", " with --resume"),
         progress.show_runs(err, list(experiment.runs()), how.jobs, quiet=how.collect) as shown,
     ):
         yield Scheduler(store, shown, description, how.resume, how.rerun, how.collect)

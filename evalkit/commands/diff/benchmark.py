@@ -7,12 +7,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
+from itertools import chain
 from pathlib import Path
 from statistics import median
 from typing import Any
 
 from evalkit.core.errors import BadData
 from evalkit.execution import environment
+from evalkit.plugins import registry
 
 FOLDER = Path("reports") / "build" / "bench"
 SCHEMA = 2
@@ -68,8 +70,9 @@ def write_benchmark(
 
 
 def describe_environment() -> dict[str, str]:
-    """Return processor, governor, load, library versions and commit; call it before the measurement."""
-    return environment.describe(("numpy", "scipy", "open3d", "kiss-icp", "small-gicp", "rosbags"))
+    """Return machine, commit and versions of the back ends' libraries; call it before the measurement."""
+    required = (registry.find_backend(name).requires for name in registry.names("backends"))
+    return environment.describe(dict.fromkeys(("numpy", "scipy", *chain.from_iterable(required))))
 
 
 def is_benchmark(path: Path) -> bool:

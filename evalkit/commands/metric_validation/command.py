@@ -116,7 +116,7 @@ def _run_tasks(tasks: list[AnyTask], folder: Path, jobs: int | None) -> dict[str
     from evalkit.execution.task_store import TaskStore  # noqa: PLC0415 - as above
 
     at_once = jobs or environment.physical_cores()
-    with progress.say_what_is_kept(err, "finished jobs"), progress.show_tasks(err, len(tasks), at_once) as done:
+    with progress.announce_kept(err, "finished jobs"), progress.show_tasks(err, len(tasks), at_once) as done:
         return run_tasks(TaskStore(folder / "results"), tasks, at_once, done)
 
 

@@ -12,6 +12,7 @@ from evalkit.commands.metric_validation.rank_agreement import MapScores
 from evalkit.commands.metric_validation.validation import PILOT
 from evalkit.metrics import METRICS
 from evalkit.metrics.table import Metric
+from evalkit.report.formatting import label_with_unit
 from evalkit.report.html import charts
 from evalkit.report.html.blocks import Bullets, Cell, Column, Command, Document, Figure, Figures, Section, Table, Text
 from evalkit.report.html.charts import Axis, Points
@@ -115,8 +116,9 @@ def _draw_scatter(maps: Sequence[MapScores], perturbations: Sequence[str], metri
             if row.perturbation == name and row.scores[metric.name] is not None
         ]
         layers.append(Points(name, np.array(points).reshape(-1, 2), hue, 5.0))
-    unit = f" [{metric.unit}]" if metric.unit else ""
-    drawing = charts.scatter(layers, Axis("true error (ATE) [m]", "log"), Axis(metric.label + unit), equal=False)
+    drawing = charts.scatter(
+        layers, Axis("true error (ATE) [m]", "log"), Axis(label_with_unit(metric.label, metric.unit)), equal=False
+    )
     return Figure(drawing, metric.label)
 
 

@@ -12,8 +12,9 @@ from evalkit.commands.study.factors import Factor
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Response
 from evalkit.commands.study.result import StudyResult, to_scale
 from evalkit.core.se2 import Floats
+from evalkit.report.formatting import label_with_unit
 from evalkit.report.html.blocks import Figure
-from evalkit.report.html.charts import Axis, Curve, Points, bars, heat, lines, scatter
+from evalkit.report.html.charts import Axis, Curve, Points, bars, compute_log_ticks, heat, lines, scatter
 from evalkit.report.html.palette import HUES
 from evalkit.stats.intervals import Interval
 
@@ -31,22 +32,18 @@ def compute_response_ticks(response: Response, *values: Floats) -> tuple[float, 
     known = known[np.isfinite(known) & (known > 0.0)]
     if response.scale == "linear" or not len(known):
         return ()
-    powers = range(int(np.floor(np.log10(known.min()))), int(np.ceil(np.log10(known.max()))) + 1)
-    steps_of = (1.0, 2.0, 5.0) if len(powers) < 5 else (1.0,)
-    marks = [float(f"{step * 10.0**power:.3g}") for power in powers for step in steps_of]
-    return tuple(mark for mark in marks if known.min() / 2.0 <= mark <= known.max() * 2.0)
+    low, high = float(known.min()), float(known.max())
+    return compute_log_ticks(low / 2.0, high * 2.0, (1.0, 2.0, 5.0) if high < 1e4 * low else (1.0,))
 
 
 def format_response(response: Response) -> str:
     """A response with its unit."""
-    unit = f" [{response.metric.unit}]" if response.metric.unit else ""
-    return response.metric.label + unit
+    return label_with_unit(response.metric.label, response.metric.unit)
 
 
 def make_factor_axis(factor: Factor) -> Axis:
     """A horizontal axis with a tick at every level."""
-    unit = f" [{factor.unit}]" if factor.unit else ""
-    return Axis(factor.name + unit, factor.scale, ticks=factor.numbers or ())
+    return Axis(label_with_unit(factor.name, factor.unit), factor.scale, ticks=factor.numbers or ())
 
 
 def draw_main_effects(response: Response, design: Design, effects: Sequence[FactorEffect]) -> Figure:
@@ -61,7 +58,7 @@ def draw_main_effects(response: Response, design: Design, effects: Sequence[Fact
     neutral = 1.0 if response.scale == "log" else 0.0
     colours = [HUES[0] if effect.largest.value.excludes(0.0) else GREY for effect in ordered]
     unit = "times" if response.scale == "log" else response.metric.unit
-    label = f"{response.metric.label}: largest against smallest [{unit}]".replace(" []", "")
+    label = label_with_unit(f"{response.metric.label}: largest against smallest", unit)
     axis = Axis(label, response.scale, ticks=compute_response_ticks(response, low, high))
     title = f"{design.name}: effects on {response.metric.label}"
     caption = (

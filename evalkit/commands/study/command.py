@@ -51,7 +51,7 @@ def study(
         cluster = replace(cluster, timed=any(response.metric.group == "runtime" for response in plan.responses))
     ran_on = environment.describe(jobs=workers)
     tasks = plan.tasks()
-    with progress.say_what_is_kept(err, "finished points"), progress.show_tasks(err, len(tasks), workers) as done:
+    with progress.announce_kept(err, "finished points"), progress.show_tasks(err, len(tasks), workers) as done:
         outcome = StudyResult(plan, run_study_tasks(tasks, folder / "results", workers, done, cluster))
     page = _write(outcome, folder, ran_on)
     lost = sum(bool(outcome.lost(key, seed)) for key in plan.points for seed in plan.seeds(key))

@@ -2,33 +2,24 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
 
 from evalkit.commands.study.plan import Response
-from evalkit.commands.tune.objective import ScoredCandidate
-from evalkit.commands.tune.pareto import find_pareto_front
+from evalkit.commands.tune.objective import ScoredCandidate, mark_pareto_front
 from evalkit.commands.tune.search_loop import SearchResult
-from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
+from evalkit.report.formatting import label_with_unit
 from evalkit.report.html import charts
 from evalkit.report.html.blocks import Figure
 from evalkit.report.html.charts import Axis, Points
 
 GREY, INK, WHITE, ORANGE, GREEN = "#9aa3ad", "#1c2128", "#ffffff", "#d55e00", "#009e73"
-STEPS = (1.0, 2.0, 5.0)
-FINE_STEPS = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0)
+FINE = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 7.0, 8.0, 9.0)
 MIN_TICKS = 3
 MIN_MS = 1e-3
 """The smallest time drawn, because a logarithmic axis has no zero."""
-
-
-def mark_pareto_front(tried: Sequence[ScoredCandidate]) -> Bools:
-    """Marks of the points on the Pareto front of training error and CPU time; a point that loses a run is not on it."""
-    errors = np.array([math.inf if one.losses else one.error for one in tried])
-    return find_pareto_front(np.array([one.cpu_ms for one in tried]), errors)
 
 
 def draw_pareto_fronts(results: Sequence[SearchResult], objective: Response) -> Figure:
@@ -93,23 +84,18 @@ def _compute_stairs(places: Floats) -> Floats:
 
 def _make_axes(places: Sequence[Floats], objective: Response) -> tuple[Axis, Axis]:
     every = np.concatenate(places)
-    unit = f" [{objective.metric.unit}]" if objective.metric.unit else ""
     if not len(every):
         every = np.ones((1, 2))
     return (
         _log_axis("CPU time a scan, median [ms]", every[:, 0]),
-        _log_axis(f"{objective.metric.label} in training{unit}", every[:, 1]),
+        _log_axis(label_with_unit(f"{objective.metric.label} in training", objective.metric.unit), every[:, 1]),
     )
 
 
 def _log_axis(label: str, values: Floats) -> Axis:
     """A logarithmic axis with ticks at 1, 2 and 5 of every decade, or at more values if those are too few."""
     low, high = float(values.min()) / 1.25, float(values.max()) * 1.25
-    ticks = _ticks(low, high, STEPS)
-    return Axis(label, "log", low, high, ticks if len(ticks) >= MIN_TICKS else _ticks(low, high, FINE_STEPS))
-
-
-def _ticks(low: float, high: float, steps: Sequence[float]) -> list[float]:
-    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
-    every = [float(f"{step * 10.0**decade:.3g}") for decade in decades for step in steps]
-    return [tick for tick in every if low <= tick <= high]
+    ticks = charts.compute_log_ticks(low, high)
+    return Axis(
+        label, "log", low, high, ticks if len(ticks) >= MIN_TICKS else charts.compute_log_ticks(low, high, FINE)
+    )

@@ -106,7 +106,7 @@ def _run_search(tuning: Tuning, folder: Path, workers: int, collect: bool) -> tu
             out.print(f"{what} without --collect to continue", markup=False, highlight=False)
             raise typer.Exit(3) from None
     with (
-        progress.say_what_is_kept(err, "finished runs"),
+        progress.announce_kept(err, "finished runs"),
         progress.show_tasks(err, search_loop.count_runs(tuning), workers) as done,
     ):
         return search_loop.run_search(tuning, search_loop.compute_missing(results, workers, done))
@@ -119,9 +119,9 @@ def _run_held_out(
     from evalkit.execution.executors import LocalExecutor  # noqa: PLC0415 - with the search's modules
     from evalkit.execution.scheduler import Scheduler  # noqa: PLC0415 - as above
 
-    for line in progress.unavailable_lines(plan):
+    for line in progress.format_unavailable(plan):
         err.print(line, markup=False, highlight=False)
-    with progress.say_what_is_kept(err, "finished runs"), progress.show_runs(err, list(plan.runs()), workers) as shown:
+    with progress.announce_kept(err, "finished runs"), progress.show_runs(err, list(plan.runs()), workers) as shown:
         scheduler = Scheduler(store, shown, ran_on, resume=True, collect=collect)
         return scheduler.run_and_load(plan, LocalExecutor(workers))
 

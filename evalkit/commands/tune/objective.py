@@ -1,4 +1,4 @@
-"""The objective of the search: lost runs first, then the geometric mean of the errors."""
+"""The objective of the search: lost runs first, then the geometric mean of the errors; the front of error and cost."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from evalkit.commands.study.plan import Response
 from evalkit.commands.study.result import bounded_value, find_loss_reason
 from evalkit.commands.tune.plan import COST
 from evalkit.commands.tune.space import Candidate
+from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
 from evalkit.stats.bootstrap import bootstrap_interval
 from evalkit.stats.intervals import Interval
@@ -85,3 +86,23 @@ def compute_error_ratio(ours: ScoredCandidate, theirs: ScoredCandidate, seed: in
 def is_better(ours: ScoredCandidate, theirs: ScoredCandidate, ratio: Interval) -> bool:
     """Whether a point loses no more runs than another, is at least 5 % better, and its whole interval is below 1."""
     return ours.losses <= theirs.losses and ratio.high < 1.0 and ratio.value <= 1.0 - MIN_GAIN
+
+
+def mark_pareto_front(tried: Sequence[ScoredCandidate]) -> Bools:
+    """Marks of the points on the Pareto front of training error and CPU time; a point that loses a run is not on it."""
+    errors = np.array([math.inf if one.losses else one.error for one in tried])
+    return find_pareto_front(np.array([one.cpu_ms for one in tried]), errors)
+
+
+def find_pareto_front(costs: Floats, errors: Floats) -> Bools:
+    """Marks (N,) of the points on the Pareto front; smaller is better in both.
+
+    A point dominates another if it is no worse in both and better in one. Points with a value that is not finite are
+    not on the front; equal points are on it together.
+    """
+    both = np.column_stack([costs, errors]).astype(np.float64).reshape(-1, 2)
+    known = np.asarray(np.isfinite(both).all(axis=1))
+    no_worse = (both[None, :, :] <= both[:, None, :]).all(axis=2)
+    better = (both[None, :, :] < both[:, None, :]).any(axis=2)
+    dominated = (no_worse & better & known[None, :]).any(axis=1)
+    return np.asarray(known & ~dominated)

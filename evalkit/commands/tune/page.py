@@ -7,11 +7,12 @@ import shlex
 from collections.abc import Sequence
 
 from evalkit.commands.tune import charts
+from evalkit.commands.tune.objective import mark_pareto_front
 from evalkit.commands.tune.plan import TUNED
 from evalkit.commands.tune.result import TuningResult
 from evalkit.commands.tune.rows import build_held_out_blocks, format_number
 from evalkit.commands.tune.search_loop import SearchResult
-from evalkit.commands.tune.space import is_continuous
+from evalkit.commands.tune.space import get_parameter_name, is_continuous
 from evalkit.report.html.blocks import (
     Block,
     Bullets,
@@ -196,7 +197,7 @@ def _build_spaces(result: TuningResult) -> list[Block]:
     rows: list[Sequence[Cell | str]] = []
     for one in result.searched:
         for factor in one.tunable.space.factors:
-            name = factor.sets[0].partition(".")[2]
+            name = get_parameter_name(factor)
             listed = [level.label if level.number is None else f"{level.number:g}" for level in factor.levels]
             searched = f"{listed[0]} to {listed[-1]} {factor.unit}" if is_continuous(factor) else ", ".join(listed)
             taken = one.chosen.candidate.values[name]
@@ -212,13 +213,13 @@ def _build_spaces(result: TuningResult) -> list[Block]:
 
 
 def _build_points(result: TuningResult, one: SearchResult) -> Block:
-    names = [factor.sets[0].partition(".")[2] for factor in one.tunable.space.factors]
+    names = [get_parameter_name(factor) for factor in one.tunable.space.factors]
     columns: tuple[Column | str, ...] = (
         Column("#", number=True), "found by", *names,
         Column("error", result.tuning.objective.metric.unit, number=True),
         Column("lost runs", number=True), Column("CPU", "ms", number=True), "",
     )  # fmt: skip
-    marks = charts.mark_pareto_front(one.tried).tolist()
+    marks = mark_pareto_front(one.tried).tolist()
     rows: list[Sequence[Cell | str]] = []
     for position, (each, on) in enumerate(zip(one.tried, marks, strict=True)):
         said = ["best"] * (each is one.best) + ["chosen"] * (each is one.chosen) + ["Pareto front"] * on

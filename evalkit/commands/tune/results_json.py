@@ -19,13 +19,12 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from evalkit.commands.tune.charts import mark_pareto_front
 from evalkit.commands.tune.held_out import HeldOutVerdict
-from evalkit.commands.tune.objective import ScoredCandidate
+from evalkit.commands.tune.objective import ScoredCandidate, mark_pareto_front
 from evalkit.commands.tune.plan import TunableMethod
 from evalkit.commands.tune.result import TuningResult
 from evalkit.commands.tune.search_loop import SearchResult
-from evalkit.commands.tune.space import is_continuous
+from evalkit.commands.tune.space import METHOD, is_continuous
 from evalkit.config.experiment import SequenceSpec
 
 SCHEMA_VERSION = 1
@@ -107,10 +106,10 @@ def _search_as_json(result: TuningResult, one: SearchResult) -> dict[str, Any]:
 
 
 def _point_as_json(one: SearchResult, each: ScoredCandidate, on: bool) -> dict[str, Any]:
-    names = [name for factor in one.tunable.space.factors for name in factor.sets]
+    names = [name.removeprefix(METHOD) for factor in one.tunable.space.factors for name in factor.sets]
     return {
         "found": each.candidate.found,
-        "parameters": {name.partition(".")[2]: each.candidate.values[name.partition(".")[2]] for name in names},
+        "parameters": {name: each.candidate.values[name] for name in names},
         "error": each.error,
         "lost_runs": each.losses,
         "reasons": list(dict.fromkeys(filter(None, each.lost))),

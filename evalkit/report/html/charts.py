@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -65,6 +66,13 @@ class Span:
     high: float
     label: str = ""
     colour: str = "#f3dca9"
+
+
+def compute_log_ticks(low: float, high: float, steps: Sequence[float] = (1.0, 2.0, 5.0)) -> tuple[float, ...]:
+    """Return ``steps`` times the powers of ten between positive ends, with three digits."""
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    ticks = (float(f"{step * 10.0**power:.3g}") for power in powers for step in steps)
+    return tuple(tick for tick in ticks if low <= tick <= high)
 
 
 def stroke(number: int) -> Stroke:

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from evalkit.commands.tune import page, results_json, search_loop
-from evalkit.commands.tune.charts import mark_pareto_front
 from evalkit.commands.tune.config import tuning_from_tables
+from evalkit.commands.tune.objective import mark_pareto_front
 from evalkit.commands.tune.result import TuningResult
 from evalkit.report.html.blocks import render
 

@@ -11,8 +11,7 @@ import pytest
 from evalkit.commands.study import evaluate
 from evalkit.commands.tune import search_loop, trial
 from evalkit.commands.tune.config import load_tuning, make_tuning_tables, tuning_from_tables
-from evalkit.commands.tune.objective import find_best_candidate, score_candidate
-from evalkit.commands.tune.pareto import find_pareto_front
+from evalkit.commands.tune.objective import find_best_candidate, find_pareto_front, score_candidate
 from evalkit.commands.tune.search import Search
 from evalkit.commands.tune.space import Space, list_own_parameters, make_declared_factors
 from evalkit.config.experiment import experiment_from_tables
