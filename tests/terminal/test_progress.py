@@ -10,7 +10,7 @@ from rich.console import Console
 
 from evalkit.config.experiment import Method, SequenceSpec, experiment_from_tables
 from evalkit.core.run_result import NO_STEPS, Cause, RunResult
-from evalkit.terminal.progress import TaskLines, TimeLeft, show_runs, show_tasks, format_unavailable
+from evalkit.terminal.progress import TaskLines, TimeLeft, format_unavailable, show_runs, show_tasks
 
 
 @pytest.fixture
