@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from evalkit.commands.basin.scenes import NEAR, KnownPair
+from evalkit.commands.validate.scan_pairs import spread_indices
 from evalkit.core import se2
 from evalkit.core.arrays import Ints
 from evalkit.core.errors import BadData, BadParameter, DataMissing
@@ -117,14 +118,14 @@ def _pairs_by_trajectory(frames: list[Frame], truth: Trajectory, pairs: int) -> 
     poses = np.full((len(frames), 3), np.nan)
     poses[known] = truth.at(stamps[known])
     found = []
-    for first in _spread_indices(len(frames) - 1, 4 * pairs):
+    for first in spread_indices(len(frames) - 1, 4 * pairs):
         moved = np.abs(se2.between(poses[first], poses[first + 1 : first + 1 + MAX_SCANS_APART]))
         near = np.flatnonzero((moved <= NEAR.row).all(axis=1) & _moving(moved))
         if len(near):
             second = first + 1 + int(near[-1])
             motion = Pose.of(se2.between(poses[first], poses[second]))
             found.append(_pair(frames[first], frames[second], Pose.of(poses[first]), motion))
-    return tuple(found[i] for i in _spread_indices(len(found), pairs))
+    return tuple(found[i] for i in spread_indices(len(found), pairs))
 
 
 def _pairs_by_relations(frames: list[Frame], relations: Relations, pairs: int) -> tuple[KnownPair, ...]:
@@ -138,7 +139,7 @@ def _pairs_by_relations(frames: list[Frame], relations: Relations, pairs: int) -
     rows = np.flatnonzero(there & near & (first != second))
     return tuple(
         _pair(frames[first[row]], frames[second[row]], Pose(), Pose.of(relations.first_from_second[row]))
-        for row in rows[_spread_indices(len(rows), pairs)]
+        for row in rows[spread_indices(len(rows), pairs)]
     )
 
 
@@ -169,7 +170,3 @@ def _nearest(stamps: Stamps, times: Stamps) -> Ints:
     """The index of the stamp nearest to each time."""
     after = np.clip(np.searchsorted(stamps, times), 1, len(stamps) - 1)
     return np.asarray(after - (times - stamps[after - 1] < stamps[after] - times))
-
-
-def _spread_indices(count: int, most: int) -> list[int]:
-    return [int(i) for i in np.unique(np.linspace(0, count - 1, min(most, count)).astype(int))] if count > 0 else []

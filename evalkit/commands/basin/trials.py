@@ -12,6 +12,7 @@ from evalkit.commands.basin import convergence, scenes, sequences
 from evalkit.commands.basin.scenes import KnownPair
 from evalkit.commands.basin.sequences import PairSource
 from evalkit.commands.validate.rules.rule import format_exception
+from evalkit.commands.validate.rules.runner import spec_of
 from evalkit.core.arrays import Bools
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
@@ -19,7 +20,7 @@ from evalkit.execution.task import Task, make_task
 from evalkit.execution.task_runner import OnDone, TaskFailure, TasksFailed, run_tasks
 from evalkit.execution.task_store import TaskStore
 from evalkit.plugins import registry
-from evalkit.plugins.address import address_of, spec_at
+from evalkit.plugins.address import address_of
 from evalkit.plugins.code_hash import files_digest, fingerprint
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.parameters import Value, resolve_parameters
@@ -219,8 +220,3 @@ def _outcome(
             rows[part], claimed[part] = answered["rows"], answered["claimed"]
             reason = reason or answered["reason"]
     return TrialAnswers(each.label, one, reason, rows, claimed)
-
-
-def spec_of(backend: str) -> BackendSpec:
-    """The back end of a registered name or of "module:SPEC"."""
-    return spec_at(address_of(backend), BackendSpec, registry.backend)

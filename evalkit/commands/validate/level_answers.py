@@ -14,6 +14,7 @@ from evalkit.commands.validate.acceptance import AcceptanceLevel, Check, Outcome
 from evalkit.commands.validate.equivalence.comparison import FLOAT32, ROUNDING
 from evalkit.commands.validate.equivalence.lockstep import DISTURBED
 from evalkit.commands.validate.equivalence.margins import EquivalenceInterval, interval
+from evalkit.commands.validate.rules.rule import RuleResult
 from evalkit.core import se2
 from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
@@ -74,26 +75,19 @@ def format_margin(results: Results, margin: str) -> str:
     return f"within the single-precision rounding margin ({size})" if margin == FLOAT32 else f"within {size}"
 
 
-_OUTCOMES: Mapping[str, Outcome] = {
-    "passed": "passed", "failed": "failed", "not applicable": "not applicable",
-}  # fmt: skip
-
-
-def rules_level(results: Sequence[Mapping[str, str]], subject: str = "back end") -> AcceptanceLevel:
-    """Level 0 from the results of all rules: mappings of "rule", "sentence", "outcome" and "observed"."""
-    broken = [one for one in results if one["outcome"] == "failed"]
-    applicable = sum(one["outcome"] != "not applicable" for one in results)
-    summary = f"{len(broken)} of {applicable} rules broken" + (
-        f": {', '.join(one['rule'] for one in broken)}" if broken else ""
-    )
+def rules_level(results: Sequence[RuleResult], subject: str = "back end") -> AcceptanceLevel:
+    """Level 0 from the results of all rules."""
+    broken = [one for one in results if one.outcome == "failed"]
+    applicable = sum(one.outcome != "not applicable" for one in results)
+    names = f": {', '.join(one.rule for one in broken)}" if broken else ""
+    summary = f"{len(broken)} of {applicable} rules broken{names}"
     checks = [Check("all rules", "", "failed" if broken else "passed", "always", summary)]
     for one in results:
-        outcome, name = _OUTCOMES[one["outcome"]], f"rule {one['rule']}"
-        if outcome == "failed":
-            observed = f"{one['sentence']} Observed: {one['observed']}"
-            checks.append(Check(name, "", outcome, "always", observed))
+        name = f"rule {one.rule}"
+        if one.outcome == "failed":
+            checks.append(Check(name, "", one.outcome, "always", f"{one.sentence} Observed: {one.observed}"))
         else:
-            checks.append(Check(name, "", outcome, "never", one["observed"], detail=one["sentence"]))
+            checks.append(Check(name, "", one.outcome, "never", one.observed, detail=one.sentence))
     question = f"Does the {subject} follow the rules of every {subject}: units, frames, directions, no crash, no leak?"
     return AcceptanceLevel(0, "rules", question, tuple(checks))
 
@@ -248,9 +242,9 @@ def answer_errors(results: Results, side: str) -> Floats:
 
 
 def noise_level(results: Results, share: float) -> tuple[float, float]:
-    """A share of the uncertainty of an answer that the sensor's noise alone causes: metres, radians.
+    """A share of the uncertainty of an answer due to the sensor's noise alone: metres, radians.
 
-    N points whose mean distance to their partners is e determine a position to about e / sqrt(N), and a heading to that
+    N points with mean distance e to their partners determine a position to about e / sqrt(N), and a heading to that
     divided by their root mean square radius.
     """
     metres = np.concatenate([result["residual_m"] / np.sqrt(result["points"]) for result in results.values()])

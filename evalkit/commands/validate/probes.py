@@ -1,4 +1,4 @@
-"""Questions to back ends and mappers, each run in a process of its own: plain values in, JSON values and arrays out."""
+"""Probes of back ends and mappers, each run in a separate process: plain values in, JSON values and arrays out."""
 
 from __future__ import annotations
 
@@ -13,7 +13,13 @@ from evalkit.commands.validate.equivalence import comparison, lockstep
 from evalkit.commands.validate.equivalence.comparison import FLOAT32, ROUNDING, MarginChoice
 from evalkit.commands.validate.equivalence.divergence import first_divergence
 from evalkit.commands.validate.equivalence.lockstep import AnswerPair, ComparedBackend
-from evalkit.commands.validate.equivalence.margins import FLOAT32_ROUNDOFF, TIE_ROUNDINGS, Margin, difference
+from evalkit.commands.validate.equivalence.margins import (
+    FLOAT32_ROUNDOFF,
+    TIE_ROUNDINGS,
+    Margin,
+    difference,
+    radius_m,
+)
 from evalkit.commands.validate.rules import runner
 from evalkit.commands.validate.scan_pairs import ScanPair, TwoScans
 from evalkit.core.ground_truth import Truth
@@ -42,7 +48,7 @@ NO_POSE = (np.nan, np.nan, np.nan)
 
 
 def rules(name: str, given: Mapping[str, Value], limit_s: float, digest: str = "") -> Result:  # noqa: ARG001
-    """The results of all rules, which run in processes of their own. ``digest``: of the build, for the job's key."""
+    """The results of all rules, which run in separate processes. ``digest``: of the build, for the task's key."""
     report = runner.check(name, given, limit_s)
     return {"rules": [asdict(one) for one in report.results]}
 
@@ -88,7 +94,7 @@ def answer_pairs(backend: Plugin, on: Data, count: int, exact: bool) -> Result:
 
 
 def compare_scans(a: Plugin, b: Plugin, on: Data, scans: int, margins: list[str], disturbed: bool = True) -> Result:
-    """Both back ends over the first scans of a sequence: registrations in lockstep, odometries each by itself.
+    """Both back ends over the first scans of a sequence: registrations in lockstep, odometries separately.
 
     ``disturbed``: see ``lockstep.answer_pairs``.
     """
@@ -116,10 +122,10 @@ def compare_scans(a: Plugin, b: Plugin, on: Data, scans: int, margins: list[str]
 
 
 def perturbed_paths(backend: Plugin, on: Data, copies: int) -> Result:
-    """Paths (K, N, 3) of a back end over ``copies`` of a sequence, each range changed by as much as rounding may.
+    """Paths (K, N, 3) of a back end over ``copies`` of a sequence, each range changed by up to the effect of rounding.
 
     That is ``TIE_ROUNDINGS`` roundings to float32 of the longest range, within which two distances count as equal. The
-    change of the path shows what single precision may do to it.
+    change of the path shows the possible effect of single precision.
     """
     side, rng = load_backend(backend), np.random.default_rng(0)
     frames = list(load_sequence(on).frames())
@@ -143,7 +149,7 @@ def compare_maps(a: Plugin, b: Plugin, on: Data, scans: int, margin: str) -> Res
 
 
 class _FromStart:
-    """A sequence whose wheel odometry begins at ``START``; without wheel odometry it stays there."""
+    """A sequence with its wheel odometry moved to begin at ``START``; without any, the odometry stays there."""
 
     def __init__(self, sequence: Sequence) -> None:
         self._sequence = sequence
@@ -216,7 +222,7 @@ def _describe_questions(pairs: list[ScanPair]) -> dict[str, Any]:
         "guess": _rows(question.guess for question in questions),
         "stage": [question.stage for question in questions],
         "points": np.array([len(question.source) for question in questions]),
-        "radius_m": np.array([scan_pairs.radius_m(question) for question in questions]),
+        "radius_m": np.array([radius_m(question.source.points) for question in questions]),
     }
 
 

@@ -26,6 +26,7 @@ from evalkit.commands.validate.plan import (
 )
 from evalkit.commands.validate.probes import EXACT
 from evalkit.commands.validate.rules import dataset_rules, runner
+from evalkit.commands.validate.rules.rule import RuleResult
 from evalkit.config.experiment import Experiment
 from evalkit.execution import environment, sandbox
 from evalkit.execution.executors import LocalExecutor, Progress
@@ -45,7 +46,7 @@ FATAL_RULES = ("rule starts", "rule in-time")
 
 @dataclass(frozen=True)
 class ProgressDisplay:
-    """Context managers that show progress: of so many tasks on so many workers, and of the runs of an experiment."""
+    """Context managers that show progress: ``tasks(count, workers)``, and ``runs(experiment, workers)``."""
 
     tasks: Callable[[int, int], AbstractContextManager[OnDone]]
     runs: Callable[[Experiment, int], AbstractContextManager[Progress]]
@@ -67,7 +68,8 @@ class ValidationRun:
             return self._comparison_report(self._compute(plan.pair_tasks()))
         if only == "lockstep":
             return self._comparison_report(self._compute(plan.lockstep_tasks()))
-        rules = level_answers.rules_level(self._compute([plan.rules_task()], workers=1)["rules"]["rules"])
+        results = self._compute([plan.rules_task()], workers=1)["rules"]["rules"]
+        rules = level_answers.rules_level([RuleResult(**one) for one in results])
         if any(check.outcome == "failed" and check.name in FATAL_RULES for check in rules.checks):
             return self._report(EXACT, "", (rules,))
         return self._full_report(rules)
@@ -149,7 +151,7 @@ def report_rules(backend: str, given: Mapping[str, str], rules: Sequence[str], l
     """
     values = from_text(backend, runner.spec_of(backend).parameters, given)
     checked = runner.check(backend, values, limit_s=limit_s, only=rules)
-    level = level_answers.rules_level([asdict(one) for one in checked.results])
+    level = level_answers.rules_level(checked.results)
     return _report_alone(checked.label, level, {"backend": values})
 
 
@@ -157,7 +159,7 @@ def report_dataset(dataset: str, given: Mapping[str, str], frames: int) -> Accep
     """Level 0 of a data set: its rules over its first ``frames`` frames."""
     values = from_text(dataset, dataset_rules.spec_of(dataset).parameters, given)
     checked = dataset_rules.check(dataset, frames, values)
-    level = level_answers.rules_level([asdict(one) for one in checked.results], "data set")
+    level = level_answers.rules_level(checked.results, "data set")
     return _report_alone(checked.label, level, {"dataset": values, "frames": frames})
 
 
@@ -204,7 +206,7 @@ def report_determinism(
     backends: Sequence[str], given: Mapping[str, str], on: Sequence[str], threads: int, repetitions: int,
     announce: Callable[[str], None],
 ) -> AcceptanceReport:  # fmt: skip
-    """Level 6: repeated runs of back ends, with one thread and with ``threads``; () stands for all that can run here.
+    """Level 6: repeated runs of back ends, with one thread and with ``threads``; (): all that can run here.
 
     ``announce`` is called with each back end's name before it runs.
     """

@@ -14,6 +14,7 @@ from evalkit.commands.validate.equivalence.lockstep import (
     DISTURBED_RAD,
     ComparedBackend,
     Question,
+    draw_motion,
 )
 from evalkit.core import se2
 from evalkit.core.match import Match
@@ -49,7 +50,7 @@ def scan_pairs(sequence: Sequence, count: int, exact: bool) -> Iterator[ScanPair
     """
     frames, truth = list(sequence.frames()), sequence.truth().trajectory
     rng = np.random.default_rng(0)
-    for number, first in enumerate(_spread_indices(len(frames) - 1, count), start=1):
+    for number, first in enumerate(spread_indices(len(frames) - 1, count), start=1):
         last = min(first + 1 + number % MAX_SCANS_APART, len(frames) - 1)
         motion = _motion(frames[first], frames[last], truth)
         if motion is None:
@@ -57,7 +58,7 @@ def scan_pairs(sequence: Sequence, count: int, exact: bool) -> Iterator[ScanPair
             motion = _motion(frames[first], frames[last], truth) or Pose()
         target, source = (Cloud(each.points_in_base(each.start_from_end)) for each in (frames[first], frames[last]))
         for stage, metres, radians in ((STAGE, NEAR_M, NEAR_RAD), (STAGE + DISTURBED, DISTURBED_M, DISTURBED_RAD)):
-            guess = motion @ _random_motion(rng, metres, radians)
+            guess = motion @ draw_motion(rng, metres, radians)
             yield ScanPair(Question(number, stage, target, source, guess), motion if exact else None)
 
 
@@ -81,12 +82,6 @@ def residual_m(question: Question, answer: Pose) -> float:
     return float(np.mean(cKDTree(question.target.points).query(moved)[0]))
 
 
-def radius_m(question: Question) -> float:
-    """The root mean square distance (m) of the source points from their centroid."""
-    arms = question.source.points - question.source.points.mean(axis=0)
-    return float(np.sqrt(np.mean(np.sum(arms**2, axis=1))))
-
-
 def _motion(first: Frame, last: Frame, truth: Trajectory | None) -> Pose | None:
     """``first_from_last`` by the truth, else by wheel odometry, else None."""
     stamps = np.array([first.scan.stamp_ns, last.scan.stamp_ns])
@@ -105,12 +100,6 @@ def _frame(cloud: Cloud, stamp_ns: int, odom_from_base: Pose) -> Frame:
     return Frame(Scan(stamp_ns, ranges, angles, 0.0, reach), Pose(), odom_from_base, Pose())
 
 
-def _random_motion(rng: np.random.Generator, metres: float, radians: float) -> Pose:
-    """A motion of the given size in a random direction, with a turn to a random side."""
-    bearing = rng.uniform(-np.pi, np.pi)
-    turn = radians * rng.choice([-1.0, 1.0])
-    return Pose(metres * float(np.cos(bearing)), metres * float(np.sin(bearing)), turn)
-
-
-def _spread_indices(count: int, most: int) -> list[int]:
+def spread_indices(count: int, most: int) -> list[int]:
+    """Up to ``most`` indices, spread evenly over [0, count)."""
     return [int(i) for i in np.unique(np.linspace(0, count - 1, min(most, count)).astype(int))] if count > 0 else []

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from functools import wraps
 from itertools import islice
-from typing import Literal
+from typing import Literal, ParamSpec
 
 import numpy as np
 
@@ -34,6 +35,7 @@ from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec, Registra
 
 MarginChoice = Margin | Literal["float32"]
 Given = Mapping[str, object]
+Arguments = ParamSpec("Arguments")
 Sides = tuple[ComparedBackend, ComparedBackend]
 
 FLOAT32: Literal["float32"] = "float32"
@@ -121,25 +123,19 @@ def mapper_equivalence(
     return Equivalence(label_a, label_b, name, "cells", n, n, unanswered, 0, result.first, classes, intervals, known)
 
 
-def assert_equivalent(
-    a: str | BackendSpec,
-    b: str | BackendSpec,
-    on: str | DatasetSpec = "",
-    *,
-    set_a: Given | None = None,
-    set_b: Given | None = None,
-    set_on: Given | None = None,
-    margin: MarginChoice = Margin(),  # noqa: B008 - a Margin is frozen
-    scans: int = 30,
-    disturbed: bool = True,
-) -> Equivalence:
-    """The result of ``equivalence``; raises NotEquivalent with its text if the back ends differ."""
-    result = equivalence(
-        a, b, on, set_a=set_a, set_b=set_b, set_on=set_on, margin=margin, scans=scans, disturbed=disturbed
-    )
-    if not result.equivalent:
-        raise NotEquivalent(str(result))
-    return result
+def _raise_if_different(compare: Callable[Arguments, Equivalence]) -> Callable[Arguments, Equivalence]:
+    @wraps(compare)
+    def compare_and_raise(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Equivalence:
+        result = compare(*args, **kwargs)
+        if not result.equivalent:
+            raise NotEquivalent(str(result))
+        return result
+
+    return compare_and_raise
+
+
+assert_equivalent = _raise_if_different(equivalence)
+"""``equivalence`` with the same arguments and result; raises NotEquivalent with its text if the back ends differ."""
 
 
 def load_backend(name: str, backend: str | BackendSpec, given: Given) -> ComparedBackend:
@@ -190,7 +186,7 @@ def pose_margin(margin: MarginChoice, sequence: Sequence, scans: int) -> Margin:
 
 
 def compare_poses(sides: Sides, name: str, poses: list[PosePair], margin: Margin) -> Equivalence:
-    """The comparison of the poses of two odometries, each of which ran over the sequence by itself."""
+    """The comparison of the poses of two odometries, each run separately over the sequence."""
     divergences = [divergence for one in poses if (divergence := _pose_divergence(one, margin))]
     both = [(one.scan, one.a, one.b) for one in poses if one.a is not None and one.b is not None]
     rows = np.stack([difference(a, b) for _, a, b in both]) if both else np.zeros((0, 3))

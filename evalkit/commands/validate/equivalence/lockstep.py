@@ -137,10 +137,15 @@ def answer_pairs(
 
 def _disturb(question: Question, rng: np.random.Generator) -> Question:
     """The same question with an error of fixed size and random direction in its guess."""
-    bearing = rng.uniform(-np.pi, np.pi)
-    turn = DISTURBED_RAD * rng.choice([-1.0, 1.0])
-    error = Pose(DISTURBED_M * float(np.cos(bearing)), DISTURBED_M * float(np.sin(bearing)), turn)
+    error = draw_motion(rng, DISTURBED_M, DISTURBED_RAD)
     return replace(question, stage=question.stage + DISTURBED, guess=question.guess @ error)
+
+
+def draw_motion(rng: np.random.Generator, metres: float, radians: float) -> Pose:
+    """A motion of the given size in a random direction, with a turn to a random side."""
+    bearing = rng.uniform(-np.pi, np.pi)
+    turn = radians * rng.choice([-1.0, 1.0])
+    return Pose(metres * float(np.cos(bearing)), metres * float(np.sin(bearing)), turn)
 
 
 def answer(registration: Registration, question: Question, a: Match) -> AnswerPair:
@@ -155,7 +160,7 @@ def answer(registration: Registration, question: Question, a: Match) -> AnswerPa
 
 
 def pose_pairs(a: ComparedBackend, b: ComparedBackend, sequence: Sequence, scans: int) -> Iterator[PosePair]:
-    """The poses of two odometries, each over the first ``scans`` scans by itself. Raises BackendFailed if ``a`` raises.
+    """The poses of two odometries, separately over the first ``scans`` scans. Raises BackendFailed if ``a`` raises.
 
     Ends after a scan in which ``b`` raises.
     """

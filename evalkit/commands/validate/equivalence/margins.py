@@ -63,9 +63,7 @@ class Scale:
         """The scale of one question."""
         moved = guess.transform(source.points)
         coordinates = np.concatenate([target.points, source.points, moved]).ravel()
-        arms = source.points - source.points.mean(axis=0) if len(source) else np.zeros((1, 2))
-        radius = float(np.sqrt(np.mean(np.sum(arms**2, axis=1))))
-        return cls(float(np.abs(coordinates).max(initial=0.0)), len(source), radius)
+        return cls(float(np.abs(coordinates).max(initial=0.0)), len(source), radius_m(source.points))
 
     @classmethod
     def largest(cls, scales: Iterable[Scale]) -> Scale:
@@ -75,6 +73,12 @@ class Scale:
         return cls(
             max((one.reach_m for one in known), default=0.0), max((one.points for one in known), default=0), radius
         )
+
+
+def radius_m(points: Floats) -> float:
+    """The root mean square distance (m) of points (N, 2) from their centroid; 0 without points."""
+    arms = points - points.mean(axis=0) if len(points) else np.zeros((1, 2))
+    return float(np.sqrt(np.mean(np.sum(arms**2, axis=1))))
 
 
 def float32_margin(scale: Scale) -> Margin:

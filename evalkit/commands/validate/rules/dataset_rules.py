@@ -8,7 +8,7 @@ from itertools import islice, pairwise
 
 import numpy as np
 
-from evalkit.commands.validate.rules.rule import Rule, RuleBroken, RuleNotApplicable, RuleReport, check_rule, rule_table
+from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, RuleReport, check_rule, rule_table
 from evalkit.core.errors import DataMissing, EvalkitError
 from evalkit.core.ground_truth import Truth
 from evalkit.core.pose import Pose
@@ -68,7 +68,7 @@ def spec_of(dataset: str | DatasetSpec) -> DatasetSpec:
 
 
 def check_opens(fixture: DatasetFixture) -> str:
-    """It opens, and its frames have returns."""
+    """Its frames have returns."""
     frames = fixture.frames
     if not frames:
         raise RuleBroken("there is no frame")
@@ -82,7 +82,7 @@ def check_opens(fixture: DatasetFixture) -> str:
 
 
 def check_again(fixture: DatasetFixture) -> str:
-    """Repeated frames() and a second object."""
+    """A second call of frames() and a second object yield the same frames."""
     once = fixture.frames
     _require_equal(once, fixture.read(fixture.sequence), "frames() called again")
     _require_equal(once, fixture.read(fixture.open()), "a second object with the same parameters")
@@ -90,7 +90,7 @@ def check_again(fixture: DatasetFixture) -> str:
 
 
 def check_seeds(fixture: DatasetFixture) -> str:
-    """Another seed."""
+    """Another seed yields other frames."""
     if not fixture.seeded:
         raise RuleNotApplicable("it has no seed")
     seed = int(fixture.parameters["seed"])
@@ -101,7 +101,7 @@ def check_seeds(fixture: DatasetFixture) -> str:
 
 
 def check_stamps(fixture: DatasetFixture) -> str:
-    """Increasing stamps."""
+    """Stamps are whole nanoseconds and strictly increasing."""
     found = [frame.scan.stamp_ns for frame in fixture.frames]
     for index, (before, now) in enumerate(pairwise(found)):
         if now <= before:
@@ -113,7 +113,7 @@ def check_stamps(fixture: DatasetFixture) -> str:
 
 
 def check_length(fixture: DatasetFixture) -> str:
-    """The number of frames."""
+    """len() is the number of frames."""
     announced, found = len(fixture.sequence), len(fixture.frames)
     if found < min(announced, fixture.count) or found > announced:
         raise RuleBroken(f"len() is {announced}, but the first {fixture.count} frames are {found}")
@@ -121,7 +121,7 @@ def check_length(fixture: DatasetFixture) -> str:
 
 
 def check_odometry(fixture: DatasetFixture) -> str:
-    """Wheel odometry, between scans and within them."""
+    """A frame with the motion within a scan also has the motion between scans."""
     given = [frame.odom_from_base is not None for frame in fixture.frames]
     within = [frame.start_from_end is not None for frame in fixture.frames]
     if alone := sum(inside and not between for inside, between in zip(within, given, strict=True)):
@@ -130,7 +130,7 @@ def check_odometry(fixture: DatasetFixture) -> str:
 
 
 def check_truth(fixture: DatasetFixture) -> str:
-    """The ground truth."""
+    """The truth describes its origin and uses the clock of the scans."""
     known = fixture.sequence.truth()
     if not isinstance(known, Truth):
         raise RuleBroken(f"truth() returns a {type(known).__name__}, expected an evalkit.Truth")
@@ -147,7 +147,7 @@ def check_truth(fixture: DatasetFixture) -> str:
 
 
 def check_mounting(fixture: DatasetFixture) -> str:
-    """The mounting of the lidar."""
+    """The mounting of the lidar does not change."""
     found = {frame.base_from_sensor for frame in fixture.frames}
     if len(found) > 1:
         raise RuleBroken(f"base_from_sensor changes: {len(found)} different values in {len(fixture.frames)} frames")
@@ -156,7 +156,7 @@ def check_mounting(fixture: DatasetFixture) -> str:
 
 
 def check_notes(fixture: DatasetFixture) -> str:
-    """Defects, counted by name."""
+    """Defects are counts by name."""
     found = fixture.sequence.notes()
     for name, count in found.items():
         if not isinstance(name, str) or not isinstance(count, (int, np.integer)) or count < 0:
@@ -164,8 +164,8 @@ def check_notes(fixture: DatasetFixture) -> str:
     return ", ".join(f"{name}: {count}" for name, count in found.items()) or "none"
 
 
-def check_declared(fixture: DatasetFixture) -> str:
-    """Every declared parameter is accepted."""
+def check_parameters(fixture: DatasetFixture) -> str:
+    """It can be created with the parameters it declares."""
     try:
         _ = fixture.sequence
     except EvalkitError:
@@ -192,14 +192,6 @@ def _bits(frame: Frame) -> tuple[object, ...]:
 
 
 RULES = rule_table(
-    Rule("parameters", "It can be created with the parameters it declares.", check_declared),
-    Rule("opens", "Its frames have returns.", check_opens),
-    Rule("again", "A second call of frames() and a second object yield the same frames.", check_again),
-    Rule("seeds", "Another seed yields other frames.", check_seeds),
-    Rule("stamps", "Stamps are whole nanoseconds and strictly increasing.", check_stamps),
-    Rule("length", "len() is the number of frames.", check_length),
-    Rule("odometry", "A frame with the motion within a scan also has the motion between scans.", check_odometry),
-    Rule("mounting", "The mounting of the lidar does not change.", check_mounting),
-    Rule("truth", "The truth describes its origin and uses the clock of the scans.", check_truth),
-    Rule("notes", "Defects are counts by name.", check_notes),
-)
+    check_parameters, check_opens, check_again, check_seeds, check_stamps, check_length, check_odometry, check_mounting,
+    check_truth, check_notes,
+)  # fmt: skip

@@ -10,7 +10,7 @@ import numpy as np
 
 from evalkit.commands.validate.rules.memory_leak import check_memory_growth
 from evalkit.commands.validate.rules.registration_rules import UNIT_TOLERANCE, check_turn
-from evalkit.commands.validate.rules.rule import Rule, RuleBroken, RuleNotApplicable, format_exception, rule_table
+from evalkit.commands.validate.rules.rule import RuleBroken, RuleNotApplicable, format_exception, rule_table
 from evalkit.commands.validate.rules.scenes import SimulatedDrive, distance_m, drive, format_pose, without_hits
 from evalkit.core.errors import EvalkitError
 from evalkit.core.pose import Pose
@@ -72,7 +72,7 @@ def validate_pose(answer: object) -> Pose:
 
 
 def check_starts(fixture: OdometryFixture) -> str:
-    """It can be created, and returns a pose."""
+    """It is created from its parameters and returns finite poses."""
     simulated = drive(8)
     if np.isnan(answers := fixture.run(simulated.frames)).all():
         raise RuleBroken("it has no answer to any of 8 scans")
@@ -80,7 +80,7 @@ def check_starts(fixture: OdometryFixture) -> str:
 
 
 def check_first(fixture: OdometryFixture) -> str:
-    """The first answer."""
+    """The first answer is the identity."""
     for name, simulated in (("moving", drive(8)), ("standing", drive(8, standing=8))):
         answers = fixture.run(simulated.frames)
         answer = Pose.of(answers[np.isfinite(answers[:, 0])][0])
@@ -92,12 +92,12 @@ def check_first(fixture: OdometryFixture) -> str:
 
 
 def check_follows(fixture: OdometryFixture) -> str:
-    """A drive with true wheel odometry."""
+    """It tracks a drive with exact wheel odometry."""
     return _on_track(fixture, drive(), "with true wheel odometry")
 
 
 def check_moves(fixture: OdometryFixture) -> str:
-    """A drive with wheels that slip."""
+    """It corrects wheel odometry that is 20 % too long."""
     if fixture.role == "baseline":
         raise RuleNotApplicable("its role is 'baseline': it does not use the scans")
     simulated = drive(odometry_gain=1.2)
@@ -113,7 +113,7 @@ def check_moves(fixture: OdometryFixture) -> str:
 
 
 def check_metres(fixture: OdometryFixture) -> str:
-    """The length of a straight drive."""
+    """A drive of 0.6 m ahead is returned as 0.6 m ahead."""
     simulated = drive(turn_radps=0.0)
     wanted = end_pose(simulated).x
     answer = last_pose(fixture.run(simulated.frames))
@@ -131,13 +131,14 @@ def check_metres(fixture: OdometryFixture) -> str:
 
 
 def check_radians(fixture: OdometryFixture) -> str:
-    """The size and the sign of a turn."""
+    """A left turn is returned as a positive angle in radians."""
     simulated = drive(turn_radps=0.5)
     return check_turn(last_pose(fixture.run(simulated.frames)).theta, end_pose(simulated).theta)
 
 
 def check_first_beam(fixture: OdometryFixture) -> str:
-    """The time of the poses: after standing, the end of a sweep is ahead of its beginning."""
+    """Answers are the poses at the first beam of each scan."""
+    # after standing, the end of a sweep is ahead of its beginning
     simulated = drive(20, 0.6, 0.5, standing=4)
     answers = fixture.run(simulated.frames)[-8:]
     late = []
@@ -159,12 +160,12 @@ def check_first_beam(fixture: OdometryFixture) -> str:
 
 
 def check_mounting(fixture: OdometryFixture) -> str:
-    """A lidar mounted off-centre and turned to the left."""
+    """Answers are poses of the base, for any mounting of the lidar."""
     return _on_track(fixture, drive(base_from_sensor=QUARTER_TURN), "with the lidar turned by 90 degrees")
 
 
 def check_without_odometry(fixture: OdometryFixture) -> str:
-    """A recording without wheel odometry."""
+    """Without wheel odometry it tracks the drive, or raises an evalkit error."""
     simulated = drive(odometry_gain=None)
     try:
         return _on_track(fixture, simulated, "without wheel odometry")
@@ -173,7 +174,7 @@ def check_without_odometry(fixture: OdometryFixture) -> str:
 
 
 def check_odometry_gap(fixture: OdometryFixture) -> str:
-    """A gap of two scans in the wheel odometry."""
+    """It bridges a gap in the wheel odometry."""
     simulated = drive()
     silent = tuple(
         replace(frame, odom_from_base=None, start_from_end=None) if index in (6, 7) else frame
@@ -183,27 +184,27 @@ def check_odometry_gap(fixture: OdometryFixture) -> str:
 
 
 def check_no_hits(fixture: OdometryFixture) -> str:
-    """Scans without returns."""
+    """It continues after scans without returns."""
     simulated = drive()
     blind = tuple(without_hits(frame) if index in (6, 7) else frame for index, frame in enumerate(simulated.frames))
     return _on_track(fixture, replace(simulated, frames=blind), "with two scans without hits")
 
 
 def check_no_hits_first(fixture: OdometryFixture) -> str:
-    """A first scan without returns."""
+    """It continues after a first scan without returns."""
     simulated = drive()
     blind = (without_hits(simulated.frames[0]), *simulated.frames[1:])
     fixture.run(blind)
     return "returns finite poses"
 
 
-def check_at_once(fixture: OdometryFixture) -> str:
-    """Scans with simultaneous beams."""
+def check_all_at_once(fixture: OdometryFixture) -> str:
+    """It tracks scans with simultaneous beams."""
     return _on_track(fixture, drive(sweeping=False), "with time_increment_ns = 0")
 
 
 def check_equal_stamps(fixture: OdometryFixture) -> str:
-    """Two scans with one stamp."""
+    """Two scans with the same stamp give an answer or an exception, not a crash."""
     simulated = drive(6)
     third = simulated.frames[3]
     repeated = replace(third, scan=replace(third.scan, stamp_ns=simulated.frames[2].scan.stamp_ns))
@@ -217,7 +218,7 @@ def check_equal_stamps(fixture: OdometryFixture) -> str:
 
 
 def check_fresh(fixture: OdometryFixture) -> str:
-    """Two objects used alternately."""
+    """Two objects do not share state."""
     one, other = drive(8), drive(8, 0.2, -0.3)
     alone = fixture.run(one.frames)
     first, second = fixture.make(), fixture.make()
@@ -231,7 +232,7 @@ def check_fresh(fixture: OdometryFixture) -> str:
 
 
 def check_deterministic(fixture: OdometryFixture) -> str:
-    """The same drive with new objects."""
+    """The same drive has the same answers, to the bit."""
     simulated = drive(10)
     once = fixture.run(simulated.frames)
     for _ in range(2):
@@ -244,7 +245,7 @@ def check_deterministic(fixture: OdometryFixture) -> str:
 
 
 def check_read_only(fixture: OdometryFixture) -> str:
-    """The arguments stay unchanged."""
+    """It does not write to its arguments."""
     simulated = drive(4)
     before = [frame.scan.ranges.tobytes() + frame.scan.angles.tobytes() for frame in simulated.frames]
     try:
@@ -259,7 +260,7 @@ def check_read_only(fixture: OdometryFixture) -> str:
 
 
 def check_memory(fixture: OdometryFixture) -> str:
-    """The memory that each scan of a standing robot leaves allocated."""
+    """Scans of a standing robot do not leak memory."""
     frame = drive(1, standing=1).frames[0]
     odometry = fixture.make()
     stamps = iter(range(frame.scan.stamp_ns, 2**62, 100_000_000))
@@ -288,28 +289,7 @@ def _on_track(fixture: OdometryFixture, simulated: SimulatedDrive, how: str) -> 
 
 
 RULES = rule_table(
-    Rule("starts", "It is created from its parameters and returns finite poses.", check_starts),
-    Rule("first", "The first answer is the identity.", check_first),
-    Rule("follows", "It tracks a drive with exact wheel odometry.", check_follows),
-    Rule("moves", "It corrects wheel odometry that is 20 % too long.", check_moves),
-    Rule("metres", "A drive of 0.6 m ahead is returned as 0.6 m ahead.", check_metres),
-    Rule("radians", "A left turn is returned as a positive angle in radians.", check_radians),
-    Rule("first-beam", "Answers are the poses at the first beam of each scan.", check_first_beam),
-    Rule("mounting", "Answers are poses of the base, for any mounting of the lidar.", check_mounting),
-    Rule(
-        "without-odometry",
-        "Without wheel odometry it tracks the drive, or raises an evalkit error.",
-        check_without_odometry,
-    ),
-    Rule("odometry-gap", "It bridges a gap in the wheel odometry.", check_odometry_gap),
-    Rule("no-hits", "It continues after scans without returns.", check_no_hits),
-    Rule("no-hits-first", "It continues after a first scan without returns.", check_no_hits_first),
-    Rule("all-at-once", "It tracks scans with simultaneous beams.", check_at_once),
-    Rule(
-        "equal-stamps", "Two scans with the same stamp give an answer or an exception, not a crash.", check_equal_stamps
-    ),
-    Rule("fresh", "Two objects do not share state.", check_fresh),
-    Rule("deterministic", "The same drive has the same answers, to the bit.", check_deterministic),
-    Rule("read-only", "It does not write to its arguments.", check_read_only),
-    Rule("memory", "Scans of a standing robot do not leak memory.", check_memory),
-)
+    check_starts, check_first, check_follows, check_moves, check_metres, check_radians, check_first_beam,
+    check_mounting, check_without_odometry, check_odometry_gap, check_no_hits, check_no_hits_first, check_all_at_once,
+    check_equal_stamps, check_fresh, check_deterministic, check_read_only, check_memory,
+)  # fmt: skip

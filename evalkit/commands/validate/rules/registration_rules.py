@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from evalkit.commands.validate.rules.memory_leak import check_memory_growth
-from evalkit.commands.validate.rules.rule import Rule, RuleBroken, format_exception, rule_table
+from evalkit.commands.validate.rules.rule import RuleBroken, format_exception, rule_table
 from evalkit.commands.validate.rules.scenes import CloudPair, clear_pair, distance_m, format_pose, noisy_pair, wall_pair
 from evalkit.core.match import Match
 from evalkit.core.pose import Pose
@@ -54,7 +54,7 @@ class RegistrationFixture:
 
 
 def check_starts(fixture: RegistrationFixture) -> str:
-    """It can be created, and returns a valid Match."""
+    """It is created from its parameters and returns a Match with valid values."""
     pair = clear_pair()
     match = fixture.make().register(pair.target, pair.source, pair.guess)
     validate_match(match)
@@ -78,20 +78,20 @@ def validate_match(match: object) -> Match:
 
 
 def check_identity(fixture: RegistrationFixture) -> str:
-    """Same cloud, identity guess."""
+    """A cloud registered onto itself from the identity returns the identity."""
     cloud = noisy_pair().target
     answer = fixture.register(CloudPair(cloud, cloud, Pose(), Pose()))
     return _near(answer, Pose(), EXACT_M, "the identity")
 
 
 def check_recovers(fixture: RegistrationFixture) -> str:
-    """A known motion, without noise."""
+    """Without noise, and with right nearest neighbours, a known motion is found."""
     pair = clear_pair(Pose(0.2, -0.15, -0.2))
     return _near(fixture.register(pair), pair.truth, EXACT_M, "the truth")
 
 
 def check_moves(fixture: RegistrationFixture) -> str:
-    """A guess 5 cm and 2 degrees off is corrected on noisy, planar scans."""
+    """A guess 5 cm and 2 degrees off is corrected on noisy planar scans."""
     pair = noisy_pair()
     answer = fixture.register(pair)
     before, left = distance_m(pair.guess, pair.truth), distance_m(answer, pair.truth)
@@ -118,7 +118,7 @@ def check_metres(fixture: RegistrationFixture) -> str:
 
 
 def check_radians(fixture: RegistrationFixture) -> str:
-    """A turn of 0.3 rad is returned as 0.3."""
+    """A left turn of 0.3 rad is returned as 0.3."""
     pair = clear_pair()
     answer = fixture.register(pair)
     return check_turn(answer.theta, pair.truth.theta)
@@ -137,7 +137,7 @@ def check_turn(found: float, wanted: float) -> str:
 
 
 def check_direction(fixture: RegistrationFixture) -> str:
-    """target_from_source, not its inverse."""
+    """The answer is target_from_source: it maps source points to the target frame."""
     pair = clear_pair()
     answer = fixture.register(pair)
     if distance_m(answer, pair.truth.inverse()) < distance_m(answer, pair.truth):
@@ -148,14 +148,14 @@ def check_direction(fixture: RegistrationFixture) -> str:
 
 
 def check_inverse(fixture: RegistrationFixture) -> str:
-    """Target and source exchanged."""
+    """With target and source exchanged the answer is the inverse."""
     pair = clear_pair()
     swapped = CloudPair(pair.source, pair.target, pair.truth.inverse(), pair.guess.inverse())
     return _near(fixture.register(swapped), fixture.register(pair).inverse(), EXACT_M, "the inverse")
 
 
 def check_equivariance(fixture: RegistrationFixture) -> str:
-    """The answer moves with either cloud."""
+    """If a cloud and the guess are moved, the answer moves with them."""
     pair = noisy_pair()
     answer = fixture.register(pair)
     target = CloudPair(Cloud(FAR.transform(pair.target.points)), pair.source, FAR, FAR @ pair.guess)
@@ -165,7 +165,7 @@ def check_equivariance(fixture: RegistrationFixture) -> str:
 
 
 def check_order(fixture: RegistrationFixture) -> str:
-    """Shuffled points."""
+    """The order of the points does not matter."""
     pair, rng = noisy_pair(), np.random.default_rng(1)
     shuffled = CloudPair(
         Cloud(rng.permutation(pair.target.points)), Cloud(rng.permutation(pair.source.points)), pair.truth, pair.guess
@@ -174,20 +174,20 @@ def check_order(fixture: RegistrationFixture) -> str:
 
 
 def check_duplicates(fixture: RegistrationFixture) -> str:
-    """Every point twice."""
+    """Duplicating every point changes the answer little."""
     pair = noisy_pair()
     doubled = CloudPair(_twice(pair.target), _twice(pair.source), pair.truth, pair.guess)
     return _near(fixture.register(doubled), fixture.register(pair), SAME_M, "the answer with every point once")
 
 
 def check_empty(fixture: RegistrationFixture) -> str:
-    """No points."""
+    """Empty clouds give an answer or an exception, not a crash."""
     none, some = Cloud(np.zeros((0, 2))), clear_pair().target
     return _survives(fixture, {"empty source": (some, none), "empty target": (none, some), "both empty": (none, none)})
 
 
 def check_few_points(fixture: RegistrationFixture) -> str:
-    """One point, two points."""
+    """One, two or coinciding points give an answer or an exception, not a crash."""
     some = clear_pair().target
     one, two, same = (Cloud(some.points[rows]) for rows in ([0], [0, 1], [3] * 20))
     return _survives(
@@ -199,7 +199,7 @@ def check_few_points(fixture: RegistrationFixture) -> str:
 
 
 def check_wall(fixture: RegistrationFixture) -> str:
-    """A single straight wall."""
+    """A single straight wall, which leaves one direction open, gives no distant answer."""
     pair = wall_pair()
     try:
         answer = validate_match(fixture.shared.register(pair.target, pair.source, pair.guess)).target_from_source
@@ -213,7 +213,7 @@ def check_wall(fixture: RegistrationFixture) -> str:
 
 
 def check_converged(fixture: RegistrationFixture) -> str:
-    """Two clouds 100 m apart."""
+    """converged is not True for an answer far from the truth."""
     pair = noisy_pair()
     away_100 = Pose(100.0, 0.0, 0.0)
     match = validate_match(fixture.shared.register(pair.target, Cloud(away_100.transform(pair.source.points)), Pose()))
@@ -224,7 +224,7 @@ def check_converged(fixture: RegistrationFixture) -> str:
 
 
 def check_inliers(fixture: RegistrationFixture) -> str:
-    """The number of pairs."""
+    """inliers counts the source points that have a partner."""
     pair = clear_pair()
     match = fixture.shared.register(pair.target, pair.source, pair.guess)
     count = len(pair.source)
@@ -237,7 +237,7 @@ def check_inliers(fixture: RegistrationFixture) -> str:
 
 
 def check_stateless(fixture: RegistrationFixture) -> str:
-    """A, B, A."""
+    """The answer does not depend on earlier questions."""
     a, b = noisy_pair(), clear_pair()
     one = fixture.make()
     first = one.register(a.target, a.source, a.guess)
@@ -247,7 +247,7 @@ def check_stateless(fixture: RegistrationFixture) -> str:
 
 
 def check_deterministic(fixture: RegistrationFixture) -> str:
-    """The same question to new objects."""
+    """The same question has the same answer, to the bit."""
     pair = noisy_pair()
     first, *others = (fixture.make().register(pair.target, pair.source, pair.guess) for _ in range(4))
     for other in others:
@@ -256,7 +256,7 @@ def check_deterministic(fixture: RegistrationFixture) -> str:
 
 
 def check_read_only(fixture: RegistrationFixture) -> str:
-    """The arguments stay unchanged."""
+    """It does not write to its arguments."""
     pair = noisy_pair()
     before = pair.target.points.tobytes(), pair.source.points.tobytes()
     try:
@@ -271,7 +271,7 @@ def check_read_only(fixture: RegistrationFixture) -> str:
 
 
 def check_memory(fixture: RegistrationFixture) -> str:
-    """The memory that a call leaves allocated."""
+    """Calls do not leak memory."""
     pair = clear_pair()
 
     def call() -> None:
@@ -324,24 +324,7 @@ def _survives(fixture: RegistrationFixture, questions: dict[str, tuple[Cloud, Cl
 
 
 RULES = rule_table(
-    Rule("starts", "It is created from its parameters and returns a Match with valid values.", check_starts),
-    Rule("identity", "A cloud registered onto itself from the identity returns the identity.", check_identity),
-    Rule("recovers", "Without noise, and with right nearest neighbours, a known motion is found.", check_recovers),
-    Rule("moves", "A guess 5 cm and 2 degrees off is corrected on noisy planar scans.", check_moves),
-    Rule("metres", "A motion of 0.3 m is returned as 0.3.", check_metres),
-    Rule("radians", "A left turn of 0.3 rad is returned as 0.3.", check_radians),
-    Rule("direction", "The answer is target_from_source: it maps source points to the target frame.", check_direction),
-    Rule("inverse", "With target and source exchanged the answer is the inverse.", check_inverse),
-    Rule("equivariance", "If a cloud and the guess are moved, the answer moves with them.", check_equivariance),
-    Rule("order", "The order of the points does not matter.", check_order),
-    Rule("duplicates", "Duplicating every point changes the answer little.", check_duplicates),
-    Rule("empty", "Empty clouds give an answer or an exception, not a crash.", check_empty),
-    Rule("few-points", "One, two or coinciding points give an answer or an exception, not a crash.", check_few_points),
-    Rule("wall", "A single straight wall, which leaves one direction open, gives no distant answer.", check_wall),
-    Rule("converged", "converged is not True for an answer far from the truth.", check_converged),
-    Rule("inliers", "inliers counts the source points that have a partner.", check_inliers),
-    Rule("stateless", "The answer does not depend on earlier questions.", check_stateless),
-    Rule("deterministic", "The same question has the same answer, to the bit.", check_deterministic),
-    Rule("read-only", "It does not write to its arguments.", check_read_only),
-    Rule("memory", "Calls do not leak memory.", check_memory),
+    check_starts, check_identity, check_recovers, check_moves, check_metres, check_radians, check_direction,
+    check_inverse, check_equivariance, check_order, check_duplicates, check_empty, check_few_points, check_wall,
+    check_converged, check_inliers, check_stateless, check_deterministic, check_read_only, check_memory,
 )  # fmt: skip

@@ -76,9 +76,13 @@ def format_exception(error: BaseException) -> str:
     return f"raises {type(error).__name__}: {error}"
 
 
-def rule_table(*rules: Rule) -> dict[str, Rule]:
-    """The rules by name, in order."""
-    return {rule.name: rule for rule in rules}
+def rule_table(*checks: Callable[[Any], str]) -> dict[str, Rule]:
+    """The rules of functions by name, in order.
+
+    ``check_few_points`` checks the rule "few-points"; its docstring is the sentence that states the rule.
+    """
+    names = [check.__name__.removeprefix("check_").replace("_", "-") for check in checks]
+    return {name: Rule(name, check.__doc__ or name, check) for name, check in zip(names, checks, strict=True)}
 
 
 def skip_rules(rules: Iterable[Rule], reason: str) -> list[RuleResult]:
