@@ -22,14 +22,14 @@ AROUND = (
     ("an import that crashes, or blocks on a lock", "plugins/test_registry.py", "import_crashes_or_hangs"),
     ("the runner killed", "test_cli.py", "runner_that_is_killed"),
     ("the disk full", "test_cli.py", "disk_that"),
-    ("the clock set", "execution/test_scheduler.py", "clock_that_is_set"),
-    ("two runners in one folder", "execution/test_scheduler.py", "two_at_once"),
+    ("the clock set", "execution/test_scheduler.py", "system_clock"),
+    ("two runners in one folder", "execution/test_scheduler.py", "two_processes"),
     ("a study's point that hangs, in Python and in C", "execution/test_task_runner.py", "hangs"),
     ("a study killed", "execution/test_task_runner.py", "killed_study"),
     (
         "a cluster's worker killed, a run that ends its workers",
         "execution/test_executors.py",
-        "worker_killed or quarantined",
+        "killed_worker or quarantined",
     ),
 )
 """Faults that are no run's own: each with the tests that make it."""
@@ -46,8 +46,8 @@ def main() -> int:
     with tempfile.TemporaryDirectory(prefix="evalkit-faults-") as place:
         for fault, status, reason in tests.EXPECTED:
             folder = Path(place) / fault
-            run = tests.made(folder, tests.request(fault), tests.LIMITS.get(fault, tests.HASTE))
-            left = len(tests.left(folder))
+            run = tests.execute_run(folder, tests.request(fault), tests.LIMITS.get(fault, tests.HASTE))
+            left = len(tests.find_processes(folder))
             survived = run.status == status and reason in run.reason and not left
             lost += not survived
             kept = f"{len(run.steps)} of {run.expected}"

@@ -29,38 +29,37 @@ WRITTEN = {path.relative_to(site.PAGES).as_posix(): path for path in sorted(site
 
 
 def blocks(name):
-    """The code blocks of a page, in order, with those it takes from other files."""
+    """Return the code blocks of a page, in order, including those from other files."""
     return code.find_blocks(site.include_blocks(WRITTEN[name].read_text(encoding="utf-8")))
 
 
 def consoles(name):
-    """The blocks of a page that are typed."""
+    """Return the console blocks of a page."""
     return [block for block in blocks(name) if block.language == code.CONSOLE]
 
 
 def pattern(answer):
-    """What fits an answer as printed: "..." stands for anything within a line, alone on a line for any lines."""
+    """Return a pattern of printed output: "..." matches anything within a line, and any lines if alone on a line."""
     return "".join(map(line_pattern, answer.splitlines()))
 
 
 def line_pattern(line):
-    """What fits one line, its end included; spaces at its end do not count."""
+    """Return a pattern of one line with its end; trailing spaces do not count."""
     if line.strip() == "...":
         return r"(?:[^\n]*\n)*?"
     return re.escape(line.rstrip()).replace(r"\.\.\.", r"[^\n]*?") + r"[^\n\S]*\n"
 
 
 def environment():
-    """That of a stranger: this program in the path, a terminal of 100 columns, no recorded data."""
+    """Return a user's environment: evalkit in the path, a terminal of 100 columns, no recorded data."""
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
     kept = {name: value for name, value in os.environ.items() if name != "EVALKIT_DATA"}
     return {**kept, "PATH": path, "COLUMNS": "100"}
 
 
 def follow(name, folder):
-    """Does what a page says, in a folder: writes its files, runs its commands, compares what they answer.
-
-    What takes long is left out unless EVALKIT_DOCUMENTATION_LONG is set, as continuous integration does.
+    """Follow a page in a folder: write its files, run its commands, compare their output. Long steps are skipped
+    unless EVALKIT_DOCUMENTATION_LONG is set, as in continuous integration.
     """
     for block in blocks(name):
         if block.long and "EVALKIT_DOCUMENTATION_LONG" not in os.environ:
@@ -79,7 +78,7 @@ def follow(name, folder):
 
 
 def missing(need):
-    """Why a page's back end or program is not here, or ""."""
+    """Return why a back end or program of a page is missing, or ""."""
     if need in registry.names("backends"):
         return registry.backend(need).missing()
     return "" if shutil.which(need, path=environment()["PATH"]) else f"no {need} on this machine"
@@ -87,7 +86,7 @@ def missing(need):
 
 @pytest.fixture(scope="module")
 def followed(tmp_path_factory):
-    """``followed(page)``: the folder as a page leaves it, followed once."""
+    """Return ``followed(page)``: the folder that a page leaves, followed once."""
     folders = {}
 
     def folder_of(name):
@@ -176,7 +175,7 @@ def test_a_missing_block_is_named():
 
 @pytest.fixture(scope="module")
 def built(followed, tmp_path_factory):
-    """The site, built in strict mode, with the report that the tutorial left."""
+    """Build the site in strict mode, with the report of the tutorial."""
     pytest.importorskip("mkdocs", reason="mkdocs is not installed: pip install 'evalkit[docs]'")
     pytest.importorskip("material", reason="mkdocs-material is not installed: pip install 'evalkit[docs]'")
     folder = tmp_path_factory.mktemp("site").resolve()

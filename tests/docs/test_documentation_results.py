@@ -1,4 +1,4 @@
-"""The page on results names every key there is, and no other: held against the schema and against a real small run."""
+"""The page on results documents exactly the existing keys, compared with the schema and with a small run."""
 
 import contextlib
 import json
@@ -27,7 +27,7 @@ SCHEMA = json.loads(results_json.load_schema())
 
 
 def documented(heading):
-    """The keys of the first table below a heading, and those that may be absent."""
+    """Return the keys of the first table below a heading, and the optional ones."""
     section = re.split(r"^#+ ", PAGE.split(f"# {heading}\n", 1)[1], maxsplit=1, flags=re.MULTILINE)[0]
     rows = [line.strip("| ").split(" | ", 1) for line in section.splitlines() if line.startswith("| `")]
     return {key.strip("`") for key, _ in rows}, {
@@ -36,7 +36,7 @@ def documented(heading):
 
 
 def keys(value, free=("",), path=""):
-    """The paths to all that is no object; names within the paths in ``free`` are "<...>"."""
+    """Return the paths of all values that are not objects; names within the paths in ``free`` are "<...>"."""
     if isinstance(value, dict):
         for name, part in value.items():
             step = "<...>" if path in free else name
@@ -51,26 +51,26 @@ def keys(value, free=("",), path=""):
 
 
 def leaves(found):
-    """Lists of objects are told by their elements' keys."""
+    """Merge the keys of the elements of lists of objects."""
     return {path for path in found if not any(other.startswith(f"{path}.") for other in found)}
 
 
-def described(node, path=""):
-    """The same paths of a JSON Schema."""
+def schema_paths(node, path=""):
+    """Return the same paths of a JSON Schema."""
     node = SCHEMA["$defs"][node["$ref"].split("/")[-1]] | node if "$ref" in node else node
     if isinstance(node.get("additionalProperties"), dict):
-        yield from described(node["additionalProperties"], f"{path}.<...>")
+        yield from schema_paths(node["additionalProperties"], f"{path}.<...>")
     elif "properties" in node:
         for name, part in node["properties"].items():
-            yield from described(part, f"{path}.{name}" if path else name)
+            yield from schema_paths(part, f"{path}.{name}" if path else name)
     elif node.get("type") == "array":
-        yield from described(node["items"], f"{path}[]")
+        yield from schema_paths(node["items"], f"{path}[]")
     else:
         yield path
 
 
 def maps(node, path=""):
-    """Where a JSON Schema leaves the names free."""
+    """Return the paths where a JSON Schema allows any names."""
     node = SCHEMA["$defs"][node["$ref"].split("/")[-1]] | node if "$ref" in node else node
     if isinstance(node.get("additionalProperties"), dict):
         yield path
@@ -83,7 +83,7 @@ def maps(node, path=""):
 
 @pytest.fixture(scope="module")
 def small(tmp_path_factory):
-    """The results of the page's own example."""
+    """Return the results of the example of the page."""
     folder = tmp_path_factory.mktemp("results")
     with contextlib.chdir(folder):
         run(WRITES)
@@ -110,7 +110,7 @@ def test_page_schema_and_a_full_report_have_the_same_keys(demo, small):
     real = leaves(set(keys(json.loads(json.dumps(told)), free)))
     real |= leaves(set(keys(json.loads((small / "results.json").read_text(encoding="utf-8")), free)))
     page, _ = documented("`results.json`")
-    assert page == set(described(SCHEMA)) - ONLY_SOME
+    assert page == set(schema_paths(SCHEMA)) - ONLY_SOME
     assert leaves(page | real) == page
 
 
@@ -170,7 +170,7 @@ def test_map_and_errors_have_the_documented_form(small):
     assert np.load(path.with_name("errors.npy")).shape == (len(np.fromfile(path.with_name("steps.bin"), STEP)),)
 
 
-def test_the_measurement_that_is_shipped_has_the_pages_keys():
+def test_the_shipped_measurement_has_the_keys_of_the_page():
     content = json.loads((Path(validated.__file__).parent / validated.FILE).read_text(encoding="utf-8"))
     line = next(line for line in PAGE.splitlines() if line.startswith("| `validated.json`"))
     assert set(re.findall(r"`(\w+)`", line.split(" | ")[2])) == set(content)

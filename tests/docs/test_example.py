@@ -1,4 +1,4 @@
-"""A drive that was simulated and written as a bag is the drive that is read back."""
+"""A drive that is simulated and written as a bag is read back unchanged."""
 
 import json
 
@@ -15,14 +15,14 @@ SHORT = {"laps": 0.03, "rate_hz": 5.0}
 
 
 @pytest.fixture(scope="module")
-def made(tmp_path_factory):
+def make_bag(tmp_path_factory):
     return example_bag.write_example(tmp_path_factory.mktemp("bags") / "new" / "drive", "lab", SHORT)
 
 
-def test_the_bag_reads_back_as_the_scans_wheels_and_mounting_that_were_simulated(made):
+def test_the_bag_contains_the_simulated_scans_wheels_and_mounting(make_bag):
     simulated = list(example_bag.WORLDS["lab"].make(**SHORT).frames())
-    read = list(RosBag(str(made.bag)).frames())
-    assert len(read) == len(simulated) == made.scans
+    read = list(RosBag(str(make_bag.bag)).frames())
+    assert len(read) == len(simulated) == make_bag.scans
     for one, other in zip(read, simulated, strict=True):
         assert one.scan.stamp_ns - other.scan.stamp_ns == 10**9
         assert np.allclose(one.scan.ranges, other.scan.ranges, atol=1e-6, equal_nan=True)
@@ -31,20 +31,20 @@ def test_the_bag_reads_back_as_the_scans_wheels_and_mounting_that_were_simulated
         assert one.odom_from_base.row == pytest.approx(other.odom_from_base.row, abs=1e-9)
 
 
-def test_the_truth_beside_it_is_the_simulations_at_the_bags_own_stamps(made):
+def test_the_ground_truth_file_has_the_stamps_of_the_bag(make_bag):
     true = example_bag.WORLDS["lab"].make(**SHORT).truth().trajectory
-    written = read_tum(made.truth).trajectory
-    assert made.truth.name == "drive.tum"
+    written = read_tum(make_bag.truth).trajectory
+    assert make_bag.truth.name == "drive.tum"
     assert np.array_equal(written.stamps_ns, true.stamps_ns + 10**9)
     assert np.allclose(written.poses, true.poses, atol=1e-9)
 
 
-def test_existing_files_are_not_replaced(made):
+def test_existing_files_are_not_replaced(make_bag):
     with pytest.raises(StoreError, match="drive: exists already; delete it"):
-        example_bag.write_example(made.bag, "lab", {})
-    made.bag.with_name("other.tum").touch()
+        example_bag.write_example(make_bag.bag, "lab", {})
+    make_bag.bag.with_name("other.tum").touch()
     with pytest.raises(StoreError, match="exists already; delete it"):
-        example_bag.write_example(made.bag.with_name("other"), "lab", {})
+        example_bag.write_example(make_bag.bag.with_name("other"), "lab", {})
 
 
 def test_an_unknown_world_or_parameter_is_answered_with_the_known_ones(tmp_path):

@@ -1,4 +1,4 @@
-"""The README names only what exists: back ends, data sets, commands, options, targets, a valid experiment."""
+"""The README names only existing back ends, data sets, commands, options and targets, and a valid experiment."""
 
 import re
 import shlex
@@ -22,13 +22,13 @@ def test_the_table_of_methods_lists_exactly_the_registered_back_ends():
     assert set(re.findall(r"`([\w-]+)`", table)) - {"make paper"} == set(registry.names("backends"))
 
 
-def test_every_data_set_is_named():
+def test_every_data_set_is_in_the_readme():
     readers = {name for name in registry.names("datasets") if registry.dataset(name).suffixes}
     line = README.split("Synthetic worlds:")[1].split("`evalkit datasets list`")[0]
     assert set(re.findall(r"`([\w-]+)`", line)) == set(registry.names("datasets")) - readers
 
 
-def test_its_experiment_is_valid():
+def test_the_experiment_of_the_readme_is_valid():
     content = tomllib.loads(README.split("```toml\n")[1].split("```")[0])
     plan = experiment_from_tables(content, "README.md", "readme", "compare my.toml")
     assert [method.label for method in plan.methods] == ["wheel-odometry", "paper, 1e-5"]
@@ -37,7 +37,7 @@ def test_its_experiment_is_valid():
 
 
 @pytest.mark.parametrize("line", COMMANDS)
-def test_every_command_and_option_it_shows_exists(line):
+def test_every_command_and_option_of_the_readme_exists(line):
     words = shlex.split(line, comments=True)[1:]
     path = words[:2] if words[0] == "datasets" else words[:1]
     answer = CliRunner().invoke(app, [*path, "--help"], env={"COLUMNS": "200"})
@@ -45,24 +45,24 @@ def test_every_command_and_option_it_shows_exists(line):
     assert all(option in answer.output for option in re.findall(r"(?<!\S)--?[a-z-]+", line))
 
 
-def test_it_shows_every_command():
+def test_every_command_is_in_the_readme():
     shown = {line.split()[1] for line in COMMANDS}
     assert shown == set(app_commands())
 
 
 def app_commands():
-    """The names of all commands in the help."""
+    """Return the names of all commands in the help."""
     return re.findall(r"^│ ([a-z]+) ", CliRunner().invoke(app, ["--help"]).output, re.MULTILINE)
 
 
 @pytest.mark.parametrize("target", sorted(set(re.findall(r"make ([a-z-]+)", README))))
-def test_every_make_target_it_names_exists(target):
+def test_every_make_target_of_the_readme_exists(target):
     if not (ROOT / "Makefile").exists():
         pytest.skip("not in a checkout")
     assert re.search(rf"^{target}:", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE)
 
 
-def test_its_picture_exists_and_is_small():
+def test_the_picture_of_the_readme_exists_and_is_small():
     if not (ROOT / "docs").exists():
         pytest.skip("not in a checkout")
     (picture,) = re.findall(r"!\[[^]]+\]\(([^)]+\.png)\)", README)

@@ -1,4 +1,4 @@
-"""What a report says of the machine."""
+"""The description of the machine in a report."""
 
 import os
 import shutil
@@ -44,7 +44,7 @@ def test_an_installed_package_has_no_commit(tmp_path, monkeypatch):
     assert environment.describe()["commit"] == "none (installed package)"
 
 
-def test_a_checkout_without_git_says_so(tmp_path, monkeypatch):
+def test_a_checkout_without_git_is_described(tmp_path, monkeypatch):
     (tmp_path / ".git").mkdir()
     monkeypatch.setattr(environment, "__file__", str(tmp_path / "evalkit" / "execution" / "environment.py"))
     monkeypatch.setenv("PATH", str(tmp_path))

@@ -1,4 +1,4 @@
-"""Runs made by a cluster's workers: the same numbers as here, whoever is lost on the way."""
+"""Runs executed by the workers of a cluster: results equal to local ones, also if workers are killed."""
 
 import json
 import os
@@ -25,7 +25,7 @@ COSTS = ("wall_ns", "cpu_ns", "conversion_ns", "harness_ns", "device_ns")
 
 
 class RecordedProgress:
-    """A progress that records how many runs were started and not finished at the same time."""
+    """Progress that records how many runs were active at the same time."""
 
     def __init__(self, on_start=lambda spec: None):
         self._on_start, self.open, self.most = on_start, 0, 0
@@ -42,7 +42,7 @@ class RecordedProgress:
 
 
 def plan(*faults, timed=True, **sequence):
-    """A method for every fault."""
+    """Return an experiment with a method for every fault."""
     content = {
         "timed": timed,
         "method": [{"use": "faulty", "label": f"{k} {fault}", "fault": fault} for k, fault in enumerate(faults)],
@@ -55,7 +55,7 @@ def plan(*faults, timed=True, **sequence):
 
 @pytest.fixture(scope="module")
 def workers(strangers):
-    """A cluster of two processes that offer to measure times."""
+    """Start a cluster of two processes that offer to measure times."""
     distributed = pytest.importorskip("distributed")
     with dask_cluster._local(2) as local:
         yield local
@@ -73,12 +73,12 @@ def rows(plan, folder, executor=None, resume=False, progress=None, rerun=frozens
 
 
 def reasons(made):
-    """Why runs ended as they did."""
+    """Return the reasons of the runs."""
     return [record.result.reason for record in made.values()]
 
 
 def pids(workers):
-    """The worker processes that are alive."""
+    """Return the process ids of the living workers."""
     return {nanny.pid for nanny in workers.workers.values() if nanny.pid}
 
 
@@ -150,7 +150,7 @@ def test_a_run_that_kills_two_workers_is_quarantined_and_others_complete(workers
     assert pids(workers) == alive
     only = deadly.select([], ["1 kill-parent"], [])
     last = rows(only, tmp_path, there(workers), resume=True, rerun=frozenset({"crashed"}))
-    assert last["1 kill-parent"].result.reason != reason  # other workers, the same end
+    assert last["1 kill-parent"].result.reason != reason  # other workers, the same result
 
 
 def test_local_attempts_are_cleared_once_a_worker_has_executed_the_run(workers, tmp_path):
@@ -196,7 +196,7 @@ def test_without_dask_the_extra_is_named(monkeypatch, tmp_path):
         list(Cluster().answers([]))
 
 
-def test_a_scheduler_that_is_not_there_is_named(monkeypatch):
+def test_an_unreachable_scheduler_is_named(monkeypatch):
     pytest.importorskip("distributed")
     monkeypatch.setattr(dask_cluster, "CONNECT_S", 0.5)
     with pytest.raises(NoCluster, match=r"tcp://127\.0\.0\.1:9: no scheduler answers"):
@@ -224,17 +224,17 @@ def test_no_worker_survives_the_end_of_evalkit(strangers, tmp_path, number):
         [sys.executable, "-c", "from evalkit.cli import main; main()", *words],
         env={**os.environ, "EVALKIT_TEST": str(tmp_path)}, stderr=subprocess.PIPE, start_new_session=True,
     )  # fmt: skip
-    assert soon(lambda: any("evalkit.execution.worker" in line for line in lines(tmp_path)))
+    assert wait_for(lambda: any("evalkit.execution.worker" in line for line in lines(tmp_path)))
     if number == signal.SIGINT:
-        os.killpg(mine.pid, number)  # as a terminal does
+        os.killpg(mine.pid, number)  # like a terminal
     else:
         mine.send_signal(number)
     mine.communicate(timeout=30.0)
-    assert soon(lambda: not lines(tmp_path)), lines(tmp_path)
+    assert wait_for(lambda: not lines(tmp_path)), lines(tmp_path)
 
 
 def lines(folder):
-    """The command lines of all that was started with a mark."""
+    """Return the command lines of all processes started with a mark."""
     found = []
     for process in psutil.process_iter():
         try:
@@ -245,8 +245,8 @@ def lines(folder):
     return found
 
 
-def soon(true, seconds=30.0):
-    """Whether something comes true before long."""
+def wait_for(true, seconds=30.0):
+    """Return whether a condition becomes true within a short time."""
     end = time.monotonic() + seconds
     while not true() and time.monotonic() < end:
         time.sleep(0.1)

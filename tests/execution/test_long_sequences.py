@@ -1,4 +1,4 @@
-"""Memory that does not grow with a recording beyond its trajectory: bags, logs and simulated drives of 1x and 10x."""
+"""Memory of long recordings: bags, logs and simulated drives of 1x and 10x grow only by their trajectory."""
 
 import importlib.util
 import sys
@@ -12,8 +12,8 @@ from evalkit_datasets.rosbag import RosBag
 
 SHORT, LONG = 120, 1200
 BEAMS = 361
-PER_SCAN = 600  # bytes; one scan of 361 beams alone holds 5,800, with its angles
-CHUNK = 3 * 2**20  # bags of two kinds are read in chunks, which a short one does not fill
+PER_SCAN = 600  # bytes; one scan of 361 beams alone has 5,800, with its angles
+CHUNK = 3 * 2**20  # bags of two formats are read in chunks, which a short bag does not fill
 
 
 def long_bags():
@@ -26,8 +26,8 @@ def long_bags():
 
 
 def growth(make):
-    """Bytes that every further scan adds to the peak while a sequence is made and followed to its end."""
-    make(SHORT)  # imports and caches are paid here
+    """Return the bytes that every further scan adds to the peak while a sequence is opened and iterated."""
+    make(SHORT)  # imports and caches are counted here
     peaks = []
     for scans in (SHORT, LONG):
         tracemalloc.start()
@@ -39,13 +39,13 @@ def growth(make):
 
 
 @pytest.mark.parametrize("kind", ["ros1", "sqlite3", "mcap"])
-def test_a_bag_takes_no_more_memory_than_its_trajectory(tmp_path, kind):
+def test_a_bag_needs_no_more_memory_than_its_trajectory(tmp_path, kind):
     pytest.importorskip("rosbags")
     bags = {scans: str(long_bags().write(tmp_path, kind, scans, BEAMS)) for scans in (SHORT, LONG)}
     assert growth(lambda scans: RosBag(bags[scans])) < PER_SCAN + CHUNK / (LONG - SHORT)
 
 
-def test_a_log_takes_no_more_memory_than_its_trajectory(tmp_path):
+def test_a_log_needs_no_more_memory_than_its_trajectory(tmp_path):
     def line(scan):
         beams = " ".join(["2.5"] * BEAMS)
         where = f"{0.01 * scan:.2f} 0 0"
@@ -56,9 +56,9 @@ def test_a_log_takes_no_more_memory_than_its_trajectory(tmp_path):
     assert growth(lambda scans: Carmen(str(tmp_path / f"{scans}.log"))) < PER_SCAN
 
 
-def test_a_simulated_drive_takes_no_more_memory_than_its_trajectory(monkeypatch):
+def test_a_simulated_drive_needs_no_more_memory_than_its_trajectory(monkeypatch):
     from evalkit_datasets import robot, synthetic
 
-    monkeypatch.setattr(robot, "_TICKS_AT_ONCE", 100)  # ten scans: fewer than there are in the short drive
+    monkeypatch.setattr(robot, "_TICKS_AT_ONCE", 100)  # ten scans: fewer than in the short drive
     monkeypatch.setattr(synthetic, "_MAX_KEPT_BYTES", 0)
     assert growth(lambda scans: long_bags().drive(scans, BEAMS)) < PER_SCAN

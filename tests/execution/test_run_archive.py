@@ -1,4 +1,4 @@
-"""A run sent from one store to another is the same, and can put nothing beside its own files."""
+"""Run archives: an unpacked run is unchanged, and no archive can write outside its run."""
 
 import io
 from zipfile import ZipFile

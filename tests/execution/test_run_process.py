@@ -1,4 +1,4 @@
-"""One run in a process of its own: every way to end is a result with a reason, and leaves no process behind."""
+"""One run in its own process: every way to end gives a result with a reason and leaves no process behind."""
 
 import json
 import os
@@ -35,7 +35,7 @@ def request(fault="none", at=AT, **dataset):
     return Request("faulty", {"fault": fault, "at": at}, "straight", sequence)
 
 
-def made(folder, wanted, limits=HASTE, heard=lambda _: None, stop=None):
+def execute_run(folder, wanted, limits=HASTE, heard=lambda _: None, stop=None):
     folder.mkdir()
     return run_process.run(wanted, folder, limits, heard, stop or threading.Event())
 
@@ -77,31 +77,31 @@ FAULTS = tuple(fault for fault, _, _ in EXPECTED)
 
 @pytest.fixture(scope="module")
 def root(tmp_path_factory):
-    """Where the folders of ``runs`` are."""
+    """Return the root of the folders of ``runs``."""
     return tmp_path_factory.mktemp("runs")
 
 
 @pytest.fixture(scope="module")
 def runs(strangers, root):
-    """Every fault's run, all made at once: most of the time they wait."""
+    """Execute the runs of all faults at once, because they mostly wait."""
 
     def one(fault):
         folder = root / fault
         folder = Path(os.path.relpath(folder)) if fault == "chdir" else folder
-        return made(folder, request(fault), LIMITS.get(fault, HASTE))
+        return execute_run(folder, request(fault), LIMITS.get(fault, HASTE))
 
     with ThreadPoolExecutor(4) as threads:
         return dict(zip(FAULTS, threads.map(one, FAULTS), strict=True))
 
 
 @pytest.mark.parametrize("every", [1, 2])
-def test_a_thinned_recording_keeps_the_pace_of_its_sensor(tmp_path, every):
+def test_a_subsampled_recording_keeps_the_rate_of_its_sensor(tmp_path, every):
     beams = " ".join(["2.0"] * 180)
     lines = [f"FLASER 180 {beams} 0 0 0 0 0 0 {0.1 * k:.1f} robot {0.1 * k:.1f}" for k in range(1, SCANS + 1)]
     (tmp_path / "drive.log").write_text("\n".join(lines) + "\n")
     sequence = {"path": str(tmp_path / "drive.log"), "odometry": "scan-poses", "every": every}
     wanted = Request("wheel-odometry", {}, "carmen", sequence)
-    run = made(tmp_path / "run", wanted)
+    run = execute_run(tmp_path / "run", wanted)
     assert (run.status, run.reason, run.every, len(run.steps)) == ("complete", "", every, SCANS // every)
     assert runtime.period_ns(run) == pytest.approx(1e8, rel=1e-6)
 
@@ -135,11 +135,11 @@ def test_a_run_that_completes_has_every_scan_once_and_in_order(runs):
 
 def test_no_fault_leaves_a_process_behind(runs, root):
     assert (root / "daemon" / "request.json").exists()
-    assert left(root) == []
+    assert find_processes(root) == []
 
 
-def left(folder):
-    """The processes that have a folder, or one in it, on their command line."""
+def find_processes(folder):
+    """Return the processes with a folder, or a path inside it, on their command line."""
     return [process.pid for process in psutil.process_iter(["cmdline"]) if str(folder) in str(process.info["cmdline"])]
 
 
@@ -148,43 +148,45 @@ def test_endless_output_does_not_fill_the_disk(runs, root):
 
 
 def test_the_memory_of_a_run_excludes_its_parent_process(strangers, tmp_path):
-    ballast = bytearray(400 * 2**20)  # Linux hands a parent's peak down to its children in ru_maxrss
+    ballast = bytearray(400 * 2**20)  # Linux passes the peak of the parent on to its children in ru_maxrss
     ballast[::4096] = b"x" * len(ballast[::4096])
-    run = made(tmp_path / "run", request())
+    run = execute_run(tmp_path / "run", request())
     assert len(ballast) > run.peak_memory_bytes > 10 * 2**20
 
 
 def test_a_crash_in_the_warm_up_reports_the_number_of_scans(strangers, tmp_path):
-    run = made(tmp_path / "run", request("exit", at=2))
+    run = execute_run(tmp_path / "run", request("exit", at=2))
     assert (run.status, len(run.steps), run.expected, run.warm_up_scans) == ("failed", 0, SCANS, 0)
 
 
-def test_stamps_that_go_backwards_are_a_failure_that_names_the_scan(strangers, tmp_path):
-    run = made(tmp_path / "run", request(backwards=6))
+def test_decreasing_stamps_are_a_failure_that_names_the_scan(strangers, tmp_path):
+    run = execute_run(tmp_path / "run", request(backwards=6))
     assert run.status == "failed"
     assert run.reason.startswith("straight: scan 7: stamp 0 ns is not later than the one before, 500000000 ns; ")
     assert len(run.estimate) == 6
 
 
-def test_a_file_that_vanished_is_missing_data(strangers, tmp_path):
-    run = made(tmp_path / "run", request(file=str(tmp_path / "gone")))
+def test_a_deleted_file_is_missing_data(strangers, tmp_path):
+    run = execute_run(tmp_path / "run", request(file=str(tmp_path / "gone")))
     assert (run.status, run.reason) == ("data-missing", f"straight: {tmp_path / 'gone'} is gone; bring it back")
 
 
 def test_an_interrupted_run_keeps_its_answers(strangers, tmp_path):
     stop = threading.Event()
-    run = made(tmp_path / "run", request("hang"), heard=lambda scans: stop.set() if scans == AT else None, stop=stop)
+    run = execute_run(
+        tmp_path / "run", request("hang"), heard=lambda scans: stop.set() if scans == AT else None, stop=stop
+    )
     assert (run.status, run.reason, len(run.steps)) == ("failed", "interrupted", AT)
 
 
 def test_modules_in_the_working_directory_do_not_shadow_others(strangers, tmp_path, monkeypatch):
     (tmp_path / "numpy.py").write_text("raise SystemExit('wrong numpy')")
     monkeypatch.chdir(tmp_path)
-    assert made(tmp_path / "run", request()).status == "complete"
+    assert execute_run(tmp_path / "run", request()).status == "complete"
 
 
 def test_the_request_is_stored_with_the_answers(strangers, tmp_path):
-    made(tmp_path / "run", request("raise", at=0))
+    execute_run(tmp_path / "run", request("raise", at=0))
     assert json.loads((tmp_path / "run" / "request.json").read_text())["backend_parameters"]["fault"] == "raise"
     assert "lost the plot" in (tmp_path / "run" / "output.txt").read_text()
 
@@ -195,5 +197,5 @@ def test_a_folder_that_cannot_be_written_is_a_store_error(tmp_path):
 
 
 def test_indexing_a_long_recording_does_not_count_as_a_missing_answer(tmp_path):
-    run = made(tmp_path / "run", request(reads_s=5.0), replace(HASTE, scan_s=2.5))
+    run = execute_run(tmp_path / "run", request(reads_s=5.0), replace(HASTE, scan_s=2.5))
     assert (run.status, run.reason) == ("complete", "")

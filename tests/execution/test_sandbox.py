@@ -1,4 +1,4 @@
-"""Foreign code in a process apart: its result, its crash, its hang and its hunger are all results."""
+"""Foreign code in a separate process: a result, a crash, a hang and excessive memory all give a result."""
 
 import importlib
 import os
@@ -16,7 +16,7 @@ from evalkit.execution.task import make_task
 
 @pytest.fixture(autouse=True)
 def here(monkeypatch):
-    """The processes can import this file."""
+    """Make this file importable in the processes."""
     monkeypatch.syspath_prepend(str(Path(__file__).parent))
 
 
@@ -42,7 +42,7 @@ def run(function, limit_s=20.0, **arguments):
     return sandbox.run(getattr(importlib.import_module("test_sandbox"), function), arguments, limit_s, 500)
 
 
-def test_a_result_comes_back_with_its_arrays():
+def test_a_result_is_returned_with_its_arrays():
     found = run("doubled", row=[1.0, np.inf])
     assert found["said"] == "twice"
     assert found["row"].tolist() == [2.0, np.inf]
@@ -62,7 +62,7 @@ def test_a_hang_is_terminated():
     assert run("sleep", limit_s=3.0) == {ENDED: "not finished after 3 s; it was in: a long one"}
 
 
-def test_a_place_is_noted_only_in_a_sandbox(tmp_path, monkeypatch):
+def test_a_place_is_recorded_only_in_a_sandbox(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     sandbox.note_place("nowhere")
     assert not list(tmp_path.iterdir())

@@ -1,4 +1,4 @@
-"""A plan's runs on this machine: rows for whatever happens, resumed where they stopped, stopped where they must."""
+"""Runs of an experiment on this machine: a row for every outcome, resumed where they stopped."""
 
 import itertools
 import json
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.usefixtures("strangers")
 
 
 class RecordedProgress:
-    """A progress that records its calls."""
+    """Progress that records its calls."""
 
     def __init__(self):
         self.begins, self.ends, self.scans = [], [], 0
@@ -45,12 +45,12 @@ class RecordedProgress:
 
 @pytest.fixture
 def quick(monkeypatch):
-    """Scores are made in threads: this test is not about the processes for it."""
+    """Score in threads, because the test does not concern the scoring processes."""
     monkeypatch.setattr(run_task, "start_pool", ThreadPoolExecutor)
 
 
 def plan(*faults, sequence=None, mapper=None, **limits):
-    """A method for every fault, or for every table of methods."""
+    """Return an experiment with a method for every fault, or for every table of methods."""
     tables = [{"use": "faulty", "label": f, "fault": f} if isinstance(f, str) else f for f in faults]
     content = {
         "method": tables,
@@ -72,7 +72,7 @@ def records(plan, folder, jobs=2, resume=False, progress=None):
 
 
 def written(folder):
-    """When each run's answers and scores were written, by label."""
+    """Return when the answers and scores of each run were written, by label."""
     runs = [
         run for run in (folder / "runs").iterdir() if (run / "result.json").exists() and (run / "scores.json").exists()
     ]
@@ -173,7 +173,7 @@ def test_setting_the_system_clock_does_not_affect_limits(tmp_path, quick, monkey
 
 
 def run_files(folder):
-    """Each run's record of how it ended, by label."""
+    """Return the record of each run's end, by label."""
     return {path.parent.name.split("-")[1]: path for path in folder.glob("runs/*/result.json")}
 
 
@@ -193,7 +193,7 @@ def test_every_run_stores_its_provenance(tmp_path, quick):
 
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="this system cannot pin")
 def test_a_run_is_scored_on_its_core_before_the_core_is_released(tmp_path, monkeypatch):
-    """With one core for two runs, the second must not begin before the first is scored."""
+    """With one core for two runs, the second must not start before the first is scored."""
     told = []
 
     class Told(RecordedProgress):
@@ -301,7 +301,7 @@ def test_no_run_is_quarantined_if_no_scoring_process_can_start(tmp_path, monkeyp
 
 
 def test_a_run_that_kills_evalkit_twice_is_quarantined_and_others_are_executed(tmp_path, quick):
-    """A back end that kills its parent, in evalkits of their own: the third leaves it alone, and tells their names."""
+    """A back end kills its parent evalkit twice; the third evalkit skips its runs and names them."""
     (tmp_path / "t.toml").write_text(
         '[[method]]\nuse = "faulty"\nfault = "kill-parent"\n[[method]]\nuse = "faulty"\nlabel = "none"\n'
         '[mapper]\nresolution_m = 0.25\n[[sequence]]\nuse = "straight"\n'

@@ -1,4 +1,4 @@
-"""Foreign code starts only where it can be terminated, and every child terminates with its parent."""
+"""Foreign code starts only on systems that can terminate it, and every child terminates with its parent."""
 
 import contextlib
 import os
@@ -45,7 +45,7 @@ if __name__ == "__main__":
 def test_a_process_that_polls_only_after_its_parent_was_killed_terminates_too(tmp_path):
     (tmp_path / "orphan.py").write_text(ORPHAN)
     said = tmp_path / "said"
-    with said.open("wb") as out:  # no pipe: the orphan would hold it
+    with said.open("wb") as out:  # no pipe, which the orphan would keep open
         subprocess.run([sys.executable, tmp_path / "orphan.py"], stdout=out, check=False)
     orphan = int(said.read_text())
     try:

@@ -53,7 +53,7 @@ def doze(number, log):
 
 @pytest.fixture
 def squares(monkeypatch):
-    """Tasks whose function the worker processes can import."""
+    """Make the functions of tasks importable in the worker processes."""
     monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))
     monkeypatch.syspath_prepend(str(Path(__file__).parent))
 
@@ -114,7 +114,7 @@ def test_a_task_that_hangs_is_ended_once_and_does_not_stop_others(squares, tmp_p
     begun = time.monotonic()
     with pytest.raises(TasksFailed, match="hanging failed: not finished after 1 s; it was in "):
         run_tasks(TaskStore(tmp_path), tasks)
-    assert time.monotonic() - begun < 300  # and not 600
+    assert time.monotonic() - begun < 300  # not 600
     assert all(TaskStore(tmp_path).load(task) for task in tasks[1:])
     assert not list(tmp_path.glob("*.running"))
 
@@ -196,7 +196,7 @@ def test_a_cluster_computes_the_same_and_a_task_that_ends_two_workers_is_reporte
         run_tasks(TaskStore(tmp_path), tasks, cluster=Cluster(workers=1))
     assert failed.value.failures["deadly"].reason.startswith("WorkerLost: killed its worker twice (tcp://")
     assert failed.value.failures["bad"].reason == "ValueError: no"
-    assert failed.value.failures["slow"].reason == "TimeoutError: no answer"  # its own, and not the cluster's
+    assert failed.value.failures["slow"].reason == "TimeoutError: no answer"  # its own limit, not that of the cluster
     kept = TaskStore(tmp_path).load(tasks[0])
     assert kept["square"] == 9
     assert kept["row"].tolist() == [0, 1, 2]

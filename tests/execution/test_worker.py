@@ -1,4 +1,4 @@
-"""A run as the worker makes it, in this process: what is timed, written and noted."""
+"""A run executed by the worker, in this process: its times, files and notes."""
 
 import json
 from dataclasses import replace
@@ -67,7 +67,7 @@ def shares(outcome, steps):
     return found["guess_kept_percent"], found["not_converged_percent"]
 
 
-def test_a_method_that_registers_nothing_is_complete_and_has_kept_every_guess(tmp_path):
+def test_a_method_without_registrations_is_complete_and_kept_every_guess(tmp_path):
     given = {"max_correspondence_m": 0.0001}
     parameters = frontend.complete_parameters("t", registry.backend("paper"), given)
     outcome, steps = execute_request(tmp_path, "paper", parameters, "room", ROOM)
@@ -80,7 +80,7 @@ def test_an_odometry_without_reports_is_marked_as_not_reporting(tmp_path):
 
 
 class Doubtful:
-    """Tells of every other scan that it kept its guess."""
+    """Odometry that does not accept every other result."""
 
     def __init__(self):
         self.scans = 0
@@ -90,7 +90,7 @@ class Doubtful:
         return OdometryEstimate(Pose(), accepted=self.scans % 2 == 0 if self.scans > 1 else None)
 
 
-def test_an_odometry_can_report_whether_it_accepted_its_answer(tmp_path, monkeypatch):
+def test_an_odometry_can_report_whether_its_result_is_accepted(tmp_path, monkeypatch):
     spec = OdometrySpec(Doubtful, "for a test", "none", "MIT")
     monkeypatch.setattr(registry, "backend", lambda name: spec)
     outcome, steps = execute_request(tmp_path)
@@ -100,7 +100,7 @@ def test_an_odometry_can_report_whether_it_accepted_its_answer(tmp_path, monkeyp
 
 
 class TwoStaged:
-    """Tells of both its stages as the front end hears of its own."""
+    """Odometry that reports two stages, like the front end."""
 
     def update(self, frame):
         stages = {"s2s": StageEstimate(True, True, 7, 0.02, 90), "s2m": StageEstimate(False, False, 40, 0.05, 12)}
@@ -115,7 +115,7 @@ def test_an_odometry_can_report_its_stages(tmp_path, monkeypatch):
     assert set(steps["s2m_error"].tolist()) == {0.05}
 
 
-def test_the_sequences_notes_are_kept(tmp_path):
+def test_the_notes_of_the_sequence_are_stored(tmp_path):
     outcome, _ = execute_request(tmp_path, dataset="room", sequence=ROOM)
     assert outcome.notes["invalid ranges"] > 0
 

@@ -1,4 +1,4 @@
-"""``evalkit basin``: one row a back end and scene, in JSON and on a page, whoever fails."""
+"""``evalkit basin``: one row per back end and scene, in JSON and on a page, also for failures."""
 
 import json
 import os
@@ -27,7 +27,7 @@ def run(tmp_path, monkeypatch):
     return runs
 
 
-def test_a_back_end_that_keeps_its_guess_succeeds_where_the_guess_did(run):
+def test_a_back_end_that_keeps_its_guess_succeeds_where_the_guess_is_good_enough(run):
     found, content, page = run("basin_backends:KEEPS", "kiss-icp")
     assert found.exit_code == 0, found.output
     kept, absent = content["rows"]
@@ -42,7 +42,7 @@ def test_a_back_end_that_keeps_its_guess_succeeds_where_the_guess_did(run):
     assert "kiss-icp" in page
 
 
-def test_whoever_raises_or_ends_its_process_is_a_row_with_the_reason(run):
+def test_a_back_end_that_raises_or_ends_its_process_has_a_row_with_the_reason(run):
     found, content, page = run("basin_backends:RAISES", "basin_backends:ENDS", "basin_backends:KEEPS")
     assert found.exit_code == 1
     raises, ends, keeps = content["rows"]
@@ -54,7 +54,7 @@ def test_whoever_raises_or_ends_its_process_is_a_row_with_the_reason(run):
 
 @pytest.mark.parametrize("arguments", [["paper", "--scene", "roof"], ["papr"], ["paper", "--set", "epsilon=big"],
     ["paper", "--on", "room 'laps=1"]])  # fmt: skip
-def test_what_cannot_be_asked_is_refused_before_anything_is(arguments, tmp_path):
+def test_invalid_requests_are_rejected_before_anything_runs(arguments, tmp_path):
     if command.basin not in [one.callback for one in app.registered_commands]:
         app.command()(command.basin)
     found = CliRunner().invoke(app, ["basin", *arguments, "-o", str(tmp_path)])
@@ -63,7 +63,7 @@ def test_what_cannot_be_asked_is_refused_before_anything_is(arguments, tmp_path)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_data_set_with_the_name_of_a_scene_is_refused(tmp_path, monkeypatch):
+def test_a_data_set_with_the_name_of_a_scene_is_rejected(tmp_path, monkeypatch):
     room = registry.dataset("room")
     monkeypatch.setattr(registry, "dataset", lambda _name: room)
     found = CliRunner().invoke(app, ["basin", "paper", "--scene", "corner", "--on", "corner", "-o", str(tmp_path)])

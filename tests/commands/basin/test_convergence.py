@@ -1,4 +1,4 @@
-"""Convergence basins: how offsets are spread, what counts as success, and the counts themselves."""
+"""Convergence basins: the spread of offsets, the criterion of success, and the counts."""
 
 import numpy as np
 import pytest
@@ -16,22 +16,22 @@ def corridor():
     return observability([(points, np.tile([0.0, 1.0], (400, 1)))], 0.05, 0.1)
 
 
-def test_offsets_fill_distance_bearing_and_turn_spread_indices():
+def test_offsets_fill_the_ranges_of_distance_bearing_and_rotation_evenly():
     drawn = offsets(1024, 2.0, 0.5, np.random.default_rng(0))
     distance, bearing = np.hypot(*drawn[:, :2].T), np.arctan2(drawn[:, 1], drawn[:, 0])
     for values, span in ((distance, (0, 2)), (bearing, (-np.pi, np.pi)), (drawn[:, 2], (-0.5, 0.5))):
         counts = np.histogram(values, 16, span)[0]
         assert counts.sum() == 1024
-        assert np.abs(counts - 64).max() <= 6  # blind dice: about 20
+        assert np.abs(counts - 64).max() <= 6  # independent random numbers: about 20
 
 
-def test_offsets_are_the_same_for_the_same_seed_only():
+def test_offsets_are_equal_only_for_equal_seeds():
     a, b, c = (offsets(8, 1.0, 1.0, np.random.default_rng(seed)) for seed in (1, 1, 2))
     assert (a == b).all()
     assert (a != c).any()
 
 
-def test_guesses_are_off_by_their_offsets_along_the_worlds_axes():
+def test_guesses_are_offset_along_the_axes_of_the_world():
     rng = np.random.default_rng(4)
     truths, targets, wanted = rng.uniform(-3, 3, (50, 3)), rng.uniform(-3, 3, (50, 3)), rng.uniform(-1, 1, (50, 3))
     np.testing.assert_allclose(off(guesses(wanted, truths, targets), truths, targets), wanted, atol=1e-12)
@@ -41,7 +41,7 @@ def test_guesses_are_off_by_their_offsets_along_the_worlds_axes():
     )
 
 
-def test_shares_count_by_hand_and_carry_wilsons_interval():
+def test_success_rates_equal_hand_counts_with_wilson_intervals():
     at = np.array([0.1, 0.2, 0.3, 1.5, 1.6, 9.0])
     success = np.array([True, True, False, False, False, True])
     found = SuccessCounts.of((at,), success, (np.array([0.0, 1.0, 2.0, 3.0]),))
@@ -53,18 +53,18 @@ def test_shares_count_by_hand_and_carry_wilsons_interval():
 
 
 @pytest.mark.parametrize(("level", "reach"), [(0.5, 3.0), (0.75, 2.0), (0.95, 1.0), (0.1, 4.0)])
-def test_the_reach_ends_before_the_first_cell_that_fails(level, reach):
+def test_the_reach_ends_before_the_first_failing_cell(level, reach):
     counts = np.array([20, 17, 10, 4])
     shares = SuccessCounts.counted((np.arange(5.0),), counts, np.full(4, 20))
     assert shares.reach(level) == reach
 
 
-def test_a_cell_nobody_tried_ends_the_reach():
+def test_a_cell_without_trials_ends_the_reach():
     shares = SuccessCounts.counted((np.arange(4.0),), np.array([5, 0, 5]), np.array([5, 0, 5]))
     assert shares.reach(0.5) == 1.0
 
 
-def test_success_needs_both_the_place_and_the_turn_and_an_answer():
+def test_success_requires_translation_rotation_and_an_answer():
     degree = np.radians(1.0)
     errors = np.array(
         [[0.06, 0.06, 0.0], [0.08, 0.08, 0.0], [0.0, 0.0, -1.9 * degree], [0, 0, 3 * degree], [np.nan] * 3]
@@ -72,7 +72,7 @@ def test_success_needs_both_the_place_and_the_turn_and_an_answer():
     assert CRITERION.met(errors).tolist() == [True, False, True, False, False]
 
 
-def test_an_error_along_a_corridor_is_forgiven_and_one_across_is_not():
+def test_an_error_along_a_corridor_is_accepted_and_one_across_is_not():
     errors = np.array([[2.0, 0.01, 0.0], [0.0, 0.2, 0.0]])
     found = Basin.of(
         np.array([[1.0, 0.3, 0.1], [0.0, -0.4, 0.1]]), errors, np.ones(2, dtype=bool), corridor(), CRITERION
@@ -90,7 +90,7 @@ def test_failures_reported_as_converged_are_counted_among_failures():
     assert (claimed.value, claimed.support) == (pytest.approx(1 / 3), 3)
 
 
-def test_accuracy_is_the_error_that_so_many_attempts_stay_below():
+def test_accuracy_is_the_error_quantile_of_the_trials():
     errors = np.zeros((100, 3))
     errors[:, 1] = np.arange(1, 101) / 100.0
     errors[99] = np.nan
@@ -108,7 +108,7 @@ def test_the_worst_failure_is_the_one_with_the_best_guess():
     assert found.worst(2).tolist() == [1, 2]
 
 
-def test_curves_stand_on_guesses_that_are_only_shifted_or_only_turned():
+def test_curves_use_guesses_that_are_only_shifted_or_only_rotated():
     offs = with_axes(offsets(64, 1.0, 0.5, np.random.default_rng(2)))
     errors = np.where((offs[:, 2:] == 0.0) | (offs[:, :1] == 0.0), 0.0, 1.0) * np.array([[0.0, 1.0, 0.0]])
     found = Basin.of(offs, errors, np.ones(64, dtype=bool), corridor(), CRITERION)

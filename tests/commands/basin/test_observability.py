@@ -1,4 +1,4 @@
-"""What walls can tell of a pose, with answers worked out by hand."""
+"""Observability of a pose from walls, compared with hand calculations."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from evalkit.commands.basin.observability import observability
 
 
 def wall(y=1.0, count=200):
-    """Points and normals of a wall along x, seen from the origin."""
+    """Return points and normals of a wall along x, seen from the origin."""
     points = np.stack([np.linspace(-5.0, 5.0, count), np.full(count, y)], axis=1)
     return points, np.tile([0.0, 1.0], (count, 1))
 
@@ -23,7 +23,7 @@ def turned(part, degrees=90.0):
     return part[0] @ rotation, part[1] @ rotation
 
 
-def test_two_parallel_walls_leave_the_shift_along_them_open():
+def test_two_parallel_walls_leave_translation_along_them_unobservable():
     found = observability([both(wall(1.0), wall(-1.0))], 0.05, 0.1)
     assert found.names() == ("shift along 0 deg",)
     assert found.shares[0] == 0.0
@@ -31,12 +31,12 @@ def test_two_parallel_walls_leave_the_shift_along_them_open():
 
 
 @pytest.mark.parametrize("degrees", [0.0, 30.0, 135.0])
-def test_the_open_direction_turns_with_the_walls(degrees):
+def test_the_unobservable_direction_rotates_with_the_walls(degrees):
     found = observability([turned(both(wall(1.0), wall(-1.0)), degrees)], 0.05, 0.1)
     assert found.names() == (f"shift along {degrees:.0f} deg",)
 
 
-def test_a_round_room_leaves_the_turn_open():
+def test_a_round_room_leaves_rotation_unobservable():
     angle = np.linspace(0.0, 2.0 * np.pi, 300, endpoint=False)
     out = np.stack([np.cos(angle), np.sin(angle)], axis=1)
     found = observability([(3.0 * out, out)], 0.05, 0.1)
@@ -44,22 +44,22 @@ def test_a_round_room_leaves_the_turn_open():
     assert found.shares == pytest.approx([0.0, 0.5, 0.5])
 
 
-def test_in_a_square_room_each_shift_is_told_by_half_of_the_points():
+def test_in_a_square_room_half_of_the_points_observe_each_translation():
     square = both(wall(5.0), wall(-5.0), turned(wall(5.0)), turned(wall(-5.0)))
     found = observability([square], 0.05, 0.1)
     assert found.names() == ()
-    # across its length a wall tells the turn: mean x^2 / mean (x^2 + y^2), x even in [-5, 5] and y = 5
+    # a wall observes the rotation along its length: mean x^2 / mean (x^2 + y^2), x even in [-5, 5] and y = 5
     assert found.shares == pytest.approx([0.25, 0.5, 0.5], abs=0.01)
     assert found.sigma_m[2] == pytest.approx(0.05 * np.sqrt(2.0) / np.sqrt(400), rel=1e-6)
 
 
-def test_few_noisy_points_leave_open_what_many_would_tell():
+def test_few_noisy_points_leave_directions_unobservable_that_many_observe():
     few = both(wall(1.0, 400), turned(wall(1.0, 2)))
     assert observability([few], 0.05, 0.05).names() != ()
     assert observability([few], 0.0, 0.05).names() == ()
 
 
-def test_what_happens_along_an_open_direction_is_taken_out():
+def test_errors_along_an_unobservable_direction_are_removed():
     found = observability([both(wall(1.0), wall(-1.0))], 0.05, 0.1)
     motions = np.array([[3.0, 0.2, 0.1], [-1.0, 0.0, 0.0]])
     np.testing.assert_allclose(found.observable(motions), [[0.0, 0.2, 0.1], [0.0, 0.0, 0.0]], atol=1e-9)

@@ -1,4 +1,4 @@
-"""Places with a known outline: what a beam meets, and that two scans of a pair fit together exactly."""
+"""Simulated scenes: beam ranges, and the exact fit of both scans of a pair."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from evalkit.core.pose import Pose
 
 
 @pytest.mark.parametrize("name", scenes.SCENES)
-def test_without_noise_both_scans_lie_on_the_place_through_the_true_motion(name):
+def test_without_noise_both_scans_fit_the_scene_with_the_true_motion(name):
     where = scenes.find_scene(name)
     pair = scenes.draw_pair(where, np.random.default_rng(3), 360, 0.0)
     world_from_source = pair.world_from_target @ pair.target_from_source
@@ -21,7 +21,7 @@ def test_without_noise_both_scans_lie_on_the_place_through_the_true_motion(name)
     np.testing.assert_allclose(np.linalg.norm(pair.normals, axis=1), 1.0)
 
 
-def test_the_sensor_keeps_clear_of_everything():
+def test_the_sensor_keeps_a_distance_from_every_boundary():
     for where in scenes.SCENES.values():
         rng = np.random.default_rng(0)
         for _ in range(50):
@@ -29,7 +29,7 @@ def test_the_sensor_keeps_clear_of_everything():
             assert np.linalg.norm(pair.source.points, axis=1).min() > scenes.RANGE_M[0]
 
 
-def test_an_unknown_scene_is_refused_by_name():
+def test_an_unknown_scene_is_rejected_by_name():
     with pytest.raises(UnknownName, match="long-corridor"):
         scenes.find_scene("coridor")
 
@@ -42,7 +42,7 @@ def _farthest_from(where: SceneModel, points) -> float:
     return float(np.concatenate([to_walls, to_discs], axis=1).min(axis=1).max())
 
 
-def test_a_pair_is_two_scans_close_together():
+def test_a_pair_consists_of_two_nearby_scans():
     rng = np.random.default_rng(8)
     poses = [scenes.draw_pair(scenes.find_scene("bare-room"), rng, 8, 0.05).target_from_source for _ in range(100)]
     assert np.abs([pose.row for pose in poses]).max(axis=0) == pytest.approx(scenes.NEAR.row, rel=0.1)

@@ -1,4 +1,4 @@
-"""Pairs of scans of a data set are near each other, and stand as truth or relations say."""
+"""Pairs of nearby scans of a data set, with relative poses from ground truth or relations."""
 
 from dataclasses import replace
 
@@ -21,7 +21,7 @@ STAMPS = np.arange(60) * 100_000_000
 
 
 class Drive:
-    """A robot that drives 8 cm a scan towards a wall 8 m ahead of its start, in a corridor 3 m wide."""
+    """A robot that drives 8 cm per scan towards a wall 8 m ahead of its start, in a corridor 3 m wide."""
 
     def __init__(self, knows="truth", still=False):
         self._knows, self._step = knows, 0.0 if still else STEP_M
@@ -63,25 +63,25 @@ def _unknown(name):
     raise UnknownName("dataset", name, ["drive"])
 
 
-def test_both_scans_lie_on_the_same_walls_through_the_true_motion(recorded):
+def test_both_scans_fit_the_same_walls_with_the_true_motion(recorded):
     pairs = load_pairs(recorded("drive"), 6)
     assert len(pairs) == 6
-    for pair in pairs[:-1]:  # the last one begins where the drive ends
+    for pair in pairs[:-1]:  # the last one starts where the drive ends
         assert pair.target_from_source.row == pytest.approx([3 * STEP_M, 0.0, 0.0])  # the next would be beyond 0.3 m
         in_target = pair.target_from_source.transform(pair.source.points)
         wall = np.abs(in_target[:, 1]) < 1.4
         assert np.ptp(in_target[wall, 0]) < 1e-9
         assert in_target[wall, 0][0] == pytest.approx(pair.target.points[np.abs(pair.target.points[:, 1]) < 1.4][0, 0])
-        assert np.abs(np.abs(pair.normals).max(axis=1) - 1.0).max() < 0.3  # along x or along y, but in a corner
+        assert np.abs(np.abs(pair.normals).max(axis=1) - 1.0).max() < 0.3  # along x or along y, except in a corner
 
 
-def test_relations_that_are_far_or_between_scans_make_no_pair(recorded):
+def test_relations_that_are_too_long_or_between_scans_make_no_pair(recorded):
     (pair,) = load_pairs(recorded("drive knows=relations"), 6)
     assert pair.target_from_source == Pose(2 * STEP_M, 0.0, 0.0)
     assert pair.world_from_target == Pose()
 
 
-def test_attempts_go_round_the_pairs_there_are(recorded):
+def test_trials_cycle_through_the_pairs(recorded):
     asked = recorded("drive knows=relations")
     trials = TrialPlan(asked.label, 10, 6, 0, 0.02, 1.0, 0.5, 0, asked.data)
     true, _ = trials.truths(trials.pairs_of_scans())
@@ -99,6 +99,6 @@ def test_attempts_go_round_the_pairs_there_are(recorded):
         ("drove", UnknownName, "no dataset named 'drove'"),
     ],
 )
-def test_what_cannot_be_a_place_is_refused(recorded, text, error, message):
+def test_invalid_scenes_are_rejected(recorded, text, error, message):
     with pytest.raises(error, match=message):
         load_pairs(recorded(text), 6)

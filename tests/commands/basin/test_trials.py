@@ -1,4 +1,4 @@
-"""Asking a back end from wrong guesses: all alike, and whatever it does becomes an answer or a reason."""
+"""Trials of a back end with wrong guesses: reproducible, and every outcome is a result or a reason."""
 
 from dataclasses import replace
 
@@ -32,20 +32,20 @@ def asked(monkeypatch, make, begin=0, end=40):
     return attempts.answers(backend="x", values={}, trials=TRIALS, begin=begin, end=end, code="")
 
 
-def test_who_keeps_the_guess_is_off_by_the_offset(monkeypatch):
+def test_a_registration_that_returns_its_guess_has_the_error_of_the_guess(monkeypatch):
     found = asked(monkeypatch, KeepsGuess)
     left = attempts.convergence.off(found["rows"], *TRIALS.truths(TRIALS.pairs_of_scans()))
     np.testing.assert_allclose(left, TRIALS.offsets_drawn(), atol=1e-12)
     assert found["claimed"].all()
 
 
-def test_an_attempt_does_not_depend_on_the_job_it_is_in(monkeypatch):
+def test_a_trial_does_not_depend_on_its_task(monkeypatch):
     whole = asked(monkeypatch, KeepsGuess)["rows"]
     parts = [asked(monkeypatch, KeepsGuess, begin, end)["rows"] for begin, end in ((0, 13), (13, 40))]
     assert (np.concatenate(parts) == whole).all()
 
 
-def test_what_raises_has_no_answer_and_a_reason(monkeypatch):
+def test_a_registration_that_raises_gives_a_reason(monkeypatch):
     found = asked(monkeypatch, Raises)
     turned = attempts.convergence.guesses(TRIALS.offsets_drawn(), *TRIALS.truths(TRIALS.pairs_of_scans()))[:, 2] > 0.0
     assert np.isnan(found["rows"][turned]).all()
@@ -53,21 +53,21 @@ def test_what_raises_has_no_answer_and_a_reason(monkeypatch):
     assert "no turn to the left" in found["reason"]
 
 
-def test_every_place_and_seed_draws_its_own_scans():
+def test_every_scene_and_seed_has_its_own_scans():
     first = TRIALS.pairs_of_scans()[0].source.points
     assert (TRIALS.pairs_of_scans()[0].source.points == first).all()
     other = replace(TRIALS, seed=4).pairs_of_scans()[0].source.points
     assert len(other) != len(first) or (other != first).any()
 
 
-def test_jobs_cover_all_attempts_once(monkeypatch):
+def test_tasks_cover_all_trials_once(monkeypatch):
     monkeypatch.setattr(attempts, "TRIALS_PER_TASK", 16)
     spec = attempts.spec_of("paper")
     jobs = attempts.make_tasks("paper", spec, {}, TRIALS)
     assert [(job.arguments["begin"], job.arguments["end"]) for job in jobs] == [(0, 16), (16, 32), (32, 40)]
 
 
-def test_the_papers_icp_converges_from_near_and_not_from_far():
+def test_the_icp_of_the_paper_converges_from_near_and_not_from_far():
     trials = replace(TRIALS, place="bare-room", beams=360, offsets=24)
     found = attempts.answers(backend="paper-tight", values={}, trials=trials, begin=0, end=24, code="")
     left = attempts.convergence.off(found["rows"], *trials.truths(trials.pairs_of_scans()))
@@ -78,7 +78,7 @@ def test_the_papers_icp_converges_from_near_and_not_from_far():
     assert np.hypot(*left[:, :2].T).max() > 0.3
 
 
-def test_a_module_and_a_spec_can_be_named():
+def test_a_back_end_can_be_given_as_module_and_spec():
     assert attempts.spec_of("evalkit_baselines.paper:TIGHT").kind == "registration"
     with pytest.raises(Exception, match="papr"):
         attempts.spec_of("papr")

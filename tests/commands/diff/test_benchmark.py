@@ -1,4 +1,4 @@
-"""Benchmark files are written, loaded and compared."""
+"""Benchmark files: written, loaded and compared."""
 
 import json
 
@@ -18,12 +18,12 @@ def samples(middle, count=30, seed=0):
     return tuple((middle * np.random.default_rng(seed).normal(1.0, 0.02, count)).tolist())
 
 
-def measured(values, processor="one", name="speed"):
+def make_benchmark(values, processor="one", name="speed"):
     return {name: Benchmark(name, (BenchmarkSeries("call", "ms", values),), {"processor": processor})}
 
 
-def verdict(old, new, limit=0.1):
-    (change,) = compare_benchmarks(measured(old), measured(new), limit).changes
+def compute_verdict(old, new, limit=0.1):
+    (change,) = compare_benchmarks(make_benchmark(old), make_benchmark(new), limit).changes
     return change.verdict
 
 
@@ -56,65 +56,65 @@ def test_a_written_benchmark_is_loaded_unchanged(tmp_path):
         ),
     ],
 )
-def test_a_file_that_is_no_benchmark_is_refused(tmp_path, content, shown):
+def test_a_file_that_is_not_a_benchmark_is_rejected(tmp_path, content, shown):
     (tmp_path / "bad.json").write_text(content)
     with pytest.raises(BadData, match=shown):
         load_benchmarks(tmp_path)
 
 
-def test_one_benchmark_in_two_files_of_a_folder_is_refused(tmp_path):
+def test_one_benchmark_in_two_files_of_a_folder_is_rejected(tmp_path):
     path = write_benchmark("speed", [BenchmarkSeries("call", "ms", (1.0,))], RAN_ON, tmp_path)
     path.with_name("before.json").write_text(path.read_text())
     with pytest.raises(BadData, match="several files in it hold the benchmark speed"):
         load_benchmarks(tmp_path)
 
 
-def test_a_folder_without_benchmarks_names_the_remedy(tmp_path):
+def test_a_folder_without_benchmarks_is_reported_with_a_remedy(tmp_path):
     with pytest.raises(BadData, match="make bench"):
         load_benchmarks(tmp_path)
 
 
 def test_slower_beyond_the_limit_is_a_regression_and_faster_an_improvement():
-    assert verdict(samples(1.0), samples(1.3, seed=1)) == "regression"
-    assert verdict(samples(1.3), samples(1.0, seed=1)) == "improvement"
-    assert verdict(samples(1.0), samples(1.3, seed=1), limit=0.5) == "within the limit"
+    assert compute_verdict(samples(1.0), samples(1.3, seed=1)) == "regression"
+    assert compute_verdict(samples(1.3), samples(1.0, seed=1)) == "improvement"
+    assert compute_verdict(samples(1.0), samples(1.3, seed=1), limit=0.5) == "within the limit"
 
 
-def test_a_small_sure_change_is_within_the_limit_and_noise_is_no_difference():
-    assert verdict(samples(1.0), samples(1.05, seed=1)) == "within the limit"
-    assert verdict(samples(1.0), samples(1.0, seed=1)) == "no difference shown"
+def test_a_small_significant_change_is_within_the_limit_and_noise_is_no_difference():
+    assert compute_verdict(samples(1.0), samples(1.05, seed=1)) == "within the limit"
+    assert compute_verdict(samples(1.0), samples(1.0, seed=1)) == "no difference shown"
 
 
-def test_the_ratio_lies_within_its_interval_and_near_the_truth():
-    (change,) = compare_benchmarks(measured(samples(2.0)), measured(samples(3.0, seed=1)), 0.1).changes
+def test_the_ratio_is_within_its_interval_and_near_the_true_value():
+    (change,) = compare_benchmarks(make_benchmark(samples(2.0)), make_benchmark(samples(3.0, seed=1)), 0.1).changes
     assert change.low < change.ratio < change.high
     assert change.ratio == pytest.approx(1.5, abs=0.02)
     assert change.low > 1.45
 
 
-def test_too_few_samples_show_nothing_however_large_the_change():
-    """Of six and six complete separation has p = 2 / 924, of seven and six 2 / 1716."""
+def test_too_few_samples_are_never_significant():
+    """Complete separation of six and six has p = 2 / 924, of seven and six p = 2 / 1716."""
     assert not can_show_difference(6, 6)
     assert can_show_difference(7, 6)
     assert can_show_difference(5000, 5000)
-    assert verdict((1.0,) * 3, (9.0,) * 3) == "too few samples"
+    assert compute_verdict((1.0,) * 3, (9.0,) * 3) == "too few samples"
 
 
-def test_other_processors_are_refused_unless_asked_for():
-    old, new = measured(samples(1.0)), measured(samples(1.5), "another")
+def test_benchmarks_of_different_processors_are_rejected_by_default():
+    old, new = make_benchmark(samples(1.0)), make_benchmark(samples(1.5), "another")
     with pytest.raises(BadData, match=r"'one' and on 'another'.*--across-machines"):
         compare_benchmarks(old, new, 0.1)
     assert compare_benchmarks(old, new, 0.1, across_machines=True).regressions == 1
 
 
-def test_what_one_side_alone_has_is_named():
-    found = compare_benchmarks(measured(samples(1.0), name="a"), measured(samples(1.0), name="b"), 0.1)
+def test_benchmarks_on_one_side_only_are_named():
+    found = compare_benchmarks(make_benchmark(samples(1.0), name="a"), make_benchmark(samples(1.0), name="b"), 0.1)
     assert found.changes == ()
     assert found.remarks == ("a: not in the new measurement", "b: not in the old measurement")
 
 
 @pytest.mark.parametrize(("middle", "code"), [(1.0, 0), (2.0, 1)])
-def test_the_command_ends_with_one_where_something_became_slower(tmp_path, middle, code):
+def test_the_command_exits_with_1_if_something_became_slower(tmp_path, middle, code):
     old = write_benchmark("speed", [BenchmarkSeries("a|b", "ms", samples(1.0))], RAN_ON, tmp_path / "old")
     write_benchmark("speed", [BenchmarkSeries("a|b", "ms", samples(middle, seed=1))], RAN_ON, tmp_path / "new")
     arguments = ["diff", str(old), str(tmp_path / "new")]

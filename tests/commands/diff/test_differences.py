@@ -1,4 +1,4 @@
-"""Two results folders are compared: worse, better, noise or not comparable, against answers known in advance."""
+"""Comparison of two results folders: worse, better, noise or not comparable, with known results."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def _verdict(found, metric=ATE):
     return {change.metric: change.verdict for change in found.changes}[metric]
 
 
-def test_the_same_numbers_are_no_change():
+def test_equal_numbers_are_no_change():
     found = _between(_seeds([0.02, 0.03]), _seeds([0.02, 0.03]))
     assert [change.verdict for change in found.changes] == ["unchanged", "unchanged"]
     assert (found.regressions, describe_results_diff(found, METRICS).rows) == (0, ())
@@ -61,8 +61,8 @@ def test_an_error_must_change_by_more_than_the_limit_and_the_noise(new, said):
     assert (_verdict(found), found.regressions) == (said, int(said == "regression"))
 
 
-def test_one_run_is_judged_by_the_same_scans_before_and_after():
-    """Both rise by a fifth in root mean square: once on every scan, once by a single stretch at the end."""
+def test_a_single_run_is_compared_scan_by_scan():
+    """Both errors increase by a fifth in root mean square: one on every scan, one in a single block at the end."""
     errors = np.full(600, 0.02)
     everywhere, once = 1.2 * errors, errors.copy()
     once[-30:] = np.sqrt(20 * 0.44 * 0.02**2 + 0.02**2)
@@ -76,13 +76,13 @@ def test_one_run_is_judged_by_the_same_scans_before_and_after():
     [([1.05, 1.09], "within the limit"), ([1.2, 1.3], "regression"), ([0.7, 0.8], "improvement"),
      ([0.9, 1.4], "no difference shown"), ([1.15], "within the limit"), ([1.25], "regression")],
 )  # fmt: skip
-def test_time_must_grow_in_every_run_and_twice_as_much_in_a_single_one(times, said):
+def test_time_must_increase_in_every_run_and_by_twice_the_limit_in_a_single_run(times, said):
     ates = [0.02] * len(times)
     assert _verdict(_between(_seeds(ates), _seeds(ates, times)), TIME) == said
 
 
 def test_a_change_common_to_all_methods_is_attributed_to_the_machine():
-    """All took a third longer, d three times as long: the median of four is the machine's, d alone is a regression."""
+    """All take a third longer, d three times as long: the median of four is the machine's, d is a regression."""
     old = {(who, "room", seed): _run(ms=1.0) for who in "abcd" for seed in (0, 1)}
     new = {(who, "room", seed): _run(ms=3.0 if who == "d" else 1.3) for who in "abcd" for seed in (0, 1)}
     found = _between(old, new)
@@ -92,7 +92,7 @@ def test_a_change_common_to_all_methods_is_attributed_to_the_machine():
     )
 
 
-def test_times_of_another_processor_are_not_compared():
+def test_times_of_different_processors_are_not_compared():
     found = compare_results(
         _snapshot(_seeds([0.02])),
         _snapshot(_seeds([0.02], [9.0]), "new", "another"),
@@ -103,7 +103,7 @@ def test_times_of_another_processor_are_not_compared():
     assert found.notes == ("times are not compared: a processor against another",)
 
 
-def test_a_run_that_no_longer_ends_is_a_regression_and_a_new_method_is_none():
+def test_a_run_that_no_longer_completes_is_a_regression_and_a_new_method_is_not():
     old = {("a", "room", 0): _run(), ("gone", "room", 0): _run(), ("b", "room", 0): _run(status="crashed")}
     new = {("a", "room", 0): _run(status="crashed"), ("b", "room", 0): _run(), ("come", "room", 0): _run()}
     found = _between(old, new)
@@ -111,7 +111,7 @@ def test_a_run_that_no_longer_ends_is_a_regression_and_a_new_method_is_none():
     assert (found.only_old, found.only_new, found.regressions) == (("gone over room",), ("come over room",), 1)
 
 
-def test_other_parameters_make_another_sequence_and_new_ones_at_their_default_do_not():
+def test_changed_parameters_make_another_sequence_and_new_ones_at_their_default_do_not():
     with pytest.raises(StoreError, match=r"not comparable with old: the sequence differs: laps 1\.0 against 0\.5"):
         _between(_seeds([0.02], laps=1.0), _seeds([0.02], laps=0.5))
     new = _seeds([0.02], laps=1.0, people=3)
@@ -124,12 +124,12 @@ def test_other_parameters_make_another_sequence_and_new_ones_at_their_default_do
         )  # fmt: skip
 
 
-def test_seeds_without_a_common_one_are_not_comparable():
+def test_results_without_common_seeds_are_not_comparable():
     with pytest.raises(StoreError, match="seeds 0 against 7"):
         _between({("a", "room", 0): _run()}, {("a", "room", 7): _run()})
 
 
-def test_markdown_is_a_table_with_the_worst_first():
+def test_markdown_output_is_a_table_with_the_worst_first():
     found = _between(_seeds([0.02, 0.02], [1.0, 1.0]), _seeds([0.03, 0.03], [0.5, 0.5]))
     text = describe_results_diff(found, METRICS)
     lines = format_markdown(text).splitlines()
@@ -157,7 +157,7 @@ def folder(tmp_path, record, build):
     return made
 
 
-def test_the_command_ends_with_one_only_on_a_regression(folder):
+def test_the_command_exits_with_1_only_on_a_regression(folder):
     runner, old = CliRunner(), folder("old")
     assert runner.invoke(cli.app, ["diff", str(old), str(folder("same"))]).exit_code == 0
     worse = runner.invoke(cli.app, ["diff", str(old), str(folder("worse", 1.5)), "--json"])
@@ -171,7 +171,7 @@ def test_a_limit_that_is_not_a_share_is_a_usage_error(folder, text):
     assert CliRunner().invoke(cli.app, ["diff", str(old), str(old), "--limit-ate", text]).exit_code == 2
 
 
-def test_unreadable_folders_are_refused_with_the_reason(folder, tmp_path):
+def test_unreadable_folders_are_rejected_with_the_reason(folder, tmp_path):
     path = folder("old") / "results.json"
     with pytest.raises(StoreError, match="there is no such folder"):
         load_stored_results(tmp_path / "none")
@@ -190,7 +190,7 @@ def test_unreadable_folders_are_refused_with_the_reason(folder, tmp_path):
         load_stored_results(path.parent)
 
 
-def test_a_folder_of_runs_without_a_report_is_read_too(tmp_path, record):
+def test_a_folder_of_runs_without_a_report_is_read(tmp_path, record):
     made = record("a", "room", {ATE: 0.02}, seed=3)
     own = tmp_path / "runs" / "room-s3-a-0123456789"
     own.mkdir(parents=True)

@@ -1,4 +1,4 @@
-"""A finished comparison in the formats of other programs, read back by readers that are not evalkit's."""
+"""Exports of a finished comparison, read back by independent readers."""
 
 import json
 import re
@@ -32,7 +32,7 @@ from evalkit.results.run_record import RunRecord
 from evalkit.results.store import Store
 
 N = 30
-T0 = 1663967375_000000001  # no float of seconds can hold it
+T0 = 1663967375_000000001  # not representable as a float of seconds
 STAMPS = T0 + np.arange(N) * 100_000_000
 HEADING = 0.05 * np.arange(N)
 TRUE = np.stack([2.0 * np.sin(HEADING), 2.0 * (1.0 - np.cos(HEADING)), HEADING], axis=-1)
@@ -42,7 +42,7 @@ SEAT = Pose(0.1, 0.0, np.pi / 2)
 
 
 class Lap:
-    """An arc with a lidar that is turned, four walls' worth of ranges, and wheel odometry."""
+    """An arc with a rotated lidar, ranges of four walls, and wheel odometry."""
 
     def __len__(self):
         return N
@@ -80,7 +80,7 @@ def record_of(name, seed=0):
 
 @pytest.fixture
 def finished(tmp_path, build, monkeypatch):
-    """A results folder of two methods over an arc, as a report leaves it."""
+    """A results folder with two methods over an arc, as written by a report."""
     monkeypatch.setattr(registry, "dataset", lambda _name: DatasetSpec(lambda **_: Lap(), "", "", "", "", ""))
     records = [record_of("paper"), record_of("wheel")]
     store = Store(tmp_path / "results")
@@ -101,7 +101,7 @@ def exported(folder, form, *more):
 # --- tables
 
 
-def test_csv_and_json_hold_the_wanted_rows_of_what_the_report_wrote_and_keep_the_schema(finished):
+def test_csv_and_json_contain_the_selected_rows_and_conform_to_the_schema(finished):
     jsonschema = pytest.importorskip("jsonschema")
     whole = {path.name: path.read_bytes() for form in ("csv", "json") for path in exported(finished, form)}
     assert set(whole) == {"runs.csv", "scores.csv", "summary.csv", "results.json", "results.schema.json"}
@@ -114,13 +114,13 @@ def test_csv_and_json_hold_the_wanted_rows_of_what_the_report_wrote_and_keep_the
     content = json.loads(part["results.json"].read_text(encoding="utf-8"))
     jsonschema.validate(content, json.loads(part["results.schema.json"].read_text(encoding="utf-8")))
     assert [record["method"] for record in content["runs"]] == list(content["methods"]) == ["wheel"]
-    assert content["verdicts"] == content["overview"] == []  # they compare it with who is left out
+    assert content["verdicts"] == content["overview"] == []  # they compare with the method that is left out
 
 
 # --- trajectories
 
 
-def test_tum_read_by_evo_gives_the_very_errors(finished):
+def test_tum_files_read_by_evo_have_the_same_errors(finished):
     file_interface = pytest.importorskip("evo.tools.file_interface")
     metrics = pytest.importorskip("evo.core.metrics")
     files = {path.name: path for path in exported(finished, "tum")}
@@ -134,7 +134,7 @@ def test_tum_read_by_evo_gives_the_very_errors(finished):
     )
 
 
-def test_kitti_read_by_evo_gives_the_very_poses_and_as_many_of_truth(finished):
+def test_kitti_files_read_by_evo_have_the_same_poses_and_as_many_of_ground_truth(finished):
     file_interface = pytest.importorskip("evo.tools.file_interface")
     files = {path.name: path for path in exported(finished, "kitti")}
     paper, truth = (file_interface.read_kitti_poses_file(files[f"paper-s0{end}.kitti.txt"]) for end in ("", ".truth"))
@@ -145,7 +145,7 @@ def test_kitti_read_by_evo_gives_the_very_poses_and_as_many_of_truth(finished):
     assert np.allclose(headings, TRUE[:, 2], atol=1e-10)
 
 
-def test_the_edges_of_a_g2o_file_lead_from_the_first_vertex_to_every_other(finished):
+def test_the_edges_of_a_g2o_file_connect_the_first_vertex_with_every_other(finished):
     path = next(path for path in exported(finished, "g2o") if path.name == "wheel-s0.g2o")
     rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
     vertices = {int(row[1]): np.array(row[2:], dtype=float) for row in rows if row[0] == "VERTEX_SE2"}
@@ -163,7 +163,7 @@ def test_the_edges_of_a_g2o_file_lead_from_the_first_vertex_to_every_other(finis
 
 
 def nav2(path):
-    """Cells (H, W) of 100, 0 and -1 and their lower left corner, by the rules of Nav2's map_io in trinary mode."""
+    """Return cells (H, W) of 100, 0 and -1 and their lower left corner, by Nav2's map_io in trinary mode."""
     words = dict(re.findall(r"^(\w+): (.*)$", path.read_text(encoding="utf-8"), re.MULTILINE))
     head, pixels = (path.parent / words["image"]).read_bytes().split(b"\n255\n", 1)
     columns, rows = map(int, head.split()[1:3])
@@ -176,7 +176,7 @@ def nav2(path):
     return cells[::-1], float(words["resolution"]), x, y
 
 
-def test_a_map_read_by_nav2s_rules_is_the_grid_it_was_made_of(finished):
+def test_a_map_read_by_nav2s_rules_equals_the_exported_grid(finished):
     path = next(path for path in exported(finished, "map") if path.name == "paper-s0.yaml")
     cells, resolution, x, y = nav2(path)
     grid = record_of("paper").scores.grid
@@ -189,7 +189,7 @@ def test_a_map_read_by_nav2s_rules_is_the_grid_it_was_made_of(finished):
 # --- papers
 
 
-def test_a_latex_table_has_as_many_cells_in_a_row_as_columns_and_no_bare_special_letter(finished):
+def test_a_latex_table_has_complete_rows_and_no_unescaped_special_character(finished):
     files = {path.name: path.read_text(encoding="utf-8") for path in exported(finished, "latex")}
     assert r"\input{table-50-more-x}" in files["tables.tex"]
     text = files["table-50-more-x.tex"]
@@ -203,7 +203,7 @@ def test_a_latex_table_has_as_many_cells_in_a_row_as_columns_and_no_bare_special
     assert [text.count(rule) for rule in (r"\toprule", r"\midrule", r"\bottomrule")] == [1, 1, 1]
 
 
-def test_latex_takes_the_tables_and_the_figures(finished):
+def test_latex_compiles_the_tables_and_the_figures(finished):
     if shutil.which("pdflatex") is None:
         pytest.skip("pdflatex is not installed")
     tables, figures = (exported(finished, form)[0].parent for form in ("latex", "pdf"))
@@ -218,7 +218,7 @@ def test_latex_takes_the_tables_and_the_figures(finished):
     assert "Missing character" not in (tables / "paper.log").read_text(encoding="latin-1")
 
 
-def test_tables_show_the_intervals_of_results_json_and_only_these(finished):
+def test_tables_contain_exactly_the_intervals_of_results_json(finished):
     intervals = json.loads((finished / "results.json").read_text(encoding="utf-8"))["intervals"]
     wheel = next(one for one in intervals if (one["method"], one["metric"]) == ("wheel", "ate_rmse_m"))
     (path,) = (path for path in exported(finished, "latex", "--metric", "ate_rmse_m") if path.name != "tables.tex")
@@ -232,23 +232,23 @@ def test_tables_show_the_intervals_of_results_json_and_only_these(finished):
     assert f"[{wheel['low']:.3f}, {wheel['high']:.3f}]" in table[-1]
 
 
-def test_every_letter_that_means_something_to_latex_is_escaped():
+def test_every_latex_special_character_is_escaped():
     assert latex.escape_latex(r"a_b & 5% {x} #1 ~^ $\n") == (
         r"a\_b \& 5\% \{x\} \#1 \textasciitilde{}\textasciicircum{} \$\textbackslash{}n"
     )
 
 
-def test_a_name_is_no_mark_up_in_markdown():
+def test_a_name_is_escaped_in_markdown():
     assert escape_markdown("a|b `c` [x](javascript:alert) <script> \\") == (
         r"a\|b \`c\` [x]\(javascript:alert) &lt;script> \\"
     )
 
 
-def test_a_name_reads_no_file_into_latex():
+def test_a_name_cannot_include_a_file_in_latex():
     assert latex.escape_latex(r"\input{/etc/passwd}") == r"\textbackslash{}input\{/etc/passwd\}"
 
 
-def test_figures_are_vectors_with_true_fonts_and_the_same_bytes_twice(finished):
+def test_figures_are_vector_graphics_with_embedded_fonts_and_reproducible_bytes(finished):
     found = load_selection(finished)
     drawn = dict(latex.draw_figures(found, "pdf"))
     assert set(drawn) == {f"50-more-x-{kind}.pdf" for kind in ("trajectories", "errors", "runtimes")}
@@ -263,7 +263,7 @@ def test_figures_are_vectors_with_true_fonts_and_the_same_bytes_twice(finished):
 # --- viewers
 
 
-def test_a_bag_is_the_recording_again_for_evalkits_own_reader(finished):
+def test_a_bag_read_by_evalkit_equals_the_recording(finished):
     from evalkit_datasets.rosbag import RosBag
 
     folder = finished.parent / "export" / "mcap" / "wheel-s0"
@@ -277,7 +277,7 @@ def test_a_bag_is_the_recording_again_for_evalkits_own_reader(finished):
         assert frame.odom_from_base.row == pytest.approx(made.odom_from_base.row)
 
 
-def test_the_doctor_finds_in_a_bag_what_was_put_there(finished):
+def test_the_inspection_of_a_bag_finds_its_known_properties(finished):
     from evalkit_datasets.inspection.inspector import inspect_recording
     from evalkit_datasets.inspection.suggested_config import suggest_config
 
@@ -293,7 +293,7 @@ def test_the_doctor_finds_in_a_bag_what_was_put_there(finished):
     assert (advice.parameters["topic"], advice.scans, advice.problem) == ("/scan", N, "")
 
 
-def test_an_mcap_file_read_by_the_mcap_library_holds_the_answer_the_truth_and_the_map(finished):
+def test_an_mcap_file_read_by_the_mcap_library_contains_estimate_ground_truth_and_map(finished):
     reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
     typesys = pytest.importorskip("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
@@ -307,7 +307,7 @@ def test_an_mcap_file_read_by_the_mcap_library_holds_the_answer_the_truth_and_th
     assert [message.log_time for _, _, message in messages] == sorted(m.log_time for _, _, m in messages)
     offered = (path.parent / "metadata.yaml").read_text(encoding="utf-8").split("message_count")
     kept = {topic for topic in counts for part in offered if f"name: {topic}\n" in part and "transient_local" in part}
-    assert kept == {"/tf_static", "/estimate", "/truth", "/map"}  # RViz asks for these after they were sent
+    assert kept == {"/tf_static", "/estimate", "/truth", "/map"}  # RViz requests these after they were sent
     estimate = next(store.deserialize_cdr(m.data, s.name) for s, topic, m in messages if topic == "/estimate")
     assert [pose.pose.position.x for pose in estimate.poses] == pytest.approx(TRUE[:, 0] + 0.01 * np.arange(N))
     grid = next(store.deserialize_cdr(m.data, s.name) for s, topic, m in messages if topic == "/map")
@@ -316,7 +316,7 @@ def test_an_mcap_file_read_by_the_mcap_library_holds_the_answer_the_truth_and_th
     assert (cells[5:] == -1).all()
 
 
-def test_a_recording_that_begins_at_zero_is_moved_to_where_ros_knows_times(finished):
+def test_a_recording_that_starts_at_zero_is_shifted_to_valid_ros_times(finished):
     found = load_selection(finished, methods=["paper"])
     (record,) = found.runs
     early = RunResult(record.result.steps.copy(), N)
@@ -329,13 +329,13 @@ def test_a_recording_that_begins_at_zero_is_moved_to_where_ros_knows_times(finis
 
 
 class Nothing:
-    """A sequence without a scan."""
+    """A sequence without scans."""
 
     def frames(self):
         return iter(())
 
 
-def test_a_rerun_recording_is_whole_by_reruns_own_check(finished):
+def test_a_rerun_recording_passes_reruns_own_check(finished):
     pytest.importorskip("rerun", reason="rerun is not installed")
     (path,) = exported(finished, "rerun")
     assert path.name == "50-more-x-s0.rrd"
@@ -347,7 +347,7 @@ def test_a_rerun_recording_is_whole_by_reruns_own_check(finished):
         assert entity in told.stdout
 
 
-def test_without_rerun_the_message_says_how_to_get_it_and_all_goes_on(finished, monkeypatch):
+def test_without_rerun_the_message_names_the_install_command_and_the_rest_is_written(finished, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(NotInstalled, match=r"pip install 'evalkit\[rerun\]'"):
         rerun_file.import_rerun()
@@ -357,10 +357,10 @@ def test_without_rerun_the_message_says_how_to_get_it_and_all_goes_on(finished, 
     assert (finished.parent / "everything" / "markdown" / "summary.md").exists()
 
 
-# --- what cannot be had
+# --- unavailable data
 
 
-def test_a_sequence_whose_files_are_not_here_is_a_remark_and_the_rest_is_written(finished, monkeypatch):
+def test_a_sequence_without_its_files_gives_a_remark_and_the_rest_is_written(finished, monkeypatch):
     def gone(**_):
         raise DataMissing("lap", "no such folder", "fetch it")
 
@@ -382,7 +382,7 @@ def test_a_sequence_whose_files_are_not_here_is_a_remark_and_the_rest_is_written
         ("grid.npz", 30, "its alignment and map are missing"),
     ],
 )
-def test_a_run_cut_short_is_left_out_and_said_and_the_others_are_written(finished, name, left, said):
+def test_an_incomplete_run_is_left_out_with_a_message_and_the_others_are_written(finished, name, left, said):
     path = finished / "runs" / "paper-s0" / name
     path.write_bytes(path.read_bytes()[:left])
     found = load_selection(finished)
@@ -393,7 +393,7 @@ def test_a_run_cut_short_is_left_out_and_said_and_the_others_are_written(finishe
     assert [path.name for path in exported(finished, "tum")] != []
 
 
-def test_what_is_no_results_folder_or_no_label_is_said(finished, tmp_path):
+def test_invalid_folders_and_labels_are_reported(finished, tmp_path):
     with pytest.raises(StoreError, match="no such file"):
         load_selection(tmp_path)
     for wrong in ({"sequences": ["nowhere"]}, {"methods": ["nobody"]}, {"metrics": ["ate"]}):
@@ -403,7 +403,7 @@ def test_what_is_no_results_folder_or_no_label_is_said(finished, tmp_path):
     assert isinstance(result.exception, UnknownName)
 
 
-def test_reading_leaves_the_results_folder_as_it_is(finished):
+def test_an_export_does_not_change_the_results_folder(finished):
     before = sorted(path for path in finished.rglob("*"))
     load_selection(finished)
     assert sorted(path for path in finished.rglob("*")) == before

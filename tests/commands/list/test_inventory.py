@@ -17,7 +17,7 @@ def test_every_registered_name_has_a_row():
         assert list(rows(kind)) == registry.names(kind)
 
 
-def test_an_absent_library_is_listed_with_the_command_that_installs_it():
+def test_a_missing_library_is_listed_with_its_install_command():
     assert rows("backends")["absent"].missing == "the library 'nowhere' is not installed; pip install nowhere"
     assert rows("backends")["faulty"].missing == rows("backends")["paper"].missing == ""
 
@@ -37,10 +37,10 @@ def test_a_plugin_whose_check_of_its_needs_fails_is_an_entry_with_the_reason(mon
     assert rows("mappers")["log-odds"].missing == "its plug-in failed: OSError: no such device"
 
 
-def test_a_registration_can_be_set_in_its_own_and_the_front_ends_parameters_an_odometry_in_its_own():
+def test_parameters_of_a_registration_include_the_front_end_and_those_of_an_odometry_do_not():
     assert {"prior", "keyframes", "deskew"} <= rows("backends")["paper"].parameters.keys()
     assert rows("backends")["faulty"].parameters == {"fault": "none", "at": 8}
 
 
-def test_a_reader_misses_nothing_before_it_has_a_file():
+def test_a_reader_without_a_file_is_available():
     assert rows("datasets")["carmen"].missing == rows("datasets")["straight"].missing == ""

@@ -1,4 +1,4 @@
-"""Every fault injected between a sequence and its scores is detected by the metrics."""
+"""Faults injected between a sequence and its scores are detected by the metrics."""
 
 import pytest
 

@@ -31,7 +31,7 @@ def test_perturbations_are_independent_of_the_world_frame(name):
     assert np.allclose(moved, se2.compose(world, perturb_line(name, 0.3)), atol=1e-9)
 
 
-def test_a_yaw_bias_turns_its_size_on_every_metre():
+def test_a_yaw_bias_rotates_by_its_size_per_metre():
     assert np.degrees(perturb_line("yaw bias", 1.5)[-1, 2]) == pytest.approx(15.0)
 
 

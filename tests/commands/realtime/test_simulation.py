@@ -28,7 +28,7 @@ def sequence():
 
 
 @pytest.fixture
-def invented(monkeypatch):
+def make_profile(monkeypatch):
     """Calls take the costs of the list, repeated in turn."""
     costs = []
 
@@ -76,15 +76,15 @@ def test_the_same_profile_gives_the_same_devices(sequence):
     assert dropped == sorted(dropped)
 
 
-def test_a_profile_is_the_median_of_its_repetitions(sequence, invented):
-    invented.extend([999] * 5 + [10, 20, 30, 40, 50, 60] + [10, 20, 90, 40, 55, 60] + [70, 20, 30, 10, 51, 60])
+def test_a_profile_is_the_median_of_its_repetitions(sequence, make_profile):
+    make_profile.extend([999] * 5 + [10, 20, 30, 40, 50, 60] + [10, 20, 90, 40, 55, 60] + [70, 20, 30, 10, 51, 60])
     result = measure_costs(ProfiledMethod.load("wheel-odometry", {}), sequence.frames[:6], repetitions=3)
     assert result.profile.scans_ns.tolist() == [10, 20, 30, 40, 51, 60]
 
 
-def test_the_warm_up_is_not_counted_and_gaps_are_compared_with_the_same_scans(sequence, invented):
-    # 5 to warm up, 12 of every scan, then every second one at three times the cost
-    invented.extend([999] * 5 + [10] * 12 + [30] * 6)
+def test_the_warm_up_is_not_counted_and_gaps_are_compared_with_the_same_scans(sequence, make_profile):
+    # 5 to warm up, 12 with every scan, then every second one at three times the cost
+    make_profile.extend([999] * 5 + [10] * 12 + [30] * 6)
     result = measure_costs(ProfiledMethod.load("wheel-odometry", {}), sequence.frames[:12], repetitions=1)
     assert result.profile.scans_ns.tolist() == [10] * 12
     assert result.profile.gaps.tolist() == [1, 2]
@@ -92,14 +92,14 @@ def test_the_warm_up_is_not_counted_and_gaps_are_compared_with_the_same_scans(se
     assert result.linear is None  # wheel odometry reports no iterations
 
 
-def test_costs_of_zero_are_refused(sequence, invented):
-    invented.append(0)
+def test_costs_of_zero_are_refused(sequence, make_profile):
+    make_profile.append(0)
     with pytest.raises(BackendFailed, match="no time was measured"):
         measure_costs(ProfiledMethod.load("wheel-odometry", {}), sequence.frames[:8], repetitions=1)
 
 
 class AlternatingOdometry:
-    """Answers every other scan only."""
+    """Odometry that answers every other scan only."""
 
     def __init__(self):
         self.calls = 0

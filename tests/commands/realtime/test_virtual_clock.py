@@ -118,7 +118,7 @@ def test_poses_between_answers_follow_the_odometry():
     odometry = np.stack([np.arange(5.0), np.zeros(5), np.zeros(5)], axis=1)
     answers = np.array([[0.0, 0.0, 0.0], [10.0, 5.0, np.pi / 2], [99.0, 99.0, 0.0]])
     known = compute_live_poses(stamps, schedule, answers, odometry)
-    assert known == pytest.approx(odometry)  # first the odometry alone, then answer 0 and what it adds
+    assert known == pytest.approx(odometry)  # first the odometry alone, then answer 0 and the odometry since
     schedule = compute_schedule(stamps + 50, steady(120), "drop")  # 0 at 170, 2 at 370, 4 too late
     assert compute_live_poses(stamps, schedule, answers, odometry)[4] == pytest.approx(
         [10.0, 7.0, np.pi / 2]
@@ -152,7 +152,7 @@ def test_arrivals_that_do_not_increase_are_refused(times):
         compute_schedule(times, steady(1))
 
 
-def test_an_unknown_policy_and_a_negative_cost_are_refused():
+def test_an_unknown_policy_and_a_negative_cost_are_rejected():
     with pytest.raises(ValueError, match="drop, queue-of-one"):
         compute_schedule(arrivals(3), steady(1), "queue-of-two")
     with pytest.raises(ValueError, match="negative at scan 0"):

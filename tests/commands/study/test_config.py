@@ -1,4 +1,4 @@
-"""A study file: what it makes, and how it says what is wrong before anything runs."""
+"""Study files: the tasks they define, and the errors reported before anything runs."""
 
 import copy
 import tomllib
@@ -162,7 +162,7 @@ def test_errors_of_a_study_file_name_table_and_key(change, message):
         study(change)
 
 
-def test_two_factors_that_set_the_same_cannot_share_a_design():
+def test_two_factors_that_set_the_same_parameter_cannot_share_a_design():
     def twice(content):
         content["factor"].append({**content["factor"][0], "name": "again"})
         content["design"][0]["factors"].append("again")

@@ -1,4 +1,4 @@
-"""Designs: what orthogonality, balance and resolution promise, counted by hand."""
+"""Designs: orthogonality, balance and resolution, counted by hand."""
 
 from itertools import combinations
 
@@ -41,7 +41,7 @@ def test_resolution_5_does_not_confound_pairs_and_resolution_4_does():
     five, four = products(signs(8, 5)), products(signs(8, 4))
     assert (five @ five.T == five.shape[1] * np.eye(len(five))).all()
     assert not (four @ four.T == four.shape[1] * np.eye(len(four))).all()
-    assert (four @ signs(8, 4) == 0).all()  # main effects stay clear of them
+    assert (four @ signs(8, 4) == 0).all()  # main effects are not confounded with them
 
 
 def test_an_optimal_design_for_two_levels_is_orthogonal():
@@ -89,6 +89,6 @@ def test_space_filling_points_lie_in_every_quarter_of_every_factor(kind):
         assert np.bincount((column * 4).astype(int), minlength=4).tolist() == [8, 8, 8, 8]
 
 
-def test_too_few_points_for_the_model_are_refused():
+def test_too_few_points_for_the_model_are_rejected():
     with pytest.raises(ValueError, match="points: 3 are too few for a model of 4 columns"):
         make_optimal(Model((DesignAxis("a", 2), DesignAxis("b", 2))), 3, np.random.default_rng(0))

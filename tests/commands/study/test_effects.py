@@ -1,4 +1,4 @@
-"""Effects of responses that were made up, so that the answers are known."""
+"""Effects of made-up responses with known results."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,9 @@ def fit(model, positions, response):
 
 def test_effects_of_a_linear_response_are_exact():
     rows = make_grid([2, 2, 2])
-    found = fit(Model(TWO), rows, 10.0 + 3.0 * rows[:, 0] - 2.0 * rows[:, 1])  # a adds 3, b takes 2, c does nothing
+    found = fit(
+        Model(TWO), rows, 10.0 + 3.0 * rows[:, 0] - 2.0 * rows[:, 1]
+    )  # a adds 3, b subtracts 2, c has no effect
     a, b, c = (found.factor(k) for k in range(3))
     assert found.mean.value == pytest.approx(10.5)
     assert [level.value for level in a.levels] == pytest.approx([-1.5, 1.5])
@@ -24,13 +26,13 @@ def test_effects_of_a_linear_response_are_exact():
     assert b.largest.value.value == pytest.approx(2.0)
     assert c.largest.value.value == pytest.approx(0.0, abs=1e-12)
     assert (a.share, b.share) == pytest.approx((9.0 / 13.0, 4.0 / 13.0))
-    assert a.largest.value.high - a.largest.value.low == pytest.approx(0.0, abs=1e-9)  # nothing is left to chance
+    assert a.largest.value.high - a.largest.value.low == pytest.approx(0.0, abs=1e-9)  # no residual
     assert found.explained == pytest.approx(1.0)
 
 
 def test_an_interaction_is_the_difference_of_differences():
     rows = make_grid([2, 2, 2])
-    response = 5.0 + 4.0 * rows[:, 0] * rows[:, 1]  # a adds 4 where b is on, nothing where it is off
+    response = 5.0 + 4.0 * rows[:, 0] * rows[:, 1]  # a adds 4 if b is on, nothing if it is off
     first, *others = fit(Model(TWO), rows, response).interactions()
     assert (first.a, first.b) == ("a", "b")
     assert first.value.value == pytest.approx(4.0)
@@ -77,7 +79,7 @@ def test_a_model_predicts_points_between_its_levels():
     assert found.predict(np.array([[0.5, 0.0, 1.0], [1.5, 1.0, 0.0]])).tolist() == pytest.approx([1.0, 4.5])
 
 
-def test_fewer_points_than_effects_are_refused():
+def test_fewer_points_than_effects_are_rejected():
     with pytest.raises(ValueError, match="7 points are too few for the 7 columns"):
         fit(Model(TWO), make_grid([2, 2, 2])[:7], np.zeros(7))
     with pytest.raises(ValueError, match="model's columns are not independent in this design"):

@@ -17,7 +17,7 @@ def numbers(name, values, unit=""):
     return Factor(name, tuple(FactorLevel(f"{v:g}", {f"sequence.{name}": v}, v) for v in values), 0, "linear", unit)
 
 
-def outcome(error, seeds=(0, 1), status=lambda *_: "complete"):
+def make_result(error, seeds=(0, 1), status=lambda *_: "complete"):
     """A study over speed, turn and deskewing whose error is a function of the three and the seed."""
     factors = (
         numbers("speed", SPEEDS, "m/s"), numbers("turn", TURNS, "deg/s"),
@@ -62,7 +62,7 @@ def test_the_largest_box_starts_at_the_smallest_levels(rows, box):
 
 
 def test_the_envelope_of_a_product_is_its_hyperbola():
-    found, choice, _ = outcome(lambda v, w, on, seed: 0.001 * v * w * (0.5 if on else 4.0))
+    found, choice, _ = make_result(lambda v, w, on, seed: 0.001 * v * w * (0.5 if on else 4.0))
     off, on = compute_panels(found, choice)
     assert on.inside.all()
     assert off.inside.tolist() == [[bool(0.004 * v * w <= 0.1) for v in SPEEDS] for w in TURNS]
@@ -72,7 +72,7 @@ def test_the_envelope_of_a_product_is_its_hyperbola():
 
 
 def test_the_worst_seed_decides_and_a_cell_with_a_lost_seed_is_outside():
-    found, choice, _ = outcome(
+    found, choice, _ = make_result(
         lambda v, w, on, seed: 2.0 if (v, w, on, seed) == (1.0, 20.0, True, 1) else 0.01,
         status=lambda v, w, on, seed: "failed" if (v, w, on) == (0.5, 10.0, False) else "complete",
     )
@@ -87,7 +87,7 @@ def test_the_worst_seed_decides_and_a_cell_with_a_lost_seed_is_outside():
 
 
 def test_the_sentence_names_levels_and_number_of_drives():
-    found, choice, design = outcome(lambda v, w, on, seed: 0.001 * v * w * (0.1 if on else 4.0))
+    found, choice, design = make_result(lambda v, w, on, seed: 0.001 * v * w * (0.1 if on else 4.0))
     assert describe_panels(choice, design, compute_panels(found, choice)) == [
         "deskew off: up to 1 m/s and 20 deg/s (8 of 8 drives).",
         "deskew on: up to 2 m/s and 80 deg/s, the largest levels tested (24 of 24 drives).",
@@ -95,7 +95,7 @@ def test_the_sentence_names_levels_and_number_of_drives():
 
 
 def test_a_lost_run_has_its_bound_as_value():
-    found, _, design = outcome(lambda v, w, on, seed: 50.0 if v == 2.0 else 0.5)
+    found, _, design = make_result(lambda v, w, on, seed: 50.0 if v == 2.0 else 0.5)
     table = found.table(design, ATE)
     assert table.shape == (24, 2)
     assert sorted(set(table.ravel().tolist())) == [0.5, 1.0]

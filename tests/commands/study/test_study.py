@@ -1,4 +1,4 @@
-"""The study command: a page, the same numbers for programs, points that can be computed again, and a killed run."""
+"""The study command: its page, its JSON output, points that can be repeated, and a killed run."""
 
 import csv
 import importlib
@@ -101,7 +101,7 @@ def test_a_study_writes_page_and_numbers_and_every_point_can_be_repeated(file, t
     assert scores["map_f1"] == computed["map_f1"]
 
 
-def test_an_unknown_point_is_refused_and_the_known_ones_are_listed(file):
+def test_an_unknown_point_is_rejected_and_the_known_ones_are_listed(file):
     refused = run(file, "--point", "00000000")
     assert refused.exit_code != 0
     assert "no point named '00000000'" in str(refused.exception)
@@ -145,7 +145,7 @@ def test_a_killed_study_resumes_without_repeating_finished_points(file, tmp_path
     subprocess.run(command, check=True, capture_output=True)
     after = {path: path.stat().st_mtime_ns for path in kept.glob("*.npz")}
     assert {path: after[path] for path in before} == before
-    assert len(after) == 16  # the four points of the grid are in the array too
+    assert len(after) == 16  # the four points of the grid are also in the orthogonal array
     assert (tmp_path / "out" / "index.html").exists()
 
 

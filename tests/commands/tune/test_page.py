@@ -1,4 +1,4 @@
-"""The page of a tuning: better, level and overfitted told apart on held-out runs, and the numbers it stands on."""
+"""The page of a tuning: better, equal and overfitted results on held-out runs, and its JSON output."""
 
 import json
 import math
@@ -31,7 +31,7 @@ def plan():
 
 
 def found():
-    """Searched by a known function: less error and more time with a larger epsilon; a small one loses its runs."""
+    """Search with a known function: a larger epsilon has less error and more time; a small one loses its runs."""
 
     def computed(job):
         epsilon, seed = job.arguments["parameters"]["epsilon"], job.arguments["sequence"]["seed"]
@@ -99,7 +99,7 @@ def test_the_json_has_every_point_and_the_cost(build, record):
 def test_a_point_that_loses_runs_is_not_on_the_pareto_front():
     (one,) = found()
     on = mark_pareto_front(one.tried)
-    assert on[[not each.losses for each in one.tried]].all()  # more time, less error: nobody beats another
+    assert on[[not each.losses for each in one.tried]].all()  # more time, less error: no point dominates another
     assert not on[[bool(each.losses) for each in one.tried]].any()
     assert np.isfinite([each.error for each in one.tried]).all()
     assert math.isclose(one.default.error, 0.1 * math.sqrt(1.01))

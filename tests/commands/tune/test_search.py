@@ -1,4 +1,4 @@
-"""The search of a tuning: spaces, points, equal budgets, what counts as better, and worlds kept apart."""
+"""The search of a tuning: spaces, points, equal budgets, comparison of points, and separate worlds."""
 
 import json
 import math
@@ -62,7 +62,7 @@ def result(error, status="complete"):
 
 
 class Known:
-    """Computes jobs by a known function of parameters and seed, and counts them."""
+    """Executor that computes tasks by a known function of parameters and seed, and counts them."""
 
     def __init__(self, error):
         self.error, self.asked = error, []
@@ -73,7 +73,7 @@ class Known:
 
 
 def off(arguments):
-    """A made-up error: least at epsilon 1e-4 and at a largest distance of 0.3 m, doubled by every decade."""
+    """Return a made-up error: least at epsilon 1e-4 and at a largest distance of 0.3 m, doubled by every decade."""
     parameters = arguments["parameters"]
     decades = math.log10(parameters["epsilon"] / 1e-3), 10.0 * (parameters["max_correspondence_m"] - 0.3)
     return 0.01 * 2.0 ** (abs(decades[0]) + abs(decades[1])) * (1.0 + 0.01 * (arguments["sequence"]["seed"] % 3))
@@ -87,7 +87,7 @@ def test_the_search_finds_and_chooses_the_minimum_of_a_known_function():
     assert embedded.ratio is not None
     assert embedded.ratio.high < 0.7
     assert paper.best is paper.default
-    assert not paper.tuned  # its default is the minimum already
+    assert not paper.tuned  # the default is already the minimum
     assert paper.why == "default kept: no point was better in the search"
 
 
@@ -100,11 +100,11 @@ def test_every_back_end_gets_the_same_budget_and_the_default_first():
     runs = [job.arguments["backend"] for job in asked.asked if job.arguments["sequence"]["seed"] < 2]
     assert runs.count("embedded") == runs.count("paper") == 32
     seeds = {job.arguments["sequence"]["seed"] for job in asked.asked}
-    assert seeds == {0, 1, 2, 3, 4, 5}  # never a held-out one
+    assert seeds == {0, 1, 2, 3, 4, 5}  # never a held-out seed
     assert search_loop.count_runs(plan()) == 2 * (32 + 8)
 
 
-def test_the_same_tuning_tries_the_same_points():
+def test_the_same_tuning_evaluates_the_same_points():
     names = []
     for _ in range(2):
         asked = Known(off)
@@ -127,7 +127,7 @@ def test_a_lucky_point_does_not_survive_fresh_seeds():
 def test_a_back_end_that_always_fails_keeps_its_default_and_is_marked_as_failed():
     one = search_loop.run_search(plan(), lambda jobs: {job.name: result(None, "failed") for job in jobs})[0]
     assert one.failed
-    assert one.default.error == 1.0  # the worst that counts
+    assert one.default.error == 1.0  # the worst value that counts
     assert one.default.lost == ("failed: why", "failed: why")
     assert not one.tuned
 
@@ -142,10 +142,10 @@ def test_fewer_lost_runs_come_before_a_smaller_error():
     assert find_best_candidate([bold, sure]) is sure
     assert (
         find_best_candidate([sure, score_candidate(start, [result(0.3), result(0.3)], objective)]) is sure
-    )  # a tie goes to the first
+    )  # a tie goes to the first one
 
 
-def test_a_space_smaller_than_the_budget_is_tried_completely_and_once():
+def test_a_space_smaller_than_the_budget_is_evaluated_completely_and_once():
     backend = registry.backend("embedded")
     default = frontend.complete_parameters("embedded", backend, {})
     parameters = [p for p in backend.parameters if p.name in ("error", "one_to_one")]
@@ -239,7 +239,7 @@ def test_a_missing_tuning_file_is_an_error_with_a_remedy(tmp_path):
         load_tuning(tmp_path / "none.toml", "none", "evalkit tune none.toml")
 
 
-def test_back_ends_named_on_the_command_line_make_a_fair_tuning():
+def test_back_ends_named_on_the_command_line_get_equal_budgets():
     made = tuning_from_tables(
         make_tuning_tables(["embedded", "paper"], ["lab"], ["room"], 8, {"laps": "0.05"}), "evalkit tune", "x", "y"
     )
@@ -248,7 +248,7 @@ def test_back_ends_named_on_the_command_line_make_a_fair_tuning():
     assert [sequence.label for sequence in made.held_out] == ["room"]
 
 
-def test_the_held_out_experiment_has_default_and_tuned_methods_and_reads_back():
+def test_the_held_out_experiment_contains_default_and_tuned_methods_and_is_read_back():
     made = plan()
     found = search_loop.run_search(made, Known(off))
     text = format_experiment(search_loop.make_held_out_experiment(made, found, "tuned.toml"))
@@ -273,7 +273,7 @@ def test_a_run_beyond_its_cpu_time_has_failed_with_its_reason(strangers, monkeyp
     told = trial.run_trial(0.2, "faulty", parameters, "straight", sequence, "log-odds", ["ate_rmse_m"], "")
     assert told["status"] == "failed"
     assert "more than 0.2 s of CPU time" in told["reason"]
-    assert time.monotonic() - begun < 60.0  # it would have spun for ever
+    assert time.monotonic() - begun < 60.0  # without a limit it would not end
 
 
 def test_the_first_run_on_a_sequence_is_not_charged_with_its_simulation(strangers, monkeypatch):

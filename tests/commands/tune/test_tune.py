@@ -1,4 +1,4 @@
-"""The tune command: a page, its numbers, an experiment with default and tuned rows, a killed search that goes on."""
+"""The tune command: its page, its numbers, an experiment with default and tuned rows, and a resumed search."""
 
 import json
 import tomllib
@@ -78,11 +78,11 @@ def test_a_bad_default_is_tuned_a_perfect_one_is_kept_and_a_failing_back_end_giv
     assert "failed: no run of any point was completed" in page
     assert "RuntimeError: hopeless" in page
     again = CliRunner().invoke(app, ["compare", str(out / "tuned.toml"), "--collect", "--out", str(out / "report")])
-    assert "3 runs complete, 1 failed" in again.output  # the held-out runs are the report's own
+    assert "3 runs complete, 1 failed" in again.output  # the held-out runs are those of the report
 
 
 @pytest.mark.slow
-def test_a_killed_search_resumes_and_computes_nothing_twice(file, tmp_path):
+def test_a_killed_search_resumes_without_repeating_points(file, tmp_path):
     made = []
     tuning = replace(load_tuning(file, "own", "evalkit tune own.toml"), points=2)
 

@@ -44,7 +44,7 @@ def test_the_first_check_that_refutes_the_claim_is_the_verdict():
     assert found.verdict == "mine first differs from paper at level 1 (registrations, room): pair 3: units"
 
 
-def test_broken_rules_do_not_hide_where_the_answers_first_differ():
+def test_broken_rules_do_not_hide_the_first_difference_of_results():
     broken = level(0, "rules", Check("all rules", "", "failed", "always", "2 of 22 rules broken"))
     wrong = replace(SAME, outcome="failed", observed="pair 1: transposed")
     verdict = report(broken, level(1, "registrations", wrong)).verdict

@@ -1,4 +1,4 @@
-"""``evalkit validate``: injected faults fail at the right level, the compiled core and an example library pass."""
+"""``evalkit validate``: injected faults fail at the expected level; the compiled core and an example library pass."""
 
 import json
 import shutil
@@ -29,7 +29,7 @@ TINY = plan.Effort(pairs=4, scans=6, mapper_scans=3, timed=8, limit_s=60.0, map_
 
 @pytest.fixture
 def misfits(monkeypatch):
-    """Faulty back ends can be imported, here and in other processes."""
+    """Make the faulty back ends importable, in this process and in others."""
     monkeypatch.syspath_prepend(str(HERE / "misfits"))
     monkeypatch.setenv("PYTHONPATH", str(HERE / "misfits"))
 
@@ -66,7 +66,7 @@ def present(name):
 
 
 def registrations(backend, reference="paper", given=None):
-    """AcceptanceLevel 1 over a few pairs, in this process."""
+    """Run AcceptanceLevel 1 over a few pairs, in this process."""
     a, b = ({"name": name, "given": given or {}} for name in (reference, backend))
     found = {"room, seed 0": probes.compare_pairs(a, b, ROOM, 6, True, MARGINS)}
     margin = level_answers.choose_margin(found, MARGINS)
@@ -95,14 +95,14 @@ def test_the_compiled_core_equals_the_reference_within_the_margin_of_its_precisi
     assert (level.outcome("equal"), found) == ("passed", margin), level.checks
 
 
-def test_another_stop_rule_is_not_equal_but_as_good():
+def test_another_stop_rule_is_not_equal_but_not_worse():
     level, _ = registrations("paper-tight")
     assert level.outcome("equal") == "failed"
     assert "stop rule" in level.failed("equal")[0].observed
     assert level.outcome("as-good") == "passed"
 
 
-def test_single_precision_is_no_excuse_for_a_mistake(misfits):
+def test_single_precision_does_not_excuse_a_fault(misfits):
     level, margin = registrations("injected_faults:ROUNDED_AND_FEWER")
     assert margin == FLOAT32
     assert "iteration cap" in level.failed("equal")[0].observed
@@ -172,12 +172,12 @@ def test_the_reference_is_the_first_back_end_with_that_role_and_gets_the_same_se
     assert validation.why_reference == 'the first back end by name with the role "reference"'
 
 
-def test_the_mapper_of_a_back_end_is_that_of_its_module():
+def test_the_mapper_of_a_back_end_comes_from_its_module():
     assert (defaults.mapper_of("embedded"), defaults.mapper_of("paper-tight")) == ("embedded-log-odds", "log-odds")
     assert defaults.mapper_of("kiss-icp") == ""
 
 
-def test_wrong_requests_are_refused_before_anything_is_computed():
+def test_invalid_requests_are_rejected_before_anything_is_computed():
     with pytest.raises(UnknownName, match="papre"):
         planned("papre")
     with pytest.raises(NotInstalled, match="no such file"):

@@ -25,14 +25,14 @@ SAME, OTHER = run(0.0, 1.0), run(0.0, 1.0 + 2**-40)
         ({1: [SAME, OTHER], 2: [SAME, SAME]}, "not deterministic"),
     ],
 )
-def test_a_difference_of_one_bit_is_found_and_classified_by_threads(runs, verdict):
+def test_a_difference_of_one_bit_is_detected_and_classified_by_threads(runs, verdict):
     found = compare_runs("b", runs)
     assert found.verdict == verdict
     assert found.apart_m == (0.0 if verdict == "bit-equal" else 2**-40)
     assert found.scans == 2
 
 
-def test_a_random_back_end_is_not_deterministic_and_a_sound_one_is(strangers):
+def test_a_random_back_end_is_not_deterministic_and_a_correct_one_is(strangers):
     sound = measure_determinism("faulty", {}, "straight", {}, threads=(1,))
     assert (sound.verdict, sound.apart_m, sound.scans) == ("bit-equal", 0.0, 12)
     lots = measure_determinism("lots", {}, "straight", {}, threads=(1,))

@@ -1,4 +1,4 @@
-"""Injected faults of registrations and odometries are found and named; equal implementations are equivalent."""
+"""Injected faults of registrations and odometries are detected and named; equal implementations are equivalent."""
 
 import json
 import math
@@ -151,7 +151,7 @@ class Fixed:
 
 
 class Alternating:
-    """A millimetre to either side in turn."""
+    """A registration that is off by one millimetre, alternately in both directions."""
 
     def __init__(self, made: Iterator[int]) -> None:
         self._made, self._icp = made, Icp()
@@ -216,7 +216,7 @@ FAULTS = {
 
 
 @pytest.mark.parametrize("name", FAULTS)
-def test_an_injected_fault_is_found_and_named(name):
+def test_an_injected_fault_is_detected_and_named(name):
     make, parameters, found_as, words = FAULTS[name]
     found = equivalence("paper", with_fault(make), ROOM, set_a=parameters, set_b=parameters, scans=4)
     assert found.first is not None
@@ -284,7 +284,7 @@ def test_rounding_to_float32_is_equivalent_within_its_budget_and_not_below():
     assert not equivalence("paper", with_fault(OneFewer), ROOM, scans=FEW, margin="float32").equivalent
 
 
-def test_disturbed_questions_find_a_larger_correspondence_limit():
+def test_perturbed_inputs_reveal_a_larger_correspondence_limit():
     options = {"set_a": {"max_correspondence_m": 0.5}, "set_b": {"max_correspondence_m": 1.0}, "scans": FEW}
     calm = equivalence("paper", "paper", ROOM, **options, disturbed=False)
     assert calm.equivalent
@@ -391,7 +391,7 @@ def test_a_scan_that_only_one_odometry_answers_is_unanswered():
     assert str(found.first) == "scan 3, trajectory, pose: different: B no answer: too dark"
 
 
-def test_unknown_names_and_parameters_are_refused():
+def test_unknown_names_and_parameters_are_rejected():
     with pytest.raises(UnknownName, match="no backend named 'papper'"):
         equivalence("papper", "paper", ROOM)
     with pytest.raises(UnknownName, match="no parameter named 'epsilom'"):
@@ -400,7 +400,7 @@ def test_unknown_names_and_parameters_are_refused():
         Margin(metres=0.0)
 
 
-def test_everything_found_can_be_written_as_json():
+def test_every_result_can_be_written_as_json():
     found = equivalence("paper", with_fault(Raises), ROOM, scans=4)
     told = json.loads(json.dumps(found.as_json(), allow_nan=False))
     assert told["equivalent"] is False
@@ -409,7 +409,7 @@ def test_everything_found_can_be_written_as_json():
     assert found.unanswered == 9
 
 
-def test_the_command_ends_with_0_for_equivalent_1_for_different_and_2_for_usage(capsys, tmp_path):
+def test_the_command_exits_with_0_for_equivalent_1_for_different_and_2_for_usage(capsys, tmp_path):
     short = ("--on", "room laps=0.04", "--seeds", "1", "--scans", "4")
     assert validate_lockstep(tmp_path, "paper", *short, "--reference", "paper") == 0
     assert "paper is equivalent to paper (reference) within 1e-09 m" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""Injected faults of mappers are found and named."""
+"""Injected faults of mappers are detected and named."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -74,7 +74,7 @@ MAPPERS = {
 
 
 @pytest.mark.parametrize("name", MAPPERS)
-def test_an_injected_fault_of_a_mapper_is_found_and_named(name):
+def test_an_injected_fault_of_a_mapper_is_detected_and_named(name):
     make, kind, scan, words = MAPPERS[name]
     found = mapper_equivalence("log-odds", replace(paper.MAPPER, make=make), ROOM, scans=5)
     assert found.first is not None

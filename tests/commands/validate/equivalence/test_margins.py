@@ -1,4 +1,4 @@
-"""Intervals and the float32 margin against calculations by hand."""
+"""Intervals and the float32 margin, compared with hand calculations."""
 
 import math
 
@@ -15,7 +15,7 @@ def test_the_float32_margin_matches_its_derivation():
     assert margin.radians == pytest.approx(3.0 * step / 5.0)
 
 
-def test_small_samples_are_judged_by_students_t():
+def test_small_samples_use_students_t():
     one = interval("x", "m", [1.0, 2.0, 3.0, 4.0], [1, 2, 3, 4], margin=5.0)
     half = 2.353363 * math.sqrt(5.0 / 3.0) / 2.0  # t of 95 % with 3 degrees of freedom, from a table
     assert (one.low, one.high) == pytest.approx((2.5 - half, 2.5 + half), abs=1e-5)

@@ -1,4 +1,4 @@
-"""The rules of back ends: shipped ones follow them, and each faulty one breaks the rule named for its fault."""
+"""The rules of back ends: shipped back ends pass, and each faulty one breaks the rule named for its fault."""
 
 import importlib
 import importlib.util
@@ -21,7 +21,7 @@ faulty = importlib.import_module("faulty_backends")
 
 
 def result_of(make, rule, **options):
-    """The result of one rule, in this process."""
+    """Return the result of one rule, checked in this process."""
     if hasattr(make, "register"):
         return check_rule(registration_rules.RULES[rule], registration_rules.RegistrationFixture(make))
     return check_rule(odometry_rules.RULES[rule], odometry_rules.OdometryFixture(make, **options))
@@ -108,7 +108,7 @@ def test_point_to_plane_with_vertical_normals_breaks_the_rule_moves(make, librar
     assert result_of(make, "identity").outcome == "passed"
 
 
-def test_a_sound_back_end_breaks_nothing():
+def test_a_correct_back_end_breaks_no_rule():
     broken = [rule for rule in registration_rules.RULES if result_of(faulty.Sound, rule).outcome != "passed"]
     assert broken == []
 
@@ -147,18 +147,18 @@ def test_a_back_end_that_ends_the_process_is_caught():
     assert checked.broken[0].observed == "the process exited with code 3"
 
 
-def test_a_hang_is_ended_and_breaks_the_rule_in_time():
+def test_a_hang_is_terminated_and_breaks_the_rule_in_time():
     checked = runner.check("faulty_backends:HANGS", only=("wall", "inliers"), limit_s=3.0)
     assert outcomes(checked) == {"wall": "failed", "inliers": "passed", "alive": "passed", "in-time": "failed"}
     assert checked.broken[1].observed == "wall: no answer for 3 s"
 
 
-def test_a_back_end_that_takes_all_memory_is_ended():
+def test_a_back_end_that_exhausts_the_memory_is_terminated():
     checked = runner.check("faulty_backends:HOGS", only=("empty",), memory_mib=300)
     assert checked.broken[0].observed == "used more than 300 MiB"
 
 
-def test_a_leak_is_seen_from_a_process_of_its_own():
+def test_a_leak_is_detected_in_a_separate_process():
     checked = runner.check("faulty_backends:LEAKS", only=("memory",))
     assert outcomes(checked)["memory"] == "failed"
 
@@ -170,7 +170,7 @@ def test_a_back_end_that_does_not_start_is_not_checked_further():
         assert [one.observed for one in checked.results[1:3]] == ["it does not start"] * 2
 
 
-def test_after_three_ends_the_other_rules_are_skipped():
+def test_after_three_ended_processes_the_other_rules_are_skipped():
     checked = runner.check("faulty_backends:ALWAYS_SEGFAULT", only=("identity", "recovers", "metres", "wall"))
     assert outcomes(checked) | {"alive": "", "in-time": ""} == {
         "identity": "failed", "recovers": "failed", "metres": "failed", "wall": "not applicable", "alive": "",
@@ -187,7 +187,7 @@ def test_a_missing_back_end_raises_not_installed():
         runner.check("faulty_backends:ABSENT", only=("starts",))
 
 
-def test_wrong_names_and_values_are_refused_before_anything_runs():
+def test_wrong_names_and_values_are_rejected_before_anything_runs():
     with pytest.raises(UnknownName, match="wheel-odometry"):
         runner.check("wheel-odometri")
     with pytest.raises(UnknownName, match=r"no rule named 'wal' \(did you mean 'wall'"):
@@ -200,7 +200,7 @@ def test_wrong_names_and_values_are_refused_before_anything_runs():
         runner.check("faulty_backends:NO_SPEC")
 
 
-def test_parameters_reach_the_back_end():
+def test_parameters_are_passed_to_the_back_end():
     for stop, outcome in ((1, "passed"), (13, "failed")):
         checked = runner.check("faulty_backends:PARAMETERISED", {"stop": stop}, only=("starts",))
         assert outcomes(checked)["starts"] == outcome
@@ -250,7 +250,7 @@ def test_the_rules_of_a_data_set_are_checked_by_name_and_as_a_module(evalkit):
 
 @pytest.fixture
 def evalkit(monkeypatch, capsys, tmp_path):
-    """``evalkit(*words)``: exit code, and what is printed."""
+    """Return ``evalkit(*words)``, which runs a command and returns its exit code and output."""
     monkeypatch.setattr(signal, "signal", lambda *_handler: None)
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.chdir(tmp_path)
@@ -267,7 +267,7 @@ def evalkit(monkeypatch, capsys, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["poses.tum", "map.yaml"])
-def test_a_file_of_results_has_no_behaviour_to_check(name, tmp_path):
+def test_a_trajectory_file_has_no_behaviour_to_check(name, tmp_path):
     (tmp_path / name).write_text("")
     with pytest.raises(BackendFailed, match=r"no behaviour to check; compare it with the truth .*evalkit compare"):
         runner.check(f"file:{tmp_path / name}")
