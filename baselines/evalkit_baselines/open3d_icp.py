@@ -138,16 +138,16 @@ class Open3DRegistration:
 
 
 def point_to_point(**parameters: Any) -> Open3DRegistration:
-    """Open3D's point-to-point ICP with the parameters of ``PointSettings``."""
+    """Make Open3D's point-to-point ICP with the parameters of ``PointSettings``."""
     settings = PointSettings(**parameters)
     open3d = _import_open3d()
     methods = open3d.pipelines.registration
     estimation = methods.TransformationEstimationPointToPoint()
-    return Open3DRegistration(open3d, methods.registration_icp, estimation, _bare, _bare, settings)
+    return Open3DRegistration(open3d, methods.registration_icp, estimation, _add_nothing, _add_nothing, settings)
 
 
 def point_to_plane(**parameters: Any) -> Open3DRegistration:
-    """Open3D's point-to-plane ICP on normals computed in the plane, with the parameters of ``PlaneSettings``."""
+    """Make Open3D's point-to-plane ICP on normals computed in the plane, with the parameters of ``PlaneSettings``."""
     settings = PlaneSettings(**parameters)
     open3d = _import_open3d()
     methods = open3d.pipelines.registration
@@ -157,12 +157,12 @@ def point_to_plane(**parameters: Any) -> Open3DRegistration:
         with conversion:
             space.normals = library.utility.Vector3dVector(planar3d.points_3d(normals))
 
-    estimation = methods.TransformationEstimationPointToPlane(_loss(methods, settings))
-    return Open3DRegistration(open3d, methods.registration_icp, estimation, with_normals, _bare, settings)
+    estimation = methods.TransformationEstimationPointToPlane(_make_loss(methods, settings))
+    return Open3DRegistration(open3d, methods.registration_icp, estimation, with_normals, _add_nothing, settings)
 
 
 def generalized(**parameters: Any) -> Open3DRegistration:
-    """Open3D's generalised ICP on covariances computed in the plane, with the parameters of ``GeneralizedSettings``."""
+    """Make Open3D's generalised ICP on covariances computed in the plane; parameters as in ``GeneralizedSettings``."""
     settings = GeneralizedSettings(**parameters)
     open3d = _import_open3d()
     methods = open3d.pipelines.registration
@@ -173,7 +173,7 @@ def generalized(**parameters: Any) -> Open3DRegistration:
         with conversion:
             space.covariances = library.utility.Matrix3dVector(covariances)
 
-    estimation = methods.TransformationEstimationForGeneralizedICP(settings.epsilon, _loss(methods, settings))
+    estimation = methods.TransformationEstimationForGeneralizedICP(settings.epsilon, _make_loss(methods, settings))
     return Open3DRegistration(
         open3d, methods.registration_generalized_icp, estimation, with_covariances, with_covariances, settings
     )
@@ -183,19 +183,19 @@ def open3d_missing() -> str:
     """Return why Open3D cannot be imported and how to install it, or ""; does not import it (1.3 s)."""
     if importlib.util.find_spec("open3d") is None:
         return f"not installed: {INSTALL}"
-    if (found := _version()) and found < OLDEST:
+    if (found := _read_version()) and found < OLDEST:
         return f"open3d {found[0]}.{found[1]} cannot be limited to one thread, 0.20 can: {INSTALL} --upgrade"
     if sys.platform != "linux":
         return ""
-    absent = [name for name in SYSTEM_LIBRARIES if not _loads(name)]
+    absent = [name for name in SYSTEM_LIBRARIES if not _can_load(name)]
     return f"open3d needs system libraries that are not here ({', '.join(absent)}): {INSTALL_SYSTEM}" if absent else ""
 
 
-def _bare(_library: Any, _space: Any, _cloud: Cloud, _conversion: Stopwatch) -> None:
+def _add_nothing(_library: Any, _space: Any, _cloud: Cloud, _conversion: Stopwatch) -> None:
     """Point-to-point needs only points."""
 
 
-def _loss(methods: Any, settings: PlaneSettings) -> Any:
+def _make_loss(methods: Any, settings: PlaneSettings) -> Any:
     losses = {
         "none": methods.L2Loss,
         "tukey": lambda: methods.TukeyLoss(settings.kernel_width_m),
@@ -215,7 +215,7 @@ def _import_open3d() -> Any:
     return open3d
 
 
-def _version() -> tuple[int, ...]:
+def _read_version() -> tuple[int, ...]:
     """Return the major and minor version, () without package metadata (a custom build)."""
     for package in ("open3d-cpu", "open3d"):
         with contextlib.suppress(importlib.metadata.PackageNotFoundError):
@@ -223,7 +223,7 @@ def _version() -> tuple[int, ...]:
     return ()
 
 
-def _loads(library: str) -> bool:
+def _can_load(library: str) -> bool:
     try:
         ctypes.CDLL(library)
     except OSError:

@@ -108,17 +108,17 @@ class SmallGicpRegistration:
 
 
 def point_to_point(**parameters: Any) -> SmallGicpRegistration:
-    """small_gicp's point-to-point ICP with the parameters of ``PointSettings``."""
-    return SmallGicpRegistration("ICP", _flat, PointSettings(**parameters))
+    """Make small_gicp's point-to-point ICP with the parameters of ``PointSettings``."""
+    return SmallGicpRegistration("ICP", _prepare_flat, PointSettings(**parameters))
 
 
 def point_to_plane(**parameters: Any) -> SmallGicpRegistration:
-    """small_gicp's point-to-plane ICP on a target extruded to three layers (``PlaneSettings``)."""
+    """Make small_gicp's point-to-plane ICP on a target extruded to three layers (``PlaneSettings``)."""
     settings = PlaneSettings(**parameters)
 
     def extruded(library: Any, target: Cloud, conversion: Stopwatch) -> tuple[Any, Any]:
         with conversion:
-            cloud = library.PointCloud(layers(target.points, settings.layer_m))
+            cloud = library.PointCloud(extrude_layers(target.points, settings.layer_m))
         tree = library.KdTree(cloud, num_threads=1)
         library.estimate_normals_covariances(cloud, tree, num_neighbors=settings.normal_neighbours, num_threads=1)
         return cloud, tree
@@ -126,7 +126,7 @@ def point_to_plane(**parameters: Any) -> SmallGicpRegistration:
     return SmallGicpRegistration("PLANE_ICP", extruded, settings)
 
 
-def layers(points: Floats, height_m: float) -> Floats:
+def extrude_layers(points: Floats, height_m: float) -> Floats:
     """Return the points (3 N, 3) of a planar cloud (N, 2), ``height_m`` below, at and above z = 0."""
     space = np.tile(planar3d.points_3d(points), (3, 1))
     space[:, 2] = np.repeat([-height_m, 0.0, height_m], len(points))
@@ -138,7 +138,7 @@ def small_gicp_missing() -> str:
     return "" if importlib.util.find_spec("small_gicp") else f"not installed: {INSTALL}"
 
 
-def _flat(library: Any, target: Cloud, conversion: Stopwatch) -> tuple[Any, Any]:
+def _prepare_flat(library: Any, target: Cloud, conversion: Stopwatch) -> tuple[Any, Any]:
     with conversion:
         cloud = library.PointCloud(planar3d.points_3d(target.points))
     return cloud, library.KdTree(cloud, num_threads=1)

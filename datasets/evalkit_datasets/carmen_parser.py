@@ -154,7 +154,7 @@ def _parse_laser_reading(layout: Layout, words: list[bytes]) -> Reading:
     return Reading(_parse_stamp(words[-1]), _parse_floats(words[2 : 2 + beams]), angles, pose, pose)
 
 
-def _take_odom(log: Log, words: list[bytes]) -> None:
+def _add_odom(log: Log, words: list[bytes]) -> None:
     """``ODOM x y theta tv rv accel ipc_t host logger_t``.
 
     The five-word ODOM line of a .gfs file is ignored: it contains the pose of the previous reading.
@@ -166,7 +166,7 @@ def _take_odom(log: Log, words: list[bytes]) -> None:
     log.odometry.append(_parse_stamp(words[7]), _parse_row(words[1:4]))
 
 
-def _take_param(log: Log, words: list[bytes]) -> None:
+def _add_param(log: Log, words: list[bytes]) -> None:
     if len(words) >= 3:
         log.parameters[words[1].decode("latin-1")] = words[2].decode("latin-1")
 
@@ -185,8 +185,8 @@ _LASERS: dict[bytes, Callable[[Layout, list[bytes]], Reading]] = {
 }
 
 _LINES: dict[bytes, Callable[[Log, list[bytes]], None]] = {
-    b"ODOM": _take_odom,
-    b"PARAM": _take_param,
+    b"ODOM": _add_odom,
+    b"PARAM": _add_param,
     b"RLASER": _count_rear,
 }
 

@@ -127,12 +127,12 @@ def read_bag(path: Path, topic: str, which: slice) -> tuple[Scans, Contents]:
         contents = Contents()
         scans = _read_scans(reader, _select_laser_topic(path, topics, topic), contents)
         for connection, message, _ in _iter_messages(reader, (ODOMETRY,)):
-            take_odometry(contents, connection.topic, message)
+            add_odometry(contents, connection.topic, message)
         taken = scans.stamps_ns[which]
         contents.tree.near_ns = int(taken[0]) if len(taken) else 0
         contents.tree.odometry_parents = frozenset({ODOMETRY_FRAME, *(parent for _, parent, _ in contents.odometry)})
         for connection, message, _ in _iter_messages(reader, TRANSFORMS):
-            take_transforms(contents, message, connection.topic.endswith("tf_static"))
+            add_transforms(contents, message, connection.topic.endswith("tf_static"))
     return scans, contents
 
 
@@ -168,7 +168,7 @@ def _read_scans(reader: Any, topic: str, contents: Contents) -> Scans:
     names: dict[str, int] = {}
     for number, (connection, recorded_ns, raw) in enumerate(_iter_laser_messages(reader, topic)):
         message = reader.deserialize(raw, connection.msgtype)
-        sweep = take_sweep(contents, message, connection.msgtype == LASER[1], int(recorded_ns))
+        sweep = read_sweep(contents, message, connection.msgtype == LASER[1], int(recorded_ns))
         if sweep is not None:
             frame = names.setdefault(sweep.frame, len(names))
             row = sweep.stamp_ns, sweep.duration_ns, number, int(sweep.is_invalid.sum()), frame
@@ -251,7 +251,7 @@ def _select_laser_topic(path: Path, topics: dict[str, tuple[str, int]], wanted: 
     raise BadData(str(path), "", f"{problem}; topics: {known or 'none'}", remedy)
 
 
-def take_sweep(contents: Contents, message: Any, echoes: bool, recorded_ns: int) -> Sweep | None:
+def read_sweep(contents: Contents, message: Any, echoes: bool, recorded_ns: int) -> Sweep | None:
     """Return a laser message as a sweep, or None if it is damaged, which is counted in ``contents``."""
     contents.unstamped += _parse_stamp_ns(message.header) == 0
     sweep = _parse_sweep(message, echoes, recorded_ns)
@@ -284,7 +284,7 @@ def _select_first_echoes(beams: Any) -> Floats:
     return np.array([beam.echoes[0] if len(beam.echoes) else np.inf for beam in beams], dtype=np.float64)
 
 
-def take_odometry(contents: Contents, topic: str, message: Any) -> None:
+def add_odometry(contents: Contents, topic: str, message: Any) -> None:
     """Add the pose of an odometry message to ``contents``, or count it as damaged."""
     matrix = _parse_matrix(contents, message.pose.pose.position, message.pose.pose.orientation)
     if matrix is not None:
@@ -294,7 +294,7 @@ def take_odometry(contents: Contents, topic: str, message: Any) -> None:
         )
 
 
-def take_transforms(contents: Contents, message: Any, static: bool) -> None:
+def add_transforms(contents: Contents, message: Any, static: bool) -> None:
     """Add the transforms of a message to the tree; invalid ones are counted as damaged."""
     for stamped in message.transforms:
         matrix = _parse_matrix(contents, stamped.transform.translation, stamped.transform.rotation)

@@ -65,7 +65,10 @@ def _back_end(name: str, spec: BackendSpec) -> str:
         ("Licence", text(spec.licence)),
         ("Needs", text(", ".join(spec.requires))),
         ("Front end", ", ".join(code(f"{key} = {_value(value)}") for key, value in other.items())),
-        ("First stage", ", ".join(code(f"{key} = {_value(value)}") for key, value in first_stage.items())),
+        (
+            "First stage",
+            ", ".join(code(f"{key} = {_value(value)}") for key, value in first_stage.items()),
+        ),
     ]
     return page(heading(2, name, name), facts(rows), render_parameters(spec.parameters)).rstrip()
 

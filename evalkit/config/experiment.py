@@ -119,8 +119,8 @@ class Experiment:
 
     @cached_property
     def _runs(self) -> tuple[RunSpec, ...]:
-        code = cache(registry.run_fingerprint)  # both read files, and an experiment may have thousands of runs
-        files = cache(code_hash.file_state)
+        code = cache(registry.hash_run_code)  # both read files, and an experiment may have thousands of runs
+        files = cache(code_hash.read_file_state)
         repetitions = [(sequence, seed) for sequence in self.sequences for seed in sequence.seeds]
         return tuple(
             RunSpec(_compute_key(method, sequence, seed, code, files), method, sequence, seed)
@@ -216,7 +216,7 @@ def _read_sequence(table: TomlTable) -> SequenceSpec:
 
 
 def _read_mapper(table: TomlTable) -> MapperChoice:
-    name = table.text("use") if "use" in table.content else defaults.default_mapper()
+    name = table.text("use") if "use" in table.content else defaults.find_default_mapper()
     scans = table.whole_number("scans", MapperChoice.scans, low=2)
     given = {key: value for key, value in table.content.items() if key not in ("use", "scans")}
     with table.errors():

@@ -35,7 +35,7 @@ def brief(value: object) -> str:
 
 
 class EvalkitError(Exception):
-    """Base of all errors that a user can fix; the command line prints one line and exits with code 2."""
+    """Base of all errors that a user can fix; the command line prints their message and exits with code 2."""
 
 
 class UnknownName(EvalkitError):

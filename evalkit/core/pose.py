@@ -26,7 +26,7 @@ class Pose:
 
     @classmethod
     def of(cls, row: ArrayLike) -> Pose:
-        """The pose of a row (3,) of x, y, theta."""
+        """Return the pose of a row (3,) of x, y, theta."""
         x, y, theta = np.asarray(row, dtype=np.float64)
         return cls(float(x), float(y), float(theta))
 
@@ -36,13 +36,13 @@ class Pose:
         return np.array([self.x, self.y, self.theta])
 
     def __matmul__(self, other: Pose) -> Pose:
-        """``a_from_c`` for ``a_from_b @ b_from_c``."""
+        """Return ``a_from_c`` for ``a_from_b @ b_from_c``."""
         return Pose.of(se2.compose(self.row, other.row))
 
     def inverse(self) -> Pose:
-        """``b_from_a``."""
+        """Return ``b_from_a``."""
         return Pose.of(se2.inverse(self.row))
 
     def transform(self, points: ArrayLike) -> Floats:
-        """Points (N, 2) of frame b in frame a."""
+        """Return points (N, 2) of frame b in frame a."""
         return se2.transform(self.row, points)

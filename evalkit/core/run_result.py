@@ -159,7 +159,7 @@ class RunResult:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """The value of one metric and its support. Where ``value`` is None, ``reason`` says why it is not meaningful."""
+    """The value of one metric and its support. Where ``value`` is None, ``reason`` is the cause."""
 
     value: float | None
     support: int = 0
@@ -169,7 +169,7 @@ class Score:
         if self.value is None and not self.reason:
             raise ValueError("reason: a score without a value needs one")
         if self.value is not None and not np.isfinite(self.value):
-            raise ValueError(f"value: not finite: {self.value}; say None and why")
+            raise ValueError(f"value: not finite: {self.value}; use None with a reason")
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,7 +18,7 @@ Clock = Literal["wall", "cpu"]
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """What a back end reports about the cost of one answer.
+    """Cost of one answer, as reported by the back end.
 
     ``conversion_ns``: CPU time spent on converting evalkit's values to a library's types and back (see ``Stopwatch``).
     ``program_cpu_ns``: CPU time of another process of this machine. ``device_ns``: time that the implementation itself
@@ -55,7 +55,7 @@ class CallTiming:
     device_ns: int = 0
 
     def including(self, cost: Cost) -> CallTiming:
-        """This timing together with the cost that the back end reports."""
+        """Return this timing with the cost that the back end reports."""
         return CallTiming(
             0 if "wall" in cost.withheld else self.wall_ns,
             0 if "cpu" in cost.withheld else self.cpu_ns + cost.program_cpu_ns,

@@ -115,7 +115,7 @@ class DaskExecutor:
         """See Executor."""
         folder = uuid.uuid5(uuid.NAMESPACE_URL, store.folder.absolute().as_uri()).hex
         specs = {run.spec.key: run.spec for run in pending}
-        run_code = cache(registry.run_fingerprint)  # it reads files, and an experiment may have thousands of runs
+        run_code = cache(registry.hash_run_code)  # it reads files, and an experiment may have thousands of runs
 
         def calls() -> Iterator[Call]:
             for run in pending:
@@ -185,8 +185,8 @@ class _Cancelled(threading.Event):
 
 def _require_same_code(spec: RunSpec, settings: RunSettings, code: str) -> None:
     """Raises StoreError if the code of the run or of the scoring is not the same on this worker."""
-    own = registry.run_fingerprint(spec.method.backend, spec.sequence.dataset)
-    if own != code or not settings.scoring_code.startswith(registry.score_fingerprint(settings.mapper.name)):
+    own = registry.hash_run_code(spec.method.backend, spec.sequence.dataset)
+    if own != code or not settings.scoring_code.startswith(registry.hash_scoring_code(settings.mapper.name)):
         what = f"the code of '{spec.method.backend}', '{spec.sequence.dataset}' or evalkit is another one here"
         host = environment.machine()["host"]
         raise StoreError(host, what, "install the same versions on every worker, and restart them")

@@ -54,7 +54,7 @@ class RunSettings:
     def from_experiment(cls, experiment: Experiment, description: Mapping[str, str]) -> RunSettings:
         """The settings of an experiment on a machine with this description."""
         mapper = experiment.mapper
-        scoring_code = f"{registry.score_fingerprint(mapper.name)} {mapper}"
+        scoring_code = f"{registry.hash_scoring_code(mapper.name)} {mapper}"
         return cls(experiment.limits, mapper, scoring_code, experiment.timed, description)
 
 

@@ -13,7 +13,7 @@ from functools import cache
 from inspect import signature
 from typing import Any, Generic, ParamSpec, TypeVar
 
-from evalkit.plugins.code_hash import fingerprint
+from evalkit.plugins.code_hash import hash_code
 
 Result = Mapping[str, Any]
 """What every task returns: JSON values, and NumPy arrays at the top level. Narrower types are ``TypedDict`` classes."""
@@ -104,4 +104,4 @@ def _argument_as_json(value: object) -> object:
 
 @cache  # hundreds of tasks depend on the same sources
 def _hash_code(modules: tuple[str, ...]) -> str:
-    return fingerprint(modules, ("numpy", "scipy"))
+    return hash_code(modules, ("numpy", "scipy"))

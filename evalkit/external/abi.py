@@ -80,20 +80,20 @@ def load(name: str, file: Path) -> ctypes.CDLL:
         library = ctypes.CDLL(str(file))
     except OSError as error:
         raise BackendFailed(name, f"does not load ({error})", "build it for this machine, with all it needs") from None
-    _need(name, library, "evalkit_abi", c_int32, [])
+    _declare(name, library, "evalkit_abi", c_int32, [])
     if (found := library.evalkit_abi()) != VERSION:
         remedy = "compile it with the evalkit_backend.h of this evalkit"
         raise BackendFailed(name, f"has version {found} of the interface, expected {VERSION}", remedy)
-    _need(name, library, "evalkit_kind", c_int32, [])
+    _declare(name, library, "evalkit_kind", c_int32, [])
     if (kind := library.evalkit_kind()) not in KINDS:
         raise BackendFailed(name, f"evalkit_kind returned {kind}", "expected 1 (registration) or 2 (odometry)")
     for function, (result, arguments) in _COMMON.items():
-        _need(name, library, function, result, arguments)
+        _declare(name, library, function, result, arguments)
     call, arguments = _CALLS[KINDS[kind]]
-    _need(name, library, call, c_int32, arguments)
+    _declare(name, library, call, c_int32, arguments)
     for function, (result, arguments) in _OPTIONAL.items():
         if hasattr(library, function):
-            _need(name, library, function, result, arguments)
+            _declare(name, library, function, result, arguments)
     return library
 
 
@@ -104,8 +104,8 @@ def main() -> int:
         library = load(name, Path(file))
         description: dict[str, object] = {
             "kind": KINDS[library.evalkit_kind()],
-            "summary": _text_of(library, "evalkit_summary"),
-            "parameters": _text_of(library, "evalkit_parameters"),
+            "summary": _call_for_text(library, "evalkit_summary"),
+            "parameters": _call_for_text(library, "evalkit_parameters"),
         }
     except BackendFailed as error:
         description = {"failed": error.args[1:]}
@@ -113,13 +113,14 @@ def main() -> int:
     return 0
 
 
-def _text_of(library: ctypes.CDLL, function: str) -> str:
+def _call_for_text(library: ctypes.CDLL, function: str) -> str:
     found = getattr(library, function, None)
     returned = found() if found is not None else None
     return returned.decode(errors="replace") if returned else ""
 
 
-def _need(name: str, library: ctypes.CDLL, function: str, result: object, arguments: list[object]) -> None:
+def _declare(name: str, library: ctypes.CDLL, function: str, result: object, arguments: list[object]) -> None:
+    """Set the types of a function; raises BackendFailed if the library lacks it."""
     try:
         found = getattr(library, function)
     except AttributeError:

@@ -48,20 +48,20 @@ def read_declaration(name: str, content: Mapping[str, Any]) -> Declaration:
         raise BackendFailed(name, *content["failed"])
     kind = content.get("kind")
     if kind not in SPEC_TYPES:
-        raise _malformed(name, "kind", kind, "'registration' or 'odometry'")
+        raise _make_error(name, "kind", kind, "'registration' or 'odometry'")
     listed = content.get("parameters", [])
     if not isinstance(listed, list):
-        raise _malformed(name, "parameters", listed, "a list")
-    parameters = tuple(_parameter(name, entry) for entry in listed)
+        raise _make_error(name, "parameters", listed, "a list")
+    parameters = tuple(_parse_parameter(name, entry) for entry in listed)
     spec_type = SPEC_TYPES[kind]
     reserved = {p.name for p in frontend.PARAMETERS} if spec_type is RegistrationSpec else set()
     for index, parameter in enumerate(parameters):
         if parameter.name in reserved or parameter.name in {p.name for p in parameters[:index]}:
-            raise _malformed(
+            raise _make_error(
                 name, "parameters", parameter.name, "unique names that are not parameters of the front end"
             )
-    summary = _text(name, content, "summary") or "external implementation without a summary"
-    return Declaration(spec_type, summary, parameters, _text(name, content, "device"))
+    summary = _get_text(name, content, "summary") or "external implementation without a summary"
+    return Declaration(spec_type, summary, parameters, _get_text(name, content, "device"))
 
 
 def parse_parameter_lines(text: str) -> list[dict[str, Value]]:
@@ -104,7 +104,7 @@ def split_words(name: str, rest: str) -> list[str]:
         raise BadParameter(name, "file", rest, f"a file and NAME=VALUE words ({error})") from None
 
 
-def parameters_with(name: str, parameters: tuple[Parameter, ...], words: list[str]) -> tuple[Parameter, ...]:
+def override_defaults(name: str, parameters: tuple[Parameter, ...], words: list[str]) -> tuple[Parameter, ...]:
     """Return the parameters with defaults from the words ``NAME=VALUE`` after a file's name.
 
     Raises BadParameter or UnknownName.
@@ -114,7 +114,7 @@ def parameters_with(name: str, parameters: tuple[Parameter, ...], words: list[st
             raise BadParameter(name, word, word, "NAME=VALUE after the file's name")
     chosen = dict(word.split("=", 1) for word in words)
     known = {parameter.name: parameter for parameter in parameters}
-    typed = {key: known[key].check(name, _like(known[key], word)) for key, word in chosen.items() if key in known}
+    typed = {key: known[key].check(name, _parse_like(known[key], word)) for key, word in chosen.items() if key in known}
     unknown = {key: word for key, word in chosen.items() if key not in known}
     return with_defaults(parameters, **typed, **unknown)  # raises UnknownName for the unknown
 
@@ -129,13 +129,13 @@ def make_spec(
 
 
 def missing_spec(name: str, why: str, digest: str = "") -> BackendSpec:
-    """Make the spec of an implementation that is not here; its parameters are unknown."""
+    """Make the spec of an implementation that does not exist here; its parameters are unknown."""
     return replace(_unusable(name, why), missing=lambda: why, digest=digest)
 
 
 def broken_spec(name: str, why: str, digest: str = "") -> BackendSpec:
-    """Make the spec of an implementation that is here but does not work; its runs fail with the reason."""
-    return replace(_unusable(name, why), broken=why, digest=digest_of(words=f"{digest} {why}"))
+    """Make the spec of an implementation that exists but does not work; its runs fail with the reason."""
+    return replace(_unusable(name, why), broken=why, digest=compute_digest(words=f"{digest} {why}"))
 
 
 def _unusable(name: str, why: str) -> BackendSpec:
@@ -145,8 +145,8 @@ def _unusable(name: str, why: str) -> BackendSpec:
     return OdometrySpec(make, "cannot be used here", NOT_DECLARED, NOT_DECLARED)
 
 
-def digest_of(*files: Path, words: str = "") -> str:
-    """A digest of the files' contents and of words; an unreadable file contributes its name."""
+def compute_digest(*files: Path, words: str = "") -> str:
+    """Return a digest of the files' contents and of words; an unreadable file contributes its name."""
     digest = hashlib.sha256(words.encode())
     for file in files:
         try:
@@ -156,27 +156,27 @@ def digest_of(*files: Path, words: str = "") -> str:
     return digest.hexdigest()
 
 
-def _parameter(name: str, entry: object) -> Parameter:
+def _parse_parameter(name: str, entry: object) -> Parameter:
     if not isinstance(entry, Mapping) or not re.fullmatch(r"[A-Za-z_][A-Za-z0-9_]*", str(entry.get("name", ""))):
-        raise _malformed(name, "parameters", entry, "a name of letters, digits and underscores")
+        raise _make_error(name, "parameters", entry, "a name of letters, digits and underscores")
     default = entry.get("default")
     if not isinstance(default, (bool, int, float, str)) or (isinstance(default, float) and not math.isfinite(default)):
-        raise _malformed(name, "parameters", entry, "a default that is true or false, a finite number or a text")
-    unit = _text(name, entry, "unit")
-    return Parameter(str(entry["name"]), default, "" if unit == "-" else unit, _text(name, entry, "meaning"))
+        raise _make_error(name, "parameters", entry, "a default that is true or false, a finite number or a text")
+    unit = _get_text(name, entry, "unit")
+    return Parameter(str(entry["name"]), default, "" if unit == "-" else unit, _get_text(name, entry, "meaning"))
 
 
-def _like(parameter: Parameter, word: str) -> Value:
+def _parse_like(parameter: Parameter, word: str) -> Value:
     return word if isinstance(parameter.default, str) else parse_value(word)
 
 
-def _text(name: str, content: Mapping[str, Any], key: str) -> str:
+def _get_text(name: str, content: Mapping[str, Any], key: str) -> str:
     found = content.get(key, "")
     if not isinstance(found, str):
-        raise _malformed(name, key, found, "a text")
+        raise _make_error(name, key, found, "a text")
     return found
 
 
-def _malformed(name: str, key: str, found: object, expected: str) -> BackendFailed:
+def _make_error(name: str, key: str, found: object, expected: str) -> BackendFailed:
     what = f"wrong description: '{key}': found {brief(found)}, expected {expected}"
     return BackendFailed(name, what, "correct the description")

@@ -19,7 +19,7 @@ SHARED = 3
 """The file type of a shared library (and of a position-independent program)."""
 
 
-def machine(header: bytes) -> str:
+def read_machine(header: bytes) -> str:
     """Return the machine of a header (at least 20 bytes), e.g. "64-bit AArch64"; "" for another format than ELF."""
     if len(header) < 20 or header[:4] != b"\x7fELF":
         return ""
@@ -28,14 +28,14 @@ def machine(header: bytes) -> str:
     return f"{bits} {MACHINES.get(number, f'machine {number:#x}')}".strip()
 
 
-def unusable_reason(path: Path, *, library: bool) -> str:
+def find_unusable_reason(path: Path, *, library: bool) -> str:
     """Return why this process cannot use a compiled file, or "".
 
     A program may be anything that the system can start (a script); a library must be an ELF library, where this system
     uses ELF.
     """
     mine, theirs = _header(Path(sys.executable)), _header(path)
-    here, there = machine(mine), machine(theirs)
+    here, there = read_machine(mine), read_machine(theirs)
     if not here:  # a system with another format: its loader reports errors
         return ""
     if not there:
@@ -59,13 +59,13 @@ class Sizes:
     bss: int
 
 
-def sizes(path: Path) -> Sizes | None:
+def read_sizes(path: Path) -> Sizes | None:
     """Return the sizes of an ELF file by its section headers (System V ABI, chapter 4).
 
     None for another format or a damaged file.
     """
     content = path.read_bytes()
-    if not machine(content):
+    if not read_machine(content):
         return None
     order, wide = _order(content), content[4] == 2
     header = order + ("16x2HI3QI6H" if wide else "16x2HI3II6H")

@@ -28,11 +28,11 @@ from evalkit.execution.subprocesses import signal_name
 from evalkit.external import abi, elf
 from evalkit.external.declaration import (
     broken_spec,
-    digest_of,
+    compute_digest,
     format_value,
     make_spec,
     missing_spec,
-    parameters_with,
+    override_defaults,
     parse_parameter_lines,
     read_declaration,
     split_words,
@@ -51,10 +51,10 @@ def scheme(rest: str) -> BackendSpec:
     name = f"lib:{rest}"
     path, *words = split_words(name, rest)
     file = Path(path).resolve()
-    digest = digest_of(file)
+    digest = compute_digest(file)
     if not file.is_file():
         return missing_spec(name, f"no such file: {file.name}; build it, or correct its path", digest)
-    if why := _unusable_reason(file):
+    if why := _find_unusable_reason(file):
         return broken_spec(name, why, digest)
     try:
         declared = read_declaration(name, _describe_library(name, file, digest))
@@ -63,7 +63,7 @@ def scheme(rest: str) -> BackendSpec:
     own = (TRACE,) if declared.spec_type is RegistrationSpec else ()
     make = LibraryRegistration if declared.spec_type is RegistrationSpec else LibraryOdometry
     return make_spec(
-        declared, parameters_with(name, (*declared.parameters, *own), words), partial(make, name, file), digest
+        declared, override_defaults(name, (*declared.parameters, *own), words), partial(make, name, file), digest
     )
 
 
@@ -80,18 +80,19 @@ class LibraryRegistration:
         conversion = Stopwatch()
 
         def record(_listener: object, error_m: float, inliers: int, pose: Any) -> None:
-            history.append(Iteration(error_m, inliers, _pose(pose.contents)))
+            history.append(Iteration(error_m, inliers, _from_abi_pose(pose.contents)))
 
         with conversion:
-            onto, points, start, answer = _flat(target.points), _flat(source.points), _row(guess), abi.Match()
+            onto, points = _to_contiguous(target.points), _to_contiguous(source.points)
+            start, answer = _to_abi_pose(guess), abi.Match()
             answer.target_from_source.x = np.nan  # detected if the library does not set it
             trace = abi.Trace(record) if self._trace else abi.Trace()
         self._instance.call(
-            "evalkit_register", _doubles(onto), len(target), _doubles(points), len(source),
+            "evalkit_register", _to_pointer(onto), len(target), _to_pointer(points), len(source),
             ctypes.byref(start), trace, None, ctypes.byref(answer),
         )  # fmt: skip
         with conversion:
-            pose = self._instance.checked_pose(answer.target_from_source)
+            pose = self._instance.check_pose(answer.target_from_source)
         return Match(
             pose, bool(answer.converged), answer.iterations, answer.error_m, answer.inliers, tuple(history),
             Cost(conversion.cpu_ns),
@@ -109,16 +110,16 @@ class LibraryOdometry:
         conversion = Stopwatch()
         with conversion:
             scan = frame.scan
-            ranges, angles = _flat(scan.ranges), _flat(scan.angles)
+            ranges, angles = _to_contiguous(scan.ranges), _to_contiguous(scan.angles)
             question = abi.Frame(
-                scan.stamp_ns, scan.time_increment_ns, _doubles(ranges), _doubles(angles), len(ranges),
-                scan.range_min_m, scan.range_max_m, _row(frame.base_from_sensor),
-                _reference(frame.odom_from_base), _reference(frame.start_from_end),
+                scan.stamp_ns, scan.time_increment_ns, _to_pointer(ranges), _to_pointer(angles), len(ranges),
+                scan.range_min_m, scan.range_max_m, _to_abi_pose(frame.base_from_sensor),
+                _to_pose_pointer(frame.odom_from_base), _to_pose_pointer(frame.start_from_end),
             )  # fmt: skip
             answer = abi.Pose(np.nan, np.nan, np.nan)  # detected if the library does not set it
         self._instance.call("evalkit_update", ctypes.byref(question), ctypes.byref(answer))
         with conversion:
-            pose = self._instance.checked_pose(answer)
+            pose = self._instance.check_pose(answer)
         return OdometryEstimate(pose, cost=Cost(conversion.cpu_ns))
 
 
@@ -145,12 +146,12 @@ class Instance:
                 self._name, f"{function} returned error {code}{self._last_error()}", "see what it needs"
             )
 
-    def checked_pose(self, row: abi.Pose) -> Pose:
+    def check_pose(self, row: abi.Pose) -> Pose:
         """Return the pose of an answer; raises BackendFailed where it is not finite."""
         if not np.isfinite([row.x, row.y, row.theta]).all():
             found = f"reported success with a pose that is not finite: ({row.x}, {row.y}, {row.theta})"
             raise BackendFailed(self._name, found, "set the pose of the answer; without a better one, to the guess")
-        return _pose(row)
+        return _from_abi_pose(row)
 
     def _last_error(self) -> str:
         last_error = getattr(self._library, "evalkit_last_error", None)
@@ -178,29 +179,29 @@ def _describe_library(name: str, file: Path, _digest: str) -> dict[str, Any]:
     return content if "failed" in content else content | {"parameters": parse_parameter_lines(content["parameters"])}
 
 
-def _unusable_reason(file: Path) -> str:
+def _find_unusable_reason(file: Path) -> str:
     try:
-        why = elf.unusable_reason(file, library=True)
+        why = elf.find_unusable_reason(file, library=True)
     except OSError as error:
         why = f"cannot be read ({error.strerror})"
     return f"{file.name} {why}; build it as a shared library on this machine" if why else ""
 
 
-def _flat(array: Floats) -> Floats:
+def _to_contiguous(array: Floats) -> Floats:
     return np.ascontiguousarray(array, dtype=np.float64)
 
 
-def _doubles(array: Floats) -> Any:
+def _to_pointer(array: Floats) -> Any:
     return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
 
 
-def _row(pose: Pose) -> abi.Pose:
+def _to_abi_pose(pose: Pose) -> abi.Pose:
     return abi.Pose(pose.x, pose.y, pose.theta)
 
 
-def _reference(pose: Pose | None) -> Any:
-    return None if pose is None else ctypes.pointer(_row(pose))
+def _to_pose_pointer(pose: Pose | None) -> Any:
+    return None if pose is None else ctypes.pointer(_to_abi_pose(pose))
 
 
-def _pose(row: abi.Pose) -> Pose:
+def _from_abi_pose(row: abi.Pose) -> Pose:
     return Pose(row.x, row.y, row.theta)

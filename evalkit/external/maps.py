@@ -10,7 +10,7 @@ import numpy as np
 
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
-from evalkit.external.declaration import NOT_DECLARED, digest_of, parameters_with
+from evalkit.external.declaration import NOT_DECLARED, compute_digest, override_defaults
 from evalkit.io import map_server
 from evalkit.metrics.consistency import look_up_cells
 from evalkit.plugins.parameters import Parameter
@@ -34,9 +34,9 @@ def map_spec(name: str, file: Path, words: list[str]) -> BackendSpec:
         citation=NOT_DECLARED,
         licence=NOT_DECLARED,
         guess="unknown: it was made elsewhere",
-        parameters=parameters_with(name, PARAMETERS, words),
+        parameters=override_defaults(name, PARAMETERS, words),
         missing=lambda: _missing_reason(file, image),
-        digest=digest_of(file, *([image] if image else [])),
+        digest=compute_digest(file, *([image] if image else [])),
     )
 
 

@@ -21,7 +21,14 @@ from evalkit.core.scan import Cloud, Frame
 from evalkit.core.se2 import Floats
 from evalkit.core.timing import Answer, Cost, Stopwatch
 from evalkit.external import elf
-from evalkit.external.declaration import Declaration, broken_spec, digest_of, make_spec, missing_spec, read_declaration
+from evalkit.external.declaration import (
+    Declaration,
+    broken_spec,
+    compute_digest,
+    make_spec,
+    missing_spec,
+    read_declaration,
+)
 from evalkit.external.program import Program
 from evalkit.plugins.parameters import Parameter, Value
 from evalkit.plugins.specs import BackendSpec, RegistrationSpec
@@ -45,7 +52,7 @@ def scheme(rest: str) -> BackendSpec:
     if shutil.which(words[0]) is None and not Path(words[0]).is_file():
         return missing_spec(name, f"no program found: {words[0]}; correct its path, or install it")
     argv, why = _resolve_command(words)
-    digest = digest_of(*(Path(word) for word in argv if Path(word).is_file()), words=rest)
+    digest = compute_digest(*(Path(word) for word in argv if Path(word).is_file()), words=rest)
     if why:
         return broken_spec(name, why, digest)
     description = _describe_program(name, tuple(argv), digest)
@@ -55,7 +62,7 @@ def scheme(rest: str) -> BackendSpec:
         return broken_spec(name, "; ".join(error.args[1:]), digest)
     parameters = (*declared.parameters, TIMEOUT)
     return make_spec(
-        declared, parameters, partial(_make, name, argv, declared), digest_of(words=f"{digest} {description}")
+        declared, parameters, partial(_make, name, argv, declared), compute_digest(words=f"{digest} {description}")
     )
 
 
@@ -208,7 +215,7 @@ def _resolve_command(words: list[str]) -> tuple[list[str], str]:
     if found is None:
         return words, f"{words[0]} is not executable; chmod +x it"
     path = Path(found).absolute()
-    why = elf.unusable_reason(path, library=False)
+    why = elf.find_unusable_reason(path, library=False)
     remedy = "build it here, or run it there: exec:ssh HOST PROGRAM"
     return [str(path), *words[1:]], f"{words[0]} {why}; {remedy}" if why else ""
 

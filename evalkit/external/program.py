@@ -39,7 +39,7 @@ class Program:
         except OSError as error:
             what = f"cannot be started ({error.strerror or error})"
             raise BackendFailed(name, what, "check that it is a program of this machine") from error
-        self._stdin, self._stdout, stderr = (_opened(pipe) for pipe in self._streams())
+        self._stdin, self._stdout, stderr = (_require_pipe(pipe) for pipe in self._streams())
         os.set_blocking(self._stdin.fileno(), False)
         self._last_messages: deque[bytes] = deque(maxlen=4)
         self._reader = threading.Thread(target=_drain, args=(stderr, self._last_messages), daemon=True)
@@ -139,7 +139,7 @@ class Program:
         return BackendFailed(self._name, what + (f"; last message: {stderr}" if stderr else ""), remedy)
 
 
-def _opened(pipe: IO[bytes] | None) -> IO[bytes]:
+def _require_pipe(pipe: IO[bytes] | None) -> IO[bytes]:
     if pipe is None:
         raise ValueError("pipe: not opened")
     return pipe

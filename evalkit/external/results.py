@@ -12,7 +12,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.timing import Cost
 from evalkit.external import maps
-from evalkit.external.declaration import NOT_DECLARED, digest_of, parameters_with, split_words
+from evalkit.external.declaration import NOT_DECLARED, compute_digest, override_defaults, split_words
 from evalkit.io.tum import read_tum
 from evalkit.plugins.parameters import Parameter
 from evalkit.plugins.protocols import NoAnswer
@@ -41,9 +41,9 @@ def scheme(rest: str) -> BackendSpec:
         citation=NOT_DECLARED,
         licence=NOT_DECLARED,
         guess="unknown: it was computed elsewhere",
-        parameters=parameters_with(name, PARAMETERS, words),
+        parameters=override_defaults(name, PARAMETERS, words),
         missing=lambda: "" if file.is_file() else f"no such file: {file.name}; correct its path",
-        digest=digest_of(file),
+        digest=compute_digest(file),
     )
 
 

@@ -11,7 +11,7 @@ BLOCK_BYTES = 2**16
 
 
 def read_bytes(path: Path, expected: str) -> bytes:
-    """Return the content of a file; ``expected`` says in errors what the file should be ("a map in PGM format").
+    """Return the content of a file; ``expected``: what it should be, for errors ("a map in PGM format").
 
     Raises DataMissing if there is no such file, BadData if it is empty or cannot be read.
     """

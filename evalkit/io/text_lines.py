@@ -12,13 +12,13 @@ from evalkit.io.input_files import BLOCK_BYTES, iter_blocks, read_text
 GZIP_MAGIC = b"\x1f\x8b"
 
 MAX_LINE_BYTES = 4 * 2**20
-"""A scan of 10,000 beams takes 2 % of it."""
+"""Limit of one line; a scan of 10,000 beams has 2 % of it."""
 
 
 def iter_lines(path: Path, expected: str) -> Iterator[bytes]:
     """Yield the lines of a file, plain or gzip (detected by content), without their ends and in bounded memory.
 
-    ``expected`` says in errors what the file should be. Raises as ``read_bytes``, and BadData for damaged gzip and for
+    ``expected``: what the file should be, for errors. Raises as ``read_bytes``, and BadData for damaged gzip and for
     a line longer than ``MAX_LINE_BYTES``.
     """
     rest = b""

@@ -14,7 +14,7 @@ _LONG_KEY = re.compile(r"""(?<![\w-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+
 
 
 def load_toml(path: Path, expected: str) -> dict[str, Any]:
-    """Return the tables of a configuration file; ``expected`` says in errors what the file should be ("a study").
+    """Return the tables of a configuration file; ``expected``: what it should be, for errors ("a study").
 
     Raises BadExperiment if the file does not exist, cannot be read, or is not valid TOML.
     """

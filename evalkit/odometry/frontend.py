@@ -29,7 +29,7 @@ from evalkit.plugins.parameters import (
     with_defaults,
 )
 from evalkit.plugins.protocols import Odometry, Registration
-from evalkit.plugins.specs import FIRST_STAGE, BackendSpec, OdometrySpec, RegistrationSpec, first_stage
+from evalkit.plugins.specs import FIRST_STAGE, BackendSpec, OdometrySpec, RegistrationSpec, make_first_stage_parameter
 
 EVERY_SCAN = ("scans", "grid")
 """Local maps that take every scan; the others take keyframes only."""
@@ -79,7 +79,7 @@ PARAMETERS = declared_parameters(FrontEndSettings)
 
 
 def settable_parameters(spec: BackendSpec) -> tuple[Parameter, ...]:
-    """All parameters that can be set on a back end: its own and, for a registration, those of the front end."""
+    """Return all parameters that can be set on a back end: its own and, for a registration, those of the front end."""
     if not isinstance(spec, RegistrationSpec):
         return spec.parameters
     return (*spec.parameters, *spec.first_stage_parameters(), *with_defaults(PARAMETERS, **spec.frontend))
@@ -94,7 +94,7 @@ def complete_parameters(owner: str, spec: BackendSpec, given: Mapping[str, objec
     known = settable_parameters(spec)
     if not spec.parameters and (spec.broken or spec.missing()):
         return {name: value for name, value in given.items() if isinstance(value, (bool, int, float, str))}
-    extra = [first_stage(p, p.default) for p in spec.parameters if FIRST_STAGE + p.name in given]
+    extra = [make_first_stage_parameter(p, p.default) for p in spec.parameters if FIRST_STAGE + p.name in given]
     names = {parameter.name for parameter in known}
     return resolve_parameters(owner, (*known, *(p for p in extra if p.name not in names)), given)
 
@@ -166,7 +166,7 @@ class FrontEnd:
     def _source(self, frame: Frame) -> Cloud:
         points = frame.points_in_base(self._motion.within_scan(frame) if self._settings.deskew else None)
         if self._settings.local_radius_m > 0.0:
-            points = points_within(points, self._settings.local_radius_m)
+            points = select_near(points, self._settings.local_radius_m)
         if self._settings.source_voxel_m > 0.0:
             points = voxel_means(points, self._settings.source_voxel_m)
         return Cloud(points, "base")
@@ -191,7 +191,7 @@ class FrontEnd:
         return far or abs(moved.theta) >= math.radians(self._settings.keyframe_angle_deg)
 
 
-def points_within(points: Floats, radius_m: float) -> Floats:
+def select_near(points: Floats, radius_m: float) -> Floats:
     """Return the points (K, 2) within a radius of the origin."""
     return np.asarray(points[np.hypot(points[:, 0], points[:, 1]) <= radius_m])
 
@@ -200,7 +200,7 @@ def _make_local_map(settings: FrontEndSettings) -> LocalMap:
     if settings.local_map == "voxels":
         return VoxelMap(settings.local_map_voxel_m, settings.local_map_radius_m)
     if settings.local_map == "grid":
-        mapper = registry.mapper(defaults.default_mapper()).make(resolution_m=settings.local_map_cell_m)
+        mapper = registry.mapper(defaults.find_default_mapper()).make(resolution_m=settings.local_map_cell_m)
         return GridMap(mapper, settings.local_map_probability, settings.local_map_radius_m)
     return KeyframeMap(settings.keyframes, settings.local_map_voxel_m)
 

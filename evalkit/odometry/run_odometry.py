@@ -20,7 +20,7 @@ from evalkit.plugins.protocols import NoAnswer, Odometry
 class OdometryStep:
     """One scan: its frame, the estimate and the time of the call.
 
-    ``estimate`` is None where the odometry raised ``NoAnswer``; ``reason`` then says why.
+    ``estimate`` is None where the odometry raised ``NoAnswer``; ``reason`` then holds the text.
     """
 
     frame: Frame
@@ -35,12 +35,12 @@ def run_odometry(odometry: Odometry, frames: Iterable[Frame], source: str = "fra
     ``source`` names the frames in errors. Raises BadData where stamps do not increase, TypeError or ValueError where
     ``update`` returns something else than a finite ``OdometryEstimate``, and whatever ``update`` raises.
     """
-    for frame in in_order(frames, source):
+    for frame in check_order(frames, source):
         answer, timing = timed(_update(odometry, frame))
         if isinstance(answer, NoAnswer):
             yield OdometryStep(frame, None, timing, str(answer))
         else:
-            estimate = checked_estimate(answer)
+            estimate = check_estimate(answer)
             yield OdometryStep(frame, estimate, timing.including(estimate.cost))
 
 
@@ -53,7 +53,7 @@ def estimate_poses(odometry: Odometry, frames: Iterable[Frame]) -> Floats:
     return np.array([np.full(3, np.nan) if found is None else found.pose.row for found in estimates]).reshape(-1, 3)
 
 
-def in_order(frames: Iterable[Frame], source: str) -> Iterator[Frame]:
+def check_order(frames: Iterable[Frame], source: str) -> Iterator[Frame]:
     """Yield the frames; raises BadData where their stamps do not increase."""
     last_ns: int | None = None
     for index, frame in enumerate(frames):
@@ -64,7 +64,7 @@ def in_order(frames: Iterable[Frame], source: str) -> Iterator[Frame]:
         yield frame
 
 
-def checked_estimate(answer: object) -> OdometryEstimate:
+def check_estimate(answer: object) -> OdometryEstimate:
     """Return the answer of ``update``; raises TypeError for another type, ValueError for a pose that is not finite."""
     if not isinstance(answer, OdometryEstimate):
         raise TypeError(f"update() returned a {type(answer).__name__}, expected an evalkit.OdometryEstimate")

@@ -12,13 +12,13 @@ from importlib.util import find_spec
 from pathlib import Path
 
 
-def fingerprint(modules: tuple[str, ...], libraries: tuple[str, ...]) -> str:
-    """A digest of modules and library versions.
+def hash_code(modules: tuple[str, ...], libraries: tuple[str, ...]) -> str:
+    """Return a digest of modules and library versions.
 
-    It covers the modules' sources and everything they import within evalkit and their own packages.
+    It covers the sources of the modules and of all that they import within evalkit and their own packages.
     """
     roots = {"evalkit", *(module.partition(".")[0] for module in modules)}
-    files = sorted({file for module in modules for file in sources(module, frozenset(roots))})
+    files = sorted({file for module in modules for file in find_sources(module, frozenset(roots))})
     digest = hashlib.sha256()
     for file in files:
         digest.update(file.read_bytes())
@@ -27,8 +27,8 @@ def fingerprint(modules: tuple[str, ...], libraries: tuple[str, ...]) -> str:
     return digest.hexdigest()
 
 
-def file_state(value: str) -> list[object]:
-    """The text, and size and modification time of the file it names; for a folder, also of the files in it."""
+def read_file_state(value: str) -> list[object]:
+    """Return the text, and size and modification time of the file it names; for a folder, also of the files in it."""
     path = Path(value)
     try:
         inside = sorted(path.iterdir()) if path.is_dir() else []
@@ -38,16 +38,16 @@ def file_state(value: str) -> list[object]:
     return [value, *([name, state.st_size, state.st_mtime_ns] for name, state in states)]
 
 
-def files_digest(parameters: Mapping[str, object]) -> str:
-    """A digest of size and modification time of the files that parameters name, "" where they name none."""
-    named = [file_state(value) for value in parameters.values() if isinstance(value, str) and value]
+def hash_files(parameters: Mapping[str, object]) -> str:
+    """Return a digest of size and modification time of the files that parameters name, "" where they name none."""
+    named = [read_file_state(value) for value in parameters.values() if isinstance(value, str) and value]
     known = [state for state in named if len(state) > 1]
     return hashlib.sha256(json.dumps(known).encode()).hexdigest() if known else ""
 
 
 @cache
-def sources(module: str, roots: frozenset[str]) -> frozenset[Path]:
-    """The source files of a module and of all its direct and indirect imports within the packages ``roots``."""
+def find_sources(module: str, roots: frozenset[str]) -> frozenset[Path]:
+    """Return the source files of a module and of all its direct and indirect imports within the packages ``roots``."""
     found: dict[str, Path] = {}
     waiting = [module]
     while waiting:
@@ -71,7 +71,7 @@ def _file(name: str) -> Path | None:
 
 @cache
 def _imported(name: str, file: Path) -> tuple[str, ...]:
-    """The modules that a source file imports anywhere; "package.name" for every name imported from a package."""
+    """Return the modules that a source file imports anywhere; "package.name" for every name imported from a package."""
     return tuple(_imports(name, file)) if file.suffix == ".py" else ()
 
 

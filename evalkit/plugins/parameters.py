@@ -63,13 +63,13 @@ def parameter(
     high: float = math.inf,
     choices: tuple[str, ...] = (),
 ) -> Any:
-    """A dataclass field that declares a parameter; arguments as in ``Parameter``, the name is the field's."""
+    """Return a dataclass field that declares a parameter; arguments as in ``Parameter``, the name is the field's."""
     declared = Parameter("", default, unit, meaning, low, high, choices)
     return field(default=default, metadata={_KEY: declared})
 
 
 def declared_parameters(settings: type) -> tuple[Parameter, ...]:
-    """The parameters that a dataclass declares with ``parameter``, in the order of its fields."""
+    """Return the parameters that a dataclass declares with ``parameter``, in the order of its fields."""
     declared = ((item.name, item.metadata[_KEY]) for item in fields(settings) if _KEY in item.metadata)
     return tuple(replace(found, name=name) for name, found in declared)
 

@@ -17,7 +17,7 @@ from types import FunctionType
 from typing import TypeVar
 
 from evalkit.core.errors import EvalkitError, NotInstalled, UnknownName
-from evalkit.plugins.code_hash import fingerprint
+from evalkit.plugins.code_hash import hash_code
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.protocols import Odometry
 from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec, OdometrySpec
@@ -35,12 +35,12 @@ LOADING_S = 60.0
 
 
 def names(kind: str) -> list[str]:
-    """All names of a kind, sorted: "backends", "mappers", "datasets", "metrics", "commands" or "schemes"."""
+    """Return all names of a kind, sorted: "backends", "mappers", "datasets", "metrics", "commands" or "schemes"."""
     return sorted(_points(kind))
 
 
 def backend(name: str) -> BackendSpec:
-    """The back end of a name: registered, of a scheme ("exec:./my_icp --fast"), or in a module ("my.icp:SPEC").
+    """Return the back end of a name: registered, of a scheme ("exec:./my_icp --fast"), or in a module ("my.icp:SPEC").
 
     Raises UnknownName, or NotInstalled where the plug-in does not load.
     """
@@ -54,7 +54,7 @@ def backend(name: str) -> BackendSpec:
 
 
 def find_backend(name: str) -> BackendSpec:
-    """Like ``backend``, but a plug-in that does not load gives a spec whose ``missing()`` returns the reason."""
+    """Return the back end of a name; if its plug-in does not load, a spec with the reason in ``missing()``."""
     try:
         spec = backend(name)
         spec.missing()
@@ -75,36 +75,36 @@ def find_backend(name: str) -> BackendSpec:
 
 
 def mapper(name: str) -> MapperSpec:
-    """The mapper of a name; raises UnknownName or NotInstalled."""
+    """Return the mapper of a name; raises UnknownName or NotInstalled."""
     return load("mappers", name, MapperSpec)
 
 
 def dataset(name: str) -> DatasetSpec:
-    """The data set or reader of a name; raises UnknownName or NotInstalled."""
+    """Return the data set or reader of a name; raises UnknownName or NotInstalled."""
     return load("datasets", name, DatasetSpec)
 
 
-def run_fingerprint(method: str, dataset: str) -> str:
-    """A digest of the code behind a run: evalkit's part, both plug-ins and the libraries that the back end requires."""
+def hash_run_code(method: str, dataset: str) -> str:
+    """Return a digest of the code of a run: evalkit, both plug-ins and the libraries that the back end requires."""
     spec = backend(method)
     modules = (
         "evalkit.execution.worker",
         plug_in_of("backends", method).module,
         _points("datasets")[dataset].module,
     )
-    return fingerprint(modules, ("numpy", "scipy", *spec.requires)) + spec.digest
+    return hash_code(modules, ("numpy", "scipy", *spec.requires)) + spec.digest
 
 
-def score_fingerprint(mapper: str) -> str:
-    """A digest of the code behind the scores and the map of a run."""
-    return fingerprint(
+def hash_scoring_code(mapper: str) -> str:
+    """Return a digest of the code that computes the scores and the map of a run."""
+    return hash_code(
         ("evalkit.metrics.evaluate", _points("mappers")[mapper].module),
         ("numpy", "scipy"),
     )
 
 
 def plug_in_of(kind: str, name: str) -> EntryPoint:
-    """The entry point of a name; for a back end of a scheme, the entry point of the scheme."""
+    """Return the entry point of a name; for a back end of a scheme, the entry point of the scheme."""
     scheme, colon, _ = name.partition(":")
     if not colon:
         return _point(kind, name)
@@ -133,7 +133,7 @@ def _point(kind: str, name: str) -> EntryPoint:
 
 
 def _module_point(name: str) -> EntryPoint | None:
-    """The entry point that a name "module:SPEC" spells out, None for any other name; schemes take precedence."""
+    """Return the entry point of a name "module:SPEC", None for any other name; schemes take precedence."""
     module, _, attribute = name.partition(":")
     if module in _points("schemes") or not _MODULE_AND_NAME.fullmatch(name):
         return None
@@ -146,7 +146,7 @@ def _module_point(name: str) -> EntryPoint | None:
 
 def _load_point(name: str, point: EntryPoint, wanted: type[Spec]) -> Spec:
     if _needs_trial_import(point) and (reason := _import_failure(point.module)):
-        raise NotInstalled(name, f"its plug-in {point.value} does not load ({reason})", "mend or remove its package")
+        raise NotInstalled(name, f"its plug-in {point.value} does not load ({reason})", "repair or remove its package")
     try:
         spec = point.load()
     except Exception as error:  # third-party code may raise anything; the other plug-ins stay usable
@@ -159,14 +159,14 @@ def _load_point(name: str, point: EntryPoint, wanted: type[Spec]) -> Spec:
 
 
 def _needs_trial_import(point: EntryPoint) -> bool:
-    """Whether a plug-in is third-party and this process is not a child that may crash."""
+    """Return whether a plug-in is third-party and this process is not a child that may crash."""
     dist = getattr(point, "dist", None)
     return (dist is None or dist.name != "evalkit") and MARK not in os.environ
 
 
 @cache  # once per process: it takes as long as the import
 def _import_failure(module: str) -> str:
-    """How importing a module ends or blocks the process, "" where it does neither; tried in a separate process.
+    """Return how importing a module ends or blocks a process, "" if it does neither; tried in a separate process.
 
     An exception is not a failure here: the caller's own import raises it again without harm.
     """

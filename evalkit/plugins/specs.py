@@ -1,6 +1,6 @@
-"""Specs: what a plug-in is, how to make it, what can be set on it and what it needs.
+"""Specs of plug-ins: factory, description, parameters and requirements.
 
-A spec stands beside its class as a module-level value and is importable without the library that the class uses.
+A spec is a module-level value next to its class; importing it does not import the library that the class uses.
 A kind of back end is a subclass of ``BackendSpec``.
 """
 
@@ -19,7 +19,7 @@ GUESS_NOT_REPORTED = "not reported"
 Kind = Literal["registration", "odometry", "map"]
 
 Role = Literal["", "reference", "baseline", "peer"]
-"""What a back end is to the others.
+"""Role of a back end in a comparison.
 
 "reference": the readable implementation that others are validated against. "baseline": every other method must beat it.
 "peer": an established implementation, shown beside a validated one for context.
@@ -38,11 +38,11 @@ def nothing_missing(**_parameters: Value) -> str:
 
 @dataclass(frozen=True)
 class BackendSpec:
-    """What all kinds of back end have in common.
+    """Common fields of all kinds of back end.
 
     ``make(**parameters)`` makes it. ``role``: see ``Role``. ``requires``: distributions whose versions belong to a
     result. ``missing()`` returns why it cannot run here and how to change that, or "". ``broken``: why it does not work
-    although it is here (a program that gives no description of itself), or ""; its runs fail with this reason.
+    although it exists (a program without a valid description), or ""; its runs fail with this reason.
     ``digest``: changes with the parts that are not Python source (a shared library, a program, a file of results).
     ``guess``: what its registration starts from, for the report.
     """
@@ -80,9 +80,9 @@ class RegistrationSpec(BackendSpec):
     kind: ClassVar[Kind] = "registration"
 
     def first_stage_parameters(self) -> tuple[Parameter, ...]:
-        """The parameters ``s2s.NAME`` whose defaults differ in the scan-to-scan stage."""
+        """Return the parameters ``s2s.NAME`` with different defaults in the scan-to-scan stage."""
         return tuple(
-            first_stage(each, self.scan_to_scan[each.name])
+            make_first_stage_parameter(each, self.scan_to_scan[each.name])
             for each in self.parameters
             if each.name in self.scan_to_scan
         )
@@ -124,7 +124,7 @@ class MapSpec(BackendSpec):
 class MapperSpec:
     """A mapper: ``make(**parameters)`` makes a new Mapper.
 
-    ``default``: evalkit draws with this mapper where none is named.
+    ``default``: used where no mapper is named.
     """
 
     make: Callable[..., Mapper]
@@ -139,7 +139,7 @@ class MapperSpec:
 
 @dataclass(frozen=True, slots=True)
 class Published:
-    """A number that others published for the same recording: mean and standard deviation in the unit of ``metric``.
+    """A published result for the same recording: mean and standard deviation in the unit of ``metric``.
 
     ``metric``: the name of the metric it is compared with; "" for the first relation metric in metres.
     ``spread_metric``: the name of the metric that corresponds to ``spread``, "" for none.
@@ -159,11 +159,11 @@ class DatasetSpec:
 
     ``seeded``: has a parameter ``seed`` that makes repetitions differ. ``suffixes``: endings of the files that a reader
     opens (then it has a parameter ``path``). ``truth``: how the ground truth was made. ``defects``: known errors in the
-    data. ``degenerate``: why the geometry cannot fix the pose, "" where it can. ``published``: numbers that others
-    published for it. ``missing(**parameters)`` returns which files are not here and how to get them, or "".
+    data. ``degenerate``: why the geometry does not determine the pose, "" where it does. ``published``: published
+    results. ``missing(**parameters)`` returns which files are not here and how to get them, or "".
     ``thinned_by``: name of the parameter n that takes every n-th scan of the sensor, "" where every scan is taken;
-    without it the sensor seems slower than it is. ``excerpts``: parameters of a part of the data that is long enough to
-    validate an implementation on; commands without a sequence on their command line use the data sets that have one.
+    without it the period of the sensor is estimated too long. ``excerpts``: parameters of a part of the data that is
+    long enough to validate an implementation; commands without a given sequence use the data sets that have one.
     """
 
     make: Callable[..., Sequence]
@@ -183,7 +183,7 @@ class DatasetSpec:
     excerpts: Mapping[Excerpt, Mapping[str, Value]] = field(default_factory=dict)
 
 
-def first_stage(parameter: Parameter, default: Value) -> Parameter:
-    """The parameter of the scan-to-scan stage that corresponds to a registration's parameter."""
+def make_first_stage_parameter(parameter: Parameter, default: Value) -> Parameter:
+    """Return the parameter of the scan-to-scan stage that corresponds to a registration's parameter."""
     meaning = f"first stage only: {parameter.meaning}"
     return replace(parameter, name=FIRST_STAGE + parameter.name, default=default, meaning=meaning)

@@ -54,7 +54,7 @@ def icp_with_rotation(target: Floats, source: Floats, rotation: Rotation, iterat
     tree, moved, motion, errors = cKDTree(target), source.copy(), np.eye(3), []
     for _ in range(iterations):
         distance, nearest = map(np.asarray, tree.query(moved))
-        at = icp.closest_only(nearest.astype(np.int64), distance, len(target))
+        at = icp.select_closest(nearest.astype(np.int64), distance, len(target))
         p, q = moved[at], target[nearest[at]]
         R = rotation((p - p.mean(axis=0)).T @ (q - q.mean(axis=0)))
         t = q.mean(axis=0) - R @ p.mean(axis=0)

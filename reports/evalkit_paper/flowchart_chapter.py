@@ -30,16 +30,16 @@ PIPELINE: Words = {
 }
 REGISTRATION: Words = {
     "Recent.of": "index the reference Q",
-    "Association.of": "nearest q of every moved p (eq. 2)",
-    "closest_only": "one to one: of several p the closest keeps q",
-    "rigid": "centroids, K, theta and t; move the source (eq. 3, 4, 9)",
-    "onto_lines": "least squares to the lines; move the source",
+    "Association.find": "nearest q of every moved p (eq. 2)",
+    "select_closest": "one to one: of several p the closest keeps q",
+    "fit_motion": "centroids, K, theta and t; move the source (eq. 3, 4, 9)",
+    "fit_to_lines": "least squares to the lines; move the source",
     "Icp._error": "error of the pairs (eq. 5)",
 }
 TWO_STAGES: Words = {
     "Motion.predict": "first guess: odometry since the last scan",
     "Motion.within_scan": "undo the motion within the scan",
-    "points_within": "keep points within the local radius",
+    "select_near": "keep points within the local radius",
     "voxel_means": "one mean per voxel",
     "FrontEnd._register s2s": "ICP with the last scan (S2S)",
     "KeyframeMap.cloud": "local map: last keyframes",
@@ -57,8 +57,8 @@ MAPPING: Words = {
     "LogOddsGrid._window": "window of cells around them",
     "exact": "cells each beam passes (Amanatides, Woo)",
     "bresenham": "cells each beam passes (Bresenham)",
-    "LogOddsGrid._once": "once per scan: occupied before free",
-    "LogOddsGrid._every": "every beam counts",
+    "LogOddsGrid._count_once": "once per scan: occupied before free",
+    "LogOddsGrid._count_every": "every beam counts",
     "LogOddsGrid._add": "add l_occ and l_free, clamp (eq. 11)",
 }
 LAST = frozenset({"LogOddsGrid._add"})

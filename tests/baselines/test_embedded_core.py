@@ -92,7 +92,7 @@ ANY_POINTS = st.integers(0, 30).flatmap(
     ANY_NUMBER | st.floats(0.0, 1e19),
 )
 def test_for_any_input_a_registration_is_valid_or_raises(precision, target, source, guess, most, least, error, reach):
-    core = compiled.core(precision)
+    core = compiled.load_core(precision)
     with np.errstate(over="ignore"):
         target, source = target.astype(core.REAL), source.astype(core.REAL)
     parameters = PARAMETERS | {"max_iterations": min(most, 50), "min_pairs": least, "error": error}
@@ -118,7 +118,7 @@ def test_for_any_input_a_registration_is_valid_or_raises(precision, target, sour
 @settings(max_examples=150, deadline=None)
 @given(ANY_POINTS, ANY_POINTS, st.tuples(ANY_NUMBER, ANY_NUMBER, ANY_NUMBER))
 def test_for_any_input_a_map_is_updated_or_stays_unchanged(precision, hits, misses, pose):
-    core = compiled.core(precision)
+    core = compiled.load_core(precision)
     grid = core.Grid(extent=EXTENT, **MAP)
     grid.add((0.0, 0.0, 0.0), np.ones((1, 2), dtype=core.REAL), np.zeros((0, 2), dtype=core.REAL))
     before = grid.cells()
@@ -148,7 +148,7 @@ def test_for_any_input_a_map_is_updated_or_stays_unchanged(precision, hits, miss
 def test_for_any_input_the_pipeline_returns_a_finite_pose_or_raises(
     precision, ranges, stamp, step, odom, moved, limits
 ):
-    core = compiled.core(precision)
+    core = compiled.load_core(precision)
     pipeline = small_pipeline(core)
     with np.errstate(over="ignore"):
         ranges = ranges.astype(core.REAL)
@@ -163,7 +163,7 @@ def test_for_any_input_the_pipeline_returns_a_finite_pose_or_raises(
 @needs_core
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_arrays_of_another_type_raise_instead_of_being_converted(precision):
-    core = compiled.core(precision)
+    core = compiled.load_core(precision)
     good = np.zeros((4, 2), dtype=core.REAL)
     other = np.float32 if core.REAL == "float64" else np.float64
     for wrong in (
@@ -182,7 +182,7 @@ def test_arrays_of_another_type_raise_instead_of_being_converted(precision):
 
 @needs_core
 def test_parameters_and_extents_outside_their_ranges_raise():
-    core = compiled.core("double")
+    core = compiled.load_core("double")
     for name, wrong in (("epsilon", -1.0), ("epsilon", np.nan), ("max_iterations", 0), ("max_iterations", -(2**40)),
                         ("min_pairs", 1), ("error", 3), ("max_correspondence", np.inf)):  # fmt: skip
         with pytest.raises(ValueError, match="parameters: a parameter is outside its range"):
@@ -206,7 +206,7 @@ def test_parameters_and_extents_outside_their_ranges_raise():
 
 @needs_core
 def test_a_shifted_map_keeps_the_cells_inside_both_extents():
-    core, none = compiled.core("double"), np.zeros((0, 2))
+    core, none = compiled.load_core("double"), np.zeros((0, 2))
     grid = core.Grid(extent=EXTENT, **MAP)
     rng = np.random.default_rng(0)
     grid.add((0.1, 0.2, 0.3), rng.uniform(-3.0, 3.0, (60, 2)), none)
@@ -219,7 +219,7 @@ def test_a_shifted_map_keeps_the_cells_inside_both_extents():
 
 @needs_core
 def test_two_threads_may_use_the_same_objects():
-    core = compiled.core("double")
+    core = compiled.load_core("double")
     rng = np.random.default_rng(0)
     targets = [core.Index(rng.uniform(-3.0, 3.0, (n, 2))) for n in (4000, 300)]
     source, icp, answers = rng.uniform(-3.0, 3.0, (500, 2)), core.Icp(**PARAMETERS), [[], []]
@@ -303,7 +303,7 @@ def _bytes(count):
 @needs_core
 @pytest.mark.parametrize("precision", PRECISIONS)
 def test_the_defaults_of_the_core_equal_those_of_python(precision):
-    values = compiled.core(precision).defaults()
+    values = compiled.load_core(precision).defaults()
     icp, front_end, grid = ({p.name: p.default for p in table} for table in TABLES)
     icp["error"], icp["error_before"] = registration.ERRORS.index(icp["error"]), icp.pop("error_at") == "before"
     del icp["trace"]  # not a parameter of the core

@@ -15,7 +15,7 @@ from evalkit.core.scan import Cloud
 from evalkit.plugins.parameters import resolve_parameters
 from evalkit_baselines import paper
 from evalkit_baselines.paper import icp
-from evalkit_baselines.paper.association import Association, Recent
+from evalkit_baselines.paper.association import Association, CloudCache
 from evalkit_baselines.paper.icp import Icp
 
 MOTION = Pose(0.12, -0.08, math.radians(5.0))
@@ -54,7 +54,7 @@ def test_the_closed_form_equals_scipys_best_rotation():
     for _ in range(30):
         source = rng.normal(size=(15, 2))
         target = se2.transform(rng.uniform(-3, 3, 3), source) + rng.normal(0.0, 0.1, (15, 2))
-        row = icp.rigid(source, target)
+        row = icp.fit_motion(source, target)
         p, q = (np.pad(points - points.mean(axis=0), ((0, 0), (0, 1))) for points in (source, target))
         best, _ = Rotation.align_vectors(q, p)
         np.testing.assert_allclose(se2.to_matrix(row)[:2, :2], best.as_matrix()[:2, :2], atol=1e-9)
@@ -68,7 +68,7 @@ def test_the_closed_form_equals_the_guarded_svd_of_equation_4():
         K = (source - source.mean(axis=0)).T @ (target - target.mean(axis=0))
         U, _, Vt = np.linalg.svd(K)
         R = Vt.T @ np.diag([1.0, np.linalg.det(Vt.T @ U.T)]) @ U.T
-        assert icp.rigid(source, target)[2] == pytest.approx(math.atan2(R[1, 0], R[0, 0]), abs=1e-9)
+        assert icp.fit_motion(source, target)[2] == pytest.approx(math.atan2(R[1, 0], R[0, 0]), abs=1e-9)
 
 
 def test_equation_4_as_printed_rotates_in_the_wrong_direction():
@@ -78,12 +78,12 @@ def test_equation_4_as_printed_rotates_in_the_wrong_direction():
     U, _, Vt = np.linalg.svd(K)
     printed = U @ Vt
     assert math.atan2(printed[1, 0], printed[0, 0]) == pytest.approx(-0.3)
-    assert icp.rigid(source, target)[2] == pytest.approx(0.3)
+    assert icp.fit_motion(source, target)[2] == pytest.approx(0.3)
 
 
 def test_a_single_wall_is_never_mirrored():
     wall = np.stack([np.linspace(0, 2, 30), np.zeros(30)], axis=1)
-    assert icp.rigid(wall, wall + np.array([0.0, 0.1])) == pytest.approx([0.0, 0.1, 0.0])
+    assert icp.fit_motion(wall, wall + np.array([0.0, 0.1])) == pytest.approx([0.0, 0.1, 0.0])
 
 
 # pairs
@@ -99,11 +99,11 @@ def test_one_to_one_pairs_equal_brute_force():
             best = kept.get(nearest[row])
             if best is None or distance[row] < distance[best]:
                 kept[nearest[row]] = row
-        assert icp.closest_only(nearest, distance, 12).tolist() == sorted(kept.values())
+        assert icp.select_closest(nearest, distance, 12).tolist() == sorted(kept.values())
 
 
 def test_one_to_one_pairs_of_empty_clouds_are_empty():
-    assert icp.closest_only(np.empty(0, dtype=np.int64), np.empty(0), 5).size == 0
+    assert icp.select_closest(np.empty(0, dtype=np.int64), np.empty(0), 5).size == 0
 
 
 @pytest.mark.parametrize("limit", [math.inf, 0.1])
@@ -114,7 +114,7 @@ def test_cached_neighbours_equal_a_new_search(limit):
     association = Association(tree, 300, limit)
     for size in (0.0, 0.3, 0.05, 0.01, 0.001, 0.001, 1e-5, 0.2, 0.0):
         points = points + rng.normal(0.0, size, points.shape)
-        nearest, distance = association.of(points)
+        nearest, distance = association.find(points)
         fresh, expected = tree.query(points, distance_upper_bound=limit)
         np.testing.assert_allclose(distance, fresh, atol=1e-12)
         found = np.isfinite(fresh)
@@ -122,16 +122,16 @@ def test_cached_neighbours_equal_a_new_search(limit):
 
 
 def test_a_single_target_point_is_the_neighbour_of_every_point():
-    nearest, distance = Association(cKDTree([[1.0, 0.0]]), 2).of(np.array([[0.0, 0.0], [1.0, 3.0]]))
+    nearest, distance = Association(cKDTree([[1.0, 0.0]]), 2).find(np.array([[0.0, 0.0], [1.0, 3.0]]))
     assert nearest.tolist() == [0, 0]
     assert distance.tolist() == [1.0, 3.0]
 
 
 def test_an_index_is_built_once_per_cloud_object_and_again_for_an_equal_one():
-    built, recent = [], Recent(size=2)
+    built, recent = [], CloudCache(size=2)
     a, b, c = (Cloud(corner()) for _ in range(3))
     for cloud in (a, b, a, c, a, b):
-        recent.of(cloud, lambda cloud: built.append(cloud) or len(built))
+        recent.get(cloud, lambda cloud: built.append(cloud) or len(built))
     assert [["a", "b", "c"][[a, b, c].index(cloud)] for cloud in built] == ["a", "b", "c", "b"]
 
 

@@ -113,7 +113,7 @@ def test_the_same_input_gives_identical_results_independent_of_earlier_calls(met
 
 
 def test_a_flat_cloud_becomes_three_layers_with_vertical_walls():
-    space = small_gicp.layers(np.array([[1.0, 2.0], [3.0, 4.0]]), 0.12)
+    space = small_gicp.extrude_layers(np.array([[1.0, 2.0], [3.0, 4.0]]), 0.12)
     assert space.tolist() == [
         [1.0, 2.0, -0.12], [3.0, 4.0, -0.12], [1.0, 2.0, 0.0], [3.0, 4.0, 0.0], [1.0, 2.0, 0.12], [3.0, 4.0, 0.12],
     ]  # fmt: skip

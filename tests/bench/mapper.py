@@ -20,7 +20,7 @@ from evalkit.execution.environment import SINGLE_THREAD
 from evalkit.plugins.parameters import resolve_parameters
 from evalkit.plugins.specs import MapperSpec
 from evalkit_baselines import embedded, paper
-from evalkit_baselines.embedded.compiled import compiled_missing, core
+from evalkit_baselines.embedded.compiled import compiled_missing, load_core
 
 BEAMS = 1600
 RANGE_MAX_M = 12.0
@@ -46,7 +46,7 @@ def made(spec: MapperSpec) -> Any:
 
 def calls_for(scan: Scan) -> tuple[dict[str, Callable[[], Any]], int]:
     """What is timed, and how many cells the scan touches."""
-    grid = core("double").Grid(place=PLACE, **MAP)
+    grid = load_core("double").Grid(place=PLACE, **MAP)
     hits, misses, row = scan.points(), np.zeros((0, 2)), (AWAY.x, AWAY.y, AWAY.theta)
     grid.add(row, hits, misses)
     cells = np.zeros(grid.touched, dtype=np.int16)

@@ -25,7 +25,7 @@ from evalkit.core.se2 import Floats
 from evalkit.execution.environment import SINGLE_THREAD
 from evalkit.odometry import planar3d
 from evalkit.plugins import registry
-from evalkit_baselines.embedded.compiled import Precision, compiled_missing, core, real
+from evalkit_baselines.embedded.compiled import Precision, compiled_missing, load_core, to_real
 from evalkit_baselines.open3d_icp import open3d_missing
 from evalkit_baselines.paper.icp import Icp
 
@@ -61,12 +61,12 @@ def clouds(targets: int) -> tuple[Floats, Floats, Pose]:
 
 def of_the_core(precision: Precision, name: str, target: Floats, source: Floats, guess: Pose) -> Calls:
     """The compiled core, with its index kept and with building it."""
-    module = core(precision)
+    module = load_core(precision)
     icp = module.Icp(
         epsilon=0.0, max_iterations=ITERATIONS, error=0, error_before=False, one_to_one=True,
         max_correspondence=LARGEST_M, min_pairs=3,
     )  # fmt: skip
-    to, points, row = real(target, module), real(source, module), (guess.x, guess.y, guess.theta)
+    to, points, row = to_real(target, module), to_real(source, module), (guess.x, guess.y, guess.theta)
     index = module.Index(to)
     return {
         name: lambda: icp.register(index, points, row),

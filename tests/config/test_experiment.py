@@ -278,7 +278,7 @@ def test_settings_that_cannot_change_a_result_do_not_change_the_key():
 
 def test_other_code_changes_the_key(monkeypatch):
     before = only_key()
-    monkeypatch.setattr(registry, "run_fingerprint", lambda backend, dataset: f"{backend} {dataset} changed")
+    monkeypatch.setattr(registry, "hash_run_code", lambda backend, dataset: f"{backend} {dataset} changed")
     assert only_key() != before
 
 

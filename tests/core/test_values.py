@@ -60,7 +60,7 @@ def occupancy(log_odds, observed, *place):
         (Pose, (0.0, math.inf, 0.0), "pose: not finite"),
         (RunResult, (NOTHING, 3, Cause.TIME_LIMIT, ""), "reason: a run that is timeout needs one"),
         (Score, (None,), "reason: a score without a value needs one"),
-        (Score, (math.nan, 3), "value: not finite: nan; say None and why"),
+        (Score, (math.nan, 3), "value: not finite: nan; use None with a reason"),
     ],
 )
 def test_an_invalid_field_is_named(kind, values, message):

@@ -299,7 +299,7 @@ def test_the_turtlebots_lidar_is_rotated_and_its_two_bases_are_reported():
     (seat,) = found.frames.mountings
     assert (seat.x_m, seat.y_m, seat.theta_deg) == pytest.approx((0.004, 0.0, 90.0), abs=1e-3)
     assert found.lidars[0].returns.infinite == pytest.approx(0.23, abs=0.005)
-    odometry = next(one for one in found.drivings if one.topic == "/odom")
+    odometry = next(one for one in found.odometries if one.topic == "/odom")
     assert odometry.path_m == pytest.approx(8.35, abs=0.01)
     assert odometry.like_wheels
     assert "base_footprint and base_link" in said(found)
@@ -322,7 +322,7 @@ def test_pseudo_odometry_is_rejected():
 
 def test_raw_wheel_odometry_is_distinguished_from_pseudo_odometry():
     found = inspect_recording(recorded("intel", "intel-merged.clf.gz"))
-    assert all(one.like_wheels for one in found.drivings)
+    assert all(one.like_wheels for one in found.odometries)
     assert found.lidars[0].returns.codes[0].low_m == 81.83
     assert found.lidars[0].timing.gaps[0].length_s == pytest.approx(28.3, abs=0.1)
 

@@ -227,7 +227,7 @@ def test_changed_scoring_code_or_mapper_scores_the_stored_run_again(tmp_path, qu
     (answers, scores) = written(tmp_path)["none"]
     mapper = {"resolution_m": 0.5} if what == "mapper" else None
     if what == "code":
-        monkeypatch.setattr(registry, "score_fingerprint", lambda mapper: "another")
+        monkeypatch.setattr(registry, "hash_scoring_code", lambda mapper: "another")
     again = records(plan("none", mapper=mapper), tmp_path, resume=True)["none"]
     assert written(tmp_path)["none"][0] == answers
     assert written(tmp_path)["none"][1] > scores

@@ -253,7 +253,7 @@ def test_the_static_memory_of_a_library_is_the_size_of_its_sections(tmp_path):
     path = tmp_path / "libsized.so"
     (tmp_path / "sized.c").write_text("int filled[2500] = {1}; int empty[250000]; int f(void) { return filled[0]; }\n")
     subprocess.run([compiler, "-shared", "-fPIC", "-o", path, tmp_path / "sized.c"], check=True)
-    found = elf.sizes(path)
+    found = elf.read_sizes(path)
     assert 10_000 <= found.data < 12_000
     assert 1_000_000 <= found.bss < 1_001_000
     assert 0 < found.text < 10_000
@@ -261,21 +261,21 @@ def test_the_static_memory_of_a_library_is_the_size_of_its_sections(tmp_path):
         told = subprocess.run([size, path], check=True, capture_output=True, text=True).stdout.splitlines()[1].split()
         assert [found.text, found.data, found.bss] == [int(word) for word in told[:3]]
     path.write_bytes(path.read_bytes()[:200])
-    assert elf.sizes(path) is None
+    assert elf.read_sizes(path) is None
     path.write_text("#!/bin/sh\n")
-    assert elf.sizes(path) is None
+    assert elf.read_sizes(path) is None
 
 
 def test_elf_headers_are_read_in_both_byte_orders():
-    assert elf.machine(b"\x7fELF\x01\x02\x01" + bytes(9) + b"\x00\x03\x00\x08") == "32-bit MIPS"
-    assert elf.machine(b"\x7fELF\x02\x01\x01" + bytes(9) + b"\x03\x00\xb7\x00") == "64-bit AArch64"
-    assert elf.machine(b"\x7fELF\x02\x01\x01" + bytes(9) + b"\x03\x00\x99\x99") == "64-bit machine 0x9999"
-    assert elf.machine(b"#!/bin/sh\nexec ./icp\n") == elf.machine(b"") == ""
+    assert elf.read_machine(b"\x7fELF\x01\x02\x01" + bytes(9) + b"\x00\x03\x00\x08") == "32-bit MIPS"
+    assert elf.read_machine(b"\x7fELF\x02\x01\x01" + bytes(9) + b"\x03\x00\xb7\x00") == "64-bit AArch64"
+    assert elf.read_machine(b"\x7fELF\x02\x01\x01" + bytes(9) + b"\x03\x00\x99\x99") == "64-bit machine 0x9999"
+    assert elf.read_machine(b"#!/bin/sh\nexec ./icp\n") == elf.read_machine(b"") == ""
 
 
 def test_the_cache_key_contains_the_content_of_the_library(build_variant):
     name = build_variant()
-    before = registry.run_fingerprint(name, "room")
+    before = registry.hash_run_code(name, "room")
     build_variant("said;", "said = 0;\nint another_build;")
-    assert registry.run_fingerprint(name, "room") != before
+    assert registry.hash_run_code(name, "room") != before
     assert replace(registry.backend(name), digest="").kind == "odometry"

@@ -118,7 +118,7 @@ def test_a_missing_map_or_image_is_unavailable_and_a_damaged_one_fails(saved, ru
 
 def test_the_cache_key_contains_the_content_of_the_image(saved):
     use = saved(wall())
-    before = registry.run_fingerprint(use, "room")
-    assert before == registry.run_fingerprint(use, "room")
+    before = registry.hash_run_code(use, "room")
+    assert before == registry.hash_run_code(use, "room")
     saved(wall((31, 40)))
-    assert registry.run_fingerprint(use, "room") != before
+    assert registry.hash_run_code(use, "room") != before

@@ -208,10 +208,10 @@ def test_a_missing_program_with_parameters_has_a_row_with_a_reason():
 
 def test_the_cache_key_contains_the_content_of_the_program(program):
     name = program()
-    before = registry.run_fingerprint(name, "room")
-    assert before == registry.run_fingerprint(name, "room")
+    before = registry.hash_run_code(name, "room")
+    assert before == registry.hash_run_code(name, "room")
     program(ANSWER + "  # another build")
-    assert before != registry.run_fingerprint(name, "room")
+    assert before != registry.hash_run_code(name, "room")
 
 
 def test_no_return_is_null_and_invalid_is_nan_in_the_request(program):

@@ -149,6 +149,6 @@ def test_times_keep_every_nanosecond_and_their_order(tmp_path):
 
 def test_the_cache_key_contains_the_content_of_the_file(poses):
     name = poses(STAMPS, np.zeros((40, 3)))
-    before = registry.run_fingerprint(name, "room")
+    before = registry.hash_run_code(name, "room")
     poses(STAMPS, np.ones((40, 3)))
-    assert registry.run_fingerprint(name, "room") != before
+    assert registry.hash_run_code(name, "room") != before

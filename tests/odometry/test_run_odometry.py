@@ -11,7 +11,7 @@ from evalkit.core.odometry_estimate import OdometryEstimate
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame, Scan
 from evalkit.core.timing import Cost
-from evalkit.odometry.run_odometry import checked_estimate, estimate_poses, run_odometry
+from evalkit.odometry.run_odometry import check_estimate, estimate_poses, run_odometry
 from evalkit.plugins.protocols import NoAnswer
 
 FRAMES = [Frame(Scan(stamp, np.array([1.0]), np.array([0.0]), 0.1, 9.0)) for stamp in (10, 20, 30)]
@@ -80,4 +80,4 @@ def test_other_exceptions_propagate():
 )
 def test_a_result_of_another_type_raises(answer, error, message):
     with pytest.raises(error, match=message):
-        checked_estimate(answer)
+        check_estimate(answer)

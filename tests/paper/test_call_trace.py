@@ -42,8 +42,8 @@ def test_children_follow_their_stage_and_unnamed_calls_are_skipped():
 
 
 def test_calls_are_recorded_below_their_callers():
-    root = call_trace.record_calls(lambda: call_trace.frontend.points_within(call_trace.frontend.np.zeros((2, 2)), 1.0))
-    assert [each.name for each in root.walk()] == ["", "points_within"]
+    root = call_trace.record_calls(lambda: call_trace.frontend.select_near(call_trace.frontend.np.zeros((2, 2)), 1.0))
+    assert [each.name for each in root.walk()] == ["", "select_near"]
 
 
 def test_a_call_tree_survives_json():
@@ -58,8 +58,8 @@ def test_a_call_tree_survives_json():
         (PIPELINE, {"scan_to_map": False}, {"FrontEnd._register s2m"}),
         (TWO_STAGES, {"scan_to_map": False}, {"FrontEnd._register s2m", "KeyframeMap.cloud"}),
         (TWO_STAGES, {"deskew": False}, {"Motion.within_scan"}),
-        (TWO_STAGES, {"local_radius_m": 0.0}, {"points_within"}),
-        (REGISTRATION, {"one_to_one": False}, {"closest_only"}),
+        (TWO_STAGES, {"local_radius_m": 0.0}, {"select_near"}),
+        (REGISTRATION, {"one_to_one": False}, {"select_closest"}),
     ],
     ids=["scan to scan", "scan to map", "scan to map of two", "deskew", "local radius", "one to one"],
 )
@@ -70,7 +70,7 @@ def test_a_disabled_stage_is_missing_from_its_figure_and_changes_nothing_else(wo
 def test_another_option_is_another_stage():
     assert run_stages(MAPPING) - run_stages(MAPPING, traversal="bresenham") == {"exact"}
     assert run_stages(MAPPING, traversal="bresenham") - run_stages(MAPPING) == {"bresenham"}
-    assert run_stages(MAPPING) ^ run_stages(MAPPING, once_per_scan=False) == {"LogOddsGrid._once", "LogOddsGrid._every"}
+    assert run_stages(MAPPING) ^ run_stages(MAPPING, once_per_scan=False) == {"LogOddsGrid._count_once", "LogOddsGrid._count_every"}
     assert run_stages(TWO_STAGES) ^ run_stages(TWO_STAGES, local_map="grid") >= {"KeyframeMap.cloud", "GridMap.cloud"}
 
 
@@ -82,6 +82,6 @@ def test_the_page_has_a_box_for_every_executed_stage():
     drawn = path(Call.from_json(results["stages"]["calls"]), REGISTRATION, "FrontEnd._register s2m")
     assert drawn.times > 1
     assert [REGISTRATION[key] for key in drawn.stages[drawn.first :]] == [
-        REGISTRATION[key] for key in ("Association.of", "closest_only", "rigid", "Icp._error")
+        REGISTRATION[key] for key in ("Association.find", "select_closest", "fit_motion", "Icp._error")
     ]
     assert len(flowchart_chapter.CHAPTER.findings(chosen, results)) == 2

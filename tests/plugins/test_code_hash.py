@@ -6,7 +6,7 @@ import sys
 import pytest
 
 from evalkit.plugins import code_hash as module
-from evalkit.plugins.code_hash import files_digest, fingerprint, sources
+from evalkit.plugins.code_hash import find_sources, hash_code, hash_files
 
 
 @pytest.fixture
@@ -26,20 +26,20 @@ def package(tmp_path, monkeypatch):
         (home / f"{name}.py").write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path))
     importlib.invalidate_caches()
-    sources.cache_clear()
+    find_sources.cache_clear()
     yield home
-    sources.cache_clear()
+    find_sources.cache_clear()
     for name in [name for name in sys.modules if name.startswith("stranger_plugin")]:
         del sys.modules[name]
 
 
 def digest():
-    sources.cache_clear()
-    return fingerprint(("stranger_plugin.plugin",), ())
+    find_sources.cache_clear()
+    return hash_code(("stranger_plugin.plugin",), ())
 
 
 def test_all_modules_imported_within_the_package_are_hashed(package):
-    files = sources("stranger_plugin.plugin", frozenset({"stranger_plugin"}))
+    files = find_sources("stranger_plugin.plugin", frozenset({"stranger_plugin"}))
     assert {"plugin.py", "step.py", "deep.py", "deeper.py"} <= {file.name for file in files}
     assert "bystander.py" not in {file.name for file in files}
     assert all(file.is_relative_to(package) for file in files)
@@ -63,13 +63,13 @@ def test_a_change_of_other_code_does_not_change_the_hash(package):
 def test_library_versions_are_part_of_the_hash(monkeypatch):
     found = {"numpy": "1.0"}
     monkeypatch.setattr(module, "_version", lambda name: found.get(name, "absent"))
-    before = fingerprint(("evalkit.core.se2",), ("numpy", "open3d"))
+    before = hash_code(("evalkit.core.se2",), ("numpy", "open3d"))
     found["open3d"] = "0.19"
-    assert fingerprint(("evalkit.core.se2",), ("numpy", "open3d")) != before
+    assert hash_code(("evalkit.core.se2",), ("numpy", "open3d")) != before
 
 
 def test_harness_code_used_by_the_worker_is_part_of_the_hash():
-    reached = {file.name for file in sources("evalkit.execution.worker", frozenset({"evalkit"}))}
+    reached = {file.name for file in find_sources("evalkit.execution.worker", frozenset({"evalkit"}))}
     assert {"worker.py", "frontend.py", "local_map.py", "scan.py", "se2.py", "timing.py"} <= reached
     assert not {"cli.py", "progress.py", "charts.py"} & reached
 
@@ -79,9 +79,9 @@ def test_a_recording_replaced_under_its_name_changes_the_hash(tmp_path):
     log.write_text("FLASER")
     bag.mkdir()
     (bag / "bag.db3").write_bytes(b"1")
-    before = [files_digest({"path": str(path), "every": 2}) for path in (log, bag)]
+    before = [hash_files({"path": str(path), "every": 2}) for path in (log, bag)]
     log.write_text("FLASER 1")
     (bag / "bag.db3").write_bytes(b"12")
-    after = [files_digest({"path": str(path), "every": 2}) for path in (log, bag)]
+    after = [hash_files({"path": str(path), "every": 2}) for path in (log, bag)]
     assert len({*before, *after}) == 4
-    assert files_digest({"world": "room", "path": "", "every": 2}) == ""
+    assert hash_files({"world": "room", "path": "", "every": 2}) == ""

@@ -120,7 +120,7 @@ def test_a_plug_in_whose_import_crashes_or_hangs_is_reported_as_missing(stranger
     registry._import_failure.cache_clear()
     points.append(EntryPoint("theirs", f"{module}:SPEC", "evalkit.backends"))
     assert registry.find_backend("theirs").missing() == (
-        f"theirs: its plug-in {module}:SPEC does not load ({why}); mend or remove its package"
+        f"theirs: its plug-in {module}:SPEC does not load ({why}); repair or remove its package"
     )
 
 
@@ -130,19 +130,16 @@ def test_a_back_end_under_development_is_found_by_its_module():
         registry.backend("nowhere.at.all:SPEC")
     with pytest.raises(NotInstalled, match="is a str"):
         registry.backend("evalkit_baselines.paper:CITATION")
-    of_module, of_name = (registry.run_fingerprint(n, "room") for n in ("evalkit_baselines.paper:SPEC", "paper"))
+    of_module, of_name = (registry.hash_run_code(n, "room") for n in ("evalkit_baselines.paper:SPEC", "paper"))
     assert of_module == of_name
 
 
 def test_the_fingerprint_covers_the_code_of_both_plug_ins():
-    room = registry.run_fingerprint("paper", "room")
-    assert room == registry.run_fingerprint("paper", "room")
-    assert room == registry.run_fingerprint("paper-tight", "lab")  # the same modules; parameters are hashed elsewhere
-    assert (
-        len({room, registry.run_fingerprint("paper", "carmen"), registry.run_fingerprint("wheel-odometry", "room")})
-        == 3
-    )
-    assert registry.score_fingerprint("log-odds") != room
+    room = registry.hash_run_code("paper", "room")
+    assert room == registry.hash_run_code("paper", "room")
+    assert room == registry.hash_run_code("paper-tight", "lab")  # the same modules; parameters are hashed elsewhere
+    assert len({room, registry.hash_run_code("paper", "carmen"), registry.hash_run_code("wheel-odometry", "room")}) == 3
+    assert registry.hash_scoring_code("log-odds") != room
 
 
 def test_find_backend_returns_the_spec_and_for_a_broken_plugin_one_with_the_reason(strangers, monkeypatch):
@@ -167,8 +164,8 @@ def test_the_default_mapper_is_the_one_that_declares_itself_the_default(points, 
         monkeypatch.setattr(evalkit, name, mapper(default), raising=False)
         points.append(EntryPoint(name, f"evalkit:{name}", "evalkit.mappers"))
     points.append(EntryPoint("0", "nowhere_to_be_found:SPEC", "evalkit.mappers"))
-    assert defaults.default_mapper() == "b"
+    assert defaults.find_default_mapper() == "b"
     points[:] = points[:1]
     registry._find_points.cache_clear()
     with pytest.raises(NotInstalled, match="no installed mapper is declared as the default"):
-        defaults.default_mapper()
+        defaults.find_default_mapper()

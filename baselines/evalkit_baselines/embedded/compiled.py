@@ -27,7 +27,7 @@ def compiled_missing() -> str:
     return f"not installed: the compiled core was not built (needs a C and a C++ compiler): {_remedy()}"
 
 
-def core(precision: Precision) -> ModuleType:
+def load_core(precision: Precision) -> ModuleType:
     """Import the core's module of a precision; raises NotInstalled where it cannot be loaded."""
     try:
         if precision == "double":
@@ -39,7 +39,7 @@ def core(precision: Precision) -> ModuleType:
     return found
 
 
-def real(values: Floats, module: ModuleType) -> Reals:
+def to_real(values: Floats, module: ModuleType) -> Reals:
     """Return the numbers as a contiguous array in the core's precision, without a copy where possible."""
     if values.dtype == module.REAL and values.flags.c_contiguous:
         return values

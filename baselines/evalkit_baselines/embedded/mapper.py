@@ -14,7 +14,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats
 from evalkit.plugins.parameters import Parameter
-from evalkit_baselines.embedded.compiled import core, real
+from evalkit_baselines.embedded.compiled import load_core, to_real
 from evalkit_baselines.paper import grid
 from evalkit_baselines.paper.grid import CHUNK, MAX_CELLS
 
@@ -42,7 +42,7 @@ class CompiledGrid:
     """
 
     def __init__(self, resolution_m: float, clear_no_returns: bool, **log_odds: float) -> None:
-        self._core = core("double")
+        self._core = load_core("double")
         self._resolution_m, self._clear_no_returns = resolution_m, clear_no_returns
         self._log_odds = log_odds
         self._grid: Any = None
@@ -62,8 +62,8 @@ class CompiledGrid:
                 self._make_room(np.concatenate([hits, misses, np.zeros((1, 2))]), world_from_sensor, scan.range_max_m)
             self._grid.add(
                 (world_from_sensor.x, world_from_sensor.y, world_from_sensor.theta),
-                real(hits, self._core),
-                real(misses, self._core),
+                to_real(hits, self._core),
+                to_real(misses, self._core),
             )
 
     def grid(self) -> OccupancyGrid:

@@ -14,7 +14,7 @@ from evalkit.core.timing import Cost, Stopwatch
 from evalkit.odometry import frontend
 from evalkit.plugins.parameters import Parameter
 from evalkit_baselines.embedded import registration
-from evalkit_baselines.embedded.compiled import core, real
+from evalkit_baselines.embedded.compiled import load_core, to_real
 
 FRONT_END = (
     "scan_to_scan", "scan_to_map", "deskew", "local_radius_m", "keyframes", "keyframe_distance_m",
@@ -43,7 +43,7 @@ class CompiledPipeline:
     """
 
     def __init__(self, **parameters: Any) -> None:
-        self._core = core(parameters["precision"])
+        self._core = load_core(parameters["precision"])
         self._pipeline = self._core.Pipeline(
             registration.make_icp(self._core, parameters),
             scan_to_scan=parameters["scan_to_scan"],
@@ -82,8 +82,8 @@ class CompiledPipeline:
     def _beams(self, scan: Scan) -> tuple[Any, Any]:
         """Return ranges and angles (B,); one invalid beam for a scan without beams, which the core would reject."""
         if not len(scan.ranges):
-            return real(np.array([np.nan]), self._core), real(np.zeros(1), self._core)
-        return real(scan.ranges, self._core), real(scan.angles, self._core)
+            return to_real(np.array([np.nan]), self._core), to_real(np.zeros(1), self._core)
+        return to_real(scan.ranges, self._core), to_real(scan.angles, self._core)
 
 
 def _stage_estimate(state: int, converged: bool, iterations: int, error: float, inliers: int) -> StageEstimate:

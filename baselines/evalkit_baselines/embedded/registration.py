@@ -11,9 +11,9 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.timing import Cost, Stopwatch
 from evalkit.plugins.parameters import Parameter
-from evalkit_baselines.embedded.compiled import Precision, core, real
+from evalkit_baselines.embedded.compiled import Precision, load_core, to_real
 from evalkit_baselines.paper import icp
-from evalkit_baselines.paper.association import Recent
+from evalkit_baselines.paper.association import CloudCache
 
 NOT_IN_CORE = ("metric", "line_neighbours", "cauchy_m")
 ERRORS = ("mean", "mean-squared", "rmse")  # in the order of ek_error_measure
@@ -36,21 +36,21 @@ class CompiledIcp:
     """
 
     def __init__(self, precision: Precision, **parameters: Any) -> None:
-        self._core = core(precision)
+        self._core = load_core(precision)
         self._icp = make_icp(self._core, parameters)
         self._min_pairs = parameters["min_pairs"]
         self._squared = parameters["error"] == "mean-squared"
         self._trace = parameters["trace"]
-        self._recent: Recent[Any] = Recent()
+        self._recent: CloudCache[Any] = CloudCache()
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """Return the motion ``target_from_source``; with too few pairs the guess, not converged, with error nan."""
         if not len(target) or not len(source):
             return Match.not_converged(guess)
         conversion = Stopwatch()
-        index = self._recent.of(target, lambda cloud: self._index(cloud, conversion))
+        index = self._recent.get(target, lambda cloud: self._index(cloud, conversion))
         with conversion:
-            points = real(source.points, self._core)
+            points = to_real(source.points, self._core)
         row, converged, iterations, error, inliers, history = self._icp.register(
             index, points, (guess.x, guess.y, guess.theta), self._trace
         )
@@ -61,7 +61,7 @@ class CompiledIcp:
 
     def _index(self, target: Cloud, conversion: Stopwatch) -> Any:
         with conversion:
-            points = real(target.points, self._core)
+            points = to_real(target.points, self._core)
         return self._core.Index(points)
 
     def _iteration(self, error: float, inliers: int, row: tuple[float, float, float], pairs: Any) -> Iteration:

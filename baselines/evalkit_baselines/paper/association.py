@@ -34,7 +34,7 @@ class Association:
         self._query_points = np.zeros((sources, 2))
         self._slack = np.full(sources, -np.inf)  # how far a point may move before its next query; -inf: no neighbour
 
-    def of(self, points: Floats) -> tuple[Ints, Floats]:
+    def find(self, points: Floats) -> tuple[Ints, Floats]:
         """Return target indices (N,) and distances (N,) in metres; inf where no target point is within the limit."""
         stale = np.flatnonzero(_length(points - self._query_points) >= self._slack)
         if len(stale):
@@ -50,13 +50,13 @@ class Association:
         self._query_points[rows] = points
 
 
-class Recent(Generic[Built]):
+class CloudCache(Generic[Built]):
     """Cache of what was built from the last few clouds; the least recently used entry is dropped first."""
 
     def __init__(self, size: int = 4) -> None:
         self._kept: deque[tuple[ref[Cloud], Built]] = deque(maxlen=size)
 
-    def of(self, cloud: Cloud, build: Callable[[Cloud], Built]) -> Built:
+    def get(self, cloud: Cloud, build: Callable[[Cloud], Built]) -> Built:
         """Return ``build(cloud)``, from the cache if the same cloud object was used before."""
         entry = next((kept for kept in self._kept if kept[0]() is cloud), None)
         if entry is None:

@@ -91,14 +91,14 @@ class LogOddsGrid:
         beams, offsets = TRAVERSALS[self.traversal](start, ends, width)
         passed = offsets + (first - low) @ (1, width)
         ended = (last - low) @ (1, width)
-        count = self._once if self.once_per_scan else self._every
+        count = self._count_once if self.once_per_scan else self._count_every
         free, occupied = count(beams, passed, ended, hits, width * height)
         cells = self._log_odds[window]
         cells += (self.l_free * free + self.l_occ * occupied).reshape(height, width)  # eq. 11: ln(0.3 / 0.7) is added
         np.clip(cells, self.l_min, self.l_max, out=cells)
         self._observed[window] |= ((free + occupied) > 0).reshape(height, width)
 
-    def _once(self, beams: Ints, passed: Ints, ended: Ints, hits: Bools, size: int) -> tuple[Ints, Ints]:
+    def _count_once(self, beams: Ints, passed: Ints, ended: Ints, hits: Bools, size: int) -> tuple[Ints, Ints]:
         """Count how often a scan marks each cell (size,) free and occupied: at most once, occupied first."""
         del beams
         free, occupied = np.zeros(size, dtype=np.int64), np.zeros(size, dtype=np.int64)
@@ -107,7 +107,7 @@ class LogOddsGrid:
         free[ended[hits]] = 0
         return free, occupied
 
-    def _every(self, beams: Ints, passed: Ints, ended: Ints, hits: Bools, size: int) -> tuple[Ints, Ints]:
+    def _count_every(self, beams: Ints, passed: Ints, ended: Ints, hits: Bools, size: int) -> tuple[Ints, Ints]:
         """The same if every beam counts: free once a beam in each cell before its end, occupied in its end."""
         before_end = (passed != ended.take(beams)) | ~hits.take(beams)
         keys = np.sort((beams * size + passed)[before_end])
@@ -163,7 +163,7 @@ def exact(start: Floats, ends: Floats, width: int) -> Crossed:
     unit = heading * (1.0, width)
     beams, offsets = [np.arange(len(ends))], [np.zeros(len(ends))]
     for along, across in ((0, 1), (1, 0)):
-        beam, line = _numbered(lines[:, along].astype(np.int64))
+        beam, line = _number_beams(lines[:, along].astype(np.int64))
         line += 1.0
         rise = (line - behind[:, along].take(beam)) * reach[:, across].take(beam)
         rise /= reach[:, along].take(beam)  # last, so that corners at exact fractions are met exactly
@@ -182,7 +182,7 @@ def bresenham(start: Floats, ends: Floats, width: int) -> Crossed:
     first, last = np.floor(start), np.floor(ends)
     lines = np.abs(last - first)
     longer = lines.max(axis=1)
-    beam, step = _numbered(longer.astype(np.int64) + 1)
+    beam, step = _number_beams(longer.astype(np.int64) + 1)
     offsets = np.zeros(len(beam))
     for axis, unit in ((0, 1.0), (1, float(width))):
         passed = np.floor(lines[:, axis].take(beam) * step / np.maximum(longer, 1.0).take(beam) + 0.5)
@@ -190,7 +190,7 @@ def bresenham(start: Floats, ends: Floats, width: int) -> Crossed:
     return Crossed(beam, offsets.astype(np.int64))
 
 
-def _numbered(counts: Ints) -> tuple[Ints, Floats]:
+def _number_beams(counts: Ints) -> tuple[Ints, Floats]:
     """Return each beam's number, repeated ``counts`` (B,) times, and the repetitions 0, 1, 2, ... (both (K,))."""
     beams = np.repeat(np.arange(len(counts)), counts)
     return beams, np.arange(len(beams), dtype=np.float64) - (np.cumsum(counts) - counts).astype(np.float64).take(beams)

@@ -33,7 +33,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud
 from evalkit.core.se2 import Floats
 from evalkit.plugins.parameters import check_fields, declared_parameters, parameter
-from evalkit_baselines.paper.association import Association, Recent
+from evalkit_baselines.paper.association import Association, CloudCache
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -72,7 +72,7 @@ class Icp:
     line_neighbours: int = parameter(8, "", "target points that define a line (metric 'line')", low=2)
     cauchy_m: float = parameter(0.0, "m", "scale of the Cauchy weight of metric 'line'; 0: equal weights", low=0.0)
     trace: bool = parameter(False, "", "keep the pairs of every iteration")
-    _recent: Recent[Target] = field(default_factory=Recent, init=False, repr=False, compare=False)
+    _recent: CloudCache[Target] = field(default_factory=CloudCache, init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         check_fields("paper ICP", self)
@@ -82,7 +82,7 @@ class Icp:
         history: list[Iteration] = []
         if not len(target) or not len(source):
             return Match.not_converged(guess)
-        tree, normals = self._recent.of(target, self._index)
+        tree, normals = self._recent.get(target, self._index)
         association = Association(tree, len(source), self.max_correspondence_m or math.inf)
         pose = guess.row
         moved = se2.transform(pose, source.points)
@@ -107,19 +107,19 @@ class Icp:
     def _index(self, target: Cloud) -> Target:
         from scipy.spatial import cKDTree  # noqa: PLC0415 - the spec of a back end is listed without SciPy
 
-        tree = cKDTree(target.points, leafsize=16, balanced_tree=False)  # the quickest to build, no slower to ask
+        tree = cKDTree(target.points, leafsize=16, balanced_tree=False)  # fastest to build, and queries are not slower
         return tree, line_normals(tree, self.line_neighbours) if self.metric == "line" else None
 
     def _pairs(self, association: Association, moved: Floats, targets: int) -> tuple[Ints, Ints]:
         """Return the indices into source (K,), ascending, and target (K,)."""
-        nearest, distance = association.of(moved)  # eq. 2
+        nearest, distance = association.find(moved)  # eq. 2
         at = np.flatnonzero(np.isfinite(distance))
         if self.one_to_one:
-            at = at[closest_only(nearest[at], distance[at], targets)]
+            at = at[select_closest(nearest[at], distance[at], targets)]
         return at, nearest[at]
 
     def _step(self, source: Floats, target: Floats, normals: Floats | None) -> Floats:
-        return rigid(source, target) if normals is None else onto_lines(source, target, normals, self.cauchy_m)
+        return fit_motion(source, target) if normals is None else fit_to_lines(source, target, normals, self.cauchy_m)
 
     def _error(self, residuals: Floats, normals: Floats | None) -> float:
         """Return equation 5 over residual vectors (K, 2), in the unit of the stop rule."""
@@ -137,7 +137,7 @@ class Icp:
 PARAMETERS = declared_parameters(Icp)
 
 
-def rigid(source: Floats, target: Floats) -> Floats:
+def fit_motion(source: Floats, target: Floats) -> Floats:
     """Return the least-squares motion (3,) ``target_from_source`` of pairs (K, 2) (eq. 3, 4).
 
     In the plane no SVD is needed: V diag(1, det(V U^T)) U^T of K = U S V^T is the rotation by this angle.
@@ -148,7 +148,7 @@ def rigid(source: Floats, target: Floats) -> Floats:
     return _about(p_bar, q_bar, theta)
 
 
-def onto_lines(source: Floats, target: Floats, normals: Floats, cauchy_m: float = 0.0) -> Floats:
+def fit_to_lines(source: Floats, target: Floats, normals: Floats, cauchy_m: float = 0.0) -> Floats:
     """Return the motion (3,) that minimises the distances of points (K, 2) to the lines through their targets.
 
     Linearised once in theta; not part of the paper. Nothing moves in a direction that the lines do not constrain (a
@@ -173,7 +173,7 @@ def line_normals(tree: cKDTree, neighbours: int) -> Floats:
     return np.stack([-np.sin(along), np.cos(along)], axis=1)
 
 
-def closest_only(nearest: Ints, distance: Floats, targets: int) -> Ints:
+def select_closest(nearest: Ints, distance: Floats, targets: int) -> Ints:
     """Return the rows (ascending) that are the closest of all with the same target point; of equals, the lowest row."""
     least = np.full(targets, np.inf)
     np.minimum.at(least, nearest, distance)

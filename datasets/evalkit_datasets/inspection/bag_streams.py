@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.core.se2 import Floats, Stamps
+from evalkit.core.se2 import Stamps
 from evalkit_datasets import rosbag_parser
 from evalkit_datasets.inspection.streams import LaserStream, OdometryStream, RecordingStreams, Topic
 from evalkit_datasets.rosbag_parser import Contents, Sweep
@@ -43,7 +43,7 @@ def read_bag_streams(path: Path) -> RecordingStreams:
         for connection, recorded_ns, raw in reader.messages(connections=wanted):
             message = reader.deserialize(raw, connection.msgtype)
             if connection.msgtype in rosbag_parser.TRANSFORMS:
-                rosbag_parser.take_transforms(tree, message, connection.topic.endswith("tf_static"))
+                rosbag_parser.add_transforms(tree, message, connection.topic.endswith("tf_static"))
                 continue
             own = taken.setdefault(connection.topic, _TopicContent(connection.msgtype))
             _take_message(own, connection.topic, message, int(recorded_ns))
@@ -70,12 +70,12 @@ def _message_rate_hz(count: int, seconds: float) -> float:
 def _take_message(own: _TopicContent, topic: str, message: Any, recorded_ns: int) -> None:
     before = sum(map(len, own.contents.odometry.values()))
     if own.kind != rosbag_parser.ODOMETRY:
-        sweep = rosbag_parser.take_sweep(own.contents, message, own.kind == rosbag_parser.LASER[1], recorded_ns)
+        sweep = rosbag_parser.read_sweep(own.contents, message, own.kind == rosbag_parser.LASER[1], recorded_ns)
         if sweep is not None:
             own.sweeps.append(sweep)
             own.recorded_ns.append(recorded_ns)
         return
-    rosbag_parser.take_odometry(own.contents, topic, message)
+    rosbag_parser.add_odometry(own.contents, topic, message)
     if sum(map(len, own.contents.odometry.values())) > before:  # otherwise damaged, and counted as such
         own.recorded_ns.append(recorded_ns)
         own.twists.append((float(message.twist.twist.linear.x), float(message.twist.twist.angular.z)))
@@ -119,7 +119,7 @@ def _find_tf_odometry(tree: TransformTree) -> list[OdometryStream]:
     """Return the odometry in tf: the moving children of frame "odom"."""
     return [
         OdometryStream("tf", parent, child, _stamp_array([edge.stamp_ns for edge in edges]),
-               _pose_array([planar_pose_from_matrix(edge.parent_from_child).row for edge in edges]))
+               np.array([planar_pose_from_matrix(edge.parent_from_child).row for edge in edges]))
         for (parent, child), edges in sorted(tree.moving.items())
         if parent == "odom" and len(edges) >= MIN_TF_POSES
     ]  # fmt: skip
@@ -127,7 +127,3 @@ def _find_tf_odometry(tree: TransformTree) -> list[OdometryStream]:
 
 def _stamp_array(values: list[int]) -> Stamps:
     return np.array(values, dtype=np.int64)
-
-
-def _pose_array(values: list[Floats]) -> Floats:
-    return np.array(values, dtype=np.float64).reshape(-1, 3)

@@ -55,8 +55,8 @@ def inspection_to_json(found: Inspection, advice: SuggestedConfig | None) -> dic
             "bytes": found.bytes,
             "topics": [asdict(topic) for topic in found.topics],
             "lidars": [asdict(lidar) for lidar in found.lidars],
-            "odometry": [asdict(one) | {"like_wheels": one.like_wheels} for one in found.drivings],
-            "turns": {name: asdict(turn) for name, turn in found.turnings.items()},
+            "odometry": [asdict(one) | {"like_wheels": one.like_wheels} for one in found.odometries],
+            "turns": {name: asdict(turn) for name, turn in found.turns.items()},
             "frames": asdict(found.frames),
             "poses_from": found.poses_from,
             "truth_inside": found.truth_inside,
@@ -93,7 +93,7 @@ def _write_page(folder: Path, found: Inspection, advice: SuggestedConfig | None)
 def _print_inspection(found: Inspection, advice: SuggestedConfig | None) -> None:
     out.print(f"{found.path.name}: {found.kind}, {found.bytes / 1e6:.1f} MB", markup=False, highlight=False)
     progress.print_table(out, _make_lidar_table(found))
-    for one in found.drivings:
+    for one in found.odometries:
         out.print(
             f"odometry {one.topic}, {one.parent} to {one.child}: {one.timing.count} poses, {one.path_m:.1f} m, "
             f"{one.turned_deg:.0f} deg, standing {100 * one.standing:.0f} %", markup=False, highlight=False,

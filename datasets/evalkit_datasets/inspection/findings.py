@@ -60,13 +60,13 @@ class LidarStats:
 
 
 def collect_findings(
-    streams: RecordingStreams, inside: str, lidars: Sequence[LidarStats], drivings: Sequence[OdometryStats],
+    streams: RecordingStreams, inside: str, lidars: Sequence[LidarStats], odometries: Sequence[OdometryStats],
     turns: Mapping[str, TurnComparison], tree: FrameTree,
 ) -> tuple[InspectionFinding, ...]:  # fmt: skip
     """Return all findings, most severe first; ``inside``: the ground truth in the recording, "" if none."""
     rank: dict[Level, int] = {"problem": 0, "warning": 1, "note": 2}
-    found = [*_check_file(streams, inside), *_check_lidars(lidars), *_check_scan_steps(drivings, streams),
-             *_check_odometry(drivings, turns, streams), *_check_frames(tree, streams)]  # fmt: skip
+    found = [*_check_file(streams, inside), *_check_lidars(lidars), *_check_scan_steps(odometries, streams),
+             *_check_odometry(odometries, turns, streams), *_check_frames(tree, streams)]  # fmt: skip
     return tuple(sorted(found, key=lambda finding: rank[finding.level]))
 
 
@@ -212,9 +212,9 @@ def advise_on_code(low_m: float, range_max_m: float | None) -> str:
     )
 
 
-def _check_scan_steps(drivings: Sequence[OdometryStats], streams: RecordingStreams) -> Iterator[InspectionFinding]:
+def _check_scan_steps(odometries: Sequence[OdometryStats], streams: RecordingStreams) -> Iterator[InspectionFinding]:
     """Check the motion between scans by the poses in a log."""
-    for one in drivings:
+    for one in odometries:
         if one.topic == SCAN_POSES and one.median_step_m > MAX_SCAN_STEP_M:
             what = f"{one.median_step_m:.2f} m apart (median), rotated by up to {one.largest_turn_deg:.0f} deg"
             yield InspectionFinding("warning", "scans", what, "large for a registration without a prior")
@@ -223,13 +223,13 @@ def _check_scan_steps(drivings: Sequence[OdometryStats], streams: RecordingStrea
 
 
 def _check_odometry(
-    drivings: Sequence[OdometryStats], turns: Mapping[str, TurnComparison], streams: RecordingStreams
+    odometries: Sequence[OdometryStats], turns: Mapping[str, TurnComparison], streams: RecordingStreams
 ) -> Iterator[InspectionFinding]:
-    if not drivings and streams.lasers:
+    if not odometries and streams.lasers:
         yield InspectionFinding(
             "warning", "odometry", "no wheel odometry in it", "the initial guess is constant velocity"
         )
-    for one in () if streams.poses_from else drivings:
+    for one in () if streams.poses_from else odometries:
         about = f"odometry {one.topic}" + (f" ({one.child})" if one.topic == "tf" else "")
         yield from _check_motion(one, about)
         yield from _check_twist(one, about)

@@ -21,15 +21,15 @@ TRUTH_WORDS = ("ground_truth", "groundtruth", "gt", "mocap", "vicon", "optitrack
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
-    """All measurements of a recording. ``turnings``: rotations against the best lidar, by odometry."""
+    """All measurements of a recording. ``turns``: rotations against the best lidar, by odometry."""
 
     path: Path
     kind: str
     bytes: int
     topics: tuple[Topic, ...]
     lidars: tuple[LidarStats, ...]
-    drivings: tuple[OdometryStats, ...]
-    turnings: Mapping[str, TurnComparison]
+    odometries: tuple[OdometryStats, ...]
+    turns: Mapping[str, TurnComparison]
     frames: FrameTree
     poses_from: str
     truth_inside: str
@@ -43,7 +43,7 @@ def inspect_recording(path: Path) -> Inspection:
     is_bag = path.is_dir() or path.suffix in rosbag_parser.SUFFIXES
     streams = bag_streams.read_bag_streams(path) if is_bag else log_streams.read_log_streams(path)
     lidars = tuple(_measure_lidar(laser) for laser in streams.lasers)
-    drivings = tuple(measure_odometry(wheels) for wheels in streams.wheels)
+    odometries = tuple(measure_odometry(wheels) for wheels in streams.wheels)
     best = max(range(len(lidars)), key=lambda at: measured_directions(lidars[at]), default=None)
     turns = {}
     for wheels in streams.wheels if best is not None else ():
@@ -53,9 +53,9 @@ def inspect_recording(path: Path) -> Inspection:
     tree = build_frame_tree(streams.tree, streams.lasers)
     inside = _describe_truth_inside(streams)
     return Inspection(
-        path, streams.kind, _count_bytes(path), tuple(streams.topics), lidars, drivings, turns, tree,
+        path, streams.kind, _count_bytes(path), tuple(streams.topics), lidars, odometries, turns, tree,
         streams.poses_from, inside, tuple(streams.remarks),
-        findings.collect_findings(streams, inside, lidars, drivings, turns, tree),
+        findings.collect_findings(streams, inside, lidars, odometries, turns, tree),
         streams,
     )  # fmt: skip
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from evalkit.core.errors import BadData
-from evalkit.core.se2 import Floats, Stamps
+from evalkit.core.se2 import Stamps
 from evalkit.io.timestamps import parse_stamp_ns
 from evalkit_datasets import carmen_parser
 from evalkit_datasets.carmen_parser import Log, Reading
@@ -92,12 +92,8 @@ def _make_odometry_streams(log: Log, readings: list[Reading]) -> list[OdometrySt
     poses = [reading.robot for reading in readings]
     if len(set(poses)) > 1:
         stamps = np.array([reading.stamp_ns for reading in readings], dtype=np.int64)
-        streams.append(OdometryStream(SCAN_POSES, "odom", "base", stamps, _pose_array(poses)))
+        streams.append(OdometryStream(SCAN_POSES, "odom", "base", stamps, np.array(poses)))
     return streams
-
-
-def _pose_array(rows: list[tuple[float, float, float]]) -> Floats:
-    return np.array(rows, dtype=np.float64).reshape(-1, 3)
 
 
 def _count_digits(word: bytes) -> int:

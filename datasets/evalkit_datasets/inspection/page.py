@@ -171,7 +171,7 @@ def _plot_offsets(laser: LaserStream) -> bytes:
 
 
 def _render_odometry(found: Inspection) -> Iterator[Block]:
-    if not found.drivings:
+    if not found.odometries:
         yield Text("None.")
         return
     columns = (
@@ -181,17 +181,17 @@ def _render_odometry(found: Inspection) -> Iterator[Block]:
         Column("speed by twist", number=True, tip="1: poses and speeds in the messages agree"),
         Column("turn by scans", number=True, tip="1: odometry and scans rotate alike"),
     )  # fmt: skip
-    yield Table(columns, [_make_odometry_row(found, one) for one in found.drivings])
+    yield Table(columns, [_make_odometry_row(found, one) for one in found.odometries])
     poses = [wheels.poses[np.argsort(wheels.stamps_ns, kind="stable")] for wheels in found.streams.wheels]
     drawn = [
         Points(one.topic, _thin(rows[:, :2]), HUES[at % len(HUES)], 1.4, joined=True)
-        for at, (one, rows) in enumerate(zip(found.drivings, poses, strict=True))
+        for at, (one, rows) in enumerate(zip(found.odometries, poses, strict=True))
     ]
     yield Figures([Figure(charts.scatter(drawn, Axis("x [m]"), Axis("y [m]")), "Paths", "Each in its own frame.")])
 
 
 def _make_odometry_row(found: Inspection, one: OdometryStats) -> list[str | Cell]:
-    turn = found.turnings.get(f"{one.topic} {one.child}")
+    turn = found.turns.get(f"{one.topic} {one.child}")
     return [
         one.topic, f"{one.parent} to {one.child}", str(one.timing.count),
         f"{one.timing.count / max(one.timing.duration_s, 1e-9):.1f}", f"{one.path_m:.1f}", f"{one.turned_deg:.0f}",

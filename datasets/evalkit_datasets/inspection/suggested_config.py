@@ -94,12 +94,12 @@ def _choose_for_bag(found: Inspection) -> tuple[dict[str, Value], list[str]]:
     lidar, why = best_lidar(found)
     parameters: dict[str, Value] = {"topic": lidar.topic}
     reasons = [f"topic {lidar.topic}: {why}"]
-    messages = [one for one in found.drivings if one.topic != "tf"]
-    usable = [one for one in messages or found.drivings if one.like_wheels]
+    messages = [one for one in found.odometries if one.topic != "tf"]
+    usable = [one for one in messages or found.odometries if one.like_wheels]
     if not usable:
         parameters["odometry"] = "none"
         reasons.append(
-            "odometry none: " + ("its motion is not that of wheels" if found.drivings else "the bag has none")
+            "odometry none: " + ("its motion is not that of wheels" if found.odometries else "the bag has none")
         )
         return parameters, reasons
     named = next((one for one in usable if one.topic.lstrip("/") == "odom"), usable[0])
@@ -120,7 +120,7 @@ def _choose_for_log(found: Inspection) -> tuple[dict[str, Value], list[str]]:
     if unknown:
         parameters["range_max_m"] = min(unknown)
         reasons.append(f"range_max_m {min(unknown):g}: ranges of this length or more mean no return")
-    if not found.poses_from and found.drivings and not found.drivings[0].like_wheels:
+    if not found.poses_from and found.odometries and not found.odometries[0].like_wheels:
         parameters["odometry"] = "none"
         reasons.append("odometry none: the motion of its poses is not that of wheels")
     return parameters, reasons

@@ -21,7 +21,7 @@ from evalkit.execution.task_runner import OnDone, TaskFailure, TasksFailed, run_
 from evalkit.execution.task_store import TaskStore
 from evalkit.plugins import registry
 from evalkit.plugins.address import address_of
-from evalkit.plugins.code_hash import files_digest, fingerprint
+from evalkit.plugins.code_hash import hash_code, hash_files
 from evalkit.plugins.parameter_parsing import from_text
 from evalkit.plugins.parameters import Value, resolve_parameters
 from evalkit.plugins.protocols import Registration
@@ -101,8 +101,8 @@ def make_tasks(
 ) -> tuple[Task[Answers], ...]:
     """The tasks of one back end; together they cover all trials."""
     modules = (registry.plug_in_of("backends", label).module, *([trials.recorded.module] if trials.recorded else []))
-    files = files_digest(trials.recorded.parameters) if trials.recorded else ""
-    code = fingerprint(modules, ("numpy", "scipy", *spec.requires)) + spec.digest + files
+    files = hash_files(trials.recorded.parameters) if trials.recorded else ""
+    code = hash_code(modules, ("numpy", "scipy", *spec.requires)) + spec.digest + files
     return tuple(
         make_task(
             f"{label} {trials.place} {begin}", answers, backend=label, values=dict(values), trials=trials, begin=begin,

@@ -50,9 +50,9 @@ def validate(
     from evalkit.commands.metric_validation import page, validation  # noqa: PLC0415 - loads matplotlib
     from evalkit.report.html.blocks import render  # noqa: PLC0415 - as above
 
-    worlds = tuple(dict.fromkeys(world or [defaults.simulated_dataset()]))
+    worlds = tuple(dict.fromkeys(world or [defaults.find_simulated_dataset()]))
     plan = validation.ValidationPlan(
-        worlds[:1] if quick else worlds, mapper or defaults.default_mapper(), worlds[0],
+        worlds[:1] if quick else worlds, mapper or defaults.find_default_mapper(), worlds[0],
         QUICK_SIZES if quick else sizes, seed, min(scans, QUICK_SCANS) if quick else scans,
     )  # fmt: skip
     folder = folder or Path("reports") / "build" / "metrics"
@@ -88,7 +88,7 @@ def selftest(
     from evalkit.commands.metric_validation import validation  # noqa: PLC0415 - loads the metrics
 
     plan = validation.ValidationPlan(
-        (), mapper or defaults.default_mapper(), world or defaults.simulated_dataset(), seed=seed
+        (), mapper or defaults.find_default_mapper(), world or defaults.find_simulated_dataset(), seed=seed
     )
     results = _run_tasks(validation.make_fault_tasks(plan), folder or Path("reports") / "build" / "metrics", jobs)
     faults = [validation.fault_as_json(*one) for one in validation.detect_faults(results).items()]

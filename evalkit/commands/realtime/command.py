@@ -59,7 +59,7 @@ def realtime(
     The time per scan is measured once on this machine and stored: the same command again drops the same scans.
     """
     simulation = _SimulationOptions(_parse_factors(factors), _parse_policy(policy), repetitions, odometry)
-    dataset, given_on = options.split_sequence(on or defaults.simulated_dataset())
+    dataset, given_on = options.split_sequence(on or defaults.find_simulated_dataset())
     task = _make_task(backend, dataset, options.settings(setting or []), given_on, simulation)
     store = TaskStore(folder or Path("reports") / "build" / "realtime")
     with progress.show_tasks(err, 1, 1) as done:
@@ -96,7 +96,7 @@ def _make_task(
     return make_task(
         f"{backend} on {on}", simulate_realtime, backend=backend, parameters=parameters, dataset=on,
         dataset_parameters=of_sequence, factors=simulation.factors, policies=[simulation.policy],
-        repetitions=simulation.repetitions, bridged=simulation.bridged, code=registry.run_fingerprint(backend, on),
+        repetitions=simulation.repetitions, bridged=simulation.bridged, code=registry.hash_run_code(backend, on),
     )  # fmt: skip
 
 

@@ -179,7 +179,7 @@ def simulate_realtime(
 ) -> RealtimeResult:
     """Measure the costs of a back end on a sequence and simulate slower devices.
 
-    ``code``: a digest of the sources of back end and data set (``registry.run_fingerprint``), for the task's key.
+    ``code``: a digest of the sources of back end and data set (``registry.hash_run_code``), for the task's key.
     """
     method = ProfiledMethod.load(backend, parameters)
     spec = registry.dataset(dataset)

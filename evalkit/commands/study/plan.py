@@ -17,7 +17,7 @@ from evalkit.core.se2 import Floats
 from evalkit.execution.task import Task, make_task
 from evalkit.metrics.table import Metric
 from evalkit.plugins import registry
-from evalkit.plugins.code_hash import files_digest
+from evalkit.plugins.code_hash import hash_files
 from evalkit.plugins.parameters import Value
 
 Kind = Literal["optimal", "fractional", "sobol", "latin", "curves", "grid"]
@@ -159,7 +159,7 @@ class Study:
             format_task_name(point.key, seed), evaluate, backend=self.backend, parameters=dict(point.method),
             dataset=self.dataset, sequence=sequence, mapper=self.mapper, mapper_parameters=dict(point.mapper),
             scans=self.scans, metrics=[response.name for response in self.responses],
-            code=self.code + files_digest(sequence),
+            code=self.code + hash_files(sequence),
         ).limited(self.limit_s)  # fmt: skip
 
     def point_experiment(self, key: str) -> Experiment:
@@ -174,7 +174,7 @@ class Study:
     @cached_property
     def code(self) -> str:
         """A digest of the sources of the plug-ins."""
-        return registry.run_fingerprint(self.backend, self.dataset) + registry.score_fingerprint(self.mapper)
+        return registry.hash_run_code(self.backend, self.dataset) + registry.hash_scoring_code(self.mapper)
 
 
 def format_task_name(key: str, seed: int | None) -> str:

@@ -13,7 +13,7 @@ from evalkit.commands.tune.trial import run_trial
 from evalkit.config.experiment import Limits, MapperChoice, Method, SequenceSpec
 from evalkit.execution.task import Task, make_task
 from evalkit.plugins import registry
-from evalkit.plugins.code_hash import files_digest
+from evalkit.plugins.code_hash import hash_files
 
 COST = "cpu_median_ms"
 """The metric of the cost: CPU time of a scan."""
@@ -101,13 +101,13 @@ class Tuning:
             backend=tunable.method.backend, parameters=dict(candidate.values), dataset=run.sequence.dataset,
             sequence=run.sequence.parameters_with_seed(run.seed), mapper=self.mapper.name,
             metrics=[self.objective.name, COST],
-            code=self._code(tunable.method.backend, run.sequence.dataset) + files_digest(run.sequence.parameters),
+            code=self._code(tunable.method.backend, run.sequence.dataset) + hash_files(run.sequence.parameters),
         ).limited(self.limits.run_s)  # fmt: skip
 
     def _code(self, backend: str, dataset: str) -> str:
         known = (backend, dataset)
         if known not in self._codes:
-            self._codes[known] = registry.run_fingerprint(backend, dataset)
+            self._codes[known] = registry.hash_run_code(backend, dataset)
         return self._codes[known]
 
     @cached_property

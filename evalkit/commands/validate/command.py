@@ -143,7 +143,7 @@ def validate(
     request = plan.ValidationRequest(
         backend=name, given=options.settings(setting or []), reference=reference,
         given_reference=options.settings(set_reference or [], "--set-reference"),
-        peers=tuple(peer or defaults.backends_with_role("peer")),
+        peers=tuple(peer or defaults.find_backends_with_role("peer")),
         on=tuple(on or _default_sequences(quick=quick or group == "determinism", simulated=group == "determinism")),
         seeds=seeds or (1 if quick else 3), claim=_parse_claim(claim), margin=_parse_margin(margin), noise_share=share,
         mapper=mapper, effort=replace(effort, scans=scans or effort.scans), only=group, disturbed=disturb,
@@ -259,8 +259,8 @@ def _refuse_only(only: str, allowed: tuple[str, ...], name: str, subject: str) -
 
 def _default_sequences(quick: bool, simulated: bool) -> list[str]:
     """The excerpts that data sets declare, as texts "NAME key=value"; ``simulated``: only one simulated data set."""
-    excerpts = defaults.excerpts("quick" if quick else "full")
-    chosen = [defaults.simulated_dataset()] if simulated else list(excerpts)
+    excerpts = defaults.find_excerpts("quick" if quick else "full")
+    chosen = [defaults.find_simulated_dataset()] if simulated else list(excerpts)
     if not chosen:
         raise NotInstalled("sequence", "no installed data set declares an excerpt", "name one with --on")
     return [shlex.join([name, *(f"{key}={value}" for key, value in excerpts[name].items())]) for name in chosen]

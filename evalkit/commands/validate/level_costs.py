@@ -120,13 +120,13 @@ def _peak_memory(records: Mapping[str, Mapping[str, RunRecord]], terms: Comparis
 
 def _static_memory(file: Path) -> list[Check]:
     """The static memory of a compiled file; nothing if this system has another file format."""
-    sizes = elf.sizes(file)
+    sizes = elf.read_sizes(file)
     if sizes is None:
         return []
     observed = (
         f"{file.name.partition('.')[0]}: text {sizes.text:,}, data {sizes.data:,}, bss {sizes.bss:,} bytes, built for "
-        f"{elf.machine(file.read_bytes()[:20])}, including its binding to Python, excluding memory that it allocates "
-        "or is given"
+        f"{elf.read_machine(file.read_bytes()[:20])}, including its binding to Python, excluding memory that it "
+        "allocates or is given"
     )
     return [Check("static memory", "", "informative", "never", observed)]
 

@@ -238,20 +238,20 @@ def make_plan(request: ValidationRequest) -> ValidationPlan:
     backend = request.backend
     reference, why = choose_reference(request.reference)
     for name in (backend, reference):
-        if unusable := _unusable_reason(registry.backend(name)):
+        if unusable := _find_unusable_reason(registry.backend(name)):
             raise NotInstalled(name, "cannot be validated here", unusable)
     given = _parse_settings(backend, request.given)
     known = {parameter.name for parameter in frontend.settable_parameters(registry.backend(reference))}
     shared = {name: text for name, text in request.given.items() if name in known}
     given_reference = _parse_settings(reference, {**shared, **request.given_reference})
     wanted = [name for name in dict.fromkeys(request.peers) if name not in (backend, reference)]
-    unavailable = {name: why_not for name in wanted if (why_not := _unusable_reason(registry.find_backend(name)))}
+    unavailable = {name: why_not for name in wanted if (why_not := _find_unusable_reason(registry.find_backend(name)))}
     installed = [name for name in wanted if name not in unavailable]
     baselines = [
-        name for name in defaults.backends_with_role("baseline") if name not in (backend, reference, *installed)
+        name for name in defaults.find_backends_with_role("baseline") if name not in (backend, reference, *installed)
     ]
-    mapper = request.mapper or defaults.mapper_of(backend)
-    mappers = (mapper, defaults.mapper_of(reference)) if mapper else ("", "")
+    mapper = request.mapper or defaults.find_mapper_of(backend)
+    mappers = (mapper, defaults.find_mapper_of(reference)) if mapper else ("", "")
     peers = (*installed, *baselines)
     methods: list[Mapping[str, Any]] = [
         {"use": backend, **given},
@@ -267,7 +267,7 @@ def make_plan(request: ValidationRequest) -> ValidationPlan:
 
 def choose_reference(name: str) -> tuple[str, str]:
     """The back end to compare with, by name or by default, and how it was chosen; NotInstalled if there is none."""
-    return (name, "given with --reference") if name else (defaults.reference_backend(), WHY_REFERENCE)
+    return (name, "given with --reference") if name else (defaults.find_reference_backend(), WHY_REFERENCE)
 
 
 def make_experiment(request: ValidationRequest, methods: Iterable[Mapping[str, Any]]) -> Experiment:
@@ -319,7 +319,7 @@ def compiled_files(backend: str) -> list[Path]:
     if colon and scheme == "lib":
         return [Path(split_words(backend, rest)[0]).resolve()]
     module = registry.plug_in_of("backends", backend).module
-    files = code_hash.sources(module, frozenset({module.partition(".")[0]}))
+    files = code_hash.find_sources(module, frozenset({module.partition(".")[0]}))
     return sorted(file for file in files if file.suffix == ".so")
 
 
@@ -327,7 +327,7 @@ def _reference_label(backend: str, reference: str) -> str:
     return reference if reference != backend else f"{reference} (reference)"
 
 
-def _unusable_reason(spec: BackendSpec) -> str:
+def _find_unusable_reason(spec: BackendSpec) -> str:
     """Why a back end cannot run here, or "" if it can."""
     return spec.missing() or spec.broken
 

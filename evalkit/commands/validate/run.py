@@ -165,7 +165,7 @@ def report_dataset(dataset: str, given: Mapping[str, str], frames: int) -> Accep
 
 def report_mapper(request: ValidationRequest, folder: Path, workers: int, display: ProgressDisplay) -> AcceptanceReport:
     """Level 2 of a mapper: compared with another one, cell by cell after every scan."""
-    reference = request.reference or defaults.default_mapper()
+    reference = request.reference or defaults.find_default_mapper()
     given = from_text(request.backend, registry.mapper(request.backend).parameters, request.given)
     known = {parameter.name for parameter in registry.mapper(reference).parameters}
     texts = {name: text for name, text in request.given.items() if name in known} | dict(request.given_reference)

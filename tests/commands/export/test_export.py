@@ -282,7 +282,7 @@ def test_the_inspection_of_a_bag_finds_its_known_properties(finished):
     from evalkit_datasets.inspection.suggested_config import suggest_config
 
     found = inspect_recording(exported(finished, "mcap", "--method", "wheel")[0])
-    (lidar,), (seat,), (driven,) = found.lidars, found.frames.mountings, found.drivings
+    (lidar,), (seat,), (driven,) = found.lidars, found.frames.mountings, found.odometries
     assert (lidar.timing.count, lidar.beams, lidar.returns.nan) == (N, 61, pytest.approx(1 / 61))
     assert lidar.timing.rate_hz == pytest.approx(10.0)
     assert lidar.sweep_s == pytest.approx(0.06)

@@ -23,7 +23,7 @@ def swollen() -> list[bytes]:
 def one(data: bytes) -> None:
     """Check whether the file can be used."""
     check_file_reader(
-        lambda path: (elf.unusable_reason(path, library=True), elf.unusable_reason(path, library=False)),
+        lambda path: (elf.find_unusable_reason(path, library=True), elf.find_unusable_reason(path, library=False)),
         data,
         "fuzz.so",
     )

@@ -6,7 +6,7 @@ from collections import deque
 
 from bounds import check_call
 
-from evalkit.external.declaration import parameters_with, read_declaration
+from evalkit.external.declaration import override_defaults, read_declaration
 from evalkit.external.process import ProgramSession
 from evalkit.external.program import Program
 
@@ -58,7 +58,7 @@ def one(data: bytes) -> None:
 
 def _describe_program(program: Program, line: bytes) -> None:
     declared = read_declaration("exec:fuzz", program.read(line))
-    parameters_with("exec:fuzz", declared.parameters, [])
+    override_defaults("exec:fuzz", declared.parameters, [])
     for parameter in declared.parameters:
         parameter.check("exec:fuzz", parameter.default)
 

@@ -236,8 +236,8 @@ def _count_kinds(divergences: list[Divergence]) -> dict[str, int]:
 
 def _load_sequence(on: str | DatasetSpec, given: Given) -> tuple[str, Sequence]:
     if on == "":
-        on = defaults.simulated_dataset()
-        given = {**defaults.excerpts("quick")[on], **given}
+        on = defaults.find_simulated_dataset()
+        given = {**defaults.find_excerpts("quick")[on], **given}
     name = on if isinstance(on, str) else "the sequence"
     spec = registry.dataset(on) if isinstance(on, str) else on
     known: dict[str, Value] = resolve_parameters(name, spec.parameters, given)

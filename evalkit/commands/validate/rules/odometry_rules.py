@@ -16,7 +16,7 @@ from evalkit.core.errors import EvalkitError
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Frame
 from evalkit.core.se2 import Floats
-from evalkit.odometry.run_odometry import checked_estimate
+from evalkit.odometry.run_odometry import check_estimate
 from evalkit.plugins.protocols import NoAnswer, Odometry
 from evalkit.plugins.specs import Role
 
@@ -66,7 +66,7 @@ def last_pose(answers: Floats) -> Pose:
 def validate_pose(answer: object) -> Pose:
     """The pose of an estimate; raises RuleBroken if the answer is no finite estimate."""
     try:
-        return checked_estimate(answer).pose
+        return check_estimate(answer).pose
     except (TypeError, ValueError) as error:
         raise RuleBroken(str(error)) from error
 

@@ -5,7 +5,7 @@
 enum { MIN_PAIRS = 3 };
 static const double SMALL_STEP = 1e-5; /* m + rad */
 
-/* Sums over pairs, of which the best motion is made. */
+/* Sums over pairs; the least-squares motion is computed from them. */
 typedef struct {
     double px, py, qx, qy, dot, cross, distance;
     int count;
@@ -47,7 +47,7 @@ static sums pair_up(icp_settings settings, const double *target, size_t targets,
     return s;
 }
 
-/* Moves the pose by the motion of least squares; answers how large that step was. */
+/* Apply the least-squares motion to the pose; return the size of this step (m + rad). */
 static double improve(const sums *s, icp_match *pose)
 {
     double n = s->count;
@@ -64,7 +64,7 @@ static double improve(const sums *s, icp_match *pose)
 }
 
 icp_match icp_register(icp_settings settings, const double *target, size_t targets, const double *source,
-                       size_t sources, icp_match guess, icp_listener listener, void *who)
+                       size_t sources, icp_match guess, icp_listener listener, void *context)
 {
     icp_match match = guess;
     match.error_m = NAN;
@@ -81,7 +81,7 @@ icp_match icp_register(icp_settings settings, const double *target, size_t targe
         match.error_m = s.distance / s.count;
         match.converged = improve(&s, &match) < SMALL_STEP;
         if (listener)
-            listener(who, &match);
+            listener(context, &match);
     }
     return match;
 }

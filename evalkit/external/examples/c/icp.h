@@ -15,11 +15,11 @@ typedef struct {
     int converged, iterations, inliers;
 } icp_match;
 
-/* Hears of every iteration; may be NULL. */
-typedef void (*icp_listener)(void *who, const icp_match *so_far);
+/* Callback after every iteration; may be NULL. */
+typedef void (*icp_listener)(void *context, const icp_match *so_far);
 
-/* The match, starting from x, y, theta in `guess`. Points are x0 y0 x1 y1 ... */
+/* Return the match, starting from x, y, theta in `guess`. Points are x0 y0 x1 y1 ... */
 icp_match icp_register(icp_settings settings, const double *target, size_t targets, const double *source,
-                       size_t sources, icp_match guess, icp_listener listener, void *who);
+                       size_t sources, icp_match guess, icp_listener listener, void *context);
 
 #endif

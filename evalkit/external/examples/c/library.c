@@ -6,11 +6,11 @@
 #include "icp.h"
 
 typedef struct {
-    evalkit_trace hear;
+    evalkit_trace trace;
     void *listener;
-} ear;
+} trace_target;
 
-static const char *last_error; /* of a create that failed: there is no instance to keep it */
+static const char *last_error; /* of a failed evalkit_create, which has no instance */
 
 int32_t evalkit_abi(void) { return EVALKIT_ABI; }
 
@@ -21,7 +21,7 @@ const char *evalkit_summary(void) { return "point-to-point ICP in C, brute-force
 const char *evalkit_parameters(void)
 {
     return "max_correspondence_m 0.5 m largest distance of a pair\n"
-           "max_iterations 40 - most iterations\n";
+           "max_iterations 40 - largest number of iterations\n";
 }
 
 void *evalkit_create(const char *const *names, const char *const *values, size_t count)
@@ -45,22 +45,22 @@ void *evalkit_create(const char *const *names, const char *const *values, size_t
     return settings;
 }
 
-static void pass_on(void *who, const icp_match *m)
+static void report_iteration(void *context, const icp_match *m)
 {
-    const ear *to = who;
+    const trace_target *to = context;
     evalkit_pose pose = {m->x, m->y, m->theta};
-    to->hear(to->listener, m->error_m, m->inliers, &pose);
+    to->trace(to->listener, m->error_m, m->inliers, &pose);
 }
 
 int32_t evalkit_register(void *self, const double *target_xy, size_t targets, const double *source_xy, size_t sources,
                          const evalkit_pose *guess, evalkit_trace trace, void *listener, evalkit_match *answer)
 {
     const icp_settings *settings = self;
-    ear to = {trace, listener};
+    trace_target to = {trace, listener};
     icp_match start = {0};
     start.x = guess->x, start.y = guess->y, start.theta = guess->theta;
     icp_match m =
-        icp_register(*settings, target_xy, targets, source_xy, sources, start, trace ? pass_on : NULL, &to);
+        icp_register(*settings, target_xy, targets, source_xy, sources, start, trace ? report_iteration : NULL, &to);
     answer->target_from_source = (evalkit_pose){m.x, m.y, m.theta};
     answer->error_m = m.error_m;
     answer->converged = m.converged;

@@ -23,14 +23,14 @@ static long long now_ns(void)
     return t.tv_sec * 1000000000LL + t.tv_nsec;
 }
 
-/* Where the value of a key begins, or NULL. */
+/* Return where the value of a key begins, or NULL. */
 static const char *value_of(const char *line, const char *key)
 {
     const char *found = strstr(line, key);
     return found ? found + strlen(key) : NULL;
 }
 
-/* The numbers of a list such as [1,2.5,-3e-4]; 0 if there is no memory for them. */
+/* Read the numbers of a list such as [1,2.5,-3e-4]; return 0 if there is no memory for them. */
 static int read_list(const char *line, const char *key, cloud *into)
 {
     const char *at = value_of(line, key);
@@ -58,7 +58,7 @@ static void answer_hello(void)
     printf("{\"protocol\":1,\"kind\":\"registration\",\"summary\":\"point-to-point ICP in C, over a pipe\","
            "\"parameters\":["
            "{\"name\":\"max_correspondence_m\",\"default\":0.5,\"unit\":\"m\",\"meaning\":\"largest distance\"},"
-           "{\"name\":\"max_iterations\",\"default\":40,\"unit\":\"\",\"meaning\":\"most iterations\"}]}\n");
+           "{\"name\":\"max_iterations\",\"default\":40,\"unit\":\"\",\"meaning\":\"largest number of iterations\"}]}\n");
 }
 
 static void answer_create(const char *line, icp_settings *settings)
@@ -107,7 +107,7 @@ int main(void)
             answer_register(line, settings, clouds);
         else
             printf("{\"failed\":\"unknown question\"}\n");
-        fflush(stdout); /* or the answer stays in this program's buffer */
+        fflush(stdout); /* otherwise the answer stays in the buffer */
     }
     for (int i = 0; i < 3; i++)
         free(clouds[i].xy);

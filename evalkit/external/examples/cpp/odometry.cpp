@@ -45,7 +45,7 @@ public:
         if (keyframe_.empty()) {
             keyframe_ = scan;
         } else {
-            evalkit_pose step = step_;  // as before, unless the wheels know better
+            evalkit_pose step = step_;  // constant velocity, or wheel odometry where available
             if (frame.odom_from_base && has_wheels_) step = inverse(wheels_) * *frame.odom_from_base;
             const evalkit_pose before = start_from_base_;
             const evalkit_pose guess = inverse(start_from_keyframe_) * before * step;
@@ -128,17 +128,17 @@ const char *evalkit_parameters(void)
 {
     return "keyframe_m 0.3 m a new keyframe after this distance\n"
            "max_correspondence_m 0.5 m largest distance of a pair\n"
-           "max_iterations 40 - most iterations\n";
+           "max_iterations 40 - largest number of iterations\n";
 }
 
 void *evalkit_create(const char *const *, const char *const *values, size_t count)
 try {
     if (count != 3) {
-        last_error = "expected the three parameters it declares";
+        last_error = "expected the three declared parameters";
         return nullptr;
     }
     return new Odometry(std::atof(values[0]), std::atof(values[1]), std::atoi(values[2]));
-} catch (const std::exception &error) {  // nothing may be thrown across the border
+} catch (const std::exception &error) {  // no exception may leave the C interface
     last_error = error.what();
     return nullptr;
 }

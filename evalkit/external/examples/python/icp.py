@@ -13,7 +13,7 @@ HELLO = {
     "summary": "point-to-point ICP in Python, over a pipe",
     "parameters": [
         {"name": "max_correspondence_m", "default": 0.5, "unit": "m", "meaning": "largest distance of a pair"},
-        {"name": "max_iterations", "default": 40, "unit": "", "meaning": "most iterations"},
+        {"name": "max_iterations", "default": 40, "unit": "", "meaning": "largest number of iterations"},
     ],
 }
 
@@ -39,14 +39,14 @@ def main():
 
 
 def register(target, source, guess, max_correspondence_m, max_iterations):
-    """The match of flat lists of points x0, y0, x1, y1, ..."""
+    """Return the match of flat lists of points x0, y0, x1, y1, ..."""
     q, p = np.reshape(target, (-1, 2)), np.reshape(source, (-1, 2))
     x, y, theta = guess
     none = {"pose": guess, "converged": False, "iterations": 0, "error_m": None, "inliers": 0}
     if not len(p) or not len(q):
         return none
     for iteration in range(1, max_iterations + 1):
-        moved = turned(p, theta) + np.array([x, y])
+        moved = rotate(p, theta) + np.array([x, y])
         squared = np.square(moved[:, None, 0] - q[:, 0]) + np.square(moved[:, None, 1] - q[:, 1])
         nearest = squared.argmin(axis=1)
         distance = np.sqrt(squared[np.arange(len(p)), nearest])
@@ -55,7 +55,7 @@ def register(target, source, guess, max_correspondence_m, max_iterations):
         if pairs < 3:
             return {**none, "iterations": iteration, "inliers": pairs}
         step = best_motion(moved[near], q[nearest[near]])
-        (x, y), theta = turned(np.array([[x, y]]), step[2])[0] + step[:2], theta + step[2]
+        (x, y), theta = rotate(np.array([[x, y]]), step[2])[0] + step[:2], theta + step[2]
         converged = math.hypot(step[0], step[1]) + abs(step[2]) < 1e-5
         if converged:
             break
@@ -69,16 +69,16 @@ def register(target, source, guess, max_correspondence_m, max_iterations):
 
 
 def best_motion(source, target):
-    """x, y, theta of the motion that is best in least squares for pairs of rows (N, 2)."""
+    """Return x, y, theta of the least-squares motion for pairs of rows (N, 2)."""
     from_centre, to_centre = source.mean(axis=0), target.mean(axis=0)
     k = (source - from_centre).T @ (target - to_centre)
     theta = math.atan2(k[0, 1] - k[1, 0], k[0, 0] + k[1, 1])
-    x, y = to_centre - turned(from_centre[None], theta)[0]
+    x, y = to_centre - rotate(from_centre[None], theta)[0]
     return float(x), float(y), theta
 
 
-def turned(points, theta):
-    """The points (N, 2), turned about the origin."""
+def rotate(points, theta):
+    """Return the points (N, 2), rotated about the origin."""
     c, s = math.cos(theta), math.sin(theta)
     return points @ np.array([[c, s], [-s, c]])
 

@@ -166,7 +166,7 @@ class TiesToTheHigher(Icp):
     def _pairs(self, association, moved, targets):
         nearest, distance = association.of(moved)
         at = np.flatnonzero(np.isfinite(distance))[::-1]
-        at = np.sort(at[icp.closest_only(nearest[at], distance[at], targets)])
+        at = np.sort(at[icp.select_closest(nearest[at], distance[at], targets)])
         return at, nearest[at]
 
 
@@ -427,4 +427,4 @@ def test_the_command_exits_with_0_for_equivalent_1_for_different_and_2_for_usage
 
 def test_the_default_sequence_is_a_short_simulated_one():
     result = equivalence("paper", "paper", scans=3)
-    assert (result.sequence, result.equivalent) == (defaults.simulated_dataset(), True)
+    assert (result.sequence, result.equivalent) == (defaults.find_simulated_dataset(), True)

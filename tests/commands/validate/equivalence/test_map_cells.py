@@ -38,8 +38,8 @@ ROOM = DatasetSpec(Drive, "a drive", "", "", "", "MIT")
 
 
 class EndIsFree(LogOddsGrid):
-    def _once(self, beams, passed, ended, hits, size):
-        free, occupied = super()._once(beams, passed, ended, hits, size)
+    def _count_once(self, beams, passed, ended, hits, size):
+        free, occupied = super()._count_once(beams, passed, ended, hits, size)
         return free, np.zeros_like(occupied)
 
 
@@ -50,8 +50,8 @@ class Sixteenths(LogOddsGrid):
 
 
 class LFreeSubtracted(LogOddsGrid):
-    def _once(self, beams, passed, ended, hits, size):
-        free, occupied = super()._once(beams, passed, ended, hits, size)
+    def _count_once(self, beams, passed, ended, hits, size):
+        free, occupied = super()._count_once(beams, passed, ended, hits, size)
         return -free, occupied
 
 
