@@ -70,7 +70,10 @@ def test_a_disabled_stage_is_missing_from_its_figure_and_changes_nothing_else(wo
 def test_another_option_is_another_stage():
     assert run_stages(MAPPING) - run_stages(MAPPING, traversal="bresenham") == {"exact"}
     assert run_stages(MAPPING, traversal="bresenham") - run_stages(MAPPING) == {"bresenham"}
-    assert run_stages(MAPPING) ^ run_stages(MAPPING, once_per_scan=False) == {"LogOddsGrid._count_once", "LogOddsGrid._count_every"}
+    assert run_stages(MAPPING) ^ run_stages(MAPPING, once_per_scan=False) == {
+        "LogOddsGrid._count_once",
+        "LogOddsGrid._count_every",
+    }
     assert run_stages(TWO_STAGES) ^ run_stages(TWO_STAGES, local_map="grid") >= {"KeyframeMap.cloud", "GridMap.cloud"}
 
 
