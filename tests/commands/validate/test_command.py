@@ -173,7 +173,10 @@ def test_the_reference_is_the_first_back_end_with_that_role_and_gets_the_same_se
 
 
 def test_the_mapper_of_a_back_end_comes_from_its_module():
-    assert (defaults.find_mapper_of("embedded"), defaults.find_mapper_of("paper-tight")) == ("embedded-log-odds", "log-odds")
+    assert (defaults.find_mapper_of("embedded"), defaults.find_mapper_of("paper-tight")) == (
+        "embedded-log-odds",
+        "log-odds",
+    )
     assert defaults.find_mapper_of("kiss-icp") == ""
 
 
