@@ -1,4 +1,4 @@
-"""What several tests share: a made-up comparison for the report, and a stranger's plug-ins."""
+"""Shared fixtures: a made-up comparison for the report, and third-party plug-ins."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from evalkit.results.store import read_steps
 
 Build = Callable[..., Comparison]
 
-if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as a background job does: what tests start would too
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as in a background job; processes started by tests inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 UNITS: tuple[tuple[str, str, str, str, Group, int, bool], ...] = (
@@ -80,7 +80,7 @@ def make_record(
     ms: float = 1.0,
     truth: bool = True,
 ) -> RunRecord:
-    """A run around a rectangle whose estimate walks away from the truth by ``error_m``."""
+    """Return a run around a rectangle whose estimate drifts from the ground truth by ``error_m``."""
     stamps = np.arange(expected) * 100_000_000
     poses = _lap(np.linspace(0.0, 1.0, expected))
     rng = np.random.default_rng([seed or 0, *method.encode()])
@@ -115,13 +115,13 @@ def make_record(
 
 
 def _errors(errors_m: np.ndarray, scores: Mapping[str, float | None]) -> np.ndarray:
-    """Errors that make the ATE that is claimed, if one is."""
+    """Return errors with the given ATE, if one is given."""
     ate = scores.get("ate_rmse_m")
     return errors_m if ate is None else errors_m * ate / np.sqrt(np.mean(errors_m**2))
 
 
 def make_comparison(records: Sequence[RunRecord], **changes: object) -> Comparison:
-    """A comparison of those records with plain cards; the methods "paper" and "wheel" have their roles."""
+    """Return a comparison of records with plain cards; the methods "paper" and "wheel" have their roles."""
     roles = {"paper": "reference", "wheel": "baseline"}
     made = Comparison(
         title="Demo",
@@ -155,19 +155,19 @@ def make_comparison(records: Sequence[RunRecord], **changes: object) -> Comparis
 
 @pytest.fixture
 def record() -> Callable[..., RunRecord]:
-    """``record(method, sequence, scores, ...)``."""
+    """Return ``record(method, sequence, scores, ...)``."""
     return make_record
 
 
 @pytest.fixture
 def build() -> Build:
-    """``build(records, ...)``: a comparison of them."""
+    """Return ``build(records, ...)``, which makes a comparison."""
     return make_comparison
 
 
 @pytest.fixture(scope="session")
 def demo() -> Comparison:
-    """Two sequences, three seeds and one run, with every way to end and a name that tries to be a script."""
+    """Two sequences, three seeds and one run, with every status and a name that contains a script."""
     records = []
     for seed in range(3):
         for name, ate, ms in (("paper", 0.066, 0.3), ("plane", 0.011, 4.2), ("wheel", 0.39, 0.01), ("lost", 2.5, 9.0)):
@@ -246,7 +246,7 @@ def _truth(stamps: np.ndarray, poses: np.ndarray) -> Truth:
 
 
 def _grid(blur_m: float) -> OccupancyGrid:
-    """A room of 12 x 8 m at 5 cm; walls doubled at a distance that grows with the blur."""
+    """Return a room of 12 x 8 m at 5 cm, with walls doubled at a distance that grows with the blur."""
     log_odds = np.full((160, 240), -3.0, dtype=np.float32)
     for shift in {0, min(round(blur_m / 0.05), 30)}:
         log_odds[shift, :] = log_odds[-1 - shift, :] = log_odds[:, shift] = log_odds[:, -1 - shift] = 3.0
@@ -258,7 +258,7 @@ def _grid(blur_m: float) -> OccupancyGrid:
 
 @pytest.fixture(scope="module")
 def strangers() -> Iterator[None]:
-    """Somebody else's plug-ins (tests/strangers) are installed, for this process and those it starts."""
+    """Install third-party plug-ins (tests/strangers) for this process and its children."""
     folder = Path(__file__).parent / "strangers"
     with pytest.MonkeyPatch.context() as patch:
         patch.syspath_prepend(folder)
@@ -267,7 +267,7 @@ def strangers() -> Iterator[None]:
 
 
 class SquareRoom:
-    """A 5 m square room, 40 scans of 180 beams, 100 ms apart, 4 cm further each; wheels that drift half a cm a scan."""
+    """A 5 m square room, 40 scans of 180 beams, 100 ms and 4 cm apart; wheel odometry drifts half a cm per scan."""
 
     stamps_ns = np.arange(40) * 100_000_000
     drift_m = 0.005 * np.arange(40)
@@ -277,7 +277,7 @@ class SquareRoom:
         return len(self.stamps_ns)
 
     def frames(self) -> Iterator[Frame]:
-        """The frames; the sensor is the base."""
+        """Return the frames; the sensor is at the base."""
         angles = np.linspace(-3.1, 3.1, 180)
         for index, (x, y, theta) in enumerate(self.truth.tolist()):
             cos, sin = np.cos(angles + theta), np.sin(angles + theta)
@@ -286,13 +286,13 @@ class SquareRoom:
             yield Frame(scan, odom_from_base=Pose(x + self.drift_m[index], y, theta))
 
     def notes(self) -> dict[str, int]:
-        """Nothing."""
+        """Return no notes."""
         return {}
 
 
 @pytest.fixture
 def followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """``followed(name, **parameters)``: outcome and steps of a back end in a square room, in this process."""
+    """Return ``followed(name, **parameters)``: result and steps of a back end in a square room, in this process."""
     room = DatasetSpec(SquareRoom, "", "", "", "", "")  # type: ignore[arg-type]  # nobody asks for its truth
 
     def follow(name: str, **parameters: Any) -> tuple[RunResult, Any]:
@@ -309,6 +309,6 @@ def followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
 
 @pytest.fixture
 def foreign_elf() -> bytes:
-    """The head of a shared library for a machine that this one is not: 64-bit RISC-V, or ARM on such."""
+    """The header of a shared library for another machine than this one: 64-bit RISC-V, or ARM on RISC-V."""
     number = 0xB7 if platform.machine() == "riscv64" else 0xF3
     return b"\x7fELF\x02\x01\x01" + bytes(9) + struct.pack("<HH", 3, number) + bytes(44)

@@ -1,4 +1,4 @@
-"""The command line: exit codes, what goes to which stream, and what is left when it is cut short."""
+"""The command line: exit codes, output streams, and the state after an interruption."""
 
 import json
 import math
@@ -30,7 +30,7 @@ MAPPER = "[mapper]\nresolution_m = 0.25\n"
 
 @pytest.fixture
 def evalkit(monkeypatch, capsys):
-    """``evalkit(*words)``: exit code, standard output and standard error."""
+    """Return ``evalkit(*words)``, which gives exit code, standard output and standard error."""
     handler = signal.getsignal(signal.SIGTERM)
 
     def call(*words):
@@ -46,7 +46,7 @@ def evalkit(monkeypatch, capsys):
 
 @pytest.fixture
 def experiment(tmp_path):
-    """``experiment(*faults)``: the path of an experiment file over the straight drive."""
+    """Return ``experiment(*faults)``, which writes an experiment file over the straight drive."""
 
     def write(*faults, more="", sequence="straight"):
         path = tmp_path / "small.toml"
@@ -58,7 +58,7 @@ def experiment(tmp_path):
     return write
 
 
-def test_the_version(evalkit):
+def test_the_version_is_printed(evalkit):
     assert evalkit("--version") == (0, f"evalkit {__version__}\n", "")
 
 
@@ -72,13 +72,13 @@ def test_a_broken_program_is_a_failed_run_and_a_missing_one_is_not_installed(eva
     assert "no program found" in row["reason"]
 
 
-def test_without_a_command_the_help_names_them_all(evalkit):
+def test_without_a_command_the_help_lists_all_commands(evalkit):
     _, out, err = evalkit()
     assert all(command in out + err for command in COMMANDS)
 
 
-def test_completion_for_bash_knows_the_commands(evalkit, monkeypatch):
-    monkeypatch.setattr("shellingham.detect_shell", lambda: ("bash", "/bin/bash"))  # there may be none above us
+def test_bash_completion_contains_the_commands(evalkit, monkeypatch):
+    monkeypatch.setattr("shellingham.detect_shell", lambda: ("bash", "/bin/bash"))  # there may be no parent shell
     assert "complete -o default -F _evalkit_completion evalkit" in evalkit("--show-completion")[1]
     asked = {"_EVALKIT_COMPLETE": "complete_bash", "COMP_WORDS": "evalkit comp", "COMP_CWORD": "1"}
     for name, value in asked.items():
@@ -90,7 +90,7 @@ def test_completion_for_bash_knows_the_commands(evalkit, monkeypatch):
 
 
 def rows(table):
-    """The rows of a printed table, lines that go on put together."""
+    """Return the rows of a printed table, with continued lines joined."""
     found = []
     for line in table.splitlines():
         cells = [cell.strip() for cell in line.strip("│").split("│")] if "│" in line else []
@@ -101,16 +101,18 @@ def rows(table):
     return found
 
 
-def test_the_list_shows_what_is_missing_and_why(evalkit):
+def test_the_list_shows_missing_requirements_with_reasons(evalkit):
     code, out, _ = evalkit("list", "backends")
     assert code == 0
     name, _, missing = next(row for row in rows(out) if row[0].startswith("absent"))
     assert (name, missing) == ("absent", "the library 'nowhere' is not installed; pip install nowhere")
     assert "paper" in {row[0] for row in rows(out)}
-    assert len([line for line in out.splitlines() if "│" in line]) == len(rows(out))  # piped: one line a row
+    assert len([line for line in out.splitlines() if "│" in line]) == len(
+        rows(out)
+    )  # piped output has one line per row
 
 
-def test_the_list_as_json(evalkit):
+def test_the_list_can_be_printed_as_json(evalkit):
     code, out, _ = evalkit("list", "all", "--json")
     listed = json.loads(out)
     assert code == 0
@@ -119,7 +121,7 @@ def test_the_list_as_json(evalkit):
     assert absent["missing"] == "the library 'nowhere' is not installed; pip install nowhere"
 
 
-def test_an_unknown_name_is_refused_with_the_known_kinds(evalkit):
+def test_an_unknown_name_is_rejected_with_the_known_kinds(evalkit):
     code, _, err = evalkit("list", "backend")
     assert code == 2
     assert "no metric named 'backend' (did you mean 'backends'?)" in " ".join(err.split())
@@ -139,7 +141,7 @@ def test_the_list_names_every_metric_with_unit_and_direction(evalkit):
     assert "span_stretch_percent" in evalkit("list", "metrics")[1]
 
 
-def test_the_card_of_a_metric_holds_all_its_facts(evalkit):
+def test_the_card_of_a_metric_contains_all_its_fields(evalkit):
     text = evalkit("list", "wall_thickness_m")[1]
     parts = (
         "wall thickness [m], lower is better",
@@ -155,7 +157,7 @@ def test_the_card_of_a_metric_holds_all_its_facts(evalkit):
     assert json.loads(evalkit("list", "ate_rmse_m", "--json")[1])["follows_the_true_error"] is None
 
 
-def test_an_unknown_metric_or_group_is_refused_with_the_closest_name(evalkit):
+def test_an_unknown_metric_or_group_is_rejected_with_the_closest_name(evalkit):
     code, _, err = evalkit("list", "map_entropi")
     assert (code, "did you mean 'map_entropy'" in " ".join(err.split())) == (2, True)
     code, _, err = evalkit("list", "metrics", "--group", "relation")
@@ -167,7 +169,7 @@ def test_an_unknown_metric_or_group_is_refused_with_the_closest_name(evalkit):
 
 
 def modules_after(*words):
-    """The modules that a command of evalkit imports, in a process of its own."""
+    """Return the modules that an evalkit command imports, in a separate process."""
     program = (
         "import json, sys, evalkit.cli\ntry:\n evalkit.cli.main()\nfinally:\n print('\\n' + json.dumps([*sys.modules]))"
     )
@@ -179,7 +181,7 @@ HEAVY = {"scipy", "pandas", "matplotlib", "jinja2", "rosbags", "evalkit.metrics"
 
 
 @pytest.mark.parametrize("words", [["--version"], ["--help"], ["list"], ["inspect", "--help"], ["compare", "--help"]])
-def test_what_computes_nothing_imports_no_heavy_library(words):
+def test_commands_without_computation_import_no_heavy_library(words):
     heavy = HEAVY if words[0] != "compare" else HEAVY - {"scipy", "evalkit.metrics", "evalkit.execution.scheduler"}
     assert not heavy & modules_after(*words)
 
@@ -265,7 +267,7 @@ def test_the_shell_completes_names(monkeypatch, evalkit, line, expected):
     ],
 )
 @pytest.mark.parametrize("command", [["--no-page"], []])
-def test_unknown_names_are_answered_with_the_known_ones_and_nothing_runs(
+def test_unknown_names_are_reported_with_the_known_ones_and_nothing_runs(
     evalkit, experiment, tmp_path, command, words, more, message
 ):
     folder = tmp_path / "out"
@@ -275,7 +277,7 @@ def test_unknown_names_are_answered_with_the_known_ones_and_nothing_runs(
     assert not folder.exists()
 
 
-def test_a_missing_experiment_file(evalkit, tmp_path):
+def test_a_missing_experiment_file_is_reported(evalkit, tmp_path):
     code, _, err = evalkit("compare", "--no-page", tmp_path / "absent.toml")
     assert code == 2
     assert "absent.toml: no such file" in err
@@ -302,7 +304,7 @@ def test_a_failed_run_is_exit_code_1_and_a_plain_line_and_the_other_runs_are_kep
     assert result["runs"][0]["scores"]["ate_rmse_m"] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_method_that_is_not_installed_is_no_failure(evalkit, experiment, tmp_path):
+def test_a_method_that_is_not_installed_is_not_a_failure(evalkit, experiment, tmp_path):
     path = experiment(more='[[method]]\nuse = "absent"\n')
     code, out, err = evalkit("compare", "--no-page", path, "--out", tmp_path / "out")
     assert (code, out) == (0, "0 runs complete, 0 failed, 1 not available here: absent\n")
@@ -320,7 +322,7 @@ def test_a_results_folder_that_is_a_file_is_exit_code_2(evalkit, experiment, tmp
     assert "name another folder with --out" in err
 
 
-# --- cut short
+# --- interrupted runs
 
 
 def started(path, folder, *words, **how):
@@ -352,7 +354,7 @@ def test_an_interrupt_keeps_finished_runs_and_leaves_no_process(experiment, tmp_
     deadline = time.monotonic() + 60.0
     while not answers(folder, "hang") and time.monotonic() < deadline:
         time.sleep(0.02)
-    os.killpg(process.pid, ending)  # as a terminal does: to all in the foreground
+    os.killpg(process.pid, ending)  # to the whole foreground process group, like a terminal
     _, err = process.communicate(timeout=60.0)
     assert process.returncode not in (0, 2)
     assert "interrupted; finished runs are kept: repeat the command with --resume to continue" in err
@@ -395,12 +397,12 @@ def test_a_runner_that_is_killed_loses_no_result_and_leaves_no_process(experimen
 
 
 def answers(folder, method):
-    """How many bytes of answers a method has left."""
+    """Return the number of bytes of answers that a method has written."""
     return sum(path.stat().st_size for path in folder.glob(f"runs/straight-{method}-*/steps.bin"))
 
 
 def workers(folder):
-    """The processes that run a back end in a results folder."""
+    """Return the processes that run a back end in a results folder."""
     lines = (other.info["cmdline"] or [] for other in psutil.process_iter(["cmdline"]))
     return [line for line in lines if "evalkit.execution.worker" in line and str(folder) in line[-1]]
 
@@ -437,7 +439,7 @@ def test_a_disk_that_is_full_stops_the_command_and_keeps_finished_runs(experimen
     assert [row["status"] for row in json.loads(out)["runs"]] == ["complete", "complete"]
 
 
-def test_missing_runs_are_exit_code_3_and_an_unknown_status_is_refused(evalkit, experiment, tmp_path):
+def test_missing_runs_are_exit_code_3_and_an_unknown_status_is_rejected(evalkit, experiment, tmp_path):
     assert evalkit("compare", "--no-page", experiment("none"), "--out", tmp_path / "out")[0] == 0
     code, out, _ = evalkit("compare", "--no-page", experiment("none", "raise"), "--out", tmp_path / "out", "--collect")
     assert code == 3
@@ -454,19 +456,19 @@ def test_missing_runs_are_exit_code_3_and_an_unknown_status_is_refused(evalkit, 
 
 
 def box(x):
-    """What a lidar 8 x 4 m of walls around it sees, 180 beams to the front (m), at x on the middle line."""
+    """Return the ranges (m) in a box of 8 x 4 m, 180 beams to the front, at x on the centre line."""
     angles = np.radians(np.arange(-90.0, 90.0))
     with np.errstate(divide="ignore"):
         return np.minimum((8.0 - x) / np.cos(angles), 2.0 / np.abs(np.sin(angles)))
 
 
 TRUE_X = 1.0 + 0.1 * np.arange(24)
-WHEEL_X = 1.0 + 0.11 * np.arange(24)  # wheels that are accepted to be a tenth larger than they are
+WHEEL_X = 1.0 + 0.11 * np.arange(24)  # wheel odometry may be scaled by a tenth
 
 
 @pytest.fixture
 def carmen(tmp_path):
-    """A CARMEN log with its true trajectory and relations, of a straight drive with wheels 10 % too small."""
+    """Write a CARMEN log with true trajectory and relations, of a straight drive with wheels 10 % too small."""
     lines, poses = [], []
     for index, (x, wheel_x) in enumerate(zip(TRUE_X, WHEEL_X, strict=True)):
         robot = f"{wheel_x} 0 0"
@@ -501,7 +503,7 @@ def test_a_carmen_log_is_compared_by_one_command(evalkit, carmen, tmp_path):
 
 
 def ros_bag(path):
-    """A ROS 1 bag of the same drive: /scan and /odom."""
+    """Write a ROS 1 bag of the same drive: /scan and /odom."""
     rosbag1, typesys = pytest.importorskip("rosbags.rosbag1"), pytest.importorskip("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
 
@@ -573,9 +575,7 @@ def test_a_ros_bag_is_compared_by_one_command(evalkit, carmen, tmp_path):
         (("drive.log", "--backends", "paper", "--topic", "/scan"), "no parameter named 'topic'"),
     ],
 )
-def test_an_impossible_comparison_is_refused_before_the_first_run(
-    evalkit, carmen, tmp_path, monkeypatch, words, message
-):
+def test_an_invalid_comparison_is_rejected_before_the_first_run(evalkit, carmen, tmp_path, monkeypatch, words, message):
     monkeypatch.chdir(tmp_path)
     Path("other.tum").write_text("9000.0 0 0 0 0 0 0 1\n9001.0 1 0 0 0 0 0 1\n")
     Path("negative.toml").write_text("[[span]]\nfrom = 100.0\nto = 101.0\nmetres = -1.0\n")

@@ -1,4 +1,4 @@
-"""The whole path: an experiment file in, a report with believable numbers out, and the same numbers again."""
+"""End to end: an experiment file gives a report with plausible numbers, and the same numbers when repeated."""
 
 import csv
 import json
@@ -16,7 +16,7 @@ from evalkit.results.store import Store
 
 pytestmark = pytest.mark.slow
 
-LAPS = 0.12  # 2.8 m and a turn: far enough for the wheels to be wrong
+LAPS = 0.12  # 2.8 m and a turn: enough for errors of the wheel odometry
 METHODS = ("wheel-odometry", "paper", "open3d-icp", "kiss-icp")
 HERE = [name for name in METHODS if not registry.backend(name).missing()]
 
@@ -30,7 +30,7 @@ def experiment(path, methods, laps):
 
 
 def evalkit(*words):
-    """Exit code of a command of evalkit in this process."""
+    """Run an evalkit command in this process; returns the exit code."""
     handler = signal.getsignal(signal.SIGTERM)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("sys.argv", ["evalkit", *map(str, words)])
@@ -42,7 +42,7 @@ def evalkit(*words):
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A finished report's folder."""
+    """The folder of a finished report."""
     root = tmp_path_factory.mktemp("report")
     assert evalkit("compare", experiment(root / "small.toml", METHODS, LAPS), "--out", root / "out") == 0
     return root / "out"
@@ -68,7 +68,7 @@ def test_every_method_is_on_the_page_and_complete_or_has_a_reason(folder, trials
         assert bool(trial["reason"]) == (name not in HERE)
 
 
-def test_the_page_needs_no_other_file(folder):
+def test_the_page_is_self_contained(folder):
     page = (folder / "index.html").read_text(encoding="utf-8")
     assert not any(f'{word}="http' in page for word in ("src", "srcset", "xlink:href"))
     assert "<link " not in page
@@ -92,7 +92,7 @@ def test_every_number_is_finite_and_every_missing_one_has_a_reason(trials):
                 assert math.isfinite(score["value"]), metric
 
 
-def test_scan_matching_beats_wheels_that_are_wrong(trials):
+def test_scan_matching_is_better_than_wrong_wheel_odometry(trials):
     wheels = trials["wheel-odometry"]["scores"]["ate_rmse_m"]["value"]
     assert wheels > 0.03
     for name in set(HERE) - {"wheel-odometry"}:
@@ -108,7 +108,7 @@ def test_the_csv_tables_have_a_row_for_every_run(folder, trials):
 
 
 @pytest.mark.parametrize("name", HERE)
-def test_the_trajectory_for_other_tools_is_the_runs_own(folder, trials, name):
+def test_the_exported_trajectory_equals_that_of_the_run(folder, trials, name):
     key = trials[name]["key"]
     run = Store(folder).load_result(key)
     read = read_tum(folder / "trajectories" / f"{key}.tum").trajectory
@@ -117,7 +117,7 @@ def test_the_trajectory_for_other_tools_is_the_runs_own(folder, trials, name):
     assert len(read) == trials[name]["scans_answered"] == trials[name]["scans_expected"]
 
 
-def test_the_map_for_other_tools_has_the_runs_walls(folder, trials):
+def test_the_exported_map_has_the_walls_of_the_run(folder, trials):
     key = trials["paper"]["key"]
     grid = Store(folder).load_scores(key).grid
     read = map_server.read_map(folder / "maps" / f"{key}.yaml")
@@ -136,7 +136,7 @@ def test_resuming_a_finished_report_executes_nothing_and_gives_the_same_results(
 
 
 def test_the_same_inputs_give_the_same_numbers(folder, results, tmp_path):
-    """All but what is measured in seconds or bytes, to the bit, one at a time or two."""
+    """All values except times and memory are identical, with one worker and with two."""
     again_too = ("paper", "wheel-odometry")
     chosen = [word for name in again_too for word in ("--method", name)]
     assert (

@@ -1,4 +1,4 @@
-"""The assertions for a plug-in's own tests: one error with every broken rule, each with its reason."""
+"""The assertions for the tests of a plug-in: one error with every broken rule, each with its reason."""
 
 import importlib
 import pickle
@@ -22,7 +22,7 @@ datasets = importlib.import_module("faulty_datasets")
 
 
 class Perfect:
-    """Answers the guess and claims everything."""
+    """Returns the guess and reports a perfect result."""
 
     def register(self, target, source, guess):
         return Match(guess, True, 1, 0.0, len(source))
@@ -31,7 +31,7 @@ class Perfect:
 OF_THIS_FILE = RegistrationSpec(make=Perfect, summary="", citation="", licence="MIT")
 
 
-def test_a_sound_back_end_passes_by_name_and_as_a_spec():
+def test_a_correct_back_end_passes_by_name_and_as_a_spec():
     named = check_backend("faulty_backends:SOUND")
     assert named.broken == ()
     assert named.results == replace(check_backend(backends.SOUND), label=named.label).results
@@ -39,7 +39,7 @@ def test_a_sound_back_end_passes_by_name_and_as_a_spec():
 
 def test_one_error_lists_every_broken_rule_with_its_sentence_and_observation():
     with pytest.raises(RulesBroken) as caught:
-        check_backend(OF_THIS_FILE)  # it stands in this file, which no other process can import by name
+        check_backend(OF_THIS_FILE)  # it is in this file, which other processes cannot import by name
     said = str(caught.value)
     assert "OF_THIS_FILE breaks 3 of 22 rules" in said
     assert (
@@ -59,7 +59,7 @@ def test_parameters_are_given_by_name():
         check_backend("faulty_backends:PARAMETERISED", stop="never")
 
 
-def test_a_spec_without_a_name_in_a_module_is_refused():
+def test_a_spec_without_a_name_in_a_module_is_rejected():
     with pytest.raises(NotInstalled, match="has no name in any module"):
         check_backend(replace(OF_THIS_FILE, summary="another"))
 
@@ -81,7 +81,7 @@ def test_the_error_can_be_pickled():
         (datasets.Blind, "opens", "no beam of 8 frames has a return"),
         (datasets.Once, "again", "frames() called again yields 0 frames instead of 8"),
         (datasets.Unseeded, "again", "frames() called again yields another frame 1"),
-        (datasets.DeafToSeeds, "seeds", "seeds 0 and 1 give the same frames"),
+        (datasets.IgnoresSeeds, "seeds", "seeds 0 and 1 give the same frames"),
         (datasets.Backwards, "stamps", "frame 2 is stamped -1 ns, the one before 0 ns"),
         (datasets.Boastful, "length", "len() is 100, but the first 50 frames are 8"),
         (datasets.Patchy, "odometry", "1 of 8 frames have start_from_end but no odom_from_base"),
@@ -91,7 +91,7 @@ def test_the_error_can_be_pickled():
     ],
     ids=lambda value: getattr(value, "__name__", None),
 )
-def test_each_fault_of_a_data_set_is_caught_by_the_rule_named_for_it(make, rule, said):
+def test_each_fault_of_a_data_set_breaks_the_rule_named_for_it(make, rule, said):
     spec = datasets.spec(make)
     one = check_rule(
         dataset_rules.RULES[rule], dataset_rules.DatasetFixture(spec, resolve_parameters("", spec.parameters, {}), 50)
@@ -100,7 +100,7 @@ def test_each_fault_of_a_data_set_is_caught_by_the_rule_named_for_it(make, rule,
     assert one.observed.startswith(said)
 
 
-def test_a_sound_data_set_passes_and_takes_parameters():
+def test_a_correct_data_set_passes_and_takes_parameters():
     assert check_dataset("faulty_datasets:SOUND", scans=5).broken == ()
     assert check_dataset(datasets.SOUND, frames=3).broken == ()
 

@@ -1,4 +1,4 @@
-"""Registrations side by side: one call on the same clouds from the same guess, interleaved, CPU time, one thread."""
+"""Registrations compared: one call on the same clouds from the same guess, interleaved, CPU time, one thread."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ REFERENCE = "paper-tight"
 
 
 def clouds(targets: int) -> tuple[Cloud, Cloud, Pose]:
-    """A local map of the synthetic lab with about so many points, one scan of it, and a guess 5 cm and 2 deg off."""
+    """Return a local map of the synthetic lab with about ``targets`` points, one scan, and a guess 5 cm and 2 deg off."""
     frames = list(registry.dataset("lab").make(**_defaults("lab")).frames())
     points = np.concatenate([frame.base_from_sensor.transform(frame.scan.points()) for frame in frames[:80:10]])
     generator = np.random.default_rng(0)
@@ -32,7 +32,7 @@ def clouds(targets: int) -> tuple[Cloud, Cloud, Pose]:
 
 
 def registrations() -> dict[str, Registration]:
-    """Every registration that is installed, with its default parameters."""
+    """Return every installed registration with its default parameters."""
     made: dict[str, Registration] = {}
     for name in registry.names("backends"):
         spec = registry.backend(name)
@@ -43,7 +43,7 @@ def registrations() -> dict[str, Registration]:
 
 
 def main() -> None:
-    """Prints the median CPU time of each registration and its ratio to the reference, paired round by round."""
+    """Print the median CPU time of each registration and its ratio to the reference, paired round by round."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=40)
     parser.add_argument("--targets", type=int, default=5000)
@@ -56,7 +56,7 @@ def main() -> None:
     made = registrations()
     times: dict[str, list[int]] = {name: [] for name in made}
     for round_ in range(arguments.rounds + 3):
-        fresh = Cloud(target.points, "start")  # a new local map each round: what is built over it counts
+        fresh = Cloud(target.points, "start")  # a new local map in each round, so that building an index over it counts
         order = list(made) if round_ % 2 else list(reversed(made))
         for name in order:
             match, timing = timed(partial(made[name].register, fresh, source, guess))

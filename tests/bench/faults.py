@@ -1,4 +1,4 @@
-"""Every fault of a back end, what becomes of the run, and what is left: ``make faults``."""
+"""Run every fault of a back end and print how each run ends and what it leaves: ``make faults``."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ AROUND = (
 
 
 def main() -> int:
-    """Runs all faults one after the other; the number of those that were not survived."""
+    """Run all faults one after the other; returns the number of faults not survived."""
     sys.path.insert(0, STRANGERS)
     os.environ["PYTHONPATH"] = STRANGERS
     tests = _module(TESTS / "execution" / "test_run_process.py")
@@ -68,7 +68,7 @@ def main() -> int:
 
 
 def _around(console: Console) -> int:
-    """Prints what becomes of the faults around the runs; the number of those that were not survived."""
+    """Print the result of the tests of faults outside a run; returns the number of faults not survived."""
     table = Table("fault", "its tests", "survived", title="Faults around the runs")
     lost = 0
     for fault, file, chosen in AROUND:

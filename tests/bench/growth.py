@@ -1,6 +1,6 @@
-"""How the memory of a run grows with the length of its recording: bags of 1x, 10x and 100x, each a run of its own.
+"""Memory of a run over the length of its recording: bags of 1x, 10x and 100x, each in a separate run.
 
-Wheel odometry keeps nothing, so what grows is evalkit's: the reader, the run, its trajectory. ``--day`` adds a bag of
+Wheel odometry stores nothing, so growth is due to evalkit: the reader, the run, its trajectory. ``--day`` adds a bag of
 24 hours.
 """
 
@@ -34,7 +34,7 @@ PATIENT = Limits(run_s=7200.0, scan_s=3600.0, run_cpu_s=7200.0, scan_cpu_s=3600.
 
 @dataclass(frozen=True)
 class Run:
-    """One run: scans answered, the resident set of its process at its highest, the size of its bag."""
+    """One run: number of answered scans, peak resident memory of its process, size of its bag."""
 
     scans: int
     peak_bytes: int
@@ -42,7 +42,7 @@ class Run:
 
 
 def run(bag: Path) -> Run:
-    """Wheel odometry over a bag, in a process of its own."""
+    """Run wheel odometry over a bag in a separate process."""
     request = Request("wheel-odometry", {}, "rosbag", {"path": str(bag)})
     with tempfile.TemporaryDirectory() as folder:
         made = run_process.run(request, Path(folder), PATIENT, lambda _: None, threading.Event())
@@ -53,12 +53,12 @@ def run(bag: Path) -> Run:
 
 
 def per_scan(runs: list[Run]) -> list[float]:
-    """Bytes of memory for every further scan, from each length to the next."""
+    """Return the bytes of memory per additional scan, from each length to the next."""
     return [(b.peak_bytes - a.peak_bytes) / (b.scans - a.scans) for a, b in pairwise(runs)]
 
 
-def drawn(found: dict[str, list[Run]], path: Path) -> None:
-    """The chart: memory over scans, and the recording's own size beside it."""
+def draw_chart(found: dict[str, list[Run]], path: Path) -> None:
+    """Draw memory over the number of scans, with the size of the recording."""
     from evalkit.report.html import charts
 
     curves = [
@@ -81,7 +81,7 @@ def drawn(found: dict[str, list[Run]], path: Path) -> None:
 
 
 def main() -> int:
-    """Prints the table, keeps the figures and the chart; 1 where memory grows faster than a trajectory may."""
+    """Print the table, store the figures and the chart; returns 1 if memory grows faster than the limit."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else "")
     parser.add_argument("--scans", type=int, default=600, help="in the shortest bag (10 a second)")
     parser.add_argument("--kinds", nargs="+", default=["sqlite3"], choices=long_bags.KINDS)
@@ -107,7 +107,7 @@ def main() -> int:
         for one in found[kind]
     ]
     print(benchmark.write_benchmark("growth", series, ran_on))
-    drawn(found, FOLDER / "growth.svg")
+    draw_chart(found, FOLDER / "growth.svg")
     print(FOLDER / "growth.svg")
     worst = max(per_scan(runs)[-1] for runs in found.values())
     print(f"limit: {LIMIT_BYTES} bytes for every further scan; found {worst:.0f} from the last but one to the last")

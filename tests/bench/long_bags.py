@@ -1,4 +1,4 @@
-"""Bags of any length, written scan by scan: the synthetic lab round and round, with few beams, and wheel odometry."""
+"""Bags of any length, written scan by scan: laps of the synthetic lab, with few beams, and wheel odometry."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from evalkit_datasets.synthetic import LAB, Synthetic
 KINDS = ("sqlite3", "mcap", "ros1")
 RATE_HZ = 10.0
 SPEED_MPS = 0.3
-BEGUN_NS = 1_700_000_000 * 10**9  # a header without a time is another matter
+BEGUN_NS = 1_700_000_000 * 10**9  # a header without a time is a different case
 
 
 def drive(scans: int, beams: int) -> Synthetic:
-    """So many scans (or one or two more) of a lidar with few beams, at 10 Hz."""
+    """Return at least the given number of scans (at most two more) of a lidar with few beams, at 10 Hz."""
     plan = floorplans.lab()
     laps = scans / RATE_HZ * SPEED_MPS / plan.route.length_m
     sensor = LAB.make(laps=0.02).base_from_sensor
@@ -31,7 +31,7 @@ def drive(scans: int, beams: int) -> Synthetic:
 
 
 def write(folder: Path, kind: str, scans: int, beams: int = 90) -> Path:
-    """The finished bag: /scan, /odom and one transform in /tf_static; never more than a few messages in memory."""
+    """Write a bag with /scan, /odom and one transform in /tf_static; keeps only a few messages in memory."""
     from rosbags import rosbag1, rosbag2
     from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -91,7 +91,7 @@ class _Messages:
         return self._made("geometry_msgs/msg/Quaternion", 0.0, 0.0, math.sin(theta / 2), math.cos(theta / 2))
 
     def scan(self, stamp_ns: int, scan: Scan) -> Any:
-        """A LaserScan."""
+        """Return a LaserScan."""
         ranges = scan.ranges.astype(np.float32)
         step = float(scan.angles[1] - scan.angles[0])
         header = self._header(stamp_ns, "laser")
@@ -102,7 +102,7 @@ class _Messages:
         )  # fmt: skip
 
     def odometry(self, stamp_ns: int, row: Floats) -> Any:
-        """An Odometry of base_link in odom."""
+        """Return an Odometry of base_link in odom."""
         zero = self._made("geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
         point = self._made("geometry_msgs/msg/Point", float(row[0]), float(row[1]), 0.0)
         pose = self._made("geometry_msgs/msg/Pose", point, self._turn(float(row[2])))
@@ -114,7 +114,7 @@ class _Messages:
         )  # fmt: skip
 
     def mounting(self, row: Floats) -> Any:
-        """Where the lidar sits on base_link."""
+        """Return the transform from base_link to the lidar."""
         place = self._made("geometry_msgs/msg/Vector3", float(row[0]), float(row[1]), 0.1)
         transform = self._made("geometry_msgs/msg/Transform", place, self._turn(float(row[2])))
         stamped = self._made(

@@ -1,6 +1,6 @@
-"""The map's update for 1,600 beams: cells a second of each mapper, beside writing as many cells and nothing else.
+"""The map update for 1,600 beams: cells per second of each mapper, compared with only writing as many cells.
 
-Each is called twice in its turn: after the others, which have taken the caches, and at once again.
+Each mapper is called twice per round: after the others, with cold caches, and immediately again.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ MAP = {"resolution": 0.05, "l_occ": 0.847, "l_free": -0.847, "l_min": -5.0, "l_m
 
 
 def scenes() -> dict[str, Scan]:
-    """A room of 10 m x 8 m seen from its middle, and walls 12 m away all round."""
+    """Return a room of 10 m x 8 m seen from its centre, and walls 12 m away in all directions."""
     angles = np.arange(BEAMS) * 2.0 * np.pi / BEAMS
     room = np.minimum(5.0 / np.maximum(np.abs(np.cos(angles)), 1e-9), 4.0 / np.maximum(np.abs(np.sin(angles)), 1e-9))
     return {
@@ -39,18 +39,18 @@ def scenes() -> dict[str, Scan]:
     }
 
 
-def made(spec: MapperSpec) -> Any:
-    """A mapper with its defaults."""
+def make_mapper(spec: MapperSpec) -> Any:
+    """Return a mapper with its default parameters."""
     return spec.make(**resolve_parameters("bench", spec.parameters, {}))
 
 
 def calls_for(scan: Scan) -> tuple[dict[str, Callable[[], Any]], int]:
-    """What is timed, and how many cells the scan touches."""
+    """Return the timed calls and the number of cells that the scan crosses."""
     grid = load_core("double").Grid(place=PLACE, **MAP)
     hits, misses, row = scan.points(), np.zeros((0, 2)), (AWAY.x, AWAY.y, AWAY.theta)
     grid.add(row, hits, misses)
     cells = np.zeros(grid.touched, dtype=np.int16)
-    compiled, twin = made(embedded.MAPPER), made(paper.MAPPER)
+    compiled, twin = make_mapper(embedded.MAPPER), make_mapper(paper.MAPPER)
     return {
         "memset of these cells": lambda: cells.fill(1),
         "core": lambda: grid.add(row, hits, misses),
@@ -60,7 +60,7 @@ def calls_for(scan: Scan) -> tuple[dict[str, Callable[[], Any]], int]:
 
 
 def main() -> None:
-    """Prints the median CPU time of each update and the cells it touches a second."""
+    """Print the median CPU time of each update and the updated cells per second."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else "")
     parser.add_argument("--rounds", type=int, default=60)
     arguments = parser.parse_args()
@@ -92,7 +92,7 @@ def main() -> None:
 
 
 def cpu_ns(call: Callable[[], Any]) -> int:
-    """CPU time of one call."""
+    """Return the CPU time of one call in ns."""
     start = time.process_time_ns()
     call()
     return time.process_time_ns() - start

@@ -1,4 +1,4 @@
-"""CPU time of every metric that looks at a map or its scans: a floor of 50 m x 50 m in 1,000 x 1,000 cells.
+"""CPU time of every metric of a map or its scans: a floor of 50 m x 50 m in 1,000 x 1,000 cells.
 
 The limit is one second for all of them together.
 """
@@ -26,7 +26,7 @@ GROUPS = ("map against truth", "map consistency")
 
 
 def floor(noise_cells: float, seed: int) -> OccupancyGrid:
-    """Rooms of 5 m x 5 m, their walls two cells thick and so far off."""
+    """Return rooms of 5 m x 5 m, with walls two cells thick and displaced by the given distance."""
     rng = np.random.default_rng(seed)
     places = np.arange(CELLS)
     walls = np.zeros((CELLS, CELLS), np.bool_)
@@ -39,7 +39,7 @@ def floor(noise_cells: float, seed: int) -> OccupancyGrid:
 
 
 def scans(sigma_m: float) -> tuple[PlacedScan, ...]:
-    """A scan of its own room from each of so many places, room by room."""
+    """Return a scan of its own room from each of the given number of places."""
     rng = np.random.default_rng(1)
     angles = np.linspace(-np.pi, np.pi, BEAMS, endpoint=False)
     placed = []
@@ -52,8 +52,8 @@ def scans(sigma_m: float) -> tuple[PlacedScan, ...]:
     return tuple(placed)
 
 
-def timed() -> dict[str, dict[str, float]]:
-    """CPU milliseconds of each metric by group, in the order of the table; who shares a look pays for the first."""
+def time_metrics() -> dict[str, dict[str, float]]:
+    """Return the CPU milliseconds of each metric by group; shared results are charged to the first metric."""
     mapped, steps = scans(0.02), np.zeros(0, STEP)
     true = Truth("exact", grid=floor(0.0, 0))
     halves = floor(1.0, 3), floor(1.0, 4)
@@ -68,9 +68,9 @@ def timed() -> dict[str, dict[str, float]]:
 
 
 def main() -> None:
-    """Prints the slowest twelve and the sums, medians of the repeats, and keeps every sample."""
+    """Print the slowest twelve metrics and the sums, medians of the repeats, and store every sample."""
     ran_on = benchmark.describe_environment()
-    repeats = [timed() for _ in range(REPEATS)]
+    repeats = [time_metrics() for _ in range(REPEATS)]
     series = [
         BenchmarkSeries(name, "ms", tuple(found[group][name] for found in repeats))
         for group in GROUPS

@@ -1,4 +1,4 @@
-"""What the harness costs: seconds of CPU for a run's process beyond the back end's import, and its share of each scan.
+"""Cost of the harness: CPU seconds of a run's process beyond the import of the back end, and its share of each scan.
 
 The limits: 0.3 s per run, 1 % of a scan of the paper's method.
 """
@@ -36,8 +36,8 @@ LIBRARIES = "import numpy, scipy.spatial"
 SHORTEST = {"laps": 0.02}
 
 
-def made(backend: str, **changes: object) -> RunResult:
-    """A complete run over the synthetic lab, in a process of its own."""
+def execute_run(backend: str, **changes: object) -> RunResult:
+    """Execute a complete run over the synthetic lab in a separate process."""
     spec, lab = registry.backend(backend), registry.dataset("lab")
     parameters = {p.name: p.default for p in lab.parameters} | changes
     request = Request(backend, frontend.complete_parameters(backend, spec, {}), "lab", parameters)
@@ -49,20 +49,20 @@ def made(backend: str, **changes: object) -> RunResult:
 
 
 def children_s() -> float:
-    """CPU seconds of all children that have ended."""
+    """Return the CPU seconds of all terminated children."""
     used = resource.getrusage(resource.RUSAGE_CHILDREN)
     return used.ru_utime + used.ru_stime
 
 
 def cpu_s(statement: str) -> float:
-    """CPU seconds of a fresh interpreter that runs a statement."""
+    """Return the CPU seconds of a new interpreter that runs a statement."""
     before = children_s()
     subprocess.run([sys.executable, "-P", "-c", statement], check=True)
     return children_s() - before
 
 
 def starts(rounds: int) -> dict[str, list[float]]:
-    """CPU seconds, in turns, of an interpreter with a back end's libraries, and with the worker beside them."""
+    """Return the CPU seconds, in turns, of an interpreter with a back end's libraries, without and with the worker."""
     bare = LIBRARIES
     worker = (
         f"{LIBRARIES}; import evalkit.execution.worker as w; from evalkit import registry as r; "
@@ -76,7 +76,7 @@ def starts(rounds: int) -> dict[str, list[float]]:
 
 
 def main() -> int:
-    """Prints both figures against their limits and keeps them; 1 where one is beyond."""
+    """Print both figures with their limits and store them; returns 1 if one exceeds its limit."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else "")
     parser.add_argument("--rounds", type=int, default=20)
     rounds = parser.parse_args().rounds
@@ -87,7 +87,7 @@ def main() -> int:
     watching = []
     for _ in range(rounds):
         before = resource.getrusage(resource.RUSAGE_SELF)
-        made("wheel-odometry", **SHORTEST)
+        execute_run("wheel-odometry", **SHORTEST)
         after = resource.getrusage(resource.RUSAGE_SELF)
         watching.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
     start = float(np.median(extra) + np.median(watching))
@@ -103,7 +103,7 @@ def main() -> int:
     print(f"{'back end':16} {'around [us]':>12} {'p99':>8} {'own call [us]':>14} {'share':>8}")
     share = 0.0
     for name in ("wheel-odometry", METHOD):
-        steps = made(name).steps
+        steps = execute_run(name).steps
         around, own = steps["harness_ns"][1:] / 1e3, float(np.median(steps["wall_ns"])) / 1e3
         share = float(np.median(around)) / own
         row = f"{np.median(around):12.1f} {np.percentile(around, 99):8.1f} {own:14.1f} {100 * share:7.2f}%"

@@ -1,10 +1,10 @@
-"""20 iterations of each library's ICP over the same clouds: interleaved, CPU time, one thread, ratios to the core's.
+"""20 iterations of the ICP of each library on the same clouds: interleaved, CPU time, one thread, ratios to the core.
 
-What is compared is the registration alone: clouds are converted before, and who can keep what it builds over the target
-does. "+ index" builds it in the call: the core's cells, small_gicp's cloud and tree, KISS-ICP's map of voxels, and
-Open3D's tree, which it offers no way to keep. So compare rows with "+ index" with
-each other, and rows without. Each pairs in its own way (one-to-one in the core and its twin, many-to-one in the others)
-and KISS-ICP weighs robustly; clouds, guess, largest distance and iterations are the same.
+Only the registration is timed: clouds are converted before, and libraries that can keep an index over the target do.
+"+ index" builds the index in the call: the core's cells, small_gicp's cloud and tree, KISS-ICP's voxel map, and
+Open3D's tree, which cannot be kept. So compare rows with "+ index" with each other, and rows without.
+The pairing differs (one-to-one in the core and the NumPy reference, many-to-one in the others) and KISS-ICP uses
+robust weights; clouds, guess, largest distance and iterations are the same.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Calls = dict[str, Callable[[], Any]]
 
 
 def clouds(targets: int) -> tuple[Floats, Floats, Pose]:
-    """So many points (N, 2) of the synthetic lab, 1,000 of two scans in the middle (1000, 2), and a guess 7 cm off."""
+    """Return ``targets`` points (N, 2) of the synthetic lab, 1,000 points of two scans in the middle, and a guess 7 cm off."""
     lab = registry.dataset("lab")
     sequence = lab.make(**{p.name: p.default for p in lab.parameters} | {"laps": 0.3})
     truth = sequence.truth().trajectory
@@ -59,8 +59,8 @@ def clouds(targets: int) -> tuple[Floats, Floats, Pose]:
     return target, poses[middle].inverse().transform(source), poses[middle] @ GUESS_OFF
 
 
-def of_the_core(precision: Precision, name: str, target: Floats, source: Floats, guess: Pose) -> Calls:
-    """The compiled core, with its index kept and with building it."""
+def core_methods(precision: Precision, name: str, target: Floats, source: Floats, guess: Pose) -> Calls:
+    """Return the compiled core, with a kept index and with an index built in the call."""
     module = load_core(precision)
     icp = module.Icp(
         epsilon=0.0, max_iterations=ITERATIONS, error=0, error_before=False, one_to_one=True,
@@ -74,15 +74,15 @@ def of_the_core(precision: Precision, name: str, target: Floats, source: Floats,
     }
 
 
-def of_the_twin(target: Floats, source: Floats, guess: Pose) -> Calls:
-    """The NumPy twin, its tree kept."""
+def reference_methods(target: Floats, source: Floats, guess: Pose) -> Calls:
+    """Return the NumPy reference with a kept tree."""
     twin = Icp(epsilon=0.0, max_iterations=ITERATIONS, max_correspondence_m=LARGEST_M)
     fixed, moving = Cloud(target), Cloud(source)
     return {"paper (NumPy)": lambda: twin.register(fixed, moving, guess)}
 
 
-def of_small_gicp(target: Floats, source: Floats, guess: Pose) -> Calls:
-    """small_gicp's point-to-point, its tree kept (it makes 19 iterations of 20), and with building it."""
+def small_gicp_methods(target: Floats, source: Floats, guess: Pose) -> Calls:
+    """Return small_gicp's point-to-point with a kept tree (19 iterations of 20), and with a tree built in the call."""
     import small_gicp
 
     space = planar3d.points_3d(target)
@@ -103,8 +103,8 @@ def of_small_gicp(target: Floats, source: Floats, guess: Pose) -> Calls:
     return {"small_gicp": lambda: align(fixed, tree), "small_gicp + index": rebuilt}
 
 
-def of_open3d(target: Floats, source: Floats, guess: Pose) -> Calls:
-    """Open3D's legacy point-to-point; it builds its tree in every call."""
+def open3d_methods(target: Floats, source: Floats, guess: Pose) -> Calls:
+    """Return Open3D's legacy point-to-point, which builds its tree in every call."""
     import open3d
 
     open3d.utility.set_max_threads(1)
@@ -120,8 +120,8 @@ def of_open3d(target: Floats, source: Floats, guess: Pose) -> Calls:
     }
 
 
-def of_kiss_icp(target: Floats, source: Floats, guess: Pose) -> Calls:
-    """KISS-ICP's align_points_to_map against its own map (20 points a cell of 12 cm), kept, and with building it."""
+def kiss_icp_methods(target: Floats, source: Floats, guess: Pose) -> Calls:
+    """Return KISS-ICP's align_points_to_map with its map (20 points per cell of 12 cm) kept, and built in the call."""
     from kiss_icp.mapping import VoxelHashMap
     from kiss_icp.pybind import kiss_icp_pybind
 
@@ -152,21 +152,21 @@ def of_kiss_icp(target: Floats, source: Floats, guess: Pose) -> Calls:
 
 
 def methods(target: Floats, source: Floats, guess: Pose) -> Calls:
-    """Everything that is installed; the core first, because the rest is compared with it."""
-    calls = of_the_core("double", REFERENCE, target, source, guess)
-    calls |= of_the_core("float", "embedded-f32", target, source, guess)
-    calls |= of_the_twin(target, source, guess)
+    """Return all installed methods; the core is first, because the others are compared with it."""
+    calls = core_methods("double", REFERENCE, target, source, guess)
+    calls |= core_methods("float", "embedded-f32", target, source, guess)
+    calls |= reference_methods(target, source, guess)
     if importlib.util.find_spec("small_gicp"):
-        calls |= of_small_gicp(target, source, guess)
+        calls |= small_gicp_methods(target, source, guess)
     if not open3d_missing():
-        calls |= of_open3d(target, source, guess)
+        calls |= open3d_methods(target, source, guess)
     if importlib.util.find_spec("kiss_icp"):
-        calls |= of_kiss_icp(target, source, guess)
+        calls |= kiss_icp_methods(target, source, guess)
     return calls
 
 
-def measured_ns(calls: Calls, rounds: int) -> dict[str, Floats]:
-    """CPU time (rounds,) of each call, in turns, forwards and backwards; three rounds before are not counted."""
+def measure_ns(calls: Calls, rounds: int) -> dict[str, Floats]:
+    """Return the CPU time (rounds,) of each call, in alternating order; three warm-up rounds are not counted."""
     times: dict[str, list[int]] = {name: [] for name in calls}
     for round_ in range(rounds + 3):
         for name in list(calls) if round_ % 2 else reversed(calls):
@@ -177,7 +177,7 @@ def measured_ns(calls: Calls, rounds: int) -> dict[str, Floats]:
 
 
 def main() -> None:
-    """Prints the median CPU time of each and its ratio to the core's, paired round by round, with quartiles."""
+    """Print the median CPU time of each method and its ratio to the core, paired round by round, with quartiles."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0] if __doc__ else "")
     parser.add_argument("--rounds", type=int, default=40)
     parser.add_argument("--targets", type=int, nargs="+", default=[5000, 50_000])
@@ -191,7 +191,7 @@ def main() -> None:
         os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     for targets in arguments.targets:
         target, source, guess = clouds(targets)
-        times = measured_ns(methods(target, source, guess), arguments.rounds)
+        times = measure_ns(methods(target, source, guess), arguments.rounds)
         print(f"{ITERATIONS} iterations, {len(source)} points against {len(target)}, {arguments.rounds} rounds")
         print(f"{'':22} {'CPU ms':>8} {'x ' + REFERENCE:>12} {'quartiles':>14}")
         for name, taken in times.items():

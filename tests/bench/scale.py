@@ -1,6 +1,8 @@
-"""What scale costs: planning, a store's run, a cluster's task, and two workers beside one. Prints a table.
+"""Costs of scale: planning, storing a run, a task on a cluster, and two workers compared with one.
 
-python tests/bench/scale.py [planning store tasks workers]
+Prints a table::
+
+    python tests/bench/scale.py [planning store tasks workers]
 """
 
 from __future__ import annotations
@@ -29,14 +31,14 @@ from evalkit.results.store import Store
 
 
 class NoProgress:
-    """A progress that measures how long runs take, in seconds from start to end."""
+    """Progress that measures how long runs take, in seconds from start to end."""
 
     def __init__(self) -> None:
         self._started: dict[str, float] = {}
         self.seconds = 0.0
 
     def started(self, spec: RunSpec) -> None:
-        """Note the time."""
+        """Record the start time."""
         self._started[spec.key] = time.perf_counter()
 
     def answered(self, spec: RunSpec, scans: int) -> None:
@@ -50,7 +52,7 @@ class NoProgress:
 def run(
     experiment: Experiment, store: Store, executor: Executor | None = None, collect: bool = False
 ) -> tuple[list[RunResult], float]:
-    """The results of all runs, and the seconds they took."""
+    """Return the results of all runs and their duration in seconds."""
     progress = NoProgress()
     results = [
         replace(result, steps=NO_STEPS)
@@ -60,7 +62,7 @@ def run(
 
 
 def plan(methods: int, sequences: int, seeds: int, laps: float = 0.3) -> Experiment:
-    """The paper's method under so many labels on so many drives through a room."""
+    """Return an experiment with the paper's method under a number of labels on a number of drives through a room."""
     content = {
         "timed": False,
         "method": [{"use": "paper", "label": f"paper {k}", "keyframes": 10 + k} for k in range(methods)],
@@ -73,8 +75,8 @@ def plan(methods: int, sequences: int, seeds: int, laps: float = 0.3) -> Experim
 
 
 @contextmanager
-def taken(what: str, count: int, unit: str = "run") -> Iterator[None]:
-    """Prints the CPU and the wall time of what is done meanwhile."""
+def measure_time(what: str, count: int, unit: str = "run") -> Iterator[None]:
+    """Context manager that prints the CPU and the wall time of its block."""
     wall, cpu = time.perf_counter(), time.process_time()
     yield
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
@@ -82,29 +84,29 @@ def taken(what: str, count: int, unit: str = "run") -> Iterator[None]:
 
 
 def planning(folder: Path) -> None:
-    """10,000 runs: reading, checking, keys, and what is done, with none made and with all made."""
+    """Measure 10,000 runs: reading, checking, keys, and finding stored results, with none and with all stored."""
     store = Store(folder / "empty")
-    with taken("plan 10,000 runs", 10_000):
+    with measure_time("plan 10,000 runs", 10_000):
         big = plan(10, 10, 100)
         runs = list(big.runs())
-    with taken("what is done of 10,000, none made", 10_000):
+    with measure_time("what is done of 10,000, none made", 10_000):
         assert len(run(big, store, collect=True)[0]) == 10_000
     full = Store(folder / "full")
     one = big.select(["room 0"], ["paper 0"], [0])
     run(one, full)
     made = full.run_folder(next(one.runs()).key)
-    with taken("copy a run 10,000 times", 10_000):
+    with measure_time("copy a run 10,000 times", 10_000):
         for spec in runs:
             if not full.run_folder(spec.key).exists():
                 shutil.copytree(made, full.run_folder(spec.key), copy_function=os.link)
-    with taken("what is done of 10,000, all made", 10_000):
+    with measure_time("what is done of 10,000, all made", 10_000):
         ended, _ = run(big, full, collect=True)
     print("  statuses:", {one.status for one in ended})
     print(f"  peak of this process: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MiB")
 
 
 def store(folder: Path) -> None:
-    """Bytes and files of a run, and what it takes to pack and unpack one."""
+    """Measure the bytes and files of a run, and the time to pack and unpack one."""
     kept = Store(folder / "one")
     one = plan(1, 1, 1, laps=1.0)
     run(one, kept)
@@ -115,37 +117,37 @@ def store(folder: Path) -> None:
     body = run_archive.pack_run(kept, key)
     print(f"  packed for the way: {len(body):,} bytes")
     other = Store(folder / "other")
-    with taken("pack", 100):
+    with measure_time("pack", 100):
         for _ in range(100):
             run_archive.pack_run(kept, key)
-    with taken("unpack", 100):
+    with measure_time("unpack", 100):
         for _ in range(100):
             run_archive.unpack_run(other, key, body)
 
 
-def nothing(size: int, _slot: Slot) -> bytes:
-    """So many bytes."""
+def return_bytes(size: int, _slot: Slot) -> bytes:
+    """Return the given number of bytes."""
     return bytes(size)
 
 
 def tasks(_folder: Path) -> None:
-    """What a task costs that computes nothing: client, scheduler and worker together on this machine."""
+    """Measure the cost of an empty task: client, scheduler and worker together on this machine."""
     with _local(2) as local:
         cluster = Cluster(local.scheduler_address)
         for size in (0, 100_000):
             count = 500
             before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-            with taken(f"{count} empty tasks that answer {size:,} bytes", count, "task"):
-                found = sum(1 for _ in cluster.answers(Call(f"n{k}", nothing, (size,)) for k in range(count)))
+            with measure_time(f"{count} empty tasks that answer {size:,} bytes", count, "task"):
+                found = sum(1 for _ in cluster.answers(Call(f"n{k}", return_bytes, (size,)) for k in range(count)))
             after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
             print(f"  {found} answered; client and scheduler grew by {(after - before) / 1024:.1f} MiB")
 
 
 def workers(folder: Path) -> None:
-    """The same plan by one and by two workers, in turns.
+    """Run the same experiment with one and with two workers, in turns.
 
-    On a machine that others use too the wall clock says little. What a second worker really adds is told by how much
-    of the time a worker has a run in hand, and by how much more CPU time a run takes beside another.
+    On a shared machine the wall clock says little. The gain of a second worker follows from the share of time in which
+    a worker executes a run, and from the additional CPU time of a run next to another one.
     """
     busy: dict[int, list[float]] = {1: [], 2: []}
     cpu: dict[int, list[float]] = {1: [], 2: []}
@@ -172,7 +174,7 @@ def workers(folder: Path) -> None:
 
 
 def _cpu_s() -> float:
-    """CPU time of all processes of ours, ended ones included."""
+    """Return the CPU time of this process and its children, including terminated ones."""
     ours = [psutil.Process(), *psutil.Process().children(recursive=True)]
     return sum(sum(process.cpu_times()[:4]) for process in ours)
 

@@ -31,7 +31,7 @@ MAX_MESSAGE = 1_000
 
 
 class Violation(AssertionError):
-    """A promise that an input broke."""
+    """An input that exceeded a limit or raised another error."""
 
 
 class TooSlow(BaseException):

@@ -1,4 +1,4 @@
-"""Back ends that each break one rule, and sound ones to compare with; found as "faulty_backends:NAME"."""
+"""Faulty back ends that each break one rule, and correct ones for comparison; found as "faulty_backends:NAME"."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from evalkit_baselines.paper.icp import Icp
 
 
 class Sound:
-    """A Registration that keeps every rule; the faulty ones change one thing."""
+    """A Registration that follows every rule; the faulty ones change one thing."""
 
     def __init__(self) -> None:
         self._icp = Icp(epsilon=1e-6)
@@ -77,7 +77,7 @@ class Millimetres(Sound):
 
 
 class Biased(Sound):
-    """Off by 3 cm, always the same way in the target's frame."""
+    """Adds an error of 3 cm, always in the same direction in the target's frame."""
 
     def register(self, target, source, guess):
         match = super().register(target, source, guess)
@@ -85,7 +85,7 @@ class Biased(Sound):
 
 
 class ByIndex(Sound):
-    """Takes equal rows for partners."""
+    """Pairs the rows with equal index."""
 
     def register(self, target, source, guess):
         count = min(len(target), len(source))
@@ -96,7 +96,7 @@ class ByIndex(Sound):
 
 
 class Halves(Sound):
-    """Looks at the first half of the source only, and says so too seldom: doubled points change the answer."""
+    """Uses only the first half of the source: duplicated points change the result."""
 
     def register(self, target, source, guess):
         some = Cloud(source.points[:: 1 + (len(source) > 700)] + 0.1 * (len(source) > 700))
@@ -104,7 +104,7 @@ class Halves(Sound):
 
 
 class Stateful(Sound):
-    """Starts where it ended the last time."""
+    """Starts from its previous result."""
 
     last = None
 
@@ -122,16 +122,16 @@ class Random(Sound):
         )  # fmt: skip
 
 
-class WritesPolitely(Sound):
-    """In NumPy, which refuses."""
+class WritesWithNumpy(Sound):
+    """Writes into its arguments through NumPy, which raises."""
 
     def register(self, target, source, guess):
         source.points[:] = guess.transform(source.points)
         return super().register(target, source, Pose())
 
 
-class WritesRudely(Sound):
-    """Through a pointer, as a C library would."""
+class WritesThroughPointer(Sound):
+    """Writes into its arguments through a pointer, as a C library could."""
 
     def register(self, target, source, guess):
         match = super().register(target, source, guess)
@@ -139,8 +139,8 @@ class WritesRudely(Sound):
         return match
 
 
-class Liar(Sound):
-    """Always converged."""
+class AlwaysConverged(Sound):
+    """Always reports convergence."""
 
     def register(self, target, source, guess):
         return replace(super().register(target, source, guess), converged=True)
@@ -152,7 +152,7 @@ class NoPairs(Sound):
 
 
 class Unbounded(Sound):
-    """Solves for what a wall leaves open."""
+    """Solves for the direction that a wall leaves unobservable."""
 
     def register(self, target, source, guess):
         match = super().register(target, source, guess)
@@ -167,7 +167,7 @@ class Nan(Sound):
 
 
 class Matrix(Sound):
-    """Answers as its library does."""
+    """Returns the matrix of its library instead of a Pose."""
 
     def register(self, target, source, guess):
         return np.eye(4)
@@ -184,7 +184,7 @@ class Leaks(Sound):
 
 
 class Segfault(Sound):
-    """A null pointer where the source is empty."""
+    """Dereferences a null pointer if the source is empty."""
 
     def register(self, target, source, guess):
         if len(source) == 0:
@@ -206,7 +206,7 @@ class Exits(Sound):
 
 
 class Hangs(Sound):
-    """Iterates for ever on a single wall."""
+    """Iterates endlessly on a single wall."""
 
     def register(self, target, source, guess):
         while len(target) and np.ptp(target.points[:, 1]) < 1e-6:
@@ -215,7 +215,7 @@ class Hangs(Sound):
 
 
 class Hogs(Sound):
-    """Allocates by what it is given."""
+    """Allocates memory in proportion to its input."""
 
     def register(self, target, source, guess):
         self.kept = [np.ones(2_000_000) for _ in itertools.count()] if len(source) == 0 else []
@@ -233,7 +233,7 @@ class Raises(Sound):
 
 
 class RawOpen3DPlane:
-    """Open3D's point-to-plane on z = 0 with the normals it estimates by itself."""
+    """Open3D's point-to-plane on z = 0 with the normals that it estimates itself."""
 
     def register(self, target, source, guess):
         import open3d as o3d
@@ -271,7 +271,7 @@ class RawSmallGicpPlane:
 
 
 class Wheels:
-    """An Odometry that keeps the rules as long as there are wheels; the faulty ones change one thing."""
+    """An Odometry that follows the rules if there is wheel odometry; the faulty ones change one thing."""
 
     def __init__(self) -> None:
         self.begin = None
@@ -302,7 +302,7 @@ class LastBeam(Wheels):
 
 
 class OfTheSensor(Wheels):
-    """Follows the lidar instead of the base."""
+    """Returns the pose of the lidar instead of the base."""
 
     def pose(self, frame):
         mount = frame.base_from_sensor
@@ -310,7 +310,7 @@ class OfTheSensor(Wheels):
 
 
 class OfOtherScans(Wheels):
-    """Answers each scan with the pose of the one before."""
+    """Returns for each scan the pose of the previous one."""
 
     before = Pose()
 
@@ -355,7 +355,7 @@ class DividesByTime(Wheels):
 
 
 class Shared(Wheels):
-    """Its state is the class's."""
+    """Keeps its state in the class."""
 
     steps = 0
 
@@ -377,7 +377,7 @@ class LeaksScans(Wheels):
 
 
 class Seldom(Wheels):
-    """Leaves out every third scan, and says so."""
+    """Raises NoAnswer for every third scan."""
 
     count = 0
 

@@ -54,7 +54,7 @@ class Blind(Straight):
 
 
 class Once(Straight):
-    """Its frames are used up by the first who asks."""
+    """Its frames can be iterated only once."""
 
     def frames(self):
         if not hasattr(self, "kept"):
@@ -63,13 +63,13 @@ class Once(Straight):
 
 
 class Unseeded(Straight):
-    """Draws from an unseeded generator."""
+    """Uses an unseeded generator."""
 
     def frame(self, index, frame):
         return replace(frame, scan=replace(frame.scan, ranges=frame.scan.ranges + np.random.default_rng().random() / 9))
 
 
-class DeafToSeeds(Straight):
+class IgnoresSeeds(Straight):
     def __init__(self, seed=0, scans=8) -> None:
         super().__init__(0, scans)
 
@@ -85,14 +85,14 @@ class Boastful(Straight):
 
 
 class Patchy(Straight):
-    """The motion within a scan, and none between scans."""
+    """Contains the motion within a scan, and none between scans."""
 
     def frame(self, index, frame):
         return replace(frame, odom_from_base=None, start_from_end=Pose()) if index == 3 else frame
 
 
 class Loose(Straight):
-    """A lidar that moves on the robot."""
+    """A lidar that moves relative to the robot."""
 
     def frame(self, index, frame):
         return replace(frame, base_from_sensor=Pose(0.1 * index))

@@ -16,7 +16,7 @@ from evalkit_baselines.paper.icp import Icp
 
 
 class Transposed(Icp):
-    """Every step turns in the wrong direction: R = U V^T as printed."""
+    """Every step rotates in the wrong direction: R = U V^T as printed."""
 
     def _step(self, source, target, normals):
         theta = -super()._step(source, target, normals)[2]
@@ -24,10 +24,10 @@ class Transposed(Icp):
 
 
 class Degrees(Icp):
-    """The answer's angle is in degrees."""
+    """Returns the angle in degrees."""
 
     def register(self, target, source, guess):
-        """An answer in degrees."""
+        """Return a result with its angle in degrees."""
         match = super().register(target, source, guess)
         pose = match.target_from_source
         return replace(match, target_from_source=Pose(pose.x, pose.y, math.degrees(pose.theta)))
@@ -37,7 +37,7 @@ class Rounded(Icp):
     """Computes on points rounded to single precision."""
 
     def register(self, target, source, guess):
-        """An answer from rounded points."""
+        """Return a result from rounded points."""
         return super().register(*(Cloud(np.float32(cloud.points)) for cloud in (target, source)), guess)
 
 
@@ -45,7 +45,7 @@ class Crashes(Icp):
     """Crashes on clouds of the size of a real scan."""
 
     def register(self, target, source, guess):
-        """An answer, or a crash."""
+        """Return a result, or crash."""
         if 600 < len(source) < 1200 and len(target) < 1200:
             ctypes.string_at(0)
         return super().register(target, source, guess)

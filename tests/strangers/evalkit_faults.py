@@ -1,4 +1,4 @@
-"""Somebody else's plug-ins, each with every fault that evalkit must survive, and a tiny sequence to show them on."""
+"""Third-party plug-ins, one for each fault that evalkit must survive, and a tiny sequence to run them on."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ STEP_NS = 100_000_000
 
 
 class NoPose(Pose):
-    """A pose without the check of its values."""
+    """A pose without validation."""
 
     def __post_init__(self) -> None:
-        """Skip the check."""
+        """Skip the validation."""
 
 
 def _spin() -> None:
@@ -50,13 +50,13 @@ def _leak() -> None:
 
 
 def _sleeper(own_session: bool = False) -> None:
-    """A child that sleeps, with the run's folder on its command line so that it can be found."""
+    """Start a sleeping child, with the run's folder on its command line so that it can be found."""
     command = [sys.executable, "-c", "import time; time.sleep(600)", sys.argv[-1]]
     subprocess.Popen(command, start_new_session=own_session)
 
 
 def _daemon() -> None:
-    """A grandchild in a session of its own whose parent ends at once: an orphan."""
+    """Start a grandchild in its own session whose parent ends at once."""
     if os.fork() == 0:
         _sleeper(own_session=True)
         os._exit(0)
@@ -65,7 +65,7 @@ def _daemon() -> None:
 
 
 def _hold() -> None:
-    """Waits in C and keeps the interpreter's lock."""
+    """Wait in C without releasing the interpreter lock."""
     ctypes.PyDLL(None).sleep(600)
 
 
@@ -79,7 +79,7 @@ def _leak_in_child() -> None:
 
 
 def _flood() -> None:
-    """40 MiB of output, and then its reason."""
+    """Print 40 MiB of output and raise."""
     for _ in range(40):
         os.write(1, b"the wheel squeaks " * 58_254 + b"\n")
         time.sleep(0.01)
@@ -192,10 +192,10 @@ class Lots:
 
 
 class Straight:
-    """Scans of a box of 8 x 4 m from a base that moves 0.1 m a scan along x.
+    """Scans of a box of 8 x 4 m from a base that moves 0.1 m per scan along x.
 
-    ``backwards``: the number of a scan whose stamp lies before the one before; 0: none. ``file``: must exist.
-    ``reads_s``: how long it takes to look through.
+    ``backwards``: the number of a scan with a stamp before that of the previous one; 0: none. ``file``: must exist.
+    ``reads_s``: the duration of indexing the recording.
     """
 
     def __init__(self, scans: int, backwards: int, file: str, breaks: bool, reads_s: float = 0.0) -> None:
@@ -212,7 +212,7 @@ class Straight:
         return len(self._stamps)
 
     def frames(self) -> Iterator[Frame]:
-        """The frames."""
+        """Return the frames."""
         angles = np.linspace(-math.pi, math.pi, 72, endpoint=False)
         for index, stamp in enumerate(self._given.tolist()):
             x = 1.0 + index * STEP_M
@@ -223,7 +223,7 @@ class Straight:
             yield Frame(scan, odom_from_base=Pose(index * STEP_M, 0.0, 0.0))
 
     def truth(self) -> Truth:
-        """The exact way."""
+        """Return the exact trajectory."""
         if self._breaks:
             raise RuntimeError("the truth is out there")
         poses = np.zeros((len(self), 3))
@@ -231,7 +231,7 @@ class Straight:
         return Truth("exact", Trajectory(self._stamps, poses))
 
     def notes(self) -> Mapping[str, int]:
-        """None."""
+        """Return no notes."""
         return {}
 
 
@@ -246,12 +246,12 @@ class FaultyMapper:
         self._fault, self._only_past_m = FAULTS[fault], only_past_m
 
     def update(self, scan: Scan, world_from_sensor: Pose) -> None:
-        """Breaks at a pose beyond ``only_past_m``."""
+        """Fail at a pose beyond ``only_past_m``."""
         if world_from_sensor.x > self._only_past_m:
             self._fault()
 
     def grid(self) -> OccupancyGrid:
-        """One cell."""
+        """Return one cell."""
         return OccupancyGrid(np.zeros((1, 1), dtype=np.float32), np.zeros((1, 1), dtype=np.bool_), 0.05, 0.0, 0.0)
 
 

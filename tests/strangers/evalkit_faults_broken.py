@@ -1,3 +1,3 @@
-"""A module that fails when it is imported, and not for want of a library."""
+"""A module that fails when it is imported, for another reason than a missing library."""
 
 raise RuntimeError("the licence server does not answer")

@@ -19,7 +19,7 @@ class Stretched:
         self._start: Pose | None = None
 
     def update(self, frame: Frame) -> OdometryEstimate:
-        """``start_from_base``."""
+        """Return the scaled odometry pose."""
         at = frame.odom_from_base or Pose()
         self._start = self._start or at
         moved = self._start.inverse() @ at
@@ -30,7 +30,7 @@ class Hopeless(Stretched):
     """An Odometry that always raises."""
 
     def update(self, frame: Frame) -> OdometryEstimate:
-        """Nothing."""
+        """Raise."""
         raise RuntimeError("hopeless")
 
 

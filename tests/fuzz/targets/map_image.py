@@ -48,7 +48,7 @@ def swollen() -> list[bytes]:
 
 def one(data: bytes) -> None:
     """Read a map with the input as its image."""
-    map_server.MAX_PIXELS = 2**20  # what a sound image of that size takes is no finding
+    map_server.MAX_PIXELS = 2**20  # the memory of a valid image of that size is not a finding
     settings = folder() / "image.yaml"
     settings.write_text(SETTINGS, encoding="utf-8")
     check_file_reader(lambda _path: map_server.read_map(settings), data, "fuzz.image")

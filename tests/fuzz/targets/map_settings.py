@@ -41,5 +41,5 @@ def swollen() -> list[bytes]:
 def one(data: bytes) -> None:
     """Read a map with the input as its settings."""
     (folder() / "fuzz.pgm").write_bytes(b"P5\n2 2\n255\n\x00\xcd\xfe\xfe")
-    check_file_reader(map_server.read_map, data, "fuzz.yaml", named="")  # it may name an image that is not there
+    check_file_reader(map_server.read_map, data, "fuzz.yaml", named="")  # it may name an image that does not exist
     map_server.find_map_image(folder() / "fuzz.yaml")

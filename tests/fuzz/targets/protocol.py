@@ -11,7 +11,7 @@ from evalkit.external.process import ProgramSession
 from evalkit.external.program import Program
 
 
-class _Nobody:
+class _StubProcess:
     """A stub of the process."""
 
     def kill(self) -> None:
@@ -51,7 +51,7 @@ def swollen() -> list[bytes]:
 def one(data: bytes) -> None:
     """Parse a line as every type of answer."""
     program = Program.__new__(Program)
-    program._name, program._process, program._last_messages = "exec:fuzz", _Nobody(), deque([data[-200:]])
+    program._name, program._process, program._last_messages = "exec:fuzz", _StubProcess(), deque([data[-200:]])
     for hear in (_describe_program, _matched, _posed):
         check_call(lambda hear=hear: hear(program, data), len(data), "exec:fuzz")
 

@@ -1,4 +1,4 @@
-"""The reader of distances measured with a tape."""
+"""The reader of measured distances."""
 
 from __future__ import annotations
 

@@ -78,6 +78,6 @@ def one(data: bytes) -> None:
         (place / name).write_bytes(content)
     name = FILES[data[0] % len(FILES)] if data else FILES[0]
     (place / name).write_bytes(data[1:])
-    untrusted_io.MAX_BYTES = 2**24  # what a sound archive of that size takes is no finding
+    untrusted_io.MAX_BYTES = 2**24  # the memory of a valid archive of that size is not a finding
     store = Store.existing(folder())
     check_call(lambda: (store.load_result("key"), store.load_scores("key")), len(data), "")
