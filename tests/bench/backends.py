@@ -22,7 +22,7 @@ REFERENCE = "paper-tight"
 
 
 def clouds(targets: int) -> tuple[Cloud, Cloud, Pose]:
-    """Return a local map of the synthetic lab with about ``targets`` points, one scan, and a guess 5 cm and 2 deg off."""
+    """Return a local map of the synthetic lab with about ``targets`` points, a scan, and a guess 5 cm, 2 deg off."""
     frames = list(registry.dataset("lab").make(**_defaults("lab")).frames())
     points = np.concatenate([frame.base_from_sensor.transform(frame.scan.points()) for frame in frames[:80:10]])
     generator = np.random.default_rng(0)

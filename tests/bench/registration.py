@@ -40,7 +40,7 @@ Calls = dict[str, Callable[[], Any]]
 
 
 def clouds(targets: int) -> tuple[Floats, Floats, Pose]:
-    """Return ``targets`` points (N, 2) of the synthetic lab, 1,000 points of two scans in the middle, and a guess 7 cm off."""
+    """Return ``targets`` points of the synthetic lab, 1,000 of two scans in the middle, and a guess 7 cm off."""
     lab = registry.dataset("lab")
     sequence = lab.make(**{p.name: p.default for p in lab.parameters} | {"laps": 0.3})
     truth = sequence.truth().trajectory
