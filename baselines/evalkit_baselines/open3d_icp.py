@@ -188,11 +188,11 @@ def open3d_missing() -> str:
     if sys.platform != "linux":
         return ""
     absent = [name for name in SYSTEM_LIBRARIES if not _can_load(name)]
-    return f"open3d needs system libraries that are not here ({', '.join(absent)}): {INSTALL_SYSTEM}" if absent else ""
+    return f"open3d needs missing system libraries ({', '.join(absent)}): {INSTALL_SYSTEM}" if absent else ""
 
 
 def _add_nothing(_library: Any, _space: Any, _cloud: Cloud, _conversion: Stopwatch) -> None:
-    """Point-to-point needs only points."""
+    """Add nothing: point-to-point needs only points."""
 
 
 def _make_loss(methods: Any, settings: PlaneSettings) -> Any:

@@ -45,7 +45,7 @@ class PoseBuffer:
 
 
 class HasRanges(Protocol):
-    """A frozen dataclass whose bulk is its ranges."""
+    """A frozen dataclass with a large array of ranges."""
 
     @property
     def ranges(self) -> Floats:

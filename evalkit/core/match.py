@@ -1,4 +1,4 @@
-"""The answer of one registration."""
+"""Match: the answer of one registration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""A time limit that also ends C code, with a note on disk that outlives the process."""
+"""Time limit of a task that also ends C code, with a note on disk that remains after the process has ended.
+
+The limits of a run are ``evalkit.config.experiment.Limits``; ``evalkit.execution.run_process`` enforces them.
+"""
 
 from __future__ import annotations
 
@@ -25,8 +28,8 @@ class Note:
 
 @contextlib.contextmanager
 def time_limit(note: Path, limit_s: float) -> Iterator[None]:
-    """Keeps the file ``note`` while the block runs; after ``limit_s`` (0: no limit), writes there where the block was
-    and ends the process.
+    """Keep the file ``note`` while the block runs; after ``limit_s`` (0: no limit), write there where the block was
+    and end the process.
 
     A C thread of the interpreter watches the time, without any lock that foreign code may hold. A process has one such
     thread: a second block with a limit waits for the first.

@@ -14,7 +14,7 @@ from evalkit.core.scan import Cloud, Frame, Scan
 
 
 class Registration(Protocol):
-    """Aligns one cloud with another. Stateless: equal arguments give equal answers, whatever calls came before."""
+    """Aligns one cloud with another. Stateless: equal arguments give equal answers, independent of earlier calls."""
 
     def register(self, target: Cloud, source: Cloud, guess: Pose) -> Match:
         """Return the motion ``target_from_source``, starting from ``guess``; must not write into its arguments."""

@@ -29,7 +29,7 @@ PIPELINE: Words = {
     "LogOddsGrid.update": "add to the log-odds grid",
 }
 REGISTRATION: Words = {
-    "Recent.of": "index the reference Q",
+    "CloudCache.get": "index the reference Q",
     "Association.find": "nearest q of every moved p (eq. 2)",
     "select_closest": "one to one: of several p the closest keeps q",
     "fit_motion": "centroids, K, theta and t; move the source (eq. 3, 4, 9)",

@@ -162,7 +162,7 @@ def test_a_missing_system_library_is_reported_with_its_install_command(monkeypat
     monkeypatch.setattr(open3d_icp.sys, "platform", "linux")
     monkeypatch.setattr(open3d_icp, "_loads", lambda name: name != "libusb-1.0.so.0")
     assert open3d_icp.open3d_missing() == (
-        "open3d needs system libraries that are not here (libusb-1.0.so.0): "
+        "open3d needs missing system libraries (libusb-1.0.so.0): "
         "apt-get install -y --no-install-recommends libgl1 libegl1 libx11-6 libusb-1.0-0"
     )
 

@@ -51,7 +51,7 @@ class Association:
 
 
 class CloudCache(Generic[Built]):
-    """Cache of what was built from the last few clouds; the least recently used entry is dropped first."""
+    """Cache of values built from the last few clouds; the least recently used entry is dropped first."""
 
     def __init__(self, size: int = 4) -> None:
         self._kept: deque[tuple[ref[Cloud], Built]] = deque(maxlen=size)
