@@ -44,16 +44,14 @@ def basin(
 
     Write a page and a JSON file. Exit code 1 if a back end raised an error or ended its process.
     """
-    from evalkit.commands.basin import page as basin_page  # noqa: PLC0415 - loads matplotlib and scipy.stats
-    from evalkit.commands.basin import scenes, sequences  # noqa: PLC0415 - as above
-    from evalkit.commands.basin import trials as attempts  # noqa: PLC0415 - as above
+    from evalkit.commands.basin import scenes, sequences  # noqa: PLC0415 - imports scipy.stats
+    from evalkit.commands.basin import trials as basin_trials  # noqa: PLC0415 - as above
     from evalkit.commands.basin.convergence import Criterion  # noqa: PLC0415 - as above
     from evalkit.commands.basin.result import make_result  # noqa: PLC0415 - as above
-    from evalkit.report.html.blocks import render  # noqa: PLC0415 - as above
 
     options.add_working_directory()
     given = options.settings(setting or [])
-    methods = [attempts.find_method(name, given) for name in dict.fromkeys(backend or _registrations())]
+    methods = [basin_trials.find_method(name, given) for name in dict.fromkeys(backend or _registrations())]
     names = scene or ([] if on else list(scenes.SCENES))
     places: dict[str, dict[str, Any]] = {scenes.find_scene(name).name: {} for name in names}
     for each in map(sequences.PairSource.of, dict.fromkeys(on or ())):
@@ -61,17 +59,15 @@ def basin(
             raise typer.BadParameter(f"--on {each.label}: a scene has the same name; select one of them at a time")
         places[each.label] = each.data
     trials = [
-        attempts.TrialPlan(name, offsets, pairs, beams, noise, distance, math.radians(turn), seed, data)
+        basin_trials.TrialPlan(name, offsets, pairs, beams, noise, distance, math.radians(turn), seed, data)
         for name, data in places.items()
     ]
     for one in trials:
         one.pairs_of_scans()  # raises before any trial if there is no pair
     folder = folder or Path("reports") / "build" / "basin"
     outcomes = _run(methods, trials, folder / "results", jobs or environment.physical_cores())
-    found = make_result(trials, methods, outcomes, Criterion(within_m, math.radians(within_deg)))
-    content = found.as_json() | {"command": shlex.join(["evalkit", *sys.argv[1:]])}
-    page = _write(folder, content, render(basin_page.document(found, content["command"])))
-    _end(found, content, page, as_json)
+    result = make_result(trials, methods, outcomes, Criterion(within_m, math.radians(within_deg)))
+    _finish(result, folder, as_json)
 
 
 def _registrations() -> list[str]:
@@ -81,39 +77,39 @@ def _registrations() -> list[str]:
 
 
 def _run(methods: list[Any], trials: list[Any], folder: Path, workers: int) -> list[Any]:
-    from evalkit.commands.basin import trials as attempts  # noqa: PLC0415 - as above
+    from evalkit.commands.basin import trials as basin_trials  # noqa: PLC0415 - as above
     from evalkit.execution.task_store import TaskStore  # noqa: PLC0415 - loaded only where a basin is computed
 
     count = sum(not each.reason for each in methods) * sum(
-        -(-one.offsets // attempts.TRIALS_PER_TASK) for one in trials
+        -(-one.offsets // basin_trials.TRIALS_PER_TASK) for one in trials
     )
     with progress.announce_kept(err, "finished jobs"), progress.show_tasks(err, count, workers) as done:
-        return attempts.run_trials(methods, trials, TaskStore(folder), workers, done)
+        return basin_trials.run_trials(methods, trials, TaskStore(folder), workers, done)
 
 
-def _write(folder: Path, content: dict[str, Any], page: str) -> Path:
-    """Writes ``basin.json`` and ``index.html``; returns the path of the page."""
-    write_texts(folder, {"basin.json": json.dumps(content, indent=1) + "\n", "index.html": page})
-    return folder / "index.html"
+def _finish(result: BasinResult, folder: Path, as_json: bool) -> None:
+    """Writes page and JSON file and prints the result; exit code 1 if a back end raised or ended its process."""
+    from evalkit.commands.basin import page  # noqa: PLC0415 - imports matplotlib
+    from evalkit.report.html.blocks import render  # noqa: PLC0415 - as above
 
-
-def _end(found: BasinResult, content: dict[str, Any], page: Path, as_json: bool) -> None:
-    """Prints the result and the path of the page; exit code 1 if a back end raised or ended its process."""
+    content = result.as_json() | {"command": shlex.join(["evalkit", *sys.argv[1:]])}
+    html, file = render(page.document(result, content["command"])), folder / "index.html"
+    write_texts(folder, {"basin.json": json.dumps(content, indent=1) + "\n", "index.html": html})
     if as_json:
-        options.print_json(content | {"page": str(page)})
+        options.print_json(content | {"page": str(file)})
     else:
-        progress.print_table(out, _table(found))
-        out.print(str(page.resolve()), highlight=False, markup=False)
-    if found.broken:
+        progress.print_table(out, _table(result))
+        out.print(str(file.resolve()), highlight=False, markup=False)
+    if result.broken:
         raise typer.Exit(1)
 
 
-def _table(found: BasinResult) -> Any:
+def _table(result: BasinResult) -> Any:
     from rich.markup import escape  # noqa: PLC0415 - only where a table is printed
     from rich.table import Table  # noqa: PLC0415 - as above
 
     table = Table("back end", "scene", "success [%]", "reach [m]", "reach [deg]", "A50 [m]", "A95 [m]", "remark")
-    for row in found.rows:
+    for row in result.rows:
         if row.basin is None:
             table.add_row(escape(row.backend), row.scene, "-", "-", "-", "-", "-", escape(row.reason))
             continue

@@ -21,7 +21,7 @@ QUANTILES = (0.50, 0.75, 0.95)
 """A50, A75 and A95 of Pomerleau et al., "Comparing ICP variants on real-world data sets", Autonomous Robots 2013."""
 
 
-def offsets(count: int, reach_m: float, reach_rad: float, rng: np.random.Generator) -> Floats:
+def draw_offsets(count: int, reach_m: float, reach_rad: float, rng: np.random.Generator) -> Floats:
     """Rows (count, 3) of x, y (m), theta (rad) that fill a disc of ``reach_m`` and turns up to ``reach_rad`` evenly.
 
     Even in the distance, the bearing and the turn: an additive low-discrepancy sequence from a random start.
@@ -40,15 +40,15 @@ def with_axes(offsets: Floats) -> Floats:
     return rows
 
 
-def off(rows: Floats, truths: Floats, world_from_target: Floats) -> Floats:
+def compute_offsets(rows: Floats, truths: Floats, world_from_target: Floats) -> Floats:
     """Differences (N, 3) of motions to the truth (N, 3), all ``target_from_source``, along the axes of the world."""
     cos, sin = np.cos(world_from_target[:, 2]), np.sin(world_from_target[:, 2])
     x, y = (rows - truths)[:, :2].T
     return np.stack([cos * x - sin * y, sin * x + cos * y, se2.wrap(rows[:, 2] - truths[:, 2])], axis=1)
 
 
-def guesses(offsets: Floats, truths: Floats, world_from_target: Floats) -> Floats:
-    """The motions (N, 3) that are ``off`` by offsets (N, 3)."""
+def make_guesses(offsets: Floats, truths: Floats, world_from_target: Floats) -> Floats:
+    """The motions (N, 3) that differ from the truth by offsets (N, 3)."""
     cos, sin = np.cos(world_from_target[:, 2]), np.sin(world_from_target[:, 2])
     x, y = offsets[:, :2].T
     turned = np.stack([cos * x + sin * y, cos * y - sin * x, offsets[:, 2]], axis=1)
@@ -98,7 +98,7 @@ class SuccessCounts:
 
 @dataclass(frozen=True, eq=False)
 class Criterion:
-    """Success: an error within so many metres and radians along the observable directions."""
+    """Success: an error within these limits along the observable directions."""
 
     within_m: float
     within_rad: float

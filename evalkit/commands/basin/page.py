@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 
 from evalkit.commands.basin.convergence import SuccessCounts
-from evalkit.commands.basin.result import LEVELS, BasinResult, BasinRow, BasinScene, answer
+from evalkit.commands.basin.result import LEVELS, BasinResult, BasinRow, BasinScene, find_answer
 from evalkit.commands.basin.sequences import MAX_APART_M, MAX_APART_RAD
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
@@ -41,41 +41,41 @@ WORST = 3
 
 GREY, START, END = "#9aa3ad", "#e69f00", "#0072b2"
 BANDS = 4
-"""The largest number of curves with bands; with more, the bands hide one another."""
+"""The largest number of curves with bands; more bands would overlap."""
 
 REACHES = (
-    "Below, R50, R75 and R95 are the reach: the largest offset up to which every bin succeeds in at least so many per "
-    "cent of its guesses, for guesses that are only shifted (m) or only turned (deg). A50, A75 and A95 are errors of "
-    "the answers, quantiles over the whole volume (Pomerleau et al. 2013): large if many fail."
+    "Below, R50, R75 and R95 are the reach: the largest offset up to which every bin succeeds for at least this "
+    "percentage of its guesses, for guesses that are only shifted (m) or only turned (deg). A50, A75 and A95 are "
+    "errors of the answers, quantiles over the whole volume (Pomerleau et al. 2013): large if many fail."
 )
 SHARE = Axis("success [%]", low=0.0, high=100.0)
 
 
-def document(found: BasinResult, command: str) -> Document:
+def document(result: BasinResult, command: str) -> Document:
     """The whole page."""
-    trials = found.scenes[0].trials
-    asked = sum(row.basin is not None for row in found.rows) * trials.offsets
+    trials = result.scenes[0].trials
+    count = sum(row.basin is not None for row in result.rows) * trials.offsets
     facts = (
-        ("Trials", f"{asked:,}"),
+        ("Trials", f"{count:,}"),
         ("Guesses", f"up to {trials.reach_m:g} m and {math.degrees(trials.reach_rad):g} deg off"),
-        ("Success", f"within {found.criterion.within_m:g} m and {math.degrees(found.criterion.within_rad):g} deg"),
+        ("Success", f"within {result.criterion.within_m:g} m and {math.degrees(result.criterion.within_rad):g} deg"),
         ("Seed", str(trials.seed)),
     )
     lead = (
         "The error of the initial guess up to which each registration finds the truth: every back end, with its own "
         "settings, registers the same pairs of scans from the same disturbed guesses."
     )
-    scenes = [_scene(found, scene) for scene in found.scenes]
+    scenes = [_scene(result, scene) for scene in result.scenes]
     return Document(
-        "evalkit basin", "Convergence basins", lead, (_summary(found), *scenes, _how(found, command)), facts
+        "evalkit basin", "Convergence basins", lead, (_summary(result), *scenes, _method(result, command)), facts
     )
 
 
-def _summary(found: BasinResult) -> Section:
-    names = [scene.trials.place for scene in found.scenes]
+def _summary(result: BasinResult) -> Section:
+    names = [scene.trials.place for scene in result.scenes]
     rows = [
-        [Cell(each.label), *(_share_at(found, scene, each.label) for scene in found.scenes)]
-        for each in found.methods
+        [Cell(each.label), *(_share_at(result, scene, each.label) for scene in result.scenes)]
+        for each in result.methods
         if not each.reason
     ]
     columns = [Column("Back end"), *(Column(name, "%", number=True) for name in names)]
@@ -88,15 +88,15 @@ def _summary(found: BasinResult) -> Section:
             "note",
         ),
     ]
-    if absent := [(each.label, each.reason) for each in found.methods if each.reason]:
+    if absent := [(each.label, each.reason) for each in result.methods if each.reason]:
         blocks.append(Table(("Not run", "Reason"), absent))
-    if raised := [(row.backend, row.scene, row.reason) for row in found.broken]:
+    if raised := [(row.backend, row.scene, row.reason) for row in result.broken]:
         blocks.append(Table(("Failed", "Scene", "Reason"), raised))
     return Section("Summary", blocks, "summary")
 
 
-def _share_at(found: BasinResult, scene: BasinScene, label: str) -> Cell:
-    row = next(row for row in found.at(scene) if row.backend == label)
+def _share_at(result: BasinResult, scene: BasinScene, label: str) -> Cell:
+    row = next(row for row in result.at(scene) if row.backend == label)
     if row.basin is None:
         return Cell("no answer", sort=-1.0, tone="bad", tip=row.reason, link=f"#{slug(row.scene)}")
     share = row.basin.overall()
@@ -137,10 +137,10 @@ def _line(row: BasinRow) -> Sequence[Cell | str]:
     )
 
 
-def _scene(found: BasinResult, scene: BasinScene) -> Section:
+def _scene(result: BasinResult, scene: BasinScene) -> Section:
     name = scene.trials.place
-    asked = {each.label for each in found.methods if not each.reason}
-    every = [row for row in found.at(scene) if row.backend in asked]
+    run_labels = {each.label for each in result.methods if not each.reason}
+    every = [row for row in result.at(scene) if row.backend in run_labels]
     rows = [row for row in every if row.basin is not None]
     blocks: list[Block] = [Text(f"{scene.what[0].upper()}{scene.what[1:]}. {_directions(scene)}")]
     if rows:
@@ -165,7 +165,7 @@ def _directions(scene: BasinScene) -> str:
         )
     weakest = known.shares.min()
     return (
-        f"No direction is degenerate: the weakest gets {weakest:.2f} of a point's information, enough for "
+        f"No direction is degenerate: each point gives the weakest {weakest:.2f} of its information, enough for "
         f"{100 * best:.2g} cm at best (Cramer and Rao)."
     )
 
@@ -191,7 +191,7 @@ def _over_turn(rows: Sequence[BasinRow], name: str) -> Figure:
 def _bands(rows: Sequence[BasinRow]) -> str:
     most = max(float(np.nanmax(shares.high - shares.low)) for row in rows for shares in (row.along(), row.around()))
     within = f"Wilson's 95 % intervals, at most {100 * most:.0f} points wide"
-    return f"; bands: {within}" if len(rows) <= BANDS else f"; {within}, stand in the JSON file"
+    return f"; bands: {within}" if len(rows) <= BANDS else f"; {within}, are in the JSON file"
 
 
 def _curve(label: str, shares: SuccessCounts, unit: float, band: bool) -> Curve:
@@ -252,7 +252,7 @@ def _failures(rows: Sequence[BasinRow], scene: BasinScene) -> list[Block]:
 
 def _overlay(row: BasinRow, scene: BasinScene, attempt: int) -> Figure:
     number = attempt % len(scene.seen)
-    pair, guess, end = scene.seen[number], Pose.of(scene.guesses()[attempt]), answer(row, attempt)
+    pair, guess, end = scene.seen[number], Pose.of(scene.guesses()[attempt]), find_answer(row, attempt)
     layers = [
         Points("target", _thinned(pair.target.points), GREY, 3.0),
         Points("source, guess", _thinned(guess.transform(pair.source.points)), START, 3.0),
@@ -260,49 +260,49 @@ def _overlay(row: BasinRow, scene: BasinScene, attempt: int) -> Figure:
     if end is not None:
         layers.append(Points("source, answer", _thinned(end.transform(pair.source.points)), END, 3.0))
     metres, degrees = _apart(guess, pair.target_from_source)
-    told = f"Guess {metres:.2f} m and {degrees:.1f} deg off"
+    caption = f"Guess {metres:.2f} m and {degrees:.1f} deg off"
     if end is None:
-        told += ", no answer"
+        caption += ", no answer"
     else:
         metres, degrees = _apart(end, pair.target_from_source)
-        told += f"; answer {metres:.2f} m and {degrees:.1f} deg off"
+        caption += f"; answer {metres:.2f} m and {degrees:.1f} deg off"
     flag = ", reported as converged" if row.outcome.claimed[attempt] else ""
     body = charts.scatter(layers, Axis("x [m]"), Axis("y [m]"))
-    return Figure(body, f"Trial {attempt}, pair {number}", f"{told}{flag}.")
+    return Figure(body, f"Trial {attempt}, pair {number}", f"{caption}{flag}.")
 
 
-def _how(found: BasinResult, command: str) -> Section:
-    trials = found.scenes[0].trials
+def _method(result: BasinResult, command: str) -> Section:
+    trials = result.scenes[0].trials
     items = (
-        *_pairs(found),
+        *_pairs(result),
         f"The guess is the truth plus an offset: {trials.offsets} offsets, even in distance, bearing and turn (an "
         "additive low-discrepancy sequence from a seeded start), the same for all; a quarter is only shifted and "
         "a quarter only turned, for the curves.",
-        "Unobservable directions are found from the point-to-line Hessian of the scene, its turn scaled by "
+        "Unobservable directions are result from the point-to-line Hessian of the scene, its turn scaled by "
         "the points' mean square distance: a direction is degenerate where twice the best possible standard deviation "
         "exceeds the tolerance. Guesses and answers are evaluated without them.",
         "A back end that raises has no answer to that guess; one that ends its process has none in its task.",
         "Back ends keep their own settings; the largest distance of a pair, chosen for tracking, decides the basin "
         "more than anything else.",
     )
-    rows = [(name, str(value)) for each in found.methods for name, value in each.values.items()]
-    owners = [each.label for each in found.methods for _ in each.values]
-    table = Table(("Back end", "Setting", "Value"), [(who, *row) for who, row in zip(owners, rows, strict=True)])
+    rows = [(name, str(value)) for each in result.methods for name, value in each.values.items()]
+    owners = [each.label for each in result.methods for _ in each.values]
+    table = Table(("Back end", "Setting", "Value"), [(owner, *row) for owner, row in zip(owners, rows, strict=True)])
     return Section("Method", (Bullets(items), Command(command), Fold("Settings of the back ends", (table,))), "how")
 
 
-def _pairs(found: BasinResult) -> list[str]:
+def _pairs(result: BasinResult) -> list[str]:
     """The origin of the pairs of scans."""
-    told = []
-    if made := [scene.trials for scene in found.scenes if not scene.trials.data]:
-        told.append(
-            f"A simulated scene gives {made[0].pairs} pairs of scans of {made[0].beams} beams with "
-            f"{100 * made[0].noise_m:.3g} cm of noise on every range, from two poses close together; the true motion "
-            "is exact."
+    items = []
+    if simulated := [scene.trials for scene in result.scenes if not scene.trials.data]:
+        items.append(
+            f"A simulated scene gives {simulated[0].pairs} pairs of scans of {simulated[0].beams} beams with "
+            f"{100 * simulated[0].noise_m:.3g} cm of noise on every range, from two poses close together; the true "
+            "motion is exact."
         )
-    if taken := [scene for scene in found.scenes if scene.trials.data]:
-        counts = ", ".join(f"{len(scene.seen)} of {scene.trials.place}" for scene in taken)
-        told.append(
+    if recorded := [scene for scene in result.scenes if scene.trials.data]:
+        counts = ", ".join(f"{len(scene.seen)} of {scene.trials.place}" for scene in recorded)
+        items.append(
             f"A data set gives pairs of its scans, spread evenly ({counts}), as points of the robot's base with the "
             "scans deskewed: as near each other as in a simulated scene if its truth is a trajectory, within "
             f"{MAX_APART_M:g} m and {math.degrees(MAX_APART_RAD):.1f} deg if it is measured relations, whose times "
@@ -310,7 +310,7 @@ def _pairs(found: BasinResult) -> list[str]:
             "Observability is computed from the walls of its scans, along the axes of the world, or of each first scan "
             "where only relations are known."
         )
-    return told
+    return items
 
 
 def _apart(pose: Pose, truth: Pose) -> tuple[float, float]:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from evalkit.commands.basin.convergence import QUANTILES, Basin, Criterion, SuccessCounts, guesses, off
+from evalkit.commands.basin.convergence import QUANTILES, Basin, Criterion, SuccessCounts, compute_offsets, make_guesses
 from evalkit.commands.basin.observability import Observability, observability
 from evalkit.commands.basin.scenes import KnownPair
 from evalkit.commands.basin.trials import BasinMethod, TrialAnswers, TrialPlan
@@ -47,7 +47,7 @@ class BasinScene:
 
     def guesses(self) -> Floats:
         """The guesses (N, 3) of all trials, ``target_from_source``."""
-        return guesses(self.trials.offsets_drawn(), *self.trials.truths(self.seen))
+        return make_guesses(self.trials.offsets_drawn(), *self.trials.truths(self.seen))
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,17 +136,17 @@ def make_result(
 def _evaluate(outcome: TrialAnswers, scene: BasinScene, criterion: Criterion) -> BasinRow:
     trials, basin, reason = outcome.trials, None, outcome.reason
     if outcome.answered:
-        errors = off(outcome.rows, *trials.truths(scene.seen))
+        errors = compute_offsets(outcome.rows, *trials.truths(scene.seen))
         basin = Basin.of(trials.offsets_drawn(), errors, outcome.claimed, scene.known, criterion)
         if outcome.answered < trials.offsets:
             reason = f"no answer to {trials.offsets - outcome.answered} of {trials.offsets}: {reason}"
     return BasinRow(outcome.backend, trials.place, reason, trials, outcome, basin)
 
 
-def answer(row: BasinRow, attempt: int) -> Pose | None:
+def find_answer(row: BasinRow, attempt: int) -> Pose | None:
     """The answer of a back end to one trial, or None."""
-    found = row.outcome.rows[attempt]
-    return Pose.of(found) if np.isfinite(found).all() else None
+    answered = row.outcome.rows[attempt]
+    return Pose.of(answered) if np.isfinite(answered).all() else None
 
 
 def _scene(scene: BasinScene) -> dict[str, Any]:
@@ -162,12 +162,12 @@ def _scene(scene: BasinScene) -> dict[str, Any]:
 
 
 def _row(row: BasinRow) -> dict[str, Any]:
-    told: dict[str, Any] = {"backend": row.backend, "scene": row.scene, "reason": row.reason}
+    content: dict[str, Any] = {"backend": row.backend, "scene": row.scene, "reason": row.reason}
     if row.basin is None:
-        return told
+        return content
     share, claimed, accuracy = row.basin.overall(), row.basin.falsely_claimed(), row.basin.accuracy()
     names = [f"A{100 * level:.0f}" for level in QUANTILES]
-    return told | {
+    return content | {
         "trials": share.support,
         "answered": row.outcome.answered,
         "success": {"share": share.value, "low": share.low, "high": share.high},

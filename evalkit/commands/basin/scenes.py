@@ -22,7 +22,7 @@ NEAR = Pose(0.3, 0.15, float(np.radians(10.0)))
 
 @dataclass(frozen=True, eq=False)
 class SceneModel:
-    """A named world, and ``stands``: lower and upper corner (m) of a box of lidar positions clear of every boundary."""
+    """A named world, and ``stands``: lower and upper corner (m) of a box of lidar positions clear of all walls."""
 
     name: str
     what: str
@@ -79,7 +79,7 @@ SCENES = {
         ),
         SceneModel(
             "long-corridor",
-            "two bare parallel walls 2 m apart that go on beyond the lidar's range",
+            "two bare parallel walls 2 m apart that extend beyond the lidar's range",
             World(np.array([[-20.0, -1.0, 20.0, -1.0], [-20.0, 1.0, 20.0, 1.0]])),
             ((-2.0, -0.4), (2.0, 0.4)),
         ),
@@ -101,14 +101,14 @@ SCENES = {
 
 
 def find_scene(name: str) -> SceneModel:
-    """The place of a name; UnknownName lists the known ones."""
+    """The scene with this name; raises UnknownName."""
     if name not in SCENES:
         raise UnknownName("scene", name, SCENES)
     return SCENES[name]
 
 
 def draw_pair(where: SceneModel, rng: np.random.Generator, beams: int, noise_m: float) -> KnownPair:
-    """A pair of scans with so many beams all round, whose ranges (m) are off by Gaussian noise."""
+    """Draw a pair of scans over a full turn; ``noise_m``: standard deviation of the Gaussian noise of a range."""
     stand = rng.uniform(*where.stands)
     world_from_target = Pose(float(stand[0]), float(stand[1]), float(rng.uniform(-np.pi, np.pi)))
     target_from_source = Pose.of(rng.uniform(-NEAR.row, NEAR.row))

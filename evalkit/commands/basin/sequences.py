@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,7 +15,7 @@ from evalkit.commands.basin.scenes import NEAR, KnownPair
 from evalkit.commands.validate.scan_pairs import spread_indices
 from evalkit.core import se2
 from evalkit.core.arrays import Ints
-from evalkit.core.errors import BadData, BadParameter, DataMissing
+from evalkit.core.errors import BadData, DataMissing
 from evalkit.core.ground_truth import Relations
 from evalkit.core.pose import Pose
 from evalkit.core.scan import Cloud, Frame
@@ -25,11 +24,11 @@ from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.trajectory import MAX_GAP_S, can_interpolate
 from evalkit.odometry import planar3d
 from evalkit.plugins import registry
-from evalkit.plugins.parameter_parsing import from_text
+from evalkit.plugins.parameter_parsing import parse_dataset
 from evalkit.plugins.parameters import resolve_parameters
 
 MIN_M, MIN_RAD = 0.05, math.radians(2.0)
-"""The smallest motion between two scans of a pair; with less, the robot stands and a place would count twice."""
+"""The smallest motion between two scans of a pair; with less, the robot stands still and the pairs repeat."""
 
 MAX_SCANS_APART = 50
 """The largest number of scans from the first to the second scan of a pair."""
@@ -54,15 +53,8 @@ class PairSource:
     @classmethod
     def of(cls, text: str) -> PairSource:
         """The data set of a text "NAME limit=600"; raises UnknownName, BadParameter or DataMissing."""
-        try:
-            name, *words = shlex.split(text) or [""]
-        except ValueError as error:
-            raise BadParameter("evalkit basin", "on", text, f"a data set's name and NAME=VALUE ({error})") from error
+        name, given = parse_dataset(text)
         spec = registry.dataset(name)
-        for word in words:
-            if "=" not in word:
-                raise BadParameter(name, word, word, "NAME=VALUE after the name of the data set")
-        given = from_text(name, spec.parameters, {key: value for key, _, value in (w.partition("=") for w in words)})
         values = resolve_parameters(name, spec.parameters, given)
         if missing := spec.missing(**values):
             what, _, remedy = missing.removeprefix(f"{name}: ").partition("; ")

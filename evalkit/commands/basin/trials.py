@@ -75,7 +75,7 @@ class TrialPlan:
     def offsets_drawn(self) -> Floats:
         """The errors of the guesses (N, 3), along the axes of the world."""
         rng = np.random.default_rng([self.seed, len(scenes.SCENES)])
-        return convergence.with_axes(convergence.offsets(self.offsets, self.reach_m, self.reach_rad, rng))
+        return convergence.with_axes(convergence.draw_offsets(self.offsets, self.reach_m, self.reach_rad, rng))
 
     def truths(self, seen: tuple[KnownPair, ...]) -> tuple[Floats, Floats]:
         """For each trial the true ``target_from_source`` and the ``world_from_target`` (both (N, 3))."""
@@ -124,7 +124,7 @@ def answers(
     """Runs trials [begin, end) with a back end; ``code`` is a digest of the back end's sources."""
     registration: Registration = spec_of(backend).make(**values)
     seen = trials.pairs_of_scans()
-    guesses = convergence.guesses(trials.offsets_drawn(), *trials.truths(seen))
+    guesses = convergence.make_guesses(trials.offsets_drawn(), *trials.truths(seen))
     rows, claimed, reason = np.full((end - begin, 3), np.nan), np.zeros(end - begin, dtype=np.bool_), ""
     for number in range(begin, end):
         pair = seen[number % len(seen)]

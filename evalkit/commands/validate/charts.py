@@ -1,4 +1,4 @@
-"""Charts of an acceptance report: path_distances between answers, trajectories, maps and times."""
+"""Charts of an acceptance report: distances between answers, trajectories, maps and times."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from evalkit.report.html.palette import TRUTH, assign_strokes
 from evalkit.results.run_record import RunRecord
 
 MIN_M = 1e-17
-"""The left end of logarithmic distance axes: smaller path_distances are drawn here."""
+"""The left end of logarithmic distance axes: smaller distances are drawn here."""
 
 SHARE = Axis("share of the pairs [%]", low=0.0, high=100.0)
 FREE, WALL, UNOBSERVED = 1.0, 0.0, 0.8
@@ -114,8 +114,8 @@ def time_figures(level: AcceptanceLevel) -> Iterator[Figure]:
         for place, result in level.results[kind].items():
             if ENDED in result:
                 continue
-            taken = [milliseconds(result, row)[0] for row in range(len(labels))]
-            values, high = (np.array([np.quantile(one, q) for one in taken]) for q in (0.5, 0.95))
+            times = [milliseconds(result, row)[0] for row in range(len(labels))]
+            values, high = (np.array([np.quantile(one, q) for one in times]) for q in (0.5, 0.95))
             drawn = charts.bars(labels, values, Axis("time [ms]", low=0.0), low=values, high=high)
             yield Figure(drawn, f"{place}: {what}", "Bar: median; line: up to 95 %. Measured in one process, in turns.")
 

@@ -13,13 +13,13 @@ from evalkit.commands.validate.acceptance import Claim
 from evalkit.commands.validate.equivalence.comparison import FLOAT32
 from evalkit.commands.validate.probes import EXACT
 from evalkit.config.experiment import Experiment, Limits, SequenceSpec, experiment_from_tables
-from evalkit.core.errors import BadParameter, NotInstalled
+from evalkit.core.errors import NotInstalled
 from evalkit.execution import sandbox
 from evalkit.execution.task import AnyTask, Parameters, Result, make_task
 from evalkit.external.declaration import split_words
 from evalkit.odometry import frontend
 from evalkit.plugins import code_hash, defaults, registry
-from evalkit.plugins.parameter_parsing import from_text
+from evalkit.plugins.parameter_parsing import from_text, parse_dataset
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.specs import BackendSpec, RegistrationSpec
 
@@ -84,7 +84,7 @@ class ValidationRequest:
 
 
 @dataclass(frozen=True)
-class Place:
+class SeededSequence:
     """One sequence with one seed: its label, its sequence, and the data for a probe."""
 
     label: str
@@ -150,7 +150,7 @@ class ValidationPlan:
         """The tasks of level 1."""
         request, effort = self.request, self.request.effort
         a, b = self._plugin(self.reference), self._plugin(self.backend)
-        for place in places_of(self.experiment):
+        for place in seeded_sequences(self.experiment):
             exact = registry.dataset(place.sequence.dataset).seeded  # a simulated truth has no error
             yield self._sandboxed(
                 f"pairs, {place.label}", place, probes.compare_pairs,
@@ -165,7 +165,7 @@ class ValidationPlan:
     def lockstep_tasks(self) -> Iterator[AnyTask]:
         """The tasks of level 2."""
         request, a, b = self.request, self._plugin(self.reference), self._plugin(self.backend)
-        for place in places_of(self.experiment):
+        for place in seeded_sequences(self.experiment):
             yield self._sandboxed(
                 f"scans, {place.label}", place, probes.compare_scans, a=a, b=b, on=place.data,
                 scans=request.effort.scans, margins=request.margins, disturbed=request.disturbed,
@@ -174,7 +174,7 @@ class ValidationPlan:
     def mapper_tasks(self) -> Iterator[AnyTask]:
         """The comparisons of mappers in level 4."""
         own, reference = ({"name": name, "given": {}} for name in self.mappers)
-        for place in self._first_places() if all(self.mappers) else ():
+        for place in self._first_seeds() if all(self.mappers) else ():
             yield self._sandboxed(
                 f"mapper, {place.label}", place, probes.compare_maps,
                 a=reference, b=own, on=place.data, scans=self.request.effort.mapper_scans, margin=EXACT,
@@ -182,7 +182,7 @@ class ValidationPlan:
 
     def perturbation_tasks(self) -> Iterator[AnyTask]:
         """The reference over copies of each sequence perturbed by rounding."""
-        for place in places_of(self.experiment):
+        for place in seeded_sequences(self.experiment):
             backend = self._plugin(self.reference)
             yield self._sandboxed(
                 f"copies, {place.label}", place, probes.perturbed_paths, backend=backend, on=place.data, copies=COPIES
@@ -193,7 +193,7 @@ class ValidationPlan:
         methods = [self._plugin(name) for name in self.methods]
         registrations = [self._plugin(name) for name in self.registrations]
         effort = self.request.effort
-        for place in self._first_places():
+        for place in self._first_seeds():
             yield self._sandboxed(
                 f"time, {place.label}", place, timing_probes.time_scans,
                 methods=methods, on=place.data, scans=effort.timed,
@@ -204,15 +204,15 @@ class ValidationPlan:
                     methods=registrations, on=place.data, count=effort.pairs,
                 )  # fmt: skip
 
-    def _first_places(self) -> list[Place]:
+    def _first_seeds(self) -> list[SeededSequence]:
         """The first seed of every sequence."""
-        first: dict[str, Place] = {}
-        for place in places_of(self.experiment):
+        first: dict[str, SeededSequence] = {}
+        for place in seeded_sequences(self.experiment):
             first.setdefault(place.sequence.label, place)
         return list(first.values())
 
     def _sandboxed(
-        self, name: str, place: Place, function: Callable[Parameters, Result], /,
+        self, name: str, place: SeededSequence, function: Callable[Parameters, Result], /,
         *args: Parameters.args, **kwargs: Parameters.kwargs,
     ) -> AnyTask:  # fmt: skip
         """The task that runs a probe in a sandbox."""
@@ -287,10 +287,10 @@ def installed_only(planned: Experiment) -> Experiment:
     return replace(planned, sequences=tuple(sequence for sequence in planned.sequences if not sequence.missing))
 
 
-def places_of(planned: Experiment) -> list[Place]:
+def seeded_sequences(planned: Experiment) -> list[SeededSequence]:
     """Every sequence of an experiment with every seed."""
     return [
-        Place(
+        SeededSequence(
             label,
             sequence,
             {"label": label, "dataset": sequence.dataset, "parameters": sequence.parameters_with_seed(seed)},
@@ -303,14 +303,8 @@ def places_of(planned: Experiment) -> list[Place]:
 
 def parse_sequence(text: str, seeds: int) -> dict[str, Any]:
     """The table of an experiment for a text such as "name laps=0.3"."""
-    name, *words = shlex.split(text) or [""]
-    spec = registry.dataset(name)
-    for word in words:
-        if "=" not in word:
-            raise BadParameter(name, word, word, "NAME=VALUE after the name of the sequence")
-    texts = {key: value for key, _, value in (word.partition("=") for word in words)}
-    given = from_text(name, spec.parameters, texts)
-    return {"use": name, **given, **({"seeds": list(range(seeds))} if spec.seeded else {})}
+    name, given = parse_dataset(text)
+    return {"use": name, **given, **({"seeds": list(range(seeds))} if registry.dataset(name).seeded else {})}
 
 
 def compiled_files(backend: str) -> list[Path]:

@@ -22,7 +22,7 @@ from evalkit.commands.validate.plan import (
     installed_only,
     make_experiment,
     parse_sequence,
-    places_of,
+    seeded_sequences,
 )
 from evalkit.commands.validate.probes import EXACT
 from evalkit.commands.validate.rules import dataset_rules, runner
@@ -183,7 +183,7 @@ def report_mapper(request: ValidationRequest, folder: Path, workers: int, displa
             ).depending_on(*modules, registry.plug_in_of("datasets", place.sequence.dataset).module),
             request.effort.limit_s, request.effort.memory_mib,
         )
-        for place in places_of(installed_only(planned))
+        for place in seeded_sequences(installed_only(planned))
     ]  # fmt: skip
     with display.tasks(len(tasks), workers) as done:
         results = run_tasks(TaskStore(folder / "tasks"), tasks, workers, done)

@@ -3,7 +3,15 @@
 import numpy as np
 import pytest
 
-from evalkit.commands.basin.convergence import Basin, Criterion, SuccessCounts, guesses, off, offsets, with_axes
+from evalkit.commands.basin.convergence import (
+    Basin,
+    Criterion,
+    SuccessCounts,
+    compute_offsets,
+    draw_offsets,
+    make_guesses,
+    with_axes,
+)
 from evalkit.commands.basin.observability import observability
 from evalkit.stats.intervals import wilson_interval
 
@@ -17,7 +25,7 @@ def corridor():
 
 
 def test_offsets_fill_the_ranges_of_distance_bearing_and_rotation_evenly():
-    drawn = offsets(1024, 2.0, 0.5, np.random.default_rng(0))
+    drawn = draw_offsets(1024, 2.0, 0.5, np.random.default_rng(0))
     distance, bearing = np.hypot(*drawn[:, :2].T), np.arctan2(drawn[:, 1], drawn[:, 0])
     for values, span in ((distance, (0, 2)), (bearing, (-np.pi, np.pi)), (drawn[:, 2], (-0.5, 0.5))):
         counts = np.histogram(values, 16, span)[0]
@@ -26,7 +34,7 @@ def test_offsets_fill_the_ranges_of_distance_bearing_and_rotation_evenly():
 
 
 def test_offsets_are_equal_only_for_equal_seeds():
-    a, b, c = (offsets(8, 1.0, 1.0, np.random.default_rng(seed)) for seed in (1, 1, 2))
+    a, b, c = (draw_offsets(8, 1.0, 1.0, np.random.default_rng(seed)) for seed in (1, 1, 2))
     assert (a == b).all()
     assert (a != c).any()
 
@@ -34,10 +42,12 @@ def test_offsets_are_equal_only_for_equal_seeds():
 def test_guesses_are_offset_along_the_axes_of_the_world():
     rng = np.random.default_rng(4)
     truths, targets, wanted = rng.uniform(-3, 3, (50, 3)), rng.uniform(-3, 3, (50, 3)), rng.uniform(-1, 1, (50, 3))
-    np.testing.assert_allclose(off(guesses(wanted, truths, targets), truths, targets), wanted, atol=1e-12)
+    np.testing.assert_allclose(
+        compute_offsets(make_guesses(wanted, truths, targets), truths, targets), wanted, atol=1e-12
+    )
     quarter = np.array([[7.0, 8.0, np.pi / 2]])
     np.testing.assert_allclose(
-        guesses(np.array([[1.0, 0.0, 0.0]]), np.zeros((1, 3)), quarter), [[0, -1, 0]], atol=1e-12
+        make_guesses(np.array([[1.0, 0.0, 0.0]]), np.zeros((1, 3)), quarter), [[0, -1, 0]], atol=1e-12
     )
 
 
@@ -109,7 +119,7 @@ def test_the_worst_failure_is_the_one_with_the_best_guess():
 
 
 def test_curves_use_guesses_that_are_only_shifted_or_only_rotated():
-    offs = with_axes(offsets(64, 1.0, 0.5, np.random.default_rng(2)))
+    offs = with_axes(draw_offsets(64, 1.0, 0.5, np.random.default_rng(2)))
     errors = np.where((offs[:, 2:] == 0.0) | (offs[:, :1] == 0.0), 0.0, 1.0) * np.array([[0.0, 1.0, 0.0]])
     found = Basin.of(offs, errors, np.ones(64, dtype=bool), corridor(), CRITERION)
     assert found.overall().value == 0.0

@@ -34,7 +34,7 @@ def asked(monkeypatch, make, begin=0, end=40):
 
 def test_a_registration_that_returns_its_guess_has_the_error_of_the_guess(monkeypatch):
     found = asked(monkeypatch, KeepsGuess)
-    left = attempts.convergence.off(found["rows"], *TRIALS.truths(TRIALS.pairs_of_scans()))
+    left = attempts.convergence.compute_offsets(found["rows"], *TRIALS.truths(TRIALS.pairs_of_scans()))
     np.testing.assert_allclose(left, TRIALS.offsets_drawn(), atol=1e-12)
     assert found["claimed"].all()
 
@@ -47,7 +47,9 @@ def test_a_trial_does_not_depend_on_its_task(monkeypatch):
 
 def test_a_registration_that_raises_gives_a_reason(monkeypatch):
     found = asked(monkeypatch, Raises)
-    turned = attempts.convergence.guesses(TRIALS.offsets_drawn(), *TRIALS.truths(TRIALS.pairs_of_scans()))[:, 2] > 0.0
+    turned = (
+        attempts.convergence.make_guesses(TRIALS.offsets_drawn(), *TRIALS.truths(TRIALS.pairs_of_scans()))[:, 2] > 0.0
+    )
     assert np.isnan(found["rows"][turned]).all()
     assert np.isfinite(found["rows"][~turned]).all()
     assert "no turn to the left" in found["reason"]
@@ -70,7 +72,7 @@ def test_tasks_cover_all_trials_once(monkeypatch):
 def test_the_icp_of_the_paper_converges_from_near_and_not_from_far():
     trials = replace(TRIALS, place="bare-room", beams=360, offsets=24)
     found = attempts.answers(backend="paper-tight", values={}, trials=trials, begin=0, end=24, code="")
-    left = attempts.convergence.off(found["rows"], *trials.truths(trials.pairs_of_scans()))
+    left = attempts.convergence.compute_offsets(found["rows"], *trials.truths(trials.pairs_of_scans()))
     drawn = trials.offsets_drawn()
     near = (np.hypot(*drawn[:, :2].T) < 0.3) & (np.abs(drawn[:, 2]) < np.radians(5.0))
     assert near.any()

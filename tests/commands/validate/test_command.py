@@ -160,7 +160,7 @@ def test_a_crash_is_a_failed_check(misfits):
     found = {"room, seed 0": sandbox.run(probes.compare_pairs, given, 60.0, 2000)}
     names = ComparisonTerms("mine", "paper", level_answers.choose_margin(found, MARGINS), 0.5)
     (check,) = level_answers.registrations_level(found, {}, names).failed("as-good")
-    assert "SIGSEGV; it was at room, seed 0, pair 1 (pair)" in check.observed
+    assert "SIGSEGV; it was in: room, seed 0, pair 1 (pair)" in check.observed
 
 
 def test_the_reference_is_the_first_back_end_with_that_role_and_gets_the_same_settings():
