@@ -237,7 +237,7 @@ def _read_label(table: TomlTable) -> str:
     """The label of a method or sequence; refuses text that a terminal, spreadsheet or file system would interpret."""
     label = table.text("label", table.text("use"))
     if not label or not label.isprintable() or label[0] in "=+-@":
-        expected = "printable text; a spreadsheet takes what begins with one of = + - @ for a formula"
+        expected = "printable text; a spreadsheet reads text that begins with one of = + - @ as a formula"
         raise table.error(f"'label': found {brief(label)}, expected {expected}")
     return label
 

@@ -90,14 +90,14 @@ class TomlTable:
         return tuple(dict.fromkeys(values))
 
     def choice(self, key: str, kind: str, known: Mapping[str, T], default: str = "", where: str = "") -> T:
-        """The value that a name stands for; ``kind`` says in the error what is named, ``where`` what names it."""
+        """The value in ``known`` with the name under a key; the error message contains ``kind`` and ``where``."""
         name = self.content.get(key, default or None)
         if not isinstance(name, str) or name not in known:
             raise self.error(str(UnknownName(kind, str(name), known, where)))
         return known[name]
 
     def table(self, key: str, keys: str, required: bool = False) -> TomlTable:
-        """The table of a key, empty if there is none; ``keys`` says in errors what stands in it."""
+        """The table of a key, empty if there is none; ``keys`` describes its keys in errors."""
         value = self.content.get(key, None if required else {})
         if not isinstance(value, Mapping):
             raise BadExperiment(self.file, key, f"found {brief(value)}, expected a table [{key}]{keys}")

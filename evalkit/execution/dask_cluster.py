@@ -244,7 +244,7 @@ class _Dispatcher:
         if not isinstance(about, tuple):
             self._refused[address] = f"its worker {address} cannot load evalkit ({about})"
         elif self._timed and (about[1] < 1 or threads != 1):
-            need = f"start workers with --nthreads 1 --resources {TIMED}=1, or say --accuracy-only"
+            need = f"start workers with --nthreads 1 --resources {TIMED}=1, or add --accuracy-only"
             self._refused[address] = f"its worker {address} is not offered for measuring times: {need}"
         else:
             self._hosts[address] = about[0]

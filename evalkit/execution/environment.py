@@ -125,7 +125,7 @@ def core_of_each(processes: int) -> list[int | None]:
 
 
 def physical_cores() -> int:
-    """Number of physical cores this process may use: so many runs do not disturb each other."""
+    """Number of physical cores this process may use; that many runs at a time do not disturb each other."""
     usable = cores()
     known = psutil.cpu_count(logical=False) or psutil.cpu_count() or 1
     return min(known, len({_read_siblings(cpu) for cpu in usable})) if usable else known
@@ -182,5 +182,5 @@ def _read_commit() -> str:
             capture_output=True, text=True, timeout=10, check=False,
         )  # fmt: skip
     except (OSError, subprocess.TimeoutExpired):
-        return "unknown (git is not there)"
+        return "unknown (git is not installed)"
     return answer.stdout.strip() or "unknown"

@@ -187,7 +187,7 @@ def _require_same_code(spec: RunSpec, settings: RunSettings, code: str) -> None:
     """Raises StoreError if the code of the run or of the scoring is not the same on this worker."""
     own = registry.hash_run_code(spec.method.backend, spec.sequence.dataset)
     if own != code or not settings.scoring_code.startswith(registry.hash_scoring_code(settings.mapper.name)):
-        what = f"the code of '{spec.method.backend}', '{spec.sequence.dataset}' or evalkit is another one here"
+        what = f"the code of '{spec.method.backend}', '{spec.sequence.dataset}' or evalkit differs here"
         host = environment.machine()["host"]
         raise StoreError(host, what, "install the same versions on every worker, and restart them")
 

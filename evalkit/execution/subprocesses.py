@@ -47,7 +47,7 @@ OUTPUT = "output.txt"
 """File in the folder of a child with its standard output and standard error."""
 
 PARENT = "EVALKIT_PARENT"
-"""Environment variable with the process id of the parent, which may die before the child can ask for it."""
+"""Environment variable with the process id of the parent, which may die before the child can read its process id."""
 
 _PR_SET_PDEATHSIG = 1  # of Linux's prctl
 
@@ -108,7 +108,7 @@ class ChildProcess:
             yield self._measure()
 
     def describe_end(self) -> str:
-        """How the process ended by itself, by its return code, and the last line of its output."""
+        """How the process ended, by its return code, and the last line of its output."""
         code, last_line = self.returncode, _read_last_line(self._folder / OUTPUT)
         last = f"; last output: {last_line}" if last_line else ""
         if code < 0:

@@ -94,7 +94,7 @@ def function_name(function: Callable[..., object]) -> str:
 
 
 def _argument_as_json(value: object) -> object:
-    """The JSON form of an argument that JSON does not know."""
+    """The JSON form of an argument that ``json`` cannot encode."""
     if is_dataclass(value) and not isinstance(value, type):
         return asdict(value)
     if callable(value):

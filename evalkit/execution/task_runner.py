@@ -57,7 +57,7 @@ def run_tasks(
     on_done: OnDone = lambda _name, _seconds: None,
     cluster: Cluster | None = None,
 ) -> dict[str, R]:
-    """The result of every task by name: loaded from the store, or computed by so many processes and stored.
+    """The result of every task by name: loaded from the store, or computed by ``workers`` processes and stored.
 
     With a ``cluster``, its workers compute instead. A process that dies fails only the task that ended it: tasks of a
     broken pool run once more, each in a process of its own, except those that a time limit ended.
@@ -89,21 +89,21 @@ class _Collector(Generic[R]):
     failures: dict[str, TaskFailure] = field(default_factory=dict)
 
     def load(self, tasks: Sequence[Task[R]]) -> None:
-        """Takes the results that are stored already."""
+        """Load the results that are stored already."""
         for task in tasks:
             if (stored := self.store.load(task)) is not None:
                 self.results[task.name] = stored
                 self.on_done(task.name, 0.0)
 
     def collect(self, computed: Iterator[Computed[R]]) -> list[Task[R]]:
-        """Takes in computed tasks; the tasks whose process died."""
+        """Store the results of computed tasks; return the tasks whose process died."""
         lost = []
         for task, future in computed:
             try:
                 result, seconds = future.result()
             except BrokenProcessPool:
                 lost.append(task)
-            except NoCluster:  # a worker's fault is no failure of a task
+            except NoCluster:  # the worker has other code; the task has not failed
                 raise
             except Exception as error:  # noqa: BLE001 - an exception of one task must not stop the others
                 self.failures[task.name] = TaskFailure(f"{type(error).__name__}: {error}")
@@ -121,7 +121,7 @@ class _Collector(Generic[R]):
 
 
 def _run_locally(tasks: list[Task[R]], workers: int, collector: _Collector[R]) -> None:
-    """Runs tasks in local processes; a task whose process died runs again in a process of its own.
+    """Run tasks in local processes; a task whose process died runs again in a separate process.
 
     A task that its time limit ended does not run again. Tasks that had not started when a process died start over.
     """
@@ -140,7 +140,7 @@ def _run_locally(tasks: list[Task[R]], workers: int, collector: _Collector[R]) -
 
 
 def _run_alone(task: Task[R], collector: _Collector[R]) -> TaskFailure | None:
-    """Runs a task in a process of its own; why that process died, None if it did not."""
+    """Run a task in a separate process; return why that process died, None if it did not."""
     if not collector.collect(_computed([task], collector.store, 1)):
         return None
     timeout = task_time_limit.take_note(collector.store.note(task), task.limit_s).timeout
@@ -161,7 +161,7 @@ def on_worker(task: Task[R], key: str, _slot: Slot) -> tuple[R, float]:
     Raises NoCluster if the code on the worker differs from the code that computed ``key``.
     """
     if task.key != key:
-        what = "the code on this worker is another one"
+        what = "the code on this worker is different"
         raise NoCluster(platform.node(), what, "install the same versions on every worker, and restart them")
     with tempfile.TemporaryDirectory(prefix="evalkit-") as folder:
         return _run_with_note(task, Path(folder) / "note")

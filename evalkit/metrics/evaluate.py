@@ -83,7 +83,7 @@ def render_map(mapped: PlacedScans, make_mapper: Callable[[], Mapper]) -> Occupa
     """Return the map of scans with known sensor poses.
 
     A map may be impossible, for example because a diverged trajectory exceeds its largest size; the other scores of the
-    run are computed nevertheless.
+    run are still computed.
     """
     if not mapped:
         return MissingMap(NO_POSES)

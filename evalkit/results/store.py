@@ -103,7 +103,7 @@ class Store:
         return tuple(str(name) for name in content) if isinstance(content, list) else ()
 
     def clear_attempts(self, key: str) -> None:
-        """Forget the processes that died: the run has ended or is quarantined."""
+        """Delete the list of processes that died: the run has ended or is quarantined."""
         file = self._attempts_file(key)
         with as_store_error(file):
             file.unlink(missing_ok=True)
@@ -124,7 +124,7 @@ class Store:
             partial.replace(path)
 
     def save_result(self, spec: RunSpec, result: RunResult) -> None:
-        """Write how a run went, and its trajectory for other tools. ``RESULT`` is written last: it vouches."""
+        """Write how a run went, and its trajectory for other tools; ``RESULT``, written last, marks both as complete."""
         folder = self.run_folder(spec.key)
         steps = folder / STEPS
         if not steps.exists() or read_steps(steps).tobytes() != result.steps.tobytes():  # removed, or times left out
@@ -156,7 +156,11 @@ class Store:
         folder = self.run_folder(key)
         grid = scores.grid
         with as_store_error(folder):
-            for name in (SCORES, "grid.npz", "errors.npy"):  # SCORES is removed first and written last: it vouches
+            for name in (
+                SCORES,
+                "grid.npz",
+                "errors.npy",
+            ):  # SCORES, written last, marks the others as complete
                 (folder / name).unlink(missing_ok=True)
             if grid is not None:
                 np.savez_compressed(folder / "grid.npz", log_odds=grid.log_odds, observed=grid.observed,

@@ -48,7 +48,7 @@ def test_a_checkout_without_git_is_described(tmp_path, monkeypatch):
     (tmp_path / ".git").mkdir()
     monkeypatch.setattr(environment, "__file__", str(tmp_path / "evalkit" / "execution" / "environment.py"))
     monkeypatch.setenv("PATH", str(tmp_path))
-    assert environment.describe()["commit"] == "unknown (git is not there)"
+    assert environment.describe()["commit"] == "unknown (git is not installed)"
 
 
 def test_a_timed_process_has_one_thread_in_every_pool():

@@ -184,7 +184,7 @@ def test_a_worker_with_other_code_stops_the_run_instead_of_failing_tasks(squares
                     outcome.set_exception(error)
                 yield call, outcome
 
-    with pytest.raises(NoCluster, match="the code on this worker is another one; install the same versions"):
+    with pytest.raises(NoCluster, match="the code on this worker is different; install the same versions"):
         run_tasks(TaskStore(tmp_path), [task], cluster=Stale())
 
 

@@ -95,8 +95,8 @@ def _compose_steps(first: Floats, steps: Floats) -> Floats:
 def _compute_progress(poses: Floats) -> Floats:
     """Return the share (N,) of the path travelled."""
     lengths = np.linalg.norm(np.diff(poses[:, :2], axis=0), axis=1)
-    gone = np.concatenate([[0.0], np.cumsum(lengths)]) / max(lengths.sum(), 1e-12)
-    return np.asarray(gone + 1e-9)  # sums of steps are not exact
+    shares = np.concatenate([[0.0], np.cumsum(lengths)]) / max(lengths.sum(), 1e-12)
+    return np.asarray(shares + 1e-9)  # sums of steps are not exact
 
 
 def _displace(poses: Floats, size: float, selected: Bools) -> Floats:

@@ -82,13 +82,13 @@ def draw_profile(response: Response, factor: Factor, levels: Sequence[Interval],
     )
 
 
-def draw_interaction(response: Response, design: Design, fit: ModelFit, found: Interaction) -> Figure:
+def draw_interaction(response: Response, design: Design, fit: ModelFit, interaction: Interaction) -> Figure:
     """The response over one factor at two levels of another, averaged over the rest."""
     numbers = {factor.name: number for number, factor in enumerate(design.factors)}
-    a, b = numbers[found.a], numbers[found.b]
-    b_levels = found.b_levels
+    a, b = numbers[interaction.a], numbers[interaction.b]
+    b_levels = interaction.b_levels
     if design.factors[a].numbers is None and design.factors[b].numbers is not None:
-        a, b, b_levels = b, a, found.a_levels
+        a, b, b_levels = b, a, interaction.a_levels
     along, other = design.factors[a], design.factors[b]
     curves = []
     for level in b_levels:
@@ -113,8 +113,8 @@ def draw_curve(outcome: StudyResult, response: Response, factor: Factor, designs
         curves.append(Curve(design.name, np.array(factor.numbers), y, low, high, marks=True))
     levels = {} if response.lost is None or response.scale == "linear" else {"lost": response.lost}
     vertical = make_response_axis(response, *(curve.y for curve in curves), np.array([*levels.values()]))
-    drawn = lines(curves, make_factor_axis(factor), vertical, levels=levels)
-    return Figure(drawn, f"{response.metric.label} over {factor.name}", "Lines: means of the seeds; bands: their span.")
+    chart = lines(curves, make_factor_axis(factor), vertical, levels=levels)
+    return Figure(chart, f"{response.metric.label} over {factor.name}", "Lines: means of the seeds; bands: their span.")
 
 
 def draw_prediction(response: Response, expected: Floats, measured: Floats) -> Figure:
@@ -125,15 +125,15 @@ def draw_prediction(response: Response, expected: Floats, measured: Floats) -> F
         Points("a point", np.stack([expected, measured], axis=1), HUES[0], 5.0),
     ]
     x = Axis(f"predicted: {format_response(response)}", response.scale)
-    drawn = scatter(layers, x, Axis(f"measured: {format_response(response)}", response.scale), equal=False)
-    return Figure(drawn, f"{response.metric.label} between the levels")
+    chart = scatter(layers, x, Axis(f"measured: {format_response(response)}", response.scale), equal=False)
+    return Figure(chart, f"{response.metric.label} between the levels")
 
 
 def draw_envelope(choice: EnvelopeChoice, design: Design, panel: Panel, limits: tuple[float, float]) -> Figure:
     """One map of an envelope: the value of the worst seed in every cell, the limit as a line, lost cells empty."""
     x, y = find_envelope_axes(design, choice)
     response = choice.response
-    drawn = heat(
+    chart = heat(
         panel.worst,
         make_factor_axis(x),
         make_factor_axis(y),
@@ -144,7 +144,7 @@ def draw_envelope(choice: EnvelopeChoice, design: Design, panel: Panel, limits: 
         (choice.limit,) if _is_crossed(panel.worst, choice.limit) else (),
     )
     lost = int((panel.lost > 0).sum())
-    return Figure(drawn, panel.label, f"{lost} of {panel.worst.size} cells lost" if lost else "")
+    return Figure(chart, panel.label, f"{lost} of {panel.worst.size} cells lost" if lost else "")
 
 
 def from_scale(response: Response, values: Floats) -> Floats:

@@ -111,7 +111,7 @@ class _BaseSettings:
             )
 
     def _sequence_parameters(self, given: Mapping[str, Value]) -> dict[str, Value]:
-        """All parameters but the seed; a simulated sequence is made once to check that it can be made."""
+        """All parameters but the seed; a simulated sequence is created once to check its parameters."""
         spec = registry.dataset(self.sequence.dataset)
         complete = resolve_parameters("sequence", spec.parameters, given)
         if not spec.seeded:

@@ -86,30 +86,30 @@ def build_envelope_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     blocks: list[Block] = []
     for choice in outcome.study.envelopes:
         design = outcome.study.design(choice.design)
-        found = compute_panels(outcome, choice)
-        known = np.concatenate([panel.worst[np.isfinite(panel.worst)] for panel in found])
+        panels = compute_panels(outcome, choice)
+        known = np.concatenate([panel.worst[np.isfinite(panel.worst)] for panel in panels])
         limits = (float(known.min()), float(known.max())) if len(known) else (0.1, 1.0)
         blocks += [
             Text(f"{describe_limit(choice)} in every drive and with every seed, for all levels up to these:"),
-            build_envelope_table(choice, design, found),
+            build_envelope_table(choice, design, panels),
             Text(
                 "Every cell has the value of its worst seed; the white line is the limit, empty cells are lost.", "note"
             ),
         ]
-        for name in dict.fromkeys(_format_last(panel) for panel in found):
+        for name in dict.fromkeys(_format_last(panel) for panel in panels):
             row = [
-                charts.draw_envelope(choice, design, panel, limits) for panel in found if _format_last(panel) == name
+                charts.draw_envelope(choice, design, panel, limits) for panel in panels if _format_last(panel) == name
             ]
             blocks.append(Figures(row, small=True))
     return tuple(blocks)
 
 
-def build_envelope_table(choice: EnvelopeChoice, design: Design, found: Sequence[Panel]) -> Table:
+def build_envelope_table(choice: EnvelopeChoice, design: Design, panels: Sequence[Panel]) -> Table:
     """The largest box of every panel; rows: levels of the last other factor, columns: the others."""
     x, y = find_envelope_axes(design, choice)
-    heads = list(dict.fromkeys(_format_head(panel) for panel in found))
-    names = list(dict.fromkeys(_format_last(panel) for panel in found))
-    by_place = {(_format_last(panel), _format_head(panel)): panel for panel in found}
+    heads = list(dict.fromkeys(_format_head(panel) for panel in panels))
+    names = list(dict.fromkeys(_format_last(panel) for panel in panels))
+    by_place = {(_format_last(panel), _format_head(panel)): panel for panel in panels}
     rows: list[tuple[Cell | str, ...]] = [
         (name, *(_make_box_cell(x, y, by_place[name, head]) for head in heads)) for name in names
     ]
@@ -127,9 +127,9 @@ def _format_head(panel: Panel) -> str:
 def _make_box_cell(x: Factor, y: Factor, panel: Panel) -> Cell:
     columns, rows = panel.box
     lost = int((panel.lost > 0).sum())
-    gone = f"; {lost} of {panel.worst.size} cells lost" if lost else ""
+    lost_cells = f"; {lost} of {panel.worst.size} cells lost" if lost else ""
     if not columns:
-        return Cell(f"nowhere{gone}", 0.0, "bad")
+        return Cell(f"nowhere{lost_cells}", 0.0, "bad")
     whole = columns == len(x.levels) and rows == len(y.levels)
     text = f"{x.levels[columns - 1].label} {x.unit} and {y.levels[rows - 1].label} {y.unit}"
     held = panel.held
@@ -138,4 +138,4 @@ def _make_box_cell(x: Factor, y: Factor, panel: Panel) -> Cell:
         if held is None
         else f"{held.support} drives; another one keeps the limit with at least {100.0 * held.low:.0f} %"
     )
-    return Cell(f"{text}{gone}", float(columns * rows), "good" if whole else "warn", tip)
+    return Cell(f"{text}{lost_cells}", float(columns * rows), "good" if whole else "warn", tip)

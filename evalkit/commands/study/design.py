@@ -167,7 +167,7 @@ def make_space_filling(factors: int, points: int, rng: np.random.Generator, kind
 
 
 def make_grid(levels: Sequence[int]) -> Ints:
-    """Every combination (N, K) of so many levels; the last factor changes fastest."""
+    """Every combination (N, K) of the levels of each factor; the last factor changes fastest."""
     return np.array(list(product(*map(range, levels))), dtype=np.int64).reshape(-1, len(levels))
 
 
@@ -202,7 +202,7 @@ def interpolate_rows(levels: Floats, positions: Floats) -> Floats:
 
 
 def _find_independent(base: int, factors: int, together: int) -> list[int]:
-    """Up to so many numbers of ``base`` bits of which any ``together`` have no subset whose exclusive or is 0."""
+    """Up to ``factors`` numbers of ``base`` bits of which any ``together`` have no subset whose exclusive or is 0."""
     words: list[int] = []
     reached = {0}  # what subsets of up to together - 1 words give
     for word in range(1, 1 << base):

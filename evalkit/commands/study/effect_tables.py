@@ -30,22 +30,22 @@ def build_effect_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     """Main effects and interactions of every design that has them, and their predictions at other points."""
     blocks: list[Block] = []
     for number, response in enumerate(outcome.study.responses):
-        made = [
+        content = [
             block
             for design, fit in fit_designs(outcome, response)
             for block in _build_effects(outcome, response, design, fit)
         ]
-        if not made:
+        if not content:
             continue
-        own = [Heading(response.metric.label), *made]
-        blocks += own if number < 2 else [Fold(f"Effects on {response.metric.label}", made)]
+        section = [Heading(response.metric.label), *content]
+        blocks += section if number < 2 else [Fold(f"Effects on {response.metric.label}", content)]
     return tuple(blocks)
 
 
 def _build_effects(outcome: StudyResult, response: Response, design: Design, fit: ModelFit) -> list[Block]:
-    found = rank_effects(design, fit)
+    effects = rank_effects(design, fit)
     pairs = fit.interactions()
-    drawn = [pair for pair in pairs if pair.significant][:MAX_SHOWN]
+    shown = [pair for pair in pairs if pair.significant][:MAX_SHOWN]
     ordered = [
         charts.draw_profile(response, factor, fit.factor(k).levels, fit.mean.value)
         for k, factor in enumerate(design.factors)
@@ -56,7 +56,7 @@ def _build_effects(outcome: StudyResult, response: Response, design: Design, fit
         f"{100.0 * fit.explained:.0f} % of the variance over {len(fit.response)} points; the residuals have a standard "
         f"deviation of {format_scatter(response, fit.residual)}."
     )
-    blocks: list[Block] = [Text(quality_words), charts.draw_main_effects(response, design, found)]
+    blocks: list[Block] = [Text(quality_words), charts.draw_main_effects(response, design, effects)]
     blocks.append(
         Fold(
             f"{design.name}: levels of every factor",
@@ -65,18 +65,18 @@ def _build_effects(outcome: StudyResult, response: Response, design: Design, fit
     )
     if pairs:
         blocks += _build_pairs(response, design, pairs)
-    if drawn:
-        blocks.append(Figures([charts.draw_interaction(response, design, fit, pair) for pair in drawn], small=True))
+    if shown:
+        blocks.append(Figures([charts.draw_interaction(response, design, fit, pair) for pair in shown], small=True))
     return [*blocks, *_build_checks(outcome, response, design, fit)]
 
 
 def _build_levels(response: Response, design: Design, fit: ModelFit) -> Table:
     rows = []
     for number, factor in enumerate(design.factors):
-        found = fit.factor(number)
-        for level, interval in zip(factor.levels, found.levels, strict=True):
+        effect = fit.factor(number)
+        for level, interval in zip(factor.levels, effect.levels, strict=True):
             cell = Cell(format_effect(response, interval), interval.value)
-            rows.append((factor.name, Cell(level.label, level.number), cell, f"{100.0 * found.share:.1f}"))
+            rows.append((factor.name, Cell(level.label, level.number), cell, f"{100.0 * effect.share:.1f}"))
     columns = ("Factor", "Level", Column("Against the mean of its levels", number=True),
                Column("Share of variance", "%", number=True))  # fmt: skip
     return Table(columns, rows)

@@ -130,8 +130,8 @@ class ModelFit:
     def interactions(self) -> tuple[Interaction, ...]:
         """All interactions, the largest share of the variance first; none in a model without pairs."""
         pairs = list(combinations(range(len(self.model.axes)), 2)) if self.model.pairs else []
-        found = [self._interaction(a, b, len(pairs)) for a, b in pairs]
-        return tuple(sorted(found, key=lambda item: -item.share))
+        unordered = [self._interaction(a, b, len(pairs)) for a, b in pairs]
+        return tuple(sorted(unordered, key=lambda item: -item.share))
 
     @cached_property
     def _columns(self) -> Floats:
@@ -143,8 +143,8 @@ class ModelFit:
 
     @cached_property
     def _coefficients(self) -> Floats:
-        found = np.linalg.lstsq(self._columns, np.asarray(self.response, dtype=np.float64), rcond=None)[0]
-        return np.asarray(found, dtype=np.float64)
+        solution = np.linalg.lstsq(self._columns, np.asarray(self.response, dtype=np.float64), rcond=None)[0]
+        return np.asarray(solution, dtype=np.float64)
 
     @cached_property
     def _residuals(self) -> Floats:

@@ -52,11 +52,11 @@ def mark_enclosed_cells(within: Bools) -> Bools:
 def find_largest_box(inside: Bools) -> tuple[int, int]:
     """Columns and rows of the largest rectangle inside from the first cell on; the widest of equal ones."""
     heights = [int(column.argmin()) if not column.all() else len(column) for column in inside.T]
-    found = (0, 0)
+    box = (0, 0)
     for width, height in enumerate(np.minimum.accumulate(heights).tolist(), 1):
-        if height and width * height >= found[0] * found[1]:
-            found = (width, height)
-    return found
+        if height and width * height >= box[0] * box[1]:
+            box = (width, height)
+    return box
 
 
 def compute_panels(outcome: StudyResult, choice: EnvelopeChoice) -> tuple[Panel, ...]:
@@ -86,11 +86,11 @@ def is_within_limit(choice: EnvelopeChoice, values: Floats) -> Bools:
     return np.asarray(values >= choice.limit if higher else values <= choice.limit)
 
 
-def describe_panels(choice: EnvelopeChoice, design: Design, found: Sequence[Panel]) -> list[str]:
+def describe_panels(choice: EnvelopeChoice, design: Design, panels: Sequence[Panel]) -> list[str]:
     """A sentence for each level of the last other factor: the ends of the box, and the number of drives."""
     lines = []
-    for name in dict.fromkeys(_format_last(panel) for panel in found):
-        own = [panel for panel in found if _format_last(panel) == name]
+    for name in dict.fromkeys(_format_last(panel) for panel in panels):
+        own = [panel for panel in panels if _format_last(panel) == name]
         reached = [describe_reach(choice, design, panel) for panel in own]
         drives = [panel.held.support if panel.held else 0 for panel in own]
         if len(set(reached)) == 1:
@@ -136,14 +136,14 @@ def _compute_panel(
     rows = [[points[b.label, a.label] for a in x.levels] for b in y.levels]
     response = choice.response
     values = np.array([[outcome.row(design, response, point) for point in row] for row in rows])
-    gone = np.array([[[bool(outcome.lost(p.key, seed)) for seed in design.runs(p)] for p in row] for row in rows])
+    lost = np.array([[[bool(outcome.lost(p.key, seed)) for seed in design.runs(p)] for p in row] for row in rows])
     pick = np.min if response.metric.better == "higher" else np.max
-    worst = np.where(gone.any(axis=2), np.nan, pick(values, axis=2))
+    worst = np.where(lost.any(axis=2), np.nan, pick(values, axis=2))
     inside = mark_enclosed_cells(is_within_limit(choice, worst))
     columns, height = find_largest_box(inside)
     drives = columns * height * values.shape[2]
     held = wilson_interval(drives, drives) if drives else None
-    return Panel(others, worst, gone.sum(axis=2).astype(np.float64), inside, (columns, height), held)
+    return Panel(others, worst, lost.sum(axis=2).astype(np.float64), inside, (columns, height), held)
 
 
 def _format_level(factor: Factor, number: int) -> str:

@@ -65,7 +65,7 @@ def evaluate(
 
     ``scans``: scans per map; ``code``: a digest of the plug-ins' sources. A failure of the back end is a result.
     """
-    begun = time.process_time()
+    started_s = time.process_time()
     driven = _load_sequence(dataset, json.dumps(dict(sequence), sort_keys=True))
     run = _run(Request(backend, dict(parameters), dataset, dict(sequence)), driven)
     make = partial(registry.mapper(mapper).make, **mapper_parameters)
@@ -75,7 +75,7 @@ def evaluate(
         "reason": run.reason,
         "answered": len(run.steps),
         "expected": run.expected,
-        "cpu_s": time.process_time() - begun,
+        "cpu_s": time.process_time() - started_s,
         "scores": {name: score.value for name, score in scored.items()},
         "why": {name: score.reason for name, score in scored.items() if score.value is None},
     }
@@ -116,14 +116,14 @@ def _compute_scores(
     table = {metric.name: metric for metric in metrics.all_metrics() if metric.name in names}
     evidence = scoring.collect_evidence(run, sequence)
     plain = [metric for metric in table.values() if metric.group not in DRAWN and metric.name not in OF_SCANS]
-    found = metrics.compute_scores(evidence, plain)
-    drawn = [metric for metric in table.values() if metric not in plain or _needs_scans(metric, found)]
-    if drawn:
-        halves = any(metric.group == "map consistency" for metric in drawn)
+    scores = metrics.compute_scores(evidence, plain)
+    with_map = [metric for metric in table.values() if metric not in plain or _needs_scans(metric, scores)]
+    if with_map:
+        halves = any(metric.group == "map consistency" for metric in with_map)
         evidence = scoring.add_map(evidence, sequence, make_mapper, scans, halves)
-        found |= metrics.compute_scores(evidence, drawn)
-    return {name: found[name] for name in names}
+        scores |= metrics.compute_scores(evidence, with_map)
+    return {name: scores[name] for name in names}
 
 
-def _needs_scans(metric: Metric, found: Mapping[str, Score]) -> bool:
-    return metric.group == "residuals" and found[metric.name].value is None
+def _needs_scans(metric: Metric, scores: Mapping[str, Score]) -> bool:
+    return metric.group == "residuals" and scores[metric.name].value is None

@@ -37,13 +37,13 @@ def describe_main_effects(response: Response, design: Design, fit: ModelFit, mos
 
 def describe_interactions(response: Response, fit: ModelFit, most: int = 4) -> str:
     """A sentence with the significant interactions."""
-    found = [pair for pair in fit.interactions() if pair.significant]
+    significant = [pair for pair in fit.interactions() if pair.significant]
     if not fit.model.pairs:
         return "The design estimates main effects only."
-    if not found:
+    if not significant:
         return f"No interaction has a significant effect on {response.metric.label}."
-    words = [f"{pair.a} x {pair.b} ({format_effect(response, pair.value)})" for pair in found[:most]]
-    more = f", and {len(found) - most} more" if len(found) > most else ""
+    words = [f"{pair.a} x {pair.b} ({format_effect(response, pair.value)})" for pair in significant[:most]]
+    more = f", and {len(significant) - most} more" if len(significant) > most else ""
     return f"Significant interactions, adjusted for {len(fit.interactions())} pairs: {join_words(words)}{more}."
 
 

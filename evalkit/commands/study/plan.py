@@ -128,7 +128,7 @@ class Study:
 
     @cached_property
     def points(self) -> Mapping[str, Point]:
-        """All points by key, each once however many designs share it."""
+        """All points by key, each once, even if several designs share it."""
         return {point.key: point for design in self.designs for point in design.points}
 
     def design(self, name: str) -> Design:
@@ -141,11 +141,11 @@ class Study:
 
     @cached_property
     def _seeds(self) -> Mapping[str, tuple[int | None, ...]]:
-        found: dict[str, dict[int | None, None]] = {}
+        seeds_by_key: dict[str, dict[int | None, None]] = {}
         for design in self.designs:
             for point in design.points:
-                found.setdefault(point.key, {}).update(dict.fromkeys(design.runs(point)))
-        return {key: tuple(seeds) for key, seeds in found.items()}
+                seeds_by_key.setdefault(point.key, {}).update(dict.fromkeys(design.runs(point)))
+        return {key: tuple(seeds) for key, seeds in seeds_by_key.items()}
 
     def tasks(self) -> tuple[Task[RunScores], ...]:
         """Every run of the study; runs on one sequence are neighbours, so that it is simulated once."""

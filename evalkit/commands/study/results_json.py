@@ -26,10 +26,10 @@ def make_run_rows(outcome: StudyResult) -> list[Row]:
         for point in design.points:
             levels = {name: point.levels[name].label if name in point.levels else "" for name in names}
             for seed in design.runs(point):
-                found = outcome.result(point.key, seed)
+                result = outcome.result(point.key, seed)
                 head = {"key": point.key, "design": design.name, **levels, "seed": "" if seed is None else seed}
-                tail = {"status": found["status"], "reason": found["reason"], "lost": outcome.lost(point.key, seed)}
-                rows.append({**head, **tail, **found["scores"], "cpu_s": found["cpu_s"]})
+                tail = {"status": result["status"], "reason": result["reason"], "lost": outcome.lost(point.key, seed)}
+                rows.append({**head, **tail, **result["scores"], "cpu_s": result["cpu_s"]})
     return rows
 
 
@@ -41,9 +41,9 @@ def make_effect_rows(outcome: StudyResult) -> list[Row]:
     rows: list[Row] = []
     for design, response, fit in iterate_fits(outcome):
         for number, factor in enumerate(design.factors):
-            found = fit.factor(number)
-            for level, interval in zip(factor.levels, found.levels, strict=True):
-                rows.append(_effect_as_json(design, response, "main", factor.name, level.label, interval, found.share))
+            effect = fit.factor(number)
+            for level, interval in zip(factor.levels, effect.levels, strict=True):
+                rows.append(_effect_as_json(design, response, "main", factor.name, level.label, interval, effect.share))
         for pair in fit.interactions():
             levels = [
                 design.factors[[f.name for f in design.factors].index(name)].levels[at].label

@@ -59,14 +59,14 @@ def tune(
     workers = jobs or environment.physical_cores()
     ran_on = environment.describe(jobs=workers)
     started = datetime.now(UTC)
-    found = _run_search(tuning, folder, workers, collect)
+    searches = _run_search(tuning, folder, workers, collect)
     file = folder / "tuned.toml"
-    plan = make_held_out_experiment(tuning, found, shlex.quote(str(file)))
+    plan = make_held_out_experiment(tuning, searches, shlex.quote(str(file)))
     write_texts(folder, {file.name: f"# Written by: {tuning.command}\n{format_experiment(plan)}"})
     records = _run_held_out(plan, Store(folder / "report"), workers, ran_on, collect)
     comparison = build_comparison(plan, records, started, datetime.now(UTC), ran_on)
     report = f"evalkit compare {shlex.quote(str(file))} --resume --out {shlex.quote(str(folder / 'report'))}"
-    _write_results(TuningResult(tuning, found, comparison, ran_on, report), folder, as_json)
+    _write_results(TuningResult(tuning, searches, comparison, ran_on, report), folder, as_json)
 
 
 def _read_tuning(what: list[str], on: list[str], held_out: list[str], budget: int | None, setting: list[str]) -> Tuning:

@@ -182,7 +182,7 @@ def _make_factor(
     """The factor of one parameter; ``value``: its levels, or a table with ``levels`` and other keys of a factor."""
     if name in SHARED:
         raise table.error(
-            "a setting of the front end, which belongs to all methods alike; set it as a fixed value of the method if "
+            "a parameter of the front end, which is the same for all methods; set it as a fixed value of the method if "
             "it must differ"
         )
     if name not in known:

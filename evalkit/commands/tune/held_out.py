@@ -21,30 +21,30 @@ from evalkit.report.analysis.significance import PairedComparison, compare_pairs
 class HeldOutSequence:
     """Default and tuned method in the deciding metric of one sequence.
 
-    ``difference``: paired difference, above zero if tuned is worse; ``shown``: whether it is significant.
+    ``difference``: paired difference, above 0 if tuned is worse; ``significant``: whether its interval excludes 0.
     """
 
     ranking: Ranking
     default: MethodScore
     tuned: MethodScore
     difference: PairedDifference | None
-    shown: bool
+    significant: bool
 
     @property
     def worse(self) -> bool:
         """Whether tuned is significantly worse."""
-        return self.shown and self.difference is not None and self.difference.interval.value > 0.0
+        return self.significant and self.difference is not None and self.difference.interval.value > 0.0
 
 
 @dataclass(frozen=True)
 class HeldOutVerdict:
     """The held-out comparison of one back end's tuned and default method.
 
-    ``duel``: over all runs with a ground truth, None if there is none; ``lost``: runs lost by default and tuned.
+    ``paired``: over all runs with a ground truth, None if there is none; ``lost``: runs lost by default and tuned.
     """
 
     label: str
-    duel: PairedComparison | None
+    paired: PairedComparison | None
     sequences: tuple[HeldOutSequence, ...]
     lost: tuple[int, int]
     overfitted: bool
@@ -59,31 +59,31 @@ def judge_held_out(analysis: Analysis, results: Sequence[SearchResult]) -> tuple
     return tuple(_judge_method(analysis, label, by_default.get(label)) for label in labels)
 
 
-def _judge_method(analysis: Analysis, label: str, duel: PairedComparison | None) -> HeldOutVerdict:
+def _judge_method(analysis: Analysis, label: str, paired: PairedComparison | None) -> HeldOutVerdict:
     sequences = tuple(
         one for sequence in analysis.sequences if (one := _compare_on_sequence(sequence, label)) is not None
     )
     lost = _count_lost(analysis.comparison, label), _count_lost(analysis.comparison, label + TUNED)
     worse = [one.ranking.sequence for one in sequences if one.worse]
-    better = [one.ranking.sequence for one in sequences if one.shown and not one.worse]
-    overfitted = lost[1] > lost[0] or bool(worse) or (duel is not None and duel.verdict == "worse")
-    return HeldOutVerdict(label, duel, sequences, lost, overfitted, _describe_verdict(duel, lost, worse, better))
+    better = [one.ranking.sequence for one in sequences if one.significant and not one.worse]
+    overfitted = lost[1] > lost[0] or bool(worse) or (paired is not None and paired.verdict == "worse")
+    return HeldOutVerdict(label, paired, sequences, lost, overfitted, _describe_verdict(paired, lost, worse, better))
 
 
 def _describe_verdict(
-    duel: PairedComparison | None, lost: tuple[int, int], worse: Sequence[str], better: Sequence[str]
+    paired: PairedComparison | None, lost: tuple[int, int], worse: Sequence[str], better: Sequence[str]
 ) -> str:
     if lost[1] > lost[0]:
         return f"overfitted: it loses {lost[1]} held-out runs, the default {lost[0]}"
-    if duel is not None and duel.verdict == "worse":
+    if paired is not None and paired.verdict == "worse":
         return "overfitted: worse than the default on held-out runs"
     where = f"; overfitted on {', '.join(worse)}, where it is worse than the default" if worse else ""
-    if duel is None:
+    if paired is None:
         return f"not comparable over all runs: none has a ground truth and a geometry that determines the pose{where}"
-    if duel.verdict == "better":
+    if paired.verdict == "better":
         return f"better on held-out runs too{where}"
     alone = f", but significantly better on {', '.join(better)}" if better else ""
-    return f"{duel.verdict} over all held-out runs{alone}{where}"
+    return f"{paired.verdict} over all held-out runs{alone}{where}"
 
 
 def _compare_on_sequence(sequence: SequenceAnalysis, label: str) -> HeldOutSequence | None:
@@ -98,5 +98,5 @@ def _compare_on_sequence(sequence: SequenceAnalysis, label: str) -> HeldOutSeque
 
 
 def _count_lost(comparison: Comparison, label: str) -> int:
-    own = [record.result.status for record in comparison.records if record.method == label]
-    return sum(status != RunStatus.COMPLETE and status not in NOT_EXECUTED for status in own)
+    statuses = [record.result.status for record in comparison.records if record.method == label]
+    return sum(status != RunStatus.COMPLETE and status not in NOT_EXECUTED for status in statuses)

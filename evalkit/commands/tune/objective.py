@@ -79,8 +79,8 @@ def find_best_candidate(tried: Sequence[ScoredCandidate]) -> ScoredCandidate:
 def compute_error_ratio(ours: ScoredCandidate, theirs: ScoredCandidate, seed: int) -> Interval:
     """The geometric mean ratio of errors over the same runs with its 95 % bootstrap interval; below 1 is better."""
     logs = np.log(ours.errors) - np.log(theirs.errors)
-    found = bootstrap_interval(logs, np.mean, np.random.default_rng(seed), block=1)
-    return Interval(math.exp(found.value), math.exp(found.low), math.exp(found.high), found.support)
+    interval = bootstrap_interval(logs, np.mean, np.random.default_rng(seed), block=1)
+    return Interval(math.exp(interval.value), math.exp(interval.low), math.exp(interval.high), interval.support)
 
 
 def is_better(ours: ScoredCandidate, theirs: ScoredCandidate, ratio: Interval) -> bool:

@@ -86,14 +86,17 @@ def _make_summary_row(result: TuningResult, one: SearchResult) -> Sequence[Cell 
         nothing = [Cell("-", sort=math.inf)] * 4
         return (label, "default", *nothing, Cell(result.verdict(one), tone="bad", tip=why))
     held = result.held.get(label)
-    duel = held.duel if held is not None else None
-    tone: Tone = "bad" if held is not None and held.overfitted else "good" if duel and duel.verdict == "better" else ""
+    paired = held.paired if held is not None else None
+    ratio = None if paired is None else paired.ratio
+    tone: Tone = (
+        "bad" if held is not None and held.overfitted else "good" if paired and paired.verdict == "better" else ""
+    )
     return (
         Cell(label, link=f"#{slug(f'points of {label}')}"),
         _describe_changes(one),
         Cell(f"{format_number(one.default.error)} → {format_number(one.best.error)}", sort=one.best.error),
         _make_ratio_cell(one),
-        Cell("-", sort=1.0) if duel is None or duel.ratio is None else Cell(f"{duel.ratio:.2f}", sort=duel.ratio),
+        Cell("-", sort=1.0) if ratio is None else Cell(f"{ratio:.2f}", sort=ratio),
         Cell(f"{one.default.cpu_ms:.2f} → {one.chosen.cpu_ms:.2f}", sort=one.chosen.cpu_ms),
         Cell(result.verdict(one), tone=tone),
     )  # fmt: skip
@@ -101,10 +104,10 @@ def _make_summary_row(result: TuningResult, one: SearchResult) -> Sequence[Cell 
 
 def _make_ratio_cell(one: SearchResult) -> Cell:
     """The error ratio of best point and default on fresh seeds."""
-    found = one.ratio
-    if found is None:
+    ratio = one.ratio
+    if ratio is None:
         return Cell("-", sort=1.0, tip=one.why)
-    return Cell(f"{found.value:.2f} ({found.low:.2f} to {found.high:.2f})", found.value, tip=f"{found.support} runs")
+    return Cell(f"{ratio.value:.2f} ({ratio.low:.2f} to {ratio.high:.2f})", ratio.value, tip=f"{ratio.support} runs")
 
 
 def _describe_changes(one: SearchResult) -> str:
@@ -118,14 +121,14 @@ def _describe_changes(one: SearchResult) -> str:
 
 
 def _build_fronts(result: TuningResult) -> Section:
-    drawn = [one for one in result.searched if not one.failed]
-    if not drawn:
+    searches = [one for one in result.searched if not one.failed]
+    if not searches:
         return Section("Accuracy against compute", [Text("No point has a value.")], "pareto-front")
     return Section(
         "Accuracy against compute",
         (
-            charts.draw_pareto_fronts(drawn, result.tuning.objective),
-            Figures([charts.draw_points(one, result.tuning.objective) for one in drawn]),
+            charts.draw_pareto_fronts(searches, result.tuning.objective),
+            Figures([charts.draw_points(one, result.tuning.objective) for one in searches]),
             Text(
                 "All tried points in training: median over runs of the median CPU time per scan, and geometric mean "
                 "error with lost runs at their bound. CPU times are measured beside other runs and without a warm-up: "
@@ -200,9 +203,9 @@ def _build_spaces(result: TuningResult) -> list[Block]:
             name = get_parameter_name(factor)
             listed = [level.label if level.number is None else f"{level.number:g}" for level in factor.levels]
             searched = f"{listed[0]} to {listed[-1]} {factor.unit}" if is_continuous(factor) else ", ".join(listed)
-            taken = one.chosen.candidate.values[name]
+            chosen = one.chosen.candidate.values[name]
             rows.append((one.tunable.label, name, searched, factor.scale if factor.numbers else "-",
-                         _format_value(one.default.candidate.values[name]), _format_value(taken)))  # fmt: skip
+                         _format_value(one.default.candidate.values[name]), _format_value(chosen)))  # fmt: skip
     left = [
         (one.tunable.label, name, why) for one in result.searched for name, why in one.tunable.excluded.items()
     ]  # fmt: skip
@@ -222,13 +225,13 @@ def _build_points(result: TuningResult, one: SearchResult) -> Block:
     marks = mark_pareto_front(one.tried).tolist()
     rows: list[Sequence[Cell | str]] = []
     for position, (each, on) in enumerate(zip(one.tried, marks, strict=True)):
-        said = ["best"] * (each is one.best) + ["chosen"] * (each is one.chosen) + ["Pareto front"] * on
+        remarks = ["best"] * (each is one.best) + ["chosen"] * (each is one.chosen) + ["Pareto front"] * on
         values = [_make_value_cell(each.candidate.values[name]) for name in names]
         why = next(iter(filter(None, each.lost)), "")
         rows.append((
             _make_count_cell(position), each.candidate.found, *values, Cell(format_number(each.error), sort=each.error),
             Cell(str(each.losses), sort=each.losses, tone="warn" if each.losses else "", tip=why),
-            Cell("-" if math.isnan(each.cpu_ms) else f"{each.cpu_ms:.2f}", sort=each.cpu_ms), ", ".join(said),
+            Cell("-" if math.isnan(each.cpu_ms) else f"{each.cpu_ms:.2f}", sort=each.cpu_ms), ", ".join(remarks),
         ))  # fmt: skip
     return Fold(f"Points of {one.tunable.label}", (Table(columns, rows),))
 

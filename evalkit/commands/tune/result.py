@@ -63,8 +63,10 @@ class TuningResult:
     def sentence(self, one: SearchResult) -> str:
         """The verdict on a back end with its numbers."""
         held = self.held.get(one.tunable.label)
-        duel = held.duel if held is not None else None
-        if one.failed or duel is None or duel.ratio is None:
+        paired = held.paired if held is not None else None
+        if one.failed or paired is None or paired.ratio is None:
             return f"{one.tunable.label}: {self.verdict(one)}"
-        numbers = f"error {duel.ratio:.2f} times the default's in the median of {duel.runs} runs, p = {duel.p:.2g}"
+        numbers = (
+            f"error {paired.ratio:.2f} times the default's in the median of {paired.runs} runs, p = {paired.p:.2g}"
+        )
         return f"{one.tunable.label}: {self.verdict(one)} ({numbers})"

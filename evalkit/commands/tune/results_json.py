@@ -127,12 +127,12 @@ def _confirmed_as_json(one: SearchResult) -> dict[str, Any] | None:
 
 
 def _held_out_as_json(held: HeldOutVerdict) -> dict[str, Any]:
-    duel = held.duel
-    tested = {} if duel is None else {
-        "runs": duel.runs,
-        "ratio": duel.ratio,
-        "p_holm": duel.p,
-        "detectable_ratio": _replace_infinite(duel.detectable),
+    paired = held.paired
+    tested = {} if paired is None else {
+        "runs": paired.runs,
+        "ratio": paired.ratio,
+        "p_holm": paired.p,
+        "detectable_ratio": _replace_infinite(paired.detectable),
     }  # fmt: skip
     lost = {"default": held.lost[0], "tuned": held.lost[1]}
     return {"verdict": held.verdict, "overfitted": held.overfitted, "lost_runs": lost} | tested

@@ -17,18 +17,18 @@ def build_held_out_blocks(result: TuningResult) -> list[Block]:
     """The medians with their intervals, the tests over all runs, and the differences on each sequence."""
     comparison = result.comparison
     rankings = {sequence.label: sequence.deciding for sequence in result.analysis.sequences}
-    columns = [Column("Method"), *(_make_heading(name, found) for name, found in rankings.items())]
+    columns = [Column("Method"), *(_make_heading(name, ranking) for name, ranking in rankings.items())]
     rows = [
-        [Cell(label), *(_make_score_cell(result, label, name, found) for name, found in rankings.items())]
+        [Cell(label), *(_make_score_cell(result, label, name, ranking) for name, ranking in rankings.items())]
         for label in comparison.method_labels
     ]
     caption = "Median over the runs with its 95 % interval, in the metric that decides the sequence"
     blocks: list[Block] = [Table(columns, rows, caption)]
-    held = list(result.held.values())
-    if not held:
+    verdicts = list(result.held.values())
+    if not verdicts:
         return [*blocks, Text("All back ends keep their default.")]
-    blocks.append(_build_tests(held))
-    if pairs := [(one.label, each) for one in held for each in one.sequences]:
+    blocks.append(_build_tests(verdicts))
+    if pairs := [(one.label, each) for one in verdicts for each in one.sequences]:
         blocks.append(_build_differences(pairs))
     return blocks
 
@@ -38,14 +38,14 @@ def format_number(value: float) -> str:
     return f"{value:.3g}" if math.isfinite(value) else "none"
 
 
-def _make_heading(name: str, found: Ranking | None) -> Column:
-    if found is None:
+def _make_heading(name: str, ranking: Ranking | None) -> Column:
+    if ranking is None:
         return Column(name, number=True)
-    return Column(f"{name}: {found.metric.label}", found.metric.unit, number=True)
+    return Column(f"{name}: {ranking.metric.label}", ranking.metric.unit, number=True)
 
 
-def _make_score_cell(result: TuningResult, label: str, sequence: str, found: Ranking | None) -> Cell:
-    score = None if found is None else found.of(label)
+def _make_score_cell(result: TuningResult, label: str, sequence: str, ranking: Ranking | None) -> Cell:
+    score = None if ranking is None else ranking.of(label)
     own = [record for record in result.comparison.records if (record.method, record.sequence) == (label, sequence)]
     if score is None or not score.values:
         statuses = dict.fromkeys(STATUS_LABELS[record.result.status] for record in own if not record.result.is_complete)
@@ -63,7 +63,7 @@ def _make_score_cell(result: TuningResult, label: str, sequence: str, found: Ran
     return Cell(text, sort=middle, tone="warn" if lost else "", tip=f"{len(score.values)} runs")
 
 
-def _build_tests(held: Sequence[HeldOutVerdict]) -> Table:
+def _build_tests(verdicts: Sequence[HeldOutVerdict]) -> Table:
     columns = (
         Column("Back end"),
         Column("Runs", number=True, tip="runs of both with a known ground truth and a unique pose"),
@@ -74,23 +74,23 @@ def _build_tests(held: Sequence[HeldOutVerdict]) -> Table:
         Column("Lost", number=True, tip="runs lost: default → tuned"),
         Column("Verdict"),
     )  # fmt: skip
-    return Table(columns, [_make_test_row(one) for one in held], "Tuned against default, over all held-out runs")
+    return Table(columns, [_make_test_row(one) for one in verdicts], "Tuned against default, over all held-out runs")
 
 
 def _make_test_row(one: HeldOutVerdict) -> Sequence[Cell | str]:
-    duel = one.duel
+    paired = one.paired
     lost = Cell(f"{one.lost[0]} → {one.lost[1]}", sort=one.lost[1] - one.lost[0])
     verdict = Cell(one.verdict, tone="bad" if one.overfitted else "")
-    if duel is None:
+    if paired is None:
         return (one.label, *[Cell("-", sort=math.inf)] * 5, lost, verdict)
-    detectable = f"{1.0 / duel.detectable:.2f}" if math.isfinite(duel.detectable) else "none"
+    detectable = f"{1.0 / paired.detectable:.2f}" if math.isfinite(paired.detectable) else "none"
     return (
         one.label,
-        Cell(str(duel.runs), sort=duel.runs),
-        Cell(f"{duel.better} / {duel.worse}", sort=duel.better),
-        Cell("-", sort=math.inf) if duel.ratio is None else Cell(f"{duel.ratio:.2f}", sort=duel.ratio),
-        Cell(f"{duel.p:.3f}", sort=duel.p),
-        Cell(detectable, sort=duel.detectable),
+        Cell(str(paired.runs), sort=paired.runs),
+        Cell(f"{paired.better} / {paired.worse}", sort=paired.better),
+        Cell("-", sort=math.inf) if paired.ratio is None else Cell(f"{paired.ratio:.2f}", sort=paired.ratio),
+        Cell(f"{paired.p:.3f}", sort=paired.p),
+        Cell(detectable, sort=paired.detectable),
         lost,
         verdict,
     )
@@ -117,11 +117,11 @@ def _make_difference_row(label: str, one: HeldOutSequence) -> Sequence[Cell | st
     ]
     if one.difference is None:
         return (*head, *medians, Cell("-"), Cell("-"), "one run, no interval")
-    found, said = one.difference.interval, "no"
-    if one.shown:
-        said = "worse" if one.worse else "better"
-    result = f"{found.value:+.3g} ({found.low:+.3g} to {found.high:+.3g}){unit}"
+    interval, verdict = one.difference.interval, "no"
+    if one.significant:
+        verdict = "worse" if one.worse else "better"
+    result = f"{interval.value:+.3g} ({interval.low:+.3g} to {interval.high:+.3g}){unit}"
     detectable = one.difference.detectable
-    return (*head, *medians, Cell(result, sort=found.value),
+    return (*head, *medians, Cell(result, sort=interval.value),
             Cell(f"{format_number(detectable)}{unit}", sort=detectable),
-            Cell(said, tone="bad" if one.worse else "good" if one.shown else ""))  # fmt: skip
+            Cell(verdict, tone="bad" if one.worse else "good" if one.significant else ""))  # fmt: skip

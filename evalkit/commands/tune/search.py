@@ -123,7 +123,7 @@ def _reflect_share(share: float) -> float:
 
 
 def _take_untried(candidates: Iterable[Candidate], tried: Sequence[Candidate], points: int) -> tuple[Candidate, ...]:
-    """The first so many candidates whose values are not tried yet."""
+    """The first ``points`` candidates whose values are not tried yet."""
     seen = {candidate.key for candidate in tried}
     chosen: list[Candidate] = []
     for candidate in candidates:

@@ -107,7 +107,7 @@ def make_held_out_experiment(tuning: Tuning, results: Sequence[SearchResult], fi
 
 
 def compute_missing(folder: Path, workers: int, on_done: OnDone) -> Compute:
-    """A ``Compute`` that runs tasks without a stored result in so many processes."""
+    """A ``Compute`` that runs tasks without a stored result in ``workers`` processes."""
     return lambda tasks: run_study_tasks(tasks, folder, workers, on_done)
 
 
@@ -182,9 +182,9 @@ def _decide_result(
         return SearchResult(tunable, tuple(tried), None, None, False, f"default kept: {why}")
     default, candidate = pair
     ratio = compute_error_ratio(candidate, default, tuning.seed)
-    taken = is_better(candidate, default, ratio)
-    why = "better on fresh seeds by more than noise" if taken else _explain_default(candidate, default)
-    return SearchResult(tunable, tuple(tried), (default, candidate), ratio, taken, why)
+    tuned = is_better(candidate, default, ratio)
+    why = "better on fresh seeds by more than noise" if tuned else _explain_default(candidate, default)
+    return SearchResult(tunable, tuple(tried), (default, candidate), ratio, tuned, why)
 
 
 def _explain_default(candidate: ScoredCandidate, default: ScoredCandidate) -> str:

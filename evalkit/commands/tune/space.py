@@ -114,7 +114,7 @@ def make_declared_factors(
 
 
 class NotSearchable(Exception):
-    """A parameter declares too little to search it; the message says what."""
+    """A parameter declares too little to be searched; the message names what is missing."""
 
 
 def _choose_levels(parameter: Parameter, default: Value) -> Sequence[Value]:

@@ -54,7 +54,7 @@ def _limit_cpu_time(cpu_s: float) -> Iterator[None]:
     def check(_signal: int, _frame: object) -> None:
         nonlocal end_s
         if time.process_time() > end_s:
-            end_s += cpu_s  # for the scores, and for a back end that goes on whatever is raised
+            end_s += cpu_s  # for the scoring, and for a back end that catches the exception
             raise CpuTimeExceeded(f"more than {cpu_s:g} s of CPU time")
 
     before = signal.signal(signal.SIGALRM, check)

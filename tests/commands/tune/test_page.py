@@ -77,11 +77,11 @@ def test_a_missing_run_is_not_counted_as_lost(build, record, status, said):
 
 
 def test_the_test_over_runs_is_wilcoxons_signed_rank_test(build, record):
-    duel = told(build, record, 0.05).held["a"].duel
-    assert duel is not None
-    assert (duel.runs, duel.better, duel.worse) == (10, 10, 0)
-    assert duel.p == pytest.approx(2.0**-9)  # all ten runs in one direction
-    assert duel.ratio == pytest.approx(0.0545 / 0.1045, rel=0.02)
+    paired = told(build, record, 0.05).held["a"].paired
+    assert paired is not None
+    assert (paired.runs, paired.better, paired.worse) == (10, 10, 0)
+    assert paired.p == pytest.approx(2.0**-9)  # all ten runs in one direction
+    assert paired.ratio == pytest.approx(0.0545 / 0.1045, rel=0.02)
 
 
 def test_the_json_has_every_point_and_the_cost(build, record):
