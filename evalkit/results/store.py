@@ -124,7 +124,7 @@ class Store:
             partial.replace(path)
 
     def save_result(self, spec: RunSpec, result: RunResult) -> None:
-        """Write how a run went, and its trajectory for other tools; ``RESULT``, written last, marks both as complete."""
+        """Write how a run went and its trajectory for other tools; ``RESULT``, written last, marks it as complete."""
         folder = self.run_folder(spec.key)
         steps = folder / STEPS
         if not steps.exists() or read_steps(steps).tobytes() != result.steps.tobytes():  # removed, or times left out

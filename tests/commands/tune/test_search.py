@@ -175,7 +175,7 @@ def test_parameters_of_the_front_end_are_not_tuned():
         for parameter in list_own_parameters(registry.find_backend(name))
     }
     assert not names & {"prior", "deskew", "local_map", "keyframes", "min_inliers"}
-    with pytest.raises(BadExperiment, match=r"method 1 \(embedded\): search.keyframes: .*all methods alike"):
+    with pytest.raises(BadExperiment, match=r"method 1 \(embedded\): search.keyframes: .*same for all methods"):
         plan(FILE.replace("search.max_iterations", "search.keyframes"))
 
 
