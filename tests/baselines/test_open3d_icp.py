@@ -158,9 +158,9 @@ def test_a_missing_package_is_reported_with_its_install_command(monkeypatch):
 
 def test_a_missing_system_library_is_reported_with_its_install_command(monkeypatch):
     monkeypatch.setattr(open3d_icp.importlib.util, "find_spec", lambda _name: object())
-    monkeypatch.setattr(open3d_icp, "_version", lambda: (0, 20))
+    monkeypatch.setattr(open3d_icp, "_read_version", lambda: (0, 20))
     monkeypatch.setattr(open3d_icp.sys, "platform", "linux")
-    monkeypatch.setattr(open3d_icp, "_loads", lambda name: name != "libusb-1.0.so.0")
+    monkeypatch.setattr(open3d_icp, "_can_load", lambda name: name != "libusb-1.0.so.0")
     assert open3d_icp.open3d_missing() == (
         "open3d needs missing system libraries (libusb-1.0.so.0): "
         "apt-get install -y --no-install-recommends libgl1 libegl1 libx11-6 libusb-1.0-0"
@@ -176,7 +176,7 @@ def test_a_version_without_a_thread_limit_is_reported_with_its_replacement(monke
 
 
 def test_a_library_that_does_not_exist_is_not_loaded():
-    assert not open3d_icp._loads("libno-such-thing.so.77")
+    assert not open3d_icp._can_load("libno-such-thing.so.77")
 
 
 @pytest.mark.parametrize("method", METHODS)
