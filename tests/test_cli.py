@@ -147,7 +147,7 @@ def test_the_card_of_a_metric_contains_all_its_fields(evalkit):
         "wall thickness [m], lower is better",
         "Limitations ",
         "Support                 places where hits lie along a line",
-        "No value                only ... % of the hits lie along a wall",
+        "No value                no mapped scan has a hit; only ... % of the hits lie along a wall",
         "Follows the true error  Spearman ",
     )
     for part in parts:
@@ -560,7 +560,7 @@ def test_a_ros_bag_is_compared_by_one_command(evalkit, carmen, tmp_path):
         (("drive.log", "--relations", "no.relations"), "carmen: parameter 'relations': no file no.relations; check"),
         (
             ("drive.log", "--ground-truth", "other.tum"),
-            "have nothing in common with the recording: the scans are from 100",
+            "do not overlap the recording, 100",
         ),
         (("drive.log", "--spans", "no.toml"), "carmen: parameter 'spans': no file no.toml; check the path"),
         (("drive.log", "--spans", "drive.log"), "drive.log: not valid TOML ("),

@@ -11,6 +11,7 @@ from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import MappingProxyType
 from typing import Generic
 
 from evalkit.core.errors import EvalkitError, StoreError, plain
@@ -37,17 +38,25 @@ class TaskFailure:
 
 
 class TasksFailed(EvalkitError):
-    """Some tasks have no result; all others are stored: ``TasksFailed(folder, failures by task name)``."""
+    """Some tasks have no result; all others are stored: ``TasksFailed(folder, what)``; ``failures`` by task name."""
 
-    def __init__(self, folder: str, failures: Mapping[str, TaskFailure]) -> None:
-        super().__init__(folder, failures)
-        self.failures = failures
+    failures: Mapping[str, TaskFailure] = MappingProxyType({})
+
+    def __init__(self, folder: str, what: str) -> None:
+        super().__init__(folder, what)
+
+    @classmethod
+    def from_failures(cls, folder: str, failures: Mapping[str, TaskFailure]) -> TasksFailed:
+        """The error about these failures; its message names the first."""
+        name, failure = next(iter(failures.items()))
+        others = f" and {len(failures) - 1} more" if len(failures) > 1 else ""
+        error = cls(folder, f"{name}{others} failed: {failure.reason}")
+        error.failures = failures
+        return error
 
     def __str__(self) -> str:
-        name, failure = next(iter(self.failures.items()))
-        others = f" and {len(self.failures) - 1} more" if len(self.failures) > 1 else ""
-        what = f"{self.args[0]}: {name}{others} failed: {failure.reason}"
-        return plain(f"{what}; finished results are stored: repeat the command to continue")
+        folder, what = self.args
+        return plain(f"{folder}: {what}; finished results are stored: repeat the command to continue")
 
 
 def run_tasks(
@@ -75,7 +84,7 @@ def run_tasks(
     else:
         _run_locally(missing, workers, collector)
     if collector.failures:
-        raise TasksFailed(str(store.folder), collector.failures)
+        raise TasksFailed.from_failures(str(store.folder), collector.failures)
     return {task.name: collector.results[task.name] for task in every}
 
 

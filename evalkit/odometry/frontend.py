@@ -157,7 +157,7 @@ class FrontEnd:
                 start_from_base = stages["s2m"].pose
         self._keep(source, start_from_base, frame.base_from_sensor)
         self._motion.store(frame, start_from_base)
-        estimates = {name: stage.estimate for name, stage in stages.items()}
+        estimates: dict[Stage, StageEstimate] = {name: stage.estimate for name, stage in stages.items()}
         accepted = any(stage.accepted for stage in estimates.values()) if estimates else None
         return OdometryEstimate(
             start_from_base, estimates, accepted, sum((stage.cost for stage in stages.values()), NO_COST)

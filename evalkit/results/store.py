@@ -17,6 +17,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from filelock import FileLock, Timeout
@@ -146,7 +147,8 @@ class Store:
             steps = read_steps(folder / STEPS)
             if record["answered"] != len(steps):
                 return None
-            values = {name: record[name] for name in _RESULT_FIELDS} | {"cause": Cause(record["cause"])}
+            values: dict[str, Any] = {name: record[name] for name in _RESULT_FIELDS}
+            values["cause"] = Cause(record["cause"])
             return RunResult(steps, **values)
         except (OSError, ValueError, TypeError, KeyError, AttributeError):
             return None

@@ -74,7 +74,9 @@ class CompiledPipeline:
         )
         with conversion:
             answers: dict[Stage, _StageAnswer] = {"s2s": scan_to_scan, "s2m": scan_to_map}
-            stages = {name: _stage_estimate(*answer) for name, answer in answers.items() if answer[0] != NOT_RUN}
+            stages: dict[Stage, StageEstimate] = {
+                name: _stage_estimate(*answer) for name, answer in answers.items() if answer[0] != NOT_RUN
+            }
             accepted = any(stage.accepted for stage in stages.values()) if stages else None
             pose = Pose(*row)
         return OdometryEstimate(pose, stages, accepted, Cost(conversion.cpu_ns))

@@ -122,7 +122,9 @@ def _compute_ranking(
     excluded = baselines if metric.group in WITHOUT_BASELINE else ()
     ranked = rank_scores(metric, (score for score in scores if score.method not in excluded))
     apart: list[Separation] = [separation(metric, ranked[0], score) for score in ranked[1:]]
-    ties = [(score, why) for score, why in zip(ranked[1:], apart, strict=True) if why != "clear"]
+    ties: list[tuple[MethodScore, Separation]] = [
+        (score, why) for score, why in zip(ranked[1:], apart, strict=True) if why != "clear"
+    ]
     sequence = next(iter(runs.values()))[0].sequence
     tied = (*ranked[:1], *(score for score, _ in ties))
     return Ranking(sequence, metric, scores, ranked, tied, ties[0][1] if ties else "clear")
