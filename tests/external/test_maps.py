@@ -74,7 +74,7 @@ def test_the_true_map_has_a_perfect_score_and_no_trajectory_metrics(saved, run):
     assert shifted["scores"]["map_f1"] < 0.5
     page = Path(answer["page"]).read_text(encoding="utf-8")
     assert "no trajectory: the back end is a map made elsewhere" in page
-    assert "a map made elsewhere is held against the truth as it is" in page
+    assert "a map from another program is compared with the ground truth as it is" in page
 
 
 def test_settings_place_the_map_in_the_world_frame(saved):
