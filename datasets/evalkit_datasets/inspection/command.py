@@ -33,35 +33,35 @@ def inspect(
     """
     if not file.exists():
         raise BadData(str(file), "", "no such file or folder", "give the path of a bag or a log")
-    found = inspect_recording(file)
-    advice = suggest_config(found)
-    page = None if folder is None else _write_page(folder, found, advice)
+    recording = inspect_recording(file)
+    advice = suggest_config(recording)
+    page = None if folder is None else _write_page(folder, recording, advice)
     if as_json:
-        print_json(inspection_to_json(found, advice) | {"page": str(page) if page else None})
+        print_json(inspection_to_json(recording, advice) | {"page": str(page) if page else None})
     else:
-        _print_inspection(found, advice)
+        _print_inspection(recording, advice)
         if page is not None:
             out.print(str(page.resolve()), highlight=False, markup=False)
     if advice is None or advice.problem:
         raise typer.Exit(1)
 
 
-def inspection_to_json(found: Inspection, advice: SuggestedConfig | None) -> dict[str, Any]:
+def inspection_to_json(recording: Inspection, advice: SuggestedConfig | None) -> dict[str, Any]:
     """Return all measurements as JSON values; numbers that are not finite become null."""
     values: dict[str, Any] = _replace_non_finite(
         {
-            "file": str(found.path),
-            "kind": found.kind,
-            "bytes": found.bytes,
-            "topics": [asdict(topic) for topic in found.topics],
-            "lidars": [asdict(lidar) for lidar in found.lidars],
-            "odometry": [asdict(one) | {"like_wheels": one.like_wheels} for one in found.odometries],
-            "turns": {name: asdict(turn) for name, turn in found.turns.items()},
-            "frames": asdict(found.frames),
-            "poses_from": found.poses_from,
-            "truth_inside": found.truth_inside,
-            "remarks": list(found.remarks),
-            "findings": [asdict(finding) for finding in found.findings],
+            "file": str(recording.path),
+            "kind": recording.kind,
+            "bytes": recording.bytes,
+            "topics": [asdict(topic) for topic in recording.topics],
+            "lidars": [asdict(lidar) for lidar in recording.lidars],
+            "odometry": [asdict(one) | {"like_wheels": one.like_wheels} for one in recording.odometries],
+            "turns": {name: asdict(turn) for name, turn in recording.turns.items()},
+            "frames": asdict(recording.frames),
+            "poses_from": recording.poses_from,
+            "truth_inside": recording.truth_inside,
+            "remarks": list(recording.remarks),
+            "findings": [asdict(finding) for finding in recording.findings],
             "run": None if advice is None else asdict(advice),
         }
     )
@@ -76,7 +76,7 @@ def _replace_non_finite(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _write_page(folder: Path, found: Inspection, advice: SuggestedConfig | None) -> Path:
+def _write_page(folder: Path, recording: Inspection, advice: SuggestedConfig | None) -> Path:
     """Write ``index.html`` and ``inspection.json`` and return the path of the page."""
     from evalkit.report.html.blocks import render  # noqa: PLC0415 - loads jinja2
     from evalkit_datasets.inspection.page import build_document  # noqa: PLC0415 - loads matplotlib
@@ -84,26 +84,26 @@ def _write_page(folder: Path, found: Inspection, advice: SuggestedConfig | None)
     with as_store_error(folder):
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "inspection.json").write_text(
-            json.dumps(inspection_to_json(found, advice), indent=1) + "\n", encoding="utf-8"
+            json.dumps(inspection_to_json(recording, advice), indent=1) + "\n", encoding="utf-8"
         )
-        (folder / "index.html").write_text(render(build_document(found, advice)), encoding="utf-8")
+        (folder / "index.html").write_text(render(build_document(recording, advice)), encoding="utf-8")
     return folder / "index.html"
 
 
-def _print_inspection(found: Inspection, advice: SuggestedConfig | None) -> None:
-    out.print(f"{found.path.name}: {found.kind}, {found.bytes / 1e6:.1f} MB", markup=False, highlight=False)
-    progress.print_table(out, _make_lidar_table(found))
-    for one in found.odometries:
+def _print_inspection(recording: Inspection, advice: SuggestedConfig | None) -> None:
+    out.print(f"{recording.path.name}: {recording.kind}, {recording.bytes / 1e6:.1f} MB", markup=False, highlight=False)
+    progress.print_table(out, _make_lidar_table(recording))
+    for one in recording.odometries:
         out.print(
             f"odometry {one.topic}, {one.parent} to {one.child}: {one.timing.count} poses, {one.path_m:.1f} m, "
             f"{one.turned_deg:.0f} deg, standing {100 * one.standing:.0f} %", markup=False, highlight=False,
         )  # fmt: skip
-    for mounting in found.frames.mountings:
+    for mounting in recording.frames.mountings:
         where = (
             mounting.problem or f"x {mounting.x_m:.3f} m, y {mounting.y_m:.3f} m, rotated {mounting.theta_deg:.1f} deg"
         )
         out.print(f"lidar '{mounting.sensor}' on '{mounting.base}': {where}", markup=False, highlight=False)
-    for finding in found.findings:
+    for finding in recording.findings:
         more = f"; {finding.advice}" if finding.advice else ""
         out.print(f"{finding.level}: {finding.about}: {finding.what}{more}", markup=False, highlight=False)
     if advice is None:
@@ -116,10 +116,10 @@ def _print_inspection(found: Inspection, advice: SuggestedConfig | None) -> None
     out.print(f"{result}\n\n{advice.table}\n{advice.command}", markup=False, highlight=False)
 
 
-def _make_lidar_table(found: Inspection) -> Table:
+def _make_lidar_table(recording: Inspection) -> Table:
     table = Table("lidar", "frame", "scans", "duration [s]", "rate [Hz]", "jitter [ms]", "beams", "view [deg]",
                   "limits [m]", "hits [%]", "invalid [%]", "gaps")  # fmt: skip
-    for one in found.lidars:
+    for one in recording.lidars:
         limits = " to ".join("?" if limit is None else f"{limit:g}" for limit in (one.range_min_m, one.range_max_m))
         table.add_row(
             escape(one.topic), escape(one.frame), str(one.timing.count), f"{one.timing.duration_s:.1f}",

@@ -35,40 +35,40 @@ TONES: dict[Level, Tone] = {"problem": "bad", "warning": "warn", "note": ""}
 MAX_POINTS = 2000  # points of a line: more are not visible
 
 
-def build_document(found: Inspection, advice: SuggestedConfig | None) -> Document:
+def build_document(recording: Inspection, advice: SuggestedConfig | None) -> Document:
     """Return the page."""
     sections = [
-        Section("Findings", list(_render_findings(found)), "findings"),
+        Section("Findings", list(_render_findings(recording)), "findings"),
         Section("How to run it", list(_render_config(advice)), "run"),
-        Section("Lidars", [_render_lidar_table(found.lidars), *_render_lidar_figures(found)], "lidars"),
-        Section("Odometry", list(_render_odometry(found)), "odometry"),
-        Section("Frames and topics", list(_render_frames(found)), "frames"),
+        Section("Lidars", [_render_lidar_table(recording.lidars), *_render_lidar_figures(recording)], "lidars"),
+        Section("Odometry", list(_render_odometry(recording)), "odometry"),
+        Section("Frames and topics", list(_render_frames(recording)), "frames"),
     ]
-    counts = {level: sum(one.level == level for one in found.findings) for level in TONES}
+    counts = {level: sum(one.level == level for one in recording.findings) for level in TONES}
     lead = ", ".join(format_count(count, level) for level, count in counts.items() if count) or "no findings"
-    return Document("evalkit inspect", found.path.name, f"{lead}.", sections, list_facts(found))
+    return Document("evalkit inspect", recording.path.name, f"{lead}.", sections, list_facts(recording))
 
 
-def list_facts(found: Inspection) -> tuple[tuple[str, str], ...]:
+def list_facts(recording: Inspection) -> tuple[tuple[str, str], ...]:
     """Return the main properties of the recording as pairs of name and text."""
-    spans = [lidar.timing for lidar in found.lidars]
+    spans = [lidar.timing for lidar in recording.lidars]
     seconds = max((one.duration_s for one in spans), default=0.0)
     return (
-        ("kind", found.kind),
-        ("size", f"{found.bytes / 1e6:.1f} MB"),
+        ("kind", recording.kind),
+        ("size", f"{recording.bytes / 1e6:.1f} MB"),
         ("duration", f"{seconds:.1f} s"),
-        ("scans", ", ".join(f"{lidar.timing.count} on {lidar.topic}" for lidar in found.lidars) or "none"),
-        ("ground truth in it", found.truth_inside or "none"),
+        ("scans", ", ".join(f"{lidar.timing.count} on {lidar.topic}" for lidar in recording.lidars) or "none"),
+        ("ground truth in it", recording.truth_inside or "none"),
     )
 
 
-def _render_findings(found: Inspection) -> Iterator[Block]:
+def _render_findings(recording: Inspection) -> Iterator[Block]:
     rows: list[list[Cell | str]] = [
-        [Cell(f.level, tone=TONES[f.level]), f.about, f.what, f.advice] for f in found.findings
+        [Cell(f.level, tone=TONES[f.level]), f.about, f.what, f.advice] for f in recording.findings
     ]
     yield Table(("", "stream", "finding", "what to do"), rows, sortable=False)
-    if found.remarks:
-        yield Fold("Comments in the file", [Bullets(found.remarks)])
+    if recording.remarks:
+        yield Fold("Comments in the file", [Bullets(recording.remarks)])
 
 
 def _render_config(advice: SuggestedConfig | None) -> Iterator[Block]:
@@ -111,8 +111,8 @@ def _make_lidar_row(lidar: LidarStats) -> list[str | Cell]:
     ]  # fmt: skip
 
 
-def _render_lidar_figures(found: Inspection) -> Iterator[Block]:
-    for lidar, laser in zip(found.lidars, found.streams.lasers, strict=True):
+def _render_lidar_figures(recording: Inspection) -> Iterator[Block]:
+    for lidar, laser in zip(recording.lidars, recording.streams.lasers, strict=True):
         drawn = [
             Figure(_plot_scan(laser), f"{lidar.topic}: a scan from the middle", "In the frame of the lidar."),
             Figure(_plot_ranges(laser, lidar), f"{lidar.topic}: ranges", "All finite ranges of at most 500 scans."),
@@ -170,8 +170,8 @@ def _plot_offsets(laser: LaserStream) -> bytes:
     )  # fmt: skip
 
 
-def _render_odometry(found: Inspection) -> Iterator[Block]:
-    if not found.odometries:
+def _render_odometry(recording: Inspection) -> Iterator[Block]:
+    if not recording.odometries:
         yield Text("None.")
         return
     columns = (
@@ -181,17 +181,17 @@ def _render_odometry(found: Inspection) -> Iterator[Block]:
         Column("speed by twist", number=True, tip="1: poses and speeds in the messages agree"),
         Column("turn by scans", number=True, tip="1: odometry and scans rotate alike"),
     )  # fmt: skip
-    yield Table(columns, [_make_odometry_row(found, one) for one in found.odometries])
-    poses = [wheels.poses[np.argsort(wheels.stamps_ns, kind="stable")] for wheels in found.streams.wheels]
+    yield Table(columns, [_make_odometry_row(recording, one) for one in recording.odometries])
+    poses = [wheels.poses[np.argsort(wheels.stamps_ns, kind="stable")] for wheels in recording.streams.wheels]
     drawn = [
         Points(one.topic, _thin(rows[:, :2]), HUES[at % len(HUES)], 1.4, joined=True)
-        for at, (one, rows) in enumerate(zip(found.odometries, poses, strict=True))
+        for at, (one, rows) in enumerate(zip(recording.odometries, poses, strict=True))
     ]
     yield Figures([Figure(charts.scatter(drawn, Axis("x [m]"), Axis("y [m]")), "Paths", "Each in its own frame.")])
 
 
-def _make_odometry_row(found: Inspection, one: OdometryStats) -> list[str | Cell]:
-    turn = found.turns.get(f"{one.topic} {one.child}")
+def _make_odometry_row(recording: Inspection, one: OdometryStats) -> list[str | Cell]:
+    turn = recording.turns.get(f"{one.topic} {one.child}")
     return [
         one.topic, f"{one.parent} to {one.child}", str(one.timing.count),
         f"{one.timing.count / max(one.timing.duration_s, 1e-9):.1f}", f"{one.path_m:.1f}", f"{one.turned_deg:.0f}",
@@ -201,17 +201,20 @@ def _make_odometry_row(found: Inspection, one: OdometryStats) -> list[str | Cell
     ]  # fmt: skip
 
 
-def _render_frames(found: Inspection) -> Iterator[Block]:
-    for mounting in found.frames.mountings:
+def _render_frames(recording: Inspection) -> Iterator[Block]:
+    frames = recording.frames
+    for mounting in frames.mountings:
         where = (
             mounting.problem or f"x {mounting.x_m:.3f} m, y {mounting.y_m:.3f} m, rotated {mounting.theta_deg:.1f} deg"
         )
         yield Text(f"Lidar '{mounting.sensor}' on '{mounting.base}': {where}.")
-    if found.frames.links:
-        rows = [[k.parent, k.child, "static" if k.static else "moving", str(k.messages)] for k in found.frames.links]
-        yield Fold(f"tf tree: {format_count(len(found.frames.names), 'frame')}, roots {', '.join(found.frames.roots)}",
+    if frames.links:
+        rows = [[k.parent, k.child, "static" if k.static else "moving", str(k.messages)] for k in frames.links]
+        yield Fold(f"tf tree: {format_count(len(frames.names), 'frame')}, roots {', '.join(frames.roots)}",
                    [Table(("parent", "child", "", Column("messages", number=True)), rows)])  # fmt: skip
-    topics = [[topic.name, topic.kind, str(topic.count), _format_number(topic.rate_hz, 1)] for topic in found.topics]
+    topics = [
+        [topic.name, topic.kind, str(topic.count), _format_number(topic.rate_hz, 1)] for topic in recording.topics
+    ]
     yield Table(("topic", "type", Column("messages", number=True), Column("rate", "Hz", True)), topics)
 
 

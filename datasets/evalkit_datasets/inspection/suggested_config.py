@@ -42,15 +42,15 @@ class SuggestedConfig:
     defects: tuple[str, ...] = ()
 
 
-def suggest_config(found: Inspection) -> SuggestedConfig | None:
+def suggest_config(recording: Inspection) -> SuggestedConfig | None:
     """Return a configuration for a recording, or None if it contains no laser scan."""
-    if not found.lidars:
+    if not recording.lidars:
         return None
-    is_log = found.kind == "CARMEN log"
-    parameters: dict[str, Value] = {"path": str(found.path)}
+    is_log = recording.kind == "CARMEN log"
+    parameters: dict[str, Value] = {"path": str(recording.path)}
     reasons: list[str] = []
     for choice in (_choose_for_log if is_log else _choose_for_bag, _find_truth_files):
-        chosen, why = choice(found)
+        chosen, why = choice(recording)
         parameters |= chosen
         reasons += why
     reader = "carmen" if is_log else "rosbag"
@@ -58,29 +58,29 @@ def suggest_config(found: Inspection) -> SuggestedConfig | None:
     if tried.mounting != Pose():
         x, y, yaw_deg = tried.mounting.x, tried.mounting.y, math.degrees(tried.mounting.theta)
         reasons.append(f"the lidar is mounted at x {x:.3f} m, y {y:.3f} m, rotated by {yaw_deg:.1f} deg: as recorded")
-    dataset, defects = _find_catalogued(found.path)
+    dataset, defects = _find_catalogued(recording.path)
     if dataset:
         reasons.append(f'it is a catalogued recording: use = "{dataset}" runs it with its parameters and ground truth')
     return SuggestedConfig(
-        reader, parameters, _format_table(reader, found.path, parameters), _format_command(parameters), tuple(reasons),
-        tried.scans, tried.truth, tried.notes, tried.problem, dataset, defects,
+        reader, parameters, _format_table(reader, recording.path, parameters), _format_command(parameters),
+        tuple(reasons), tried.scans, tried.truth, tried.notes, tried.problem, dataset, defects,
     )  # fmt: skip
 
 
-def best_lidar(found: Inspection) -> tuple[LidarStats, str]:
+def best_lidar(recording: Inspection) -> tuple[LidarStats, str]:
     """Return the lidar to use and the reason; requires at least one lidar."""
-    tilted = {mounting.sensor for mounting in found.frames.mountings if mounting.problem}
-    level = [one for one in found.lidars if one.frame not in tilted and not _is_tilted_by_name(one)] or list(
-        found.lidars
+    tilted = {mounting.sensor for mounting in recording.frames.mountings if mounting.problem}
+    level = [one for one in recording.lidars if one.frame not in tilted and not _is_tilted_by_name(one)] or list(
+        recording.lidars
     )
     best = max(level, key=measured_directions)
-    if len(found.lidars) == 1:
+    if len(recording.lidars) == 1:
         return best, "the only lidar"
     view = f"{best.field_of_view_deg:.0f} deg, {100 * best.returns.hits:.0f} % hits, {best.timing.rate_hz:.1f} Hz"
     others = ", ".join(
         f"{one.topic} ({one.field_of_view_deg:.0f} deg, {100 * one.returns.hits:.0f} %)"
         + ("" if one in level else ", not level")
-        for one in found.lidars
+        for one in recording.lidars
         if one is not best
     )
     return best, f"it measures the most directions ({view}); others: {others}"
@@ -90,16 +90,16 @@ def _is_tilted_by_name(lidar: LidarStats) -> bool:
     return any(word in lidar.topic.lower() for word in TILT_WORDS)
 
 
-def _choose_for_bag(found: Inspection) -> tuple[dict[str, Value], list[str]]:
-    lidar, why = best_lidar(found)
+def _choose_for_bag(recording: Inspection) -> tuple[dict[str, Value], list[str]]:
+    lidar, why = best_lidar(recording)
     parameters: dict[str, Value] = {"topic": lidar.topic}
     reasons = [f"topic {lidar.topic}: {why}"]
-    messages = [one for one in found.odometries if one.topic != "tf"]
-    usable = [one for one in messages or found.odometries if one.like_wheels]
+    messages = [one for one in recording.odometries if one.topic != "tf"]
+    usable = [one for one in messages or recording.odometries if one.like_wheels]
     if not usable:
         parameters["odometry"] = "none"
         reasons.append(
-            "odometry none: " + ("its motion is not that of wheels" if found.odometries else "the bag has none")
+            "odometry none: " + ("its motion is not that of wheels" if recording.odometries else "the bag has none")
         )
         return parameters, reasons
     named = next((one for one in usable if one.topic.lstrip("/") == "odom"), usable[0])
@@ -112,30 +112,30 @@ def _choose_for_bag(found: Inspection) -> tuple[dict[str, Value], list[str]]:
     return parameters, reasons
 
 
-def _choose_for_log(found: Inspection) -> tuple[dict[str, Value], list[str]]:
+def _choose_for_log(recording: Inspection) -> tuple[dict[str, Value], list[str]]:
     parameters: dict[str, Value] = {}
     reasons = []
-    codes = [code.low_m for code in found.lidars[0].returns.codes if code.low_m < 50.0]
+    codes = [code.low_m for code in recording.lidars[0].returns.codes if code.low_m < 50.0]
     unknown = [low for low in codes if not is_default_code(low)]
     if unknown:
         parameters["range_max_m"] = min(unknown)
         reasons.append(f"range_max_m {min(unknown):g}: ranges of this length or more mean no return")
-    if not found.poses_from and found.odometries and not found.odometries[0].like_wheels:
+    if not recording.poses_from and recording.odometries and not recording.odometries[0].like_wheels:
         parameters["odometry"] = "none"
         reasons.append("odometry none: the motion of its poses is not that of wheels")
     return parameters, reasons
 
 
-def _find_truth_files(found: Inspection) -> tuple[dict[str, Value], list[str]]:
+def _find_truth_files(recording: Inspection) -> tuple[dict[str, Value], list[str]]:
     """Return relations and reference trajectory in the same folder that overlap the recording in time."""
-    folder, stem = found.path.parent, found.path.name.split(".")[0].split("-")[0]
-    reader = "carmen" if found.kind == "CARMEN log" else "rosbag"
+    folder, stem = recording.path.parent, recording.path.name.split(".")[0].split("-")[0]
+    reader = "carmen" if recording.kind == "CARMEN log" else "rosbag"
     parameters: dict[str, Value] = {}
     reasons = []
     for name, ending in (("relations", "*.relations"), ("ground_truth", "*.tum")):
         files = sorted(folder.glob(ending), key=lambda file: (not file.name.startswith(stem), "gmapping" in file.name))
         for file in files:
-            tried = _try_reader(reader, _minimal_parameters(found) | {name: str(file)})
+            tried = _try_reader(reader, _minimal_parameters(recording) | {name: str(file)})
             if not tried.problem and tried.truth:
                 parameters[name] = str(file)
                 reasons.append(f"{name.replace('_', ' ')} {file.name}: in the same folder, and overlaps in time")
@@ -143,9 +143,9 @@ def _find_truth_files(found: Inspection) -> tuple[dict[str, Value], list[str]]:
     return parameters, reasons
 
 
-def _minimal_parameters(found: Inspection) -> dict[str, Value]:
-    parameters: dict[str, Value] = {"path": str(found.path), "odometry": "none"}
-    return parameters if found.kind == "CARMEN log" else parameters | {"topic": found.lidars[0].topic}
+def _minimal_parameters(recording: Inspection) -> dict[str, Value]:
+    parameters: dict[str, Value] = {"path": str(recording.path), "odometry": "none"}
+    return parameters if recording.kind == "CARMEN log" else parameters | {"topic": recording.lidars[0].topic}
 
 
 @dataclass(frozen=True)
