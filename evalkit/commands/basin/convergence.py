@@ -92,8 +92,8 @@ class SuccessCounts:
 
     def reach(self, level: float) -> float:
         """The border up to which every cell of the (only) axis succeeds in at least this share of its trials."""
-        held = np.where(self.trials > 0, self.share >= level, False)
-        return float(self.edges[0][int(np.argmin(held)) if not held.all() else len(held)])
+        reached = np.where(self.trials > 0, self.share >= level, False)
+        return float(self.edges[0][int(np.argmin(reached)) if not reached.all() else len(reached)])
 
 
 @dataclass(frozen=True, eq=False)

@@ -146,7 +146,7 @@ def _scene(result: BasinResult, scene: BasinScene) -> Section:
     if rows:
         blocks += [
             _table(every),
-            Figures((_over_distance(rows, name), _over_turn(rows, name))),
+            Figures([_curve_figure(rows, name, turned=turned) for turned in (False, True)]),
             Figures([_map(row) for row in rows], small=True),
             Fold("Over the offset in x and y", (Figures([_plane(row) for row in rows], small=True),)),
             Fold("Counts and intervals", [_counts(row) for row in rows]),
@@ -170,22 +170,15 @@ def _directions(scene: BasinScene) -> str:
     )
 
 
-def _over_distance(rows: Sequence[BasinRow], name: str) -> Figure:
-    drawn = [_curve(row.backend, row.along(), 1.0, len(rows) <= BANDS) for row in rows]
-    return Figure(
-        charts.lines(drawn, Axis("offset of the guess [m]", low=0.0), SHARE),
-        f"Success over the distance, {name}",
-        f"Guesses that are shifted and not turned{_bands(rows)}.",
-    )
-
-
-def _over_turn(rows: Sequence[BasinRow], name: str) -> Figure:
-    drawn = [_curve(row.backend, row.around(), 180.0 / math.pi, len(rows) <= BANDS) for row in rows]
-    return Figure(
-        charts.lines(drawn, Axis("turn of the guess [deg]", low=0.0), SHARE),
-        f"Success over the turn, {name}",
-        f"Guesses that are turned and not shifted{_bands(rows)}.",
-    )
+def _curve_figure(rows: Sequence[BasinRow], name: str, *, turned: bool) -> Figure:
+    """The success over the turn or over the distance of the guesses."""
+    series = [(row.backend, row.around() if turned else row.along()) for row in rows]
+    unit = 180.0 / math.pi if turned else 1.0
+    curves = [_curve(label, shares, unit, len(rows) <= BANDS) for label, shares in series]
+    axis = Axis("turn of the guess [deg]" if turned else "offset of the guess [m]", low=0.0)
+    quantity, kind = ("turn", "turned and not shifted") if turned else ("distance", "shifted and not turned")
+    title, caption = f"Success over the {quantity}, {name}", f"Guesses that are {kind}{_bands(rows)}."
+    return Figure(charts.lines(curves, axis, SHARE), title, caption)
 
 
 def _bands(rows: Sequence[BasinRow]) -> str:
@@ -297,7 +290,7 @@ def _pairs(result: BasinResult) -> list[str]:
     if simulated := [scene.trials for scene in result.scenes if not scene.trials.data]:
         items.append(
             f"A simulated scene gives {simulated[0].pairs} pairs of scans of {simulated[0].beams} beams with "
-            f"{100 * simulated[0].noise_m:.3g} cm of noise on every range, from two poses close together; the true "
+            f"{100 * simulated[0].noise_m:.3g} cm of noise on every range, from two nearby poses; the true "
             "motion is exact."
         )
     if recorded := [scene for scene in result.scenes if scene.trials.data]:

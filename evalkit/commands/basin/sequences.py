@@ -92,15 +92,15 @@ def _load_pairs(label: str, dataset: str, parameters: str, pairs: int) -> tuple[
     sequence = registry.dataset(dataset).make(**json.loads(parameters))
     frames, truth = list(sequence.frames()), sequence.truth()
     if truth.relations is not None:
-        found = _pairs_by_relations(frames, truth.relations, pairs)
+        known_pairs = _pairs_by_relations(frames, truth.relations, pairs)
     elif truth.trajectory is not None:
-        found = _pairs_by_trajectory(frames, truth.trajectory, pairs)
+        known_pairs = _pairs_by_trajectory(frames, truth.trajectory, pairs)
     else:
-        found = ()
-    if not found:
+        known_pairs = ()
+    if not known_pairs:
         what = "it has no two scans close together with a known motion"
         raise BadData(label, "", what, "give a data set with a true trajectory or with relations")
-    return found
+    return known_pairs
 
 
 def _pairs_by_trajectory(frames: list[Frame], truth: Trajectory, pairs: int) -> tuple[KnownPair, ...]:
@@ -109,15 +109,15 @@ def _pairs_by_trajectory(frames: list[Frame], truth: Trajectory, pairs: int) -> 
     known = np.flatnonzero(can_interpolate(truth.stamps_ns, stamps, MAX_GAP_S))
     poses = np.full((len(frames), 3), np.nan)
     poses[known] = truth.at(stamps[known])
-    found = []
+    known_pairs = []
     for first in spread_indices(len(frames) - 1, 4 * pairs):
         moved = np.abs(se2.between(poses[first], poses[first + 1 : first + 1 + MAX_SCANS_APART]))
         near = np.flatnonzero((moved <= NEAR.row).all(axis=1) & _moving(moved))
         if len(near):
             second = first + 1 + int(near[-1])
             motion = Pose.of(se2.between(poses[first], poses[second]))
-            found.append(_pair(frames[first], frames[second], Pose.of(poses[first]), motion))
-    return tuple(found[i] for i in spread_indices(len(found), pairs))
+            known_pairs.append(_pair(frames[first], frames[second], Pose.of(poses[first]), motion))
+    return tuple(known_pairs[i] for i in spread_indices(len(known_pairs), pairs))
 
 
 def _pairs_by_relations(frames: list[Frame], relations: Relations, pairs: int) -> tuple[KnownPair, ...]:

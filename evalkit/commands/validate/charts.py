@@ -68,20 +68,18 @@ def scan_figures(level: AcceptanceLevel, own: str, reference: str, margin: str) 
             among = np.array([one == stage for one in result["stage"]])
             curves.append(Curve(format_stage(stage), result["scan"][among], np.maximum(result["metres"][among], MIN_M)))
         limit = result[margin]["margin"]["metres"]
-        drawn = charts.lines(
-            curves, Axis("scan"), Axis(f"distance to {reference} [m]", "log"), levels={"margin": limit}
-        )
-        yield Figure(drawn, place, f"Distance of the answers of {own} and {reference} to the same question; {note}.")
+        body = charts.lines(curves, Axis("scan"), Axis(f"distance to {reference} [m]", "log"), levels={"margin": limit})
+        yield Figure(body, place, f"Distance of the answers of {own} and {reference} to the same question; {note}.")
 
 
 def path_figures(level: AcceptanceLevel, own: str, reference: str) -> Iterator[Figure]:
     """Level 3: the trajectories, and the distance between them over time."""
-    drawn: dict[str, list[Curve]] = {}
+    paths: dict[str, list[Curve]] = {}
     for place, runs in level.results["records"].items():
         if own in runs and reference in runs and len(runs[own].result.steps) and len(runs[reference].result.steps):
             seconds, apart = path_distances(runs[own], runs[reference])
             sequence, _, seed = place.partition(", ")
-            drawn.setdefault(sequence, []).append(Curve(seed or sequence, seconds[1:], np.maximum(apart[1:], MIN_M)))
+            paths.setdefault(sequence, []).append(Curve(seed or sequence, seconds[1:], np.maximum(apart[1:], MIN_M)))
     for place, runs in _first(level.results["records"]).items():
         layers = list(_paths(runs, own, reference))
         if layers:
@@ -90,7 +88,7 @@ def path_figures(level: AcceptanceLevel, own: str, reference: str) -> Iterator[F
                 f"{place}: paths",
                 "Each is aligned to the truth as for its error; where two coincide, the later one covers the other.",
             )
-    for sequence, curves in drawn.items():
+    for sequence, curves in paths.items():
         axis = Axis(f"{own} from {reference} [m]", "log")
         yield Figure(charts.lines(curves, Axis("time [s]"), axis), f"{sequence}: distance between both paths", "")
 
@@ -116,8 +114,8 @@ def time_figures(level: AcceptanceLevel) -> Iterator[Figure]:
                 continue
             times = [milliseconds(result, row)[0] for row in range(len(labels))]
             values, high = (np.array([np.quantile(one, q) for one in times]) for q in (0.5, 0.95))
-            drawn = charts.bars(labels, values, Axis("time [ms]", low=0.0), low=values, high=high)
-            yield Figure(drawn, f"{place}: {what}", "Bar: median; line: up to 95 %. Measured in one process, in turns.")
+            body = charts.bars(labels, values, Axis("time [ms]", low=0.0), low=values, high=high)
+            yield Figure(body, f"{place}: {what}", "Bar: median; line: up to 95 %. Measured in one process, in turns.")
 
 
 def _distances(results: Mapping[str, Any], rows: Mapping[str, Floats]) -> Floats:
@@ -140,7 +138,7 @@ def _paths(runs: Mapping[str, RunRecord], own: str, reference: str) -> Iterator[
     truth = next(iter(runs.values())).truth.trajectory
     if truth is not None:
         yield Points("truth", truth.poses[:, :2], TRUTH, 2.2, joined=True, alpha=0.35)
-    drawn = assign_strokes([own, reference, *sorted(name for name in runs if name not in (own, reference))])
+    strokes = assign_strokes([own, reference, *sorted(name for name in runs if name not in (own, reference))])
     order = [name for name in runs if name not in (own, reference)] + [
         name for name in (reference, own) if name in runs
     ]
@@ -148,7 +146,7 @@ def _paths(runs: Mapping[str, RunRecord], own: str, reference: str) -> Iterator[
         run = runs[name].result
         if len(run.steps):
             path = run.estimate.moved(runs[name].scores.world_from_start).poses[:, :2]
-            yield Points(name, path, drawn[name].colour, 1.2, joined=True)
+            yield Points(name, path, strokes[name].colour, 1.2, joined=True)
 
 
 def _map_figure(layers: GridPair, values: Floats, seen: Any, title: str, grid: OccupancyGrid) -> Figure:
@@ -185,11 +183,11 @@ def _first(results: Mapping[str, Any]) -> dict[str, Any]:
 
 def figures(level: AcceptanceLevel, own: str, reference: str, margin: str) -> Sequence[Figure]:
     """All charts of a level."""
-    drawn = {
+    makers = {
         1: lambda: pair_figures(level, own, reference),
         2: lambda: scan_figures(level, own, reference, margin),
         3: lambda: path_figures(level, own, reference),
         4: lambda: map_figures(level, own, reference),
         5: lambda: time_figures(level),
     }
-    return list(drawn[level.number]()) if level.number in drawn and level.results else []
+    return list(makers[level.number]()) if level.number in makers and level.results else []

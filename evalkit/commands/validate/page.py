@@ -98,9 +98,8 @@ def _level(report: AcceptanceReport, level: AcceptanceLevel) -> Section:
     ]
     if folded:
         blocks.append(Fold("Checks that passed", [Table(columns, [_row(report, check) for check in folded])]))
-    drawn = figures(level, report.subject, report.reference, report.margin)
-    if drawn:
-        blocks.append(Figures(drawn))
+    if charts := figures(level, report.subject, report.reference, report.margin):
+        blocks.append(Figures(charts))
     return Section(f"{level.number} {level.name}", blocks, _anchor(level))
 
 

@@ -102,22 +102,22 @@ def check_seeds(fixture: DatasetFixture) -> str:
 
 def check_stamps(fixture: DatasetFixture) -> str:
     """Stamps are whole nanoseconds and strictly increasing."""
-    found = [frame.scan.stamp_ns for frame in fixture.frames]
-    for index, (before, now) in enumerate(pairwise(found)):
+    stamps = [frame.scan.stamp_ns for frame in fixture.frames]
+    for index, (before, now) in enumerate(pairwise(stamps)):
         if now <= before:
             raise RuleBroken(f"frame {index + 2} is stamped {now} ns, the one before {before} ns")
-    odd = next((stamp for stamp in found if not isinstance(stamp, (int, np.integer))), None)
+    odd = next((stamp for stamp in stamps if not isinstance(stamp, (int, np.integer))), None)
     if odd is not None:
         raise RuleBroken(f"a stamp is {odd!r}, expected whole nanoseconds")
-    return f"{len(found)} stamps, {(found[-1] - found[0]) * 1e-9:.2f} s"
+    return f"{len(stamps)} stamps, {(stamps[-1] - stamps[0]) * 1e-9:.2f} s"
 
 
 def check_length(fixture: DatasetFixture) -> str:
     """len() is the number of frames."""
-    announced, found = len(fixture.sequence), len(fixture.frames)
-    if found < min(announced, fixture.count) or found > announced:
-        raise RuleBroken(f"len() is {announced}, but the first {fixture.count} frames are {found}")
-    return f"len() is {announced}, {found} frames were read"
+    announced, count = len(fixture.sequence), len(fixture.frames)
+    if count < min(announced, fixture.count) or count > announced:
+        raise RuleBroken(f"len() is {announced}, but the first {fixture.count} frames are {count}")
+    return f"len() is {announced}, {count} frames were read"
 
 
 def check_odometry(fixture: DatasetFixture) -> str:
@@ -138,9 +138,9 @@ def check_truth(fixture: DatasetFixture) -> str:
         raise RuleBroken("truth().how is empty: describe how the truth was determined")
     if known.trajectory is None:
         return f"no trajectory; {known.how}"
-    found = np.array([frame.scan.stamp_ns for frame in fixture.frames])
+    stamps = np.array([frame.scan.stamp_ns for frame in fixture.frames])
     span = known.trajectory.stamps_ns
-    inside = float(((found >= span[0]) & (found <= span[-1])).mean()) if len(span) else 0.0
+    inside = float(((stamps >= span[0]) & (stamps <= span[-1])).mean()) if len(span) else 0.0
     if inside < COVERED:
         raise RuleBroken(f"the true trajectory covers {100 * inside:.0f} % of the frames: are both on the same clock?")
     return f"the true trajectory covers {100 * inside:.0f} % of the frames; {known.how}"
@@ -148,20 +148,20 @@ def check_truth(fixture: DatasetFixture) -> str:
 
 def check_mounting(fixture: DatasetFixture) -> str:
     """The mounting of the lidar does not change."""
-    found = {frame.base_from_sensor for frame in fixture.frames}
-    if len(found) > 1:
-        raise RuleBroken(f"base_from_sensor changes: {len(found)} different values in {len(fixture.frames)} frames")
-    pose = found.pop() if found else Pose()
+    mountings = {frame.base_from_sensor for frame in fixture.frames}
+    if len(mountings) > 1:
+        raise RuleBroken(f"base_from_sensor changes: {len(mountings)} different values in {len(fixture.frames)} frames")
+    pose = mountings.pop() if mountings else Pose()
     return f"({pose.x:.3f} m, {pose.y:.3f} m, {pose.theta:.3f} rad)"
 
 
 def check_notes(fixture: DatasetFixture) -> str:
     """Defects are counts by name."""
-    found = fixture.sequence.notes()
-    for name, count in found.items():
+    notes = fixture.sequence.notes()
+    for name, count in notes.items():
         if not isinstance(name, str) or not isinstance(count, (int, np.integer)) or count < 0:
             raise RuleBroken(f"notes() has {name!r}: {count!r}, expected a name and a count")
-    return ", ".join(f"{name}: {count}" for name, count in found.items()) or "none"
+    return ", ".join(f"{name}: {count}" for name, count in notes.items()) or "none"
 
 
 def check_parameters(fixture: DatasetFixture) -> str:

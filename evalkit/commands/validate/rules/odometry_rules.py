@@ -117,17 +117,17 @@ def check_metres(fixture: OdometryFixture) -> str:
     simulated = drive(turn_radps=0.0)
     wanted = end_pose(simulated).x
     answer = last_pose(fixture.run(simulated.frames))
-    found = math.hypot(answer.x, answer.y)
-    if abs(found - wanted) > max(UNIT_TOLERANCE * wanted, 0.1):
-        millimetres = abs(found / 1000.0 - wanted) < UNIT_TOLERANCE * wanted
+    length = math.hypot(answer.x, answer.y)
+    if abs(length - wanted) > max(UNIT_TOLERANCE * wanted, 0.1):
+        millimetres = abs(length / 1000.0 - wanted) < UNIT_TOLERANCE * wanted
         raise RuleBroken(
-            f"{wanted:g} m was returned as {found:.4g}" + (": the answer is in millimetres?" if millimetres else "")
+            f"{wanted:g} m was returned as {length:.4g}" + (": the answer is in millimetres?" if millimetres else "")
         )
     if answer.x < 0.0:
         raise RuleBroken(
             f"{wanted:g} m ahead was returned as {format_pose(answer)}: base_from_start instead of start_from_base?"
         )
-    return f"{wanted:g} m was returned as {found:.4f}"
+    return f"{wanted:g} m was returned as {length:.4f}"
 
 
 def check_radians(fixture: OdometryFixture) -> str:

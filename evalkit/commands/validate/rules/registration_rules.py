@@ -109,12 +109,12 @@ def check_metres(fixture: RegistrationFixture) -> str:
     """A motion of 0.3 m is returned as 0.3."""
     pair = clear_pair()
     answer = fixture.register(pair)
-    wanted, found = math.hypot(pair.truth.x, pair.truth.y), math.hypot(answer.x, answer.y)
-    if abs(found - wanted) > UNIT_TOLERANCE * wanted:
+    wanted, length = math.hypot(pair.truth.x, pair.truth.y), math.hypot(answer.x, answer.y)
+    if abs(length - wanted) > UNIT_TOLERANCE * wanted:
         hints = {1000.0: "millimetres", 100.0: "centimetres", 0.001: "kilometres", 0.01: "hundreds of metres"}
-        unit = next((u for f, u in hints.items() if abs(found / f - wanted) < UNIT_TOLERANCE * wanted), "")
-        raise RuleBroken(f"{wanted:g} m was returned as {found:.4g}" + (f": the answer is in {unit}?" if unit else ""))
-    return f"{wanted:g} m was returned as {found:.4f}"
+        unit = next((u for f, u in hints.items() if abs(length / f - wanted) < UNIT_TOLERANCE * wanted), "")
+        raise RuleBroken(f"{wanted:g} m was returned as {length:.4g}" + (f": the answer is in {unit}?" if unit else ""))
+    return f"{wanted:g} m was returned as {length:.4f}"
 
 
 def check_radians(fixture: RegistrationFixture) -> str:
@@ -124,16 +124,16 @@ def check_radians(fixture: RegistrationFixture) -> str:
     return check_turn(answer.theta, pair.truth.theta)
 
 
-def check_turn(found: float, wanted: float) -> str:
+def check_turn(turn: float, wanted: float) -> str:
     """The observation of a turn (rad); raises RuleBroken, with a likely cause, if it is wrong."""
-    if abs(found - wanted) <= UNIT_TOLERANCE:
-        return f"{wanted:.3g} rad was returned as {found:.4f}"
+    if abs(turn - wanted) <= UNIT_TOLERANCE:
+        return f"{wanted:.3g} rad was returned as {turn:.4f}"
     hint = ""
-    if abs(Pose(0.0, 0.0, found - math.degrees(wanted)).theta) < UNIT_TOLERANCE:
+    if abs(Pose(0.0, 0.0, turn - math.degrees(wanted)).theta) < UNIT_TOLERANCE:
         hint = f": these are {math.degrees(wanted):.1f} degrees, interpreted as radians?"
-    elif abs(found + wanted) <= UNIT_TOLERANCE:
+    elif abs(turn + wanted) <= UNIT_TOLERANCE:
         hint = ": it has the wrong sign?"
-    raise RuleBroken(f"{wanted:.3g} rad was returned as {found:.4f}{hint}")
+    raise RuleBroken(f"{wanted:.3g} rad was returned as {turn:.4f}{hint}")
 
 
 def check_direction(fixture: RegistrationFixture) -> str:
@@ -317,8 +317,8 @@ def _survives(fixture: RegistrationFixture, questions: dict[str, tuple[Cloud, Cl
             continue
         try:
             validate_match(match)
-        except RuleBroken as found:
-            raise RuleBroken(f"{name}: {found}") from found
+        except RuleBroken as observation:
+            raise RuleBroken(f"{name}: {observation}") from observation
     note = "; in a run, an exception ends the run" if refused else ""
     return "; ".join(refused) + note if refused else f"answers: {', '.join(questions)}"
 
