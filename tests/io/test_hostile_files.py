@@ -37,7 +37,7 @@ def restore_caps(monkeypatch):
     monkeypatch.setattr(untrusted_io, "MAX_BYTES", untrusted_io.MAX_BYTES)
 
 
-@pytest.mark.usefixtures("caps")
+@pytest.mark.usefixtures("restore_caps")
 @pytest.mark.parametrize("name", TARGETS)
 def test_any_input_is_read_within_limits_with_a_result_or_a_short_error(load, name):
     if name in NEEDS:
