@@ -1,5 +1,7 @@
 """Figures 2 to 5: the stages of the pipeline are recorded from a run."""
 
+import importlib
+
 import pytest
 
 from evalkit_paper import call_trace, flowchart_chapter
@@ -65,6 +67,15 @@ def test_a_call_tree_survives_json():
 )
 def test_a_disabled_stage_is_missing_from_its_figure_and_changes_nothing_else(words, settings, gone):
     assert run_stages(words) - run_stages(words, **settings) == gone
+
+
+@pytest.mark.parametrize("words", [PIPELINE, REGISTRATION, TWO_STAGES, MAPPING])
+def test_every_label_of_a_figure_names_a_function_of_a_recorded_module(words):
+    names = {value.__qualname__ for module in map(importlib.import_module, call_trace.RECORDED)
+             for value in vars(module).values() if hasattr(value, "__qualname__")}  # fmt: skip
+    methods = {f"{value.__qualname__}.{name}" for module in map(importlib.import_module, call_trace.RECORDED)
+               for value in vars(module).values() if isinstance(value, type) for name in vars(value)}  # fmt: skip
+    assert {key.partition(" ")[0] for key in words} <= names | methods
 
 
 def test_another_option_is_another_stage():

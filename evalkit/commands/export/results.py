@@ -155,6 +155,6 @@ def _open_sequences(
             continue
         try:
             opened[name] = registry.dataset(one["dataset"]).make(**one["dataset_parameters"])
-        except EvalkitError as error:
+        except (EvalkitError, TypeError) as error:  # TypeError: a stored parameter that the reader does not have
             remarks[f"{one['sequence']}: without scans and ground truth ({error})"] = None
     return opened, list(remarks)
