@@ -291,8 +291,8 @@ class SquareRoom:
 
 
 @pytest.fixture
-def followed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
-    """Return ``followed(name, **parameters)``: result and steps of a back end in a square room, in this process."""
+def run_backend(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Return ``run_backend(name, **parameters)``: result and steps of a back end in a square room, in this process."""
     room = DatasetSpec(SquareRoom, "", "", "", "", "")  # type: ignore[arg-type]  # nobody asks for its truth
 
     def follow(name: str, **parameters: Any) -> tuple[RunResult, Any]:

@@ -229,7 +229,7 @@ def test_a_plugin_command_that_does_not_load_is_shown_with_the_reason_and_breaks
 # --- completion
 
 
-def completed(monkeypatch, evalkit, line):
+def complete_words(monkeypatch, evalkit, line):
     monkeypatch.setenv("_EVALKIT_COMPLETE", "complete_bash")
     monkeypatch.setenv("COMP_WORDS", line)
     monkeypatch.setenv("COMP_CWORD", str(len(line.split(" ")) - 1))
@@ -250,7 +250,7 @@ def completed(monkeypatch, evalkit, line):
     ],
 )
 def test_the_shell_completes_names(monkeypatch, evalkit, line, expected):
-    assert completed(monkeypatch, evalkit, line) == expected
+    assert complete_words(monkeypatch, evalkit, line) == expected
 
 
 # --- names are checked before anything runs

@@ -127,12 +127,12 @@ def kiss_icp_methods(target: Floats, source: Floats, guess: Pose) -> Calls:
 
     space = planar3d.points_3d(target)
 
-    def mapped() -> Any:
+    def make_map() -> Any:
         made = VoxelHashMap(KISS_CELL_M, 1e3, KISS_POINTS_PER_CELL)
         made.add_points(space)
         return made
 
-    voxels = mapped()
+    voxels = make_map()
     registration = kiss_icp_pybind._Registration(
         max_num_iterations=ITERATIONS, convergence_criterion=0.0, max_num_threads=1
     )
@@ -148,7 +148,7 @@ def kiss_icp_methods(target: Floats, source: Floats, guess: Pose) -> Calls:
             kernel=KISS_KERNEL_M,
         )
 
-    return {"KISS-ICP": lambda: align(voxels), "KISS-ICP + index": lambda: align(mapped())}
+    return {"KISS-ICP": lambda: align(voxels), "KISS-ICP + index": lambda: align(make_map())}
 
 
 def methods(target: Floats, source: Floats, guess: Pose) -> Calls:

@@ -23,13 +23,13 @@ def read(tmp_path, text):
     return load_experiment(path)
 
 
-def planned(methods=({"use": "wheel-odometry"},), sequences=({"use": "room"},), **tables):
+def plan_runs(methods=({"use": "wheel-odometry"},), sequences=({"use": "room"},), **tables):
     content = {"method": list(methods), "sequence": list(sequences), **tables}
     return experiment_from_tables(content, "exp.toml", "exp", "compare exp.toml")
 
 
 def only_key(**changes):
-    return next(planned(**changes).runs()).key
+    return next(plan_runs(**changes).runs()).key
 
 
 def digest(**changes):
@@ -109,24 +109,24 @@ def test_a_missing_experiment_file_is_named(tmp_path):
 def test_a_missing_file_of_a_reader_is_an_error(tmp_path, log, key):
     table = {"use": "carmen", "label": "mine", "path": str(log), key: str(tmp_path / "no.such")}
     with pytest.raises(BadExperiment, match=rf"sequence 1 \(mine\): carmen: parameter '{key}': no file .*no\.such"):
-        planned(sequences=[table])
+        plan_runs(sequences=[table])
 
 
 def test_a_reader_without_a_path_is_an_error():
     with pytest.raises(BadExperiment, match=r"sequence 1 \(carmen\): carmen: parameter 'path' is empty; give a path"):
-        planned(sequences=[{"use": "carmen"}])
+        plan_runs(sequences=[{"use": "carmen"}])
 
 
 def test_a_catalogued_recording_without_data_is_not_an_error(tmp_path, monkeypatch):
     monkeypatch.setenv("EVALKIT_DATA", str(tmp_path))
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setenv("HOME", str(tmp_path))
-    (sequence,) = planned(sequences=[{"use": "turtlebot4"}]).sequences
+    (sequence,) = plan_runs(sequences=[{"use": "turtlebot4"}]).sequences
     assert "evalkit datasets fetch turtlebot4" in sequence.missing
 
 
 def test_a_back_end_that_does_not_load_is_kept_with_the_reason(strangers):
-    plan = planned([{"use": "unloadable", "speed": 3}, {"use": "wheel-odometry"}])
+    plan = plan_runs([{"use": "unloadable", "speed": 3}, {"use": "wheel-odometry"}])
     assert [entrant.missing != "" for entrant in plan.methods] == [True, False]
     assert "the licence server does not answer" in plan.methods[0].missing
     assert len(list(plan.runs())) == 2
@@ -167,13 +167,13 @@ def test_given_values_replace_defaults(tmp_path):
 
 
 def test_a_recording_runs_once_without_a_seed(log):
-    sequence = planned(sequences=[{"use": "carmen", "path": str(log)}]).sequences[0]
+    sequence = plan_runs(sequences=[{"use": "carmen", "path": str(log)}]).sequences[0]
     assert sequence.seeds == (None,)
     assert "seed" not in sequence.parameters_with_seed(None)
 
 
 def test_methods_alternate_and_every_second_repetition_is_reversed():
-    plan = planned(
+    plan = plan_runs(
         [{"use": "wheel-odometry", "label": "A"}, {"use": "paper", "label": "B"}],
         [{"use": "room", "seeds": [0, 1]}, {"use": "lab"}],
     )
@@ -187,7 +187,7 @@ def test_methods_alternate_and_every_second_repetition_is_reversed():
 
 @pytest.fixture
 def wide(log):
-    return planned(
+    return plan_runs(
         [{"use": "wheel-odometry"}, {"use": "paper", "label": "the <odd> one's"}],
         [
             {"use": "room", "seeds": [0, 1, 2]},
@@ -284,7 +284,7 @@ def test_other_code_changes_the_key(monkeypatch):
 
 def test_labels_with_equal_file_names_do_not_share_a_folder():
     alike = [{"use": "paper", "label": "a/b"}, {"use": "paper", "label": "a b"}]
-    first, second = (item.key for item in planned(alike).runs())
+    first, second = (item.key for item in plan_runs(alike).runs())
     assert first != second
 
 
@@ -329,14 +329,14 @@ def test_the_shipped_experiments_can_be_planned():
 )
 def test_a_label_cannot_be_a_terminal_or_spreadsheet_command(label):
     with pytest.raises(BadExperiment, match=r"method 1: 'label': found .*, expected printable text"):
-        planned(methods=({"use": "wheel-odometry", "label": label},))
+        plan_runs(methods=({"use": "wheel-odometry", "label": label},))
 
 
 @pytest.mark.parametrize(
     "label", ["../../etc/x", "/etc/x", "..", "x" * 300, "\u8def" * 300, "NUL", "nul.txt", "a\\b", "C:x"]
 )
 def test_no_label_places_a_run_outside_its_folder(label):
-    plan = planned(methods=({"use": "wheel-odometry", "label": label},), sequences=({"use": "room", "label": label},))
+    plan = plan_runs(methods=({"use": "wheel-odometry", "label": label},), sequences=({"use": "room", "label": label},))
     (run,) = plan.runs()
     assert re.fullmatch(r"\w[\w.-]*", run.key)
     assert len(f"{run.key}.yaml.part".encode()) < 200

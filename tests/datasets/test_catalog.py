@@ -24,7 +24,7 @@ def card(content=b"hello", **changes):
     return CatalogFile("a.log", "set/a.log", "a log", "MIT", "somebody", **known)
 
 
-def put(folder, content):
+def put_file(folder, content):
     path = folder / "set" / "a.log"
     path.parent.mkdir(parents=True)
     path.write_bytes(content)
@@ -59,17 +59,17 @@ def test_an_unknown_file_lists_the_known_ones():
 
 
 def test_the_data_folder_is_searched_before_the_cache(folders):
-    inside = put(folders / "data", b"hello")
+    inside = put_file(folders / "data", b"hello")
     assert catalog.find_local(card()) == inside
     inside.unlink()
     assert catalog.find_local(card()) is None
     assert catalog.find_local(card()) is None
-    assert catalog.find_local(card()) != put(folders / "cache", b"hello").with_name("other")
+    assert catalog.find_local(card()) != put_file(folders / "cache", b"hello").with_name("other")
     assert catalog.find_local(card()) == folders / "cache" / "set" / "a.log"
 
 
 def test_a_correct_file_passes_by_sha256_and_by_git_blob(tmp_path):
-    path = put(tmp_path, b"hello")
+    path = put_file(tmp_path, b"hello")
     catalog.verify(card(), path)
     # `printf hello | git hash-object --stdin`
     catalog.verify(card(sha256="", git_blob="b6fc4c620b67d95f953a5c1c1230aaab5db5a1b0"), path)
@@ -85,7 +85,7 @@ def test_a_correct_file_passes_by_sha256_and_by_git_blob(tmp_path):
 )
 def test_a_wrong_file_is_reported_with_a_remedy(tmp_path, changes, part):
     with pytest.raises(BadData, match=rf"a\.log: {part}.*replace it with the catalogued file"):
-        catalog.verify(card(**changes), put(tmp_path, b"hello"))
+        catalog.verify(card(**changes), put_file(tmp_path, b"hello"))
     with pytest.raises(BadData, match=r"fetch it again: .* fetch a\.log"):
         catalog.verify(card(**changes, url="https://x"), tmp_path / "set" / "a.log")
 

@@ -49,7 +49,7 @@ def server():
 
 
 @pytest.fixture
-def known(server, tmp_path, monkeypatch):
+def register_file(server, tmp_path, monkeypatch):
     """Add one file under the given server path to the catalogue; returns its place in the cache."""
     monkeypatch.delenv(catalog.VARIABLE, raising=False)
     for proxy in ("http_proxy", "HTTP_PROXY", "all_proxy", "ALL_PROXY"):
@@ -74,8 +74,8 @@ def find_part_file(target, content):
     return part
 
 
-def test_a_file_is_downloaded_verified_and_then_found(known, server):
-    target = known()
+def test_a_file_is_downloaded_verified_and_then_found(register_file, server):
+    target = register_file()
     heard = []
     assert fetch("a.log", lambda so_far, in_all: heard.append((so_far, in_all))) == target
     assert target.read_bytes() == CONTENT
@@ -85,35 +85,35 @@ def test_a_file_is_downloaded_verified_and_then_found(known, server):
     assert server.asked == [None]
 
 
-def test_an_interrupted_download_is_kept_and_resumed(known, server):
-    target = known("/break")
+def test_an_interrupted_download_is_kept_and_resumed(register_file, server):
+    target = register_file("/break")
     with pytest.raises(DataMissing, match=r"could not be downloaded .* bytes are kept"):
         fetch("a.log")
     assert not target.exists()
     kept = target.with_name("a.log.part").stat().st_size
     assert 0 < kept <= len(CONTENT) // 2
-    known("/file")
+    register_file("/file")
     assert fetch("a.log").read_bytes() == CONTENT
     assert server.asked == [None, f"bytes={kept}-"]
 
 
-def test_a_server_without_ranges_sends_the_whole_file_again(known, server):
-    target = known("/norange")
+def test_a_server_without_ranges_sends_the_whole_file_again(register_file, server):
+    target = register_file("/norange")
     find_part_file(target, CONTENT[:1000])
     assert fetch("a.log").read_bytes() == CONTENT
     assert server.asked == ["bytes=1000-"]
 
 
 @pytest.mark.parametrize("size", [0, len(CONTENT)])
-def test_a_complete_part_file_is_used(known, server, size):
-    find_part_file(known(bytes=size), CONTENT)
+def test_a_complete_part_file_is_used(register_file, server, size):
+    find_part_file(register_file(bytes=size), CONTENT)
     assert fetch("a.log").read_bytes() == CONTENT
     assert server.asked == ([] if size else [f"bytes={len(CONTENT)}-"])
 
 
 @pytest.mark.parametrize("path", ["/lie", "/file"])
-def test_a_wrong_file_is_deleted_and_reported(known, path):
-    target = known(path)
+def test_a_wrong_file_is_deleted_and_reported(register_file, path):
+    target = register_file(path)
     if path == "/file":
         find_part_file(target, b"y" * 1000)  # the beginning of another file
     with pytest.raises(BadData, match=r"not the catalogued file .* and was deleted; fetch it again"):
@@ -122,21 +122,21 @@ def test_a_wrong_file_is_deleted_and_reported(known, path):
     assert not target.with_name("a.log.part").exists()
 
 
-def test_a_git_blob_verifies_a_file_of_unknown_size(known):
+def test_a_git_blob_verifies_a_file_of_unknown_size(register_file):
     blob = hashlib.sha1(b"blob %d\0" % len(CONTENT) + CONTENT).hexdigest()
-    known(sha256="", git_blob=blob, bytes=0)
+    register_file(sha256="", git_blob=blob, bytes=0)
     assert fetch("a.log").read_bytes() == CONTENT
 
 
-def test_a_damaged_file_in_the_cache_is_downloaded_again(known):
-    target = known()
+def test_a_damaged_file_in_the_cache_is_downloaded_again(register_file):
+    target = register_file()
     target.parent.mkdir(parents=True)
     target.write_bytes(b"rotten")
     assert fetch("a.log").read_bytes() == CONTENT
 
 
-def test_a_damaged_file_in_the_users_folder_is_not_changed(known, tmp_path, monkeypatch):
-    known()
+def test_a_damaged_file_in_the_users_folder_is_not_changed(register_file, tmp_path, monkeypatch):
+    register_file()
     own = tmp_path / "own" / "set" / "a.log"
     own.parent.mkdir(parents=True)
     own.write_bytes(b"rotten")
@@ -146,25 +146,25 @@ def test_a_damaged_file_in_the_users_folder_is_not_changed(known, tmp_path, monk
     assert own.read_bytes() == b"rotten"
 
 
-def test_a_missing_address_and_an_unreachable_server_are_reported(known):
-    known("/absent")
+def test_a_missing_address_and_an_unreachable_server_are_reported(register_file):
+    register_file("/absent")
     with pytest.raises(DataMissing, match=r"404.*check the connection"):
         fetch("a.log")
-    known(url="http://127.0.0.1:9/file")
+    register_file(url="http://127.0.0.1:9/file")
     with pytest.raises(DataMissing, match="could not be downloaded"):
         fetch("a.log")
 
 
-def test_fetching_a_derived_file_fails_and_suggests_a_replacement(known):
-    known("", derived="joined from b and c", instead=("b", "c"))
+def test_fetching_a_derived_file_fails_and_suggests_a_replacement(register_file):
+    register_file("", derived="joined from b and c", instead=("b", "c"))
     with pytest.raises(DataMissing, match=r"no public URL \(joined from b and c\).*fetch a replacement: .* fetch b c"):
         fetch("a.log")
 
 
 @pytest.mark.parametrize("size", [0, len(CONTENT)])
-def test_a_server_that_sends_too_much_does_not_fill_the_disk(known, size, monkeypatch):
+def test_a_server_that_sends_too_much_does_not_fill_the_disk(register_file, size, monkeypatch):
     monkeypatch.setattr("evalkit_datasets.fetch.MAX_BYTES", len(CONTENT))
-    target = known("/endless", bytes=size)
+    target = register_file("/endless", bytes=size)
     with pytest.raises(BadData, match=f"sends more than {len(CONTENT)} bytes; the download was deleted"):
         fetch("a.log")
     assert not list(target.parent.iterdir())

@@ -194,7 +194,7 @@ def drive(count=60, code=None):
     return [flaser(f"{1000 + 0.1 * at:.6f}", rows[at], poses[at]) for at in range(count)]
 
 
-def said(found):
+def run_inspection(found):
     return " | ".join(f"{one.about}: {one.what}; {one.advice}" for one in found.findings)
 
 
@@ -202,7 +202,7 @@ def test_a_suggested_config_is_a_valid_experiment_and_an_unknown_code_sets_range
     path = log(tmp_path, *drive(code=30.0))
     found = inspect_recording(path)
     advice = suggest_config(found)
-    assert "30 m means no return" in said(found)
+    assert "30 m means no return" in run_inspection(found)
     assert (advice.parameters["range_max_m"], advice.scans, advice.problem) == (30.0, 60, "")
     plan = experiment_from_tables(
         tomllib.loads(advice.table + '[[method]]\nuse = "wheel-odometry"\n'), "made", "made", "x"
@@ -216,9 +216,9 @@ def test_a_corrected_log_has_a_reference_but_no_odometry(tmp_path):
     lines = [flaser(f"{1000 + at}", rows[at], (0.9 * at, 0.01 * at, 0.0), "pippo") for at in range(30)]
     found = inspect_recording(log(tmp_path, *lines, "NEFF 0.5"))
     assert found.truth_inside == "GMapping's poses"
-    assert "not odometry but GMapping's poses" in said(found)
-    assert "4 significant digits" in said(found)
-    assert "0.90 m apart" in said(found)
+    assert "not odometry but GMapping's poses" in run_inspection(found)
+    assert "4 significant digits" in run_inspection(found)
+    assert "0.90 m apart" in run_inspection(found)
     assert "GMapping" in suggest_config(found).truth
 
 
@@ -284,14 +284,14 @@ def test_clock_zeros_and_missing_frames_of_the_wheelchair_are_found():
     assert all(lidar.beams == 768 and lidar.field_of_view_deg == pytest.approx(270, abs=1) for lidar in found.lidars)
     assert all(lidar.clock.median_s == pytest.approx(0.24, abs=0.01) for lidar in found.lidars)
     assert all(0.13 < lidar.returns.zero < 0.21 for lidar in found.lidars)
-    assert "no transforms" in said(found)
+    assert "no transforms" in run_inspection(found)
     assert best_lidar(found)[0].topic == "/right_scan"
 
 
 def test_the_stationary_robot_is_found_to_be_at_rest():
     found = inspect_recording(recorded("bags", "static-2xhokuyo.bag"))
     assert all(lidar.returns.still > 0.99 for lidar in found.lidars)
-    assert "the robot stands still" in said(found)
+    assert "the robot stands still" in run_inspection(found)
 
 
 def test_the_turtlebots_lidar_is_rotated_and_its_two_bases_are_reported():
@@ -302,21 +302,21 @@ def test_the_turtlebots_lidar_is_rotated_and_its_two_bases_are_reported():
     odometry = next(one for one in found.odometries if one.topic == "/odom")
     assert odometry.path_m == pytest.approx(8.35, abs=0.01)
     assert odometry.like_wheels
-    assert "base_footprint and base_link" in said(found)
-    assert "(6.54, -8.86)" in said(found)
+    assert "base_footprint and base_link" in run_inspection(found)
+    assert "(6.54, -8.86)" in run_inspection(found)
 
 
 @pytest.mark.slow
 def test_pseudo_odometry_is_rejected():
     found = inspect_recording(recorded("fr079", "fr079-fullrate.clf.gz"))
     advice = suggest_config(found)
-    assert "sideways slip" in said(found)
-    assert "1211.00 to 1211.51 s" in said(found)
+    assert "sideways slip" in run_inspection(found)
+    assert "1211.00 to 1211.51 s" in run_inspection(found)
     assert advice.parameters["odometry"] == "none"
     assert advice.parameters["relations"].endswith("fr079.relations")
     assert (advice.scans, advice.catalogued) == (4791, "fr079")
     assert any("x -0.040 m" in reason for reason in advice.reasons)
-    assert "360 beams are assumed to begin at -90 deg" in said(found)
+    assert "360 beams are assumed to begin at -90 deg" in run_inspection(found)
     assert build_document(found, advice).title == "fr079-fullrate.clf.gz"
 
 
@@ -333,4 +333,4 @@ def test_corrected_logs_are_recognised_by_their_markers(name, code):
     assert found.truth_inside == "GMapping's poses"
     assert found.lidars[0].returns.codes[0].high_m == code
     for trap in ("6 significant digits", "m apart (median)", "stamps decrease"):
-        assert trap in said(found)
+        assert trap in run_inspection(found)

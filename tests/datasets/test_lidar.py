@@ -5,7 +5,7 @@ from evalkit.core.scan import Scan
 from evalkit_datasets.lidar import LidarModel
 
 
-def measured(lidar, ranges, seed=0):
+def measure(lidar, ranges, seed=0):
     noise, dropouts = (np.random.default_rng(child) for child in np.random.SeedSequence(seed).spawn(2))
     return lidar.add_errors(ranges, noise, dropouts)
 
@@ -44,19 +44,19 @@ def test_a_revolution_that_does_not_end_in_time_is_not_started():
 def test_without_noise_and_dropouts_ranges_are_exact():
     true = np.array([0.149, 0.15, 3.0, 12.0, 12.001, np.inf])
     np.testing.assert_array_equal(
-        measured(LidarModel(noise_m=0.0, dropout=0.0), true), [np.nan, 0.15, 3.0, 12.0, np.inf, np.inf]
+        measure(LidarModel(noise_m=0.0, dropout=0.0), true), [np.nan, 0.15, 3.0, 12.0, np.inf, np.inf]
     )
 
 
 def test_range_noise_has_the_standard_deviation_of_the_paper():
     count = 200_000
-    error = measured(LidarModel(dropout=0.0), np.full(count, 5.0)) - 5.0
+    error = measure(LidarModel(dropout=0.0), np.full(count, 5.0)) - 5.0
     assert abs(error.mean()) < 4.0 * 0.0483 / np.sqrt(count)
     assert abs(error.std() - 0.0483) < 4.0 * 0.0483 / np.sqrt(2.0 * count)
 
 
 def test_a_noisy_range_outside_the_limits_becomes_no_return_or_invalid():
-    far, near = measured(LidarModel(dropout=0.0), np.full((2, 10_000), [[12.0], [0.15]]))
+    far, near = measure(LidarModel(dropout=0.0), np.full((2, 10_000), [[12.0], [0.15]]))
     for found, lost in ((far, np.isposinf(far)), (near, np.isnan(near))):
         assert 0.48 < lost.mean() < 0.52
         Scan(0, found, np.zeros(len(found)), 0.15, 12.0)  # the remaining ranges are within the limits
@@ -64,15 +64,15 @@ def test_a_noisy_range_outside_the_limits_becomes_no_return_or_invalid():
 
 def test_dropouts_are_invalid_and_have_the_given_rate():
     count = 100_000
-    lost = np.isnan(measured(LidarModel(dropout=0.01), np.full(count, 5.0)))
+    lost = np.isnan(measure(LidarModel(dropout=0.01), np.full(count, 5.0)))
     assert abs(lost.mean() - 0.01) < 4.0 * np.sqrt(0.01 * 0.99 / count)
 
 
 def test_noise_and_dropouts_are_independent():
     true = np.full(5000, 5.0)
-    quiet, noisy = measured(LidarModel(noise_m=0.0), true), measured(LidarModel(noise_m=0.1), true)
+    quiet, noisy = measure(LidarModel(noise_m=0.0), true), measure(LidarModel(noise_m=0.1), true)
     np.testing.assert_array_equal(np.isnan(quiet), np.isnan(noisy))
-    whole, holed = measured(LidarModel(dropout=0.0), true), measured(LidarModel(dropout=0.5), true)
+    whole, holed = measure(LidarModel(dropout=0.0), true), measure(LidarModel(dropout=0.5), true)
     np.testing.assert_array_equal(whole[np.isfinite(holed)], holed[np.isfinite(holed)])
 
 

@@ -27,7 +27,7 @@ def short(name, **parameters):
 
 
 @cache
-def whole(name):
+def full_sequence(name):
     return SPECS[name].make()
 
 
@@ -55,11 +55,11 @@ def test_a_spec_opens_a_sequence_with_its_own_defaults(name):
     assert spec.seeded
     assert spec.missing() == ""
     made = spec.make(**resolve_parameters(name, spec.parameters, {}))
-    assert len(made) == len(whole(name))
+    assert len(made) == len(full_sequence(name))
     assert (made.drive.laps, made.lidar, made.odometry) == (
-        whole(name).drive.laps,
-        whole(name).lidar,
-        whole(name).odometry,
+        full_sequence(name).drive.laps,
+        full_sequence(name).lidar,
+        full_sequence(name).odometry,
     )
 
 
@@ -116,7 +116,7 @@ def test_error_free_odometry_equals_the_true_motion():
 
 
 def test_odometry_starts_at_the_identity_and_drifts():
-    sequence = whole("lab")
+    sequence = full_sequence("lab")
     true = sequence.truth().trajectory.poses
     found = odometry(sequence)
     np.testing.assert_array_equal(found[0], [0.0, 0.0, 0.0])
@@ -165,8 +165,8 @@ def test_notes_count_invalid_and_no_return_ranges():
     ("name", "path_m"), [("room", 22.7), ("lab", 23.5), ("loop", 43.0), ("corridor", 20.9), ("office", 34.8)]
 )
 def test_the_true_path_has_the_given_length_and_speed(name, path_m):
-    truth = whole(name).truth()
-    assert len(truth.trajectory) == len(whole(name))
+    truth = full_sequence(name).truth()
+    assert len(truth.trajectory) == len(full_sequence(name))
     steps = np.linalg.norm(np.diff(truth.trajectory.poses[:, :2], axis=0), axis=1)
     assert truth.how.startswith("exact")
     assert truth.trajectory.path_m == pytest.approx(path_m, abs=0.1)
@@ -174,7 +174,7 @@ def test_the_true_path_has_the_given_length_and_speed(name, path_m):
 
 
 def test_the_loop_ends_at_a_place_visited_before():
-    poses = whole("loop").truth().trajectory.poses
+    poses = full_sequence("loop").truth().trajectory.poses
     back = np.linalg.norm(poses[-200:, None, :2] - poses[None, :200, :2], axis=2).min(axis=1)
     assert back[-1] < 0.02
     assert np.linalg.norm(poses[-1, :2] - poses[0, :2]) == pytest.approx(2.0, abs=0.1)
@@ -182,7 +182,7 @@ def test_the_loop_ends_at_a_place_visited_before():
 
 @pytest.mark.parametrize("name", ["room", "lab", "corridor", "office"])
 def test_ideal_beams_end_on_the_true_map(name):
-    sequence = whole(name)
+    sequence = full_sequence(name)
     grid = sequence.truth().grid
     stamps = sequence.lidar.beam_stamps(sequence.stamps_ns[::20])
     fired_from = se2.compose(sequence.drive.poses(stamps.ravel()), sequence.base_from_sensor.row)

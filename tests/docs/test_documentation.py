@@ -85,7 +85,7 @@ def missing(need):
 
 
 @pytest.fixture(scope="module")
-def followed(tmp_path_factory):
+def follow_page(tmp_path_factory):
     """Return ``followed(page)``: the folder that a page leaves, followed once."""
     folders = {}
 
@@ -107,11 +107,11 @@ def followed(tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", list(filter(consoles, WRITTEN)))
-def test_every_command_of_the_page_runs_and_prints_the_shown_output(followed, name):
+def test_every_command_of_the_page_runs_and_prints_the_shown_output(follow_page, name):
     if own := ELSEWHERE.match(WRITTEN[name].read_text(encoding="utf-8")):
         assert Path(__file__).with_name(own[1]).exists()  # which follows the page
     else:
-        followed(name)
+        follow_page(name)
 
 
 @pytest.mark.parametrize("name", WRITTEN)
@@ -174,13 +174,13 @@ def test_a_missing_block_is_named():
 
 
 @pytest.fixture(scope="module")
-def built(followed, tmp_path_factory):
+def built(follow_page, tmp_path_factory):
     """Build the site in strict mode, with the report of the tutorial."""
     pytest.importorskip("mkdocs", reason="mkdocs is not installed: pip install 'evalkit[docs]'")
     pytest.importorskip("material", reason="mkdocs-material is not installed: pip install 'evalkit[docs]'")
     folder = tmp_path_factory.mktemp("site").resolve()
     words = ("build", "--strict", "--config-file", str(site.PAGES.parent / "mkdocs.yml"), "--site-dir", str(folder))
-    shown = str(followed("tutorial.md") / "results")
+    shown = str(follow_page("tutorial.md") / "results")
     ended = subprocess.run(
         [sys.executable, "-m", "mkdocs", *words], capture_output=True, text=True, check=False,
         env={**os.environ, "EVALKIT_DOCUMENTATION_EXAMPLE": shown, "NO_MKDOCS_2_WARNING": "1"},

@@ -72,15 +72,17 @@ NOON = datetime(2024, 5, 9, 12, tzinfo=UTC)
 
 
 def test_earlier_runs_are_described_in_one_line():
-    def earlier(*results):
+    def make_earlier(*results):
         return environment.describe_provenance({}, results, NOON).get("earlier runs")
 
-    assert earlier(executed(9), executed(10)) is None
+    assert make_earlier(executed(9), executed(10)) is None
     line = "2 runs, executed 2024-05-01 12:00..2024-05-03 12:00 UTC, commit a and b, processor P"
-    assert earlier(executed(3, "b"), executed(1, "a"), executed(9)) == line
-    assert ", executed 2024-05-01 12:00 UTC, " in earlier(executed(1, "a"))
-    assert earlier(RunResult(NO_STEPS, 0)) == "1 run, executed at an unknown time, commit unknown, processor unknown"
-    assert earlier(RunResult(NO_STEPS, 0, Cause.NOT_RUN, "not run yet")) is None
+    assert make_earlier(executed(3, "b"), executed(1, "a"), executed(9)) == line
+    assert ", executed 2024-05-01 12:00 UTC, " in make_earlier(executed(1, "a"))
+    assert (
+        make_earlier(RunResult(NO_STEPS, 0)) == "1 run, executed at an unknown time, commit unknown, processor unknown"
+    )
+    assert make_earlier(RunResult(NO_STEPS, 0, Cause.NOT_RUN, "not run yet")) is None
 
 
 def test_several_machines_are_described_in_one_line():

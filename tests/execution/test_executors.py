@@ -62,7 +62,7 @@ def workers(strangers):
     assert distributed
 
 
-def there(workers):
+def run_on_cluster(workers):
     return DaskExecutor(Cluster(workers.scheduler_address, timed=True))
 
 
@@ -85,7 +85,7 @@ def pids(workers):
 def test_a_cluster_gives_the_same_records_as_this_machine_to_the_bit(workers, tmp_path):
     faults = ("none", "raise", "segfault", "far", "nan")
     here = rows(plan(*faults), tmp_path / "here")
-    away = rows(plan(*faults), tmp_path / "away", there(workers))
+    away = rows(plan(*faults), tmp_path / "away", run_on_cluster(workers))
     assert list(here) == list(away)
     timeless = [name for name in STEP.names if name not in COSTS]
     for one, other in zip(here.values(), away.values(), strict=True):
@@ -128,7 +128,7 @@ def test_a_killed_worker_loses_no_run_and_at_most_two_runs_are_active(workers, t
             threading.Timer(1.5, os.kill, (killed[0], signal.SIGKILL)).start()
 
     progress = RecordedProgress(kill)
-    made = rows(waits, tmp_path, there(workers), progress=progress)
+    made = rows(waits, tmp_path, run_on_cluster(workers), progress=progress)
     assert [record.result.status for record in made.values()] == [*["complete"] * 5, "failed"], reasons(made)
     assert killed[0] not in pids(workers)
     assert progress.most <= 3  # two threads, and one run that was lost
@@ -136,7 +136,7 @@ def test_a_killed_worker_loses_no_run_and_at_most_two_runs_are_active(workers, t
 
 def test_a_run_that_kills_two_workers_is_quarantined_and_others_complete(workers, tmp_path):
     deadly = plan("none", "kill-parent", "none", "none")
-    made = rows(deadly, tmp_path, there(workers))
+    made = rows(deadly, tmp_path, run_on_cluster(workers))
     assert [record.result.status for record in made.values()] == ["complete", "crashed", "complete", "complete"], (
         reasons(made)
     )
@@ -145,11 +145,11 @@ def test_a_run_that_kills_two_workers_is_quarantined_and_others_complete(workers
     assert reason.endswith("); --rerun crashed runs it again")
     assert reason.count("tcp://") == 2
     alive = pids(workers)
-    again = rows(deadly, tmp_path, there(workers), resume=True)
+    again = rows(deadly, tmp_path, run_on_cluster(workers), resume=True)
     assert again["1 kill-parent"].result.reason == reason
     assert pids(workers) == alive
     only = deadly.select([], ["1 kill-parent"], [])
-    last = rows(only, tmp_path, there(workers), resume=True, rerun=frozenset({"crashed"}))
+    last = rows(only, tmp_path, run_on_cluster(workers), resume=True, rerun=frozenset({"crashed"}))
     assert last["1 kill-parent"].result.reason != reason  # other workers, the same result
 
 
@@ -158,16 +158,16 @@ def test_local_attempts_are_cleared_once_a_worker_has_executed_the_run(workers, 
     key = next(iter(asked.runs())).key
     store.write_text(tmp_path / "attempts" / f"{key}.json", json.dumps(["process 1 on a", "process 2 on a"]))
     assert store.attempts(key) == ("process 1 on a", "process 2 on a")
-    assert rows(asked, tmp_path, there(workers), resume=True)["0 none"].result.status == "complete"
+    assert rows(asked, tmp_path, run_on_cluster(workers), resume=True)["0 none"].result.status == "complete"
     assert store.attempts(key) == ()
 
 
 def test_an_untimed_experiment_stores_no_times(workers, tmp_path):
-    untimed = rows(plan("none", timed=False), tmp_path, there(workers))["0 none"]
+    untimed = rows(plan("none", timed=False), tmp_path, run_on_cluster(workers))["0 none"]
     assert untimed.scores.by_metric["cpu_median_ms"].reason == "not timed: executed where times do not count"
     assert untimed.scores.by_metric["peak_memory_mib"].value > 0
     assert not untimed.result.steps["wall_ns"].any()
-    timed = rows(plan("none"), tmp_path, there(workers), resume=True)["0 none"]
+    timed = rows(plan("none"), tmp_path, run_on_cluster(workers), resume=True)["0 none"]
     assert timed.scores.by_metric["cpu_median_ms"].value > 0
 
 

@@ -17,7 +17,7 @@ KEY = "room-s0-icp-0123456789"
 
 
 @pytest.fixture
-def kept(tmp_path):
+def saved_run(tmp_path):
     store = Store(tmp_path / "one")
     steps = np.zeros(3, dtype=STEP)
     steps["stamp_ns"] = [0, 1, 2]
@@ -36,11 +36,11 @@ def files(store):
     }
 
 
-def test_an_unpacked_run_is_unchanged_except_for_the_start_of_its_output(kept, tmp_path):
+def test_an_unpacked_run_is_unchanged_except_for_the_start_of_its_output(saved_run, tmp_path):
     other = Store(tmp_path / "other")
     (other.create_run_folder(KEY) / "stale").touch()
-    run_archive.unpack_run(other, KEY, run_archive.pack_run(kept, KEY))
-    sent = {path: content for path, content in files(kept).items() if KEY + "0" not in str(path)}
+    run_archive.unpack_run(other, KEY, run_archive.pack_run(saved_run, KEY))
+    sent = {path: content for path, content in files(saved_run).items() if KEY + "0" not in str(path)}
     arrived = files(other)
     assert sent.keys() == arrived.keys()
     output = next(path for path in sent if path.name == "output.txt")

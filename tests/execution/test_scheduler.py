@@ -44,7 +44,7 @@ class RecordedProgress:
 
 
 @pytest.fixture
-def quick(monkeypatch):
+def threaded_scoring(monkeypatch):
     """Score in threads, because the test does not concern the scoring processes."""
     monkeypatch.setattr(run_task, "start_pool", ThreadPoolExecutor)
 
@@ -71,7 +71,7 @@ def records(plan, folder, jobs=2, resume=False, progress=None):
     return {record.method: record for record in made}
 
 
-def written(folder):
+def written_times(folder):
     """Return when the answers and scores of each run were written, by label."""
     runs = [
         run for run in (folder / "runs").iterdir() if (run / "result.json").exists() and (run / "scores.json").exists()
@@ -110,13 +110,13 @@ def test_every_run_has_a_record_with_its_cause(tmp_path):
     assert multiprocessing.active_children() == []
 
 
-def test_resume_executes_only_missing_and_changed_runs(tmp_path, quick):
+def test_resume_executes_only_missing_and_changed_runs(tmp_path, threaded_scoring):
     first = records(plan("none", "raise"), tmp_path)
-    before = written(tmp_path)
+    before = written_times(tmp_path)
     progress = RecordedProgress()
     changed = {"use": "faulty", "label": "raise", "fault": "raise", "at": 6}
     again = records(plan("none", changed, "nan"), tmp_path, resume=True, progress=progress)
-    after = written(tmp_path)
+    after = written_times(tmp_path)
     assert after["none"] == before["none"]
     assert again["none"].key == first["none"].key
     assert again["raise"].key != first["raise"].key
@@ -127,7 +127,7 @@ def test_resume_executes_only_missing_and_changed_runs(tmp_path, quick):
     assert sorted(progress.ends) == ["nan", "none", "raise"]
 
 
-def test_resume_repeats_a_timeout_only_when_the_limits_have_changed(tmp_path, quick):
+def test_resume_repeats_a_timeout_only_when_the_limits_have_changed(tmp_path, threaded_scoring):
     first = records(plan("hang", "raise", run_s=3.0), tmp_path)
     assert [record.result.status for record in first.values()] == ["timeout", "failed"]
     stamps = {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()}
@@ -138,7 +138,7 @@ def test_resume_repeats_a_timeout_only_when_the_limits_have_changed(tmp_path, qu
     assert changed == {"hang"}
 
 
-def test_rerun_executes_only_runs_with_the_given_status(tmp_path, quick):
+def test_rerun_executes_only_runs_with_the_given_status(tmp_path, threaded_scoring):
     records(plan("none", "raise", "nan", "segfault"), tmp_path)
     stamps = {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()}
     again = frozenset({"crashed"})
@@ -148,7 +148,7 @@ def test_rerun_executes_only_runs_with_the_given_status(tmp_path, quick):
     assert changed == {"segfault"}
 
 
-def test_collect_executes_no_run_and_lists_missing_runs(tmp_path, quick):
+def test_collect_executes_no_run_and_lists_missing_runs(tmp_path, threaded_scoring):
     records(plan("none", "raise"), tmp_path)
     stamps = {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()}
     made = run(plan("none", "nan", "raise"), tmp_path, collect=True)
@@ -158,14 +158,14 @@ def test_collect_executes_no_run_and_lists_missing_runs(tmp_path, quick):
     assert {name: run.stat().st_mtime_ns for name, run in run_files(tmp_path).items()} == stamps
 
 
-def test_two_processes_cannot_write_to_one_results_folder(tmp_path, quick):
+def test_two_processes_cannot_write_to_one_results_folder(tmp_path, threaded_scoring):
     store = Store(tmp_path)
     with store.writer_lock(), pytest.raises(StoreError, match="another evalkit writes to this folder; wait for it"):
         records(plan("none"), tmp_path)
     assert records(plan("none"), tmp_path)["none"].result.status == "complete"
 
 
-def test_setting_the_system_clock_does_not_affect_limits(tmp_path, quick, monkeypatch):
+def test_setting_the_system_clock_does_not_affect_limits(tmp_path, threaded_scoring, monkeypatch):
     now, jumps = time.time(), itertools.cycle((-86_400.0, 0.0, 86_400.0))
     monkeypatch.setattr(time, "time", lambda: now + next(jumps))
     made = records(plan("none", "hang", scan_s=1.5), tmp_path)
@@ -177,7 +177,7 @@ def run_files(folder):
     return {path.parent.name.split("-")[1]: path for path in folder.glob("runs/*/result.json")}
 
 
-def test_every_run_stores_its_provenance(tmp_path, quick):
+def test_every_run_stores_its_provenance(tmp_path, threaded_scoring):
     ran_on = {"commit": "abc", "processor": "slow", "memory": "not kept"}
     before = datetime.now(UTC)
     (record,) = run(plan("none"), tmp_path, environment=ran_on)
@@ -214,27 +214,27 @@ def test_a_run_is_scored_on_its_core_before_the_core_is_released(tmp_path, monke
     assert told == ["started none", f"scored on {only}", "started far", f"scored on {only}"]
 
 
-def test_without_resume_every_run_is_executed_again(tmp_path, quick):
+def test_without_resume_every_run_is_executed_again(tmp_path, threaded_scoring):
     records(plan("none"), tmp_path)
-    before = written(tmp_path)
+    before = written_times(tmp_path)
     records(plan("none"), tmp_path)
-    assert written(tmp_path)["none"][0] > before["none"][0]
+    assert written_times(tmp_path)["none"][0] > before["none"][0]
 
 
 @pytest.mark.parametrize("what", ["code", "mapper"])
-def test_changed_scoring_code_or_mapper_scores_the_stored_run_again(tmp_path, quick, monkeypatch, what):
+def test_changed_scoring_code_or_mapper_scores_the_stored_run_again(tmp_path, threaded_scoring, monkeypatch, what):
     records(plan("none"), tmp_path)
-    (answers, scores) = written(tmp_path)["none"]
+    (answers, scores) = written_times(tmp_path)["none"]
     mapper = {"resolution_m": 0.5} if what == "mapper" else None
     if what == "code":
         monkeypatch.setattr(registry, "hash_scoring_code", lambda mapper: "another")
     again = records(plan("none", mapper=mapper), tmp_path, resume=True)["none"]
-    assert written(tmp_path)["none"][0] == answers
-    assert written(tmp_path)["none"][1] > scores
+    assert written_times(tmp_path)["none"][0] == answers
+    assert written_times(tmp_path)["none"][1] > scores
     assert again.scores.grid.resolution_m == (0.5 if what == "mapper" else 0.25)
 
 
-def test_resume_executes_a_run_whose_data_became_available(tmp_path, quick):
+def test_resume_executes_a_run_whose_data_became_available(tmp_path, threaded_scoring):
     file = tmp_path / "file"
     absent = records(plan("none", sequence={"file": str(file)}), tmp_path / "out")["none"]
     assert (absent.result.status, absent.result.reason) == ("data-missing", f"{file} is gone")
@@ -245,7 +245,7 @@ def test_resume_executes_a_run_whose_data_became_available(tmp_path, quick):
     )
 
 
-def test_a_file_deleted_after_planning_is_missing_data(tmp_path, quick):
+def test_a_file_deleted_after_planning_is_missing_data(tmp_path, threaded_scoring):
     file = tmp_path / "file"
     file.touch()
     planned = plan("none", "raise", sequence={"file": str(file)})
@@ -256,7 +256,7 @@ def test_a_file_deleted_after_planning_is_missing_data(tmp_path, quick):
         assert record.truth.how == f"cannot be read: straight: {file} is gone; bring it back"
 
 
-def test_a_run_that_cannot_be_scored_has_failed_and_keeps_its_answers(tmp_path, quick):
+def test_a_run_that_cannot_be_scored_has_failed_and_keeps_its_answers(tmp_path, threaded_scoring):
     record = records(plan("none", sequence={"breaks": True}), tmp_path)["none"]
     assert record.result.status == "failed"
     assert record.result.reason == "scoring failed: RuntimeError: the truth is out there"
@@ -274,7 +274,7 @@ def test_a_mapper_that_kills_the_scoring_process_affects_only_its_run(tmp_path):
     assert made["none"].scores.by_metric["ate_rmse_m"].value == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_run_quarantined_in_scoring_is_executed_again_only_with_rerun(tmp_path, quick, monkeypatch):
+def test_a_run_quarantined_in_scoring_is_executed_again_only_with_rerun(tmp_path, threaded_scoring, monkeypatch):
     def deadly(*_arguments):
         asked.append(1)
         raise BrokenProcessPool("ended")
@@ -300,7 +300,7 @@ def test_no_run_is_quarantined_if_no_scoring_process_can_start(tmp_path, monkeyp
     assert records(plan("none"), tmp_path, resume=True)["none"].result.status == "complete"
 
 
-def test_a_run_that_kills_evalkit_twice_is_quarantined_and_others_are_executed(tmp_path, quick):
+def test_a_run_that_kills_evalkit_twice_is_quarantined_and_others_are_executed(tmp_path, threaded_scoring):
     """A back end kills its parent evalkit twice; the third evalkit skips its runs and names them."""
     (tmp_path / "t.toml").write_text(
         '[[method]]\nuse = "faulty"\nfault = "kill-parent"\n[[method]]\nuse = "faulty"\nlabel = "none"\n'
@@ -316,7 +316,7 @@ def test_a_run_that_kills_evalkit_twice_is_quarantined_and_others_are_executed(t
 
 
 @pytest.mark.parametrize("full", ["save_result", "save_scores", "begin"])
-def test_a_full_results_folder_stops_everything_and_keeps_finished_runs(tmp_path, quick, monkeypatch, full):
+def test_a_full_results_folder_stops_everything_and_keeps_finished_runs(tmp_path, threaded_scoring, monkeypatch, full):
     original = getattr(Store, full)
 
     def guarded(self, run, *arguments):
@@ -329,10 +329,10 @@ def test_a_full_results_folder_stops_everything_and_keeps_finished_runs(tmp_path
     with pytest.raises(StoreError, match="No space left on device"):
         records(plan("none", "raise", "nan", "far"), tmp_path, jobs=1, progress=progress)
     assert progress.ends == ["none"]
-    assert written(tmp_path).keys() == {"none"}
+    assert written_times(tmp_path).keys() == {"none"}
 
 
-def test_a_failed_rescoring_leaves_no_scores_of_other_code(tmp_path, quick, monkeypatch):
+def test_a_failed_rescoring_leaves_no_scores_of_other_code(tmp_path, threaded_scoring, monkeypatch):
     key = records(plan("none"), tmp_path)["none"].key
     store, path = Store(tmp_path), tmp_path / "runs" / key / "scores.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "fingerprint": "other code"}))

@@ -25,7 +25,7 @@ STRICT = ["-O1", "-Wall", "-Wextra", "-Wpedantic", "-Werror"]
 LIGHT = {"keyframes": 3, "local_map_voxel_m": 0.02}
 
 
-def built(output, compiler, *words):
+def compile_file(output, compiler, *words):
     if shutil.which(compiler) is None:
         pytest.skip(f"no compiler '{compiler}' here")
     subprocess.run([compiler, *STRICT, *map(str, words), "-o", str(output), "-lm"], check=True)
@@ -42,19 +42,19 @@ def build_folder(tmp_path_factory):
 def c_library(build_folder):
     c = EXAMPLES / "c"
     words = ("-std=c99", "-shared", "-fPIC", "-I", INCLUDE, c / "library.c", c / "icp.c")
-    return f"lib:{built(build_folder / 'libicp.so', 'cc', *words)}"
+    return f"lib:{compile_file(build_folder / 'libicp.so', 'cc', *words)}"
 
 
 @pytest.fixture(scope="session")
 def c_program(build_folder):
     c = EXAMPLES / "c"
-    return f"exec:{built(build_folder / 'icp', 'cc', '-std=c99', c / 'program.c', c / 'icp.c')}"
+    return f"exec:{compile_file(build_folder / 'icp', 'cc', '-std=c99', c / 'program.c', c / 'icp.c')}"
 
 
 @pytest.fixture(scope="session")
 def cpp_library(build_folder):
     words = ("-std=c++17", "-shared", "-fPIC", "-I", INCLUDE, EXAMPLES / "cpp" / "odometry.cpp")
-    return f"lib:{built(build_folder / 'libodometry.so', 'c++', *words)}"
+    return f"lib:{compile_file(build_folder / 'libodometry.so', 'c++', *words)}"
 
 
 @pytest.fixture(scope="session")
@@ -86,26 +86,26 @@ def build_variant(tmp_path):
         assert old in GOOD
         (tmp_path / "small.c").write_text(GOOD.replace(old, new) if old else GOOD)
         words = ("-std=c99", "-shared", "-fPIC", "-Wno-unused-variable", "-I", INCLUDE, tmp_path / "small.c")
-        return f"lib:{built(tmp_path / 'small.so', 'cc', *words)}"
+        return f"lib:{compile_file(tmp_path / 'small.so', 'cc', *words)}"
 
     return build
 
 
 @pytest.mark.parametrize("which", ["c_library", "c_program", "python_program"])
-def test_an_external_registration_corrects_the_drift_of_the_wheels(which, request, followed):
-    outcome, steps = followed(request.getfixturevalue(which), **LIGHT)
+def test_an_external_registration_corrects_the_drift_of_the_wheels(which, request, run_backend):
+    outcome, steps = run_backend(request.getfixturevalue(which), **LIGHT)
     assert (outcome.status, outcome.reason) == ("complete", "")
     answered = np.stack([steps["x"], steps["y"], steps["theta"]], axis=1)
-    assert np.abs(answered - followed.truth).max() < 0.03  # wheel odometry alone: 0.2 m at the end
+    assert np.abs(answered - run_backend.truth).max() < 0.03  # wheel odometry alone: 0.2 m at the end
     assert steps["s2m_inliers"][1:].min() > 50
     assert steps["s2m_error"][1:].max() < 0.05
 
 
-def test_an_external_odometry_corrects_the_drift_of_the_wheels(cpp_library, followed):
-    outcome, steps = followed(cpp_library)
+def test_an_external_odometry_corrects_the_drift_of_the_wheels(cpp_library, run_backend):
+    outcome, steps = run_backend(cpp_library)
     assert (outcome.status, outcome.reason) == ("complete", "")
     answered = np.stack([steps["x"], steps["y"], steps["theta"]], axis=1)
-    assert np.abs(answered - followed.truth).max() < 0.05
+    assert np.abs(answered - run_backend.truth).max() < 0.05
     assert steps["device_ns"].tolist() == [0] * len(steps)  # a library reports none
 
 
@@ -189,8 +189,8 @@ def test_a_library_may_reject_its_parameters_with_its_own_message(c_library):
         ("#include <math.h>", "extern int absent(void); int (*needed)(void) = absent;", "undefined symbol: absent"),
     ],
 )
-def test_an_incompatible_library_fails_with_a_reason(build_variant, followed, old, new, said):
-    outcome, steps = followed(build_variant(old, new))
+def test_an_incompatible_library_fails_with_a_reason(build_variant, run_backend, old, new, said):
+    outcome, steps = run_backend(build_variant(old, new))
     assert outcome.status == "failed"
     assert said in outcome.reason
     assert len(steps) == 0
@@ -204,8 +204,8 @@ def test_an_incompatible_library_fails_with_a_reason(build_variant, followed, ol
         ("= *frame->odom_from_base; return 0", '= frame->base_from_sensor; said = "lost"; return 3', "error 3: lost"),
     ],
 )
-def test_a_failing_library_gives_its_own_message_as_the_reason(build_variant, followed, old, new, said):
-    outcome, _ = followed(build_variant(old, new))
+def test_a_failing_library_gives_its_own_message_as_the_reason(build_variant, run_backend, old, new, said):
+    outcome, _ = run_backend(build_variant(old, new))
     assert outcome.status == "failed"
     assert said in outcome.reason
 
@@ -224,10 +224,10 @@ def defaults(dataset):
     return {parameter.name: parameter.default for parameter in registry.dataset(dataset).parameters}
 
 
-def test_a_library_that_hangs_when_loaded_fails(build_variant, followed, monkeypatch):
+def test_a_library_that_hangs_when_loaded_fails(build_variant, run_backend, monkeypatch):
     monkeypatch.setattr(library, "LOADING_S", 1.0)
     begin = "#include <unistd.h>\n__attribute__((constructor)) static void begin(void) { sleep(60); }"
-    outcome, _ = followed(build_variant("#include <math.h>", begin))
+    outcome, _ = run_backend(build_variant("#include <math.h>", begin))
     assert (outcome.status, "was not loaded within 1 s" in outcome.reason) == ("failed", True)
 
 

@@ -21,7 +21,7 @@ COARSE = "[mapper]\nresolution_m = 0.25\n"
 
 
 @pytest.fixture
-def saved(tmp_path):
+def save_map(tmp_path):
     """Save a map in the format of map_server; returns its method name."""
 
     def save(grid):
@@ -59,9 +59,9 @@ def wall(shape=(30, 40)):
     return OccupancyGrid(log_odds, np.ones(shape, dtype=bool), 0.1, -1.0, 2.0)
 
 
-def test_the_true_map_has_a_perfect_score_and_no_trajectory_metrics(saved, run):
+def test_the_true_map_has_a_perfect_score_and_no_trajectory_metrics(save_map, run):
     drive = {p.name: p.default for p in registry.dataset("room").parameters} | {"laps": 0.02}
-    use = saved(registry.dataset("room").make(**drive).truth().grid)
+    use = save_map(registry.dataset("room").make(**drive).truth().grid)
     code, answer = run([], "wheel-odometry", use, f"{use} x_m=0.5")
     _, theirs, shifted = answer["runs"]
     assert (code, theirs["status"]) == (0, "complete")
@@ -77,8 +77,8 @@ def test_the_true_map_has_a_perfect_score_and_no_trajectory_metrics(saved, run):
     assert "a map from another program is compared with the ground truth as it is" in page
 
 
-def test_settings_place_the_map_in_the_world_frame(saved):
-    grid = make_map(saved(wall()), x_m=3.0, y_m=-2.0)
+def test_settings_place_the_map_in_the_world_frame(save_map):
+    grid = make_map(save_map(wall()), x_m=3.0, y_m=-2.0)
     assert (grid.origin_x, grid.origin_y) == (2.0, 0.0)
     assert np.array_equal(grid.occupied(), wall().occupied())
 
@@ -101,8 +101,8 @@ def test_a_slanted_map_keeps_its_walls_within_a_cell():
     assert grid.observed.sum() == pytest.approx(30 * 40, rel=0.01)
 
 
-def test_a_missing_map_or_image_is_unavailable_and_a_damaged_one_fails(saved, run, tmp_path):
-    use = saved(wall())
+def test_a_missing_map_or_image_is_unavailable_and_a_damaged_one_fails(save_map, run, tmp_path):
+    use = save_map(wall())
     image = tmp_path / "elsewhere" / "map.pgm"
     image.write_bytes(b"P5 3 2 255\n\0")
     code, answer = run(["--no-page"], use, "file:nowhere.yaml")
@@ -116,9 +116,9 @@ def test_a_missing_map_or_image_is_unavailable_and_a_damaged_one_fails(saved, ru
         make_map(use)
 
 
-def test_the_cache_key_contains_the_content_of_the_image(saved):
-    use = saved(wall())
+def test_the_cache_key_contains_the_content_of_the_image(save_map):
+    use = save_map(wall())
     before = registry.hash_run_code(use, "room")
     assert before == registry.hash_run_code(use, "room")
-    saved(wall((31, 40)))
+    save_map(wall((31, 40)))
     assert registry.hash_run_code(use, "room") != before

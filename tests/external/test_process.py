@@ -56,22 +56,22 @@ def reason(outcome, status="failed"):
     return outcome.reason
 
 
-def test_the_device_time_of_a_program_is_reported_with_the_round_trip(program, followed):
-    outcome, steps = followed(program())
+def test_the_device_time_of_a_program_is_reported_with_the_round_trip(program, run_backend):
+    outcome, steps = run_backend(program())
     assert outcome.status == "complete"
-    assert steps["x"].tolist() == pytest.approx((followed.truth[:, 0] + followed.drift_m).tolist(), abs=1e-15)
+    assert steps["x"].tolist() == pytest.approx((run_backend.truth[:, 0] + run_backend.drift_m).tolist(), abs=1e-15)
     assert set(steps["device_ns"].tolist()) == {5_000_000}
     assert (steps["wall_ns"] > 0).all()
 
 
-def test_cpu_time_includes_the_cpu_time_of_the_program(program, followed):
+def test_cpu_time_includes_the_cpu_time_of_the_program(program, run_backend):
     spin = "end = time.process_time() + 0.005\nwhile time.process_time() < end: pass\n" + ANSWER
-    _, steps = followed(program(spin))
+    _, steps = run_backend(program(spin))
     assert (steps["cpu_ns"] >= 5_000_000).all()
 
 
-def test_a_named_device_has_device_time_and_no_cpu_time(program, followed):
-    _, steps = followed(program(hello=HELLO.replace("summary=", 'device="a board", summary=')))
+def test_a_named_device_has_device_time_and_no_cpu_time(program, run_backend):
+    _, steps = run_backend(program(hello=HELLO.replace("summary=", 'device="a board", summary=')))
     run = RunResult(steps, len(steps))
     scores = {m.name: m.compute(Evidence(run, Truth("none"))) for m in runtime.METRICS}
     assert scores["cpu_median_ms"].reason == "no CPU time was measured"
@@ -79,8 +79,8 @@ def test_a_named_device_has_device_time_and_no_cpu_time(program, followed):
     assert scores["real_time_factor"].value == pytest.approx(100.0 / 5.0)  # a scan every 100 ms
 
 
-def test_a_back_end_that_reports_no_device_time_has_none(program, followed):
-    _, steps = followed(program("say(pose=[x, 0.0, 0.0])"))
+def test_a_back_end_that_reports_no_device_time_has_none(program, run_backend):
+    _, steps = run_backend(program("say(pose=[x, 0.0, 0.0])"))
     run = RunResult(steps, len(steps))
     score = next(m for m in runtime.METRICS if m.name == "device_median_ms").compute(Evidence(run, Truth("none")))
     assert (score.value, score.reason) == (None, "the back end reports no device time")
@@ -111,24 +111,24 @@ def test_a_back_end_that_reports_no_device_time_has_none(program, followed):
         ("sys.stderr.write('error 7\\n' * 200_000); time.sleep(60)", "error 7 | error 7; see where it hangs"),
     ],
 )
-def test_a_program_with_an_invalid_answer_fails_with_a_reason(program, followed, answer, said):
-    outcome, steps = followed(program(answer), answer_timeout_s=0.5)
+def test_a_program_with_an_invalid_answer_fails_with_a_reason(program, run_backend, answer, said):
+    outcome, steps = run_backend(program(answer), answer_timeout_s=0.5)
     assert said in reason(outcome)
     assert len(steps) == 0
 
 
-def test_a_program_may_flood_its_standard_error_and_still_answer(program, followed):
-    outcome, steps = followed(program("sys.stderr.write('x' * 500_000)\n" + ANSWER))
-    assert (outcome.status, len(steps)) == ("complete", len(followed.truth))
+def test_a_program_may_flood_its_standard_error_and_still_answer(program, run_backend):
+    outcome, steps = run_backend(program("sys.stderr.write('x' * 500_000)\n" + ANSWER))
+    assert (outcome.status, len(steps)) == ("complete", len(run_backend.truth))
 
 
-def test_output_without_a_request_is_detected_before_the_next_answer(program, followed):
-    outcome, _ = followed(program(ANSWER + "\nprint('done', flush=True)"))
+def test_output_without_a_request_is_detected_before_the_next_answer(program, run_backend):
+    outcome, _ = run_backend(program(ANSWER + "\nprint('done', flush=True)"))
     assert "without being asked" in reason(outcome) or "not one line of JSON" in reason(outcome)
 
 
-def test_answers_before_the_end_are_kept(program, followed):
-    outcome, steps = followed(program(f"if q['stamp_ns'] > 600_000_000: sys.exit(1)\n{ANSWER}"))
+def test_answers_before_the_end_are_kept(program, run_backend):
+    outcome, steps = run_backend(program(f"if q['stamp_ns'] > 600_000_000: sys.exit(1)\n{ANSWER}"))
     assert "ended with code 1" in reason(outcome)
     assert len(steps) == 7
 
@@ -145,11 +145,11 @@ def test_answers_before_the_end_are_kept(program, followed):
         ("time.sleep(60)", "no answer within 0.3 s"),
     ],
 )
-def test_a_program_without_a_valid_description_has_failed(program, followed, monkeypatch, hello, said):
+def test_a_program_without_a_valid_description_has_failed(program, run_backend, monkeypatch, hello, said):
     monkeypatch.setattr(process, "HELLO_S", 0.3)
-    outcome, _ = followed(program(hello=hello))
+    outcome, _ = run_backend(program(hello=hello))
     assert said in reason(outcome)
-    assert outcome.expected == len(followed.truth)  # counted as a program that answered no scan
+    assert outcome.expected == len(run_backend.truth)  # counted as a program that answered no scan
 
 
 def test_a_program_without_a_description_may_have_settings(program):
@@ -185,7 +185,7 @@ def test_an_unknown_scheme_lists_the_known_ones():
         registry.backend("execute:./x")
 
 
-def test_parameters_of_an_experiment_are_passed_to_the_program(program, followed):
+def test_parameters_of_an_experiment_are_passed_to_the_program(program, run_backend):
     listed = '[dict(name="offset_m", default=0.0, unit="m", meaning="added to x"), dict(name="on", default=True)]'
     name = program("say(pose=[x + s['offset_m'] * s['on'], 0.0, 0.0])", HELLO.replace("[]", listed))
     path = Path(name.split()[-1])
@@ -196,7 +196,7 @@ def test_parameters_of_an_experiment_are_passed_to_the_program(program, followed
     (method,) = plan.methods
     assert (method.label, method.missing) == (name, "")
     assert method.parameters == {"offset_m": 2.0, "on": True, "answer_timeout_s": 10.0}
-    _, steps = followed(name, **method.parameters)
+    _, steps = run_backend(name, **method.parameters)
     assert steps["x"][0] == pytest.approx(2.0)
 
 

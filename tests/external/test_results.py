@@ -44,15 +44,15 @@ def at(stamp_ns, base_from_sensor=None):
     return Frame(Scan(stamp_ns, np.array([1.0]), np.zeros(1), 0.1, 9.0), base_from_sensor or Pose())
 
 
-def test_the_answers_are_the_poses_of_the_file_relative_to_the_first(poses, followed):
+def test_the_answers_are_the_poses_of_the_file_relative_to_the_first(poses, run_backend):
     world_from_start = Pose(3.0, -2.0, 1.0)
-    outcome, steps = followed(poses(STAMPS, Trajectory(STAMPS, followed.truth).moved(world_from_start).poses))
+    outcome, steps = run_backend(poses(STAMPS, Trajectory(STAMPS, run_backend.truth).moved(world_from_start).poses))
     assert (outcome.status, len(steps)) == ("complete", 40)
-    assert rows_of(steps) == pytest.approx(followed.truth, abs=1e-8)
+    assert rows_of(steps) == pytest.approx(run_backend.truth, abs=1e-8)
 
 
-def test_times_of_a_trajectory_file_are_not_reported(poses, followed):
-    _, steps = followed(poses(STAMPS, followed.truth))
+def test_times_of_a_trajectory_file_are_not_reported(poses, run_backend):
+    _, steps = run_backend(poses(STAMPS, run_backend.truth))
     assert not steps["wall_ns"].any()
     assert not steps["cpu_ns"].any()
     run = RunResult(steps, 40)
@@ -89,14 +89,14 @@ def test_poses_of_the_sensor_are_converted_to_the_base(poses):
     assert follower.update(at(10, base_from_sensor)).pose.row == pytest.approx([1.0, 0.0, 0.5], abs=1e-8)
 
 
-def test_a_scan_missing_from_the_file_is_unanswered_and_the_run_is_complete(poses, followed):
-    outcome, steps = followed(poses(STAMPS[2:], followed.truth[2:]))  # 38 of 40: 95 %
+def test_a_scan_missing_from_the_file_is_unanswered_and_the_run_is_complete(poses, run_backend):
+    outcome, steps = run_backend(poses(STAMPS[2:], run_backend.truth[2:]))  # 38 of 40: 95 %
     assert (outcome.status, outcome.expected) == ("complete", 40)
     assert steps["stamp_ns"].tolist() == STAMPS[2:].tolist()
 
 
-def test_a_run_with_more_than_one_unanswered_scan_in_twenty_has_failed(poses, followed):
-    outcome, steps = followed(poses(STAMPS[:30], followed.truth[:30]))
+def test_a_run_with_more_than_one_unanswered_scan_in_twenty_has_failed(poses, run_backend):
+    outcome, steps = run_backend(poses(STAMPS[:30], run_backend.truth[:30]))
     assert outcome.status == "failed"
     assert "no answer for 10 of 40 scans" in outcome.reason
     assert "it reaches from 0.000 s to 2.900 s" in outcome.reason
@@ -108,8 +108,8 @@ def test_unclosed_quotation_marks_are_rejected():
         registry.backend("file:'poses.tum")
 
 
-def test_a_missing_file_is_unavailable(tmp_path, followed):
-    outcome, _ = followed(f"file:{tmp_path / 'none.tum'}")
+def test_a_missing_file_is_unavailable(tmp_path, run_backend):
+    outcome, _ = run_backend(f"file:{tmp_path / 'none.tum'}")
     assert (outcome.status, "no such file: none.tum" in outcome.reason) == ("not-installed", True)
 
 
@@ -126,10 +126,10 @@ def test_a_missing_file_is_unavailable(tmp_path, followed):
         ("1e400 0 0 0 0 0 0 1\n", "line 1"),
     ],
 )
-def test_an_unreadable_file_fails_with_its_line(tmp_path, followed, text, said):
+def test_an_unreadable_file_fails_with_its_line(tmp_path, run_backend, text, said):
     path = tmp_path / "poses.tum"
     path.write_text(text)
-    outcome, _ = followed(f"file:{path}")
+    outcome, _ = run_backend(f"file:{path}")
     assert outcome.status == "failed"
     assert said in outcome.reason
     with pytest.raises(BadData):

@@ -70,7 +70,7 @@ def check_call(call: Callable[[], object], size: int, named: str, resident: bool
     except EvalkitError as error:
         _check_error(error, named, (RecursionError,) if resident else (RecursionError, MemoryError))
     except TooSlow:
-        raise Violation(f"more than {_allowed(size):g} s of CPU time for {size} bytes") from None
+        raise Violation(f"more than {_is_allowed(size):g} s of CPU time for {size} bytes") from None
 
 
 def _check_error(error: EvalkitError, named: str, never: tuple[type[BaseException], ...]) -> None:
@@ -132,7 +132,7 @@ def _limit_time(size: int) -> Iterator[None]:
         raise TooSlow
 
     before = signal.signal(signal.SIGPROF, stop)
-    signal.setitimer(signal.ITIMER_PROF, _allowed(size), 1.0)  # repeated, in case a destructor swallows it
+    signal.setitimer(signal.ITIMER_PROF, _is_allowed(size), 1.0)  # repeated, in case a destructor swallows it
     try:
         yield
     finally:
@@ -140,5 +140,5 @@ def _limit_time(size: int) -> Iterator[None]:
         signal.signal(signal.SIGPROF, before)
 
 
-def _allowed(size: int) -> float:
+def _is_allowed(size: int) -> float:
     return SLACK * SECONDS * (1 + size // PIECE)

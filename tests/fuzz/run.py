@@ -85,7 +85,7 @@ def _fuzz(name: str, seconds: float, findings: Path) -> int:
         f"-max_total_time={seconds:g}", "-timeout=30", "-rss_limit_mb=1500", "-print_final_stats=1", "-max_len=20000",
         f"-dict={words}", f"-artifact_prefix={findings / name}-",
     ]  # fmt: skip
-    atheris.Setup([sys.argv[0], *options, str(corpus)], target.one, enable_python_coverage=True)
+    atheris.Setup([sys.argv[0], *options, str(corpus)], target.read_input, enable_python_coverage=True)
     atheris.Fuzz()  # does not return
     return 0
 
@@ -102,7 +102,7 @@ def load(name: str):
 
     bounds.free = True
     for seed in module.seeds():  # loads lazily imported modules
-        module.one(seed)
+        module.read_input(seed)
     bounds.free = False
     return module
 
@@ -115,7 +115,7 @@ def _fuzz_by_mutation(name: str, seconds: float, findings: Path) -> int:
     while time.monotonic() < end:
         for data in mutants(target.seeds(), 100, seed=count):
             try:
-                target.one(data)
+                target.read_input(data)
             except BaseException:  # noqa: BLE001 - whatever it is, it is the finding
                 (findings / f"{name}-crash-{count}").write_bytes(data)
                 traceback.print_exc()

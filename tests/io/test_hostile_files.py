@@ -49,9 +49,9 @@ def test_any_input_is_read_within_limits_with_a_result_or_a_short_error(load, na
 
         for data in (*target.seeds(), *target.swollen(), b"", *mutants(target.seeds(), COUNT.get(name, 50), seed=7)):
             try:
-                target.one(data)
+                target.read_input(data)
             except BaseException as error:
-                error.add_note(f"{name}.one({data[:2000]!r}), {len(data)} bytes")
+                error.add_note(f"{name}.read_input({data[:2000]!r}), {len(data)} bytes")
                 raise
 
 

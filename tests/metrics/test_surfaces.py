@@ -17,7 +17,7 @@ def scores(mapped):
     return {metric.name: metric.compute(evidence) for metric in surfaces.METRICS}
 
 
-def seen(points, sensor=(0.0, 0.0)):
+def make_scan(points, sensor=(0.0, 0.0)):
     """Return a scan that hits the given points of the world, and the pose of its sensor."""
     offsets = points - np.asarray(sensor)
     ranges, angles = np.hypot(*offsets.T), np.arctan2(offsets[:, 1], offsets[:, 0])
@@ -31,8 +31,8 @@ def along_x(length_m, y, sigma_m=0.005, seed=0, count_a_metre=100):
 
 
 def test_a_wall_doubled_over_half_its_length_has_a_ghost_share_of_one_half() -> None:
-    once = [seen(along_x(20.0, 3.0, seed=seed), (10.0, 0.0)) for seed in range(20)]
-    again = [seen(along_x(10.0, 3.2, seed=seed), (10.0, 0.0)) for seed in range(20, 40)]
+    once = [make_scan(along_x(20.0, 3.0, seed=seed), (10.0, 0.0)) for seed in range(20)]
+    again = [make_scan(along_x(10.0, 3.2, seed=seed), (10.0, 0.0)) for seed in range(20, 40)]
     found = scores((*once, *again))
     assert found["ghost_wall_percent"].value == pytest.approx(50.0, abs=5.0)
     assert found["ghost_wall_m"].value == pytest.approx(0.20, abs=0.011)
@@ -42,19 +42,21 @@ def test_a_wall_doubled_over_half_its_length_has_a_ghost_share_of_one_half() -> 
 
 
 def test_the_other_face_of_a_wall_is_not_a_ghost() -> None:
-    faces = seen(along_x(20.0, 3.0), (10.0, 0.0)), seen(along_x(20.0, 3.2), (10.0, 6.0))
+    faces = make_scan(along_x(20.0, 3.0), (10.0, 0.0)), make_scan(along_x(20.0, 3.2), (10.0, 6.0))
     assert scores(faces)["ghost_wall_percent"].value == 0.0
 
 
 @pytest.mark.parametrize(("apart_m", "copied"), [(0.04, 0.0), (0.15, 100.0), (0.45, 100.0), (0.7, 0.0)])
 def test_near_copies_are_noise_and_far_copies_are_other_walls(apart_m: float, copied: float) -> None:
-    both = [seen(along_x(20.0, y, seed=round(100 * y)), (10.0, 0.0)) for y in (3.0, 3.0 + apart_m)]
+    both = [make_scan(along_x(20.0, y, seed=round(100 * y)), (10.0, 0.0)) for y in (3.0, 3.0 + apart_m)]
     assert scores(tuple(both))["ghost_wall_percent"].value == pytest.approx(copied, abs=3.0)
 
 
 def test_smearing_alone_is_not_a_ghost() -> None:
     rng = np.random.default_rng(3)
-    smeared = [seen(along_x(20.0, 3.0 + shift, seed=i), (10.0, 0.0)) for i, shift in enumerate(rng.normal(0, 0.05, 40))]
+    smeared = [
+        make_scan(along_x(20.0, 3.0 + shift, seed=i), (10.0, 0.0)) for i, shift in enumerate(rng.normal(0, 0.05, 40))
+    ]
     assert scores(tuple(smeared))["ghost_wall_percent"].value == pytest.approx(0.0, abs=5.0)
 
 
@@ -63,7 +65,7 @@ def test_orthogonal_walls_add_their_variances_and_oblique_walls_do_not_count() -
     upright = along_x(20.0, -5.0, 0.01, 1, count_a_metre=200)[:, ::-1]
     turn = np.radians(45.0)
     slanted = along_x(5.0, 0.0, 0.05, 2) @ np.array([[np.cos(turn), np.sin(turn)], [-np.sin(turn), np.cos(turn)]])
-    found = scores(tuple(seen(points + np.full(2, 30.0), (20.0, 32.0)) for points in (level, upright, slanted)))
+    found = scores(tuple(make_scan(points + np.full(2, 30.0), (20.0, 32.0)) for points in (level, upright, slanted)))
     assert found["mom_cm2"].value == pytest.approx(9.0 + 1.0, rel=0.1)
     assert found["mpv_cm2"].value == pytest.approx(np.average([9.0, 1.0, 25.0], weights=[4000, 4000, 500]), rel=0.15)
 
@@ -90,9 +92,9 @@ def test_mean_variance_equals_brute_force() -> None:
 
 
 def test_scans_without_walls_give_a_reason() -> None:
-    nothing = scores((seen(np.zeros((0, 2))),))
+    nothing = scores((make_scan(np.zeros((0, 2))),))
     assert {score.reason for score in nothing.values()} == {"no mapped scan has a hit"}
-    dots = scores((seen(np.random.default_rng(0).uniform(-3.0, 3.0, (50, 2))),))
+    dots = scores((make_scan(np.random.default_rng(0).uniform(-3.0, 3.0, (50, 2))),))
     assert dots["mom_cm2"].reason == "single scans contain too few walls at right angles to each other"
     assert dots["ghost_wall_percent"].reason.startswith("single scans contain only")
     assert (

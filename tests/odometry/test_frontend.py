@@ -75,7 +75,7 @@ def spec(make, **changes):
     return RegistrationSpec(make, "for a test", "none", "MIT", **changes)
 
 
-def made(registration, **given):
+def build_odometry(registration, **given):
     """Return an odometry with one registration object for both stages."""
     described = spec(lambda: registration)
     return make_odometry(described, complete_parameters("test", described, given))
@@ -99,25 +99,27 @@ def rows(poses):
 )
 def test_a_perfect_registration_gives_the_exact_trajectory(stages):
     frames = [frame(pose, i) for i, pose in enumerate(PATH)]
-    np.testing.assert_allclose(run_poses(made(RegistrationByIndex(), **stages), frames), rows(PATH), atol=1e-9)
+    np.testing.assert_allclose(
+        run_poses(build_odometry(RegistrationByIndex(), **stages), frames), rows(PATH), atol=1e-9
+    )
 
 
 def test_the_first_pose_is_the_identity_for_any_odometry_pose():
-    method = made(RegistrationByIndex())
+    method = build_odometry(RegistrationByIndex())
     assert method.update(frame(Pose(), odom=Pose(8.0, 9.0, 1.0))) == OdometryEstimate(Pose())
 
 
 def test_a_result_from_too_few_pairs_is_not_accepted():
     frames = [frame(pose, i, odom=Pose(3.0, 1.0, 2.0) @ pose) for i, pose in enumerate(PATH)]
-    kept = run_poses(made(WrongRegistration(inliers=9), min_inliers=10), frames)
+    kept = run_poses(build_odometry(WrongRegistration(inliers=9), min_inliers=10), frames)
     np.testing.assert_allclose(kept, rows(PATH), atol=1e-12)
-    accepted = run_poses(made(WrongRegistration(inliers=10), min_inliers=10), frames)
+    accepted = run_poses(build_odometry(WrongRegistration(inliers=10), min_inliers=10), frames)
     assert accepted[1].tolist() == [70.0, 80.0, 1.0]
 
 
 @pytest.mark.parametrize(("inliers", "accepted"), [(9, True), (8, False)])
 def test_an_estimate_reports_which_stages_were_accepted(inliers, accepted):
-    method = made(RegistrationByIndex(inliers=inliers), min_inliers=9)
+    method = build_odometry(RegistrationByIndex(inliers=inliers), min_inliers=9)
     method.update(frame(PATH[0], 0))
     estimate = method.update(frame(PATH[1], 1))
     assert [(name, stage.accepted) for name, stage in estimate.stages.items()] == [("s2s", accepted), ("s2m", accepted)]
@@ -130,14 +132,14 @@ def test_an_estimate_sums_the_cost_of_both_stages():
             cost = Cost(conversion_ns=3, program_cpu_ns=5, device_ns=7)
             return replace(super().register(target, source, guess), cost=cost)
 
-    method = made(CostlyRegistration())
+    method = build_odometry(CostlyRegistration())
     costs = [method.update(frame(pose, i)).cost for i, pose in enumerate(PATH[:2])]
     assert costs == [Cost(), Cost(6, 10, 14)]
 
 
 def test_a_back_end_without_stages_returns_its_prior():
     frames = [frame(pose, i, odom=pose) for i, pose in enumerate(PATH)]
-    alone = made(WrongRegistration(99), scan_to_scan=False, scan_to_map=False)
+    alone = build_odometry(WrongRegistration(99), scan_to_scan=False, scan_to_map=False)
     np.testing.assert_allclose(run_poses(alone, frames), rows(PATH), atol=1e-12)
 
 
@@ -147,7 +149,7 @@ def test_a_back_end_without_stages_returns_its_prior():
 def test_the_odometry_prior_predicts_the_step_of_the_odometry():
     registration = RegistrationByIndex()
     run_poses(
-        made(registration, scan_to_map=False),
+        build_odometry(registration, scan_to_map=False),
         [frame(Pose(), 0, odom=Pose(1.0, 0.0, math.pi / 2)), frame(PATH[1], 1, odom=Pose(1.0, 0.5, math.pi))],
     )
     assert registration.guesses[0].row == pytest.approx([0.5, 0.0, math.pi / 2])
@@ -162,14 +164,14 @@ def test_constant_velocity_predicts_the_last_step_scaled_by_time_up_to_twice(ela
         frame(Pose(0.2, 0.0, 0.0), 1, odom=Pose(5.0, 0.0, 0.0)),
         frame(Pose(0.3, 0.0, 0.0), stamp_ns=last, odom=Pose(9.0, 0.0, 0.0)),
     ]
-    run_poses(made(registration, scan_to_map=False, prior="constant-velocity"), frames)
+    run_poses(build_odometry(registration, scan_to_map=False, prior="constant-velocity"), frames)
     np.testing.assert_allclose(rows(registration.guesses), [[0, 0, 0], [expected, 0, 0]], atol=1e-9)
 
 
 def test_without_a_prior_the_guess_is_the_identity_motion():
     registration = RegistrationByIndex()
     frames = [frame(pose, i, odom=pose) for i, pose in enumerate(PATH)]
-    run_poses(made(registration, scan_to_map=False, prior="none"), frames)
+    run_poses(build_odometry(registration, scan_to_map=False, prior="none"), frames)
     assert set(registration.guesses) == {Pose()}
 
 
@@ -177,19 +179,19 @@ def test_without_recorded_odometry_the_velocity_is_the_prior():
     registration = RegistrationByIndex()
     odom = [Pose(), Pose(0.2, 0.0, 0.0), None, Pose(0.7, 0.0, 0.0)]
     frames = [frame(Pose(0.2 * i, 0.0, 0.0), i, odom=told) for i, told in enumerate(odom)]
-    run_poses(made(registration, scan_to_map=False), frames)
+    run_poses(build_odometry(registration, scan_to_map=False), frames)
     np.testing.assert_allclose(rows(registration.guesses), [[0.2, 0, 0]] * 3, atol=1e-9)
 
 
 def test_the_second_stage_starts_from_the_result_of_the_first():
     registration = RegistrationByIndex()
-    run_poses(made(registration, prior="none"), [frame(PATH[0], 0), frame(PATH[1], 1), frame(PATH[2], 2)])
+    run_poses(build_odometry(registration, prior="none"), [frame(PATH[0], 0), frame(PATH[1], 1), frame(PATH[2], 2)])
     expected = [Pose(), PATH[1], Pose(), PATH[2]]  # s2s, s2m, s2s, s2m
     np.testing.assert_allclose(rows(registration.guesses), rows(expected), atol=1e-9)
 
 
 def test_both_stages_are_reported_in_order_from_the_second_scan_on():
-    method = made(RegistrationByIndex(inliers=33))
+    method = build_odometry(RegistrationByIndex(inliers=33))
     estimates = [method.update(frame(pose, i)) for i, pose in enumerate(PATH[:3])]
     reported = [[(name, stage.inliers) for name, stage in estimate.stages.items()] for estimate in estimates]
     assert reported == [[], *[[("s2s", 33), ("s2m", 33)]] * 2]
@@ -205,14 +207,14 @@ def swept(told):
 
 
 def test_the_motion_within_a_scan_is_corrected_with_the_odometry():
-    exact = run_poses(made(RegistrationByIndex(), keyframe_distance_m=0.1), swept(told=True))
+    exact = run_poses(build_odometry(RegistrationByIndex(), keyframe_distance_m=0.1), swept(told=True))
     np.testing.assert_allclose(exact, rows(PATH), atol=1e-9)
 
 
 @pytest.mark.parametrize(("told", "settings"), [(True, {"deskew": False}), (False, {}), (True, {"prior": "none"})])
 def test_without_deskewing_the_map_is_distorted(told, settings):
     registration = RegistrationByIndex()
-    run_poses(made(registration, scan_to_scan=False, **settings), swept(told)[:2])
+    run_poses(build_odometry(registration, scan_to_scan=False, **settings), swept(told)[:2])
     assert np.abs(registration.targets[0].points - LANDMARKS).max() > 0.1
 
 
@@ -221,7 +223,7 @@ def test_steady_motion_is_corrected_without_odometry_from_the_second_step_on():
     moved = Pose(0.2 * 0.59, 0.0, 0.0)
     frames = [frame(Pose(0.2 * i, 0.0, 0.0), i, moved=moved) for i in range(4)]
     registration = RegistrationByIndex()
-    run_poses(made(registration, scan_to_map=False, prior="constant-velocity"), frames)
+    run_poses(build_odometry(registration, scan_to_map=False, prior="constant-velocity"), frames)
     seen = Pose(0.4, 0.0, 0.0).transform(registration.targets[2].points)
     np.testing.assert_allclose(seen, LANDMARKS, atol=1e-9)
 
@@ -232,7 +234,9 @@ def test_steady_motion_is_corrected_without_odometry_from_the_second_step_on():
 def count_keyframes(path, **settings):
     """Return the number of keyframes in the local map when each scan but the first is matched."""
     registration = RegistrationByIndex()
-    run_poses(made(registration, scan_to_scan=False, **settings), [frame(pose, i) for i, pose in enumerate(path)])
+    run_poses(
+        build_odometry(registration, scan_to_scan=False, **settings), [frame(pose, i) for i, pose in enumerate(path)]
+    )
     return [len(target) // len(LANDMARKS) for target in registration.targets]
 
 
@@ -260,7 +264,7 @@ def test_a_local_map_of_recent_scans_is_independent_of_their_motion():
 
 def test_a_grid_receives_every_scan_and_returns_its_occupied_cells():
     registration = RegistrationByIndex(inliers=0)  # not accepted: the poses of the odometry are kept
-    method = made(registration, scan_to_scan=False, local_map="grid", local_map_cell_m=0.1)
+    method = build_odometry(registration, scan_to_scan=False, local_map="grid", local_map_cell_m=0.1)
     run_poses(method, [frame(Pose(), i, odom=Pose()) for i in range(3)])
     cells = np.unique(np.floor(LANDMARKS / 0.1), axis=0)
     for target in registration.targets:
@@ -270,14 +274,14 @@ def test_a_grid_receives_every_scan_and_returns_its_occupied_cells():
 
 def test_a_persistent_map_is_selected_by_name():
     registration = RegistrationByIndex()
-    method = made(registration, scan_to_scan=False, local_map="voxels", local_map_voxel_m=1.0)
+    method = build_odometry(registration, scan_to_scan=False, local_map="voxels", local_map_voxel_m=1.0)
     run_poses(method, [frame(PATH[0], 0), frame(PATH[1], 1)])
     assert len(registration.targets[0]) == len(np.unique(np.floor(LANDMARKS), axis=0))
 
 
 def test_local_radius_keeps_only_points_near_the_base():
     registration = RegistrationByIndex()
-    method = made(registration, local_radius_m=3.0)
+    method = build_odometry(registration, local_radius_m=3.0)
     run_poses(method, [frame(PATH[0], 0), frame(PATH[0], 1)])
     near = LANDMARKS[np.hypot(LANDMARKS[:, 0], LANDMARKS[:, 1]) <= 3.0]
     np.testing.assert_allclose(registration.targets[0].points, near, atol=1e-9)
@@ -286,7 +290,7 @@ def test_local_radius_keeps_only_points_near_the_base():
 
 def test_a_scan_may_be_reduced_to_voxel_means():
     registration = RegistrationByIndex()
-    run_poses(made(registration, source_voxel_m=2.0), [frame(PATH[0], 0), frame(PATH[0], 1)])
+    run_poses(build_odometry(registration, source_voxel_m=2.0), [frame(PATH[0], 0), frame(PATH[0], 1)])
     assert len(registration.targets[0]) == len(np.unique(np.floor(LANDMARKS / 2.0), axis=0))
 
 

@@ -40,7 +40,7 @@ def drive():
     )
 
 
-def made(name):
+def make_backend(name):
     spec = registry.backend(name)
     if why := spec.missing():
         pytest.skip(why)
@@ -48,7 +48,7 @@ def made(name):
 
 
 def run_poses(name, sequence):
-    method = made(name)
+    method = make_backend(name)
     return np.array([method.update(frame).pose.row for frame in sequence.frames()])
 
 
@@ -85,7 +85,7 @@ def test_the_baseline_can_be_beaten(wheels_m):
 
 @pytest.mark.parametrize("name", BACKENDS)
 def test_a_back_end_does_not_write_into_its_arguments(name):
-    method = made(name)
+    method = make_backend(name)
     frame, later = itertools.islice(sequence("room", laps=0.02).frames(), 2)
     before = frame.scan.ranges.copy(), frame.scan.angles.copy()
     method.update(frame)
@@ -99,7 +99,7 @@ def test_a_back_end_does_not_write_into_its_arguments(name):
 def test_two_instances_share_no_state(name, drive):
     frames = list(itertools.islice(drive.frames(), 12))
     frames, others = frames[:6], frames[6:]
-    alone, one, other = made(name), made(name), made(name)
+    alone, one, other = make_backend(name), make_backend(name), make_backend(name)
     expected = [alone.update(frame).pose for frame in frames]
     for index, frame in enumerate(frames):
         assert one.update(frame).pose == expected[index]

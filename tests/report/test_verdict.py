@@ -16,7 +16,7 @@ def verdict(comparison, sequence="room"):
     return compute_verdict(comparison, analyse_sequence(comparison, sequence))
 
 
-def _said(comparison):
+def _verdict_text(comparison):
     return " ".join(verdict(comparison).sentences).replace("\u00a0", " ")
 
 
@@ -32,7 +32,7 @@ def test_a_clear_winner_is_named_with_its_lead(record, build):
     comparison = build([*_seeds(record, "a", [0.010, 0.011, 0.012]), *_seeds(record, "b", [0.020, 0.022, 0.024])])
     found = verdict(comparison, "room")
     assert (found.outcome, found.leaders, found.counts) == ("winner", ("a",), True)
-    said = _said(comparison)
+    said = _verdict_text(comparison)
     assert re.search(
         r"a wins on ATE RMSE: 0\.011 m \(95 % interval 0\.0.. to 0\.01.\); the runner-up, b, has 0\.022 m", said
     )
@@ -42,11 +42,11 @@ def test_a_clear_winner_is_named_with_its_lead(record, build):
 def test_a_lead_that_reverses_in_one_seed_gives_no_winner(record, build):
     comparison = build([*_seeds(record, "a", [0.010, 0.011, 0.025]), *_seeds(record, "b", [0.019, 0.022, 0.024])])
     assert verdict(comparison, "room").outcome == "tied"
-    assert "On ATE RMSE, a (0.011 m (95 % interval " in _said(comparison)
+    assert "On ATE RMSE, a (0.011 m (95 % interval " in _verdict_text(comparison)
     assert re.search(
-        r"on the same scans, b is worse by 0\.00.. m \(95 % interval −0\.0.* to 0\.0.*\)", _said(comparison)
+        r"on the same scans, b is worse by 0\.00.. m \(95 % interval −0\.0.* to 0\.0.*\)", _verdict_text(comparison)
     )
-    assert "which may be chance; these runs can detect a difference of 0.0" in _said(comparison)
+    assert "which may be chance; these runs can detect a difference of 0.0" in _verdict_text(comparison)
 
 
 def test_a_lead_in_every_seed_wins_even_if_the_seeds_overlap(record, build):
@@ -63,7 +63,7 @@ def test_a_winner_is_better_by_at_least_five_percent(record, build, other, outco
 def test_a_lead_of_a_millimetre_is_a_tie(record, build):
     comparison = build([*_seeds(record, "a", [0.010, 0.011]), *_seeds(record, "b", [0.0115, 0.0125])])
     assert verdict(comparison, "room").outcome == "tied"
-    assert "are less than 5 % or 2 mm apart" in _said(comparison)
+    assert "are less than 5 % or 2 mm apart" in _verdict_text(comparison)
 
 
 def test_differences_below_the_noise_of_the_relations_are_a_tie(record, build):
@@ -72,21 +72,23 @@ def test_differences_below_the_noise_of_the_relations_are_a_tie(record, build):
         [*_seeds(record, "a", [0.05, 0.05], "relations_mean_m"), *_seeds(record, "b", [0.09, 0.09], "relations_mean_m")]
     )
     assert verdict(near, "room").outcome == "tied"
-    assert "differ by less than the accuracy of the ground truth (0.030 m)" in _said(near)
+    assert "differ by less than the accuracy of the ground truth (0.030 m)" in _verdict_text(near)
     assert verdict(far, "room").leaders == ("a",)
 
 
 def test_one_run_without_per_scan_errors_gives_no_decision(record, build):
     comparison = build([record(n, "room", {"map_f1": v}, seed=None) for n, v in (("a", 0.9), ("b", 0.2))])
     assert verdict(comparison, "room").outcome == "tied"
-    assert "On map F1 at 10 cm, a (0.900) and b (0.200) are tied: one run each" in _said(comparison)
+    assert "On map F1 at 10 cm, a (0.900) and b (0.200) are tied: one run each" in _verdict_text(comparison)
 
 
 def test_two_seeds_that_scatter_as_much_as_they_differ_give_no_decision(record, build):
     """Student's t with one degree of freedom: differences 0.10 and 0.12 give 0.11 +- 12.7 x 0.01."""
     near = build([*_seeds(record, "a", [0.90, 0.92], "map_f1"), *_seeds(record, "b", [0.80, 0.80], "map_f1")])
     assert verdict(near, "room").outcome == "tied"
-    assert "run by run, b is worse by 0.1100 (95 % interval −0.0171 to 0.2371), which may be chance" in _said(near)
+    assert "run by run, b is worse by 0.1100 (95 % interval −0.0171 to 0.2371), which may be chance" in _verdict_text(
+        near
+    )
 
 
 def test_the_same_gap_in_metres_of_drift_is_a_lead(record, build):
@@ -98,11 +100,11 @@ def test_the_same_gap_in_metres_of_drift_is_a_lead(record, build):
 def test_one_run_each_gives_no_winner(record, build):
     pair = (("a", 0.051), ("b", 0.080), ("paper", 0.1))
     comparison = build([record(n, "room", {"ate_rmse_m": v}, seed=None) for n, v in pair])
-    assert "a is ahead in its single run, on ATE RMSE: 0.051 m (95 % interval " in _said(comparison)
+    assert "a is ahead in its single run, on ATE RMSE: 0.051 m (95 % interval " in _verdict_text(comparison)
     said = " ".join(_overview(comparison))
     assert "a is ahead in the single run of room." in said
     assert "The reference method, paper, is behind in the single run of room." in said
-    assert not {"wins", "winner", "loses"} & set(f"{said} {_said(comparison)}".split())
+    assert not {"wins", "winner", "loses"} & set(f"{said} {_verdict_text(comparison)}".split())
 
 
 def test_the_higher_value_wins_where_higher_is_better(record, build):
@@ -115,7 +117,7 @@ def test_a_method_with_a_lost_run_cannot_win(record, build):
     a = [record("a", "room", {"ate_rmse_m": 0.001}, seed=0), crash]
     comparison = build([*a, *_seeds(record, "b", [0.02, 0.03]), *_seeds(record, "c", [0.5, 0.6])])
     assert verdict(comparison, "room").leaders == ("b",)
-    assert _said(comparison).startswith("5 of 6 runs finished. Did not finish: a (1 of 2 crashed).")
+    assert _verdict_text(comparison).startswith("5 of 6 runs finished. Did not finish: a (1 of 2 crashed).")
 
 
 def test_a_method_without_a_score_on_one_seed_cannot_win(record, build):
@@ -125,7 +127,9 @@ def test_a_method_without_a_score_on_one_seed_cannot_win(record, build):
 
 def test_a_loss_of_the_reference_method_is_stated(record, build):
     comparison = build([*_seeds(record, "paper", [0.048, 0.050]), *_seeds(record, "plane", [0.010, 0.010])])
-    assert "The reference method: paper loses, with 0.049 m against 0.010 m: 4.9 times as much." in _said(comparison)
+    assert "The reference method: paper loses, with 0.049 m against 0.010 m: 4.9 times as much." in _verdict_text(
+        comparison
+    )
     assert "The reference method, paper, loses 1 of 1 (room)." in _overview(comparison)
 
 
@@ -133,14 +137,14 @@ def test_a_method_worse_than_wheel_odometry_is_reported(record, build):
     comparison = build(
         [*_seeds(record, "wheel", [0.4, 0.41]), *_seeds(record, "a", [2, 3]), *_seeds(record, "b", [1, 1])]
     )
-    assert "Worse than wheel alone (0.405 m): a (2.500 m) and b (1.000 m)." in _said(comparison)
+    assert "Worse than wheel alone (0.405 m): a (2.500 m) and b (1.000 m)." in _verdict_text(comparison)
     assert "Worse than wheel alone: a on room and b on room." in _overview(comparison)
 
 
 def test_the_baseline_is_not_ranked_in_runtime(record, build):
     names = (("wheel", 0.01), ("a", 1.0), ("b", 5.0))
     comparison = build([record(n, "room", {"ate_rmse_m": v, "cpu_median_ms": v}, seed=None) for n, v in names])
-    assert "CPU time per scan, median: best a (1.00 ms), worst b (5.00 ms)." in _said(comparison)
+    assert "CPU time per scan, median: best a (1.00 ms), worst b (5.00 ms)." in _verdict_text(comparison)
 
 
 def test_a_degenerate_sequence_is_named_and_not_counted(record, build):
@@ -149,8 +153,8 @@ def test_a_degenerate_sequence_is_named_and_not_counted(record, build):
     comparison = replace(comparison, sequences=cards)
     found = verdict(comparison, "room")
     assert (found.outcome, found.leaders, found.counts) == ("degenerate", (), False)
-    assert "Degenerate geometry: A corridor without ends." in _said(comparison)
-    assert " wins " not in _said(comparison)
+    assert "Degenerate geometry: A corridor without ends." in _verdict_text(comparison)
+    assert " wins " not in _verdict_text(comparison)
     assert "Not counted as wins or losses: room (degenerate geometry)." in _overview(comparison)
 
 
@@ -176,7 +180,7 @@ def test_a_lead_in_the_distance_of_the_halves_alone_gives_no_winner(record, buil
     assert (
         "The map metrics disagree: lost has the smallest distance between the halves of the run, a the least scatter "
         "across orthogonal walls and the lowest S2M residual, b the fewest hits in cleared space."
-    ) in _said(comparison)
+    ) in _verdict_text(comparison)
 
 
 def test_a_map_best_in_every_metric_leads(record, build):
@@ -187,31 +191,31 @@ def test_a_map_best_in_every_metric_leads(record, build):
     ])  # fmt: skip
     found = verdict(comparison, "room")
     assert (found.outcome, found.leaders, found.counts) == ("winner", ("a",), False)
-    assert "The other map metrics agree." in _said(comparison)
+    assert "The other map metrics agree." in _verdict_text(comparison)
 
 
 def test_a_map_best_in_every_metric_of_one_run_is_tied(record, build):
     comparison = _maps(record, build, a=(0.10, 0.02, 0.04, 0.03), b=(0.20, 0.02, 0.05, 0.04))
     found = verdict(comparison, "room")
     assert (found.outcome, found.leaders, found.counts) == ("tied", ("a",), False)
-    assert "one run each gives no interval. In every map metric a is best or tied." in _said(comparison)
-    assert "compares maps only. Limitations: global warp." in _said(comparison)
+    assert "one run each gives no interval. In every map metric a is best or tied." in _verdict_text(comparison)
+    assert "compares maps only. Limitations: global warp." in _verdict_text(comparison)
     validated = load_validation().agreement_of("split_distance_m")
-    assert f"Spearman correlation with that error was {validated.overall.value:.2f}" in _said(comparison)
+    assert f"Spearman correlation with that error was {validated.overall.value:.2f}" in _verdict_text(comparison)
 
 
 def test_a_map_metric_without_value_leaves_the_map_undecided(record, build):
     comparison = _maps(record, build, a=(0.10, 0.02, None, 0.03), b=(0.20, 0.03, None, 0.04))
     assert verdict(comparison, "room").outcome == "disagreement"
-    assert "Without ground truth there is no leader: free-space violation has no value." in _said(comparison)
+    assert "Without ground truth there is no leader: free-space violation has no value." in _verdict_text(comparison)
 
 
 def test_without_ground_truth_worse_than_odometry_requires_every_metric(record, build):
     wheel = (0.10, 0.02, 0.04, 0.03)
     one = _maps(record, build, wheel=wheel, a=(0.20, 0.01, 0.05, 0.04))
     every = _maps(record, build, wheel=wheel, a=(0.20, 0.03, 0.05, 0.04))
-    assert "than wheel alone" not in _said(one)
-    assert "Worse map than wheel alone, in every map metric: a." in _said(every)
+    assert "than wheel alone" not in _verdict_text(one)
+    assert "Worse map than wheel alone, in every map metric: a." in _verdict_text(every)
 
 
 def test_a_method_that_kept_most_guesses_is_named_and_not_ranked(record, build):
@@ -220,7 +224,7 @@ def test_a_method_that_kept_most_guesses_is_named_and_not_ranked(record, build):
         record(who, "room", {"ate_rmse_m": ate, "guess_kept_percent": kept}, seed=seed)
         for who, (ate, kept) in shares.items() for seed in (0, 1)
     ])  # fmt: skip
-    said = _said(comparison)
+    said = _verdict_text(comparison)
     assert verdict(comparison, "room").leaders == ("b",)
     assert "Methods that kept the initial guess: a on 60 % of the scans and b on 12 % of the scans." in said
     assert "Not ranked, because of too few registrations: a." in said
@@ -228,12 +232,14 @@ def test_a_method_that_kept_most_guesses_is_named_and_not_ranked(record, build):
 
 
 def test_damaged_data_are_reported_above_one_percent(record, build):
-    def noted(notes):
+    def make_noted(notes):
         made = record("a", "room", {"ate_rmse_m": 0.1})
-        return _said(build([replace(made, result=replace(made.result, notes=notes))]))
+        return _verdict_text(build([replace(made, result=replace(made.result, notes=notes))]))
 
-    assert "damaged" not in noted({"scans out of order": 60, "rear-laser lines ignored": 60})
-    assert "The data are damaged: 30 damaged lines dropped (50 % of the scans)." in noted({"damaged lines dropped": 30})
+    assert "damaged" not in make_noted({"scans out of order": 60, "rear-laser lines ignored": 60})
+    assert "The data are damaged: 30 damaged lines dropped (50 % of the scans)." in make_noted(
+        {"damaged lines dropped": 30}
+    )
 
 
 def test_a_method_that_could_not_start_has_not_failed(demo):
@@ -263,7 +269,7 @@ def test_a_baseline_alone_is_not_compared(record, build, status):
     said = " ".join(_overview(comparison))
     claims = ("No method is clearly worse", "No run took", "Slower", "can be compared with")
     assert not any(claim in said for claim in claims)
-    assert "Worse" not in _said(comparison)
+    assert "Worse" not in _verdict_text(comparison)
 
 
 @pytest.mark.parametrize(
@@ -291,11 +297,11 @@ def test_times_of_different_processors_give_a_warning(record, build):
     processors = {"a": "X1", "b": "X2", "c": "X1"}
     on = [on_processor(record(name, "room", scores), cpu) for name, cpu in processors.items()]
     said = "Times were measured on different processors and cannot be compared: "
-    assert f"{said}a and c on X1 and b on X2." in _said(build(on))
-    assert said not in _said(build([on_processor(one, "X1") for one in on]))
+    assert f"{said}a and c on X1 and b on X2." in _verdict_text(build(on))
+    assert said not in _verdict_text(build([on_processor(one, "X1") for one in on]))
     untimed = on[1].result.steps.copy()
     untimed["wall_ns"] = 0
-    assert said not in _said(build([on[0], replace(on[1], result=replace(on[1].result, steps=untimed)), on[2]]))
+    assert said not in _verdict_text(build([on[0], replace(on[1], result=replace(on[1].result, steps=untimed)), on[2]]))
 
 
 def test_a_leader_needs_a_lead_over_every_method(record, build):

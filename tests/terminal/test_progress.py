@@ -14,7 +14,7 @@ from evalkit.terminal.progress import TaskLines, TimeLeft, format_unavailable, s
 
 
 @pytest.fixture
-def planned():
+def make_plan():
     """Two methods, one sequence with two seeds and one with one seed."""
     content = {
         "method": [{"use": "wheel-odometry", "label": "fast"}, {"use": "paper", "label": "slow"}],
@@ -23,19 +23,19 @@ def planned():
     return list(experiment_from_tables(content, "x.toml", "x", "compare x.toml").runs())
 
 
-def test_the_time_left_is_unknown_before_the_first_run_ends(planned):
-    assert TimeLeft(planned, 1).seconds() is None
+def test_the_time_left_is_unknown_before_the_first_run_ends(make_plan):
+    assert TimeLeft(make_plan, 1).seconds() is None
 
 
-def test_after_one_run_all_others_are_assumed_equal(planned):
-    left = TimeLeft(planned, 1)
+def test_after_one_run_all_others_are_assumed_equal(make_plan):
+    left = TimeLeft(make_plan, 1)
     left.finished("room", "fast", 4.0)
     assert left.seconds() == pytest.approx(5 * 4.0)
 
 
-def test_an_open_run_takes_its_sequence_mean_times_its_method_ratio(planned):
+def test_an_open_run_takes_its_sequence_mean_times_its_method_ratio(make_plan):
     """Room: fast 1 s, slow 3 s, so mean 2 s: ratios 1/2 and 3/2. Open: room 1 and lab 0, without a finished run."""
-    left = TimeLeft(planned, 1)
+    left = TimeLeft(make_plan, 1)
     left.finished("room", "fast", 1.0)
     left.finished("room", "slow", 3.0)
     assert left.seconds() == pytest.approx(1.0 + 3.0 + 1.0 + 3.0)
@@ -43,21 +43,21 @@ def test_an_open_run_takes_its_sequence_mean_times_its_method_ratio(planned):
     assert left.seconds() == pytest.approx(2.0 * 3.0 / 3.0 + 2.0 * 3.0 / 3.0 + 5.0 * 3.0 / 3.0)
 
 
-def test_two_jobs_halve_the_time_left_and_zero_is_left_at_the_end(planned):
-    left = TimeLeft(planned, 2)
+def test_two_jobs_halve_the_time_left_and_zero_is_left_at_the_end(make_plan):
+    left = TimeLeft(make_plan, 2)
     left.finished("room", "fast", 4.0)
     assert left.seconds() == pytest.approx(5 * 4.0 / 2)
-    for item in planned[1:]:
+    for item in make_plan[1:]:
         left.finished(item.sequence.label, item.method.label, 4.0)
     assert left.seconds() == 0.0
 
 
-def test_a_pipe_gets_one_plain_line_per_run_with_its_reason(planned, monkeypatch):
+def test_a_pipe_gets_one_plain_line_per_run_with_its_reason(make_plan, monkeypatch):
     printed = io.StringIO()
     monkeypatch.setattr(time, "monotonic", itertools.count(0.0, 2.0).__next__)
     crashed = RunResult(NO_STEPS, 0, Cause.SIGNAL, "signal [bold]11[/bold]")
-    with show_runs(Console(file=printed, soft_wrap=True), planned, 1) as shown:
-        for spec, result in zip(planned, [RunResult(NO_STEPS, 0), crashed], strict=False):
+    with show_runs(Console(file=printed, soft_wrap=True), make_plan, 1) as shown:
+        for spec, result in zip(make_plan, [RunResult(NO_STEPS, 0), crashed], strict=False):
             shown.started(spec)
             shown.answered(spec, 7)
             shown.finished(spec, result)
@@ -66,7 +66,7 @@ def test_a_pipe_gets_one_plain_line_per_run_with_its_reason(planned, monkeypatch
     assert second.startswith("[2/6] room seed 0 / slow: crashed (signal [bold]11[/bold]), 2.0 s")
 
 
-def test_unavailable_methods_are_one_line_per_reason_with_system_packages_first(planned):
+def test_unavailable_methods_are_one_line_per_reason_with_system_packages_first(make_plan):
     content = {"method": [{"use": "wheel-odometry"}], "sequence": [{"use": "room"}]}
     plan = experiment_from_tables(content, "x.toml", "x", "compare x.toml")
     assert format_unavailable(plan) == []
@@ -80,13 +80,13 @@ def test_unavailable_methods_are_one_line_per_reason_with_system_packages_first(
     ]
 
 
-def test_a_terminal_gets_a_line_only_for_what_did_not_complete(planned):
+def test_a_terminal_gets_a_line_only_for_what_did_not_complete(make_plan):
     told = io.StringIO()
     screen = Console(file=told, force_terminal=True, width=100, color_system=None)
-    with show_runs(screen, planned, 1) as shown:
-        shown.finished(planned[0], RunResult(NO_STEPS, 0))
-        shown.answered(planned[1], 1234)
-        shown.finished(planned[1], RunResult(NO_STEPS, 0, Cause.TIME_LIMIT, "[late]"))
+    with show_runs(screen, make_plan, 1) as shown:
+        shown.finished(make_plan[0], RunResult(NO_STEPS, 0))
+        shown.answered(make_plan[1], 1234)
+        shown.finished(make_plan[1], RunResult(NO_STEPS, 0, Cause.TIME_LIMIT, "[late]"))
     assert "room seed 0 / slow: timeout ([late]), 0.0 s" in told.getvalue()
     assert "room seed 0 / fast: complete" not in told.getvalue()
 

@@ -17,7 +17,7 @@ def both(*parts):
     return np.concatenate(points), np.concatenate(normals)
 
 
-def turned(part, degrees=90.0):
+def rotate(part, degrees=90.0):
     angle = np.radians(degrees)
     rotation = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     return part[0] @ rotation, part[1] @ rotation
@@ -32,7 +32,7 @@ def test_two_parallel_walls_leave_translation_along_them_unobservable():
 
 @pytest.mark.parametrize("degrees", [0.0, 30.0, 135.0])
 def test_the_unobservable_direction_rotates_with_the_walls(degrees):
-    found = observability([turned(both(wall(1.0), wall(-1.0)), degrees)], 0.05, 0.1)
+    found = observability([rotate(both(wall(1.0), wall(-1.0)), degrees)], 0.05, 0.1)
     assert found.names() == (f"shift along {degrees:.0f} deg",)
 
 
@@ -45,7 +45,7 @@ def test_a_round_room_leaves_rotation_unobservable():
 
 
 def test_in_a_square_room_half_of_the_points_observe_each_translation():
-    square = both(wall(5.0), wall(-5.0), turned(wall(5.0)), turned(wall(-5.0)))
+    square = both(wall(5.0), wall(-5.0), rotate(wall(5.0)), rotate(wall(-5.0)))
     found = observability([square], 0.05, 0.1)
     assert found.names() == ()
     # a wall observes the rotation along its length: mean x^2 / mean (x^2 + y^2), x even in [-5, 5] and y = 5
@@ -54,7 +54,7 @@ def test_in_a_square_room_half_of_the_points_observe_each_translation():
 
 
 def test_few_noisy_points_leave_directions_unobservable_that_many_observe():
-    few = both(wall(1.0, 400), turned(wall(1.0, 2)))
+    few = both(wall(1.0, 400), rotate(wall(1.0, 2)))
     assert observability([few], 0.05, 0.05).names() != ()
     assert observability([few], 0.0, 0.05).names() == ()
 

@@ -26,27 +26,27 @@ class Raises:
         return Match(Pose(), converged=False, iterations=0, error=0.0, inliers=len(source))
 
 
-def asked(monkeypatch, make, begin=0, end=40):
+def run_trials(monkeypatch, make, begin=0, end=40):
     spec = RegistrationSpec(make, "", "", "")
     monkeypatch.setattr(attempts, "spec_of", lambda _name: spec)
     return attempts.answers(backend="x", values={}, trials=TRIALS, begin=begin, end=end, code="")
 
 
 def test_a_registration_that_returns_its_guess_has_the_error_of_the_guess(monkeypatch):
-    found = asked(monkeypatch, KeepsGuess)
+    found = run_trials(monkeypatch, KeepsGuess)
     left = attempts.convergence.compute_offsets(found["rows"], *TRIALS.truths(TRIALS.pairs_of_scans()))
     np.testing.assert_allclose(left, TRIALS.offsets_drawn(), atol=1e-12)
     assert found["claimed"].all()
 
 
 def test_a_trial_does_not_depend_on_its_task(monkeypatch):
-    whole = asked(monkeypatch, KeepsGuess)["rows"]
-    parts = [asked(monkeypatch, KeepsGuess, begin, end)["rows"] for begin, end in ((0, 13), (13, 40))]
+    whole = run_trials(monkeypatch, KeepsGuess)["rows"]
+    parts = [run_trials(monkeypatch, KeepsGuess, begin, end)["rows"] for begin, end in ((0, 13), (13, 40))]
     assert (np.concatenate(parts) == whole).all()
 
 
 def test_a_registration_that_raises_gives_a_reason(monkeypatch):
-    found = asked(monkeypatch, Raises)
+    found = run_trials(monkeypatch, Raises)
     turned = (
         attempts.convergence.make_guesses(TRIALS.offsets_drawn(), *TRIALS.truths(TRIALS.pairs_of_scans()))[:, 2] > 0.0
     )

@@ -79,7 +79,7 @@ def record_of(name, seed=0):
 
 
 @pytest.fixture
-def finished(tmp_path, build, monkeypatch):
+def finished_folder(tmp_path, build, monkeypatch):
     """A results folder with two methods over an arc, as written by a report."""
     monkeypatch.setattr(registry, "dataset", lambda _name: DatasetSpec(lambda **_: Lap(), "", "", "", "", ""))
     records = [record_of("paper"), record_of("wheel")]
@@ -91,7 +91,7 @@ def finished(tmp_path, build, monkeypatch):
     return store.folder
 
 
-def exported(folder, form, *more):
+def run_export(folder, form, *more):
     target = folder.parent / "export"
     result = CliRunner().invoke(app, ["export", str(folder), "--format", form, "-o", str(target), "--json", *more])
     assert result.exit_code == 0, result.output
@@ -101,14 +101,16 @@ def exported(folder, form, *more):
 # --- tables
 
 
-def test_csv_and_json_contain_the_selected_rows_and_conform_to_the_schema(finished):
+def test_csv_and_json_contain_the_selected_rows_and_conform_to_the_schema(finished_folder):
     jsonschema = pytest.importorskip("jsonschema")
-    whole = {path.name: path.read_bytes() for form in ("csv", "json") for path in exported(finished, form)}
+    whole = {path.name: path.read_bytes() for form in ("csv", "json") for path in run_export(finished_folder, form)}
     assert set(whole) == {"runs.csv", "scores.csv", "summary.csv", "results.json", "results.schema.json"}
     for name in ("runs.csv", "scores.csv", "summary.csv"):
-        assert whole[name] == (finished / name).read_bytes()
-    assert json.loads(whole["results.json"]) == json.loads((finished / "results.json").read_bytes())
-    part = {path.name: path for form in ("csv", "json") for path in exported(finished, form, "--method", "wheel")}
+        assert whole[name] == (finished_folder / name).read_bytes()
+    assert json.loads(whole["results.json"]) == json.loads((finished_folder / "results.json").read_bytes())
+    part = {
+        path.name: path for form in ("csv", "json") for path in run_export(finished_folder, form, "--method", "wheel")
+    }
     heading, row = part["runs.csv"].read_text(encoding="utf-8").splitlines()
     assert (heading.split(",")[1], row.split(",")[1]) == ("method", "wheel")
     content = json.loads(part["results.json"].read_text(encoding="utf-8"))
@@ -120,10 +122,10 @@ def test_csv_and_json_contain_the_selected_rows_and_conform_to_the_schema(finish
 # --- trajectories
 
 
-def test_tum_files_read_by_evo_have_the_same_errors(finished):
+def test_tum_files_read_by_evo_have_the_same_errors(finished_folder):
     file_interface = pytest.importorskip("evo.tools.file_interface")
     metrics = pytest.importorskip("evo.core.metrics")
-    files = {path.name: path for path in exported(finished, "tum")}
+    files = {path.name: path for path in run_export(finished_folder, "tum")}
     truth = file_interface.read_tum_trajectory_file(files["50-more-x-s0.truth.tum"])
     wheel = file_interface.read_tum_trajectory_file(files["wheel-s0.tum"])
     assert np.allclose(wheel.timestamps, STAMPS * 1e-9, atol=1e-6)
@@ -134,9 +136,9 @@ def test_tum_files_read_by_evo_have_the_same_errors(finished):
     )
 
 
-def test_kitti_files_read_by_evo_have_the_same_poses_and_as_many_of_ground_truth(finished):
+def test_kitti_files_read_by_evo_have_the_same_poses_and_as_many_of_ground_truth(finished_folder):
     file_interface = pytest.importorskip("evo.tools.file_interface")
-    files = {path.name: path for path in exported(finished, "kitti")}
+    files = {path.name: path for path in run_export(finished_folder, "kitti")}
     paper, truth = (file_interface.read_kitti_poses_file(files[f"paper-s0{end}.kitti.txt"]) for end in ("", ".truth"))
     assert paper.num_poses == truth.num_poses == N
     assert np.allclose(truth.positions_xyz[:, :2], TRUE[:, :2], atol=1e-10)
@@ -145,8 +147,8 @@ def test_kitti_files_read_by_evo_have_the_same_poses_and_as_many_of_ground_truth
     assert np.allclose(headings, TRUE[:, 2], atol=1e-10)
 
 
-def test_the_edges_of_a_g2o_file_connect_the_first_vertex_with_every_other(finished):
-    path = next(path for path in exported(finished, "g2o") if path.name == "wheel-s0.g2o")
+def test_the_edges_of_a_g2o_file_connect_the_first_vertex_with_every_other(finished_folder):
+    path = next(path for path in run_export(finished_folder, "g2o") if path.name == "wheel-s0.g2o")
     rows = [line.split() for line in path.read_text(encoding="utf-8").splitlines()]
     vertices = {int(row[1]): np.array(row[2:], dtype=float) for row in rows if row[0] == "VERTEX_SE2"}
     x, y, heading = vertices[0]
@@ -176,8 +178,8 @@ def nav2(path):
     return cells[::-1], float(words["resolution"]), x, y
 
 
-def test_a_map_read_by_nav2s_rules_equals_the_exported_grid(finished):
-    path = next(path for path in exported(finished, "map") if path.name == "paper-s0.yaml")
+def test_a_map_read_by_nav2s_rules_equals_the_exported_grid(finished_folder):
+    path = next(path for path in run_export(finished_folder, "map") if path.name == "paper-s0.yaml")
     cells, resolution, x, y = nav2(path)
     grid = record_of("paper").scores.grid
     assert (resolution, x, y) == (0.0125, -1.0625, 2.5)
@@ -189,8 +191,8 @@ def test_a_map_read_by_nav2s_rules_equals_the_exported_grid(finished):
 # --- papers
 
 
-def test_a_latex_table_has_complete_rows_and_no_unescaped_special_character(finished):
-    files = {path.name: path.read_text(encoding="utf-8") for path in exported(finished, "latex")}
+def test_a_latex_table_has_complete_rows_and_no_unescaped_special_character(finished_folder):
+    files = {path.name: path.read_text(encoding="utf-8") for path in run_export(finished_folder, "latex")}
     assert r"\input{table-50-more-x}" in files["tables.tex"]
     text = files["table-50-more-x.tex"]
     assert Counter(re.findall(r"\\begin\{(\w+)\}", text)) == Counter(re.findall(r"\\end\{(\w+)\}", text))
@@ -203,10 +205,10 @@ def test_a_latex_table_has_complete_rows_and_no_unescaped_special_character(fini
     assert [text.count(rule) for rule in (r"\toprule", r"\midrule", r"\bottomrule")] == [1, 1, 1]
 
 
-def test_latex_compiles_the_tables_and_the_figures(finished):
+def test_latex_compiles_the_tables_and_the_figures(finished_folder):
     if shutil.which("pdflatex") is None:
         pytest.skip("pdflatex is not installed")
-    tables, figures = (exported(finished, form)[0].parent for form in ("latex", "pdf"))
+    tables, figures = (run_export(finished_folder, form)[0].parent for form in ("latex", "pdf"))
     (tables / "paper.tex").write_text(
         r"\documentclass{article}\usepackage{booktabs,graphicx}\begin{document}\input{tables}"
         rf"\includegraphics[width=\textwidth]{{{figures / '50-more-x-trajectories.pdf'}}}\end{{document}}",
@@ -218,15 +220,17 @@ def test_latex_compiles_the_tables_and_the_figures(finished):
     assert "Missing character" not in (tables / "paper.log").read_text(encoding="latin-1")
 
 
-def test_tables_contain_exactly_the_intervals_of_results_json(finished):
-    intervals = json.loads((finished / "results.json").read_text(encoding="utf-8"))["intervals"]
+def test_tables_contain_exactly_the_intervals_of_results_json(finished_folder):
+    intervals = json.loads((finished_folder / "results.json").read_text(encoding="utf-8"))["intervals"]
     wheel = next(one for one in intervals if (one["method"], one["metric"]) == ("wheel", "ate_rmse_m"))
-    (path,) = (path for path in exported(finished, "latex", "--metric", "ate_rmse_m") if path.name != "tables.tex")
+    (path,) = (
+        path for path in run_export(finished_folder, "latex", "--metric", "ate_rmse_m") if path.name != "tables.tex"
+    )
     rows = {line.split("&")[0].strip(): line for line in path.read_text(encoding="utf-8").splitlines() if "&" in line}
     assert f"[{wheel['low']:.3f}, {wheel['high']:.3f}]" in rows["wheel"]
     assert r"\textbf{0.008}" in rows["paper"]
     assert r"\textbf" not in rows["wheel"]
-    (path,) = exported(finished, "markdown", "--metric", "ate_rmse_m")
+    (path,) = run_export(finished_folder, "markdown", "--metric", "ate_rmse_m")
     table = [line for line in path.read_text(encoding="utf-8").splitlines() if line.startswith("|")]
     assert {line.count("|") for line in table} == {4}
     assert f"[{wheel['low']:.3f}, {wheel['high']:.3f}]" in table[-1]
@@ -248,8 +252,8 @@ def test_a_name_cannot_include_a_file_in_latex():
     assert latex.escape_latex(r"\input{/etc/passwd}") == r"\textbackslash{}input\{/etc/passwd\}"
 
 
-def test_figures_are_vector_graphics_with_embedded_fonts_and_reproducible_bytes(finished):
-    found = load_selection(finished)
+def test_figures_are_vector_graphics_with_embedded_fonts_and_reproducible_bytes(finished_folder):
+    found = load_selection(finished_folder)
     drawn = dict(latex.draw_figures(found, "pdf"))
     assert set(drawn) == {f"50-more-x-{kind}.pdf" for kind in ("trajectories", "errors", "runtimes")}
     for content in drawn.values():
@@ -263,11 +267,11 @@ def test_figures_are_vector_graphics_with_embedded_fonts_and_reproducible_bytes(
 # --- viewers
 
 
-def test_a_bag_read_by_evalkit_equals_the_recording(finished):
+def test_a_bag_read_by_evalkit_equals_the_recording(finished_folder):
     from evalkit_datasets.rosbag import RosBag
 
-    folder = finished.parent / "export" / "mcap" / "wheel-s0"
-    assert folder in exported(finished, "mcap")
+    folder = finished_folder.parent / "export" / "mcap" / "wheel-s0"
+    assert folder in run_export(finished_folder, "mcap")
     sequence = RosBag(str(folder), base_frame="base_link")
     for made, frame in zip(Lap().frames(), sequence.frames(), strict=True):
         assert frame.scan.stamp_ns == made.scan.stamp_ns
@@ -277,11 +281,11 @@ def test_a_bag_read_by_evalkit_equals_the_recording(finished):
         assert frame.odom_from_base.row == pytest.approx(made.odom_from_base.row)
 
 
-def test_the_inspection_of_a_bag_finds_its_known_properties(finished):
+def test_the_inspection_of_a_bag_finds_its_known_properties(finished_folder):
     from evalkit_datasets.inspection.inspector import inspect_recording
     from evalkit_datasets.inspection.suggested_config import suggest_config
 
-    found = inspect_recording(exported(finished, "mcap", "--method", "wheel")[0])
+    found = inspect_recording(run_export(finished_folder, "mcap", "--method", "wheel")[0])
     (lidar,), (seat,), (driven,) = found.lidars, found.frames.mountings, found.odometries
     assert (lidar.timing.count, lidar.beams, lidar.returns.nan) == (N, 61, pytest.approx(1 / 61))
     assert lidar.timing.rate_hz == pytest.approx(10.0)
@@ -293,11 +297,11 @@ def test_the_inspection_of_a_bag_finds_its_known_properties(finished):
     assert (advice.parameters["topic"], advice.scans, advice.problem) == ("/scan", N, "")
 
 
-def test_an_mcap_file_read_by_the_mcap_library_contains_estimate_ground_truth_and_map(finished):
+def test_an_mcap_file_read_by_the_mcap_library_contains_estimate_ground_truth_and_map(finished_folder):
     reader = pytest.importorskip("mcap.reader", reason="mcap is not installed")
     typesys = pytest.importorskip("rosbags.typesys")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
-    (path,) = (exported(finished, "mcap", "--method", "wheel")[0]).glob("*.mcap")
+    (path,) = (run_export(finished_folder, "mcap", "--method", "wheel")[0]).glob("*.mcap")
     with path.open("rb") as file:
         messages = [(schema, channel.topic, message) for schema, channel, message in
                     reader.make_reader(file, validate_crcs=True).iter_messages()]  # fmt: skip
@@ -316,8 +320,8 @@ def test_an_mcap_file_read_by_the_mcap_library_contains_estimate_ground_truth_an
     assert (cells[5:] == -1).all()
 
 
-def test_a_recording_that_starts_at_zero_is_shifted_to_valid_ros_times(finished):
-    found = load_selection(finished, methods=["paper"])
+def test_a_recording_that_starts_at_zero_is_shifted_to_valid_ros_times(finished_folder):
+    found = load_selection(finished_folder, methods=["paper"])
     (record,) = found.runs
     early = RunResult(record.result.steps.copy(), N)
     early.steps.flags.writeable = True
@@ -335,9 +339,9 @@ class Nothing:
         return iter(())
 
 
-def test_a_rerun_recording_passes_reruns_own_check(finished):
+def test_a_rerun_recording_passes_reruns_own_check(finished_folder):
     pytest.importorskip("rerun", reason="rerun is not installed")
-    (path,) = exported(finished, "rerun")
+    (path,) = run_export(finished_folder, "rerun")
     assert path.name == "50-more-x-s0.rrd"
     command = [sys.executable, "-m", "rerun", "rrd", "verify", str(path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
@@ -347,25 +351,27 @@ def test_a_rerun_recording_passes_reruns_own_check(finished):
         assert entity in told.stdout
 
 
-def test_without_rerun_the_message_names_the_install_command_and_the_rest_is_written(finished, monkeypatch):
+def test_without_rerun_the_message_names_the_install_command_and_the_rest_is_written(finished_folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "rerun", None)
     with pytest.raises(NotInstalled, match=r"pip install 'evalkit\[rerun\]'"):
         rerun_file.import_rerun()
-    result = CliRunner().invoke(app, ["export", str(finished), "-f", "all", "-o", str(finished.parent / "everything")])
+    result = CliRunner().invoke(
+        app, ["export", str(finished_folder), "-f", "all", "-o", str(finished_folder.parent / "everything")]
+    )
     assert result.exit_code == 0
     assert "rerun is left out" in result.output
-    assert (finished.parent / "everything" / "markdown" / "summary.md").exists()
+    assert (finished_folder.parent / "everything" / "markdown" / "summary.md").exists()
 
 
 # --- unavailable data
 
 
-def test_a_sequence_without_its_files_gives_a_remark_and_the_rest_is_written(finished, monkeypatch):
+def test_a_sequence_without_its_files_gives_a_remark_and_the_rest_is_written(finished_folder, monkeypatch):
     def gone(**_):
         raise DataMissing("lap", "no such folder", "fetch it")
 
     monkeypatch.setattr(registry, "dataset", lambda _name: DatasetSpec(gone, "", "", "", "", ""))
-    found = load_selection(finished)
+    found = load_selection(finished_folder)
     assert len(found.remarks) == 1
     assert "fetch it" in found.remarks[0]
     assert [record.truth.trajectory for record in found.runs] == [None, None]
@@ -388,28 +394,28 @@ def test_a_parameter_that_the_reader_no_longer_has_gives_a_remark(finished, monk
         ("grid.npz", 30, "its alignment and map are missing"),
     ],
 )
-def test_an_incomplete_run_is_left_out_with_a_message_and_the_others_are_written(finished, name, left, said):
-    path = finished / "runs" / "paper-s0" / name
+def test_an_incomplete_run_is_left_out_with_a_message_and_the_others_are_written(finished_folder, name, left, said):
+    path = finished_folder / "runs" / "paper-s0" / name
     path.write_bytes(path.read_bytes()[:left])
-    found = load_selection(finished)
+    found = load_selection(finished_folder)
     assert [record.method for record in found.runs] == ["wheel"]
     (remark,) = found.remarks
     assert remark.startswith(f"paper over {AWKWARD}")
     assert said in remark
-    assert [path.name for path in exported(finished, "tum")] != []
+    assert [path.name for path in run_export(finished_folder, "tum")] != []
 
 
-def test_invalid_folders_and_labels_are_reported(finished, tmp_path):
+def test_invalid_folders_and_labels_are_reported(finished_folder, tmp_path):
     with pytest.raises(StoreError, match="no such file"):
         load_selection(tmp_path)
     for wrong in ({"sequences": ["nowhere"]}, {"methods": ["nobody"]}, {"metrics": ["ate"]}):
         with pytest.raises(UnknownName):
-            load_selection(finished, **wrong)
-    result = CliRunner().invoke(app, ["export", str(finished), "-f", "word"])
+            load_selection(finished_folder, **wrong)
+    result = CliRunner().invoke(app, ["export", str(finished_folder), "-f", "word"])
     assert isinstance(result.exception, UnknownName)
 
 
-def test_an_export_does_not_change_the_results_folder(finished):
-    before = sorted(path for path in finished.rglob("*"))
-    load_selection(finished)
-    assert sorted(path for path in finished.rglob("*")) == before
+def test_an_export_does_not_change_the_results_folder(finished_folder):
+    before = sorted(path for path in finished_folder.rglob("*"))
+    load_selection(finished_folder)
+    assert sorted(path for path in finished_folder.rglob("*")) == before

@@ -32,11 +32,11 @@ def make_profile(monkeypatch):
     """Calls take the costs of the list, repeated in turn."""
     costs = []
 
-    def timed(call):
+    def make_timed(call):
         costs.append(costs.pop(0))
         return call(), CallTiming(costs[-1], costs[-1])
 
-    monkeypatch.setattr(run_odometry, "timed", timed)
+    monkeypatch.setattr(run_odometry, "timed", make_timed)
     return costs
 
 

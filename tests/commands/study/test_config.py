@@ -55,14 +55,14 @@ points = 8
 """
 
 
-def changed(change):
+def change_study(change):
     content = copy.deepcopy(tomllib.loads(GOOD))
     change(content)
     return content
 
 
 def study(change=lambda content: None):
-    return config.study_from_tables(changed(change), "s.toml", "evalkit study s.toml")
+    return config.study_from_tables(change_study(change), "s.toml", "evalkit study s.toml")
 
 
 def test_every_point_has_all_settings_and_its_own_key():

@@ -33,7 +33,7 @@ def plan():
 def found():
     """Search with a known function: a larger epsilon has less error and more time; a small one loses its runs."""
 
-    def computed(job):
+    def compute_task(job):
         epsilon, seed = job.arguments["parameters"]["epsilon"], job.arguments["sequence"]["seed"]
         lost = epsilon < 1e-5
         scores = {ATE: None if lost else (1.0 + 0.01 * seed) * 1e-5 / epsilon, "cpu_median_ms": 100.0 * epsilon}
@@ -41,10 +41,10 @@ def found():
         status = "failed" if lost else "complete"
         return {"status": status, "reason": "too small", "cpu_s": 1.0, "scores": scores, "why": why}
 
-    return search_loop.run_search(plan(), lambda jobs: {job.name: computed(job) for job in jobs})
+    return search_loop.run_search(plan(), lambda jobs: {job.name: compute_task(job) for job in jobs})
 
 
-def told(build, record, tuned_ate, lost=0, status="failed"):
+def build_tuning(build, record, tuned_ate, lost=0, status="failed"):
     records = []
     for seed in SEEDS:
         records.append(record("a", "room", {ATE: 0.10 + 0.001 * seed}, seed=seed, error_m=0.1))
@@ -65,7 +65,7 @@ def told(build, record, tuned_ate, lost=0, status="failed"):
     ],
 )
 def test_worse_or_lost_held_out_runs_are_overfitting(build, record, tuned_ate, lost, verdict, overfitted):
-    result = told(build, record, tuned_ate, lost)
+    result = build_tuning(build, record, tuned_ate, lost)
     held = result.held["a"]
     assert (held.verdict, held.overfitted) == (verdict, overfitted)
     assert verdict in render(page.build_document(result))
@@ -73,11 +73,11 @@ def test_worse_or_lost_held_out_runs_are_overfitting(build, record, tuned_ate, l
 
 @pytest.mark.parametrize(("status", "said"), [("failed", True), ("skipped", False)])
 def test_a_missing_run_is_not_counted_as_lost(build, record, status, said):
-    assert ("3 of 10 lost" in render(page.build_document(told(build, record, 0.05, 3, status)))) is said
+    assert ("3 of 10 lost" in render(page.build_document(build_tuning(build, record, 0.05, 3, status)))) is said
 
 
 def test_the_test_over_runs_is_wilcoxons_signed_rank_test(build, record):
-    paired = told(build, record, 0.05).held["a"].paired
+    paired = build_tuning(build, record, 0.05).held["a"].paired
     assert paired is not None
     assert (paired.runs, paired.better, paired.worse) == (10, 10, 0)
     assert paired.p == pytest.approx(2.0**-9)  # all ten runs in one direction
@@ -85,7 +85,7 @@ def test_the_test_over_runs_is_wilcoxons_signed_rank_test(build, record):
 
 
 def test_the_json_has_every_point_and_the_cost(build, record):
-    whole = json.loads(json.dumps(results_json.tuning_as_json(told(build, record, 0.05)), allow_nan=False))
+    whole = json.loads(json.dumps(results_json.tuning_as_json(build_tuning(build, record, 0.05)), allow_nan=False))
     (backend,) = whole["backends"]
     assert whole["budget"] == {"points": 8, "seed": 0, "search_runs": 2, "confirming_runs": 4, "run_cpu_s": 60.0}
     assert len(backend["points"]) == backend["spent"]["points"] == 8
@@ -106,4 +106,4 @@ def test_a_point_that_loses_runs_is_not_on_the_pareto_front():
 
 
 def test_a_title_with_a_script_is_escaped(build, record):
-    assert "<script>alert(1)" not in render(page.build_document(told(build, record, 0.05)))
+    assert "<script>alert(1)" not in render(page.build_document(build_tuning(build, record, 0.05)))

@@ -34,7 +34,7 @@ def misfits(monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(HERE / "misfits"))
 
 
-def planned(backend, **changes):
+def make_plan(backend, **changes):
     known = plan.ValidationRequest(backend, {}, "", {}, (), ("room laps=0.04",), 1, "equal", "auto", 0.5, "", TINY)
     return plan.make_plan(replace(known, **changes))
 
@@ -148,7 +148,7 @@ def test_a_library_equals_itself_as_its_reference(example_library):
 
 @pytest.mark.slow
 def test_a_library_is_validated_at_every_level(example_library, tmp_path):
-    found = report(planned(example_library, claim="as-good"), tmp_path)
+    found = report(make_plan(example_library, claim="as-good"), tmp_path)
     assert [level.outcome("equal") for level in found.levels[:3]] == ["passed", "failed", "failed"]
     assert all(check.outcome == "passed" for check in found.levels[3].checks if check.name == "completes its runs")
     assert any("times as long" in check.observed for check in found.levels[5].checks)
@@ -164,8 +164,8 @@ def test_a_crash_is_a_failed_check(misfits):
 
 
 def test_the_reference_is_the_first_back_end_with_that_role_and_gets_the_same_settings():
-    assert planned("paper-tight").reference == "paper"
-    validation = planned(
+    assert make_plan("paper-tight").reference == "paper"
+    validation = make_plan(
         "paper-tight", given={"max_iterations": "7", "epsilon": "1e-5"}, given_reference={"epsilon": "1e-3"}
     )
     assert validation.given_reference == {"max_iterations": 7, "epsilon": 1e-3}
@@ -182,12 +182,12 @@ def test_the_mapper_of_a_back_end_comes_from_its_module():
 
 def test_invalid_requests_are_rejected_before_anything_is_computed():
     with pytest.raises(UnknownName, match="papre"):
-        planned("papre")
+        make_plan("papre")
     with pytest.raises(NotInstalled, match="no such file"):
-        planned("lib:./nowhere.so")
+        make_plan("lib:./nowhere.so")
     with pytest.raises(BadExperiment, match="lapse"):
-        planned("paper", on=("room lapse=1",))
+        make_plan("paper", on=("room lapse=1",))
     with pytest.raises(BadParameter, match="NAME=VALUE"):
-        planned("paper", on=("room 0.3",))
+        make_plan("paper", on=("room 0.3",))
     with pytest.raises(BadParameter, match="laps"):
-        planned("paper", on=("room laps=many",))
+        make_plan("paper", on=("room laps=many",))

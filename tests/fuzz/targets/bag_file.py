@@ -28,7 +28,7 @@ def swollen() -> list[bytes]:
     ]
 
 
-def one(data: bytes) -> None:
+def read_input(data: bytes) -> None:
     """Read a bag and all of its frames. The reader allocates any declared length, but does not fill it."""
     kind = MAGIC.get(data[:7], "mcap")
     check_file_reader(_read, data, f"fuzz{SUFFIXES[kind]}", resident=True)

@@ -29,7 +29,7 @@ def swollen() -> list[bytes]:
     ]
 
 
-def one(data: bytes) -> None:
+def read_input(data: bytes) -> None:
     """Read a bag with the input as one message among valid ones."""
     part = PARTS[data[0] % len(PARTS)] if data else PARTS[0]
     path = folder() / "messages.bag"

@@ -37,7 +37,7 @@ def swollen() -> list[bytes]:
     ]
 
 
-def one(data: bytes) -> None:
+def read_input(data: bytes) -> None:
     """Read a log and all of its frames."""
     check_file_reader(_read, data, "fuzz.log")
 

@@ -20,7 +20,7 @@ def swollen() -> list[bytes]:
     return [b"\x7fELF", b"\x7fELF\x02\x01\x01", b"\x7fELF" + b"\xff" * 100_000]
 
 
-def one(data: bytes) -> None:
+def read_input(data: bytes) -> None:
     """Check whether the file can be used."""
     check_file_reader(
         lambda path: (elf.find_unusable_reason(path, library=True), elf.find_unusable_reason(path, library=False)),

@@ -55,6 +55,6 @@ def swollen() -> list[bytes]:
     ]
 
 
-def one(data: bytes) -> None:
+def read_input(data: bytes) -> None:
     """Read an experiment and list its runs."""
     check_file_reader(lambda path: list(load_experiment(path).runs()), data, "fuzz.toml")

@@ -29,7 +29,7 @@ def swollen() -> list[bytes]:
     return [content[1:] for content in stored_run.swollen() if content[0] == 3]
 
 
-def one(data: bytes) -> None:
+def read_input(data: bytes) -> None:
     """Load a result; a damaged one counts as absent."""
     untrusted_io.MAX_BYTES = 2**24  # as for a stored run
     store = TaskStore(folder())

@@ -46,7 +46,7 @@ def swollen() -> list[bytes]:
     ]
 
 
-def one(data: bytes) -> None:
+def read_input(data: bytes) -> None:
     """Read a map with the input as its image."""
     map_server.MAX_PIXELS = 2**20  # the memory of a valid image of that size is not a finding
     settings = folder() / "image.yaml"

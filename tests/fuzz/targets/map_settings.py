@@ -38,7 +38,7 @@ def swollen() -> list[bytes]:
     ]
 
 
-def one(data: bytes) -> None:
+def read_input(data: bytes) -> None:
     """Read a map with the input as its settings."""
     (folder() / "fuzz.pgm").write_bytes(b"P5\n2 2\n255\n\x00\xcd\xfe\xfe")
     check_file_reader(map_server.read_map, data, "fuzz.yaml", named="")  # it may name an image that does not exist

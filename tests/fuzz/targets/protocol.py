@@ -48,11 +48,11 @@ def swollen() -> list[bytes]:
     ]
 
 
-def one(data: bytes) -> None:
+def read_input(data: bytes) -> None:
     """Parse a line as every type of answer."""
     program = Program.__new__(Program)
     program._name, program._process, program._last_messages = "exec:fuzz", _StubProcess(), deque([data[-200:]])
-    for hear in (_describe_program, _matched, _posed):
+    for hear in (_describe_program, _make_registration, _make_odometry):
         check_call(lambda hear=hear: hear(program, data), len(data), "exec:fuzz")
 
 
@@ -63,11 +63,11 @@ def _describe_program(program: Program, line: bytes) -> None:
         parameter.check("exec:fuzz", parameter.default)
 
 
-def _matched(program: Program, line: bytes) -> None:
+def _make_registration(program: Program, line: bytes) -> None:
     _talk(program).match(program.read(line))
 
 
-def _posed(program: Program, line: bytes) -> None:
+def _make_odometry(program: Program, line: bytes) -> None:
     session = _talk(program)
     answer = program.read(line)
     session.pose(answer)

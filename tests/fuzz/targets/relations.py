@@ -22,6 +22,6 @@ def swollen() -> list[bytes]:
     ]
 
 
-def one(data: bytes) -> None:
+def read_input(data: bytes) -> None:
     """Read relations."""
     check_file_reader(read_relations, data, "fuzz.relations")

@@ -32,6 +32,6 @@ def swollen() -> list[bytes]:
     ]
 
 
-def one(data: bytes) -> None:
+def read_input(data: bytes) -> None:
     """Read measured distances."""
     check_file_reader(read_spans, data, "fuzz.toml")

@@ -70,7 +70,7 @@ def swollen() -> list[bytes]:
     ]
 
 
-def one(data: bytes) -> None:
+def read_input(data: bytes) -> None:
     """Load a run and its scores; damaged ones count as absent."""
     place = folder() / "runs" / "key"
     place.mkdir(parents=True, exist_ok=True)

@@ -58,6 +58,6 @@ def swollen() -> list[bytes]:
     ]
 
 
-def one(data: bytes) -> None:
+def read_input(data: bytes) -> None:
     """Read a study and build its tasks."""
     check_file_reader(lambda path: load_study(path, "evalkit study fuzz.toml").tasks(), data, "fuzz.toml")

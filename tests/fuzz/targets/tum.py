@@ -20,6 +20,6 @@ def swollen() -> list[bytes]:
     return [b"1 0 0 0 0 0 0 1\n" * 10_000, b"1e" + b"9" * 200_000 + b" 0 0 0 0 0 0 1\n", b"1 0 0 0 0 0 0 1e200\n"]
 
 
-def one(data: bytes) -> None:
+def read_input(data: bytes) -> None:
     """Read a trajectory and format it again."""
     check_file_reader(lambda path: format_tum(read_tum(path).trajectory), data, "fuzz.tum")

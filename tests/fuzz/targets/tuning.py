@@ -50,6 +50,6 @@ def swollen() -> list[bytes]:
     ]
 
 
-def one(data: bytes) -> None:
+def read_input(data: bytes) -> None:
     """Read a tuning."""
     check_file_reader(lambda path: load_tuning(path, "fuzz", "evalkit tune fuzz.toml"), data, "fuzz.toml")
