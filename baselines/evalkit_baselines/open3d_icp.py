@@ -48,7 +48,7 @@ Describe = Callable[[Any, Any, Cloud, Stopwatch], None]
 
 
 @dataclass(frozen=True)
-class PointSettings:
+class Open3DPointSettings:
     """Parameters of point-to-point ICP, and of the other two methods."""
 
     max_correspondence_m: float = parameter(0.2, "m", "largest distance of a pair", low=1e-3)
@@ -58,7 +58,7 @@ class PointSettings:
 
 
 @dataclass(frozen=True)
-class PlaneSettings(PointSettings):
+class Open3DPlaneSettings(Open3DPointSettings):
     """Parameters of point-to-plane ICP."""
 
     normal_neighbours: int = parameter(20, "", "points that define a wall, the point itself included", low=3)
@@ -68,7 +68,7 @@ class PlaneSettings(PointSettings):
 
 
 @dataclass(frozen=True)
-class GeneralizedSettings(PlaneSettings):
+class GeneralizedSettings(Open3DPlaneSettings):
     """Parameters of generalised ICP."""
 
     epsilon: float = parameter(1e-3, "", "variance across a wall, 1 along it", low=1e-9, high=1.0)
@@ -84,7 +84,7 @@ class Open3DRegistration:
         estimation: Any,
         describe_target: Describe,
         describe_source: Describe,
-        settings: PointSettings,
+        settings: Open3DPointSettings,
     ) -> None:
         self._open3d = open3d
         self._method = method
@@ -139,7 +139,7 @@ class Open3DRegistration:
 
 def point_to_point(**parameters: Any) -> Open3DRegistration:
     """Make Open3D's point-to-point ICP with the parameters of ``PointSettings``."""
-    settings = PointSettings(**parameters)
+    settings = Open3DPointSettings(**parameters)
     open3d = _import_open3d()
     methods = open3d.pipelines.registration
     estimation = methods.TransformationEstimationPointToPoint()
@@ -148,7 +148,7 @@ def point_to_point(**parameters: Any) -> Open3DRegistration:
 
 def point_to_plane(**parameters: Any) -> Open3DRegistration:
     """Make Open3D's point-to-plane ICP on normals computed in the plane, with the parameters of ``PlaneSettings``."""
-    settings = PlaneSettings(**parameters)
+    settings = Open3DPlaneSettings(**parameters)
     open3d = _import_open3d()
     methods = open3d.pipelines.registration
 
@@ -195,7 +195,7 @@ def _add_nothing(_library: Any, _space: Any, _cloud: Cloud, _conversion: Stopwat
     """Add nothing: point-to-point needs only points."""
 
 
-def _make_loss(methods: Any, settings: PlaneSettings) -> Any:
+def _make_loss(methods: Any, settings: Open3DPlaneSettings) -> Any:
     losses = {
         "none": methods.L2Loss,
         "tukey": lambda: methods.TukeyLoss(settings.kernel_width_m),
@@ -240,7 +240,7 @@ POINT_TO_POINT = RegistrationSpec(
     licence="MIT",
     role="peer",
     requires=("open3d",),
-    parameters=declared_parameters(PointSettings),
+    parameters=declared_parameters(Open3DPointSettings),
     missing=open3d_missing,
 )
 
@@ -250,7 +250,7 @@ POINT_TO_PLANE = replace(
     summary="Open3D point-to-plane ICP with normals computed in the plane",
     citation=f"Chen and Medioni, IVC 1992; {_OPEN3D}",
     role="",
-    parameters=declared_parameters(PlaneSettings),
+    parameters=declared_parameters(Open3DPlaneSettings),
 )
 
 GENERALIZED = replace(

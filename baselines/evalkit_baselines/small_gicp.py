@@ -48,7 +48,7 @@ Prepare = Callable[[Any, Cloud, Stopwatch], tuple[Any, Any]]
 
 
 @dataclass(frozen=True)
-class PointSettings:
+class SmallGicpPointSettings:
     """Parameters of point-to-point ICP, and of the other method."""
 
     max_correspondence_m: float = parameter(0.2, "m", "largest distance of a pair", low=1e-3)
@@ -58,7 +58,7 @@ class PointSettings:
 
 
 @dataclass(frozen=True)
-class PlaneSettings(PointSettings):
+class SmallGicpPlaneSettings(SmallGicpPointSettings):
     """Parameters of point-to-plane ICP."""
 
     normal_neighbours: int = parameter(30, "", "points of all three layers that define a wall", low=5, high=10_000)
@@ -68,7 +68,7 @@ class PlaneSettings(PointSettings):
 class SmallGicpRegistration:
     """A Registration by one of small_gicp's methods."""
 
-    def __init__(self, method: str, prepare: Prepare, settings: PointSettings) -> None:
+    def __init__(self, method: str, prepare: Prepare, settings: SmallGicpPointSettings) -> None:
         self._library = _import_small_gicp()
         self._prepare = prepare
         self._settings = {
@@ -109,12 +109,12 @@ class SmallGicpRegistration:
 
 def point_to_point(**parameters: Any) -> SmallGicpRegistration:
     """Make small_gicp's point-to-point ICP with the parameters of ``PointSettings``."""
-    return SmallGicpRegistration("ICP", _prepare_flat, PointSettings(**parameters))
+    return SmallGicpRegistration("ICP", _prepare_flat, SmallGicpPointSettings(**parameters))
 
 
 def point_to_plane(**parameters: Any) -> SmallGicpRegistration:
     """Make small_gicp's point-to-plane ICP on a target extruded to three layers (``PlaneSettings``)."""
-    settings = PlaneSettings(**parameters)
+    settings = SmallGicpPlaneSettings(**parameters)
 
     def extruded(library: Any, target: Cloud, conversion: Stopwatch) -> tuple[Any, Any]:
         with conversion:
@@ -160,7 +160,7 @@ POINT_TO_PLANE = RegistrationSpec(
     citation=f"Chen and Medioni, IVC 1992; {_LIBRARY}",
     licence="MIT",
     requires=("small_gicp",),
-    parameters=declared_parameters(PlaneSettings),
+    parameters=declared_parameters(SmallGicpPlaneSettings),
     missing=small_gicp_missing,
 )
 
@@ -169,5 +169,5 @@ POINT_TO_POINT = replace(
     make=point_to_point,
     summary="small_gicp point-to-point ICP",
     citation=f"Besl and McKay, PAMI 1992; {_LIBRARY}",
-    parameters=declared_parameters(PointSettings),
+    parameters=declared_parameters(SmallGicpPointSettings),
 )

@@ -16,7 +16,7 @@ VERSION = 1
 KINDS: dict[int, Literal["registration", "odometry"]] = {1: "registration", 2: "odometry"}
 
 
-class Pose(ctypes.Structure):
+class PoseStruct(ctypes.Structure):
     """``evalkit_pose``."""
 
     _fields_: ClassVar = [("x", c_double), ("y", c_double), ("theta", c_double)]
@@ -25,32 +25,33 @@ class Pose(ctypes.Structure):
     theta: float
 
 
-class Match(ctypes.Structure):
+class MatchStruct(ctypes.Structure):
     """``evalkit_match``."""
 
     _fields_: ClassVar = [
-        ("target_from_source", Pose), ("error_m", c_double),
+        ("target_from_source", PoseStruct), ("error_m", c_double),
         ("converged", c_int32), ("iterations", c_int32), ("inliers", c_int32),
     ]  # fmt: skip
-    target_from_source: Pose
+    target_from_source: PoseStruct
     error_m: float
     converged: int
     iterations: int
     inliers: int
 
 
-class Frame(ctypes.Structure):
+class FrameStruct(ctypes.Structure):
     """``evalkit_frame``."""
 
     _fields_: ClassVar = [
         ("stamp_ns", c_int64), ("time_increment_ns", c_int64),
         ("ranges", POINTER(c_double)), ("angles", POINTER(c_double)), ("beams", c_size_t),
         ("range_min_m", c_double), ("range_max_m", c_double),
-        ("base_from_sensor", Pose), ("odom_from_base", POINTER(Pose)), ("start_from_end", POINTER(Pose)),
+        ("base_from_sensor", PoseStruct), ("odom_from_base", POINTER(PoseStruct)),
+        ("start_from_end", POINTER(PoseStruct)),
     ]  # fmt: skip
 
 
-Trace = CFUNCTYPE(None, c_void_p, c_double, c_int32, POINTER(Pose))
+Trace = CFUNCTYPE(None, c_void_p, c_double, c_int32, POINTER(PoseStruct))
 
 _COMMON: dict[str, tuple[object, list[object]]] = {
     "evalkit_create": (c_void_p, [POINTER(c_char_p), POINTER(c_char_p), c_size_t]),
@@ -59,10 +60,10 @@ _COMMON: dict[str, tuple[object, list[object]]] = {
 _CALLS: dict[str, tuple[str, list[object]]] = {
     "registration": (
         "evalkit_register",
-        [c_void_p, POINTER(c_double), c_size_t, POINTER(c_double), c_size_t, POINTER(Pose), Trace, c_void_p,
-         POINTER(Match)],
+        [c_void_p, POINTER(c_double), c_size_t, POINTER(c_double), c_size_t, POINTER(PoseStruct), Trace, c_void_p,
+         POINTER(MatchStruct)],
     ),
-    "odometry": ("evalkit_update", [c_void_p, POINTER(Frame), POINTER(Pose)]),
+    "odometry": ("evalkit_update", [c_void_p, POINTER(FrameStruct), POINTER(PoseStruct)]),
 }  # fmt: skip
 _OPTIONAL: dict[str, tuple[object, list[object]]] = {
     "evalkit_summary": (c_char_p, []),

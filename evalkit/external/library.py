@@ -84,7 +84,7 @@ class LibraryRegistration:
 
         with conversion:
             onto, points = _to_contiguous(target.points), _to_contiguous(source.points)
-            start, answer = _to_abi_pose(guess), abi.Match()
+            start, answer = _to_abi_pose(guess), abi.MatchStruct()
             answer.target_from_source.x = np.nan  # detected if the library does not set it
             trace = abi.Trace(record) if self._trace else abi.Trace()
         self._instance.call(
@@ -111,12 +111,12 @@ class LibraryOdometry:
         with conversion:
             scan = frame.scan
             ranges, angles = _to_contiguous(scan.ranges), _to_contiguous(scan.angles)
-            question = abi.Frame(
+            question = abi.FrameStruct(
                 scan.stamp_ns, scan.time_increment_ns, _to_pointer(ranges), _to_pointer(angles), len(ranges),
                 scan.range_min_m, scan.range_max_m, _to_abi_pose(frame.base_from_sensor),
                 _to_pose_pointer(frame.odom_from_base), _to_pose_pointer(frame.start_from_end),
             )  # fmt: skip
-            answer = abi.Pose(np.nan, np.nan, np.nan)  # detected if the library does not set it
+            answer = abi.PoseStruct(np.nan, np.nan, np.nan)  # detected if the library does not set it
         self._instance.call("evalkit_update", ctypes.byref(question), ctypes.byref(answer))
         with conversion:
             pose = self._instance.check_pose(answer)
@@ -146,7 +146,7 @@ class Instance:
                 self._name, f"{function} returned error {code}{self._last_error()}", "see what it needs"
             )
 
-    def check_pose(self, row: abi.Pose) -> Pose:
+    def check_pose(self, row: abi.PoseStruct) -> Pose:
         """Return the pose of an answer; raises BackendFailed where it is not finite."""
         if not np.isfinite([row.x, row.y, row.theta]).all():
             found = f"reported success with a pose that is not finite: ({row.x}, {row.y}, {row.theta})"
@@ -195,13 +195,13 @@ def _to_pointer(array: Floats) -> Any:
     return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
 
 
-def _to_abi_pose(pose: Pose) -> abi.Pose:
-    return abi.Pose(pose.x, pose.y, pose.theta)
+def _to_abi_pose(pose: Pose) -> abi.PoseStruct:
+    return abi.PoseStruct(pose.x, pose.y, pose.theta)
 
 
 def _to_pose_pointer(pose: Pose | None) -> Any:
     return None if pose is None else ctypes.pointer(_to_abi_pose(pose))
 
 
-def _from_abi_pose(row: abi.Pose) -> Pose:
+def _from_abi_pose(row: abi.PoseStruct) -> Pose:
     return Pose(row.x, row.y, row.theta)

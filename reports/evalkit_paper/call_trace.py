@@ -23,19 +23,19 @@ RECORDED = frozenset(
 
 
 @dataclass
-class Call:
+class TracedCall:
     """One recorded call: qualified function name, stage of the front end, and nested calls."""
 
     name: str
     stage: str = ""
-    calls: list[Call] = field(default_factory=list)
+    calls: list[TracedCall] = field(default_factory=list)
 
     @property
     def key(self) -> str:
         """Name and stage."""
         return f"{self.name} {self.stage}".rstrip()
 
-    def walk(self) -> Iterator[Call]:
+    def walk(self) -> Iterator[TracedCall]:
         """This call and all nested calls, in calling order."""
         yield self
         for call in self.calls:
@@ -46,15 +46,15 @@ class Call:
         return {"name": self.name, "stage": self.stage, "calls": [call.to_json() for call in self.calls]}
 
     @classmethod
-    def from_json(cls, to_json: Mapping[str, Any]) -> Call:
+    def from_json(cls, to_json: Mapping[str, Any]) -> TracedCall:
         """Read a call from the JSON values of ``to_json``."""
         return cls(to_json["name"], to_json["stage"], [cls.from_json(call) for call in to_json["calls"]])
 
 
-def record_calls(action: Callable[[], object]) -> Call:
+def record_calls(action: Callable[[], object]) -> TracedCall:
     """Run an action and return its calls as a tree below a nameless root."""
-    root = Call("")
-    open_calls: list[Call | None] = [root]
+    root = TracedCall("")
+    open_calls: list[TracedCall | None] = [root]
 
     def on_event(frame: FrameType, event: str, _argument: object) -> None:
         if event == "call":
@@ -74,11 +74,11 @@ def record_calls(action: Callable[[], object]) -> Call:
     return root
 
 
-def _recorded_call(frame: FrameType) -> Call | None:
+def _recorded_call(frame: FrameType) -> TracedCall | None:
     name = frame.f_code.co_qualname
     if frame.f_globals.get("__name__") not in RECORDED or "<" in name or name.endswith(("__init__", "__post_init__")):
         return None
-    return Call(name, str(frame.f_locals.get("stage", "")) if name == "FrontEnd._register" else "")
+    return TracedCall(name, str(frame.f_locals.get("stage", "")) if name == "FrontEnd._register" else "")
 
 
 def trace_drive(
@@ -86,7 +86,7 @@ def trace_drive(
 ) -> dict[str, Any]:  # fmt: skip
     """Calls of one scan of a drive through the laboratory: the scan that called the most different functions.
 
-    Keys: "scan", its number; "calls", the tree of ``Call`` of the front end, then of the mapper.
+    Keys: "scan", its number; "calls", the tree of ``TracedCall`` of the front end, then of the mapper.
     """
     lab = registry.dataset("lab").make(**sequence)
     spec = registry.backend("paper")

@@ -143,7 +143,7 @@ def _growth_figure(settings: Settings, results: Results, world: str) -> Figure:
         stroke = Stroke(BAR, (4.0, 2.0)) if entry.label == WHEELS else charts.stroke(number - 1)
         curves.append(Curve(entry.label, way, np.median(off, axis=0), off.min(axis=0), off.max(axis=0), stroke))
     lap = {"one lap": float(curves[0].x[-1] / settings["laps"])}
-    spans = [charts.Span(value, value, name, "#59636e") for name, value in lap.items()]
+    spans = [charts.ShadedSpan(value, value, name, "#59636e") for name, value in lap.items()]
     drawn = charts.lines(curves, Axis("path length [m]", low=0.0), Axis("position error [m]", "log"), spans)
     return Figure(drawn, f"Error over path length, {world}", "Median over the seeds, bands: minimum to maximum.")
 

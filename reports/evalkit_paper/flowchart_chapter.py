@@ -12,7 +12,7 @@ from evalkit.report.html import charts
 from evalkit.report.html.blocks import Figure, Figures, Section, Text
 from evalkit.report.html.charts import Box
 from evalkit_paper import call_trace
-from evalkit_paper.call_trace import Call
+from evalkit_paper.call_trace import TracedCall
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
 
 ANCHOR = "figures-2-to-5"
@@ -75,7 +75,7 @@ class Path:
     times: int = 1
 
 
-def path(root: Call, words: Words, below: str = "") -> Path:
+def path(root: TracedCall, words: Words, below: str = "") -> Path:
     """Stages of ``words`` that ran below the first call of ``below``; a repeated round appears once."""
     start = next((call for call in root.walk() if call.key == below), None) if below else root
     ran = list(_in_order(start, words)) if start is not None else []
@@ -89,7 +89,7 @@ def path(root: Call, words: Words, below: str = "") -> Path:
     return Path([*ran[:first], *longest, *rest], first, first + len(longest) - 1, len(rounds))
 
 
-def _in_order(call: Call, words: Words) -> Sequence[str]:
+def _in_order(call: TracedCall, words: Words) -> Sequence[str]:
     below = [key for inner in call.calls for key in _in_order(inner, words)]
     if call.key not in words:
         return below
@@ -145,7 +145,7 @@ def tasks(settings: Settings) -> tuple[AnyTask, ...]:
 def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
     """The section of this chapter."""
     del settings
-    root = Call.from_json(results[RECORDED]["calls"])
+    root = TracedCall.from_json(results[RECORDED]["calls"])
     register = "FrontEnd._register s2m" if "FrontEnd._register s2m" in _keys(root) else "FrontEnd._register s2s"
     drawings = (
         ("Figure 2: the pipeline", PIPELINE, "", "scan, wheel odometry", "pose and map"),
@@ -165,14 +165,14 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
     return (Section("Figures 2 to 5: pipeline and flow charts", (Text(told), Figures(figures, small=True)), ANCHOR),)
 
 
-def _keys(root: Call) -> set[str]:
+def _keys(root: TracedCall) -> set[str]:
     return {call.key for call in root.walk()}
 
 
 def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     """The findings on Figures 1 to 5."""
     del settings
-    root = Call.from_json(results[RECORDED]["calls"])
+    root = TracedCall.from_json(results[RECORDED]["calls"])
     counts = [len(path(root, words).stages) for words in (PIPELINE, TWO_STAGES, MAPPING)]
     return (
         Finding(

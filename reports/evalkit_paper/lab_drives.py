@@ -29,7 +29,7 @@ HIDDEN = 0.1
 
 
 @dataclass(frozen=True)
-class Cause:
+class SpikeCause:
     """A possible cause of spikes: parameters of the sequence and of the front end, and the kind of its events.
 
     ``marked``: "turns", "slips", "gaps", "gaps in turns", "people" or "start".
@@ -41,7 +41,7 @@ class Cause:
     parameters: Mapping[str, Value] = field(default_factory=dict)
 
 
-def causes(settings: Mapping[str, Any]) -> tuple[Cause, ...]:
+def causes(settings: Mapping[str, Any]) -> tuple[SpikeCause, ...]:
     """All causes; the first is the drive without disturbances."""
     slow: dict[str, Value] = {"turn_dps": settings["slow_dps"], "laps": settings["laps"]}
     quick: dict[str, Value] = {"turn_dps": settings["turn_dps"], "laps": settings["turn_laps"]}
@@ -52,18 +52,18 @@ def causes(settings: Mapping[str, Any]) -> tuple[Cause, ...]:
     raw: dict[str, Value] = {"deskew": False}
     blind: dict[str, Value] = {"deskew": False, "prior": "constant-velocity"}
     return (
-        Cause("slow turns", "start", slow, raw),
-        Cause("quick turns", "turns", quick, raw),
-        Cause("quick turns, deskewed", "turns", quick, {"deskew": True}),
-        Cause("wheel slip", "slips", slow | slips, raw),
-        Cause("lost scans", "gaps", slow | lost, raw),
-        Cause("quick turns and lost scans", "gaps in turns", quick | lost_in_turn, raw),
-        Cause("quick turns and lost scans, no odometry", "gaps in turns", quick | lost_in_turn, blind),
-        Cause("people", "people", slow | {"people": settings["people"]}, raw),
+        SpikeCause("slow turns", "start", slow, raw),
+        SpikeCause("quick turns", "turns", quick, raw),
+        SpikeCause("quick turns, deskewed", "turns", quick, {"deskew": True}),
+        SpikeCause("wheel slip", "slips", slow | slips, raw),
+        SpikeCause("lost scans", "gaps", slow | lost, raw),
+        SpikeCause("quick turns and lost scans", "gaps in turns", quick | lost_in_turn, raw),
+        SpikeCause("quick turns and lost scans, no odometry", "gaps in turns", quick | lost_in_turn, blind),
+        SpikeCause("people", "people", slow | {"people": settings["people"]}, raw),
     )
 
 
-def make_drive_task(settings: Mapping[str, Any], cause: Cause, rate_hz: float) -> AnyTask:
+def make_drive_task(settings: Mapping[str, Any], cause: SpikeCause, rate_hz: float) -> AnyTask:
     """Computation of one drive."""
     sequence = {"seed": settings["seed"], "speed_mps": settings["speed_mps"], "rate_hz": rate_hz, **cause.sequence}
     return make_task(
@@ -86,7 +86,7 @@ def turn_name(turn_dps: float, rate_hz: float) -> str:
     return f"turns of {turn_dps:g} deg per s at {rate_hz:g} Hz"
 
 
-def name(cause: Cause, rate_hz: float) -> str:
+def name(cause: SpikeCause, rate_hz: float) -> str:
     """Name of the result of a drive."""
     return f"{cause.name} at {rate_hz:g} Hz"
 

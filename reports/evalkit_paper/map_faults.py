@@ -39,7 +39,7 @@ class Faults:
 
 
 @dataclass(frozen=True, slots=True)
-class Cluster:
+class CellCluster:
     """Connected cells: count, centre (m), extent (m), and largest distance to a true wall (m)."""
 
     cells: int
@@ -61,7 +61,7 @@ def find_faults(mapped: OccupancyGrid, true: OccupancyGrid) -> Faults:
     )
 
 
-def find_clusters(points: Floats, walls: Floats) -> tuple[Cluster, ...]:
+def find_clusters(points: Floats, walls: Floats) -> tuple[CellCluster, ...]:
     """Group points (N, 2) into clusters, largest first; ``walls`` (M, 2), M > 0, are the true walls."""
     if not len(points):
         return ()
@@ -73,9 +73,9 @@ def find_clusters(points: Floats, walls: Floats) -> tuple[Cluster, ...]:
     return tuple(sorted(found, key=lambda cluster: -cluster.cells))
 
 
-def _cluster(points: Floats, off: Floats) -> Cluster:
+def _cluster(points: Floats, off: Floats) -> CellCluster:
     x, y = points.mean(axis=0).tolist()
-    return Cluster(len(points), x, y, float(np.hypot(*np.ptp(points, axis=0))), float(off.max()))
+    return CellCluster(len(points), x, y, float(np.hypot(*np.ptp(points, axis=0))), float(off.max()))
 
 
 def find_contradicted(hits: Floats, other: OccupancyGrid) -> Bools:

@@ -12,7 +12,7 @@ from evalkit.execution.task import AnyTask, Result, make_task
 from evalkit.plugins import registry
 from evalkit.report.html import charts
 from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Heading, Table, Text
-from evalkit.report.html.charts import Axis, Curve, Points, Span
+from evalkit.report.html.charts import Axis, Curve, Points, ShadedSpan
 from evalkit_paper import lab_maps, plan_fit, spikes, stage_errors
 from evalkit_paper.chapter import Results
 from evalkit_paper.lab_maps import Variant
@@ -93,7 +93,7 @@ def count_spikes_in_turns(result: Result) -> str:
 
 def _residual_figure(result: Result) -> Figure:
     times, yaw = result["times_s"], result["yaw_dps"]
-    spans = [Span(begin, end, "turn") for begin, end in spikes.find_events(times, yaw >= TURNING_DPS)]
+    spans = [ShadedSpan(begin, end, "turn") for begin, end in spikes.find_events(times, yaw >= TURNING_DPS)]
     groups = [
         ([Curve(f"{stage.upper()} residual", times, result[stage][:, 0], stroke=charts.stroke(number))],
          Axis(f"{stage.upper()} [m]", low=0.0))

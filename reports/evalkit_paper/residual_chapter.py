@@ -10,11 +10,11 @@ from evalkit.execution.task import AnyTask
 from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text
-from evalkit.report.html.charts import Axis, Curve, Span
+from evalkit.report.html.charts import Axis, Curve, ShadedSpan
 from evalkit.report.html.palette import BAR, Stroke
 from evalkit_paper import lab_drives, spike_causes, spikes, stage_errors, steady_bands
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
-from evalkit_paper.lab_drives import Cause
+from evalkit_paper.lab_drives import SpikeCause
 from evalkit_paper.spike_causes import MM
 
 PRINTED_M = (0.02, 0.03)
@@ -186,13 +186,13 @@ def _time_figure(settings: Settings, results: Results, rate: float) -> Figure:
     )  # fmt: skip
 
 
-def _panel_figure(results: Results, cause: Cause, rate: float, title: str, caption: str) -> Figure:
+def _panel_figure(results: Results, cause: SpikeCause, rate: float, title: str, caption: str) -> Figure:
     result = results[lab_drives.name(cause, rate)]
     times, events = result["times_s"], result["events"]
     label = {"turns": "quick turn", "slips": "slip", "people": "people", "start": "start"}.get(
         cause.marked, "lost scans"
     )
-    spans = [Span(float(begin), float(end), label) for begin, end in events]
+    spans = [ShadedSpan(float(begin), float(end), label) for begin, end in events]
     ends = np.array([times[0], times[-1]])
     printed = [
         Curve("the paper's range" if index == 0 else "", ends, np.full(2, level), stroke=Stroke(BAR, (4.0, 2.0)))

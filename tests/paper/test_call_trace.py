@@ -5,7 +5,7 @@ import importlib
 import pytest
 
 from evalkit_paper import call_trace, flowchart_chapter
-from evalkit_paper.call_trace import Call
+from evalkit_paper.call_trace import TracedCall
 from evalkit_paper.flowchart_chapter import MAPPING, PIPELINE, REGISTRATION, TWO_STAGES, path
 
 
@@ -17,16 +17,16 @@ def recording(**settings):
 
 def run_stages(words, below="", **settings):
     _, results = recording(**settings)
-    return set(path(Call.from_json(results["stages"]["calls"]), words, below).stages)
+    return set(path(TracedCall.from_json(results["stages"]["calls"]), words, below).stages)
 
 
 def tree(*names):
     """Build a call tree from lines indented by depth: "a", " b", " c"."""
-    root = Call("")
+    root = TracedCall("")
     above = [root]
     for name in names:
         depth = len(name) - len(name.lstrip())
-        made = Call(name.strip())
+        made = TracedCall(name.strip())
         del above[depth + 1 :]
         above[-1].calls.append(made)
         above.append(made)
@@ -50,7 +50,7 @@ def test_calls_are_recorded_below_their_callers():
 
 def test_a_call_tree_survives_json():
     root = tree("a", " b", "c")
-    assert Call.from_json(root.to_json()).to_json() == root.to_json()
+    assert TracedCall.from_json(root.to_json()).to_json() == root.to_json()
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_the_page_has_a_box_for_every_executed_stage():
     (section,) = flowchart_chapter.CHAPTER.sections(chosen, results)
     figures = section.blocks[1].figures
     assert [figure.title[:8] for figure in figures] == ["Figure 2", "Figure 3", "Figure 4", "Figure 5"]
-    drawn = path(Call.from_json(results["stages"]["calls"]), REGISTRATION, "FrontEnd._register s2m")
+    drawn = path(TracedCall.from_json(results["stages"]["calls"]), REGISTRATION, "FrontEnd._register s2m")
     assert drawn.times > 1
     assert [REGISTRATION[key] for key in drawn.stages[drawn.first :]] == [
         REGISTRATION[key] for key in ("Association.find", "select_closest", "fit_motion", "Icp._error")

@@ -51,7 +51,7 @@ def validate(
     from evalkit.report.html.blocks import render  # noqa: PLC0415 - as above
 
     worlds = tuple(dict.fromkeys(world or [defaults.find_simulated_dataset()]))
-    plan = validation.ValidationPlan(
+    plan = validation.MetricValidationPlan(
         worlds[:1] if quick else worlds, mapper or defaults.find_default_mapper(), worlds[0],
         QUICK_SIZES if quick else sizes, seed, min(scans, QUICK_SCANS) if quick else scans,
     )  # fmt: skip
@@ -87,7 +87,7 @@ def selftest(
     """Inject faults between a sequence and its scores; exit code 1 if the metrics miss one of them."""
     from evalkit.commands.metric_validation import validation  # noqa: PLC0415 - loads the metrics
 
-    plan = validation.ValidationPlan(
+    plan = validation.MetricValidationPlan(
         (), mapper or defaults.find_default_mapper(), world or defaults.find_simulated_dataset(), seed=seed
     )
     results = _run_tasks(validation.make_fault_tasks(plan), folder or Path("reports") / "build" / "metrics", jobs)

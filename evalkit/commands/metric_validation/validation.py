@@ -37,7 +37,7 @@ PILOT = {
 
 
 @dataclass(frozen=True)
-class ValidationPlan:
+class MetricValidationPlan:
     """What to measure: data sets by name, number of sizes of every perturbation, seed, mapper, scans per map.
 
     ``fault_world``: the data set for the injected faults.
@@ -51,7 +51,7 @@ class ValidationPlan:
     scans: int = SCANS
 
 
-def make_tasks(plan: ValidationPlan) -> list[AnyTask]:
+def make_tasks(plan: MetricValidationPlan) -> list[AnyTask]:
     """Return a task for every world and perturbation, and for every injected fault."""
     perturbed = [
         map_rebuilding.make_perturbation_task(
@@ -63,7 +63,7 @@ def make_tasks(plan: ValidationPlan) -> list[AnyTask]:
     return [*perturbed, *make_fault_tasks(plan)]
 
 
-def make_fault_tasks(plan: ValidationPlan) -> list[AnyTask]:
+def make_fault_tasks(plan: MetricValidationPlan) -> list[AnyTask]:
     """Return a task for every injected fault, and for the run without a fault."""
     arguments = (plan.fault_world, plan.seed, plan.mapper, plan.scans)
     return [fault_injection.make_fault_task(fault, *arguments) for fault in (NO_FAULT, *FAULTS)]
@@ -78,7 +78,7 @@ def choose_sizes(perturbation: str, count: int) -> tuple[float, ...]:
     return tuple(sizes[i] for i in indices)
 
 
-def collect_maps(plan: ValidationPlan, results: Mapping[str, Result]) -> list[MapScores]:
+def collect_maps(plan: MetricValidationPlan, results: Mapping[str, Result]) -> list[MapScores]:
     """Return the scores of all maps, world by world."""
     return [
         row
@@ -94,7 +94,9 @@ def detect_faults(results: Mapping[str, Result]) -> dict[str, tuple[Detection, .
     return {fault: fault_injection.compare_scores(without, results[f"fault {fault}"]["scores"]) for fault in FAULTS}
 
 
-def summarize(plan: ValidationPlan, results: Mapping[str, Result], provenance: Mapping[str, Any]) -> dict[str, Any]:
+def summarize(
+    plan: MetricValidationPlan, results: Mapping[str, Result], provenance: Mapping[str, Any]
+) -> dict[str, Any]:
     """Return the results as JSON. ``provenance``: command, date and versions.
 
     ``sample`` is one of the maps with all its scores, for a test of reproducibility.

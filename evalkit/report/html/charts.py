@@ -59,7 +59,7 @@ class Points:
 
 
 @dataclass(frozen=True, slots=True)
-class Span:
+class ShadedSpan:
     """A shaded range of the horizontal axis (``low`` < ``high``), or a line if they are equal."""
 
     low: float
@@ -81,7 +81,11 @@ def stroke(number: int) -> Stroke:
 
 
 def lines(
-    curves: Sequence[Curve], x: Axis, y: Axis, spans: Sequence[Span] = (), levels: Mapping[str, float] | None = None
+    curves: Sequence[Curve],
+    x: Axis,
+    y: Axis,
+    spans: Sequence[ShadedSpan] = (),
+    levels: Mapping[str, float] | None = None,
 ) -> bytes:
     """Draw curves; ``spans`` shade ranges of x, ``levels`` are named horizontal lines."""
 
@@ -99,7 +103,7 @@ def lines(
 
 
 def panels(
-    groups: Sequence[tuple[Sequence[Curve], Axis]], x: Axis, spans: Sequence[Span] = (), height: float = 2.3
+    groups: Sequence[tuple[Sequence[Curve], Axis]], x: Axis, spans: Sequence[ShadedSpan] = (), height: float = 2.3
 ) -> bytes:
     """Draw panels one below the other over a common horizontal axis; ``height`` of each in inches."""
 
@@ -306,7 +310,7 @@ def _draw_arrow(axes: Axes, start: Box, end: Box, words: str) -> None:
         )
 
 
-def _draw_spans(axes: Axes, spans: Sequence[Span]) -> None:
+def _draw_spans(axes: Axes, spans: Sequence[ShadedSpan]) -> None:
     named = set()
     for span in spans:
         label = span.label if span.label not in named else ""

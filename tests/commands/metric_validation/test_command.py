@@ -74,7 +74,7 @@ def make_result(task):
 def test_the_page_shows_rank_agreement_and_faults():
     from evalkit.commands.metric_validation import page as metrics_page
 
-    plan = validation.ValidationPlan(("lab", "room"), "log-odds", "lab", 3)
+    plan = validation.MetricValidationPlan(("lab", "room"), "log-odds", "lab", 3)
     results = {task.name: make_result(task) for task in validation.make_tasks(plan)}
     provenance = {"command": "python -m ...", "created": "2026-01-01", "versions": {"numpy": "2"}}
     content = validation.summarize(plan, results, provenance)
