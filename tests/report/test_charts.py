@@ -10,8 +10,9 @@ from evalkit.report.html.charts import Axis, Box, Curve, Points, ShadedSpan
 
 X = np.linspace(0.0, 3.0, 20)
 CURVE = Curve("a < b", X, X + 1.0, X, X + 2.0)
+TURN = ShadedSpan(1, 2, "turn")
 DRAWN = {
-    "lines": lambda: charts.lines([CURVE], Axis("t [s]"), Axis("e [m]", "log"), [ShadedSpan(1, 2, "turn")], dict(limit=2.0)),
+    "lines": lambda: charts.lines([CURVE], Axis("t [s]"), Axis("e [m]", "log"), [TURN], {"limit": 2.0}),
     "panels": lambda: charts.panels([([CURVE], Axis("e [m]")), ([CURVE], Axis("f [m]"))], Axis("t [s]")),
     "heat": lambda: charts.heat(
         np.array([[0.1, np.nan], [0.5, 1.0]]), Axis("x"), Axis("y"), [0, 1], [0, 45], Axis("share", low=0, high=1),
