@@ -164,7 +164,7 @@ class Alternating:
 
 class TiesToTheHigher(Icp):
     def _pairs(self, association, moved, targets):
-        nearest, distance = association.of(moved)
+        nearest, distance = association.find(moved)
         at = np.flatnonzero(np.isfinite(distance))[::-1]
         at = np.sort(at[icp.select_closest(nearest[at], distance[at], targets)])
         return at, nearest[at]
