@@ -378,9 +378,9 @@ def test_a_sequence_without_its_files_gives_a_remark_and_the_rest_is_written(fin
     assert "50-more-x-trajectories.pdf" in dict(latex.draw_figures(found, "pdf"))
 
 
-def test_a_parameter_that_the_reader_no_longer_has_gives_a_remark(finished, monkeypatch):
+def test_a_parameter_that_the_reader_no_longer_has_gives_a_remark(finished_folder, monkeypatch):
     monkeypatch.setattr(registry, "dataset", lambda _name: DatasetSpec(Lap, "", "", "", "", ""))
-    (remark,) = load_selection(finished).remarks
+    (remark,) = load_selection(finished_folder).remarks
     assert "unexpected keyword argument" in remark
 
 
