@@ -93,8 +93,6 @@ STEP = np.dtype(
         ("s2s_accepted", "i1"), ("s2s_converged", "i1"), ("s2m_accepted", "i1"), ("s2m_converged", "i1"),
     ]
 )  # fmt: skip
-
-
 """One scan of a run: answer ``start_from_base``, cost in ns, residuals in m (nan where a stage does not exist).
 
 ``device_ns``: time reported by the back end itself. A cost of 0 was not measured. ``accepted``: 1 where the answer of

@@ -135,8 +135,8 @@ _STATISTICS: dict[str, tuple[str, Callable[[Floats], np.floating]]] = {
 _ERRORS = (("m", "translation", 3), ("deg", "rotation", 2))
 _SQUARES = (("m", "translation", 4), ("deg", "rotation", 2))
 _LIMITATIONS: dict[Part, str] = {
-    "short": "drift over the whole path; differences below the noise of the relations, about 0.03 m",
-    "long": "the time of an error; differences below the noise of the relations, about 0.03 m",
+    "short": f"drift over the whole path; differences below the noise of the relations, about {NOISE_FLOOR_M:g} m",
+    "long": f"the time of an error; differences below the noise of the relations, about {NOISE_FLOOR_M:g} m",
     "all": "whether few relations have large errors or many have small ones; depends on the mix of short and long "
     "relations",
 }

@@ -92,8 +92,7 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
             f"position error after one lap in % of the path, over worlds and seeds: {told}",
             _verdict(first),
             f"limited is read as at most {LIMITED_PERCENT:g} % of one lap in every repetition; without loop closure "
-            "the "
-            "drift keeps growing",
+            "the drift keeps growing",
             ANCHOR,
         ),
         Finding(

@@ -55,8 +55,7 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
     blocks: list[Block] = [
         Text(
             "Every row is computed for this page; the same checks run as tests of the software. The wrong formulae "
-            "exist "
-            "only in this page's code, not in the method that is compared."
+            "exist only in this page's code, not in the method that is compared."
         ),
         _equation_table(results),
         Figures((_convergence_figure(results["transposed"]), _path_figure(results["composed"]))),
@@ -134,8 +133,7 @@ def _describe_transpose(found: Result) -> str:
 def _describe_mirrors(found: Result) -> str:
     return (
         f"{found['unguarded']} of {found['walls']:,} noisy walls are mirrored, {found['guarded']} with the guard; a "
-        "point "
-        f"1 m in front of the wall moves {found['worst_m']:.1f} m, behind it."
+        f"point 1 m in front of the wall moves {found['worst_m']:.1f} m, behind it."
     )
 
 
@@ -146,8 +144,7 @@ def _describe_stop_rules(near: Result, far: Result) -> str:
         f"iterations (with epsilon 1e-6: {np.median(tight['iterations']):.0f}), because the mean square is only "
         f"{np.median(printed['first_square']):.1g} m^2 at the start and hardly changes by 1e-4. From a guess "
         f"{100 * np.median(far['guess_m']):.0f} cm and {np.median(far['guess_deg']):.0f} deg off the remaining error "
-        "is "
-        f"{100 * np.median(off['printed']['error_m']):.1f} cm and {np.median(off['printed']['error_deg']):.2f} deg; "
+        f"is {100 * np.median(off['printed']['error_m']):.1f} cm and {np.median(off['printed']['error_deg']):.2f} deg; "
         f"with epsilon 1e-6 {100 * np.median(off['tight']['error_m']):.1f} cm and "
         f"{np.median(off['tight']['error_deg']):.2f} deg."
     )

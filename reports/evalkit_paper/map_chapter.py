@@ -113,8 +113,7 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
         ),
         Finding(
             "Bounds of the log-odds, cells that a beam crosses, several beams in one cell", "l_min and l_max without "
-            "values; "
-            "nothing on the other two", apart, "not determined by the text",
+            "values; nothing on the other two", apart, "not determined by the text",
             "each reading gives a map; the endpoint rule has the largest effect" if _rule_matters(spans) else
             "each reading gives a map",
             ANCHOR,
@@ -174,8 +173,7 @@ def _lead_blocks(study: MapStudy, results: Results) -> list[Text]:
             "occupied cells at 10 cm, Chamfer distance, log-loss (mean surprise of the true state of a cell) and "
             "width of the walls. One factor is varied at a time around the paper's settings: 5 cm cells, "
             "±0.847, bounds ±5, a cell changed once per scan with occupied before free, exact traversal, occupied "
-            "above "
-            "P = 0.65, beams without return ignored, deskewed, 250 scans."
+            "above P = 0.65, beams without return ignored, deskewed, 250 scans."
         ),
         Text(
             f"{len(study.variants)} kinds of map on {len(study.units)} drives each: with true poses, and with poses "
@@ -187,10 +185,8 @@ def _lead_blocks(study: MapStudy, results: Results) -> list[Text]:
             f"{len(slow)} (every beam counts, Bresenham), which the compiled one does not support. Where both draw, "
             "over "
             f"{compare_mappers['cells']:,} cells, their log-odds differ by at most {compare_mappers['log_odds']:.1g}, "
-            "and "
-            f"{compare_mappers['observed by one only']} cells are observed by only one. The worlds are static: the "
-            "effect "
-            "of weak evidence of free space on traces of moving people is not measured.", "note",
+            f"and {compare_mappers['observed by one only']} cells are observed by only one. The worlds are static: the "
+            "effect of weak evidence of free space on traces of moving people is not measured.", "note",
         ),
     ]  # fmt: skip
 

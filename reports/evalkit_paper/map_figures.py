@@ -177,7 +177,6 @@ def drift_blocks(settings: Settings, results: Results) -> list[Any]:
         )
     lead = (
         "Effect of drift on the measures: maps of the lab with true poses plus a drift that grows evenly until the "
-        "end, "
-        "along x or as a rotation about the middle of the path, without realignment. Changes at the largest drift:"
+        "end, along x or as a rotation about the middle of the path, without realignment. Changes at the largest drift:"
     )
     return [Text(lead), Bullets(told), Figures(figures)]

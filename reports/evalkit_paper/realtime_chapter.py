@@ -190,8 +190,7 @@ def _breaking_table(ladders: Sequence[Ladder]) -> Table:
     )  # fmt: skip
     caption = (
         "Costs on one core of this machine, all seeds together. Factors are simulated in 1-2-5 steps; the true value "
-        "is "
-        "between the one shown and the one before."
+        "is between the one shown and the one before."
     )
     return Table(columns, rows, caption)
 

@@ -174,8 +174,7 @@ def _describe_place(result: Result) -> str:
     return (
         "The recording comes with a map of its floor; the transform between their frames is not documented. The map "
         f"along '{lab_maps.TIGHT.name}' was placed on it everywhere and at every {plan_fit.STEP_DEG:g} deg, then "
-        "fitted "
-        f"by ICP: its walls are {result['mean_m']:.2f} m from those of the floor on average, "
+        f"fitted by ICP: its walls are {result['mean_m']:.2f} m from those of the floor on average, "
         f"{100.0 * result['within']:.0f} % of them within {plan_fit.WITHIN_M:g} m, with the start at "
         f"({found.x:.2f}, {found.y:.2f}) m and {np.degrees(found.theta):.0f} deg. The next best place reaches "
         f"{100.0 * result['rival']:.0f} % of its score: {place}. The recording's odometry starts "

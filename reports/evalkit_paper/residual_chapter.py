@@ -173,8 +173,7 @@ def _describe_readings(settings: Settings, results: Results) -> str:
         f"distance over the one-to-one pairs, which Table 1 fits, is off by {np.exp(fits['mean distance']):.2f}. "
         f"Ruled out, by a factor of {np.exp(min((fits[reading] for reading in ruled_out), default=0.0)):.0f} or more: "
         f"{', '.join(ruled_out) or 'none'}. Figure 9 therefore shows a distance in metres, not equation 5 as printed; "
-        "the "
-        "text does not determine which distance and at which rate."
+        "the text does not determine which distance and at which rate."
     )
 
 
