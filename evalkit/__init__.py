@@ -1,12 +1,30 @@
-"""Comparative evaluation of 2D lidar registration: one harness for many back ends, one report."""
+"""Comparative evaluation of 2D lidar registration: one harness for many back ends, one report.
 
-from evalkit.core.grid import OccupancyGrid
-from evalkit.core.match import Iteration, Match
-from evalkit.core.odometry_estimate import OdometryEstimate, StageEstimate
-from evalkit.core.pose import Pose
-from evalkit.core.scan import Cloud, Frame, Scan
-from evalkit.core.timing import Cost, Stopwatch
-from evalkit.core.trajectory import Trajectory
+The values of the API are imported when they are used: the command line starts without NumPy.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from evalkit.core.grid import OccupancyGrid
+    from evalkit.core.match import Iteration, Match
+    from evalkit.core.odometry_estimate import OdometryEstimate, StageEstimate
+    from evalkit.core.pose import Pose
+    from evalkit.core.scan import Cloud, Frame, Scan
+    from evalkit.core.timing import Cost, Stopwatch
+    from evalkit.core.trajectory import Trajectory
+
+_MODULES = {
+    "grid": ("OccupancyGrid",),
+    "match": ("Iteration", "Match"),
+    "odometry_estimate": ("OdometryEstimate", "StageEstimate"),
+    "pose": ("Pose",),
+    "scan": ("Cloud", "Frame", "Scan"),
+    "timing": ("Cost", "Stopwatch"),
+    "trajectory": ("Trajectory",),
+}
+"""The names that each module of ``evalkit.core`` gives to the API."""
 
 __all__ = [
     "Cloud",
@@ -25,3 +43,13 @@ __all__ = [
 ]
 
 __version__ = "0.1.0"
+
+
+def __getattr__(name: str) -> object:
+    """Import a value of the API on first use (PEP 562)."""
+    for module, names in _MODULES.items():
+        if name in names:
+            value: object = getattr(import_module(f"evalkit.core.{module}"), name)
+            globals()[name] = value
+            return value
+    raise AttributeError(f"module 'evalkit' has no attribute '{name}'")

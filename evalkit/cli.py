@@ -47,19 +47,20 @@ class LazyGroup(TyperGroup):
     The help and the shell completion need the specs of the commands alone.
     """
 
-    def __init__(self, **attributes: Any) -> None:
-        super().__init__(**attributes)
-        self.commands.update({name: TyperCommand(name) for name in (*COMMANDS, *registry.names("commands"))})
+    def list_commands(self, ctx: Any) -> list[str]:  # noqa: ARG002 - the signature of click
+        """Return the names of all commands."""
+        return [*COMMANDS, *registry.names("commands")]
 
-    def get_command(self, ctx: Any, cmd_name: str) -> Any:  # noqa: ARG002 - the signature of click
+    def get_command(self, ctx: Any, cmd_name: str) -> Any:
         """Return a command as the help shows it, without its options."""
-        if cmd_name not in self.commands:
+        if cmd_name not in self.list_commands(ctx):
             return None
         spec = COMMANDS.get(cmd_name) or _plugin_spec(cmd_name)
         return TyperCommand(cmd_name, help=spec.summary, rich_help_panel=spec.panel)
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         """Return the name of the command, the loaded command, and the remaining arguments."""
+        self.commands.update({name: TyperCommand(name) for name in self.list_commands(ctx)})  # for "did you mean"
         name, command, rest = super().resolve_command(ctx, args)
         return name, command and load_command(str(name)), rest
 

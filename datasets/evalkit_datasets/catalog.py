@@ -12,6 +12,8 @@ from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
 
+from platformdirs import user_cache_dir
+
 from evalkit.core.errors import BadData, DataMissing, UnknownName
 from evalkit.io.toml import parse_toml
 
@@ -66,9 +68,7 @@ def get_file(name: str) -> CatalogFile:
 
 def cache_folder() -> Path:
     """Return the folder of downloaded files: evalkit's cache folder on this platform."""
-    import pooch  # noqa: PLC0415 - heavy, and used for recordings only
-
-    return Path(pooch.os_cache("evalkit"))
+    return Path(user_cache_dir("evalkit"))
 
 
 def find_local(card: CatalogFile) -> Path | None:

@@ -14,13 +14,15 @@ from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from types import FunctionType
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from evalkit.core.errors import EvalkitError, NotInstalled, UnknownName
 from evalkit.plugins.code_hash import hash_code
 from evalkit.plugins.parameters import Value
-from evalkit.plugins.protocols import Odometry
 from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec, OdometrySpec
+
+if TYPE_CHECKING:
+    from evalkit.plugins.protocols import Odometry
 
 Spec = TypeVar("Spec")
 
@@ -34,8 +36,12 @@ LOADING_S = 60.0
 """Time limit for importing a third-party plug-in."""
 
 
+KINDS = ("backends", "mappers", "datasets", "metrics", "commands", "schemes")
+"""Kinds of plug-ins; the entry points of each are in the group ``evalkit.KIND``."""
+
+
 def names(kind: str) -> list[str]:
-    """Return all names of a kind, sorted: "backends", "mappers", "datasets", "metrics", "commands" or "schemes"."""
+    """Return all names of a kind of ``KINDS``, sorted."""
     return sorted(_points(kind))
 
 
@@ -117,12 +123,13 @@ def load(kind: str, name: str, wanted: type[Spec]) -> Spec:
 
 
 def _points(kind: str) -> dict[str, EntryPoint]:
-    return _find_points(kind, tuple(sys.path))
+    return _find_points(tuple(sys.path))[kind]
 
 
 @cache  # searching all installed packages takes 30 ms, and a plan does it hundreds of times
-def _find_points(kind: str, _path: tuple[str, ...]) -> dict[str, EntryPoint]:
-    return {point.name: point for point in entry_points(group=f"evalkit.{kind}")}
+def _find_points(_path: tuple[str, ...]) -> dict[str, dict[str, EntryPoint]]:
+    found = entry_points()
+    return {kind: {point.name: point for point in found.select(group=f"evalkit.{kind}")} for kind in KINDS}
 
 
 def _point(kind: str, name: str) -> EntryPoint:

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from evalkit.core.grid import OccupancyGrid
 from evalkit.plugins.parameters import Parameter, Value
-from evalkit.plugins.protocols import Mapper, Odometry, Registration, Sequence
+
+if TYPE_CHECKING:
+    from evalkit.core.grid import OccupancyGrid
+    from evalkit.plugins.protocols import Mapper, Odometry, Registration, Sequence
 
 GUESS_NOT_REPORTED = "not reported"
 

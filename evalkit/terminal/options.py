@@ -8,15 +8,16 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
 
-from evalkit.core.run_result import BROKEN, RunStatus
-from evalkit.execution import environment
-from evalkit.execution.dask_cluster import Cluster
 from evalkit.plugins import registry
+
+if TYPE_CHECKING:
+    from evalkit.core.run_result import RunStatus
+    from evalkit.execution.dask_cluster import Cluster
 
 out = Console(soft_wrap=True)
 err = Console(stderr=True, soft_wrap=True)
@@ -50,6 +51,13 @@ def complete_metric(incomplete: str) -> list[str]:
     from evalkit.metrics import all_metrics  # noqa: PLC0415 - loads scipy
 
     return [metric.name for metric in all_metrics() if metric.name.startswith(incomplete)]
+
+
+def complete_status() -> list[str]:
+    """Return the statuses of a run."""
+    from evalkit.core.run_result import RunStatus  # noqa: PLC0415 - loads numpy
+
+    return [status.value for status in RunStatus]
 
 
 Backend = Annotated[
@@ -91,7 +99,7 @@ Rerun = Annotated[
     list[str] | None,
     typer.Option(
         help="Keep finished runs except those with this status (repeatable); failed: any kind of failure.",
-        show_default=False, rich_help_panel=EXECUTION, autocompletion=lambda: [status.value for status in RunStatus],
+        show_default=False, rich_help_panel=EXECUTION, autocompletion=complete_status,
     ),
 ]  # fmt: skip
 Collect = Annotated[
@@ -140,18 +148,23 @@ class RunOptions:
         scheduler: str = "",
     ) -> RunOptions:
         """Return the checked options. Raises typer.BadParameter for an unknown status or engine."""
+        from evalkit.core.run_result import BROKEN, RunStatus  # noqa: PLC0415 - loads numpy
+        from evalkit.execution.environment import physical_cores  # noqa: PLC0415 - loads psutil
+
         again: set[RunStatus] = set()
         for name in rerun or []:
             known = [status for status in RunStatus if status == name]
             if not known:
                 raise typer.BadParameter(f"--rerun: found '{name}', expected one of: {', '.join(RunStatus)}")
             again.update(BROKEN if name == "failed" else known)
-        workers = jobs or environment.physical_cores()
+        workers = jobs or physical_cores()
         return cls(workers, resume or bool(rerun), frozenset(again), collect, cluster(engine, scheduler, workers))
 
 
 def cluster(engine: str, scheduler: str, jobs: int) -> Cluster | None:
     """Return the requested cluster, None for this machine. Raises typer.BadParameter if the options contradict."""
+    from evalkit.execution.dask_cluster import Cluster  # noqa: PLC0415 - rarely used
+
     if engine not in ENGINES:
         raise typer.BadParameter(f"--engine: found '{engine}', expected one of: {', '.join(ENGINES)}")
     if engine == "local" and scheduler:

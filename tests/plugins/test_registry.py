@@ -3,7 +3,7 @@
 import signal
 import subprocess
 import sys
-from importlib.metadata import EntryPoint
+from importlib.metadata import EntryPoint, EntryPoints
 
 import pytest
 
@@ -36,7 +36,7 @@ def loaded_by(statement):
 def points(monkeypatch):
     """Replace all entry points."""
     known = []
-    monkeypatch.setattr(registry, "entry_points", lambda group: [p for p in known if p.group == group])
+    monkeypatch.setattr(registry, "entry_points", lambda: EntryPoints(known))
     registry._find_points.cache_clear()
     yield known
     registry._find_points.cache_clear()
