@@ -28,12 +28,16 @@ _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)\.", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Method:
-    """A back end with all its parameters under a label. ``missing``: why it cannot run here, "" if it can."""
+    """A back end with all its parameters under a label. ``missing``: why it cannot run here, "" if it can.
+
+    ``tuned_on``: data sets that parameters of this method were chosen on, by its spec or by the experiment.
+    """
 
     label: str
     backend: str
     parameters: Mapping[str, Value]
     missing: str = ""
+    tuned_on: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -186,10 +190,14 @@ def experiment_from_tables(content: Mapping[str, Any], file: str, name: str, sou
 
 def _read_method(table: TomlTable) -> Method:
     use, label = table.text("use"), _read_label(table)
-    given = flatten({key: value for key, value in table.content.items() if key not in ("use", "label")})
+    given = flatten({key: value for key, value in table.content.items() if key not in ("use", "label", "tuned_on")})
     with table.errors():
         spec = registry.find_backend(use)
-    return Method(label, use, frontend.complete_parameters(table.labelled(label).place, spec, given), spec.missing())
+        for name in table.texts("tuned_on"):
+            registry.dataset(name)
+    tuned_on = tuple(dict.fromkeys((*spec.tuned_on, *table.texts("tuned_on"))))
+    parameters = frontend.complete_parameters(table.labelled(label).place, spec, given)
+    return Method(label, use, parameters, spec.missing(), tuned_on)
 
 
 def _read_sequence(table: TomlTable) -> SequenceSpec:

@@ -60,6 +60,13 @@ class TomlTable:
             raise self.bad_value(key, "a text")
         return value
 
+    def texts(self, key: str) -> tuple[str, ...]:
+        """A list of texts, empty if the key is missing."""
+        values = self.content.get(key, [])
+        if not isinstance(values, list) or not all(isinstance(value, str) for value in values):
+            raise self.bad_value(key, "a list of texts")
+        return tuple(values)
+
     def flag(self, key: str, default: bool, meaning: str = "") -> bool:
         """True or false; ``meaning`` explains the key in the error."""
         value = self.content.get(key, default)

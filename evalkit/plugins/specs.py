@@ -46,7 +46,9 @@ class BackendSpec:
     result. ``missing()`` returns why it cannot run here and how to change that, or "". ``broken``: why it does not work
     although it exists (a program without a valid description), or ""; its runs fail with this reason.
     ``digest``: changes with the parts that are not Python source (a shared library, a program, a file of results).
-    ``guess``: what its registration starts from, for the report.
+    ``guess``: what its registration starts from, for the report. ``tuned_on``: the data sets that defaults of this back
+    end alone were chosen on: its results there are optimistic. Settings that were chosen for all back ends on the same
+    runs with the same budget do not count.
     """
 
     make: Callable[..., Any]
@@ -60,6 +62,7 @@ class BackendSpec:
     missing: Callable[[], str] = nothing_missing
     broken: str = ""
     digest: str = ""
+    tuned_on: tuple[str, ...] = ()
 
     kind: ClassVar[Kind]
     recorded: ClassVar[bool] = False

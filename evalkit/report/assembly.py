@@ -89,7 +89,8 @@ def build_method_card(method: Method) -> MethodCard:
     spec = registry.find_backend(method.backend)
     settings = build_settings(method.parameters, settable_parameters(spec), "set for this method")
     guess = "" if spec.guess == GUESS_NOT_REPORTED else spec.guess
-    return MethodCard(spec.summary, spec.citation, spec.licence, settings, guess, method.missing, spec.role)
+    own = (guess, method.missing, spec.role, method.tuned_on)
+    return MethodCard(spec.summary, spec.citation, spec.licence, settings, *own)
 
 
 def build_settings(given: Mapping[str, Value], parameters: Sequence[Parameter], otherwise: str) -> tuple[Setting, ...]:

@@ -58,6 +58,8 @@ def log(tmp_path):
         ("title = 3\n" + WHEELS + ROOM, ["'title': found 3, expected a text"]),
         ("[method]\nuse = 'paper'\n" + ROOM, ["method: expected tables [[method]]"]),
         ("[[method]]\nlabel = 'x'\n" + ROOM, ["method 1: missing key 'use'"]),
+        (PAPER + "tuned_on = 'room'\n" + ROOM, ["method 1: 'tuned_on': found 'room', expected a list of texts"]),
+        (PAPER + "tuned_on = ['rooom']\n" + ROOM, ["method 1: no dataset named 'rooom' (did you mean 'room'?)"]),
         ("[[method]]\nuse = 7\n" + ROOM, ["method 1: 'use': found 7, expected a text"]),
         (WHEELS + "[[method]]\nuse = 'papper'\n" + ROOM,
          ["method 2: no backend named 'papper' (did you mean 'paper'?)", "known:", "wheel-odometry"]),
@@ -274,6 +276,12 @@ def test_settings_that_cannot_change_a_result_do_not_change_the_key():
     assert only_key(**told) == only_key()
     assert only_key(sequences=[{"use": "room", "laps": 1}]) == only_key()  # the default, written as an integer
     assert only_key(methods=[{"use": "wheel-odometry"}, {"use": "paper"}]) == only_key()
+    assert digest(methods=[{"use": "paper", "tuned_on": ["lab"]}]) == digest(methods=[{"use": "paper"}])
+
+
+def test_a_method_is_tuned_on_the_data_sets_of_its_back_end_and_of_its_table():
+    plan = plan_runs([{"use": "paper-map", "tuned_on": ["lab", "intel"]}, {"use": "paper"}])
+    assert [method.tuned_on for method in plan.methods] == [("fr079", "intel", "lab"), ()]
 
 
 def test_other_code_changes_the_key(monkeypatch):

@@ -35,6 +35,7 @@ def _variant(summary: str, frontend: Mapping[str, Value] | None = None, **defaul
         role="" if frontend else "reference",  # the paper has no lasting map
         parameters=with_defaults(icp.PARAMETERS, **defaults),
         frontend=frontend or {},
+        tuned_on=("fr079", "intel") if frontend else (),
     )
 
 

@@ -29,7 +29,7 @@ class MethodCard:
     """Description of a method.
 
     ``guess``: the initial guess of its registration. ``missing``: why it could not run here, "" if it could.
-    ``role``: see ``plugins.specs.Role``.
+    ``role``: see ``plugins.specs.Role``. ``tuned_on``: the data sets that parameters of this method were chosen on.
     """
 
     summary: str
@@ -39,6 +39,7 @@ class MethodCard:
     guess: str = ""
     missing: str = ""
     role: Role = ""
+    tuned_on: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
