@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -83,8 +83,3 @@ def rule_table(*checks: Callable[[Any], str]) -> dict[str, Rule]:
     """
     names = [check.__name__.removeprefix("check_").replace("_", "-") for check in checks]
     return {name: Rule(name, check.__doc__ or name, check) for name, check in zip(names, checks, strict=True)}
-
-
-def skip_rules(rules: Iterable[Rule], reason: str) -> list[RuleResult]:
-    """The results of rules that were not checked."""
-    return [RuleResult(rule.name, rule.sentence, "not applicable", reason) for rule in rules]

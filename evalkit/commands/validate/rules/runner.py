@@ -1,23 +1,28 @@
-"""Checks the rules of a back end in a child process, so that a crash or a hang is a broken rule like any other."""
+"""Checks the rules of a back end in a child process, so that a crash or a hang is a broken rule like any other.
+
+``python -m evalkit.commands.validate.rules.runner FOLDER`` is the child. It writes the name of each rule before the
+check and the result after it, so that a crash can be attributed to a rule.
+"""
 
 from __future__ import annotations
 
 import json
 import sys
 import tempfile
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
-from evalkit.commands.validate.rules.rule import Rule, RuleReport, RuleResult, skip_rules
-from evalkit.commands.validate.rules.worker import NOT_INSTALLED, REQUEST, RESULTS, RULES, STARTS, RuleRequest
+from evalkit.commands.validate.rules import odometry_rules, registration_rules
+from evalkit.commands.validate.rules.rule import Rule, RuleReport, RuleResult, check_rule
 from evalkit.core.errors import BackendFailed, NotInstalled, UnknownName
-from evalkit.execution.subprocesses import ChildProcess
+from evalkit.execution.subprocesses import ChildProcess, end_with_parent
 from evalkit.plugins import registry
 from evalkit.plugins.address import Address, address_of, spec_at
 from evalkit.plugins.parameters import Value, resolve_parameters
-from evalkit.plugins.specs import BackendSpec
+from evalkit.plugins.specs import BackendSpec, RegistrationSpec
 
 MAX_CRASHES = 3
 """Ends of the process after which the remaining rules are skipped."""
@@ -25,19 +30,22 @@ MAX_CRASHES = 3
 LOADING_S = 60.0
 """Time limit (s) until the first rule begins: Python and the plug-in's module."""
 
+REQUEST, RESULTS = "request.json", "results.jsonl"
+NOT_INSTALLED = "not installed"
+"""In place of an outcome: a library that ``make`` needs is not installed."""
+
+STARTS = "starts"
+"""The first rule of every kind; if it is broken, the others cannot be checked."""
+
+RULES: Mapping[str, Mapping[str, Rule]] = {
+    "registration": registration_rules.RULES,
+    "odometry": odometry_rules.RULES,
+}
+
 RECORDED_REMEDY = (
     "compare it with the truth and with other methods (evalkit compare RECORDING --backends 'NAME,file:...'), or "
     "check the program that wrote it (exec:..., lib:...)"
 )
-
-
-@dataclass(frozen=True)
-class ProcessEnd:
-    """The early end of the process: at which rule, how, and whether by a hang or a crash."""
-
-    rule: str
-    kind: Literal["hang", "crash"]
-    text: str
 
 
 def check(
@@ -59,9 +67,17 @@ def check(
         raise BackendFailed(address.label, what, RECORDED_REMEDY)
     if why := spec.missing():
         raise NotInstalled(address.label, "cannot be checked here", why)
-    complete = resolve_parameters(address.label, spec.parameters, parameters or {})
-    rules = _select(RULES[spec.kind], only)
-    return RuleReport(address.label, _RuleRunner(address, rules, complete, limit_s, memory_mib).results())
+    rules = RULES[spec.kind]
+    for name in only:
+        if name not in rules:
+            raise UnknownName("rule", name, rules)
+    request = {
+        "address": asdict(address),
+        "parameters": resolve_parameters(address.label, spec.parameters, parameters or {}),
+        "path": [str(Path(entry or ".").resolve()) for entry in sys.path],
+    }
+    chosen = {name: rule for name, rule in rules.items() if name in only or not only}
+    return RuleReport(address.label, _RuleRunner(request, chosen, limit_s, memory_mib).results())
 
 
 def spec_of(backend: str | BackendSpec) -> BackendSpec:
@@ -69,53 +85,43 @@ def spec_of(backend: str | BackendSpec) -> BackendSpec:
     return spec_at(address_of(backend), BackendSpec, registry.backend)
 
 
-def _select(rules: Mapping[str, Rule], only: Sequence[str]) -> dict[str, Rule]:
-    for name in only:
-        if name not in rules:
-            raise UnknownName("rule", name, rules)
-    return {name: rule for name, rule in rules.items() if name in only or not only}
-
-
 class _RuleRunner:
     """Checks all rules of one back end, with a new process after each early end."""
 
-    def __init__(
-        self, address: Address, rules: Mapping[str, Rule], parameters: dict[str, Value], limit_s: float, memory_mib: int
-    ) -> None:
-        self._address, self._rules, self._parameters = address, rules, parameters
+    def __init__(self, request: Mapping[str, Any], rules: Mapping[str, Rule], limit_s: float, memory_mib: int) -> None:
+        self._request, self._rules = request, rules
         self._limit_s, self._memory_mib = limit_s, memory_mib
         self._results: dict[str, RuleResult] = {}
-        self._ends: list[ProcessEnd] = []
+        self._crashes: list[str] = []
+        self._hangs: list[str] = []
 
     def results(self) -> tuple[RuleResult, ...]:
         """All results; the last two rules concern the process as a whole."""
         while waiting := [name for name in self._rules if name not in self._results]:
             if reason := self._stop_reason():
-                skipped = skip_rules((self._rules[name] for name in waiting), reason)
-                self._results |= {result.rule: result for result in skipped}
+                for name in waiting:
+                    self._results[name] = RuleResult(name, self._rules[name].sentence, "not applicable", reason)
             else:
                 self._run_process(waiting)
-        alive = "The process survives all rules, within its memory limit."
         return (
             *self._results.values(),
-            _process_rule("alive", alive, [end for end in self._ends if end.kind == "crash"]),
-            _process_rule("in-time", "Every call returns in time.", [end for end in self._ends if end.kind == "hang"]),
+            _process_rule("alive", "The process survives all rules, within its memory limit.", self._crashes),
+            _process_rule("in-time", "Every call returns in time.", self._hangs),
         )
 
     def _stop_reason(self) -> str:
         starts = self._results.get(STARTS)
         if starts is not None and starts.outcome == "failed":
             return "it does not start"
-        return f"skipped after {MAX_CRASHES} ends of its process" if len(self._ends) >= MAX_CRASHES else ""
+        ends = len(self._crashes) + len(self._hangs)
+        return f"skipped after {MAX_CRASHES} ends of its process" if ends >= MAX_CRASHES else ""
 
     def _run_process(self, names: list[str]) -> None:
         """Checks rules until all are done or the process ends early, which breaks the current rule."""
         with tempfile.TemporaryDirectory(prefix="evalkit-rules-") as root:
             folder = Path(root)
-            path = [str(Path(entry or ".").resolve()) for entry in sys.path]
-            request = RuleRequest(asdict(self._address), self._parameters, names, path)
-            (folder / REQUEST).write_text(json.dumps(asdict(request)), encoding="utf-8")
-            with ChildProcess("evalkit.commands.validate.rules.worker", folder) as child:
+            (folder / REQUEST).write_text(json.dumps({**self._request, "rules": names}), encoding="utf-8")
+            with ChildProcess(__name__, folder) as child:
                 hang, limit = self._watch(child, folder)
             lines = _read_lines(folder)
             self._take_results(lines)
@@ -123,7 +129,7 @@ class _RuleRunner:
             if at:
                 text = limit or child.describe_end()
                 self._results[at] = RuleResult(at, self._rules[at].sentence, "failed", text)
-                self._ends.append(ProcessEnd(at, "hang" if hang else "crash", text))
+                (self._hangs if hang else self._crashes).append(f"{at}: {text}")
 
     def _watch(self, child: ChildProcess, folder: Path) -> tuple[bool, str]:
         """Watches the process until it ends; whether it hangs, and the limit it exceeded or ""."""
@@ -155,7 +161,39 @@ def _read_lines(folder: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
 
 
-def _process_rule(name: str, sentence: str, ends: list[ProcessEnd]) -> RuleResult:
+def _process_rule(name: str, sentence: str, ends: list[str]) -> RuleResult:
     """The result of a rule about the process as a whole."""
-    observed = "; ".join(f"{end.rule}: {end.text}" for end in ends) or "through all rules"
-    return RuleResult(name, sentence, "failed" if ends else "passed", observed)
+    return RuleResult(name, sentence, "failed" if ends else "passed", "; ".join(ends) or "through all rules")
+
+
+def main() -> int:
+    """Checks the rules of the request in the folder named on the command line, writing lines to ``results.jsonl``."""
+    end_with_parent()
+    folder = Path(sys.argv[1]).resolve()  # a back end may change the working directory
+    request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
+    sys.path.extend(entry for entry in request["path"] if entry not in sys.path)
+    spec = spec_at(Address(**request["address"]), BackendSpec, registry.backend)
+    fixture = make_fixture(spec, request["parameters"])
+    with (folder / RESULTS).open("a", encoding="utf-8", buffering=1) as file:
+        for name in request["rules"]:
+            file.write(json.dumps({"begun": name}) + "\n")
+            try:
+                result: dict[str, Any] = asdict(check_rule(RULES[spec.kind][name], fixture))
+            except NotInstalled as error:
+                result = {"outcome": NOT_INSTALLED, "observed": error.args}
+            file.write(json.dumps(result) + "\n")
+            if name == STARTS and result["outcome"] != "passed":
+                break
+    return 0
+
+
+def make_fixture(spec: BackendSpec, parameters: Mapping[str, Value]) -> object:
+    """What the rules of a back end of this kind are checked on."""
+    make: Callable[[], Any] = partial(spec.make, **parameters)
+    if isinstance(spec, RegistrationSpec):
+        return registration_rules.RegistrationFixture(make)
+    return odometry_rules.OdometryFixture(make, spec.role)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
