@@ -24,7 +24,8 @@ from evalkit.core.errors import StoreError
 from evalkit.core.run_result import Cause, RunResult
 from evalkit.execution import dask_cluster, environment, run_archive, run_task
 from evalkit.execution.dask_cluster import Call, Cluster, Slot, WorkerLost
-from evalkit.execution.run_task import PendingRun, RunSettings, ScoringPool, WorkerSlot
+from evalkit.execution.run_task import PendingRun, RunSettings, WorkerSlot
+from evalkit.execution.subprocesses import WorkerPool
 from evalkit.plugins import registry
 from evalkit.results.store import Store
 
@@ -88,7 +89,7 @@ class LocalExecutor:
             finally:
                 cores.put(core)  # after the scoring, which must not compete with a timed run
 
-        with ScoringPool(self.jobs) as scoring, ThreadPoolExecutor(self.jobs) as threads:
+        with WorkerPool([None] * self.jobs) as scoring, ThreadPoolExecutor(self.jobs) as threads:
             futures = [threads.submit(execute, run) for run in pending]
             try:
                 for future in as_completed(futures):
@@ -193,9 +194,9 @@ def _require_same_code(spec: RunSpec, settings: RunSettings, code: str) -> None:
 
 
 @lru_cache(maxsize=1)
-def _scoring_pool(_scoring_code: str) -> ScoringPool:
+def _scoring_pool(_scoring_code: str) -> WorkerPool:
     """The scoring process of a worker, kept for its next run; a new one if the scoring code has changed."""
-    pool = ScoringPool(1)
+    pool = WorkerPool([None])
     util.Finalize(pool, pool.close, exitpriority=100)  # before queues close and children are waited for
     return pool
 

@@ -6,7 +6,7 @@ import os
 import platform
 import threading
 from collections.abc import Callable, Mapping
-from concurrent.futures import CancelledError, Executor
+from concurrent.futures import CancelledError
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
@@ -22,7 +22,7 @@ from evalkit.config.experiment import Experiment, Limits, MapperChoice, RunSpec
 from evalkit.core.errors import StoreError
 from evalkit.core.run_result import NO_STEPS, Cause, RunResult, Score
 from evalkit.execution import environment, run_process
-from evalkit.execution.subprocesses import start_pool
+from evalkit.execution.subprocesses import WorkerPool
 from evalkit.execution.worker import Request
 from evalkit.metrics import evaluate
 from evalkit.plugins import registry
@@ -78,54 +78,9 @@ class WorkerSlot:
     """
 
     core: int | None
-    scoring: ScoringPool
+    scoring: WorkerPool
     report_answers: Callable[[int], None]
     stop: threading.Event
-
-
-class ScoringPool:
-    """Processes for scoring. A process that dies is replaced and does not affect other runs."""
-
-    def __init__(self, jobs: int) -> None:
-        self._jobs, self._lock = jobs, threading.Lock()
-        self._pool: Executor = start_pool(jobs)
-
-    def __enter__(self) -> ScoringPool:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Terminate the processes."""
-        self._pool.shutdown(wait=True, cancel_futures=True)
-
-    def run(self, job: Callable[..., None], *arguments: object) -> None:
-        """Run a job in a process. Raises BrokenProcessPool only if the job also kills a process of its own."""
-        shared = self._pool
-        try:
-            shared.submit(job, *arguments).result()
-        except BrokenProcessPool:
-            self._replace(shared)
-            with start_pool(1) as own:
-                if _is_broken(own):
-                    raise RuntimeError("no process for scoring can be started here") from None
-                own.submit(job, *arguments).result()
-
-    def _replace(self, broken: Executor) -> None:
-        with self._lock:
-            if self._pool is broken:
-                broken.shutdown(wait=False, cancel_futures=True)
-                self._pool = start_pool(self._jobs)
-
-
-def _is_broken(pool: Executor) -> bool:
-    """Whether the pool cannot run even a trivial job: the cause is not the run."""
-    try:
-        pool.submit(os.getpid).result()
-    except BrokenProcessPool:
-        return True
-    return False
 
 
 def execute_run(store: Store, settings: RunSettings, pending: PendingRun, slot: WorkerSlot) -> RunResult:
@@ -199,7 +154,12 @@ def _execute(store: Store, settings: RunSettings, pending: PendingRun, slot: Wor
 def _score(store: Store, settings: RunSettings, spec: RunSpec, result: RunResult, slot: WorkerSlot) -> RunResult:
     """Score a run in a process of its own; returns its result, with another cause if the scoring failed."""
     try:
-        slot.scoring.run(score_and_save, store.folder, spec, result, settings, slot.core)
+        try:
+            slot.scoring.run(score_and_save, store.folder, spec, result, settings, slot.core)
+        except BrokenProcessPool:  # perhaps killed by something else
+            if not _can_start(slot.scoring):
+                raise RuntimeError("no process for scoring can be started here") from None
+            slot.scoring.run(score_and_save, store.folder, spec, result, settings, slot.core)
     except StoreError:
         raise
     except BrokenProcessPool as error:
@@ -210,6 +170,15 @@ def _score(store: Store, settings: RunSettings, spec: RunSpec, result: RunResult
         reason = f"scoring failed: {type(error).__name__}: {error}"
         return replace(result, cause=Cause.SCORING_FAILED, reason=reason)
     return result
+
+
+def _can_start(pool: WorkerPool) -> bool:
+    """Whether a process can run even a trivial job; if not, the cause is not the run."""
+    try:
+        pool.run(os.getpid)
+    except BrokenProcessPool:
+        return False
+    return True
 
 
 def score_and_save(folder: Path, spec: RunSpec, result: RunResult, settings: RunSettings, core: int | None) -> None:

@@ -17,19 +17,23 @@ import sys
 import threading
 import time
 import uuid
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import parent_process
-from multiprocessing.queues import Queue
 from pathlib import Path
-from typing import IO
+from queue import SimpleQueue
+from typing import ParamSpec, TypeVar
 
 import psutil
 
 from evalkit.core.errors import NotInstalled
 from evalkit.execution.environment import SINGLE_THREAD
 from evalkit.plugins.registry import MARK
+
+Parameters = ParamSpec("Parameters")
+R = TypeVar("R")
 
 POLL_S = 0.05
 """Interval between two measurements of a child."""
@@ -76,17 +80,13 @@ class ChildProcess:
         environment = {**os.environ, **dict.fromkeys(SINGLE_THREAD, str(threads))}
         environment |= {MARK: _mark(folder), PARENT: str(os.getpid())}
         with (folder / OUTPUT).open("ab") as output:  # for appending: see _truncate
-            self._process = self._start(module, environment, output)
+            self._process = subprocess.Popen(  # -P: modules in the working directory must not shadow others
+                [sys.executable, "-P", "-m", module, str(folder)], stdin=subprocess.DEVNULL, stdout=output,
+                stderr=output, start_new_session=True, env=environment,
+            )  # fmt: skip
         self._started_at = self._searched_at = time.monotonic()
         self._members = [psutil.Process(self._process.pid)]
         self._cpu_s = 0.0
-
-    def _start(self, module: str, environment: dict[str, str], output: IO[bytes]) -> subprocess.Popen[bytes]:
-        return subprocess.Popen(  # -P: modules in the working directory must not shadow others
-            [sys.executable, "-P", "-m", module, str(self._folder)],
-            stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True,
-            env=environment,
-        )  # fmt: skip
 
     def __enter__(self) -> ChildProcess:
         return self
@@ -221,23 +221,51 @@ def poll_parent() -> None:
     threading.Thread(target=poll, daemon=True).start()
 
 
-def start_pool(workers: int, cores: Sequence[int | None] = ()) -> ProcessPoolExecutor:
-    """A pool of spawned processes that terminate with their parent.
+class WorkerPool:
+    """Spawned processes that compute one call at a time and terminate with their parent; one that dies is replaced.
 
-    ``cores``: one per worker to pin it to; None: not pinned.
+    ``cores``: one per process to pin it to; None: not pinned.
     """
+
+    def __init__(self, cores: Sequence[int | None]) -> None:
+        self._idle: SimpleQueue[tuple[Executor, int | None]] = SimpleQueue()
+        self._count = len(cores)
+        for core in cores:
+            self._idle.put((start_process(core), core))
+
+    def __enter__(self) -> WorkerPool:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Wait for the calls and terminate the processes."""
+        for _ in range(self._count):
+            self._idle.get()[0].shutdown(wait=True)
+
+    def run(self, function: Callable[Parameters, R], *arguments: Parameters.args, **keywords: Parameters.kwargs) -> R:
+        """Call a function in an idle process. Raises BrokenProcessPool if the call ends its process."""
+        process, core = self._idle.get()
+        try:
+            return process.submit(function, *arguments, **keywords).result()
+        except BrokenProcessPool:
+            process.shutdown(wait=False)
+            process = start_process(core)
+            raise
+        finally:
+            self._idle.put((process, core))
+
+
+def start_process(core: int | None) -> Executor:
+    """A pool of one spawned process on a core; None: not pinned."""
     context = multiprocessing.get_context("spawn")
-    queue: Queue[int | None] = context.Queue()
-    for core in cores:
-        queue.put(core)
-    initargs = (queue if cores else None,)
-    return ProcessPoolExecutor(workers, mp_context=context, initializer=_initialise_worker, initargs=initargs)
+    return ProcessPoolExecutor(1, mp_context=context, initializer=_initialise_worker, initargs=(core,))
 
 
-def _initialise_worker(cores: Queue[int | None] | None) -> None:
+def _initialise_worker(core: int | None) -> None:
     """Leave keyboard interrupts to the parent, terminate with it, and pin this process to a core."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     poll_parent()
-    core = cores.get() if cores is not None else None
     if core is not None:
         os.sched_setaffinity(0, {core})

@@ -6,8 +6,8 @@ import os
 import platform
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from concurrent.futures import Future, as_completed
-from concurrent.futures.process import BrokenProcessPool, ProcessPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,16 +17,13 @@ from typing import Generic
 from evalkit.core.errors import EvalkitError, StoreError, plain
 from evalkit.execution import environment, task_time_limit
 from evalkit.execution.dask_cluster import Call, Cluster, NoCluster, Slot
-from evalkit.execution.subprocesses import start_pool
+from evalkit.execution.subprocesses import WorkerPool
 from evalkit.execution.task import R, Task
 from evalkit.execution.task_store import TaskStore
 from evalkit.results.store import REMEDY
 
 OnDone = Callable[[str, float], None]
 """Called for each finished task with its name and the seconds it took, 0 if its result was stored already."""
-
-Computed = tuple[Task[R], Future[tuple[R, float]]]
-"""A task and the future of its result and of the seconds it took."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +32,10 @@ class TaskFailure:
 
     reason: str
     timed_out: bool = False
+
+
+class TaskEnded(Exception):
+    """The process of a task died: ``TaskEnded(reason, timed_out)``."""
 
 
 class TasksFailed(EvalkitError):
@@ -68,8 +69,8 @@ def run_tasks(
 ) -> dict[str, R]:
     """The result of every task by name: loaded from the store, or computed by ``workers`` processes and stored.
 
-    With a ``cluster``, its workers compute instead. A process that dies fails only the task that ended it: tasks of a
-    broken pool run once more, each in a process of its own, except those that a time limit ended.
+    With a ``cluster``, its workers compute instead. A process that dies fails only the task that ended it,
+    which runs once more unless a time limit ended it.
 
     Raises TasksFailed after all other tasks are stored, StoreError if the folder cannot be written, NoCluster if the
     code on a worker differs from the code here.
@@ -104,21 +105,19 @@ class _Collector(Generic[R]):
                 self.results[task.name] = stored
                 self.on_done(task.name, 0.0)
 
-    def collect(self, computed: Iterator[Computed[R]]) -> list[Task[R]]:
-        """Store the results of computed tasks; return the tasks whose process died."""
-        lost = []
+    def collect(self, computed: Iterator[tuple[Task[R], Future[tuple[R, float]]]]) -> None:
+        """Store the results of computed tasks, and the seconds they took."""
         for task, future in computed:
             try:
                 result, seconds = future.result()
-            except BrokenProcessPool:
-                lost.append(task)
+            except TaskEnded as ended:
+                self.failures[task.name] = TaskFailure(*ended.args)
             except NoCluster:  # the worker has other code; the task has not failed
                 raise
             except Exception as error:  # noqa: BLE001 - an exception of one task must not stop the others
                 self.failures[task.name] = TaskFailure(f"{type(error).__name__}: {error}")
             else:
                 self._save(task, result, seconds)
-        return lost
 
     def _save(self, task: Task[R], result: R, seconds: float) -> None:
         self.store.save(task, result)
@@ -130,30 +129,29 @@ class _Collector(Generic[R]):
 
 
 def _run_locally(tasks: list[Task[R]], workers: int, collector: _Collector[R]) -> None:
-    """Run tasks in local processes; a task whose process died runs again in a separate process.
-
-    A task that its time limit ended does not run again. Tasks that had not started when a process died start over.
-    """
-    waiting = tasks
-    while waiting:
-        lost = collector.collect(_computed(waiting, collector.store, workers))
-        notes = {task.name: task_time_limit.take_note(collector.store.note(task), task.limit_s) for task in lost}
-        started = [task for task in lost if notes[task.name].started] or lost  # or no process started any task
-        for task in started:
-            timeout = notes[task.name].timeout
-            failure = TaskFailure(timeout, timed_out=True) if timeout else _run_alone(task, collector)
-            if failure is not None:
-                collector.failures[task.name] = failure
-        names = {task.name for task in started}
-        waiting = [task for task in lost if task.name not in names]
+    """Run tasks in processes with one thread and one core each."""
+    if not tasks:
+        return
+    collector.store.create()
+    os.environ.update(environment.SINGLE_THREAD)  # inherited by the processes
+    with WorkerPool(environment.core_of_each(workers)) as pool, ThreadPoolExecutor(workers) as threads:
+        futures = {threads.submit(_run_in_pool, pool, task, collector.store.note(task)): task for task in tasks}
+        try:
+            collector.collect((futures[future], future) for future in as_completed(futures))
+        except BaseException:  # an interrupt or an unwritable folder
+            threads.shutdown(wait=True, cancel_futures=True)
+            raise
 
 
-def _run_alone(task: Task[R], collector: _Collector[R]) -> TaskFailure | None:
-    """Run a task in a separate process; return why that process died, None if it did not."""
-    if not collector.collect(_computed([task], collector.store, 1)):
-        return None
-    timeout = task_time_limit.take_note(collector.store.note(task), task.limit_s).timeout
-    return TaskFailure(timeout or "it ended its process", timed_out=bool(timeout))
+def _run_in_pool(pool: WorkerPool, task: Task[R], note: Path) -> tuple[R, float]:
+    """Run a task in a process; once more if the process died, unless its time limit ended it. Raises TaskEnded."""
+    for _ in range(2):
+        try:
+            return pool.run(_run_with_note, task, note)
+        except BrokenProcessPool:
+            if timeout := task_time_limit.take_note(note, task.limit_s):
+                raise TaskEnded(timeout, True) from None
+    raise TaskEnded("it ended its process", False)
 
 
 def _run_on_cluster(tasks: list[Task[R]], cluster: Cluster, collector: _Collector[R]) -> None:
@@ -179,30 +177,6 @@ def on_worker(task: Task[R], key: str, _slot: Slot) -> tuple[R, float]:
 def _run_with_note(task: Task[R], note: Path) -> tuple[R, float]:
     with task_time_limit.time_limit(note, task.limit_s):
         return task.run()
-
-
-def _computed(tasks: list[Task[R]], store: TaskStore, workers: int) -> Iterator[Computed[R]]:
-    """The tasks in the order they finish, computed by processes with one thread and one core each."""
-    if not tasks:
-        return
-    store.create()
-    os.environ.update(environment.SINGLE_THREAD)  # inherited by the processes
-    pool = start_pool(workers, environment.core_of_each(workers))
-    try:
-        futures = {_submit(pool, task, store.note(task)): task for task in tasks}
-        for future in as_completed(futures):
-            yield futures[future], future
-    finally:
-        pool.shutdown(wait=True, cancel_futures=True)
-
-
-def _submit(pool: ProcessPoolExecutor, task: Task[R], note: Path) -> Future[tuple[R, float]]:
-    try:
-        return pool.submit(_run_with_note, task, note)
-    except BrokenProcessPool as error:  # an earlier task has ended its process already
-        future: Future[tuple[R, float]] = Future()
-        future.set_exception(error)
-        return future
 
 
 def _refuse_duplicates(names: list[str]) -> None:

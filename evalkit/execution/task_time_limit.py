@@ -10,20 +10,11 @@ import faulthandler
 import re
 import threading
 from collections.abc import Iterator
-from dataclasses import dataclass
 from pathlib import Path
 
 _WATCH = threading.Lock()  # one limit per process; a cluster's worker may have many threads
 
 _PLACE = re.compile(r'File "([^"]*)", line (\d+) in (\S+)')
-
-
-@dataclass(frozen=True)
-class Note:
-    """What a note shows about a call: whether it started, and why it was ended ("" if the limit did not end it)."""
-
-    started: bool
-    timeout: str = ""
 
 
 @contextlib.contextmanager
@@ -47,16 +38,14 @@ def time_limit(note: Path, limit_s: float) -> Iterator[None]:
         note.unlink(missing_ok=True)
 
 
-def take_note(note: Path, limit_s: float) -> Note:
-    """Reads and removes the note that a process left when it ended."""
+def take_note(note: Path, limit_s: float) -> str:
+    """Read and remove the note that an ended process left: how the limit ended it, "" if something else did."""
     try:
         text = note.read_text(encoding="utf-8", errors="replace")
     except OSError:
-        return Note(started=False)
+        return ""
     note.unlink(missing_ok=True)
-    if not text:
-        return Note(started=True)
     *_, calling = text.split("Thread 0x")  # the calling thread comes last, its innermost call first
     place = _PLACE.search(calling)
     where = f"; it was in {place[3]} ({Path(place[1]).name}, line {place[2]})" if place else ""
-    return Note(started=True, timeout=f"not finished after {limit_s:g} s{where}")
+    return f"not finished after {limit_s:g} s{where}" if text else ""

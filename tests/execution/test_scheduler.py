@@ -18,7 +18,7 @@ import pytest
 
 from evalkit.config.experiment import Limits, experiment_from_tables
 from evalkit.core.errors import StoreError
-from evalkit.execution import environment, executors, run_task
+from evalkit.execution import environment, executors, run_task, subprocesses
 from evalkit.execution.executors import LocalExecutor
 from evalkit.execution.scheduler import Scheduler
 from evalkit.plugins import registry
@@ -46,7 +46,7 @@ class RecordedProgress:
 @pytest.fixture
 def threaded_scoring(monkeypatch):
     """Score in threads, because the test does not concern the scoring processes."""
-    monkeypatch.setattr(run_task, "start_pool", ThreadPoolExecutor)
+    monkeypatch.setattr(subprocesses, "start_process", lambda core: ThreadPoolExecutor(1))
 
 
 def plan(*faults, sequence=None, mapper=None, **limits):
@@ -204,7 +204,7 @@ def test_a_run_is_scored_on_its_core_before_the_core_is_released(tmp_path, monke
         told.append(f"scored on {arguments[-1]}")
         raise RuntimeError("enough")
 
-    monkeypatch.setattr(run_task, "start_pool", ThreadPoolExecutor)
+    monkeypatch.setattr(subprocesses, "start_process", lambda core: ThreadPoolExecutor(1))
     monkeypatch.setattr(run_task, "score_and_save", score)
     only = environment.cores()[0]
     one = SimpleQueue()
@@ -293,10 +293,10 @@ def test_no_run_is_quarantined_if_no_scoring_process_can_start(tmp_path, monkeyp
         def submit(self, *_arguments):
             raise BrokenProcessPool("no memory")
 
-    monkeypatch.setattr(run_task, "start_pool", Broken)
+    monkeypatch.setattr(subprocesses, "start_process", lambda core: Broken(1))
     record = records(plan("none"), tmp_path)["none"]
     assert record.result.reason == "scoring failed: RuntimeError: no process for scoring can be started here"
-    monkeypatch.setattr(run_task, "start_pool", ThreadPoolExecutor)
+    monkeypatch.setattr(subprocesses, "start_process", lambda core: ThreadPoolExecutor(1))
     assert records(plan("none"), tmp_path, resume=True)["none"].result.status == "complete"
 
 
