@@ -11,6 +11,7 @@ from functools import cache
 from importlib import resources
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from platformdirs import user_cache_dir
 
@@ -55,8 +56,18 @@ class CatalogFile:
 @cache
 def load_catalog() -> Mapping[str, CatalogFile]:
     """Return all files by name."""
-    text = resources.files("evalkit_datasets").joinpath("catalog.toml").read_text(encoding="utf-8")
-    return MappingProxyType({name: _parse_file(name, card) for name, card in parse_toml(text)["files"].items()})
+    return MappingProxyType({name: _parse_file(name, card) for name, card in _load_tables()["files"].items()})
+
+
+def load_datasets() -> Mapping[str, Mapping[str, Any]]:
+    """Return the tables of all data sets by name."""
+    datasets: dict[str, Any] = _load_tables()["datasets"]
+    return MappingProxyType(datasets)
+
+
+@cache
+def _load_tables() -> dict[str, Any]:
+    return parse_toml(resources.files("evalkit_datasets").joinpath("catalog.toml").read_text(encoding="utf-8"))
 
 
 def get_file(name: str) -> CatalogFile:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from functools import cached_property, partial
 from types import MappingProxyType
 
@@ -16,9 +16,8 @@ from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.plugins.parameters import Parameter, Value, resolve_parameters, with_defaults
 from evalkit.plugins.specs import DatasetSpec, Excerpt
-from evalkit_datasets import floorplans
 from evalkit_datasets.disturbances import NEVER, Episodes
-from evalkit_datasets.floorplans import FloorPlan
+from evalkit_datasets.floorplans import FloorPlan, load_plan
 from evalkit_datasets.lidar import LidarModel
 from evalkit_datasets.pedestrians import Walk, plan_walks
 from evalkit_datasets.robot import Route, RouteDrive, WheelOdometryModel
@@ -184,11 +183,11 @@ PARAMETERS = (
 )  # fmt: skip
 
 
-def make_sequence(plan: Callable[[], FloorPlan], base_from_sensor: Pose, **parameters: object) -> Synthetic:
-    """Return the sequence of a floor plan; ``parameters`` not given have the defaults of ``PARAMETERS``."""
-    value = resolve_parameters(plan.__name__, PARAMETERS, parameters)
-    number = {name: float(setting) for name, setting in value.items()}
-    floor_plan = plan()
+def make_sequence(name: str, base_from_sensor: Pose, **parameters: object) -> Synthetic:
+    """Return the sequence of a floor plan by its name; ``parameters`` not given have the defaults of ``PARAMETERS``."""
+    value = resolve_parameters(name, PARAMETERS, parameters)
+    number = {key: float(setting) for key, setting in value.items()}
+    floor_plan = load_plan(name)
     return Synthetic(
         floor_plan,
         _make_drive(floor_plan.route, number["speed_mps"], number["laps"], float(np.radians(number["turn_dps"]))),
@@ -215,7 +214,7 @@ def _make_drive(route: Route, speed_mps: float, laps: float, yaw_rate: float) ->
 
 
 def _make_spec(
-    plan: Callable[[], FloorPlan],
+    name: str,
     summary: str,
     base_from_sensor: Pose,
     degenerate: str = "",
@@ -224,7 +223,7 @@ def _make_spec(
 ) -> DatasetSpec:
     parameters = with_defaults(PARAMETERS, **defaults)
     return DatasetSpec(
-        make=partial(make_sequence, plan, base_from_sensor, **defaults),
+        make=partial(make_sequence, name, base_from_sensor, **defaults),
         summary=summary,
         sensor="simulated RPLIDAR A2M8: 8,000 beams/s clockwise, 5-15 Hz, 0.15-12 m, 4.83 cm noise, motion in the scan",
         truth="exact: simulated poses at every scan's first beam; map cells crossed by visible boundaries",
@@ -242,31 +241,31 @@ _AHEAD = Pose(0.08, 0.0, 0.0)
 _EXCERPTS: dict[Excerpt, dict[str, Value]] = {"full": {"laps": 0.6}, "quick": {"laps": 0.15}}
 
 ROOM = _make_spec(
-    floorplans.room,
+    "room",
     "the paper's 10 x 10 m room with a round obstacle, 23 m, turns up to 69 deg/s at 0.3 m/s",
     _AHEAD,
     excerpts=_EXCERPTS,
 )
 LAB = _make_spec(
-    floorplans.lab,
+    "lab",
     "a laboratory of 10.5 x 8 m with furniture, 24 m around an island, turns up to 69 deg/s at 0.3 m/s; lidar turned",
     Pose(0.08, 0.02, float(np.radians(-30.0))),
     excerpts=_EXCERPTS,
 )
 LOOP = _make_spec(
-    floorplans.loop,
+    "loop",
     "a ring of corridors 41 m around, driven until it overlaps by 2 m, turns up to 69 deg/s at 0.3 m/s",
     _AHEAD,
     laps=1.05,
 )
 CORRIDOR = _make_spec(
-    floorplans.corridor,
+    "corridor",
     "a bare corridor longer than the lidar sees, 21 m back and forth, turns up to 43 deg/s at 0.3 m/s",
     _AHEAD,
     degenerate="two bare parallel walls longer than the lidar's range: the position along them is not observable",
 )
 OFFICE = _make_spec(
-    floorplans.office,
+    "office",
     "four furnished rooms on a hallway, 35 m through doors, turns up to 69 deg/s at 0.3 m/s; lidar rotated by 90 deg",
     Pose(-0.04, 0.0, float(np.radians(90.0))),
 )

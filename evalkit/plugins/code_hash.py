@@ -47,7 +47,10 @@ def hash_files(parameters: Mapping[str, object]) -> str:
 
 @cache
 def find_sources(module: str, roots: frozenset[str]) -> frozenset[Path]:
-    """Return the source files of a module and of all its direct and indirect imports within the packages ``roots``."""
+    """Return the source files of a module and of all its direct and indirect imports within the packages ``roots``.
+
+    The data of a module, a TOML file of the same name beside it, belong to its sources.
+    """
     found: dict[str, Path] = {}
     waiting = [module]
     while waiting:
@@ -58,7 +61,7 @@ def find_sources(module: str, roots: frozenset[str]) -> frozenset[Path]:
         if file is not None:
             found[name] = file
             waiting.extend(_imported(name, file))
-    return frozenset(found.values())
+    return frozenset([*found.values(), *filter(Path.is_file, (file.with_suffix(".toml") for file in found.values()))])
 
 
 def _file(name: str) -> Path | None:

@@ -23,7 +23,7 @@ BEGUN_NS = 1_700_000_000 * 10**9  # a header without a time is a different case
 
 def drive(scans: int, beams: int) -> Synthetic:
     """Return at least the given number of scans (at most two more) of a lidar with few beams, at 10 Hz."""
-    plan = floorplans.lab()
+    plan = floorplans.load_plan("lab")
     laps = scans / RATE_HZ * SPEED_MPS / plan.route.length_m
     sensor = LAB.make(laps=0.02).base_from_sensor
     lidar = LidarModel(RATE_HZ, samples_per_s=round(beams * RATE_HZ))

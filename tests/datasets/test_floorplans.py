@@ -4,7 +4,7 @@ import pytest
 from evalkit_datasets import floorplans
 from evalkit_datasets.robot import RouteDrive
 
-PLANS = {name: getattr(floorplans, name)() for name in ("room", "lab", "loop", "corridor", "office")}
+PLANS = {name: floorplans.load_plan(name) for name in ("room", "lab", "loop", "corridor", "office")}
 
 
 @pytest.mark.parametrize("name", PLANS)

@@ -12,7 +12,7 @@ S = 1_000_000_000
 
 @pytest.fixture(scope="module")
 def lab():
-    plan = floorplans.lab()
+    plan = floorplans.load_plan("lab")
     drive = RouteDrive(plan.route, 0.3, 0.5)
     return plan, drive, plan_walks(3, plan.world, drive, 1.2, np.random.default_rng(4))
 

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.markup import escape
-from rich.table import Table
 
 from evalkit.core.errors import BadData
 from evalkit.results.store import as_store_error
-from evalkit.terminal import progress
 from evalkit.terminal.options import Json, out, print_json
+from evalkit_datasets.inspection.findings import format_count
 from evalkit_datasets.inspection.inspector import Inspection, inspect_recording
 from evalkit_datasets.inspection.suggested_config import SuggestedConfig, suggest_config
 
@@ -92,17 +91,8 @@ def _write_page(folder: Path, recording: Inspection, advice: SuggestedConfig | N
 
 def _print_inspection(recording: Inspection, advice: SuggestedConfig | None) -> None:
     out.print(f"{recording.path.name}: {recording.kind}, {recording.bytes / 1e6:.1f} MB", markup=False, highlight=False)
-    progress.print_table(out, _make_lidar_table(recording))
-    for one in recording.odometries:
-        out.print(
-            f"odometry {one.topic}, {one.parent} to {one.child}: {one.timing.count} poses, {one.path_m:.1f} m, "
-            f"{one.turned_deg:.0f} deg, standing {100 * one.standing:.0f} %", markup=False, highlight=False,
-        )  # fmt: skip
-    for mounting in recording.frames.mountings:
-        where = (
-            mounting.problem or f"x {mounting.x_m:.3f} m, y {mounting.y_m:.3f} m, rotated {mounting.theta_deg:.1f} deg"
-        )
-        out.print(f"lidar '{mounting.sensor}' on '{mounting.base}': {where}", markup=False, highlight=False)
+    for text in _describe_streams(recording):
+        out.print(text, markup=False, highlight=False)
     for finding in recording.findings:
         more = f"; {finding.advice}" if finding.advice else ""
         out.print(f"{finding.level}: {finding.about}: {finding.what}{more}", markup=False, highlight=False)
@@ -116,15 +106,20 @@ def _print_inspection(recording: Inspection, advice: SuggestedConfig | None) -> 
     out.print(f"{result}\n\n{advice.table}\n{advice.command}", markup=False, highlight=False)
 
 
-def _make_lidar_table(recording: Inspection) -> Table:
-    table = Table("lidar", "frame", "scans", "duration [s]", "rate [Hz]", "jitter [ms]", "beams", "view [deg]",
-                  "limits [m]", "hits [%]", "invalid [%]", "gaps")  # fmt: skip
-    for one in recording.lidars:
-        limits = " to ".join("?" if limit is None else f"{limit:g}" for limit in (one.range_min_m, one.range_max_m))
-        table.add_row(
-            escape(one.topic), escape(one.frame), str(one.timing.count), f"{one.timing.duration_s:.1f}",
-            f"{one.timing.rate_hz:.2f}", f"{1e3 * one.timing.jitter_s:.1f}", str(one.beams),
-            f"{one.field_of_view_deg:.0f}", limits, f"{100 * one.returns.hits:.1f}",
-            f"{100 * one.returns.invalid:.1f}", str(one.timing.gap_count),
-        )  # fmt: skip
-    return table
+def _describe_streams(recording: Inspection) -> Iterator[str]:
+    """Yield one text for each lidar, odometry and mounting."""
+    for lidar in recording.lidars:
+        time, returns = lidar.timing, lidar.returns
+        low, high = ("?" if limit is None else f"{limit:g}" for limit in (lidar.range_min_m, lidar.range_max_m))
+        yield (
+            f"lidar {lidar.topic}, frame '{lidar.frame}': {time.count} scans in {time.duration_s:.1f} s "
+            f"({time.rate_hz:.2f} Hz, jitter {1e3 * time.jitter_s:.1f} ms, {format_count(time.gap_count, 'gap')}), "
+            f"{lidar.beams} beams over {lidar.field_of_view_deg:.0f} deg, {low} to {high} m, "
+            f"{100 * returns.hits:.1f} % hits, {100 * returns.invalid:.1f} % invalid"
+        )
+    for one in recording.odometries:
+        yield (
+            f"odometry {one.topic}, {one.parent} to {one.child}: {one.timing.count} poses, {one.path_m:.1f} m, "
+            f"{one.turned_deg:.0f} deg, standing {100 * one.standing:.0f} %"
+        )
+    yield from map(str, recording.frames.mountings)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 import numpy as np
@@ -36,6 +37,11 @@ class InspectionFinding:
     about: str
     what: str
     advice: str = ""
+
+
+_problem = partial(InspectionFinding, "problem")
+_warning = partial(InspectionFinding, "warning")
+_note = partial(InspectionFinding, "note")
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,30 +84,26 @@ def format_count(count: int, noun: str) -> str:
 def _check_file(streams: RecordingStreams, inside: str) -> Iterator[InspectionFinding]:
     if not streams.lasers:
         known = ", ".join(f"{topic.name} ({topic.kind})" for topic in streams.topics) or "none"
-        yield InspectionFinding(
-            "problem", "file", f"it contains no laser scans, but: {known}", "give a recording with a 2D lidar"
-        )
+        yield _problem("file", f"it contains no laser scans, but: {known}", "give a recording with a 2D lidar")
     if streams.damaged:
-        yield InspectionFinding("warning", "file", f"{streams.damaged} damaged messages or lines, dropped")
+        yield _warning("file", f"{streams.damaged} damaged messages or lines, dropped")
     for remark in streams.remarks:
         if "derived" in remark.lower() or "pseudo" in remark.lower():
-            yield InspectionFinding("warning", "file", f"comment in the file: {remark}")
+            yield _warning("file", f"comment in the file: {remark}")
     if any(topic.name == "FLASER" for topic in streams.topics) and streams.lasers:
         beams = len(streams.lasers[0].angles)
         what = f"FLASER lines do not contain angles: {beams} beams are assumed to begin at -90 deg"
-        yield InspectionFinding(
-            "note", "lidar", what, "half a beam rotates all scans alike; parameters start_deg, step_deg"
-        )
+        yield _note("lidar", what, "half a beam rotates all scans alike; parameters start_deg, step_deg")
     if any(topic.name == "RLASER" for topic in streams.topics):
-        yield InspectionFinding("note", "lidar", "the log also contains a rear laser (RLASER), which is ignored")
+        yield _note("lidar", "the log also contains a rear laser (RLASER), which is ignored")
     if streams.lasers and 0 < streams.digits <= 6:
         what = f"stamps are written with {streams.digits} significant digits: times are coarse"
-        yield InspectionFinding("warning", "file", what, "do not evaluate timing; use the original log if available")
+        yield _warning("file", what, "do not evaluate timing; use the original log if available")
     if streams.poses_from:
         what = f"its poses are not odometry but {inside}: scans and ODOM lines contain corrected poses"
-        yield InspectionFinding("warning", "odometry", what, "they are used as ground truth, without odometry")
+        yield _warning("odometry", what, "they are used as ground truth, without odometry")
     elif not inside:
-        yield InspectionFinding("note", "truth", "no ground truth in it", "give relations or a true trajectory")
+        yield _note("truth", "no ground truth in it", "give relations or a true trajectory")
 
 
 def _check_lidars(lidars: Sequence[LidarStats]) -> Iterator[InspectionFinding]:
@@ -110,34 +112,24 @@ def _check_lidars(lidars: Sequence[LidarStats]) -> Iterator[InspectionFinding]:
         yield from _check_ranges(lidar)
     if len(lidars) > 1:
         names = ", ".join(lidar.topic for lidar in lidars)
-        yield InspectionFinding(
-            "note", "lidars", f"{len(lidars)} lidars: {names}; a run uses one of them", "select one with topic"
-        )
+        yield _note("lidars", f"{len(lidars)} lidars: {names}; a run uses one of them", "select one with topic")
 
 
 def _check_times(lidar: LidarStats) -> Iterator[InspectionFinding]:
     found, about = lidar.timing, lidar.topic
     if not found.usable:
-        yield InspectionFinding(
-            "problem", about, f"{found.repeated} of {found.count} scans have the stamp of another scan"
-        )
+        yield _problem(about, f"{found.repeated} of {found.count} scans have the stamp of another scan")
     elif found.repeated or found.backwards:
         what = f"stamps decrease {found.backwards} times, {found.repeated} are repeated"
-        yield InspectionFinding(
-            "warning", about, what, "the reader sorts the scans and keeps the first of equal stamps"
-        )
+        yield _warning(about, what, "the reader sorts the scans and keeps the first of equal stamps")
     if found.gap_count:
         longest = found.gaps[0]
         what = f"{format_count(found.gap_count, 'gap')}, the longest {longest.length_s:.2f} s at {longest.at_s:.1f} s"
         yield InspectionFinding("warning" if longest.length_s > 1.0 else "note", about, what)
     if found.period_s and found.jitter_s > 0.2 * found.period_s:
-        yield InspectionFinding(
-            "note", about, f"the period of {found.period_s:.3f} s has a jitter of {found.jitter_s:.3f} s"
-        )
+        yield _note(about, f"the period of {found.period_s:.3f} s has a jitter of {found.jitter_s:.3f} s")
     if lidar.unstamped:
-        yield InspectionFinding(
-            "warning", about, f"{lidar.unstamped} scans have no stamp; the time of recording is used"
-        )
+        yield _warning(about, f"{lidar.unstamped} scans have no stamp; the time of recording is used")
     if lidar.clock is not None:
         yield from _check_clock(lidar.clock, about, lidar.kind == "laser lines")
 
@@ -148,7 +140,7 @@ def _check_clock(found: ClockOffset, about: str, log: bool) -> Iterator[Inspecti
             what = (
                 f"ipc and logger stamps differ by {found.min_s:.2f} to {found.max_s:.2f} s: the offset is not constant"
             )
-            yield InspectionFinding("note", about, what, "ground truth must use the ipc stamp, as the reader does")
+            yield _note(about, what, "ground truth must use the ipc stamp, as the reader does")
         return
     if abs(found.median_s) > MAX_OFFSET_S:
         side = "ahead of" if found.median_s > 0 else "behind"
@@ -161,7 +153,7 @@ def _check_clock(found: ClockOffset, about: str, log: bool) -> Iterator[Inspecti
             f"{advice}; do not combine with stamps of another clock",
         )
     if abs(found.drift_ppm) > MAX_DRIFT_PPM:
-        yield InspectionFinding("warning", about, f"its clock drifts from the recorder's by {found.drift_ppm:.0f} ppm")
+        yield _warning(about, f"its clock drifts from the recorder's by {found.drift_ppm:.0f} ppm")
 
 
 def _check_ranges(lidar: LidarStats) -> Iterator[InspectionFinding]:
@@ -172,30 +164,25 @@ def _check_ranges(lidar: LidarStats) -> Iterator[InspectionFinding]:
         advice = advise_on_code(code.low_m, lidar.range_max_m)
         yield InspectionFinding("note" if advice == HANDLED else "warning", about, what, advice)
     if found.zero > 0.005:
-        yield InspectionFinding(
-            "note", about, f"{100 * found.zero:.1f} % of the ranges are 0", "the reader marks them as invalid"
-        )
+        yield _note(about, f"{100 * found.zero:.1f} % of the ranges are 0", "the reader marks them as invalid")
     if found.nan + found.negative > 0.005:
-        yield InspectionFinding(
-            "note", about, f"{100 * (found.nan + found.negative):.1f} % of the ranges are nan or negative"
-        )
+        yield _note(about, f"{100 * (found.nan + found.negative):.1f} % of the ranges are nan or negative")
     if found.at_maximum > 0.001:
         what = f"{100 * found.at_maximum:.1f} % of the ranges are the maximum itself, {lidar.range_max_m:g} m"
-        yield InspectionFinding("note", about, what, "the reader marks them as no return")
+        yield _note(about, what, "the reader marks them as no return")
     if found.beyond_maximum > 0.001:
         what = f"{100 * found.beyond_maximum:.1f} % of the ranges lie beyond the maximum of {lidar.range_max_m:g} m"
-        yield InspectionFinding("note", about, what, "the reader marks them as no return")
+        yield _note(about, what, "the reader marks them as no return")
     if len(found.beams) > 1:
-        yield InspectionFinding(
-            "warning", about, f"the number of beams changes: {', '.join(map(str, found.beams[:6]))}"
-        )
+        yield _warning(about, f"the number of beams changes: {', '.join(map(str, found.beams[:6]))}")
     if found.hits < 0.5:
-        yield InspectionFinding("warning", about, f"only {100 * found.hits:.0f} % of the beams are hits")
+        yield _warning(about, f"only {100 * found.hits:.0f} % of the beams are hits")
     if found.repeated > 0:
-        yield InspectionFinding("warning", about, f"{found.repeated} scans are identical to the previous one")
+        yield _warning(about, f"{found.repeated} scans are identical to the previous one")
     if found.still > 0.95:
-        yield InspectionFinding("note", about, "the robot stands still: scans do not change within a second",
-                      "suitable for noise, not for drift")  # fmt: skip
+        yield _note(
+            about, "the robot stands still: scans do not change within a second", "suitable for noise, not for drift"
+        )
 
 
 def is_default_code(low_m: float) -> bool:
@@ -217,18 +204,16 @@ def _check_scan_steps(odometries: Sequence[OdometryStats], streams: RecordingStr
     for one in odometries:
         if one.topic == SCAN_POSES and one.median_step_m > MAX_SCAN_STEP_M:
             what = f"{one.median_step_m:.2f} m apart (median), rotated by up to {one.largest_turn_deg:.0f} deg"
-            yield InspectionFinding("warning", "scans", what, "large for a registration without a prior")
+            yield _warning("scans", what, "large for a registration without a prior")
         elif streams.poses_from and one.timing.backwards:
-            yield InspectionFinding("note", one.topic, f"stamps decrease {one.timing.backwards} times")
+            yield _note(one.topic, f"stamps decrease {one.timing.backwards} times")
 
 
 def _check_odometry(
     odometries: Sequence[OdometryStats], turns: Mapping[str, TurnComparison], streams: RecordingStreams
 ) -> Iterator[InspectionFinding]:
     if not odometries and streams.lasers:
-        yield InspectionFinding(
-            "warning", "odometry", "no wheel odometry in it", "the initial guess is constant velocity"
-        )
+        yield _warning("odometry", "no wheel odometry in it", "the initial guess is constant velocity")
     for one in () if streams.poses_from else odometries:
         about = f"odometry {one.topic}" + (f" ({one.child})" if one.topic == "tf" else "")
         yield from _check_motion(one, about)
@@ -242,60 +227,56 @@ def _check_motion(one: OdometryStats, about: str) -> Iterator[InspectionFinding]
             f"sideways slip is {100 * one.sideways:.1f} % of a step, without exact standstills: not wheels of a "
             "differential drive, but poses of a filter or scan matcher (or an omnidirectional base)"
         )
-        yield InspectionFinding("warning", about, what, "use odometry = 'none' unless it is known to be wheel odometry")
+        yield _warning(about, what, "use odometry = 'none' unless it is known to be wheel odometry")
     if one.jump_count:
         first = one.jumps[0]
         example = f"{first.step_m:.2f} m and {first.turn_deg:.0f} deg at {first.at_s:.1f} s"
-        yield InspectionFinding("warning", about, f"{format_count(one.jump_count, 'jump')}, such as {example}")
+        yield _warning(about, f"{format_count(one.jump_count, 'jump')}, such as {example}")
     if one.timing.gap_count and one.timing.gaps[0].length_s > 1.0:
         what = f"{format_count(one.timing.gap_count, 'gap')}, the longest {one.timing.gaps[0].length_s:.2f} s"
-        yield InspectionFinding("note", about, f"{what}; poses in between are interpolated")
+        yield _note(about, f"{what}; poses in between are interpolated")
     if math.hypot(*one.first[:2]) > 0.5:
         x, y, theta = one.first
-        yield InspectionFinding("note", about, f"starts at ({x:.2f}, {y:.2f}) m, {theta:.0f} deg instead of the origin")
+        yield _note(about, f"starts at ({x:.2f}, {y:.2f}) m, {theta:.0f} deg instead of the origin")
 
 
 def _check_turning(turn: TurnComparison | None, about: str) -> Iterator[InspectionFinding]:
     if turn is not None and not 0.85 <= turn.scale <= 1.15:
         what = f"the scans rotate {turn.scale:.2f} times as much as the odometry ({turn.pairs} turns)"
         wrong = "check the sign of its heading and of the lidar's angles"
-        yield InspectionFinding("warning", about, what, wrong if turn.scale < 0 else "check wheel base and clock")
+        yield _warning(about, what, wrong if turn.scale < 0 else "check wheel base and clock")
     elif turn is not None and turn.spread_deg > 1.5:
         what = f"its rotations differ from those of the scans by {turn.spread_deg:.1f} deg ({turn.pairs} turns)"
-        yield InspectionFinding("note", about, what, "a weak initial guess for registrations")
+        yield _note(about, what, "a weak initial guess for registrations")
 
 
 def _check_twist(one: OdometryStats, about: str) -> Iterator[InspectionFinding]:
     if one.twist is None:
         return
     if one.twist.constant:
-        yield InspectionFinding("note", about, "the speeds in its messages are constant: only its poses are usable")
+        yield _note(about, "the speeds in its messages are constant: only its poses are usable")
         return
     for name, ratio in (("speed", one.twist.scale), ("yaw rate", one.twist.turn_scale)):
         if math.isfinite(ratio) and not 0.8 <= ratio <= 1.25:
-            yield InspectionFinding("warning", about, f"its poses have {ratio:.2f} times the {name} of its messages")
+            yield _warning(about, f"its poses have {ratio:.2f} times the {name} of its messages")
 
 
 def _check_frames(tree: FrameTree, streams: RecordingStreams) -> Iterator[InspectionFinding]:
     if streams.kind == "CARMEN log":
         return
     if not tree.names and streams.lasers:
-        yield InspectionFinding("warning", "tf", "no transforms in it: the lidar's pose on the base is unknown",
+        yield _warning("tf", "no transforms in it: the lidar's pose on the base is unknown",
                       "give base_from_sensor = 'x y theta'")  # fmt: skip
     for child, parents in tree.contested.items():
-        yield InspectionFinding("warning", "tf", f"frame '{child}' has several parents: {', '.join(parents)}")
+        yield _warning("tf", f"frame '{child}' has several parents: {', '.join(parents)}")
     siblings = [child for parent, child in streams.tree.moving if parent == "odom"]
     if len(siblings) > 1:
-        yield InspectionFinding(
-            "note", "tf", f"'odom' is the parent of {' and '.join(sorted(siblings))}", "select one with base_frame"
-        )
+        yield _note("tf", f"'odom' is the parent of {' and '.join(sorted(siblings))}", "select one with base_frame")
     for mounting in tree.mountings:
         if mounting.problem:
-            yield InspectionFinding("warning", f"lidar frame {mounting.sensor}", mounting.problem)
+            yield _warning(f"lidar frame {mounting.sensor}", mounting.problem)
         elif mounting.mirrored:
-            yield InspectionFinding(
-                "note", f"lidar frame {mounting.sensor}", "mounted upside down; the reader mirrors its angles"
-            )
+            yield _note(f"lidar frame {mounting.sensor}", "mounted upside down; the reader mirrors its angles")
         elif abs(mounting.theta_deg) > 1.0:
             what = f"rotated by {mounting.theta_deg:.0f} deg on '{mounting.base}'"
-            yield InspectionFinding("note", f"lidar frame {mounting.sensor}", what)
+            yield _note(f"lidar frame {mounting.sensor}", what)

@@ -33,6 +33,10 @@ class LidarMounting:
     mirrored: bool = False
     problem: str = ""
 
+    def __str__(self) -> str:
+        where = self.problem or f"x {self.x_m:.3f} m, y {self.y_m:.3f} m, rotated by {self.theta_deg:.1f} deg"
+        return f"lidar '{self.sensor}' on '{self.base}': {where}"
+
 
 @dataclass(frozen=True)
 class FrameTree:

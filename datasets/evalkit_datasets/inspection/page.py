@@ -203,11 +203,7 @@ def _make_odometry_row(recording: Inspection, one: OdometryStats) -> list[str | 
 
 def _render_frames(recording: Inspection) -> Iterator[Block]:
     frames = recording.frames
-    for mounting in frames.mountings:
-        where = (
-            mounting.problem or f"x {mounting.x_m:.3f} m, y {mounting.y_m:.3f} m, rotated {mounting.theta_deg:.1f} deg"
-        )
-        yield Text(f"Lidar '{mounting.sensor}' on '{mounting.base}': {where}.")
+    yield from (Text(f"{mounting}.") for mounting in frames.mountings)
     if frames.links:
         rows = [[k.parent, k.child, "static" if k.static else "moving", str(k.messages)] for k in frames.links]
         yield Fold(f"tf tree: {format_count(len(frames.names), 'frame')}, roots {', '.join(frames.roots)}",
