@@ -1,7 +1,7 @@
 """All metrics: pure functions of a run, listed in one table; start here to add a metric.
 
-A metric is one function and one row of the ``METRICS`` table at the end of its module. This module joins these tables
-in the order of a report.
+A metric is one function, one row of the ``METRICS`` table at the end of its module, and one card in ``cards/``. This
+module joins these tables in the order of a report.
 """
 
 from __future__ import annotations

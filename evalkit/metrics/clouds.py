@@ -7,10 +7,10 @@ import numpy as np
 from evalkit.core.arrays import Bools
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.consistency import NO_HIT, NO_OVERLAP, WARP, collect_all_hits, collect_hits
+from evalkit.metrics.consistency import NO_HIT, NO_OVERLAP, collect_all_hits, collect_hits
 from evalkit.metrics.neighbourhoods import MIN_HITS, PATCH_M, Neighbourhoods, compute_neighbourhoods, thin_evenly
 from evalkit.metrics.surfaces import find_all_wall_pieces
-from evalkit.metrics.table import Evidence, Metric, make_score, with_support
+from evalkit.metrics.table import Evidence, make_metrics, make_score
 
 MAX_HITS = 20_000
 MAX_PLACES = 1000
@@ -110,36 +110,13 @@ def _score_directions(evidence: Evidence) -> Score:
     return make_score(direction_entropy(directions), len(directions))
 
 
-_ROWS = (
-    Metric("mme_nat", "mean map entropy of points", "nat", "lower", "map consistency",
-           f"Entropy 1/2 ln |2 pi e Sigma| of the hits of all mapped scans within {PATCH_M:g} m of a hit; mean over "
-           f"those of at most 1,000 places that have {MIN_HITS} hits.",
-           "Razlaw et al., ECMR 2015 (mean map entropy), in the plane",
-           f"errors so large that they scatter the hits, which can even lower it; {WARP}", _score_mean_map_entropy),
-    Metric("coral_nat", "entropy added by the other half", "nat", "lower", "map consistency",
-           "Mean entropy of the hits of both halves of the run together minus that of each half alone, at places "
-           f"observed in both ({MIN_HITS} hits of each within {PATCH_M:g} m). The entropy of the scene cancels.",
-           "Adolfsson et al., ECMR 2021 (CorAl), with one radius and for the halves of a run",
-           f"drift within places observed in one half only; errors that blur both halves equally; {WARP}",
-           _score_joint_entropy),
-    Metric("direction_spread_nat", "angular fragmentation", "nat", "lower", "map consistency",
-           "Differential entropy of the directions of walls in single scans, in the world, modulo 180 deg, smoothed by "
-           "1 deg: ln pi = 1.14 if all directions are equally frequent, less for fewer directions.",
-           "evalkit",
-           "errors of position; places with walls in all directions", _score_directions),
-)  # fmt: skip
-
-METRICS = with_support(
-    _ROWS,
+METRICS = make_metrics(
+    "clouds",
     {
-        "mme_nat": ("places with at least five hits", (NO_HIT, "only ... % of the hits have ... others within ... m")),
-        "coral_nat": (
-            "places observed in both halves of the run",
-            (NO_HIT, NO_OVERLAP),
-        ),
-        "direction_spread_nat": (
-            "pieces of wall in single scans",
-            ("the scans contain ... pieces of wall, at least ... are needed",),
-        ),
+        "mme_nat": _score_mean_map_entropy,
+        "coral_nat": _score_joint_entropy,
+        "direction_spread_nat": _score_directions,
     },
+    MIN_HITS=MIN_HITS,
+    PATCH_M=PATCH_M,
 )

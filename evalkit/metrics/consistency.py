@@ -14,15 +14,13 @@ from evalkit.core.se2 import Floats
 from evalkit.metrics.maps import nearest_distances_m
 from evalkit.metrics.neighbourhoods import build_kd_tree, compute_neighbourhoods, thin_evenly
 from evalkit.metrics.table import (
-    DIVERGED,
     Evidence,
-    Metric,
     MissingMap,
     PlacedScans,
     cached,
+    make_metrics,
     make_score,
     with_grid,
-    with_support,
 )
 
 MAX_HITS = 20_000
@@ -240,74 +238,18 @@ def _count_cells(grid: OccupancyGrid) -> int:
     return int((grid.occupied() | grid.free()).sum())
 
 
-FILATOV = "after Filatov et al., arXiv 1708.02354, 2017; thresholds and units frozen by evalkit"
-WARP = "a smooth warp of the whole map; only maps of the same scans by the same mapper are comparable"
-WALL = "Spread sqrt(lambda_min) across the wall of the hits within 0.5 m of a hit, where they lie along a line"
-
-_ROWS = (
-    Metric("map_entropy", "map entropy", "nat", "lower", "map consistency",
-           "Mean entropy of the occupancy over the observed cells.", "Blanco et al., RSS 2008 (map "
-           "entropy); per observed cell: evalkit",
-           f"scans scattered over unobserved cells, which lower it, so that it is uninformative in a bare room; {WARP}",
-           with_cells(lambda grid: make_score(map_entropy(grid), int(grid.observed.sum()))), 4),
-    Metric("wall_thickness_m", "wall thickness", "m", "lower", "map consistency",
-           f"{WALL} (lambda_max > 9 lambda_min), over all mapped scans; mean over at most 1,000 places. A wall of "
-           "width w gives w / sqrt(12).", "after Razlaw et al., ECMR 2015 (mean plane variance)",
-           f"duplicated walls so far apart that they do not count as a line; {WARP}",
-           _make_thickness_score(np.mean)),
-    Metric("wall_thickness_p95_m", "wall thickness, 95 %", "m", "lower", "map consistency",
-           f"{WALL}; 95th percentile.", "as wall thickness",
-           f"duplicated walls so far apart that they do not count as a line; {WARP}",
-           _make_thickness_score(lambda values: np.percentile(values, 95))),
-    Metric("wall_share_percent", "hits along a wall", "%", "higher", "map consistency",
-           "Share of the examined places at which the hits within 0.5 m lie along a line.", "as wall thickness",
-           f"the thickness of the walls; furniture and corners lower it; {WARP}", _score_wall_share, 1),
-    Metric("split_distance_m", "distance between the halves of the run", "m", "lower", "map consistency",
-           "Mean distance from the occupied cells of the map of one half of the run, observed in the other half, to "
-           "the nearest occupied cell of the other half's map; over both directions.", "evalkit",
-           f"drift within places observed in one half only; {WARP}", _score_split, headline=True),
-    Metric("cleared_percent", "free-space violation", "%", "lower", "map consistency",
-           "Share of the hits of one half of the run, in cells observed in the other half, that lie in cleared cells "
-           "(log-odds < -1) without an occupied cell within 10 cm; mean of both directions.", "evalkit",
-           "walls duplicated less than 10 cm apart; drift along a wall. Sensor noise and pedestrians raise it: with 5 "
-           "cm (1 sigma) of noise, perfect poses give 2 to 6 %; " + WARP,
-           _score_cleared, 2),
-    Metric("occupied_percent", "occupied share", "%", "", "map consistency",
-           "Number of occupied cells (p > 0.65) divided by the number of occupied and free (p < 0.196) cells.", FILATOV,
-           "most errors: blurred walls can raise or lower it",
-           with_cells(lambda grid: make_score(100.0 * occupied_share(grid), _count_cells(grid))), 2),
-    Metric("corners", "corners", "", "lower", "map consistency",
-           "Number of corners of the occupied cells: Harris peaks of their Laplacian of Gaussian, at most one in 0.2 "
-           "m.",
-           FILATOV, f"walls so blurred that they have no corners; {WARP}",
-           _score_corners, 0),
-    Metric("enclosed_areas", "enclosed areas", "", "lower", "map consistency",
-           "Number of free areas of at least 4 cells enclosed by occupied or unknown cells, without the largest area "
-           "and without areas at the border of the grid.",
-           FILATOV, f"duplicated walls without a gap between them; {WARP}", with_cells(_score_enclosed_areas), 0),
-    Metric("enclosed_m2", "enclosed area", "m2", "lower", "map consistency",
-           "Total size of the enclosed areas.", FILATOV, f"duplicated walls without a gap between them; {WARP}",
-           with_cells(_score_enclosed_size), 2),
-)  # fmt: skip
-
-NO_MAP = ("no map: ...", _NO_CELLS)
-"""Reasons for a missing value of a metric of the map."""
-
-_HALVES = (_NO_HALVES, NO_OVERLAP)
-
-METRICS = with_support(
-    _ROWS,
+METRICS = make_metrics(
+    "consistency",
     {
-        "map_entropy": ("observed cells", NO_MAP),
-        "wall_thickness*": (
-            "places where hits lie along a line",
-            (NO_HIT, "only ... % of the hits lie along a wall", DIVERGED),
-        ),
-        "wall_share_percent": ("places examined", (NO_HIT, DIVERGED)),
-        "split_distance_m": ("occupied cells observed in the other half", _HALVES),
-        "cleared_percent": ("hits in cells observed in the other half", _HALVES),
-        "occupied_percent": ("occupied and free cells", NO_MAP),
-        "corners": ("occupied cells", NO_MAP),
-        "enclosed_*": ("free cells", NO_MAP),
+        "map_entropy": with_cells(lambda grid: make_score(map_entropy(grid), int(grid.observed.sum()))),
+        "wall_thickness_m": _make_thickness_score(np.mean),
+        "wall_thickness_p95_m": _make_thickness_score(lambda values: np.percentile(values, 95)),
+        "wall_share_percent": _score_wall_share,
+        "split_distance_m": _score_split,
+        "cleared_percent": _score_cleared,
+        "occupied_percent": with_cells(lambda grid: make_score(100.0 * occupied_share(grid), _count_cells(grid))),
+        "corners": _score_corners,
+        "enclosed_areas": with_cells(_score_enclosed_areas),
+        "enclosed_m2": with_cells(_score_enclosed_size),
     },
 )

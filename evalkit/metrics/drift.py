@@ -11,8 +11,8 @@ from evalkit.core import se2
 from evalkit.core.arrays import Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats, Stamps
-from evalkit.metrics.table import MatchedPoses, Metric, make_score, with_support
-from evalkit.metrics.trajectory import UNMATCHED, rms, with_matched_poses
+from evalkit.metrics.table import MatchedPoses, make_metrics, make_score
+from evalkit.metrics.trajectory import rms, with_matched_poses
 
 LENGTHS_M = (1.0, 2.0, 5.0, 10.0, 20.0)
 START_EVERY_M = 0.1
@@ -150,68 +150,23 @@ def _score_end_percent(matched: MatchedPoses) -> Score:
 
 
 KITTI = "Geiger et al., CVPR 2012 (KITTI odometry benchmark), with shorter lengths for rooms"
-RPE = "Sturm et al., IROS 2012 (relative pose error)"
-START = f"segments start every {START_EVERY_M:g} m of true path and are divided by their true length"
 
-_SECONDS: tuple[tuple[Literal["m", "deg"], str, str, int], ...] = (
-    ("m", "translation", "", 4),
-    ("deg", "rotation", ", heading", 3),
-)
 
-_ROWS = (
-    Metric("drift_percent", "drift per metre", "%", "lower", "drift",
-           "Translation error over segments of 1, 2, 5, 10 and 20 m of true path (those that fit), in percent of the "
-           f"segment, mean over all of them; {START}.", KITTI,
-           "how errors accumulate over the whole path; lengths that do not fit; scans without a pose",
-           with_matched_poses(partial(_score_percent, LENGTHS_M)), 2, headline=True),
-    *(Metric(f"drift_{length:g}m_percent", f"drift over {length:g} m", "%", "lower", "drift",
-             f"Translation error over segments of {length:g} m of true path, in percent, mean; {START}.", KITTI,
-             "errors on longer or shorter scales; scans without a pose",
-             with_matched_poses(partial(_score_percent, (length,))), 2) for length in LENGTHS_M),
-    Metric("drift_deg_per_m", "heading drift per metre", "deg/m", "lower", "drift",
-           f"Rotation error over the same segments of all lengths, per metre, mean; {START}.", KITTI,
-           "errors of translation; how errors accumulate over the whole path", with_matched_poses(_score_deg_per_m)),
-    Metric("drift_deg_per_turn", "heading drift per turn", "deg", "lower", "drift",
-           "Rotation error over segments with 360 deg of true rotation, left and right both counted as positive, "
-           "scaled to exactly 360 deg, mean; segments start every 10 deg.", "evalkit, after KITTI",
-           "errors that cancel between a left and a right turn; noise of the ground truth counts as turning",
-           with_matched_poses(_score_deg_per_turn), 2),
-    Metric("end_error_percent", "end-point error", "%", "lower", "drift",
-           "Translation error of the motion from the first matched pose to the last, in percent of the true path.",
-           "common practice for loops; Sturm et al., IROS 2012 (relative pose error)",
-           "errors between start and end; errors that cancel, as on a closed loop",
-           with_matched_poses(_score_end_percent), 2),
-    Metric("rpe_step_m", "RPE, step", "m", "lower", "drift",
-           "Root mean square translation error from each matched pose to the next (consecutive pairs).", RPE,
-           "slow drift, which is smaller than the noise of one step", with_matched_poses(_score_step_m), 4),
-    Metric("rpe_step_deg", "RPE, step, heading", "deg", "lower", "drift",
-           "Root mean square rotation error from each matched pose to the next (consecutive pairs).", RPE,
-           "slow drift, which is smaller than the noise of one step", with_matched_poses(_score_step_deg)),
-    *(Metric(f"rpe_1s_{unit}", f"RPE, 1 s{heading}", unit, "lower", "drift",
-             f"Root mean square {what} error between all matched poses 1 s apart (to half a step), including "
-             "overlapping pairs.", RPE, "drift over much more than a second; depends on the speed of the robot",
-             with_matched_poses(partial(_score_second, column=unit)), digits)
-      for unit, what, heading, digits in _SECONDS),
-    Metric("rpe_1m_m", "RPE, 1 m", "m", "lower", "drift",
-           f"Root mean square translation error over segments of 1 m of true path; {START}.", RPE,
-           "drift over much more than a metre; scans without a pose", with_matched_poses(_score_metre_rms)),
-)  # fmt: skip
-
-_TOO_SHORT = (*UNMATCHED, "a path of ... m is too short for segments of ... m")
-
-METRICS = with_support(
-    _ROWS,
+METRICS = make_metrics(
+    "drift",
     {
-        "drift_deg_per_turn": (
-            "segments of 360 deg",
-            (*UNMATCHED, "a path that turns ... deg has no segment of 360 deg"),
-        ),
-        "end_error_percent": (
-            "poses matched with the ground truth",
-            (*UNMATCHED, "a path of ... m is too short (1 m needed)"),
-        ),
-        "rpe_1s_*": ("pairs of matched poses 1 s apart", (*UNMATCHED, "no two matched poses are ... s apart")),
-        "rpe_step_*": ("steps from one matched pose to the next", UNMATCHED),
-        "*": ("segments of the true path", _TOO_SHORT),
+        "drift_percent": with_matched_poses(partial(_score_percent, LENGTHS_M)),
+        **{
+            f"drift_{length:g}m_percent": with_matched_poses(partial(_score_percent, (length,))) for length in LENGTHS_M
+        },
+        "drift_deg_per_m": with_matched_poses(_score_deg_per_m),
+        "drift_deg_per_turn": with_matched_poses(_score_deg_per_turn),
+        "end_error_percent": with_matched_poses(_score_end_percent),
+        "rpe_step_m": with_matched_poses(_score_step_m),
+        "rpe_step_deg": with_matched_poses(_score_step_deg),
+        "rpe_1s_m": with_matched_poses(partial(_score_second, column="m")),
+        "rpe_1s_deg": with_matched_poses(partial(_score_second, column="deg")),
+        "rpe_1m_m": with_matched_poses(_score_metre_rms),
     },
+    START_EVERY_M=START_EVERY_M,
 )

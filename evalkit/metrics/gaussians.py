@@ -11,7 +11,7 @@ from evalkit.core.arrays import Ints
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.table import NO_TRUE_MAP, Evidence, Metric, make_score, with_support, with_true_grid
+from evalkit.metrics.table import Evidence, make_metrics, make_score, with_true_grid
 
 VOXEL_M = 1.0
 MIN_CELLS = 5
@@ -103,32 +103,12 @@ def _scored(measure: Callable[[Ints, Floats], float]) -> Callable[[Evidence], Sc
 _NO_NEIGHBOURS = "no square with walls has two neighbours with walls"
 
 
-MAPEVAL = "Hu et al., MapEval, RA-L 2025; with Cholesky factors instead of the matrix root there: not comparable"
-SQUARES = f"squares of {VOXEL_M:g} m in which both maps have {MIN_CELLS} wall cells"
-
-_ROWS = (
-    Metric("map_awd_m", "Wasserstein distance of the walls", "m", "lower", "map against truth",
-           f"Mean Wasserstein-2 distance between the Gaussians of the wall cells of both maps, over {SQUARES}.",
-           MAPEVAL, "walls in squares without walls in the other map; the position of an error within a square",
-           _scored(lambda _, apart: float(apart.mean()))),
-    Metric("map_scs", "spatial consistency of the Wasserstein distance", "", "lower", "map against truth",
-           "Standard deviation divided by the mean of the Wasserstein distances of a square and its neighbours, "
-           "averaged over squares: how uneven the error is.",
-           MAPEVAL, "the size of the error: a uniform error scores 0",
-           _scored(spatial_consistency)),
-)  # fmt: skip
-
-METRICS = with_support(
-    _ROWS,
+METRICS = make_metrics(
+    "gaussians",
     {
-        "*": (
-            "squares with walls in both maps",
-            (
-                NO_TRUE_MAP,
-                "no map: ...",
-                "the maps share ... squares with walls, at least ... are needed",
-                _NO_NEIGHBOURS,
-            ),
-        )
+        "map_awd_m": _scored(lambda _, apart: float(apart.mean())),
+        "map_scs": _scored(spatial_consistency),
     },
+    VOXEL_M=VOXEL_M,
+    MIN_CELLS=MIN_CELLS,
 )

@@ -12,7 +12,7 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.maps import find_cells
-from evalkit.metrics.table import NO_TRUE_MAP, Metric, make_score, with_support, with_true_grid
+from evalkit.metrics.table import make_metrics, make_score, with_true_grid
 
 Cell = TypeVar("Cell", bound=np.generic)
 
@@ -122,21 +122,10 @@ def _score_similarity(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
     return make_score(value, cells)
 
 
-_ROWS = (
-    Metric("map_ssim", "structural similarity", "", "higher", "map against truth",
-           "Mean structural similarity of the probability images (Gaussian window of 11 x 11 cells, at the coarser "
-           f"resolution of both) over the cells observed in both maps, after a shift of up to {REACH_CELLS} whole "
-           "cells to the maximum correlation.", "Wang et al., IEEE TIP 13(4), 2004",
-           "shifts of up to three cells; areas that either map has not observed. It overstates shifts by less than a "
-           "cell: a secondary metric", with_true_grid(_score_similarity)),
-)  # fmt: skip
-
-METRICS = with_support(
-    _ROWS,
+METRICS = make_metrics(
+    "images",
     {
-        "*": (
-            "cells observed in both maps",
-            (NO_TRUE_MAP, "no map: ...", "both maps have observed only ... common cells"),
-        )
+        "map_ssim": with_true_grid(_score_similarity),
     },
+    REACH_CELLS=REACH_CELLS,
 )

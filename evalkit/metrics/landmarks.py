@@ -13,13 +13,11 @@ from evalkit.metrics.consistency import NO_HIT, find_corners, find_mapped_corner
 from evalkit.metrics.maps import NO_TRUE_WALL
 from evalkit.metrics.neighbourhoods import build_kd_tree
 from evalkit.metrics.table import (
-    DIVERGED,
     NO_TRUE_MAP,
     Evidence,
-    Metric,
     PlacedScans,
+    make_metrics,
     make_score,
-    with_support,
     with_true_grid,
 )
 
@@ -94,29 +92,13 @@ def _score_offset(evidence: Evidence) -> Score:
 _NO_CORNER = "the ground-truth map has no corner"
 
 
-_ROWS = (
-    Metric("map_wall_offset_m", "signed wall offset", "m", "", "map against truth",
-           "Mean distance of the hits behind the nearest true wall cell, as seen from the sensor, over the hits within "
-           f"{BESIDE_M:g} m of one: positive if rooms are too large, negative if too small.", "evalkit",
-           "errors that move walls outwards as often as inwards; errors below half a cell of the ground-truth map",
-           _score_offset, 4),
-    Metric("map_corner_ospa_m", "corners, OSPA", "m", "lower", "map against truth",
-           f"Optimal sub-pattern assignment distance (order {ORDER:g}, cutoff {CUTOFF_M:g} m) between the corners of "
-           "both maps: a missing or false corner counts as the cutoff.",
-           "Schuhmacher, Vo and Vo, IEEE TSP 56(8), 2008", "errors away from corners; corners not detected in the "
-           "ground-truth map, which depend on its cell size", _score_corners),
-)  # fmt: skip
-
-METRICS = with_support(
-    _ROWS,
+METRICS = make_metrics(
+    "landmarks",
     {
-        "map_wall_offset_m": (
-            "hits beside a true wall",
-            (NO_TRUE_MAP, NO_TRUE_WALL, NO_HIT, "only ... hits are within ... m of a true wall"),
-        ),
-        "map_corner_ospa_m": (
-            "corners of both maps",
-            (NO_TRUE_MAP, "no map: ...", _NO_CORNER, DIVERGED),
-        ),
+        "map_wall_offset_m": _score_offset,
+        "map_corner_ospa_m": _score_corners,
     },
+    BESIDE_M=BESIDE_M,
+    CUTOFF_M=CUTOFF_M,
+    ORDER=ORDER,
 )

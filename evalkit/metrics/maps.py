@@ -17,11 +17,10 @@ from evalkit.metrics.table import (
     DIVERGED,
     NO_TRUE_MAP,
     Evidence,
-    Metric,
     MissingMap,
     cached,
+    make_metrics,
     make_score,
-    with_support,
     with_true_grid,
 )
 
@@ -177,78 +176,22 @@ def _score_coverage(mapped: OccupancyGrid, true: OccupancyGrid) -> Score:
 
 _NOTHING_OBSERVED = "the ground-truth map has no observed cell"
 
-F1 = "precision and recall with a distance tolerance, as for boundaries in Martin et al., PAMI 26(5), 2004"
-ALIGNED = "errors within the tolerance; errors removed by aligning the estimate to the true trajectory"
-MAPEVAL = "Hu et al., MapEval, RA-L 2025"
-CELLS = "occupied cells (p > 0.65) of the map of the estimated trajectory"
 
-_ROWS = (
-    Metric("map_f1", "map F1 at 10 cm", "", "higher", "map against truth",
-           "Harmonic mean of wall precision and wall recall at 10 cm.", F1, ALIGNED,
-           _scored(f1, 0.0), headline=True),
-    Metric("map_precision", "wall precision at 10 cm", "", "higher", "map against truth",
-           f"Share of the {CELLS} whose centre is within 10 cm of the centre of a true wall cell.", F1,
-           f"missing walls; {ALIGNED}", _scored(precision)),
-    Metric("map_recall", "wall recall at 10 cm", "", "higher", "map against truth",
-           "Share of the true wall cells within 10 cm of an occupied cell; the ground-truth map contains only walls "
-           "that are visible from the true path.", F1, f"duplicated walls; {ALIGNED}", _scored(recall, 0.0)),
-    Metric("map_chamfer_m", "map Chamfer distance", "m", "lower", "map against truth",
-           "Half the sum of the mean distance from mapped to true wall cells and from true to mapped wall cells.",
-           "Barrow et al., IJCAI 1977; both directions", "whether few walls are far off or many walls a little",
-           _scored(chamfer)),
-    Metric("map_wall_mean_m", "distance to the true wall, mean", "m", "lower", "map against truth",
-           f"Mean distance to the nearest true wall cell, over the {CELLS}.", "evalkit", "missing walls",
-           _scored(lambda walls: float(walls.to_true.mean()))),
-    Metric("map_wall_p95_m", "distance to the true wall, 95 %", "m", "lower", "map against truth",
-           f"95th percentile of the distance to the nearest true wall cell, over the {CELLS}.", "evalkit",
-           "missing walls; the worst 5 % of the cells",
-           _scored(lambda walls: float(np.percentile(walls.to_true, 95)))),
-    Metric("map_iou", "map IoU", "", "higher", "map against truth",
-           "Number of cells with a wall in both maps divided by the number with a wall in either map, at the coarser "
-           "resolution of the two, without tolerance.", "Jaccard, 1912",
-           "the size of an error: one cell counts as much as ten",
-           _scored(iou)),
-    Metric("map_iou_10cm", "map IoU within 10 cm", "", "higher", "map against truth",
-           "Share of the cells with a wall in either map that have a wall of the other map within 10 cm, at the "
-           "coarser resolution of the two.", "Jaccard, 1912, with a tolerance band", ALIGNED,
-           _scored(iou_within, 0.0)),
-    Metric("map_ac_m", "accuracy of near walls (AC)", "m", "lower", "map against truth",
-           f"Root mean square distance to the nearest true wall cell, over the {CELLS} within {INLIER_M:g} m of one.",
-           MAPEVAL, f"walls more than {INLIER_M:g} m off and missing walls: read it together with completeness",
-           _scored(accuracy, not_finite=_NO_INLIER)),
-    Metric("map_com", "completeness (COM)", "", "higher", "map against truth",
-           f"Share of the true wall cells within {INLIER_M:g} m of an occupied cell.", MAPEVAL,
-           f"duplicated walls; errors below {INLIER_M:g} m", _scored(lambda walls: recall(walls, INLIER_M), 0.0)),
-    Metric("map_knn_m", "K-NN normalised error", "m", "lower", "map against truth",
-           "Mean distance from a true wall cell to the nearest occupied cell.",
-           "Santos, Portugal and Rocha, SSRR 2013; used by Trejos et al., Sensors 22, 6903, 2022 (there in cells)",
-           "duplicated walls; one wall far off counts as much as many a little off",
-           _scored(lambda walls: float(walls.to_mapped.mean()))),
-    Metric("map_coverage_percent", "ground-truth map covered", "%", "higher", "map against truth",
-           "Share of the observed cells of the ground-truth map whose centre lies in an observed cell of the map.",
-           "evalkit", "errors of the observed cells", with_true_grid(_score_coverage), 1),
-)  # fmt: skip
-
-METRICS = with_support(
-    _ROWS,
+METRICS = make_metrics(
+    "maps",
     {
-        "map_coverage_percent": (
-            "observed cells of the ground-truth map",
-            (NO_TRUE_MAP, _NOTHING_OBSERVED, "no map: ..."),
-        ),
-        "map_ac_m": (
-            "occupied cells of both maps",
-            (
-                NO_TRUE_MAP,
-                NO_TRUE_WALL,
-                "no map: ...",
-                NO_WALL,
-                "no wall of the map is within ... m of a true wall",
-            ),
-        ),
-        "*": (
-            "occupied cells of both maps",
-            (NO_TRUE_MAP, NO_TRUE_WALL, "no map: ...", NO_WALL),
-        ),
+        "map_f1": _scored(f1, 0.0),
+        "map_precision": _scored(precision),
+        "map_recall": _scored(recall, 0.0),
+        "map_chamfer_m": _scored(chamfer),
+        "map_wall_mean_m": _scored(lambda walls: float(walls.to_true.mean())),
+        "map_wall_p95_m": _scored(lambda walls: float(np.percentile(walls.to_true, 95))),
+        "map_iou": _scored(iou),
+        "map_iou_10cm": _scored(iou_within, 0.0),
+        "map_ac_m": _scored(accuracy, not_finite=_NO_INLIER),
+        "map_com": _scored(lambda walls: recall(walls, INLIER_M), 0.0),
+        "map_knn_m": _scored(lambda walls: float(walls.to_mapped.mean())),
+        "map_coverage_percent": with_true_grid(_score_coverage),
     },
+    INLIER_M=INLIER_M,
 )

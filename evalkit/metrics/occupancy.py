@@ -7,8 +7,8 @@ import numpy as np
 from evalkit.core.arrays import Bools, Ints
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.run_result import Score
-from evalkit.metrics.consistency import NO_MAP, WARP, wall_thicknesses, with_cells
-from evalkit.metrics.table import NO_TRUE_MAP, Metric, make_score, with_support, with_true_grid
+from evalkit.metrics.consistency import wall_thicknesses, with_cells
+from evalkit.metrics.table import make_metrics, make_score, with_true_grid
 
 _EDGE = 1e-6  # cells: a centre at this distance from an edge counts as on the edge
 
@@ -99,32 +99,10 @@ _NO_TRUE_STATE = "no observed cell of the map has a known true state"
 _NO_LINE = "no occupied cells lie along a line"
 
 
-_ROWS = (
-    Metric("map_log_loss", "map log-loss", "nat", "lower", "map against truth",
-           "Mean of -ln p of the true state over the observed cells with a known true state: 0 if all are certain and "
-           "right, ln 2 for a map without information, more for a map that is certain and wrong.",
-           "Good, JRSS B 14, 1952 (a proper score)",
-           "cells never observed; the size of an offset of a wall. The mapper's clamping sets the least value",
-           with_true_grid(_score_log_loss)),
-    Metric("wall_width_m", "wall width in the map", "m", "lower", "map consistency",
-           "Width of the walls in the map: where occupied cells lie along a line, the width of a band of cells with "
-           "the same variance; mean over at most 1,000 places.", "evalkit",
-           f"walls so blurred that they are missing in the map; the cell size sets the least value; {WARP}",
-           with_cells(_score_wall_width)),
-)  # fmt: skip
-
-METRICS = with_support(
-    _ROWS,
+METRICS = make_metrics(
+    "occupancy",
     {
-        "map_log_loss": (
-            "observed cells with a known true state",
-            (
-                NO_TRUE_MAP,
-                "no map: ...",
-                "the cells of the ground-truth map (... m) are coarser than those of the map",
-                _NO_TRUE_STATE,
-            ),
-        ),
-        "wall_width_m": ("occupied cells", (*NO_MAP, _NO_LINE)),
+        "map_log_loss": with_true_grid(_score_log_loss),
+        "wall_width_m": with_cells(_score_wall_width),
     },
 )

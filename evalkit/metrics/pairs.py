@@ -8,8 +8,8 @@ from evalkit.core import se2
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.table import NO_TRUE_TRAJECTORY, Evidence, Metric, Unmatched, make_score, with_support
-from evalkit.metrics.trajectory import MAX_GAP_S, UNMATCHED, can_interpolate
+from evalkit.metrics.table import NO_TRUE_TRAJECTORY, Evidence, Unmatched, make_metrics, make_score
+from evalkit.metrics.trajectory import MAX_GAP_S, can_interpolate
 
 _NEAREST = 1e-6
 """Points nearer to the centroid than this share of the cloud's radius are omitted: the quotient is undefined."""
@@ -61,21 +61,9 @@ def _score_median(evidence: Evidence) -> Score:
 
 _NONE = "no two successive scans with hits have true poses"
 
-_ROWS = (
-    Metric("pair_error", "pair error", "", "lower", "drift",
-           "Displacement of the points of the next scan between the estimated and the true step, divided by their "
-           "distance from their centroid; mean over points, median over at most 100 steps, the same for all methods.",
-           "Fontana et al., Robotics and Autonomous Systems 140, 2021",
-           "drift too slow for one step; the position of an error in the scan. Points near the centroid count most",
-           _score_median, 5),
-)  # fmt: skip
-
-METRICS = with_support(
-    _ROWS,
+METRICS = make_metrics(
+    "pairs",
     {
-        "*": (
-            "pairs of successive scans",
-            (*UNMATCHED, _NONE),
-        )
+        "pair_error": _score_median,
     },
 )

@@ -14,7 +14,7 @@ from evalkit.core.arrays import Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.metrics.neighbourhoods import build_kd_tree
-from evalkit.metrics.table import Evidence, Metric, PlacedScan, PlacedScans, cached, make_score, with_support
+from evalkit.metrics.table import Evidence, PlacedScan, PlacedScans, cached, make_metrics, make_score
 
 if TYPE_CHECKING:
     from scipy.spatial import cKDTree
@@ -170,55 +170,18 @@ _NO_PAIR = "no two successive scans have poses"
 _TOO_FEW = "fewer than two mapped scans"
 _NOT_REPORTED = "not reported by the back end"
 
-PAPER = "the paper, eq. 5 and figure 9; the same pairs for all methods: evalkit"
-CONSISTENT = "consistently wrong matches, as along a corridor; points farther off than 0.5 m; a robot at rest"
 
-_ROWS = (
-    Metric("s2s_m", "S2S residual", "m", "lower", "residuals",
-           "Mean distance over the one-to-one nearest pairs within 0.5 m between a scan and the next one of the "
-           "sequence under the estimated trajectory; median over at most 100 such steps, the same for all methods.",
-           PAPER, CONSISTENT, _score_successive, 4),
-    Metric("s2m_m", "S2M residual", "m", "lower", "residuals",
-           "Mean distance over the one-to-one nearest pairs within 0.5 m between a mapped scan and the local map of "
-           "the last ten keyframes (0.5 m or 20 deg apart); median over at most 100 scans.",
-           PAPER, CONSISTENT, partial(_score_mapped, 0), 4, headline=True),
-    Metric("s2m_paired_percent", "S2M points paired", "%", "higher", "residuals",
-           "Share of the points of a mapped scan within 0.5 m of the local map of the last ten keyframes; median over "
-           "scans.",
-           "evalkit", "the distance of the paired points; unmapped places lower it without an error of the estimate",
-           partial(_score_mapped, 1), 1),
-    Metric("guess_kept_percent", "initial guess kept", "%", "lower", "residuals",
-           "Share of the scans after the first whose last registration was rejected (too few pairs, or a pose exactly "
-           "equal to the guess), so that the initial guess was kept.", "evalkit",
-           "errors of accepted poses; back ends that do not report it", partial(_score_share, "accepted"), 1,
-           headline=True),
-    Metric("not_converged_percent", "not converged", "%", "lower", "residuals",
-           "Share of the scans after the first whose last stage ended without meeting its own convergence criterion.",
-           "the back end", "errors of converged poses; not comparable between methods with different criteria",
-           partial(_score_share, "converged"), 1),
-    *(Metric(f"own_{stage}_m", f"{stage.upper()} error reported by the back end", "m", "", "residuals",
-             f"Error reported by the back end for its {words} stage, by its own definition; median over scans.",
-             "the back end", "errors outside that definition; not comparable between back ends",
-             partial(_score_own_values, stage, "error"), 4)
-      for stage, words in (("s2s", "scan-to-scan"), ("s2m", "scan-to-map"))),
-    *(Metric(f"{stage}_iterations", f"{stage.upper()} iterations", "", "", "residuals",
-             f"Iterations of the {words} stage; median over scans.", "the back end",
-             "the cost of an iteration; not comparable between methods",
-             partial(_score_own_values, stage, "iterations"), 1)
-      for stage, words in (("s2s", "scan-to-scan"), ("s2m", "scan-to-map"))),
-)  # fmt: skip
-
-_FAR = "... scans are ... m apart: too far to overlap"
-_FEW = "no scan has ... pairs within ... m"
-
-METRICS = with_support(
-    _ROWS,
+METRICS = make_metrics(
+    "registration",
     {
-        "s2s_m": ("pairs of successive scans", (_NO_PAIR, _FAR, _FEW)),
-        "s2m_m": ("mapped scans", (_TOO_FEW, _FAR, _FEW)),
-        "s2m_paired_percent": ("mapped scans", (_TOO_FEW, _FAR, _FEW)),
-        "guess_kept_percent": ("scans for which the back end reports it", (_NOT_REPORTED,)),
-        "not_converged_percent": ("scans for which the back end reports it", (_NOT_REPORTED,)),
-        "*": ("scans for which the back end reports it", (_NOT_REPORTED,)),
+        "s2s_m": _score_successive,
+        "s2m_m": partial(_score_mapped, 0),
+        "s2m_paired_percent": partial(_score_mapped, 1),
+        "guess_kept_percent": partial(_score_share, "accepted"),
+        "not_converged_percent": partial(_score_share, "converged"),
+        "own_s2s_m": partial(_score_own_values, "s2s", "error"),
+        "own_s2m_m": partial(_score_own_values, "s2m", "error"),
+        "s2s_iterations": partial(_score_own_values, "s2s", "iterations"),
+        "s2m_iterations": partial(_score_own_values, "s2m", "iterations"),
     },
 )

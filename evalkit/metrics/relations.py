@@ -14,7 +14,7 @@ from evalkit.core.ground_truth import Relations
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.table import DIVERGED, Evidence, Metric, make_score, with_support
+from evalkit.metrics.table import Evidence, make_metrics, make_score
 from evalkit.metrics.trajectory import can_interpolate
 
 Part = Literal["short", "long", "all"]
@@ -24,9 +24,6 @@ MAX_GAP_S = 2.0
 
 SHORT_S = 10.0
 """Relations over less time show local consistency, the others drift."""
-
-NOISE_FLOOR_M = 0.03
-"""Accuracy of the published relations: smaller differences between methods are not significant."""
 
 
 def symmetric_errors(estimated: ArrayLike, measured: ArrayLike) -> Floats:
@@ -123,78 +120,32 @@ def _score_covered(evidence: Evidence) -> Score:
 
 _NO_RELATIONS = "no measured relations"
 
-_SPANS: dict[Part, str] = {
-    "all": "all pairs of times",
-    "short": "pairs of times less than 10 s apart",
-    "long": "pairs of times 10 s apart or more",
-}
-_STATISTICS: dict[str, tuple[str, Callable[[Floats], np.floating]]] = {
-    "mean": ("Mean", np.mean),
-    "sd": ("Standard deviation of the", np.std),
-}
-_ERRORS = (("m", "translation", 3), ("deg", "rotation", 2))
-_SQUARES = (("m", "translation", 4), ("deg", "rotation", 2))
-_LIMITATIONS: dict[Part, str] = {
-    "short": f"drift over the whole path; differences below the noise of the relations, about {NOISE_FLOOR_M:g} m",
-    "long": f"the time of an error; differences below the noise of the relations, about {NOISE_FLOOR_M:g} m",
-    "all": "whether few relations have large errors or many have small ones; depends on the mix of short and long "
+_PARTS: tuple[Part, ...] = ("all", "short", "long")
+_STATISTICS: dict[str, Callable[[Floats], np.floating]] = {"mean": np.mean, "sd": np.std}
+_UNITS = ("m", "deg")
+_FORMS: dict[str, Errors] = {"kuemmerle": componentwise_errors, "cartographer": cartographer_errors}
+
+METRICS = make_metrics(
     "relations",
-}
-
-_FORMS: dict[str, tuple[str, str, Errors]] = {
-    "kuemmerle": (
-        "the evaluator of Kuemmerle et al., in the order of the relation",
-        "Kuemmerle et al., Autonomous Robots 27, 2009 (its evaluator takes component-wise differences)",
-        _compute_norms(componentwise_errors),
-    ),
-    "cartographer": (
-        "Cartographer's evaluator, estimated times measured inverse",
-        "Hess et al., ICRA 2016 (Cartographer, compute_relations_metrics)",
-        _compute_norms(cartographer_errors),
-    ),
-}
-
-_ROWS = (
-    *(
-        Metric(f"relations_{part}_{name}_{unit}", f"relations, {part}, {name} {what}", unit, "lower", "relations",
-               f"{words} {what} error of the estimated motions between {_SPANS[part]}; the translation error is "
-               "averaged over both orders of the pair; poses at most 2 s apart are interpolated.",
-               "Kuemmerle et al., Autonomous Robots 27, 2009; both orders: evalkit", _LIMITATIONS[part],
-               _scored(part, column, statistic), digits, headline=part != "long" and (name, unit) == ("mean", "m"))
-        for part in _SPANS
-        for name, (words, statistic) in _STATISTICS.items()
-        for column, (unit, what, digits) in enumerate(_ERRORS)
-    ),
-    *(
-        Metric(f"relations_{form}_{name}_m", f"relations as {form.capitalize()}, {name}", "m", "lower", "relations",
-               f"{words} translation error between all pairs of times as computed by {whose}, for comparison with "
-               "published tables; the other metrics here use the mean over both orders of the pair.", source,
-               f"the opposite order of the pair, which can give a different error; {_LIMITATIONS['all']}",
-               _scored("all", 0, statistic, errors))
-        for form, (whose, source, errors) in _FORMS.items()
-        for name, (words, statistic) in _STATISTICS.items()
-    ),
-    *(
-        Metric(f"relations_square_{name}_{unit}2", f"relations, squared, {name} {what}", f"{unit}2", "lower",
-               "relations",
-               f"{words} squared {what} error between all pairs of times, for comparison with published tables; "
-               "dominated by few large errors.", "Kuemmerle et al., Autonomous Robots 27, 2009", _LIMITATIONS["all"],
-               _scored("all", column, statistic, _compute_norms(componentwise_errors), squared=True), digits)
-        for name, (words, statistic) in _STATISTICS.items()
-        for column, (unit, what, digits) in enumerate(_SQUARES)
-    ),
-    Metric("relations_answered_percent", "relations covered", "%", "higher", "relations",
-           "Share of the relations both of whose times lie between poses at most 2 s apart.", "evalkit",
-           "errors of the poses", _score_covered, 1),
-)  # fmt: skip
-
-METRICS = with_support(
-    _ROWS,
     {
-        "relations_answered_percent": ("relations", (_NO_RELATIONS,)),
-        "*": (
-            "relations covered",
-            (_NO_RELATIONS, "the estimate covers none of ... relations", DIVERGED),
-        ),
+        **{
+            f"relations_{part}_{name}_{unit}": _scored(part, column, statistic)
+            for part in _PARTS
+            for name, statistic in _STATISTICS.items()
+            for column, unit in enumerate(_UNITS)
+        },
+        **{
+            f"relations_{form}_{name}_m": _scored("all", 0, statistic, _compute_norms(errors))
+            for form, errors in _FORMS.items()
+            for name, statistic in _STATISTICS.items()
+        },
+        **{
+            f"relations_square_{name}_{unit}2": _scored(
+                "all", column, statistic, _compute_norms(componentwise_errors), squared=True
+            )
+            for name, statistic in _STATISTICS.items()
+            for column, unit in enumerate(_UNITS)
+        },
+        "relations_answered_percent": _score_covered,
     },
 )

@@ -13,7 +13,7 @@ from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.relations import compute_estimated_motions, symmetric_errors
-from evalkit.metrics.table import DIVERGED, NO_TRUE_TRAJECTORY, Evidence, Metric, make_score, with_support
+from evalkit.metrics.table import NO_TRUE_TRAJECTORY, Evidence, make_metrics, make_score
 
 NEAR_M = 1.0
 COVERED_M = 100.0
@@ -92,37 +92,15 @@ def _make_score_function(measure: Callable[[Floats], float]) -> Callable[[Eviden
 
 _NO_REVISIT = "the true path does not revisit a place"
 
-HOW = (
-    f"Relations connect true poses within {NEAR_M:g} m of each other that are at least a quarter of the path (at most "
-    "100 m) apart along it; both orders of the pair are averaged"
-)
-SOURCE = "after Cartographer's automatic relations, Hess et al., ICRA 2016; scaled to short logs: evalkit"
 
-_ROWS = (
-    Metric("revisit_mean_m", "error at revisited places, mean", "m", "lower", "relations",
-           f"Mean translation error of the estimated motions between two visits of a place. {HOW}.", SOURCE,
-           "places visited once; errors of the ground truth", _make_score_function(_make_mean(0))),
-    Metric("revisit_mean_deg", "heading error at revisited places, mean", "deg", "lower", "relations",
-           f"Mean rotation error of the same motions. {HOW}.", SOURCE,
-           "places visited once; errors of the ground truth", _make_score_function(_make_mean(1)), 2),
-    Metric("revisit_within_percent", "revisits within limits", "%", "higher", "relations",
-           f"Share of the estimated motions between two visits of a place with errors of at most {MAX_OFF_M:g} m and "
-           f"{MAX_OFF_RAD:g} rad. {HOW}.", "limits: Cartographer's outlier thresholds of automatic relations; score: "
-           "evalkit", "the size of larger errors; places visited once; errors of the ground truth",
-           _make_score_function(lambda errors: 100.0 * float(within_limits(errors).mean())), 1),
-)  # fmt: skip
-
-METRICS = with_support(
-    _ROWS,
+METRICS = make_metrics(
+    "revisits",
     {
-        "*": (
-            "revisits covered by the estimate",
-            (
-                NO_TRUE_TRAJECTORY,
-                _NO_REVISIT,
-                "the estimate covers none of ... revisits",
-                DIVERGED,
-            ),
-        )
+        "revisit_mean_m": _make_score_function(_make_mean(0)),
+        "revisit_mean_deg": _make_score_function(_make_mean(1)),
+        "revisit_within_percent": _make_score_function(lambda errors: 100.0 * float(within_limits(errors).mean())),
     },
+    NEAR_M=NEAR_M,
+    MAX_OFF_M=MAX_OFF_M,
+    MAX_OFF_RAD=MAX_OFF_RAD,
 )

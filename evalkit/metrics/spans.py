@@ -14,7 +14,7 @@ from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.consistency import collect_hits
 from evalkit.metrics.relations import MAX_GAP_S
-from evalkit.metrics.table import DIVERGED, Evidence, MatchedPoses, Metric, make_score, with_support
+from evalkit.metrics.table import Evidence, MatchedPoses, make_metrics, make_score
 from evalkit.metrics.trajectory import can_interpolate, rms
 
 REACH_M = 0.3
@@ -111,39 +111,13 @@ def _measure_spans(evidence: Evidence) -> SpanLengths:
     return measure_spans(evidence.truth.spans, estimate, collect_hits(evidence.mapped))
 
 
-TAPE = "tape measure, as for the Revo LDS in Hess et al., ICRA 2016"
-ENDS = (
-    "A tape ends at the robot at a given time, at a point relative to it, or at a wall of the map: the median of the "
-    f"hits within {REACH_M:g} m along the tape"
-)
-
-_ROWS = (
-    Metric("span_rmse_m", "distances by tape, RMSE", "m", "lower", "relations",
-           f"Root mean square difference between distances in the estimate and by tape. {ENDS}.", TAPE,
-           "errors away from the ends of the tapes",
-           _make_score_function(lambda lengths: rms(lengths.estimated_m - lengths.measured_m))),
-    Metric("span_stretch_percent", "stretch by tape", "%", "", "relations",
-           "Excess length of the estimate over the tape in percent: the least-squares scale of all distances, "
-           f"weighted by their standard deviations; 0 is exact. {ENDS}.", TAPE,
-           "errors that stretch one distance and shorten another",
-           _make_score_function(lambda lengths: 100.0 * fit_stretch(lengths)), 2),
-    Metric("span_worst_sigmas", "distances by tape, worst", "sigma", "lower", "relations",
-           "Largest difference between a distance in the estimate and by tape, in standard deviations of the tape. "
-           f"{ENDS}.",
-           TAPE, "all distances but the worst",
-           _make_score_function(_find_worst_sigmas), 1),
-    Metric("span_answered_percent", "distances by tape covered", "%", "higher", "relations",
-           "Share of the measured distances both of whose ends the estimate covers.", "evalkit",
-           "errors of the distances", _score_covered, 1),
-)  # fmt: skip
-
-METRICS = with_support(
-    _ROWS,
+METRICS = make_metrics(
+    "spans",
     {
-        "span_answered_percent": ("measured distances", (_NO_TAPE,)),
-        "*": (
-            "measured distances covered",
-            (_NO_TAPE, "the estimate covers none of ... measured distances", DIVERGED),
-        ),
+        "span_rmse_m": _make_score_function(lambda lengths: rms(lengths.estimated_m - lengths.measured_m)),
+        "span_stretch_percent": _make_score_function(lambda lengths: 100.0 * fit_stretch(lengths)),
+        "span_worst_sigmas": _make_score_function(_find_worst_sigmas),
+        "span_answered_percent": _score_covered,
     },
+    REACH_M=REACH_M,
 )

@@ -10,9 +10,9 @@ from evalkit.core import se2
 from evalkit.core.arrays import Ints
 from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats
-from evalkit.metrics.consistency import NO_HIT, WARP, collect_all_hits
+from evalkit.metrics.consistency import NO_HIT, collect_all_hits
 from evalkit.metrics.neighbourhoods import MIN_HITS, PATCH_M, build_kd_tree, compute_neighbourhoods, thin_evenly
-from evalkit.metrics.table import DIVERGED, Evidence, Metric, PlacedScans, cached, make_score, with_support
+from evalkit.metrics.table import Evidence, PlacedScans, cached, make_metrics, make_score
 
 MAX_SCANS = 100
 PLACES_A_SCAN = 40
@@ -249,44 +249,13 @@ def _score_ghost_distance(evidence: Evidence) -> Score:
 _NO_ORTHOGONAL = "single scans contain too few walls at right angles to each other"
 _NO_COPY = "no wall has a second copy"
 
-KORNILOVA = "Kornilova and Ferrer, 2021, arXiv 2106.11351 (mutually orthogonal metric), in the plane"
-SCATTER = f"Mean smaller variance lambda_min of the hits (at most {MAX_HITS:,}, evenly spaced) within {PATCH_M:g} m"
-COPY = (
-    f"A stretch of wall, detected in a single scan, has a second copy if the hits observed from the same side, within "
-    f"{ALONG_M:g} m along it, have a second mode {NEAREST_M:g} to {FARTHEST_M:g} m away across it; at most "
-    f"{MAX_CROSSED:,} hits, evenly spaced"
-)
 
-_ROWS = (
-    Metric("mpv_cm2", "mean plane variance", "cm2", "lower", "map consistency",
-           f"{SCATTER} of a hit with at least {MIN_HITS} of them, over all mapped scans; at most 1,000 places, "
-           "including corners and furniture.", "Razlaw et al., ECMR 2015 (mean plane variance), in the plane",
-           f"errors along a wall; clutter sets its least value; {WARP}", _score_mean_variance, 1),
-    Metric("mom_cm2", "orthogonal walls' variance", "cm2", "lower", "map consistency",
-           f"{SCATTER} of a piece of wall, which lies along a line in a single scan; over the walls within 10 deg of "
-           "one direction, plus that of the walls orthogonal to them (the two most frequent directions).",
-           KORNILOVA, f"walls in other directions; slips at places visited once; {WARP}", _score_orthogonal, 1,
-           headline=True),
-    Metric("ghost_wall_percent", "ghost walls", "%", "lower", "map consistency",
-           f"Share of the stretches of wall with a second copy. {COPY}.", "evalkit",
-           "copies outside this range, so that a large slip can count less than a small one; blur without copies; "
-           f"clutter in front of a wall counts as a copy; {WARP}", _score_ghost_percent, 1),
-    Metric("ghost_wall_m", "distance of ghost walls", "m", "", "map consistency",
-           f"Median distance between a wall and its second copy. {COPY}.", "evalkit",
-           "the number of copies; which copy is correct", _score_ghost_distance, 2),
-)  # fmt: skip
-
-_GHOSTS = (NO_HIT, "single scans contain only ... stretches of wall")
-
-METRICS = with_support(
-    _ROWS,
+METRICS = make_metrics(
+    "surfaces",
     {
-        "mpv_cm2": ("places with at least five hits", (NO_HIT, "only ... places have ... hits within ... m", DIVERGED)),
-        "mom_cm2": (
-            "pieces of wall in the less frequent of the two directions",
-            (NO_HIT, _NO_ORTHOGONAL, DIVERGED),
-        ),
-        "ghost_wall_percent": ("stretches of wall", _GHOSTS),
-        "ghost_wall_m": ("stretches with a second copy", (*_GHOSTS, _NO_COPY)),
+        "mpv_cm2": _score_mean_variance,
+        "mom_cm2": _score_orthogonal,
+        "ghost_wall_percent": _score_ghost_percent,
+        "ghost_wall_m": _score_ghost_distance,
     },
 )

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
+import tomllib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from functools import wraps
-from typing import Literal, TypeVar
+from importlib.resources import files
+from typing import Any, Literal, TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -106,18 +107,30 @@ class Metric:
     no_value: tuple[str, ...] = ()
 
 
-SupportByName = Mapping[str, tuple[str, tuple[str, ...]]]
-"""``support`` and ``no_value`` of metrics, by a pattern of their names ("ate_*")."""
+def make_metrics(
+    family: str, functions: Mapping[str, Callable[[Evidence], Score]], **constants: float
+) -> tuple[Metric, ...]:
+    """Return the metrics of a family in the order of ``functions``, with their cards from ``cards/FAMILY.toml``.
 
+    ``functions``: by the name of the metric. ``constants``: numbers that the texts of the cards name in braces. Raises
+    KeyError for a metric without a card or a card without a function.
+    """
+    content: dict[str, dict[str, Any]] = tomllib.loads(
+        files(__package__).joinpath("cards", f"{family}.toml").read_text(encoding="utf-8")
+    )
+    shared = content.pop("*", {})
+    if unknown := content.keys() - functions.keys():
+        raise KeyError(f"cards/{family}.toml: no function for {', '.join(sorted(unknown))}")
 
-def with_support(metrics: Iterable[Metric], by_name: SupportByName) -> tuple[Metric, ...]:
-    """Return the metrics with ``support`` and ``no_value`` of the first pattern that matches their name, if any."""
+    def fill(value: Any) -> Any:
+        if isinstance(value, list):
+            return tuple(value)
+        return " ".join(value.split()).format(**constants) if isinstance(value, str) else value
 
-    def complete(metric: Metric) -> Metric:
-        row = next((by_name[pattern] for pattern in by_name if fnmatchcase(metric.name, pattern)), None)
-        return metric if row is None else replace(metric, support=row[0], no_value=row[1])
-
-    return tuple(map(complete, metrics))
+    return tuple(
+        Metric(name, compute=compute, **{key: fill(value) for key, value in {**shared, **content[name]}.items()})
+        for name, compute in functions.items()
+    )
 
 
 Computed = TypeVar("Computed")

@@ -15,15 +15,13 @@ from evalkit.core.run_result import Score
 from evalkit.core.se2 import Floats, Stamps
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.table import (
-    DIVERGED,
     NO_POSES,
     NO_TRUE_TRAJECTORY,
     Evidence,
     MatchedPoses,
-    Metric,
     Unmatched,
+    make_metrics,
     make_score,
-    with_support,
 )
 
 Alignment = Literal["least squares", "first pose", "none"]
@@ -173,46 +171,18 @@ _EMPTY = "the ground-truth trajectory is empty"
 _NO_DURATION = "the ground-truth trajectory has no duration"
 _UNKNOWN_LENGTH = "the number of scans in the sequence is unknown"
 
-ATE = "Sturm et al., IROS 2012 (absolute trajectory error); Umeyama, PAMI 13(4), 1991"
 
-_ROWS = (
-    Metric("ate_rmse_m", "ATE RMSE", "m", "lower", "drift",
-           "Root mean square distance between estimated and true positions at the same times, after the rigid "
-           "alignment without scale that makes it smallest.", ATE,
-           "the time of an error: an early wrong turn counts more than a late one; scans without a pose",
-           with_matched_poses(lambda m: make_score(rms(position_errors(m)), len(m.stamps_ns))), headline=True),
-    Metric("ate_median_m", "ATE median", "m", "lower", "drift",
-           "Median of the same distances.", ATE, "errors in the worse half of the run",
-           with_matched_poses(lambda m: make_score(np.median(position_errors(m)), len(m.stamps_ns)))),
-    Metric("ate_max_m", "ATE maximum", "m", "lower", "drift",
-           "Largest of the same distances.", ATE, "all errors but the largest",
-           with_matched_poses(lambda m: make_score(position_errors(m).max(), len(m.stamps_ns)))),
-    Metric("heading_rmse_deg", "heading RMSE", "deg", "lower", "drift",
-           "Root mean square difference of estimated and true headings, after the same alignment.", ATE,
-           "errors of position; scans without a pose",
-           with_matched_poses(lambda m: make_score(np.degrees(rms(heading_errors(m))), len(m.stamps_ns))), 2),
-    Metric("answered_percent", "scans answered", "%", "higher", "drift",
-           "Share of the scans of the sequence for which the run returned a pose.", "evalkit",
-           "errors of the poses", _score_answered, 1),
-    Metric("covered_percent", "true time covered", "%", "higher", "drift",
-           f"Share of the ground truth's time span between estimated poses at most {MAX_GAP_S:g} s apart.", "evalkit",
-           "errors of the poses", _score_covered, 1),
-)  # fmt: skip
-
-UNMATCHED = (
-    NO_TRUE_TRAJECTORY,
-    NO_POSES,
-    _EMPTY,
-    "estimate and ground truth share ... stamps, at least 2 are needed",
-    DIVERGED,
-)
-"""Reasons for a missing value of a metric of matched poses."""
-
-METRICS = with_support(
-    _ROWS,
+METRICS = make_metrics(
+    "trajectory",
     {
-        "answered_percent": ("scans in the sequence", (_UNKNOWN_LENGTH,)),
-        "covered_percent": ("scans with a pose", (NO_TRUE_TRAJECTORY, _NO_DURATION)),
-        "*": ("poses matched with the ground truth", UNMATCHED),
+        "ate_rmse_m": with_matched_poses(lambda m: make_score(rms(position_errors(m)), len(m.stamps_ns))),
+        "ate_median_m": with_matched_poses(lambda m: make_score(np.median(position_errors(m)), len(m.stamps_ns))),
+        "ate_max_m": with_matched_poses(lambda m: make_score(position_errors(m).max(), len(m.stamps_ns))),
+        "heading_rmse_deg": with_matched_poses(
+            lambda m: make_score(np.degrees(rms(heading_errors(m))), len(m.stamps_ns))
+        ),
+        "answered_percent": _score_answered,
+        "covered_percent": _score_covered,
     },
+    MAX_GAP_S=MAX_GAP_S,
 )

@@ -51,12 +51,11 @@ class Series:
 class BootstrapDraws:
     """Bootstrap draws (D,) of one score.
 
-    ``blocks``: number of blocks in the series. ``block_s``: length of a block in seconds, None if not in time.
+    ``blocks``: number of blocks in the series.
     """
 
     values: Floats
     blocks: float
-    block_s: float | None
 
 
 def block_length(count: int, period_s: float | None = None) -> int:
@@ -155,11 +154,10 @@ def bootstrap_score(series: Series, score: float, rng: np.random.Generator) -> B
         return None
     values, factor = series.values, score / value
     thin = -(-len(values) // MAX_FOR_MEDIAN) if series.statistic == "median" else 1
-    period_s = None if series.period_s is None else thin * series.period_s
     values = values[::thin]
-    block = block_length(len(values), period_s)
+    block = block_length(len(values), None if series.period_s is None else thin * series.period_s)
     draws = factor * _draw_statistic(values, series.statistic, block, rng)
-    return BootstrapDraws(draws, len(values) / block, None if period_s is None else block * period_s)
+    return BootstrapDraws(draws, len(values) / block)
 
 
 def compute_statistic(series: Series) -> float:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 CONFIDENCE = 0.95
@@ -42,10 +41,5 @@ def wilson_interval(successes: int, trials: int, confidence: float = CONFIDENCE)
 
     if not 0 <= successes <= trials or trials == 0:
         raise ValueError(f"successes: expected 0 to {trials} of at least one trial, got {successes}")
-    z = float(stats.norm.ppf(0.5 + confidence / 2.0))
-    share, weight = successes / trials, z * z / trials
-    middle = share + weight / 2.0
-    half = z * math.sqrt(share * (1.0 - share) / trials + weight / (4.0 * trials))
-    low = 0.0 if successes == 0 else (middle - half) / (1.0 + weight)
-    high = 1.0 if successes == trials else (middle + half) / (1.0 + weight)
-    return Interval(share, low, high, trials, confidence)
+    bounds = stats.binomtest(successes, trials).proportion_ci(confidence, method="wilson")
+    return Interval(successes / trials, float(bounds.low), float(bounds.high), trials, confidence)

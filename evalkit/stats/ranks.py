@@ -1,4 +1,4 @@
-"""Ranks of several methods over several sequences: mean ranks, Friedman's test, quantiles of errors with failures."""
+"""Ranks: mean ranks and Friedman's test over sequences, quantiles of errors with failures, rank correlation."""
 
 from __future__ import annotations
 
@@ -41,10 +41,9 @@ class NotTested:
 
 def compute_ranks(errors: ArrayLike) -> Floats:
     """Return the rank (N, K) of K methods on each of N sequences (N, K): 1 for the least error, ties share the mean."""
-    table = np.asarray(errors, dtype=np.float64)
-    smaller = (table[:, None, :] < table[:, :, None]).sum(axis=2)
-    equal = (table[:, None, :] == table[:, :, None]).sum(axis=2)
-    return np.asarray(smaller + (equal + 1) / 2.0)
+    from scipy import stats
+
+    return np.asarray(stats.rankdata(np.asarray(errors, dtype=np.float64), axis=1))
 
 
 def friedman_test(errors: ArrayLike, alpha: float = 0.05) -> FriedmanTest | NotTested:
@@ -68,11 +67,6 @@ def friedman_test(errors: ArrayLike, alpha: float = 0.05) -> FriedmanTest | NotT
     return FriedmanTest(tuple(ranks.mean(axis=0).tolist()), float(statistic), float(p), critical, sequences)
 
 
-def success_curve(errors: ArrayLike, thresholds: ArrayLike) -> Floats:
-    """Return the share (K,) of trials with an error of at most each threshold; a failed trial has an infinite error."""
-    return np.asarray(np.mean(np.asarray(errors)[None, :] <= np.asarray(thresholds)[:, None], axis=1))
-
-
 def success_quantiles(errors: ArrayLike, shares: Sequence[float] = (0.5, 0.75, 0.95)) -> tuple[float, ...]:
     """Return the errors that these shares of all trials do not exceed: A50, A75 and A95.
 
@@ -83,3 +77,15 @@ def success_quantiles(errors: ArrayLike, shares: Sequence[float] = (0.5, 0.75, 0
     if not ordered.size:
         raise ValueError("success_quantiles: there is no trial")
     return tuple(float(ordered[max(math.ceil(share * len(ordered) - 1e-9), 1) - 1]) for share in shares)
+
+
+def spearman_correlation(a: Floats, b: Floats) -> Floats:
+    """Return Spearman's rank correlation (...,) along the last axis of series (..., N); nan if a series is constant."""
+    from scipy import stats
+
+    first, second = (stats.rankdata(series, axis=-1) for series in (a, b))
+    first = first - first.mean(axis=-1, keepdims=True)
+    second = second - second.mean(axis=-1, keepdims=True)
+    sizes = np.sqrt((first**2).sum(axis=-1) * (second**2).sum(axis=-1))
+    with np.errstate(invalid="ignore"):
+        return np.asarray(np.where(sizes > 0.0, (first * second).sum(axis=-1) / sizes, np.nan))

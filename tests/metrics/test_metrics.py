@@ -14,7 +14,7 @@ from evalkit import metrics
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import STEP, Cause, RunResult, Score
 from evalkit.core.trajectory import Trajectory
-from evalkit.metrics.table import Evidence, Metric, cached, make_score
+from evalkit.metrics.table import Evidence, Metric, cached, make_metrics, make_score
 from evalkit.metrics.trajectory import match_trajectories
 
 
@@ -109,3 +109,13 @@ def test_shared_intermediate_results_are_computed_once_and_released_with_the_evi
     del one
     gc.collect()
     assert gone() is None
+
+
+def test_a_card_without_a_function_and_a_function_without_a_card_are_refused() -> None:
+    compute = metrics.METRICS[0].compute
+    with pytest.raises(KeyError, match="no function for pair_error"):
+        make_metrics("pairs", {})
+    with pytest.raises(KeyError, match="of_nothing"):
+        make_metrics("pairs", {"pair_error": compute, "of_nothing": compute})
+    (card,) = make_metrics("pairs", {"pair_error": compute})
+    assert (card.label, card.digits, card.better) == ("pair error", 5, "lower")

@@ -85,7 +85,7 @@ def test_draws_of_every_statistic_match_the_score(statistic, score):
     series = Series(np.arange(400), np.tile([1.0, 2.0, 3.0, 4.0], 100), statistic, 0.25)
     found = bootstrap_score(series, score, np.random.default_rng(0))
     assert found is not None
-    assert (found.blocks, found.block_s) == (10.0, 10.0)
+    assert found.blocks == 10.0
     if statistic != "median":
         assert found.values == pytest.approx(np.full(2000, score))
     assert np.median(found.values) == pytest.approx(score, abs=0.5)

@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 import pytest
+from scipy import stats
 
-from evalkit.stats.ranks import FriedmanTest, NotTested, friedman_test, success_curve, success_quantiles
+from evalkit.stats.ranks import FriedmanTest, NotTested, friedman_test, spearman_correlation, success_quantiles
 
 # Demsar, JMLR 7, 2006, table 6: AUC of C4.5, C4.5+m, C4.5+cf, C4.5+m+cf over 14 data sets. The last but one row prints
 # 0.975 twice and ranks the first before the second: they are equal only as printed.
@@ -40,5 +41,12 @@ def test_seven_sequences_are_not_tested():
 
 def test_failed_trials_lower_success():
     errors = [0.01, 0.02, 0.03, math.inf]
-    assert success_curve(errors, [0.0, 0.02, 1.0]) == pytest.approx([0.0, 0.5, 0.75])
     assert success_quantiles(errors) == (0.02, 0.03, math.inf)
+
+
+def test_the_correlation_equals_scipys_including_ties() -> None:
+    rng = np.random.default_rng(1)
+    a, b = rng.integers(0, 5, (7, 30)), rng.normal(size=(7, 30))
+    expected = [stats.spearmanr(x, y).statistic for x, y in zip(a, b, strict=True)]
+    assert spearman_correlation(a.astype(float), b) == pytest.approx(expected)
+    assert np.isnan(spearman_correlation(np.ones(5), np.arange(5.0)))

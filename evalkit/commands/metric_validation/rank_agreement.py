@@ -13,8 +13,8 @@ from evalkit.commands.metric_validation.map_rebuilding import CLEAN
 from evalkit.core.se2 import Floats
 from evalkit.metrics.table import Metric
 from evalkit.metrics.validated import RankAgreement
-from evalkit.stats.correlation import spearman_correlation
 from evalkit.stats.intervals import CONFIDENCE, Interval
+from evalkit.stats.ranks import spearman_correlation
 
 ERROR = "ate_rmse_m"
 DRAWS = 1000
