@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 
 from evalkit.core.errors import BadParameter, NotInstalled
 from evalkit.core.pose import Pose
@@ -16,8 +17,9 @@ from evalkit.plugins import registry
 from evalkit.plugins.parameters import resolve_parameters
 from evalkit_baselines import embedded, paper
 from evalkit_baselines.embedded import compiled
+from evalkit_baselines.embedded.normals import MAX_NEIGHBOURS
 from evalkit_baselines.paper.grid import LogOddsGrid
-from evalkit_baselines.paper.icp import Icp
+from evalkit_baselines.paper.icp import Icp, line_normals
 
 needs_core = pytest.mark.skipif(bool(why := compiled.compiled_missing()), reason=why or "the core is here")
 
@@ -162,6 +164,35 @@ def test_a_coordinate_beyond_the_limit_raises_with_the_message_of_the_core():
         icp.register(Cloud(np.full((3, 2), 2e6)), some, Pose())
     with pytest.raises(ValueError, match="nan or infinite"):  # 1e39 m is infinite in single precision
         make_plugin(embedded.FLOAT).register(some, Cloud(np.full((3, 2), 1e39)), Pose())
+
+
+@needs_core
+@pytest.mark.parametrize("k", [2, 5, 8, 20])
+def test_compiled_normals_equal_those_of_numpy_and_scipy(k):
+    points = room(1500, np.random.default_rng(k))
+    expected = line_normals(cKDTree(points), k)
+    found = embedded.normals_2d(points, k)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1.0, rtol=0.0, atol=1e-15)
+    _, near = cKDTree(points).query(points, k=k)
+    spreads = np.linalg.eigvalsh(np.stack([np.cov(points[row].T) for row in near]))
+    clear = spreads[:, 0] < 0.9 * spreads[:, 1]  # elsewhere the direction is rounding
+    assert clear.mean() > 0.9
+    np.testing.assert_allclose(found[clear], expected[clear], rtol=0.0, atol=1e-12)
+
+
+@needs_core
+def test_normals_of_degenerate_clouds_are_defined():
+    up = [0.0, 1.0]
+    assert embedded.normals_2d(np.zeros((0, 2)), 8).shape == (0, 2)
+    assert embedded.normals_2d(np.array([[3.0, 4.0]]), 8).tolist() == [up]
+    assert embedded.normals_2d(np.full((5, 2), 0.1), 4).tolist() == [up] * 5
+    assert embedded.normals_2d(np.array([[0.0, 0.0], [0.0, 2.0]]), 8).tolist() == [[-1.0, 0.0]] * 2
+    for wrong in (np.nan, np.inf, 2e6):
+        with pytest.raises(ValueError, match="target: "):
+            embedded.normals_2d(np.array([[0.0, wrong], [1.0, 1.0]]), 2)
+    for k in (-1, 1, MAX_NEIGHBOURS + 1):
+        with pytest.raises(ValueError, match="neighbours: a parameter is outside its range"):
+            embedded.normals_2d(np.eye(2), k)
 
 
 def test_the_parameters_equal_those_of_the_paper_except_the_lines():

@@ -11,6 +11,7 @@ from evalkit.plugins.specs import MapperSpec, OdometrySpec, RegistrationSpec
 from evalkit_baselines.embedded import mapper, pipeline, registration
 from evalkit_baselines.embedded.compiled import compiled_missing
 from evalkit_baselines.embedded.mapper import CompiledGrid
+from evalkit_baselines.embedded.normals import normals_2d as normals_2d
 from evalkit_baselines.embedded.pipeline import CompiledPipeline
 from evalkit_baselines.embedded.registration import CompiledIcp
 from evalkit_baselines.paper import CITATION

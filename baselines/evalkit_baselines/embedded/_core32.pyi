@@ -6,3 +6,4 @@ from evalkit_baselines.embedded._core64 import Icp as Icp
 from evalkit_baselines.embedded._core64 import Index as Index
 from evalkit_baselines.embedded._core64 import Pipeline as Pipeline
 from evalkit_baselines.embedded._core64 import defaults as defaults
+from evalkit_baselines.embedded._core64 import normals as normals

@@ -32,6 +32,9 @@ class Index:
     def __init__(self, points: Array) -> None: ...
     def __len__(self) -> int: ...
 
+def normals(points: Array, neighbours: int) -> Array:
+    """Unit normals (N, 2) of points (N, 2) in metres from their nearest neighbours (ek/normals.h)."""
+
 class Icp:
     """Point-to-point ICP (ek/icp.h); ``error``: 0 mean, 1 mean squared, 2 its root."""
 

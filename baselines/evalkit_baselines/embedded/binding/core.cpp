@@ -18,6 +18,8 @@ NB_MODULE(CORE, module)
         .def(nb::init<const Points &>(), "points"_a.noconvert())
         .def("__len__", [](const Index &index) { return index.index().count; });
 
+    module.def("normals", &normals, "points"_a.noconvert(), "neighbours"_a);
+
     nb::class_<Icp>(module, "Icp")
         .def(nb::init<double, int64_t, int64_t, bool, bool, double, int64_t>(), nb::kw_only(), "epsilon"_a,
              "max_iterations"_a, "error"_a, "error_before"_a, "one_to_one"_a, "max_correspondence"_a, "min_pairs"_a)

@@ -4,6 +4,7 @@
 #include <mutex>
 
 #include "ek/icp.h"
+#include "ek/normals.h"
 #include "memory.hpp"
 
 namespace EK_NAME(binding) {
@@ -27,6 +28,18 @@ private:
     ek_index index_ = {};
     Memory memory_;
 };
+
+// Normals (N, 2) of points from their nearest neighbours.
+inline nb::object normals(const Points &points, int64_t neighbours)
+{
+    std::vector<ek_real> found(2 * std::max<std::size_t>(points.shape(0), 1));
+    const Index index(points);
+    {
+        const nb::gil_scoped_release others_may_run;
+        require(ek_normals_compute(&index.index(), natural(neighbours), found.data()), "neighbours");
+    }
+    return array_of(std::move(found), {points.shape(0), 2});
+}
 
 struct Iteration {
     double error;

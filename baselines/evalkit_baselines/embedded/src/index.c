@@ -154,13 +154,13 @@ static inline void compare_slots(const ek_index *index, uint32_t from, uint32_t 
 }
 
 /* Find the slot with the lowest cloud index among those exactly as near as the best. */
-static uint32_t find_lowest_id(const ek_index *index, int32_t box[4], ek_real x, ek_real y, ek_real best)
+static uint32_t find_lowest_id(const ek_index *index, const ek_cell_box *box, ek_real x, ek_real y, ek_real best)
 {
     uint32_t slot = EK_NONE;
-    for (int32_t row = box[2]; row <= box[3]; row++) {
+    for (int32_t row = box->bottom; row <= box->top; row++) {
         const uint32_t base = (uint32_t)row * index->cells.columns;
-        const uint32_t to = index->start[base + (uint32_t)box[1] + 1u];
-        for (uint32_t k = index->start[base + (uint32_t)box[0]]; k < to; k++) {
+        const uint32_t to = index->start[base + (uint32_t)box->right + 1u];
+        for (uint32_t k = index->start[base + (uint32_t)box->left]; k < to; k++) {
             const ek_real dx = index->xy[2u * k] - x, dy = index->xy[2u * k + 1u] - y;
             if (dx * dx + dy * dy <= best && (slot == EK_NONE || index->id[k] < index->id[slot])) {
                 slot = k;
@@ -170,34 +170,20 @@ static uint32_t find_lowest_id(const ek_index *index, int32_t box[4], ek_real x,
     return slot;
 }
 
-/* Cell number of a coordinate along one axis (in cells), clamped to the grid. */
-static inline int32_t cell_of(ek_real place, int32_t last)
-{
-    const ek_real within = place > EK_R(0.0) ? place : EK_R(0.0);
-    return within < (ek_real)last ? (int32_t)within : last;
-}
-
-/* Search all cells that a square of half width `radius` (m) around (x, y) touches; fill box with their columns and
- * rows. Returns a lower bound on the distance (m) to any point outside them, reduced by `margin` for rounding. */
+/* Search all cells that a square of half width `radius` (m) around (x, y) touches; fill *box with them. Returns a lower
+ * bound on the distance (m) to any point outside them, reduced by `margin` for rounding. */
 static inline ek_real search_square(const ek_index *index, ek_real x, ek_real y, ek_real radius, ek_real margin,
-                             int32_t box[4], candidates *found)
+                                    ek_cell_box *box, candidates *found)
 {
     const ek_cell_grid *const frame = &index->cells;
-    const ek_real column = (x - frame->left) * frame->per_cell, row = (y - frame->bottom) * frame->per_cell;
-    const ek_real reach = radius * frame->per_cell;
-    const int32_t last_column = (int32_t)frame->columns - 1, last_row = (int32_t)frame->rows - 1;
-    box[0] = cell_of(column - reach, last_column);
-    box[1] = cell_of(column + reach, last_column);
-    box[2] = cell_of(row - reach, last_row);
-    box[3] = cell_of(row + reach, last_row);
+    *box = ek_cell_grid_box(frame, x, y, radius);
     found->best = found->second = EK_FAR * EK_FAR;
     found->slot = EK_NONE;
-    const uint32_t *start = index->start + (size_t)box[2] * frame->columns;
-    for (int32_t line = box[2]; line <= box[3]; line++, start += frame->columns) {
-        compare_slots(index, start[box[0]], start[box[1] + 1], x, y, found);
+    const uint32_t *start = index->start + (size_t)box->bottom * frame->columns;
+    for (int32_t line = box->bottom; line <= box->top; line++, start += frame->columns) {
+        compare_slots(index, start[box->left], start[box->right + 1], x, y, found);
     }
-    const int all = box[0] == 0 && box[2] == 0 && box[1] == last_column && box[3] == last_row;
-    return all ? EK_FAR : radius - margin;
+    return ek_cell_grid_is_all(frame, box) ? EK_FAR : radius - margin;
 }
 
 ek_neighbour ek_index_nearest(const ek_index *index, ek_real x, ek_real y, ek_real limit, ek_real radius)
@@ -207,19 +193,19 @@ ek_neighbour ek_index_nearest(const ek_index *index, ek_real x, ek_real y, ek_re
         return answer;
     }
     candidates found;
-    int32_t box[4];
+    ek_cell_box box;
     /* far from the points rounding errors are larger; without this term the search would not end */
     const ek_real margin = index->cells.margin + EK_R(16.0) * EK_EPSILON * (EK_FABS(x) + EK_FABS(y));
-    ek_real border = search_square(index, x, y, radius, margin, box, &found), best = EK_SQRT(found.best);
+    ek_real border = search_square(index, x, y, radius, margin, &box, &found), best = EK_SQRT(found.best);
     while (border <= best && border < limit) {
         const ek_real needed = (best < limit ? best : limit) + EK_R(4.0) * margin;
         radius = needed < EK_R(2.0) * radius ? needed : EK_R(2.0) * radius;
-        border = search_square(index, x, y, radius, margin, box, &found);
+        border = search_square(index, x, y, radius, margin, &box, &found);
         best = EK_SQRT(found.best);
     }
     const ek_real second = EK_SQRT(found.second);
     if (best < limit) {
-        answer.slot = found.second > found.best ? found.slot : find_lowest_id(index, box, x, y, found.best);
+        answer.slot = found.second > found.best ? found.slot : find_lowest_id(index, &box, x, y, found.best);
         answer.distance = best;
         answer.others = second < border ? second : border;
     } else {

@@ -58,6 +58,39 @@ static inline uint32_t ek_cell_grid_index(const ek_cell_grid *grid, const ek_rea
     return row * grid->columns + column;
 }
 
+/* Cell number of a coordinate along one axis (in cells), clamped to [0, last]. */
+static inline int32_t ek_cell_grid_clamp(ek_real place, int32_t last)
+{
+    const ek_real within = place > EK_R(0.0) ? place : EK_R(0.0);
+    return within < (ek_real)last ? (int32_t)within : last;
+}
+
+/* Columns and rows of cells, both ends included. */
+typedef struct {
+    int32_t left, right, bottom, top;
+} ek_cell_box;
+
+/* Cells that a square of half width `radius` (m) around (x, y) touches, clamped to the grid. */
+static inline ek_cell_box ek_cell_grid_box(const ek_cell_grid *grid, ek_real x, ek_real y, ek_real radius)
+{
+    const ek_real column = (x - grid->left) * grid->per_cell, row = (y - grid->bottom) * grid->per_cell;
+    const ek_real reach = radius * grid->per_cell;
+    const int32_t last_column = (int32_t)grid->columns - 1, last_row = (int32_t)grid->rows - 1;
+    ek_cell_box box;
+    box.left = ek_cell_grid_clamp(column - reach, last_column);
+    box.right = ek_cell_grid_clamp(column + reach, last_column);
+    box.bottom = ek_cell_grid_clamp(row - reach, last_row);
+    box.top = ek_cell_grid_clamp(row + reach, last_row);
+    return box;
+}
+
+/* 1 if a box contains every cell of the grid. */
+static inline int ek_cell_grid_is_all(const ek_cell_grid *grid, const ek_cell_box *box)
+{
+    return box->left == 0 && box->bottom == 0 && box->right == (int32_t)grid->columns - 1 &&
+           box->top == (int32_t)grid->rows - 1;
+}
+
 #ifdef __cplusplus
 }
 #endif

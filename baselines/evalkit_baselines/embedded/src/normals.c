@@ -1,0 +1,111 @@
+#include "ek/normals.h"
+
+#define WIDER EK_R(1.1) /* first search: around the last point's neighbours, and this much wider */
+
+/* The nearest points found so far, nearest first. */
+typedef struct {
+    size_t wanted, count;
+    ek_real squared[EK_MAX_NEIGHBOURS]; /* m^2 */
+    uint32_t slot[EK_MAX_NEIGHBOURS];
+} nearest_points;
+
+/* 1 if a point comes before the k-th nearest found so far. */
+static inline int comes_before(const ek_index *index, const nearest_points *found, size_t k, ek_real squared,
+                               uint32_t slot)
+{
+    return squared < found->squared[k] || (squared == found->squared[k] && index->id[slot] < index->id[found->slot[k]]);
+}
+
+static inline void insert(const ek_index *index, nearest_points *found, ek_real squared, uint32_t slot)
+{
+    size_t k = found->count < found->wanted ? found->count++ : found->wanted - 1u;
+    for (; k > 0u && comes_before(index, found, k - 1u, squared, slot); k--) {
+        found->squared[k] = found->squared[k - 1u];
+        found->slot[k] = found->slot[k - 1u];
+    }
+    found->squared[k] = squared;
+    found->slot[k] = slot;
+}
+
+static void search_box(const ek_index *index, const ek_cell_box *box, ek_real x, ek_real y, nearest_points *found)
+{
+    const ek_real *const xy = index->xy;
+    found->count = 0u;
+    for (int32_t row = box->bottom; row <= box->top; row++) {
+        const uint32_t *const start = index->start + (size_t)row * index->cells.columns;
+        for (uint32_t k = start[box->left]; k < start[box->right + 1]; k++) {
+            const ek_real dx = xy[2u * k] - x, dy = xy[2u * k + 1u] - y, squared = dx * dx + dy * dy;
+            if (found->count < found->wanted || comes_before(index, found, found->wanted - 1u, squared, k)) {
+                insert(index, found, squared, k);
+            }
+        }
+    }
+}
+
+/* Find the nearest points of (x, y); returns the distance (m) of the farthest of them. */
+static ek_real find_nearest(const ek_index *index, ek_real x, ek_real y, ek_real radius, nearest_points *found)
+{
+    const ek_real margin = index->cells.margin;
+    for (;;) {
+        const ek_cell_box box = ek_cell_grid_box(&index->cells, x, y, radius);
+        search_box(index, &box, x, y, found);
+        const int full = found->count == found->wanted;
+        const ek_real farthest = full ? EK_SQRT(found->squared[found->wanted - 1u]) : EK_FAR;
+        if ((full && farthest < radius - margin) || ek_cell_grid_is_all(&index->cells, &box)) {
+            return farthest;
+        }
+        radius = full ? farthest + EK_R(4.0) * margin : EK_R(2.0) * radius;
+    }
+}
+
+/* Normal of the line through the points found, from their covariance about their mean. */
+static void normal_of(const ek_index *index, const nearest_points *found, ek_real x, ek_real y, ek_real normal[2])
+{
+    const ek_real *const xy = index->xy, count = (ek_real)found->count;
+    ek_real mean_x = EK_R(0.0), mean_y = EK_R(0.0), difference = EK_R(0.0), product = EK_R(0.0);
+    for (size_t k = 0; k < found->count; k++) {
+        mean_x += xy[2u * found->slot[k]] - x;
+        mean_y += xy[2u * found->slot[k] + 1u] - y;
+    }
+    mean_x /= count;
+    mean_y /= count;
+    for (size_t k = 0; k < found->count; k++) {
+        const ek_real u = xy[2u * found->slot[k]] - x - mean_x, v = xy[2u * found->slot[k] + 1u] - y - mean_y;
+        difference += (u - v) * (u + v);
+        product += EK_R(2.0) * u * v;
+    }
+    /* cosine and sine of twice the line's angle, which lies in (-90, 90] degrees */
+    const ek_real length = EK_SQRT(difference * difference + product * product);
+    const ek_real cosine = length > EK_R(0.0) ? difference / length : EK_R(1.0);
+    const ek_real sine = length > EK_R(0.0) ? product / length : EK_R(0.0);
+    if (cosine >= EK_R(0.0)) {
+        normal[1] = EK_SQRT(EK_R(0.5) * (EK_R(1.0) + cosine));
+        normal[0] = EK_R(-0.5) * sine / normal[1];
+    } else {
+        const ek_real across = EK_SQRT(EK_R(0.5) * (EK_R(1.0) - cosine));
+        normal[0] = sine < EK_R(0.0) ? across : -across;
+        normal[1] = EK_R(0.5) * EK_FABS(sine) / across;
+    }
+}
+
+ek_status ek_normals_compute(const ek_index *index, size_t neighbours, ek_real *normals)
+{
+    nearest_points found;
+    if (!index || (!normals && index->count)) {
+        return EK_NULL_POINTER;
+    }
+    if (neighbours < 2u || neighbours > EK_MAX_NEIGHBOURS) {
+        return EK_OUT_OF_RANGE;
+    }
+    found.wanted = neighbours < index->count ? neighbours : index->count;
+    const ek_real widest = index->cells.cell * (EK_R(1.0) + (ek_real)neighbours / EK_R(3.0)); /* 3 points per cell */
+    ek_real radius = index->cells.cell;
+    for (uint32_t k = 0; k < index->count; k++) {
+        const ek_real x = index->xy[2u * k], y = index->xy[2u * k + 1u];
+        const ek_real farthest = WIDER * find_nearest(index, x, y, radius, &found);
+        normal_of(index, &found, x, y, normals + 2u * index->id[k]);
+        radius = farthest < widest ? farthest : widest;
+        radius = radius > EK_R(0.25) * index->cells.cell ? radius : EK_R(0.25) * index->cells.cell;
+    }
+    return EK_OK;
+}
