@@ -1,6 +1,7 @@
 #include "ek/normals.h"
 
-#define WIDER EK_R(1.1) /* first search: around the last point's neighbours, and this much wider */
+#define WIDER EK_R(1.2) /* first search: as wide as the last point's neighbours, and this much wider */
+#define BLOCK 32u      /* points compared at once */
 
 /* The nearest points found so far, nearest first. */
 typedef struct {
@@ -27,16 +28,32 @@ static inline void insert(const ek_index *index, nearest_points *found, ek_real 
     found->slot[k] = slot;
 }
 
-static void search_box(const ek_index *index, const ek_cell_box *box, ek_real x, ek_real y, nearest_points *found)
+/* Insert the points of a box that are nearer than `radius` (m); the first test has no branch, because processors cannot
+ * predict it. */
+static void search_box(const ek_index *index, const ek_cell_box *box, ek_real x, ek_real y, ek_real radius,
+                       nearest_points *found)
 {
-    const ek_real *const xy = index->xy;
+    const ek_real *const xy = index->xy, limit = radius * radius;
+    ek_real squared[BLOCK];
+    uint32_t slot[BLOCK];
     found->count = 0u;
     for (int32_t row = box->bottom; row <= box->top; row++) {
         const uint32_t *const start = index->start + (size_t)row * index->cells.columns;
-        for (uint32_t k = start[box->left]; k < start[box->right + 1]; k++) {
-            const ek_real dx = xy[2u * k] - x, dy = xy[2u * k + 1u] - y, squared = dx * dx + dy * dy;
-            if (found->count < found->wanted || comes_before(index, found, found->wanted - 1u, squared, k)) {
-                insert(index, found, squared, k);
+        const uint32_t end = start[box->right + 1];
+        for (uint32_t from = start[box->left]; from < end; from += BLOCK) {
+            const uint32_t to = end - from < BLOCK ? end : from + BLOCK;
+            size_t near = 0u;
+            for (uint32_t k = from; k < to; k++) {
+                const ek_real dx = xy[2u * k] - x, dy = xy[2u * k + 1u] - y;
+                squared[near] = dx * dx + dy * dy;
+                slot[near] = k;
+                near += squared[near] < limit ? 1u : 0u;
+            }
+            for (size_t k = 0; k < near; k++) {
+                if (found->count < found->wanted ||
+                    comes_before(index, found, found->wanted - 1u, squared[k], slot[k])) {
+                    insert(index, found, squared[k], slot[k]);
+                }
             }
         }
     }
@@ -45,16 +62,14 @@ static void search_box(const ek_index *index, const ek_cell_box *box, ek_real x,
 /* Find the nearest points of (x, y); returns the distance (m) of the farthest of them. */
 static ek_real find_nearest(const ek_index *index, ek_real x, ek_real y, ek_real radius, nearest_points *found)
 {
-    const ek_real margin = index->cells.margin;
     for (;;) {
         const ek_cell_box box = ek_cell_grid_box(&index->cells, x, y, radius);
-        search_box(index, &box, x, y, found);
-        const int full = found->count == found->wanted;
-        const ek_real farthest = full ? EK_SQRT(found->squared[found->wanted - 1u]) : EK_FAR;
-        if ((full && farthest < radius - margin) || ek_cell_grid_is_all(&index->cells, &box)) {
-            return farthest;
+        const int all = ek_cell_grid_is_all(&index->cells, &box);
+        search_box(index, &box, x, y, all ? EK_FAR : radius - index->cells.margin, found);
+        if (found->count == found->wanted) {
+            return EK_SQRT(found->squared[found->wanted - 1u]);
         }
-        radius = full ? farthest + EK_R(4.0) * margin : EK_R(2.0) * radius;
+        radius *= EK_R(2.0);
     }
 }
 
