@@ -28,6 +28,20 @@ def format_amount(metric: Metric, value: float) -> str:
     return f"{value:.{metric.digits}f}\u00a0{metric.unit}".rstrip()
 
 
+def format_quantity(metric: Metric, value: float) -> str:
+    """Format a value for a title or a cell: metres below 1 m in millimetres, "8.4 mm", "376 mm", "6.77 m"."""
+    if metric.unit != "m":
+        return format_amount(metric, value)
+    if abs(value) >= 1.0:
+        return f"{format_number(value, 2 if abs(value) < 100.0 else 0)}\u00a0m"
+    return f"{format_number(1000.0 * value, 1 if abs(value) < 0.00995 else 0)}\u00a0mm"
+
+
+def format_milliseconds(value: float) -> str:
+    """Format a time with two digits: "0.72 ms", "8.1 ms", "120 ms"."""
+    return f"{value:.{2 if value < 0.995 else 1 if value < 9.95 else 0}f}\u00a0ms"
+
+
 def format_bounds(interval: Interval, digits: int) -> str:
     """Format the bounds of an interval: "0.012 to 0.017"."""
     return f"{format_number(interval.low, digits)} to {format_number(interval.high, digits)}"

@@ -14,6 +14,7 @@ from typing import Any
 
 from evalkit.metrics.table import Metric
 from evalkit.report.analysis.analysis import Analysis
+from evalkit.report.analysis.answer import Answer
 from evalkit.report.analysis.sequence import SequenceAnalysis
 from evalkit.results.reader import RESULTS_NAME, RESULTS_VERSION
 from evalkit.results.run_record import RunRecord
@@ -39,6 +40,7 @@ def build_results(analysis: Analysis) -> dict[str, Any]:
         "methods": {label: asdict(card) for label, card in comparison.methods.items()},
         "sequences": {label: asdict(card) for label, card in comparison.sequences.items()},
         "overview": list(analysis.overview),
+        "answer": _answer(analysis.answer),
         "verdicts": [asdict(verdict) for verdict in analysis.verdicts],
         "runs": [_run(run) for run in comparison.records],
         "intervals": [entry for sequence in analysis.sequences for entry in _intervals(sequence)],
@@ -49,6 +51,20 @@ def build_results(analysis: Analysis) -> dict[str, Any]:
 def load_schema() -> str:
     """Return the JSON Schema (draft 2020-12) of results.json."""
     return files("evalkit.report").joinpath("results.schema.json").read_text(encoding="utf-8")
+
+
+def _answer(answer: Answer) -> dict[str, Any]:
+    """Return what the title states; ``losses`` with the names of their metrics."""
+    return {
+        "title": answer.title,
+        "subtitle": answer.subtitle,
+        "pills": [asdict(pill) for pill in answer.pills],
+        "winners": list(answer.winners),
+        "cheapest": answer.cheapest.method if answer.cheapest else None,
+        "losses": [asdict(loss) | {"metric": loss.metric.name} for loss in answer.losses],
+        "standings": [asdict(standing) for standing in answer.standings],
+        "counted": [contest.sequence for contest in answer.contests],
+    }
 
 
 def _intervals(sequence: SequenceAnalysis) -> Iterator[dict[str, Any]]:

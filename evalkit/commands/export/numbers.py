@@ -47,7 +47,9 @@ def format_json(results: ExportSelection) -> Files:
     for name in ("runs", "intervals", "differences"):
         content[name] = [one for one in content.get(name, ()) if (one["sequence"], one["method"]) in selected]
     content["verdicts"] = [one for one in content["verdicts"] if one["sequence"] in sequences - cut]
-    content["overview"] = [] if cut else content["overview"]
+    if cut:
+        content["overview"] = []
+        content.pop("answer", None)
     content["sequences"] = {label: card for label, card in content["sequences"].items() if label in sequences}
     content["methods"] = {label: card for label, card in content["methods"].items() if label in methods}
     yield "results.json", (json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()

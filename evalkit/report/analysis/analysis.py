@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from evalkit.report.analysis.answer import Answer, compute_answer
 from evalkit.report.analysis.comparison import Comparison
 from evalkit.report.analysis.overview import compute_overview
 from evalkit.report.analysis.sequence import SequenceAnalysis, analyse_sequence
@@ -19,6 +20,7 @@ class Analysis:
     sequences: tuple[SequenceAnalysis, ...]
     verdicts: tuple[SequenceVerdict, ...]
     overview: tuple[str, ...]
+    answer: Answer
     significance: Significance
 
 
@@ -27,4 +29,5 @@ def analyse(comparison: Comparison) -> Analysis:
     sequences = tuple(analyse_sequence(comparison, label) for label in comparison.sequence_labels)
     verdicts = tuple(compute_verdict(comparison, sequence) for sequence in sequences)
     overview = compute_overview(comparison, sequences, verdicts)
-    return Analysis(comparison, sequences, verdicts, overview, compute_significance(comparison, sequences))
+    answer = compute_answer(comparison, sequences, verdicts)
+    return Analysis(comparison, sequences, verdicts, overview, answer, compute_significance(comparison, sequences))

@@ -1,0 +1,158 @@
+"""Short warnings beside the answer: degenerate data, lost methods, a busy machine, what is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+from evalkit.core.run_result import BROKEN, NOT_EXECUTED, RunStatus
+from evalkit.report.analysis.comparison import Comparison
+from evalkit.report.analysis.pairwise import is_clearly_worse
+from evalkit.report.analysis.scores import STATUS_LABELS
+from evalkit.report.analysis.sequence import SequenceAnalysis
+from evalkit.report.analysis.verdict import SequenceVerdict
+from evalkit.report.formatting import join_words
+from evalkit.results.run_record import RunRecord
+
+MAX_IDLE_LOAD = 1.0
+"""Load average beside the comparison's own runs above which the machine was busy."""
+
+
+@dataclass(frozen=True, slots=True)
+class Pill:
+    """A short statement beside the answer; ``tone`` "warn": it limits the answer."""
+
+    text: str
+    tone: Literal["", "warn"] = "warn"
+
+
+def compute_pills(
+    comparison: Comparison,
+    sequences: Sequence[SequenceAnalysis],
+    verdicts: Sequence[SequenceVerdict],
+    counted: Collection[str],
+) -> tuple[Pill, ...]:
+    """Return the pills, the most important first; ``counted``: the sequences that the answer counts."""
+    runs = comparison.records
+    pills = [
+        *(_describe_degenerate(comparison, sequence) for sequence in sequences if sequence.card.degenerate),
+        *_group("lost the track on", _find_lost(runs)),
+        *_group("did not finish", _find_broken(runs)),
+        _describe_load(comparison),
+        *_describe_tuned(comparison, sequences),
+        _describe_not_counted(sequences, verdicts, counted),
+        _describe_missing(runs),
+        _count_runs(runs),
+    ]
+    return tuple(pill for pill in pills if pill is not None)
+
+
+def find_dataset(sequence: SequenceAnalysis) -> str:
+    """Return the name of the data set of a sequence."""
+    return sequence.all_runs[0].spec.sequence.dataset
+
+
+def find_left_out(comparison: Comparison, sequence: SequenceAnalysis) -> tuple[str, ...]:
+    """Return the methods whose settings were chosen on the data set of a sequence."""
+    dataset = find_dataset(sequence)
+    return tuple(method for method in sequence.methods if dataset in comparison.methods[method].tuned_on)
+
+
+def _describe_degenerate(comparison: Comparison, sequence: SequenceAnalysis) -> Pill | None:
+    """Return whether a method beats the baseline where the geometry does not determine the pose."""
+    ranking = sequence.deciding
+    if ranking is None or not ranking.ranked:
+        return None
+    for baseline in comparison.methods_with_role("baseline"):
+        reference = ranking.of(baseline)
+        others = [score for score in ranking.ranked if score is not reference]
+        if reference is None or reference not in ranking.ranked or not others:
+            continue
+        if not any(is_clearly_worse(ranking.metric, reference, score) for score in others):
+            return Pill(f"{sequence.label} is degenerate: no method beats {baseline}")
+    return Pill(f"{sequence.label} is degenerate: not counted")
+
+
+def _find_lost(runs: Iterable[RunRecord]) -> dict[str, list[str]]:
+    """Return the sequences on which a method lost the track, with the time of the first loss."""
+    times: dict[tuple[str, str], float] = {}
+    for run in runs:
+        lost = getattr(run.scores, "lost", None)
+        if lost is not None:
+            place = run.method, run.sequence
+            times[place] = min(times.get(place, lost.at_s), lost.at_s)
+    grouped: dict[str, list[str]] = {}
+    for (method, sequence), at_s in times.items():
+        grouped.setdefault(method, []).append(f"{sequence} (at {at_s:.0f} s)")
+    return grouped
+
+
+def _find_broken(runs: Iterable[RunRecord]) -> dict[str, list[str]]:
+    grouped: dict[str, dict[str, None]] = {}
+    for run in runs:
+        if run.result.status in BROKEN:
+            grouped.setdefault(run.method, {})[f"{run.sequence} ({STATUS_LABELS[run.result.status]})"] = None
+    return {method: list(where) for method, where in grouped.items()}
+
+
+def _group(what: str, found: Mapping[str, Sequence[str]]) -> list[Pill]:
+    """Return one pill per method; a method with many sequences has their number."""
+    return [
+        Pill(f"{method} {what} {join_words(where) if len(where) < 4 else f'{len(where)} sequences'}")
+        for method, where in found.items()
+    ]
+
+
+def _describe_load(comparison: Comparison) -> Pill | None:
+    """Return the load of the machine if more than the comparison's own runs used it."""
+    executed = [run.result.provenance for run in comparison.records if run.result.status not in NOT_EXECUTED]
+    own = _read_number(comparison.environment.get("runs at a time")) or 1.0
+    load = max((_read_number(one.get("load before")) or 0.0 for one in executed), default=0.0)
+    return Pill(f"times from a busy machine (load up to {load:.0f})") if load > own + MAX_IDLE_LOAD else None
+
+
+def _read_number(text: object) -> float | None:
+    try:
+        return float(str(text))
+    except ValueError:
+        return None
+
+
+def _describe_tuned(comparison: Comparison, sequences: Sequence[SequenceAnalysis]) -> list[Pill]:
+    """Return one pill for each group of methods whose settings were chosen on the same sequences."""
+    chosen: dict[str, list[str]] = {}
+    for sequence in sequences:
+        for method in find_left_out(comparison, sequence):
+            chosen.setdefault(method, []).append(sequence.label)
+    groups: dict[tuple[str, ...], list[str]] = {}
+    for method, where in chosen.items():
+        groups.setdefault(tuple(where), []).append(method)
+    return [
+        Pill(f"settings of {join_words(methods)} were chosen on {join_words(where)}: not counted there")
+        for where, methods in groups.items()
+    ]
+
+
+def _describe_not_counted(
+    sequences: Sequence[SequenceAnalysis], verdicts: Sequence[SequenceVerdict], counted: Collection[str]
+) -> Pill | None:
+    left = [
+        verdict.sequence
+        for sequence, verdict in zip(sequences, verdicts, strict=True)
+        if verdict.sequence not in counted and not sequence.card.degenerate and not sequence.none_finished
+    ]
+    return Pill(f"no verdict on {join_words(left)}", "") if left and counted else None
+
+
+def _describe_missing(runs: Sequence[RunRecord]) -> Pill | None:
+    """Return the data sets and methods that are not on this machine."""
+    data = dict.fromkeys(run.sequence for run in runs if run.result.status == RunStatus.DATA_MISSING)
+    methods = dict.fromkeys(run.method for run in runs if run.result.status == RunStatus.NOT_INSTALLED)
+    return Pill(f"missing here: {join_words([*data, *methods])}", "") if data or methods else None
+
+
+def _count_runs(runs: Sequence[RunRecord]) -> Pill:
+    finished = sum(run.result.is_complete for run in runs)
+    whole = f"{len(runs)} run{'s' if len(runs) != 1 else ''}"
+    return Pill(whole if finished == len(runs) else f"{finished} of {whole}", "")

@@ -1,0 +1,201 @@
+"""The answer names a winner, its cost and its losses only where the numbers support it."""
+
+from dataclasses import replace
+
+import pytest
+
+from evalkit.report.analysis.analysis import analyse
+from evalkit.report.formatting import format_milliseconds, format_quantity
+
+
+@pytest.fixture
+def runs(record):
+    """Return ``runs(method, sequence, errors, ...)``: one run a seed, with errors of that size."""
+
+    def make(method, sequence, errors, metric="ate_rmse_m", ms=1.0, **more):
+        scores = [{metric: error, "cpu_median_ms": ms} for error in errors]
+        return [record(method, sequence, one, seed=seed, error_m=0.02, **more) for seed, one in enumerate(scores)]
+
+    return make
+
+
+def answer(comparison):
+    return analyse(comparison).answer
+
+
+def title(comparison):
+    return answer(comparison).title
+
+
+def subtitle(comparison):
+    return answer(comparison).subtitle.replace("\u00a0", " ")
+
+
+def pills(comparison):
+    return [pill.text for pill in answer(comparison).pills]
+
+
+@pytest.fixture
+def three(runs):
+    """``a`` leads on room and hall, ``b`` on lab; ``b`` is eight times cheaper; ``c`` is ten times worse."""
+    errors = {"a": (0.01, 0.02, 0.01), "b": (0.02, 0.01, 0.02), "c": (0.1, 0.1, 0.1)}
+    return [
+        run
+        for method, own in errors.items()
+        for sequence, error in zip(("room", "lab", "hall"), own, strict=True)
+        for run in runs(method, sequence, (error, 1.1 * error), ms={"a": 8.0, "b": 1.0, "c": 2.0}[method])
+    ]
+
+
+def test_the_winner_is_named_with_its_counts_cost_losses_and_the_cheapest(build, three):
+    found = answer(build(three))
+    assert found.title == "Take a: best or tied on 2 of 3 data sets; next best 1 of 3."
+    assert (found.winners, found.emphasis, found.runner_up.method) == (("a",), "a", "b")
+    assert subtitle(build(three)) == (
+        "8.0 ms a scan here. It loses only lab (21 mm against 10 mm). Cheapest: b, 1.0 ms, 1.3 times the error."
+    )
+    (loss,) = found.losses
+    assert (loss.sequence, loss.own, loss.best) == ("lab", pytest.approx(0.021), pytest.approx(0.0105))
+    assert [(one.method, one.led, one.counted) for one in found.standings] == [("a", 2, 3), ("b", 1, 3), ("c", 0, 3)]
+    assert [one.ratio for one in found.standings] == pytest.approx([2 ** (1 / 3), 4 ** (1 / 3), 10.0])
+
+
+def test_a_tie_counts_for_both(build, runs):
+    both = [*runs("a", "room", (0.010, 0.011)), *runs("b", "room", (0.0105, 0.0112))]
+    comparison = build(
+        [*both, *runs("c", "room", (0.5, 0.5)), *runs("a", "lab", (0.5, 0.5)), *runs("b", "lab", (1, 1))]
+    )
+    found = answer(comparison)
+    assert {one.method: one.led for one in found.standings} == {"a": 2, "b": 1, "c": 0}
+    assert found.title == "Take a: best or tied on 2 of 2 data sets; next best 1 of 2."
+    assert "loses" not in found.subtitle
+    assert "cheapest" not in found.subtitle.lower()  # all cost the same
+
+
+def test_tied_winners_are_all_named_and_the_cheapest_of_them(build, runs):
+    one = [*runs("a", "room", (0.010, 0.011), ms=4.0), *runs("b", "room", (0.0105, 0.0112)), *runs("c", "room", (1, 1))]
+    comparison = build(one)
+    assert title(comparison) == "Take a or b: tied for the best on room."
+    assert subtitle(comparison) == "A scan takes 4.0 ms with a and 1.0 ms with b. Cheapest of them: b."
+
+
+def test_nobody_is_ahead_if_all_are_tied(build, runs):
+    comparison = build([*runs("a", "room", (0.01, 0.011)), *runs("b", "room", (0.01, 0.011))])
+    found = answer(comparison)
+    assert found.title == "No method is ahead: all 2 methods are tied on room."
+    assert (found.winners, found.subtitle, found.runner_up, found.cheapest) == ((), "", None, None)
+
+
+def test_nobody_is_ahead_if_more_than_three_lead_equally_often(build, runs):
+    tied = [run for method in "abcd" for run in runs(method, "room", (0.010, 0.011))]
+    assert title(build([*tied, *runs("z", "room", (1, 1))])) == ("No method is ahead: 4 methods are each tied on room.")
+
+
+def test_one_method_alone_wins_nothing(build, runs):
+    comparison = build([*runs("a", "room", (0.01, 0.02)), *runs("b", "room", (0.5, None))])
+    assert title(comparison) == "Only a is ranked: there is no other method to compare it with."
+    assert answer(comparison).winners == ()
+
+
+def test_without_a_finished_run_there_is_no_answer(build, record):
+    failed = [record(name, "room", {}, status="failed", reason="it broke", answered=0) for name in "ab"]
+    comparison = build(failed)
+    assert title(comparison) == "No run finished: there is no answer."
+    assert pills(comparison) == ["a did not finish room (failed)", "b did not finish room (failed)", "0 of 2 runs"]
+
+
+def test_single_runs_without_an_interval_give_no_verdict(build, record):
+    runs = [record(name, "room", {"map_f1": value}, seed=None) for name, value in (("a", 0.9), ("b", 0.2))]
+    assert title(build(runs)) == "No method is ahead: single runs without an interval show no difference."
+    with_interval = [record(n, "room", {"ate_rmse_m": v}, seed=None) for n, v in (("a", 0.051), ("b", 0.080))]
+    assert title(build(with_interval)) == "a is ahead on room, in a single run each."
+
+
+def test_an_undecided_data_set_does_not_count(build, record, three):
+    undecided = [record(name, "cave", {"map_f1": value}, seed=None) for name, value in (("a", 0.9), ("b", 0.2))]
+    comparison = build([*three, *undecided])
+    assert title(comparison) == "Take a: best or tied on 2 of 3 data sets; next best 1 of 3."
+    assert "no verdict on cave" in pills(comparison)
+    assert "no verdict" not in " ".join(pills(build(three)))
+
+
+def test_a_data_set_on_which_settings_were_chosen_does_not_count_for_that_method(build, three):
+    comparison = build(three)
+    tuned = {**comparison.methods, "a": replace(comparison.methods["a"], tuned_on=("room", "hall"))}
+    found = answer(replace(comparison, methods=tuned))
+    assert {one.method: (one.led, one.counted) for one in found.standings} == {"a": (0, 1), "b": (3, 3), "c": (0, 3)}
+    assert found.title == "Take b: best or tied on 3 of 3 data sets; next best 0 of 1."
+    assert found.standing("a").left_out == ("room", "hall")
+    assert [one.left_out for one in found.contests] == [("a",), (), ("a",)]
+    assert "settings of a were chosen on room and hall: not counted there" in [pill.text for pill in found.pills]
+    assert "chosen" not in " ".join(pills(comparison))
+
+
+def test_degenerate_data_do_not_count_and_are_compared_with_the_baseline(build, runs, three):
+    wheels, lost = runs("wheel", "corridor", (0.1, 0.1)), runs("a", "corridor", (0.5, 0.5))
+    won = runs("a", "corridor", (0.01, 0.01))
+
+    def degenerate(records):
+        made = build([*three, *records])
+        card = replace(made.sequences["corridor"], degenerate="no walls ahead")
+        return replace(made, sequences={**made.sequences, "corridor": card})
+
+    assert title(degenerate([*wheels, *lost])).startswith("Take a: best or tied on 2 of 3 data sets")
+    assert pills(degenerate([*wheels, *lost]))[0] == "corridor is degenerate: no method beats wheel"
+    assert pills(degenerate([*wheels, *won]))[0] == "corridor is degenerate: not counted"
+
+
+def test_only_degenerate_data_rank_nobody(build, runs):
+    made = build([*runs("a", "hall", (0.1, 0.1)), *runs("b", "hall", (0.5, 0.5))])
+    made = replace(made, sequences={"hall": replace(made.sequences["hall"], degenerate="no walls")})
+    assert title(made) == "No method is ranked: the geometry of hall does not determine the pose."
+
+
+MAPS = ("split_distance_m", "mom_cm2", "cleared_percent", "s2m_m")
+
+
+def test_maps_decide_only_without_ground_truth_and_only_if_they_agree(build, record, three):
+    def draw(method, values, **more):
+        scores = dict(zip(MAPS, values, strict=True))
+        return [record(method, "bag", scores, seed=seed, truth=False, **more) for seed in (0, 1)]
+
+    agreed = [*draw("a", (0.1, 1.0, 1.0, 0.01)), *draw("b", (0.2, 2.0, 2.0, 0.02))]
+    found = answer(build(agreed))
+    assert found.title == "Take a: the best map of bag, which has no ground truth."
+    assert found.by_maps
+    assert "times the error" not in found.subtitle
+    opposed = [*draw("a", (0.1, 1.0, 2.0, 0.02)), *draw("b", (0.2, 2.0, 1.0, 0.01))]
+    assert title(build(opposed)) == "No method is ahead: without ground truth, the map metrics disagree."
+    assert not answer(build([*three, *agreed])).by_maps
+    assert "no verdict on bag" in pills(build([*three, *agreed]))
+
+
+def test_a_busy_machine_is_named_and_an_idle_one_is_not(build, three):
+    def loaded(load):
+        provenance = {"load before": load}
+        return pills(build([replace(run, result=replace(run.result, provenance=provenance)) for run in three]))
+
+    assert "times from a busy machine (load up to 15)" in loaded("15.20")
+    assert not any("busy" in text for text in [*loaded("1.50"), *loaded("unknown")])
+
+
+def test_what_is_missing_is_one_pill(build, record, three):
+    absent = [record("z", "lab", {}, status="not-installed", reason="no module", answered=0)]
+    gone = [record("a", "cave", {}, seed=None, status="data-missing", reason="no folder", answered=0)]
+    assert pills(build([*three, *absent, *gone]))[-2:] == ["missing here: cave and z", "18 of 20 runs"]
+    assert pills(build(three)) == ["18 runs"]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [(0.00642, "6.4 mm"), (0.00996, "10 mm"), (0.376, "376 mm"), (1.0, "1.00 m"), (6.768, "6.77 m"), (812.3, "812 m")],
+)
+def test_errors_are_printed_in_millimetres_below_a_metre(demo, value, text):
+    metres, percent = demo.metrics[0], demo.metrics[1]
+    assert format_quantity(metres, value).replace("\u00a0", " ") == text
+    assert format_quantity(percent, 0.5).replace("\u00a0", " ") == "0.50 %"
+
+
+def test_times_are_printed_with_two_digits():
+    texts = [format_milliseconds(value).replace("\u00a0", " ") for value in (0.724, 0.997, 8.06, 9.96, 118.2)]
+    assert texts == ["0.72 ms", "1.0 ms", "8.1 ms", "10 ms", "118 ms"]
