@@ -10,7 +10,7 @@ from statistics import fmean
 
 from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from evalkit.config.experiment import Experiment, RunSpec
@@ -49,11 +49,34 @@ class TimeLeft:
         return sum(expected) / self._jobs
 
 
-class RunLines:
-    """Plain lines, one per finished run: for logs and pipes."""
+class _Display:
+    """The output of progress: a bar on a terminal, lines elsewhere, nothing if ``quiet``."""
 
-    def __init__(self, console: Console, specs: Sequence[RunSpec], jobs: int) -> None:
-        self._console, self._total, self._done = console, len(specs), 0
+    def __init__(self, console: Console, total: int, quiet: bool = False) -> None:
+        self._console, self._quiet, self._total, self._done = console, quiet, total, 0
+        columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
+        self.bar = Progress(*columns, console=console, transient=True, disable=quiet or not console.is_terminal)
+        self._task = self.bar.add_task("starting", total=total)
+
+    def show(self, text: str, time_left: str) -> None:
+        """Update the bar, if there is one."""
+        self.bar.update(self._task, completed=self._done, description=f"{time_left}  {escape(text)}".rstrip())
+
+    def line(self, text: str) -> None:
+        """Print a line."""
+        if not self._quiet:
+            self._console.print(text, markup=False)
+
+    def numbered_line(self, text: str) -> None:
+        """Print a line with the number of finished items."""
+        self.line(f"[{self._done}/{self._total}] {text}")
+
+
+class RunLines(_Display):
+    """Progress of runs: a line per finished run; on a terminal a bar, and a line for what did not complete."""
+
+    def __init__(self, console: Console, specs: Sequence[RunSpec], jobs: int, quiet: bool = False) -> None:
+        super().__init__(console, len(specs), quiet)
         self._left = TimeLeft(specs, jobs)
         self._started_at: dict[str, float] = {}
 
@@ -62,7 +85,8 @@ class RunLines:
         self._started_at[spec.key] = time.monotonic()
 
     def answered(self, spec: RunSpec, scans: int) -> None:
-        """A run has answered this many scans; prints nothing."""
+        """A run has answered this many scans."""
+        self.show(f"{spec.sequence.label} / {spec.method.label}: scan {scans:,}", self._time_left())
 
     def finished(self, spec: RunSpec, result: RunResult) -> None:
         """A run is finished: print its line and the time left."""
@@ -70,65 +94,34 @@ class RunLines:
         seconds = 0.0 if started_at is None else time.monotonic() - started_at
         self._done += 1
         self._left.finished(spec.sequence.label, spec.method.label, seconds)
-        self._print(result, _format_line(spec, result, seconds))
-
-    def _print(self, result: RunResult, line: str) -> None:  # noqa: ARG002 - used by RunBar
-        self._console.print(f"[{self._done}/{self._total}] {line}, {self._time_left()}", markup=False)
+        self.show("", self._time_left())
+        if self.bar.disable:
+            self.numbered_line(f"{_format_line(spec, result, seconds)}, {self._time_left()}")
+        elif not result.is_complete:
+            self.line(_format_line(spec, result, seconds))
 
     def _time_left(self) -> str:
         left = self._left.seconds()
         return "time left unknown" if left is None else f"{_format_clock(left)} left"
 
 
-class NoProgress(RunLines):
-    """Prints nothing."""
-
-    def finished(self, spec: RunSpec, result: RunResult) -> None:
-        """Print nothing."""
-
-
-class RunBar(RunLines):
-    """A bar with the time left, and above it a line for every run that did not complete."""
-
-    def __init__(self, console: Console, specs: Sequence[RunSpec], jobs: int) -> None:
-        super().__init__(console, specs, jobs)
-        self.bar, self._task = _make_bar(console, self._total)
-
-    def answered(self, spec: RunSpec, scans: int) -> None:
-        """Show the current scan of the run."""
-        at = escape(f"{spec.sequence.label} / {spec.method.label}: scan {scans:,}")
-        self.bar.update(self._task, description=f"{self._time_left()}  {at}")
-
-    def _print(self, result: RunResult, line: str) -> None:
-        self.bar.update(self._task, completed=self._done, description=self._time_left())
-        if not result.is_complete:
-            self._console.print(line, markup=False)
-
-
 @contextmanager
 def show_runs(console: Console, specs: Sequence[RunSpec], jobs: int, quiet: bool = False) -> Iterator[RunLines]:
     """Progress of runs: a bar on a terminal, lines elsewhere, nothing if ``quiet``."""
-    if quiet:
-        yield NoProgress(console, [], 1)
-        return
-    if not console.is_terminal:
-        yield RunLines(console, specs, jobs)
-        return
-    bar = RunBar(console, specs, jobs)
-    with bar.bar:
-        yield bar
+    shown = RunLines(console, specs, jobs, quiet)
+    with shown.bar:
+        yield shown
 
 
-class TaskLines:
-    """Progress of tasks: a line every few seconds, for logs and pipes. Call it with each finished task."""
+class TaskLines(_Display):
+    """Progress of tasks: a bar on a terminal, else a line every few seconds. Call it with each finished task."""
 
     EVERY_S = 10.0
 
     def __init__(self, console: Console, total: int, workers: int) -> None:
-        self._console, self._total, self._workers = console, total, workers
-        self._done = self._kept = 0
+        super().__init__(console, total)
+        self._workers, self._kept, self._printed_at = workers, 0, time.monotonic()
         self._took: list[float] = []
-        self._printed_at = time.monotonic()
 
     def __call__(self, name: str, seconds: float) -> None:
         """A task is finished; 0 seconds: its result was stored already."""
@@ -137,13 +130,11 @@ class TaskLines:
             self._took.append(seconds)
         else:
             self._kept += 1
-        self._print(name)
-
-    def _print(self, name: str) -> None:
+        self.show(name, self._time_left())
         last = self._done == self._total
-        if last or time.monotonic() - self._printed_at >= self.EVERY_S:
+        if self.bar.disable and (last or time.monotonic() - self._printed_at >= self.EVERY_S):
             self._printed_at = time.monotonic()
-            self._console.print(f"[{self._done}/{self._total}] {name}, {self._time_left()}", markup=False)
+            self.numbered_line(f"{name}, {self._time_left()}")
 
     def _time_left(self) -> str:
         kept = f", {self._kept} kept from before" if self._kept else ""
@@ -152,26 +143,12 @@ class TaskLines:
         return f"{_format_clock((self._total - self._done) * fmean(self._took) / self._workers)} left{kept}"
 
 
-class TaskBar(TaskLines):
-    """Progress of tasks as a bar with the time left."""
-
-    def __init__(self, console: Console, total: int, workers: int) -> None:
-        super().__init__(console, total, workers)
-        self.bar, self._task = _make_bar(console, total)
-
-    def _print(self, name: str) -> None:
-        self.bar.update(self._task, completed=self._done, description=f"{self._time_left()}  {escape(name)}")
-
-
 @contextmanager
 def show_tasks(console: Console, total: int, workers: int) -> Iterator[TaskLines]:
     """Progress of tasks: a bar on a terminal, lines elsewhere."""
-    if not console.is_terminal:
-        yield TaskLines(console, total, workers)
-        return
-    bar = TaskBar(console, total, workers)
-    with bar.bar:
-        yield bar
+    shown = TaskLines(console, total, workers)
+    with shown.bar:
+        yield shown
 
 
 @contextmanager
@@ -199,12 +176,6 @@ def format_unavailable(experiment: Experiment) -> list[str]:
             labels[" ".join(reason.split())].append(label)
     by_system = sorted(labels, key=lambda reason: "apt-get" not in reason)
     return [f"not available here: {', '.join(labels[reason])}: {reason}" for reason in by_system]
-
-
-def _make_bar(console: Console, total: int) -> tuple[Progress, TaskID]:
-    columns = (BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("{task.description}"))
-    bar = Progress(*columns, console=console, transient=True)
-    return bar, bar.add_task("starting", total=total)
 
 
 def _format_line(spec: RunSpec, result: RunResult, seconds: float) -> str:
