@@ -56,52 +56,46 @@ def _back_end(name: str, spec: BackendSpec) -> str:
     frontend: Mapping[str, Value] = spec.frontend if isinstance(spec, RegistrationSpec) else {}
     first_stage: Mapping[str, Value] = spec.scan_to_scan if isinstance(spec, RegistrationSpec) else {}
     own = {parameter.name for parameter in spec.parameters}
-    other = {key: value for key, value in frontend.items() if key not in own}
     rows = [
-        ("What", text(spec.summary)),
         ("Kind", text(spec.kind)),
         ("Starts from", text(spec.guess)),
-        ("Source", text(spec.citation)),
-        ("Licence", text(spec.licence)),
         ("Needs", text(", ".join(spec.requires))),
-        ("Front end", ", ".join(code(f"{key} = {_value(value)}") for key, value in other.items())),
-        (
-            "First stage",
-            ", ".join(code(f"{key} = {_value(value)}") for key, value in first_stage.items()),
-        ),
+        ("Front end", _settings({key: value for key, value in frontend.items() if key not in own})),
+        ("First stage", _settings(first_stage)),
     ]
-    return page(heading(2, name, name), facts(rows), render_parameters(spec.parameters)).rstrip()
+    return _card(heading(2, name, name), spec, rows, render_parameters(spec.parameters))
 
 
 def _mapper(name: str, spec: MapperSpec) -> str:
-    rows = [
-        ("What", text(spec.summary)),
-        ("Source", text(spec.citation)),
-        ("Licence", text(spec.licence)),
-        ("Needs", text(", ".join(spec.requires))),
-    ]
-    return page(heading(3, name, f"mapper-{name}"), facts(rows), render_parameters(spec.parameters)).rstrip()
+    rows = [("Needs", text(", ".join(spec.requires)))]
+    return _card(heading(3, name, f"mapper-{name}"), spec, rows, render_parameters(spec.parameters))
 
 
 def _data_set(name: str, spec: DatasetSpec) -> str:
+    published = (f"{one.label}: {_published(one.value, one.spread)} ({one.source})" for one in spec.published)
     rows = [
-        ("What", text(spec.summary)),
         ("Sensor", text(spec.sensor)),
         ("Truth", text(spec.truth)),
-        ("Source", text(spec.citation)),
-        ("Licence", text(spec.licence)),
         ("Reads", text(", ".join(spec.suffixes))),
         ("Known defects", "<br>".join(map(text, spec.defects))),
         ("Degenerate", text(spec.degenerate)),
-        ("Published", "<br>".join(text(f"{one.label}: {_published(one.value, one.spread)} ({one.source})")
-                                  for one in spec.published)),
-    ]  # fmt: skip
+        ("Published", "<br>".join(map(text, published))),
+    ]
     parameters = render_parameters(spec.parameters)
-    return page(
-        heading(2, name, name),
-        facts(rows),
-        fold(f"{len(spec.parameters)} parameters", parameters) if parameters else "",
-    ).rstrip()
+    folded = fold(f"{len(spec.parameters)} parameters", parameters) if parameters else ""
+    return _card(heading(2, name, name), spec, rows, folded)
+
+
+def _card(
+    title: str, spec: BackendSpec | MapperSpec | DatasetSpec, rows: list[tuple[str, str]], parameters: str
+) -> str:
+    """Return the facts that all specs have, then the others, then the parameters."""
+    common = [("What", spec.summary), ("Source", spec.citation), ("Licence", spec.licence)]
+    return page(title, facts([*((name, text(value)) for name, value in common), *rows]), parameters).rstrip()
+
+
+def _settings(values: Mapping[str, Value]) -> str:
+    return ", ".join(code(f"{name} = {_value(value)}") for name, value in values.items())
 
 
 def _published(value: float, spread: float | None) -> str:

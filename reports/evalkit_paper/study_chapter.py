@@ -15,7 +15,6 @@ from evalkit.commands.study.formatting import (
     describe_interactions,
     describe_limit,
     describe_main_effects,
-    fit_designs,
 )
 from evalkit.commands.study.page import build_design_blocks, build_point_blocks, build_summary, sum_cpu_minutes
 from evalkit.commands.study.plan import Study
@@ -74,7 +73,7 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     outcome = _study_result(study, results)
     response = study.responses[0]
     told = [f"{design.name}: {describe_main_effects(response, design, fit)} {describe_interactions(response, fit, 2)}"
-            for design, fit in fit_designs(outcome, response)]  # fmt: skip
+            for design, fit in outcome.fits(response)]  # fmt: skip
     made = [Finding(
         "Contribution 3: study of grid resolution, ICP parameters and vehicle speed",
         "announced; no table or figure of it is printed",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -58,9 +57,12 @@ def realtime(
 
     The time per scan is measured once on this machine and stored: the same command again drops the same scans.
     """
-    simulation = _SimulationOptions(_parse_factors(factors), _parse_policy(policy), repetitions, odometry)
+    devices = {
+        "factors": _parse_factors(factors), "policies": [_parse_policy(policy)], "repetitions": repetitions,
+        "bridged": odometry,
+    }  # fmt: skip
     dataset, given_on = options.split_sequence(on or defaults.find_simulated_dataset())
-    task = _make_task(backend, dataset, options.settings(setting or []), given_on, simulation)
+    task = _make_task(backend, dataset, options.settings(setting or []), given_on, devices)
     store = TaskStore(folder or Path("reports") / "build" / "realtime")
     with progress.show_tasks(err, 1, 1) as done:
         result = run_tasks(store, [task], 1, done)[task.name]
@@ -71,20 +73,10 @@ def realtime(
         _print(content)
 
 
-@dataclass(frozen=True)
-class _SimulationOptions:
-    """The arguments of ``simulation.simulate_realtime`` that apply to any back end and sequence."""
-
-    factors: list[float]
-    policy: Policy
-    repetitions: int
-    bridged: bool
-
-
 def _make_task(
-    backend: str, on: str, given: dict[str, str], given_on: dict[str, str], simulation: _SimulationOptions
+    backend: str, on: str, given: dict[str, str], given_on: dict[str, str], devices: dict[str, Any]
 ) -> Task[RealtimeResult]:
-    """Make the task that measures and simulates, with its arguments checked."""
+    """Make the task that measures and simulates; ``devices``: the other arguments of ``simulate_realtime``."""
     from evalkit.commands.realtime.simulation import ProfiledMethod, simulate_realtime  # noqa: PLC0415 - loads scipy
 
     parameters = from_text(backend, frontend.settable_parameters(registry.backend(backend)), given)
@@ -95,8 +87,7 @@ def _make_task(
         raise DataMissing(on, "is not available", why)
     return make_task(
         f"{backend} on {on}", simulate_realtime, backend=backend, parameters=parameters, dataset=on,
-        dataset_parameters=of_sequence, factors=simulation.factors, policies=[simulation.policy],
-        repetitions=simulation.repetitions, bridged=simulation.bridged, code=registry.hash_run_code(backend, on),
+        dataset_parameters=of_sequence, **devices, code=registry.hash_run_code(backend, on),
     )  # fmt: skip
 
 

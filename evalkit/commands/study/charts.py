@@ -9,6 +9,7 @@ import numpy as np
 from evalkit.commands.study.effects import FactorEffect, Interaction, ModelFit
 from evalkit.commands.study.envelope import Panel, find_envelope_axes
 from evalkit.commands.study.factors import Factor
+from evalkit.commands.study.formatting import describe_largest
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Response
 from evalkit.commands.study.result import StudyResult, to_scale
 from evalkit.core.se2 import Floats
@@ -49,8 +50,7 @@ def make_factor_axis(factor: Factor) -> Axis:
 def draw_main_effects(response: Response, design: Design, effects: Sequence[FactorEffect]) -> Figure:
     """A bar for every factor: the worst level against the best, with its interval, the largest on top."""
     ordered = sorted(effects, key=lambda effect: -effect.largest.value.value)
-    by_name = {factor.name: factor for factor in design.factors}
-    labels = [describe_step(by_name[effect.factor], effect.largest.against, effect.largest.level) for effect in ordered]
+    labels = [describe_largest(design, effect) for effect in ordered]
     values, low, high = (
         from_scale(response, np.array([getattr(effect.largest.value, end) for effect in ordered]))
         for end in ("value", "low", "high")
@@ -150,11 +150,6 @@ def draw_envelope(choice: EnvelopeChoice, design: Design, panel: Panel, limits: 
 def from_scale(response: Response, values: Floats) -> Floats:
     """Values from a response's scale to its unit: exponentials on a log scale."""
     return np.exp(values) if response.scale == "log" else values
-
-
-def describe_step(factor: Factor, one: int, other: int) -> str:
-    """A change of level as text."""
-    return f"{factor.name}: {factor.levels[one].label} → {factor.levels[other].label}"
 
 
 def _is_crossed(values: Floats, limit: float) -> bool:

@@ -9,11 +9,9 @@ import numpy as np
 from evalkit.commands.study import charts
 from evalkit.commands.study.effects import Interaction, ModelFit
 from evalkit.commands.study.formatting import (
-    describe_change,
-    fit_designs,
+    describe_step,
     format_effect,
     format_scatter,
-    rank_effects,
 )
 from evalkit.commands.study.plan import Design, Response
 from evalkit.commands.study.result import StudyResult, to_scale
@@ -31,9 +29,7 @@ def build_effect_blocks(outcome: StudyResult) -> tuple[Block, ...]:
     blocks: list[Block] = []
     for number, response in enumerate(outcome.study.responses):
         content = [
-            block
-            for design, fit in fit_designs(outcome, response)
-            for block in _build_effects(outcome, response, design, fit)
+            block for design, fit in outcome.fits(response) for block in _build_effects(outcome, response, design, fit)
         ]
         if not content:
             continue
@@ -43,12 +39,11 @@ def build_effect_blocks(outcome: StudyResult) -> tuple[Block, ...]:
 
 
 def _build_effects(outcome: StudyResult, response: Response, design: Design, fit: ModelFit) -> list[Block]:
-    effects = rank_effects(design, fit)
     pairs = fit.interactions()
     shown = [pair for pair in pairs if pair.significant][:MAX_SHOWN]
     ordered = [
-        charts.draw_profile(response, factor, fit.factor(k).levels, fit.mean.value)
-        for k, factor in enumerate(design.factors)
+        charts.draw_profile(response, factor, effect.levels, fit.mean.value)
+        for factor, effect in zip(design.factors, fit.effects, strict=True)
         if factor.numbers is not None and len(factor.levels) > 2
     ]
     quality_words = (
@@ -56,7 +51,7 @@ def _build_effects(outcome: StudyResult, response: Response, design: Design, fit
         f"{100.0 * fit.explained:.0f} % of the variance over {len(fit.response)} points; the residuals have a standard "
         f"deviation of {format_scatter(response, fit.residual)}."
     )
-    blocks: list[Block] = [Text(quality_words), charts.draw_main_effects(response, design, effects)]
+    blocks: list[Block] = [Text(quality_words), charts.draw_main_effects(response, design, fit.effects)]
     blocks.append(
         Fold(
             f"{design.name}: levels of every factor",
@@ -72,8 +67,7 @@ def _build_effects(outcome: StudyResult, response: Response, design: Design, fit
 
 def _build_levels(response: Response, design: Design, fit: ModelFit) -> Table:
     rows = []
-    for number, factor in enumerate(design.factors):
-        effect = fit.factor(number)
+    for factor, effect in zip(design.factors, fit.effects, strict=True):
         for level, interval in zip(factor.levels, effect.levels, strict=True):
             cell = Cell(format_effect(response, interval), interval.value)
             rows.append((factor.name, Cell(level.label, level.number), cell, f"{100.0 * effect.share:.1f}"))
@@ -86,7 +80,8 @@ def _build_pairs(response: Response, design: Design, pairs: Sequence[Interaction
     rows = [
         (
             f"{pair.a} x {pair.b}",
-            f"{describe_change(design, pair.a, pair.a_levels)}, at {describe_change(design, pair.b, pair.b_levels)}",
+            f"{describe_step(design.factor(pair.a), *pair.a_levels)}, at "
+            f"{describe_step(design.factor(pair.b), *pair.b_levels)}",
             Cell(format_effect(response, pair.value), abs(pair.value.value)),
             Cell("yes" if pair.significant else "no", tone="warn" if pair.significant else ""),
             Cell(f"{100.0 * pair.share:.1f}", pair.share),

@@ -64,7 +64,7 @@ class Interaction:
 
 @dataclass(frozen=True, eq=False)
 class ModelFit:
-    """A model fit_designs to the response (N,) at positions (N, K) by least squares.
+    """A model fitted to the response (N,) at positions (N, K) by least squares.
 
     Intervals are Student's t with a covariance that allows unequal variances (HC3, MacKinnon and White, J. Econometrics
     29, 1985). Raises ValueError if there are not more points than columns, or the columns are not independent.
@@ -100,6 +100,11 @@ class ModelFit:
     def predict(self, positions: Floats) -> Floats:
         """The predicted response (M,) at positions (M, K)."""
         return np.asarray(self.model.matrix(positions) @ self._coefficients)
+
+    @property
+    def effects(self) -> list[FactorEffect]:
+        """The effects of all factors, in the order of the model's axes."""
+        return [self.factor(number) for number in range(len(self.model.axes))]
 
     def factor(self, number: int) -> FactorEffect:
         """The effects of one factor."""

@@ -76,8 +76,7 @@ def compute_panels(outcome: StudyResult, choice: EnvelopeChoice) -> tuple[Panel,
 
 def find_envelope_axes(design: Design, choice: EnvelopeChoice) -> tuple[Factor, Factor]:
     """The factors of the two axes."""
-    by_name = {factor.name: factor for factor in design.factors}
-    return by_name[choice.x], by_name[choice.y]
+    return design.factor(choice.x), design.factor(choice.y)
 
 
 def is_within_limit(choice: EnvelopeChoice, values: Floats) -> Bools:

@@ -4,32 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from evalkit.commands.study.charts import describe_step
 from evalkit.commands.study.effects import FactorEffect, ModelFit
+from evalkit.commands.study.factors import Factor
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Response, Study
-from evalkit.commands.study.result import StudyResult
 from evalkit.report.formatting import join_words
 from evalkit.stats.intervals import Interval
 
 
-def fit_designs(outcome: StudyResult, response: Response) -> list[tuple[Design, ModelFit]]:
-    """The designs for which effects on a response can be computed, with their fits."""
-    return [(design, fit) for design in outcome.study.designs if (fit := outcome.fit(design, response)) is not None]
-
-
-def rank_effects(design: Design, fit: ModelFit) -> list[FactorEffect]:
-    """The effects of all factors, the largest first."""
-    effects = [fit.factor(number) for number in range(len(design.factors))]
-    return sorted(effects, key=lambda effect: -effect.largest.value.value)
-
-
 def describe_main_effects(response: Response, design: Design, fit: ModelFit, most: int = 3) -> str:
     """A sentence with the largest significant effects."""
-    significant = [effect for effect in rank_effects(design, fit) if effect.largest.value.excludes(0.0)]
+    ranked = sorted(fit.effects, key=lambda effect: -effect.largest.value.value)
+    significant = [effect for effect in ranked if effect.largest.value.excludes(0.0)]
     if not significant:
         return f"No factor has a significant effect on {response.metric.label}."
     words = [
-        f"{describe_largest_step(design, effect)} ({format_effect(response, effect.largest.value)})"
+        f"{describe_largest(design, effect)} ({format_effect(response, effect.largest.value)})"
         for effect in significant[:most]
     ]
     return f"{response.metric.label} depends most on {join_words(words)}."
@@ -86,13 +75,11 @@ def format_scatter(response: Response, residual: float) -> str:
     return f"{residual:.{response.metric.digits}f} {response.metric.unit}".rstrip()
 
 
-def describe_largest_step(design: Design, effect: FactorEffect) -> str:
+def describe_largest(design: Design, effect: FactorEffect) -> str:
     """The change of level with a factor's largest effect."""
-    factor = next(factor for factor in design.factors if factor.name == effect.factor)
-    return describe_step(factor, effect.largest.against, effect.largest.level)
+    return describe_step(design.factor(effect.factor), effect.largest.against, effect.largest.level)
 
 
-def describe_change(design: Design, name: str, levels: tuple[int, int]) -> str:
-    """A change between two levels of a factor."""
-    factor = next(factor for factor in design.factors if factor.name == name)
-    return describe_step(factor, *levels)
+def describe_step(factor: Factor, one: int, other: int) -> str:
+    """A change of level as text."""
+    return f"{factor.name}: {factor.levels[one].label} → {factor.levels[other].label}"

@@ -16,7 +16,6 @@ from evalkit.commands.study.formatting import (
     describe_limit,
     describe_lost_runs,
     describe_main_effects,
-    fit_designs,
 )
 from evalkit.commands.study.result import StudyResult
 from evalkit.report.html.blocks import Block, Bullets, Cell, Column, Command, Document, Fold, Section, Table, Text
@@ -54,7 +53,7 @@ def build_summary(outcome: StudyResult) -> tuple[Block, ...]:
     """Sentences on the largest effects, the interactions and the envelopes."""
     lines = []
     for response in [response for response in outcome.study.responses if response.lost is not None]:
-        for design, fit in fit_designs(outcome, response):
+        for design, fit in outcome.fits(response):
             lines.append(
                 f"{design.name}: {describe_main_effects(response, design, fit)} {describe_interactions(response, fit)}"
             )

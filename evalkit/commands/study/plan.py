@@ -83,6 +83,10 @@ class Design:
     resolution: int = 5
     dealt: bool = False
 
+    def factor(self, name: str) -> Factor:
+        """A factor by its name."""
+        return next(factor for factor in self.factors if factor.name == name)
+
     def runs(self, point: Point) -> tuple[int | None, ...]:
         """The seeds of a point: all, or one in turn if they are dealt out over the points."""
         return (self.seeds[self._turns[point.key] % len(self.seeds)],) if self.dealt else self.seeds

@@ -71,6 +71,10 @@ class StudyResult:
         except ValueError:
             return None
 
+    def fits(self, response: Response) -> list[tuple[Design, ModelFit]]:
+        """The designs for which effects on a response can be computed, with their fits."""
+        return [(design, fit) for design in self.study.designs if (fit := self.fit(design, response)) is not None]
+
 
 def find_loss_reason(result: RunScores, responses: Sequence[Response]) -> str:
     """Why a run is lost (it failed, or a response is beyond its bound), or ""."""

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable
 from dataclasses import asdict
 from typing import Any
 
-from evalkit.commands.study.effects import ModelFit
 from evalkit.commands.study.envelope import Panel, compute_panels, find_envelope_axes
 from evalkit.commands.study.plan import Design, EnvelopeChoice, Response
 from evalkit.commands.study.result import StudyResult
@@ -39,14 +37,17 @@ def make_effect_rows(outcome: StudyResult) -> list[Row]:
     ``scale`` "log": exp(value) is a ratio.
     """
     rows: list[Row] = []
-    for design, response, fit in iterate_fits(outcome):
-        for number, factor in enumerate(design.factors):
-            effect = fit.factor(number)
+    fits = [(design, response, outcome.fit(design, response))
+            for design in outcome.study.designs for response in outcome.study.responses]  # fmt: skip
+    for design, response, fit in fits:
+        if fit is None:
+            continue
+        for factor, effect in zip(design.factors, fit.effects, strict=True):
             for level, interval in zip(factor.levels, effect.levels, strict=True):
                 rows.append(_effect_as_json(design, response, "main", factor.name, level.label, interval, effect.share))
         for pair in fit.interactions():
             levels = [
-                design.factors[[f.name for f in design.factors].index(name)].levels[at].label
+                design.factor(name).levels[at].label
                 for name, both in ((pair.a, pair.a_levels), (pair.b, pair.b_levels))
                 for at in both
             ]
@@ -55,14 +56,6 @@ def make_effect_rows(outcome: StudyResult) -> list[Row]:
                 _effect_as_json(design, response, "interaction", f"{pair.a} x {pair.b}", corner, pair.value, pair.share)
             )
     return rows
-
-
-def iterate_fits(outcome: StudyResult) -> Iterable[tuple[Design, Response, ModelFit]]:
-    """Every design and response for which effects can be computed."""
-    for design in outcome.study.designs:
-        for response in outcome.study.responses:
-            if (fit := outcome.fit(design, response)) is not None:
-                yield design, response, fit
 
 
 def study_as_json(outcome: StudyResult) -> Row:
