@@ -11,9 +11,9 @@ import numpy as np
 
 from evalkit.core.errors import StoreError, UnknownName
 from evalkit.core.trajectory import Trajectory
+from evalkit.io.output_files import as_store_error
 from evalkit.io.tum import format_tum
 from evalkit.plugins.parameters import Value, resolve_parameters
-from evalkit.results.store import as_store_error
 from evalkit_datasets import synthetic
 from evalkit_datasets.synthetic import Synthetic
 

@@ -8,7 +8,8 @@ from pathlib import Path
 from zipfile import ZIP_DEFLATED, BadZipFile, ZipFile
 
 from evalkit.core.errors import StoreError
-from evalkit.results.store import REMEDY, RESULT, SCORES, Store
+from evalkit.io.output_files import REMEDY
+from evalkit.results.store import RESULT, SCORES, Store
 
 WRITTEN_LAST = (SCORES, RESULT)
 """Files that are unpacked after all others, in this order, because they vouch for them."""
@@ -35,7 +36,7 @@ def unpack_run(store: Store, key: str, content: bytes) -> None:
             names = [name for name in archive.namelist() if name.partition("/")[0] in folders]
             for name in sorted(names, key=_order_for_unpacking):
                 folder, _, file = name.partition("/")
-                store.write_bytes(folders[folder] / Path(file).name, archive.read(name))
+                store.write(folders[folder] / Path(file).name, archive.read(name))
     except BadZipFile as error:
         raise StoreError(
             str(store.run_folder(key)), f"the archive sent by the worker is damaged ({error})", REMEDY

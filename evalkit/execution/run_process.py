@@ -15,7 +15,8 @@ from evalkit.core.run_result import STEP, Cause, RunResult
 from evalkit.execution.subprocesses import OUTPUT, ChildProcess, Usage
 from evalkit.execution.worker import Request
 from evalkit.io import untrusted_io
-from evalkit.results.store import STEPS, as_store_error, whole_records
+from evalkit.io.output_files import as_store_error, write_text
+from evalkit.results.store import STEPS, whole_records
 
 REQUEST, STARTED, OUTCOME = "request.json", "started.json", "outcome.json"
 
@@ -40,8 +41,8 @@ def run(
     ``report_answers``: called with the number of answered scans. ``stop``: ends the run early when set. ``threads``:
     number of threads that libraries may start. Raises StoreError if the folder cannot be written.
     """
+    write_text(folder / REQUEST, json.dumps(asdict(request), indent=1))
     with as_store_error(folder):
-        (folder / REQUEST).write_text(json.dumps(asdict(request), indent=1), encoding="utf-8")
         (folder / OUTPUT).touch()
         answers = (folder / STEPS).open("w+b")
     with answers:

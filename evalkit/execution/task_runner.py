@@ -20,7 +20,7 @@ from evalkit.execution.dask_cluster import Call, Cluster, NoCluster, Slot
 from evalkit.execution.subprocesses import WorkerPool
 from evalkit.execution.task import R, Task
 from evalkit.execution.task_store import TaskStore
-from evalkit.results.store import REMEDY
+from evalkit.io.output_files import REMEDY
 
 OnDone = Callable[[str, float], None]
 """Called for each finished task with its name and the seconds it took, 0 if its result was stored already."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from evalkit.execution.task import R, Result, Task
 from evalkit.io import untrusted_io
-from evalkit.results.store import as_store_error
+from evalkit.io.output_files import create_folder, write_bytes
 
 
 @dataclass(frozen=True)
@@ -24,8 +24,7 @@ class TaskStore:
 
     def create(self) -> None:
         """Creates the folder. Raises StoreError if it cannot be written."""
-        with as_store_error(self.folder):
-            self.folder.mkdir(parents=True, exist_ok=True)
+        create_folder(self.folder, self.folder)
 
     def load(self, task: Task[R]) -> R | None:
         """The stored result of a task, None if there is none that can be read."""
@@ -50,9 +49,4 @@ class TaskStore:
         rest = {name: value for name, value in result.items() if name not in members}
         body = io.BytesIO()
         np.savez_compressed(body, **members, json=np.array(json.dumps(rest)))
-        path = self.path(task)
-        part = path.with_name(f"{path.name}.{os.getpid()}.part")
-        self.create()
-        with as_store_error(self.folder):
-            part.write_bytes(body.getvalue())
-            part.replace(path)
+        write_bytes(self.path(task), body.getvalue())

@@ -24,6 +24,7 @@ from evalkit.core.run_result import NO_STEPS, STEP, Cause, RunResult
 from evalkit.core.scan import Frame
 from evalkit.core.timing import CallTiming
 from evalkit.execution.subprocesses import end_with_parent
+from evalkit.io.output_files import write_text
 from evalkit.odometry import frontend
 from evalkit.odometry.run_odometry import run_odometry
 from evalkit.plugins import registry
@@ -118,9 +119,8 @@ def _find_scan_stride(dataset: DatasetSpec, request: Request) -> int:
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:
-    partial = path.with_name(path.name + ".part")
-    partial.write_text(json.dumps(content), encoding="utf-8")
-    partial.replace(path)
+    path.parent.stat()  # raises FileNotFoundError if the back end has removed it: not created again
+    write_text(path, json.dumps(content))
 
 
 def _warm_up(odometry: Odometry, sequence: Sequence) -> int:

@@ -1,4 +1,4 @@
-"""Read occupancy grids in ROS map_server format: a PGM or PNG image and a YAML file with its metadata."""
+"""Read and write occupancy grids in ROS map_server format: a PGM or PNG image and a YAML file with its metadata."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from evalkit.core.errors import BadData, DataMissing, brief
 from evalkit.core.grid import OccupancyGrid
 from evalkit.io.input_files import read_bytes
+from evalkit.io.output_files import write_bytes, write_text
 
 Shades = NDArray[np.uint8] | NDArray[np.uint16]
 
@@ -48,6 +49,25 @@ def read_map(path: Path) -> OccupancyGrid:
     x, y, _ = settings["origin"]
     below = np.flipud(grey)
     return OccupancyGrid(log_odds[below], (occupied | free)[below], settings["resolution"], x, y)
+
+
+def write_map(stem: Path, grid: OccupancyGrid, root: Path | None = None) -> None:
+    """Write STEM.pgm (row 0 on top; 254 free, 0 occupied, 205 unknown) and STEM.yaml with every digit.
+
+    ``root``: as in ``output_files.write_bytes``. Raises StoreError.
+    """
+    pixels = np.full(grid.shape, UNKNOWN, dtype=np.uint8)
+    pixels[grid.free()], pixels[grid.occupied()] = 254, 0
+    rows, columns = grid.shape
+    size, x, y = (float(value) for value in (grid.resolution_m, grid.origin_x, grid.origin_y))  # no numpy in repr
+    header = b"P5\n%d %d\n255\n" % (columns, rows)
+    write_bytes(stem.with_name(stem.name + ".pgm"), header + pixels[::-1].tobytes(), root)
+    write_text(
+        stem.with_name(stem.name + ".yaml"),
+        f"image: {stem.name}.pgm\nmode: trinary\nresolution: {size!r}\norigin: [{x!r}, {y!r}, 0.0]\nnegate: 0\n"
+        "occupied_thresh: 0.65\nfree_thresh: 0.196\n",
+        root,
+    )
 
 
 def find_map_image(path: Path) -> Path | None:

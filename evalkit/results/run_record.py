@@ -9,8 +9,9 @@ from evalkit.config.experiment import Experiment, RunSpec
 from evalkit.core.errors import StoreError
 from evalkit.core.ground_truth import Truth
 from evalkit.core.run_result import RunResult, Scores
+from evalkit.io.output_files import REMEDY
 from evalkit.plugins import registry
-from evalkit.results.store import REMEDY, Store
+from evalkit.results.store import Store
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, fields
+from io import BytesIO
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,8 @@ from evalkit.core.errors import StoreError
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import STEP, Cause, RunResult, Score, Scores
-from evalkit.io import untrusted_io
+from evalkit.io import map_server, untrusted_io
+from evalkit.io.output_files import as_store_error, create_folder, write_bytes
 from evalkit.io.tum import format_tum
 
 LOCK = ".writer.lock"
@@ -38,20 +40,16 @@ SCORES = "scores.json"
 
 _RESULT_FIELDS = tuple(field.name for field in fields(RunResult) if field.name != "steps")
 
-REMEDY = "free some space or name another folder with --out"
-
 
 class Store:
     """One experiment's results folder. Raises StoreError where a file cannot be written."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
-        with as_store_error(folder):
-            for name in ("runs", "trajectories", "maps"):
-                (folder / name).mkdir(parents=True, exist_ok=True)
-            probe = folder / "runs" / f".writable-{os.getpid()}"
-            probe.write_text("", encoding="utf-8")
-            probe.unlink(missing_ok=True)
+        for name in ("", "runs", "trajectories", "maps"):
+            create_folder(folder / name, folder)
+        with as_store_error(folder), TemporaryFile(dir=folder / "runs"):  # can it be written?
+            pass
 
     @classmethod
     def existing(cls, folder: Path) -> Store:
@@ -71,6 +69,10 @@ class Store:
             what = "another evalkit writes to this folder"
             raise StoreError(str(self.folder), what, "wait for it or name another folder with --out") from error
 
+    def write(self, path: Path, content: bytes | str) -> None:
+        """Write a file whole or not at all; no symbolic link below the results folder is followed."""
+        write_bytes(path, content if isinstance(content, bytes) else content.encode(), self.folder)
+
     def run_folder(self, key: str) -> Path:
         """The folder of a run."""
         return self.folder / "runs" / key
@@ -78,9 +80,12 @@ class Store:
     def create_run_folder(self, key: str) -> Path:
         """Create an empty folder for a run; deletes an existing one."""
         folder = self.run_folder(key)
+        create_folder(folder.parent, self.folder)  # raises where a link would lead out of the results folder
         with as_store_error(folder):
             shutil.rmtree(folder, ignore_errors=True)
-            folder.mkdir(parents=True)
+            if folder.is_symlink():
+                folder.unlink()
+            folder.mkdir()
         return folder
 
     @contextmanager
@@ -89,7 +94,7 @@ class Store:
 
         ``attempts``: names of the processes that have started the run so far, with this one.
         """
-        self.write_text(self._attempts_file(key), json.dumps(list(attempts)))
+        self.write(self._attempts_file(key), json.dumps(list(attempts)))
         try:
             yield self.create_run_folder(key)
         finally:
@@ -112,31 +117,19 @@ class Store:
     def _attempts_file(self, key: str) -> Path:
         return self.folder / "attempts" / f"{key}.json"
 
-    def write_text(self, path: Path, text: str) -> None:
-        """Write a file atomically: whole or not at all."""
-        self.write_bytes(path, text.encode())
-
-    def write_bytes(self, path: Path, content: bytes) -> None:
-        """Write a file atomically: whole or not at all."""
-        partial = path.with_name(path.name + ".part")
-        with as_store_error(path):
-            path.parent.mkdir(parents=True, exist_ok=True)  # a back end may have removed it
-            partial.write_bytes(content)
-            partial.replace(path)
-
     def save_result(self, spec: RunSpec, result: RunResult) -> None:
         """Write how a run went and its trajectory for other tools; ``RESULT``, written last, marks it as complete."""
         folder = self.run_folder(spec.key)
         steps = folder / STEPS
         if not steps.exists() or read_steps(steps).tobytes() != result.steps.tobytes():  # removed, or times left out
-            self.write_bytes(steps, result.steps.tobytes())
+            self.write(steps, result.steps.tobytes())
         text = format_tum(result.estimate, f"evalkit: {spec.method.label} on {spec.sequence.label}")
-        self.write_text(self.folder / "trajectories" / f"{spec.key}.tum", text)
+        self.write(self.folder / "trajectories" / f"{spec.key}.tum", text)
         record = {
             "method": spec.method.label, "sequence": spec.sequence.label, "seed": spec.seed, "status": result.status,
             "answered": len(result.steps), **{name: getattr(result, name) for name in _RESULT_FIELDS},
         }  # fmt: skip
-        self.write_text(folder / RESULT, json.dumps(record, indent=1))
+        self.write(folder / RESULT, json.dumps(record, indent=1))
         self.clear_attempts(spec.key)
 
     def load_result(self, key: str) -> RunResult | None:
@@ -154,32 +147,33 @@ class Store:
             return None
 
     def save_scores(self, key: str, scores: Scores, fingerprint: str) -> None:
-        """Write the scores of a run, and its map for map_server. ``fingerprint``: the scoring code and the mapper."""
+        """Write the scores of a run, and its map for map_server. ``fingerprint``: the scoring code and the mapper.
+
+        ``SCORES``, written last, marks the others as complete.
+        """
         folder = self.run_folder(key)
         grid = scores.grid
         with as_store_error(folder):
-            for name in (
-                SCORES,
-                "grid.npz",
-                "errors.npy",
-            ):  # SCORES, written last, marks the others as complete
-                (folder / name).unlink(missing_ok=True)
-            if grid is not None:
-                np.savez_compressed(folder / "grid.npz", log_odds=grid.log_odds, observed=grid.observed,
-                                    frame=[grid.resolution_m, grid.origin_x, grid.origin_y])  # fmt: skip
-                self.write_map(self.folder / "maps" / key, grid)
-            else:  # remove the map of an earlier run
-                for ending in (".pgm", ".yaml"):
-                    (self.folder / "maps" / f"{key}{ending}").unlink(missing_ok=True)
-            if scores.errors_m is not None:
-                np.save(folder / "errors.npy", scores.errors_m)
+            of_map = (self.folder / "maps" / f"{key}{ending}" for ending in (".pgm", ".yaml"))
+            for path in (folder / SCORES, folder / "grid.npz", folder / "errors.npy", *of_map):
+                path.unlink(missing_ok=True)
+        if grid is not None:
+            frame = [grid.resolution_m, grid.origin_x, grid.origin_y]
+            body = BytesIO()
+            np.savez_compressed(body, log_odds=grid.log_odds, observed=grid.observed, frame=frame)
+            self.write(folder / "grid.npz", body.getvalue())
+            map_server.write_map(self.folder / "maps" / key, grid, self.folder)
+        if scores.errors_m is not None:
+            body = BytesIO()
+            np.save(body, scores.errors_m)
+            self.write(folder / "errors.npy", body.getvalue())
         content = {
             "fingerprint": fingerprint,
             "world_from_start": scores.world_from_start.row.tolist(),
             "alignment": scores.alignment,
             "scores": {name: asdict(score) for name, score in scores.by_metric.items()},
         }
-        self.write_text(folder / SCORES, json.dumps(content, indent=1))
+        self.write(folder / SCORES, json.dumps(content, indent=1))
 
     def load_scores(self, key: str, fingerprint: str = "") -> Scores | None:
         """The stored scores of a run; None where they are absent, damaged, or of another ``fingerprint`` (if given)."""
@@ -211,22 +205,6 @@ class Store:
         with as_store_error(self.run_folder(key)):
             (self.run_folder(key) / SCORES).unlink(missing_ok=True)
 
-    def write_map(self, stem: Path, grid: OccupancyGrid) -> None:
-        """A map_server map: PGM (row 0 on top; 254 free, 0 occupied, 205 unknown) and YAML with every digit."""
-        pixels = np.full(grid.shape, 205, dtype=np.uint8)
-        pixels[grid.free()], pixels[grid.occupied()] = 254, 0
-        rows, columns = grid.shape
-        size, x, y = (float(value) for value in (grid.resolution_m, grid.origin_x, grid.origin_y))  # no numpy in repr
-        self.write_bytes(
-            stem.with_name(stem.name + ".pgm"), b"P5\n%d %d\n255\n" % (columns, rows) + pixels[::-1].tobytes()
-        )
-        self.write_text(
-            stem.with_name(stem.name + ".yaml"),
-            f"image: {stem.name}.pgm\nmode: trinary\nresolution: {size!r}\n"
-            f"origin: [{x!r}, {y!r}, 0.0]\nnegate: 0\n"
-            "occupied_thresh: 0.65\nfree_thresh: 0.196\n",
-        )
-
 
 def read_steps(path: Path) -> NDArray[np.void]:
     """The complete records of a steps file (N,), without a last record that the end of the process cut short."""
@@ -254,20 +232,3 @@ def _load_grid(path: Path) -> OccupancyGrid | None:
     stored = untrusted_io.read_arrays(path)
     resolution_m, origin_x, origin_y = stored["frame"].tolist()
     return OccupancyGrid(stored["log_odds"], stored["observed"], resolution_m, origin_x, origin_y)
-
-
-def write_texts(folder: Path, texts: Mapping[str, str]) -> None:
-    """Write files by name into a folder, which is created. Raises StoreError where that is not possible."""
-    with as_store_error(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, text in texts.items():
-            (folder / name).write_text(text, encoding="utf-8")
-
-
-@contextmanager
-def as_store_error(path: Path) -> Iterator[None]:
-    """Turn an OSError in the block into a StoreError that names the path."""
-    try:
-        yield
-    except OSError as error:
-        raise StoreError(str(path), f"cannot be written ({error.strerror or error})", REMEDY) from error

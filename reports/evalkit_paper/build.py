@@ -15,7 +15,7 @@ from evalkit.execution.task import AnyTask
 from evalkit.execution.task_runner import run_tasks
 from evalkit.execution.task_store import TaskStore
 from evalkit.report.html.blocks import Cell, Column, Command, Fold, Section, Table, Text, render
-from evalkit.results.store import as_store_error
+from evalkit.io.output_files import as_store_error
 from evalkit.terminal import progress
 from evalkit.terminal.options import err
 from evalkit_paper import page

@@ -156,7 +156,7 @@ def test_a_run_that_kills_two_workers_is_quarantined_and_others_complete(workers
 def test_local_attempts_are_cleared_once_a_worker_has_executed_the_run(workers, tmp_path):
     store, asked = Store(tmp_path), plan("none", timed=False)
     key = next(iter(asked.runs())).key
-    store.write_text(tmp_path / "attempts" / f"{key}.json", json.dumps(["process 1 on a", "process 2 on a"]))
+    store.write(tmp_path / "attempts" / f"{key}.json", json.dumps(["process 1 on a", "process 2 on a"]))
     assert store.attempts(key) == ("process 1 on a", "process 2 on a")
     assert rows(asked, tmp_path, run_on_cluster(workers), resume=True)["0 none"].result.status == "complete"
     assert store.attempts(key) == ()

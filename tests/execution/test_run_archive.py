@@ -26,7 +26,7 @@ def saved_run(tmp_path):
     store.save_result(spec, RunResult(steps, 3, provenance={"executed_at": "2024-05-01T12:00:00+00:00"}))
     grid = OccupancyGrid(np.ones((4, 5), dtype=np.float32), np.ones((4, 5), dtype=bool), 0.05, 0.0, 0.0)
     store.save_scores(KEY, Scores(grid=grid, errors_m=np.arange(3.0)), "f")
-    store.write_text(store.run_folder("room-s0-icp-01234567890") / "result.json", "another's")
+    store.write(store.run_folder("room-s0-icp-01234567890") / "result.json", "another's")
     return store
 
 

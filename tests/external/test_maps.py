@@ -12,9 +12,9 @@ from evalkit.core.errors import BadData
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.external import maps
+from evalkit.io.map_server import write_map
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import resolve_parameters
-from evalkit.results.store import Store
 
 DRIVE = "laps = 0.02\n"
 COARSE = "[mapper]\nresolution_m = 0.25\n"
@@ -25,7 +25,7 @@ def save_map(tmp_path):
     """Save a map in the format of map_server; returns its method name."""
 
     def save(grid):
-        Store(tmp_path / "elsewhere").write_map(tmp_path / "elsewhere" / "map", grid)
+        write_map(tmp_path / "elsewhere" / "map", grid)
         return f"file:{tmp_path / 'elsewhere' / 'map.yaml'}"
 
     return save

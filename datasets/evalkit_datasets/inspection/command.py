@@ -12,7 +12,7 @@ from typing import Annotated, Any
 import typer
 
 from evalkit.core.errors import BadData
-from evalkit.results.store import as_store_error
+from evalkit.io.output_files import as_store_error
 from evalkit.terminal.options import Json, out, print_json
 from evalkit_datasets.inspection.findings import format_count
 from evalkit_datasets.inspection.inspector import Inspection, inspect_recording

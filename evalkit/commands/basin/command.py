@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from evalkit.execution import environment
+from evalkit.io.output_files import write_texts
 from evalkit.plugins import registry
 from evalkit.plugins.specs import RegistrationSpec
-from evalkit.results.store import write_texts
 from evalkit.terminal import options, progress
 from evalkit.terminal.options import Jobs, Json, Out, err, out
 

@@ -18,8 +18,9 @@ from evalkit.core.run_result import NO_STEPS
 from evalkit.execution.environment import describe, describe_provenance
 from evalkit.execution.executors import DaskExecutor, Executor, LocalExecutor
 from evalkit.execution.scheduler import Scheduler
+from evalkit.io.output_files import as_store_error
 from evalkit.results.run_record import load_records
-from evalkit.results.store import Store, as_store_error
+from evalkit.results.store import Store
 from evalkit.terminal import options, progress, run_summary
 from evalkit.terminal.options import RunOptions, err
 

@@ -14,6 +14,7 @@ from typing import Any
 
 from evalkit.core.errors import BadData
 from evalkit.execution import environment
+from evalkit.io.output_files import write_text
 from evalkit.plugins import registry
 
 FOLDER = Path("reports") / "build" / "bench"
@@ -62,10 +63,7 @@ def write_benchmark(
     measured = [{**asdict(one), "median": one.median} for one in series]
     content = {"schema": SCHEMA, "name": name, "written": datetime.now(UTC).isoformat(), "environment": dict(ran_on)}
     path = folder / f"{name}.json"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(path.name + ".part")
-    partial.write_text(json.dumps({**content, "series": measured}, indent=1) + "\n", encoding="utf-8")
-    partial.replace(path)
+    write_text(path, json.dumps({**content, "series": measured}, indent=1) + "\n")
     return path
 
 

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from evalkit.core.errors import NotInstalled, UnknownName
-from evalkit.results.store import Store, as_store_error
+from evalkit.io.map_server import write_map
+from evalkit.io.output_files import as_store_error
 from evalkit.terminal import options
 from evalkit.terminal.options import Json, err, out
 
@@ -111,7 +112,7 @@ def _write_files(files: Iterator[tuple[str, bytes]], folder: Path) -> Iterator[P
 def _write_maps(selection: ExportSelection, folder: Path) -> Iterator[Path]:
     for run in selection.runs:
         if run.scores.grid is not None:
-            Store.existing(folder).write_map(folder / run.key, run.scores.grid)
+            write_map(folder / run.key, run.scores.grid)
             yield from (folder / f"{run.key}.yaml", folder / f"{run.key}.pgm")
 
 

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from evalkit.execution import environment
+from evalkit.io.output_files import write_texts
 from evalkit.plugins import defaults
-from evalkit.results.store import write_texts
 from evalkit.terminal import options, progress
 from evalkit.terminal.options import Json, Out, err, out
 

@@ -12,7 +12,7 @@ import typer
 
 from evalkit.core.errors import NotInstalled, UnknownName
 from evalkit.execution import environment
-from evalkit.results.store import write_texts
+from evalkit.io.output_files import write_texts
 from evalkit.terminal import options, progress
 from evalkit.terminal.options import Json, Out, Scheduler, err, out
 

@@ -12,7 +12,8 @@ import typer
 
 from evalkit.core.run_result import RunStatus
 from evalkit.execution import environment
-from evalkit.results.store import Store, write_texts
+from evalkit.io.output_files import write_texts
+from evalkit.results.store import Store
 from evalkit.terminal import options, progress
 from evalkit.terminal.options import Collect, Jobs, Json, err, out
 

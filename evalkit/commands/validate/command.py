@@ -183,7 +183,7 @@ def _compare(request: ValidationRequest, folder: Path, workers: int, display: Pr
 def _finish(report: AcceptanceReport, folder: Path, as_json: bool) -> None:
     """Writes the page and the JSON file, prints the report, and exits with code 1 if the claim does not hold."""
     from evalkit.commands.validate import page  # noqa: PLC0415 - imports matplotlib
-    from evalkit.results.store import write_texts  # noqa: PLC0415 - as above
+    from evalkit.io.output_files import write_texts  # noqa: PLC0415 - as above
 
     content = report.as_json()
     command = "evalkit " + shlex.join(sys.argv[1:])

@@ -1,0 +1,87 @@
+"""Write files whole or not at all, durably, and never through a symbolic link below a given folder."""
+
+from __future__ import annotations
+
+import errno
+import os
+import uuid
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from evalkit.core.errors import StoreError
+
+REMEDY = "free some space or name another folder with --out"
+
+_FOLDER = os.O_RDONLY | getattr(os, "O_DIRECTORY", 0) | getattr(os, "O_CLOEXEC", 0)
+_NO_LINK = getattr(os, "O_NOFOLLOW", 0)
+
+
+def write_bytes(path: Path, content: bytes, root: Path | None = None) -> None:
+    """Replace a file atomically and durably; a symbolic link at ``path`` is replaced, not followed.
+
+    ``root``: a folder above it (by default its own), below which no folder may be a symbolic link. Missing folders are
+    created. Raises StoreError.
+    """
+    with as_store_error(path), _open_folder(path.parent, root or path.parent) as folder:
+        part = f"{path.name[:100]}.{uuid.uuid4().hex}.part"
+        file = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NO_LINK, 0o666, dir_fd=folder)
+        try:
+            with open(file, "wb") as stream:  # noqa: PTH123 - a descriptor
+                stream.write(content)
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(part, path.name, src_dir_fd=folder, dst_dir_fd=folder)
+        except BaseException:
+            with suppress(OSError):
+                os.unlink(part, dir_fd=folder)
+            raise
+        os.fsync(folder)
+
+
+def write_text(path: Path, text: str, root: Path | None = None) -> None:
+    """As ``write_bytes``, in UTF-8."""
+    write_bytes(path, text.encode(), root)
+
+
+def write_texts(folder: Path, texts: Mapping[str, str]) -> None:
+    """Write files by name into a folder, which is created. Raises StoreError where that is not possible."""
+    for name, text in texts.items():
+        write_text(folder / name, text, folder)
+
+
+def create_folder(path: Path, root: Path) -> None:
+    """Create a folder and all above it up to ``root``. Raises StoreError, also where one is a symbolic link."""
+    with as_store_error(path), _open_folder(path, root):
+        pass
+
+
+@contextmanager
+def as_store_error(path: Path) -> Iterator[None]:
+    """Turn an OSError in the block into a StoreError that names the path."""
+    try:
+        yield
+    except OSError as error:
+        raise StoreError(str(path), f"cannot be written ({error.strerror or error})", REMEDY) from error
+
+
+@contextmanager
+def _open_folder(path: Path, root: Path) -> Iterator[int]:
+    """The descriptor of a folder, which is created; only ``root`` and the folders above it may be symbolic links."""
+    root.mkdir(parents=True, exist_ok=True)
+    folder = os.open(root, _FOLDER)
+    try:
+        for name in path.relative_to(root).parts:
+            with suppress(FileExistsError):
+                os.mkdir(name, dir_fd=folder)
+            try:
+                inner = os.open(name, _FOLDER | _NO_LINK, dir_fd=folder)
+            except OSError as error:
+                if error.errno not in (errno.ELOOP, errno.ENOTDIR):
+                    raise
+                raise StoreError(str(path), f"'{name}' is a link or a file, not a folder", REMEDY) from error
+            os.close(folder)
+            folder = inner
+        yield folder
+    finally:
+        os.close(folder)
