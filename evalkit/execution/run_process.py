@@ -41,10 +41,10 @@ def run(
     ``report_answers``: called with the number of answered scans. ``stop``: ends the run early when set. ``threads``:
     number of threads that libraries may start. Raises StoreError if the folder cannot be written.
     """
-    write_text(folder / REQUEST, json.dumps(asdict(request), indent=1))
     with as_store_error(folder):
         (folder / OUTPUT).touch()
         answers = (folder / STEPS).open("w+b")
+    write_text(folder / REQUEST, json.dumps(asdict(request), indent=1))
     with answers:
         with ChildProcess("evalkit.execution.worker", folder, threads) as child:
             supervision = _Supervision(child, folder, limits, answers)

@@ -49,4 +49,4 @@ class TaskStore:
         rest = {name: value for name, value in result.items() if name not in members}
         body = io.BytesIO()
         np.savez_compressed(body, **members, json=np.array(json.dumps(rest)))
-        write_bytes(self.path(task), body.getvalue())
+        write_bytes(self.path(task), body.getvalue(), self.folder)

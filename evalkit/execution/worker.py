@@ -119,7 +119,6 @@ def _find_scan_stride(dataset: DatasetSpec, request: Request) -> int:
 
 
 def _write_json(path: Path, content: dict[str, Any]) -> None:
-    path.parent.stat()  # raises FileNotFoundError if the back end has removed it: not created again
     write_text(path, json.dumps(content))
 
 

@@ -20,10 +20,10 @@ _NO_LINK = getattr(os, "O_NOFOLLOW", 0)
 def write_bytes(path: Path, content: bytes, root: Path | None = None) -> None:
     """Replace a file atomically and durably; a symbolic link at ``path`` is replaced, not followed.
 
-    ``root``: a folder above it (by default its own), below which no folder may be a symbolic link. Missing folders are
-    created. Raises StoreError.
+    ``root``: a folder above it, which is created with all below it that are missing; none of these may be a symbolic
+    link. Without it, the folder must exist. Raises StoreError.
     """
-    with as_store_error(path), _open_folder(path.parent, root or path.parent) as folder:
+    with as_store_error(path), _open_folder(path.parent, root) as folder:
         part = f"{path.name[:100]}.{uuid.uuid4().hex}.part"
         file = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _NO_LINK, 0o666, dir_fd=folder)
         try:
@@ -66,12 +66,15 @@ def as_store_error(path: Path) -> Iterator[None]:
 
 
 @contextmanager
-def _open_folder(path: Path, root: Path) -> Iterator[int]:
-    """The descriptor of a folder, which is created; only ``root`` and the folders above it may be symbolic links."""
-    root.mkdir(parents=True, exist_ok=True)
-    folder = os.open(root, _FOLDER)
+def _open_folder(path: Path, root: Path | None) -> Iterator[int]:
+    """The descriptor of a folder; folders from ``root`` on are created, and those below it are not symbolic links."""
+    if root is not None:
+        root.mkdir(parents=True, exist_ok=True)
+    folder = os.open(root or path, _FOLDER)
     try:
-        for name in path.relative_to(root).parts:
+        for name in path.relative_to(root or path).parts:
+            if name == "..":
+                raise StoreError(str(path), "leads out of its folder", "use names without '..'")
             with suppress(FileExistsError):
                 os.mkdir(name, dir_fd=folder)
             try:

@@ -47,6 +47,8 @@ def test_links_are_replaced_and_never_followed(tmp_path):
     ):
         with pytest.raises(StoreError, match="'runs' is a link or a file, not a folder"):
             write()
+    with pytest.raises(StoreError, match="leads out of its folder"):
+        output_files.write_text(root / ".." / "outside" / "victim.txt", "new", root)
     assert [file.name for file in outside.iterdir()] == ["victim.txt"]
     assert victim.read_text() == "mine"
 

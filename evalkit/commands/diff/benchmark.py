@@ -63,7 +63,7 @@ def write_benchmark(
     measured = [{**asdict(one), "median": one.median} for one in series]
     content = {"schema": SCHEMA, "name": name, "written": datetime.now(UTC).isoformat(), "environment": dict(ran_on)}
     path = folder / f"{name}.json"
-    write_text(path, json.dumps({**content, "series": measured}, indent=1) + "\n")
+    write_text(path, json.dumps({**content, "series": measured}, indent=1) + "\n", folder)
     return path
 
 
