@@ -14,8 +14,8 @@ from evalkit.execution import environment
 from evalkit.execution.task import AnyTask
 from evalkit.execution.task_runner import run_tasks
 from evalkit.execution.task_store import TaskStore
-from evalkit.report.html.blocks import Cell, Column, Command, Fold, Section, Table, Text, render
 from evalkit.io.output_files import as_store_error
+from evalkit.report.html.blocks import Cell, Column, Command, Fold, Section, Table, Text, render
 from evalkit.terminal import progress
 from evalkit.terminal.options import err
 from evalkit_paper import page
