@@ -16,6 +16,7 @@ from typing import Any
 from platformdirs import user_cache_dir
 
 from evalkit.core.errors import BadData, DataMissing, UnknownName
+from evalkit.io.text_lines import iter_plain_blocks
 from evalkit.io.toml import parse_toml
 
 VARIABLE = "EVALKIT_DATA"
@@ -30,7 +31,8 @@ class CatalogFile:
     """Metadata of one file. ``path`` is relative to the data folder; ``bytes`` is 0 if unknown.
 
     The content is verified by ``sha256`` or, if only that is known, by the id of its git blob. A file without ``url``
-    cannot be downloaded: ``derived`` describes how it was made, ``instead`` lists files to use in its place.
+    is built on this machine from its ``sources``, files of the catalogue (``build``: a builder, or a path in an
+    archive), or cannot be had: ``derived`` describes how it was made, ``instead`` lists files to use in its place.
     """
 
     name: str
@@ -47,6 +49,13 @@ class CatalogFile:
     defects: tuple[str, ...] = ()
     derived: str = ""
     instead: tuple[str, ...] = ()
+    build: str = ""
+    sources: tuple[str, ...] = ()
+
+    @property
+    def is_public(self) -> bool:
+        """Whether the file can be downloaded, or built from files that can."""
+        return bool(self.url or self.build)
 
     def __post_init__(self) -> None:
         if Path(self.path).is_absolute() or not re.fullmatch(r"[\w-][\w.-]*(/[\w-][\w.-]*)*", self.path):
@@ -83,7 +92,7 @@ def cache_folder() -> Path:
 
 
 def find_local(card: CatalogFile) -> Path | None:
-    """Return the path of a file on this machine, not verified, or None if it is absent."""
+    """Return the path of a file on this machine, plain or gzip, not verified, or None if it is absent."""
     return next((path for path in _candidate_paths(card) if path.is_file()), None)
 
 
@@ -103,19 +112,20 @@ def describe_missing(dataset: str, names: Iterable[str]) -> str:
     absent = [card for card in map(get_file, names) if find_local(card) is None]
     if not absent:
         return ""
-    without_url = [card for card in absent if not card.url]
-    first = (without_url or absent)[0]
+    private = [card for card in absent if not card.is_public]
+    first = (private or absent)[0]
     what, remedy = _describe_absence(first)
     more = f" (and {len(absent) - 1} more)" if len(absent) > 1 else ""
-    return f"{first.name}{more}: {what}; {remedy if without_url else f'fetch it: {FETCH_COMMAND} {dataset}'}"
+    return f"{first.name}{more}: {what}; {remedy if private else f'fetch it: {FETCH_COMMAND} {dataset}'}"
 
 
 def verify(card: CatalogFile, path: Path) -> None:
-    """Raise BadData if the content of a file is not the catalogued one."""
-    size = path.stat().st_size
+    """Raise BadData if the content of a file, unpacked if only this copy is compressed, is not the catalogued one."""
+    packed = path.suffix == ".gz" and not card.path.endswith(".gz")
+    content = _read_packed(card, path) if packed else path.read_bytes()
+    size = len(content)
     if card.bytes and size != card.bytes:
         raise BadData(str(path), "", f"{size} bytes instead of {card.bytes}", _suggest_new_copy(card))
-    content = path.read_bytes()
     if card.sha256:
         kind, known, actual = "sha256", card.sha256, hashlib.sha256(content).hexdigest()
     else:
@@ -126,6 +136,16 @@ def verify(card: CatalogFile, path: Path) -> None:
         raise BadData(str(path), "", f"{kind} {actual[:12]}... instead of {known[:12]}...", _suggest_new_copy(card))
 
 
+def _read_packed(card: CatalogFile, path: Path) -> bytes:
+    """Return the plain content of a gzip file, one block beyond the catalogued size at most."""
+    content = bytearray()
+    for block in iter_plain_blocks(path, card.summary):
+        content += block
+        if len(content) > card.bytes:
+            break
+    return bytes(content)
+
+
 def _parse_file(name: str, card: Mapping[str, object]) -> CatalogFile:
     lists = {key: tuple(value) for key, value in card.items() if isinstance(value, list)}
     return CatalogFile(name=name, **{**card, **lists})  # type: ignore[arg-type]  # types are checked by a test of the catalogue
@@ -133,7 +153,8 @@ def _parse_file(name: str, card: Mapping[str, object]) -> CatalogFile:
 
 def _candidate_paths(card: CatalogFile) -> list[Path]:
     folder = os.environ.get(VARIABLE)
-    return [Path(place) / card.path for place in (folder, cache_folder()) if place]
+    places = [Path(place) / card.path for place in (folder, cache_folder()) if place]
+    return [each for path in places for each in (path, path.with_name(f"{path.name}.gz"))]
 
 
 def _describe_absence(card: CatalogFile) -> tuple[str, str]:
@@ -141,7 +162,7 @@ def _describe_absence(card: CatalogFile) -> tuple[str, str]:
     folder = os.environ.get(VARIABLE)
     searched = f"{VARIABLE}={folder}" if folder else f"{VARIABLE} (not set)"
     what = f"not found as {card.path} in {searched} or in the cache {cache_folder()}"
-    if card.url:
+    if card.is_public:
         return what, f"fetch it: {FETCH_COMMAND} {card.name}"
     return f"{what}, and it has no public URL ({card.derived})", suggest_replacement(card)
 
@@ -157,6 +178,6 @@ def suggest_replacement(card: CatalogFile) -> str:
 def _suggest_new_copy(card: CatalogFile) -> str:
     return (
         f"delete it and fetch it again: {FETCH_COMMAND} {card.name}"
-        if card.url
+        if card.is_public
         else "replace it with the catalogued file"
     )

@@ -33,7 +33,7 @@ def list_(as_json: Annotated[bool, typer.Option("--json", help="Print the result
             "name": card.name,
             "summary": card.summary,
             "licence": card.licence,
-            "where": str(catalog.find_local(card) or ("can be fetched" if card.url else "no public URL")),
+            "where": str(catalog.find_local(card) or ("can be fetched" if card.is_public else "no public URL")),
         }
         for card in catalog.load_catalog().values()
     ]

@@ -1,8 +1,9 @@
-"""Download catalogued files into the cache; interrupted downloads resume, and content is verified before use."""
+"""Download or build catalogued files into the cache; downloads resume, and content is verified before use."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import os
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -22,7 +23,7 @@ def _ignore_progress(_received: int, _total: int) -> None:
 
 
 def fetch(name: str, progress: Progress = _ignore_progress) -> Path:
-    """Return the path of the verified file, downloaded into the cache unless it is on this machine already.
+    """Return the path of the verified file, downloaded or built into the cache unless it is on this machine already.
 
     Raises DataMissing if it has no public URL or the connection fails (the received part is kept for the next call),
     and BadData if the received content is not the catalogued file (it is deleted).
@@ -33,6 +34,8 @@ def fetch(name: str, progress: Progress = _ignore_progress) -> Path:
     if present is not None and not (present == target and _is_damaged(card, present)):
         catalog.verify(card, present)
         return present
+    if card.build:
+        return _build(card, target, progress)
     if not card.url:
         raise DataMissing(name, f"it has no public URL ({card.derived})", catalog.suggest_replacement(card))
     target.parent.mkdir(parents=True, exist_ok=True)
@@ -40,6 +43,40 @@ def fetch(name: str, progress: Progress = _ignore_progress) -> Path:
     _download(card, part, progress)
     _verify_or_delete(card, part)
     part.replace(target)
+    return target
+
+
+def list_downloads(names: Iterable[str]) -> list[CatalogFile]:
+    """Return the files to download for files of the catalogue: those absent, and the absent sources of others."""
+    absent = [card for card in map(catalog.get_file, dict.fromkeys(names)) if catalog.find_local(card) is None]
+    found = {card.name: card for card in absent if card.url}
+    for card in absent:
+        found |= {source.name: source for source in list_downloads(card.sources)}
+    return list(found.values())
+
+
+def _build(card: CatalogFile, target: Path, progress: Progress) -> Path:
+    """Build a file from its sources, fetched first; raises BadData if the result is not the catalogued file."""
+    from evalkit_datasets.building.builders import iter_built  # noqa: PLC0415 - used for building only
+
+    sources = [fetch(source, progress) for source in card.sources]
+    target.parent.mkdir(parents=True, exist_ok=True)
+    part = target.with_name(f"{target.name}.{os.getpid()}.part")
+    try:
+        with part.open("wb") as file:
+            for block in iter_built(card.build, sources):
+                file.write(block)
+                if file.tell() > card.bytes:
+                    raise BadData(str(part), "", f"more than {card.bytes} bytes", "report it with the sources' names")
+        catalog.verify(card, part)
+        part.replace(target)
+    except BadData as error:
+        if error.args[0] != str(part):
+            raise
+        what = f"the file built from {', '.join(card.sources)} differs from the catalogued one ({error.args[2]})"
+        raise BadData(card.name, "", what, "report it with the versions of Python and NumPy") from None
+    finally:
+        part.unlink(missing_ok=True)
     return target
 
 

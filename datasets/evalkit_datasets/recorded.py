@@ -42,8 +42,17 @@ class StaticRosBag(RosBag):
         return Truth("exact: the robot does not move", Trajectory(self.stamps_ns, np.zeros((len(self), 3))))
 
 
+class RawCarmen(Carmen):
+    """The raw log of a recording, used in place of the built one; its notes say so."""
+
+    def notes(self) -> Mapping[str, int]:
+        """Return the number of defects handled, by name, and that the log is the raw one."""
+        return {**super().notes(), "raw log, with its own odometry and stamps, in place of the built recording": 1}
+
+
 READERS: Mapping[str, Callable[..., Sequence]] = {
     "carmen": Carmen,
+    "raw carmen": RawCarmen,
     "rosbag": RosBag,
     "rosbag with a floor map": RosBagWithFloorMap,
     "rosbag of a robot at rest": StaticRosBag,
@@ -57,18 +66,32 @@ FILES: Mapping[str, tuple[str, ...]] = {
 """Files of the catalogue that each data set needs; the first is the recording."""
 
 
+def find_raw(name: str) -> Mapping[str, Value]:
+    """Return the path (a file of the catalogue) and parameters of the raw log, empty if it is not on this machine."""
+    raw: Mapping[str, Value] = DATASETS[name].get("raw", {})
+    return raw if raw and catalog.find_local(catalog.get_file(str(raw["path"]))) is not None else {}
+
+
+def needed_files(name: str) -> tuple[str, ...]:
+    """Return the files of the catalogue that a data set needs here; the first is the recording."""
+    raw = find_raw(name)
+    return (str(raw["path"]), *FILES[name][1:]) if raw else FILES[name]
+
+
 def _open(name: str, **selection: Value) -> Sequence:
     """Return the sequence of a data set; ``selection``: the parameters of its spec."""
-    card = DATASETS[name]
-    located = {file: str(catalog.locate(file)) for file in FILES[name]}
-    files = {parameter: located[file] for parameter, file in card["files"].items()}
+    card, raw = DATASETS[name], find_raw(name)
+    located = [str(catalog.locate(file)) for file in needed_files(name)]
+    files = dict(zip(card["files"], located, strict=False))  # those beside have no parameter
     how = {"how": card["truth"]} if "relations" in files else {}
     topic = {"topic": card["topics"][0]} if "topics" in card else {}
-    return READERS[card["reader"]](**{**files, **how, **topic, **card.get("parameters", {}), **selection})
+    own = {**card.get("parameters", {}), **{key: value for key, value in raw.items() if key != "path"}}
+    reader = READERS[f"raw {card['reader']}" if raw else card["reader"]]
+    return reader(**{**files, **how, **topic, **own, **selection})
 
 
 def _describe_missing(name: str, **_: object) -> str:
-    return catalog.describe_missing(name, FILES[name])
+    return catalog.describe_missing(name, needed_files(name))
 
 
 def _make_spec(name: str) -> DatasetSpec:

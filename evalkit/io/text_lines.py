@@ -23,7 +23,7 @@ def iter_lines(path: Path, expected: str) -> Iterator[bytes]:
     """
     rest = b""
     number = 1
-    for block in _iter_plain_blocks(path, expected):
+    for block in iter_plain_blocks(path, expected):
         *complete, rest = (rest + block).split(b"\n")
         number += len(complete)
         yield from complete
@@ -61,7 +61,8 @@ def parse_numbers(path: Path, line: int, words: list[str], layout: str) -> list[
     return values
 
 
-def _iter_plain_blocks(path: Path, expected: str) -> Iterator[bytes]:
+def iter_plain_blocks(path: Path, expected: str) -> Iterator[bytes]:
+    """Yield the content of a file, plain or gzip (detected by content), in blocks; raises as ``iter_lines``."""
     blocks = iter_blocks(path, expected)
     first = next(blocks)
     if first.startswith(GZIP_MAGIC):

@@ -1,8 +1,9 @@
 """The catalogue of recorded files."""
 
+import gzip
 import hashlib
 import re
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import pytest
 
@@ -42,7 +43,10 @@ def test_every_card_is_complete(name):
     assert entry.licence
     assert entry.citation
     assert bool(re.fullmatch("[0-9a-f]{64}", entry.sha256)) != bool(re.fullmatch("[0-9a-f]{40}", entry.git_blob))
-    assert bool(entry.url) != bool(entry.derived)
+    assert [bool(entry.url), bool(entry.derived), bool(entry.build)].count(True) == 1
+    assert bool(entry.build) == bool(entry.sources)
+    assert all(catalog.get_file(source).url and catalog.get_file(source).bytes for source in entry.sources)
+    assert not entry.build or entry.bytes
     assert not entry.url or re.fullmatch(r"https://raw\.githubusercontent\.com/[^/]+/[^/]+/[0-9a-f]{40}/\S+", entry.url)
     assert all(catalog.get_file(other).url for other in entry.instead)
     assert ".." not in entry.path
@@ -98,10 +102,46 @@ def test_a_missing_file_is_reported_with_the_searched_places_and_a_remedy(folder
 
 
 def test_the_error_of_a_derived_file_gives_the_reason_and_a_replacement(folders):
-    with pytest.raises(DataMissing, match=r"no public URL \(joined from .*fetch a replacement: .* flirtlib-fr079\.log"):
-        catalog.locate("fr079-fullrate.clf.gz")
-    assert "no public URL" in recorded.FR079.missing()
+    with pytest.raises(DataMissing, match=r"no public URL \(the poses of .*replacement: .* intel-corrected\.log\.gz"):
+        catalog.locate("intel-gmapping.tum")
     assert recorded.STATIC.missing().endswith("fetch it: evalkit datasets fetch static")
+    assert recorded.FR079.missing().endswith("fetch it: evalkit datasets fetch fr079")
+
+
+def test_a_compressed_copy_is_found_and_verified_by_its_plain_content(folders):
+    path = put_file(folders / "data", b"")
+    packed = path.with_name("a.log.gz")
+    path.rename(packed)
+    packed.write_bytes(gzip.compress(b"hello"))
+    assert catalog.find_local(card()) == packed
+    catalog.verify(card(), packed)
+    packed.write_bytes(gzip.compress(bytes(10_000_000)))  # only as much is unpacked as tells that it is another file
+    with pytest.raises(BadData, match="bytes instead of 5"):
+        catalog.verify(card(), packed)
+
+
+def test_a_raw_log_is_used_where_somebody_has_it(folders, monkeypatch):
+    assert recorded.needed_files("fr079")[0] == "fr079-built.clf"
+    content = "".join(f"FLASER 180 {'1.0 ' * 180}{x} 0 0 {x} 0 0 {x}.5 h 0\n" for x in range(3)).encode()
+    raw = folders / "data" / "fr079" / "fr079.clf"
+    raw.parent.mkdir(parents=True)
+    raw.write_bytes(content)
+    real = catalog.get_file
+    blob = hashlib.sha1(b"blob %d\0" % len(content) + content).hexdigest()
+    monkeypatch.setattr(
+        catalog, "get_file", lambda name: replace(real(name), git_blob=blob) if name == "fr079.clf" else real(name)
+    )
+    assert recorded.needed_files("fr079")[0] == "fr079.clf"
+    assert recorded.FR079.missing().startswith("fr079.relations (and 1 more)")
+    for name, text in (
+        ("fr079.relations", "0.5 2.5 2 0 0 0 0 0\n"),
+        ("fr079-reference-flirtlib.tum", "0.5 0 0 0 0 0 0 1\n"),
+    ):
+        (raw.parent / name).write_text(text)
+    monkeypatch.setattr(catalog, "verify", lambda *_: None)
+    sequence = recorded.FR079.make()
+    assert [frame.odom_from_base.x for frame in sequence.frames()] == [0.0, 1.0, 2.0]
+    assert any("raw log" in name for name in sequence.notes())
 
 
 def test_a_data_set_is_complete_or_lists_its_missing_files(folders):
