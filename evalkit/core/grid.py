@@ -16,7 +16,7 @@ class OccupancyGrid:
     """Log-odds (H, W) of occupancy, and which cells were observed by at least one beam.
 
     Row 0 is the lowest y, column 0 the lowest x; ``(origin_x, origin_y)`` is the lower left *corner* of cell (0, 0) in
-    the world frame (m). 0 is as likely occupied as free: p = 1 / (1 + exp(-l)) (paper, eq. 10).
+    the world frame (m). 0 is as likely occupied as free: p = 1 / (1 + exp(-l)) (paper, eq. 11).
     """
 
     log_odds: NDArray[np.float32]

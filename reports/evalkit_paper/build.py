@@ -6,7 +6,6 @@ import shlex
 from collections.abc import Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +13,7 @@ from evalkit.execution import environment
 from evalkit.execution.task import AnyTask
 from evalkit.execution.task_runner import run_tasks
 from evalkit.execution.task_store import TaskStore
-from evalkit.io.output_files import as_store_error
+from evalkit.io.output_files import write_texts
 from evalkit.report.html.blocks import Cell, Column, Command, Fold, Section, Table, Text, render
 from evalkit.terminal import progress
 from evalkit.terminal.options import err
@@ -39,11 +38,11 @@ def build_page(file: Path, folder: Path | None, workers: int | None) -> Path:
     }
     facts = (("Computations", f"{len(every):,}"), ("Finished", f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC"))
     whole = page.build_document(
-        settings, CHAPTERS, results, facts, _provenance_section(file, folder, settings, planned, ran_on)
+        settings, CHAPTERS, results, facts, _provenance_section(file, folder, settings, len(every), ran_on)
     )
-    written = _write_page(folder / "index.html", render(whole))
+    write_texts(folder, {"index.html": render(whole)})
     err.print(f"finished in {(datetime.now(UTC) - started).total_seconds():.0f} s", markup=False, highlight=False)
-    return written
+    return (folder / "index.html").resolve()
 
 
 def _with_chapter_name(chapter: str, task: AnyTask) -> AnyTask:
@@ -51,16 +50,8 @@ def _with_chapter_name(chapter: str, task: AnyTask) -> AnyTask:
     return replace(task, name=f"{chapter} {task.name}")
 
 
-def _write_page(path: Path, body: str) -> Path:
-    with as_store_error(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(body, encoding="utf-8")
-    return path.resolve()
-
-
 def _provenance_section(
-    file: Path, folder: Path, settings: Mapping[str, Any], planned: Mapping[str, tuple[AnyTask, ...]],
-    ran_on: Mapping[str, str],
+    file: Path, folder: Path, settings: Mapping[str, Any], count: int, ran_on: Mapping[str, str]
 ) -> Section:  # fmt: skip
     """Section with machine, settings and the command that repeats the computation."""
     columns = ("Chapter", "Setting", Column("Value", number=True))
@@ -70,7 +61,6 @@ def _provenance_section(
         for name, value in own.items()
     ]  # fmt: skip
     machine = Table(("What", "This machine"), list(ran_on.items()), sortable=False)
-    count = sum(1 for _ in chain.from_iterable(planned.values()))
     return Section(
         "Provenance",
         (

@@ -11,15 +11,32 @@ from evalkit.plugins.parameters import Parameter, resolve_parameters
 from evalkit.report.html.blocks import Section
 
 Verdict = Literal[
-    "reproduced", "reproduced with a correction", "not determined by the text", "not reproducible in software"
-]
+    "reproduced", "reproduced with a correction", "not reproduced", "not determined by the text",
+    "not reproducible in software",
+]  # fmt: skip
 Settings = Mapping[str, Any]
 Results = Mapping[str, Result]
 
 
 @dataclass(frozen=True)
+class Judgement:
+    """A verdict and its reason. ``correction``: the change of the printed text that reproduces it.
+
+    Raises ValueError for a correction without the verdict "reproduced with a correction", or the reverse.
+    """
+
+    verdict: Verdict
+    why: str
+    correction: str = ""
+
+    def __post_init__(self) -> None:
+        if bool(self.correction) != (self.verdict == "reproduced with a correction"):
+            raise ValueError(f"correction: found {self.correction!r} with the verdict '{self.verdict}'")
+
+
+@dataclass(frozen=True)
 class Finding:
-    """One table, figure or claim of the paper: printed value, measured value, verdict and its reason.
+    """One table, figure or claim of the paper: printed value, measured value and judgement.
 
     ``anchor``: section of the page that shows it.
     """
@@ -27,8 +44,7 @@ class Finding:
     item: str
     printed: str
     measured: str
-    verdict: Verdict
-    why: str
+    judgement: Judgement
     anchor: str
 
 
@@ -36,9 +52,7 @@ class Finding:
 class Chapter:
     """A chapter: ``name`` is its table in the settings file, ``parameters`` its allowed keys.
 
-    ``tasks`` are the computations; ``sections`` and ``findings`` present their results, by the tasks'
-    names. ``read`` turns the table into settings where it holds more than single values; its first argument says whose
-    table it is, for messages.
+    ``tasks`` are the computations; ``sections`` and ``findings`` present their results, by the tasks' names.
     """
 
     name: str
@@ -46,8 +60,7 @@ class Chapter:
     tasks: Callable[[Settings], tuple[AnyTask, ...]]
     sections: Callable[[Settings, Results], tuple[Section, ...]]
     findings: Callable[[Settings, Results], tuple[Finding, ...]]
-    read: Callable[[str, Mapping[str, object]], Settings] | None = None
 
     def settings(self, owner: str, table: Mapping[str, object]) -> Settings:
         """Check a table and fill in defaults. Raises BadParameter or UnknownName naming the key."""
-        return self.read(owner, table) if self.read else resolve_parameters(owner, self.parameters, table)
+        return resolve_parameters(owner, self.parameters, table)

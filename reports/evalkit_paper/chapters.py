@@ -7,7 +7,6 @@ from evalkit_paper import (
     equation_chapter,
     figure_10_chapter,
     flowchart_chapter,
-    map_chapter,
     realtime_chapter,
     residual_chapter,
     stage_configurations,
@@ -24,7 +23,7 @@ CHAPTERS: tuple[Chapter, ...] = (
     residual_chapter.CHAPTER,
     figure_10_chapter.CHAPTER,
     study_chapter.CHAPTER,
-    map_chapter.CHAPTER,
+    study_chapter.MAP_CHAPTER,
     realtime_chapter.CHAPTER,
     claims_chapter.CHAPTER,
 )

@@ -13,14 +13,15 @@ from evalkit.core import se2
 from evalkit.core.arrays import Bools
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
-from evalkit.core.scan import Cloud, Frame
+from evalkit.core.scan import Cloud, Frame, Scan
 from evalkit.core.se2 import Floats
 from evalkit.plugins import registry
 from evalkit.plugins.protocols import Sequence
 from evalkit_baselines.paper import icp
+from evalkit_baselines.paper.association import Association
 from evalkit_baselines.paper.grid import LogOddsGrid
 from evalkit_baselines.paper.icp import Icp
-from evalkit_paper import table_1
+from evalkit_paper import stage_errors, table_1
 from evalkit_paper.table_1 import ROOMS
 
 Rotation = Callable[[Floats], Floats]
@@ -123,7 +124,7 @@ def compare_stop_rules(*, sequence: str, seed: int, laps: float, most: int, gues
     guesses.
     """
     drive = _make_drive(sequence, seed, laps)
-    frames, truth = list(drive.frames())[: most + 1], _true_poses(drive)[: most + 1]
+    frames, truth = list(drive.frames())[: most + 1], stage_errors.true_trajectory(drive).poses[: most + 1]
     sensors = [Pose.of(pose) @ frame.base_from_sensor for pose, frame in zip(truth, frames, strict=True)]
     clouds = [Cloud(frame.scan.points()) for frame in frames]
     rng = np.random.default_rng(seed)
@@ -164,12 +165,17 @@ def _distance_and_angle(found: Pose, true: Pose) -> tuple[float, float]:
     return math.hypot(left.x, left.y), abs(math.degrees(left.theta))
 
 
-def compare_error_times(*, seeds: int) -> dict[str, Any]:
-    """Iterations (S,) on Table 1's scene with the error computed "after" the step and "before" it."""
-    found = {}
-    for when, reading in (("after", "mean distance"), ("before", "mean distance, before the step")):
-        found[when] = table_1.run_seeds(room="first", reading=reading, begin=0, end=seeds)["rows"][:, 0]
-    return found
+def measure_table_errors(*, seeds: int) -> dict[str, Any]:
+    """Table 1 with the error computed "after" the step, "before" it, and as the mean "square" of equation 5.
+
+    Of each the rows (S, 6) of ``table_1.QUANTITIES``, and under "NAME sigmas" the deviations (6,) of the printed row.
+    """
+    readings = {"after": "mean distance", "before": "mean distance, before the step", "square": table_1.AS_PRINTED}
+    rows = {
+        name: table_1.run_seeds(room="first", reading=reading, begin=0, end=seeds)["rows"]
+        for name, reading in readings.items()
+    }
+    return rows | {f"{name} sigmas": table_1.compute_deviations(found) for name, found in rows.items()}
 
 
 def check_composition(*, sequence: str, seed: int, laps: float) -> dict[str, Any]:
@@ -179,7 +185,7 @@ def check_composition(*, sequence: str, seed: int, laps: float) -> dict[str, Any
     largest change of heading from the start.
     """
     drive = _make_drive(sequence, seed, laps)
-    truth = _true_poses(drive)
+    truth = stage_errors.true_trajectory(drive).poses
     path = se2.between(truth[:1], truth)
     body_steps = se2.between(path[:-1], path[1:])
     left, right = [path[0]], [path[0]]
@@ -196,38 +202,89 @@ def check_composition(*, sequence: str, seed: int, laps: float) -> dict[str, Any
     }
 
 
-def check_l_free(*, sequence: str, seed: int, laps: float, every: int) -> dict[str, Any]:
-    """Map with true poses, with the printed l_free = ln(0.3 / 0.7) added and subtracted.
+def check_free_space(*, sequence: str, seed: int, laps: float, every: int) -> dict[str, Any]:
+    """Map with true poses and the printed update, which adds l_free = ln(0.3 / 0.7).
 
-    "added" and "subtracted": probabilities (H, W), lowest y first, 0.5 where unobserved; "extent_m"; "added_wrong" and
-    "subtracted_wrong": share of truly free cells that are occupied on the map; "cells": number of truly free cells.
+    "wrong": share of truly free cells that are occupied on the map; "cells": number of truly free cells.
     """
     drive = _make_drive(sequence, seed, laps)
-    truth = _true_poses(drive)
-    added, wrong = LogOddsGrid(), LogOddsGrid()
-    wrong.l_free = -added.l_free  # the error under test: the parameter refuses this value
-    for frame, pose in list(zip(drive.frames(), truth, strict=True))[::every]:
-        for grid in (added, wrong):
-            grid.update(frame.scan, Pose.of(pose) @ frame.base_from_sensor)
-    maps = {"added": added.grid(), "subtracted": wrong.grid()}
-    one = maps["added"]
-    rows, columns = one.shape
-    right, top = one.origin_x + columns * one.resolution_m, one.origin_y + rows * one.resolution_m
-    free = _find_truly_free(drive, one)
+    mapper = LogOddsGrid()
+    for frame, pose in list(zip(drive.frames(), stage_errors.true_trajectory(drive).poses, strict=True))[::every]:
+        mapper.update(frame.scan, Pose.of(pose) @ frame.base_from_sensor)
+    grid = mapper.grid()
+    free = _find_truly_free(drive, grid)
+    return {"wrong": float(grid.occupied()[free].mean()), "cells": int(free.sum())}
+
+
+def check_formulas(*, count: int) -> dict[str, Any]:
+    """Largest differences between this software and each formula written out, over ``count`` random values."""
+    rng = np.random.default_rng(0)
     return {
-        **{name: grid.probability() for name, grid in maps.items()},
-        **{f"{name}_wrong": float(grid.occupied()[free].mean()) for name, grid in maps.items()},
-        "extent_m": [one.origin_x, right, one.origin_y, top],
-        "cells": int(free.sum()),
+        "extrinsics": max(_check_extrinsics(rng) for _ in range(count)),
+        "nearest": max(_check_nearest(rng) for _ in range(count)),
+        "alignment": max(_check_alignment(rng) for _ in range(count)),
+        "matrix": max(_check_matrix(rng) for _ in range(count)),
+        "heading": _check_heading(count),
+        "logistic": max(_check_logistic(beams) for beams in range(1, 9)),
+        "count": count,
     }
 
 
-def check_heading(*, count: int) -> dict[str, Any]:
-    """Largest error "worst_rad" of equation 7, atan2(r21, r11), over ``count`` headings."""
+def _check_extrinsics(rng: np.random.Generator) -> float:
+    """Equation 1, R_l [r cos phi, r sin phi] + t_l, for one beam (m)."""
+    r, phi, (x, y, turn) = rng.uniform(0.2, 12.0), rng.uniform(-np.pi, np.pi), rng.normal(size=3)
+    scan = Scan(0, np.array([r]), np.array([phi]), 0.0, 20.0)
+    found = Pose(x, y, turn).transform(scan.points())[0]
+    plain = (x + r * math.cos(phi + turn), y + r * math.sin(phi + turn))
+    return float(np.abs(found - plain).max())
+
+
+def _check_nearest(rng: np.random.Generator) -> float:
+    """Equation 2 against every distance (m)."""
+    target, source = rng.normal(size=(30, 2)), rng.normal(size=(20, 2))
+    _, distance = Association(cKDTree(target), len(source)).find(source)
+    every = np.hypot(*(source[:, None] - target[None]).T).min(axis=0)
+    return float(np.abs(distance - every).max())
+
+
+def _check_alignment(rng: np.random.Generator) -> float:
+    """Equation 3, K as a sum over the pairs, with the corrected rotation: motion (m, rad) of ``icp.fit_motion``."""
+    source = rng.normal(size=(10, 2))
+    target = Pose(*rng.normal(size=3)).transform(source) + rng.normal(0.0, 0.01, source.shape)
+    p_bar, q_bar = source.mean(axis=0), target.mean(axis=0)
+    K = sum((np.outer(p - p_bar, q - q_bar) for p, q in zip(source, target, strict=True)), np.zeros((2, 2)))
+    R = rotation_with_guard(K)
+    plain = [*(q_bar - R @ p_bar), math.atan2(R[1, 0], R[0, 0])]
+    return float(np.abs(se2.between(np.array(plain), icp.fit_motion(source, target))).max())
+
+
+def _check_matrix(rng: np.random.Generator) -> float:
+    """The homogeneous matrix between equations 4 and 9: T [p, 1] against R p + t (m), and its position."""
+    pose, point = rng.normal(size=3), rng.normal(size=2)
+    T = se2.to_matrix(pose)
+    turned = [math.cos(pose[2]) * point[0] - math.sin(pose[2]) * point[1],
+              math.sin(pose[2]) * point[0] + math.cos(pose[2]) * point[1]]  # fmt: skip
+    moved = float(np.abs((T @ [*point, 1.0])[:2] - turned - pose[:2]).max())
+    return max(moved, float(np.abs(se2.from_matrix(T) - pose)[:2].max()))
+
+
+def _check_heading(count: int) -> float:
+    """Equation 7, atan2(r21, r11), over ``count`` headings (rad)."""
     rows = np.zeros((count, 3))
     rows[:, 2] = np.linspace(-np.pi, np.pi, count, endpoint=False)
     found = se2.from_matrix(se2.to_matrix(rows))[:, 2]
-    return {"worst_rad": float(np.abs(se2.wrap(found - rows[:, 2])).max()), "count": count}
+    return float(np.abs(se2.wrap(found - rows[:, 2])).max())
+
+
+def _check_logistic(beams: int) -> float:
+    """Equation 11: probabilities of a cell that ``beams`` scans hit, and of one that they cross, by Bayes' rule."""
+    mapper = LogOddsGrid(l_min=-20.0, l_max=20.0)
+    for _ in range(beams):
+        mapper.update(Scan(0, np.array([1.02]), np.zeros(1), 0.0, 20.0), Pose(0.025, 0.025, 0.0))
+    grid = mapper.grid()
+    hit, crossed = (float(grid.probability()[0, column]) for column in (-1, 0))
+    odds = math.exp(mapper.l_occ) ** beams, math.exp(mapper.l_free) ** beams
+    return max(abs(hit - odds[0] / (1.0 + odds[0])), abs(crossed - odds[1] / (1.0 + odds[1])))
 
 
 def count_shared_targets(*, seeds: int) -> dict[str, Any]:
@@ -251,13 +308,6 @@ def count_shared_targets(*, seeds: int) -> dict[str, Any]:
 
 def _make_drive(sequence: str, seed: int, laps: float) -> Sequence:
     return registry.dataset(sequence).make(seed=seed, laps=laps)
-
-
-def _true_poses(drive: Sequence) -> Floats:
-    trajectory = drive.truth().trajectory
-    if trajectory is None:
-        raise ValueError("truth: the sequence has no true trajectory")
-    return trajectory.poses
 
 
 def _find_truly_free(drive: Sequence, like: OccupancyGrid) -> Bools:

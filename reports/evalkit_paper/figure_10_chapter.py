@@ -10,7 +10,7 @@ from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text
 from evalkit.report.html.charts import Points
-from evalkit_paper import lab_maps, map_faults, recorded_drive
+from evalkit_paper import lab_maps, map_faults, recorded_drive, verdicts
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
 from evalkit_paper.map_pictures import GHOST, MISSING, PATH, SMEAR, TRUE, grid_extent, render_image
 
@@ -60,14 +60,12 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     ghosts = {each.name: _count_ghosts(results[each.name], true) for each in VARIANTS}
     told = ", ".join(f"{name} {count[0]} of {count[1]}" for name, count in ghosts.items())
     share = {name: count[0] / max(count[1], 1) for name, count in ghosts.items()}
-    better = share["paper"] < share[lab_maps.ODOMETRY.name]
+    shares = {"paper": share["paper"], "odometry": share[lab_maps.ODOMETRY.name]}
     return (
         Finding(
-            "Figure 10", "a map that agrees with the place, ghost walls and smear after turns",
+            "Figure 10", "a map that agrees with the place (a photo; here the simulated plan)",
             f"cells more than {map_faults.GHOST_M:g} m off every true wall: {told}",
-            "reproduced" if better else "not determined by the text",
-            "the paper shows a photo of the place: a simulated plan and the floor map of a recording replace it",
-            ANCHOR,
+            verdicts.judge_map(shares, float(results["paper"]["f1"])), ANCHOR,
         ),
     )  # fmt: skip
 

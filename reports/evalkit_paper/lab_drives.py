@@ -8,12 +8,15 @@ from typing import Any
 
 import numpy as np
 
+from evalkit.core.arrays import Bools
 from evalkit.core.se2 import Floats
-from evalkit.execution.task import AnyTask, make_task
+from evalkit.execution.task import AnyTask, Result, make_task
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Value
 from evalkit.plugins.protocols import Sequence
 from evalkit_paper import spikes, stage_errors
+from evalkit_paper.chapter import Results, Settings
+from evalkit_paper.spikes import Band
 
 QUICK_DPS = 60.0
 """Yaw rate (deg/s) from which a turn is quick."""
@@ -23,6 +26,10 @@ TURNED = 0.5 * QUICK_DPS
 
 START_S = 5.0
 """Duration (s) of the start of a drive: the local map holds only a few scans."""
+
+CALM_DPS = 10.0
+SETTLED_S = 15.0
+"""Time (s) from which straight parts are calm: the local map has filled."""
 
 HIDDEN = 0.1
 """Share of beams hidden by people from which a scan is an event."""
@@ -41,7 +48,7 @@ class SpikeCause:
     parameters: Mapping[str, Value] = field(default_factory=dict)
 
 
-def causes(settings: Mapping[str, Any]) -> tuple[SpikeCause, ...]:
+def causes(settings: Settings) -> tuple[SpikeCause, ...]:
     """All causes; the first is the drive without disturbances."""
     slow: dict[str, Value] = {"turn_dps": settings["slow_dps"], "laps": settings["laps"]}
     quick: dict[str, Value] = {"turn_dps": settings["turn_dps"], "laps": settings["turn_laps"]}
@@ -63,7 +70,7 @@ def causes(settings: Mapping[str, Any]) -> tuple[SpikeCause, ...]:
     )
 
 
-def make_drive_task(settings: Mapping[str, Any], cause: SpikeCause, rate_hz: float) -> AnyTask:
+def make_drive_task(settings: Settings, cause: SpikeCause, rate_hz: float) -> AnyTask:
     """Computation of one drive."""
     sequence = {"seed": settings["seed"], "speed_mps": settings["speed_mps"], "rate_hz": rate_hz, **cause.sequence}
     return make_task(
@@ -72,13 +79,27 @@ def make_drive_task(settings: Mapping[str, Any], cause: SpikeCause, rate_hz: flo
     ).depending_on(*USES)  # fmt: skip
 
 
-def make_turn_task(settings: Mapping[str, Any], turn_dps: float, rate_hz: float) -> AnyTask:
+def make_turn_task(settings: Settings, turn_dps: float, rate_hz: float) -> AnyTask:
     """Computation of a drive whose turns have one yaw rate."""
     sequence = {
         "seed": settings["seed"], "speed_mps": settings["speed_mps"], "rate_hz": rate_hz, "turn_dps": turn_dps,
         "laps": settings["yaw_laps"],
     }  # fmt: skip
     return make_task(turn_name(turn_dps, rate_hz), measure_turn_peak, sequence=sequence).depending_on(*USES)
+
+
+def make_speed_task(settings: Settings, speed_mps: float, rate_hz: float) -> AnyTask:
+    """Computation of the undisturbed drive at one speed."""
+    sequence = {
+        "seed": settings["seed"], "speed_mps": speed_mps, "rate_hz": rate_hz, "turn_dps": settings["slow_dps"],
+        "laps": settings["speed_laps"],
+    }  # fmt: skip
+    return make_task(speed_name(speed_mps, rate_hz), measure_steady, sequence=sequence).depending_on(*USES)
+
+
+def speed_name(speed_mps: float, rate_hz: float) -> str:
+    """Name of the result of a drive at one speed."""
+    return f"{speed_mps:g} m per s at {rate_hz:g} Hz"
 
 
 def turn_name(turn_dps: float, rate_hz: float) -> str:
@@ -104,9 +125,7 @@ def run_drive(
     """
     lab = registry.dataset("lab").make(**sequence)
     found = stage_errors.run_with_errors(lab, "paper", parameters, every_pair)
-    truth = lab.truth().trajectory
-    if truth is None:
-        raise ValueError("lab: no true trajectory")
+    truth = stage_errors.true_trajectory(lab)
     times = np.asarray(found.stamps_ns * 1e-9, dtype=np.float64)
     yaw = stage_errors.yaw_rates_dps(truth.stamps_ns, truth.poses)
     errors = stage_errors.position_errors_m(found.estimate, truth)
@@ -152,22 +171,62 @@ def hidden_share(busy: Sequence, sequence: Mapping[str, Any]) -> Floats:
     )
 
 
-def measure_turn_peak(*, sequence: Mapping[str, Any]) -> dict[str, Any]:
-    """Peak of the scan-to-scan residual in turns, and its steady median and sigma (m).
+def measure_steady(*, sequence: Mapping[str, Any]) -> dict[str, Any]:
+    """Median (m) of the scan-to-scan residual on straight parts, without the second stage and without deskewing."""
+    residual, yaw = _run_first_stage(sequence)
+    return {"median": spikes.compute_band(residual, yaw < CALM_DPS).median}
 
-    Without the second stage and without deskewing.
-    """
-    lab = registry.dataset("lab").make(**sequence)
-    found = stage_errors.run_with_errors(lab, "paper", {"scan_to_map": False, "deskew": False})
-    truth = lab.truth().trajectory
-    if truth is None:
-        raise ValueError("lab: no true trajectory")
-    yaw = stage_errors.yaw_rates_dps(truth.stamps_ns, truth.poses)
-    residual = found.errors["s2s"][:, 0]
+
+def measure_turn_peak(*, sequence: Mapping[str, Any]) -> dict[str, Any]:
+    """Peak of the scan-to-scan residual in turns, and its steady median and sigma (m)."""
+    residual, yaw = _run_first_stage(sequence)
     steady = spikes.compute_band(residual, yaw < 0.5 * sequence["turn_dps"])
     turning = np.isfinite(residual) & (yaw > 0.5 * sequence["turn_dps"])
-    return {
-        "peak": float(residual[turning].max()) if turning.any() else None,
-        "median": steady.median,
-        "sigma": steady.sigma,
-    }
+    peak = float(residual[turning].max()) if turning.any() else None
+    return {"peak": peak, "median": steady.median, "sigma": steady.sigma}
+
+
+def _run_first_stage(sequence: Mapping[str, Any]) -> tuple[Floats, Floats]:
+    """Scan-to-scan residuals (N,) in m and yaw rates (N,) in deg/s, without the second stage and deskewing."""
+    lab = registry.dataset("lab").make(**sequence)
+    found = stage_errors.run_with_errors(lab, "paper", {"scan_to_map": False, "deskew": False})
+    truth = stage_errors.true_trajectory(lab)
+    return found.errors["s2s"][:, 0], stage_errors.yaw_rates_dps(truth.stamps_ns, truth.poses)
+
+
+def parse_numbers(words: str) -> list[float]:
+    """Parse numbers separated by spaces."""
+    return [float(word) for word in words.split()]
+
+
+def rates(settings: Settings) -> list[float]:
+    """Lidar rates (Hz)."""
+    return parse_numbers(settings["rates_hz"])
+
+
+def figure_rate(settings: Settings) -> float:
+    """Rate (Hz) of the small figures: the middle one."""
+    known = rates(settings)
+    return known[len(known) // 2]
+
+
+def find_calm(result: Result) -> Bools:
+    """Which scans (N,) of a drive are calm: straight parts after ``SETTLED_S``."""
+    return np.asarray((result["yaw_dps"] < CALM_DPS) & (result["times_s"] > SETTLED_S))
+
+
+def undisturbed_drive(settings: Settings, results: Results, rate: float) -> Result:
+    """Result of the drive without disturbances."""
+    return results[name(causes(settings)[0], rate)]
+
+
+def band(settings: Settings, results: Results, rate: float, stage: str) -> Band:
+    """Band of a stage's residual (mean distance, m) on the drive without disturbances."""
+    drive = undisturbed_drive(settings, results, rate)
+    return spikes.compute_band(drive[stage][:, 0], find_calm(drive))
+
+
+def medians(settings: Settings, results: Results, rate: float, stage: str) -> Floats:
+    """Medians (6,) of the calm scans of the drive without disturbances, by reading of the error."""
+    drive = undisturbed_drive(settings, results, rate)
+    return np.asarray(np.nanmedian(drive[stage][find_calm(drive)], axis=0))

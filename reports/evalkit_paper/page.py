@@ -9,16 +9,17 @@ from evalkit.core.errors import BadExperiment, UnknownName
 from evalkit.execution.task import AnyTask, Result
 from evalkit.io.toml import load_toml
 from evalkit.report.html.blocks import Cell, Column, Document, Section, Table, Text, Tone
-from evalkit_paper.chapter import Chapter, Finding, Settings, Verdict
+from evalkit_paper.chapter import Chapter, Finding, Judgement, Settings, Verdict
 
 TITLE = "The paper, reproduced"
 LEAD = (
     "Every table, figure and claim of 'Occupancy grid mapping based on ICP for indoor autonomous vehicles' beside what "
-    "this software measures, each with a verdict and its reason, and the study that the paper announces."
+    "this software measures, each with a verdict computed from the measurement, and the study that the paper announces."
 )
 TONES: Mapping[Verdict, Tone] = {
     "reproduced": "good",
     "reproduced with a correction": "warn",
+    "not reproduced": "bad",
     "not determined by the text": "warn",
     "not reproducible in software": "",
 }
@@ -59,17 +60,22 @@ def build_document(
 
 def findings_section(findings: Sequence[Finding]) -> Section:
     """Table of all findings: printed, measured, verdict, reason."""
-    counted = {verdict: sum(item.verdict == verdict for item in findings) for verdict in TONES}
+    counted = {verdict: sum(item.judgement.verdict == verdict for item in findings) for verdict in TONES}
     told = ", ".join(f"{number} {verdict}" for verdict, number in counted.items() if number)
+    columns = ("Item", Column("The paper"), Column("Measured here"), "Verdict", "Reason")
     rows = [
         (
             Cell(item.item, link=f"#{item.anchor}"),
             item.printed,
             item.measured,
-            Cell(item.verdict, tone=TONES[item.verdict]),
-            item.why,
+            Cell(item.judgement.verdict, tone=TONES[item.judgement.verdict]),
+            _describe_reason(item.judgement),
         )
         for item in findings
     ]
-    columns = ("Item", Column("The paper"), Column("Measured here"), "Verdict", "Reason")
     return Section("Findings", (Text(f"{len(findings)} items: {told}."), Table(columns, rows)), "findings")
+
+
+def _describe_reason(judgement: Judgement) -> str:
+    correction = f"Correction: {judgement.correction}. " if judgement.correction else ""
+    return f"{correction}{judgement.why[:1].upper()}{judgement.why[1:]}."

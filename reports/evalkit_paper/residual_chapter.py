@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -12,16 +12,16 @@ from evalkit.report.html import charts
 from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Heading, Section, Table, Text
 from evalkit.report.html.charts import Axis, Curve, ShadedSpan
 from evalkit.report.html.palette import BAR, Stroke
-from evalkit_paper import lab_drives, spike_causes, spikes, stage_errors, steady_bands
+from evalkit_paper import lab_drives, spike_causes, spikes, stage_errors, verdicts
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
 from evalkit_paper.lab_drives import SpikeCause
 from evalkit_paper.spike_causes import MM
 
-PRINTED_M = (0.02, 0.03)
-"""Range of the steady residuals in Figure 9 of the paper (m)."""
+PRINTED_M = verdicts.STEADY_M
+"""Range of the steady scan-to-scan error in the paper's text on Figure 9 (m)."""
 
-NAMES = {"s2s": "S2S, scan to scan", "s2m": "S2M, scan to map"}
 ANCHOR = "figure-9"
+SQUARE = stage_errors.READINGS.index("mean square")
 
 PARAMETERS = (
     Parameter("rates_hz", "5 10 15", "Hz", "lidar rate", choices=("5 10 15", "10")),
@@ -39,22 +39,30 @@ PARAMETERS = (
               low=2.0),
     Parameter("people", 3, "", "people walking through the laboratory", low=1, high=20),
     Parameter("yaw_dps", "20 45 60 90 120 180", "deg/s", "yaw rates tried", choices=("20 45 60 90 120 180", "20 90")),
+    Parameter("speeds_mps", "0.1 0.15 0.2 0.25 0.29", "m/s", "speeds tried, all below 0.3 m/s",
+              choices=("0.1 0.15 0.2 0.25 0.29", "0.1 0.29")),
+    Parameter("speed_laps", 0.25, "", "laps of each of these drives", low=0.05, high=4.0),
     Parameter("yaw_laps", 0.3, "", "laps of each of these drives", low=0.28, high=4.0),
 )  # fmt: skip
 
 
 def tasks(settings: Settings) -> tuple[AnyTask, ...]:
-    """Tasks: every cause at every rate, and every yaw rate."""
-    rates = steady_bands.parse_numbers(settings["rates_hz"])
+    """Tasks: every cause, every yaw rate and every speed, at every lidar rate."""
+    rates = lab_drives.parse_numbers(settings["rates_hz"])
     drives = [
         lab_drives.make_drive_task(settings, cause, rate) for rate in rates for cause in lab_drives.causes(settings)
     ]
     turns = [
         lab_drives.make_turn_task(settings, dps, rate)
         for rate in rates
-        for dps in steady_bands.parse_numbers(settings["yaw_dps"])
+        for dps in lab_drives.parse_numbers(settings["yaw_dps"])
     ]
-    return (*drives, *turns)
+    speeds = [
+        lab_drives.make_speed_task(settings, speed, rate)
+        for rate in rates
+        for speed in lab_drives.parse_numbers(settings["speeds_mps"])
+    ]
+    return (*drives, *turns, *speeds)
 
 
 def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
@@ -66,8 +74,8 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
             "scans are not deskewed unless the drive is called deskewed. The residual of a scan is the error after its "
             "last iteration."
         ),
-        Figures([_time_figure(settings, results, rate) for rate in steady_bands.parse_numbers(settings["rates_hz"])]),
-        Heading("Which error is steady at 0.02 to 0.03?"),
+        Figures([_time_figure(settings, results, rate) for rate in lab_drives.parse_numbers(settings["rates_hz"])]),
+        Heading("Which S2S error is steady at 0.02 to 0.03?"),
         _readings_table(settings, results),
         Text(_describe_readings(settings, results)),
         Heading("Causes of spikes"),
@@ -82,44 +90,44 @@ def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
 
 
 def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
-    """Findings on Figure 9 and on the causes of its spikes."""
-    fits = _fit_readings(settings, results)
-    best = min(fits, key=lambda reading: fits[reading])
-    rates = steady_bands.rates(settings)
-    measured = [
-        f"{stage.upper()} {steady_bands.format_range(medians)} m"
+    """Findings on the statements about S2S and S2M in the text on Figure 9."""
+    rates = lab_drives.rates(settings)
+    scan, by_map = (
+        {f"{rate:g} Hz": lab_drives.medians(settings, results, rate, stage)[0] for rate in rates}
         for stage in stage_errors.STAGES
-        if (medians := [steady_bands.medians(settings, results, rate, stage)[0] for rate in rates])
-    ]
-    shown = steady_bands.figure_rate(settings)
-    struck = {row.cause.name: row for row in spike_causes.cause_spikes(settings, results, "s2s") if row.rate == shown}
-    return (
-        Finding(
-            "Figure 9, steady part", "S2S and S2M at 0.02 to 0.03",
-            f"{', '.join(measured)} (mean distance over {settings['rates_hz'].replace(' ', ', ')} Hz)",
-            "reproduced with a correction",
-            f"a distance in metres, not eq. 5's mean square ({fits['mean square']:.1f} factors of e off); nearest: "
-            f"{best}; the rate behind the figure is not printed",
-            ANCHOR,
-        ),
-        _spikes_finding(shown, struck),
-    )  # fmt: skip
-
-
-def _spikes_finding(rate: float, struck: Mapping[str, spike_causes.CauseSpikes]) -> Finding:
-    turns, deskewed = struck["quick turns"], struck["quick turns, deskewed"]
-    others = "; ".join(
-        f"{name} {row.hit} of {row.count}" for name, row in struck.items() if row.cause.marked != "start"
     )
-    by_motion = turns.hit > 0 and deskewed.hit < turns.hit
-    return Finding(
-        "Figure 9, spikes", "S2S and S2M rise in turns and return",
-        f"events with an S2S spike at {rate:g} Hz: {others}",
-        "reproduced" if turns.hit else "not determined by the text",
-        "caused by motion within the scan: they disappear after deskewing" if by_motion
-        else "the turns driven here do not cause them",
-        ANCHOR,
+    square = [lab_drives.medians(settings, results, rate, "s2s")[SQUARE] for rate in rates]
+    metres = "" if any(_log_distance(value) == 0.0 for value in square) else "the error is the mean distance (m)"
+    speeds = lab_drives.parse_numbers(settings["speeds_mps"])
+    by_speed = {
+        f"{rate:g} Hz": [results[lab_drives.speed_name(speed, rate)]["median"] for speed in speeds] for rate in rates
+    }
+    ranges = {name: (min(values), max(values)) for name, values in by_speed.items()}
+    told = "; ".join(f"{low:.3f} to {high:.3f} m at {name}" for name, (low, high) in ranges.items())
+    turns = [row for row in spike_causes.cause_spikes(settings, results, "s2m") if row.cause.name == "quick turns"]
+    spiking = verdicts.judge_spikes(
+        sum(row.hit for row in turns), sum(row.count for row in turns), max(row.longest_s for row in turns),
+        sum(row.calm for row in turns),
     )  # fmt: skip
+    return (
+        Finding("Figure 9, S2S", "stable in the range 0.02 to 0.03", _describe_medians(scan),
+                verdicts.judge_steady({name: (value, value) for name, value in scan.items()}, metres), ANCHOR),
+        Finding("Figure 9, S2S for all v < 0.3 m/s", "stable in the range 0.02 to 0.03",
+                f"{told} ({speeds[0]:g} to {speeds[-1]:g} m/s)", verdicts.judge_steady(ranges, metres), ANCHOR),
+        Finding("Figure 9, S2M in steady motion", "remains low", _describe_medians(by_map),
+                verdicts.judge_low(max(by_map[name] / scan[name] for name in scan)), ANCHOR),
+        Finding("Figure 9, S2M in turns", "only short-lived spikes during turning phases",
+                f"quick turns of {settings['turn_dps']:g} deg/s over {', '.join(scan)}: {_describe_durations(turns)}",
+                spiking, ANCHOR),
+    )  # fmt: skip
+
+
+def _describe_medians(medians: Mapping[str, float]) -> str:
+    return ", ".join(f"{value:.3f} m at {name}" for name, value in medians.items()) + " (medians of straight parts)"
+
+
+def _describe_durations(turns: Sequence[spike_causes.CauseSpikes]) -> str:
+    return "; ".join(f"{row.hit} of {row.count} with a spike, back after {row.longest_s:.1f} s" for row in turns)
 
 
 def _log_distance(value: float) -> float:
@@ -128,12 +136,8 @@ def _log_distance(value: float) -> float:
 
 
 def _fit_readings(settings: Settings, results: Results) -> dict[str, float]:
-    """Mean distance of every reading from the printed range, in factors of e, over both stages and all rates."""
-    medians = [
-        steady_bands.medians(settings, results, rate, stage)
-        for rate in steady_bands.rates(settings)
-        for stage in stage_errors.STAGES
-    ]
+    """Mean distance of every reading of S2S from the printed range, in factors of e, over all rates."""
+    medians = [lab_drives.medians(settings, results, rate, "s2s") for rate in lab_drives.rates(settings)]
     return {
         reading: float(np.mean([_log_distance(values[index]) for values in medians]))
         for index, reading in enumerate(stage_errors.READINGS)
@@ -141,7 +145,7 @@ def _fit_readings(settings: Settings, results: Results) -> dict[str, float]:
 
 
 def _readings_table(settings: Settings, results: Results) -> Table:
-    fits, rates = _fit_readings(settings, results), steady_bands.rates(settings)
+    fits, rates = _fit_readings(settings, results), lab_drives.rates(settings)
     columns: list[Column | str] = ["Reading of the error"]
     columns += [
         Column(f"{stage.upper()} at {rate:g} Hz", number=True) for stage in stage_errors.STAGES for rate in rates
@@ -151,15 +155,18 @@ def _readings_table(settings: Settings, results: Results) -> Table:
     for index, reading in enumerate(stage_errors.READINGS):
         unit = "m^2" if "mean square" in reading and "root" not in reading else "m"
         values = [
-            steady_bands.medians(settings, results, rate, stage)[index]
-            for stage in stage_errors.STAGES
-            for rate in rates
+            lab_drives.medians(settings, results, rate, stage)[index] for stage in stage_errors.STAGES for rate in rates
         ]
-        cells = [Cell(f"{value:.4f}", value, "good" if _log_distance(value) == 0.0 else "") for value in values]
+        marked = [value if column < len(rates) else 0.0 for column, value in enumerate(values)]  # S2S alone has a range
+        cells = [
+            Cell(f"{value:.4f}", value, "good" if own and _log_distance(own) == 0.0 else "")
+            for value, own in zip(values, marked, strict=True)
+        ]
         rows.append([f"{reading} [{unit}]", *cells, Cell(f"{fits[reading]:.2f}", fits[reading])])
     return Table(
-        columns, rows, "Medians of the straight parts of the drive with slow turns. The paper prints 0.02 to 0.03 "
-        "without a rate; values inside are marked. 'Every pair': without the one-to-one filter.",
+        columns, rows, "Medians of the straight parts of the drive with slow turns. The text says 0.02 to 0.03 "
+        "for S2S, without a rate; values inside are marked. It gives no number for S2M. 'Every pair': without the "
+        "one-to-one filter.",
     )  # fmt: skip
 
 
@@ -168,7 +175,7 @@ def _describe_readings(settings: Settings, results: Results) -> str:
     order = sorted(fits, key=lambda reading: fits[reading])
     ruled_out = [reading for reading in order if fits[reading] > 1.0]
     return (
-        f"Closest to the printed range over both stages and all rates is the {order[0]} (off by a factor of "
+        f"Closest to the printed range of S2S over all rates is the {order[0]} (off by a factor of "
         f"{np.exp(fits[order[0]]):.2f} on average), then the {order[1]} ({np.exp(fits[order[1]]):.2f}); the mean "
         f"distance over the one-to-one pairs, which Table 1 fits, is off by {np.exp(fits['mean distance']):.2f}. "
         f"Ruled out, by a factor of {np.exp(min((fits[reading] for reading in ruled_out), default=0.0)):.0f} or more: "
@@ -181,7 +188,7 @@ def _time_figure(settings: Settings, results: Results, rate: float) -> Figure:
     quick = lab_drives.causes(settings)[1]
     return _panel_figure(results, quick, rate,
         f"{rate:g} Hz, quick turns of {settings['turn_dps']:g} deg/s: S2S, S2M and yaw rate over time",
-        "Shaded: quick turns. Dashed: the paper's 0.02 to 0.03 m.",
+        "Shaded: quick turns. Dashed: the paper's 0.02 to 0.03 m for S2S.",
     )  # fmt: skip
 
 
@@ -199,7 +206,8 @@ def _panel_figure(results: Results, cause: SpikeCause, rate: float, title: str, 
     ]
     top = max(0.06, 1.05 * float(np.nanmax([np.nanmax(result[stage][:, 0]) for stage in stage_errors.STAGES])))
     groups = [
-        ([Curve(f"{stage.upper()} residual", times, result[stage][:, 0], stroke=charts.stroke(number)), *printed],
+        ([Curve(f"{stage.upper()} residual", times, result[stage][:, 0], stroke=charts.stroke(number)),
+          *(printed if stage == "s2s" else [])],
          Axis(f"{stage.upper()} [m]", low=0.0, high=top))
         for number, stage in enumerate(stage_errors.STAGES)
     ]  # fmt: skip
@@ -208,17 +216,17 @@ def _panel_figure(results: Results, cause: SpikeCause, rate: float, title: str, 
 
 
 def _cause_figures(settings: Settings, results: Results) -> Iterator[Figure]:
-    rate = steady_bands.figure_rate(settings)
+    rate = lab_drives.figure_rate(settings)
     for cause in lab_drives.causes(settings):
         if cause.name != "quick turns":
             yield _panel_figure(results, cause, rate, f"{cause.name}, {rate:g} Hz", "")
 
 
 def _turn_blocks(settings: Settings, results: Results) -> Iterator[Block]:
-    yaw_rates = steady_bands.parse_numbers(settings["yaw_dps"])
+    yaw_rates = lab_drives.parse_numbers(settings["yaw_dps"])
     curves: list[Curve] = []
     rows: list[list[Cell | str]] = []
-    for rate in steady_bands.rates(settings):
+    for rate in lab_drives.rates(settings):
         found = [results[lab_drives.turn_name(dps, rate)] for dps in yaw_rates]
         ratio = [each["peak"] / each["median"] for each in found]
         curves.append(Curve(f"{rate:g} Hz", np.array(yaw_rates), np.array(ratio), marks=True))

@@ -10,7 +10,7 @@ from evalkit.core import se2
 from evalkit.core.se2 import Floats
 from evalkit.execution.task import Result
 from evalkit.report.html.blocks import Cell, Column, Table
-from evalkit_paper import lab_drives, spikes, stage_errors, steady_bands
+from evalkit_paper import lab_drives, spikes, stage_errors
 from evalkit_paper.chapter import Results, Settings
 from evalkit_paper.lab_drives import SpikeCause
 from evalkit_paper.spikes import Band
@@ -32,6 +32,7 @@ class CauseSpikes:
         self.worst = [max(each, key=lambda spike: spike.height) for each in per_event if each]
         self.yaw = [float(result["yaw_dps"][spike.peak]) for spike in self.worst]
         self.cost_m = [_cost_m(result, span) for span in self.spans]
+        self.calm = sum(bool(lab_drives.find_calm(result)[spike.peak]) for spike in self.found)
 
     @property
     def count(self) -> int:
@@ -42,6 +43,11 @@ class CauseSpikes:
     def hit(self) -> int:
         """Number of events with a spike."""
         return len(self.worst)
+
+    @property
+    def longest_s(self) -> float:
+        """Longest time (s) until the residual is back in the band, 0 without a spike."""
+        return max((spikes.duration_s(spike, self.times) for spike in self.worst), default=0.0)
 
     @property
     def elsewhere(self) -> int:
@@ -68,8 +74,8 @@ def _cost_m(result: Result, span: tuple[float, float]) -> float:
 
 def cause_spikes(settings: Settings, results: Results, stage: str) -> Iterator[CauseSpikes]:
     """Spikes of every drive at every rate, for one stage."""
-    for rate in steady_bands.rates(settings):
-        limits = steady_bands.band(settings, results, rate, stage)
+    for rate in lab_drives.rates(settings):
+        limits = lab_drives.band(settings, results, rate, stage)
         for cause in lab_drives.causes(settings):
             result = results[lab_drives.name(cause, rate)]
             yield CauseSpikes(cause, rate, result, result[stage][:, 0], limits)
@@ -79,13 +85,13 @@ def define_spike(settings: Settings, results: Results) -> str:
     """Define a spike, with the bands of every rate, as text."""
     bands = "; ".join(
         f"{rate:g} Hz " + " and ".join(_describe_band(settings, results, rate, stage) for stage in stage_errors.STAGES)
-        for rate in steady_bands.rates(settings)
+        for rate in lab_drives.rates(settings)
     )
     return (
         f"A spike is a run of scans above the steady band (median + {spikes.STEADY_SIGMAS:g} robust sigma) of which at "
         f"least one is above median + {spikes.SPIKE_SIGMAS:g} sigma. Median and sigma (1.4826 x median absolute "
-        f"deviation) are those of the straight parts (yaw rate under {steady_bands.CALM_DPS:g} deg/s, from "
-        f"{steady_bands.SETTLED_S:g} s on) of the drive with slow turns at the same rate ({bands}). "
+        f"deviation) are those of the straight parts (yaw rate under {lab_drives.CALM_DPS:g} deg/s, from "
+        f"{lab_drives.SETTLED_S:g} s on) of the drive with slow turns at the same rate ({bands}). "
         f"A spike is assigned to an event when it peaks from the scan before the event until {spikes.MAX_DELAY_S:g} s "
         f"after; events are known from the truth and the schedule, never from the residual. A turn is quick from "
         f"{lab_drives.QUICK_DPS:g} deg/s on; "
@@ -94,7 +100,7 @@ def define_spike(settings: Settings, results: Results) -> str:
 
 
 def _describe_band(settings: Settings, results: Results, rate: float, stage: str) -> str:
-    limits = steady_bands.band(settings, results, rate, stage)
+    limits = lab_drives.band(settings, results, rate, stage)
     return f"{stage.upper()} {MM * limits.median:.1f} +- {MM * limits.sigma:.1f} mm"
 
 
@@ -136,7 +142,7 @@ def _spike_cells(row: CauseSpikes) -> list[Cell]:
             max(heights, default=0.0),
             tip=f"steady: {MM * row.band.median:.1f} mm",
         ),
-        Cell(row.describe_duration(), max((spikes.duration_s(spike, row.times) for spike in row.worst), default=0.0)),
+        Cell(row.describe_duration(), row.longest_s),
     ]
 
 

@@ -13,7 +13,7 @@ from evalkit.metrics.trajectory import rms
 from evalkit.plugins import registry
 from evalkit.plugins.parameters import Parameter, Value
 from evalkit.report.html.blocks import Cell, Column, Section, Table, Text, Tone
-from evalkit_paper import stage_errors
+from evalkit_paper import stage_errors, verdicts
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
 
 ANCHOR = "two-stages"
@@ -87,9 +87,7 @@ def measure_configuration(
     """One configuration over one drive: "ate_m", "final_percent", "path_m"; "s2s", "s2m" (mean iterations or None)."""
     lab = registry.dataset("lab").make(**sequence)
     found = stage_errors.run_with_errors(lab, backend, parameters)
-    truth = lab.truth().trajectory
-    if truth is None:
-        raise ValueError("lab: no true trajectory")
+    truth = stage_errors.true_trajectory(lab)
     counts = {stage: found.iterations[stage][1:] for stage in stage_errors.STAGES}
     return {
         "ate_m": rms(stage_errors.position_errors_m(found.estimate, truth)),
@@ -147,9 +145,7 @@ def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
             "Section 3, the two stages", "scan to scan, then scan to a local map that is not described",
             f"ATE {min(literal):.3f} to {max(literal):.3f} m for the readings of the text, {min(mean.values()):.3f} m "
             f"at best, {mean['odometry only']:.3f} m by odometry alone",
-            "not determined by the text",
-            "the drift depends on the content of the local map and the unit of the threshold; neither is printed",
-            ANCHOR,
+            verdicts.judge_two_stages(literal, mean["odometry only"]), ANCHOR,
         ),
     )  # fmt: skip
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -35,14 +34,13 @@ STAGES = ("s2s", "s2m")
 @dataclass(frozen=True, eq=False)
 class StageErrors:
     """Result of a run: ``poses`` (N, 3) ``start_from_base``; per stage ``errors`` (N, 6) in the order of ``READINGS``
-    and ``iterations`` (N,), nan where the stage did not run; ``cpu_s`` of all updates.
+    and ``iterations`` (N,), nan where the stage did not run.
     """
 
     frames: tuple[Frame, ...]
     poses: Floats
     errors: Mapping[str, Floats]
     iterations: Mapping[str, Floats]
-    cpu_s: float
 
     @property
     def stamps_ns(self) -> Stamps:
@@ -102,15 +100,22 @@ def run_with_errors(
     poses = np.zeros((len(frames), 3))
     errors = {stage: np.full((len(frames), len(READINGS)), np.nan) for stage in STAGES}
     iterations = {stage: np.full(len(frames), np.nan) for stage in STAGES}
-    started = time.process_time()
     for index, frame in enumerate(frames):
         estimate = odometry.update(frame)
-        reported = {str(name): stage for name, stage in estimate.stages.items()}
         poses[index] = estimate.pose.row
+        stages = {str(name): stage for name, stage in estimate.stages.items()}
         for stage, watched in zip(STAGES, made, strict=True):
-            if stage in reported:
-                errors[stage][index], iterations[stage][index] = watched.errors, reported[stage].iterations
-    return StageErrors(frames, poses, errors, iterations, time.process_time() - started)
+            if reported := stages.get(stage):
+                errors[stage][index], iterations[stage][index] = watched.errors, reported.iterations
+    return StageErrors(frames, poses, errors, iterations)
+
+
+def true_trajectory(sequence: Sequence) -> Trajectory:
+    """True trajectory of a sequence. Raises ValueError if it has none."""
+    truth = sequence.truth().trajectory
+    if truth is None:
+        raise ValueError("truth: the sequence has no true trajectory")
+    return truth
 
 
 def position_errors_m(estimate: Trajectory, truth: Trajectory) -> Floats:

@@ -1,101 +1,123 @@
-"""Chapter on the study that the paper announces: grid resolution, ICP parameters and driving."""
+"""Chapters on the study that the paper announces: ICP parameters and driving, and the settings of the map."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
+from itertools import islice
 from pathlib import Path
-from typing import cast
+from typing import Any, cast
+
+import numpy as np
 
 from evalkit.commands.study.config import load_study
-from evalkit.commands.study.curves import build_curve_blocks, build_envelope_blocks
-from evalkit.commands.study.effect_tables import build_effect_blocks
 from evalkit.commands.study.envelope import compute_panels, describe_panels
 from evalkit.commands.study.evaluate import RunScores
-from evalkit.commands.study.formatting import (
-    describe_interactions,
-    describe_limit,
-    describe_main_effects,
-)
-from evalkit.commands.study.page import build_design_blocks, build_point_blocks, build_summary, sum_cpu_minutes
+from evalkit.commands.study.formatting import describe_interactions, describe_limit, describe_main_effects
+from evalkit.commands.study.page import build_sections, sum_cpu_minutes
 from evalkit.commands.study.plan import Study
 from evalkit.commands.study.result import StudyResult
+from evalkit.core import se2
+from evalkit.core.se2 import Floats
 from evalkit.execution.task import AnyTask, make_task
+from evalkit.odometry import frontend
+from evalkit.odometry.run_odometry import estimate_poses
+from evalkit.plugins import registry
 from evalkit.plugins.parameters import Parameter, Value
-from evalkit.report.html.blocks import Block, Fold, Section, Text
-from evalkit_paper import core_agreement
+from evalkit.plugins.specs import FIRST_STAGE
+from evalkit.report.html.blocks import Section, Text
+from evalkit_paper import verdicts
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
 
 REFERENCE = "paper"
 """NumPy reference of the compiled core."""
+
+STUDY, MAPS = "study", "maps"
+OPEN_CHOICES = ("bounds", "once per scan", "traversal")
+"""Factors of the map's study that the text leaves open."""
 
 PARAMETERS = (
     Parameter("file", "reports/study.toml", "", "the study: factors, designs, responses"),
     Parameter("comparisons", 6, "", "points at which the core is compared with the NumPy reference", low=1),
     Parameter("comparison_scans", 60, "scans", "scans compared at each of these points", low=2),
 )
-STUDY = "study"
-ENVELOPE = "study-envelope"
+MAP_PARAMETERS = (Parameter("file", "reports/study-maps.toml", "", "the study of the map's settings"),)
 
 
 def tasks(settings: Settings) -> tuple[AnyTask, ...]:
-    """Runs of the study, and the points at which core and reference are compared."""
+    """Runs of the study and, of ICP parameters, the points at which core and reference are compared."""
     study = read_study(settings)
-    return () if study.missing else (*study.tasks(), *_comparison_tasks(study, settings))
+    if study.missing:
+        return ()
+    return (*study.tasks(), *(_comparison_tasks(study, settings) if "comparisons" in settings else ()))
 
 
 def sections(settings: Settings, results: Results) -> tuple[Section, ...]:
-    """Sections: summary, effects, single factors, envelopes."""
-    study = read_study(settings)
+    """Sections: description and cost, then those of ``evalkit study``."""
+    study, (name, heading) = read_study(settings), _place(settings)
     if study.missing:
-        return (Section("The study", (Text(f"Not computed here: {study.missing}", "warn"),), STUDY),)
+        return (Section(heading, (Text(f"Not computed here: {study.missing}", "warn"),), name),)
     outcome = _study_result(study, results)
-    first: tuple[Block, ...] = (
-        Text(study.description),
-        Text(describe_cost(outcome) + " " + describe_agreement(settings, results)),
-        *build_summary(outcome),
-        Fold("Designs, and why these", build_design_blocks(outcome)),
-        Fold("Points, each with the command that computes it again", build_point_blocks(outcome)),
-    )
-    made = (
-        Section("The study", first, STUDY),
-        Section("Study: effects", build_effect_blocks(outcome), "study-effects"),
-        Section("Study: one factor at a time", build_curve_blocks(outcome), "study-curves"),
-        Section("Study: operating envelope", build_envelope_blocks(outcome), ENVELOPE),
-    )
-    return tuple(section for section in made if section.blocks)
+    told = describe_cost(outcome)
+    if "comparisons" in settings:
+        told += f" {describe_agreement(settings, results)}"
+    first = Section(heading, (Text(study.description), Text(told)), name)
+    return (first, *build_sections(outcome, f"{heading}: ", f"{name}-"))
 
 
-def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
+def study_findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
     """Findings of the study on the paper's claims."""
     study = read_study(settings)
     if study.missing:
         return ()
     outcome = _study_result(study, results)
     response = study.responses[0]
+    fits = outcome.fits(response)
     told = [f"{design.name}: {describe_main_effects(response, design, fit)} {describe_interactions(response, fit, 2)}"
-            for design, fit in outcome.fits(response)]  # fmt: skip
-    made = [Finding(
+            for design, fit in fits]  # fmt: skip
+    matter = [
+        fit.factor(number).largest.value.excludes(0.0) for design, fit in fits for number in range(len(design.factors))
+    ]
+    found = [Finding(
         "Contribution 3: study of grid resolution, ICP parameters and vehicle speed",
-        "announced; no table or figure of it is printed",
-        " ".join(told),
-        "not determined by the text",
-        f"{len(outcome.results):,} runs of the compiled core; levels and designs are the choice of this project",
-        "study-effects",
+        "announced; no table or figure of it is printed", " ".join(told),
+        verdicts.judge_study(sum(matter), len(matter)), f"{STUDY}-effects",
     )]  # fmt: skip
     for choice in study.envelopes:
-        design, found = study.design(choice.design), compute_panels(outcome, choice)
-        slow_holds = all(panel.inside.flat[0] for panel in found)
-        fast_fails = not all(panel.inside.all() for panel in found)
-        made.append(Finding(
-            "Consistent maps at low to medium speed; fast motion is a limit",
-            "no figure is given",
-            f"{describe_limit(choice)}, {' '.join(describe_panels(choice, design, found))}",
-            "reproduced" if slow_holds and fast_fails else "not determined by the text",
-            "the effect of speed depends on odometry, deskewing and scan rate; the text names only the "
-            "last" if slow_holds else "in some configurations even the slowest drives exceed the limit",
-            ENVELOPE,
+        design, panels = study.design(choice.design), compute_panels(outcome, choice)
+        limit = f"{describe_limit(choice)}, {' '.join(describe_panels(choice, design, panels))}"
+        slow = verdicts.judge_slow([bool(panel.inside.flat[0]) for panel in panels])
+        fast = verdicts.judge_fast([not panel.inside.all() for panel in panels])
+        found += [
+            Finding("Consistent maps at low to medium speed", "no figure is given", limit, slow, f"{STUDY}-envelope"),
+            Finding("Fast motion is a limit", "no figure is given", limit, fast, f"{STUDY}-envelope"),
+        ]
+    return tuple(found)
+
+
+def map_findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
+    """Findings on the settings of the map that the paper studies or leaves open."""
+    study = read_study(settings)
+    if study.missing:
+        return ()
+    levels = _levels(_study_result(study, results))
+    found = []
+    if cells := levels.get("cell"):
+        told = ", ".join(f"{name} m {value:.3f}" for name, value in cells.items())
+        spread = max(cells.values()) - min(cells.values()) > 0.02
+        found.append(Finding(
+            "Study of the grid's resolution", "announced, no table printed", f"F1 at 10 cm by cell size: {told}",
+            verdicts.judge_study(int(spread), 1), f"{MAPS}-curves",
         ))  # fmt: skip
-    return tuple(made)
+    spans = {name: (min(levels[name].values()), max(levels[name].values())) for name in OPEN_CHOICES if name in levels}
+    if spans:
+        told = "; ".join(f"{name}: F1 {low:.3f} to {high:.3f}" for name, (low, high) in spans.items())
+        found.append(Finding(
+            "Bounds of the log-odds, several beams in one cell, cells that a beam crosses",
+            "l_min and l_max without values; nothing on the other two", told, verdicts.judge_open_choices(spans),
+            f"{MAPS}-curves",
+        ))  # fmt: skip
+    return tuple(found)
 
 
 def read_study(settings: Settings) -> Study:
@@ -127,6 +149,32 @@ def describe_agreement(settings: Settings, results: Results) -> str:
     )
 
 
+def compare_poses(
+    backends: tuple[str, str], parameters: Mapping[str, Value], dataset: str, sequence: Mapping[str, Value], scans: int
+) -> dict[str, Any]:
+    """Largest distance (m) and angle (rad) between the poses of two back ends over the first scans, and their number.
+
+    Both get the same parameters; a parameter that only one of them has keeps its default.
+    """
+    one, other = (_poses(name, parameters, dataset, sequence, scans) for name in backends)
+    difference = se2.between(one, other)
+    return {
+        "apart_m": float(np.linalg.norm(difference[:, :2], axis=1).max()),
+        "apart_rad": float(np.abs(difference[:, 2]).max()),
+        "scans": len(one),
+    }
+
+
+def _poses(
+    name: str, parameters: Mapping[str, Value], dataset: str, sequence: Mapping[str, Value], scans: int
+) -> Floats:
+    spec = registry.backend(name)
+    known = {parameter.name for parameter in frontend.settable_parameters(spec)}
+    own = {key: value for key, value in parameters.items() if key in known or key.startswith(FIRST_STAGE)}
+    odometry = frontend.make_odometry(spec, frontend.complete_parameters(name, spec, own))
+    return estimate_poses(odometry, islice(registry.dataset(dataset).make(**sequence).frames(), scans))
+
+
 def _comparison_tasks(study: Study, settings: Settings) -> tuple[AnyTask, ...]:
     """Comparisons of core and reference at points evenly spread over the designs."""
     points = list(study.points.values())
@@ -136,16 +184,28 @@ def _comparison_tasks(study: Study, settings: Settings) -> tuple[AnyTask, ...]:
     seed: dict[str, Value] = {} if first is None else {"seed": first}
     return tuple(
         make_task(
-            f"comparison {point.key}",
-            core_agreement.compare_poses,
-            backends=(REFERENCE, study.backend),
-            parameters=dict(point.method),
-            dataset=study.dataset,
-            sequence={**point.sequence, **seed},
+            f"comparison {point.key}", compare_poses, backends=(REFERENCE, study.backend),
+            parameters=dict(point.method), dataset=study.dataset, sequence={**point.sequence, **seed},
             scans=int(settings["comparison_scans"]),
         ).depending_on("evalkit_baselines.paper", "evalkit_baselines.embedded")
         for point in chosen
-    )
+    )  # fmt: skip
+
+
+def _levels(outcome: StudyResult) -> dict[str, dict[str, float]]:
+    """Mean of the first response by factor and level, over the designs that vary one factor at a time."""
+    found: dict[str, dict[str, float]] = {}
+    for design in (design for design in outcome.study.designs if design.kind == "curves"):
+        for point in design.points:
+            value = float(np.nanmean(outcome.row(design, outcome.study.responses[0], point)))
+            for factor, level in point.levels.items():
+                found.setdefault(factor, {})[level.label] = value
+    return found
+
+
+def _place(settings: Settings) -> tuple[str, str]:
+    """Anchor and heading of the chapter with these settings."""
+    return (STUDY, "The study") if "comparisons" in settings else (MAPS, "The map's settings")
 
 
 def _study_result(study: Study, results: Results) -> StudyResult:
@@ -157,4 +217,5 @@ def _read_cached(file: Path, _changed_ns: int) -> Study:
     return load_study(file, f"evalkit study {file}")
 
 
-CHAPTER = Chapter("study", PARAMETERS, tasks, sections, findings)
+CHAPTER = Chapter(STUDY, PARAMETERS, tasks, sections, study_findings)
+MAP_CHAPTER = Chapter(MAPS, MAP_PARAMETERS, tasks, sections, map_findings)

@@ -76,6 +76,8 @@ READINGS: Mapping[str, Mapping[str, Any]] = {
 }
 """Readings of the error of Table 1 as parameters of the ICP; computed after the step unless stated."""
 
+AS_PRINTED = next(name for name in READINGS if "eq. 5" in name)
+
 QUANTITIES = ("k", "first error", "last error", "theta [deg]", "x [m]", "y [m]")
 PRINTED = (25.0, 2.82559, 0.047363, 29.87, 4.01, 5.02)
 """Table 1 of the paper."""
@@ -92,6 +94,12 @@ def make_scan(room: Room, seed: int) -> Floats:
     points = room.points()
     noise = np.random.default_rng(seed).normal(0.0, SIGMA_M, points.shape)
     return np.asarray(APPLIED.inverse().transform(points) + noise)
+
+
+def compute_deviations(rows: Floats) -> Floats:
+    """Deviations (6,) of the printed row from the mean of rows (S, 6), in standard deviations beyond its rounding."""
+    off = np.abs(np.array(PRINTED) - rows.mean(axis=0)) - HALF_DIGIT
+    return np.asarray(np.maximum(off, 0.0) / np.maximum(rows.std(axis=0, ddof=1), 1e-12))
 
 
 def make_icp(**parameters: Any) -> Icp:
@@ -162,13 +170,15 @@ def measure_basin(
 ) -> dict[str, Any]:  # fmt: skip
     """Count how often ICP reaches the true pose from one rotation and each distance: "successes" (D,) of "trials".
 
-    "misled" and "ran_out" (D,): failures that converged elsewhere, and failures that reached the iteration limit. Each
-    seed has its own noise and bearing (bearings fill the circle evenly); rotations alternate in sign.
+    "misled" and "ran_out" (D,): failures that converged elsewhere, and failures that reached the iteration limit;
+    "iterations" (D, S). Each seed has its own noise and bearing (bearings fill the circle evenly); rotations alternate
+    in sign.
     """
     where = ROOMS[room]
     target = Cloud(where.points())
     registration = make_icp(one_to_one=one_to_one, max_iterations=max_iterations)
     successes, misled, ran_out = np.zeros((3, len(distances_m)), dtype=np.int64)
+    iterations = np.zeros((len(distances_m), seeds), dtype=np.int64)
     for seed in range(seeds):
         source = Cloud(make_scan(where, seed))
         for column, distance in enumerate(distances_m):
@@ -176,13 +186,39 @@ def measure_basin(
             shift = distance * np.array([math.cos(bearing), math.sin(bearing)])
             turn = math.radians(turn_deg) * (-1.0) ** seed
             match = registration.register(target, source, displaced_guess(where, turn, shift))
+            iterations[column, seed] = match.iterations
             if _near(match.target_from_source, where, within_m, math.radians(within_deg)):
                 successes[column] += 1
             elif match.converged:
                 misled[column] += 1
             else:
                 ran_out[column] += 1
-    return {"successes": successes, "misled": misled, "ran_out": ran_out, "trials": seeds}
+    return {
+        "successes": successes, "misled": misled, "ran_out": ran_out, "iterations": iterations, "trials": seeds
+    }  # fmt: skip
+
+
+def measure_overlap(*, room: str, overlaps: Sequence[float], limit_m: float, seeds: int) -> dict[str, Any]:
+    """Share of successes (K,) where the reference holds only a part of what the scan sees: "plain" and "limited".
+
+    A sector around the room's centre is missing from the reference, in another direction for each seed; the guess is
+    0.2 m and 5 deg off. "limited": pairs farther apart than ``limit_m`` are dropped.
+    """
+    where, rows = ROOMS[room], {}
+    points = where.points()
+    bearing = np.arctan2(*(points - where.middle).T[::-1])
+    for name, limit in (("plain", 0.0), ("limited", limit_m)):
+        registration, successes = make_icp(max_correspondence_m=limit, max_iterations=200), np.zeros(len(overlaps))
+        for seed in range(seeds):
+            around = np.mod(bearing - 2.0 * np.pi * GOLDEN * seed, 2.0 * np.pi)
+            shift = 0.2 * np.array([math.cos(seed), math.sin(seed)])
+            guess = displaced_guess(where, math.radians(5.0) * (-1.0) ** seed, shift)
+            for row, overlap in enumerate(overlaps):
+                target = Cloud(points[around <= 2.0 * np.pi * overlap])
+                match = registration.register(target, Cloud(make_scan(where, seed)), guess)
+                successes[row] += _near(match.target_from_source, where, 0.1, math.radians(2.0))
+        rows[name] = successes / seeds
+    return rows
 
 
 def _near(found: Pose, where: Room, within_m: float, within_rad: float) -> bool:

@@ -10,15 +10,15 @@ import numpy as np
 from evalkit.core.arrays import Bools
 from evalkit.core.pose import Pose
 from evalkit.core.se2 import Floats
-from evalkit.execution.task import AnyTask, Result, make_task
+from evalkit.execution.task import AnyTask, make_task
 from evalkit.plugins.parameters import Parameter
 from evalkit.report.html import charts
 from evalkit.report.html.blocks import Block, Cell, Column, Figure, Figures, Section, Table, Text, Tone
 from evalkit.report.html.charts import Axis, Curve, Points
 from evalkit.report.html.palette import Stroke
-from evalkit_paper import table_1, validation_basin
+from evalkit_paper import table_1, validation_basin, verdicts
 from evalkit_paper.chapter import Chapter, Finding, Results, Settings
-from evalkit_paper.table_1 import APPLIED, ERRORS, HALF_DIGIT, PRINTED, QUANTITIES, READINGS, ROOMS, SIGMA_M
+from evalkit_paper.table_1 import APPLIED, ERRORS, PRINTED, QUANTITIES, READINGS, ROOMS, SIGMA_M
 
 MAX_DEVIATION = 2.0
 """Largest deviation (standard deviations) of a row that fits."""
@@ -59,8 +59,8 @@ class Fit:
 
     @property
     def deviations(self) -> Floats:
-        """Deviation (6,) of the printed row from the mean in standard deviations, less its rounding error."""
-        return np.asarray(np.maximum(np.abs(np.array(PRINTED) - self.mean) - HALF_DIGIT, 0.0) / self.spread)
+        """Deviations (6,) of the printed row."""
+        return table_1.compute_deviations(self.rows)
 
     @property
     def largest(self) -> tuple[float, str]:
@@ -189,11 +189,8 @@ def _describe_fit(known: Mapping[str, Fit]) -> str:
     return (
         f"Best fit: {fitting.reading}; its largest deviation is {fitting.largest[0]:.1f} standard deviations "
         f"({fitting.largest[1]}). Next: {runner_up.reading}, {runner_up.largest[0]:.1f} ({runner_up.largest[1]}). The "
-        f"error as printed in equation 5 deviates by {known[READING_AS_PRINTED].largest[0]:.0f}."
+        f"error as printed in equation 5 deviates by {known[table_1.AS_PRINTED].largest[0]:.0f}."
     )
-
-
-READING_AS_PRINTED = next(name for name in READINGS if "eq. 5" in name)
 
 
 def _describe_pose(fit: Fit) -> str:
@@ -284,30 +281,33 @@ def _estimated_pose(fit: Fit) -> Pose:
 
 
 def findings(settings: Settings, results: Results) -> tuple[Finding, ...]:
-    """Findings on Table 1, Figures 6 to 8 and the extents in the text."""
-    first = load_fits(settings, results, "first")
-    fit = best_fit(first)
-    numbers = ", ".join(
-        f"{name} {mean:.{digits}f} ± {spread:.{digits}f}"
-        for name, mean, spread, digits in zip(QUANTITIES, fit.mean, fit.spread, DIGITS, strict=True)
-    )
-    printed = ", ".join(f"{name} {value:g}" for name, value in zip(QUANTITIES, PRINTED, strict=True))
-    held = fit.largest[0] <= MAX_DEVIATION and bool(fit.converged.all())
-    near = fit.rows[fit.nearest]
-    residual = float(np.nanmean(fit.residuals[fit.nearest]))
-    span: Result = results["spans first"]
-    why = f"As {fit.reading}, not as printed in eq. 5; the sampling of the room is not given. {_describe_pose(fit)}"
+    """Findings on Table 1, quantity by quantity, on Figures 6 to 8, and on the claims about guess and overlap."""
+    fit = best_fit(load_fits(settings, results, "first"))
+    correction = "" if fit.reading == table_1.AS_PRINTED else f"the error is read as the {fit.reading}"
+    moved = _estimated_pose(fit).transform(table_1.make_scan(ROOMS["first"], fit.nearest))
+    before, after = float(results["spans first"]["scan"][0]), float(np.ptp(moved, axis=0).max())
+    near, means = fit.rows[fit.nearest], np.nanmean(fit.residuals, axis=1)
+    residual_off = abs(PRINTED[2] - means.mean()) / means.std(ddof=1)
+    table = [
+        Finding(
+            f"Table 1, {name}", f"{printed:g}", f"{mean:.{digits}f} ± {spread:.{digits}f}",
+            verdicts.judge_number(off, correction if number < ERRORS.stop else ""), "table-1",
+        )
+        for number, (name, printed, mean, spread, digits, off) in enumerate(
+            zip(QUANTITIES, PRINTED, fit.mean, fit.spread, DIGITS, fit.deviations.tolist(), strict=True)
+        )
+    ]  # fmt: skip
     return (
-        Finding("Table 1", printed, numbers,
-                "reproduced with a correction" if held else "not determined by the text", why, "table-1"),
+        *table,
         Finding("Figure 6, convergence", f"{PRINTED[1]} to {PRINTED[2]} in {PRINTED[0]:g} iterations",
-                f"{near[1]:.3f} to {near[2]:.4f} m in {near[0]:.0f} (seed {fit.nearest})", "reproduced",
-                f"{100 * fit.converged.mean():.0f} % of {len(fit.rows)} seeds converge", "figures-6-8"),
-        Finding("Figure 7, residuals", f"mean {PRINTED[2]}, sigma {SIGMA_M}", f"mean {residual:.4f} m", "reproduced",
-                "distances of the pairs after the last step", "figures-6-8"),
+                f"{near[1]:.3f} to {near[2]:.4f} m in {near[0]:.0f} (seed {fit.nearest})",
+                verdicts.judge_convergence(float(fit.converged.mean()), fit.largest[0], correction), "figures-6-8"),
+        Finding("Figure 7, residuals", f"mean {PRINTED[2]}", f"mean {means.mean():.4f} ± {means.std(ddof=1):.4f} m",
+                verdicts.judge_number(float(residual_off)), "figures-6-8"),
         Finding("Figure 8, before and after", "14 x 14 m before, 10 x 10 m after",
-                f"{span['scan'][0]:.1f} x {span['scan'][1]:.1f} m, {span['reference'][0]:.0f} x "
-                f"{span['reference'][1]:.0f} m", "reproduced", "extent of the moved room", "figures-6-8"),
+                f"{before:.1f} x {before:.1f} m, {after:.1f} x {after:.1f} m with the noise of the scan",
+                verdicts.judge_extents(before, after), "figures-6-8"),
+        *validation_basin.findings(settings, results),
     )  # fmt: skip
 
 

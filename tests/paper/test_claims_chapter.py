@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from evalkit.core.errors import BadParameter
 from evalkit_paper import claims_chapter, long_drives
 
 
@@ -22,38 +23,49 @@ def test_the_mean_error_up_to_a_mark_includes_all_scans_before_it():
 
 @pytest.fixture
 def settings():
-    return claims_chapter.CHAPTER.settings("t", {"seeds": 2, "laps": 2.0})
+    return claims_chapter.CHAPTER.settings("t", {"seeds": 2, "map_seeds": 3, "laps": 2.0})
 
 
 def make_results(settings, percent):
-    """Return results in which every method drifts by a given percentage, and pedestrians cost 1 cm each."""
+    """Return results in which methods drift by given percentages, and every changed map is worse."""
     way = np.linspace(1.0, 100.0, claims_chapter.MARKS)
-    results = {}
+    results = {"map updates": {"log-odds": 1.0}}
     for task in claims_chapter.CHAPTER.tasks(settings):
         if task.function.__name__ == "error_over_path":
             share = percent[task.name.partition(" | ")[0]] / 100.0
             results[task.name] = {"path_m": way, "end_m": share * way, "rmse_m": share * way}
-        else:
-            people = task.arguments["people"]
-            results[task.name] = {"scores": {"ate_rmse_m": 0.01 * people, "map_f1": 0.9, "map_entropy": 0.1}}
+        elif task.function.__name__ == "score_drive":
+            worse = 0.01 * (task.name.partition(" | ")[0] != claims_chapter.PLAIN.name)
+            scores = {
+                "ate_rmse_m": 0.01 + worse,
+                "map_f1": 0.9 - worse,
+                "map_precision": 0.9 - worse,
+                "map_entropy": 0.1,
+            }
+            results[task.name] = {"scores": scores}
     return results
 
 
 @pytest.mark.parametrize(
     ("literal", "reading", "verdict"),
-    [
-        (0.5, 0.2, "reproduced"),
-        (3.0, 0.2, "reproduced with a correction"),
-        (3.0, 1.5, "not determined by the text"),
-    ],
+    [(0.5, 0.2, "reproduced"), (3.0, 0.2, "reproduced with a correction"), (3.0, 1.5, "not reproduced")],
 )
 def test_the_verdict_follows_the_measured_values(settings, literal, reading, verdict):
     wheels, printed, read, tight = (entry.label for entry in claims_chapter.ENTRIES)
     results = make_results(settings, {wheels: 5.0, printed: literal, read: reading, tight: 0.1})
-    loops, crowd = claims_chapter.CHAPTER.findings(settings, results)
-    assert loops.verdict == verdict
+    loops, *others = claims_chapter.CHAPTER.findings(settings, results)
+    assert loops.judgement.verdict == verdict
     assert f"{read}: {reading:.2f} ({reading:.2f} to {reading:.2f}) %" in loops.measured
-    assert "with 10 people in the lab ATE RMSE 0.100 m against 0.000 m without people" in crowd.measured
+    found = {finding.item: finding.judgement.verdict for finding in others}
+    assert found.pop("A local radius reduces artefacts of the map") == "not reproduced"  # its map is worse here
+    assert set(found.values()) == {"reproduced"}
+
+
+def test_one_lap_is_one_lap(settings):
+    way = np.array([0.0, 30.0, 80.0])
+    assert claims_chapter._after_one_lap({"laps": 2.0}, way, np.array([[0.0, 3.0, 8.0]])).tolist() == [4.0]
+    with pytest.raises(BadParameter, match="laps"):
+        claims_chapter.CHAPTER.settings("t", {"laps": 0.5})
 
 
 def test_a_drift_proportional_to_the_path_grows_with_exponent_one(settings):

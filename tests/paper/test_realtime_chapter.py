@@ -5,15 +5,15 @@ import pytest
 
 from evalkit.report.html.blocks import Document, render
 from evalkit_paper import realtime_chapter
-from evalkit_paper.device_ladders import Ladder
+from evalkit_paper.realtime_chapter import Ladder
 
 SETTINGS = {"seeds": 2, "laps": 0.1, "rates_hz": "10", "methods": "own", "largest_factor": 100}
 
 
-def rung(factor, ate_m, lost="", policy="queue-of-one", dropped=0.0):
+def rung(factor, ate_m, lost="", dropped=0.0):
     measures = {"ate_rmse_m": ate_m, "rpe_1m_m": ate_m, "heading_rmse_deg": 0.1}
     return {
-        "policy": policy, "factor": factor, "answered": 10, "dropped": dropped, "late": 0.0, "age_ms": [1.0, 2.0],
+        "factor": factor, "answered": 10, "dropped": dropped, "late": 0.0, "age_ms": [1.0, 2.0],
         "of_answers": measures, "at_hand": measures, "lost": lost, "predicted": None,
     }  # fmt: skip
 
@@ -39,11 +39,7 @@ def test_a_method_lost_with_most_seeds_is_broken():
 
 def make_ladder(task):
     factors = [0.0, *task.arguments["factors"]]
-    rungs = [
-        rung(factor, 0.01 + 0.002 * factor, policy=policy, dropped=min(factor / 100.0, 0.9))
-        for policy in task.arguments["policies"]
-        for factor in factors
-    ]
+    rungs = [rung(factor, 0.01 + 0.002 * factor, dropped=min(factor / 100.0, 0.9)) for factor in factors]
     linear = {"base_ns": 1e6, "step_ns": 10.0, "residual": 0.1, "held_out": 0.2}
     return {
         "devices": rungs, "costs_ns": np.full(5, 1_000_000), "headroom": 50.0, "gaps": np.array([1, 2]),
@@ -62,5 +58,5 @@ def test_the_chapter_is_rendered_for_any_result(changed):
     page = render(Document("test", "test", "", (section,)))
     assert "No board is measured" in page
     (finding,) = realtime_chapter.CHAPTER.findings(settings, results)
-    assert finding.verdict == "not reproducible in software"
+    assert finding.judgement.verdict == "not reproducible in software"
     assert "breaks at 50" in finding.measured  # 11 cm at 50, 5 cm at 20

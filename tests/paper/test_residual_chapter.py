@@ -87,6 +87,8 @@ QUICK = {
     "laps": 0.3,
     "turn_laps": 0.3,
     "yaw_laps": 0.28,
+    "speeds_mps": "0.1 0.29",
+    "speed_laps": 0.05,
     "people": 1,
 }
 
@@ -98,7 +100,8 @@ def test_fast_turns_cause_spikes_and_deskewing_removes_them():
     rows = {row.cause.name: row for row in spike_causes.cause_spikes(settings, results, "s2s")}
     assert rows["quick turns"].hit == rows["quick turns"].count == 1
     assert rows["quick turns, deskewed"].hit == rows["slow turns"].hit == 0
-    steady, spikes_found = residual_chapter.CHAPTER.findings(settings, results)
-    assert (steady.verdict, spikes_found.verdict) == ("reproduced with a correction", "reproduced")
+    steady, slow, low, spiking = residual_chapter.CHAPTER.findings(settings, results)
+    found = [finding.judgement.verdict for finding in (steady, slow, low, spiking)]
+    assert found == ["reproduced with a correction"] * 2 + ["reproduced"] * 2
     (section,) = residual_chapter.CHAPTER.sections(settings, results)
     assert section.anchor == steady.anchor

@@ -40,4 +40,5 @@ def test_the_table_has_a_row_for_every_configuration():
     table = section.blocks[1]
     assert [row[0] for row in table.rows] == [each.name for each in CONFIGURATIONS]
     (finding,) = CHAPTER.findings(settings, made)
-    assert (finding.verdict, finding.anchor) == ("not determined by the text", section.anchor)
+    assert finding.anchor == section.anchor
+    assert finding.judgement.verdict == "not reproduced"  # here every reading drifts as much as the odometry

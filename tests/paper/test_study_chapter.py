@@ -3,8 +3,7 @@
 import pytest
 
 from evalkit.plugins import registry
-from evalkit_paper.core_agreement import compare_poses
-from evalkit_paper.study_chapter import CHAPTER
+from evalkit_paper.study_chapter import CHAPTER, MAP_CHAPTER, compare_poses
 
 STUDY = """
 title = "A small study"
@@ -47,11 +46,11 @@ def test_the_chapter_reports_the_results_of_its_tasks(settings):
     assert "8 points in 1 designs, 8 runs in 0.1 minutes of CPU; 0 runs failed" in words
     assert "At 1 points of the designs, over 3 scans" in words
     assert "1.0e-12 m apart" in words
-    assert [section.anchor for section in rest] == ["study-envelope"]
-    study, envelope = CHAPTER.findings(settings, found)
-    assert study.verdict == "not determined by the text"
-    assert "pairs on: up to 1.2 m/s and 15 Hz, the largest levels tested (4 of 4 drives)" in envelope.measured
-    assert envelope.verdict == "not determined by the text"  # no drive here is too fast
+    assert [section.anchor for section in rest] == ["study-summary", "study-design", "study-envelope", "study-points"]
+    study, slow, fast = CHAPTER.findings(settings, found)
+    assert study.judgement.verdict == "not reproduced"  # all values are equal
+    assert "pairs on: up to 1.2 m/s and 15 Hz, the largest levels tested (4 of 4 drives)" in slow.measured
+    assert (slow.judgement.verdict, fast.judgement.verdict) == ("reproduced", "not reproduced")  # none is too fast
 
 
 @needs_core
@@ -62,6 +61,21 @@ def test_core_and_reference_give_the_same_poses_with_the_same_parameters():
     assert found["scans"] == 5
     assert found["apart_m"] < 1e-9
     assert found["apart_rad"] < 1e-9
+
+
+def test_the_map_chapter_judges_the_levels_of_its_factors():
+    settings = MAP_CHAPTER.settings("paper.toml: [maps]", {"file": "reports/study-maps-quick.toml"})
+    f1 = {"exact": 0.9, "bresenham": 0.7}
+    results = {
+        task.name: {"status": "complete", "reason": "", "why": {}, "cpu_s": 0.5, "scores": {
+            "map_f1": f1[task.arguments["mapper_parameters"]["traversal"]], "map_log_loss": 0.1}}
+        for task in MAP_CHAPTER.tasks(settings)
+    }  # fmt: skip
+    cells, choices = MAP_CHAPTER.findings(settings, results)
+    assert cells.judgement.verdict == "not reproduced"  # the same F1 at every cell size
+    assert choices.judgement.why == "the map depends on traversal"
+    assert "traversal: F1 0.700 to 0.900" in choices.measured
+    assert [section.anchor for section in MAP_CHAPTER.sections(settings, results)][:2] == ["maps", "maps-design"]
 
 
 def test_a_missing_study_is_reported(tmp_path):

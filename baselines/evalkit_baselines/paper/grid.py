@@ -37,7 +37,7 @@ class LogOddsGrid:
     """The paper's mapper.
 
     Cells are half open, [i, i + 1) times the resolution from the world's origin. Invalid beams (nan) are ignored. The
-    printed l_free is negative and therefore *added*. The paper has no bounds; here they are 5, a probability of 0.993.
+    printed update adds l_free, which is negative. The paper has no bounds; here they are 5, a probability of 0.993.
     A map of more than ``MAX_CELLS`` raises BadParameter.
     """
 
@@ -94,7 +94,7 @@ class LogOddsGrid:
         count = self._count_once if self.once_per_scan else self._count_every
         free, occupied = count(beams, passed, ended, hits, width * height)
         cells = self._log_odds[window]
-        cells += (self.l_free * free + self.l_occ * occupied).reshape(height, width)  # eq. 11: ln(0.3 / 0.7) is added
+        cells += (self.l_free * free + self.l_occ * occupied).reshape(height, width)  # eq. 10 adds ln(0.3 / 0.7), too
         np.clip(cells, self.l_min, self.l_max, out=cells)
         self._observed[window] |= ((free + occupied) > 0).reshape(height, width)
 

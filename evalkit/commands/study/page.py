@@ -36,17 +36,22 @@ def build_document(outcome: StudyResult, ran_on: Mapping[str, str]) -> Document:
     study = outcome.study
     facts = (("Back end", study.backend), ("Data set", study.dataset), ("Points", f"{len(study.points):,}"),
              ("Runs", f"{len(outcome.results):,}"), ("CPU time", f"{sum_cpu_minutes(outcome):.1f} min"))  # fmt: skip
-    every = (
-        Section("What matters", build_summary(outcome), "summary"),
-        Section("Design", build_design_blocks(outcome), "design"),
-        Section("Effects", build_effect_blocks(outcome), "effects"),
-        Section("One factor at a time", build_curve_blocks(outcome), "curves"),
-        Section("Operating envelope", build_envelope_blocks(outcome), "envelope"),
-        Section("Points", build_point_blocks(outcome), "points"),
-        Section("Provenance", (Command(study.command), Table(("What", "This machine"), list(ran_on.items())))),
-    )
-    sections = tuple(section for section in every if section.blocks)
+    provenance = Section("Provenance", (Command(study.command), Table(("What", "This machine"), list(ran_on.items()))))
+    sections = (*build_sections(outcome), provenance)
     return Document("evalkit study", study.title, study.description, sections, facts)
+
+
+def build_sections(outcome: StudyResult, heading: str = "", anchor: str = "") -> tuple[Section, ...]:
+    """The sections on the results, without those that are empty; ``heading`` and ``anchor`` precede theirs."""
+    every = (
+        ("What matters", build_summary(outcome), "summary"),
+        ("Design", build_design_blocks(outcome), "design"),
+        ("Effects", build_effect_blocks(outcome), "effects"),
+        ("One factor at a time", build_curve_blocks(outcome), "curves"),
+        ("Operating envelope", build_envelope_blocks(outcome), "envelope"),
+        ("Points", build_point_blocks(outcome), "points"),
+    )
+    return tuple(Section(heading + title, blocks, anchor + own) for title, blocks, own in every if blocks)
 
 
 def build_summary(outcome: StudyResult) -> tuple[Block, ...]:

@@ -1,12 +1,12 @@
 """Figures 2 to 5: the stages of the pipeline are recorded from a run."""
 
 import importlib
+from dataclasses import asdict
 
 import pytest
 
-from evalkit_paper import call_trace, flowchart_chapter
-from evalkit_paper.call_trace import TracedCall
-from evalkit_paper.flowchart_chapter import MAPPING, PIPELINE, REGISTRATION, TWO_STAGES, path
+from evalkit_paper import flowchart_chapter
+from evalkit_paper.flowchart_chapter import MAPPING, PIPELINE, REGISTRATION, TWO_STAGES, TracedCall, path
 
 
 def recording(**settings):
@@ -44,13 +44,15 @@ def test_children_follow_their_stage_and_unnamed_calls_are_skipped():
 
 
 def test_calls_are_recorded_below_their_callers():
-    root = call_trace.record_calls(lambda: call_trace.frontend.select_near(call_trace.frontend.np.zeros((2, 2)), 1.0))
+    root = flowchart_chapter.record_calls(
+        lambda: flowchart_chapter.frontend.select_near(flowchart_chapter.frontend.np.zeros((2, 2)), 1.0)
+    )
     assert [each.name for each in root.walk()] == ["", "select_near"]
 
 
 def test_a_call_tree_survives_json():
     root = tree("a", " b", "c")
-    assert TracedCall.from_json(root.to_json()).to_json() == root.to_json()
+    assert TracedCall.from_json(asdict(root)) == root
 
 
 @pytest.mark.parametrize(
@@ -71,9 +73,10 @@ def test_a_disabled_stage_is_missing_from_its_figure_and_changes_nothing_else(wo
 
 @pytest.mark.parametrize("words", [PIPELINE, REGISTRATION, TWO_STAGES, MAPPING])
 def test_every_label_of_a_figure_names_a_function_of_a_recorded_module(words):
-    names = {value.__qualname__ for module in map(importlib.import_module, call_trace.RECORDED)
+    modules = list(map(importlib.import_module, flowchart_chapter.RECORDED_MODULES))
+    names = {value.__qualname__ for module in modules
              for value in vars(module).values() if hasattr(value, "__qualname__")}  # fmt: skip
-    methods = {f"{value.__qualname__}.{name}" for module in map(importlib.import_module, call_trace.RECORDED)
+    methods = {f"{value.__qualname__}.{name}" for module in modules
                for value in vars(module).values() if isinstance(value, type) for name in vars(value)}  # fmt: skip
     assert {key.partition(" ")[0] for key in words} <= names | methods
 
@@ -98,4 +101,14 @@ def test_the_page_has_a_box_for_every_executed_stage():
     assert [REGISTRATION[key] for key in drawn.stages[drawn.first :]] == [
         REGISTRATION[key] for key in ("Association.find", "select_closest", "fit_motion", "Icp._error")
     ]
-    assert len(flowchart_chapter.CHAPTER.findings(chosen, results)) == 2
+    photo, *figures = flowchart_chapter.CHAPTER.findings(chosen, results)
+    assert photo.judgement.verdict == "not reproducible in software"
+    assert [finding.judgement.verdict for finding in figures] == ["reproduced"] * 4
+
+
+def test_a_figure_whose_stage_did_not_run_is_not_reproduced():
+    chosen, results = recording(one_to_one=False)
+    found = {finding.item[:8]: finding.judgement for finding in flowchart_chapter.CHAPTER.findings(chosen, results)}
+    assert found["Figure 3"].verdict == "not reproduced"
+    assert found["Figure 3"].why == "did not run: select_closest"
+    assert found["Figure 2"].verdict == "reproduced"
