@@ -170,6 +170,18 @@ class Score:
             raise ValueError(f"value: not finite: {self.value}; use None with a reason")
 
 
+@dataclass(frozen=True, slots=True)
+class LostTrack:
+    """A run lost the track ``at_s`` seconds after its first answer, and why in words."""
+
+    at_s: float
+    reason: str
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.at_s) or not self.reason:
+            raise ValueError(f"lost: expected a finite time and a reason, got {self.at_s} and {self.reason!r}")
+
+
 @dataclass(frozen=True, eq=False)
 class Scores:
     """The evaluation of one run.
@@ -178,6 +190,7 @@ class Scores:
     ``alignment``: in words, how estimate and ground truth were aligned, or why not; "" without a true trajectory.
     ``grid``: the map built from the estimated trajectory, None where there is none. ``errors_m`` (N,): distance to
     the truth at each of the run's steps after alignment, nan where unmatched; None without a true trajectory.
+    ``lost``: when and why the run lost the track; None if it did not, as far as is known.
     """
 
     by_metric: Mapping[str, Score] = field(default_factory=dict)
@@ -185,3 +198,4 @@ class Scores:
     alignment: str = ""
     grid: OccupancyGrid | None = None
     errors_m: Floats | None = None
+    lost: LostTrack | None = None

@@ -13,8 +13,10 @@ from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
 from evalkit.core.run_result import RunResult, Score, Scores
 from evalkit.core.scan import Frame
+from evalkit.core.se2 import Floats
 from evalkit.core.trajectory import Trajectory
 from evalkit.metrics.table import NO_POSES, Evidence, MatchedPoses, MissingMap, PlacedScan, PlacedScans, Unmatched
+from evalkit.metrics.track import find_lost_track
 from evalkit.metrics.trajectory import compute_errors_m, match_trajectories
 from evalkit.plugins.protocols import Mapper, Sequence
 
@@ -43,7 +45,8 @@ def evaluate_run(result: RunResult, sequence: Sequence, make_mapper: Callable[[]
     errors = None if true is None else compute_errors_m(result.estimate.moved(world_from_start, "world"), true)
     scores = metrics.compute_scores(evidence, metrics.all_metrics())
     grid = None if isinstance(evidence.grid, MissingMap) else evidence.grid
-    return Scores(scores, world_from_start, _describe_alignment(evidence), grid, errors)
+    lost = find_lost_track(evidence, sequence.frames)
+    return Scores(scores, world_from_start, _describe_alignment(evidence), grid, errors, lost)
 
 
 def evaluate_map(result: RunResult, grid: OccupancyGrid, sequence: Sequence) -> Scores:
@@ -70,8 +73,9 @@ def add_map(
 ) -> Evidence:
     """The evidence with scans and map. ``halves``: also the maps of both halves, for some consistency metrics."""
     world_from_base = evidence.run.estimate.moved(_find_world_from_start(evidence), "world")
-    mapped, successive = _place_scans(sequence, world_from_base, scans)
-    with_grid = replace(evidence, grid=render_map(mapped, make_mapper), mapped=mapped, successive=successive)
+    mapped, successive, odometry = _place_scans(sequence, world_from_base, scans)
+    grid = render_map(mapped, make_mapper)
+    with_grid = replace(evidence, grid=grid, mapped=mapped, successive=successive, odometry=odometry)
     if not halves:
         return with_grid
     middle = len(mapped) // 2
@@ -109,25 +113,29 @@ def _describe_alignment(evidence: Evidence) -> str:
 
 def _place_scans(
     sequence: Sequence, world_from_base: Trajectory, most: int
-) -> tuple[PlacedScans, tuple[tuple[PlacedScan, PlacedScan], ...]]:
+) -> tuple[PlacedScans, tuple[tuple[PlacedScan, PlacedScan], ...], Trajectory | None]:
     """At most ``most`` scans and ``MAX_PAIRS`` pairs of successive scans, with their poses ``world_from_sensor``.
 
     Both are evenly spaced over the whole sequence, the same for every method; scans without an answer are left out.
-    Scans are deskewed with the speed of the estimate, whatever the back end did.
+    Scans are deskewed with the speed of the estimate, whatever the back end did. Also returns the wheel odometry.
     """
     expected = len(sequence)
     chosen, earlier = _choose_evenly(expected, most), _choose_evenly(expected - 1, MAX_PAIRS)
     wanted = {*chosen, *earlier, *(index + 1 for index in earlier)}
     placed: dict[int, PlacedScan] = {}
+    odometry: dict[int, Floats] = {}
     for index, frame in enumerate(sequence.frames()):
         if index > max(wanted, default=-1):
             break
+        if frame.odom_from_base is not None:
+            odometry[frame.scan.stamp_ns] = frame.odom_from_base.row
         row = _find_row(world_from_base, frame.scan.stamp_ns) if index in wanted else None
         if row is not None:
             scan = frame.scan.deskewed(frame.base_from_sensor, _motion_within_scan(frame, world_from_base, row))
             placed[index] = scan, se2.compose(world_from_base.poses[row], frame.base_from_sensor.row)
     pairs = ((index, index + 1) for index in earlier if index in placed and index + 1 in placed)
-    return tuple(placed[i] for i in chosen if i in placed), tuple((placed[i], placed[j]) for i, j in pairs)
+    wheels = Trajectory(np.array(list(odometry)), np.array(list(odometry.values())), "odom") if odometry else None
+    return tuple(placed[i] for i in chosen if i in placed), tuple((placed[i], placed[j]) for i, j in pairs), wheels
 
 
 def _find_row(trajectory: Trajectory, stamp_ns: int) -> int | None:

@@ -18,6 +18,7 @@ from evalkit.core.pose import Pose
 from evalkit.core.run_result import RunResult, Score
 from evalkit.core.scan import Scan
 from evalkit.core.se2 import Floats, Stamps
+from evalkit.core.trajectory import Trajectory
 
 Group = Literal["drift", "relations", "residuals", "runtime", "map against truth", "map consistency"]
 PlacedScan = tuple[Scan, Floats]
@@ -69,6 +70,7 @@ class Evidence:
     world frame. ``mapped``: the deskewed scans in that map with ``world_from_sensor``, in the order of time.
     ``first_half``, ``second_half``: maps of ``mapped[:n]`` and ``mapped[n:]``, n = len(mapped) // 2, by the same
     mapper. ``successive``: pairs of a scan and the next scan of the sequence, evenly spaced over the sequence.
+    ``odometry``: the wheel odometry of the scans, None if there is none or if it was not read.
     """
 
     run: RunResult
@@ -79,6 +81,7 @@ class Evidence:
     first_half: OccupancyGrid | MissingMap = MissingMap(NO_POSES)
     second_half: OccupancyGrid | MissingMap = MissingMap(NO_POSES)
     successive: tuple[tuple[PlacedScan, PlacedScan], ...] = ()
+    odometry: Trajectory | None = None
 
 
 @dataclass(frozen=True)

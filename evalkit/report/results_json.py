@@ -104,6 +104,8 @@ def _run(run: RunRecord) -> dict[str, Any]:
         "seed": run.seed,
         "command": run.command,
         "alignment": run.scores.alignment,
+        "lost_at_s": run.scores.lost.at_s if run.scores.lost else None,
+        "lost_reason": run.scores.lost.reason if run.scores.lost else "",
         "status": result.status,
         "reason": result.reason,
         "scans_answered": len(result.steps),

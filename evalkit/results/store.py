@@ -28,7 +28,7 @@ from evalkit.config.experiment import RunSpec
 from evalkit.core.errors import StoreError
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, Cause, RunResult, Score, Scores
+from evalkit.core.run_result import STEP, Cause, LostTrack, RunResult, Score, Scores
 from evalkit.io import map_server, untrusted_io
 from evalkit.io.output_files import as_store_error, create_folder, write_bytes
 from evalkit.io.tum import format_tum
@@ -171,6 +171,8 @@ class Store:
             "fingerprint": fingerprint,
             "world_from_start": scores.world_from_start.row.tolist(),
             "alignment": scores.alignment,
+            "lost_at_s": scores.lost.at_s if scores.lost else None,
+            "lost_reason": scores.lost.reason if scores.lost else "",
             "scores": {name: asdict(score) for name, score in scores.by_metric.items()},
         }
         self.write(folder / SCORES, json.dumps(content, indent=1))
@@ -188,6 +190,7 @@ class Store:
                 content["alignment"],
                 _load_grid(folder / "grid.npz"),
                 untrusted_io.read_array(folder / "errors.npy") if (folder / "errors.npy").exists() else None,
+                LostTrack(content["lost_at_s"], content["lost_reason"]) if content["lost_at_s"] is not None else None,
             )
         except (OSError, ValueError, TypeError, KeyError, AttributeError, OverflowError):
             return None

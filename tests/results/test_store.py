@@ -12,7 +12,7 @@ from evalkit.config.experiment import Method, RunSpec, SequenceSpec
 from evalkit.core.errors import StoreError
 from evalkit.core.grid import OccupancyGrid
 from evalkit.core.pose import Pose
-from evalkit.core.run_result import STEP, Cause, RunResult, Score, Scores
+from evalkit.core.run_result import STEP, Cause, LostTrack, RunResult, Score, Scores
 from evalkit.core.trajectory import Trajectory
 from evalkit.io import map_server
 from evalkit.io.tum import format_tum, read_tum
@@ -63,7 +63,8 @@ BY_METRIC = {"ate": Score(1.0 / 3.0, 60), "f1": Score(None, 0, "no truth")}
 
 
 def scores(**changes):
-    kept = Scores(BY_METRIC, Pose(0.1, 1.0 / 3.0, -2.0), "least squares", grid(), ERRORS)
+    lost = LostTrack(212.0 / 3.0, "away")
+    kept = Scores(BY_METRIC, Pose(0.1, 1.0 / 3.0, -2.0), "least squares", grid(), ERRORS, lost)
     return replace(kept, **changes)
 
 
@@ -133,6 +134,7 @@ def test_scores_map_and_errors_are_loaded_to_the_bit(store):
     assert again.by_metric == BY_METRIC
     assert again.world_from_start == Pose(0.1, 1.0 / 3.0, -2.0)
     assert again.alignment == "least squares"
+    assert again.lost == LostTrack(212.0 / 3.0, "away")
     assert store.load_scores(KEY, "f") is not None
     assert store.load_scores(KEY, "other code") is None
     assert again.errors_m.tobytes() == ERRORS.tobytes()
