@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
-import multiprocessing
 import os
 import platform
 import signal
@@ -22,9 +21,12 @@ from concurrent.futures import Executor, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from multiprocessing import parent_process
+from multiprocessing.context import SpawnContext, SpawnProcess
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from queue import SimpleQueue
-from typing import ParamSpec, TypeVar
+from types import ModuleType
+from typing import Any, ParamSpec, TypeVar
 
 import psutil
 
@@ -259,8 +261,27 @@ class WorkerPool:
 
 def start_process(core: int | None) -> Executor:
     """A pool of one spawned process on a core; None: not pinned."""
-    context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(1, mp_context=context, initializer=_initialise_worker, initargs=(core,))
+    return ProcessPoolExecutor(1, mp_context=_Context(), initializer=_initialise_worker, initargs=(core,))
+
+
+class _Process(SpawnProcess):
+    """A spawned process that does not import the caller's main module: a script needs no main guard."""
+
+    @staticmethod
+    def _Popen(process_obj: BaseProcess) -> Any:  # noqa: N802 - the hook of multiprocessing
+        with _STARTING:
+            main, sys.modules["__main__"] = sys.modules["__main__"], ModuleType("__main__")
+            try:
+                return SpawnProcess._Popen(process_obj)
+            finally:
+                sys.modules["__main__"] = main
+
+
+class _Context(SpawnContext):
+    Process = _Process
+
+
+_STARTING = threading.Lock()
 
 
 def _initialise_worker(core: int | None) -> None:
