@@ -7,6 +7,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from evalkit.api.functions import compare, load, register, run
+    from evalkit.api.results import ComparisonResults
+    from evalkit.config.experiment import Experiment
     from evalkit.core.grid import OccupancyGrid
     from evalkit.core.match import Iteration, Match
     from evalkit.core.odometry_estimate import OdometryEstimate, StageEstimate
@@ -16,19 +19,24 @@ if TYPE_CHECKING:
     from evalkit.core.trajectory import Trajectory
 
 _MODULES = {
-    "grid": ("OccupancyGrid",),
-    "match": ("Iteration", "Match"),
-    "odometry_estimate": ("OdometryEstimate", "StageEstimate"),
-    "pose": ("Pose",),
-    "scan": ("Cloud", "Frame", "Scan"),
-    "timing": ("Cost", "Stopwatch"),
-    "trajectory": ("Trajectory",),
+    "api.functions": ("compare", "load", "register", "run"),
+    "api.results": ("ComparisonResults",),
+    "config.experiment": ("Experiment",),
+    "core.grid": ("OccupancyGrid",),
+    "core.match": ("Iteration", "Match"),
+    "core.odometry_estimate": ("OdometryEstimate", "StageEstimate"),
+    "core.pose": ("Pose",),
+    "core.scan": ("Cloud", "Frame", "Scan"),
+    "core.timing": ("Cost", "Stopwatch"),
+    "core.trajectory": ("Trajectory",),
 }
-"""The names that each module of ``evalkit.core`` gives to the API."""
+"""The names that each module gives to the API."""
 
 __all__ = [
     "Cloud",
+    "ComparisonResults",
     "Cost",
+    "Experiment",
     "Frame",
     "Iteration",
     "Match",
@@ -40,6 +48,10 @@ __all__ = [
     "Stopwatch",
     "Trajectory",
     "__version__",
+    "compare",
+    "load",
+    "register",
+    "run",
 ]
 
 __version__ = "0.1.0"
@@ -49,7 +61,7 @@ def __getattr__(name: str) -> object:
     """Import a value of the API on first use (PEP 562)."""
     for module, names in _MODULES.items():
         if name in names:
-            value: object = getattr(import_module(f"evalkit.core.{module}"), name)
+            value: object = getattr(import_module(f"evalkit.{module}"), name)
             globals()[name] = value
             return value
     raise AttributeError(f"module 'evalkit' has no attribute '{name}'")

@@ -34,6 +34,8 @@ from evalkit.results.store import read_steps
 
 Build = Callable[..., Comparison]
 
+pytest_plugins = ["pytester"]
+
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as in a background job; processes started by tests inherit it
     signal.signal(signal.SIGINT, signal.default_int_handler)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from evalkit.config.experiment import Experiment, experiment_from_tables
@@ -16,21 +16,28 @@ from evalkit.plugins.specs import DatasetSpec
 
 
 def experiment_from_recording(
-    path: Path, options: Mapping[str, str], settings: Mapping[str, str], backends: list[str], source: str
+    path: Path,
+    options: Mapping[str, str],
+    settings: Mapping[str, str],
+    methods: Sequence[str | Mapping[str, object]],
+    source: str,
 ) -> Experiment:
-    """All back ends, or those named, on one recording; the reader is chosen by the suffix of the file.
+    """All back ends, or the given methods, on one recording; the reader is chosen by the suffix of the file.
 
     ``options``: parameters of the reader with an option of their own (topic, relations, ground_truth, spans), if given.
-    ``settings``: its other parameters, as text. ``source``: the command line, for the commands in the report.
+    ``settings``: its other parameters, as text. ``methods``: names, or tables of an experiment file. ``source``: the
+    command line, for the commands in the report.
     Raises BadData if no reader fits.
     """
     recording, reader, spec = _find_recording(path)
     values = from_text(reader, spec.parameters, {**settings, **options})
-    many = {0: "every back end", 1: "one back end"}.get(len(backends), f"{len(backends)} back ends")
+    many = {0: "every back end", 1: "one method"}.get(len(methods), f"{len(methods)} methods")
     content = {
         "title": f"{recording.name}: {many} on one recording",
         "sequence": [{"use": reader, "label": recording.name, "path": str(recording), **values}],
-        "method": [{"use": name} for name in backends or registry.names("backends")],
+        "method": [
+            {"use": one} if isinstance(one, str) else dict(one) for one in methods or registry.names("backends")
+        ],
     }
     return experiment_from_tables(
         content, f"compare {path}", _make_experiment_name(recording, {**settings, **options}), source

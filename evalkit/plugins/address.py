@@ -28,10 +28,10 @@ class Address:
     file: str = ""
 
 
-def address_of(plug_in: str | BackendSpec | DatasetSpec) -> Address:
-    """Find the address of a registered name, of "module:SPEC" or of a spec object.
+def address_of(plug_in: str | BackendSpec | DatasetSpec | type) -> Address:
+    """Find the address of a registered name, of "module:SPEC", of a spec object or of a class that is a back end.
 
-    Raises NotInstalled for a spec object that no imported module holds under a name.
+    Raises NotInstalled for an object that another process cannot import.
     """
     if not isinstance(plug_in, str):
         return _address_of_object(plug_in)
@@ -83,7 +83,9 @@ def _module_of_file(file: str) -> ModuleType:
     return sys.modules[name]
 
 
-def _address_of_object(spec: BackendSpec | DatasetSpec) -> Address:
+def _address_of_object(spec: BackendSpec | DatasetSpec | type) -> Address:
+    if isinstance(spec, type):
+        return _address_of_class(spec)
     home = getattr(spec.make, "__module__", "")  # first the module that defines it; others may have imported it
     for name, module in sorted(sys.modules.items(), key=lambda item: item[0] != home):
         for attribute, value in list(vars(module).items()) if isinstance(module, ModuleType) else ():
@@ -92,3 +94,13 @@ def _address_of_object(spec: BackendSpec | DatasetSpec) -> Address:
     raise NotInstalled(
         "this spec", "has no name in any module, so another process cannot find it", "assign it to a name in a module"
     )
+
+
+def _address_of_class(made: type) -> Address:
+    """Return the address of a class that is a back end itself."""
+    module, name = made.__module__, made.__qualname__
+    if module == "__main__" or "." in name:
+        where = "in a notebook or a script" if module == "__main__" else "inside a function or a class"
+        remedy = f"move it to a file, say my_icp.py, and give my_icp.{made.__name__}"
+        raise NotInstalled(name, f"this class is defined {where}, where no other process can import it", remedy)
+    return Address(f"{module}:{name}", module, name, str(getattr(sys.modules.get(module), "__file__", "") or ""))

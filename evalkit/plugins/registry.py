@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, TypeVar
 from evalkit.core.errors import EvalkitError, NotInstalled, UnknownName
 from evalkit.plugins.code_hash import hash_code
 from evalkit.plugins.parameters import Value
-from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec, OdometrySpec
+from evalkit.plugins.specs import BackendSpec, DatasetSpec, MapperSpec, OdometrySpec, spec_of_class
 
 if TYPE_CHECKING:
     from evalkit.plugins.protocols import Odometry
@@ -160,6 +160,8 @@ def _load_point(name: str, point: EntryPoint, wanted: type[Spec]) -> Spec:
         raise NotInstalled(
             name, f"its plug-in {point.value} does not load ({error})", "reinstall its package"
         ) from error
+    if isinstance(spec, type) and wanted is BackendSpec:
+        spec = spec_of_class(spec) or spec
     if not isinstance(spec, wanted):
         raise NotInstalled(name, f"{point.value} is a {type(spec).__name__}", f"expected a {wanted.__name__}")
     return spec

@@ -7,16 +7,17 @@ A kind of back end is a subclass of ``BackendSpec``.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, is_dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
-from evalkit.plugins.parameters import Parameter, Value
+from evalkit.plugins.parameters import Parameter, Value, declared_parameters
 
 if TYPE_CHECKING:
     from evalkit.core.grid import OccupancyGrid
     from evalkit.plugins.protocols import Mapper, Odometry, Registration, Sequence
 
 GUESS_NOT_REPORTED = "not reported"
+NOT_STATED = "not stated"
 
 Kind = Literal["registration", "odometry", "map"]
 
@@ -123,6 +124,19 @@ class MapSpec(BackendSpec):
 
     kind: ClassVar[Kind] = "map"
     recorded: ClassVar[bool] = True
+
+
+def spec_of_class(made: type) -> BackendSpec | None:
+    """Return the spec of a class that is itself a registration (``register``) or an odometry (``update``), else None.
+
+    The summary is the first line of its docstring; its parameters are the fields that it declares with ``parameter``.
+    """
+    kind = RegistrationSpec if hasattr(made, "register") else OdometrySpec if hasattr(made, "update") else None
+    if kind is None:
+        return None
+    summary = (made.__doc__ or made.__name__).strip().splitlines()[0]
+    parameters = declared_parameters(made) if is_dataclass(made) else ()
+    return kind(made, summary, NOT_STATED, NOT_STATED, parameters=parameters)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ import shlex
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated
 
@@ -15,11 +14,9 @@ import typer
 from evalkit.config.adhoc_experiment import experiment_from_recording, read_first_frame
 from evalkit.config.experiment import Experiment, load_experiment
 from evalkit.core.run_result import NO_STEPS
-from evalkit.execution.environment import describe, describe_provenance
+from evalkit.execution.environment import describe
 from evalkit.execution.executors import DaskExecutor, Executor, LocalExecutor
 from evalkit.execution.scheduler import Scheduler
-from evalkit.io.output_files import as_store_error
-from evalkit.results.run_record import load_records
 from evalkit.results.store import Store
 from evalkit.terminal import options, progress, run_summary
 from evalkit.terminal.options import RunOptions, err
@@ -120,17 +117,11 @@ def _run(experiment: Experiment, store: Store, how: RunOptions, as_json: bool) -
 
 def _run_and_report(experiment: Experiment, store: Store, how: RunOptions, as_json: bool) -> None:
     """Run the experiment, load its records, analyse them, render the page, print the summary."""
-    from evalkit import report  # noqa: PLC0415 - loads pandas and matplotlib
+    from evalkit.api.pipeline import run_and_report  # noqa: PLC0415 - loads pandas and matplotlib
 
-    started = datetime.now(UTC)
     with _scheduler(experiment, store, how) as scheduler:
-        results = {spec.key: result for spec, result in scheduler.run(experiment, _executor(experiment, how))}
-    records = load_records(store, experiment, results)
-    environment = describe_provenance(scheduler.environment, results.values(), started)
-    comparison = report.build_comparison(experiment, records, started, datetime.now(UTC), environment)
-    with as_store_error(store.folder):
-        page = report.write_report(comparison, store.folder)
-    runs = [(record.spec, record.result) for record in records]
+        comparison, page = run_and_report(scheduler, experiment, _executor(experiment, how))
+    runs = [(record.spec, record.result) for record in comparison.records]
     run_summary.print_summary(runs, experiment.title, store, page, as_json)
 
 

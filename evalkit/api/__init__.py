@@ -1,0 +1,1 @@
+"""The Python API: compare methods, run an experiment, load results, register a pair of clouds."""

@@ -1,0 +1,175 @@
+"""The functions of the API: ``compare``, ``run``, ``load`` and ``register``."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from evalkit.api.pipeline import run_and_report
+from evalkit.api.results import ComparisonResults
+from evalkit.config.adhoc_experiment import experiment_from_recording, read_first_frame
+from evalkit.config.experiment import Experiment, load_experiment
+from evalkit.core.errors import BadParameter, NotInstalled
+from evalkit.core.match import Match
+from evalkit.core.pose import Pose
+from evalkit.core.run_result import RunResult
+from evalkit.core.scan import Cloud, Scan
+from evalkit.execution.environment import describe
+from evalkit.execution.executors import LocalExecutor
+from evalkit.execution.scheduler import Scheduler
+from evalkit.odometry import frontend
+from evalkit.plugins import registry
+from evalkit.plugins.address import address_of
+from evalkit.plugins.parameters import Value
+from evalkit.plugins.specs import BackendSpec, RegistrationSpec
+from evalkit.results.store import Store
+
+MethodChoice = str | BackendSpec | type | Mapping[str, object]
+"""A method: a registered name or "module:SPEC", a spec, a class with a ``register`` or ``update`` method, or a table of
+an experiment file: ``{"use": ..., "label": ..., PARAMETER: value}``."""
+
+RESULTS = Path("evalkit-results")
+"""Folder of the results, in the working folder, if no other is given."""
+
+
+def compare(
+    recording: str | Path,
+    methods: Sequence[MethodChoice] = (),
+    reference: str | Path | None = None,
+    *,
+    relations: str | Path | None = None,
+    out: str | Path | None = None,
+    jobs: int = 1,
+    resume: bool = True,
+    **settings: Value,
+) -> ComparisonResults:
+    """Compare methods on a recording and return the results, with the report in a folder.
+
+    ``recording``: a bag (ROS 1 or 2) or a log, or an experiment file (then the other sources are keys of that file).
+    ``methods``: all installed ones if empty. ``reference``: ground truth (TUM: s, m, quaternion; frame of the base).
+    ``relations``: measured relations (Kuemmerle et al. 2009). ``out``: the results folder; ``./evalkit-results/NAME``
+    if not given. ``jobs``: runs at a time. ``resume``: use stored results of equal code, data and parameters.
+    ``settings``: parameters of the reader, such as ``topic="/scan"``.
+
+    Runs that fail are rows of the results. Raises BadData, BadParameter or UnknownName for wrong input.
+    """
+    path = Path(recording)
+    files = {"ground_truth": reference, "relations": relations}
+    given = {name: str(value) for name, value in files.items() if value is not None}
+    if path.suffix == ".toml":
+        for name in (*given, *settings, *(["methods"] if methods else [])):
+            raise BadParameter(str(path), name, "an argument", "a key of the experiment file")
+        return run(load_experiment(path), out, jobs=jobs, resume=resume)
+    tables = [_method_table(method) for method in methods]
+    texts = {name: str(value) for name, value in settings.items()}
+    experiment = experiment_from_recording(path, given, texts, tables, f"compare {path}")
+    read_first_frame(experiment)
+    return run(experiment, out, jobs=jobs, resume=resume)
+
+
+def run(
+    experiment: Experiment | str | Path, out: str | Path | None = None, *, jobs: int = 1, resume: bool = True
+) -> ComparisonResults:
+    """Run an experiment (or its TOML file) and return its results, with the report in a folder.
+
+    ``out``: the results folder; ``./evalkit-results/NAME`` if not given. See ``compare`` for the rest.
+    """
+    if not isinstance(experiment, Experiment):
+        experiment = load_experiment(Path(experiment))
+    folder = Path(out) if out is not None else RESULTS / re.sub(r"[^\w.-]", "-", experiment.name)
+    scheduler = Scheduler(Store(folder), _Silent(), describe(jobs=jobs), resume)
+    with _importable_by_children():
+        run_and_report(scheduler, experiment, LocalExecutor(jobs))
+    return load(folder)
+
+
+def load(folder: str | Path) -> ComparisonResults:
+    """Load the results that ``compare``, ``run`` or the command line have written.
+
+    Raises StoreError if the folder holds no report, or one of another version.
+    """
+    return ComparisonResults.load(Path(folder))
+
+
+def register(
+    target: ArrayLike | Cloud | Scan,
+    source: ArrayLike | Cloud | Scan,
+    method: MethodChoice,
+    guess: Pose | ArrayLike | None = None,
+    **parameters: Value,
+) -> Match:
+    """Register one pair of clouds and return the match: its motion is ``target_from_source``.
+
+    ``target``, ``source``: points (N, 2) in m, a Cloud, or a Scan (whose hits are taken). ``guess``: a Pose or
+    (x m, y m, theta rad); the identity if not given. ``parameters``: of the method; its defaults otherwise.
+
+    The method runs in this process. Raises NotInstalled if it cannot run here, BadParameter for a method that is no
+    registration or for a wrong parameter, ValueError for clouds of another shape.
+    """
+    name = _method_name(method)
+    spec = registry.backend(name)
+    if why := spec.missing():
+        raise NotInstalled(name, "cannot run here", why)
+    if not isinstance(spec, RegistrationSpec):
+        raise BadParameter("register", "method", name, "a registration; this one estimates whole drives (use compare)")
+    complete = frontend.complete_parameters(name, spec, parameters)
+    _, registration = spec.make_stages(complete)
+    start = guess if isinstance(guess, Pose) else Pose() if guess is None else Pose.of(guess)
+    return registration.register(_cloud(target), _cloud(source), start)
+
+
+def _cloud(points: ArrayLike | Cloud | Scan) -> Cloud:
+    if isinstance(points, Cloud):
+        return points
+    return Cloud(points.points(), "sensor") if isinstance(points, Scan) else Cloud(np.asarray(points, dtype=np.float64))
+
+
+def _method_table(method: MethodChoice) -> dict[str, object]:
+    """Return a method as the table of an experiment file."""
+    return dict(method) if isinstance(method, Mapping) else {"use": _method_name(method)}
+
+
+def _method_name(method: MethodChoice) -> str:
+    """Return the name by which another process finds a method.
+
+    Raises NotInstalled for an object that only this process has: a class of a notebook's cell or of a script.
+    """
+    if isinstance(method, Mapping):
+        return str(method["use"])
+    if isinstance(method, str):
+        return method
+    return address_of(method).label
+
+
+@contextmanager
+def _importable_by_children() -> Iterator[None]:
+    """Give the processes of the runs the import path of this one: they find modules of a notebook's folder."""
+    before = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = os.pathsep.join(str(Path(entry or ".").resolve()) for entry in sys.path)
+    try:
+        yield
+    finally:
+        if before is None:
+            del os.environ["PYTHONPATH"]
+        else:
+            os.environ["PYTHONPATH"] = before
+
+
+class _Silent:
+    """Progress that prints nothing."""
+
+    def started(self, spec: object) -> None:
+        """A run starts."""
+
+    def answered(self, spec: object, scans: int) -> None:
+        """A run has answered this many scans."""
+
+    def finished(self, spec: object, result: RunResult) -> None:
+        """A run has ended."""

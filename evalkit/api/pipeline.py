@@ -1,0 +1,29 @@
+"""Run an experiment and write its report: the same steps for the command line and for Python."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from pathlib import Path
+
+from evalkit import report
+from evalkit.config.experiment import Experiment
+from evalkit.execution.environment import describe_provenance
+from evalkit.execution.executors import Executor
+from evalkit.execution.scheduler import Scheduler
+from evalkit.io.output_files import as_store_error
+from evalkit.report import Comparison
+from evalkit.results.run_record import load_records
+
+
+def run_and_report(scheduler: Scheduler, experiment: Experiment, executor: Executor) -> tuple[Comparison, Path]:
+    """Run an experiment and write the report into the scheduler's folder; return what it shows, and its page.
+
+    Runs that fail are rows of the report. Raises StoreError if the results folder cannot be written.
+    """
+    started = datetime.now(UTC)
+    results = {spec.key: result for spec, result in scheduler.run(experiment, executor)}
+    records = load_records(scheduler.store, experiment, results)
+    environment = describe_provenance(scheduler.environment, results.values(), started)
+    comparison = report.build_comparison(experiment, records, started, datetime.now(UTC), environment)
+    with as_store_error(scheduler.store.folder):
+        return comparison, report.write_report(comparison, scheduler.store.folder)

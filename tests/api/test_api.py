@@ -1,0 +1,191 @@
+"""The Python API gives the numbers of the report, and says what it needs."""
+
+import json
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import evalkit
+from evalkit.config.experiment import experiment_from_tables
+from evalkit.core.errors import BadParameter, NotInstalled, StoreError, UnknownName
+from evalkit.plugins import registry
+from evalkit.plugins.specs import spec_of_class
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory):
+    """Two methods on two seeds of a short drive."""
+    table = {
+        "title": "two <methods>",
+        "method": [{"use": "wheel-odometry"}, {"use": "embedded", "label": "core", "max_iterations": 6}],
+        "sequence": [{"use": "room", "laps": 0.02, "seeds": [0, 1]}],
+        "mapper": {"scans": 10},
+    }
+    experiment = experiment_from_tables(table, "here", "two", "compare two.toml")
+    return evalkit.run(experiment, tmp_path_factory.mktemp("two"))
+
+
+def test_tables_hold_the_values_of_the_report_with_their_units(results):
+    assert (results.methods, results.sequences) == (("wheel-odometry", "core"), ("room",))
+    scores, summary = results.scores(), results.summary()
+    assert scores.attrs["units"]["ate_rmse_m"] == summary.attrs["units"]["ate_rmse_m"] == "m"
+    own = [run for run in results.content["runs"] if run["method"] == "core"]
+    expected = [run["scores"]["ate_rmse_m"]["value"] for run in own]
+    assert list(scores[scores["method"] == "core"]["ate_rmse_m"]) == expected
+    row = summary[(summary["method"] == "core") & (summary["metric"] == "ate_rmse_m")].iloc[0]
+    assert row["median"] == pytest.approx(sum(expected) / 2)
+
+
+def test_a_trajectory_starts_at_the_identity_and_is_aligned_by_a_rigid_motion(results):
+    raw, aligned = results.trajectory("core"), results.trajectory("core", aligned=True)
+    assert (raw.parent, aligned.parent) == ("start", "world")
+    np.testing.assert_array_equal(raw.poses[0], np.zeros(3))
+    np.testing.assert_array_equal(raw.stamps_ns, aligned.stamps_ns)
+    assert aligned.path_m == pytest.approx(raw.path_m)
+    other = results.trajectory("core", "room", seed=1)
+    assert not np.array_equal(other.poses, raw.poses)
+    (run,) = [one for one in results.content["runs"] if (one["method"], one["seed"]) == ("core", 0)]
+    assert len(raw) == run["scans_answered"]
+
+
+def test_a_map_is_the_stored_grid(results):
+    (run,) = [one for one in results.content["runs"] if (one["method"], one["seed"]) == ("core", 1)]
+    grid = results.map("core", seed=1)
+    lines = (results.folder / "maps" / f"{run['key']}.pgm").read_bytes().split(b"\n")
+    assert f"{grid.shape[1]} {grid.shape[0]}".encode() in lines
+
+
+def test_figures_show_every_method_and_can_be_restyled(results):
+    dots = results.plot.dots("ate_rmse_m")
+    assert [text.get_text() for text in dots.axes[0].get_yticklabels()] == ["wheel-odometry", "core"]
+    assert dots.axes[0].get_xlabel() == "ate_rmse_m [m]"
+    assert [axes.get_title() for axes in results.plot.maps().axes] == ["wheel-odometry", "core"]
+    lines = results.plot.error_time().axes[0].lines
+    core = next(line for line in lines if line.get_label() == "core")
+    run = next(one for one in results.content["runs"] if (one["method"], one["seed"]) == ("core", 0))
+    rms = float(np.sqrt(np.nanmean(np.square(core.get_ydata()))))
+    assert rms == pytest.approx(run["scores"]["ate_rmse_m"]["value"], rel=1e-6)
+    with pytest.raises(UnknownName, match="no metric named 'ate'"):
+        results.plot.dots("ate")
+
+
+def test_a_notebook_shows_escaped_text_and_the_page_can_be_copied(results, tmp_path):
+    assert "two &lt;methods&gt;" in results._repr_html_()
+    copy = results.to_html(tmp_path / "page.html")
+    assert copy.read_bytes() == results.to_html().read_bytes()
+    assert evalkit.load(results.folder).content == results.content
+
+
+def test_a_limit_is_required_of_every_run(results):
+    values = [run["scores"]["ate_rmse_m"]["value"] for run in results.content["runs"] if run["method"] == "core"]
+    results.require("ate_rmse_m", "core", below=1.01 * max(values))
+    with pytest.raises(AssertionError, match=rf"below {min(values):.3g}") as error:
+        results.require("ate_rmse_m", "core", below=min(values))
+    assert str(error.value).count("room-s") == 2
+    with pytest.raises(AssertionError, match="no value"):
+        results.require("relations_all_mean_m", "core", below=1.0)
+    with pytest.raises(UnknownName, match="did you mean 'core'"):
+        results.require("ate_rmse_m", "cor", below=1.0)
+
+
+def test_unknown_names_and_folders_are_named(results, tmp_path):
+    with pytest.raises(UnknownName, match="no seed named '7'; known: 0, 1"):
+        results.trajectory("core", seed=7)
+    with pytest.raises(UnknownName, match="no sequence named 'hall'"):
+        results.map("core", "hall")
+    with pytest.raises(StoreError, match="no such file"):
+        evalkit.load(tmp_path)
+
+
+def test_a_pair_of_clouds_is_registered_from_the_guess():
+    points = np.random.default_rng(0).uniform(-3.0, 3.0, (300, 2))
+    turn = np.array([[np.cos(0.1), -np.sin(0.1)], [np.sin(0.1), np.cos(0.1)]])
+    match = evalkit.register(points @ turn.T + [0.05, -0.02], points, "embedded", guess=(0.04, -0.02, 0.09))
+    np.testing.assert_allclose(match.target_from_source.row, [0.05, -0.02, 0.1], atol=1e-9)
+    with pytest.raises(BadParameter, match="expected a registration"):
+        evalkit.register(points, points, "wheel-odometry")
+    with pytest.raises(UnknownName, match="no parameter named 'iterations'"):
+        evalkit.register(points, points, "embedded", iterations=3)
+
+
+class Shift:
+    """Move every guess.
+
+    By a distance.
+    """
+
+    def register(self, target, source, guess):
+        return evalkit.Match(guess @ evalkit.Pose(1.0, 0.0, 0.0), True, 1, 0.0, len(source))
+
+
+def test_a_class_of_a_module_is_a_method_and_one_of_a_notebook_is_refused():
+    spec = spec_of_class(Shift)
+    assert (spec.kind, spec.summary, spec.parameters) == ("registration", "Move every guess.", ())
+    assert spec_of_class(SimpleNamespace) is None
+    match = evalkit.register(np.zeros((3, 2)), np.zeros((3, 2)), Shift, guess=(1.0, 0.0, 0.0))
+    assert match.target_from_source.row.tolist() == [2.0, 0.0, 0.0]
+
+    class Local(Shift):
+        pass
+
+    with pytest.raises(NotInstalled, match=r"inside a function or a class.*give my_icp.Local"):
+        evalkit.register(np.zeros((3, 2)), np.zeros((3, 2)), Local)
+
+
+def test_importing_the_api_keeps_the_code_hash_of_runs_and_starts_light():
+    here = registry.hash_run_code("embedded", "room")
+    script = (
+        "import sys, evalkit; light = 'numpy' not in sys.modules\n"
+        "from evalkit.plugins import registry\n"
+        "print(light, registry.hash_run_code('embedded', 'room'))"
+    )
+    shown = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout
+    assert evalkit.compare is not None
+    assert shown.split() == ["True", here]
+
+
+def test_a_script_needs_no_main_guard(tmp_path, results):
+    (tmp_path / "my_icp.py").write_text(
+        "from evalkit import Match\n\nclass Keep:\n    'Answer the guess.'\n"
+        "    def register(self, target, source, guess):\n        return Match(guess, True, 1, 0.0, len(source))\n"
+    )
+    script = tmp_path / "script.py"
+    script.write_text(
+        "import sys, evalkit, my_icp\nprint('once')\n"
+        "r = evalkit.compare(sys.argv[1], methods=[my_icp.Keep, {'use': 'embedded', 'label': 'mine'}], limit=8)\n"
+        "print(r.scores()[['method', 'status']].to_json(orient='values'))\n"
+    )
+    log = tmp_path / "drive.log"
+    log.write_text(carmen_log())
+    ended = subprocess.run([sys.executable, script, log], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert ended.returncode == 0, ended.stderr
+    once, runs = ended.stdout.splitlines()
+    assert once == "once"
+    assert json.loads(runs) == [["my_icp:Keep", "complete"], ["mine", "complete"]]
+
+
+def carmen_log():
+    """A robot that stands in a square room of 4 m: the range of a beam at angle a is 2 m / max(|cos a|, |sin a|)."""
+    angles = np.radians(np.arange(180) - 90.0)
+    ranges = " ".join(f"{value:.3f}" for value in 2.0 / np.maximum(abs(np.cos(angles)), abs(np.sin(angles))))
+    return "".join(f"FLASER 180 {ranges} 0 0 0 0 0 0 {1e6 + 0.1 * k:.2f} host {0.1 * k:.2f}\n" for k in range(12))
+
+
+def test_the_fixture_runs_the_comparison_of_the_marker(pytester):
+    pytester.makefile(".log", drive=carmen_log())
+    pytester.makepyfile(
+        "import pytest\n"
+        "@pytest.mark.evalkit('drive.log', methods=['embedded'], limit=8)\n"
+        "def test_limits(evalkit_results):\n"
+        "    evalkit_results.require('answered_percent', 'embedded', above=99.0)\n"
+        "    evalkit_results.require('ate_rmse_m', 'embedded', below=1.0)\n"  # the log has no ground truth
+        "def test_unmarked(evalkit_results): ...\n"
+    )
+    outcome = pytester.runpytest_inprocess("-p", "no:cacheprovider", "-p", "no:xdist")
+    outcome.assert_outcomes(failed=1, errors=1)
+    outcome.stdout.fnmatch_lines(
+        ["*evalkit_results needs a marker*", "*expected ate_rmse_m of embedded below 1 m, found*", "*no value (*"]
+    )
